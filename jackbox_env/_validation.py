@@ -1,0 +1,86 @@
+"""One-sentence refusals: each names the argument, the value given and the values allowed."""
+
+from __future__ import annotations
+
+import math
+import numbers
+import operator
+from collections.abc import Iterable
+from typing import Any
+
+
+def real(
+    name: str,
+    value: Any,
+    *,
+    above: float = -math.inf,
+    at_least: float = -math.inf,
+    at_most: float = math.inf,
+) -> float:
+    """Return ``value`` as a finite Python float within the given bounds.
+
+    Raises:
+        TypeError: it is no real number.
+        ValueError: it is NaN, infinite or out of bounds.
+    """
+    try:
+        number = math.nan if isinstance(value, (bool, str, bytes)) else float(value)
+    except (TypeError, ValueError, OverflowError):
+        number = math.nan
+    # NaN fails the comparisons; -inf and inf fail these open ends.
+    if -math.inf < number < math.inf and number > above and at_least <= number <= at_most:
+        return number
+    bounds = [
+        f"{word} {bound:g}"
+        for word, bound in (("above", above), ("at least", at_least), ("at most", at_most))
+        if math.isfinite(bound)
+    ]
+    message = f"{name} must be a finite number{' ' * bool(bounds)}{' and '.join(bounds)}, got {value!r}"
+    raise (ValueError if isinstance(value, numbers.Real) and not isinstance(value, bool) else TypeError)(message)
+
+
+def whole(name: str, value: Any, *, at_least: int, at_most: int | None = None) -> int:
+    """Return ``value`` as a Python int within the given bounds (True, 2.0 and "2" are refused).
+
+    Raises:
+        TypeError: it is no whole number.
+        ValueError: it is out of bounds.
+    """
+    wanted = f"a whole number >= {at_least}"
+    if at_most is not None:
+        wanted = f"a whole number from {at_least} to {at_most}"
+    if isinstance(value, bool):
+        raise TypeError(f"{name} must be {wanted}, got {value!r}")
+    try:
+        number = operator.index(value)
+    except TypeError as error:
+        raise TypeError(f"{name} must be {wanted}, got {value!r}") from error
+    if number < at_least or (at_most is not None and number > at_most):
+        raise ValueError(f"{name} must be {wanted}, got {value!r}")
+    return number
+
+
+def choice(name: str, value: Any, allowed: Iterable[str]) -> str:
+    """Return ``value`` if it is one of the ``allowed`` names.
+
+    Raises:
+        ValueError: it is not.
+    """
+    names = list(allowed)
+    if not isinstance(value, str) or value not in names:
+        listed = ", ".join(repr(known) for known in names)
+        raise ValueError(f"{name} must be one of {listed}, got {value!r}")
+    return value
+
+
+def known_keys(name: str, given: Iterable[Any], allowed: Iterable[str]) -> None:
+    """Refuse keys outside ``allowed``.
+
+    Raises:
+        ValueError: there is an unknown key.
+    """
+    names = list(allowed)
+    for key in given:
+        if key not in names:
+            listed = ", ".join(repr(known) for known in names)
+            raise ValueError(f"{name} takes only {listed}, got {key!r}")

@@ -1,0 +1,236 @@
+"""The law of the jack in a box: state layout, gaps, impact maps and energy.
+
+A state holds 12 float64 numbers in SI units, positions q first, then their rates:
+
+    [x_box, y_box, theta_box, x_jack, y_jack, theta_jack, vx_box, vy_box, omega_box, vx_jack, vy_jack, omega_jack]
+
+Wall k = 0..3 has its outward normal n_k at the angle theta_box + k pi/2, foot i = 0..3 sits at o_i, at the angle
+theta_jack + i pi/2 and l from the jack's centre. With r = p_jack - p_box and a^perp = (-a_y, a_x):
+
+    gap_ki = L - n_k . (r + o_i)                                              >= 0 inside
+    J_ki   = d gap_ki / d q = [n_k, -n_k^perp . (r + o_i), -n_k, -n_k . o_i^perp]
+
+An impact is instantaneous and frictionless: momentum jumps along the gradient of the gap and, at restitution e = 1, the
+Hamiltonian is kept (Brogliato, Nonsmooth Mechanics, 3rd ed. 2016, ch. 4; Glocker 2001, Set-Valued Force Laws, ch. 9):
+
+    M (qdot+ - qdot-) = lambda J^T,    J qdot+ = -e J qdot-    =>    lambda = -(1 + e) J qdot- / (J M^-1 J^T)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from jackbox_env import _validation as check
+from jackbox_env.scene import Scene
+
+STATE_NAMES = (
+    "x_box",
+    "y_box",
+    "theta_box",
+    "x_jack",
+    "y_jack",
+    "theta_jack",
+    "vx_box",
+    "vy_box",
+    "omega_box",
+    "vx_jack",
+    "vy_jack",
+    "omega_jack",
+)
+
+# A start is inside when no foot is further out than this [m], or than 4 units in the last place of a far-off position.
+START_TOLERANCE = 1e-9
+
+_QUARTERS = np.arange(4) * (math.pi / 2.0)
+
+Array = NDArray[np.float64]
+
+
+def as_state(state: ArrayLike) -> Array:
+    """Return ``state`` as a fresh float64 array of shape (12,).
+
+    Raises:
+        TypeError: it does not hold numbers.
+        ValueError: its shape is not (12,), or a number is NaN or infinite (named by its place in the state).
+    """
+    try:
+        array = np.array(state, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise TypeError(f"state must hold 12 numbers, got {state!r}") from error
+    if array.shape != (12,):
+        raise ValueError(f"state must have shape (12,), got shape {array.shape}")
+    if not np.isfinite(array).all():
+        place = int(np.argmin(np.isfinite(array)))
+        raise ValueError(f"state must be finite, got {STATE_NAMES[place]} = {array[place]}")
+    return array
+
+
+def _directions(angle: float) -> Array:
+    """Unit vectors at ``angle`` + k pi/2, shape (4, 2)."""
+    return np.stack([np.cos(angle + _QUARTERS), np.sin(angle + _QUARTERS)], axis=1)
+
+
+def gaps(scene: Scene, state: ArrayLike) -> Array:
+    """Gap between each wall and each foot [m], shape (4 walls, 4 feet); negative outside.
+
+    Raises:
+        TypeError, ValueError: the state is not 12 finite numbers.
+    """
+    q = as_state(state)
+    feet = q[3:5] - q[0:2] + scene.jack_arm * _directions(q[5])  # (4, 2) from the box's centre
+    return scene.box_half_width - _directions(q[2]) @ feet.T
+
+
+def clearance(scene: Scene, state: Sequence[float]) -> float:
+    """Smallest of the 16 gaps [m] of 12 numbers, in closed form: opposite feet make each extent symmetric.
+
+    In the box frame the jack reaches |x| + l max(|cos|, |sin|) of the relative angle along x, and likewise along y.
+    NaN for a state that is not finite.
+    """
+    cosine, sine = math.cos(state[2]), math.sin(state[2])
+    x, y = state[3] - state[0], state[4] - state[1]
+    relative = state[5] - state[2]
+    reach = scene.jack_arm * max(abs(math.cos(relative)), abs(math.sin(relative)))
+    return scene.box_half_width - reach - max(abs(cosine * x + sine * y), abs(cosine * y - sine * x))
+
+
+def start_tolerance(state: Sequence[float]) -> float:
+    """How far a foot of a start may be outside [m]: 1e-9, or 4 units in the last place of a far-off position."""
+    furthest = max(abs(state[0]), abs(state[1]), abs(state[3]), abs(state[4]))
+    return max(START_TOLERANCE, 4.0 * math.ulp(furthest))
+
+
+def gap_jacobian(scene: Scene, state: ArrayLike, wall: int, foot: int) -> Array:
+    """Derivative of one gap with respect to (x_box, y_box, theta_box, x_jack, y_jack, theta_jack), shape (6,).
+
+    Units: 1 for the four places, m for the two angles.
+
+    Raises:
+        TypeError, ValueError: the state is not 12 finite numbers, or wall or foot is no whole number from 0 to 3.
+    """
+    q = as_state(state)
+    wall = check.whole("wall", wall, at_least=0, at_most=3)
+    foot = check.whole("foot", foot, at_least=0, at_most=3)
+    return _gap_jacobian(scene, q, wall, foot)
+
+
+def _gap_jacobian(scene: Scene, q: Array, wall: int, foot: int) -> Array:
+    normal = _directions(q[2])[wall]
+    offset = scene.jack_arm * _directions(q[5])[foot]
+    contact = q[3:5] - q[0:2] + offset
+    normal_perp = np.array([-normal[1], normal[0]])
+    offset_perp = np.array([-offset[1], offset[0]])
+    return np.array([*normal, -normal_perp @ contact, *-normal, -normal @ offset_perp])
+
+
+def impact_map(scene: Scene, state: ArrayLike, wall: int, foot: int) -> tuple[Array, float]:
+    """Apply the impact law of one foot on one wall: lambda = -(1 + e) J qdot- / (J M^-1 J^T).
+
+    The law is local: it does not ask whether the gap is closed. A contact that separates (J qdot- >= 0) is left alone.
+
+    Returns:
+        The state after, shape (12,), and the impulse lambda >= 0 [N s].
+
+    Raises:
+        TypeError, ValueError: the state is not 12 finite numbers, or wall or foot is no whole number from 0 to 3.
+    """
+    jacobian = gap_jacobian(scene, state, wall, foot)
+    after = as_state(state)
+    gap_rate = float(jacobian @ after[6:])
+    if gap_rate >= 0.0:
+        return after, 0.0
+    kick = jacobian / np.array(scene.mass_diagonal)  # change of qdot per impulse
+    impulse = -(1.0 + scene.restitution) * gap_rate / float(jacobian @ kick)
+    after[6:] += impulse * kick
+    return after, impulse
+
+
+def simultaneous_impact_map(scene: Scene, state: ArrayLike, contacts: Sequence[tuple[int, int]]) -> tuple[Array, Array]:
+    """Apply the impact law to several contacts at once: the simultaneous Newton law.
+
+        0 <= lambda  _|_  J qdot+ + e J qdot- >= 0,    M (qdot+ - qdot-) = J^T lambda
+
+    (Moreau 1988, "Unilateral contact and dry friction in finite freedom dynamics"; Glocker 2001.) Each listed contact
+    takes part whether it approaches or not; list those whose gap is within the tolerance of the moment. The law is the
+    optimality condition of min |M^-1/2 J^T lambda + (1 + e) M^1/2 qdot-| over lambda >= 0, so qdot+ is unique even
+    where the impulses are not (a foot in a corner has four contacts of rank 3); then the impulses are one valid choice.
+    Resolving the contacts one after the other gives other, equally energy-keeping answers: this is the convention here.
+
+    Args:
+        scene: the scene.
+        state: shape (12,).
+        contacts: distinct pairs (wall, foot), each from 0 to 3.
+
+    Returns:
+        The state after, shape (12,), and the impulses [N s], shape (len(contacts),), in the order of ``contacts``.
+
+    Raises:
+        TypeError, ValueError: the state is not 12 finite numbers, or a contact is no pair of numbers 0..3 or repeated.
+    """
+    before = as_state(state)
+    pairs = [_pair(contact) for contact in contacts]
+    if len(set(pairs)) < len(pairs):
+        raise ValueError(f"contacts must be distinct (wall, foot) pairs, got {pairs}")
+    if not pairs:
+        return before, np.zeros(0)
+    jacobian = np.array([_gap_jacobian(scene, before, wall, foot) for wall, foot in pairs])  # (n, 6)
+    mass = np.array(scene.mass_diagonal)
+    root = np.sqrt(mass)
+    # In mass-weighted velocities u = M^1/2 qdot the impulses move u along the rows of J M^-1/2.
+    weighted = jacobian / root  # (n, 6)
+    impulses = _nonnegative_least_squares(weighted.T, -(1.0 + scene.restitution) * root * before[6:])
+    after = before.copy()
+    after[6:] += (impulses @ jacobian) / mass
+    return after, impulses
+
+
+def _pair(contact: tuple[int, int]) -> tuple[int, int]:
+    try:
+        wall, foot = contact
+    except (TypeError, ValueError) as error:
+        raise TypeError(f"a contact must be a pair (wall, foot), got {contact!r}") from error
+    return check.whole("wall", wall, at_least=0, at_most=3), check.whole("foot", foot, at_least=0, at_most=3)
+
+
+def _nonnegative_least_squares(columns: Array, target: Array) -> Array:
+    """Minimise |columns x - target| over x >= 0 by the active-set method of Lawson and Hanson (1974, ch. 23)."""
+    count = columns.shape[1]
+    x = np.zeros(count)
+    active = np.zeros(count, dtype=bool)
+    barred = np.zeros(count, dtype=bool)  # only rounding asked for these since x last moved
+    lengths = np.linalg.norm(columns, axis=0)
+    while True:
+        gradient = columns.T @ (target - columns @ x) / lengths
+        promising = ~active & ~barred & (gradient > 1e-15 * np.linalg.norm(target))
+        if not promising.any():
+            return x
+        chosen = int(np.argmax(np.where(promising, gradient, -np.inf)))
+        active[chosen] = True
+        while True:
+            trial = np.zeros(count)
+            trial[active] = np.linalg.lstsq(columns[:, active], target, rcond=None)[0]
+            if trial[chosen] <= 0.0 and x[chosen] == 0.0:
+                active[chosen], barred[chosen] = False, True
+                break
+            if (trial >= 0.0).all():
+                x, barred = trial, np.zeros(count, dtype=bool)
+                break
+            falling = active & (trial < 0.0)
+            x = x + np.min(x[falling] / (x[falling] - trial[falling])) * (trial - x)
+            active &= x > 0.0
+            x[~active] = 0.0
+
+
+def energy(scene: Scene, state: ArrayLike) -> float:
+    """Kinetic energy plus m_j g y_jack [J] (the lift cancels the box's weight).
+
+    Raises:
+        TypeError, ValueError: the state is not 12 finite numbers.
+    """
+    values = as_state(state)
+    kinetic = 0.5 * float(np.array(scene.mass_diagonal) @ values[6:] ** 2)
+    return kinetic + scene.jack_mass * scene.gravity * float(values[4])

@@ -1,0 +1,282 @@
+"""What is modelled: the scene (geometry, masses, gravity, restitution) and the drive that moves its box.
+
+Nothing here simulates. Lengths are in m, masses in kg, inertias in kg m^2, torques in N m, forces in N, times in s.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
+from functools import partial
+from typing import Any
+
+from jackbox_env import _validation as check
+
+# Gauss-Legendre nodes and weights with five points on [0, 1]: exact for polynomials of degree 9.
+_GAUSS = (
+    (0.04691007703066800, 0.11846344252809454),
+    (0.23076534494715845, 0.23931433524968324),
+    (0.5, 0.28444444444444444),
+    (0.76923465505284155, 0.23931433524968324),
+    (0.95308992296933200, 0.11846344252809454),
+)
+
+# A panel of a twelfth of a turn: five points integrate a sine over it to 1e-15 of its amplitude.
+_PANELS_PER_TURN = 12
+_MOST_PANELS = 1_000_000
+
+# Lengths, masses and inertias outside this range would under- or overflow once squared and multiplied.
+_SMALLEST = 1e-60
+_LARGEST = 1e60
+
+
+def _quantity(name: str, value: Any) -> float:
+    return check.real(name, value, at_least=_SMALLEST, at_most=_LARGEST)
+
+
+def _hat_means(signal: Callable[[float], float], duration: float, panels: int = 1) -> tuple[float, float]:
+    """Average ``signal(s)`` over 0 <= s <= duration under a falling and under a rising triangle.
+
+    With T the duration these are 2/T^2 int (T - s) f(s) ds and 2/T^2 int s f(s) ds. The first is the constant signal
+    that moves a coordinate as far in T as f does, the mean of both the one that changes its rate as much.
+    """
+    falling = rising = 0.0
+    for panel in range(panels):
+        for node, weight in _GAUSS:
+            share = (panel + node) / panels  # s / T
+            part = weight * signal(share * duration)
+            rising += part * share
+            falling += part * (1.0 - share)
+    return 2.0 * falling / panels, 2.0 * rising / panels
+
+
+def _two_product(a: float, b: float) -> tuple[float, float]:
+    """Return a*b as an unevaluated sum of two floats (Dekker 1971, "A floating-point technique", Mul12)."""
+    product = a * b
+    split = 134217729.0 * a
+    a_high = split - (split - a)
+    a_low = a - a_high
+    split = 134217729.0 * b
+    b_high = split - (split - b)
+    b_low = b - b_high
+    return product, ((a_high * b_high - product) + a_high * b_low + a_low * b_high) + a_low * b_low
+
+
+@dataclass(frozen=True)
+class Chirp:
+    """The torque ``amplitude * sin(2 pi (start_frequency t + rate t^2 / 2))`` on the box.
+
+    Attributes:
+        amplitude: [N m], any finite number.
+        start_frequency: frequency at t = 0 [Hz], from -1e9 to 1e9.
+        rate: growth of the frequency [Hz/s], from -1e9 to 1e9; 0 is a plain sine.
+
+    Raises:
+        TypeError, ValueError: a parameter is no finite number in its range.
+    """
+
+    amplitude: float = 90000.0  # [N m] gain 30000 times 3
+    start_frequency: float = 0.5  # [Hz]
+    rate: float = 0.9  # [Hz/s]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "amplitude", check.real("amplitude", self.amplitude, at_least=-1e60, at_most=1e60))
+        for name in ("start_frequency", "rate"):
+            object.__setattr__(self, name, check.real(name, getattr(self, name), at_least=-1e9, at_most=1e9))
+
+    def _turns(self, time: float) -> float:
+        """Phase at ``time`` in turns, less a whole number; its error does not grow with the time."""
+        linear, linear_error = _two_product(self.start_frequency, time)
+        square, square_error = _two_product(time, time)
+        growth, growth_error = _two_product(0.5 * self.rate, square)
+        errors = linear_error + growth_error + 0.5 * self.rate * square_error
+        return math.fmod(linear, 1.0) + math.fmod(growth, 1.0) + errors
+
+    def torque(self, time: float) -> float:
+        """Torque on the box [N m] at ``time`` [s]."""
+        return self.amplitude * math.sin(2.0 * math.pi * self._turns(time))
+
+    @property
+    def torque_bound(self) -> float:
+        """The torque never exceeds this [N m]."""
+        return abs(self.amplitude)
+
+    @property
+    def force_bound(self) -> float:
+        """A chirp has no side force [N]."""
+        return 0.0
+
+    @property
+    def force_means(self) -> tuple[Callable[[float, float], tuple[float, float]], ...]:
+        """A chirp has no side force."""
+        return ()
+
+    def torque_means(self, time: float, duration: float) -> tuple[float, float]:
+        """Torque over [time, time + duration] [N m], averaged under a falling and under a rising triangle.
+
+        Five-point Gauss-Legendre quadrature on panels of at most a twelfth of a turn.
+
+        Raises:
+            ValueError: the chirp turns more than 83,333 times in the interval.
+        """
+        middle = time + 0.5 * duration
+        phase = self._turns(middle)
+        frequency = self.start_frequency + self.rate * middle  # [Hz]
+        fastest = abs(frequency) + 0.5 * abs(self.rate) * duration  # [Hz]
+        panels = _PANELS_PER_TURN * fastest * duration
+        if not panels <= _MOST_PANELS:
+            raise ValueError(
+                f"the chirp turns {fastest * duration:.3g} times in the {duration:g} s after t = {time:g} s, "
+                f"at most {_MOST_PANELS // _PANELS_PER_TURN} turns in one substep can be followed"
+            )
+
+        half_rate, half = 0.5 * self.rate, 0.5 * duration
+
+        def signal(since: float) -> float:
+            offset = since - half
+            return math.sin(2.0 * math.pi * (phase + (frequency + half_rate * offset) * offset))
+
+        falling, rising = _hat_means(signal, duration, max(1, math.ceil(panels)))
+        return self.amplitude * falling, self.amplitude * rising
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A drive given by functions of time, for other people's jack-in-a-box scenes.
+
+    Each function takes the time as a Python float [s] and returns a finite number; it is sampled at five points of
+    every substep, so it should be smooth on that scale. A function left out acts as zero and costs nothing. A Drive
+    of functions has no JSON form: an environment made with one cannot write its spec as JSON.
+
+    Attributes:
+        torque: torque on the box [N m].
+        force_x: force on the box's centre along the world's x [N].
+        force_y: force on the box's centre along the world's y [N], besides the lift that carries the box.
+
+    Raises:
+        TypeError: something that is neither a function nor None.
+    """
+
+    torque: Callable[[float], float] | None = None
+    force_x: Callable[[float], float] | None = None
+    force_y: Callable[[float], float] | None = None
+
+    def __post_init__(self) -> None:
+        for part in fields(self):
+            function = getattr(self, part.name)
+            if function is not None and not callable(function):
+                raise TypeError(f"{part.name} must be a function of the time in s or None, got {function!r}")
+
+    @property
+    def torque_bound(self) -> float:
+        """The torque never exceeds this [N m]: nothing is known of a function, unless there is none."""
+        return 0.0 if self.torque is None else math.inf
+
+    @property
+    def force_bound(self) -> float:
+        """The side force never exceeds this [N], likewise."""
+        return 0.0 if self.force_x is None and self.force_y is None else math.inf
+
+    def torque_means(self, time: float, duration: float) -> tuple[float, float]:
+        """Like :meth:`Chirp.torque_means`, by one five-point panel."""
+        return self._means("torque", time, duration)
+
+    @property
+    def force_means(self) -> tuple[Callable[[float, float], tuple[float, float]], ...]:
+        """Functions like :meth:`torque_means` for the force along x and along y [N]; empty if neither acts."""
+        if self.force_bound == 0.0:
+            return ()
+        return partial(self._means, "force_x"), partial(self._means, "force_y")
+
+    def _means(self, part: str, time: float, duration: float) -> tuple[float, float]:
+        function = getattr(self, part)
+        if function is None:
+            return 0.0, 0.0
+        return _hat_means(lambda since: check.real(f"{part}({time + since:g} s)", function(time + since)), duration)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Everything the physics needs to know. Frozen; every number is kept as a Python float.
+
+    Attributes:
+        box_half_width: L, the walls stand at +-L in the box frame [m].
+        box_mass: m_b [kg].
+        box_inertia: J_b [kg m^2]; None stands for m_b L^2, and reads back as that number.
+        jack_arm: l, distance of each foot from the jack's centre [m]; below sqrt(2) L, or the jack fits at no angle.
+        jack_mass: m_j [kg].
+        jack_inertia: J_j [kg m^2]; None stands for m_j l^2 (four point feet), and reads back as that number.
+        gravity: g, acts downwards on the jack; the box's weight is lifted [m/s^2], >= 0.
+        restitution: e, 0 <= e <= 1.
+        torque_limit: torque of an agent's action 1 [N m].
+        drive: what moves the box when nobody else does: a Chirp, a Drive, a dict of Chirp's fields, or None.
+
+    Lengths, masses, inertias and the torque limit are within [1e-60, 1e60]. ``dataclasses.replace`` keeps a resolved
+    inertia: give ``box_inertia=None`` with a new mass or width to have it derived again.
+
+    Raises:
+        TypeError, ValueError: a field is of the wrong type or out of its range.
+    """
+
+    box_half_width: float = 6.0  # [m]
+    box_mass: float = 400.0  # [kg] four walls of 100 kg
+    box_inertia: float = None  # type: ignore[assignment]  # [kg m^2] resolved below, never None afterwards
+    jack_arm: float = 1.0  # [m]
+    jack_mass: float = 4.0  # [kg] four feet of 1 kg
+    jack_inertia: float = None  # type: ignore[assignment]  # [kg m^2]
+    gravity: float = 9.81  # [m/s^2]
+    restitution: float = 1.0
+    torque_limit: float = 90000.0  # [N m]
+    drive: Chirp | Drive | None = field(default_factory=Chirp)
+
+    def __post_init__(self) -> None:
+        def keep(name: str, value: object) -> None:
+            object.__setattr__(self, name, value)
+
+        for name in ("box_half_width", "box_mass", "jack_arm", "jack_mass", "torque_limit"):
+            keep(name, _quantity(name, getattr(self, name)))
+        if self.box_inertia is None:
+            keep("box_inertia", self.box_mass * self.box_half_width**2)
+        if self.jack_inertia is None:
+            keep("jack_inertia", self.jack_mass * self.jack_arm**2)
+        for name in ("box_inertia", "jack_inertia"):
+            keep(name, _quantity(name, getattr(self, name)))
+        keep("gravity", check.real("gravity", self.gravity, at_least=0.0, at_most=_LARGEST))
+        keep("restitution", check.real("restitution", self.restitution, at_least=0.0, at_most=1.0))
+        largest_arm = math.sqrt(2.0) * self.box_half_width
+        if self.jack_arm >= largest_arm:
+            raise ValueError(
+                f"jack_arm must be below sqrt(2) * box_half_width = {largest_arm:g} m to fit, got {self.jack_arm:g} m"
+            )
+        if isinstance(self.drive, Mapping):
+            check.known_keys("drive", self.drive, (part.name for part in fields(Chirp)))
+            keep("drive", Chirp(**self.drive))
+        if not isinstance(self.drive, Chirp | Drive | None):
+            raise TypeError(f"drive must be a Chirp, a Drive, a dict of Chirp's fields or None, got {self.drive!r}")
+
+    @classmethod
+    def of(cls, given: Scene | Mapping[str, Any] | None) -> Scene:
+        """Return the scene given as a Scene, as a dict of some of its fields, or as None (the default scene).
+
+        Raises:
+            TypeError, ValueError: something else, an unknown field, or a field out of its range.
+        """
+        if given is None:
+            return cls()
+        if isinstance(given, cls):
+            return given
+        if not isinstance(given, Mapping):
+            raise TypeError(f"scene must be a Scene, a dict of its fields or None, got {given!r}")
+        check.known_keys("scene", given, (part.name for part in fields(cls)))
+        return cls(**given)
+
+    @property
+    def mass_diagonal(self) -> tuple[float, float, float, float, float, float]:
+        """Diagonal of the mass matrix M for q = (box x, y, angle, jack x, y, angle) [kg, kg, kg m^2, twice]."""
+        return (self.box_mass,) * 2 + (self.box_inertia,) + (self.jack_mass,) * 2 + (self.jack_inertia,)
+
+    @property
+    def speed_scale(self) -> float:
+        """v0 = sqrt(2 * 9.81 * L) [m/s]: a fall through half the default box; the unit of observed speeds."""
+        return math.sqrt(2.0 * 9.81 * self.box_half_width)

@@ -1,0 +1,78 @@
+"""States and reference data that several tests share."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jackbox_env.mechanics import gap_jacobian, gaps
+from jackbox_env.scene import Scene
+
+DATA = Path(__file__).parent / "data"
+Array = NDArray[np.float64]
+
+
+def load(name: str) -> list[dict[str, Any]]:
+    """Read a data file: facts computed independently, trajectories with 60 digits."""
+    records: list[dict[str, Any]] = json.loads((DATA / f"{name}.json").read_text())
+    return records
+
+
+def inside(scene: Scene, rng: np.random.Generator, speed: float = 5.0) -> Array:
+    """A random state with every foot inside: any angles, centre in the circle that always fits."""
+    state = np.concatenate([rng.uniform(-3.0, 3.0, 6), speed * rng.standard_normal(6)])
+    room = max(scene.box_half_width - scene.jack_arm, 0.0)
+    angle, radius = rng.uniform(0.0, 2.0 * math.pi), room * math.sqrt(rng.uniform())
+    state[3:5] = state[0:2] + radius * np.array([math.cos(angle), math.sin(angle)])
+    return state
+
+
+def one_foot_on_wall(scene: Scene, rng: np.random.Generator) -> tuple[Array, int, int]:
+    """A random state with one foot on a wall, approaching it at 0.1 m/s or more, and the others inside by 1 mm."""
+    while True:
+        state = inside(scene, rng)
+        wall = int(rng.integers(4))
+        foot = int(np.argmin(gaps(scene, state)[wall]))
+        gap = gaps(scene, state)[wall, foot]
+        normal_angle = state[2] + wall * math.pi / 2.0
+        state[3:5] += gap * np.array([math.cos(normal_angle), math.sin(normal_angle)])
+        others = gaps(scene, state)
+        others[wall, foot] = 1.0
+        approach = gap_jacobian(scene, state, wall, foot) @ state[6:]
+        if others.min() > 1e-3 and approach < -0.1:
+            return state, wall, foot
+
+
+def several_contacts(scene: Scene, rng: np.random.Generator, kind: str) -> tuple[Array, list[tuple[int, int]]]:
+    """A random state with several feet on walls, each approaching at 0.1 m/s or more.
+
+    ``kind``: "one wall" (two feet at 45 degrees), "two walls" (one foot on each of two neighbours), or "corner".
+    """
+    half, arm = scene.box_half_width, scene.jack_arm
+    while True:
+        state = inside(scene, rng)
+        # In the box frame, turned so that walls 0 and 1 (and feet 0 and 1, or 0 and 3) are the ones touched.
+        if kind == "one wall":
+            relative = math.pi / 4.0
+            place = np.array([half - arm * math.cos(relative), rng.uniform(-0.5, 0.5) * (half - arm)])
+            contacts = [(0, 0), (0, 3)]
+        elif kind == "two walls":
+            relative = rng.uniform(-0.6, 0.6)
+            place = np.array([half - arm * math.cos(relative), half - arm * math.cos(relative)])
+            contacts = [(0, 0), (1, 1)]
+        else:
+            relative = math.pi / 4.0
+            place = np.full(2, half - arm * math.cos(relative))
+            contacts = [(0, 0), (1, 0), (1, 1), (0, 3)]
+        turn = state[2]
+        rotation = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
+        state[3:5] = state[0:2] + rotation @ place
+        state[5] = turn + relative
+        rates = [gap_jacobian(scene, state, wall, foot) @ state[6:] for wall, foot in contacts]
+        if max(rates) < -0.1:
+            return state, contacts
