@@ -1,0 +1,58 @@
+"""Flight between impacts in closed form, and a bound on how far it can bring a foot towards a wall.
+
+Law: gravity pulls the jack with g, a lift carries the box, a torque turns the box; nothing else acts in flight.
+Exactness: rounding, given the torque's averages over the step.
+Fails: it does not look for impacts; ask :func:`reach` first.
+"""
+
+from __future__ import annotations
+
+import math
+
+from jackbox_env.scene import Scene
+
+
+def reach(scene: Scene, state: list[float], dt: float, torque_bound: float, force_bound: float) -> float:
+    """Bound by how much any of the 16 gaps can shrink in flight within ``dt`` [m].
+
+    |d gap / dt| = |n . (v_box - v_jack) - omega_box n^perp . r - (omega_jack - omega_box) n . o^perp|
+                <= V + Omega D + l S
+    with V, Omega, D, S upper bounds over the step of the relative speed, |omega_box|, |r|, |omega_jack - omega_box|.
+
+    Args:
+        scene: the scene.
+        state: 12 numbers.
+        dt: [s].
+        torque_bound: upper bound of the torque on the box over the step [N m]; may be infinite.
+        force_bound: upper bound of the side force on the box [N]; may be infinite.
+    """
+    spun_up = torque_bound * dt / scene.box_inertia
+    speed = math.hypot(state[9] - state[6], state[10] - state[7])
+    speed += (scene.gravity + force_bound / scene.box_mass) * dt
+    distance = math.hypot(state[3] - state[0], state[4] - state[1]) + speed * dt
+    spin = abs(state[11] - state[8]) + spun_up
+    return dt * (speed + (abs(state[8]) + spun_up) * distance + scene.jack_arm * spin)
+
+
+def fly(scene: Scene, state: list[float], dt: float, falling: float, rising: float) -> list[float]:
+    """Return the state after ``dt`` [s] of flight without side forces.
+
+    ``falling`` and ``rising`` are the torque on the box over the step, averaged under a falling and under a rising
+    triangle [N m]; for a held torque both are that torque.
+    """
+    x, y, angle, jack_x, jack_y, jack_angle, vx, vy, omega, jack_vx, jack_vy, jack_omega = state
+    fall = scene.gravity * dt
+    return [
+        x + vx * dt,
+        y + vy * dt,
+        angle + (omega + 0.5 * dt * falling / scene.box_inertia) * dt,
+        jack_x + jack_vx * dt,
+        jack_y + (jack_vy - 0.5 * fall) * dt,
+        jack_angle + jack_omega * dt,
+        vx,
+        vy,
+        omega + 0.5 * dt * (falling + rising) / scene.box_inertia,
+        jack_vx,
+        jack_vy - fall,
+        jack_omega,
+    ]

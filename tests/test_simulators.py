@@ -1,0 +1,652 @@
+"""The contact models against the law: impacts, flight, restoring, conservation, and what they refuse.
+
+Each engine setting that matters has a negative control: the same scene with the setting wrong shows the error.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+import pickle
+from typing import Any
+
+import numpy as np
+import pymunk
+import pytest
+
+from jackbox_env.mechanics import clearance, energy, gaps, impact_map, simultaneous_impact_map
+from jackbox_env.scene import Chirp, Drive, Scene
+from jackbox_env.simulators import Impact, flight, make_simulator
+from jackbox_env.simulators import pymunk as model
+from jackbox_env.simulators.pymunk import PymunkSimulator
+from tests.states import Array, inside, load, one_foot_on_wall, several_contacts
+
+WEIGHTLESS = Scene(gravity=0.0, drive=None)
+INSTANT = 1e-12  # [s] short enough that nothing but the impact happens: poses move by 1e-10 m and less
+
+
+def relative_error(found: Array, expected: Array) -> float:
+    """Largest velocity error over the largest velocity."""
+    return float(np.abs(found[6:] - expected[6:]).max() / np.abs(expected[6:]).max())
+
+
+def impact_in_an_instant(scene: Scene, state: Array, iterations: int = 64) -> PymunkSimulator:
+    simulator = PymunkSimulator(scene, substeps=1, iterations=iterations)
+    simulator.reset(state)
+    simulator.step(INSTANT, torque=0.0)
+    return simulator
+
+
+# -- impacts ----------------------------------------------------------------------------------------------------------
+
+
+def test_one_contact_equals_the_impact_map_over_2000_states() -> None:
+    rng = np.random.default_rng(0)
+    worst_velocity = worst_impulse = 0.0
+    for _ in range(2000):
+        state, wall, foot = one_foot_on_wall(WEIGHTLESS, rng)
+        expected, impulse = impact_map(WEIGHTLESS, state, wall, foot)
+        simulator = impact_in_an_instant(WEIGHTLESS, state)
+        assert [(hit.wall, hit.foot) for hit in simulator.impacts] == [(wall, foot)]
+        worst_velocity = max(worst_velocity, relative_error(simulator.state, expected))
+        momentum = WEIGHTLESS.jack_mass * float(np.abs(state[6:]).max())
+        worst_impulse = max(worst_impulse, abs(simulator.impacts[0].impulse - impulse) / momentum)
+    assert worst_velocity < 1e-9
+    assert worst_impulse < 1e-9
+
+
+def test_one_contact_with_loss_equals_the_impact_map() -> None:
+    rng = np.random.default_rng(1)
+    scene = Scene(gravity=0.0, restitution=0.3, drive=None, jack_inertia=0.4, box_mass=7.0)
+    for _ in range(200):
+        state, wall, foot = one_foot_on_wall(scene, rng)
+        assert relative_error(impact_in_an_instant(scene, state).state, impact_map(scene, state, wall, foot)[0]) < 1e-9
+
+
+@pytest.mark.parametrize("kind", ["one wall", "two walls", "corner"])
+def test_simultaneous_contacts_equal_the_simultaneous_law(kind: str) -> None:
+    rng = np.random.default_rng(2)
+    for _ in range(100):
+        state, contacts = several_contacts(WEIGHTLESS, rng, kind)
+        expected, _ = simultaneous_impact_map(WEIGHTLESS, state, contacts)
+        assert relative_error(impact_in_an_instant(WEIGHTLESS, state).state, expected) < 1e-8
+
+
+@pytest.mark.parametrize("kind", ["one wall", "corner"])
+def test_one_iteration_is_not_enough_for_simultaneous_contacts(kind: str) -> None:
+    rng = np.random.default_rng(2)
+    errors, gains = [], []
+    for _ in range(50):
+        state, contacts = several_contacts(WEIGHTLESS, rng, kind)
+        expected, _ = simultaneous_impact_map(WEIGHTLESS, state, contacts)
+        hasty = impact_in_an_instant(WEIGHTLESS, state, iterations=1).state
+        errors.append(relative_error(hasty, expected))
+        gains.append(energy(WEIGHTLESS, hasty) / energy(WEIGHTLESS, state) - 1.0)
+    assert max(errors) > 0.1
+    assert max(np.abs(gains)) > 0.01
+
+
+def bare_bounce(wall_radius: float, **settings: float) -> tuple[float, int]:
+    """Drop a point on a floor in the bare engine for 2 s; return its lowest height [m] and the contacts solved."""
+    space = pymunk.Space()
+    space.gravity = (0.0, -9.81)
+    space.collision_bias = settings.get("collision_bias", 1.0)
+    space.collision_persistence = settings.get("collision_persistence", 1)
+    point = pymunk.Body(1.0, 1.0)
+    point.position = (0.0, 1.0)
+    ball = pymunk.Circle(point, 0.0)
+    floor = pymunk.Segment(space.static_body, (-300.0, -wall_radius), (300.0, -wall_radius), wall_radius)
+    ball.elasticity = floor.elasticity = 1.0
+    space.add(point, ball, floor)
+    contacts = []
+    space.on_collision(post_solve=lambda *_: contacts.append(1))
+    lowest = math.inf
+    for _ in range(400):
+        space.step(0.005)
+        lowest = min(lowest, point.position.y)
+    return lowest, len(contacts)
+
+
+def test_walls_are_fat_because_points_fall_through_lines() -> None:
+    assert bare_bounce(wall_radius=100.0)[0] > -0.05
+    lowest, contacts = bare_bounce(wall_radius=0.0)
+    assert lowest < -10.0
+    assert contacts == 0
+
+
+def test_persistence_zero_would_turn_collisions_off() -> None:
+    assert bare_bounce(wall_radius=100.0, collision_persistence=0)[0] < -10.0
+    assert PymunkSimulator(Scene())._space.collision_persistence >= 1
+
+
+def test_position_correction_would_move_what_the_law_leaves_alone() -> None:
+    # Foot 0 is 0.5 m outside and leaves at 0.1 m/s. The engine's default correction pushes it out of the wall.
+    deep = np.zeros(12)
+    deep[[3, 9]] = 5.5, -0.1
+    lawful, corrected = PymunkSimulator(WEIGHTLESS), PymunkSimulator(WEIGHTLESS)
+    corrected._space.collision_bias = pymunk.Space().collision_bias
+    for simulator in (lawful, corrected):
+        simulator.reset(deep)
+        simulator.step(0.02)
+    assert lawful.state[3] == pytest.approx(5.5 - 0.1 * 0.02, abs=1e-12)
+    assert corrected.state[3] < lawful.state[3] - 1e-3
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5])
+def test_a_jack_at_rest_on_a_turning_wall_does_not_sink_in(restitution: float) -> None:
+    # The wall turns under the resting feet by omega^2 L h^2 / 2 per substep; only position correction answers that.
+    scene = Scene(restitution=restitution, drive=None)
+    start = np.zeros(12)
+    start[[3, 5, 8]] = 4.0, 0.3, 6.0
+
+    def deepest(corrected: bool) -> float:
+        simulator = PymunkSimulator(scene)
+        if not corrected:
+            simulator._space.collision_bias = 1.0
+        simulator.reset(start)
+        depth = 0.0
+        for _ in range(400):
+            try:
+                simulator.step(0.02)
+            except RuntimeError:
+                return 1.0
+            depth = max(depth, -clearance(scene, simulator.state.tolist()))
+            assert energy(scene, simulator.state) <= energy(scene, start) + 1e-9
+        return depth
+
+    assert deepest(corrected=True) < 0.15
+    assert deepest(corrected=False) > 0.5
+
+
+def test_every_impulse_is_recorded() -> None:
+    # With the box immovable and level, the jack's momentum changes by its weight and by the recorded impulses alone;
+    # without restitution a foot that rests is hit in every substep of one and the same contact.
+    scene = Scene(box_mass=1e12, box_inertia=1e14, restitution=0.0, drive=None)
+    simulator = PymunkSimulator(scene)
+    start = np.zeros(12)
+    start[[3, 4, 5, 9, 11]] = 0.4, -4.0, 0.2, 1.0, 0.5
+    simulator.reset(start)
+    momentum = scene.jack_mass * start[9:11]
+    longest = 0
+    for _ in range(200):
+        simulator.step(0.02)
+        for hit in simulator.impacts:
+            assert hit.impulse > 0.0
+            angle = hit.wall * math.pi / 2.0
+            momentum = momentum - hit.impulse * np.array([math.cos(angle), math.sin(angle)])
+        longest = max(longest, len(simulator.impacts))
+    momentum[1] -= scene.jack_mass * scene.gravity * simulator.time
+    assert longest >= simulator.substeps
+    np.testing.assert_allclose(scene.jack_mass * simulator.state[9:11], momentum, atol=0.2)  # m g h / 2 = 0.1
+
+
+def test_impacts_carry_time_order_and_places() -> None:
+    simulator = PymunkSimulator(Scene())
+    simulator.reset(load("seed_scene")[0]["q"] + load("seed_scene")[0]["qdot"], time=0.0)
+    hits: list[Impact] = []
+    for _ in range(150):
+        before = simulator.time
+        simulator.step(0.02)
+        assert all(before < hit.time <= simulator.time + 1e-12 for hit in simulator.impacts)
+        assert isinstance(simulator.impacts, list)
+        hits += simulator.impacts
+    assert hits == sorted(hits, key=lambda hit: hit.time)
+    known = load("seed_scene")[0]["impacts"][:3]
+    assert [(hit.wall, hit.foot) for hit in hits[:3]] == [(hit["wall"], hit["foot"]) for hit in known]
+    # An impact waits for the end of its substep: at most h late, and what happens then compounds.
+    assert 0.0 <= hits[0].time - known[0]["time"] <= 0.005
+    simulator.impacts.clear()
+    simulator.step(0.02)
+    assert simulator.impacts == [] or simulator.impacts is not simulator.impacts
+
+
+# -- flight -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def always_the_engine(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Switch off the closed-form flight, so that the engine takes every step."""
+    real = flight.reach
+    monkeypatch.setattr(model, "reach", lambda *arguments: max(real(*arguments), 1e3))
+
+
+def closed_form(scene: Scene, start: Array, time: float, torque: float) -> Array:
+    """Flight under gravity and a held torque."""
+    state = start.copy()
+    state[:6] += start[6:] * time
+    state[4] -= 0.5 * scene.gravity * time**2
+    state[10] -= scene.gravity * time
+    state[2] += 0.5 * torque / scene.box_inertia * time**2
+    state[8] += torque / scene.box_inertia * time
+    return state
+
+
+@pytest.mark.usefixtures("always_the_engine")
+@pytest.mark.parametrize("substeps", [1, 2, 3, 4, 7, 64, 256])
+def test_the_engine_flies_exactly(substeps: int) -> None:
+    scene = Scene()
+    start = np.array([0.3, -0.2, 0.1, 0.5, 3.0, 0.4, 0.5, -0.25, 0.2, 0.3, 1.0, 2.0])
+    simulator = PymunkSimulator(scene, substeps=substeps)
+    simulator.reset(start)
+    for _ in range(40):
+        simulator.step(0.02, torque=2500.0)
+    assert simulator.impacts == []
+    np.testing.assert_allclose(simulator.state, closed_form(scene, start, 0.8, 2500.0), atol=1e-11)
+
+
+@pytest.mark.parametrize("record", load("exact_trajectories"), ids=lambda record: record["name"])
+@pytest.mark.parametrize("engine", [False, True], ids=["closed form", "engine"])
+@pytest.mark.parametrize("substeps", [1, 4])
+def test_flight_before_the_first_impact_equals_the_60_digit_reference(
+    record: dict[str, Any], engine: bool, substeps: int, request: pytest.FixtureRequest
+) -> None:
+    if engine:
+        request.getfixturevalue("always_the_engine")
+    scene = Scene(gravity=record["gravity"], drive=Chirp() if record["drive"] == "chirp" else None)
+    simulator = PymunkSimulator(scene, substeps=substeps)
+    simulator.reset(record["q"] + record["qdot"])
+    checked = 0
+    for step in range(250):
+        held = scene.torque_limit * record["actions"][step] if record["drive"] == "held" else None
+        simulator.step(0.02, held)
+        if simulator.time >= record["impacts"][0]["time"]:
+            break
+        if step % 5 == 4:
+            reference = record["states"][step // 5]
+            assert reference["time"] == pytest.approx(simulator.time)
+            np.testing.assert_allclose(simulator.state, reference["state"], rtol=0.0, atol=1e-12)
+            checked += 1
+    assert checked >= 3
+
+
+def test_a_plain_start_and_a_sampled_drive_would_not_be_exact() -> None:
+    # The same loop without half-step velocities is off by g h t / 2, and with the chirp sampled at each substep's
+    # start the box's angle is off by thousandths of a radian after 1 s.
+    h, steps = 0.005, 200
+    space = pymunk.Space()
+    box, jack = pymunk.Body(400.0, 14400.0), pymunk.Body(4.0, 4.0)
+    space.add(box, jack)
+    for step in range(steps):
+        jack.force = (0.0, -4.0 * 9.81)
+        box.torque = Chirp().torque(step * h)
+        space.step(h)
+    simulator = PymunkSimulator(Scene())
+    simulator.reset(np.zeros(12))
+    for _ in range(50):
+        simulator.step(0.02)
+    flight_error = jack.position.y + 0.5 * 9.81
+    assert flight_error == pytest.approx(9.81 * h / 2.0, rel=1e-6)
+    assert abs(box.angle - load("seed_scene")[0]["states"][9]["state"][2]) > 1e-3
+    np.testing.assert_allclose(simulator.state, load("seed_scene")[0]["states"][9]["state"], atol=1e-12)
+
+
+def test_the_engine_is_asked_wherever_a_foot_can_reach_a_wall(request: pytest.FixtureRequest) -> None:
+    # With and without the closed-form flight the same impacts come at the same substeps, over many wild scenes.
+    rng = np.random.default_rng(5)
+    scenes = [Scene(), Scene(jack_arm=5.0), Scene(gravity=100.0, torque_limit=9e5), Scene(box_mass=4.0, jack_mass=4.0)]
+    starts = [
+        (scene, inside(scene, rng, speed=10.0), rng.uniform(-1.0, 1.0, 30)) for scene in scenes for _ in range(25)
+    ]
+
+    def run() -> list[tuple[list[Impact], Array]]:
+        results = []
+        for scene, start, actions in starts:
+            simulator = PymunkSimulator(scene)
+            simulator.reset(start)
+            hits: list[Impact] = []
+            for action in actions:
+                simulator.step(0.02, torque=action * scene.torque_limit * (1.0 if scene.box_mass > 4.0 else 0.01))
+                hits += simulator.impacts
+                if len(hits) >= 2:  # beyond, rounding grows into other paths
+                    break
+            results.append((hits, simulator.state))
+        return results
+
+    mixed = run()
+    request.getfixturevalue("always_the_engine")
+    pure = run()
+    for (hits, state), (engine_hits, engine_state) in zip(mixed, pure, strict=True):
+        assert [hit[:3] for hit in hits] == [pytest.approx(hit[:3], abs=1e-9) for hit in engine_hits]
+        np.testing.assert_allclose(state, engine_state, rtol=1e-7, atol=1e-7)
+    assert sum(len(hits) for hits, _ in mixed) > 100
+
+
+def test_side_forces_push_the_box_exactly() -> None:
+    # force_x = 4000 cos(2 t) N on 400 kg: vx = 5 sin 2t, x = 2.5 (1 - cos 2t); force_y held.
+    scene = Scene(gravity=0.0, drive=Drive(force_x=lambda t: 4000.0 * math.cos(2.0 * t), force_y=lambda t: 400.0))
+    simulator = PymunkSimulator(scene)
+    simulator.reset(np.zeros(12))
+    for _ in range(40):
+        simulator.step(0.02, torque=None)
+    x, vx = 2.5 * (1.0 - math.cos(1.6)), 5.0 * math.sin(1.6)
+    np.testing.assert_allclose(simulator.state[[0, 1, 6, 7]], [x, 0.32, vx, 0.8], atol=1e-12)
+    simulator.reset(np.zeros(12))
+    simulator.step(0.02, torque=14400.0)  # replaces the drive's torque only
+    assert simulator.state[8] == pytest.approx(0.02)
+    assert simulator.state[6] == pytest.approx(5.0 * math.sin(0.04), abs=1e-12)
+    assert simulator.torque == 14400.0
+
+
+# -- restoring --------------------------------------------------------------------------------------------------------
+
+RESTORE_SCENES = [
+    Scene(),
+    Scene(jack_arm=5.5),
+    Scene(jack_arm=6.5),
+    Scene(jack_arm=5.9, jack_inertia=4.0),
+    Scene(jack_arm=2.0, restitution=0.3),
+]
+
+
+def restores(scene: Scene, substeps: int, steps: int, seed: int) -> tuple[int, int]:
+    """Follow a random run; at each step redo it from (state, time) in a fresh simulator. Return misses and impacts."""
+    rng = np.random.default_rng(seed)
+    start = np.zeros(12)
+    start[5] = math.pi / 4.0
+    start[6:] = rng.standard_normal(6) * (2.0, 2.0, 0.5, 8.0, 8.0, 3.0)
+    run = PymunkSimulator(scene, substeps=substeps)
+    run.reset(start)
+    fresh = PymunkSimulator(scene, substeps=substeps)
+    pristine = pickle.dumps(fresh)
+    misses = impacts = 0
+    for _ in range(steps):
+        torque = rng.uniform(-1.0, 1.0) * 0.5 * scene.torque_limit
+        state, time = run.state, run.time
+        run.step(0.02, torque)
+        if rng.uniform() < 0.1 or fresh.impacts:  # else the last one, used before
+            fresh = pickle.loads(pristine)
+        fresh.reset(state, time)
+        np.testing.assert_array_equal(fresh.state, state)
+        fresh.step(0.02, torque)
+        misses += not (np.array_equal(run.state, fresh.state) and run.impacts == fresh.impacts)
+        impacts += bool(run.impacts)
+    return misses, impacts
+
+
+@pytest.mark.parametrize("scene", RESTORE_SCENES, ids=lambda scene: f"arm {scene.jack_arm:g} e {scene.restitution:g}")
+def test_the_future_follows_from_state_and_time_bitwise(scene: Scene) -> None:
+    results = [restores(scene, substeps, 1000, seed) for substeps in (1, 4) for seed in range(4)]
+    assert sum(misses for misses, _ in results) == 0
+    assert sum(impacts for _, impacts in results) > 100
+
+
+def test_contacts_remembered_by_the_engine_would_change_the_future(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(PymunkSimulator, "_forget_contacts", lambda self: None)
+    results = [restores(scene, substeps, 1000, 0) for substeps in (1, 4) for scene in RESTORE_SCENES]
+    assert sum(misses for misses, _ in results) > 0
+
+
+def test_pickle_and_deepcopy_continue_bitwise_even_in_contact() -> None:
+    rng = np.random.default_rng(7)
+    simulator = PymunkSimulator(Scene(jack_arm=5.0), substeps=3, iterations=50)
+    simulator.reset(inside(simulator.scene, rng))
+    in_contact = 0
+    for _ in range(300):
+        in_contact += bool(simulator.impacts)
+        twins = [copy.deepcopy(simulator), pickle.loads(pickle.dumps(simulator))]
+        torque = rng.uniform(-5e4, 5e4)
+        for one in [simulator, *twins]:
+            one.step(0.02, torque)
+        for twin in twins:
+            np.testing.assert_array_equal(twin.state, simulator.state)
+            assert (twin.time, twin.impacts, twin.torque) == (simulator.time, simulator.impacts, simulator.torque)
+            assert (twin.substeps, twin.iterations) == (3, 50)
+    assert in_contact > 20
+
+
+def test_a_changed_time_step_is_safe_while_a_foot_touches(monkeypatch: pytest.MonkeyPatch) -> None:
+    # The engine rescales remembered impulses when h changes, which makes a persisting foot's bounce wrong.
+    scene = Scene(restitution=0.0, drive=None)
+    resting = np.zeros(12)
+    resting[[4, 5]] = -(6.0 - math.cos(math.pi / 4.0)), math.pi / 4.0
+
+    def after_the_change() -> Array:
+        simulator = PymunkSimulator(scene)
+        simulator.reset(resting)
+        for _ in range(10):
+            simulator.step(0.02)
+        simulator.step(0.0004)
+        return simulator.state
+
+    kept = after_the_change()
+    assert abs(kept[10]) < 9.81 * 0.02
+    monkeypatch.setattr(PymunkSimulator, "_forget_contacts", lambda self: None)
+    assert not np.array_equal(after_the_change(), kept)
+
+
+# -- laws over long runs ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("drive", ["chirp", "held", "none"])
+def test_momentum_and_centre_of_mass_follow_the_exact_laws(drive: str) -> None:
+    scene = Scene(drive=Chirp() if drive == "chirp" else None)
+    rng = np.random.default_rng(8)
+    simulator = PymunkSimulator(scene)
+    start = np.zeros(12)
+    start[[3, 5]] = 0.5, 0.3
+    simulator.reset(start)
+    impacts = 0
+    for _ in range(500):
+        simulator.step(0.02, rng.uniform(-9e4, 9e4) if drive == "held" else None)
+        impacts += len(simulator.impacts)
+    state, total = simulator.state, scene.box_mass + scene.jack_mass
+    assert impacts > 5
+    momentum = scene.box_mass * state[6:8] + scene.jack_mass * state[9:11]
+    # Each contact in the last substep of a step shifts the synchronised velocity by at most g h / 2 = 0.0245 m/s.
+    assert momentum[0] == pytest.approx(0.0, abs=1e-9)
+    assert momentum[1] == pytest.approx(-scene.jack_mass * scene.gravity * simulator.time, abs=1e-9)
+    centre = (scene.box_mass * state[0:2] + scene.jack_mass * state[3:5]) / total
+    np.testing.assert_allclose(centre, [0.5 * 4.0 / 404.0, -4.0 / 404.0 * 9.81 * 10.0**2 / 2.0], atol=1e-9)
+
+
+@pytest.mark.parametrize("substeps", [1, 4, 64])
+def test_energy_gained_is_the_work_of_the_torque(substeps: int) -> None:
+    # A held torque's work is torque times the box's turn. Half-step velocities make the scheme symmetric in time, so
+    # even impacts resolved late keep the balance to rounding.
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        simulator = PymunkSimulator(Scene(), substeps=substeps)
+        start = np.zeros(12)
+        start[3:6] = rng.uniform(-1.0, 1.0, 3)
+        simulator.reset(start)
+        work = largest = 0.0
+        impacts = 0
+        for _ in range(300):
+            torque, before = rng.uniform(-9e4, 9e4), simulator.state[2]
+            simulator.step(0.02, torque)
+            work += torque * (simulator.state[2] - before)
+            largest = max(largest, abs(work))
+            impacts += len(simulator.impacts)
+        gained = energy(simulator.scene, simulator.state) - energy(simulator.scene, start)
+        assert impacts > 3
+        assert largest > 100.0
+        assert gained == pytest.approx(work, abs=1e-11 * largest + 1e-9)
+
+
+def test_the_first_impact_is_late_by_half_a_substep_on_average() -> None:
+    # First order: over many starts the impact waits h / 2 in the mean, so 8 times the substeps wait 8 times less.
+    def delay(substeps: int) -> float:
+        late = []
+        for height in np.linspace(0.5, 3.5, 60):
+            simulator = PymunkSimulator(Scene(drive=None), substeps=substeps)
+            start = np.zeros(12)
+            start[4] = height
+            simulator.reset(start)
+            while not simulator.impacts:
+                simulator.step(0.02)
+            late.append(simulator.impacts[0].time - math.sqrt(2.0 * (5.0 + height) / 9.81))
+        assert min(late) > -1e-9
+        return float(np.mean(late))
+
+    assert delay(2) == pytest.approx(0.005, rel=0.2)
+    assert delay(2) / delay(16) == pytest.approx(8.0, rel=0.25)
+
+
+def test_bounces_keep_their_speed_within_what_is_stated() -> None:
+    def restitution(speed: float, h: float) -> float:
+        # From just above the floor with this speed: the exact bounce returns to the start with the same speed.
+        simulator = PymunkSimulator(Scene(drive=None, box_mass=1e12, box_inertia=1e14), substeps=1)
+        start = np.zeros(12)
+        start[[4, 10]] = -4.9, -speed
+        simulator.reset(start)
+        impact_speed = math.sqrt(speed**2 + 2.0 * 9.81 * 0.1)
+        while not simulator.impacts:
+            simulator.step(h)
+        bottom = simulator.state
+        return math.sqrt(max(0.0, bottom[10] ** 2 + 2.0 * 9.81 * (bottom[4] + 5.0))) / impact_speed
+
+    assert restitution(10.0, 1.0 / 1000.0) == pytest.approx(1.0, abs=0.002)
+    assert restitution(10.0, 1.0 / 50.0) == pytest.approx(1.0, abs=0.05)
+
+
+# -- extremes and refusals --------------------------------------------------------------------------------------------
+
+
+def test_far_from_the_origin_is_as_good_as_near_it() -> None:
+    rng = np.random.default_rng(9)
+    for _ in range(50):
+        state, wall, foot = one_foot_on_wall(WEIGHTLESS, rng)
+        far = state.copy()
+        far[[0, 1, 3, 4]] += np.round([1e9, -1e9, 1e9, -1e9])
+        far[3:5] -= 3e-7 * np.sign(far[3:5] - far[0:2])  # the rounding there is 1.2e-7 m: stay inside
+        near = far.copy()
+        near[[0, 1, 3, 4]] -= np.round([1e9, -1e9, 1e9, -1e9])
+        one, other = PymunkSimulator(WEIGHTLESS), PymunkSimulator(WEIGHTLESS)
+        one.reset(far)
+        other.reset(near)
+        for simulator in (one, other):
+            simulator.step(1e-4)
+        assert [hit[1:3] for hit in one.impacts] == [hit[1:3] for hit in other.impacts] == [(wall, foot)]
+        np.testing.assert_allclose(one.state[6:], other.state[6:], rtol=1e-12, atol=1e-12)
+
+
+def test_full_torque_for_a_whole_episode_stays_in_the_box() -> None:
+    simulator = PymunkSimulator(Scene())
+    simulator.reset(np.array([0, 0, 0, 0.5, 0.2, 0.3, 0, 0, 0, 0, 0, 0]))
+    for _ in range(500):
+        simulator.step(0.02, torque=90000.0)
+        assert clearance(simulator.scene, simulator.state.tolist()) >= -1.0
+    assert simulator.state[8] > 50.0
+
+
+def test_a_jack_that_would_leave_the_box_raises_and_changes_nothing() -> None:
+    simulator = PymunkSimulator(WEIGHTLESS, substeps=1)
+    fast = np.zeros(12)
+    fast[9] = 1e5  # 2000 m in one control step, past any wall
+    simulator.reset(fast, time=3.0)
+    for _ in range(2):
+        with pytest.raises(RuntimeError, match=r"left the box.*use more substeps or a smaller time step"):
+            simulator.step(0.02)
+        np.testing.assert_array_equal(simulator.state, fast)
+        assert (simulator.time, simulator.impacts) == (3.0, [])
+    simulator.step(1e-5)  # the smaller step it asked for
+    assert simulator.state[3] == pytest.approx(1.0)
+    simulator.reset(np.zeros(12))
+    simulator.step(0.02)
+
+
+def test_overflowing_motion_is_refused_at_once() -> None:
+    simulator = PymunkSimulator(Scene())
+    for place in (6, 9, 11, 8):
+        state = np.zeros(12)
+        state[place] = 1e300
+        simulator.reset(state)
+        with pytest.raises(RuntimeError, match="at most 6e[+]09 m is followed"):
+            simulator.step(0.02)
+        np.testing.assert_array_equal(simulator.state, state)
+    simulator.reset(np.zeros(12))
+    with pytest.raises(RuntimeError, match="use a smaller time step, torque or speed"):
+        simulator.step(0.02, torque=1e300)
+    simulator.step(0.02, torque=1.0)
+
+
+def test_states_the_engine_may_leave_are_taken_back() -> None:
+    for outside in (1e-9, 0.3, 0.99):
+        for speed, hits in ((-2.0, 0), (2.0, 1)):  # leaving is free, approaching bounces at once
+            state = np.zeros(12)
+            state[[3, 9]] = 5.0 + outside, speed
+            simulator = PymunkSimulator(WEIGHTLESS)
+            simulator.reset(state)
+            np.testing.assert_array_equal(simulator.state, state)
+            simulator.step(0.001)
+            assert len(simulator.impacts) == hits
+            assert simulator.state[9] < 0.0
+    too_deep = np.zeros(12)
+    too_deep[3] = 6.01
+    with pytest.raises(ValueError, match="at most 1 m outside, got 1.01 m"):
+        simulator.reset(too_deep)
+    small = PymunkSimulator(Scene(box_half_width=0.1, jack_arm=0.02))
+    with pytest.raises(ValueError, match="at most 0.1 m outside"):
+        small.reset(np.array([0, 0, 0, 0.25, 0, 0, 0, 0, 0, 0, 0, 0]))
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5])
+def test_a_jack_that_loses_energy_comes_to_rest(restitution: float) -> None:
+    scene = Scene(restitution=restitution, drive=None, box_mass=1e12, box_inertia=1e14)
+    simulator = PymunkSimulator(scene)
+    start = np.zeros(12)
+    start[5] = 0.2
+    simulator.reset(start)
+    for _ in range(1500):
+        simulator.step(0.02)
+        assert energy(scene, simulator.state) <= energy(scene, start) + 1e-9
+    resting = []
+    for _ in range(50):
+        simulator.step(0.02)
+        resting.append(simulator.state)
+    assert np.abs(np.array(resting)[:, 10]).max() <= 9.81 * 0.005  # the speed of a synchronised contact, g h
+    assert np.ptp(np.array(resting)[:, [4, 5]], axis=0).max() < 1e-3  # no jitter
+    assert np.abs(np.sort(gaps(scene, resting[-1])[3])[:2]).max() < 0.01  # on two feet, on the floor
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, "1", None, True, [1.0], 1j])
+def test_unusable_numbers_are_refused_in_one_sentence(bad: Any) -> None:
+    simulator = PymunkSimulator(Scene())
+    before = simulator.state
+    with pytest.raises((TypeError, ValueError), match="dt must be a finite number above 0, got"):
+        simulator.step(bad)
+    if bad is not None:
+        with pytest.raises((TypeError, ValueError), match="torque must be a finite number, got"):
+            simulator.step(0.02, torque=bad)
+        with pytest.raises((TypeError, ValueError), match="substeps must be a whole number from 1"):
+            PymunkSimulator(Scene(), substeps=bad)
+        with pytest.raises((TypeError, ValueError), match="time must be a finite number at least -1e[+]09 and at most"):
+            simulator.reset(np.zeros(12), time=bad)
+    if not isinstance(bad, str | bool):  # numpy reads these as numbers
+        with pytest.raises((TypeError, ValueError), match="state must"):
+            simulator.reset([0.0] * 11 + [bad])
+    np.testing.assert_array_equal(simulator.state, before)
+    simulator.step(0.02)
+
+
+@pytest.mark.parametrize("dt", [0.0, -0.02])
+def test_time_steps_must_be_positive(dt: float) -> None:
+    with pytest.raises(ValueError, match="must be a finite number above 0"):
+        PymunkSimulator(Scene(), substeps=10).step(dt)
+
+
+@pytest.mark.parametrize("substeps", [0, -1, 2.0, 1_000_001])
+def test_substeps_must_be_whole_and_positive(substeps: Any) -> None:
+    with pytest.raises((TypeError, ValueError), match="substeps must be a whole number from 1 to 1000000, got"):
+        make_simulator(Scene(), substeps=substeps)
+
+
+def test_unknown_models_and_settings_are_refused() -> None:
+    with pytest.raises(ValueError, match="contact must be one of 'pymunk', got 'exact'"):
+        make_simulator(Scene(), contact="exact")
+    with pytest.raises(ValueError, match="takes only 'substeps', 'iterations', got 'fidelity'"):
+        make_simulator(Scene(), fidelity=3)
+    assert make_simulator({"gravity": 0.0}).scene == Scene(gravity=0.0)
+
+
+def test_a_drive_that_fails_or_answers_nonsense_leaves_the_simulator_usable() -> None:
+    answers: list[Any] = [math.nan]
+    simulator = PymunkSimulator(Scene(drive=Drive(torque=lambda t: answers[0])))
+    for nonsense in (math.nan, math.inf, "much"):
+        answers[0] = nonsense
+        with pytest.raises((TypeError, ValueError), match=r"torque\(.* s\) must be a finite number"):
+            simulator.step(0.02)
+    answers[0] = 5.0
+    simulator.step(0.02)
+    assert simulator.torque == 5.0
+    assert simulator.time == 0.02
