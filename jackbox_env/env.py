@@ -1,0 +1,291 @@
+"""The Gymnasium environment: it sequences the simulator, the task and the renderer."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from jackbox_env import _validation as check
+from jackbox_env import tasks
+from jackbox_env.mechanics import Array, as_state, clearance, start_tolerance
+from jackbox_env.observation import BOUNDS, observe
+from jackbox_env.scene import Scene
+from jackbox_env.simulators import Impact, make_simulator
+from jackbox_env.simulators.base import LATEST_TIME
+
+Observation = NDArray[np.float32]
+Action = NDArray[np.float32] | float | None
+
+
+class JackInBoxEnv(gym.Env[Observation, Action]):
+    """A planar jack bounces inside a square box that a torque turns.
+
+    ## Description
+
+    A square box of half width L = 6 m and a jack, a cross with a point mass at each of its four feet, move in a
+    vertical plane. The feet bounce off the inside of the walls without friction or loss. A lift carries the box's
+    weight, nothing carries the jack's: the jack falls, the walls hit it, and the box slowly sinks because the impacts
+    push it down. The agent sets the torque that turns the box. The physics is stated in `jackbox_env.mechanics`, and
+    what a contact model does to it at the head of its file in `jackbox_env.simulators`.
+
+    ## Action Space
+
+    `Box(-1, 1, (1,), float32)`: the torque on the box, in units of `scene.torque_limit` (90000 N m), positive
+    counter-clockwise, held for one control step. Finite values outside are clipped, NaN and infinities refused; a
+    plain number counts as shape (1,). `step(None)` applies the scene's own drive instead: by default a chirp, a sine
+    of 90000 N m whose frequency grows from 0.5 Hz by 0.9 Hz per second, as a continuous function of the time. With
+    `torque="chirp"` the drive acts whatever the action: vector environments and action wrappers pass no None.
+
+    ## Observation Space
+
+    `Box` of shape (10,), float32, from the state alone, with v0 = sqrt(2 * 9.81 * L) = 10.85 m/s and the jack's arm
+    l = 1 m. Values are clipped to the bounds; `info["state"]` has them raw.
+
+    | Num | Observation                                    | Min | Max | Unit     |
+    |-----|------------------------------------------------|-----|-----|----------|
+    | 0   | x of the jack's centre, in the box frame       | -1  | 1   | L        |
+    | 1   | y of the jack's centre, in the box frame       | -1  | 1   | L        |
+    | 2   | x velocity relative to the box, on box axes    | -10 | 10  | v0       |
+    | 3   | y velocity relative to the box, on box axes    | -10 | 10  | v0       |
+    | 4   | cosine of the box's angle                      | -1  | 1   |          |
+    | 5   | sine of the box's angle                        | -1  | 1   |          |
+    | 6   | angular velocity of the box                    | -10 | 10  | v0 / L   |
+    | 7   | cosine of 4 (jack's angle - box's angle)       | -1  | 1   |          |
+    | 8   | sine of 4 (jack's angle - box's angle)         | -1  | 1   |          |
+    | 9   | angular velocity of the jack                   | -10 | 10  | v0 / l   |
+
+    ## Rewards
+
+    Chosen by `task` (`jackbox_env.tasks`); every reward is a sum of named terms that `info` holds as `reward_<term>`.
+
+    - `"juggle"`: `centre`, 1 with the jack in the middle of the box, falling linearly to 0 at max(L - l, L / 6) from it.
+    - `"spin"`: `spin`, the jack's counter-clockwise rate over v0 / l within [-1, 1], times 1 - |omega_box| L / v0.
+    - `"rattle"`: `knock`, the impulse of the step's impacts over 4 m_j v0, at most 1, times 1 - |omega_box| L / (2 v0),
+      and `effort`, -0.01 times the square of the torque over its limit. Neither factor falls below 0.
+
+    ## Starting State
+
+    The box at rest at the origin, the jack at rest, its centre uniform in +-min(1 m, (L - l) / 5) on both axes, its
+    angle uniform in +-0.5 rad; a jack with L <= l < sqrt(2) L starts in the middle at 45 degrees. The time starts at 0.
+
+    ## Episode End
+
+    The episode never terminates. It is truncated after 500 steps (10 s) by the time limit that `gymnasium.make` adds.
+    A jack that leaves the box raises RuntimeError, which needs far more speed than 10 s of torque can give by default.
+
+    ## Information
+
+    `reset` and `step` return the same keys: `state` (float64, (12,): x, y, angle of the box and of the jack, then their
+    rates, SI units), `time` [s], `torque` (mean over the step) [N m], `impacts` (count in the step), `impulse` (their
+    sum) [N s] and `reward_<term>` for each term.
+
+    ## Arguments
+
+    | Parameter     | Default    | Meaning                                                                           |
+    |---------------|------------|-----------------------------------------------------------------------------------|
+    | `contact`     | `"pymunk"` | contact model                                                                     |
+    | `substeps`    | `None`     | engine steps per control step, >= 1; None: 4                                      |
+    | `scene`       | `None`     | a `Scene`, or a dict of some of its fields                                        |
+    | `task`        | `"juggle"` | `"juggle"`, `"spin"` or `"rattle"`                                                |
+    | `control_dt`  | `0.02`     | duration of a step [s], > 0                                                       |
+    | `torque`      | `"agent"`  | `"agent"`: the action, or the drive where it is None; `"chirp"`: always the drive |
+    | `render_mode` | `None`     | `"human"` or `"rgb_array"` (512 x 512); needs the `render` extra                  |
+
+    `reset` takes `options={"state": numbers, "time": seconds}`: exactly that state, shape (12,), every foot inside to
+    1e-9 m (4 units in the last place of a far-off position), and that time.
+
+    >>> import gymnasium as gym, jackbox_env
+    >>> env = gym.make("JackInBox-v0")
+    >>> observation, info = env.reset(seed=0)
+    >>> for _ in range(60):  # 1.2 s of the chirp: the first impact is at 1.05 s
+    ...     observation, reward, terminated, truncated, info = env.step(None)
+    >>> observation.shape, bool(info["time"] > 1.19), terminated
+    ((10,), True, False)
+
+    ## Version History
+
+    * v0: initial version
+
+    Raises:
+        TypeError, ValueError: an argument out of its range; one sentence names the value and what is allowed. Calls
+            that are refused leave the environment as it was.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 50}  # noqa: RUF012
+
+    def __init__(
+        self,
+        contact: str = "pymunk",
+        substeps: int | None = None,
+        scene: Scene | Mapping[str, Any] | None = None,
+        task: str = "juggle",
+        control_dt: float = 0.02,
+        torque: str = "agent",
+        render_mode: str | None = None,
+    ) -> None:
+        self._control_dt = check.real("control_dt", control_dt, above=0.0)
+        self._torque_source = check.choice("torque", torque, ("agent", "chirp"))
+        if render_mode is not None:
+            check.choice("render_mode", render_mode, self.metadata["render_modes"])
+        self.task = check.choice("task", task, tasks.TASKS)
+        self._reward = tasks.TASKS[task]
+        self._simulator = make_simulator(Scene.of(scene), contact=contact, substeps=substeps)
+        self._no_terms = dict.fromkeys(self._reward_terms(0.0, 0.0)[1], 0.0)
+        self.observation_space = gym.spaces.Box(-BOUNDS, BOUNDS, dtype=np.float32)
+        self.action_space = gym.spaces.Box(-1.0, 1.0, shape=(1,), dtype=np.float32)
+        self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / self._control_dt))}
+        self.render_mode = render_mode
+        self._renderer = None
+        if render_mode is not None:
+            from jackbox_env.rendering import Renderer
+
+            self._renderer = Renderer(self.scene, render_mode, self.metadata["render_fps"])
+            self._start_picture()
+
+    # -- the simulated system -----------------------------------------------------------------------------------------
+
+    @property
+    def scene(self) -> Scene:
+        """The scene, every field resolved."""
+        return self._simulator.scene
+
+    @property
+    def state(self) -> Array:
+        """A copy of the 12 state numbers (see :mod:`jackbox_env.mechanics`), float64, SI units."""
+        return self._simulator.state
+
+    @property
+    def time(self) -> float:
+        """Present time [s]."""
+        return self._simulator.time
+
+    @property
+    def impacts(self) -> list[Impact]:
+        """The impacts of the last step, in time order."""
+        return self._simulator.impacts
+
+    def set_state(self, state: ArrayLike, time: float = 0.0) -> None:
+        """Put the system into ``state``, shape (12,), at ``time`` [s], exactly; the episode goes on.
+
+        Takes what the contact model itself produces: pymunk takes feet up to 1 m outside.
+
+        Raises:
+            TypeError, ValueError: unusable values; the environment stays as it was.
+        """
+        self._simulator.reset(state, time)
+        self._start_picture()
+
+    # -- Gymnasium's methods ------------------------------------------------------------------------------------------
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start an episode; see the class for the start drawn and for ``options``.
+
+        Raises:
+            TypeError, ValueError: an unusable option; the environment stays as it was.
+        """
+        given = dict(options or {})
+        check.known_keys("options", given, ("state", "time"))
+        time = check.real("options['time']", given.get("time", 0.0), at_least=-LATEST_TIME, at_most=LATEST_TIME)
+        state = None if given.get("state") is None else self._checked_start(given["state"])
+        super().reset(seed=seed)
+        if state is None:
+            state = tasks.sample_start(self.scene, self.np_random)
+        self.set_state(state, time)
+        if self.render_mode == "human":
+            self.render()
+        return observe(self.scene, state.tolist()), self._info(state, 0, 0.0, self._no_terms)
+
+    def _checked_start(self, given: ArrayLike) -> Array:
+        state = as_state(given)
+        outside = -clearance(self.scene, state.tolist())
+        tolerance = start_tolerance(state.tolist())
+        if not outside <= tolerance:
+            raise ValueError(
+                f"options['state'] must have every foot inside the box (at most {tolerance:g} m outside), got a foot "
+                f"{outside:g} m outside"
+            )
+        return state
+
+    def step(self, action: Action) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Advance by one control step under ``action``, or under the scene's drive where it is None.
+
+        Raises:
+            TypeError, ValueError: an unusable action.
+            RuntimeError: the jack would leave the box. After any error the environment is as it was.
+        """
+        torque = None
+        if action is not None and self._torque_source == "agent":
+            torque = self._torque_of(action)
+        simulator = self._simulator
+        simulator.step(self._control_dt, torque)
+        impacts = simulator.impacts
+        impulse = math.fsum(impact.impulse for impact in impacts)
+        state = simulator.state
+        reward, terms = self._reward_terms(simulator.torque, impulse)
+        if self._renderer is not None:
+            self._renderer.record(state, simulator.time, simulator.torque, impacts)
+            if self.render_mode == "human":
+                self.render()
+        info = self._info(state, len(impacts), impulse, terms)
+        return observe(self.scene, state.tolist()), reward, False, False, info
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Return a fresh frame, uint8, shape (512, 512, 3), or show it in a window ("human")."""
+        if self._renderer is None:
+            gym.logger.warn('render needs a render_mode, e.g. gym.make("JackInBox-v0", render_mode="rgb_array")')
+            return None
+        return self._renderer.render()
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+    def get_keys_to_action(self) -> dict[tuple[int, ...], Action]:
+        """Keys for `gymnasium.utils.play`: the left arrow turns the box counter-clockwise, the right one clockwise."""
+        import pygame
+
+        return {
+            (pygame.K_LEFT,): np.array([1.0], dtype=np.float32),
+            (pygame.K_RIGHT,): np.array([-1.0], dtype=np.float32),
+        }
+
+    # -- helpers ------------------------------------------------------------------------------------------------------
+
+    def _torque_of(self, action: Action) -> float:
+        values = action if isinstance(action, np.ndarray) else np.asarray(action)
+        if values.dtype.kind not in "fiu":
+            raise TypeError(f"action must hold one finite number (clipped to [-1, 1]), got {action!r}")
+        if values.shape not in ((1,), ()):
+            raise ValueError(f"action must have shape (1,), got shape {values.shape}")
+        value = float(values.item())
+        if not math.isfinite(value):
+            raise ValueError(f"action must be a finite number (clipped to [-1, 1]), got {value}")
+        return max(-1.0, min(1.0, value)) * self.scene.torque_limit
+
+    def _reward_terms(self, torque: float, impulse: float) -> tuple[float, dict[str, float]]:
+        terms = self._reward(self.scene, self._simulator.state.tolist(), torque, impulse)
+        return sum(terms.values()), {f"reward_{name}": value for name, value in terms.items()}
+
+    def _info(self, state: Array, impacts: int, impulse: float, terms: dict[str, float]) -> dict[str, Any]:
+        simulator = self._simulator
+        return {
+            "state": state,
+            "time": simulator.time,
+            "torque": simulator.torque,
+            "impacts": impacts,
+            "impulse": impulse,
+            **terms,
+        }
+
+    def _start_picture(self) -> None:
+        if self._renderer is not None:
+            self._renderer.reset(self._simulator.state, self._simulator.time)

@@ -1,0 +1,56 @@
+"""What an agent sees: ten numbers of order one, from the state alone.
+
+====  ======================================================  ===========  =====
+ #    quantity                                                unit         bound
+====  ======================================================  ===========  =====
+0, 1  jack's centre in the box frame                          L            1
+2, 3  its velocity relative to the box's centre, on box axes  v0           10
+4, 5  cosine and sine of theta_box                                         1
+6     omega_box                                               v0 / L       10
+7, 8  cosine and sine of 4 (theta_jack - theta_box)                        1
+9     omega_jack                                              v0 / l       10
+====  ======================================================  ===========  =====
+
+with v0 = sqrt(2 * 9.81 * L). The cross repeats every quarter turn, hence the 4. Values are clipped to their bounds.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jackbox_env.scene import Scene
+
+BOUNDS = np.array([1, 1, 10, 10, 1, 1, 10, 1, 1, 10], dtype=np.float32)
+
+
+def observe(scene: Scene, state: Sequence[float]) -> NDArray[np.float32]:
+    """Return the observation of a state of 12 numbers: a fresh float32 array, shape (10,), within ``BOUNDS``."""
+    x, y = state[3] - state[0], state[4] - state[1]
+    vx, vy = state[9] - state[6], state[10] - state[7]
+    cosine, sine = math.cos(state[2]), math.sin(state[2])
+    relative = 4.0 * (state[5] - state[2])
+    per_length = 1.0 / scene.box_half_width
+    per_speed = 1.0 / scene.speed_scale
+    return np.array(
+        (
+            _clip((cosine * x + sine * y) * per_length, 1.0),
+            _clip((cosine * y - sine * x) * per_length, 1.0),
+            _clip((cosine * vx + sine * vy) * per_speed, 10.0),
+            _clip((cosine * vy - sine * vx) * per_speed, 10.0),
+            cosine,
+            sine,
+            _clip(state[8] * scene.box_half_width * per_speed, 10.0),
+            math.cos(relative),
+            math.sin(relative),
+            _clip(state[11] * scene.jack_arm * per_speed, 10.0),
+        ),
+        dtype=np.float32,
+    )
+
+
+def _clip(value: float, bound: float) -> float:
+    return bound if value > bound else -bound if value < -bound else value
