@@ -1,0 +1,94 @@
+"""Returns of policies over seeded episodes, with intervals, as rows of a table and as JSON."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.vec_env import VecMonitor
+
+from agents.models import load_model, make_vec_env
+from agents.policies import BASELINES, Baseline, Policy, baseline
+from jackbox_env import Scene
+
+
+@dataclass(frozen=True)
+class Returns:
+    """Returns of one policy: one number per episode."""
+
+    policy: str
+    returns: tuple[float, ...]
+
+    @property
+    def mean(self) -> float:
+        """Mean return."""
+        return float(np.mean(self.returns))
+
+    @property
+    def half_width(self) -> float:
+        """Half width of the 95 % interval of the mean, 1.96 standard errors; infinite for a single episode."""
+        count = len(self.returns)
+        return 1.96 * float(np.std(self.returns, ddof=1)) / math.sqrt(count) if count > 1 else math.inf
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The 95 % interval of the mean."""
+        return self.mean - self.half_width, self.mean + self.half_width
+
+    def as_json(self) -> dict[str, Any]:
+        """Everything, for a file."""
+        return {
+            "policy": self.policy,
+            "mean": self.mean,
+            "interval_95": self.interval,
+            "episodes": len(self.returns),
+            "returns": self.returns,
+        }
+
+
+def evaluate(
+    name: str, policy: Policy, env_settings: dict[str, Any], episodes: int, seed: int, deterministic: bool = True
+) -> Returns:
+    """Run whole episodes, up to 16 side by side, from starts that ``seed`` decides."""
+    environments = VecMonitor(make_vec_env(env_settings, min(16, episodes), seed))
+    rewards, _ = evaluate_policy(
+        policy,
+        environments,
+        n_eval_episodes=episodes,
+        deterministic=deterministic,
+        return_episode_rewards=True,
+    )
+    environments.close()
+    assert isinstance(rewards, list)
+    return Returns(name, tuple(float(reward) for reward in rewards))
+
+
+def find_policy(name: str, scene: Scene, seed: int, trust: bool = False) -> Baseline:
+    """A baseline by its name, or a trained model by its run folder or file.
+
+    Raises:
+        FileNotFoundError: it is neither.
+    """
+    if name in BASELINES:
+        return baseline(name, scene, seed)
+    if not Path(name).exists():
+        raise FileNotFoundError(
+            f"a policy must be one of {', '.join(BASELINES)}, or a run folder or model file, got {name!r}"
+        )
+    return Baseline(load_model(Path(name), trust), {})
+
+
+def table(rows: list[Returns]) -> str:
+    """A Markdown table: mean, 95 % interval, number of episodes."""
+    width = max(len("policy"), *(len(row.policy) for row in rows))
+    lines = [f"| {'policy':<{width}} | mean return | 95 % interval    | episodes |"]
+    lines.append(f"|{'-' * (width + 2)}|------------:|:----------------:|---------:|")
+    for row in rows:
+        low, high = row.interval
+        interval = f"{low:.1f} to {high:.1f}"
+        lines.append(f"| {row.policy:<{width}} | {row.mean:11.1f} | {interval:^16} | {len(row.returns):8d} |")
+    return "\n".join(lines)

@@ -1,0 +1,92 @@
+"""Films of policies side by side, as GIF or MP4."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import imageio.v3 as imageio
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+from tqdm import tqdm
+
+import jackbox_env  # noqa: F401
+from agents.policies import Baseline
+
+Frame = NDArray[np.uint8]
+_CAPTION_HEIGHT = 36  # [pixels]
+
+
+def film(
+    acts: dict[str, Baseline],
+    env_settings: dict[str, Any],
+    path: Path,
+    seed: int,
+    seconds: float = 10.0,
+    width: int = 512,
+    progress: bool = True,
+) -> Path:
+    """Let each policy act from the same start and write their frames side by side.
+
+    Args:
+        acts: caption -> policy and what it needs of the environment.
+        env_settings: keyword arguments for ``gymnasium.make("JackInBox-v0", ...)``.
+        path: .gif or .mp4; must not exist.
+        seed: of the start.
+        seconds: simulated time shown.
+        width: of each picture [pixels].
+        progress: show a progress bar.
+
+    Raises:
+        FileExistsError: there is something at ``path``.
+    """
+    if path.exists():
+        raise FileExistsError(f"{path} exists, and films are never overwritten")
+    environments = {
+        caption: gym.make("JackInBox-v0", render_mode="rgb_array", **{**env_settings, **act.env_settings})
+        for caption, act in acts.items()
+    }
+    observations = {caption: environment.reset(seed=seed)[0] for caption, environment in environments.items()}
+    earned = dict.fromkeys(acts, 0.0)
+    control_dt = float(env_settings.get("control_dt", 0.02))
+    every = max(1, round(0.04 / control_dt))  # 25 frames per second
+    frames = []
+    for step in tqdm(range(max(1, round(seconds / control_dt))), disable=not progress, unit="step", leave=False):
+        if step % every == 0:
+            pictures = [
+                _captioned(environments[caption].render(), f"{caption}: {earned[caption]:.0f}", width)
+                for caption in acts
+            ]
+            frames.append(np.concatenate(pictures, axis=1))
+        for caption, act in acts.items():
+            action, _ = act.policy.predict(observations[caption], deterministic=True)
+            observations[caption], reward, *_ = environments[caption].step(action)
+            earned[caption] += float(reward)
+    for environment in environments.values():
+        environment.close()
+    _write(frames, path, fps=1.0 / (every * control_dt))
+    return path
+
+
+def _captioned(picture: Any, caption: str, width: int) -> Frame:
+    """Scale to ``width`` and put the caption above."""
+    height = _CAPTION_HEIGHT * width // 512
+    page = Image.new("RGB", (width, width + height), "white")
+    page.paste(Image.fromarray(picture).resize((width, width), Image.Resampling.LANCZOS), (0, height))
+    font = ImageFont.load_default(size=0.6 * height)
+    ImageDraw.Draw(page).text((width / 2, height / 2), caption, fill="#222222", font=font, anchor="mm")
+    return np.asarray(page)
+
+
+def _write(frames: list[Frame], path: Path, fps: float) -> None:
+    partial = path.with_name(f"{path.stem}.partial{path.suffix}")
+    if path.suffix == ".gif":
+        # One palette for all frames keeps the background still and the file small.
+        palette = Image.fromarray(frames[len(frames) // 2]).quantize(96, dither=Image.Dither.NONE)
+        pages = [Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+        pages[0].save(partial, save_all=True, append_images=pages[1:], duration=round(1000.0 / fps), loop=0)
+    else:
+        imageio.imwrite(partial, np.stack(frames), fps=fps, codec="libx264", macro_block_size=4)
+    partial.replace(path)

@@ -1,0 +1,76 @@
+"""PPO models: made from settings, loaded without unpickling anything."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
+
+import jackbox_env  # noqa: F401
+from agents.runs import SETTINGS, read_settings
+from agents.settings import TrainSettings
+
+
+def make_vec_env(env_settings: dict[str, Any], num_envs: int, seed: int) -> VecEnv:
+    """Environments of the default time limit side by side; environment i starts from ``seed`` + i."""
+    environments = DummyVecEnv([lambda: gym.make("JackInBox-v0", **env_settings)] * num_envs)
+    environments.seed(seed)
+    return environments
+
+
+def make_ppo(settings: TrainSettings, environments: VecEnv, **more: Any) -> PPO:
+    """An untrained PPO model of these settings."""
+    return PPO(
+        "MlpPolicy",
+        environments,
+        learning_rate=lambda remaining: settings.learning_rate * remaining,
+        n_steps=settings.rollout_steps,
+        batch_size=min(settings.batch_size, settings.rollout_steps * environments.num_envs),
+        n_epochs=settings.epochs,
+        gamma=settings.gamma,
+        gae_lambda=settings.gae_lambda,
+        clip_range=settings.clip_range,
+        ent_coef=settings.entropy_coefficient,
+        policy_kwargs={"net_arch": list(settings.hidden_units), "log_std_init": settings.initial_log_std},
+        seed=settings.seed,
+        device="cpu",
+        **more,
+    )
+
+
+def load_model(path: Path, trust: bool = False) -> PPO:
+    """Load a run folder's best model (else its last), or the model file in a run folder.
+
+    The model is built from the run's settings.json and takes only tensors from the zip: nothing is unpickled, so a
+    model from a stranger cannot run code.
+
+    Args:
+        path: run folder, or a .zip in it (or in a folder below it).
+        trust: unpickle instead, as ``PPO.load`` does: for models without settings.json, from people you trust.
+
+    Raises:
+        FileNotFoundError: there is no model, or no settings.json above it and ``trust`` is off.
+        ValueError: the file is no model of these settings.
+    """
+    file = path
+    if path.is_dir():
+        file = next((path / name for name in ("best_model.zip", "model.zip") if (path / name).is_file()), path)
+    if not file.is_file():
+        raise FileNotFoundError(f"{path} holds no model: best_model.zip or model.zip was looked for")
+    if trust:
+        return PPO.load(file, device="cpu")
+    folder = next((parent for parent in file.parents[:2] if (parent / SETTINGS).is_file()), None)
+    if folder is None:
+        raise FileNotFoundError(
+            f"{file} has no {SETTINGS} beside it to rebuild the model from; if you trust its author, use --trust"
+        )
+    settings = read_settings(folder)
+    model = make_ppo(settings, make_vec_env(settings.env_settings, 1, settings.seed))
+    try:
+        model.set_parameters(str(file), device="cpu")
+    except Exception as error:
+        raise ValueError(f"{file} is no model of the settings beside it: {error}") from error
+    return model

@@ -1,0 +1,106 @@
+"""Scripted policies with Stable-Baselines3's ``predict``, so that ``evaluate_policy`` runs them and PPO alike."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jackbox_env import Scene
+
+Actions = NDArray[np.float32]
+
+
+class Policy(Protocol):
+    """Anything that predicts: a scripted policy, or a model of Stable-Baselines3."""
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[Any, Any]:
+        """Return actions, shape (n, 1) for observations (n, 10) or (1,) for (10,), and the next recurrent state."""
+
+
+class ScriptedPolicy:
+    """A policy without memory; subclasses say what torque they want."""
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[Actions, Any]:
+        """See :class:`Policy`."""
+        rows = np.atleast_2d(np.asarray(observation, dtype=np.float64))
+        actions = np.clip(self.act(rows), -1.0, 1.0).astype(np.float32)[:, None]
+        return (actions if np.ndim(observation) == 2 else actions[0]), state
+
+    def act(self, observations: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Torques in units of the limit, shape (n,), for observations of shape (n, 10)."""
+        raise NotImplementedError
+
+
+class ZeroPolicy(ScriptedPolicy):
+    """No torque. On an environment made with ``torque="chirp"`` this is the chirp baseline, as any policy is."""
+
+    def act(self, observations: NDArray[np.float64]) -> NDArray[np.float64]:
+        """See :class:`ScriptedPolicy`."""
+        return np.zeros(len(observations))
+
+
+class RandomPolicy(ScriptedPolicy):
+    """Uniform torques in [-1, 1], drawn from ``seed``."""
+
+    def __init__(self, seed: int = 0) -> None:
+        self._rng = np.random.default_rng(seed)
+
+    def act(self, observations: NDArray[np.float64]) -> NDArray[np.float64]:
+        """See :class:`ScriptedPolicy`."""
+        return self._rng.uniform(-1.0, 1.0, len(observations))
+
+
+class LevelPolicy(ScriptedPolicy):
+    """Hold the box level: torque = -J_b (stiffness theta + damping omega), theta within half a turn."""
+
+    def __init__(self, scene: Scene, stiffness: float = 10.0, damping: float = 5.0) -> None:
+        """Gains in 1/s^2 and 1/s."""
+        self._scene, self._stiffness, self._damping = scene, stiffness, damping
+
+    def act(self, observations: NDArray[np.float64]) -> NDArray[np.float64]:
+        """See :class:`ScriptedPolicy`."""
+        scene = self._scene
+        angle = np.arctan2(observations[:, 5], observations[:, 4])  # [rad]
+        rate = observations[:, 6] * scene.speed_scale / scene.box_half_width  # [rad/s]
+        return -scene.box_inertia * (self._stiffness * angle + self._damping * rate) / scene.torque_limit
+
+
+class Baseline(NamedTuple):
+    """A scripted policy and what it needs of the environment."""
+
+    policy: Policy
+    env_settings: dict[str, Any]
+
+
+BASELINES = ("random", "chirp", "zero", "level")
+
+
+def baseline(name: str, scene: Scene, seed: int = 0) -> Baseline:
+    """Make the baseline of that name, one of ``BASELINES``.
+
+    Raises:
+        ValueError: there is no such baseline.
+    """
+    if name == "random":
+        return Baseline(RandomPolicy(seed), {})
+    if name == "chirp":
+        return Baseline(ZeroPolicy(), {"torque": "chirp"})
+    if name == "zero":
+        return Baseline(ZeroPolicy(), {})
+    if name == "level":
+        return Baseline(LevelPolicy(scene), {})
+    raise ValueError(f"a baseline must be one of {', '.join(map(repr, BASELINES))}, got {name!r}")

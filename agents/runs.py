@@ -1,0 +1,98 @@
+"""Run folders: one folder holds everything a run was made from and made. Nothing in it is ever overwritten.
+
+settings.json            resolved settings, from which a model is rebuilt
+run.json                 command line, seed, versions, date
+checkpoints/ppo_N.zip    weights and optimiser after N steps
+best_model.zip           the best by the separate evaluation
+model.zip                the last
+evaluations.npz          the separate evaluations
+tensorboard/             curves
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+import json
+import os
+import platform
+import subprocess
+import sys
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from agents.settings import TrainSettings
+
+SETTINGS = "settings.json"
+PACKAGES = ("jackbox", "gymnasium", "numpy", "pymunk", "stable-baselines3", "torch")
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write JSON in one stroke: a reader sees the old file or the new one, never half of one."""
+    partial = path.with_suffix(path.suffix + ".partial")
+    partial.write_text(json.dumps(content, indent=2) + "\n")
+    os.replace(partial, path)
+
+
+def new_folder(path: Path | None, kind: str) -> Path:
+    """Make an empty run folder; None: ``runs/<kind>-<date>-<time>``.
+
+    Raises:
+        FileExistsError: there is something at ``path`` already.
+    """
+    if path is None:
+        stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
+        path = Path("runs") / f"{kind}-{stamp}"
+    if path.exists():
+        raise FileExistsError(f"{path} exists, and runs are never overwritten: choose another folder")
+    path.mkdir(parents=True)
+    return path
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python, of the packages that matter, and the commit of the checkout if there is one."""
+    found = {"python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            found[package] = "not installed"
+    command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
+    described = subprocess.run(command, capture_output=True, text=True, check=False)
+    found["commit"] = described.stdout.strip() or "unknown"
+    return found
+
+
+def machine() -> str:
+    """Processor, cores and system in one line."""
+    model = platform.processor() or platform.machine()
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.exists():
+        names = [line.split(":", 1)[1].strip() for line in cpuinfo.read_text().splitlines() if "model name" in line]
+        model = names[0] if names else model
+    return f"{model}, {os.cpu_count()} cores, {platform.system()}"
+
+
+def describe(folder: Path, settings: TrainSettings) -> None:
+    """Write down what the run is made from."""
+    write_json(folder / SETTINGS, dataclasses.asdict(settings))
+    started = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+    record = {"command": sys.argv, "seed": settings.seed, "started": started, "machine": machine()}
+    write_json(folder / "run.json", {**record, "versions": versions()})
+
+
+def read_settings(folder: Path) -> TrainSettings:
+    """Read the settings of a run.
+
+    Raises:
+        FileNotFoundError: it is no run folder.
+        TypeError, ValueError: the settings are unknown or out of range.
+    """
+    path = folder / SETTINGS
+    if not path.is_file():
+        raise FileNotFoundError(f"{folder} is no run folder: it has no {SETTINGS}")
+    values = json.loads(path.read_text())
+    if "hidden_units" in values:
+        values["hidden_units"] = tuple(values["hidden_units"])
+    return TrainSettings(**values)

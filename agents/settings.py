@@ -1,0 +1,122 @@
+"""All settings of the environment and of PPO, each with a line of help; command lines are made from them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from jackbox_env import Scene
+from jackbox_env import _validation as check
+
+
+@dataclass(frozen=True)
+class EnvSettings:
+    """The environment, in words that are also JSON."""
+
+    task: Literal["juggle", "spin", "rattle"] = "juggle"
+    """What is rewarded."""
+    contact: str = "pymunk"
+    """Contact model."""
+    substeps: int | None = None
+    """Engine steps per control step; None: the contact model's default."""
+    control_dt: float = 0.02
+    """Duration of a control step [s]."""
+    scene: str = "{}"
+    """Fields of the scene that differ from the default, as JSON, e.g. '{"gravity": 1.62}'."""
+
+    def __post_init__(self) -> None:
+        """Refuse a scene that is no scene; the environment checks the rest."""
+        Scene.of(self.scene_fields)
+
+    @property
+    def scene_fields(self) -> dict[str, Any]:
+        """The scene as a dict.
+
+        Raises:
+            ValueError: it is not a JSON object.
+        """
+        try:
+            fields = json.loads(self.scene)
+        except json.JSONDecodeError as error:
+            raise ValueError(f"scene must be a JSON object, got {self.scene!r}") from error
+        if not isinstance(fields, dict):
+            raise ValueError(f"scene must be a JSON object, got {self.scene!r}")
+        return fields
+
+    @property
+    def env_settings(self) -> dict[str, Any]:
+        """Keyword arguments for ``gymnasium.make("JackInBox-v0", ...)``."""
+        return {
+            "task": self.task,
+            "contact": self.contact,
+            "substeps": self.substeps,
+            "control_dt": self.control_dt,
+            "scene": self.scene_fields,
+        }
+
+
+@dataclass(frozen=True)
+class TrainSettings(EnvSettings):
+    """Everything that a training run depends on."""
+
+    seed: int = 0
+    """Seed of the network, the environments and the noise."""
+    total_steps: int = 1_000_000
+    """Environment steps to train for."""
+    max_minutes: float | None = None
+    """Stop earlier when this much time has passed [min]."""
+    num_envs: int = 16
+    """Environments stepped side by side."""
+    rollout_steps: int = 256
+    """Steps of each environment between updates."""
+    batch_size: int = 512
+    """Samples per gradient step."""
+    epochs: int = 10
+    """Passes over each rollout."""
+    learning_rate: float = 5e-4
+    """Of Adam, falling linearly to 0 at total_steps."""
+    gamma: float = 0.99
+    """Discount per control step."""
+    gae_lambda: float = 0.95
+    """Bias against variance of the advantage estimate."""
+    clip_range: float = 0.2
+    """Of the probability ratio."""
+    entropy_coefficient: float = 0.0
+    """Weight of the entropy bonus."""
+    hidden_units: tuple[int, ...] = (64, 64)
+    """Width of each hidden layer, of the policy and of the value alike."""
+    initial_log_std: float = 0.0
+    """Logarithm of the actions' first standard deviation."""
+    checkpoint_steps: int = 100_000
+    """Steps between checkpoints, from which an interrupted run resumes."""
+    eval_steps: int = 100_000
+    """Steps between the separate evaluations that keep the best model."""
+    eval_episodes: int = 32
+    """Episodes of each of them."""
+    torch_threads: int = 1
+    """Threads of torch; small networks want one."""
+
+    def __post_init__(self) -> None:
+        """Refuse settings that cannot train.
+
+        Raises:
+            TypeError, ValueError: a setting out of its range.
+        """
+        super().__post_init__()
+        check.whole("seed", self.seed, at_least=0, at_most=2**32 - 1)
+        counts = "total_steps num_envs rollout_steps batch_size epochs checkpoint_steps eval_steps eval_episodes"
+        for name in [*counts.split(), "torch_threads"]:
+            check.whole(name, getattr(self, name), at_least=1)
+        check.real("learning_rate", self.learning_rate, above=0.0)
+        check.real("clip_range", self.clip_range, above=0.0)
+        check.real("gamma", self.gamma, at_least=0.0, at_most=1.0)
+        check.real("gae_lambda", self.gae_lambda, at_least=0.0, at_most=1.0)
+        check.real("entropy_coefficient", self.entropy_coefficient)
+        check.real("initial_log_std", self.initial_log_std)
+        if self.max_minutes is not None:
+            check.real("max_minutes", self.max_minutes, above=0.0)
+        for width in self.hidden_units:
+            check.whole("hidden_units", width, at_least=1)
+        if self.num_envs * self.rollout_steps < 2:
+            raise ValueError("num_envs * rollout_steps must be at least 2 for PPO, got 1")

@@ -1,0 +1,140 @@
+"""PPO training in a run folder: checkpoints, a separate evaluation that keeps the best, resuming."""
+
+from __future__ import annotations
+
+import os
+import re
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback, CallbackList, EvalCallback
+from stable_baselines3.common.logger import configure
+from stable_baselines3.common.vec_env import VecMonitor
+
+from agents.models import make_ppo, make_vec_env
+from agents.settings import TrainSettings
+
+EVAL_SEED = 1_000_000  # starts that training does not see
+CHECKPOINTS = "checkpoints"
+
+
+def save(model: PPO, path: Path) -> None:
+    """Save in one stroke: an interruption leaves the old file or the new one, never half of one."""
+    partial = path.with_name(path.name + ".partial.zip")
+    model.save(partial)
+    os.replace(partial, path)
+
+
+class Checkpoint(BaseCallback):
+    """Save weights and optimiser at the start of a rollout, when the last one has been learnt from."""
+
+    def __init__(self, folder: Path, every: int) -> None:
+        super().__init__()
+        self._folder, self._every = folder, every
+        self._last = 0
+
+    def _init_callback(self) -> None:
+        self._folder.mkdir(exist_ok=True)
+        self._last = self.model.num_timesteps
+
+    def _on_rollout_start(self) -> None:
+        if self.num_timesteps - self._last >= self._every:
+            assert isinstance(self.model, PPO)
+            save(self.model, self._folder / f"ppo_{self.num_timesteps}.zip")
+            self._last = self.num_timesteps
+
+    def _on_step(self) -> bool:
+        return True
+
+
+class Deadline(BaseCallback):
+    """Stop when the time is up."""
+
+    def __init__(self, minutes: float) -> None:
+        super().__init__()
+        self._end = time.monotonic() + 60.0 * minutes
+
+    def _on_step(self) -> bool:
+        return time.monotonic() < self._end
+
+
+class KeepBest(EvalCallback):
+    """Evaluate apart from training, keep the best model, and go on from the evaluations already in the folder."""
+
+    def __init__(self, folder: Path, settings: TrainSettings) -> None:
+        environments = VecMonitor(
+            make_vec_env(settings.env_settings, min(settings.num_envs, settings.eval_episodes), EVAL_SEED)
+        )
+        super().__init__(
+            environments,
+            n_eval_episodes=settings.eval_episodes,
+            eval_freq=max(1, settings.eval_steps // settings.num_envs),
+            verbose=0,
+        )
+        self.best_model_path = folder / "best_model.zip"
+        self.log_path = str(folder / "evaluations")
+        earlier = folder / "evaluations.npz"
+        if earlier.exists():
+            stored = np.load(earlier)
+            self.evaluations_timesteps = stored["timesteps"].tolist()
+            self.evaluations_results = stored["results"].tolist()
+            self.evaluations_length = stored["ep_lengths"].tolist()
+            self.best_mean_reward = float(np.mean(stored["results"], axis=1).max())
+
+    def _on_step(self) -> bool:
+        best_before = self.best_mean_reward
+        due = self.eval_freq > 0 and self.n_calls % self.eval_freq == 0
+        if due:
+            self.eval_env.seed(EVAL_SEED)  # the same starts every time
+        going_on = super()._on_step()
+        if self.best_mean_reward > best_before:
+            assert isinstance(self.model, PPO)
+            save(self.model, self.best_model_path)
+        return going_on
+
+
+def latest_checkpoint(folder: Path) -> tuple[Path, int] | None:
+    """The newest checkpoint of a run and the steps it was made after."""
+    found = []
+    for path in (folder / CHECKPOINTS).glob("ppo_*.zip"):
+        match = re.fullmatch(r"ppo_(\d+)\.zip", path.name)
+        if match:
+            found.append((path, int(match[1])))
+    return max(found, key=lambda entry: entry[1], default=None)
+
+
+def train(settings: TrainSettings, folder: Path, progress: bool = True) -> PPO:
+    """Train in a run folder to ``settings.total_steps``, from its newest checkpoint if it has one.
+
+    Raises:
+        FileExistsError: the run is finished.
+    """
+    if (folder / "model.zip").exists():
+        raise FileExistsError(f"{folder} is finished: it has a model.zip, and runs are never overwritten")
+    torch.set_num_threads(settings.torch_threads)
+    resumed = latest_checkpoint(folder)
+    done = resumed[1] if resumed else 0
+    environments = VecMonitor(make_vec_env(settings.env_settings, settings.num_envs, settings.seed + done))
+    model = make_ppo(settings, environments)
+    environments.seed(settings.seed + done)  # not again the starts that were already learnt from
+    if resumed:
+        model.set_parameters(str(resumed[0]), device="cpu")
+        model.num_timesteps = done
+    model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
+    callbacks: list[BaseCallback] = [
+        Checkpoint(folder / CHECKPOINTS, settings.checkpoint_steps),
+        KeepBest(folder, settings),
+    ]
+    if settings.max_minutes is not None:
+        callbacks.append(Deadline(settings.max_minutes))
+    model.learn(
+        max(0, settings.total_steps - done),
+        callback=CallbackList(callbacks),
+        reset_num_timesteps=False,
+        progress_bar=progress,
+    )
+    save(model, folder / "model.zip")
+    return model

@@ -1,0 +1,1 @@
+"""Thin command lines over jackbox_env and agents."""

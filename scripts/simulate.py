@@ -1,0 +1,76 @@
+"""Simulate the scene under its own drive: states and impacts as CSV or npz, and four plots."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+from scripts.common import command_line
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Simulate the scene under its own drive."""
+
+    seconds: float = 10.0
+    """Simulated time [s]."""
+    dt: float = 0.02
+    """Time between stored states [s]."""
+    contact: str = "pymunk"
+    """Contact model."""
+    substeps: int | None = None
+    """Engine steps per dt; None: the contact model's default."""
+    scene: str = "{}"
+    """Fields of the scene that differ from the default, as JSON, e.g. '{"gravity": 1.62}'."""
+    state: str | None = None
+    """The 12 numbers to start from, as a JSON list; None: box and jack at rest at the origin."""
+    time: float = 0.0
+    """Time at the start [s], which the drive sees."""
+    folder: Path | None = None
+    """New folder for the files; None: runs/simulate-<date>-<time>."""
+    format: Literal["csv", "npz"] = "csv"
+    """Files of states and impacts."""
+    plots: bool = True
+    """Draw positions and velocities of the box and of the jack."""
+
+
+@command_line
+def main() -> None:
+    """Parse, simulate, write."""
+    arguments = tyro.cli(Arguments, description=__doc__)
+    from agents.runs import new_folder
+    from agents.settings import EnvSettings
+    from agents.trajectory import simulate, write_csv, write_npz
+    from jackbox_env import Scene, make_simulator
+    from jackbox_env import _validation as check
+
+    check.real("seconds", arguments.seconds, above=0.0, at_most=1e6)
+    check.real("dt", arguments.dt, above=0.0, at_most=arguments.seconds)
+    scene = Scene.of(EnvSettings(scene=arguments.scene).scene_fields)
+    simulator = make_simulator(scene, contact=arguments.contact, substeps=arguments.substeps)
+    if arguments.state is not None:
+        try:
+            state = json.loads(arguments.state)
+        except json.JSONDecodeError as error:
+            raise ValueError(f"state must be a JSON list of 12 numbers, got {arguments.state!r}") from error
+    else:
+        state = [0.0] * 12
+    simulator.reset(state, arguments.time)
+    folder = new_folder(arguments.folder, "simulate")
+    trajectory = simulate(simulator, arguments.seconds, arguments.dt)
+    paths = write_csv(trajectory, folder) if arguments.format == "csv" else write_npz(trajectory, folder)
+    if arguments.plots:
+        from agents.figures import trajectory_figures
+
+        paths += trajectory_figures(trajectory, folder)
+    print(f"{len(trajectory.impacts)} impacts in {arguments.seconds:g} s; wrote")
+    for path in paths:
+        print(f"  {path}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,51 @@
+"""Train PPO on JackInBox-v0 in a run folder; interrupt it with Ctrl-C and resume it with --resume."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from agents.runs import describe, new_folder, read_settings
+from agents.settings import TrainSettings
+from scripts.common import command_line
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Train PPO on JackInBox-v0."""
+
+    settings: Annotated[TrainSettings, tyro.conf.arg(name="")]
+    folder: Path | None = None
+    """Run folder to make; None: runs/<task>-<date>-<time>."""
+    resume: Path | None = None
+    """Run folder to go on with, by its own settings, from its newest checkpoint."""
+    progress: bool = True
+    """Show a progress bar."""
+
+
+@command_line
+def main() -> None:
+    """Parse, train, say where things are."""
+    arguments = tyro.cli(Arguments, description=__doc__)
+    from agents.training import train
+
+    if arguments.resume is not None:
+        folder, settings = arguments.resume, read_settings(arguments.resume)
+    else:
+        settings = arguments.settings
+        folder = new_folder(arguments.folder, settings.task)
+        describe(folder, settings)
+    try:
+        train(settings, folder, progress=arguments.progress)
+    except KeyboardInterrupt:
+        print(f"\nInterrupted. Go on with: python scripts/train.py --resume {folder}", file=sys.stderr)
+        raise
+    print(f"Trained model, settings and curves: {folder}")
+
+
+if __name__ == "__main__":
+    main()
