@@ -63,7 +63,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
 
     Chosen by `task` (`jackbox_env.tasks`); every reward is a sum of named terms that `info` holds as `reward_<term>`.
 
-    - `"juggle"`: `centre`, 1 with the jack in the middle of the box, falling linearly to 0 at max(L - l, L / 6) from it.
+    - `"juggle"`: `centre`, 1 with the jack in the middle of the box, falling linearly to 0 at max(L - l, L / 6).
     - `"spin"`: `spin`, the jack's counter-clockwise rate over v0 / l within [-1, 1], times 1 - |omega_box| L / v0.
     - `"rattle"`: `knock`, the impulse of the step's impacts over 4 m_j v0, at most 1, times 1 - |omega_box| L / (2 v0),
       and `effort`, -0.01 times the square of the torque over its limit. Neither factor falls below 0.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+import os
 import pickle
 import warnings
 from collections.abc import Callable
@@ -31,6 +32,11 @@ def make(**settings: Any) -> Env:
 @pytest.fixture
 def env() -> Env:
     return make()
+
+
+@pytest.mark.skipif("EXPECTED_GYMNASIUM" not in os.environ, reason="only where make test says which one")
+def test_this_run_is_under_the_gymnasium_it_claims() -> None:
+    assert gym.__version__ == os.environ["EXPECTED_GYMNASIUM"]
 
 
 # -- spaces and checkers ----------------------------------------------------------------------------------------------

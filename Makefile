@@ -1,0 +1,40 @@
+# make demo: train, evaluate, film. make test: lint, types, tests. Both set themselves up in .venv first.
+PYTHON ?= python3
+BIN := .venv/bin
+OLD_GYMNASIUM := .venv/gymnasium-1.2.2
+
+.PHONY: demo test benchmark readme clean
+.DELETE_ON_ERROR:
+
+demo: .venv/ready
+	@$(BIN)/python scripts/demo.py
+
+test: .venv/ready $(OLD_GYMNASIUM)/ready
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	EXPECTED_GYMNASIUM=1.2.2 PYTHONPATH=$(OLD_GYMNASIUM) $(BIN)/python -m pytest -q tests/test_env.py tests/test_tools.py
+	EXPECTED_GYMNASIUM=1.4.0 $(BIN)/python -m pytest -q
+
+benchmark: .venv/ready
+	@$(BIN)/python scripts/benchmark.py
+
+readme: .venv/ready
+	@$(BIN)/python scripts/readme.py
+
+.venv/ready: pyproject.toml constraints.txt
+	@start=$$(date +%s); set -e; \
+	echo "Setting up .venv"; \
+	$(PYTHON) -m venv .venv; \
+	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'; \
+	echo "Set-up took $$(( $$(date +%s) - start )) s"
+	@touch $@
+
+# The same tests under the oldest Gymnasium that CI covers, laid over the environment without its extras.
+$(OLD_GYMNASIUM)/ready: .venv/ready
+	@rm -rf $(OLD_GYMNASIUM)
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --target $(OLD_GYMNASIUM) gymnasium==1.2.2
+	@touch $@
+
+clean:
+	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache

@@ -1,0 +1,96 @@
+"""The package as people install and import it."""
+
+from __future__ import annotations
+
+import doctest
+import re
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import jackbox_env
+from jackbox_env import env
+
+ROOT = Path(__file__).parents[1]
+HEAVY = ("pymunk", "pygame", "numba", "torch", "stable_baselines3", "matplotlib", "scipy")
+
+
+def run(code: str) -> str:
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
+
+
+def test_importing_loads_nothing_heavy() -> None:
+    code = f"import sys, jackbox_env; print([name for name in {HEAVY} if name in sys.modules])"
+    assert run(code) == "[]"
+
+
+def test_importing_registers_the_environment() -> None:
+    assert run("import gymnasium, jackbox_env; print(gymnasium.spec('JackInBox-v0').max_episode_steps)") == "500"
+
+
+def test_stepping_loads_no_renderer_and_no_learner() -> None:
+    code = (
+        "import sys, gymnasium, jackbox_env; e = gymnasium.make('JackInBox-v0'); e.reset(); e.step(None);"
+        f"print([name for name in {HEAVY} if name in sys.modules])"
+    )
+    assert run(code) == "['pymunk']"
+
+
+def test_every_public_name_is_there() -> None:
+    for name in jackbox_env.__all__:
+        assert getattr(jackbox_env, name) is not None
+        assert name in dir(jackbox_env)
+    with pytest.raises(AttributeError, match="module 'jackbox_env' has no attribute 'nothing'"):
+        _ = jackbox_env.nothing
+
+
+def test_the_docstrings_example_runs() -> None:
+    results = doctest.testmod(env)
+    assert results.attempted >= 5
+    assert results.failed == 0
+
+
+def test_a_wheel_holds_the_package_alone(tmp_path: Path) -> None:
+    # The build runs in this environment: hatchling is among its packages.
+    subprocess.run(
+        [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(tmp_path), str(ROOT)],
+        capture_output=True,
+        check=True,
+    )
+    (wheel,) = tmp_path.glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        names = archive.namelist()
+        (metadata,) = (name for name in names if name.endswith("METADATA"))
+        described = archive.read(metadata).decode()
+    assert {name.split("/")[0] for name in names} == {"jackbox_env", metadata.split("/")[0]}
+    assert "jackbox_env/py.typed" in names
+    assert any(name.endswith("LICENSE") for name in names)
+    required = set(re.findall(r"^Requires-Dist: ([\w-]+)[^;\n]*$", described, re.MULTILINE))
+    assert required == {"gymnasium", "numpy", "pymunk"}
+
+
+def test_the_pins_cover_what_the_project_asks_for() -> None:
+    pins = (ROOT / "constraints.txt").read_text().lower()
+    assert "torch==2.13.0" in pins.splitlines()
+    asked = re.findall(r'^    "([\w-]+)[>=]', (ROOT / "pyproject.toml").read_text(), re.MULTILINE)
+    assert len(asked) > 15
+    for package in asked:
+        assert re.search(rf"^{package.replace('-', '[-_]')}==", pins, re.MULTILINE), package
+
+
+def test_the_versions_agree() -> None:
+    for file in ("pyproject.toml", "CITATION.cff", "CHANGELOG.md"):
+        assert jackbox_env.__version__ in (ROOT / file).read_text(), file
+
+
+def test_every_shipped_line_is_the_projects_own() -> None:
+    # No path of anybody's machine and no package registry's host.
+    tracked = subprocess.run(["git", "-C", str(ROOT), "ls-files"], capture_output=True, text=True, check=False).stdout
+    for name in tracked.splitlines():
+        path = ROOT / name
+        if path.is_file() and path.suffix in (".py", ".md", ".toml", ".txt", ".json", ".cff", ""):
+            text = path.read_text()
+            assert not re.search(r"/(?:home|work|root|Users)/\w|https?://[\w.]*pypi", text), name
