@@ -19,7 +19,7 @@ Hamiltonian is kept (Brogliato, Nonsmooth Mechanics, 3rd ed. 2016, ch. 4; Glocke
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -48,6 +48,7 @@ START_TOLERANCE = 1e-9
 _QUARTERS = np.arange(4) * (math.pi / 2.0)
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 
 def as_state(state: ArrayLike) -> Array:
@@ -58,9 +59,12 @@ def as_state(state: ArrayLike) -> Array:
         ValueError: its shape is not (12,), or a number is NaN or infinite (named by its place in the state).
     """
     try:
-        array = np.array(state, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+        given = np.asarray(state)
+    except ValueError as error:  # ragged
         raise TypeError(f"state must hold 12 numbers, got {state!r}") from error
+    if given.dtype.kind not in "fiu":
+        raise TypeError(f"state must hold 12 numbers, got {state!r}")
+    array = np.array(given, dtype=np.float64)
     if array.shape != (12,):
         raise ValueError(f"state must have shape (12,), got shape {array.shape}")
     if not np.isfinite(array).all():
@@ -91,10 +95,13 @@ def clearance(scene: Scene, state: Sequence[float]) -> float:
     In the box frame the jack reaches |x| + l max(|cos|, |sin|) of the relative angle along x, and likewise along y.
     NaN for a state that is not finite.
     """
-    cosine, sine = math.cos(state[2]), math.sin(state[2])
     x, y = state[3] - state[0], state[4] - state[1]
     relative = state[5] - state[2]
-    reach = scene.jack_arm * max(abs(math.cos(relative)), abs(math.sin(relative)))
+    try:
+        cosine, sine = math.cos(state[2]), math.sin(state[2])
+        reach = scene.jack_arm * max(abs(math.cos(relative)), abs(math.sin(relative)))
+    except ValueError:  # an infinite angle
+        return math.nan
     return scene.box_half_width - reach - max(abs(cosine * x + sine * y), abs(cosine * y - sine * x))
 
 
@@ -156,8 +163,8 @@ def simultaneous_impact_map(scene: Scene, state: ArrayLike, contacts: Sequence[t
 
     (Moreau 1988, "Unilateral contact and dry friction in finite freedom dynamics"; Glocker 2001.) Each listed contact
     takes part whether it approaches or not; list those whose gap is within the tolerance of the moment. The law is the
-    optimality condition of min |M^-1/2 J^T lambda + (1 + e) M^1/2 qdot-| over lambda >= 0, so qdot+ is unique even
-    where the impulses are not (a foot in a corner has four contacts of rank 3); then the impulses are one valid choice.
+    optimality condition of a convex problem (see ``_complementary``), so qdot+ is unique even where the impulses are
+    not (a foot in a corner has four contacts of rank 3); then the impulses are one valid choice.
     Resolving the contacts one after the other gives other, equally energy-keeping answers: this is the convention here.
 
     Args:
@@ -172,19 +179,22 @@ def simultaneous_impact_map(scene: Scene, state: ArrayLike, contacts: Sequence[t
         TypeError, ValueError: the state is not 12 finite numbers, or a contact is no pair of numbers 0..3 or repeated.
     """
     before = as_state(state)
-    pairs = [_pair(contact) for contact in contacts]
+    try:
+        pairs = [_pair(contact) for contact in contacts]
+    except TypeError as error:
+        if isinstance(contacts, Iterable):
+            raise
+        raise TypeError(f"contacts must be a list of (wall, foot) pairs, got {contacts!r}") from error
     if len(set(pairs)) < len(pairs):
         raise ValueError(f"contacts must be distinct (wall, foot) pairs, got {pairs}")
     if not pairs:
         return before, np.zeros(0)
     jacobian = np.array([_gap_jacobian(scene, before, wall, foot) for wall, foot in pairs])  # (n, 6)
-    mass = np.array(scene.mass_diagonal)
-    root = np.sqrt(mass)
-    # In mass-weighted velocities u = M^1/2 qdot the impulses move u along the rows of J M^-1/2.
-    weighted = jacobian / root  # (n, 6)
-    impulses = _nonnegative_least_squares(weighted.T, -(1.0 + scene.restitution) * root * before[6:])
+    kicks = jacobian / np.array(scene.mass_diagonal)  # (n, 6) change of qdot per impulse
+    gap_rates = jacobian @ before[6:]  # (n,)
+    impulses = _complementary(jacobian @ kicks.T, (1.0 + scene.restitution) * gap_rates)
     after = before.copy()
-    after[6:] += (impulses @ jacobian) / mass
+    after[6:] += impulses @ kicks
     return after, impulses
 
 
@@ -196,33 +206,47 @@ def _pair(contact: tuple[int, int]) -> tuple[int, int]:
     return check.whole("wall", wall, at_least=0, at_most=3), check.whole("foot", foot, at_least=0, at_most=3)
 
 
-def _nonnegative_least_squares(columns: Array, target: Array) -> Array:
-    """Minimise |columns x - target| over x >= 0 by the active-set method of Lawson and Hanson (1974, ch. 23)."""
-    count = columns.shape[1]
-    x = np.zeros(count)
-    active = np.zeros(count, dtype=bool)
-    barred = np.zeros(count, dtype=bool)  # only rounding asked for these since x last moved
-    lengths = np.linalg.norm(columns, axis=0)
+def _complementary(matrix: Array, vector: Array) -> Array:
+    """Solve 0 <= x _|_ A x + b >= 0 for A = J M^-1 J^T, shape (n, n), symmetric and positive semidefinite.
+
+    The solution minimises x^T A x / 2 + b^T x over x >= 0, found by the active-set method of Lawson and Hanson (1974,
+    Solving Least Squares Problems, ch. 23). An index joins only if the minimum falls: dependent contacts, whose
+    gradients are rounding, cannot go in circles.
+    """
+    x, active = np.zeros_like(vector), np.zeros(len(vector), dtype=bool)
+    barred = np.zeros(len(vector), dtype=bool)  # tried in vain since x last moved
+    lengths = np.sqrt(np.diag(matrix))
+    lowest = 0.0
     while True:
-        gradient = columns.T @ (target - columns @ x) / lengths
-        promising = ~active & ~barred & (gradient > 1e-15 * np.linalg.norm(target))
+        descent = -(matrix @ x + vector) / lengths
+        promising = ~active & ~barred & (descent > 1e-15 * np.linalg.norm(vector / lengths))
         if not promising.any():
             return x
-        chosen = int(np.argmax(np.where(promising, gradient, -np.inf)))
-        active[chosen] = True
-        while True:
-            trial = np.zeros(count)
-            trial[active] = np.linalg.lstsq(columns[:, active], target, rcond=None)[0]
-            if trial[chosen] <= 0.0 and x[chosen] == 0.0:
-                active[chosen], barred[chosen] = False, True
-                break
-            if (trial >= 0.0).all():
-                x, barred = trial, np.zeros(count, dtype=bool)
-                break
-            falling = active & (trial < 0.0)
-            x = x + np.min(x[falling] / (x[falling] - trial[falling])) * (trial - x)
-            active &= x > 0.0
-            x[~active] = 0.0
+        chosen = int(np.argmax(np.where(promising, descent, -np.inf)))
+        joined = active.copy()
+        joined[chosen] = True
+        trial, kept = _minimum_within(matrix, vector, x, joined)
+        value = float(trial @ (0.5 * (matrix @ trial) + vector))
+        if value < lowest:
+            x, active, lowest = trial, kept, value
+            barred[:] = False
+        else:
+            barred[chosen] = True
+
+
+def _minimum_within(matrix: Array, vector: Array, x: Array, active: Mask) -> tuple[Array, Mask]:
+    """Move x towards the minimum over the active indices, dropping each index that reaches zero on the way."""
+    active = active.copy()
+    while True:
+        trial = np.zeros_like(x)
+        trial[active] = np.linalg.lstsq(matrix[np.ix_(active, active)], -vector[active], rcond=None)[0]
+        falling = active & (trial < 0.0)
+        if not falling.any():
+            return trial, active
+        fractions = np.where(falling, x / np.where(falling, x - trial, 1.0), np.inf)
+        first = int(np.argmin(fractions))
+        x = np.where(active, np.maximum(x + fractions[first] * (trial - x), 0.0), 0.0)
+        active[first], x[first] = False, 0.0
 
 
 def energy(scene: Scene, state: ArrayLike) -> float:

@@ -50,7 +50,7 @@ _FARTHEST = 1e9  # over L: motion within one step that the spatial hash can inde
 _FINER = (1, 2, 4, 8)  # a step that ends too deep is taken again with so many times the substeps, then refused
 _PERSISTENCE = 1  # substeps for which the engine remembers a contact that has ended; 0 would turn collisions off
 _CORRECTION_TIME = 0.05  # in which overlap decays to 1 / e at restitution 0 [s]
-_FAR_OFF = 500.0  # over L: out of reach of every wall
+_FAR_OFF = 500.0  # over L: out of reach of every wall, whose far ends are 55 L away
 _MOTION = BodyFields.POSITION | BodyFields.ANGLE | BodyFields.VELOCITY | BodyFields.ANGULAR_VELOCITY
 
 
