@@ -89,6 +89,6 @@ def table(rows: list[Returns]) -> str:
     lines.append(f"|{'-' * (width + 2)}|------------:|:----------------:|---------:|")
     for row in rows:
         low, high = row.interval
-        interval = f"{low:.1f} to {high:.1f}"
+        interval = f"{low:.1f} to {high:.1f}" if len(row.returns) > 1 else "unknown"
         lines.append(f"| {row.policy:<{width}} | {row.mean:11.1f} | {interval:^16} | {len(row.returns):8d} |")
     return "\n".join(lines)

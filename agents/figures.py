@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import matplotlib
 import numpy as np
@@ -13,8 +14,10 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from agents.evaluation import Returns
 from agents.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from agents.evaluation import Returns
 
 BOX, JACK, ACCENT = "#c23b3b", "#2f5fb3", "#666666"
 
@@ -37,10 +40,10 @@ def learning_figure(folder: Path, rows: list[Returns], task: str) -> Path:
         mean = results.mean(axis=1)
         left.plot(steps, mean, color=JACK, marker="o", markersize=3)
         left.fill_between(steps, mean - error, mean + error, color=JACK, alpha=0.2, linewidth=0)
-    for row in rows:
-        if not row.policy.startswith("PPO"):
-            left.axhline(row.mean, color=ACCENT, linewidth=0.8, linestyle=":")
-            left.annotate(row.policy, (0.01, row.mean), xycoords=("axes fraction", "data"), va="bottom", color=ACCENT)
+    for place, row in enumerate(row for row in rows if not row.policy.startswith("PPO")):
+        left.axhline(row.mean, color=ACCENT, linewidth=0.8, linestyle=":")
+        at = (0.02 + 0.16 * place, row.mean)  # side by side, or equal baselines would hide each other
+        left.annotate(row.policy, at, xycoords=("axes fraction", "data"), va="bottom", color=ACCENT)
     left.set(xlabel="environment steps [million]", ylabel=f"return on {task}", title="while learning (95 % interval)")
     left.set_xlim(left=0.0)
     names = [row.policy for row in rows]
@@ -55,9 +58,9 @@ def learning_figure(folder: Path, rows: list[Returns], task: str) -> Path:
 # columns of the state, and what to call them
 _PLOTS = {
     "box_positions": (BOX, "Box: position and angle", ((0, "x [m]"), (1, "y [m]"), (2, "angle [rad]"))),
-    "box_velocities": (BOX, "Box: velocity and rate", ((6, "x [m/s]"), (7, "y [m/s]"), (8, "angle [rad/s]"))),
+    "box_velocities": (BOX, "Box: velocity and rate", ((6, "vx [m/s]"), (7, "vy [m/s]"), (8, "omega [rad/s]"))),
     "jack_positions": (JACK, "Jack: position and angle", ((3, "x [m]"), (4, "y [m]"), (5, "angle [rad]"))),
-    "jack_velocities": (JACK, "Jack: velocity and rate", ((9, "x [m/s]"), (10, "y [m/s]"), (11, "angle [rad/s]"))),
+    "jack_velocities": (JACK, "Jack: velocity and rate", ((9, "vx [m/s]"), (10, "vy [m/s]"), (11, "omega [rad/s]"))),
 }
 
 
@@ -71,6 +74,7 @@ def trajectory_figures(trajectory: Trajectory, folder: Path) -> list[Path]:
             axes.set_ylabel(label)
         rows[0].set_title(f"{title}; thin lines: {len(trajectory.impacts)} impacts")
         rows[-1].set_xlabel("time [s]")
+        figure.align_ylabels(rows)
         paths.append(_write(figure, folder / f"{name}.png"))
     return paths
 

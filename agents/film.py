@@ -84,7 +84,8 @@ def _write(frames: list[Frame], path: Path, fps: float) -> None:
     partial = path.with_name(f"{path.stem}.partial{path.suffix}")
     if path.suffix == ".gif":
         # One palette for all frames keeps the background still and the file small.
-        palette = Image.fromarray(frames[len(frames) // 2]).quantize(96, dither=Image.Dither.NONE)
+        samples = np.concatenate(frames[:: max(1, len(frames) // 24)], axis=0)  # enough to hold flashes and the gauge
+        palette = Image.fromarray(samples).quantize(128, dither=Image.Dither.NONE)
         pages = [Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
         pages[0].save(partial, save_all=True, append_images=pages[1:], duration=round(1000.0 / fps), loop=0)
     else:

@@ -35,16 +35,23 @@ class Checkpoint(BaseCallback):
         super().__init__()
         self._folder, self._every = folder, every
         self._last = 0
+        self.rollout_start = 0
 
     def _init_callback(self) -> None:
         self._folder.mkdir(exist_ok=True)
-        self._last = self.model.num_timesteps
+        self._last = self.rollout_start = self.model.num_timesteps
 
     def _on_rollout_start(self) -> None:
+        self.rollout_start = self.num_timesteps
         if self.num_timesteps - self._last >= self._every:
+            self.keep()
+
+    def keep(self) -> None:
+        """Save as of the start of this rollout, unless that is saved already."""
+        if self.rollout_start > self._last:
             assert isinstance(self.model, PPO)
-            save(self.model, self._folder / f"ppo_{self.num_timesteps}.zip")
-            self._last = self.num_timesteps
+            save(self.model, self._folder / f"ppo_{self.rollout_start}.zip")
+            self._last = self.rollout_start
 
     def _on_step(self) -> bool:
         return True
@@ -64,7 +71,7 @@ class Deadline(BaseCallback):
 class KeepBest(EvalCallback):
     """Evaluate apart from training, keep the best model, and go on from the evaluations already in the folder."""
 
-    def __init__(self, folder: Path, settings: TrainSettings) -> None:
+    def __init__(self, folder: Path, settings: TrainSettings, done: int) -> None:
         environments = VecMonitor(
             make_vec_env(settings.env_settings, min(settings.num_envs, settings.eval_episodes), EVAL_SEED)
         )
@@ -74,15 +81,17 @@ class KeepBest(EvalCallback):
             eval_freq=max(1, settings.eval_steps // settings.num_envs),
             verbose=0,
         )
+        self.n_calls = done // settings.num_envs  # evaluate at the same steps as an uninterrupted run
         self.best_model_path = folder / "best_model.zip"
         self.log_path = str(folder / "evaluations")
         earlier = folder / "evaluations.npz"
         if earlier.exists():
             stored = np.load(earlier)
-            self.evaluations_timesteps = stored["timesteps"].tolist()
-            self.evaluations_results = stored["results"].tolist()
-            self.evaluations_length = stored["ep_lengths"].tolist()
             self.best_mean_reward = float(np.mean(stored["results"], axis=1).max())
+            kept = stored["timesteps"] <= done  # what came after the checkpoint will be evaluated again
+            self.evaluations_timesteps = stored["timesteps"][kept].tolist()
+            self.evaluations_results = stored["results"][kept].tolist()
+            self.evaluations_length = stored["ep_lengths"][kept].tolist()
 
     def _on_step(self) -> bool:
         best_before = self.best_mean_reward
@@ -109,6 +118,8 @@ def latest_checkpoint(folder: Path) -> tuple[Path, int] | None:
 def train(settings: TrainSettings, folder: Path, progress: bool = True) -> PPO:
     """Train in a run folder to ``settings.total_steps``, from its newest checkpoint if it has one.
 
+    An interruption leaves a checkpoint as of the start of the rollout under way.
+
     Raises:
         FileExistsError: the run is finished.
     """
@@ -124,17 +135,19 @@ def train(settings: TrainSettings, folder: Path, progress: bool = True) -> PPO:
         model.set_parameters(str(resumed[0]), device="cpu")
         model.num_timesteps = done
     model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
-    callbacks: list[BaseCallback] = [
-        Checkpoint(folder / CHECKPOINTS, settings.checkpoint_steps),
-        KeepBest(folder, settings),
-    ]
+    checkpoint = Checkpoint(folder / CHECKPOINTS, settings.checkpoint_steps)
+    callbacks: list[BaseCallback] = [checkpoint, KeepBest(folder, settings, done)]
     if settings.max_minutes is not None:
         callbacks.append(Deadline(settings.max_minutes))
-    model.learn(
-        max(0, settings.total_steps - done),
-        callback=CallbackList(callbacks),
-        reset_num_timesteps=False,
-        progress_bar=progress,
-    )
+    try:
+        model.learn(
+            max(0, settings.total_steps - done),
+            callback=CallbackList(callbacks),
+            reset_num_timesteps=False,
+            progress_bar=progress,
+        )
+    except KeyboardInterrupt:
+        checkpoint.keep()
+        raise
     save(model, folder / "model.zip")
     return model

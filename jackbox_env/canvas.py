@@ -43,7 +43,9 @@ def import_pygame() -> ModuleType:
         import pygame
         import pygame.font
     except ImportError as error:
-        raise DependencyNotInstalled('drawing needs pygame: pip install "jackbox[render]"') from error
+        raise DependencyNotInstalled(
+            'drawing needs pygame, the extra "render": pip install "jackbox[render]"'
+        ) from error
     return pygame
 
 

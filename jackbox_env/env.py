@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import _validation as check
 from jackbox_env import tasks
-from jackbox_env.mechanics import Array, as_state, clearance, start_tolerance
+from jackbox_env.mechanics import Array, as_start
 from jackbox_env.observation import BOUNDS, observe
 from jackbox_env.scene import Scene
 from jackbox_env.simulators import Impact, make_simulator
@@ -39,7 +39,8 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     counter-clockwise, held for one control step. Finite values outside are clipped, NaN and infinities refused; a
     plain number counts as shape (1,). `step(None)` applies the scene's own drive instead: by default a chirp, a sine
     of 90000 N m whose frequency grows from 0.5 Hz by 0.9 Hz per second, as a continuous function of the time. With
-    `torque="chirp"` the drive acts whatever the action: vector environments and action wrappers pass no None.
+    `torque="chirp"` the drive acts whatever the action: vector environments and action wrappers pass no None. An action
+    replaces the drive's torque only; side forces of a `Drive` always act.
 
     ## Observation Space
 
@@ -50,14 +51,16 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     |-----|------------------------------------------------|-----|-----|----------|
     | 0   | x of the jack's centre, in the box frame       | -1  | 1   | L        |
     | 1   | y of the jack's centre, in the box frame       | -1  | 1   | L        |
-    | 2   | x velocity relative to the box, on box axes    | -10 | 10  | v0       |
-    | 3   | y velocity relative to the box, on box axes    | -10 | 10  | v0       |
+    | 2   | x velocity relative to the box's centre (*)    | -10 | 10  | v0       |
+    | 3   | y velocity relative to the box's centre (*)    | -10 | 10  | v0       |
     | 4   | cosine of the box's angle                      | -1  | 1   |          |
     | 5   | sine of the box's angle                        | -1  | 1   |          |
     | 6   | angular velocity of the box                    | -10 | 10  | v0 / L   |
     | 7   | cosine of 4 (jack's angle - box's angle)       | -1  | 1   |          |
     | 8   | sine of 4 (jack's angle - box's angle)         | -1  | 1   |          |
     | 9   | angular velocity of the jack                   | -10 | 10  | v0 / l   |
+
+    (*) on the axes of the box; the box's own rotation is not taken away.
 
     ## Rewards
 
@@ -75,7 +78,8 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
 
     ## Episode End
 
-    The episode never terminates. It is truncated after 500 steps (10 s) by the time limit that `gymnasium.make` adds.
+    The episode never terminates. The time limit that `gymnasium.make` adds truncates it after 500 steps (by default
+    10 s).
     A jack that leaves the box raises RuntimeError, which needs far more speed than 10 s of torque can give by default.
 
     ## Information
@@ -97,12 +101,13 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     | `render_mode` | `None`     | `"human"` or `"rgb_array"` (512 x 512); needs the `render` extra                  |
 
     `reset` takes `options={"state": numbers, "time": seconds}`: exactly that state, shape (12,), every foot inside to
-    1e-9 m (4 units in the last place of a far-off position), and that time.
+    1e-9 m (4 units in the last place of a far-off position), and that time. `env.unwrapped.set_state(state, time)` goes
+    on from any state that `info` ever held, also one in contact; `jackbox_env.observation.observe` sees it.
 
     >>> import gymnasium as gym, jackbox_env
     >>> env = gym.make("JackInBox-v0")
     >>> observation, info = env.reset(seed=0)
-    >>> for _ in range(60):  # 1.2 s of the chirp: the first impact is at 1.05 s
+    >>> for _ in range(60):  # 1.2 s of the chirp
     ...     observation, reward, terminated, truncated, info = env.step(None)
     >>> observation.shape, bool(info["time"] > 1.19), terminated
     ((10,), True, False)
@@ -135,6 +140,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         self.task = check.choice("task", task, tasks.TASKS)
         self._reward = tasks.TASKS[task]
         self._simulator = make_simulator(Scene.of(scene), contact=contact, substeps=substeps)
+        # reset returns the terms' names with nothing earned yet
         self._no_terms = dict.fromkeys(self._reward_terms(0.0, 0.0)[1], 0.0)
         self.observation_space = gym.spaces.Box(-BOUNDS, BOUNDS, dtype=np.float32)
         self.action_space = gym.spaces.Box(-1.0, 1.0, shape=(1,), dtype=np.float32)
@@ -193,7 +199,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         given = dict(options or {})
         check.known_keys("options", given, ("state", "time"))
         time = check.real("options['time']", given.get("time", 0.0), at_least=-LATEST_TIME, at_most=LATEST_TIME)
-        state = None if given.get("state") is None else self._checked_start(given["state"])
+        state = None if given.get("state") is None else as_start(self.scene, given["state"])
         super().reset(seed=seed)
         if state is None:
             state = tasks.sample_start(self.scene, self.np_random)
@@ -201,17 +207,6 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         if self.render_mode == "human":
             self.render()
         return observe(self.scene, state.tolist()), self._info(state, 0, 0.0, self._no_terms)
-
-    def _checked_start(self, given: ArrayLike) -> Array:
-        state = as_state(given)
-        outside = -clearance(self.scene, state.tolist())
-        tolerance = start_tolerance(state.tolist())
-        if not outside <= tolerance:
-            raise ValueError(
-                f"options['state'] must have every foot inside the box (at most {tolerance:g} m outside), got a foot "
-                f"{outside:g} m outside"
-            )
-        return state
 
     def step(self, action: Action) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Advance by one control step under ``action``, or under the scene's drive where it is None.
@@ -239,7 +234,8 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     def render(self) -> NDArray[np.uint8] | None:
         """Return a fresh frame, uint8, shape (512, 512, 3), or show it in a window ("human")."""
         if self._renderer is None:
-            gym.logger.warn('render needs a render_mode, e.g. gym.make("JackInBox-v0", render_mode="rgb_array")')
+            cause = "comes after close" if self.render_mode else 'needs a render_mode, e.g. render_mode="rgb_array"'
+            gym.logger.warn(f"render {cause}: there is no picture")
             return None
         return self._renderer.render()
 

@@ -14,6 +14,8 @@ An impact is instantaneous and frictionless: momentum jumps along the gradient o
 Hamiltonian is kept (Brogliato, Nonsmooth Mechanics, 3rd ed. 2016, ch. 4; Glocker 2001, Set-Valued Force Laws, ch. 9):
 
     M (qdot+ - qdot-) = lambda J^T,    J qdot+ = -e J qdot-    =>    lambda = -(1 + e) J qdot- / (J M^-1 J^T)
+
+No contact model calls the maps below: they are the law that the models are checked against.
 """
 
 from __future__ import annotations
@@ -109,6 +111,23 @@ def start_tolerance(state: Sequence[float]) -> float:
     """How far a foot of a start may be outside [m]: 1e-9, or 4 units in the last place of a far-off position."""
     furthest = max(abs(state[0]), abs(state[1]), abs(state[3]), abs(state[4]))
     return max(START_TOLERANCE, 4.0 * math.ulp(furthest))
+
+
+def as_start(scene: Scene, state: ArrayLike) -> Array:
+    """Return ``state`` as a fresh float64 array of shape (12,) if every foot is inside, to the start's tolerance.
+
+    Raises:
+        TypeError, ValueError: the state is not 12 finite numbers, or a foot is outside.
+    """
+    array = as_state(state)
+    values = array.tolist()
+    outside, tolerance = -clearance(scene, values), start_tolerance(values)
+    if not outside <= tolerance:
+        raise ValueError(
+            f"a start must have every foot inside the box (at most {tolerance:g} m outside), got a foot {outside:g} m "
+            "outside; a state taken while a foot touches goes back with set_state"
+        )
+    return array
 
 
 def gap_jacobian(scene: Scene, state: ArrayLike, wall: int, foot: int) -> Array:
@@ -210,13 +229,13 @@ def _complementary(matrix: Array, vector: Array) -> Array:
     """Solve 0 <= x _|_ A x + b >= 0 for A = J M^-1 J^T, shape (n, n), symmetric and positive semidefinite.
 
     The solution minimises x^T A x / 2 + b^T x over x >= 0, found by the active-set method of Lawson and Hanson (1974,
-    Solving Least Squares Problems, ch. 23). An index joins only if the minimum falls: dependent contacts, whose
-    gradients are rounding, cannot go in circles.
+    Solving Least Squares Problems, ch. 23). No set of active indices is taken twice: for dependent contacts the
+    remaining gradient is rounding noise, by which they could enter and leave for ever.
     """
     x, active = np.zeros_like(vector), np.zeros(len(vector), dtype=bool)
     barred = np.zeros(len(vector), dtype=bool)  # tried in vain since x last moved
-    lengths = np.sqrt(np.diag(matrix))
-    lowest = 0.0
+    lengths = np.sqrt(np.diag(matrix))  # of the rows of J M^-1/2: gradients are compared per unit of impulse
+    seen = {active.tobytes()}
     while True:
         descent = -(matrix @ x + vector) / lengths
         promising = ~active & ~barred & (descent > 1e-15 * np.linalg.norm(vector / lengths))
@@ -226,9 +245,9 @@ def _complementary(matrix: Array, vector: Array) -> Array:
         joined = active.copy()
         joined[chosen] = True
         trial, kept = _minimum_within(matrix, vector, x, joined)
-        value = float(trial @ (0.5 * (matrix @ trial) + vector))
-        if value < lowest:
-            x, active, lowest = trial, kept, value
+        if trial[chosen] > 0.0 and kept.tobytes() not in seen:
+            x, active = trial, kept
+            seen.add(kept.tobytes())
             barred[:] = False
         else:
             barred[chosen] = True
@@ -239,11 +258,12 @@ def _minimum_within(matrix: Array, vector: Array, x: Array, active: Mask) -> tup
     active = active.copy()
     while True:
         trial = np.zeros_like(x)
+        # least squares, because the block is singular for dependent contacts
         trial[active] = np.linalg.lstsq(matrix[np.ix_(active, active)], -vector[active], rcond=None)[0]
-        falling = active & (trial < 0.0)
+        falling = active & (trial <= 0.0)
         if not falling.any():
             return trial, active
-        fractions = np.where(falling, x / np.where(falling, x - trial, 1.0), np.inf)
+        fractions = np.where(falling, x / np.where(x > trial, x - trial, 1.0), np.inf)
         first = int(np.argmin(fractions))
         x = np.where(active, np.maximum(x + fractions[first] * (trial - x), 0.0), 0.0)
         active[first], x[first] = False, 0.0

@@ -143,7 +143,7 @@ class Chirp:
 
 @dataclass(frozen=True)
 class Drive:
-    """A drive given by functions of time, for other people's jack-in-a-box scenes.
+    """A drive given by functions of time, for scenes of your own.
 
     Each function takes the time as a Python float [s] and returns a finite number; it is sampled at five points of
     every substep, so it should be smooth on that scale. A function left out acts as zero and costs nothing. A Drive
@@ -175,7 +175,7 @@ class Drive:
 
     @property
     def force_bound(self) -> float:
-        """The side force never exceeds this [N], likewise."""
+        """The side force never exceeds this [N]: nothing is known of functions, unless there are none."""
         return 0.0 if self.force_x is None and self.force_y is None else math.inf
 
     def torque_means(self, time: float, duration: float) -> tuple[float, float]:
@@ -210,9 +210,11 @@ class Scene:
         gravity: g, acts downwards on the jack; the box's weight is lifted [m/s^2], >= 0.
         restitution: e, 0 <= e <= 1.
         torque_limit: torque of an agent's action 1 [N m].
-        drive: what moves the box when nobody else does: a Chirp, a Drive, a dict of Chirp's fields, or None.
+        drive: a Chirp, a Drive, a dict of Chirp's fields, or None. Its torque acts where no agent's does, its side
+            forces always.
 
-    Lengths, masses, inertias and the torque limit are within [1e-60, 1e60]. ``dataclasses.replace`` keeps a resolved
+    Torque limit and drive do not scale with the box: a small or light one wants less of both. Lengths, masses, inertias
+    and the torque limit are within [1e-60, 1e60]. ``dataclasses.replace`` keeps a resolved
     inertia: give ``box_inertia=None`` with a new mass or width to have it derived again.
 
     Raises:
@@ -253,7 +255,10 @@ class Scene:
             check.known_keys("drive", self.drive, (part.name for part in fields(Chirp)))
             keep("drive", Chirp(**self.drive))
         if not isinstance(self.drive, Chirp | Drive | None):
-            raise TypeError(f"drive must be a Chirp, a Drive, a dict of Chirp's fields or None, got {self.drive!r}")
+            hint = ": for a function f of the time write Drive(torque=f)" if callable(self.drive) else ""
+            raise TypeError(
+                f"drive must be a Chirp, a Drive, a dict of Chirp's fields or None, got {self.drive!r}{hint}"
+            )
 
     @classmethod
     def of(cls, given: Scene | Mapping[str, Any] | None) -> Scene:
@@ -278,5 +283,5 @@ class Scene:
 
     @property
     def speed_scale(self) -> float:
-        """v0 = sqrt(2 * 9.81 * L) [m/s]: a fall through half the default box; the unit of observed speeds."""
+        """v0 = sqrt(2 * 9.81 * L) [m/s], a unit of speed: that after falling L on Earth, whatever ``gravity`` is."""
         return math.sqrt(2.0 * 9.81 * self.box_half_width)

@@ -11,7 +11,6 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-import tyro
 from gymnasium.utils.performance import benchmark_render
 from tqdm import tqdm
 
@@ -126,7 +125,7 @@ def frames_of(env_id: str, seconds: float) -> Timed:
     return lambda: benchmark_render(env, target_duration=seconds)  # type: ignore[arg-type]
 
 
-JACK, CHIRP, SIMULATOR, BARE = "JackInBox-v0", "JackInBox-v0, chirp", "its simulator alone", "bare pymunk loop"
+JACK, CHIRP, SIMULATOR, BARE = "JackInBox-v0", "JackInBox-v0, chirp", "PymunkSimulator alone", "bare pymunk loop"
 LANDER, POLE = "LunarLander-v3", "CartPole-v1"
 
 
@@ -162,12 +161,12 @@ def report(steps: dict[str, list[float]], frames: dict[str, list[float]], rounds
     ]
     lines += [
         "",
-        f"Ratios, medians of {rounds} interleaved rounds (smallest to largest):",
+        f"Ratios, medians over interleaved rounds, {rounds} in all (smallest to largest):",
         "",
         f"- steps, {JACK} over {LANDER}: {ratio(steps, JACK, LANDER)}; under the chirp {ratio(steps, CHIRP, LANDER)}",
         f"- steps, {JACK} over {POLE}: {ratio(steps, JACK, POLE)}",
         f"- steps, {JACK} over the bare pymunk loop: {ratio(steps, JACK, BARE)}",
-        f"- time of the environment around the simulator over the bare loop's: {statistics.median(around):.2f}",
+        f"- the environment around the simulator takes this many bare pymunk loops: {statistics.median(around):.2f}",
         f"- frames, {JACK} over {LANDER}: {ratio(frames, JACK, LANDER)}",
         "",
         f"{machine()}; " + ", ".join(f"{name} {version}" for name, version in versions().items()),
@@ -178,6 +177,8 @@ def report(steps: dict[str, list[float]], frames: dict[str, list[float]], rounds
 @command_line
 def main() -> None:
     """Parse, measure, print."""
+    import tyro
+
     arguments = tyro.cli(Arguments, description=__doc__)
     import jackbox_env  # noqa: F401
     from jackbox_env import _validation as check

@@ -6,6 +6,8 @@ import functools
 import sys
 from collections.abc import Callable
 
+from gymnasium.error import DependencyNotInstalled
+
 
 def command_line(main: Callable[[], None]) -> Callable[[], None]:
     """Turn refusals into one sentence on standard error and exit status 2; Ctrl-C exits with 130."""
@@ -15,7 +17,12 @@ def command_line(main: Callable[[], None]) -> Callable[[], None]:
         try:
             main()
         except (ValueError, TypeError, FileNotFoundError, FileExistsError) as error:
-            print(f"{type(error).__name__}: {error}", file=sys.stderr)
+            print(error, file=sys.stderr)
+            sys.exit(2)
+        except (ImportError, DependencyNotInstalled) as error:
+            print(
+                f"{error}; this command needs more packages: pip install -e '.[all,dev]' in a checkout", file=sys.stderr
+            )
             sys.exit(2)
         except KeyboardInterrupt:
             sys.exit(130)

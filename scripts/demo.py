@@ -6,8 +6,6 @@ import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import tyro
-
 from agents.settings import TrainSettings
 from scripts.common import command_line
 
@@ -31,6 +29,8 @@ class Arguments:
 @command_line
 def main() -> None:
     """Run the four steps."""
+    import tyro
+
     arguments = tyro.cli(Arguments, description=__doc__)
     began = time.monotonic()
     from agents.evaluation import evaluate, table

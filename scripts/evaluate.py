@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import sys
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated
 
@@ -18,7 +19,8 @@ class Arguments:
 
     settings: Annotated[EnvSettings, tyro.conf.arg(name="")]
     policy: tuple[str, ...] = ("random", "chirp", "zero", "level")
-    """random, chirp, zero, level, or run folders or model files."""
+    """random: uniform torques; chirp: the scene's drive; zero: no torque; level: a PD law that holds the box level; or
+    run folders or model files. All act in the environment given here, whatever they were trained in."""
     episodes: int = 128
     """Episodes of each policy."""
     seed: int = 0
@@ -27,6 +29,26 @@ class Arguments:
     """Also write the results, every return included, to this new file."""
     trust: bool = False
     """Unpickle models that have no settings.json beside them: only those of people you trust."""
+
+
+def describe_env(settings: EnvSettings) -> str:
+    """The environment in one line: what differs from the default."""
+    given = {part.name: getattr(settings, part.name) for part in fields(EnvSettings)}
+    default = EnvSettings()
+    others = [f"{name} {value}" for name, value in given.items() if name != "task" and value != getattr(default, name)]
+    return ", ".join([f"task {settings.task}", *(others or ["default scene"])])
+
+
+def warn_of_other_training(name: str, here: EnvSettings) -> None:
+    """Say so where a run was trained in another environment than this one."""
+    if (Path(name) / "settings.json").is_file():
+        from agents.runs import read_settings
+
+        trained = EnvSettings(
+            **{part.name: getattr(read_settings(Path(name)), part.name) for part in fields(EnvSettings)}
+        )
+        if trained != here:
+            print(f"Note: {name} was trained in another environment ({describe_env(trained)})", file=sys.stderr)
 
 
 @command_line
@@ -40,13 +62,17 @@ def main() -> None:
 
     check.whole("episodes", arguments.episodes, at_least=1)
     check.whole("seed", arguments.seed, at_least=0, at_most=2**32 - 1)
+    if arguments.json is not None and not arguments.json.parent.is_dir():
+        raise FileNotFoundError(f"{arguments.json.parent} is no folder to write {arguments.json.name} to")
     if arguments.json is not None and arguments.json.exists():
         raise FileExistsError(f"{arguments.json} exists, and results are never overwritten: choose another file")
     env_settings = arguments.settings.env_settings
     scene = Scene.of(env_settings["scene"])
     found = [(name, find_policy(name, scene, arguments.seed, arguments.trust)) for name in arguments.policy]
+    print(f"{arguments.episodes} episodes each, seed {arguments.seed}, {describe_env(arguments.settings)}")
     rows = []
     for name, (policy, more) in found:
+        warn_of_other_training(name, arguments.settings)
         rows.append(evaluate(name, policy, {**env_settings, **more}, arguments.episodes, arguments.seed))
     print(table(rows))
     if arguments.json is not None:

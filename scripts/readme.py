@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import tyro
-
 from scripts.common import command_line
 
 ROOT = Path(__file__).parents[1]
@@ -81,6 +79,8 @@ def take_picture(run: Path) -> None:
 @command_line
 def main() -> None:
     """Parse, collect, write."""
+    import tyro
+
     arguments = tyro.cli(Arguments, description=__doc__)
     run = arguments.run or newest_demo()
     page = (ROOT / "README.md").read_text()

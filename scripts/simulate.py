@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-import tyro
-
 from scripts.common import command_line
 
 
@@ -41,15 +39,20 @@ class Arguments:
 @command_line
 def main() -> None:
     """Parse, simulate, write."""
+    import tyro
+
     arguments = tyro.cli(Arguments, description=__doc__)
     from agents.runs import new_folder
     from agents.settings import EnvSettings
     from agents.trajectory import simulate, write_csv, write_npz
     from jackbox_env import Scene, make_simulator
     from jackbox_env import _validation as check
+    from jackbox_env.mechanics import as_start
 
     check.real("seconds", arguments.seconds, above=0.0, at_most=1e6)
-    check.real("dt", arguments.dt, above=0.0, at_most=arguments.seconds)
+    check.real("dt", arguments.dt, above=0.0)
+    if arguments.dt > arguments.seconds:
+        raise ValueError(f"dt must be at most seconds = {arguments.seconds:g}, got {arguments.dt:g}")
     scene = Scene.of(EnvSettings(scene=arguments.scene).scene_fields)
     simulator = make_simulator(scene, contact=arguments.contact, substeps=arguments.substeps)
     if arguments.state is not None:
@@ -59,7 +62,7 @@ def main() -> None:
             raise ValueError(f"state must be a JSON list of 12 numbers, got {arguments.state!r}") from error
     else:
         state = [0.0] * 12
-    simulator.reset(state, arguments.time)
+    simulator.reset(as_start(scene, state), arguments.time)
     folder = new_folder(arguments.folder, "simulate")
     trajectory = simulate(simulator, arguments.seconds, arguments.dt)
     paths = write_csv(trajectory, folder) if arguments.format == "csv" else write_npz(trajectory, folder)
@@ -67,7 +70,7 @@ def main() -> None:
         from agents.figures import trajectory_figures
 
         paths += trajectory_figures(trajectory, folder)
-    print(f"{len(trajectory.impacts)} impacts in {arguments.seconds:g} s; wrote")
+    print(f"{len(trajectory.impacts)} impacts by t = {simulator.time:g} s; wrote")
     for path in paths:
         print(f"  {path}")
 

@@ -31,10 +31,14 @@ class Arguments:
 def main() -> None:
     """Parse, train, say where things are."""
     arguments = tyro.cli(Arguments, description=__doc__)
-    from agents.training import train
+    from agents.training import latest_checkpoint, train
 
     if arguments.resume is not None:
+        if arguments.settings != TrainSettings() or arguments.folder is not None:
+            raise ValueError("--resume goes on by the settings of its run folder: give no other setting beside it")
         folder, settings = arguments.resume, read_settings(arguments.resume)
+        found = latest_checkpoint(folder)
+        print(f"Going on after {found[1]:,} steps" if found else "No checkpoint yet: starting from the beginning")
     else:
         settings = arguments.settings
         folder = new_folder(arguments.folder, settings.task)
@@ -44,7 +48,9 @@ def main() -> None:
     except KeyboardInterrupt:
         print(f"\nInterrupted. Go on with: python scripts/train.py --resume {folder}", file=sys.stderr)
         raise
-    print(f"Trained model, settings and curves: {folder}")
+    print(f"Trained. Models, settings and evaluations: {folder}")
+    print(f"  python scripts/evaluate.py --task {settings.task} --policy zero {folder}")
+    print(f"  tensorboard --logdir {folder}")
 
 
 if __name__ == "__main__":

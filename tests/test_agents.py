@@ -182,7 +182,8 @@ def test_interrupted_training_resumes_to_the_same_total(tmp_path: Path, monkeypa
         patched.setattr(training, "Checkpoint", Interrupt)
         with pytest.raises(KeyboardInterrupt):
             training.train(TINY, folder, progress=False)
-    assert training.latest_checkpoint(folder) == (folder / "checkpoints" / "ppo_1024.zip", 1024)
+    # the periodic checkpoint was at 1024, the rollout under way began at 1280
+    assert training.latest_checkpoint(folder) == (folder / "checkpoints" / "ppo_1280.zip", 1280)
     assert not (folder / "model.zip").exists()
     model = training.train(TINY, folder, progress=False)
     assert model.num_timesteps == TINY.total_steps
@@ -338,7 +339,7 @@ def test_simulate_writes_states_impacts_and_four_plots(tmp_path: Path) -> None:
         impacts = list(csv.DictReader(file))
     known = reference["impacts"][:3]
     assert [(int(row["wall"]), int(row["foot"])) for row in impacts] == [(hit["wall"], hit["foot"]) for hit in known]
-    assert "3 impacts in 3 s" in done.stdout
+    assert "3 impacts by t = 3 s" in done.stdout
     plots = sorted(path.name for path in folder.glob("*.png"))
     assert plots == [f"{body}_{what}.png" for body in ("box", "jack") for what in ("positions", "velocities")]
     again = script("simulate", "--folder", "out", cwd=tmp_path, status=2)
@@ -350,8 +351,9 @@ def test_simulate_writes_states_impacts_and_four_plots(tmp_path: Path) -> None:
     [
         (["--seconds", "-1"], "seconds must be a finite number above 0"),
         (["--seconds", "nan"], "seconds must be a finite number above 0"),
-        (["--dt", "20"], "dt must be a finite number above 0 and at most 10, got 20.0"),
+        (["--dt", "20"], "dt must be at most seconds = 10, got 20"),
         (["--state", "[1, 2]"], r"state must have shape (12,), got shape (2,)"),
+        (["--state", "[0,0,0,5.5,0,0,0,0,0,0,0,0]"], "a start must have every foot inside the box"),
         (["--state", "x"], "state must be a JSON list of 12 numbers, got 'x'"),
         (["--contact", "exact"], "contact must be one of 'pymunk', got 'exact'"),
         (["--scene", '{"gravity": -1}'], "gravity must be a finite number at least 0"),
@@ -372,6 +374,9 @@ def test_evaluate_compares_policies_and_writes_json(tmp_path: Path, run: Path) -
     assert [row["policy"] for row in stored["results"]] == ["zero", "chirp", str(run)]
     assert all(len(row["returns"]) == row["episodes"] == 4 for row in stored["results"])
     assert f"{stored['results'][0]['mean']:.1f}" in done.stdout
+    assert "4 episodes each, seed 0, task spin, substeps 2" in done.stdout
+    assert f"Note: {run} was trained in another environment (task juggle, default scene)" in done.stderr
+    assert "is no folder" in script("evaluate", "--json", "no/out.json", cwd=tmp_path, status=2).stderr
     assert "never overwritten" in script("evaluate", *arguments, cwd=tmp_path, status=2).stderr
 
 
@@ -390,8 +395,10 @@ def test_training_survives_ctrl_c_and_resumes_from_the_command_line(tmp_path: Pa
     assert process.returncode == 130, errors
     assert "Go on with: python scripts/train.py --resume run" in errors
     assert not (tmp_path / "run" / "model.zip").exists()
+    assert "give no other setting" in script("train", "--resume", "run", "--seed", "3", cwd=tmp_path, status=2).stderr
     done = script("train", "--resume", "run", "--no-progress", cwd=tmp_path)
-    assert "Trained model, settings and curves: run" in done.stdout
+    assert "Going on after" in done.stdout
+    assert "Trained. Models, settings and evaluations: run" in done.stdout
     assert (tmp_path / "run" / "model.zip").exists()
     assert "is finished" in script("train", "--resume", "run", cwd=tmp_path, status=2).stderr
 

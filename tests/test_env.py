@@ -292,7 +292,10 @@ def state_with(**places: float) -> list[float]:
     ("options", "sentence"),
     [
         ({"state": state_with(s3=5.0 + 2e-9)}, r"at most 1e-09 m outside\), got a foot 2e-09 m outside"),
-        ({"state": state_with(s3=50.0)}, "every foot inside the box .* got a foot 45 m outside"),
+        (
+            {"state": state_with(s3=50.0)},
+            "every foot inside the box .* got a foot 45 m outside; .* goes back with set_state",
+        ),
         ({"state": state_with(s8=math.nan)}, "state must be finite, got omega_box = nan"),
         ({"state": state_with(s10=-math.inf)}, "state must be finite, got vy_jack = -inf"),
         ({"state": np.zeros(11)}, r"state must have shape \(12,\), got shape \(11,\)"),

@@ -718,6 +718,7 @@ def test_states_of_another_shape_are_refused(function: str, shape: tuple[int, ..
 NOT_NUMBERS: dict[str, Any] = {
     "words": ["up"] * 12,
     "digits in quotes": ["1.0"] * 12,
+    "truths": [True] * 12,
     "a word": "state",
     "a mapping": dict.fromkeys(STATE_NAMES, 0.0),
     "ragged": [[0.0], [0.0, 1.0]],

@@ -16,8 +16,8 @@ How the engine is held to the law:
 - It moves first, by v h, then changes v by a h. Started from v + a h/2 its positions under constant acceleration are
   exact, and v - a h/2 is the velocity at the step's end. A drive that varies enters through its averages over each
   substep under a falling and under a rising triangle, so the box goes exactly where the drive takes it.
-- Feet are circles of radius 0, walls are segments fattened by R and set back by R, so only a foot that passes R within
-  one substep is lost.
+- Feet are circles of radius 0, walls are segments fattened by R (100 m by default) and set back by R: the engine finds
+  a foot anywhere in them, only one that passes R within a substep is lost.
 - Position correction is off at e = 1: it would add energy. A jack that loses energy comes to rest on a wall, and where
   the wall turns under it, it would sink in: overlap then decays at the rate (1 - e) / 0.05 s.
 - Each step works in a frame that starts at the box's centre: far from the origin is as good as near it.
@@ -43,8 +43,8 @@ from jackbox_env.simulators.base import LATEST_TIME, Impact
 from jackbox_env.simulators.flight import fly, reach
 
 _FOOT, _WALL = 1, 2  # collision types
-_WALL_THICKNESS = 100.0 / 6.0  # R over L
-_HASH_CELL = 1000.0 / 6.0  # over L
+_WALL_THICKNESS = 100.0 / 6.0  # R over L: 100 m by default
+_HASH_CELL = 1000.0 / 6.0  # over L: 1000 m by default
 _DEEPEST = 1.0  # a foot may end a step this far outside [m], or L if that is less
 _FARTHEST = 1e9  # over L: motion within one step that the spatial hash can index; beyond it would loop forever
 _FINER = (1, 2, 4, 8)  # a step that ends too deep is taken again with so many times the substeps, then refused
@@ -55,7 +55,11 @@ _MOTION = BodyFields.POSITION | BodyFields.ANGLE | BodyFields.VELOCITY | BodyFie
 
 
 class _Load(NamedTuple):
-    """A torque or force as the engine must see it; all in N m or N."""
+    """A torque or force as the engine must see it; all in N m or N.
+
+    Engine step k changes the velocity from the middle of substep k to the middle of substep k + 1: by the rising
+    average of the one and the falling average of the next. The last step goes half a substep too far: taken back.
+    """
 
     first: float  # half a substep of it takes the rate from the step's start to the middle of the first substep
     during: list[float]  # acts in each engine step, from the middle of one substep to the middle of the next
@@ -164,8 +168,8 @@ class PymunkSimulator:
             else:
                 raise RuntimeError(
                     f"the jack left the box: a foot ended {outside:.3g} m outside a wall in the step after t = "
-                    f"{self.time:g} s, at most {self._deepest:g} m is followed; use more substeps or a smaller time "
-                    f"step (h = {h:g} s)"
+                    f"{self.time:g} s, at most {self._deepest:g} m is followed; use more substeps, a smaller "
+                    f"time step (h = {h:g} s) or less torque"
                 )
         except BaseException:
             self._impacts = before
@@ -173,7 +177,7 @@ class PymunkSimulator:
             raise
         self._state = after
         self.torque = load.mean
-        if self._last_contact >= substeps - (_PERSISTENCE + 1):
+        if self._last_contact >= substeps - (_PERSISTENCE + 1):  # the engine may still remember it
             self._forget_contacts()
 
     def _loads(self, h: float, substeps: int, torque: float | None) -> tuple[_Load, tuple[_Load, ...]]:
@@ -199,7 +203,7 @@ class PymunkSimulator:
         jack.position, jack.angle, jack.velocity = (jack_x - x, jack_y - y), jack_angle, (jack_vx, jack_vy - half_fall)
         jack.angular_velocity = jack_omega
         weight = (0.0, -scene.jack_mass * scene.gravity) if scene.gravity > 0.0 else None
-        for self._substep, torque in enumerate(load.during):
+        for self._substep, torque in enumerate(load.during):  # _record reads the substep
             box.torque = torque
             if weight:
                 jack.force = weight
