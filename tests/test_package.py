@@ -94,3 +94,11 @@ def test_every_shipped_line_is_the_projects_own() -> None:
         if path.is_file() and path.suffix in (".py", ".md", ".toml", ".txt", ".json", ".cff", ""):
             text = path.read_text()
             assert not re.search(r"/(?:home|work|root|Users)/\w|https?://[\w.]*pypi", text), name
+
+
+def test_the_readmes_python_runs() -> None:
+    pytest.importorskip("pygame")
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    assert len(blocks) == 2
+    assert run("\n".join(blocks)).startswith("t = 1.00 s: 1 impact(s)")
+    assert len(blocks[0].strip().splitlines()) <= 11  # ten lines and a blank one
