@@ -84,10 +84,19 @@ def _write(frames: list[Frame], path: Path, fps: float) -> None:
     partial = path.with_name(f"{path.stem}.partial{path.suffix}")
     if path.suffix == ".gif":
         # One palette for all frames keeps the background still and the file small.
-        samples = np.concatenate(frames[:: max(1, len(frames) // 24)], axis=0)  # enough to hold flashes and the gauge
-        palette = Image.fromarray(samples).quantize(128, dither=Image.Dither.NONE)
+        palette = _palette(np.concatenate(frames[:: max(1, len(frames) // 24)]).reshape(-1, 3))
         pages = [Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
         pages[0].save(partial, save_all=True, append_images=pages[1:], duration=round(1000.0 / fps), loop=0)
     else:
         imageio.imwrite(partial, np.stack(frames), fps=fps, codec="libx264", macro_block_size=4)
     partial.replace(path)
+
+
+def _palette(pixels: Frame) -> Image.Image:
+    """Make one of 256 colours: the widest areas' own, the rest so that small things (flash, gauge) keep theirs."""
+    colours, areas = np.unique(pixels, axis=0, return_counts=True)
+    widest = colours[np.argsort(areas)[-32:]]
+    spread = Image.fromarray(colours[None]).quantize(256 - len(widest), method=Image.Quantize.MEDIANCUT)
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(widest.ravel().tolist() + (spread.getpalette() or []))
+    return palette

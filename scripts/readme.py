@@ -72,7 +72,7 @@ def take_picture(run: Path) -> None:
     partial = PICTURE.with_name("new.gif")
     partial.unlink(missing_ok=True)
     acts = {"PPO": Baseline(load_model(run), {}), "chirp": baseline("chirp", Scene())}
-    film(acts, read_settings(run).env_settings, partial, seed=2_000_000, width=320)
+    film(acts, read_settings(run).env_settings, partial, seed=2_000_000, seconds=8.0, width=256)
     partial.replace(PICTURE)
 
 
