@@ -11,7 +11,7 @@ import numpy as np
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecMonitor
 
-from agents.models import load_model, make_vec_env
+from agents.models import derived_seed, load_model, make_vec_env
 from agents.policies import BASELINES, Baseline, Policy, baseline
 from jackbox_env import Scene
 
@@ -44,7 +44,7 @@ class Returns:
         return {
             "policy": self.policy,
             "mean": self.mean,
-            "interval_95": self.interval,
+            "interval_95": self.interval if len(self.returns) > 1 else None,
             "episodes": len(self.returns),
             "returns": self.returns,
         }
@@ -53,8 +53,10 @@ class Returns:
 def evaluate(
     name: str, policy: Policy, env_settings: dict[str, Any], episodes: int, seed: int, deterministic: bool = True
 ) -> Returns:
-    """Run whole episodes, up to 16 side by side, from starts that ``seed`` decides."""
-    environments = VecMonitor(make_vec_env(env_settings, min(16, episodes), seed))
+    """Run whole episodes, up to 16 side by side, from starts that ``seed`` decides; training has not seen them."""
+    starts = derived_seed("evaluation", seed)
+    environments = VecMonitor(make_vec_env(env_settings, min(16, episodes), starts))
+    environments.seed(starts)
     rewards, _ = evaluate_policy(
         policy,
         environments,

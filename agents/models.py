@@ -6,12 +6,19 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 import jackbox_env  # noqa: F401
 from agents.runs import SETTINGS, read_settings
 from agents.settings import TrainSettings
+
+
+def derived_seed(purpose: str, *numbers: int) -> int:
+    """A seed below 2^31 from a purpose and numbers: training and evaluation never share starts by accident."""
+    words = np.random.SeedSequence([*purpose.encode(), *numbers]).generate_state(1)
+    return int(words[0] >> 1)
 
 
 def make_vec_env(env_settings: dict[str, Any], num_envs: int, seed: int) -> VecEnv:
@@ -49,7 +56,7 @@ def load_model(path: Path, trust: bool = False) -> PPO:
 
     Args:
         path: run folder, or a .zip in it (or in a folder below it).
-        trust: unpickle instead, as ``PPO.load`` does: for models without settings.json, from people you trust.
+        trust: unpickle a model that has no settings.json, as ``PPO.load`` does: only from people you trust.
 
     Raises:
         FileNotFoundError: there is no model, or no settings.json above it and ``trust`` is off.
@@ -60,9 +67,9 @@ def load_model(path: Path, trust: bool = False) -> PPO:
         file = next((path / name for name in ("best_model.zip", "model.zip") if (path / name).is_file()), path)
     if not file.is_file():
         raise FileNotFoundError(f"{path} holds no model: best_model.zip or model.zip was looked for")
-    if trust:
-        return PPO.load(file, device="cpu")
     folder = next((parent for parent in file.parents[:2] if (parent / SETTINGS).is_file()), None)
+    if folder is None and trust:
+        return PPO.load(file, device="cpu")
     if folder is None:
         raise FileNotFoundError(
             f"{file} has no {SETTINGS} beside it to rebuild the model from; if you trust its author, use --trust"

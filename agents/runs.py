@@ -1,4 +1,4 @@
-"""Run folders: one folder holds everything a run was made from and made. Nothing in it is ever overwritten.
+"""Run folders: one folder holds everything a run was made from and made. A folder is never used for another run.
 
 settings.json            resolved settings, from which a model is rebuilt
 run.json                 command line, seed, versions, date

@@ -107,7 +107,7 @@ class TrainSettings(EnvSettings):
         check.whole("seed", self.seed, at_least=0, at_most=2**32 - 1)
         counts = "total_steps num_envs rollout_steps batch_size epochs checkpoint_steps eval_steps eval_episodes"
         for name in [*counts.split(), "torch_threads"]:
-            check.whole(name, getattr(self, name), at_least=1)
+            check.whole(name, getattr(self, name), at_least=2 if name == "batch_size" else 1)
         check.real("learning_rate", self.learning_rate, above=0.0)
         check.real("clip_range", self.clip_range, above=0.0)
         check.real("gamma", self.gamma, at_least=0.0, at_most=1.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 import re
 import time
@@ -14,11 +15,15 @@ from stable_baselines3.common.callbacks import BaseCallback, CallbackList, EvalC
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import VecMonitor
 
-from agents.models import make_ppo, make_vec_env
+from agents.models import derived_seed, make_ppo, make_vec_env
 from agents.settings import TrainSettings
 
-EVAL_SEED = 1_000_000  # starts that training does not see
 CHECKPOINTS = "checkpoints"
+
+
+def choosing_seed(settings: TrainSettings) -> int:
+    """Seed of the evaluation that chooses the best model: starts that neither training nor the final one sees."""
+    return derived_seed("choosing", settings.seed)
 
 
 def save(model: PPO, path: Path) -> None:
@@ -43,6 +48,8 @@ class Checkpoint(BaseCallback):
 
     def _on_rollout_start(self) -> None:
         self.rollout_start = self.num_timesteps
+        assert isinstance(self.model, PPO)
+        self._parameters = copy.deepcopy(self.model.get_parameters())  # an update may be cut short later
         if self.num_timesteps - self._last >= self._every:
             self.keep()
 
@@ -50,6 +57,7 @@ class Checkpoint(BaseCallback):
         """Save as of the start of this rollout, unless that is saved already."""
         if self.rollout_start > self._last:
             assert isinstance(self.model, PPO)
+            self.model.set_parameters(self._parameters, device="cpu")  # type: ignore[arg-type]
             save(self.model, self._folder / f"ppo_{self.rollout_start}.zip")
             self._last = self.rollout_start
 
@@ -73,8 +81,9 @@ class KeepBest(EvalCallback):
 
     def __init__(self, folder: Path, settings: TrainSettings, done: int) -> None:
         environments = VecMonitor(
-            make_vec_env(settings.env_settings, min(settings.num_envs, settings.eval_episodes), EVAL_SEED)
+            make_vec_env(settings.env_settings, min(settings.num_envs, settings.eval_episodes), choosing_seed(settings))
         )
+        self._seed = choosing_seed(settings)
         super().__init__(
             environments,
             n_eval_episodes=settings.eval_episodes,
@@ -97,7 +106,7 @@ class KeepBest(EvalCallback):
         best_before = self.best_mean_reward
         due = self.eval_freq > 0 and self.n_calls % self.eval_freq == 0
         if due:
-            self.eval_env.seed(EVAL_SEED)  # the same starts every time
+            self.eval_env.seed(self._seed)  # the same starts every time
         going_on = super()._on_step()
         if self.best_mean_reward > best_before:
             assert isinstance(self.model, PPO)
@@ -128,9 +137,10 @@ def train(settings: TrainSettings, folder: Path, progress: bool = True) -> PPO:
     torch.set_num_threads(settings.torch_threads)
     resumed = latest_checkpoint(folder)
     done = resumed[1] if resumed else 0
-    environments = VecMonitor(make_vec_env(settings.env_settings, settings.num_envs, settings.seed + done))
+    starts = derived_seed("training", settings.seed, done)  # not again the starts that were already learnt from
+    environments = VecMonitor(make_vec_env(settings.env_settings, settings.num_envs, starts))
     model = make_ppo(settings, environments)
-    environments.seed(settings.seed + done)  # not again the starts that were already learnt from
+    environments.seed(starts)  # PPO has seeded them by its own seed
     if resumed:
         model.set_parameters(str(resumed[0]), device="cpu")
         model.num_timesteps = done

@@ -22,18 +22,23 @@ class Trajectory:
         times: [s], shape (n,).
         states: SI units, shape (n, 12).
         impacts: in time order.
+        failure: what ended it early, if anything.
     """
 
     times: NDArray[np.float64]
     states: NDArray[np.float64]
     impacts: list[Impact]
+    failure: str | None = None
 
 
 def simulate(simulator: Simulator, seconds: float, dt: float, progress: bool = True) -> Trajectory:
-    """Step the simulator under its scene's drive from where it is, for ``seconds`` in steps of ``dt`` [s]."""
+    """Step under the scene's drive for ``seconds`` in steps of ``dt`` [s]; a jack that leaves the box ends it early."""
     times, states, impacts = [simulator.time], [simulator.state], list[Impact]()
     for _ in tqdm(range(max(1, round(seconds / dt))), disable=not progress, unit="step", leave=False):
-        simulator.step(dt)
+        try:
+            simulator.step(dt)
+        except RuntimeError as error:
+            return Trajectory(np.array(times), np.array(states), impacts, str(error))
         times.append(simulator.time)
         states.append(simulator.state)
         impacts += simulator.impacts

@@ -24,8 +24,8 @@ def real(
         ValueError: it is NaN, infinite or out of bounds.
     """
     try:
-        number = math.nan if isinstance(value, (bool, str, bytes)) else float(value)
-    except (TypeError, ValueError, OverflowError):
+        number = float(value) if _is_real(value) else math.nan
+    except OverflowError:
         number = math.nan
     # NaN fails the comparisons; -inf and inf fail these open ends.
     if -math.inf < number < math.inf and number > above and at_least <= number <= at_most:
@@ -36,7 +36,14 @@ def real(
         if math.isfinite(bound)
     ]
     message = f"{name} must be a finite number{' ' * bool(bounds)}{' and '.join(bounds)}, got {value!r}"
-    raise (ValueError if isinstance(value, numbers.Real) and not isinstance(value, bool) else TypeError)(message)
+    raise (ValueError if _is_real(value) else TypeError)(message)
+
+
+def _is_real(value: Any) -> bool:
+    """Whether it is one real number: Python's, numpy's, or an array of shape () of them."""
+    if isinstance(value, numbers.Real):
+        return not isinstance(value, bool)
+    return getattr(value, "ndim", None) == 0 and getattr(getattr(value, "dtype", None), "kind", None) in ("f", "i", "u")
 
 
 def whole(name: str, value: Any, *, at_least: int, at_most: int | None = None) -> int:

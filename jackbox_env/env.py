@@ -144,7 +144,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         self._no_terms = dict.fromkeys(self._reward_terms(0.0, 0.0)[1], 0.0)
         self.observation_space = gym.spaces.Box(-BOUNDS, BOUNDS, dtype=np.float32)
         self.action_space = gym.spaces.Box(-1.0, 1.0, shape=(1,), dtype=np.float32)
-        self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / self._control_dt))}
+        self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / max(self._control_dt, 1e-4)))}
         self.render_mode = render_mode
         self._renderer = None
         if render_mode is not None:
@@ -196,6 +196,8 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         Raises:
             TypeError, ValueError: an unusable option; the environment stays as it was.
         """
+        if not isinstance(options, Mapping | None):
+            raise TypeError(f"options must be a dict of 'state' and 'time' or None, got {options!r}")
         given = dict(options or {})
         check.known_keys("options", given, ("state", "time"))
         time = check.real("options['time']", given.get("time", 0.0), at_least=-LATEST_TIME, at_most=LATEST_TIME)
@@ -257,7 +259,10 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     # -- helpers ------------------------------------------------------------------------------------------------------
 
     def _torque_of(self, action: Action) -> float:
-        values = action if isinstance(action, np.ndarray) else np.asarray(action)
+        try:
+            values = action if isinstance(action, np.ndarray) else np.asarray(action)
+        except (TypeError, ValueError, RuntimeError) as error:  # ragged lists, tensors that want gradients
+            raise TypeError(f"action must hold one finite number (clipped to [-1, 1]), got {action!r}") from error
         if values.dtype.kind not in "fiu":
             raise TypeError(f"action must hold one finite number (clipped to [-1, 1]), got {action!r}")
         if values.shape not in ((1,), ()):

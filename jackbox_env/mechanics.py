@@ -47,6 +47,9 @@ STATE_NAMES = (
 # A start is inside when no foot is further out than this [m], or than 4 units in the last place of a far-off position.
 START_TOLERANCE = 1e-9
 
+# Beyond this, squares and products of states and masses would overflow.
+LARGEST = 1e100
+
 _QUARTERS = np.arange(4) * (math.pi / 2.0)
 
 Array = NDArray[np.float64]
@@ -58,7 +61,7 @@ def as_state(state: ArrayLike) -> Array:
 
     Raises:
         TypeError: it does not hold numbers.
-        ValueError: its shape is not (12,), or a number is NaN or infinite (named by its place in the state).
+        ValueError: its shape is not (12,), or a number is NaN, infinite or beyond 1e100 (named by its place).
     """
     try:
         given = np.asarray(state)
@@ -72,6 +75,9 @@ def as_state(state: ArrayLike) -> Array:
     if not np.isfinite(array).all():
         place = int(np.argmin(np.isfinite(array)))
         raise ValueError(f"state must be finite, got {STATE_NAMES[place]} = {array[place]}")
+    if np.abs(array).max() > LARGEST:
+        place = int(np.argmax(np.abs(array)))
+        raise ValueError(f"state must be within +-{LARGEST:g}, got {STATE_NAMES[place]} = {array[place]}")
     return array
 
 
@@ -209,11 +215,11 @@ def simultaneous_impact_map(scene: Scene, state: ArrayLike, contacts: Sequence[t
     if not pairs:
         return before, np.zeros(0)
     jacobian = np.array([_gap_jacobian(scene, before, wall, foot) for wall, foot in pairs])  # (n, 6)
-    kicks = jacobian / np.array(scene.mass_diagonal)  # (n, 6) change of qdot per impulse
-    gap_rates = jacobian @ before[6:]  # (n,)
-    impulses = _complementary(jacobian @ kicks.T, (1.0 + scene.restitution) * gap_rates)
+    root = np.sqrt(np.array(scene.mass_diagonal))
+    weighted = jacobian / root  # J M^-1/2
+    impulses = _complementary(weighted, (1.0 + scene.restitution) * (jacobian @ before[6:]))
     after = before.copy()
-    after[6:] += impulses @ kicks
+    after[6:] += (impulses @ weighted) / root
     return after, impulses
 
 
@@ -225,26 +231,26 @@ def _pair(contact: tuple[int, int]) -> tuple[int, int]:
     return check.whole("wall", wall, at_least=0, at_most=3), check.whole("foot", foot, at_least=0, at_most=3)
 
 
-def _complementary(matrix: Array, vector: Array) -> Array:
-    """Solve 0 <= x _|_ A x + b >= 0 for A = J M^-1 J^T, shape (n, n), symmetric and positive semidefinite.
+def _complementary(rows: Array, vector: Array) -> Array:
+    """Solve 0 <= x _|_ A x + b >= 0 for A = W W^T, with W = J M^-1/2, shape (n, 6), given as ``rows``.
 
-    The solution minimises x^T A x / 2 + b^T x over x >= 0, found by the active-set method of Lawson and Hanson (1974,
+    The solution minimises |W^T x|^2 / 2 + b^T x over x >= 0, found by the active-set method of Lawson and Hanson (1974,
     Solving Least Squares Problems, ch. 23). No set of active indices is taken twice: for dependent contacts the
     remaining gradient is rounding noise, by which they could enter and leave for ever.
     """
     x, active = np.zeros_like(vector), np.zeros(len(vector), dtype=bool)
     barred = np.zeros(len(vector), dtype=bool)  # tried in vain since x last moved
-    lengths = np.sqrt(np.diag(matrix))  # of the rows of J M^-1/2: gradients are compared per unit of impulse
+    lengths = np.linalg.norm(rows, axis=1)  # gradients are compared per unit of weighted velocity
     seen = {active.tobytes()}
     while True:
-        descent = -(matrix @ x + vector) / lengths
+        descent = -(rows @ (x @ rows) + vector) / lengths
         promising = ~active & ~barred & (descent > 1e-15 * np.linalg.norm(vector / lengths))
         if not promising.any():
             return x
         chosen = int(np.argmax(np.where(promising, descent, -np.inf)))
         joined = active.copy()
         joined[chosen] = True
-        trial, kept = _minimum_within(matrix, vector, x, joined)
+        trial, kept = _minimum_within(rows, vector, x, joined)
         if trial[chosen] > 0.0 and kept.tobytes() not in seen:
             x, active = trial, kept
             seen.add(kept.tobytes())
@@ -253,13 +259,15 @@ def _complementary(matrix: Array, vector: Array) -> Array:
             barred[chosen] = True
 
 
-def _minimum_within(matrix: Array, vector: Array, x: Array, active: Mask) -> tuple[Array, Mask]:
+def _minimum_within(rows: Array, vector: Array, x: Array, active: Mask) -> tuple[Array, Mask]:
     """Move x towards the minimum over the active indices, dropping each index that reaches zero on the way."""
     active = active.copy()
     while True:
         trial = np.zeros_like(x)
-        # least squares, because the block is singular for dependent contacts
-        trial[active] = np.linalg.lstsq(matrix[np.ix_(active, active)], -vector[active], rcond=None)[0]
+        # W W^T x = -b in two steps, W u = -b and W^T x = u: W W^T has the square of W's condition number.
+        # Least squares, because W loses rank for dependent contacts.
+        velocity = np.linalg.lstsq(rows[active], -vector[active], rcond=None)[0]
+        trial[active] = np.linalg.lstsq(rows[active].T, velocity, rcond=None)[0]
         falling = active & (trial <= 0.0)
         if not falling.any():
             return trial, active

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable
 
 from gymnasium.error import DependencyNotInstalled
+from gymnasium.error import Error as GymnasiumError
 
 
 def command_line(main: Callable[[], None]) -> Callable[[], None]:
@@ -16,13 +17,13 @@ def command_line(main: Callable[[], None]) -> Callable[[], None]:
     def wrapped() -> None:
         try:
             main()
-        except (ValueError, TypeError, FileNotFoundError, FileExistsError) as error:
-            print(error, file=sys.stderr)
-            sys.exit(2)
         except (ImportError, DependencyNotInstalled) as error:
             print(
                 f"{error}; this command needs more packages: pip install -e '.[all,dev]' in a checkout", file=sys.stderr
             )
+            sys.exit(2)
+        except (ValueError, TypeError, OSError, RuntimeError, GymnasiumError) as error:
+            print(error, file=sys.stderr)
             sys.exit(2)
         except KeyboardInterrupt:
             sys.exit(130)

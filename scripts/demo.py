@@ -36,12 +36,14 @@ def main() -> None:
     from agents.evaluation import evaluate, table
     from agents.figures import learning_figure
     from agents.film import film
-    from agents.models import load_model
+    from agents.models import derived_seed, load_model
     from agents.policies import BASELINES, Baseline, baseline
     from agents.runs import describe, machine, new_folder, versions, write_json
     from agents.training import train
     from jackbox_env import Scene
+    from jackbox_env import _validation as check
 
+    check.whole("episodes", arguments.episodes, at_least=2)
     settings = replace(
         TrainSettings(),
         total_steps=arguments.total_steps,
@@ -56,18 +58,22 @@ def main() -> None:
     print(f"Evaluating {arguments.episodes} episodes of each policy")
     acts = {name: baseline(name, Scene(), arguments.seed) for name in BASELINES}
     acts["PPO"] = Baseline(load_model(folder), {})
-    starts = arguments.seed + 2_000_000  # neither training nor the choice of the best model has seen these
     rows = [
-        evaluate(name, act.policy, {**settings.env_settings, **act.env_settings}, arguments.episodes, starts)
+        evaluate(name, act.policy, {**settings.env_settings, **act.env_settings}, arguments.episodes, arguments.seed)
         for name, act in acts.items()
     ]
-    results = {"seed": starts, "machine": machine(), "versions": versions(), "results": [row.as_json() for row in rows]}
+    results = {
+        "seed": arguments.seed,
+        "machine": machine(),
+        "versions": versions(),
+        "results": [row.as_json() for row in rows],
+    }
     write_json(folder / "results.json", results)
     learning_figure(folder, rows, settings.task)
 
     print("Filming PPO beside the chirp")
     pair = {"PPO": acts["PPO"], "chirp": acts["chirp"]}
-    film(pair, settings.env_settings, folder / "film.gif", seed=starts, width=384)
+    film(pair, settings.env_settings, folder / "film.gif", seed=derived_seed("evaluation", arguments.seed), width=384)
     print()
     print(table(rows))
     print(f"\nModel, settings, results.json, results.png and film.gif: {folder}")

@@ -64,7 +64,7 @@ def results_table(results: dict[str, Any]) -> str:
 def take_picture(run: Path) -> None:
     """Film the trained agent beside the chirp, small enough for a page."""
     from agents.film import film
-    from agents.models import load_model
+    from agents.models import derived_seed, load_model
     from agents.policies import Baseline, baseline
     from agents.runs import read_settings
     from jackbox_env import Scene
@@ -72,7 +72,7 @@ def take_picture(run: Path) -> None:
     partial = PICTURE.with_name("new.gif")
     partial.unlink(missing_ok=True)
     acts = {"PPO": Baseline(load_model(run), {}), "chirp": baseline("chirp", Scene())}
-    film(acts, read_settings(run).env_settings, partial, seed=2_000_000, seconds=8.0, width=256)
+    film(acts, read_settings(run).env_settings, partial, seed=derived_seed("evaluation", 0), seconds=8.0, width=256)
     partial.replace(PICTURE)
 
 

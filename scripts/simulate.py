@@ -53,6 +53,8 @@ def main() -> None:
     check.real("dt", arguments.dt, above=0.0)
     if arguments.dt > arguments.seconds:
         raise ValueError(f"dt must be at most seconds = {arguments.seconds:g}, got {arguments.dt:g}")
+    if arguments.seconds / arguments.dt > 1e8:
+        raise ValueError(f"seconds / dt must be at most 1e8 steps, got {arguments.seconds / arguments.dt:g}")
     scene = Scene.of(EnvSettings(scene=arguments.scene).scene_fields)
     simulator = make_simulator(scene, contact=arguments.contact, substeps=arguments.substeps)
     if arguments.state is not None:
@@ -73,6 +75,8 @@ def main() -> None:
     print(f"{len(trajectory.impacts)} impacts by t = {simulator.time:g} s; wrote")
     for path in paths:
         print(f"  {path}")
+    if trajectory.failure:
+        raise RuntimeError(trajectory.failure)
 
 
 if __name__ == "__main__":

@@ -31,6 +31,7 @@ class Arguments:
 def main() -> None:
     """Parse, train, say where things are."""
     arguments = tyro.cli(Arguments, description=__doc__)
+    from agents.models import make_vec_env
     from agents.training import latest_checkpoint, train
 
     if arguments.resume is not None:
@@ -41,6 +42,7 @@ def main() -> None:
         print(f"Going on after {found[1]:,} steps" if found else "No checkpoint yet: starting from the beginning")
     else:
         settings = arguments.settings
+        make_vec_env(settings.env_settings, 1, 0).close()  # refuse before there is a folder
         folder = new_folder(arguments.folder, settings.task)
         describe(folder, settings)
     try:

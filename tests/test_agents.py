@@ -19,6 +19,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.vec_env import VecMonitor
 
 from agents import training
 from agents.evaluation import Returns, evaluate, find_policy, table
@@ -132,8 +133,8 @@ def test_the_untrained_policy_does_not_beat_zero_torque() -> None:
     # DESIGN: about 158 against 200; the demo's trained policy stands above 200 with intervals apart.
     untrained = make_ppo(TrainSettings(), make_vec_env({}, 1, 0))
     rows = [
-        evaluate("untrained", untrained, {}, 64, seed=2_000_000, deterministic=False),
-        evaluate("zero", baseline("zero", Scene()).policy, {}, 64, seed=2_000_000),
+        evaluate("untrained", untrained, {}, 64, seed=0, deterministic=False),
+        evaluate("zero", baseline("zero", Scene()).policy, {}, 64, seed=0),
     ]
     assert rows[0].interval[1] < rows[1].interval[0], table(rows)
 
@@ -164,8 +165,10 @@ def test_training_learns_from_its_rollouts(run: Path) -> None:
 
 def test_the_best_model_is_the_best_evaluation(run: Path) -> None:
     stored = np.load(run / "evaluations.npz")
-    best = evaluate("best", load_model(run), TINY.env_settings, 4, training.EVAL_SEED)
-    assert best.mean == pytest.approx(stored["results"].mean(axis=1).max(), rel=1e-6)
+    environments = VecMonitor(make_vec_env(TINY.env_settings, 4, 0))
+    environments.seed(training.choosing_seed(TINY))
+    best, _ = evaluate_policy(load_model(run), environments, n_eval_episodes=4)
+    assert best == pytest.approx(stored["results"].mean(axis=1).max(), rel=1e-6)
 
 
 def test_interrupted_training_resumes_to_the_same_total(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -247,6 +250,9 @@ print(base64.b64encode(cloudpickle.dumps(Bomb())).decode())
     observation = np.zeros(10, dtype=np.float32)
     np.testing.assert_array_equal(load_model(shared).predict(observation)[0].shape, (1,))
     assert not witness.exists()
+    load_model(shared, trust=True)  # trust is for models without settings only
+    assert not witness.exists()
+    (shared / "settings.json").unlink()
     with contextlib.suppress(Exception):  # it may or may not load after what it did
         load_model(shared, trust=True)
     assert witness.exists()
@@ -275,6 +281,7 @@ def test_models_that_are_not_there_or_do_not_fit_are_refused(run: Path, tmp_path
     ("field", "bad", "sentence"),
     [
         ("total_steps", 0, "total_steps must be a whole number >= 1, got 0"),
+        ("batch_size", 1, "batch_size must be a whole number >= 2, got 1"),
         ("num_envs", 1.5, "num_envs must be a whole number >= 1, got 1.5"),
         ("seed", -1, "seed must be a whole number from 0 to 4294967295, got -1"),
         ("learning_rate", float("nan"), "learning_rate must be a finite number above 0, got nan"),
@@ -344,6 +351,19 @@ def test_simulate_writes_states_impacts_and_four_plots(tmp_path: Path) -> None:
     assert plots == [f"{body}_{what}.png" for body in ("box", "jack") for what in ("positions", "velocities")]
     again = script("simulate", "--folder", "out", cwd=tmp_path, status=2)
     assert "never overwritten" in again.stderr
+
+
+def test_simulate_keeps_what_came_before_the_jack_left(tmp_path: Path) -> None:
+    arguments = ["--scene", '{"box_mass": 0.01}', "--seconds", "5", "--folder", "out", "--no-plots"]
+    done = script("simulate", *arguments, cwd=tmp_path, status=2)
+    assert "the jack would leave the box" in done.stderr
+    assert (tmp_path / "out" / "states.csv").stat().st_size > 100
+
+
+def test_train_refuses_before_it_makes_a_folder(tmp_path: Path) -> None:
+    done = script("train", "--contact", "exact", "--folder", "run", cwd=tmp_path, status=2)
+    assert "contact must be one of 'pymunk', got 'exact'" in done.stderr
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize(

@@ -165,6 +165,7 @@ def test_finite_actions_are_clipped(env: Env, action: float, torque: float) -> N
         ("left", r"action must hold one finite number .*, got 'left'"),
         ({"torque": 1}, r"action must hold one finite number"),
         (True, r"action must hold one finite number .*, got True"),
+        ([[0.1, 0.2], [1.0]], r"action must hold one finite number .*, got \[\[0.1, 0.2\], \[1.0\]\]"),
         (1j, r"action must hold one finite number"),
     ],
 )
@@ -303,10 +304,12 @@ def state_with(**places: float) -> list[float]:
         ({"time": math.nan}, r"options\['time'\] must be a finite number at least -1e\+09 and at most 1e\+09, got nan"),
         ({"time": 2e9}, r"options\['time'\] must be a finite number .* got 2000000000.0"),
         ({"time": "noon"}, r"options\['time'\] must be a finite number"),
+        ([("time", 1.0)], "options must be a dict of 'state' and 'time' or None, got"),
+        ("rest", "options must be a dict of 'state' and 'time' or None, got 'rest'"),
         ({"stat": np.zeros(12)}, "options takes only 'state', 'time', got 'stat'"),
     ],
 )
-def test_bad_starts_are_refused_and_change_nothing(env: Env, options: dict[str, Any], sentence: str) -> None:
+def test_bad_starts_are_refused_and_change_nothing(env: Env, options: Any, sentence: str) -> None:
     env.reset(seed=0)
     env.step(None)
     bare: Any = env.unwrapped

@@ -16,7 +16,7 @@ import pytest
 
 from jackbox_env.mechanics import clearance, energy, gaps, impact_map, simultaneous_impact_map
 from jackbox_env.scene import Chirp, Drive, Scene
-from jackbox_env.simulators import Impact, flight, make_simulator
+from jackbox_env.simulators import Impact, make_simulator
 from jackbox_env.simulators import pymunk as model
 from jackbox_env.simulators.pymunk import PymunkSimulator
 from tests.states import Array, inside, load, one_foot_on_wall, several_contacts
@@ -30,7 +30,7 @@ def relative_error(found: Array, expected: Array) -> float:
     return float(np.abs(found[6:] - expected[6:]).max() / np.abs(expected[6:]).max())
 
 
-def impact_in_an_instant(scene: Scene, state: Array, iterations: int = 64) -> PymunkSimulator:
+def impact_in_an_instant(scene: Scene, state: Array, iterations: int | None = None) -> PymunkSimulator:
     simulator = PymunkSimulator(scene, substeps=1, iterations=iterations)
     simulator.reset(state)
     simulator.step(INSTANT, torque=0.0)
@@ -206,8 +206,7 @@ def test_impacts_carry_time_order_and_places() -> None:
 @pytest.fixture
 def always_the_engine(monkeypatch: pytest.MonkeyPatch) -> None:
     """Switch off the closed-form flight, so that the engine takes every step."""
-    real = flight.reach
-    monkeypatch.setattr(model, "reach", lambda *arguments: max(real(*arguments), 1e3))
+    monkeypatch.setattr(PymunkSimulator, "_may_touch", lambda *arguments: True)
 
 
 def closed_form(scene: Scene, start: Array, time: float, torque: float) -> Array:
@@ -535,7 +534,9 @@ def test_a_jack_that_would_leave_the_box_raises_and_changes_nothing() -> None:
     fast[9] = 1e5  # 2000 m in one control step, past any wall
     simulator.reset(fast, time=3.0)
     for _ in range(2):
-        with pytest.raises(RuntimeError, match=r"left the box.*use more substeps, a smaller time step"):
+        with pytest.raises(
+            RuntimeError, match="would leave the box.*use more substeps, a smaller time step or less torque"
+        ):
             simulator.step(0.02)
         np.testing.assert_array_equal(simulator.state, fast)
         assert (simulator.time, simulator.impacts) == (3.0, [])
@@ -549,15 +550,109 @@ def test_overflowing_motion_is_refused_at_once() -> None:
     simulator = PymunkSimulator(Scene())
     for place in (6, 9, 11, 8):
         state = np.zeros(12)
-        state[place] = 1e300
+        state[place] = 1e90
         simulator.reset(state)
-        with pytest.raises(RuntimeError, match="at most 6e[+]09 m is followed"):
+        with pytest.raises(RuntimeError, match="the jack would leave the box: .* is followed; use"):
             simulator.step(0.02)
         np.testing.assert_array_equal(simulator.state, state)
+    together = np.zeros(12)
+    together[[6, 9, 3]] = 1e90, 1e90, 5.0  # no relative speed
+    simulator.reset(together)
+    with pytest.raises(RuntimeError, match="it or the box moves 2e[+]88 m within dt = 0.02 s, at most 6e[+]09 m"):
+        simulator.step(0.02)
     simulator.reset(np.zeros(12))
-    with pytest.raises(RuntimeError, match="use a smaller time step, torque or speed"):
+    with pytest.raises(RuntimeError, match="or less torque"):
         simulator.step(0.02, torque=1e300)
     simulator.step(0.02, torque=1.0)
+    with pytest.raises(ValueError, match=r"state must be within \+-1e\+100, got omega_box = 1e\+101"):
+        simulator.reset([0.0] * 8 + [1e101] + [0.0] * 3)
+    with pytest.raises(ValueError, match="places to be finer than L / 1000, got 1e[+]17 m"):
+        simulator.reset([1e17, 0.0, 0.0, 1e17, *[0.0] * 8])
+
+
+def test_feet_do_not_sweep_through_walls_between_substeps() -> None:
+    # A quarter turn per substep of 5 ms brings the next foot to where the last one was: at substep ends all are inside.
+    start = np.zeros(12)
+    start[[3, 5, 11]] = 2.0, math.pi / 4.0, math.pi / 2.0 / 0.005
+    simulator = PymunkSimulator(Scene(gravity=0.0, drive=None, jack_arm=5.0))
+    simulator.reset(start)
+    simulator.step(0.02)
+    assert simulator.impacts
+    assert len({hit.time for hit in simulator.impacts}) > 4 or simulator.impacts[0].time < 0.005
+
+
+@pytest.mark.parametrize("share", [1.0, 0.1, 0.01, 0.001])
+@pytest.mark.parametrize("kind", ["one wall", "two walls", "corner"])
+def test_a_light_jack_inertia_gets_the_iterations_it_needs(kind: str, share: float) -> None:
+    scene = Scene(gravity=0.0, drive=None, jack_inertia=4.0 * share)
+    rng = np.random.default_rng(3)
+    for _ in range(10):
+        state, contacts = several_contacts(scene, rng, kind)
+        expected, _ = simultaneous_impact_map(scene, state, contacts)
+        found = impact_in_an_instant(scene, state, iterations=None).state
+        assert relative_error(found, expected) < 1e-8
+        assert energy(scene, found) == pytest.approx(energy(scene, state), rel=1e-9)
+
+
+def test_an_inertia_beyond_the_solver_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"couple the feet so strongly .* needs [\d,]+ iterations, at most 100,000"):
+        PymunkSimulator(Scene(jack_inertia=4e-6))
+    assert PymunkSimulator(Scene()).iterations == 64
+
+
+def test_an_error_while_recording_is_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    # The engine prints and forgets exceptions of its callbacks: an interruption there would swallow an impact.
+    simulator, twin = PymunkSimulator(Scene()), PymunkSimulator(Scene())
+    start = np.zeros(12)
+    start[[4, 10]] = -4.9, -9.0
+
+    def interrupted(*arguments: Any) -> Any:
+        raise KeyboardInterrupt
+
+    for one in (simulator, twin):
+        one.reset(start)
+    with monkeypatch.context() as patched:
+        patched.setattr(model, "Impact", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            simulator.step(0.02)
+    np.testing.assert_array_equal(simulator.state, start)
+    assert (simulator.time, simulator.impacts) == (0.0, [])
+    for one in (simulator, twin):
+        one.step(0.02)
+    np.testing.assert_array_equal(simulator.state, twin.state)
+    assert simulator.impacts == twin.impacts != []
+
+
+@pytest.mark.parametrize("moment", ["_forget_contacts", "_read"])
+def test_an_interruption_leaves_the_state_and_its_future(moment: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    simulator, twin = PymunkSimulator(Scene()), PymunkSimulator(Scene())
+    start = np.zeros(12)
+    start[[4, 10]] = -4.9, -9.0
+    for one in (simulator, twin):
+        one.reset(start)
+
+    def interrupted(self: PymunkSimulator) -> Any:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(PymunkSimulator, moment, interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            simulator.step(0.02)
+    assert simulator.time == 0.0
+    np.testing.assert_array_equal(simulator.state, start)
+    for _ in range(100):
+        for one in (simulator, twin):
+            one.step(0.02)
+        np.testing.assert_array_equal(simulator.state, twin.state)
+
+
+def test_times_that_stand_still_or_run_out_are_refused() -> None:
+    simulator = PymunkSimulator(Scene(drive=None))
+    simulator.reset(np.zeros(12), time=1e8)
+    with pytest.raises(ValueError, match="dt must move the time and end by 1e[+]09 s, got 1e-09 at t = 1e[+]08 s"):
+        simulator.step(1e-9)
+    with pytest.raises(ValueError, match="dt must move the time and end by 1e[+]09 s"):
+        simulator.step(1e300)
 
 
 def test_states_the_engine_may_leave_are_taken_back() -> None:

@@ -6,9 +6,11 @@ Law: contacts that overlap at a substep's end take the simultaneous Newton law o
 Order: first in the substep h = dt / substeps: an impact waits for the end of the substep it happens in.
 Cost: about the engine's own where a contact is possible within the step; elsewhere the flight is closed form and the
     engine is not asked at all. A step that ends with a contact alive adds two empty engine steps.
-Fails: a step that ends with a foot deeper than min(1 m, L) in a wall (speed times h: above 200 m/s at h = 5 ms) is
-    taken again with up to 8 times the substeps; if that is not enough it raises RuntimeError. Slow bounces that rise
-    and fall within a few substeps come back too fast. Restitution 0 <= e <= 1.
+Fails: a step in which a foot could move further than min(1 m, L) within a substep, or that ends with a foot deeper than
+    that in a wall (above 200 m/s at h = 5 ms), is taken with up to 64 times the substeps; if that is not enough it
+    raises RuntimeError. Slow bounces that rise and fall within a few substeps come back too fast. Restitution
+    0 <= e <= 1. A jack inertia far below m_j l^2 couples the feet so strongly that the contact solver needs more
+    iterations: they are chosen by the scene, and scenes that want more than 100,000 are refused.
 Reference: Catto 2005, "Iterative dynamics with temporal coherence"; pymunk 7.3 (Munk2D).
 
 How the engine is held to the law:
@@ -37,17 +39,19 @@ from numpy.typing import ArrayLike
 from pymunk.batch import BodyFields, Buffer, get_space_bodies
 
 from jackbox_env import _validation as check
-from jackbox_env.mechanics import Array, as_state, clearance
+from jackbox_env.mechanics import Array, as_state, clearance, gap_jacobian
 from jackbox_env.scene import Drive, Scene
 from jackbox_env.simulators.base import LATEST_TIME, Impact
 from jackbox_env.simulators.flight import fly, reach
 
-_FOOT, _WALL = 1, 2  # collision types
+_FIRST_FOOT = 4  # collision types: walls are 0..3, feet 4..7
 _WALL_THICKNESS = 100.0 / 6.0  # R over L: 100 m by default
 _HASH_CELL = 1000.0 / 6.0  # over L: 1000 m by default
+_FARTHEST = 1e9  # over L: motion within one step that the spatial hash can index
 _DEEPEST = 1.0  # a foot may end a step this far outside [m], or L if that is less
-_FARTHEST = 1e9  # over L: motion within one step that the spatial hash can index; beyond it would loop forever
-_FINER = (1, 2, 4, 8)  # a step that ends too deep is taken again with so many times the substeps, then refused
+_FINER = (1, 2, 4, 8, 16, 32, 64)  # by which a step too fast for its substeps is divided further
+_FEWEST_ITERATIONS = 64
+_MOST_ITERATIONS = 100_000
 _PERSISTENCE = 1  # substeps for which the engine remembers a contact that has ended; 0 would turn collisions off
 _CORRECTION_TIME = 0.05  # in which overlap decays to 1 / e at restitution 0 [s]
 _FAR_OFF = 500.0  # over L: out of reach of every wall, whose far ends are 55 L away
@@ -81,27 +85,94 @@ class _Load(NamedTuple):
         return cls(falling[0], during, rising[-1], mean, max(map(abs, falling + rising)))
 
 
+class _Recorder:
+    """What the engine calls after it solved a contact, once per substep while the contact lasts.
+
+    It knows nothing of the simulator, so that spaces are freed as soon as they are replaced. The engine prints and
+    forgets what is raised in here, so it is kept for :meth:`check`.
+    """
+
+    def __init__(self) -> None:
+        self.start(0.0)
+
+    def start(self, time: float) -> None:
+        """Forget everything; the step starts at ``time`` [s]."""
+        self.time = time
+        self.substep = 0
+        self.last_contact = -1  # the last substep in which a contact was alive
+        self.impacts: list[Impact] = []
+        self._failure: BaseException | None = None
+
+    def __call__(self, arbiter: pymunk.Arbiter, space: pymunk.Space, _data: Any) -> None:
+        try:
+            self.last_contact = self.substep
+            impulse = math.hypot(*arbiter.total_impulse)
+            if impulse > 0.0:
+                wall, foot = sorted(shape.collision_type for shape in arbiter.shapes)
+                time = self.time + (self.substep + 1) * space.current_time_step
+                self.impacts.append(Impact(time, wall, foot - _FIRST_FOOT, impulse))
+        except BaseException as failure:
+            self._failure = failure
+
+    def check(self) -> None:
+        """Raise what was raised while recording."""
+        if self._failure is not None:
+            raise self._failure
+
+
+def _iterations_for(scene: Scene) -> int:
+    """Iterations after which the contact solver is at rounding level for every set of contacts that a jack can make.
+
+    Sequential impulses are the Gauss-Seidel method for A = J M^-1 J^T: the error falls by the largest eigenvalue of
+    -(D + L)^-1 L^T in modulus, below 1, per iteration (those at 1 belong to impulses that cancel).
+
+    Raises:
+        ValueError: more than 100,000 are needed.
+    """
+    half, arm = scene.box_half_width, scene.jack_arm
+    depth = half - arm * math.sqrt(0.5)  # of the centre where two feet at 45 degrees touch
+    cases = [((depth, place), [(0, 0), (0, 3)]) for place in (0.0, 0.5 * depth, depth)]
+    cases.append(((depth, depth), [(0, 0), (0, 3), (1, 0), (1, 1)]))
+    worst = 0.0
+    for (x, y), contacts in cases:
+        state = np.array([0.0, 0.0, 0.0, x, y, math.pi / 4.0, *[0.0] * 6])
+        rows = np.array([gap_jacobian(scene, state, wall, foot) for wall, foot in contacts])
+        rows /= np.sqrt(scene.mass_diagonal)
+        matrix = rows @ rows.T
+        lower = np.tril(matrix)
+        factors = np.abs(np.linalg.eigvals(-np.linalg.solve(lower, matrix - lower)))
+        worst = max(worst, float(factors[factors < 1.0 - 1e-10].max(initial=0.0)))
+    needed = math.ceil(math.log(1e-16) / math.log(worst)) if worst > 0.0 else 1
+    if needed > _MOST_ITERATIONS:
+        raise ValueError(
+            f"jack_inertia = {scene.jack_inertia:g} kg m^2 and box_inertia = {scene.box_inertia:g} kg m^2 couple the "
+            f"feet so strongly that contact='pymunk' needs {needed:,} iterations, at most {_MOST_ITERATIONS:,} are made"
+        )
+    return max(_FEWEST_ITERATIONS, needed)
+
+
 class PymunkSimulator:
     """Time stepping in pymunk; the module's head states the law, :class:`Simulator` the methods."""
 
-    def __init__(self, scene: Scene, substeps: int = 4, iterations: int = 64) -> None:
+    def __init__(self, scene: Scene, substeps: int = 4, iterations: int | None = None) -> None:
         """Start at rest in the middle of the box, each foot facing a corner.
 
         Args:
             scene: what to simulate.
             substeps: engine steps per call of :meth:`step`, 1 to 1,000,000.
-            iterations: of the contact solver, 1 to 1,000,000; two feet on a wall need 20, a corner 40.
+            iterations: of the contact solver, 1 to 1,000,000; None: as many as the scene needs, 64 at least.
 
         Raises:
-            TypeError, ValueError: substeps or iterations is no whole number in its range.
+            TypeError, ValueError: substeps or iterations is no whole number in its range, or the scene needs too many.
         """
         self.scene = scene
         self.substeps = check.whole("substeps", substeps, at_least=1, at_most=1_000_000)
+        if iterations is None:
+            iterations = _iterations_for(scene)
         self.iterations = check.whole("iterations", iterations, at_least=1, at_most=1_000_000)
-        self._state = [0.0] * 5 + [math.pi / 4.0] + [0.0] * 6
-        self.time = 0.0
-        self.torque = 0.0
-        self._impacts: list[Impact] = []
+        self._dirty = True  # whether the engine may remember something that (state, time) does not tell
+        # state, time, mean torque and impacts of the last step: replaced as one, so that no interruption parts them
+        self._present = ([0.0] * 5 + [math.pi / 4.0] + [0.0] * 6, 0.0, 0.0, list[Impact]())
         self._prepare()
 
     # -- state --------------------------------------------------------------------------------------------------------
@@ -109,25 +180,37 @@ class PymunkSimulator:
     @property
     def state(self) -> Array:
         """A copy of the present state, float64, shape (12,), SI units."""
-        return np.array(self._state)
+        return np.array(self._present[0])
+
+    @property
+    def time(self) -> float:
+        """Present time [s]."""
+        return self._present[1]
+
+    @property
+    def torque(self) -> float:
+        """Mean torque on the box over the last step [N m], 0 after a reset."""
+        return self._present[2]
 
     @property
     def impacts(self) -> list[Impact]:
         """The impacts of the last step in time order; a fresh list."""
-        return list(self._impacts)
+        return list(self._present[3])
 
     def reset(self, state: ArrayLike, time: float = 0.0) -> None:
         """See :meth:`Simulator.reset`; a foot may be at most min(1 m, L) outside."""
         values: list[float] = as_state(state).tolist()
         time = check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
+        furthest = max(abs(values[place]) for place in (0, 1, 3, 4))
+        if not math.ulp(furthest) <= 1e-3 * self.scene.box_half_width:
+            raise ValueError(f"state must be near enough for its places to be finer than L / 1000, got {furthest:g} m")
         outside = -clearance(self.scene, values)
         if not outside <= self._deepest:
             raise ValueError(f"state must have every foot at most {self._deepest:g} m outside, got {outside:g} m")
-        self._state, self.time, self.torque, self._impacts = values, time, 0.0, []
+        self._present = values, time, 0.0, []
 
     def __getstate__(self) -> dict[str, Any]:
-        kept = ("scene", "substeps", "iterations", "_state", "time", "torque", "_impacts")
-        return {name: getattr(self, name) for name in kept}
+        return {name: getattr(self, name) for name in ("scene", "substeps", "iterations", "_present")}
 
     def __setstate__(self, kept: dict[str, Any]) -> None:
         self.__dict__.update(kept)
@@ -140,45 +223,64 @@ class PymunkSimulator:
         dt = check.real("dt", dt, above=0.0)
         if torque is not None:
             torque = check.real("torque", torque)
-        bound = self._drive.torque_bound if torque is None else abs(torque)
-        if clearance(self.scene, self._state) > reach(self.scene, self._state, dt, bound, self._drive.force_bound):
-            means = self._drive.torque_means(self.time, dt) if torque is None else (torque, torque)
-            self._state = fly(self.scene, self._state, dt, *means)
-            self.torque = 0.5 * (means[0] + means[1])
-            self._impacts = []
+        state, time, _, _ = self._present
+        end = time + dt
+        if not (end != time and end <= LATEST_TIME):
+            raise ValueError(f"dt must move the time and end by {LATEST_TIME:g} s, got {dt:g} at t = {time:g} s")
+        if self._may_touch(dt, torque):
+            after, mean_torque = self._step_engine(dt, torque)
+            self._present = after, end, mean_torque, self._recorder.impacts
         else:
-            self._step_engine(dt, torque)
-        self.time += dt
+            falling, rising = self._drive.torque_means(time, dt) if torque is None else (torque, torque)
+            self._present = fly(self.scene, state, dt, falling, rising), end, 0.5 * (falling + rising), []
 
-    def _step_engine(self, dt: float, torque: float | None) -> None:
-        """Let the engine take the step, divided finer by _FINER if it would end with a foot too deep in a wall."""
-        before = self._impacts
-        try:
-            for finer in _FINER:
-                substeps = finer * self.substeps
-                h = check.real("dt / substeps", dt / substeps, above=0.0)
-                load, push = self._loads(h, substeps, torque)
-                self._refuse_runaway(dt, load, push)
-                self._impacts, self._last_contact = [], -1
-                after = self._advance(h, load, push)
-                outside = -clearance(self.scene, after)
-                if outside <= self._deepest and math.isfinite(sum(after)):
-                    break
-                self._forget_contacts()
-            else:
-                raise RuntimeError(
-                    f"the jack left the box: a foot ended {outside:.3g} m outside a wall in the step after t = "
-                    f"{self.time:g} s, at most {self._deepest:g} m is followed; use more substeps, a smaller "
-                    f"time step (h = {h:g} s) or less torque"
-                )
-        except BaseException:
-            self._impacts = before
+    def _may_touch(self, dt: float, torque: float | None) -> bool:
+        """Whether a foot may reach a wall within ``dt`` [s]: flight is closed form where none can."""
+        state, drive = self._present[0], self._drive
+        bound = drive.torque_bound if torque is None else abs(torque)
+        return not clearance(self.scene, state) > reach(self.scene, state, dt, bound, drive.force_bound)
+
+    def _step_engine(self, dt: float, torque: float | None) -> tuple[list[float], float]:
+        """Let the engine take the step, divided as finely as its speed wants; return state and mean torque."""
+        self._refuse_runaway(dt)
+        if self._dirty:
             self._build()
-            raise
-        self._state = after
-        self.torque = load.mean
-        if self._last_contact >= substeps - (_PERSISTENCE + 1):  # the engine may still remember it
+        self._dirty = True  # until the engine has forgotten this step, also if it is cut short
+        for finer in _FINER:
+            substeps = finer * self.substeps
+            h = check.real("dt / substeps", dt / substeps, above=0.0)
+            load, push = self._loads(h, substeps, torque)
+            moves = self._moves(h, load, push)
+            if not moves <= self._deepest:
+                continue
+            self._recorder.start(self.time)
+            after = self._advance(h, load, push)
+            moves = -clearance(self.scene, after)
+            if moves <= self._deepest and math.isfinite(sum(after)):
+                if self._recorder.last_contact >= substeps - (_PERSISTENCE + 1):  # the engine may still remember it
+                    self._forget_contacts()
+                self._dirty = False
+                return after, load.mean
             self._forget_contacts()
+        raise RuntimeError(
+            f"the jack would leave the box: after t = {self.time:g} s a foot moves {moves:.3g} m in h = {h:.3g} s, or "
+            f"ends so far outside, at most {self._deepest:g} m is followed; use more substeps, a smaller time step or "
+            "less torque"
+        )
+
+    def _refuse_runaway(self, dt: float) -> None:
+        """Refuse motion that would overflow the engine's spatial hash, which may loop forever on it."""
+        state, farthest = self._present[0], _FARTHEST * self.scene.box_half_width
+        travel = dt * max(abs(state[6]), abs(state[7]), abs(state[9]), abs(state[10]))
+        if not travel <= farthest:
+            raise RuntimeError(
+                f"the jack would leave the box: it or the box moves {travel:.3g} m within dt = {dt:g} s, at most "
+                f"{farthest:.3g} m is followed; use a smaller time step or speed"
+            )
+
+    def _moves(self, h: float, load: _Load, push: tuple[_Load, ...]) -> float:
+        """Bound of how far a foot moves against the walls within one substep [m]; may be infinite or NaN."""
+        return reach(self.scene, self._present[0], h, load.peak, sum(force.peak for force in push))
 
     def _loads(self, h: float, substeps: int, torque: float | None) -> tuple[_Load, tuple[_Load, ...]]:
         """The torque, and the side forces along x and y if there are any."""
@@ -191,8 +293,8 @@ class PymunkSimulator:
 
     def _advance(self, h: float, load: _Load, push: tuple[_Load, ...]) -> list[float]:
         """Run the substeps from the present state and return the state after them."""
-        scene, box, jack, step = self.scene, self._box, self._jack, self._space.step
-        x, y, angle, jack_x, jack_y, jack_angle, vx, vy, omega, jack_vx, jack_vy, jack_omega = self._state
+        scene, box, jack, step, recorder = self.scene, self._box, self._jack, self._space.step, self._recorder
+        x, y, angle, jack_x, jack_y, jack_angle, vx, vy, omega, jack_vx, jack_vy, jack_omega = self._present[0]
         half_fall = 0.5 * h * scene.gravity
         half_turn = 0.5 * h / scene.box_inertia
         half_push = 0.5 * h / scene.box_mass
@@ -203,13 +305,14 @@ class PymunkSimulator:
         jack.position, jack.angle, jack.velocity = (jack_x - x, jack_y - y), jack_angle, (jack_vx, jack_vy - half_fall)
         jack.angular_velocity = jack_omega
         weight = (0.0, -scene.jack_mass * scene.gravity) if scene.gravity > 0.0 else None
-        for self._substep, torque in enumerate(load.during):  # _record reads the substep
+        for recorder.substep, torque in enumerate(load.during):
             box.torque = torque
             if weight:
                 jack.force = weight
             if push:
-                box.force = push[0].during[self._substep], push[1].during[self._substep]
+                box.force = push[0].during[recorder.substep], push[1].during[recorder.substep]
             step(h)
+        recorder.check()
         after = self._read()
         after[0] += x
         after[1] += y
@@ -228,38 +331,15 @@ class PymunkSimulator:
         box_and_jack = memoryview(self._motion.float_buf()).cast("d").tolist()  # x, y, angle, vx, vy, omega of each
         return [*box_and_jack[0:3], *box_and_jack[6:9], *box_and_jack[3:6], *box_and_jack[9:12]]
 
-    def _record(self, arbiter: pymunk.Arbiter, space: pymunk.Space, _data: Any) -> None:
-        """Called by the engine after it solved a contact, once per substep while the contact lasts."""
-        self._last_contact = self._substep
-        impulse = arbiter.total_impulse.length
-        if impulse > 0.0:
-            foot, wall = arbiter.shapes
-            time = self.time + (self._substep + 1) * space.current_time_step
-            self._impacts.append(Impact(time, self._wall_of[wall], self._foot_of[foot], impulse))
-
-    # -- what it cannot do --------------------------------------------------------------------------------------------
-
     @property
     def _deepest(self) -> float:
         return min(_DEEPEST, self.scene.box_half_width)
-
-    def _refuse_runaway(self, dt: float, load: _Load, push: tuple[_Load, ...]) -> None:
-        span = reach(self.scene, self._state, dt, load.peak, sum(force.peak for force in push))
-        span += dt * (math.hypot(self._state[6], self._state[7]) + self.scene.jack_arm * abs(self._state[11]))
-        farthest = _FARTHEST * self.scene.box_half_width
-        if not span <= farthest:
-            raise RuntimeError(
-                f"the jack would leave the box: things move {span:.3g} m within dt = {dt:g} s, at most {farthest:.3g} "
-                "m is followed; use a smaller time step, torque or speed"
-            )
 
     # -- the engine's space -------------------------------------------------------------------------------------------
 
     def _prepare(self) -> None:
         self._drive = Drive() if self.scene.drive is None else self.scene.drive
         self._motion = Buffer()
-        self._substep = 0
-        self._last_contact = -1  # the last substep of the last engine step in which a contact was alive
         self._build()
 
     def _forget_contacts(self) -> None:
@@ -288,15 +368,17 @@ class PymunkSimulator:
         for normal in directions:
             middle, end = normal * set_back, normal.perpendicular() * extent
             wall = pymunk.Segment(box, middle - end, middle + end, thickness)
-            wall.elasticity, wall.collision_type = scene.restitution, _WALL  # the engine multiplies both elasticities
+            wall.elasticity = scene.restitution  # the engine multiplies both elasticities
             walls.append(wall)
         feet: list[pymunk.Shape] = []
         for direction in directions:
             foot = pymunk.Circle(jack, 0.0, direction * scene.jack_arm)
-            foot.elasticity, foot.collision_type = 1.0, _FOOT
+            foot.elasticity = 1.0
             feet.append(foot)
+        for number, shape in enumerate([*walls, *feet]):
+            shape.collision_type = number
         space.add(*walls, *feet)
-        space.on_collision(_FOOT, _WALL, post_solve=self._record)
-        self._wall_of = {wall: index for index, wall in enumerate(walls)}
-        self._foot_of = {foot: index for index, foot in enumerate(feet)}
+        self._recorder = _Recorder()
+        space.on_collision(None, None, post_solve=self._recorder)
         self._space, self._box, self._jack = space, box, jack
+        self._dirty = False
