@@ -141,7 +141,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         self._reward = tasks.TASKS[task]
         self._simulator = make_simulator(Scene.of(scene), contact=contact, substeps=substeps)
         # reset returns the terms' names with nothing earned yet
-        self._no_terms = dict.fromkeys(self._reward_terms(0.0, 0.0)[1], 0.0)
+        self._no_terms = dict.fromkeys(self._reward_terms([0.0] * 12, 0.0, 0.0)[1], 0.0)
         self.observation_space = gym.spaces.Box(-BOUNDS, BOUNDS, dtype=np.float32)
         self.action_space = gym.spaces.Box(-1.0, 1.0, shape=(1,), dtype=np.float32)
         self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / max(self._control_dt, 1e-4)))}
@@ -225,13 +225,14 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         impacts = simulator.impacts
         impulse = math.fsum(impact.impulse for impact in impacts)
         state = simulator.state
-        reward, terms = self._reward_terms(simulator.torque, impulse)
+        values = state.tolist()
+        reward, terms = self._reward_terms(values, simulator.torque, impulse)
         if self._renderer is not None:
             self._renderer.record(state, simulator.time, simulator.torque, impacts)
             if self.render_mode == "human":
                 self.render()
         info = self._info(state, len(impacts), impulse, terms)
-        return observe(self.scene, state.tolist()), reward, False, False, info
+        return observe(self.scene, values), reward, False, False, info
 
     def render(self) -> NDArray[np.uint8] | None:
         """Return a fresh frame, uint8, shape (512, 512, 3), or show it in a window ("human")."""
@@ -272,8 +273,8 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
             raise ValueError(f"action must be a finite number (clipped to [-1, 1]), got {value}")
         return max(-1.0, min(1.0, value)) * self.scene.torque_limit
 
-    def _reward_terms(self, torque: float, impulse: float) -> tuple[float, dict[str, float]]:
-        terms = self._reward(self.scene, self._simulator.state.tolist(), torque, impulse)
+    def _reward_terms(self, state: list[float], torque: float, impulse: float) -> tuple[float, dict[str, float]]:
+        terms = self._reward(self.scene, state, torque, impulse)
         return sum(terms.values()), {f"reward_{name}": value for name, value in terms.items()}
 
     def _info(self, state: Array, impacts: int, impulse: float, terms: dict[str, float]) -> dict[str, Any]:
