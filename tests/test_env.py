@@ -116,6 +116,12 @@ def test_none_is_the_chirp_and_an_action_is_the_agents_torque_instead(env: Env) 
     assert info["state"][8] == pytest.approx(22500.0 / 14400.0 * 0.02)
 
 
+def test_an_action_is_a_share_of_the_scenes_torque_limit() -> None:
+    env = make(scene={"torque_limit": 8.0})
+    env.reset(seed=0)
+    assert env.step(np.array([-0.5], dtype=np.float32))[4]["torque"] == -4.0
+
+
 def test_the_chirp_is_continuous_in_time_whatever_acted_before(env: Env) -> None:
     env.reset(seed=0)
     for _ in range(10):

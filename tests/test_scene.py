@@ -113,7 +113,13 @@ def test_drives_take_functions_only() -> None:
 
 # -- the chirp against 40 digits --------------------------------------------------------------------------------------
 
-CHIRPS = [Chirp(), Chirp(rate=0.0), Chirp(rate=-0.9), Chirp(start_frequency=-2.0), Chirp(amplitude=-3.0, rate=40.0)]
+CHIRPS = [
+    Chirp(),
+    Chirp(start_frequency=0.3, rate=0.0),
+    Chirp(rate=-0.9),
+    Chirp(start_frequency=-2.0),
+    Chirp(amplitude=-3.0, rate=40.0),
+]
 
 
 def exact_torque(chirp: Chirp, time: Any) -> Any:
