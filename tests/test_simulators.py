@@ -16,8 +16,7 @@ import pytest
 
 from jackbox_env.mechanics import clearance, energy, gaps, impact_map, simultaneous_impact_map
 from jackbox_env.scene import Chirp, Drive, Scene
-from jackbox_env.simulators import Impact, make_simulator
-from jackbox_env.simulators import pymunk as model
+from jackbox_env.simulators import Impact, contacts, make_simulator
 from jackbox_env.simulators.pymunk import PymunkSimulator
 from tests.states import Array, inside, load, one_foot_on_wall, several_contacts
 
@@ -597,6 +596,9 @@ def test_a_light_jack_inertia_gets_the_iterations_it_needs(kind: str, share: flo
 def test_an_inertia_beyond_the_solver_is_refused() -> None:
     with pytest.raises(ValueError, match=r"couple the feet so strongly .* needs [\d,]+ iterations, at most 100,000"):
         PymunkSimulator(Scene(jack_inertia=4e-6))
+    for share in (1e-9, 1e-12, 1e-16, 1e-25):
+        with pytest.raises(ValueError, match="couple the feet so strongly"):
+            PymunkSimulator(Scene(jack_inertia=4.0 * share))
     assert PymunkSimulator(Scene()).iterations == 64
 
 
@@ -612,7 +614,7 @@ def test_an_error_while_recording_is_not_lost(monkeypatch: pytest.MonkeyPatch) -
     for one in (simulator, twin):
         one.reset(start)
     with monkeypatch.context() as patched:
-        patched.setattr(model, "Impact", interrupted)
+        patched.setattr(contacts, "Impact", interrupted)
         with pytest.raises(KeyboardInterrupt):
             simulator.step(0.02)
     np.testing.assert_array_equal(simulator.state, start)

@@ -39,19 +39,17 @@ from numpy.typing import ArrayLike
 from pymunk.batch import BodyFields, Buffer, get_space_bodies
 
 from jackbox_env import _validation as check
-from jackbox_env.mechanics import Array, as_state, clearance, gap_jacobian
+from jackbox_env.mechanics import Array, as_state, clearance
 from jackbox_env.scene import Drive, Scene
 from jackbox_env.simulators.base import LATEST_TIME, Impact
+from jackbox_env.simulators.contacts import Recorder, iterations_for
 from jackbox_env.simulators.flight import fly, reach
 
-_FIRST_FOOT = 4  # collision types: walls are 0..3, feet 4..7
 _WALL_THICKNESS = 100.0 / 6.0  # R over L: 100 m by default
 _HASH_CELL = 1000.0 / 6.0  # over L: 1000 m by default
 _FARTHEST = 1e9  # over L: motion within one step that the spatial hash can index
 _DEEPEST = 1.0  # a foot may end a step this far outside [m], or L if that is less
 _FINER = (1, 2, 4, 8, 16, 32, 64)  # by which a step too fast for its substeps is divided further
-_FEWEST_ITERATIONS = 64
-_MOST_ITERATIONS = 100_000
 _PERSISTENCE = 1  # substeps for which the engine remembers a contact that has ended; 0 would turn collisions off
 _CORRECTION_TIME = 0.05  # in which overlap decays to 1 / e at restitution 0 [s]
 _FAR_OFF = 500.0  # over L: out of reach of every wall, whose far ends are 55 L away
@@ -85,72 +83,6 @@ class _Load(NamedTuple):
         return cls(falling[0], during, rising[-1], mean, max(map(abs, falling + rising)))
 
 
-class _Recorder:
-    """What the engine calls after it solved a contact, once per substep while the contact lasts.
-
-    It knows nothing of the simulator, so that spaces are freed as soon as they are replaced. The engine prints and
-    forgets what is raised in here, so it is kept for :meth:`check`.
-    """
-
-    def __init__(self) -> None:
-        self.start(0.0)
-
-    def start(self, time: float) -> None:
-        """Forget everything; the step starts at ``time`` [s]."""
-        self.time = time
-        self.substep = 0
-        self.last_contact = -1  # the last substep in which a contact was alive
-        self.impacts: list[Impact] = []
-        self._failure: BaseException | None = None
-
-    def __call__(self, arbiter: pymunk.Arbiter, space: pymunk.Space, _data: Any) -> None:
-        try:
-            self.last_contact = self.substep
-            impulse = math.hypot(*arbiter.total_impulse)
-            if impulse > 0.0:
-                wall, foot = sorted(shape.collision_type for shape in arbiter.shapes)
-                time = self.time + (self.substep + 1) * space.current_time_step
-                self.impacts.append(Impact(time, wall, foot - _FIRST_FOOT, impulse))
-        except BaseException as failure:
-            self._failure = failure
-
-    def check(self) -> None:
-        """Raise what was raised while recording."""
-        if self._failure is not None:
-            raise self._failure
-
-
-def _iterations_for(scene: Scene) -> int:
-    """Iterations after which the contact solver is at rounding level for every set of contacts that a jack can make.
-
-    Sequential impulses are the Gauss-Seidel method for A = J M^-1 J^T: the error falls by the largest eigenvalue of
-    -(D + L)^-1 L^T in modulus, below 1, per iteration (those at 1 belong to impulses that cancel).
-
-    Raises:
-        ValueError: more than 100,000 are needed.
-    """
-    half, arm = scene.box_half_width, scene.jack_arm
-    depth = half - arm * math.sqrt(0.5)  # of the centre where two feet at 45 degrees touch
-    cases = [((depth, place), [(0, 0), (0, 3)]) for place in (0.0, 0.5 * depth, depth)]
-    cases.append(((depth, depth), [(0, 0), (0, 3), (1, 0), (1, 1)]))
-    worst = 0.0
-    for (x, y), contacts in cases:
-        state = np.array([0.0, 0.0, 0.0, x, y, math.pi / 4.0, *[0.0] * 6])
-        rows = np.array([gap_jacobian(scene, state, wall, foot) for wall, foot in contacts])
-        rows /= np.sqrt(scene.mass_diagonal)
-        matrix = rows @ rows.T
-        lower = np.tril(matrix)
-        factors = np.abs(np.linalg.eigvals(-np.linalg.solve(lower, matrix - lower)))
-        worst = max(worst, float(factors[factors < 1.0 - 1e-10].max(initial=0.0)))
-    needed = math.ceil(math.log(1e-16) / math.log(worst)) if worst > 0.0 else 1
-    if needed > _MOST_ITERATIONS:
-        raise ValueError(
-            f"jack_inertia = {scene.jack_inertia:g} kg m^2 and box_inertia = {scene.box_inertia:g} kg m^2 couple the "
-            f"feet so strongly that contact='pymunk' needs {needed:,} iterations, at most {_MOST_ITERATIONS:,} are made"
-        )
-    return max(_FEWEST_ITERATIONS, needed)
-
-
 class PymunkSimulator:
     """Time stepping in pymunk; the module's head states the law, :class:`Simulator` the methods."""
 
@@ -168,7 +100,7 @@ class PymunkSimulator:
         self.scene = scene
         self.substeps = check.whole("substeps", substeps, at_least=1, at_most=1_000_000)
         if iterations is None:
-            iterations = _iterations_for(scene)
+            iterations = iterations_for(scene)
         self.iterations = check.whole("iterations", iterations, at_least=1, at_most=1_000_000)
         self._dirty = True  # whether the engine may remember something that (state, time) does not tell
         # state, time, mean torque and impacts of the last step: replaced as one, so that no interruption parts them
@@ -378,7 +310,7 @@ class PymunkSimulator:
         for number, shape in enumerate([*walls, *feet]):
             shape.collision_type = number
         space.add(*walls, *feet)
-        self._recorder = _Recorder()
+        self._recorder = Recorder()
         space.on_collision(None, None, post_solve=self._recorder)
         self._space, self._box, self._jack = space, box, jack
         self._dirty = False
