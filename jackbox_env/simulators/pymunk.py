@@ -175,8 +175,8 @@ class PymunkSimulator:
     def _step_engine(self, dt: float, torque: float | None) -> tuple[list[float], float]:
         """Let the engine take the step, divided as finely as its speed wants; return state and mean torque."""
         self._refuse_runaway(dt)
-        if self._dirty:
-            self._build()
+        if self._dirty:  # the last step was cut short, between two steps of the engine
+            self._forget_contacts()
         self._dirty = True  # until the engine has forgotten this step, also if it is cut short
         for finer in _FINER:
             substeps = finer * self.substeps
@@ -194,6 +194,7 @@ class PymunkSimulator:
                 self._dirty = False
                 return after, load.mean
             self._forget_contacts()
+        self._build()  # it may have overflowed
         raise RuntimeError(
             f"the jack would leave the box: after t = {self.time:g} s a foot moves {moves:.3g} m in h = {h:.3g} s, or "
             f"ends so far outside, at most {self._deepest:g} m is followed; use more substeps, a smaller time step or "
@@ -278,6 +279,7 @@ class PymunkSimulator:
         """Let the contacts the engine remembers expire, with nothing in reach to make new ones."""
         for body, x in ((self._box, 0.0), (self._jack, _FAR_OFF * self.scene.box_half_width)):
             body.position, body.velocity, body.angular_velocity = (x, 0.0), (0.0, 0.0), 0.0
+            body.force, body.torque = (0.0, 0.0), 0.0
         for _ in range(_PERSISTENCE + 1):
             self._space.step(1.0)
 
@@ -310,7 +312,7 @@ class PymunkSimulator:
         for number, shape in enumerate([*walls, *feet]):
             shape.collision_type = number
         space.add(*walls, *feet)
-        self._recorder = Recorder()
-        space.on_collision(None, None, post_solve=self._recorder)
-        self._space, self._box, self._jack = space, box, jack
+        recorder = Recorder()
+        space.on_collision(None, None, post_solve=recorder)
+        self._space, self._box, self._jack, self._recorder = space, box, jack, recorder
         self._dirty = False
