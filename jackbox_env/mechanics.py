@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import _validation as check
-from jackbox_env.scene import Scene
+from jackbox_env.scene import Scene, SceneNumbers
 
 STATE_NAMES = (
     "x_box",
@@ -47,6 +47,9 @@ STATE_NAMES = (
 # A start is inside when no foot is further out than this [m], or than 4 units in the last place of a far-off position.
 START_TOLERANCE = 1e-9
 
+# A state that a contact model has left is taken back with a foot this far outside [m], or L if that is less.
+DEEPEST = 1.0
+
 # Beyond this, squares and products of states and masses would overflow.
 LARGEST = 1e100
 
@@ -54,6 +57,7 @@ _QUARTERS = np.arange(4) * (math.pi / 2.0)
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Numbers = Sequence[float] | Array  # 12 of them
 
 
 def as_state(state: ArrayLike) -> Array:
@@ -97,7 +101,7 @@ def gaps(scene: Scene, state: ArrayLike) -> Array:
     return scene.box_half_width - _directions(q[2]) @ feet.T
 
 
-def clearance(scene: Scene, state: Sequence[float]) -> float:
+def clearance(scene: Scene | SceneNumbers, state: Numbers) -> float:
     """Smallest of the 16 gaps [m] of 12 numbers, in closed form: opposite feet make each extent symmetric.
 
     In the box frame the jack reaches |x| + l max(|cos|, |sin|) of the relative angle along x, and likewise along y.
@@ -105,11 +109,10 @@ def clearance(scene: Scene, state: Sequence[float]) -> float:
     """
     x, y = state[3] - state[0], state[4] - state[1]
     relative = state[5] - state[2]
-    try:
-        cosine, sine = math.cos(state[2]), math.sin(state[2])
-        reach = scene.jack_arm * max(abs(math.cos(relative)), abs(math.sin(relative)))
-    except ValueError:  # an infinite angle
+    if not (abs(state[2]) < math.inf and abs(relative) < math.inf):
         return math.nan
+    cosine, sine = math.cos(state[2]), math.sin(state[2])
+    reach = scene.jack_arm * max(abs(math.cos(relative)), abs(math.sin(relative)))
     return scene.box_half_width - reach - max(abs(cosine * x + sine * y), abs(cosine * y - sine * x))
 
 
@@ -133,6 +136,29 @@ def as_start(scene: Scene, state: ArrayLike) -> Array:
             f"a start must have every foot inside the box (at most {tolerance:g} m outside), got a foot {outside:g} m "
             "outside; a state taken while a foot touches goes back with set_state"
         )
+    return array
+
+
+def deepest_held(scene: Scene) -> float:
+    """How far outside a foot of a state may be that is taken back [m]: min(1 m, L)."""
+    return min(DEEPEST, scene.box_half_width)
+
+
+def as_held(scene: Scene, state: ArrayLike) -> Array:
+    """Return ``state`` as a fresh float64 array of shape (12,) if every foot is at most min(1 m, L) outside.
+
+    Raises:
+        TypeError, ValueError: the state is not 12 finite numbers, a foot is further outside, or the places are so far
+            off that float64 can not tell L / 1000.
+    """
+    array = as_state(state)
+    values = array.tolist()
+    furthest = max(abs(values[place]) for place in (0, 1, 3, 4))
+    if not math.ulp(furthest) <= 1e-3 * scene.box_half_width:
+        raise ValueError(f"state must be near enough for its places to be finer than L / 1000, got {furthest:g} m")
+    outside, deepest = -clearance(scene, values), deepest_held(scene)
+    if not outside <= deepest:
+        raise ValueError(f"state must have every foot at most {deepest:g} m outside, got {outside:g} m")
     return array
 
 
@@ -283,6 +309,11 @@ def energy(scene: Scene, state: ArrayLike) -> float:
     Raises:
         TypeError, ValueError: the state is not 12 finite numbers.
     """
-    values = as_state(state)
-    kinetic = 0.5 * float(np.array(scene.mass_diagonal) @ values[6:] ** 2)
-    return kinetic + scene.jack_mass * scene.gravity * float(values[4])
+    return energy_of(scene, as_state(state).tolist())
+
+
+def energy_of(scene: Scene | SceneNumbers, state: Numbers) -> float:
+    """:func:`energy` of 12 numbers taken as they are."""
+    box = scene.box_mass * (state[6] * state[6] + state[7] * state[7]) + scene.box_inertia * state[8] * state[8]
+    jack = scene.jack_mass * (state[9] * state[9] + state[10] * state[10]) + scene.jack_inertia * state[11] * state[11]
+    return 0.5 * (box + jack) + scene.jack_mass * scene.gravity * state[4]

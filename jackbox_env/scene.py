@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 from jackbox_env import _validation as check
 
@@ -24,7 +24,9 @@ _GAUSS = (
 
 # A panel of a twelfth of a turn: five points integrate a sine over it to 1e-15 of its amplitude.
 _PANELS_PER_TURN = 12
-_MOST_PANELS = 1_000_000
+
+# A chirp that turns more often within one step would take seconds to follow.
+MOST_TURNS = 83_333
 
 # Lengths, masses and inertias outside this range would under- or overflow once squared and multiplied.
 _SMALLEST = 1e-60
@@ -63,6 +65,23 @@ def _two_product(a: float, b: float) -> tuple[float, float]:
     return product, ((a_high * b_high - product) + a_high * b_low + a_low * b_high) + a_low * b_low
 
 
+def chirp_turns(start_frequency: float, rate: float, time: float) -> float:
+    """Phase f0 t + k t^2 / 2 at ``time`` in turns, less a whole number; its error does not grow with the time."""
+    linear, linear_error = _two_product(start_frequency, time)
+    square, square_error = _two_product(time, time)
+    growth, growth_error = _two_product(0.5 * rate, square)
+    errors = linear_error + growth_error + 0.5 * rate * square_error
+    return linear % 1.0 + growth % 1.0 + errors
+
+
+def too_many_turns(turned: float, time: float, duration: float) -> str:
+    """The sentence that refuses a chirp too fast for a step."""
+    return (
+        f"the chirp turns {turned:.3g} times in the {duration:g} s after t = {time:g} s, "
+        f"at most {MOST_TURNS} turns in one step or substep can be followed"
+    )
+
+
 @dataclass(frozen=True)
 class Chirp:
     """The torque ``amplitude * sin(2 pi (start_frequency t + rate t^2 / 2))`` on the box.
@@ -85,17 +104,13 @@ class Chirp:
         for name in ("start_frequency", "rate"):
             object.__setattr__(self, name, check.real(name, getattr(self, name), at_least=-1e9, at_most=1e9))
 
-    def _turns(self, time: float) -> float:
-        """Phase at ``time`` in turns, less a whole number; its error does not grow with the time."""
-        linear, linear_error = _two_product(self.start_frequency, time)
-        square, square_error = _two_product(time, time)
-        growth, growth_error = _two_product(0.5 * self.rate, square)
-        errors = linear_error + growth_error + 0.5 * self.rate * square_error
-        return math.fmod(linear, 1.0) + math.fmod(growth, 1.0) + errors
-
     def torque(self, time: float) -> float:
         """Torque on the box [N m] at ``time`` [s]."""
-        return self.amplitude * math.sin(2.0 * math.pi * self._turns(time))
+        return self.amplitude * math.sin(2.0 * math.pi * chirp_turns(self.start_frequency, self.rate, time))
+
+    def fastest(self, time: float, duration: float) -> float:
+        """Highest frequency within [time, time + duration] [Hz]."""
+        return abs(self.start_frequency + self.rate * (time + 0.5 * duration)) + 0.5 * abs(self.rate) * duration
 
     @property
     def torque_bound(self) -> float:
@@ -121,15 +136,11 @@ class Chirp:
             ValueError: the chirp turns more than 83,333 times in the interval.
         """
         middle = time + 0.5 * duration
-        phase = self._turns(middle)
+        phase = chirp_turns(self.start_frequency, self.rate, middle)
         frequency = self.start_frequency + self.rate * middle  # [Hz]
-        fastest = abs(frequency) + 0.5 * abs(self.rate) * duration  # [Hz]
-        panels = _PANELS_PER_TURN * fastest * duration
-        if not panels <= _MOST_PANELS:
-            raise ValueError(
-                f"the chirp turns {fastest * duration:.3g} times in the {duration:g} s after t = {time:g} s, "
-                f"at most {_MOST_PANELS // _PANELS_PER_TURN} turns in one substep can be followed"
-            )
+        turned = self.fastest(time, duration) * duration
+        if not turned <= MOST_TURNS:
+            raise ValueError(too_many_turns(turned, time, duration))
 
         half_rate, half = 0.5 * self.rate, 0.5 * duration
 
@@ -137,7 +148,7 @@ class Chirp:
             offset = since - half
             return math.sin(2.0 * math.pi * (phase + (frequency + half_rate * offset) * offset))
 
-        falling, rising = _hat_means(signal, duration, max(1, math.ceil(panels)))
+        falling, rising = _hat_means(signal, duration, max(1, math.ceil(_PANELS_PER_TURN * turned)))
         return self.amplitude * falling, self.amplitude * rising
 
 
@@ -194,6 +205,23 @@ class Drive:
         if function is None:
             return 0.0, 0.0
         return _hat_means(lambda since: check.real(f"{part}({time + since:g} s)", function(time + since)), duration)
+
+
+class SceneNumbers(NamedTuple):
+    """A scene and its chirp as plain numbers, under the scene's own names: what compiled code takes for a Scene."""
+
+    box_half_width: float  # [m]
+    box_mass: float  # [kg]
+    box_inertia: float  # [kg m^2]
+    jack_arm: float  # [m]
+    jack_mass: float  # [kg]
+    jack_inertia: float  # [kg m^2]
+    gravity: float  # [m/s^2]
+    torque_limit: float  # [N m]
+    speed_scale: float  # [m/s]
+    chirp_amplitude: float  # [N m]
+    chirp_start_frequency: float  # [Hz]
+    chirp_rate: float  # [Hz/s]
 
 
 @dataclass(frozen=True)
@@ -285,3 +313,15 @@ class Scene:
     def speed_scale(self) -> float:
         """v0 = sqrt(2 * 9.81 * L) [m/s], a unit of speed: that after falling L on Earth, whatever ``gravity`` is."""
         return math.sqrt(2.0 * 9.81 * self.box_half_width)
+
+    @property
+    def numbers(self) -> SceneNumbers:
+        """The scene as plain numbers; without a Chirp for its drive the chirp's are 0."""
+        own = {name: getattr(self, name) for name in SceneNumbers._fields if hasattr(self, name)}
+        chirp = self.drive if isinstance(self.drive, Chirp) else Chirp(0.0, 0.0, 0.0)
+        return SceneNumbers(
+            **own,
+            chirp_amplitude=chirp.amplitude,
+            chirp_start_frequency=chirp.start_frequency,
+            chirp_rate=chirp.rate,
+        )

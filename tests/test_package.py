@@ -69,7 +69,7 @@ def test_a_wheel_holds_the_package_alone(tmp_path: Path) -> None:
     assert "jackbox_env/py.typed" in names
     assert any(name.endswith("LICENSE") for name in names)
     required = set(re.findall(r"^Requires-Dist: ([\w-]+)[^;\n]*$", described, re.MULTILINE))
-    assert required == {"gymnasium", "numpy", "pymunk"}
+    assert required == {"gymnasium", "numba", "numpy", "pymunk"}
 
 
 def test_the_pins_cover_what_the_project_asks_for() -> None:

@@ -741,8 +741,8 @@ def test_substeps_must_be_whole_and_positive(substeps: Any) -> None:
 
 
 def test_unknown_models_and_settings_are_refused() -> None:
-    with pytest.raises(ValueError, match="contact must be one of 'pymunk', got 'exact'"):
-        make_simulator(Scene(), contact="exact")
+    with pytest.raises(ValueError, match="contact must be one of 'pymunk', 'exact', got 'box2d'"):
+        make_simulator(Scene(), contact="box2d")
     with pytest.raises(ValueError, match="takes only 'substeps', 'iterations', got 'fidelity'"):
         make_simulator(Scene(), fidelity=3)
     assert make_simulator({"gravity": 0.0}).scene == Scene(gravity=0.0)

@@ -29,6 +29,26 @@ class Impact(NamedTuple):
     impulse: float
 
 
+def end_of_step(time: float, dt: float) -> float:
+    """Return ``time`` + ``dt`` [s].
+
+    Raises:
+        ValueError: the step does not move the time, or ends too late.
+    """
+    end = time + dt
+    if not (end != time and end <= LATEST_TIME):
+        raise ValueError(f"dt must move the time and end by {LATEST_TIME:g} s, got {dt:g} at t = {time:g} s")
+    return end
+
+
+def total_impulse(impacts: list[Impact]) -> float:
+    """Sum of the impulses [N s], added in order as the compiled code does."""
+    total = 0.0
+    for impact in impacts:
+        total += impact.impulse
+    return total
+
+
 class Simulator(Protocol):
     """A contact model that carries a state (12 float64, see :mod:`jackbox_env.mechanics`) through time.
 

@@ -39,16 +39,15 @@ from numpy.typing import ArrayLike
 from pymunk.batch import BodyFields, Buffer, get_space_bodies
 
 from jackbox_env import _validation as check
-from jackbox_env.mechanics import Array, as_state, clearance
+from jackbox_env.mechanics import Array, as_held, clearance, deepest_held
 from jackbox_env.scene import Drive, Scene
-from jackbox_env.simulators.base import LATEST_TIME, Impact
+from jackbox_env.simulators.base import LATEST_TIME, Impact, end_of_step
 from jackbox_env.simulators.contacts import Recorder, iterations_for
 from jackbox_env.simulators.flight import fly, reach
 
 _WALL_THICKNESS = 100.0 / 6.0  # R over L: 100 m by default
 _HASH_CELL = 1000.0 / 6.0  # over L: 1000 m by default
 _FARTHEST = 1e9  # over L: motion within one step that the spatial hash can index
-_DEEPEST = 1.0  # a foot may end a step this far outside [m], or L if that is less
 _FINER = (1, 2, 4, 8, 16, 32, 64)  # by which a step too fast for its substeps is divided further
 _PERSISTENCE = 1  # substeps for which the engine remembers a contact that has ended; 0 would turn collisions off
 _CORRECTION_TIME = 0.05  # in which overlap decays to 1 / e at restitution 0 [s]
@@ -131,14 +130,8 @@ class PymunkSimulator:
 
     def reset(self, state: ArrayLike, time: float = 0.0) -> None:
         """See :meth:`Simulator.reset`; a foot may be at most min(1 m, L) outside."""
-        values: list[float] = as_state(state).tolist()
+        values: list[float] = as_held(self.scene, state).tolist()
         time = check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
-        furthest = max(abs(values[place]) for place in (0, 1, 3, 4))
-        if not math.ulp(furthest) <= 1e-3 * self.scene.box_half_width:
-            raise ValueError(f"state must be near enough for its places to be finer than L / 1000, got {furthest:g} m")
-        outside = -clearance(self.scene, values)
-        if not outside <= self._deepest:
-            raise ValueError(f"state must have every foot at most {self._deepest:g} m outside, got {outside:g} m")
         self._present = values, time, 0.0, []
 
     def __getstate__(self) -> dict[str, Any]:
@@ -156,9 +149,7 @@ class PymunkSimulator:
         if torque is not None:
             torque = check.real("torque", torque)
         state, time, _, _ = self._present
-        end = time + dt
-        if not (end != time and end <= LATEST_TIME):
-            raise ValueError(f"dt must move the time and end by {LATEST_TIME:g} s, got {dt:g} at t = {time:g} s")
+        end = end_of_step(time, dt)
         if self._may_touch(dt, torque):
             after, mean_torque = self._step_engine(dt, torque)
             self._present = after, end, mean_torque, self._recorder.impacts
@@ -266,7 +257,7 @@ class PymunkSimulator:
 
     @property
     def _deepest(self) -> float:
-        return min(_DEEPEST, self.scene.box_half_width)
+        return deepest_held(self.scene)
 
     # -- the engine's space -------------------------------------------------------------------------------------------
 

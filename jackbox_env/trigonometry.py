@@ -1,0 +1,51 @@
+"""Cosine and sine together, for the compiled code: half the time of two calls, and the same bits on every machine.
+
+Method: Cody and Waite reduction by multiples of pi/2 in three parts, then the polynomials of fdlibm's k_sin.c and
+k_cos.c (Sun Microsystems 1993). Error: below 1 unit in the last place. Fails: beyond 1e6 rad, where the reduction would
+lose digits, it asks the mathematics library.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+LARGEST = 1e6  # [rad]
+_QUARTERS_PER_RADIAN = 6.36619772367581382433e-01  # 2 / pi
+# pi / 2 in parts; multiples of the first two up to 2^20 are exact
+_QUARTER_HIGH = 1.57079632673412561417e00
+_QUARTER_MIDDLE = 6.07710050630396597660e-11
+_QUARTER_LOW = 2.02226624879595063154e-21
+
+
+def cos_sin(angle: float) -> tuple[float, float]:
+    """Return the cosine and the sine of ``angle`` [rad]; NaN for an angle that is not finite."""
+    if -LARGEST < angle < LARGEST:
+        return cos_sin_within(angle)
+    if -math.inf < angle < math.inf:
+        return math.cos(angle), math.sin(angle)
+    return math.nan, math.nan
+
+
+def cos_sin_within(angle: float) -> tuple[float, float]:
+    """Like :func:`cos_sin` for +-``LARGEST``, without a branch: a compiled loop of it takes several angles at once."""
+    quarters = np.floor(angle * _QUARTERS_PER_RADIAN + 0.5)
+    rough = angle - quarters * _QUARTER_HIGH
+    middle = quarters * _QUARTER_MIDDLE
+    x = rough - middle
+    rest = (rough - x) - middle - quarters * _QUARTER_LOW  # x + rest is the angle from the nearest quarter
+    z = x * x
+    tail = z * (2.75573137070700676789e-06 + z * (-2.50507602534068634195e-08 + z * 1.58969099521155010221e-10))
+    tail = z * (8.33333333332248946124e-03 + z * (-1.98412698298579493134e-04 + tail))
+    sine = x + (x * z * (-1.66666666666666324348e-01 + tail) + rest)
+    tail = z * (-2.75573143513906633035e-07 + z * (2.08757232129817482790e-09 + z * -1.13596475577881948265e-11))
+    tail = z * (-1.38888888888741095749e-03 + z * (2.48015872894767294178e-05 + tail))
+    near_one = 1.0 - 0.5 * z
+    cosine = near_one + (((1.0 - near_one) - 0.5 * z) + (z * z * (4.16666666666666019037e-02 + tail) - x * rest))
+    halves = quarters * 0.5
+    odd = halves != np.floor(halves)
+    turned = halves - 2.0 * np.floor(halves * 0.5)  # 0, 0.5, 1, 1.5
+    first = sine if odd else cosine
+    second = cosine if odd else sine
+    return -first if (turned == 0.5) | (turned == 1.0) else first, -second if turned >= 1.0 else second
