@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from stable_baselines3.common.evaluation import evaluate_policy
-from stable_baselines3.common.vec_env import VecMonitor
 
 from agents.models import derived_seed, load_model, make_vec_env
 from agents.policies import BASELINES, Baseline, Policy, baseline
@@ -55,7 +54,7 @@ def evaluate(
 ) -> Returns:
     """Run whole episodes, up to 16 side by side, from starts that ``seed`` decides; training has not seen them."""
     starts = derived_seed("evaluation", seed)
-    environments = VecMonitor(make_vec_env(env_settings, min(16, episodes), starts))
+    environments = make_vec_env(env_settings, min(16, episodes), starts)
     environments.seed(starts)
     rewards, _ = evaluate_policy(
         policy,

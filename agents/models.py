@@ -5,14 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 from stable_baselines3 import PPO
-from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
+from stable_baselines3.common.vec_env import VecEnv
 
-import jackbox_env  # noqa: F401
 from agents.runs import SETTINGS, read_settings
 from agents.settings import TrainSettings
+from jackbox_env.sb3 import make_sb3_vec_env
 
 
 def derived_seed(purpose: str, *numbers: int) -> int:
@@ -22,8 +21,8 @@ def derived_seed(purpose: str, *numbers: int) -> int:
 
 
 def make_vec_env(env_settings: dict[str, Any], num_envs: int, seed: int) -> VecEnv:
-    """Environments of the default time limit side by side; environment i starts from ``seed`` + i."""
-    environments = DummyVecEnv([lambda: gym.make("JackInBox-v0", **env_settings)] * num_envs)
+    """Environments of the default time limit side by side, with statistics of episodes; i starts from ``seed`` + i."""
+    environments = make_sb3_vec_env(num_envs, **env_settings)
     environments.seed(seed)
     return environments
 

@@ -13,7 +13,6 @@ import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList, EvalCallback
 from stable_baselines3.common.logger import configure
-from stable_baselines3.common.vec_env import VecMonitor
 
 from agents.models import derived_seed, make_ppo, make_vec_env
 from agents.settings import TrainSettings
@@ -80,9 +79,8 @@ class KeepBest(EvalCallback):
     """Evaluate apart from training, keep the best model, and go on from the evaluations already in the folder."""
 
     def __init__(self, folder: Path, settings: TrainSettings, done: int) -> None:
-        environments = VecMonitor(
-            make_vec_env(settings.env_settings, min(settings.num_envs, settings.eval_episodes), choosing_seed(settings))
-        )
+        num_envs = min(settings.num_envs, settings.eval_episodes)
+        environments = make_vec_env(settings.env_settings, num_envs, choosing_seed(settings))
         self._seed = choosing_seed(settings)
         super().__init__(
             environments,
@@ -138,7 +136,7 @@ def train(settings: TrainSettings, folder: Path, progress: bool = True) -> PPO:
     resumed = latest_checkpoint(folder)
     done = resumed[1] if resumed else 0
     starts = derived_seed("training", settings.seed, done)  # not again the starts that were already learnt from
-    environments = VecMonitor(make_vec_env(settings.env_settings, settings.num_envs, starts))
+    environments = make_vec_env(settings.env_settings, settings.num_envs, starts)
     model = make_ppo(settings, environments)
     environments.seed(starts)  # PPO has seeded them by its own seed
     if resumed:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from typing import TYPE_CHECKING, Any
 
 from gymnasium.envs.registration import register
@@ -10,28 +11,45 @@ from jackbox_env.scene import Chirp, Drive, Scene
 
 if TYPE_CHECKING:
     from jackbox_env.env import JackInBoxEnv
+    from jackbox_env.planning import Rollout, rollout
     from jackbox_env.simulators import Impact, Simulator, make_simulator
+    from jackbox_env.vector_env import JackInBoxVectorEnv
 
 __version__ = "0.1.0"
-__all__ = ["Chirp", "Drive", "Impact", "JackInBoxEnv", "Scene", "Simulator", "make_simulator"]
+_LAZY = {
+    "JackInBoxEnv": "env",
+    "JackInBoxVectorEnv": "vector_env",
+    "Impact": "simulators",
+    "Simulator": "simulators",
+    "make_simulator": "simulators",
+    "Rollout": "planning",
+    "rollout": "planning",
+}
+__all__ = [
+    "Chirp",
+    "Drive",
+    "Impact",
+    "JackInBoxEnv",
+    "JackInBoxVectorEnv",
+    "Rollout",
+    "Scene",
+    "Simulator",
+    "make_simulator",
+    "rollout",
+]
 
 register(
     id="JackInBox-v0",
     entry_point="jackbox_env.env:JackInBoxEnv",
+    vector_entry_point="jackbox_env.vector_env:JackInBoxVectorEnv",
     max_episode_steps=500,  # 10 s
 )
 
 
 def __getattr__(name: str) -> Any:
-    """Load what needs pymunk only when it is asked for."""
-    if name == "JackInBoxEnv":
-        from jackbox_env.env import JackInBoxEnv
-
-        return JackInBoxEnv
-    if name in ("Impact", "Simulator", "make_simulator"):
-        from jackbox_env import simulators
-
-        return getattr(simulators, name)
+    """Load what needs pymunk or numba only when it is asked for."""
+    if name in _LAZY:
+        return getattr(importlib.import_module(f"{__name__}.{_LAZY[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

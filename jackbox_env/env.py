@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -13,10 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 from jackbox_env import _validation as check
 from jackbox_env import tasks
 from jackbox_env.mechanics import Array, as_start
-from jackbox_env.observation import BOUNDS, observe
+from jackbox_env.observation import BOUNDS
 from jackbox_env.scene import Scene
+from jackbox_env.scoring import make_score
 from jackbox_env.simulators import Impact, make_simulator
-from jackbox_env.simulators.base import LATEST_TIME
+from jackbox_env.simulators.base import LATEST_TIME, total_impulse
 
 Observation = NDArray[np.float32]
 Action = NDArray[np.float32] | float | None
@@ -92,8 +93,8 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
 
     | Parameter     | Default    | Meaning                                                                           |
     |---------------|------------|-----------------------------------------------------------------------------------|
-    | `contact`     | `"pymunk"` | contact model                                                                     |
-    | `substeps`    | `None`     | engine steps per control step, >= 1; None: 4                                      |
+    | `contact`     | `"pymunk"` | contact model: `"pymunk"` (time stepping) or `"exact"` (elastic scenes only)        |
+    | `substeps`    | `None`     | engine steps of pymunk per control step, >= 1; None: 4                            |
     | `scene`       | `None`     | a `Scene`, or a dict of some of its fields                                        |
     | `task`        | `"juggle"` | `"juggle"`, `"spin"` or `"rattle"`                                                |
     | `control_dt`  | `0.02`     | duration of a step [s], > 0                                                       |
@@ -102,7 +103,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
 
     `reset` takes `options={"state": numbers, "time": seconds}`: exactly that state, shape (12,), every foot inside to
     1e-9 m (4 units in the last place of a far-off position), and that time. `env.unwrapped.set_state(state, time)` goes
-    on from any state that `info` ever held, also one in contact; `jackbox_env.observation.observe` sees it.
+    on from any state that `info` ever held, also one in contact; `env.unwrapped.observation` is what is seen of it.
 
     >>> import gymnasium as gym, jackbox_env
     >>> env = gym.make("JackInBox-v0")
@@ -138,10 +139,9 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         if render_mode is not None:
             check.choice("render_mode", render_mode, self.metadata["render_modes"])
         self.task = check.choice("task", task, tasks.TASKS)
-        self._reward = tasks.TASKS[task]
         self._simulator = make_simulator(Scene.of(scene), contact=contact, substeps=substeps)
-        # reset returns the terms' names with nothing earned yet
-        self._no_terms = dict.fromkeys(self._reward_terms([0.0] * 12, 0.0, 0.0)[1], 0.0)
+        self._score = make_score(self._simulator.scene, task, contact)
+        self._terms = [f"reward_{name}" for name in tasks.TASKS[task].terms]
         self.observation_space = gym.spaces.Box(-BOUNDS, BOUNDS, dtype=np.float32)
         self.action_space = gym.spaces.Box(-1.0, 1.0, shape=(1,), dtype=np.float32)
         self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / max(self._control_dt, 1e-4)))}
@@ -174,6 +174,11 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     def impacts(self) -> list[Impact]:
         """The impacts of the last step, in time order."""
         return self._simulator.impacts
+
+    @property
+    def observation(self) -> Observation:
+        """What the agent sees of the present state: a fresh float32 array, shape (10,)."""
+        return self._score(self.state, 0.0, 0.0)[0]
 
     def set_state(self, state: ArrayLike, time: float = 0.0) -> None:
         """Put the system into ``state``, shape (12,), at ``time`` [s], exactly; the episode goes on.
@@ -208,7 +213,8 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         self.set_state(state, time)
         if self.render_mode == "human":
             self.render()
-        return observe(self.scene, state.tolist()), self._info(state, 0, 0.0, self._no_terms)
+        observation, terms = self._score(state, 0.0, 0.0)
+        return observation, self._info(state, 0, 0.0, [0.0] * len(terms))  # nothing is earned yet
 
     def step(self, action: Action) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Advance by one control step under ``action``, or under the scene's drive where it is None.
@@ -222,17 +228,14 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
             torque = self._torque_of(action)
         simulator = self._simulator
         simulator.step(self._control_dt, torque)
-        impacts = simulator.impacts
-        impulse = math.fsum(impact.impulse for impact in impacts)
-        state = simulator.state
-        values = state.tolist()
-        reward, terms = self._reward_terms(values, simulator.torque, impulse)
+        impacts, state = simulator.impacts, simulator.state
+        impulse = total_impulse(impacts)
+        observation, terms = self._score(state, simulator.torque, impulse)
         if self._renderer is not None:
             self._renderer.record(state, simulator.time, simulator.torque, impacts)
             if self.render_mode == "human":
                 self.render()
-        info = self._info(state, len(impacts), impulse, terms)
-        return observe(self.scene, values), reward, False, False, info
+        return observation, sum(terms), False, False, self._info(state, len(impacts), impulse, terms)
 
     def render(self) -> NDArray[np.uint8] | None:
         """Return a fresh frame, uint8, shape (512, 512, 3), or show it in a window ("human")."""
@@ -273,11 +276,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
             raise ValueError(f"action must be a finite number (clipped to [-1, 1]), got {value}")
         return max(-1.0, min(1.0, value)) * self.scene.torque_limit
 
-    def _reward_terms(self, state: list[float], torque: float, impulse: float) -> tuple[float, dict[str, float]]:
-        terms = self._reward(self.scene, state, torque, impulse)
-        return sum(terms.values()), {f"reward_{name}": value for name, value in terms.items()}
-
-    def _info(self, state: Array, impacts: int, impulse: float, terms: dict[str, float]) -> dict[str, Any]:
+    def _info(self, state: Array, impacts: int, impulse: float, terms: Sequence[float]) -> dict[str, Any]:
         simulator = self._simulator
         return {
             "state": state,
@@ -285,7 +284,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
             "torque": simulator.torque,
             "impacts": impacts,
             "impulse": impulse,
-            **terms,
+            **dict(zip(self._terms, terms, strict=True)),
         }
 
     def _start_picture(self) -> None:

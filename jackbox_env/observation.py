@@ -22,33 +22,38 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.scene import Scene
+from jackbox_env.mechanics import Numbers
+from jackbox_env.scene import Scene, SceneNumbers
 
 BOUNDS = np.array([1, 1, 10, 10, 1, 1, 10, 1, 1, 10], dtype=np.float32)
 
 
 def observe(scene: Scene, state: Sequence[float]) -> NDArray[np.float32]:
     """Return the observation of a state of 12 numbers: a fresh float32 array, shape (10,), within ``BOUNDS``."""
+    relative = 4.0 * (state[5] - state[2])
+    angles = math.cos(state[2]), math.sin(state[2]), math.cos(relative), math.sin(relative)
+    return np.array(seen(scene, state, *angles), dtype=np.float32)
+
+
+def seen(
+    scene: Scene | SceneNumbers, state: Numbers, cosine: float, sine: float, cosine_4: float, sine_4: float
+) -> tuple[float, float, float, float, float, float, float, float, float, float]:
+    """The ten numbers, given cosine and sine of theta_box and of 4 (theta_jack - theta_box)."""
     x, y = state[3] - state[0], state[4] - state[1]
     vx, vy = state[9] - state[6], state[10] - state[7]
-    cosine, sine = math.cos(state[2]), math.sin(state[2])
-    relative = 4.0 * (state[5] - state[2])
     per_length = 1.0 / scene.box_half_width
     per_speed = 1.0 / scene.speed_scale
-    return np.array(
-        (
-            _clip((cosine * x + sine * y) * per_length, 1.0),
-            _clip((cosine * y - sine * x) * per_length, 1.0),
-            _clip((cosine * vx + sine * vy) * per_speed, 10.0),
-            _clip((cosine * vy - sine * vx) * per_speed, 10.0),
-            cosine,
-            sine,
-            _clip(state[8] * scene.box_half_width * per_speed, 10.0),
-            math.cos(relative),
-            math.sin(relative),
-            _clip(state[11] * scene.jack_arm * per_speed, 10.0),
-        ),
-        dtype=np.float32,
+    return (
+        _clip((cosine * x + sine * y) * per_length, 1.0),
+        _clip((cosine * y - sine * x) * per_length, 1.0),
+        _clip((cosine * vx + sine * vy) * per_speed, 10.0),
+        _clip((cosine * vy - sine * vx) * per_speed, 10.0),
+        cosine,
+        sine,
+        _clip(state[8] * scene.box_half_width * per_speed, 10.0),
+        cosine_4,
+        sine_4,
+        _clip(state[11] * scene.jack_arm * per_speed, 10.0),
     )
 
 

@@ -19,7 +19,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from stable_baselines3.common.evaluation import evaluate_policy
-from stable_baselines3.common.vec_env import VecMonitor
 
 from agents import training
 from agents.evaluation import Returns, evaluate, find_policy, table
@@ -165,7 +164,7 @@ def test_training_learns_from_its_rollouts(run: Path) -> None:
 
 def test_the_best_model_is_the_best_evaluation(run: Path) -> None:
     stored = np.load(run / "evaluations.npz")
-    environments = VecMonitor(make_vec_env(TINY.env_settings, 4, 0))
+    environments = make_vec_env(TINY.env_settings, 4, 0)
     environments.seed(training.choosing_seed(TINY))
     best, _ = evaluate_policy(load_model(run), environments, n_eval_episodes=4)
     assert best == pytest.approx(stored["results"].mean(axis=1).max(), rel=1e-6)
@@ -361,8 +360,8 @@ def test_simulate_keeps_what_came_before_the_jack_left(tmp_path: Path) -> None:
 
 
 def test_train_refuses_before_it_makes_a_folder(tmp_path: Path) -> None:
-    done = script("train", "--contact", "exact", "--folder", "run", cwd=tmp_path, status=2)
-    assert "contact must be one of 'pymunk', got 'exact'" in done.stderr
+    done = script("train", "--contact", "box2d", "--folder", "run", cwd=tmp_path, status=2)
+    assert "contact must be one of 'pymunk', 'exact', got 'box2d'" in done.stderr
     assert not (tmp_path / "run").exists()
 
 
@@ -375,7 +374,7 @@ def test_train_refuses_before_it_makes_a_folder(tmp_path: Path) -> None:
         (["--state", "[1, 2]"], r"state must have shape (12,), got shape (2,)"),
         (["--state", "[0,0,0,5.5,0,0,0,0,0,0,0,0]"], "a start must have every foot inside the box"),
         (["--state", "x"], "state must be a JSON list of 12 numbers, got 'x'"),
-        (["--contact", "exact"], "contact must be one of 'pymunk', got 'exact'"),
+        (["--contact", "box2d"], "contact must be one of 'pymunk', 'exact', got 'box2d'"),
         (["--scene", '{"gravity": -1}'], "gravity must be a finite number at least 0"),
     ],
 )

@@ -353,9 +353,10 @@ def test_set_state_takes_what_pymunk_may_produce(env: Env) -> None:
 @pytest.mark.parametrize(
     ("settings", "sentence"),
     [
-        ({"contact": "exact"}, "contact must be one of 'pymunk', got 'exact'"),
-        ({"contact": "box2d"}, "contact must be one of 'pymunk', got 'box2d'"),
-        ({"contact": None}, "contact must be one of 'pymunk', got None"),
+        ({"contact": "exact", "substeps": 4}, "contact='exact' has no substeps or iterations, got substeps=4"),
+        ({"contact": "exact", "scene": {"restitution": 0.9}}, "contact='exact' is elastic only, .* got 0.9"),
+        ({"contact": "box2d"}, "contact must be one of 'pymunk', 'exact', got 'box2d'"),
+        ({"contact": None}, "contact must be one of 'pymunk', 'exact', got None"),
         ({"task": "fly"}, "task must be one of 'juggle', 'spin', 'rattle', got 'fly'"),
         ({"torque": "sine"}, "torque must be one of 'agent', 'chirp', got 'sine'"),
         ({"substeps": 0}, "substeps must be a whole number from 1 to 1000000, got 0"),

@@ -1,0 +1,162 @@
+"""A batch of environments of the exact contact model: one compiled call per step, shared out over threads."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jackbox_env._compiled import compiled
+from jackbox_env.batches import loop
+from jackbox_env.batches.base import Flags, Floats, Outcome, bad_action
+from jackbox_env.batches.generator import fresh, seeded
+from jackbox_env.batches.threads import Threads, thread_count
+from jackbox_env.mechanics import Array
+from jackbox_env.scene import Scene
+from jackbox_env.simulators.base import end_of_step
+from jackbox_env.simulators.drives import TABLE_WIDTH
+from jackbox_env.simulators.exact import drive_kind, failure, pieces_for, refuse_inelastic
+from jackbox_env.simulators.step import FUNCTIONS
+from jackbox_env.simulators.workspace import new_workspace
+from jackbox_env.tasks import TASKS
+
+_FEWEST_PER_THREAD = 1024  # below that, handing work to a thread costs more than it saves
+_NO_ACTIONS: Array = np.zeros(0)
+_NO_TABLE: Array = np.zeros((0, TABLE_WIDTH))
+_NO_RANGES = np.zeros((0, 2), dtype=np.int64)
+
+
+class ExactBatch:
+    """See :class:`jackbox_env.batches.base.Batch`; 288 bytes per environment besides what is handed out."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        num_envs: int,
+        task: str,
+        control_dt: float,
+        max_episode_steps: int,
+        with_infos: bool = False,
+        num_threads: int | None = None,
+    ) -> None:
+        refuse_inelastic(scene)
+        self._scene, self._task, self._dt = scene, list(TASKS).index(task), control_dt
+        self._terms = [f"reward_{name}" for name in TASKS[task].terms]
+        self._limit, self._with_infos = float(max_episode_steps), with_infos
+        self._rows = np.zeros((num_envs, loop.WIDTH))
+        self._spare = np.zeros((num_envs, loop.WIDTH))  # where the next step writes
+        self._generators = fresh(num_envs)
+        ranges = num_envs if num_threads else num_envs // _FEWEST_PER_THREAD
+        self._threads = Threads(thread_count(num_threads, ranges))
+        self._workspaces = [(np.zeros((4, loop.BLOCK)), new_workspace()) for _ in range(self._threads.count)]
+        self._numbers = np.array(scene.numbers)
+        self._drive = drive_kind(scene)
+
+    # -- what it holds ------------------------------------------------------------------------------------------------
+
+    @property
+    def states(self) -> Array:
+        """A copy of all states, shape (N, 12)."""
+        return self._rows[:, :12].copy()
+
+    @property
+    def times(self) -> Array:
+        """A copy of all times [s], shape (N,)."""
+        return self._rows[:, loop.TIME].copy()
+
+    @property
+    def over(self) -> Flags:
+        """Which episodes are over, shape (N,)."""
+        return np.not_equal(self._rows[:, loop.OVER], 0.0)
+
+    @property
+    def info_names(self) -> list[str]:
+        """Names of the infos, those of the single environment."""
+        return ["state", "time", "torque", "impacts", "impulse", *self._terms]
+
+    # -- episodes -----------------------------------------------------------------------------------------------------
+
+    def seed(self, number: int, seed: int) -> None:
+        """Seed one environment's random starts."""
+        self._generators[number] = seeded(seed)
+
+    def restart(self, chosen: Flags) -> None:
+        """Start an episode in the ``chosen`` environments, each at a drawn start and time 0."""
+        compiled(loop.restart_rows)(self._numbers, self._rows, self._generators, chosen)
+
+    def place(self, chosen: Flags, states: Array, times: Array, anew: bool) -> None:
+        """See :meth:`jackbox_env.batches.base.Batch.place`."""
+        self._rows[chosen, :12] = states[chosen]
+        self._rows[chosen, loop.TIME] = times[chosen]
+        if anew:
+            self._rows[chosen, loop.STEPS] = self._rows[chosen, loop.OVER] = 0.0
+
+    def observe(self, chosen: Flags, observations: Floats) -> None:
+        """Write what the ``chosen`` environments' agents see, shape (N, 10)."""
+        compiled(loop.look_rows)(self._numbers, self._rows, chosen, observations)
+
+    # -- stepping -----------------------------------------------------------------------------------------------------
+
+    def step(self, actions: Array | None) -> Outcome:
+        """See :meth:`jackbox_env.batches.base.Batch.step`."""
+        count, rows, spare = len(self._rows), self._rows, self._spare
+        observations = np.empty((count, 10), dtype=np.float32)
+        rewards, truncations = np.empty(count), np.empty(count, dtype=np.bool_)
+        reports = np.empty((count if self._with_infos else 0, loop.REPORT_WIDTH))
+        given = _NO_ACTIONS if actions is None else actions
+        table, ranges = self._pieces(actions)
+        step_rows = compiled(loop.step_rows)
+
+        def work(thread: int, low: int, high: int) -> tuple[int, int]:
+            return step_rows(
+                self._numbers, self._dt, self._drive, self._task, self._limit, rows, spare, given, table, ranges,
+                low, high, observations, rewards, truncations, reports, *self._workspaces[thread],
+            )  # fmt: skip
+
+        results = self._threads.run(work, count)
+        for ended, number in results:
+            if ended:
+                raise self._failure(ended, number, given)
+        infos = self._infos(spare, reports) if self._with_infos else {}
+        self._rows, self._spare = spare, rows
+        return Outcome(observations, rewards, truncations, infos, sum(finished for _, finished in results))
+
+    def _pieces(self, actions: Array | None) -> tuple[Array, NDArray[np.int64]]:
+        """The pieces of a drive of functions, once for each different time, and each environment's range of them."""
+        if self._drive != FUNCTIONS:
+            return _NO_TABLE, _NO_RANGES
+        times, places = np.unique(self._rows[:, loop.TIME], return_inverse=True)
+        torque = None if actions is None else 0.0  # whatever is held
+        tables = [pieces_for(self._scene, time, self._dt, torque) for time in times.tolist()]
+        ends = np.cumsum([0, *map(len, tables)])
+        return np.concatenate(tables), np.stack([ends[places], ends[places + 1]], axis=1)
+
+    def _infos(self, rows: Array, reports: Array) -> dict[str, NDArray[Any]]:
+        numbers = [
+            rows[:, :12].copy(),
+            rows[:, loop.TIME].copy(),
+            reports[:, loop.TORQUE].copy(),
+            reports[:, loop.IMPACTS].astype(np.int64),
+            reports[:, loop.IMPULSES].copy(),
+            *(reports[:, loop.TERMS + k].copy() for k in range(len(self._terms))),
+        ]
+        return dict(zip(self.info_names, numbers, strict=True))
+
+    def _failure(self, ended: int, number: int, actions: Array) -> Exception:
+        if ended == loop.BAD_ACTION:
+            return bad_action(float(actions[number]), number)
+        time = float(self._rows[number, loop.TIME])
+        if ended == loop.TOO_LATE:
+            try:
+                end_of_step(time, self._dt)
+            except ValueError as error:
+                return error
+        return failure(ended, self._scene, time, self._dt, f"the jack of environment {number}")
+
+    def render(self) -> tuple[Any, ...]:
+        """Nothing: environments with pictures are stepped one by one."""
+        return ()
+
+    def close(self) -> None:
+        """Release nothing."""

@@ -1,0 +1,344 @@
+"""The vector environment: it sequences a batch of environments, their episodes and restarts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import ArrayLike, NDArray
+
+from jackbox_env import _validation as check
+from jackbox_env.batches.base import Batch, Flags, Floats, Outcome
+from jackbox_env.env import JackInBoxEnv
+from jackbox_env.mechanics import Array, as_held, as_start
+from jackbox_env.scene import Scene
+from jackbox_env.simulators.base import LATEST_TIME
+
+Infos = dict[str, Any]
+
+
+class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
+    """Many jacks in boxes side by side: ``gymnasium.make_vec("JackInBox-v0", num_envs=1024, contact="exact")``.
+
+    Environment i seeded with s + i gives, bit for bit and across its restarts, what the single environment seeded with
+    s + i gives. With ``contact="exact"`` all of it (physics, observation, reward, time limit, restart) is one compiled
+    loop; otherwise, or with pictures, the environments are stepped one by one.
+
+    Args:
+        num_envs: number of environments N.
+        max_episode_steps: steps after which an episode is truncated.
+        autoreset_mode: when an episode that is over restarts. ``NEXT_STEP``: the step after ignores the action, returns
+            the new start and reward 0. ``SAME_STEP``: the step that ends it returns the new start, and the last
+            observation in ``infos["final_obs"]``. ``DISABLED``: you restart it, by ``reset`` with a ``reset_mask``. The
+            enum or its name.
+        num_threads: threads for the exact model; None: as many as the machine has and the batch is worth. Results do
+            not depend on it.
+        with_infos: fill the step's infos with what the single environment's info holds, as arrays.
+        render_mode: None or "rgb_array"; "human" for one environment.
+        contact: with the rest as in the single environment, :class:`jackbox_env.JackInBoxEnv`, same defaults.
+        substeps: as there.
+        scene: as there.
+        task: as there.
+        control_dt: as there.
+        torque: as there.
+
+    ``step`` takes actions of shape (N, 1), or None: the scene's drive turns all boxes. ``reset`` takes a seed (an int,
+    or a list of ints and None) and ``options``: "state", shape (12,) or (N, 12), "time" [s], a number or shape (N,),
+    and "reset_mask", bool (N,), to restart some only. What is handed out is never written again.
+
+    Raises:
+        TypeError, ValueError: an argument out of its range. Calls that are refused leave all environments as they were.
+    """
+
+    metadata: dict[str, Any] = {**JackInBoxEnv.metadata, "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        max_episode_steps: int = 500,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        num_threads: int | None = None,
+        with_infos: bool = False,
+        render_mode: str | None = None,
+        contact: str = "pymunk",
+        substeps: int | None = None,
+        scene: Scene | Mapping[str, Any] | None = None,
+        task: str = "juggle",
+        control_dt: float = 0.02,
+        torque: str = "agent",
+    ) -> None:
+        self.num_envs = check.whole("num_envs", num_envs, at_least=1)
+        limit = check.whole("max_episode_steps", max_episode_steps, at_least=1)
+        if num_threads is not None:
+            check.whole("num_threads", num_threads, at_least=1)
+        if render_mode == "human" and self.num_envs > 1:
+            raise ValueError(f'render_mode must be None or "rgb_array" for several environments, got {render_mode!r}')
+        self._mode = _autoreset_mode(autoreset_mode)
+        self._with_infos = bool(with_infos)
+        settings: dict[str, Any] = {
+            "contact": contact, "substeps": substeps, "scene": scene, "task": task, "control_dt": control_dt,
+            "torque": torque,
+        }  # fmt: skip
+        single = JackInBoxEnv(**settings, render_mode=render_mode if self.num_envs == 1 else None)  # checks them all
+        single.close()
+        if render_mode is not None:
+            check.choice("render_mode", render_mode, JackInBoxEnv.metadata["render_modes"])
+        self.scene, self.task, self.render_mode = single.scene, task, render_mode
+        self._driven = torque == "chirp"
+        self.metadata = {**self.metadata, "render_fps": single.metadata["render_fps"], "autoreset_mode": self._mode}
+        self.single_observation_space, self.single_action_space = single.observation_space, single.action_space
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self._seeds: list[int] = [-1] * self.num_envs
+        self._started = False  # whether all have been reset
+        self._waiting = False  # whether an episode may be over
+        self._batch: Batch
+        if contact == "exact" and render_mode is None:
+            from jackbox_env.batches.exact import ExactBatch
+
+            self._batch = ExactBatch(
+                self.scene, self.num_envs, task, float(control_dt), limit, self._with_infos, num_threads
+            )  # fmt: skip
+        else:
+            from jackbox_env.batches.single import SingleBatch
+
+            self._batch = SingleBatch(self.num_envs, limit, self._with_infos, render_mode=render_mode, **settings)
+
+    # -- the simulated systems ----------------------------------------------------------------------------------------
+
+    @property
+    def states(self) -> Array:
+        """A copy of all states, float64, shape (N, 12), SI units."""
+        return self._batch.states
+
+    @property
+    def times(self) -> Array:
+        """A copy of all times [s], shape (N,)."""
+        return self._batch.times
+
+    @property
+    def observations(self) -> Floats:
+        """What the agents see of the present states: a fresh float32 array, shape (N, 10)."""
+        seen = np.empty((self.num_envs, 10), dtype=np.float32)
+        self._batch.observe(np.ones(self.num_envs, dtype=np.bool_), seen)
+        return seen
+
+    def set_states(self, states: ArrayLike, times: ArrayLike = 0.0, chosen: Flags | None = None) -> None:
+        """Put environments into states, shape (12,) or (N, 12), at times [s]; their episodes go on.
+
+        ``chosen``, bool (N,), says which; None: all. Takes what a contact model itself leaves: feet up to 1 m outside.
+
+        Raises:
+            TypeError, ValueError: unusable values; all environments stay as they were.
+        """
+        chosen = np.ones(self.num_envs, dtype=np.bool_) if chosen is None else self._mask("chosen", chosen)
+        placed = self._states("states", states, chosen, as_held)
+        self._batch.place(chosen, placed, self._times("times", times, chosen), anew=False)
+
+    # -- Gymnasium's methods ------------------------------------------------------------------------------------------
+
+    @property
+    def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
+        """The environments' seeds, -1 where none was given."""
+        return tuple(self._seeds)
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Floats, Infos]:
+        """Start an episode in each environment, or in those of ``options["reset_mask"]``.
+
+        Raises:
+            TypeError, ValueError: an unusable seed or option; all environments stay as they were.
+        """
+        if not isinstance(options, Mapping | None):
+            raise TypeError(f"options must be a dict of 'state', 'time' and 'reset_mask' or None, got {options!r}")
+        given = dict(options or {})
+        check.known_keys("options", given, ("state", "time", "reset_mask"))
+        chosen = np.ones(self.num_envs, dtype=np.bool_)
+        if given.get("reset_mask") is not None:
+            chosen = self._mask("options['reset_mask']", given["reset_mask"])
+            if not chosen.any():
+                raise ValueError("options['reset_mask'] must choose at least one environment, got none")
+        times = self._times("options['time']", given.get("time", 0.0), chosen)
+        states = None
+        if given.get("state") is not None:
+            states = self._states("options['state']", given["state"], chosen, as_start)
+        seeds = self._seed_list(seed)
+        for number in np.flatnonzero(chosen).tolist():
+            new_seed = seeds[number]
+            if new_seed is not None:
+                self._batch.seed(number, new_seed)
+                self._seeds[number] = new_seed
+        if states is None:
+            self._batch.restart(chosen)
+        if states is not None or times.any():
+            self._batch.place(chosen, self._batch.states if states is None else states, times, anew=True)
+        self._started = self._started or bool(chosen.all())
+        return self.observations, self._fresh_infos(chosen) if self._with_infos else {}
+
+    def step(self, actions: ArrayLike | None) -> tuple[Floats, Array, Flags, Flags, Infos]:
+        """Advance all environments by one control step under ``actions``, shape (N, 1), or under the scene's drive.
+
+        Raises:
+            TypeError, ValueError: unusable actions.
+            RuntimeError: a jack would leave its box, or there was no reset yet. After any error all environments are as
+                they were.
+        """
+        if not self._started:
+            raise RuntimeError("step must come after a reset of all environments, got none yet")
+        given = None if actions is None else self._actions(actions)
+        waiting = self._restart_waiting()
+        self._waiting = True  # also if this is cut short
+        outcome = self._batch.step(None if self._driven else given)
+        infos: Infos = {}
+        if waiting is not None and self._mode is AutoresetMode.NEXT_STEP:
+            self._restart(waiting, outcome)
+        elif outcome.finished and self._mode is AutoresetMode.SAME_STEP:
+            infos = self._final_infos(outcome)
+            self._restart(outcome.truncations, outcome)
+        self._waiting = outcome.finished > 0 and self._mode is not AutoresetMode.SAME_STEP
+        if self._with_infos:
+            infos |= _marked(outcome.infos, np.ones(self.num_envs, dtype=np.bool_))
+        return (
+            outcome.observations,
+            outcome.rewards,
+            np.zeros(self.num_envs, dtype=np.bool_),
+            outcome.truncations,
+            infos,
+        )
+
+    def render(self) -> tuple[Any, ...] | None:
+        """A frame of each environment, uint8, shape (512, 512, 3)."""
+        if self.render_mode is None:
+            gym.logger.warn('render needs a render_mode, e.g. render_mode="rgb_array": there is no picture')
+            return None
+        return self._batch.render()
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Release what the renderers hold."""
+        self._batch.close()
+
+    # -- episodes -----------------------------------------------------------------------------------------------------
+
+    def _restart_waiting(self) -> Flags | None:
+        """The episodes that are over and wait, if there are any."""
+        if not self._waiting:
+            return None
+        waiting = self._batch.over
+        if not waiting.any():
+            return None
+        if self._mode is AutoresetMode.DISABLED:
+            raise RuntimeError(
+                "autoreset_mode DISABLED leaves it to you to reset an episode that is over before the next step, by "
+                f"options={{'reset_mask': ...}}; over are {int(waiting.sum())} of {self.num_envs}"
+            )
+        if self._mode is AutoresetMode.SAME_STEP:  # the step that ended them was cut short
+            self._batch.restart(waiting)
+        return waiting
+
+    def _restart(self, chosen: Flags, outcome: Outcome) -> None:
+        """Start an episode where one is over, and let ``outcome`` show the start."""
+        self._batch.restart(chosen)
+        self._batch.observe(chosen, outcome.observations)
+        for name, values in self._fresh_infos(chosen).items() if self._with_infos else ():
+            if name in outcome.infos:
+                outcome.infos[name][chosen] = values[chosen]
+
+    def _fresh_infos(self, chosen: Flags) -> Infos:
+        """Infos of environments that have just started: nothing has happened or been earned yet."""
+        infos: Infos = {name: np.zeros(self.num_envs) for name in self._batch.info_names}
+        infos["impacts"] = np.zeros(self.num_envs, dtype=np.int64)
+        infos["state"] = np.where(chosen[:, None], self._batch.states, 0.0)
+        infos["time"] = np.where(chosen, self._batch.times, 0.0)
+        return _marked(infos, chosen)
+
+    def _final_infos(self, outcome: Outcome) -> Infos:
+        """The last observations, and infos if asked for, of the episodes that this step ended."""
+        ended = outcome.truncations
+        last = np.full(self.num_envs, None, dtype=object)
+        for number in np.flatnonzero(ended):
+            last[number] = outcome.observations[number].copy()
+        final: Infos = {}
+        for name, values in outcome.infos.items():
+            final[name] = np.zeros_like(values)
+            final[name][ended] = values[ended]
+        return _marked({"final_obs": last, "final_info": _marked(final, ended)}, ended)
+
+    # -- what is given ------------------------------------------------------------------------------------------------
+
+    def _actions(self, actions: ArrayLike) -> Array:
+        try:
+            given = np.asarray(actions)
+        except (TypeError, ValueError, RuntimeError) as error:  # ragged lists, tensors that want gradients
+            raise TypeError(f"actions must hold numbers (clipped to [-1, 1]), got {actions!r}") from error
+        if given.dtype.kind not in "fiu":
+            raise TypeError(f"actions must hold numbers (clipped to [-1, 1]), got {actions!r}")
+        if given.shape not in ((self.num_envs, 1), (self.num_envs,)):
+            raise ValueError(f"actions must have shape ({self.num_envs}, 1), got shape {given.shape}")
+        return given.reshape(self.num_envs).astype(np.float64)
+
+    def _seed_list(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
+        if seed is None:
+            return [None] * self.num_envs
+        if not isinstance(seed, Sequence | np.ndarray):
+            first = check.whole("seed", seed, at_least=0)
+            return [first + number for number in range(self.num_envs)]
+        if len(seed) != self.num_envs:
+            raise ValueError(f"seed must be a whole number or a list of {self.num_envs}, got {len(seed)} of them")
+        return [None if one is None else check.whole("seed", one, at_least=0) for one in seed]
+
+    def _mask(self, name: str, given: Any) -> Flags:
+        mask = np.asarray(given)
+        if mask.dtype != np.bool_:
+            raise TypeError(f"{name} must be an array of bool, got {given!r}")
+        if mask.shape != (self.num_envs,):
+            raise ValueError(f"{name} must have shape ({self.num_envs},), got {mask.shape}")
+        return mask.copy()
+
+    def _times(self, name: str, given: ArrayLike, chosen: Flags) -> Array:
+        times = np.asarray(given)
+        if times.dtype.kind not in "fiu":
+            raise TypeError(f"{name} must hold numbers, got {given!r}")
+        if times.shape not in ((), (self.num_envs,)):
+            raise ValueError(f"{name} must be a number or have shape ({self.num_envs},), got shape {times.shape}")
+        all_times = np.broadcast_to(times.astype(np.float64), (self.num_envs,))
+        for time in np.unique(all_times[chosen]).tolist():
+            check.real(name, time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
+        return np.where(chosen, all_times, 0.0)
+
+    def _states(self, name: str, given: ArrayLike, chosen: Flags, checked: Callable[[Scene, Any], Array]) -> Array:
+        """Rows of states, shape (N, 12), those ``chosen`` checked."""
+        try:
+            states = np.asarray(given)
+        except ValueError as error:  # ragged
+            raise TypeError(f"{name} must hold numbers, got {given!r}") from error
+        if states.shape == (12,):
+            return np.tile(checked(self.scene, states), (self.num_envs, 1))
+        if states.shape != (self.num_envs, 12):
+            raise ValueError(f"{name} must have shape (12,) or ({self.num_envs}, 12), got shape {states.shape}")
+        rows = np.zeros((self.num_envs, 12))
+        for number in np.flatnonzero(chosen):
+            try:
+                rows[number] = checked(self.scene, states[number])
+            except (TypeError, ValueError) as error:
+                raise type(error)(f"{name}[{number}]: {error}") from error
+        return rows
+
+
+def _marked(infos: Infos, mask: Flags) -> Infos:
+    """Each info with the mask that says which environments it holds for, as Gymnasium's vector environments do."""
+    marked: Infos = {}
+    for name, values in infos.items():
+        marked[name], marked[f"_{name}"] = values, mask.copy()
+    return marked
+
+
+def _autoreset_mode(given: AutoresetMode | str) -> AutoresetMode:
+    if isinstance(given, AutoresetMode):
+        return given
+    name = check.choice("autoreset_mode", given, [mode.name for mode in AutoresetMode])
+    return AutoresetMode[name]
