@@ -25,17 +25,27 @@ def compiled(function: F) -> F:
     Arithmetic is IEEE float64 in the order written, so every caller gets the same bits; a division by zero gives an
     infinity.
     """
-    return cast(F, _compile(function, keep=True))
+    return cast(F, _compile(function))
+
+
+def compiled_with(function: F, **instead: Callable[..., Any]) -> F:
+    """Return ``function`` compiled with other functions in place of those of these names, for comparisons.
+
+    Not kept on disk.
+    """
+    return cast(F, _compile(function, tuple(instead.items()), keep=False))
 
 
 @cache
-def _compile(function: FunctionType, keep: bool) -> Callable[..., Any]:
+def _compile(
+    function: FunctionType, instead: tuple[tuple[str, Any], ...] = (), keep: bool = True
+) -> Callable[..., Any]:
     from numba import njit
 
-    known = dict(function.__globals__)
+    known = {**function.__globals__, **dict(instead)}
     for name in function.__code__.co_names:
-        if _is_ours(known.get(name)):
-            known[name] = _compile(known[name], keep=False)  # what is kept of a caller holds what it calls
+        if isinstance(known.get(name), FunctionType) and _is_ours(known[name]):
+            known[name] = _compile(known[name], instead, keep=False)  # what is kept of a caller holds what it calls
     twin = FunctionType(function.__code__, known, function.__name__, function.__defaults__, function.__closure__)
     twin.__qualname__, twin.__module__, twin.__doc__ = function.__qualname__, function.__module__, function.__doc__
     # Without the runtime that counts references to arrays: nothing compiled here makes any, and counting them took
@@ -47,8 +57,8 @@ def _compile(function: FunctionType, keep: bool) -> Callable[..., Any]:
         return cast(Callable[..., Any], njit(cache=folder is not None, **settings)(twin))
 
 
-def _is_ours(value: object) -> bool:
-    return isinstance(value, FunctionType) and value.__module__.split(".")[0] == __name__.split(".")[0]
+def _is_ours(function: FunctionType) -> bool:
+    return function.__module__.split(".")[0] in (__name__.split(".")[0], "scripts")
 
 
 @cache

@@ -46,7 +46,7 @@ def rollout(
     Equal bit for bit to stepping ``make_simulator(scene, contact="exact")`` from each state.
 
     Args:
-        scene: a Scene, a dict of some of its fields, or None; elastic. Its drive's side forces act, its torque does not.
+        scene: a Scene, a dict of some of its fields, or None; elastic. Its drive's side forces act, not its torque.
         states: shape (N, 12), or (12,) for all sequences; a foot may be up to 1 m outside.
         torques: on the box [N m], shape (N, H), or (H,) for all states.
         dt: duration of a step [s], > 0.

@@ -286,7 +286,7 @@ def search(
 ) -> float:  # fmt: skip
     """First time up to ``end`` [s] at which this foot touches this wall and approaches; infinity if there is none.
 
-    A foot at the wall that does not approach can not be back before the parabola is ``sink`` below where it started:
+    A foot at the wall that does not approach can not be deeper than ``sink`` before the parabola from where it is is:
     without that depth a foot at rest on a wall would never get off the spot. It is the tolerance, and grows to 1e-10 m
     with the impacts of a step, so that a jack at rest makes some thousand impacts in it and not a million.
     """
@@ -301,7 +301,7 @@ def search(
         elif rate < -still:
             return s
         else:
-            after = s + parabola_root(sink, max(rate, 0.0), curvature)
+            after = s + parabola_root(max(gap + sink, 0.1 * tolerance), max(rate, 0.0), curvature)
         if not after <= end or w[TALLY, WORK] > MOST_WORK:
             return math.inf
         if after == s:
