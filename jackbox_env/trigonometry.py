@@ -36,9 +36,10 @@ def cos_sin_within(angle: float) -> tuple[float, float]:
     x = rough - middle
     rest = (rough - x) - middle - quarters * _QUARTER_LOW  # x + rest is the angle from the nearest quarter
     z = x * x
+    v = z * x
     tail = z * (2.75573137070700676789e-06 + z * (-2.50507602534068634195e-08 + z * 1.58969099521155010221e-10))
-    tail = z * (8.33333333332248946124e-03 + z * (-1.98412698298579493134e-04 + tail))
-    sine = x + (x * z * (-1.66666666666666324348e-01 + tail) + rest)
+    tail = 8.33333333332248946124e-03 + z * (-1.98412698298579493134e-04 + tail)
+    sine = x - ((z * (0.5 * rest - v * tail) - rest) - v * -1.66666666666666324348e-01)
     tail = z * (-2.75573143513906633035e-07 + z * (2.08757232129817482790e-09 + z * -1.13596475577881948265e-11))
     tail = z * (-1.38888888888741095749e-03 + z * (2.48015872894767294178e-05 + tail))
     near_one = 1.0 - 0.5 * z

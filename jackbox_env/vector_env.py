@@ -78,7 +78,9 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         if render_mode == "human" and self.num_envs > 1:
             raise ValueError(f'render_mode must be None or "rgb_array" for several environments, got {render_mode!r}')
         self._mode = _autoreset_mode(autoreset_mode)
-        self._with_infos = bool(with_infos)
+        if not isinstance(with_infos, bool):
+            raise TypeError(f"with_infos must be True or False, got {with_infos!r}")
+        self._with_infos = with_infos
         settings: dict[str, Any] = {
             "contact": contact, "substeps": substeps, "scene": scene, "task": task, "control_dt": control_dt,
             "torque": torque,

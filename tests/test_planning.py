@@ -1,0 +1,122 @@
+"""Rollouts: the same bits as stepping, from any number of threads, and refusals."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jackbox_env import Chirp, Drive, Rollout, Scene, make_simulator, rollout
+from jackbox_env.mechanics import energy
+from tests.states import inside
+
+SCENES = [
+    Scene(),
+    Scene(gravity=0.0, jack_arm=5.0, drive=None),
+    Scene(jack_arm=6.5, drive=Chirp(rate=0.0)),
+    Scene(drive=Drive(torque=lambda t: 1e9, force_x=lambda t: 2e4 * math.sin(5.0 * t))),
+]
+
+
+def cases(scene: Scene, count: int, steps: int) -> tuple[Any, Any]:
+    rng = np.random.default_rng(1)
+    states = []
+    for _ in range(count):
+        state = inside(scene, rng)
+        if scene.jack_arm > 6.0:
+            state[3:6] = [*state[0:2], state[2] + math.pi / 4.0]
+        states.append(state)
+    return np.array(states), rng.uniform(-9e4, 9e4, (count, steps))
+
+
+@pytest.mark.parametrize("scene", SCENES, ids=["default", "weightless", "long arm", "side force"])
+def test_a_rollout_is_stepping_bit_for_bit(scene: Scene) -> None:
+    states, torques = cases(scene, 5, 60)
+    found = rollout(scene, states, torques, 0.02, time=3.0, energy=True, impacts=True)
+    assert isinstance(found, Rollout)
+    assert found.impacts is not None
+    assert found.impulse is not None
+    assert found.energy is not None
+    assert found.trajectories.shape == (5, 61, 12)
+    simulator = make_simulator(scene, contact="exact")
+    for number in range(5):
+        simulator.reset(states[number], time=3.0)
+        np.testing.assert_array_equal(found.trajectories[number, 0], states[number])
+        for step in range(60):
+            simulator.step(0.02, torques[number, step])
+            np.testing.assert_array_equal(found.trajectories[number, step + 1], simulator.state)
+            assert found.impacts[number, step] == len(simulator.impacts)
+            assert found.impulse[number, step] == sum(hit.impulse for hit in simulator.impacts)
+            assert found.energy[number, step + 1] == energy(scene, simulator.state)
+    assert found.impacts.sum() > 10
+
+
+def test_threads_change_nothing() -> None:
+    states, torques = cases(Scene(), 101, 100)
+    one = rollout(Scene(), states, torques, 0.02, num_threads=1)
+    for threads in (2, 3, None):
+        np.testing.assert_array_equal(rollout(Scene(), states, torques, 0.02, num_threads=threads), one)
+
+
+def test_one_state_or_one_sequence_serves_all() -> None:
+    states, torques = cases(Scene(), 4, 10)
+    fan = rollout(None, states[0], torques, 0.02)
+    assert fan.shape == (4, 11, 12)
+    np.testing.assert_array_equal(fan[2], rollout({}, states[:1], torques[2:3], 0.02)[0])
+    np.testing.assert_array_equal(
+        rollout(None, states, torques[0], 0.02)[3, 5], rollout(None, states[3], torques[0], 0.02)[0, 5]
+    )
+    assert rollout(None, states, np.zeros((4, 0)), 0.02).shape == (4, 1, 12)
+    assert rollout(None, np.zeros((0, 12)), np.zeros((0, 7)), 0.02).shape == (0, 8, 12)
+
+
+def test_the_inputs_are_left_alone() -> None:
+    states, torques = cases(Scene(), 4, 10)
+    kept = states.copy(), torques.copy()
+    rollout(Scene(), states, torques, 0.02)[:] = 0.0
+    np.testing.assert_array_equal(states, kept[0])
+    np.testing.assert_array_equal(torques, kept[1])
+
+
+BAD = np.zeros((2, 12))
+BAD[1, 3] = 7.5
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        ({"states": np.zeros((2, 11))}, r"states must have shape \(N, 12\) or \(12,\), got \(2, 11\)"),
+        ({"states": np.full((2, 12), math.nan)}, r"states\[0\]: state must be finite, got x_box = nan"),
+        ({"states": np.full((2, 12), 1e200)}, r"states\[0\]: state must be within"),
+        ({"states": BAD}, r"states\[1\]: state must have every foot at most 1 m outside, got 2.5 m"),
+        ({"states": "here"}, "states must hold numbers, got 'here'"),
+        ({"states": [[1.0], [2.0, 3.0]]}, "states must hold numbers"),
+        ({"torques": np.zeros((3, 5))}, "states and torques must be as many, got 2 and 3"),
+        ({"torques": np.zeros((2, 5, 1))}, r"torques must have shape \(N, H\) or \(H,\), got \(2, 5, 1\)"),
+        ({"torques": [[0.0, math.inf]] * 2}, "torques must be finite, got inf"),
+        ({"torques": [[None]] * 2}, "torques must hold numbers"),
+        ({"dt": 0.0}, "dt must be a finite number above 0, got 0.0"),
+        ({"dt": math.nan}, "dt must be a finite number above 0, got nan"),
+        ({"time": math.inf}, "time must be a finite number at least"),
+        ({"time": 1e9}, "dt must move the time and end by 1e[+]09 s"),
+        ({"num_threads": 0}, "num_threads must be a whole number >= 1, got 0"),
+        ({"scene": Scene(restitution=0.5)}, "contact='exact' is elastic only"),
+        ({"scene": "box"}, "scene must be a Scene"),
+    ],
+)
+def test_unusable_values_are_refused_in_one_sentence(given: dict[str, Any], sentence: str) -> None:
+    usual = {"scene": Scene(), "states": np.zeros((2, 12)), "torques": np.zeros((2, 5)), "dt": 0.02}
+    with pytest.raises((TypeError, ValueError), match=sentence):
+        rollout(**{**usual, **given})
+
+
+def test_a_jack_too_fast_is_named() -> None:
+    states = np.zeros((3, 12))
+    states[2, 9] = 1e90
+    with pytest.raises(
+        RuntimeError,
+        match=r"the jack of states\[2\] (moves too fast|needs more than 1,000,000 gap)",
+    ):
+        rollout(Scene(), states, np.zeros((3, 5)), 0.02)

@@ -1,0 +1,188 @@
+"""The native Stable-Baselines3 VecEnv against DummyVecEnv over Monitor over the single environment."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3")
+
+from gymnasium.wrappers import RecordEpisodeStatistics, TimeLimit
+from stable_baselines3 import PPO
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormalize
+
+from jackbox_env import Scene
+from jackbox_env.sb3 import EnvView, JackInBoxVecEnv, make_sb3_vec_env
+
+EVERY_MODEL = pytest.mark.parametrize("contact", ["exact", "pymunk"])
+
+
+def dummy(num_envs: int, **settings: Any) -> DummyVecEnv:
+    return DummyVecEnv([lambda: Monitor(gym.make("JackInBox-v0", **settings))] * num_envs)
+
+
+def actions_at(step: int, count: int) -> Any:
+    return np.random.default_rng(step).uniform(-1.0, 1.0, (count, 1)).astype(np.float32)
+
+
+def assert_same_infos(found: list[dict[str, Any]], expected: list[dict[str, Any]]) -> None:
+    for one, other in zip(found, expected, strict=True):
+        assert set(one) == set(other)
+        for name, value in other.items():
+            assert type(one[name]) is type(value), name
+            if name == "episode":
+                assert (one[name]["r"], one[name]["l"]) == (value["r"], value["l"])
+                assert one[name]["t"] >= 0.0
+            else:
+                np.testing.assert_array_equal(one[name], value, err_msg=name)
+
+
+@EVERY_MODEL
+@pytest.mark.parametrize("settings", [{}, {"task": "rattle", "control_dt": 0.05, "scene": {"jack_arm": 5.0}}], ids=str)
+def test_each_step_is_that_of_dummy_vec_env(contact: str, settings: dict[str, Any]) -> None:
+    given = {"contact": contact, "max_episode_steps": 70, **settings}
+    native, plain = make_sb3_vec_env(3, **given), dummy(3, **given)
+    assert native.observation_space == plain.observation_space
+    assert native.action_space == plain.action_space
+    assert native.seed(9) == plain.seed(9) == [9, 10, 11]
+    np.testing.assert_array_equal(native.reset(), plain.reset())
+    assert_same_infos(native.reset_infos, plain.reset_infos)
+    kept: list[Any] = []
+    impacts = 0
+    for step in range(220):
+        found, expected = native.step(actions_at(step, 3)), plain.step(actions_at(step, 3))
+        for one, other in zip(found[:3], expected[:3], strict=True):
+            assert one.dtype == other.dtype  # type: ignore[union-attr]
+            np.testing.assert_array_equal(one, other)
+        assert_same_infos(found[3], expected[3])
+        assert_same_infos(native.reset_infos, plain.reset_infos)
+        impacts += sum(info["impacts"] for info in found[3])
+        kept.append((found, copy.deepcopy(found)))
+    assert impacts > 3
+    for found, copied in kept:  # what was handed out is as it was
+        for one, other in zip(found[:3], copied[:3], strict=True):
+            np.testing.assert_array_equal(one, other)
+        assert_same_infos(found[3], copied[3])
+    np.testing.assert_array_equal(native.reset(), plain.reset())  # unseeded: the generators went the same way
+
+
+def test_options_are_used_once_and_by_environment() -> None:
+    native, plain = make_sb3_vec_env(3, contact="exact"), dummy(3, contact="exact")
+    state = np.zeros(12)
+    state[3] = 0.7
+    for env in (native, plain):
+        env.seed(1)
+        env.set_options([{}, {"state": state}, {"time": 2.0}])
+    np.testing.assert_array_equal(native.reset(), plain.reset())
+    np.testing.assert_array_equal(native.get_attr("state")[1], state)
+    assert native.get_attr("time") == [0.0, 0.0, 2.0]
+    np.testing.assert_array_equal(native.reset(), plain.reset())
+    assert native.get_attr("time") == [0.0, 0.0, 0.0]
+
+
+@EVERY_MODEL
+def test_single_environments_can_be_looked_at_and_set(contact: str) -> None:
+    env = make_sb3_vec_env(3, contact=contact)
+    env.seed(0)
+    env.reset()
+    assert env.get_attr("task") == ["juggle"] * 3
+    assert env.get_attr("scene", indices=1) == [Scene()]
+    assert env.get_attr("render_mode", indices=[0, 2]) == [None, None]
+    assert env.get_attr("np_random_seed") == [0, 1, 2]
+    state = np.zeros(12)
+    state[11] = 3.0
+    before = env.get_attr("state")
+    env.env_method("set_state", state, 1.5, indices=[1])
+    after = env.get_attr("state")
+    np.testing.assert_array_equal(after[1], state)
+    np.testing.assert_array_equal(after[0], before[0])
+    assert env.get_attr("time") == [0.0, 1.5, 0.0]
+    assert env.get_attr("observation")[1].shape == (10,)
+    assert env.env_method("get_wrapper_attr", "time", indices=1) == [1.5]
+    assert env.env_method("has_wrapper_attr", "nothing") == [False] * 3
+    env.set_attr("label", "mine", indices=[0])
+    assert env.get_attr("label", indices=0) == ["mine"]
+    assert env.has_attr("label") is False  # the others have none
+    with pytest.raises(AttributeError):
+        env.set_attr("state", state)
+    with pytest.raises(AttributeError):
+        env.env_method("fly")
+    assert all(isinstance(view, EnvView) for view in env.get_attr("unwrapped"))
+
+
+def test_it_says_what_is_built_in() -> None:
+    env = make_sb3_vec_env(2, contact="exact")
+    assert env.env_is_wrapped(Monitor) == [True, True]
+    assert env.env_is_wrapped(TimeLimit, indices=[0]) == [True]
+    assert env.env_is_wrapped(RecordEpisodeStatistics) == [False, False]
+
+
+@EVERY_MODEL
+def test_images_are_those_of_single_environments(contact: str) -> None:
+    pytest.importorskip("pygame")
+    native, plain = (make(2, contact=contact, render_mode="rgb_array") for make in (make_sb3_vec_env, dummy))
+    for env in (native, plain):
+        env.seed(3)
+        env.reset()
+        for step in range(30):
+            env.step(actions_at(step, 2))
+    for one, other in zip(native.get_images(), plain.get_images(), strict=True):
+        np.testing.assert_array_equal(one, other)
+    tiled = native.render()
+    assert tiled is not None
+    assert tiled.shape == plain.render().shape  # type: ignore[union-attr]
+    native.close()
+
+
+def test_no_images_without_a_render_mode() -> None:
+    env = make_sb3_vec_env(2, contact="exact")
+    with pytest.warns(UserWarning, match="render_mode must be 'rgb_array' for images, got None"):
+        assert env.get_images() == [None, None]
+
+
+@EVERY_MODEL
+def test_ppo_trains_on_it_as_on_dummy_vec_env(contact: str) -> None:
+    def weights(env: Any) -> Any:
+        model = PPO("MlpPolicy", env, n_steps=32, batch_size=32, n_epochs=2, seed=0, device="cpu")
+        model.learn(256)
+        assert len(model.ep_info_buffer or ()) > 0
+        return model.policy.state_dict()
+
+    given = {"contact": contact, "max_episode_steps": 40}
+    found, expected = weights(make_sb3_vec_env(2, **given)), weights(dummy(2, **given))
+    for name, value in expected.items():
+        np.testing.assert_array_equal(found[name].numpy(), value.numpy(), err_msg=name)
+
+
+def test_wrappers_and_evaluation_find_the_episodes_statistics(recwarn: pytest.WarningsRecorder) -> None:
+    env = make_sb3_vec_env(2, contact="exact", max_episode_steps=20)
+    model = PPO("MlpPolicy", env, n_steps=16, batch_size=16, device="cpu")
+    _, lengths = evaluate_policy(model, env, n_eval_episodes=4, return_episode_rewards=True)
+    assert lengths == [20] * 4
+    assert not [warning for warning in recwarn if "Monitor" in str(warning.message)]
+    normalized = VecNormalize(VecMonitor(make_sb3_vec_env(2, contact="exact", max_episode_steps=20)))
+    normalized.reset()
+    for _ in range(20):
+        _, _, dones, infos = normalized.step(np.zeros((2, 1)))
+    assert dones.all()
+    assert infos[0]["episode"]["l"] == 20
+
+
+def test_unusable_arguments_are_refused() -> None:
+    with pytest.raises(ValueError, match="make_sb3_vec_env takes only .* got 'autoreset_mode'"):
+        make_sb3_vec_env(2, autoreset_mode="NEXT_STEP")
+    with pytest.raises(ValueError, match="make_sb3_vec_env takes only .* got 'gravity'"):
+        make_sb3_vec_env(2, gravity=0.0)
+    with pytest.raises(TypeError, match="num_envs must be a whole number >= 1, got 1.5"):
+        make_sb3_vec_env(1.5)  # type: ignore[arg-type]
+    env = JackInBoxVecEnv(2, contact="exact")
+    env.reset()
+    with pytest.raises(ValueError, match="actions must have shape"):
+        env.step(np.zeros((3, 1)))
+    env.step(np.zeros((2, 1)))
