@@ -63,7 +63,8 @@ def main() -> None:
 
     arguments = tyro.cli(Arguments, description=__doc__)
     deepest, steps = deepest_over(arguments.steps, arguments.num_envs, arguments.seed)
-    print(f"deepest penetration over {steps:,} control steps: {deepest:.3g} m")
+    where = f"{deepest:.3g} m outside" if deepest > 0.0 else f"{-deepest:.3g} m inside: none was ever outside"
+    print(f"over {steps:,} control steps the furthest foot was {where}")
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import dataclasses
 import json
 import os
 import signal
@@ -350,6 +351,24 @@ def test_simulate_writes_states_impacts_and_four_plots(tmp_path: Path) -> None:
     assert plots == [f"{body}_{what}.png" for body in ("box", "jack") for what in ("positions", "velocities")]
     again = script("simulate", "--folder", "out", cwd=tmp_path, status=2)
     assert "never overwritten" in again.stderr
+
+
+def test_simulate_by_the_exact_model_gives_the_reference(tmp_path: Path) -> None:
+    script("simulate", "--contact", "exact", "--seconds", "3", "--no-plots", "--folder", "out", cwd=tmp_path)
+    with (tmp_path / "out" / "impacts.csv").open() as file:
+        times = [float(row["time"]) for row in csv.DictReader(file)]
+    known = [hit["time"] for hit in load("seed_scene")[0]["impacts"] if hit["time"] < 3.0]
+    np.testing.assert_allclose(times, known, rtol=0.0, atol=1e-9)
+
+
+def test_training_by_the_exact_model(tmp_path: Path) -> None:
+    settings = dataclasses.replace(TINY, contact="exact", task="spin")
+    folder = new_folder(tmp_path / "run", "test")
+    describe(folder, settings)
+    model = training.train(settings, folder, progress=False)
+    assert model.num_timesteps >= settings.total_steps
+    loaded = load_model(folder)
+    assert loaded.predict(np.zeros((1, 10), dtype=np.float32))[0].shape == (1, 1)
 
 
 def test_simulate_keeps_what_came_before_the_jack_left(tmp_path: Path) -> None:

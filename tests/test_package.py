@@ -39,6 +39,15 @@ def test_stepping_loads_no_renderer_and_no_learner() -> None:
     assert run(code) == "['pymunk']"
 
 
+def test_the_exact_model_loads_no_engine_and_no_learner() -> None:
+    code = (
+        "import sys, gymnasium, jackbox_env;"
+        "e = gymnasium.make_vec('JackInBox-v0', num_envs=2, contact='exact'); e.reset(); e.step(None);"
+        f"print([name for name in {HEAVY} if name in sys.modules])"
+    )
+    assert run(code) == "['numba']"
+
+
 def test_every_public_name_is_there() -> None:
     for name in jackbox_env.__all__:
         assert getattr(jackbox_env, name) is not None
@@ -98,7 +107,8 @@ def test_every_shipped_line_is_the_projects_own() -> None:
 
 def test_the_readmes_python_runs() -> None:
     pytest.importorskip("pygame")
+    pytest.importorskip("stable_baselines3")
     blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
-    assert len(blocks) == 2
+    assert len(blocks) == 3
     assert run("\n".join(blocks)).startswith("t = 1.00 s: 1 impact(s)")
     assert len(blocks[0].strip().splitlines()) <= 11  # ten lines and a blank one
