@@ -276,6 +276,37 @@ def test_the_gap_stays_above_its_parabola() -> None:
     assert broken > 0
 
 
+def test_each_bound_holds_over_the_whole_flight() -> None:
+    # Distance of the centres, and the second derivative of the distance from a wall, over flights that bend most.
+    rng = np.random.default_rng(6)
+    scene = Scene()
+    n, w = scene.numbers, new_workspace()
+    tightest = math.inf
+    for number in range(300):
+        left, alpha = rng.choice([0.02, 0.5, 1.0]), rng.uniform(-50.0, 50.0)
+        x, y, vx, angle, jack_angle, jack_omega = rng.uniform(-3.0, 3.0, 6).tolist()
+        omega = 0.0 if number % 2 else float(rng.uniform(-5.0, 5.0))
+        vy = 0.5 * scene.gravity * left  # thrown up and back again: both ends say nothing of the way between
+        flight = kernel.Flight(
+            x, y, vx, vy, angle, omega, jack_angle, jack_omega, scene.gravity, alpha, 0.0, 0.5 * left, False, False
+        )
+        bounds = kernel.bounds_of(n, flight, left, abs(alpha), 0.0)
+        for s in np.linspace(0.0, left, 9).tolist():
+            pose = kernel.pose_at(flight, w, s)
+            distance = math.hypot(pose.x, pose.y)
+            assert distance <= bounds.far
+            assert distance <= kernel.reach_of(n, flight, left, 0.0)
+            cosine, sine = math.cos(pose.angle), math.sin(pose.angle)
+            ahead, aside = cosine * pose.x + sine * pose.y, cosine * pose.y - sine * pose.x
+            rate_aside = cosine * pose.vy - sine * pose.vx
+            bent = -sine * scene.gravity + 2.0 * pose.omega * rate_aside + alpha * aside - pose.omega**2 * ahead
+            assert abs(bent) <= bounds.bend
+            spin = jack_omega - pose.omega
+            assert scene.jack_arm * math.hypot(spin * spin, alpha) <= bounds.swing
+            tightest = min(tightest, bounds.far - distance, bounds.bend / max(abs(bent), 1e-9) - 1.0)
+    assert tightest < 0.5  # the bounds are no wild exaggeration
+
+
 def test_an_uncertified_step_would_let_feet_through(monkeypatch: pytest.MonkeyPatch) -> None:
     # With a hundredth of K the walk to the parabola's root passes impacts of a foot that turns away and comes back.
     scene, state, dt = MISSED["fast spin, whole turns in a step"]()
