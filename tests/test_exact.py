@@ -477,6 +477,16 @@ def test_functions_drive_as_the_chirp_does() -> None:
     np.testing.assert_allclose(one.state, other.state, atol=1e-9)
 
 
+def test_functions_are_followed_to_rounding_over_long_steps() -> None:
+    law = Chirp(amplitude=2e4)
+    one = simulator(Scene(gravity=0.0, drive=law), np.zeros(12))
+    other = simulator(Scene(gravity=0.0, drive=Drive(torque=law.torque)), np.zeros(12))
+    for _ in range(8):
+        one.step(0.7)
+        other.step(0.7)
+    np.testing.assert_allclose(other.state, one.state, rtol=0.0, atol=1e-13)
+
+
 def test_jumps_of_a_drive_are_found() -> None:
     # A square wave of 9e4 N m: 6.25 rad/s^2 for 0.25 s, then back: omega is a triangle, theta grows by 0.390625 rad.
     scene = Scene(gravity=0.0, drive=Drive(torque=lambda t: 9e4 if t % 0.5 < 0.25 else -9e4))
@@ -552,6 +562,16 @@ def test_motion_that_would_overflow_is_refused() -> None:
     with pytest.raises(RuntimeError, match="the jack moves too fast to be followed in the dt = 0.02 s after t = 0 s"):
         run.step(0.02)
     np.testing.assert_array_equal(run.state, before)
+
+
+@pytest.mark.parametrize("drive", [Chirp(amplitude=1e60), Drive(torque=lambda t: 1e300), None])
+def test_torque_that_would_overflow_is_refused_also_in_mid_air(drive: Chirp | Drive | None) -> None:
+    run = simulator(Scene(gravity=0.0, drive=drive, box_inertia=1e-60), np.zeros(12))
+    before = run.state
+    with pytest.raises(RuntimeError, match="the jack moves too fast to be followed in the dt = 0.02 s after t = 0 s"):
+        run.step(0.02, None if drive else 1e300)
+    np.testing.assert_array_equal(run.state, before)
+    assert run.time == 0.0
 
 
 def test_many_impacts_of_one_step_are_all_recorded() -> None:

@@ -251,6 +251,22 @@ def test_set_states_goes_on_bit_for_bit(contact: str) -> None:
     np.testing.assert_array_equal(env.states[~only], kept[~only])
 
 
+def test_angles_too_large_to_be_reduced_together_are_seen_alike() -> None:
+    env = JackInBoxVectorEnv(70, contact="exact")  # more than a block of them
+    env.reset(seed=0)
+    states = env.states
+    states[3, 2], states[68, 5] = 3e6, -1e8
+    env.set_states(states)
+    seen = env.step(None)[0]
+    single = gym.make("JackInBox-v0", contact="exact")
+    single.reset()
+    for number in (0, 3, 4, 67, 68, 69):
+        single.unwrapped.set_state(states[number])  # type: ignore[attr-defined]
+        np.testing.assert_array_equal(seen[number], single.step(None)[0])
+        cosine, sine = seen[number][4:6].astype(float)
+        assert cosine**2 + sine**2 == pytest.approx(1.0, abs=1e-6)
+
+
 # -- what is handed out -----------------------------------------------------------------------------------------------
 
 
@@ -466,6 +482,35 @@ def test_a_jack_that_can_not_be_followed_leaves_all_environments_as_they_were(co
     states[2, 9] = 0.0
     env.set_states(states, times)
     env.step(None)
+
+
+@EVERY_MODEL
+@pytest.mark.parametrize("mode", MODES)
+def test_an_interruption_between_step_and_restart_is_made_good(
+    contact: str, mode: AutoresetMode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    env = JackInBoxVectorEnv(3, contact=contact, max_episode_steps=4, autoreset_mode=mode)
+    env.reset(seed=0)
+    env.reset(seed=9, options={"reset_mask": np.array([False, True, False])})
+    env.step(None)
+    env.reset(options={"reset_mask": np.array([True, False, False])})  # one episode is a step behind the others
+
+    def interrupt(chosen: Any) -> None:
+        raise KeyboardInterrupt
+
+    interrupted = 0
+    for _ in range(30):
+        with monkeypatch.context() as patch:
+            patch.setattr(env._batch, "restart", interrupt)
+            try:
+                env.step(None)
+            except KeyboardInterrupt:
+                interrupted += 1
+        assert np.isfinite(env.states).all()
+        assert (env.times <= 4 * 0.02 + 1e-12).all()
+        env.step(None)
+        assert (env.times <= 4 * 0.02 + 1e-12).all()
+    assert interrupted > 4
 
 
 def test_times_run_out_for_each_environment() -> None:

@@ -38,7 +38,7 @@ DONE, TOO_MUCH_WORK, TOO_FAST = range(3)
 NONE, NOT_KNOWN, ENDLESS = -1, -2, -3
 MOST_WORK = 1_000_000  # gaps evaluated in one step
 _SLACK = 1.0 + 1e-12  # on bounds, for their rounding
-_STEEPEST = 1e40  # K [m/s^2] beyond which squares overflow
+STEEPEST = 1e40  # K [m/s^2] and alpha [rad/s^2] beyond which squares overflow
 
 
 class Flight(NamedTuple):
@@ -257,7 +257,7 @@ def next_impact(
     tolerance *= 0.5  # so that rounding does not part what the search has found from what touches
     best, found = left, NONE
     curvature = bounds.bend + bounds.swing
-    if not curvature < _STEEPEST:
+    if not curvature < STEEPEST:
         return best, ENDLESS
     cosine, sine = cos_sin(flight.jack_angle - flight.angle)
     spin = flight.jack_omega - flight.omega

@@ -6,18 +6,19 @@ Everything here is compiled as it stands, see :mod:`jackbox_env._compiled`.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from jackbox_env.mechanics import LARGEST
 from jackbox_env.scene import SceneNumbers, chirp_turns
 from jackbox_env.simulators.drives import ALPHA, DEGREE, chirp_piece, chirp_pieces, horner, integrate
 from jackbox_env.simulators.kernel import (
     DONE,
     NONE,
     NOT_KNOWN,
+    STEEPEST,
     TOO_FAST,
     Flight,
     advance,
@@ -87,6 +88,8 @@ def step(
     dt = plan.dt
     if plan.drive == NO_DRIVE or (held and plan.drive == CHIRP):
         alpha = torque / n.box_inertia if held else 0.0
+        if not abs(alpha) < STEEPEST:
+            return TOO_FAST, 0.0
         x, y = before[3] - before[0], before[4] - before[1]
         end_x = x + (before[9] - before[6]) * dt
         end_y = y + (before[10] - before[7] - 0.5 * n.gravity * dt) * dt
@@ -155,8 +158,8 @@ def finish(ended: int, before: Array, m: Array, after: Array) -> int:
         return ended
     total = 0.0
     for place in range(12):
-        total += m[place]
-    if not abs(total) < math.inf:
+        total += abs(m[place])
+    if not total < LARGEST:
         return TOO_FAST
     jack_x = before[3] + (m[3] - (before[3] - before[0]))
     jack_y = before[4] + (m[4] - (before[4] - before[1]))
