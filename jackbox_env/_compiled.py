@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shutil
+import threading
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,6 +19,8 @@ from typing import Any, TypeVar, cast
 
 PACKAGE = Path(__file__).parent
 F = TypeVar("F", bound=Callable[..., Any])
+_LOCK = threading.RLock()  # numba is told of the folder by a variable that all threads share
+_KEPT = 8  # folders of compiled code, of as many states of the source
 
 
 def compiled(function: F) -> F:
@@ -25,21 +29,26 @@ def compiled(function: F) -> F:
     Arithmetic is IEEE float64 in the order written, so every caller gets the same bits; a division by zero gives an
     infinity.
     """
-    return cast(F, _compile(function))
+    return cast(F, _compile(cast(FunctionType, function)))
 
 
-def compiled_with(function: F, **instead: Callable[..., Any]) -> F:
-    """Return ``function`` compiled with other functions in place of those of these names, for comparisons.
+def compiled_with(function: F, **instead: Any) -> F:
+    """Return ``function`` compiled with other functions or constants in place of those of these names, for comparisons.
 
     Not kept on disk.
     """
-    return cast(F, _compile(function, tuple(instead.items()), keep=False))
+    return cast(F, _compile(cast(FunctionType, function), tuple(instead.items()), keep=False))
 
 
-@cache
 def _compile(
     function: FunctionType, instead: tuple[tuple[str, Any], ...] = (), keep: bool = True
 ) -> Callable[..., Any]:
+    with _LOCK:
+        return _compile_once(function, instead, keep)
+
+
+@cache
+def _compile_once(function: FunctionType, instead: tuple[tuple[str, Any], ...], keep: bool) -> Callable[..., Any]:
     from numba import njit
 
     known = {**function.__globals__, **dict(instead)}
@@ -78,6 +87,13 @@ def _cache_places() -> Iterator[Path]:
     yield Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jackbox"
 
 
+def _tidy(place: Path) -> None:
+    """Remove what was compiled from states of the source that are long gone."""
+    folders = sorted(place.glob("compiled-*"), key=lambda folder: folder.stat().st_mtime, reverse=True)
+    for folder in folders[_KEPT:]:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
 @contextmanager
 def _cache_folder() -> Iterator[Path | None]:
     """Where what is compiled now is kept: the first place that can be written, a folder for each state of the source.
@@ -89,15 +105,17 @@ def _cache_folder() -> Iterator[Path | None]:
     for place in _cache_places():
         folder = place / f"compiled-{_digest()}"
         try:
-            folder.mkdir(parents=True, exist_ok=True)
+            if not folder.is_dir():
+                folder.mkdir(parents=True, exist_ok=True)
+                _tidy(place)
         except OSError:
             continue
         if os.access(folder, os.W_OK):
             break
     else:
         warnings.warn(
-            "no folder to keep compiled code in can be written, so each process compiles it anew, which takes seconds; "
-            "set NUMBA_CACHE_DIR to one that can",
+            "no folder to keep compiled code in can be written, so each process compiles it anew, which takes some "
+            "15 s; set NUMBA_CACHE_DIR to one that can",
             stacklevel=2,
         )
         yield None

@@ -35,7 +35,7 @@ def real(
         for word, bound in (("above", above), ("at least", at_least), ("at most", at_most))
         if math.isfinite(bound)
     ]
-    message = f"{name} must be a finite number{' ' * bool(bounds)}{' and '.join(bounds)}, got {value!r}"
+    message = f"{name} must be a finite number{' ' * bool(bounds)}{' and '.join(bounds)}, got {shown(value)}"
     raise (ValueError if _is_real(value) else TypeError)(message)
 
 
@@ -57,14 +57,31 @@ def whole(name: str, value: Any, *, at_least: int, at_most: int | None = None) -
     if at_most is not None:
         wanted = f"a whole number from {at_least} to {at_most}"
     if isinstance(value, bool):
-        raise TypeError(f"{name} must be {wanted}, got {value!r}")
+        raise TypeError(f"{name} must be {wanted}, got {shown(value)}")
     try:
         number = operator.index(value)
     except TypeError as error:
-        raise TypeError(f"{name} must be {wanted}, got {value!r}") from error
+        raise TypeError(f"{name} must be {wanted}, got {shown(value)}") from error
     if number < at_least or (at_most is not None and number > at_most):
-        raise ValueError(f"{name} must be {wanted}, got {value!r}")
+        raise ValueError(f"{name} must be {wanted}, got {shown(value)}")
     return number
+
+
+def flag(name: str, value: Any) -> bool:
+    """Return ``value`` if it is True or False.
+
+    Raises:
+        TypeError: it is neither.
+    """
+    if not isinstance(value, bool):
+        raise TypeError(f"{name} must be True or False, got {shown(value)}")
+    return value
+
+
+def shown(value: Any) -> str:
+    """A value as one short line."""
+    line = " ".join(repr(value).split())
+    return line if len(line) <= 80 else line[:77] + "..."
 
 
 def choice(name: str, value: Any, allowed: Iterable[str]) -> str:
@@ -76,7 +93,7 @@ def choice(name: str, value: Any, allowed: Iterable[str]) -> str:
     names = list(allowed)
     if not isinstance(value, str) or value not in names:
         listed = ", ".join(repr(known) for known in names)
-        raise ValueError(f"{name} must be one of {listed}, got {value!r}")
+        raise ValueError(f"{name} must be one of {listed}, got {shown(value)}")
     return value
 
 
@@ -90,4 +107,4 @@ def known_keys(name: str, given: Iterable[Any], allowed: Iterable[str]) -> None:
     for key in given:
         if key not in names:
             listed = ", ".join(repr(known) for known in names)
-            raise ValueError(f"{name} takes only {listed}, got {key!r}")
+            raise ValueError(f"{name} takes only {listed}, got {shown(key)}")

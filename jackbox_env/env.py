@@ -202,7 +202,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
             TypeError, ValueError: an unusable option; the environment stays as it was.
         """
         if not isinstance(options, Mapping | None):
-            raise TypeError(f"options must be a dict of 'state' and 'time' or None, got {options!r}")
+            raise TypeError(f"options must be a dict of 'state' and 'time' or None, got {check.shown(options)}")
         given = dict(options or {})
         check.known_keys("options", given, ("state", "time"))
         time = check.real("options['time']", given.get("time", 0.0), at_least=-LATEST_TIME, at_most=LATEST_TIME)
@@ -266,9 +266,11 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         try:
             values = action if isinstance(action, np.ndarray) else np.asarray(action)
         except (TypeError, ValueError, RuntimeError) as error:  # ragged lists, tensors that want gradients
-            raise TypeError(f"action must hold one finite number (clipped to [-1, 1]), got {action!r}") from error
+            raise TypeError(
+                f"action must hold one finite number (clipped to [-1, 1]), got {check.shown(action)}"
+            ) from error
         if values.dtype.kind not in "fiu":
-            raise TypeError(f"action must hold one finite number (clipped to [-1, 1]), got {action!r}")
+            raise TypeError(f"action must hold one finite number (clipped to [-1, 1]), got {check.shown(action)}")
         if values.shape not in ((1,), ()):
             raise ValueError(f"action must have shape (1,), got shape {values.shape}")
         value = float(values.item())

@@ -70,9 +70,9 @@ def as_state(state: ArrayLike) -> Array:
     try:
         given = np.asarray(state)
     except ValueError as error:  # ragged
-        raise TypeError(f"state must hold 12 numbers, got {state!r}") from error
+        raise TypeError(f"state must hold 12 numbers, got {check.shown(state)}") from error
     if given.dtype.kind not in "fiu":
-        raise TypeError(f"state must hold 12 numbers, got {state!r}")
+        raise TypeError(f"state must hold 12 numbers, got {check.shown(state)}")
     array = np.array(given, dtype=np.float64)
     if array.shape != (12,):
         raise ValueError(f"state must have shape (12,), got shape {array.shape}")
@@ -235,7 +235,7 @@ def simultaneous_impact_map(scene: Scene, state: ArrayLike, contacts: Sequence[t
     except TypeError as error:
         if isinstance(contacts, Iterable):
             raise
-        raise TypeError(f"contacts must be a list of (wall, foot) pairs, got {contacts!r}") from error
+        raise TypeError(f"contacts must be a list of (wall, foot) pairs, got {check.shown(contacts)}") from error
     if len(set(pairs)) < len(pairs):
         raise ValueError(f"contacts must be distinct (wall, foot) pairs, got {pairs}")
     if not pairs:
@@ -253,7 +253,7 @@ def _pair(contact: tuple[int, int]) -> tuple[int, int]:
     try:
         wall, foot = contact
     except (TypeError, ValueError) as error:
-        raise TypeError(f"a contact must be a pair (wall, foot), got {contact!r}") from error
+        raise TypeError(f"a contact must be a pair (wall, foot), got {check.shown(contact)}") from error
     return check.whole("wall", wall, at_least=0, at_most=3), check.whole("foot", foot, at_least=0, at_most=3)
 
 

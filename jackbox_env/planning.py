@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import _validation as check
 from jackbox_env._compiled import compiled
+from jackbox_env.batches.loop import PAUSED
 from jackbox_env.batches.rollouts import outside, roll
 from jackbox_env.batches.threads import Threads, thread_count
 from jackbox_env.mechanics import Array, as_held, deepest_held
@@ -17,8 +18,6 @@ from jackbox_env.scene import Scene
 from jackbox_env.simulators.base import LATEST_TIME, end_of_step
 from jackbox_env.simulators.exact import drive_kind, failure, pieces_for, refuse_inelastic
 from jackbox_env.simulators.workspace import new_workspace
-
-_STEPS_AT_ONCE = 5_000_000  # some seconds at most, after which an interruption is heard
 
 
 class Rollout(NamedTuple):
@@ -28,6 +27,20 @@ class Rollout(NamedTuple):
     energy: Array | None  # (N, H + 1) [J]
     impacts: NDArray[np.int64] | None  # (N, H) impacts in each step
     impulse: Array | None  # (N, H) sum of their impulses [N s]
+
+
+@overload
+def rollout(
+    scene: Scene | Mapping[str, Any] | None, states: ArrayLike, torques: ArrayLike, dt: float, time: float = 0.0,
+    *, energy: Literal[False] = False, impacts: Literal[False] = False, num_threads: int | None = None,
+) -> Array: ...  # fmt: skip
+
+
+@overload
+def rollout(
+    scene: Scene | Mapping[str, Any] | None, states: ArrayLike, torques: ArrayLike, dt: float, time: float = 0.0,
+    *, energy: bool = False, impacts: bool = False, num_threads: int | None = None,
+) -> Array | Rollout: ...  # fmt: skip
 
 
 def rollout(
@@ -40,7 +53,7 @@ def rollout(
     energy: bool = False,
     impacts: bool = False,
     num_threads: int | None = None,
-) -> Any:
+) -> Array | Rollout:
     """Play torques, each held for ``dt``, from each state, by ``contact="exact"``.
 
     Equal bit for bit to stepping ``make_simulator(scene, contact="exact")`` from each state.
@@ -64,6 +77,7 @@ def rollout(
     """
     scene = Scene.of(scene)
     refuse_inelastic(scene)
+    energy, impacts = check.flag("energy", energy), check.flag("impacts", impacts)
     dt = check.real("dt", dt, above=0.0)
     time = check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
     starts, held = _sequences(scene, states, torques)
@@ -79,18 +93,18 @@ def rollout(
     impulses, energies = np.zeros(hits.shape), np.zeros((count, steps + 1) if energy else (0, steps + 1))
     threads = Threads(thread_count(num_threads, count))
     workspaces = [new_workspace() for _ in range(threads.count)]
-    numbers, drive, play = np.array(scene.numbers), drive_kind(scene), compiled(roll)
+    numbers, drive, play, moments = np.array(scene.numbers), drive_kind(scene), compiled(roll), np.array(times)
 
     def work(thread: int, low: int, high: int) -> tuple[int, int, int]:
-        at_once = max(1, _STEPS_AT_ONCE // max(1, steps))
-        for start in range(low, high, at_once):
+        first = 0
+        while True:
             ended, who, when = play(
-                numbers, dt, drive, trajectories, held, np.array(times), table, ends, start, min(high, start + at_once),
-                hits, impulses, energies, workspaces[thread],
+                numbers, dt, drive, trajectories, held, moments, table, ends, low, high, first, hits, impulses,
+                energies, workspaces[thread],
             )  # fmt: skip
-            if ended:
+            if ended != PAUSED:
                 return ended, who, when
-        return 0, 0, 0
+            low, first = who, when  # after a while, so that an interruption is heard
 
     for ended, who, when in threads.run(work, count):
         if ended:
@@ -127,7 +141,7 @@ def _numbers(name: str, given: ArrayLike) -> Array:
     try:
         array = np.asarray(given)
     except (TypeError, ValueError, RuntimeError) as error:  # ragged lists, tensors that want gradients
-        raise TypeError(f"{name} must hold numbers, got {given!r}") from error
+        raise TypeError(f"{name} must hold numbers, got {check.shown(given)}") from error
     if array.dtype.kind not in "fiu":
-        raise TypeError(f"{name} must hold numbers, got {given!r}")
+        raise TypeError(f"{name} must hold numbers, got {check.shown(given)}")
     return array.astype(np.float64)

@@ -12,7 +12,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
-from gymnasium.wrappers import TimeLimit
+from gymnasium.wrappers import OrderEnforcing, TimeLimit
 from numpy.typing import ArrayLike, NDArray
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
@@ -77,10 +77,12 @@ class JackInBoxVecEnv(VecEnv):
     def _reset_with_options(self, plain: NDArray[np.bool_]) -> None:
         groups: list[tuple[NDArray[np.bool_], dict[str, Any]]] = [(plain, {})] if plain.any() else []
         for number in np.flatnonzero(~plain):
+            check.known_keys("options", self._options[number], ("state", "time"))
             groups.append((np.arange(self.num_envs) == number, self._options[number]))
-        for mask, options in groups:
-            _, infos = self.vector_env.reset(seed=self._seeds, options={**options, "reset_mask": mask})
-            self._keep_reset_infos(infos, np.flatnonzero(mask).tolist())
+        plans = [self.vector_env.plan_reset(self._seeds, {**options, "reset_mask": mask}) for mask, options in groups]
+        for plan in plans:
+            _, infos = self.vector_env.carry_out(plan)
+            self._keep_reset_infos(infos, np.flatnonzero(plan.chosen).tolist())
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Keep the actions, shape (N, 1), for ``step_wait``."""
@@ -98,15 +100,16 @@ class JackInBoxVecEnv(VecEnv):
                 if not name.startswith("_"):
                     infos[name][ended] = values[ended]
         rows = _rows(infos)
-        for number, row in enumerate(rows):
-            row["TimeLimit.truncated"] = bool(dones[number])
         for number in ended:
-            rows[number]["terminal_observation"] = infos["final_obs"][number]
             rows[number]["episode"] = {
                 "r": round(float(self._returns[number]), 6),
                 "l": int(self._lengths[number]),
                 "t": round(time.time() - self._began, 6),
             }
+        for row, truncated in zip(rows, dones.tolist(), strict=True):
+            row["TimeLimit.truncated"] = truncated
+        for number in ended:
+            rows[number]["terminal_observation"] = infos["final_obs"][number]
         self._returns[ended], self._lengths[ended] = 0.0, 0
         return observations, rewards.astype(np.float32), dones, rows
 
@@ -144,8 +147,8 @@ class JackInBoxVecEnv(VecEnv):
     def env_is_wrapped(
         self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
     ) -> list[bool]:
-        """True for Monitor and TimeLimit: their work is built in."""
-        return [issubclass(wrapper_class, (Monitor, TimeLimit)) for _ in self._chosen(indices)]
+        """True for Monitor, TimeLimit and OrderEnforcing: their work is built in."""
+        return [issubclass(wrapper_class, (Monitor, TimeLimit, OrderEnforcing)) for _ in self._chosen(indices)]
 
     def _chosen(self, indices: VecEnvIndices) -> list[EnvView]:
         return [self._views[number] for number in self._get_indices(indices)]
@@ -217,5 +220,5 @@ class EnvView:
 def _rows(infos: dict[str, Any]) -> list[dict[str, Any]]:
     """Infos of arrays as a list of each environment's own."""
     names = [name for name in infos if not name.startswith(("_", "final_"))]
-    columns = [list(infos[name]) if infos[name].ndim > 1 else infos[name].tolist() for name in names]
+    columns = [[row.copy() for row in infos[name]] if infos[name].ndim > 1 else infos[name].tolist() for name in names]
     return [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]

@@ -177,7 +177,7 @@ class Drive:
         for part in fields(self):
             function = getattr(self, part.name)
             if function is not None and not callable(function):
-                raise TypeError(f"{part.name} must be a function of the time in s or None, got {function!r}")
+                raise TypeError(f"{part.name} must be a function of the time in s or None, got {check.shown(function)}")
 
     @property
     def torque_bound(self) -> float:
@@ -285,7 +285,7 @@ class Scene:
         if not isinstance(self.drive, Chirp | Drive | None):
             hint = ": for a function f of the time write Drive(torque=f)" if callable(self.drive) else ""
             raise TypeError(
-                f"drive must be a Chirp, a Drive, a dict of Chirp's fields or None, got {self.drive!r}{hint}"
+                f"drive must be a Chirp, a Drive, a dict of Chirp's fields or None, got {check.shown(self.drive)}{hint}"
             )
 
     @classmethod
@@ -300,7 +300,7 @@ class Scene:
         if isinstance(given, cls):
             return given
         if not isinstance(given, Mapping):
-            raise TypeError(f"scene must be a Scene, a dict of its fields or None, got {given!r}")
+            raise TypeError(f"scene must be a Scene, a dict of its fields or None, got {check.shown(given)}")
         check.known_keys("scene", given, (part.name for part in fields(cls)))
         return cls(**given)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -20,6 +20,18 @@ from jackbox_env.simulators.base import LATEST_TIME
 
 Infos = dict[str, Any]
 
+_MOST_ENVS = 1_000_000_000
+_NO_LIMIT = 10**15  # steps; float64 counts them all
+
+
+class ResetPlan(NamedTuple):
+    """What a reset does, checked."""
+
+    chosen: Flags  # (N,) which environments
+    seeds: list[int | None]
+    states: Array | None  # (N, 12) where they start; None: at drawn starts
+    times: Array  # (N,) [s]
+
 
 class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
     """Many jacks in boxes side by side: ``gymnasium.make_vec("JackInBox-v0", num_envs=1024, contact="exact")``.
@@ -30,7 +42,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
 
     Args:
         num_envs: number of environments N.
-        max_episode_steps: steps after which an episode is truncated.
+        max_episode_steps: steps after which an episode is truncated; -1: never.
         autoreset_mode: when an episode that is over restarts. ``NEXT_STEP``: the step after ignores the action, returns
             the new start and reward 0. ``SAME_STEP``: the step that ends it returns the new start, and the last
             observation in ``infos["final_obs"]``. ``DISABLED``: you restart it, by ``reset`` with a ``reset_mask``. The
@@ -71,16 +83,16 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         control_dt: float = 0.02,
         torque: str = "agent",
     ) -> None:
-        self.num_envs = check.whole("num_envs", num_envs, at_least=1)
-        limit = check.whole("max_episode_steps", max_episode_steps, at_least=1)
+        self.num_envs = check.whole("num_envs", num_envs, at_least=1, at_most=_MOST_ENVS)
+        limit = _NO_LIMIT
+        if max_episode_steps != -1:
+            limit = check.whole("max_episode_steps", max_episode_steps, at_least=1, at_most=_NO_LIMIT)
         if num_threads is not None:
             check.whole("num_threads", num_threads, at_least=1)
         if render_mode == "human" and self.num_envs > 1:
             raise ValueError(f'render_mode must be None or "rgb_array" for several environments, got {render_mode!r}')
         self._mode = _autoreset_mode(autoreset_mode)
-        if not isinstance(with_infos, bool):
-            raise TypeError(f"with_infos must be True or False, got {with_infos!r}")
-        self._with_infos = with_infos
+        self._with_infos = check.flag("with_infos", with_infos)
         settings: dict[str, Any] = {
             "contact": contact, "substeps": substeps, "scene": scene, "task": task, "control_dt": control_dt,
             "torque": torque,
@@ -156,8 +168,18 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         Raises:
             TypeError, ValueError: an unusable seed or option; all environments stay as they were.
         """
+        return self.carry_out(self.plan_reset(seed, options))
+
+    def plan_reset(self, seed: int | Sequence[int | None] | None, options: Mapping[str, Any] | None) -> ResetPlan:
+        """Check all that a reset is given, and change nothing.
+
+        Raises:
+            TypeError, ValueError: an unusable seed or option.
+        """
         if not isinstance(options, Mapping | None):
-            raise TypeError(f"options must be a dict of 'state', 'time' and 'reset_mask' or None, got {options!r}")
+            raise TypeError(
+                f"options must be a dict of 'state', 'time' and 'reset_mask' or None, got {check.shown(options)}"
+            )
         given = dict(options or {})
         check.known_keys("options", given, ("state", "time", "reset_mask"))
         chosen = np.ones(self.num_envs, dtype=np.bool_)
@@ -169,18 +191,22 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         states = None
         if given.get("state") is not None:
             states = self._states("options['state']", given["state"], chosen, as_start)
-        seeds = self._seed_list(seed)
-        for number in np.flatnonzero(chosen).tolist():
-            new_seed = seeds[number]
-            if new_seed is not None:
-                self._batch.seed(number, new_seed)
-                self._seeds[number] = new_seed
-        if states is None:
-            self._batch.restart(chosen)
-        if states is not None or times.any():
-            self._batch.place(chosen, self._batch.states if states is None else states, times, anew=True)
-        self._started = self._started or bool(chosen.all())
-        return self.observations, self._fresh_infos(chosen) if self._with_infos else {}
+        return ResetPlan(chosen, self._seed_list(seed), states, times)
+
+    def carry_out(self, plan: ResetPlan) -> tuple[Floats, Infos]:
+        """Reset as planned."""
+        for number in np.flatnonzero(plan.chosen).tolist():
+            seed = plan.seeds[number]
+            if seed is not None:
+                self._batch.seed(number, seed)
+                self._seeds[number] = seed
+        if plan.states is None:
+            self._batch.restart(plan.chosen)
+        if plan.states is not None or plan.times.any():
+            states = self._batch.states if plan.states is None else plan.states
+            self._batch.place(plan.chosen, states, plan.times, anew=True)
+        self._started = self._started or bool(plan.chosen.all())
+        return self.observations, self._fresh_infos(plan.chosen) if self._with_infos else {}
 
     def step(self, actions: ArrayLike | None) -> tuple[Floats, Array, Flags, Flags, Infos]:
         """Advance all environments by one control step under ``actions``, shape (N, 1), or under the scene's drive.
@@ -273,12 +299,9 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
     # -- what is given ------------------------------------------------------------------------------------------------
 
     def _actions(self, actions: ArrayLike) -> Array:
-        try:
-            given = np.asarray(actions)
-        except (TypeError, ValueError, RuntimeError) as error:  # ragged lists, tensors that want gradients
-            raise TypeError(f"actions must hold numbers (clipped to [-1, 1]), got {actions!r}") from error
+        given = _array("actions", actions)
         if given.dtype.kind not in "fiu":
-            raise TypeError(f"actions must hold numbers (clipped to [-1, 1]), got {actions!r}")
+            raise TypeError(f"actions must hold numbers (clipped to [-1, 1]), got {check.shown(actions)}")
         if given.shape not in ((self.num_envs, 1), (self.num_envs,)):
             raise ValueError(f"actions must have shape ({self.num_envs}, 1), got shape {given.shape}")
         return given.reshape(self.num_envs).astype(np.float64)
@@ -286,25 +309,27 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
     def _seed_list(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         if seed is None:
             return [None] * self.num_envs
-        if not isinstance(seed, Sequence | np.ndarray):
+        several = isinstance(seed, Sequence | np.ndarray) and not isinstance(seed, str | bytes)
+        if not several or getattr(seed, "ndim", 1) == 0:
             first = check.whole("seed", seed, at_least=0)
             return [first + number for number in range(self.num_envs)]
-        if len(seed) != self.num_envs:
-            raise ValueError(f"seed must be a whole number or a list of {self.num_envs}, got {len(seed)} of them")
-        return [None if one is None else check.whole("seed", one, at_least=0) for one in seed]
+        listed = list(seed)  # type: ignore[arg-type]
+        if len(listed) != self.num_envs:
+            raise ValueError(f"seed must be a whole number or a list of {self.num_envs}, got {len(listed)} of them")
+        return [None if one is None else check.whole("seed", one, at_least=0) for one in listed]
 
     def _mask(self, name: str, given: Any) -> Flags:
-        mask = np.asarray(given)
+        mask = _array(name, given)
         if mask.dtype != np.bool_:
-            raise TypeError(f"{name} must be an array of bool, got {given!r}")
+            raise TypeError(f"{name} must be an array of bool, got {check.shown(given)}")
         if mask.shape != (self.num_envs,):
             raise ValueError(f"{name} must have shape ({self.num_envs},), got {mask.shape}")
         return mask.copy()
 
     def _times(self, name: str, given: ArrayLike, chosen: Flags) -> Array:
-        times = np.asarray(given)
+        times = _array(name, given)
         if times.dtype.kind not in "fiu":
-            raise TypeError(f"{name} must hold numbers, got {given!r}")
+            raise TypeError(f"{name} must hold numbers, got {check.shown(given)}")
         if times.shape not in ((), (self.num_envs,)):
             raise ValueError(f"{name} must be a number or have shape ({self.num_envs},), got shape {times.shape}")
         all_times = np.broadcast_to(times.astype(np.float64), (self.num_envs,))
@@ -314,10 +339,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
 
     def _states(self, name: str, given: ArrayLike, chosen: Flags, checked: Callable[[Scene, Any], Array]) -> Array:
         """Rows of states, shape (N, 12), those ``chosen`` checked."""
-        try:
-            states = np.asarray(given)
-        except ValueError as error:  # ragged
-            raise TypeError(f"{name} must hold numbers, got {given!r}") from error
+        states = _array(name, given)
         if states.shape == (12,):
             return np.tile(checked(self.scene, states), (self.num_envs, 1))
         if states.shape != (self.num_envs, 12):
@@ -329,6 +351,13 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
             except (TypeError, ValueError) as error:
                 raise type(error)(f"{name}[{number}]: {error}") from error
         return rows
+
+
+def _array(name: str, given: Any) -> NDArray[Any]:
+    try:
+        return np.asarray(given)
+    except (TypeError, ValueError, RuntimeError) as error:  # ragged lists, tensors that want gradients
+        raise TypeError(f"{name} must hold numbers in an array, got {check.shown(given)}") from error
 
 
 def _marked(infos: Infos, mask: Flags) -> Infos:

@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import mpmath as mp
@@ -95,6 +96,18 @@ def _other_quarter(cosine: float, sine: float, quarters: int) -> tuple[float, fl
 _other_quarter.__module__ = "jackbox_env"
 
 
+def test_compiled_code_of_old_sources_is_tidied_away(tmp_path: Path) -> None:
+    for number in range(12):
+        folder = tmp_path / f"compiled-{number:02d}"
+        folder.mkdir()
+        os.utime(folder, (number, number))
+    run(STEP, NUMBA_CACHE_DIR=str(tmp_path))
+    left = sorted(path.name for path in tmp_path.iterdir())
+    assert len(left) == 8
+    assert "compiled-04" not in left
+    assert "compiled-11" in left
+
+
 # -- cosines ----------------------------------------------------------------------------------------------------------
 
 
@@ -172,6 +185,20 @@ def test_an_error_in_a_thread_is_raised_and_the_threads_live_on() -> None:
     with pytest.raises(ValueError, match="from a thread"):
         threads.run(fail, 10)
     assert threads.run(lambda number, low, high: high - low, 10) == [5, 5]
+
+
+def test_nobody_works_on_after_an_interruption() -> None:
+    threads, done = Threads(4), []
+
+    def interrupted(number: int, low: int, high: int) -> None:
+        if number == 0:
+            raise KeyboardInterrupt
+        time.sleep(0.2)
+        done.append(number)
+
+    with pytest.raises(KeyboardInterrupt):
+        threads.run(interrupted, 4)
+    assert sorted(done) == [1, 2, 3]
 
 
 def test_the_number_of_threads() -> None:

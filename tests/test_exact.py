@@ -353,6 +353,20 @@ def test_a_jack_at_rest_on_the_floor_stays_there(angle: float) -> None:
     assert energy(scene, run.state) == pytest.approx(energy(scene, state), abs=1e-9)
 
 
+@pytest.mark.parametrize("dt", [0.02, 0.2, 1.0])
+@pytest.mark.parametrize("angle", [0.0, math.pi / 4.0])
+def test_a_foot_that_slides_along_a_wall_is_let_slide(dt: float, angle: float) -> None:
+    # It touches the wall and nothing presses on it: the jack falls along the wall.
+    scene = Scene(drive=None)
+    state = np.zeros(12)
+    state[3], state[5] = 6.0 - math.cos(angle), angle
+    run = simulator(scene, state)
+    run.step(dt)
+    assert [hit for hit in run.impacts if hit.impulse > 1e-6] == []
+    assert run.state[4] == pytest.approx(-0.5 * 9.81 * dt * dt, abs=1e-9)
+    assert clearance(scene, run.state.tolist()) > -1e-9
+
+
 def test_a_foot_at_rest_on_a_wall_without_weight_is_left_alone() -> None:
     state = np.zeros(12)
     state[3] = 5.0
@@ -487,6 +501,31 @@ def test_functions_are_followed_to_rounding_over_long_steps() -> None:
     np.testing.assert_allclose(other.state, one.state, rtol=0.0, atol=1e-13)
 
 
+def float32_sine(time: float) -> Any:
+    return np.float32(9e4 * math.sin(time))
+
+
+@pytest.mark.parametrize(
+    ("torque", "dt", "times"),
+    [
+        (lambda t: 9e4 * math.sin(2.0 * math.pi * t), 0.02, [81.48, 81.98, 1e3, 1e6, 1e8]),
+        (lambda t: 9e4 * math.sin(2.0 * math.pi * t), 1e-4, [0.5, 8.0, 100.0]),
+        (lambda t: 9e4 * math.sin(20.0 * math.pi * t), 0.02, [32.64, 1e4]),
+        (Chirp().torque, 0.02, [24.28, 100.0, 1000.0]),
+        (float32_sine, 0.02, [0.0, 3.14, 50.0]),
+    ],
+    ids=["1 Hz", "small steps", "10 Hz", "chirp", "float32"],
+)
+def test_the_rounding_of_a_function_is_not_taken_for_its_shape(torque: Any, dt: float, times: list[float]) -> None:
+    # Near a zero the rounding of t * omega is large against the function's values in the step.
+    for time in times:
+        run = simulator(Scene(gravity=0.0, drive=Drive(torque=torque)), np.zeros(12), time)
+        run.step(dt)
+        with mp.workdps(30):
+            mean = mp.quad(lambda s, time=time: mp.mpf(float(torque(float(time + s)))), [0, dt / 2, dt]) / dt
+        assert run.torque == pytest.approx(float(mean), abs=0.1 + 9e4 * 100.0 * math.ulp(time))
+
+
 def test_jumps_of_a_drive_are_found() -> None:
     # A square wave of 9e4 N m: 6.25 rad/s^2 for 0.25 s, then back: omega is a triangle, theta grows by 0.390625 rad.
     scene = Scene(gravity=0.0, drive=Drive(torque=lambda t: 9e4 if t % 0.5 < 0.25 else -9e4))
@@ -572,6 +611,19 @@ def test_torque_that_would_overflow_is_refused_also_in_mid_air(drive: Chirp | Dr
         run.step(0.02, None if drive else 1e300)
     np.testing.assert_array_equal(run.state, before)
     assert run.time == 0.0
+
+
+@pytest.mark.parametrize("place", [2, 5, 6, 10])
+def test_states_that_float64_can_not_resolve_are_refused_where_it_matters(place: int) -> None:
+    state = np.zeros(12)
+    state[3], state[5], state[9] = 5.2, 0.785, 10.0
+    state[place] = 1e14
+    if place in (6, 10):
+        state[[6, 9] if place == 6 else [7, 10]] = 1e14
+    run = simulator(WEIGHTLESS, state)
+    with pytest.raises(RuntimeError, match="too fast to be followed .* or is too far off"):
+        run.step(0.02)
+    np.testing.assert_array_equal(run.state, state)
 
 
 def test_many_impacts_of_one_step_are_all_recorded() -> None:

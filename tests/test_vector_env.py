@@ -15,7 +15,9 @@ import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import jackbox_env
-from jackbox_env import Drive, JackInBoxVectorEnv, Scene
+from jackbox_env import Drive, JackInBoxVectorEnv, Scene, planning
+from jackbox_env._compiled import compiled_with
+from jackbox_env.batches import exact
 from jackbox_env.env import JackInBoxEnv
 
 MODES = (AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP)
@@ -267,6 +269,59 @@ def test_angles_too_large_to_be_reduced_together_are_seen_alike() -> None:
         assert cosine**2 + sine**2 == pytest.approx(1.0, abs=1e-6)
 
 
+def test_an_episode_that_waits_does_not_ask_its_drive() -> None:
+    def recorded(time: float) -> float:
+        if time > 0.1 + 1e-9:
+            raise ValueError("beyond the data")
+        return 1e4
+
+    env = JackInBoxVectorEnv(2, contact="exact", scene=Scene(drive=Drive(torque=recorded)), max_episode_steps=5)
+    env.reset(seed=0)
+    for _ in range(13):
+        env.step(None)
+    single = JackInBoxEnv(contact="exact", scene=env.scene, control_dt=0.2)
+    with pytest.raises(ValueError, match="beyond the data"):
+        single.step(None)
+
+
+def test_long_work_that_pauses_comes_to_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    def run() -> list[Any]:
+        env = JackInBoxVectorEnv(200, contact="exact", max_episode_steps=30, num_threads=1, with_infos=True)
+        env.reset(seed=0)
+        return [env.step(actions_at(step, 200)) for step in range(70)]
+
+    straight = run()
+    monkeypatch.setattr(exact, "compiled", lambda function: compiled_with(function, PATIENCE=-1))
+    for found, expected in zip(run(), straight, strict=True):
+        assert_same(found, expected)
+    monkeypatch.setattr(planning, "compiled", lambda function: compiled_with(function, PATIENCE=3))
+    torques = np.random.default_rng(0).uniform(-9e4, 9e4, (3, 100))
+    paused = jackbox_env.rollout({}, np.zeros(12), torques, 0.02, energy=True)
+    monkeypatch.undo()
+    assert_same(paused, jackbox_env.rollout({}, np.zeros(12), torques, 0.02, energy=True))
+
+
+def test_what_an_interrupted_step_was_writing_to_is_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
+    env = JackInBoxVectorEnv(6, contact="exact", num_threads=3)
+    env.reset(seed=0)
+    batch: Any = env._batch
+    spare, memory = batch._spare, batch._workspaces
+
+    def interrupted(work: Any, total: int) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(batch._threads, "run", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        env.step(None)
+    monkeypatch.undo()
+    assert batch._spare is not spare
+    assert all(new[1] is not old[1] for new, old in zip(batch._workspaces, memory, strict=True))
+    spare[:] = 9.0  # as a thread would that was not to be stopped
+    env.step(None)
+    env.step(None)
+    assert env.times.tolist() == [0.04] * 6
+
+
 # -- what is handed out -----------------------------------------------------------------------------------------------
 
 
@@ -370,9 +425,14 @@ def test_no_pictures_without_a_render_mode() -> None:
 @pytest.mark.parametrize(
     ("settings", "sentence"),
     [
-        ({"num_envs": 0}, "num_envs must be a whole number >= 1, got 0"),
-        ({"num_envs": 2.0}, "num_envs must be a whole number >= 1, got 2.0"),
-        ({"max_episode_steps": 0}, "max_episode_steps must be a whole number >= 1, got 0"),
+        ({"num_envs": 0}, "num_envs must be a whole number from 1 to 1000000000, got 0"),
+        ({"num_envs": 10**30}, "num_envs must be a whole number from 1 to 1000000000, got 1000"),
+        (
+            {"max_episode_steps": 10**400},
+            "max_episode_steps must be a whole number from 1 to 1000000000000000, got 1000",
+        ),
+        ({"num_envs": 2.0}, "num_envs must be a whole number from 1 to 1000000000, got 2.0"),
+        ({"max_episode_steps": 0}, "max_episode_steps must be a whole number from 1 to .*, got 0"),
         ({"num_threads": 0}, "num_threads must be a whole number >= 1, got 0"),
         (
             {"autoreset_mode": "LATER"},
@@ -428,6 +488,8 @@ def test_unusable_actions_leave_all_environments_as_they_were(contact: str, acti
     [
         ({"seed": -1}, "seed must be a whole number >= 0, got -1"),
         ({"seed": 1.5}, "seed must be a whole number >= 0, got 1.5"),
+        ({"seed": b"ab"}, "seed must be a whole number >= 0, got b'ab'"),
+        ({"seed": "ab"}, "seed must be a whole number >= 0, got 'ab'"),
         ({"seed": [1]}, "seed must be a whole number or a list of 2, got 1 of them"),
         ({"seed": [1, "2"]}, "seed must be a whole number >= 0, got '2'"),
         ({"options": {"speed": 1}}, "options takes only 'state', 'time', 'reset_mask', got 'speed'"),
@@ -441,6 +503,8 @@ def test_unusable_actions_leave_all_environments_as_they_were(contact: str, acti
             r"options\['state'\]\[1\]: a start must have every foot inside",
         ),
         ({"options": {"time": math.nan}}, r"options\['time'\] must be a finite number"),
+        ({"options": {"time": [[1.0], [1.0, 2.0]]}}, r"options\['time'\] must hold numbers in an array"),
+        ({"options": {"reset_mask": [[True], []]}}, r"options\['reset_mask'\] must hold numbers in an array"),
         ({"options": {"time": [1.0]}}, r"options\['time'\] must be a number or have shape \(2,\)"),
         ({"options": {"reset_mask": [1, 0]}}, r"options\['reset_mask'\] must be an array of bool"),
         ({"options": {"reset_mask": np.zeros(2, bool)}}, r"options\['reset_mask'\] must choose at least one"),
@@ -456,6 +520,15 @@ def test_unusable_resets_leave_all_environments_as_they_were(given: dict[str, An
         env.reset(**given)
     np.testing.assert_array_equal(env.states, states)
     np.testing.assert_array_equal(env._batch._generators, words)  # type: ignore[attr-defined]
+
+
+@EVERY_MODEL
+def test_episodes_without_a_limit(contact: str) -> None:
+    env = gym.make_vec("JackInBox-v0", num_envs=2, contact=contact, max_episode_steps=-1)
+    env.reset(seed=np.array(5))  # type: ignore[arg-type]
+    for _ in range(520):
+        truncations = env.step(None)[3]
+        assert not truncations.any()
 
 
 def test_a_step_needs_a_reset() -> None:

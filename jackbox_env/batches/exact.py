@@ -49,9 +49,12 @@ class ExactBatch:
         self._generators = fresh(num_envs)
         ranges = num_envs if num_threads else num_envs // _FEWEST_PER_THREAD
         self._threads = Threads(thread_count(num_threads, ranges))
-        self._workspaces = [(np.zeros((4, loop.BLOCK)), new_workspace()) for _ in range(self._threads.count)]
+        self._workspaces = self._new_workspaces()
         self._numbers = np.array(scene.numbers)
         self._drive = drive_kind(scene)
+
+    def _new_workspaces(self) -> list[tuple[Array, Array]]:
+        return [(np.zeros((4, loop.BLOCK)), new_workspace()) for _ in range(self._threads.count)]
 
     # -- what it holds ------------------------------------------------------------------------------------------------
 
@@ -103,18 +106,29 @@ class ExactBatch:
         count, rows, spare = len(self._rows), self._rows, self._spare
         observations = np.empty((count, 10), dtype=np.float32)
         rewards, truncations = np.empty(count), np.empty(count, dtype=np.bool_)
-        reports = np.empty((count if self._with_infos else 0, loop.REPORT_WIDTH))
+        reports = np.zeros((count if self._with_infos else 0, loop.REPORT_WIDTH))
         given = _NO_ACTIONS if actions is None else actions
         table, ranges = self._pieces(actions)
         step_rows = compiled(loop.step_rows)
 
         def work(thread: int, low: int, high: int) -> tuple[int, int]:
-            return step_rows(
-                self._numbers, self._dt, self._drive, self._task, self._limit, rows, spare, given, table, ranges,
-                low, high, observations, rewards, truncations, reports, *self._workspaces[thread],
-            )  # fmt: skip
+            finished = 0
+            while True:
+                ended, number, now = step_rows(
+                    self._numbers, self._dt, self._drive, self._task, self._limit, rows, spare, given, table, ranges,
+                    low, high, observations, rewards, truncations, reports, *self._workspaces[thread],
+                )  # fmt: skip
+                finished += now
+                if ended != loop.PAUSED:
+                    return ended, number if ended else finished
+                low = number  # after a while, so that an interruption is heard
 
-        results = self._threads.run(work, count)
+        try:
+            results = self._threads.run(work, count)
+        except BaseException:
+            # A thread may still write: leave it what it writes to.
+            self._spare, self._workspaces = np.zeros_like(rows), self._new_workspaces()
+            raise
         for ended, number in results:
             if ended:
                 raise self._failure(ended, number, given)
@@ -126,11 +140,17 @@ class ExactBatch:
         """The pieces of a drive of functions, once for each different time, and each environment's range of them."""
         if self._drive != FUNCTIONS:
             return _NO_TABLE, _NO_RANGES
-        times, places = np.unique(self._rows[:, loop.TIME], return_inverse=True)
+        going = self._rows[:, loop.OVER] == 0.0
+        times, places = np.unique(self._rows[going, loop.TIME], return_inverse=True)
         torque = None if actions is None else 0.0  # whatever is held
-        tables = [pieces_for(self._scene, time, self._dt, torque) for time in times.tolist()]
-        ends = np.cumsum([0, *map(len, tables)])
-        return np.concatenate(tables), np.stack([ends[places], ends[places + 1]], axis=1)
+        tables = [_NO_TABLE]
+        for time in times.tolist():
+            end_of_step(time, self._dt)
+            tables.append(pieces_for(self._scene, time, self._dt, torque))
+        ends = np.cumsum([len(table) for table in tables])
+        ranges = np.zeros((len(self._rows), 2), dtype=np.int64)
+        ranges[going] = np.stack([ends[places], ends[places + 1]], axis=1)
+        return np.concatenate(tables), ranges
 
     def _infos(self, rows: Array, reports: Array) -> dict[str, NDArray[Any]]:
         numbers = [

@@ -17,7 +17,7 @@ from jackbox_env.scene import SceneNumbers
 from jackbox_env.simulators.base import LATEST_TIME
 from jackbox_env.simulators.kernel import DONE
 from jackbox_env.simulators.step import make_numbers, make_plan, step
-from jackbox_env.simulators.workspace import HITS, IMPULSE, TALLY, Workspace
+from jackbox_env.simulators.workspace import HITS, IMPULSE, TALLY, WORK, Workspace
 from jackbox_env.tasks import juggle, rattle, spin, start_pose
 from jackbox_env.trigonometry import LARGEST, cos_sin, cos_sin_within
 
@@ -28,7 +28,8 @@ Counts = NDArray[np.int64]
 
 WIDTH = 16
 TIME, STEPS, OVER = 12, 13, 14  # [s], steps in the episode, 1 where it has ended
-BAD_ACTION, TOO_LATE = 4, 5  # how a step ended, besides the ways of simulators.step
+BAD_ACTION, TOO_LATE, PAUSED = 4, 5, 6  # how a step ended, besides the ways of simulators.step
+PATIENCE = 20_000_000  # gaps evaluated before it pauses, about a second
 # Columns of a report: what a step's info holds beside state and time.
 TORQUE, IMPACTS, IMPULSES, TERMS = range(4)
 BLOCK = 64  # environments that are observed together
@@ -86,7 +87,7 @@ def step_rows(
     values: Array, dt: float, drive: int, task: int, limit: float, rows: Array, after: Array, actions: Array,
     table: Array, ranges: Counts, low: int, high: int, observations: Floats, rewards: Array, truncations: Flags,
     reports: Array, trig: Array, w: Workspace,
-) -> tuple[int, int]:  # fmt: skip
+) -> tuple[int, int, int]:  # fmt: skip
     """Step environments ``low`` to ``high`` whose episodes are not over.
 
     Args:
@@ -110,14 +111,17 @@ def step_rows(
         w: memory to work in.
 
     Returns:
-        How the first step that failed ended and its environment, or DONE and the number of episodes that ended.
+        How it ended: DONE, how a step that failed ended, or PAUSED after long work; the environment that failed or is
+        next; and the number of episodes that ended.
     """
     n = make_numbers(values)
     plan = make_plan(n, dt, drive)
-    driven, first, last, finished = actions.shape[0] == 0, 0, 0, 0
+    driven, first, last, finished, worked = actions.shape[0] == 0, 0, 0, 0, 0.0
     for i in range(low, high):
         if i > low and (i - low) % BLOCK == 0:
             look_block(n, after, i - BLOCK, i, trig, observations)
+            if worked > PATIENCE:
+                return PAUSED, i, finished
         row, new = rows[i], after[i]
         if row[OVER] != 0.0:
             for place in range(WIDTH):
@@ -126,18 +130,19 @@ def step_rows(
             continue
         time = row[TIME]
         if time + dt == time or time + dt > LATEST_TIME:
-            return TOO_LATE, i
+            return TOO_LATE, i, finished
         torque = math.nan
         if not driven:
             action = actions[i]
             if not abs(action) < math.inf:
-                return BAD_ACTION, i
+                return BAD_ACTION, i, finished
             torque = max(-1.0, min(1.0, action)) * n.torque_limit
         if ranges.shape[0]:
             first, last = ranges[i, 0], ranges[i, 1]
         ended, torque = step(n, plan, row, new, time, torque, table, first, last, w)
         if ended != DONE:
-            return ended, i
+            return ended, i, finished
+        worked += w[TALLY, WORK]
         one, two = reward_terms(n, task, new, torque, w[TALLY, IMPULSE])
         rewards[i] = one + two
         new[TIME] = time + dt
@@ -153,7 +158,7 @@ def step_rows(
             reports[i, TERMS], reports[i, TERMS + 1] = one, two
     seen_so_far = low + (max(high - low - 1, 0) // BLOCK) * BLOCK
     look_block(n, after, seen_so_far, high, trig, observations)
-    return DONE, finished
+    return DONE, -1, finished
 
 
 def restart_rows(values: Array, rows: Array, generators: Words, chosen: Flags) -> None:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from jackbox_env.batches.loop import PATIENCE, PAUSED
 from jackbox_env.mechanics import clearance, energy_of
 from jackbox_env.simulators.kernel import DONE
 from jackbox_env.simulators.step import make_numbers, make_plan, step
-from jackbox_env.simulators.workspace import HITS, IMPULSE, TALLY, Workspace
+from jackbox_env.simulators.workspace import HITS, IMPULSE, TALLY, WORK, Workspace
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
@@ -30,7 +31,7 @@ def outside(values: Array, states: Array, deepest: float) -> int:
 
 def roll(
     values: Array, dt: float, drive: int, trajectories: Array, torques: Array, times: Array, table: Array, ends: Counts,
-    low: int, high: int, hits: Counts, impulses: Array, energies: Array, w: Workspace,
+    low: int, high: int, first: int, hits: Counts, impulses: Array, energies: Array, w: Workspace,
 ) -> tuple[int, int, int]:  # fmt: skip
     """Fill in trajectories ``low`` to ``high`` from their first states.
 
@@ -45,24 +46,30 @@ def roll(
         ends: first piece of each step, and past the last one's, shape (H + 1,).
         low: first trajectory.
         high: past the last.
+        first: step of trajectory ``low`` to begin with.
         hits: impacts in each step, shape (N, H), or (0, H) if nobody asks.
         impulses: their sum [N s], likewise.
         energies: [J], shape (N, H + 1), or (0, H + 1) if nobody asks.
         w: memory to work in.
 
     Returns:
-        How the first step that failed ended, its trajectory and step; DONE if none did.
+        How it ended: DONE, how a step that failed ended, or PAUSED after long work; the trajectory and step that failed
+        or is next.
     """
     n = make_numbers(values)
     plan = make_plan(n, dt, drive)
+    worked = 0.0
     for i in range(low, high):
         if energies.shape[0]:
             energies[i, 0] = energy_of(n, trajectories[i, 0])
-        for k in range(torques.shape[1]):
+        for k in range(first if i == low else 0, torques.shape[1]):
+            if worked > PATIENCE:
+                return PAUSED, i, k
             before, after = trajectories[i, k], trajectories[i, k + 1]
             ended, _ = step(n, plan, before, after, times[k], torques[i, k], table, ends[k], ends[k + 1], w)
             if ended != DONE:
                 return ended, i, k
+            worked += 1.0 + w[TALLY, WORK]
             if hits.shape[0]:
                 hits[i, k], impulses[i, k] = int(w[TALLY, HITS]), w[TALLY, IMPULSE]
             if energies.shape[0]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any, TypeVar
 
 from jackbox_env import _validation as check
@@ -42,8 +42,11 @@ class Threads:
         if self._pool is None or self._process != os.getpid():  # threads do not survive a fork
             self._pool, self._process = ThreadPoolExecutor(self.count - 1, "jackbox"), os.getpid()
         waiting = [self._pool.submit(work, number, edges[number], edges[number + 1]) for number in range(1, self.count)]
-        first = work(0, edges[0], edges[1])
-        return [first, *(future.result() for future in waiting)]
+        try:
+            first = work(0, edges[0], edges[1])
+            return [first, *(future.result() for future in waiting)]
+        finally:
+            wait(waiting)  # nobody works on after an error or an interruption
 
     def __getstate__(self) -> dict[str, Any]:
         return {"count": self.count}

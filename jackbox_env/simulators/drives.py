@@ -32,6 +32,8 @@ TABLE_WIDTH = 2 + 3 * (DEGREE + 1)  # of a row: start and length [s], powers of 
 _DEEPEST = 44  # halvings of a step
 _MOST_PIECES = 4096  # of a step
 _RESIDUAL = 1e-13  # of a function's interpolation, over the function's largest value in the step
+_NOISE = 1e-5  # the same for a function whose residual does not shrink in _STALLED halvings: it is rounding, not shape
+_STALLED = 4
 
 # Chebyshev points of the first kind, and what makes values there into powers of u.
 _POINTS = np.polynomial.chebyshev.chebpts1(DEGREE + 1)
@@ -102,21 +104,29 @@ def function_pieces(drive: Drive, time: float, dt: float) -> Array:
     parts = [(axis, name) for axis, name in enumerate(("torque", "force_x", "force_y")) if getattr(drive, name)]
     largest = np.full(3, 1e-300)
     rows: list[Array] = []
-    waiting = [(0.0, 1.0, 0)]  # start and length over dt, halvings
+    # Start and length over dt, halvings, halvings in vain, and the residual before the last of them, over the largest.
+    waiting = [(0.0, 1.0, 0, 0, math.inf)]
     while waiting:
-        start, length, halvings = waiting.pop()
+        start, length, halvings, stalled, before = waiting.pop()
         row = np.zeros(TABLE_WIDTH)
         row[0], row[1] = start * dt, length * dt
-        rough = False
+        residual, accepted = 0.0, True
         for axis, name in parts:
             values = _sample(drive, name, time + row[0], row[1])
             powers = _TO_CHEBYSHEV @ values
             largest[axis] = max(largest[axis], np.abs(values).max())
-            rough |= bool(np.abs(powers[-3:]).max() > _RESIDUAL * largest[axis])
+            tail = np.abs(powers[-3:]).max()
+            # A time that is rounded moves the value along the slope.
+            slope = np.abs(np.diff(values) / np.diff(_POINTS)).max() / (0.5 * row[1])
+            accepted &= bool(tail <= _RESIDUAL * largest[axis] + 4.0 * slope * math.ulp(abs(time) + dt))
+            residual = max(residual, tail / largest[axis])
             row[2 + axis * (DEGREE + 1) :][: DEGREE + 1] = powers @ _TO_POWERS
-        if rough and halvings < _DEEPEST:
+        stalled += residual > 0.7 * before
+        accepted |= stalled >= _STALLED and residual <= _NOISE
+        if not accepted and halvings < _DEEPEST:
             half = 0.5 * length
-            waiting += [(start + half, half, halvings + 1), (start, half, halvings + 1)]
+            waiting += [(start + half, half, halvings + 1, stalled, residual)]
+            waiting += [(start, half, halvings + 1, stalled, residual)]
         else:
             rows.append(row)
         if len(rows) + len(waiting) > _MOST_PIECES:

@@ -68,11 +68,14 @@ def failure(ended: int, scene: Scene, time: float, dt: float, who: str = "the ja
     """What to raise for a step that did not end well."""
     if ended == TOO_MANY_TURNS and isinstance(scene.drive, Chirp):
         return ValueError(too_many_turns(scene.drive.fastest(time, dt) * dt, time, dt))
-    cause = "moves too fast to be followed"
     if ended == TOO_MUCH_WORK:
-        cause = f"needs more than {MOST_WORK:,} gap evaluations"
+        return RuntimeError(
+            f"{who} needs more than {MOST_WORK:,} gap evaluations in the dt = {dt:g} s after t = {time:g} s; use a "
+            "smaller time step"
+        )
     return RuntimeError(
-        f"{who} {cause} in the dt = {dt:g} s after t = {time:g} s; use a smaller time step, less speed or less torque"
+        f"{who} moves too fast to be followed in the dt = {dt:g} s after t = {time:g} s, or is too far off; use a "
+        "smaller time step, less speed or less torque"
     )
 
 

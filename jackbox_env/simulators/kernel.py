@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from jackbox_env.scene import SceneNumbers
 from jackbox_env.simulators.drives import ALPHA, DEGREE, PUSH_X, PUSH_Y, horner
 from jackbox_env.simulators.impacts import quarter, resolve
-from jackbox_env.simulators.workspace import ELAPSED, HITS, PIECE, STATE, TALLY, WORK, Workspace
+from jackbox_env.simulators.workspace import ELAPSED, PIECE, STATE, TALLY, WORK, Workspace
 from jackbox_env.trigonometry import cos_sin
 
 Array = NDArray[np.float64]
@@ -288,10 +288,9 @@ def search(
 
     A foot at the wall that does not approach can not be deeper than ``sink`` before the parabola from where it is is:
     without that depth a foot at rest on a wall would never get off the spot. It is the tolerance, and grows to 1e-10 m
-    with the impacts of a step, so that a jack at rest makes some thousand impacts in it and not a million.
+    with the work of a step, so that a jack that rests on a wall or slides along it costs thousands of looks and impacts
+    and not millions.
     """
-    sink = min(1e-10 * min(1.0, n.box_half_width), tolerance * 2.0 ** min(w[TALLY, HITS] / 16.0, 60.0))
-    sink = max(sink, tolerance)
     still = 1e-15 * (abs(flight.vx) + abs(flight.vy) + flight.gravity * end)
     still += 1e-15 * (abs(flight.omega) * n.box_half_width + n.jack_arm * abs(flight.jack_omega))
     s = 0.0
@@ -301,6 +300,7 @@ def search(
         elif rate < -still:
             return s
         else:
+            sink = min(1e-10 * min(1.0, n.box_half_width), tolerance * 2.0 ** min(w[TALLY, WORK] / 64.0, 60.0))
             after = s + parabola_root(max(gap + sink, 0.1 * tolerance), max(rate, 0.0), curvature)
         if not after <= end or w[TALLY, WORK] > MOST_WORK:
             return math.inf

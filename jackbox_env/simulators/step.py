@@ -32,6 +32,8 @@ from jackbox_env.simulators.workspace import HITS, PIECE, STATE, TALLY, Workspac
 
 Array = NDArray[np.float64]
 
+_COARSEST = 4.5e12  # whose unit in the last place is 1e-3
+
 # What the scene's drive is.
 NO_DRIVE, CHIRP, FUNCTIONS = range(3)
 TOO_MANY_TURNS = 3  # how a step ended, besides the kernel's ways
@@ -98,6 +100,8 @@ def step(
             return DONE, n.box_inertia * alpha
         return step_near(n, plan, before, after, alpha, w), n.box_inertia * alpha
     together = start(plan, before, w[STATE])
+    if not told_apart(n, before):
+        return TOO_FAST, 0.0
     if plan.drive == CHIRP:
         ended, impulse = advance_chirp(n, plan, time, together, w)
     else:
@@ -107,6 +111,8 @@ def step(
 
 def step_near(n: SceneNumbers, plan: Plan, before: Array, after: Array, alpha: float, w: Workspace) -> int:
     """Step near a wall under a constant angular acceleration of the box; return how it ended."""
+    if not told_apart(n, before):
+        return TOO_FAST
     flight = Flight(
         before[3] - before[0], before[4] - before[1], before[9] - before[6], before[10] - before[7], before[2],
         before[8], before[5], before[11], n.gravity, alpha, 0.0, 0.5 * plan.dt, False, False,
@@ -150,6 +156,14 @@ def start(plan: Plan, before: Array, m: Array) -> float:
     m[3], m[4] = before[3] - before[0], before[4] - before[1]
     furthest = max(max(abs(before[0]), abs(before[1])), max(abs(before[3]), abs(before[4])))
     return float(max(plan.tolerance, 8.9e-16 * furthest))  # 4 units in the last place
+
+
+def told_apart(n: SceneNumbers, state: Array) -> bool:
+    """Whether float64 still tells places, angles and speeds apart by a thousandth of what matters here."""
+    place = max(max(abs(state[0]), abs(state[1])), max(abs(state[3]), abs(state[4]))) / n.box_half_width
+    angle = max(abs(state[2]), abs(state[5]))
+    speed = max(max(abs(state[6]), abs(state[7])), max(abs(state[9]), abs(state[10]))) / n.speed_scale
+    return bool(max(max(place, angle), speed) < _COARSEST)
 
 
 def finish(ended: int, before: Array, m: Array, after: Array) -> int:
