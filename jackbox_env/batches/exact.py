@@ -44,34 +44,45 @@ class ExactBatch:
         self._scene, self._task, self._dt = scene, list(TASKS).index(task), control_dt
         self._terms = [f"reward_{name}" for name in TASKS[task].terms]
         self._limit, self._with_infos = float(max_episode_steps), with_infos
-        self._rows = np.zeros((num_envs, loop.WIDTH))
-        self._spare = np.zeros((num_envs, loop.WIDTH))  # where the next step writes
+        self._count = num_envs
+        width = min(loop.WIDEST, -(-num_envs // (num_threads or 1)))
+        self._blocks = np.zeros((-(-num_envs // width), loop.WIDTH, width))
+        self._spare = np.zeros_like(self._blocks)  # where the next step writes
         self._generators = fresh(num_envs)
-        ranges = num_envs if num_threads else num_envs // _FEWEST_PER_THREAD
+        ranges = len(self._blocks) if num_threads else num_envs // _FEWEST_PER_THREAD
         self._threads = Threads(thread_count(num_threads, ranges))
         self._workspaces = self._new_workspaces()
         self._numbers = np.array(scene.numbers)
         self._drive = drive_kind(scene)
 
     def _new_workspaces(self) -> list[tuple[Array, Array]]:
-        return [(np.zeros((4, loop.BLOCK)), new_workspace()) for _ in range(self._threads.count)]
+        return [(np.zeros((loop.LANES, self._blocks.shape[2])), new_workspace()) for _ in range(self._threads.count)]
+
+    @property
+    def _rows(self) -> Array:
+        """A copy of all environments, shape (N, 16)."""
+        return self._blocks.transpose(0, 2, 1).reshape(-1, loop.WIDTH)[: self._count]
+
+    def _column(self, place: int) -> Array:
+        """A copy of one number of all environments, shape (N,)."""
+        return self._blocks[:, place].reshape(-1)[: self._count].copy()
 
     # -- what it holds ------------------------------------------------------------------------------------------------
 
     @property
     def states(self) -> Array:
         """A copy of all states, shape (N, 12)."""
-        return self._rows[:, :12].copy()
+        return np.ascontiguousarray(self._rows[:, :12])
 
     @property
     def times(self) -> Array:
         """A copy of all times [s], shape (N,)."""
-        return self._rows[:, loop.TIME].copy()
+        return self._column(loop.TIME)
 
     @property
     def over(self) -> Flags:
         """Which episodes are over, shape (N,)."""
-        return np.not_equal(self._rows[:, loop.OVER], 0.0)
+        return np.not_equal(self._column(loop.OVER), 0.0)
 
     @property
     def info_names(self) -> list[str]:
@@ -86,36 +97,37 @@ class ExactBatch:
 
     def restart(self, chosen: Flags) -> None:
         """Start an episode in the ``chosen`` environments, each at a drawn start and time 0."""
-        compiled(loop.restart_rows)(self._numbers, self._rows, self._generators, chosen)
+        compiled(loop.restart_blocks)(self._numbers, self._blocks, self._generators, chosen)
 
     def place(self, chosen: Flags, states: Array, times: Array, anew: bool) -> None:
         """See :meth:`jackbox_env.batches.base.Batch.place`."""
-        self._rows[chosen, :12] = states[chosen]
-        self._rows[chosen, loop.TIME] = times[chosen]
+        block, lane = np.divmod(np.flatnonzero(chosen), self._blocks.shape[2])
+        self._blocks[block, :12, lane] = states[chosen]
+        self._blocks[block, loop.TIME, lane] = times[chosen]
         if anew:
-            self._rows[chosen, loop.STEPS] = self._rows[chosen, loop.OVER] = 0.0
+            self._blocks[block, loop.STEPS, lane] = self._blocks[block, loop.OVER, lane] = 0.0
 
     def observe(self, chosen: Flags, observations: Floats) -> None:
         """Write what the ``chosen`` environments' agents see, shape (N, 10)."""
-        compiled(loop.look_rows)(self._numbers, self._rows, chosen, observations)
+        compiled(loop.look_blocks)(self._numbers, self._blocks, chosen, observations)
 
     # -- stepping -----------------------------------------------------------------------------------------------------
 
     def step(self, actions: Array | None) -> Outcome:
         """See :meth:`jackbox_env.batches.base.Batch.step`."""
-        count, rows, spare = len(self._rows), self._rows, self._spare
+        count, blocks, spare = self._count, self._blocks, self._spare
         observations = np.empty((count, 10), dtype=np.float32)
         rewards, truncations = np.empty(count), np.empty(count, dtype=np.bool_)
         reports = np.zeros((count if self._with_infos else 0, loop.REPORT_WIDTH))
         given = _NO_ACTIONS if actions is None else actions
         table, ranges = self._pieces(actions)
-        step_rows = compiled(loop.step_rows)
+        step_blocks = compiled(loop.step_blocks)
 
         def work(thread: int, low: int, high: int) -> tuple[int, int]:
             finished = 0
             while True:
-                ended, number, now = step_rows(
-                    self._numbers, self._dt, self._drive, self._task, self._limit, rows, spare, given, table, ranges,
+                ended, number, now = step_blocks(
+                    self._numbers, self._dt, self._drive, self._task, self._limit, blocks, spare, given, table, ranges,
                     low, high, observations, rewards, truncations, reports, *self._workspaces[thread],
                 )  # fmt: skip
                 finished += now
@@ -124,41 +136,41 @@ class ExactBatch:
                 low = number  # after a while, so that an interruption is heard
 
         try:
-            results = self._threads.run(work, count)
+            results = self._threads.run(work, len(blocks))
         except BaseException:
             # A thread may still write: leave it what it writes to.
-            self._spare, self._workspaces = np.zeros_like(rows), self._new_workspaces()
+            self._spare, self._workspaces = np.zeros_like(blocks), self._new_workspaces()
             raise
         for ended, number in results:
             if ended:
                 raise self._failure(ended, number, given)
-        infos = self._infos(spare, reports) if self._with_infos else {}
-        self._rows, self._spare = spare, rows
+        self._blocks, self._spare = spare, blocks
+        infos = self._infos(reports) if self._with_infos else {}
         return Outcome(observations, rewards, truncations, infos, sum(finished for _, finished in results))
 
     def _pieces(self, actions: Array | None) -> tuple[Array, NDArray[np.int64]]:
         """The pieces of a drive of functions, once for each different time, and each environment's range of them."""
         if self._drive != FUNCTIONS:
             return _NO_TABLE, _NO_RANGES
-        going = self._rows[:, loop.OVER] == 0.0
-        times, places = np.unique(self._rows[going, loop.TIME], return_inverse=True)
+        going = ~self.over
+        times, places = np.unique(self._column(loop.TIME)[going], return_inverse=True)
         torque = None if actions is None else 0.0  # whatever is held
         tables = [_NO_TABLE]
         for time in times.tolist():
             end_of_step(time, self._dt)
             tables.append(pieces_for(self._scene, time, self._dt, torque))
         ends = np.cumsum([len(table) for table in tables])
-        ranges = np.zeros((len(self._rows), 2), dtype=np.int64)
+        ranges = np.zeros((self._count, 2), dtype=np.int64)
         ranges[going] = np.stack([ends[places], ends[places + 1]], axis=1)
         return np.concatenate(tables), ranges
 
-    def _infos(self, rows: Array, reports: Array) -> dict[str, NDArray[Any]]:
+    def _infos(self, reports: Array) -> dict[str, NDArray[Any]]:
         numbers = [
-            rows[:, :12].copy(),
-            rows[:, loop.TIME].copy(),
-            reports[:, loop.TORQUE].copy(),
-            reports[:, loop.IMPACTS].astype(np.int64),
-            reports[:, loop.IMPULSES].copy(),
+            self.states,
+            self.times,
+            reports[:, loop.REPORTED_TORQUE].copy(),
+            reports[:, loop.REPORTED_HITS].astype(np.int64),
+            reports[:, loop.REPORTED_IMPULSE].copy(),
             *(reports[:, loop.TERMS + k].copy() for k in range(len(self._terms))),
         ]
         return dict(zip(self.info_names, numbers, strict=True))
@@ -166,7 +178,7 @@ class ExactBatch:
     def _failure(self, ended: int, number: int, actions: Array) -> Exception:
         if ended == loop.BAD_ACTION:
             return bad_action(float(actions[number]), number)
-        time = float(self._rows[number, loop.TIME])
+        time = float(self._column(loop.TIME)[number])
         if ended == loop.TOO_LATE:
             try:
                 end_of_step(time, self._dt)

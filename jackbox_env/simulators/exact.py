@@ -143,7 +143,7 @@ class ExactSimulator:
             torque = check.real("torque", torque)
         before, time, _, _ = self._present
         end = end_of_step(time, dt)
-        pieces = pieces_for(self.scene, time, dt, torque)
+        pieces = pieces_for(self.scene, time, dt, torque) if self._drive == FUNCTIONS else _NO_PIECES
         after = np.empty(12)
         held = math.nan if torque is None else torque
         while True:

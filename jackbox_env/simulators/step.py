@@ -84,18 +84,14 @@ def step(
     Returns:
         How it ended, and the mean torque [N m]. Unless it ended well ``after`` is unchanged.
     """
-    for place in range(4):
-        w[TALLY, place] = 0.0
+    clear_tally(w)
     held = torque == torque
     dt = plan.dt
     if plan.drive == NO_DRIVE or (held and plan.drive == CHIRP):
         alpha = torque / n.box_inertia if held else 0.0
-        if not abs(alpha) < STEEPEST:
-            return TOO_FAST, 0.0
         x, y = before[3] - before[0], before[4] - before[1]
-        end_x = x + (before[9] - before[6]) * dt
-        end_y = y + (before[10] - before[7] - 0.5 * n.gravity * dt) * dt
-        if x * x + y * y < plan.clear and end_x * end_x + end_y * end_y < plan.clear:
+        vx, vy = before[9] - before[6], before[10] - before[7]
+        if stays_clear(x, y, vx, vy, n.gravity * dt, plan) and abs(alpha) < STEEPEST:
             glide(n, before, after, dt, alpha)
             return DONE, n.box_inertia * alpha
         return step_near(n, plan, before, after, alpha, w), n.box_inertia * alpha
@@ -109,9 +105,15 @@ def step(
     return finish(ended, before, w[STATE], after), torque if held else impulse / dt
 
 
+def clear_tally(w: Workspace) -> None:
+    """Forget what the last step did."""
+    for place in range(4):
+        w[TALLY, place] = 0.0
+
+
 def step_near(n: SceneNumbers, plan: Plan, before: Array, after: Array, alpha: float, w: Workspace) -> int:
     """Step near a wall under a constant angular acceleration of the box; return how it ended."""
-    if not told_apart(n, before):
+    if not (told_apart(n, before) and abs(alpha) < STEEPEST):
         return TOO_FAST
     flight = Flight(
         before[3] - before[0], before[4] - before[1], before[9] - before[6], before[10] - before[7], before[2],
@@ -131,15 +133,36 @@ def step_near(n: SceneNumbers, plan: Plan, before: Array, after: Array, alpha: f
     return finish(ended, before, w[STATE], after)
 
 
+def stays_clear(x: float, y: float, vx: float, vy: float, fall: float, plan: Plan) -> bool:
+    """Whether both ends of the jack's path are so near the box's centre that no foot can touch a wall on the way."""
+    end_x, end_y = moved(x, vx, plan.dt), fallen(y, vy, fall, plan.dt)
+    return bool((x * x + y * y < plan.clear) & (end_x * end_x + end_y * end_y < plan.clear))
+
+
+def moved(place: float, rate: float, dt: float) -> float:
+    """A coordinate after ``dt`` [s] at a constant rate."""
+    return place + rate * dt
+
+
+def fallen(place: float, rate: float, fall: float, dt: float) -> float:
+    """A height after ``dt`` [s], in which gravity takes ``fall`` [m/s] from its rate."""
+    return place + (rate - 0.5 * fall) * dt
+
+
+def turned(angle: float, omega: float, alpha: float, dt: float) -> float:
+    """An angle after ``dt`` [s] at a constant angular acceleration."""
+    return angle + (omega + 0.5 * alpha * dt) * dt
+
+
 def glide(n: SceneNumbers, before: Array, after: Array, dt: float, alpha: float) -> None:
     """Fly for ``dt`` [s] without looking for impacts."""
     fall = n.gravity * dt
-    after[0] = before[0] + before[6] * dt
-    after[1] = before[1] + before[7] * dt
-    after[2] = before[2] + (before[8] + 0.5 * alpha * dt) * dt
-    after[3] = before[3] + before[9] * dt
-    after[4] = before[4] + (before[10] - 0.5 * fall) * dt
-    after[5] = before[5] + before[11] * dt
+    after[0] = moved(before[0], before[6], dt)
+    after[1] = moved(before[1], before[7], dt)
+    after[2] = turned(before[2], before[8], alpha, dt)
+    after[3] = moved(before[3], before[9], dt)
+    after[4] = fallen(before[4], before[10], fall, dt)
+    after[5] = moved(before[5], before[11], dt)
     after[6] = before[6]
     after[7] = before[7]
     after[8] = before[8] + alpha * dt

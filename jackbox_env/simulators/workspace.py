@@ -25,7 +25,9 @@ RATES = 52  # weighted
 POINT = 53  # the weighted rates' projection
 PUSHES = 54  # that lead to it
 BEST = 55  # of the pushes
-RECORD = 56  # from here on, one row per impact: time since the step's start, wall, foot, impulse
+BEFORE = 56  # a state that is stepped, where it is gathered from many
+AFTER = 57  # where it goes
+RECORD = 58  # from here on, one row per impact: time since the step's start, wall, foot, impulse
 
 # Places of TALLY: impacts, their impulse [N s], gaps evaluated, time since the step's start [s].
 HITS, IMPULSE, WORK, ELAPSED = range(4)
