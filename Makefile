@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 OLD_GYMNASIUM := .venv/gymnasium-1.2.2
 
-.PHONY: demo test benchmark readme clean
+.PHONY: demo test benchmark speed readme clean
 .DELETE_ON_ERROR:
 
 demo: .venv/ready
@@ -18,6 +18,9 @@ test: .venv/ready $(OLD_GYMNASIUM)/ready
 
 benchmark: .venv/ready
 	@$(BIN)/python scripts/benchmark.py
+
+speed: .venv/ready
+	@$(BIN)/python scripts/speed.py
 
 readme: .venv/ready
 	@$(BIN)/python scripts/readme.py

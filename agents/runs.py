@@ -50,10 +50,10 @@ def new_folder(path: Path | None, kind: str) -> Path:
     return path
 
 
-def versions() -> dict[str, str]:
-    """Versions of Python, of the packages that matter, and the commit of the checkout if there is one."""
+def versions(packages: tuple[str, ...] = PACKAGES) -> dict[str, str]:
+    """Versions of Python, of these packages, and the commit of the checkout if there is one."""
     found = {"python": platform.python_version()}
-    for package in PACKAGES:
+    for package in packages:
         try:
             found[package] = metadata.version(package)
         except metadata.PackageNotFoundError:

@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-import math
 import statistics
-import time
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from gymnasium.utils.performance import benchmark_render
-from tqdm import tqdm
 
 from scripts.common import command_line
-
-Timed = Callable[[], float]  # runs once and returns operations per second
+from scripts.timing import Timed, measure, ratio, repeat, steps_of, steps_of_bare_pymunk
 
 
 @dataclass(frozen=True)
@@ -29,30 +23,6 @@ class Arguments:
     """Time per measurement [s]."""
 
 
-def steps_of(env_id: str, seconds: float, **settings: Any) -> Timed:
-    """Steps per second of an environment under random actions drawn beforehand, resets included."""
-    env = gym.make(env_id, **settings)
-    env.action_space.seed(0)
-    actions = [env.action_space.sample() for _ in range(4096)]
-    env.reset(seed=0)
-
-    def run() -> float:
-        count = 0
-        began = time.perf_counter()
-        while True:
-            for action in actions[:256]:
-                _, _, terminated, truncated, _ = env.step(action)
-                if terminated or truncated:
-                    env.reset()
-            count += 256
-            actions.append(actions.pop(0))
-            passed = time.perf_counter() - began
-            if passed > seconds:
-                return count / passed
-
-    return run
-
-
 def steps_of_simulator(seconds: float) -> Timed:
     """Control steps per second of the pymunk contact model alone, from the environment's starts."""
     from jackbox_env import Scene, make_simulator
@@ -63,57 +33,13 @@ def steps_of_simulator(seconds: float) -> Timed:
     simulator = make_simulator(scene)
     torques = rng.uniform(-90000.0, 90000.0, 500).tolist()
 
-    def run() -> float:
-        count = 0
-        began = time.perf_counter()
-        while True:
-            simulator.reset(sample_start(scene, rng))
-            for torque in torques:
-                simulator.step(0.02, torque)
-            count += len(torques)
-            passed = time.perf_counter() - began
-            if passed > seconds:
-                return count / passed
+    def block() -> int:
+        simulator.reset(sample_start(scene, rng))
+        for torque in torques:
+            simulator.step(0.02, torque)
+        return len(torques)
 
-    return run
-
-
-def steps_of_bare_pymunk(seconds: float, substeps: int = 4) -> Timed:
-    """Control steps per second of a plain pymunk loop: same shapes, torque and weight set in each substep."""
-    import pymunk
-
-    space = pymunk.Space()
-    space.iterations, space.collision_bias = 64, 1.0
-    box, jack = pymunk.Body(400.0, 14400.0), pymunk.Body(4.0, 4.0)
-    shapes: list[pymunk.Shape] = []
-    for quarter in range(4):
-        normal = pymunk.Vec2d.from_polar(1.0, quarter * math.pi / 2.0)
-        middle, end = normal * 106.0, normal.perpendicular() * 206.0
-        shapes += [pymunk.Segment(box, middle - end, middle + end, 100.0), pymunk.Circle(jack, 0.0, normal)]
-    for shape in shapes:
-        shape.elasticity = 1.0
-    space.add(box, jack, *shapes)
-    torques = np.random.default_rng(0).uniform(-90000.0, 90000.0, 500).tolist()
-    weight, h = (0.0, -4.0 * 9.81), 0.02 / substeps
-
-    def run() -> float:
-        count = 0
-        began = time.perf_counter()
-        while True:
-            box.position = jack.position = 0.0, 0.0
-            box.velocity = jack.velocity = 0.0, 0.0
-            box.angular_velocity = jack.angular_velocity = 0.0
-            for torque in torques:
-                for _ in range(substeps):
-                    box.torque = torque
-                    jack.force = weight
-                    space.step(h)
-            count += len(torques)
-            passed = time.perf_counter() - began
-            if passed > seconds:
-                return count / passed
-
-    return run
+    return repeat(block, seconds)
 
 
 def frames_of(env_id: str, seconds: float) -> Timed:
@@ -127,23 +53,6 @@ def frames_of(env_id: str, seconds: float) -> Timed:
 
 JACK, CHIRP, SIMULATOR, BARE = "JackInBox-v0", "JackInBox-v0, chirp", "PymunkSimulator alone", "bare pymunk loop"
 LANDER, POLE = "LunarLander-v3", "CartPole-v1"
-
-
-def measure(timed: dict[str, Timed], rounds: int) -> dict[str, list[float]]:
-    """Run all in turn, ``rounds`` times after a warm-up."""
-    rates: dict[str, list[float]] = {name: [] for name in timed}
-    for number in tqdm(range(rounds + 1), unit="round", leave=False):
-        for name, run in timed.items():
-            rate = run()
-            if number:
-                rates[name].append(rate)
-    return rates
-
-
-def ratio(rates: dict[str, list[float]], one: str, other: str) -> str:
-    """Median over the rounds of one rate over another, with the extremes."""
-    values = [a / b for a, b in zip(rates[one], rates[other], strict=True)]
-    return f"{statistics.median(values):.2f} ({min(values):.2f} to {max(values):.2f})"
 
 
 def report(steps: dict[str, list[float]], frames: dict[str, list[float]], rounds: int) -> str:
