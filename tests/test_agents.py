@@ -451,7 +451,9 @@ def test_the_demo_runs_end_to_end_when_made_small(tmp_path: Path) -> None:
     assert [row["policy"] for row in stored["results"]] == [*BASELINES, "PPO"]
 
 
-@pytest.mark.parametrize("name", ["train", "evaluate", "simulate", "play", "demo", "benchmark", "readme", "speed", "containment"])
+@pytest.mark.parametrize(
+    "name", ["train", "evaluate", "simulate", "play", "demo", "benchmark", "readme", "speed", "containment"]
+)
 def test_every_command_line_explains_itself(name: str, tmp_path: Path) -> None:
     assert "show this help message" in script(name, "--help", cwd=tmp_path).stdout
 
