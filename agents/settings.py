@@ -17,7 +17,7 @@ class EnvSettings:
     task: Literal["juggle", "spin", "rattle"] = "juggle"
     """What is rewarded."""
     contact: str = "pymunk"
-    """Contact model."""
+    """Contact model: pymunk or exact."""
     substeps: int | None = None
     """Engine steps per control step; None: the contact model's default."""
     control_dt: float = 0.02

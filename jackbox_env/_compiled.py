@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
+import sys
 import threading
 import warnings
 from collections.abc import Callable, Iterator
@@ -108,6 +109,7 @@ def _cache_folder() -> Iterator[Path | None]:
             if not folder.is_dir():
                 folder.mkdir(parents=True, exist_ok=True)
                 _tidy(place)
+                print("jackbox compiles its exact contact model, once: about 15 s", file=sys.stderr)
         except OSError:
             continue
         if os.access(folder, os.W_OK):

@@ -40,7 +40,8 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     counter-clockwise, held for one control step. Finite values outside are clipped, NaN and infinities refused; a
     plain number counts as shape (1,). `step(None)` applies the scene's own drive instead: by default a chirp, a sine
     of 90000 N m whose frequency grows from 0.5 Hz by 0.9 Hz per second, as a continuous function of the time. With
-    `torque="chirp"` the drive acts whatever the action: vector environments and action wrappers pass no None. An action
+    `torque="chirp"` the drive acts whatever the action: action wrappers, Sync and AsyncVectorEnv and
+    Stable-Baselines3 pass no None. An action
     replaces the drive's torque only; side forces of a `Drive` always act.
 
     ## Observation Space

@@ -31,6 +31,8 @@ def make_sb3_vec_env(num_envs: int, **env_kwargs: Any) -> JackInBoxVecEnv:
 
     Step by step they give what ``DummyVecEnv`` gives over ``Monitor(gymnasium.make("JackInBox-v0", **env_kwargs))``,
     with the same seeds: observations, rewards, dones and infos. With ``contact="exact"`` they are one compiled loop.
+    Seed them by ``.seed(0)`` or by the model's ``seed``; single environments by ``get_attr("state")`` and
+    ``env_method("set_state", state, time, indices=[i])``: see :class:`EnvView`.
 
     Args:
         num_envs: number of environments.
@@ -79,9 +81,9 @@ class JackInBoxVecEnv(VecEnv):
         for number in np.flatnonzero(~plain):
             check.known_keys("options", self._options[number], ("state", "time"))
             groups.append((np.arange(self.num_envs) == number, self._options[number]))
-        plans = [self.vector_env.plan_reset(self._seeds, {**options, "reset_mask": mask}) for mask, options in groups]
+        plans = [self.vector_env._plan_reset(self._seeds, {**options, "reset_mask": mask}) for mask, options in groups]
         for plan in plans:
-            _, infos = self.vector_env.carry_out(plan)
+            _, infos = self.vector_env._carry_out(plan)
             self._keep_reset_infos(infos, np.flatnonzero(plan.chosen).tolist())
 
     def step_async(self, actions: NDArray[Any]) -> None:

@@ -156,9 +156,10 @@ class Chirp:
 class Drive:
     """A drive given by functions of time, for scenes of your own.
 
-    Each function takes the time as a Python float [s] and returns a finite number; it is sampled at five points of
-    every substep, so it should be smooth on that scale. A function left out acts as zero and costs nothing. A Drive
-    of functions has no JSON form: an environment made with one cannot write its spec as JSON.
+    Each function takes the time as a Python float [s] and returns a finite number. The pymunk model samples it at five
+    points of every substep, so it should be smooth on that scale; the exact one interpolates it to rounding, jumps
+    included, but does not see what happens between 13 points of a smooth stretch. A function left out acts as zero and
+    costs nothing. A Drive of functions has no JSON form: an environment made with one cannot write its spec as JSON.
 
     Attributes:
         torque: torque on the box [N m].

@@ -58,9 +58,9 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         control_dt: as there.
         torque: as there.
 
-    ``step`` takes actions of shape (N, 1), or None: the scene's drive turns all boxes. ``reset`` takes a seed (an int,
-    or a list of ints and None) and ``options``: "state", shape (12,) or (N, 12), "time" [s], a number or shape (N,),
-    and "reset_mask", bool (N,), to restart some only. What is handed out is never written again.
+    ``step`` takes actions of shape (N, 1) or (N,), or None: the scene's drive turns all boxes. ``reset`` takes a seed
+    (an int, or a list of ints and None) and ``options``: "state", shape (12,) or (N, 12), "time" [s], a number or shape
+    (N,), and "reset_mask", bool (N,), to restart some only. What is handed out is never written again.
 
     Raises:
         TypeError, ValueError: an argument out of its range. Calls that are refused leave all environments as they were.
@@ -141,8 +141,10 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         self._batch.observe(np.ones(self.num_envs, dtype=np.bool_), seen)
         return seen
 
-    def set_states(self, states: ArrayLike, times: ArrayLike = 0.0, chosen: Flags | None = None) -> None:
-        """Put environments into states, shape (12,) or (N, 12), at times [s]; their episodes go on.
+    def set_states(self, states: ArrayLike, times: ArrayLike, chosen: Flags | None = None) -> None:
+        """Put environments into states, shape (12,) or (N, 12), at times [s], a number or shape (N,).
+
+        Their episodes go on, with the steps they have left; one that is over and waits starts anew there.
 
         ``chosen``, bool (N,), says which; None: all. Takes what a contact model itself leaves: feet up to 1 m outside.
 
@@ -168,9 +170,9 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         Raises:
             TypeError, ValueError: an unusable seed or option; all environments stay as they were.
         """
-        return self.carry_out(self.plan_reset(seed, options))
+        return self._carry_out(self._plan_reset(seed, options))
 
-    def plan_reset(self, seed: int | Sequence[int | None] | None, options: Mapping[str, Any] | None) -> ResetPlan:
+    def _plan_reset(self, seed: int | Sequence[int | None] | None, options: Mapping[str, Any] | None) -> ResetPlan:
         """Check all that a reset is given, and change nothing.
 
         Raises:
@@ -193,7 +195,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
             states = self._states("options['state']", given["state"], chosen, as_start)
         return ResetPlan(chosen, self._seed_list(seed), states, times)
 
-    def carry_out(self, plan: ResetPlan) -> tuple[Floats, Infos]:
+    def _carry_out(self, plan: ResetPlan) -> tuple[Floats, Infos]:
         """Reset as planned."""
         for number in np.flatnonzero(plan.chosen).tolist():
             seed = plan.seeds[number]
@@ -209,7 +211,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         return self.observations, self._fresh_infos(plan.chosen) if self._with_infos else {}
 
     def step(self, actions: ArrayLike | None) -> tuple[Floats, Array, Flags, Flags, Infos]:
-        """Advance all environments by one control step under ``actions``, shape (N, 1), or under the scene's drive.
+        """Advance all environments by one control step under ``actions``, shape (N, 1) or (N,), or under the drive.
 
         Raises:
             TypeError, ValueError: unusable actions.
@@ -303,7 +305,9 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         if given.dtype.kind not in "fiu":
             raise TypeError(f"actions must hold numbers (clipped to [-1, 1]), got {check.shown(actions)}")
         if given.shape not in ((self.num_envs, 1), (self.num_envs,)):
-            raise ValueError(f"actions must have shape ({self.num_envs}, 1), got shape {given.shape}")
+            raise ValueError(
+                f"actions must have shape ({self.num_envs}, 1) or ({self.num_envs},), got shape {given.shape}"
+            )
         return given.reshape(self.num_envs).astype(np.float64)
 
     def _seed_list(self, seed: int | Sequence[int | None] | None) -> list[int | None]:

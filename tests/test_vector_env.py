@@ -258,7 +258,7 @@ def test_angles_too_large_to_be_reduced_together_are_seen_alike() -> None:
     env.reset(seed=0)
     states = env.states
     states[3, 2], states[68, 5] = 3e6, -1e8
-    env.set_states(states)
+    env.set_states(states, 0.0)
     seen = env.step(None)[0]
     single = gym.make("JackInBox-v0", contact="exact")
     single.reset()
@@ -320,6 +320,20 @@ def test_what_an_interrupted_step_was_writing_to_is_let_go(monkeypatch: pytest.M
     env.step(None)
     env.step(None)
     assert env.times.tolist() == [0.04] * 6
+
+
+@EVERY_MODEL
+def test_a_state_put_back_after_the_end_starts_an_episode_there(contact: str) -> None:
+    env = JackInBoxVectorEnv(2, contact=contact, max_episode_steps=3)
+    env.reset(seed=0)
+    states, times = env.states, env.times
+    path = [env.step(None)[0] for _ in range(3)]
+    env.set_states(states, times)
+    for step in range(3):
+        seen, rewards, _, truncations, _ = env.step(None)
+        np.testing.assert_array_equal(seen, path[step])
+        assert (rewards > 0.0).all()
+        assert truncations.all() == (step == 2)
 
 
 # -- what is handed out -----------------------------------------------------------------------------------------------
@@ -463,9 +477,9 @@ NAN_AT_ONE = np.array([[0.0], [math.nan]])
     [
         (NAN_AT_ONE, "action must be a finite number .* got nan for environment 1"),
         (np.array([[math.inf], [0.0]]), "action must be a finite number .* got inf for environment 0"),
-        (np.zeros((3, 1)), r"actions must have shape \(2, 1\), got shape \(3, 1\)"),
-        (np.zeros((2, 2)), r"actions must have shape \(2, 1\), got shape \(2, 2\)"),
-        (0.5, r"actions must have shape \(2, 1\), got shape \(\)"),
+        (np.zeros((3, 1)), r"actions must have shape \(2, 1\) or \(2,\), got shape \(3, 1\)"),
+        (np.zeros((2, 2)), r"actions must have shape \(2, 1\) or \(2,\), got shape \(2, 2\)"),
+        (0.5, r"actions must have shape \(2, 1\) or \(2,\), got shape \(\)"),
         ("left", "actions must hold numbers"),
         ([[0.0], [0.0, 1.0]], "actions must hold numbers"),
         ([[None], [0.0]], "actions must hold numbers"),

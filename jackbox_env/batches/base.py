@@ -58,7 +58,7 @@ class Batch(Protocol):
     def place(self, chosen: Flags, states: Array, times: Array, anew: bool) -> None:
         """Put the ``chosen`` environments into states, shape (N, 12), and times [s], checked beforehand.
 
-        ``anew``: each starts an episode there; otherwise its episode goes on.
+        ``anew``: each starts an episode there; otherwise its episode goes on, unless it is over: then it starts one.
         """
 
     def observe(self, chosen: Flags, observations: Floats) -> None:

@@ -104,8 +104,9 @@ class ExactBatch:
         block, lane = np.divmod(np.flatnonzero(chosen), self._blocks.shape[2])
         self._blocks[block, :12, lane] = states[chosen]
         self._blocks[block, loop.TIME, lane] = times[chosen]
-        if anew:
-            self._blocks[block, loop.STEPS, lane] = self._blocks[block, loop.OVER, lane] = 0.0
+        started = np.ones(len(lane), dtype=np.bool_) if anew else self._blocks[block, loop.OVER, lane] != 0.0
+        block, lane = block[started], lane[started]
+        self._blocks[block, loop.STEPS, lane] = self._blocks[block, loop.OVER, lane] = 0.0
 
     def observe(self, chosen: Flags, observations: Floats) -> None:
         """Write what the ``chosen`` environments' agents see, shape (N, 10)."""

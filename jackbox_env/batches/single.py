@@ -56,8 +56,7 @@ class SingleBatch:
         """See :meth:`jackbox_env.batches.base.Batch.place`."""
         for number in np.flatnonzero(chosen):
             self._envs[number].set_state(states[number], float(times[number]))
-        if anew:
-            self._steps[chosen] = 0
+        self._steps[chosen if anew else chosen & self.over] = 0
 
     def observe(self, chosen: Flags, observations: Floats) -> None:
         """Write what the ``chosen`` environments' agents see, shape (N, 10)."""

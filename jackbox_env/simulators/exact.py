@@ -42,7 +42,7 @@ def refuse_inelastic(scene: Scene) -> None:
     """
     if scene.restitution != 1.0:
         raise ValueError(
-            f"contact='exact' is elastic only, restitution 1, got {scene.restitution:g}; contact='pymunk' takes 0 to 1"
+            f"contact='exact' is elastic only, restitution 1, got {scene.restitution!r}; contact='pymunk' takes 0 to 1"
         )
 
 
@@ -71,7 +71,7 @@ def failure(ended: int, scene: Scene, time: float, dt: float, who: str = "the ja
     if ended == TOO_MUCH_WORK:
         return RuntimeError(
             f"{who} needs more than {MOST_WORK:,} gap evaluations in the dt = {dt:g} s after t = {time:g} s; use a "
-            "smaller time step"
+            "smaller time step or less torque"
         )
     return RuntimeError(
         f"{who} moves too fast to be followed in the dt = {dt:g} s after t = {time:g} s, or is too far off; use a "
