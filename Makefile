@@ -13,7 +13,7 @@ test: .venv/ready $(OLD_GYMNASIUM)/ready
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	EXPECTED_GYMNASIUM=1.2.2 PYTHONPATH=$(OLD_GYMNASIUM) $(BIN)/python -m pytest -q tests/test_env.py tests/test_tools.py
+	EXPECTED_GYMNASIUM=1.2.2 PYTHONPATH=$(OLD_GYMNASIUM) $(BIN)/python -m pytest -q tests/test_env.py tests/test_tools.py tests/test_vector_env.py
 	EXPECTED_GYMNASIUM=1.4.0 $(BIN)/python -m pytest -q
 
 benchmark: .venv/ready

@@ -250,7 +250,8 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
 
     def close_extras(self, **kwargs: Any) -> None:
         """Release what the renderers hold."""
-        self._batch.close()
+        if hasattr(self, "_batch"):  # a refused construction is closed too, by older Gymnasiums
+            self._batch.close()
 
     # -- episodes -----------------------------------------------------------------------------------------------------
 
