@@ -19,6 +19,9 @@ from jackbox_env.simulators.base import LATEST_TIME, end_of_step
 from jackbox_env.simulators.exact import drive_kind, failure, pieces_for, refuse_inelastic
 from jackbox_env.simulators.workspace import new_workspace
 
+_GRAIN = 1000  # steps that are worth a call
+_FEWEST_PER_THREAD = 5000  # steps that are worth waking a thread
+
 
 class Rollout(NamedTuple):
     """What ``rollout`` returns when more than trajectories is asked for; what was not asked for is None."""
@@ -91,7 +94,8 @@ def rollout(
     trajectories[:, 0] = starts
     hits = np.zeros((count, steps) if impacts else (0, steps), dtype=np.int64)
     impulses, energies = np.zeros(hits.shape), np.zeros((count, steps + 1) if energy else (0, steps + 1))
-    threads = Threads(thread_count(num_threads, count))
+    ranges = count if num_threads else min(count, count * steps // _FEWEST_PER_THREAD)
+    threads = Threads(thread_count(num_threads, ranges))
     workspaces = [new_workspace() for _ in range(threads.count)]
     numbers, drive, play, moments = np.array(scene.numbers), drive_kind(scene), compiled(roll), np.array(times)
 
@@ -106,7 +110,7 @@ def rollout(
                 return ended, who, when
             low, first = who, when  # after a while, so that an interruption is heard
 
-    for ended, who, when in threads.run(work, count):
+    for ended, who, when in threads.run(work, count, grain=-(-_GRAIN // max(1, steps))):
         if ended:
             raise failure(ended, scene, times[when], dt, f"the jack of states[{who}]")
     if not (energy or impacts):
@@ -144,4 +148,4 @@ def _numbers(name: str, given: ArrayLike) -> Array:
         raise TypeError(f"{name} must hold numbers, got {check.shown(given)}") from error
     if array.dtype.kind not in "fiu":
         raise TypeError(f"{name} must hold numbers, got {check.shown(given)}")
-    return array.astype(np.float64)
+    return array.astype(np.float64, copy=False)  # only read

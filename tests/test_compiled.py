@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 import shutil
@@ -171,34 +172,45 @@ def test_threads_share_out_everything_once() -> None:
                 seen[low:high] += 1
                 return number
 
-            assert Threads(count).run(work, total) == list(range(count))
+            numbers = Threads(count).run(work, total)
+            assert set(numbers) <= set(range(count))
             assert (seen == 1).all()
+            lows = Threads(count).run(lambda number, low, high: low, total, grain=3)
+            assert lows == sorted(lows)
+            assert all(after - before >= 3 for before, after in itertools.pairwise(lows))
 
 
 def test_an_error_in_a_thread_is_raised_and_the_threads_live_on() -> None:
     threads = Threads(2)
 
     def fail(number: int, low: int, high: int) -> None:
+        time.sleep(0.01)
         if number == 1:
             raise ValueError("from a thread")
 
     with pytest.raises(ValueError, match="from a thread"):
         threads.run(fail, 10)
-    assert threads.run(lambda number, low, high: high - low, 10) == [5, 5]
+    assert sum(threads.run(lambda number, low, high: high - low, 10)) == 10
 
 
 def test_nobody_works_on_after_an_interruption() -> None:
-    threads, done = Threads(4), []
+    threads, begun, done = Threads(4), [], []
 
     def interrupted(number: int, low: int, high: int) -> None:
         if number == 0:
+            time.sleep(0.1)  # until the others are at work
             raise KeyboardInterrupt
+        begun.append(low)
         time.sleep(0.2)
-        done.append(number)
+        done.append(low)
 
     with pytest.raises(KeyboardInterrupt):
-        threads.run(interrupted, 4)
-    assert sorted(done) == [1, 2, 3]
+        threads.run(interrupted, 1000)
+    left = list(done)
+    assert sorted(begun) == sorted(left)
+    assert len(left) == 3
+    time.sleep(0.3)
+    assert done == left
 
 
 def test_the_number_of_threads() -> None:

@@ -21,7 +21,8 @@ from jackbox_env.simulators.step import FUNCTIONS
 from jackbox_env.simulators.workspace import new_workspace
 from jackbox_env.tasks import TASKS
 
-_FEWEST_PER_THREAD = 1024  # below that, handing work to a thread costs more than it saves
+_FEWEST_PER_THREAD = 4096  # below that, waking a thread costs more than it saves
+_GRAIN = 4  # blocks that are worth a call
 _NO_ACTIONS: Array = np.zeros(0)
 _NO_TABLE: Array = np.zeros((0, TABLE_WIDTH))
 _NO_RANGES = np.zeros((0, 2), dtype=np.int64)
@@ -137,7 +138,7 @@ class ExactBatch:
                 low = number  # after a while, so that an interruption is heard
 
         try:
-            results = self._threads.run(work, len(blocks))
+            results = self._threads.run(work, len(blocks), grain=_GRAIN)
         except BaseException:
             # A thread may still write: leave it what it writes to.
             self._spare, self._workspaces = np.zeros_like(blocks), self._new_workspaces()
