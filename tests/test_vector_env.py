@@ -307,7 +307,7 @@ def test_what_an_interrupted_step_was_writing_to_is_let_go(monkeypatch: pytest.M
     batch: Any = env._batch
     spare, memory = batch._spare, batch._workspaces
 
-    def interrupted(work: Any, total: int) -> None:
+    def interrupted(work: Any, total: int, grain: int) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(batch._threads, "run", interrupted)
