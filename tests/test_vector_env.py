@@ -497,6 +497,22 @@ def test_unusable_actions_leave_all_environments_as_they_were(contact: str, acti
     env.step([[1], [-1]])
 
 
+@EVERY_MODEL
+def test_an_unusable_action_is_ignored_only_where_an_episode_waits(contact: str) -> None:
+    env = JackInBoxVectorEnv(2, contact=contact, max_episode_steps=2)
+    env.reset(seed=0)
+    env.step(None)
+    env.reset(options={"reset_mask": np.array([False, True])})
+    _, _, _, truncations, _ = env.step(None)
+    assert truncations.tolist() == [True, False]  # environment 0 waits
+    states = env.states
+    with pytest.raises(ValueError, match="action must be a finite number .* got nan for environment 1"):
+        env.step(np.full((2, 1), math.nan))
+    np.testing.assert_array_equal(env.states, states)
+    env.step(np.array([[math.nan], [0.5]]))
+    assert env.times.tolist() == [0.0, 0.04]
+
+
 @pytest.mark.parametrize(
     ("given", "sentence"),
     [

@@ -142,8 +142,8 @@ def step_blocks(
         first = number * width
         count = min(width, rewards.shape[0] - first)
         block, new = blocks[number], after[number]
-        bad = take_actions(n, actions, first, count, lanes)
-        if bad >= 0 and block[OVER, bad] == 0.0:
+        bad = take_actions(n, actions, block[OVER], first, count, lanes)
+        if bad >= 0:
             return BAD_ACTION, first + bad, finished
         alone = not (drive == NO_DRIVE or (drive == CHIRP and actions.shape[0] > 0))
         if not alone:
@@ -178,8 +178,11 @@ def step_blocks(
     return DONE, -1, finished
 
 
-def take_actions(n: SceneNumbers, actions: Array, first: int, count: int, lanes: Array) -> int:
-    """Fill in the torques, NaN where the drive acts; return the place of an unusable action, or -1."""
+def take_actions(n: SceneNumbers, actions: Array, over: Array, first: int, count: int, lanes: Array) -> int:
+    """Fill in the torques, NaN where the drive acts; return the place of an unusable action, or -1.
+
+    An action for an episode that is ``over`` and waits is not looked at.
+    """
     torque = lanes[TORQUE]
     if actions.shape[0] == 0:
         for k in range(count):
@@ -190,7 +193,7 @@ def take_actions(n: SceneNumbers, actions: Array, first: int, count: int, lanes:
         action = actions[first + k]
         torque[k] = max(-1.0, min(1.0, action)) * n.torque_limit
     for k in range(count):
-        if not abs(actions[first + k]) < math.inf:
+        if not abs(actions[first + k]) < math.inf and over[k] == 0.0:
             bad = k if bad < 0 else bad
     return bad
 
