@@ -616,6 +616,16 @@ def test_an_interruption_between_step_and_restart_is_made_good(
     assert interrupted > 4
 
 
+def test_torque_that_would_overflow_is_refused_for_many_in_mid_air() -> None:
+    env = JackInBoxVectorEnv(3, contact="exact", scene={"torque_limit": 1e60, "box_inertia": 1e-60, "drive": None})
+    env.reset(seed=0)
+    states = env.states
+    with pytest.raises(RuntimeError, match="the jack of environment 1 moves too fast to be followed"):
+        env.step([0.0, 1.0, 0.0])
+    np.testing.assert_array_equal(env.states, states)
+    env.step([0.0, 0.0, 0.0])
+
+
 def test_times_run_out_for_each_environment() -> None:
     env = JackInBoxVectorEnv(2, contact="exact", scene={"drive": None})
     env.reset(options={"time": [0.0, 1e9]})
