@@ -11,21 +11,25 @@ from jackbox_env.scene import Chirp, Drive, Scene
 
 if TYPE_CHECKING:
     from jackbox_env.env import JackInBoxEnv
+    from jackbox_env.fidelity import FIDELITIES, cheapest
     from jackbox_env.planning import Rollout, rollout
     from jackbox_env.simulators import Impact, Simulator, make_simulator
     from jackbox_env.vector_env import JackInBoxVectorEnv
 
 __version__ = "0.1.0"
 _LAZY = {
+    "FIDELITIES": "fidelity",
     "JackInBoxEnv": "env",
     "JackInBoxVectorEnv": "vector_env",
     "Impact": "simulators",
     "Simulator": "simulators",
     "make_simulator": "simulators",
     "Rollout": "planning",
+    "cheapest": "fidelity",
     "rollout": "planning",
 }
 __all__ = [
+    "FIDELITIES",
     "Chirp",
     "Drive",
     "Impact",
@@ -34,6 +38,7 @@ __all__ = [
     "Rollout",
     "Scene",
     "Simulator",
+    "cheapest",
     "make_simulator",
     "rollout",
 ]

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import _validation as check
 from jackbox_env import tasks
+from jackbox_env.fidelity import resolve
 from jackbox_env.mechanics import Array, as_start
 from jackbox_env.observation import BOUNDS
 from jackbox_env.scene import Scene
@@ -94,8 +95,9 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
 
     | Parameter     | Default    | Meaning                                                                           |
     |---------------|------------|-----------------------------------------------------------------------------------|
-    | `contact`     | `"pymunk"` | contact model: `"pymunk"` (time stepping) or `"exact"` (elastic scenes only)        |
+    | `contact`     | `None`     | contact model: `"pymunk"` (time stepping, the default) or `"exact"` (elastic only) |
     | `substeps`    | `None`     | engine steps of pymunk per control step, >= 1; None: 4                            |
+    | `fidelity`    | `None`     | a name for `contact` and `substeps`, see below; what these say themselves wins    |
     | `scene`       | `None`     | a `Scene`, or a dict of some of its fields                                        |
     | `task`        | `"juggle"` | `"juggle"`, `"spin"` or `"rattle"`                                                |
     | `control_dt`  | `0.02`     | duration of a step [s], > 0                                                       |
@@ -127,21 +129,23 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
 
     def __init__(
         self,
-        contact: str = "pymunk",
+        contact: str | None = None,
         substeps: int | None = None,
         scene: Scene | Mapping[str, Any] | None = None,
         task: str = "juggle",
         control_dt: float = 0.02,
         torque: str = "agent",
         render_mode: str | None = None,
+        fidelity: str | None = None,
     ) -> None:
+        self.contact, substeps = resolve(fidelity, contact, substeps)
         self._control_dt = check.real("control_dt", control_dt, above=0.0)
         self._torque_source = check.choice("torque", torque, ("agent", "chirp"))
         if render_mode is not None:
             check.choice("render_mode", render_mode, self.metadata["render_modes"])
         self.task = check.choice("task", task, tasks.TASKS)
-        self._simulator = make_simulator(Scene.of(scene), contact=contact, substeps=substeps)
-        self._score = make_score(self._simulator.scene, task, contact)
+        self._simulator = make_simulator(Scene.of(scene), contact=self.contact, substeps=substeps)
+        self._score = make_score(self._simulator.scene, task, self.contact)
         self._terms = [f"reward_{name}" for name in tasks.TASKS[task].terms]
         self.observation_space = gym.spaces.Box(-BOUNDS, BOUNDS, dtype=np.float32)
         self.action_space = gym.spaces.Box(-1.0, 1.0, shape=(1,), dtype=np.float32)

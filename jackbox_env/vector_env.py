@@ -57,6 +57,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         task: as there.
         control_dt: as there.
         torque: as there.
+        fidelity: as there.
 
     ``step`` takes actions of shape (N, 1) or (N,), or None: the scene's drive turns all boxes. ``reset`` takes a seed
     (an int, or a list of ints and None) and ``options``: "state", shape (12,) or (N, 12), "time" [s], a number or shape
@@ -76,12 +77,13 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         num_threads: int | None = None,
         with_infos: bool = False,
         render_mode: str | None = None,
-        contact: str = "pymunk",
+        contact: str | None = None,
         substeps: int | None = None,
         scene: Scene | Mapping[str, Any] | None = None,
         task: str = "juggle",
         control_dt: float = 0.02,
         torque: str = "agent",
+        fidelity: str | None = None,
     ) -> None:
         self.num_envs = check.whole("num_envs", num_envs, at_least=1, at_most=_MOST_ENVS)
         limit = _NO_LIMIT
@@ -95,7 +97,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         self._with_infos = check.flag("with_infos", with_infos)
         settings: dict[str, Any] = {
             "contact": contact, "substeps": substeps, "scene": scene, "task": task, "control_dt": control_dt,
-            "torque": torque,
+            "torque": torque, "fidelity": fidelity,
         }  # fmt: skip
         single = JackInBoxEnv(**settings, render_mode=render_mode if self.num_envs == 1 else None)  # checks them all
         single.close()
@@ -111,7 +113,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         self._started = False  # whether all have been reset
         self._waiting = False  # whether an episode may be over
         self._batch: Batch
-        if contact == "exact" and render_mode is None:
+        if single.contact == "exact" and render_mode is None:
             from jackbox_env.batches.exact import ExactBatch
 
             self._batch = ExactBatch(

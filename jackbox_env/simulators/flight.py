@@ -8,6 +8,7 @@ Fails: it does not look for impacts; ask :func:`reach` first.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from jackbox_env.scene import Scene
 
@@ -34,14 +35,30 @@ def reach(scene: Scene, state: list[float], dt: float, torque_bound: float, forc
     return dt * (speed + (abs(state[8]) + spun_up) * distance + scene.jack_arm * spin)
 
 
-def fly(scene: Scene, state: list[float], dt: float, falling: float, rising: float) -> list[float]:
-    """Return the state after ``dt`` [s] of flight without side forces.
+def fly(
+    scene: Scene,
+    state: list[float],
+    dt: float,
+    falling: float,
+    rising: float,
+    pushes: Sequence[tuple[float, float]] = (),
+) -> list[float]:
+    """Return the state after ``dt`` [s] of flight.
 
     ``falling`` and ``rising`` are the torque on the box over the step, averaged under a falling and under a rising
-    triangle [N m]; for a held torque both are that torque.
+    triangle [N m]; for a held torque both are that torque. ``pushes`` are the same two averages of the side forces
+    along x and y [N], or nothing where there are none.
     """
     x, y, angle, jack_x, jack_y, jack_angle, vx, vy, omega, jack_vx, jack_vy, jack_omega = state
     fall = scene.gravity * dt
+    if pushes:
+        (falling_x, rising_x), (falling_y, rising_y) = pushes
+        pushed = 0.5 * dt / scene.box_mass
+        x, y = x + pushed * falling_x * dt, y + pushed * falling_y * dt
+        after = fly(scene, [x, y, *state[2:]], dt, falling, rising)
+        after[6] += pushed * (falling_x + rising_x)
+        after[7] += pushed * (falling_y + rising_y)
+        return after
     return [
         x + vx * dt,
         y + vy * dt,

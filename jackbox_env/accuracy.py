@@ -1,0 +1,302 @@
+"""How accurate a contact model is: what it did on a case, held against what should have happened.
+
+A :class:`Case` is a scene, a start and torques. :func:`follow` runs a simulator on it and looks at every impact.
+:func:`reference_of` says what should have happened and for how long that is sure. :func:`compare` and :func:`restarts`
+measure. Energy alone proves nothing (a jack outside the box keeps it perfectly): impact times, their order and
+containment are what counts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jackbox_env.mechanics import Array, clearance, deepest_held, energy_of, gap_jacobian
+from jackbox_env.scene import Drive, Scene
+from jackbox_env.simulators import Impact, Simulator, make_simulator
+from jackbox_env.simulators.flight import fly
+
+STEPS_PER_RESTART = 5  # control steps: 0.1 s by default
+_ASIDE = 1e-13  # by which the start of a reference's twin is moved [m]
+_APART = 1e-6  # impacts of a reference and its twin further apart than this are no longer sure [s]
+
+
+class Case(NamedTuple):
+    """A start and what acts on the box from then on."""
+
+    name: str
+    scene: Scene
+    state: Array  # (12,)
+    steps: int  # control steps
+    torques: Sequence[float] | None = None  # held, one per control step [N m]; None: the scene's drive
+    dt: float = 0.02  # control step [s]
+
+
+class Between(NamedTuple):
+    """What happened inside one control step."""
+
+    depth: float  # deepest that a foot was in a wall at an impact or at the step's end [m]; negative: none was
+    work: float  # of torque and side forces on the box [J]
+
+
+Look = Callable[[Simulator, Array, float, float | None], Between]
+
+
+class Course(NamedTuple):
+    """What a simulator did on a case."""
+
+    states: Array  # (steps taken + 1, 12)
+    impacts: list[Impact]
+    depth: float  # deepest that a foot was in a wall [m]; negative: none was
+    imbalance: float  # largest |energy gained - work done| at the end of a step [J]
+    energy: float  # largest kinetic energy [J], which the imbalance is measured by
+    escaped: bool  # the jack left the box, or the simulator refused to go on
+
+
+class Reference(NamedTuple):
+    """What should have happened."""
+
+    times: Array  # (n,) [s]
+    states: Array  # (n, 12) at these times
+    impacts: list[Impact]
+    sure: int  # impacts that are certain: chaos multiplies rounding by about 5 with each
+
+
+class Comparison(NamedTuple):
+    """One course against its reference."""
+
+    flight: float  # largest pose error before the first impact [m]; NaN: no state before it
+    errors: list[float]  # of the impact times over the matched prefix [s]
+    sure: int  # impacts that could have matched
+
+
+class Restarts(NamedTuple):
+    """What a simulator does to impacts within 0.1 s after it is put on the reference: too short for chaos."""
+
+    errors: list[float]  # pose errors at the end of those with an impact [m]; infinite: it refused to go on
+    missed: int  # impacts of the reference that did not happen
+    extra: int  # impacts that should not have happened
+    impacts: int  # of the reference
+
+
+# -- what a simulator does ---------------------------------------------------------------------------------------------
+
+
+def flown(scene: Scene, state: list[float], time: float, duration: float, torque: float | None) -> list[float]:
+    """The state after flight from ``time`` for ``duration`` [s] under a held torque [N m] or the drive (None)."""
+    if duration <= 0.0:
+        return list(state)
+    drive = scene.drive or Drive()
+    falling, rising = drive.torque_means(time, duration) if torque is None else (torque, torque)
+    return fly(scene, state, duration, falling, rising, [means(time, duration) for means in drive.force_means])
+
+
+def between(simulator: Simulator, before: Array, time: float, torque: float | None) -> Between:
+    """Play the last step once more from its impacts: flight in closed form, and the impulses that were recorded.
+
+    So one sees the poses at which a model resolved its contacts, and the work is that of the true torque: in flight
+    nothing else changes the box's kinetic energy.
+
+    Args:
+        simulator: a contact model of this package after a step.
+        before: the state before that step, shape (12,).
+        time: the time before it [s].
+        torque: the torque held [N m]; None: the drive.
+    """
+    scene, state = simulator.scene, before.tolist()
+    depth, work, now = -math.inf, 0.0, time
+    for impact in simulator.impacts:
+        after = flown(scene, state, now, impact.time - now, torque)
+        work += _box_energy(scene, after) - _box_energy(scene, state)
+        state, now = after, max(now, impact.time)
+        depth = max(depth, -clearance(scene, state))
+        kick = impact.impulse * gap_jacobian(scene, state, impact.wall, impact.foot) / np.array(scene.mass_diagonal)
+        state[6:] = (np.array(state[6:]) + kick).tolist()
+    after = flown(scene, state, now, simulator.time - now, torque)
+    work += _box_energy(scene, after) - _box_energy(scene, state)
+    return Between(max(depth, -clearance(scene, simulator.state.tolist())), work)
+
+
+def _box_energy(scene: Scene, state: list[float]) -> float:
+    return 0.5 * (scene.box_mass * (state[6] ** 2 + state[7] ** 2) + scene.box_inertia * state[8] ** 2)
+
+
+def follow(simulator: Simulator, case: Case, look: Look | None = between) -> Course:
+    """Run a case and look at every step.
+
+    Args:
+        simulator: of the case's scene.
+        case: what to run.
+        look: what tells of the inside of a step; None: nobody looks, depth, imbalance and energy are NaN.
+    """
+    simulator.reset(case.state)
+    scene, state = case.scene, simulator.state
+    states, impacts = [state], list[Impact]()
+    start, depth, work, imbalance, largest = energy_of(scene, state.tolist()), -math.inf, 0.0, 0.0, 0.0
+    escaped = False
+    for number in range(case.steps):
+        torque = None if case.torques is None else case.torques[number]
+        time = simulator.time
+        try:
+            simulator.step(case.dt, torque)
+        except RuntimeError:  # it would leave the box
+            escaped = True
+            break
+        before, state = state, simulator.state
+        states.append(state)
+        impacts += simulator.impacts
+        escaped = -clearance(scene, state.tolist()) > deepest_held(scene)
+        if look is not None:
+            inside = look(simulator, before, time, torque)
+            depth, work = max(depth, inside.depth), work + inside.work
+            now = energy_of(scene, state.tolist())
+            imbalance = max(imbalance, abs(now - start - work))
+            largest = max(largest, now - scene.jack_mass * scene.gravity * state[4])
+        if escaped:
+            break
+    if look is None:
+        depth = imbalance = largest = math.nan
+    return Course(np.array(states), impacts, depth, imbalance, largest, escaped)
+
+
+# -- what should have happened ----------------------------------------------------------------------------------------
+
+
+def reference_of(case: Case) -> Reference:
+    """The exact model's course of an elastic case, and how many of its impacts are sure.
+
+    An impact is sure as long as a twin that starts 1e-13 m aside hits the same way within 1e-6 s: rounding starts
+    1e-15 m aside.
+
+    Raises:
+        ValueError: the scene is not elastic.
+        RuntimeError: the exact model cannot follow the case.
+    """
+    simulator = make_simulator(case.scene, "exact")
+    course = follow(simulator, case, look=None)
+    if course.escaped:
+        raise RuntimeError(f"the exact model cannot follow the case {case.name!r} to its end")
+    aside = case.state.copy()
+    aside[3] += _ASIDE * (1.0 if aside[0] > aside[3] else -1.0)  # towards the middle, so that it stays inside
+    twin = follow(simulator, case._replace(state=aside), look=None)
+    errors = matched(twin.impacts, course.impacts)
+    sure = next((number for number, error in enumerate(errors) if error > _APART), len(errors))
+    times: Array = case.dt * np.arange(case.steps + 1, dtype=np.float64)
+    return Reference(times, course.states, course.impacts, sure)
+
+
+# -- comparing --------------------------------------------------------------------------------------------------------
+
+
+def matched(impacts: Sequence[Impact], reference: Sequence[Impact]) -> list[float]:
+    """Errors of the impact times [s] over the longest common start of both, by wall and foot.
+
+    Impacts recorded at one time (a substep's end, two feet at once) have no order.
+    """
+    rest, errors = list(impacts), list[float]()
+    for number, wanted in enumerate(reference):
+        place = number
+        while place < len(rest) and rest[place][1:3] != wanted[1:3]:
+            place += 1
+            together = place < len(rest) and rest[place].time == rest[number].time
+            alike = place < len(reference) and reference[place].time == wanted.time
+            if not (together or alike):
+                return errors
+        if place >= len(rest):
+            return errors
+        rest.insert(number, rest.pop(place))
+        errors.append(abs(rest[number].time - wanted.time))
+    return errors
+
+
+def pose_errors(scene: Scene, states: Array, reference: Array) -> Array:
+    """How far walls and feet are from where they should be [m], shape (n,), for states of shape (n, 12).
+
+    The largest of: the distances of both centres, L times the box's angle, l times the jack's.
+    """
+    off = np.abs(np.asarray(states) - reference)
+    parts = [
+        np.hypot(off[:, 0], off[:, 1]),
+        scene.box_half_width * off[:, 2],
+        np.hypot(off[:, 3], off[:, 4]),
+        scene.jack_arm * off[:, 5],
+    ]
+    largest: Array = np.max(parts, axis=0)
+    return largest
+
+
+def compare(case: Case, course: Course, reference: Reference) -> Comparison:
+    """Hold a course against its reference."""
+    errors = matched(course.impacts, reference.impacts[: reference.sure])
+    first = min((impact.time for impact in [*course.impacts[:1], *reference.impacts[:1]]), default=math.inf)
+    rows = np.rint(reference.times / case.dt).astype(int)
+    flying = (reference.times < first) & (rows < len(course.states)) & (rows > 0)
+    flight = math.nan
+    if flying.any():
+        flight = float(pose_errors(case.scene, course.states[rows[flying]], reference.states[flying]).max())
+    return Comparison(flight, errors, reference.sure)
+
+
+def restarts(simulator: Simulator, case: Case, reference: Reference) -> Restarts:
+    """Put the simulator on the reference every 5 control steps and see where it is 5 steps later.
+
+    Impacts are matched by wall and foot in any order. Those of the last control step may still be under way: they need
+    no partner, but can be one.
+    """
+    errors, missed, extra, expected = list[float](), 0, 0, 0
+    rows = {round(time / case.dt): row for row, time in enumerate(reference.times.tolist())}
+    for first in range(0, case.steps - STEPS_PER_RESTART + 1, STEPS_PER_RESTART):
+        last = first + STEPS_PER_RESTART
+        if first not in rows or last not in rows:
+            continue
+        wanted = [hit for hit in reference.impacts if first * case.dt < hit.time <= last * case.dt]
+        expected += len(wanted)
+        found = list[Impact]()
+        simulator.reset(reference.states[rows[first]], first * case.dt)
+        try:
+            for number in range(first, last):
+                simulator.step(case.dt, None if case.torques is None else case.torques[number])
+                found += simulator.impacts
+        except RuntimeError:  # it would leave the box
+            errors.append(math.inf)
+            missed += len(wanted)
+            continue
+        if wanted or found:
+            where, right = simulator.state[None], reference.states[rows[last]][None]
+            errors.append(float(pose_errors(case.scene, where, right)[0]))
+        late = (last - 1) * case.dt
+        missed += _unpaired(wanted, found, late)
+        extra += _unpaired(found, wanted, late)
+    return Restarts(errors, missed, extra, expected)
+
+
+def _unpaired(impacts: Sequence[Impact], others: Sequence[Impact], late: float) -> int:
+    """How many impacts up to the time ``late`` [s] have no partner among the others; those after it want none."""
+    left = [hit[1:3] for hit in others]
+    count = 0
+    for hit in impacts:
+        if hit[1:3] in left:
+            left.remove(hit[1:3])
+        elif hit.time <= late:
+            count += 1
+    return count
+
+
+def quantities(course: Course, comparison: Comparison, again: Restarts) -> dict[str, Any]:
+    """Everything measured on one case, as plain numbers for JSON."""
+    return {
+        "flight": comparison.flight,
+        "errors": comparison.errors,
+        "prefix": len(comparison.errors),
+        "sure": comparison.sure,
+        "depth": course.depth,
+        "imbalance": course.imbalance / course.energy if course.energy > 0.0 else math.nan,
+        "escaped": course.escaped,
+        "local": again.errors,
+        "missed": again.missed,
+        "extra": again.extra,
+        "expected": again.impacts,
+    }

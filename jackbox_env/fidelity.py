@@ -1,0 +1,209 @@
+"""Named choices between speed and accuracy, and a measurement that chooses for a scene of your own.
+
+docs/accuracy.md shows what the names stand for among all settings measured; :class:`jackbox_env.JackInBoxEnv` has the
+table.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from jackbox_env import _validation as check
+from jackbox_env.accuracy import Case, Reference, follow, matched, reference_of
+from jackbox_env.mechanics import as_start
+from jackbox_env.scene import Scene
+from jackbox_env.simulators import make_simulator
+from jackbox_env.tasks import sample_start
+
+DEFAULT = "pymunk"  # the contact model where nothing is said
+_CANDIDATES = (1, 2, 4, 8, 16, 32, 64, 128, 256)  # substeps of pymunk, cheapest first
+_ROUNDS = 5  # in which the costs of two settings are compared
+
+
+class Setting(NamedTuple):
+    """A contact model and its substeps, as the environment's keywords: ``**setting._asdict()``."""
+
+    contact: str
+    substeps: int | None = None
+
+
+FIDELITIES = {
+    "fast": Setting("pymunk", 1),
+    "balanced": Setting("pymunk", 4),
+    "accurate": Setting("pymunk", 64),
+    "exact": Setting("exact"),
+}
+
+
+def resolve(fidelity: str | None, contact: str | None, substeps: int | None) -> Setting:
+    """The setting that is meant; what is said in ``contact`` and ``substeps`` wins over the name.
+
+    Raises:
+        ValueError: an unknown name, or substeps for the exact model.
+    """
+    if fidelity is None:
+        return Setting(DEFAULT if contact is None else contact, substeps)
+    named = FIDELITIES[check.choice("fidelity", fidelity, FIDELITIES)]
+    if contact is not None and contact != named.contact:
+        return Setting(contact, substeps)
+    if named.contact == "exact" and substeps is not None:
+        raise ValueError(
+            f"fidelity='exact' has no substeps, got substeps={check.shown(substeps)}; contact='pymunk' takes them"
+        )
+    return Setting(named.contact, named.substeps if substeps is None else substeps)
+
+
+class Choice(NamedTuple):
+    """A setting and what was measured of it; errors are the worst over the cases."""
+
+    setting: Setting
+    first_impact_error: float  # [s]
+    penetration: float  # deepest that a foot was in a wall [m]
+    microseconds: float  # per control step
+    cases: int  # that had an impact
+
+
+def cheapest(
+    scene: Scene | Mapping[str, Any] | None = None,
+    *,
+    first_impact_error: float = math.inf,
+    penetration: float = math.inf,
+    states: Sequence[ArrayLike] | None = None,
+    cases: int = 12,
+    steps: int = 250,
+    control_dt: float = 0.02,
+    seed: int = 0,
+) -> Choice:
+    """Measure which setting is the cheapest that keeps both errors within bounds, for a scene.
+
+    Every case is a start under held random torques within ``scene.torque_limit`` and, in turn, under the scene's drive
+    if it has one. The first impact is held against the exact model's, whose own error is rounding; before it
+    restitution plays no part, so scenes with loss are measured too. Among pymunk's substeps 1, 2, 4, ... 256 the first
+    that will do is compared with the exact model, where the scene allows it, by the time they take in turns. A few
+    seconds as a rule; the first exact step on a machine compiles.
+
+    Args:
+        scene: a Scene, a dict of some of its fields, or None for the default scene.
+        first_impact_error: largest error of the time of the first impact [s], > 0; an impact of another foot, on
+            another wall, or missing counts as infinite.
+        penetration: deepest that a foot may ever be in a wall [m], > 0.
+        states: starts, each of shape (12,), taken in turn; None: the environment's own.
+        cases: how many courses to simulate, 1 to 10,000.
+        steps: control steps of each, 1 to 1,000,000.
+        control_dt: control step [s].
+        seed: of the starts and the torques.
+
+    Returns:
+        The setting with what was measured: ``gym.make("JackInBox-v0", **choice.setting._asdict())``.
+
+    Raises:
+        TypeError, ValueError: an argument out of its range; no jack touches a wall; or no setting will do, the sentence
+            then says what the finest one reaches.
+        RuntimeError: the exact model cannot follow a case.
+
+    >>> from jackbox_env import cheapest
+    >>> cheapest({"restitution": 0.5}, first_impact_error=0.005, penetration=0.2).setting
+    Setting(contact='pymunk', substeps=4)
+    """
+    bounds = (
+        _bound("first_impact_error", first_impact_error),
+        _bound("penetration", penetration),
+    )
+    scene = Scene.of(scene)
+    drawn = _cases(scene, states, cases, steps, control_dt, seed)
+    measured: list[Choice] = []
+    try:
+        make_simulator(scene, "pymunk")
+    except ValueError:  # its solver would need too many iterations
+        if scene.restitution != 1.0:
+            raise
+    else:
+        for substeps in _CANDIDATES:
+            measured = [_measured(Setting("pymunk", substeps), drawn)]
+            if _within(measured[0], bounds):
+                break
+    if scene.restitution == 1.0:
+        measured.append(_measured(Setting("exact"), drawn))
+    found = [choice for choice in measured if _within(choice, bounds)]
+    if not found:
+        finest = measured[-1]
+        name = "the exact model" if finest.setting.contact == "exact" else f"pymunk with {_CANDIDATES[-1]} substeps"
+        raise ValueError(
+            f"no setting keeps the first impact within {bounds[0]:g} s and penetration within {bounds[1]:g} m; {name} "
+            f"reaches {finest.first_impact_error:.3g} s and {finest.penetration:.3g} m"
+        )
+    costs = _costs([choice.setting for choice in found], [case for case, _ in drawn])
+    return min(
+        (choice._replace(microseconds=cost) for choice, cost in zip(found, costs, strict=True)),
+        key=lambda choice: choice.microseconds,
+    )
+
+
+def _bound(name: str, value: float) -> float:
+    """A bound above 0, infinite where nothing is asked."""
+    return math.inf if value == math.inf else check.real(name, value, above=0.0)
+
+
+def _within(choice: Choice, bounds: tuple[float, float]) -> bool:
+    return choice.first_impact_error <= bounds[0] and choice.penetration <= bounds[1]
+
+
+def _cases(
+    scene: Scene, states: Sequence[ArrayLike] | None, cases: int, steps: int, control_dt: float, seed: int
+) -> list[tuple[Case, Reference]]:
+    """Cases with their references, those without an impact left out."""
+    check.whole("cases", cases, at_least=1, at_most=10_000)
+    check.whole("steps", steps, at_least=1, at_most=1_000_000)
+    check.whole("seed", seed, at_least=0)
+    dt = check.real("control_dt", control_dt, above=0.0)
+    starts = None if states is None else [as_start(scene, state) for state in states]
+    if starts == []:
+        raise ValueError("states must hold at least one start, got none")
+    rng = np.random.default_rng(seed)
+    drawn = []
+    for number in range(cases):
+        start = sample_start(scene, rng) if starts is None else starts[number % len(starts)]
+        held = rng.uniform(-scene.torque_limit, scene.torque_limit, steps).tolist()
+        driven = scene.drive is not None and number % 2 == 1
+        case = Case(f"case {number}", scene, start, steps, None if driven else held, dt)
+        reference = reference_of(case._replace(scene=replace(scene, restitution=1.0)))
+        if reference.impacts:
+            drawn.append((case, reference))
+    if not drawn:
+        raise ValueError(
+            f"no foot reaches a wall within {steps} steps of {dt:g} s in any of {cases} cases, so nothing can be "
+            "measured; give more steps, or states from which one does"
+        )
+    return drawn
+
+
+def _measured(setting: Setting, drawn: list[tuple[Case, Reference]]) -> Choice:
+    """The worst errors over the cases; infinite for a case that the contact model cannot follow."""
+    error = depth = 0.0
+    simulator = make_simulator(drawn[0][0].scene, setting.contact, substeps=setting.substeps)
+    for case, reference in drawn:
+        course = follow(simulator, case)
+        times = matched(course.impacts[:16], reference.impacts[:1])
+        error = max(error, times[0] if times else math.inf)
+        depth = max(depth, math.inf if course.escaped else course.depth)
+    return Choice(setting, error, depth, math.nan, len(drawn))
+
+
+def _costs(settings: list[Setting], cases: list[Case]) -> list[float]:
+    """Microseconds per control step of each, medians over rounds in which they take turns."""
+    passed: list[list[float]] = [[] for _ in settings]
+    simulators = [make_simulator(cases[0].scene, setting.contact, substeps=setting.substeps) for setting in settings]
+    for _ in range(_ROUNDS):
+        for simulator, record in zip(simulators, passed, strict=True):
+            began = time.perf_counter()
+            taken = sum(len(follow(simulator, case, look=None).states) - 1 for case in cases)
+            record.append(1e6 * (time.perf_counter() - began) / max(taken, 1))
+    return [statistics.median(record) for record in passed]

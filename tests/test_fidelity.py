@@ -1,0 +1,150 @@
+"""Named fidelities, and the helper that measures which setting will do."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import jackbox_env
+from jackbox_env import FIDELITIES, cheapest
+from jackbox_env.fidelity import Choice, Setting, resolve
+
+WEIGHTLESS = {"gravity": 0.0, "drive": None}
+
+
+@pytest.mark.parametrize(
+    ("given", "meant"),
+    [
+        ({}, Setting("pymunk", None)),
+        ({"fidelity": "fast"}, Setting("pymunk", 1)),
+        ({"fidelity": "balanced"}, Setting("pymunk", 4)),
+        ({"fidelity": "accurate"}, Setting("pymunk", 64)),
+        ({"fidelity": "exact"}, Setting("exact", None)),
+        ({"fidelity": "fast", "substeps": 8}, Setting("pymunk", 8)),
+        ({"fidelity": "accurate", "contact": "pymunk"}, Setting("pymunk", 64)),
+        ({"fidelity": "accurate", "contact": "exact"}, Setting("exact", None)),
+        ({"fidelity": "exact", "contact": "pymunk"}, Setting("pymunk", None)),
+        ({"fidelity": "exact", "contact": "pymunk", "substeps": 2}, Setting("pymunk", 2)),
+        ({"contact": "exact"}, Setting("exact", None)),
+    ],
+)
+def test_a_name_stands_for_a_setting_and_what_is_said_wins(given: dict[str, Any], meant: Setting) -> None:
+    assert resolve(**{"fidelity": None, "contact": None, "substeps": None, **given}) == meant
+    assert gym.make("JackInBox-v0", **given).unwrapped.contact == meant.contact  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("name", FIDELITIES)
+def test_a_named_environment_is_bitwise_the_one_with_its_setting_also_in_a_batch(name: str) -> None:
+    named = gym.make("JackInBox-v0", fidelity=name)
+    spelled = gym.make("JackInBox-v0", **FIDELITIES[name]._asdict())
+    batch = gym.make_vec("JackInBox-v0", num_envs=1, vectorization_mode="vector_entry_point", fidelity=name)
+    named.reset(seed=3)
+    spelled.reset(seed=3)
+    batch.reset(seed=3)
+    impacts = 0
+    for _ in range(150):
+        info = named.step(None)[4]
+        np.testing.assert_array_equal(info["state"], spelled.step(None)[4]["state"])
+        batch.step(None)
+        np.testing.assert_array_equal(info["state"], batch.unwrapped.states[0])  # type: ignore[attr-defined]
+        impacts += info["impacts"]
+    assert impacts
+
+
+def test_different_names_give_different_futures() -> None:
+    ends = []
+    for name in FIDELITIES:
+        env = gym.make("JackInBox-v0", fidelity=name)
+        env.reset(seed=3)
+        ends.append([env.step(None)[4]["state"] for _ in range(150)][-1])
+    for one in range(4):
+        for other in range(one):
+            assert np.abs(ends[one] - ends[other]).max() > 1e-6
+
+
+# -- the helper --------------------------------------------------------------------------------------------------------
+
+
+def test_tighter_bounds_choose_more_substeps_where_the_exact_model_is_not_allowed() -> None:
+    lossy = {"restitution": 0.5}
+    chosen = [cheapest(lossy, first_impact_error=error, cases=4) for error in (0.02, 0.003, 0.0002)]
+    substeps = [choice.setting.substeps or 0 for choice in chosen]
+    assert substeps[0] == 1
+    assert substeps[0] < substeps[1] < substeps[2]
+    for choice, error in zip(chosen, (0.02, 0.003, 0.0002), strict=True):
+        assert 0.0 < choice.first_impact_error <= error
+        assert choice.setting.contact == "pymunk"
+        assert choice.microseconds > 0.0
+    # one substep is a whole control step of 0.02 s: the first impact waits for its end
+    assert chosen[0].first_impact_error <= 0.02
+    # a foot moves at about 10 m/s into the wall for up to h
+    assert 0.05 < chosen[0].penetration < 1.0
+    assert chosen[2].penetration < 0.02
+
+
+def test_what_was_chosen_is_what_its_next_coarser_setting_fails() -> None:
+    chosen = cheapest({"restitution": 0.9}, penetration=0.02)
+    with_more = cheapest({"restitution": 0.9}, penetration=chosen.penetration)
+    assert with_more.setting == chosen.setting
+    assert cheapest({"restitution": 0.9}, penetration=0.9 * chosen.penetration).setting != chosen.setting
+
+
+def test_the_exact_model_is_chosen_where_nothing_else_will_do() -> None:
+    assert cheapest(first_impact_error=1e-9).setting == Setting("exact", None)
+    assert cheapest(penetration=1e-9).setting == Setting("exact", None)
+
+
+def test_a_jack_that_couples_its_feet_too_strongly_for_pymunk_leaves_the_exact_model() -> None:
+    assert cheapest({"jack_inertia": 1e-6}, cases=2).setting == Setting("exact", None)
+    with pytest.raises(ValueError, match="iterations"):
+        cheapest({"jack_inertia": 1e-6, "restitution": 0.5}, cases=2)
+
+
+def test_scenes_with_side_forces_and_own_starts_are_measured() -> None:
+    drive = jackbox_env.Drive(force_x=lambda t: 24000.0 * math.cos(6.0 * t))
+    start = np.array([0.0, 0.0, 0.0, 1.0, 0.5, 0.2, 0.0, 0.0, 0.0, 8.0, 3.0, 1.0])
+    chosen = cheapest({"gravity": 0.0, "drive": drive}, states=[start], cases=2, first_impact_error=1e-9)
+    assert chosen.setting.contact == "exact"
+    assert chosen.cases == 2
+    assert -1e-9 < chosen.penetration < 1e-9
+
+
+def test_the_choice_makes_an_environment() -> None:
+    choice = cheapest({"restitution": 0.5}, first_impact_error=0.01, cases=2)
+    assert isinstance(choice, Choice)
+    env = gym.make("JackInBox-v0", scene={"restitution": 0.5}, **choice.setting._asdict())
+    env.reset(seed=0)
+    env.step(None)
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        ({"first_impact_error": 0.0}, "first_impact_error must be a finite number above 0, got 0.0"),
+        ({"penetration": math.nan}, "penetration must be a finite number above 0, got nan"),
+        ({"penetration": "1"}, "penetration must be a finite number above 0, got '1'"),
+        ({"cases": 0}, "cases must be a whole number from 1 to 10000, got 0"),
+        ({"steps": 1.5}, "steps must be a whole number from 1 to 1000000, got 1.5"),
+        ({"control_dt": -1.0}, "control_dt must be a finite number above 0, got -1.0"),
+        ({"seed": -1}, "seed must be a whole number >= 0, got -1"),
+        ({"states": []}, "states must hold at least one start, got none"),
+        ({"states": [9.0 * np.eye(12)[3]]}, "a start must have every foot inside the box"),
+        ({"scene": {"mass": 1}}, "scene takes only"),
+        (
+            {"scene": WEIGHTLESS, "states": [np.zeros(12)], "cases": 2, "steps": 1},
+            "no foot reaches a wall within 1 steps",
+        ),
+        (
+            {"scene": {"restitution": 0.5}, "first_impact_error": 1e-9, "cases": 2},
+            "no setting keeps the first impact within 1e-09 s and penetration within inf m; pymunk with 256 substeps",
+        ),
+    ],
+)
+def test_bad_arguments_are_refused_in_one_sentence(given: dict[str, Any], sentence: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=sentence) as refused:
+        cheapest(**given)
+    assert "\n" not in str(refused.value)
