@@ -1,0 +1,391 @@
+"""How others simulate the jack: that each rival does what its module says, its failures included."""
+
+from __future__ import annotations
+
+import copy
+import importlib.util
+import math
+import pickle
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jackbox_env.accuracy import Between, Case, Course, compare, follow, reference_of
+from jackbox_env.mechanics import Array, energy, gap_jacobian, impact_map
+from jackbox_env.scene import Chirp, Drive, Scene
+from jackbox_env.simulators import make_simulator
+from jackbox_env.simulators.base import Impact
+from jackbox_env.tasks import sample_start
+from scripts import rivals
+from scripts.rivals.base import Pushes, Rival
+from scripts.rivals.naive import BAND, NaiveSimulator, reflect
+from tests.states import inside, one_foot_on_wall
+
+WEIGHTLESS = Scene(gravity=0.0, drive=None)
+NEEDS_MUJOCO = pytest.mark.skipif(importlib.util.find_spec("mujoco") is None, reason="mujoco is not installed")
+EVERY_RIVAL = pytest.mark.parametrize("name", ["naive", "box2d", pytest.param("mujoco", marks=NEEDS_MUJOCO)])
+EVERY_ENGINE = pytest.mark.parametrize("name", ["box2d", pytest.param("mujoco", marks=NEEDS_MUJOCO)])
+
+
+def rival(name: str, scene: Scene, substeps: int) -> Rival:
+    return rivals.available()[name](scene, substeps)
+
+
+def chirped(seed: int, steps: int = 500) -> Case:
+    return Case(f"seed {seed}", Scene(), sample_start(Scene(), np.random.default_rng(seed)), steps)
+
+
+def lost(name: str, substeps: int, seeds: range) -> list[tuple[int, Course]]:
+    courses = []
+    for seed in seeds:
+        simulator = rival(name, Scene(), substeps)
+        courses.append((seed, follow(simulator, chirped(seed), look=simulator.look)))
+    return [(seed, course) for seed, course in courses if course.escaped]
+
+
+# -- what is offered ---------------------------------------------------------------------------------------------------
+
+
+def test_rivals_without_their_package_are_left_out_and_said_to_be_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert set(rivals.available()) | set(rivals.missing()) == {"naive", "box2d", "mujoco"}
+    assert not set(rivals.available()) & set(rivals.missing())
+    monkeypatch.setattr(importlib.util, "find_spec", lambda package: None if package == "mujoco" else object())
+    assert set(rivals.available()) == {"naive", "box2d"}
+    assert rivals.missing() == {"mujoco": "not installed (pip install -e '.[peers]')"}
+
+
+# -- naive -------------------------------------------------------------------------------------------------------------
+
+
+def test_naive_flight_is_classical_runge_kutta_stage_by_stage() -> None:
+    scene = Scene(drive=Drive(torque=Chirp().torque, force_x=lambda t: 900.0 * math.cos(3.0 * t)))
+
+    def slope(y: Array, t: float) -> Array:
+        torque, force = Chirp().torque(t), 900.0 * math.cos(3.0 * t)
+        return np.array([*y[6:], force / 400.0, 0.0, torque / 14400.0, 0.0, -9.81, 0.0])
+
+    state = inside(scene, np.random.default_rng(4), speed=0.3)
+    h, t, y = 0.01, 1.3, state.copy()
+    simulator = NaiveSimulator(scene, substeps=3)
+    simulator.reset(state, t)
+    simulator.step(3 * h)
+    for _ in range(3):
+        k1 = slope(y, t)
+        k2 = slope(y + 0.5 * h * k1, t + 0.5 * h)
+        k3 = slope(y + 0.5 * h * k2, t + 0.5 * h)
+        k4 = slope(y + h * k3, t + h)
+        y, t = y + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4), t + h
+    assert simulator.impacts == []
+    np.testing.assert_allclose(simulator.state, y, rtol=1e-13, atol=1e-13)
+
+
+def test_naive_flight_is_of_fourth_order() -> None:
+    exact = make_simulator(Scene(), "exact")
+    errors = []
+    for substeps in (1, 2, 4):
+        naive = NaiveSimulator(Scene(), substeps)
+        for simulator in (naive, exact):
+            simulator.reset(np.zeros(12), 0.3)
+            for _ in range(16):
+                simulator.step(0.05)
+            assert simulator.impacts == []
+        errors.append(np.abs(naive.state - exact.state)[[2, 8]].max())
+    assert errors[0] > 1e-9
+    orders = [math.log2(coarse / fine) for coarse, fine in zip(errors, errors[1:], strict=False)]
+    assert orders == pytest.approx([4.0, 4.0], abs=0.2)
+
+
+def test_a_naive_impact_is_the_impact_map_when_approaching_and_its_reflection_when_leaving() -> None:
+    rng = np.random.default_rng(5)
+    for _ in range(30):
+        state, wall, foot = one_foot_on_wall(Scene(), rng)
+        after, impulse = reflect(Scene(), state, wall, foot)
+        mapped, wanted = impact_map(Scene(), state, wall, foot)
+        np.testing.assert_array_equal(after, mapped)
+        assert impulse == wanted > 0.0
+        # Reflected again the foot separates: the map would leave it alone, this goes back to where it came from.
+        back, pull = reflect(Scene(), after, wall, foot)
+        np.testing.assert_allclose(back, state, rtol=1e-12, atol=1e-12)
+        assert pull == pytest.approx(-impulse, rel=1e-12)
+        assert energy(Scene(), back) == pytest.approx(energy(Scene(), after), rel=1e-13)
+
+
+def test_naive_turns_back_the_first_pair_near_a_wall_once_whether_it_approaches_or_not() -> None:
+    for speed in (1.0, -1.0):  # of the jack towards wall 0; its feet 0 and 1 are both in the band there
+        state = np.zeros(12)
+        state[[3, 4, 9]] = 4.95, 4.95, speed
+        simulator = NaiveSimulator(WEIGHTLESS, 1)
+        simulator.reset(state)
+        simulator.step(1e-3)
+        moved = state.copy()
+        moved[3] += 1e-3 * speed
+        wanted, impulse = reflect(WEIGHTLESS, moved, 0, 0)
+        np.testing.assert_allclose(simulator.state, wanted, rtol=1e-14, atol=1e-14)
+        assert simulator.impacts == [Impact(1e-3, 0, 0, pytest.approx(impulse))]
+        assert math.copysign(1.0, impulse) == speed
+    state[[3, 4, 9]] = 5.0 - BAND - 0.002, 0.0, 1.0  # just outside the band after the step
+    simulator.reset(state)
+    simulator.step(1e-3)
+    assert simulator.impacts == []
+
+
+def test_naive_loses_the_jack_through_a_wall_and_keeps_its_energy_all_the_while() -> None:
+    escaped = lost("naive", 2, range(4, 8))
+    assert escaped
+    for _, course in escaped:
+        assert course.depth > BAND  # where nothing brings it back
+        assert course.imbalance < 1e-5 * course.energy
+    exact = make_simulator(Scene(), "exact")
+    assert not any(follow(exact, chirped(seed), look=None).escaped for seed, _ in escaped)
+
+
+def test_smaller_steps_do_not_bring_the_naive_first_impact_nearer() -> None:
+    reference = reference_of(chirped(0, 100))
+    errors = {}
+    for substeps in (2, 64):
+        simulator = rival("naive", Scene(), substeps)
+        errors[substeps] = compare(chirped(0, 100), follow(simulator, chirped(0, 100), None), reference).errors[0]
+    assert errors[64] > 0.005
+    assert errors[64] > errors[2]
+
+
+# -- engines -----------------------------------------------------------------------------------------------------------
+
+
+@EVERY_ENGINE
+def test_flight_runs_ahead_of_the_truth_by_half_a_substep(name: str) -> None:
+    # Semi-implicit Euler under constant acceleration a: x is late by nothing, ahead by a h t / 2; v is exact.
+    torque, steps = 14400.0, 20
+    for substeps in (1, 8):
+        simulator = rival(name, Scene(drive=None), substeps)
+        state = np.zeros(12)
+        state[[2, 5, 11]] = 7.0, -9.0, 2.0
+        simulator.reset(state, 1.0)
+        for _ in range(steps):
+            simulator.step(0.02, torque)
+        h, t = 0.02 / substeps, 0.4
+        ahead = 0.5 * h * t
+        wanted = [0, 0, 7.0 + 0.5 * t**2 + ahead, 0, -9.81 * (0.5 * t**2 + ahead), -9.0 + 2.0 * t]
+        wanted += [0, 0, t, 0, -9.81 * t, 2.0]
+        tolerance = 1e-5 if name == "box2d" else 1e-12  # float32
+        np.testing.assert_allclose(simulator.state, wanted, atol=tolerance)
+        assert simulator.torque == torque
+        assert simulator.time == pytest.approx(1.4, rel=1e-14)
+        assert simulator.impacts == []
+
+
+@EVERY_ENGINE
+def test_the_drive_acts_by_its_mean_over_each_substep_and_side_forces_always(name: str) -> None:
+    scene = Scene(gravity=0.0, drive=Drive(torque=lambda t: 14400.0 * t, force_x=lambda t: 400.0 * t**2))
+    for torque, rate in ((None, 0.5), (28800.0, 2.0)):
+        simulator = rival(name, scene, 4)
+        simulator.reset(np.zeros(12))
+        for _ in range(50):
+            simulator.step(0.02, torque)
+        tolerance = 1e-5 if name == "box2d" else 1e-12  # float32
+        np.testing.assert_allclose(simulator.state[[6, 7, 8]], [1.0 / 3.0, 0.0, rate], atol=tolerance)
+
+
+@EVERY_ENGINE
+def test_one_straight_bounce_is_the_impact_map(name: str) -> None:
+    # mujoco: the jack is on its spring for two substeps, whose turn of 0.9999 of a quarter leaves 1e-4.
+    tolerance = 1e-6 if name == "box2d" else 2e-4
+    for wall, (x, y) in enumerate([(1, 0), (0, 1), (-1, 0), (0, -1)]):
+        for part in (0.1, 0.5, 0.9):  # of a substep, at which the foot reaches the wall
+            state, h = np.zeros(12), 0.005
+            place = 5.0 - 3.0 * h * (2.0 + part)
+            state[[3, 4]], state[[9, 10]] = (x * place, y * place), (x * 3.0, y * 3.0)
+            simulator = rival(name, WEIGHTLESS, 2)
+            simulator.reset(state)
+            impacts = []
+            for _ in range(4):
+                simulator.step(2 * h)
+                impacts += simulator.impacts
+            wanted, impulse = impact_map(WEIGHTLESS, state, wall, wall)
+            np.testing.assert_allclose(simulator.state[6:], wanted[6:], atol=3.0 * tolerance)
+            assert [hit[1:3] for hit in impacts] == [(wall, wall)]
+            assert impacts[0].time == pytest.approx(3 * h)  # the first substep that starts with the foot in the wall
+            assert impacts[0].impulse == pytest.approx(impulse, rel=tolerance)
+
+
+@EVERY_ENGINE
+def test_oblique_bounces_reverse_the_gap_rate_up_to_the_way_of_a_substep(name: str) -> None:
+    rng = np.random.default_rng(6)
+    worst = {}
+    for h in (1e-3, 1e-4):
+        rng, worst[h] = np.random.default_rng(6), 0.0
+        for _ in range(20):
+            state, wall, foot = one_foot_on_wall(WEIGHTLESS, rng)
+            approach = gap_jacobian(WEIGHTLESS, state, wall, foot) @ state[6:]
+            if approach > -1.5:  # box2d: slow contacts are inelastic
+                continue
+            simulator = rival(name, WEIGHTLESS, 5)
+            simulator.reset(state)
+            simulator.step(5 * h)
+            wanted, impulse = impact_map(WEIGHTLESS, state, wall, foot)
+            assert [hit[1:3] for hit in simulator.impacts] == [(wall, foot)]
+            worst[h] = max(worst[h], np.abs(simulator.state - wanted)[6:].max() / np.abs(wanted[6:]).max())
+    assert worst[1e-3] < 0.1
+    assert worst[1e-4] < 0.2 * worst[1e-3]
+
+
+@EVERY_RIVAL
+def test_the_look_inside_balances_the_energy_of_flight_and_sees_the_depth(name: str) -> None:
+    # A held torque from rest: work = torque * angle = torque^2 t^2 / 2 J, and that is the energy the box gains.
+    simulator = rival(name, WEIGHTLESS, 3)
+    simulator.reset(np.zeros(12))
+    simulator.step(0.02, 72000.0)
+    seen = simulator.look(simulator, np.zeros(12), 0.0, 72000.0)
+    assert seen.work == pytest.approx(0.5 * 14400.0 * 0.1**2, rel=1e-6)
+    assert seen.depth == pytest.approx(-5.0 + 0.5 * simulator.state[2] ** 2, abs=1e-4)
+    state = np.zeros(12)
+    state[[3, 9]] = 5.0 + (0.02 if name != "naive" else 0.15), 6.0  # goes further in before it comes out
+    simulator.reset(state)
+    simulator.step(0.03)
+    seen = simulator.look(simulator, state, 0.0, None)
+    first_substep = 5.0 + 6.0 * 0.01 - 5.0
+    if name == "naive":  # outside its band: gone for good
+        assert seen.depth == pytest.approx(0.15 + 0.18, abs=1e-3)
+    elif name == "mujoco":  # turned round by k h^2 = 2: v - 2 * 0.02 / h = 2 m/s for a substep, then out
+        assert seen.depth == pytest.approx(0.02 + 2.0 * 0.01, abs=2e-3)
+    else:  # bounced at the substep's start
+        assert seen.depth < 0.0 < first_substep
+    assert seen.work == pytest.approx(0.0, abs=1e-3)
+
+
+@EVERY_RIVAL
+def test_the_first_impact_comes_in_time_and_the_run_stays_balanced(name: str) -> None:
+    case = chirped(1, 150)
+    simulator = rival(name, case.scene, 16)
+    course = follow(simulator, case, look=simulator.look)
+    comparison = compare(case, course, reference_of(case))
+    assert not course.escaped
+    assert comparison.errors[0] < (BAND / 5.0 if name == "naive" else 0.00125)  # h
+    # A spring's energy is missing while a foot is on it.
+    assert course.imbalance < {"naive": 1e-8, "box2d": 1e-3, "mujoco": 0.05}[name] * course.energy
+    assert len(course.impacts) > 1
+
+
+def test_box2d_sticks_to_a_wall_below_a_metre_per_second() -> None:
+    for speed, rate in ((0.9, 0.0), (1.1, -1.1)):
+        state = np.zeros(12)
+        state[[3, 9]] = 4.999, speed
+        simulator = rival("box2d", WEIGHTLESS, 4)
+        simulator.reset(state)
+        simulator.step(0.02)
+        assert simulator.state[9] - simulator.state[6] == pytest.approx(rate, abs=1e-6)
+
+
+def test_box2d_refuses_steps_in_which_the_engine_would_cut_the_speed() -> None:
+    for place, rate in ((9, 150.0), (11, 100.0)):
+        state = np.zeros(12)
+        state[place] = rate
+        simulator = rival("box2d", WEIGHTLESS, 1)
+        simulator.reset(state)
+        with pytest.raises(RuntimeError, match="box2d can not follow the jack: .* use more substeps"):
+            simulator.step(0.02)
+        np.testing.assert_array_equal(simulator.state, state)
+
+
+@NEEDS_MUJOCO
+def test_mujoco_refuses_what_it_can_not_do(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ValueError, match="mujoco is tuned for elastic impacts only, got restitution 0.5"):
+        rival("mujoco", Scene(restitution=0.5), 4)
+    simulator = rival("mujoco", Scene(), 4)
+    with pytest.raises(RuntimeError, match="mujoco can not follow accelerations beyond 1e[+]09"):
+        simulator.step(0.02, 1e20)
+    simulator.reset(np.array([0.0] * 9 + [1e12, 0.0, 0.0]))
+    with pytest.raises(RuntimeError, match="mujoco can not follow a state beyond 1e[+]09"):
+        simulator.step(0.02)
+    assert not list(tmp_path.iterdir())  # the engine writes a log file where it gives up by itself
+
+
+# -- what every simulator owes -----------------------------------------------------------------------------------------
+
+
+@EVERY_RIVAL
+def test_the_motion_follows_from_state_and_time_bitwise_also_pickled_and_copied(name: str) -> None:
+    rng = np.random.default_rng(7)
+    run = rival(name, Scene(jack_arm=4.0), 4)
+    run.reset(inside(run.scene, rng, speed=1.0))
+    impacts = 0
+    for _ in range(150):
+        restored = rival(name, run.scene, 4)
+        restored.reset(run.state, run.time)
+        twins = [copy.deepcopy(run), pickle.loads(pickle.dumps(run))]
+        torque = rng.uniform(-3e4, 3e4) if rng.uniform() < 0.7 else None
+        for one in [run, restored, *twins]:
+            one.step(0.02, torque)
+        for twin in twins:
+            assert twin.impacts == run.impacts
+        for twin in [restored, *twins]:
+            np.testing.assert_array_equal(twin.state, run.state)
+            assert (twin.time, twin.torque) == (run.time, run.torque)
+        impacts += len(run.impacts)
+    assert impacts > 10
+
+
+@EVERY_RIVAL
+def test_a_jack_that_would_leave_is_refused_and_the_simulator_stays_as_it_was(name: str) -> None:
+    state = np.zeros(12)
+    state[[3, 9]] = 4.5, 90.0 if name == "box2d" else 200.0
+    simulator = rival(name, WEIGHTLESS, 1)
+    simulator.reset(state, 3.0)
+    with pytest.raises(RuntimeError, match="the jack would leave the box: after t = 3 s a foot ends"):
+        simulator.step(0.02)
+    np.testing.assert_array_equal(simulator.state, state)
+    assert simulator.time == 3.0
+    case = Case("too fast", WEIGHTLESS, state, 5)
+    assert follow(simulator, case, look=simulator.look).escaped
+
+
+@EVERY_RIVAL
+@pytest.mark.parametrize("bad", [math.nan, math.inf, "1", True])
+def test_unusable_numbers_are_refused_in_one_sentence(bad: Any, name: str) -> None:
+    simulator = rival(name, Scene(), 2)
+    before = simulator.state
+    with pytest.raises((TypeError, ValueError), match="dt must be a finite number above 0, got"):
+        simulator.step(bad)
+    with pytest.raises((TypeError, ValueError), match="torque must be a finite number, got"):
+        simulator.step(0.02, torque=bad)
+    with pytest.raises((TypeError, ValueError), match="time must be a finite number"):
+        simulator.reset(np.zeros(12), bad)
+    with pytest.raises((TypeError, ValueError), match="substeps must be a whole number from 1"):
+        rival(name, Scene(), bad)
+    np.testing.assert_array_equal(simulator.state, before)
+    simulator.step(0.02)
+
+
+@EVERY_ENGINE
+def test_scenes_beyond_an_engines_constants_are_refused(name: str) -> None:
+    with pytest.raises(ValueError, match=f"jack_mass for {name} must be .* at least 1e-06 and at most 1e[+]06, got"):
+        rival(name, Scene(jack_mass=1e-9), 2)
+
+
+def test_looking_without_a_step_or_into_another_simulator_is_refused() -> None:
+    one, other = NaiveSimulator(Scene()), NaiveSimulator(Scene())
+    looks: list[tuple[type[Exception], Callable[[], Between]]] = [
+        (RuntimeError, lambda: one.look(one, np.zeros(12), 0.0, None)),
+        (ValueError, lambda: one.look(other, np.zeros(12), 0.0, None)),
+    ]
+    for error, look in looks:
+        with pytest.raises(error, match="to look into since the reset|only into its own steps"):
+            look()
+
+
+def test_a_push_of_several_substeps_is_one_impact_told_in_the_order_of_beginnings() -> None:
+    record = Pushes()
+    record.add(0.0, {(0, 1): 1.0})
+    record.add(0.1, {(0, 1): 2.0, (3, 2): 4.0})
+    assert record.take() == []
+    record.add(0.2, {(0, 1): 0.5})  # (3, 2) is over, but began later
+    assert record.take() == []
+    record = Pushes(record.left())
+    record.add(0.3, {(3, 2): 7.0})
+    assert record.take() == [Impact(0.0, 0, 1, 3.5), Impact(0.1, 3, 2, 4.0)]
+    record.add(0.4, {})
+    assert record.take() == [Impact(0.3, 3, 2, 7.0)]
+    assert record.left() == ()
