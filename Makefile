@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 OLD_GYMNASIUM := .venv/gymnasium-1.2.2
 
-.PHONY: demo test benchmark speed readme clean
+.PHONY: demo test benchmark benchmark-quick throughput speed readme clean
 .DELETE_ON_ERROR:
 
 demo: .venv/ready
@@ -16,8 +16,15 @@ test: .venv/ready $(OLD_GYMNASIUM)/ready
 	EXPECTED_GYMNASIUM=1.2.2 PYTHONPATH=$(OLD_GYMNASIUM) $(BIN)/python -m pytest -q tests/test_env.py tests/test_tools.py tests/test_vector_env.py
 	EXPECTED_GYMNASIUM=1.4.0 $(BIN)/python -m pytest -q
 
+# Speed against accuracy: the full sweep writes docs/accuracy.md, the quick one (2 minutes) only its run folder.
 benchmark: .venv/ready
 	@$(BIN)/python scripts/benchmark.py
+
+benchmark-quick: .venv/ready
+	@$(BIN)/python scripts/benchmark.py --quick --no-progress
+
+throughput: .venv/ready
+	@$(BIN)/python scripts/throughput.py
 
 speed: .venv/ready
 	@$(BIN)/python scripts/speed.py

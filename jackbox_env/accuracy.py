@@ -154,7 +154,7 @@ def follow(simulator: Simulator, case: Case, look: Look | None = between) -> Cou
             depth, work = max(depth, inside.depth), work + inside.work
             now = energy_of(scene, state.tolist())
             imbalance = max(imbalance, abs(now - start - work))
-            largest = max(largest, now - scene.jack_mass * scene.gravity * state[4])
+            largest = max(largest, now - scene.jack_mass * scene.gravity * float(state[4]))
         if escaped:
             break
     if look is None:
@@ -285,8 +285,11 @@ def _unpaired(impacts: Sequence[Impact], others: Sequence[Impact], late: float) 
     return count
 
 
-def quantities(course: Course, comparison: Comparison, again: Restarts) -> dict[str, Any]:
-    """Everything measured on one case, as plain numbers for JSON."""
+def quantities(course: Course, comparison: Comparison, again: Restarts, dt: float) -> dict[str, Any]:
+    """Everything measured on one case, as plain numbers for JSON: SI units, the imbalance over the kinetic energy."""
+    duration = dt * (len(course.states) - 1)
+    speeds = np.hypot(course.states[:, 9], course.states[:, 10])
+    impulses = [impact.impulse for impact in course.impacts]
     return {
         "flight": comparison.flight,
         "errors": comparison.errors,
@@ -299,4 +302,8 @@ def quantities(course: Course, comparison: Comparison, again: Restarts) -> dict[
         "missed": again.missed,
         "extra": again.extra,
         "expected": again.impacts,
+        "rate": len(impulses) / duration if duration > 0.0 else math.nan,
+        "speed": float(speeds.mean()),
+        "fast": float(np.quantile(speeds, 0.9)),
+        "impulse": float(np.mean(impulses)) if impulses else math.nan,
     }

@@ -36,7 +36,7 @@ class Setting(NamedTuple):
 
 
 FIDELITIES = {
-    "fast": Setting("pymunk", 1),
+    "fast": Setting("pymunk", 2),
     "balanced": Setting("pymunk", 4),
     "accurate": Setting("pymunk", 64),
     "exact": Setting("exact"),

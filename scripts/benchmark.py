@@ -1,109 +1,183 @@
-"""Steps and frames per second of JackInBox-v0 beside its peers and the bare engine, as ratios within one run."""
+"""Speed against accuracy: sweep every contact model and setting over the same cases and write docs/accuracy.md."""
 
 from __future__ import annotations
 
+import dataclasses
+import json
+import shutil
 import statistics
+import sys
 from dataclasses import dataclass
-
-import gymnasium as gym
-import numpy as np
-from gymnasium.utils.performance import benchmark_render
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from scripts.common import command_line
-from scripts.timing import Timed, measure, ratio, repeat, steps_of, steps_of_bare_pymunk
+
+if TYPE_CHECKING:
+    from scripts.sweep.settings import Setting
+
+PICTURE, PAGE, TABLE, INTERACTIVE = "work_precision.png", "accuracy.md", "results.csv", "work_precision.html"
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """Measure in interleaved rounds; every figure is the median over the rounds."""
+    """Sweep; an interrupted sweep is taken up again by the same command."""
 
-    rounds: int = 9
-    """Rounds; each measures everything once, so that a slow moment of the machine falls on all."""
-    seconds: float = 0.4
-    """Time per measurement [s]."""
-
-
-def steps_of_simulator(seconds: float) -> Timed:
-    """Control steps per second of the pymunk contact model alone, from the environment's starts."""
-    from jackbox_env import Scene, make_simulator
-    from jackbox_env.tasks import sample_start
-
-    rng = np.random.default_rng(0)
-    scene = Scene()
-    simulator = make_simulator(scene)
-    torques = rng.uniform(-90000.0, 90000.0, 500).tolist()
-
-    def block() -> int:
-        simulator.reset(sample_start(scene, rng))
-        for torque in torques:
-            simulator.step(0.02, torque)
-        return len(torques)
-
-    return repeat(block, seconds)
+    quick: bool = False
+    """Two minutes: fewer settings, cases and rounds; writes to its run folder only."""
+    cases: int | None = None
+    """Seeded cases of each kind (chirp, held, weightless); None: 100, or 5 when quick."""
+    rounds: int | None = None
+    """Rounds in which the costs are measured; None: 7, or 3 when quick."""
+    seconds: float = 0.3
+    """Time per measurement of cost [s]."""
+    folder: Path | None = None
+    """Run folder to make or to go on in; None: an unfinished one of the same sweep, or runs/benchmark-<date>-<time>."""
+    out: Path = Path("docs")
+    """Where the page goes, its files beside it in accuracy/; a quick sweep leaves it alone."""
+    progress: bool = True
+    """Show progress bars."""
 
 
-def frames_of(env_id: str, seconds: float) -> Timed:
-    """Frames per second of ``rgb_array``, by Gymnasium's own ``benchmark_render``, in the middle of an episode."""
-    env = gym.make(env_id, render_mode="rgb_array")
-    env.reset(seed=0)
-    for _ in range(40):
-        env.step(env.action_space.sample())
-    return lambda: benchmark_render(env, target_duration=seconds)  # type: ignore[arg-type]
+def swept(folder: Path, settings: list[Setting], count: int, progress: bool) -> dict[str, list[dict[str, Any]]]:
+    """Measure what is not measured yet, and return all records by setting."""
+    from tqdm import tqdm
+
+    from scripts.sweep.cases import DIGITS, KINDS, known_to_60_digits, seeded_with_references
+    from scripts.sweep.records import append, measured, read
+
+    done = read(folder)
+    records: dict[str, list[dict[str, Any]]] = {setting.name: [] for setting in settings if setting.make is not None}
+    for kind in (DIGITS, *KINDS):
+        cases = known_to_60_digits() if kind == DIGITS else seeded_with_references(kind, count)
+        todo = [(setting, case) for setting in settings if setting.make is not None for case in cases]
+        for setting, (case, reference) in tqdm(todo, desc=kind, unit="run", disable=not progress, leave=False):
+            record = done.get((setting.name, case.name))
+            if record is None:
+                record = measured(setting, kind, case, reference)
+                append(folder, record)
+            records[setting.name].append(record)
+    return records
 
 
-JACK, CHIRP, SIMULATOR, BARE = "JackInBox-v0", "JackInBox-v0, chirp", "PymunkSimulator alone", "bare pymunk loop"
-LANDER, POLE = "LunarLander-v3", "CartPole-v1"
+def costs(settings: list[Setting], rounds: int, seconds: float, progress: bool) -> dict[str, dict[str, float]]:
+    """Microseconds per simulated second, and the ratio to the default's within rounds."""
+    from scripts.sweep.page import DEFAULT
+    from scripts.sweep.settings import cost_of
+    from scripts.timing import measure, ratios
+
+    rates = measure({setting.name: cost_of(setting, seconds) for setting in settings}, rounds, progress)
+    found = {}
+    for name, values in rates.items():
+        taken = [1e6 / rate for rate in values]
+        over = statistics.median(ratios(rates, DEFAULT, name))
+        found[name] = {"median": statistics.median(taken), "low": min(taken), "high": max(taken), "over_default": over}
+    return found
 
 
-def report(steps: dict[str, list[float]], frames: dict[str, list[float]], rounds: int) -> str:
-    """The table and the ratios that the project watches."""
-    from agents.runs import machine, versions
+def collected(
+    settings: list[Setting], records: dict[str, list[dict[str, Any]]], cost: dict[str, dict[str, float]]
+) -> dict[str, Any]:
+    """All results in one structure for JSON."""
+    from scripts import rivals
+    from scripts.sweep.summary import claims, kinds_of, orders, summed_up
 
-    lines = ["| what | per second | microseconds |", "|------|-----------:|-------------:|"]
-    for rates, unit in ((steps, "steps"), (frames, "frames")):
-        for name, values in rates.items():
-            rate = statistics.median(values)
-            lines.append(f"| {name}, {unit} | {rate:,.0f} | {1e6 / rate:.1f} |")
-    around = [
-        (1.0 / env - 1.0 / simulator) * bare
-        for env, simulator, bare in zip(steps[JACK], steps[SIMULATOR], steps[BARE], strict=True)
+    entries = {}
+    for setting in settings:
+        entry: dict[str, Any] = {
+            "family": setting.family, "substeps": setting.substeps, "contact": setting.contact,
+            "cost": cost[setting.name],
+        }  # fmt: skip
+        if setting.make is not None:
+            entry["kinds"] = {kind: summed_up(part) for kind, part in kinds_of(records[setting.name]).items()}
+        entries[setting.name] = entry
+    results: dict[str, Any] = {"settings": entries, "missing": rivals.missing(), "orders": orders(settings, records)}
+    results["claims"] = [list(claim) for claim in claims(results)]
+    return results
+
+
+def how(arguments: Arguments, before: tuple[float, float]) -> list[str]:
+    """What the figures come from."""
+    from agents.runs import PACKAGES, machine, versions
+    from scripts.speed import meanwhile
+
+    known = versions((*(name for name in PACKAGES if name != "torch"), "numba", "mujoco", "box2d"))
+    command = "make benchmark-quick" if arguments.quick else "make benchmark"
+    return [
+        f"Written by `{command}`: {arguments.cases} seeded cases of each kind; costs are medians (smallest to largest) "
+        f"over {arguments.rounds} interleaved rounds after one to warm up, at least {arguments.seconds:g} s each.",
+        "",
+        f"{machine()}; " + ", ".join(f"{name} {version}" for name, version in known.items()),
+        "",
+        meanwhile(before),
     ]
-    lines += [
-        "",
-        f"Ratios, medians over interleaved rounds, {rounds} in all (smallest to largest):",
-        "",
-        f"- steps, {JACK} over {LANDER}: {ratio(steps, JACK, LANDER)}; under the chirp {ratio(steps, CHIRP, LANDER)}",
-        f"- steps, {JACK} over {POLE}: {ratio(steps, JACK, POLE)}",
-        f"- steps, {JACK} over the bare pymunk loop: {ratio(steps, JACK, BARE)}",
-        f"- the environment around the simulator takes this many bare pymunk loops: {statistics.median(around):.2f}",
-        f"- frames, {JACK} over {LANDER}: {ratio(frames, JACK, LANDER)}",
-        "",
-        f"{machine()}; " + ", ".join(f"{name} {version}" for name, version in versions().items()),
-    ]
-    return "\n".join(lines)
+
+
+def write(results: dict[str, Any], folder: Path, out: Path | None) -> None:
+    """Files into the run folder, and the page with its files into ``out``."""
+    from agents.runs import write_json
+    from scripts.sweep import page, pictures
+    from scripts.sweep.records import RESULTS
+
+    files = (RESULTS, TABLE)
+    pictures.draw(results, folder / PICTURE)
+    pictures.interactive(results, folder / INTERACTIVE)
+    page.write_csv(results, folder / TABLE)
+    (folder / PAGE).write_text(page.page(results, PICTURE, INTERACTIVE, [f"[{name}]({name})" for name in files]))
+    write_json(folder / RESULTS, results)
+    if out is not None:
+        beside = out / "accuracy"
+        beside.mkdir(exist_ok=True)
+        for name in (PICTURE, INTERACTIVE, *files):
+            shutil.copyfile(folder / name, beside / name)
+        links = [f"[{name}](accuracy/{name})" for name in files]
+        (out / PAGE).write_text(page.page(results, f"accuracy/{PICTURE}", f"accuracy/{INTERACTIVE}", links))
+
+
+def resolved(arguments: Arguments) -> Arguments:
+    """Arguments with the numbers that are meant, checked."""
+    from jackbox_env import _validation as check
+
+    cases = (5 if arguments.quick else 100) if arguments.cases is None else arguments.cases
+    rounds = (3 if arguments.quick else 7) if arguments.rounds is None else arguments.rounds
+    check.whole("cases", cases, at_least=2)
+    check.whole("rounds", rounds, at_least=1)
+    check.real("seconds", arguments.seconds, above=0.0)
+    if not arguments.quick and not arguments.out.is_dir():
+        raise FileNotFoundError(f"{arguments.out} is no folder to write a page in")
+    return dataclasses.replace(arguments, cases=cases, rounds=rounds)
 
 
 @command_line
 def main() -> None:
-    """Parse, measure, print."""
+    """Parse, sweep, sum up, write."""
     import tyro
 
-    arguments = tyro.cli(Arguments, description=__doc__)
-    import jackbox_env  # noqa: F401
-    from jackbox_env import _validation as check
+    arguments = resolved(tyro.cli(Arguments, description=__doc__))
+    from scripts.sweep.page import fidelity_table
+    from scripts.sweep.records import open_folder
+    from scripts.sweep.settings import settings
+    from scripts.timing import others
 
-    check.whole("rounds", arguments.rounds, at_least=1)
-    check.real("seconds", arguments.seconds, above=0.0)
-    steps = {
-        JACK: steps_of("JackInBox-v0", arguments.seconds),
-        CHIRP: steps_of("JackInBox-v0", arguments.seconds, torque="chirp"),
-        LANDER: steps_of("LunarLander-v3", arguments.seconds),
-        POLE: steps_of("CartPole-v1", arguments.seconds),
-        SIMULATOR: steps_of_simulator(arguments.seconds),
-        BARE: steps_of_bare_pymunk(arguments.seconds),
-    }
-    frames = {name: frames_of(name, arguments.seconds) for name in (JACK, LANDER)}
-    print(report(measure(steps, arguments.rounds), measure(frames, arguments.rounds), arguments.rounds))
+    before, chosen = others(), settings(arguments.quick)
+    asked = {"quick": arguments.quick, "cases": arguments.cases}
+    folder = open_folder(asked, arguments.folder, "benchmark-quick" if arguments.quick else "benchmark")
+    try:
+        records = swept(folder, chosen, arguments.cases or 0, arguments.progress)
+        cost = costs(chosen, arguments.rounds or 0, arguments.seconds, arguments.progress)
+        results = collected(chosen, records, cost)
+    except KeyboardInterrupt:
+        print(f"\nInterrupted; the same command goes on in {folder}", file=sys.stderr)
+        raise
+    results |= {"arguments": asked, "how": how(arguments, before)}
+    write(results, folder, None if arguments.quick else arguments.out)
+    print("\n".join(fidelity_table(results)))
+    for what, seen, holds in results["claims"]:
+        print(f"{'holds' if holds else 'FAILS'}: {what}: {seen}")
+    print(f"Wrote {folder}" if arguments.quick else f"Wrote {arguments.out / PAGE} and {folder}")
+    failed = [what for what, _, holds in json.loads(json.dumps(results["claims"])) if not holds]
+    if failed:
+        raise RuntimeError(f"{len(failed)} claims do not hold: " + "; ".join(failed))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Write the README's numbers and picture: the table of a demo run, the benchmark, and the film as a GIF."""
+"""Write the README's numbers and picture: a demo run's table, the fidelities, the throughput, and the film as a GIF."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from typing import Any
 from scripts.common import command_line
 
 ROOT = Path(__file__).parents[1]
+SWEEP = ROOT / "docs" / "accuracy" / "results.json"
 PICTURE = ROOT / "docs" / "jackbox.gif"
 
 
@@ -81,14 +82,17 @@ def main() -> None:
     """Parse, collect, write."""
     import tyro
 
+    from scripts.sweep.page import for_the_readme
+
     arguments = tyro.cli(Arguments, description=__doc__)
     run = arguments.run or newest_demo()
     page = (ROOT / "README.md").read_text()
     page = fill(page, "baselines", results_table(json.loads((run / "results.json").read_text())))
+    page = fill(page, "fidelity", for_the_readme(json.loads(SWEEP.read_text())))
     if arguments.picture:
         take_picture(run)
     if arguments.benchmark:
-        command = [sys.executable, str(ROOT / "scripts" / "benchmark.py")]
+        command = [sys.executable, str(ROOT / "scripts" / "throughput.py")]
         measured = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout
         page = fill(page, "benchmark", measured.strip())
     (ROOT / "README.md").write_text(page)

@@ -36,16 +36,16 @@ def repeat(block: Callable[[], int], seconds: float, prepare: Callable[[], None]
     return run
 
 
-def measure(timed: dict[str, Timed], rounds: int) -> dict[str, list[float]]:
+def measure(timed: dict[str, Timed], rounds: int, progress: bool = True) -> dict[str, list[float]]:
     """Run all in turn, ``rounds`` times after a warm-up."""
     rates: dict[str, list[float]] = {name: [] for name in timed}
-    with tqdm(total=(rounds + 1) * len(timed), unit="measurement", leave=False) as progress:
+    with tqdm(total=(rounds + 1) * len(timed), unit="measurement", disable=not progress, leave=False) as bar:
         for number in range(rounds + 1):
             for name, run in timed.items():
                 rate = run()
                 if number:
                     rates[name].append(rate)
-                progress.update()
+                bar.update()
     return rates
 
 

@@ -20,7 +20,7 @@ WEIGHTLESS = {"gravity": 0.0, "drive": None}
     ("given", "meant"),
     [
         ({}, Setting("pymunk", None)),
-        ({"fidelity": "fast"}, Setting("pymunk", 1)),
+        ({"fidelity": "fast"}, Setting("pymunk", 2)),
         ({"fidelity": "balanced"}, Setting("pymunk", 4)),
         ({"fidelity": "accurate"}, Setting("pymunk", 64)),
         ({"fidelity": "exact"}, Setting("exact", None)),

@@ -53,9 +53,7 @@ def model_xml(scene: Scene) -> str:
             'contype="1" conaffinity="0"/>'
         )
         arm = scene.jack_arm
-        feet += (
-            f'<geom type="sphere" pos="{x * arm!r} {y * arm!r} 0" size="{radius!r}" contype="0" conaffinity="1"/>'
-        )
+        feet += f'<geom type="sphere" pos="{x * arm!r} {y * arm!r} 0" size="{radius!r}" contype="0" conaffinity="1"/>'
 
     def inertial(mass: float, inertia: float) -> str:
         return f'<inertial pos="0 0 0" mass="{mass!r}" diaginertia="{inertia!r} {inertia!r} {inertia!r}"/>'

@@ -1,0 +1,270 @@
+"""The measures of accuracy, on courses whose errors are known."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jackbox_env import Chirp, Drive, Impact, Scene, make_simulator
+from jackbox_env.accuracy import (
+    Case,
+    Course,
+    Reference,
+    between,
+    compare,
+    flown,
+    follow,
+    matched,
+    pose_errors,
+    quantities,
+    reference_of,
+    restarts,
+)
+from jackbox_env.mechanics import gap_jacobian
+from jackbox_env.simulators.exact import ExactSimulator
+from jackbox_env.tasks import sample_start
+
+WEIGHTLESS = Scene(gravity=0.0, drive=None)
+SETTINGS: list[dict[str, Any]] = [{"contact": "exact"}, {"substeps": 1}, {"substeps": 4}, {"substeps": 32}]
+EVERY_SETTING = pytest.mark.parametrize("setting", SETTINGS, ids=str)
+
+
+def hits(*found: tuple[float, int, int]) -> list[Impact]:
+    return [Impact(time, wall, foot, 1.0) for time, wall, foot in found]
+
+
+def flying_at_a_wall(speed: float = 10.0) -> np.ndarray:
+    """Foot 0 ahead, 5 m from the wall at x = 6 m."""
+    state = np.zeros(12)
+    state[9] = speed
+    return state
+
+
+# -- matching impacts --------------------------------------------------------------------------------------------------
+
+
+def test_impacts_are_matched_as_far_as_walls_and_feet_agree() -> None:
+    reference = hits((1.0, 0, 0), (2.0, 1, 3), (3.0, 2, 1))
+    assert matched(reference, reference) == [0.0, 0.0, 0.0]
+    assert matched(hits((1.1, 0, 0), (1.8, 1, 3)), reference) == pytest.approx([0.1, 0.2])
+    assert matched(hits((1.1, 0, 0), (1.8, 1, 2), (3.0, 2, 1)), reference) == pytest.approx([0.1])
+    assert matched(hits((1.0, 0, 0), (1.5, 3, 3), (2.0, 1, 3)), reference) == [0.0]
+    assert matched([], reference) == []
+    assert matched(reference, []) == []
+
+
+def test_impacts_recorded_at_one_time_have_no_order_but_later_ones_do() -> None:
+    reference = hits((1.0, 0, 0), (1.001, 0, 1), (2.0, 1, 1))
+    together = hits((1.005, 0, 1), (1.005, 0, 0), (2.0, 1, 1))
+    assert matched(together, reference) == pytest.approx([0.005, 0.004, 0.0])
+    apart = hits((1.005, 0, 1), (1.006, 0, 0), (2.0, 1, 1))
+    assert matched(apart, reference) == []
+    both_at_once = hits((1.0, 0, 1), (1.0, 0, 0), (2.0, 1, 1))
+    one_by_one = hits((1.0, 0, 0), (1.1, 0, 1), (2.0, 1, 1))
+    assert matched(one_by_one, both_at_once) == pytest.approx([0.1, 0.0, 0.0])
+    assert matched(together[:1], reference) == []
+
+
+def test_pose_errors_are_the_farthest_that_a_wall_or_a_foot_is_off() -> None:
+    scene, reference = Scene(), np.zeros((5, 12))
+    states = reference.copy()
+    states[0, [0, 1]] = 3.0, 4.0
+    states[1, 2] = -0.5  # 6 m away at the walls
+    states[2, [3, 4]] = 0.3, -0.4
+    states[3, 5] = 0.25  # 1 m away at the feet
+    states[4, 6:] = 100.0  # rates are no pose
+    np.testing.assert_allclose(pose_errors(scene, states, reference), [5.0, 3.0, 0.5, 0.25, 0.0])
+
+
+# -- what happens inside a step ----------------------------------------------------------------------------------------
+
+
+@EVERY_SETTING
+@pytest.mark.parametrize(
+    "drive",
+    [Chirp(), None, Drive(torque=lambda t: 3e4 * math.cos(t), force_x=lambda t: 8e3 * math.sin(3.0 * t))],
+    ids=["chirp", "none", "functions"],
+)
+def test_steps_played_once_more_end_where_the_model_did(drive: Any, setting: dict[str, Any]) -> None:
+    scene = Scene(drive=drive)
+    simulator, rng = make_simulator(scene, **setting), np.random.default_rng(3)
+    simulator.reset(sample_start(scene, rng))
+    impacts = 0
+    for number in range(300):
+        torque = rng.uniform(-9e4, 9e4) if number % 3 else None
+        before, time = simulator.state, simulator.time
+        simulator.step(0.02, torque)
+        state = before.tolist()
+        for impact in simulator.impacts:
+            state = flown(scene, state, time, impact.time - time, torque)
+            kick = impact.impulse * gap_jacobian(scene, state, impact.wall, impact.foot)
+            state[6:] = (np.array(state[6:]) + kick / np.array(scene.mass_diagonal)).tolist()
+            time = impact.time
+        after = flown(scene, state, time, simulator.time - time, torque)
+        np.testing.assert_allclose(after, simulator.state, rtol=1e-6, atol=1e-6)
+        impacts += len(simulator.impacts)
+    assert impacts > 3
+
+
+def test_penetration_is_seen_where_the_contact_was_resolved() -> None:
+    # 5 m at 10 m/s: on the wall after 0.5 s, which substeps of h = 0.015 s reach in the 34th, 0.1 m too far
+    case = Case("straight", WEIGHTLESS, flying_at_a_wall(), 20, None, 0.03)
+    course = follow(make_simulator(WEIGHTLESS, substeps=2), case)
+    assert [hit[1:3] for hit in course.impacts] == [(0, 0)]
+    assert course.impacts[0].time == pytest.approx(0.51)
+    assert course.depth == pytest.approx(0.1)
+    assert course.impacts[0].time % 0.03 == pytest.approx(0.0, abs=1e-12)
+    # ... and with h = 0.004 s in the 125th, just there, though no control step ends with a foot in a wall
+    inside = Case("straight", WEIGHTLESS, flying_at_a_wall(11.0), 60, None, 0.02)
+    course = follow(make_simulator(WEIGHTLESS, substeps=5), inside)
+    ends = max(state[3] for state in course.states) - 5.0
+    assert course.depth == pytest.approx(11.0 * 0.456 - 5.0)
+    assert ends < course.depth - 1e-3
+    assert abs(follow(make_simulator(WEIGHTLESS, "exact"), inside).depth) < 1e-12
+
+
+@EVERY_SETTING
+def test_the_work_is_that_of_the_true_torque(setting: dict[str, Any]) -> None:
+    # A held torque's work is the torque times the turn; what the simulator did in between does not matter.
+    scene, rng = Scene(), np.random.default_rng(1)
+    simulator = make_simulator(scene, **setting)
+    simulator.reset(sample_start(scene, rng))
+    for _ in range(300):
+        torque, before, time = float(rng.uniform(-9e4, 9e4)), simulator.state, simulator.time
+        simulator.step(0.02, torque)
+        turned = simulator.state[2] - before[2]
+        assert between(simulator, before, time, torque).work == pytest.approx(torque * turned, rel=1e-6, abs=1e-6)
+
+
+def test_energy_that_comes_from_nowhere_is_seen() -> None:
+    class Heater(ExactSimulator):
+        def step(self, dt: float, torque: float | None = None) -> None:
+            super().step(dt, torque)
+            state = self.state
+            state[9] *= 1.001
+            self._present = (state, *self._present[1:])
+
+    case = Case("straight", WEIGHTLESS, flying_at_a_wall(), 10)
+    honest, heated = (follow(kind(WEIGHTLESS), case) for kind in (ExactSimulator, Heater))
+    assert honest.imbalance < 1e-12 * honest.energy
+    gained = 0.5 * 4.0 * 10.0**2 * (1.001**20 - 1.0)
+    assert heated.imbalance == pytest.approx(gained)
+    assert heated.energy == pytest.approx(200.0 + gained)
+
+
+# -- escapes -----------------------------------------------------------------------------------------------------------
+
+
+class Ghost(ExactSimulator):
+    """Flies through walls and keeps its energy."""
+
+    def step(self, dt: float, torque: float | None = None) -> None:
+        after = flown(self.scene, self.state.tolist(), self.time, dt, torque)
+        self._present = np.array(after), self.time + dt, 0.0, []
+
+
+class Coward(ExactSimulator):
+    """Gives up at walls."""
+
+    def step(self, dt: float, torque: float | None = None) -> None:
+        super().step(dt, torque)
+        if self.impacts:
+            raise RuntimeError("the jack would leave the box")
+
+
+@pytest.mark.parametrize("kind", [Ghost, Coward])
+def test_a_jack_that_is_lost_is_reported_and_its_course_ends(kind: type[ExactSimulator]) -> None:
+    # at 11 m/s the foot hits in the 23rd step and is 1 m outside in the 28th
+    case = Case("straight", WEIGHTLESS, flying_at_a_wall(11.0), 100)
+    assert not follow(ExactSimulator(WEIGHTLESS), case).escaped
+    course = follow(kind(WEIGHTLESS), case)
+    assert course.escaped
+    assert len(course.states) == {Ghost: 1 + 28, Coward: 1 + 22}[kind]
+    assert course.imbalance < 1e-9  # energy alone proves nothing
+
+
+# -- references and comparisons ----------------------------------------------------------------------------------------
+
+
+def test_a_reference_is_sure_of_as_many_impacts_as_rounding_allows() -> None:
+    case = Case("chirp", Scene(), sample_start(Scene(), np.random.default_rng(5)), 1000)
+    reference = reference_of(case)
+    assert 5 <= reference.sure < len(reference.impacts)  # chaos wins within 20 s
+    assert reference.states.shape == (1001, 12)
+    assert reference.times[-1] == pytest.approx(20.0)
+    short = reference_of(case._replace(steps=100))
+    assert short.sure == len(short.impacts)
+
+
+def test_the_exact_model_has_no_error_against_itself_and_a_late_one_has_what_it_is_late_by() -> None:
+    case = Case("chirp", Scene(), sample_start(Scene(), np.random.default_rng(5)), 250)
+    reference = reference_of(case)
+    exact = compare(case, follow(make_simulator(case.scene, "exact"), case), reference)
+    assert exact.errors == [0.0] * reference.sure
+    assert exact.flight == 0.0
+    late = [impact._replace(time=impact.time + 0.003) for impact in reference.impacts]
+    moved = reference.states.copy()
+    moved[:, 3] += 0.02
+    course = Course(moved, late, 0.0, 0.0, 1.0, False)
+    comparison = compare(case, course, reference)
+    assert comparison.errors == pytest.approx([0.003] * reference.sure)
+    assert comparison.flight == pytest.approx(0.02)
+    wrong = [late[0], late[1]._replace(foot=(late[1].foot + 1) % 4), *late[2:]]
+    assert compare(case, course._replace(impacts=wrong), reference).errors == pytest.approx([0.003])
+
+
+def test_flight_errors_end_with_the_first_impact_of_either() -> None:
+    case = Case("straight", WEIGHTLESS, flying_at_a_wall(), 50)
+    reference = reference_of(case)
+    assert reference.impacts[0].time == pytest.approx(0.5)
+    states = reference.states.copy()
+    states[25:, 3] += 1.0  # from 0.5 s on
+    assert compare(case, Course(states, reference.impacts, 0.0, 0.0, 1.0, False), reference).flight == 0.0
+    states[20:, 3] += 1.0  # from 0.4 s on, before the reference hits
+    course = Course(states, reference.impacts, 0.0, 0.0, 1.0, False)
+    assert compare(case, course, reference).flight == 1.0
+    early = course._replace(impacts=hits((0.39, 0, 0)))
+    assert compare(case, early, reference).flight == 0.0
+    nothing = Reference(reference.times[:1], reference.states[:1], reference.impacts, 1)
+    assert math.isnan(compare(case, course, nothing).flight)
+
+
+def test_restarts_count_what_is_missed_and_what_is_extra() -> None:
+    class Nervous(ExactSimulator):
+        @property
+        def impacts(self) -> list[Impact]:
+            return [*super().impacts, Impact(self.time - 0.001, 3, 3, 1.0)]
+
+    # 11 m/s: hits at 0.4545 s, in the middle of the restart from 0.4 s
+    case = Case("straight", WEIGHTLESS, flying_at_a_wall(11.0), 50)
+    reference = reference_of(case)
+    fine = restarts(ExactSimulator(WEIGHTLESS), case, reference)
+    assert (fine.missed, fine.extra, fine.impacts) == (0, 0, 1)
+    assert fine.errors == [0.0]  # the other nine are flight
+    ghost = restarts(Ghost(WEIGHTLESS), case, reference)
+    assert (ghost.missed, ghost.extra, ghost.impacts) == (1, 0, 1)
+    assert ghost.errors == [pytest.approx(2.0 * 11.0 * (0.5 - 5.0 / 11.0), rel=0.05)]  # it goes on instead of back
+    nervous = restarts(Nervous(WEIGHTLESS), case, reference)
+    assert nervous.missed == 0
+    assert nervous.extra == 10 * 4  # what comes in the last control step might be paired later
+    coward = restarts(Coward(WEIGHTLESS), case, reference)
+    assert coward.errors == [math.inf]
+    assert coward.missed == 1
+
+
+def test_quantities_are_plain_numbers() -> None:
+    case = Case("straight", WEIGHTLESS, flying_at_a_wall(), 50)
+    reference = reference_of(case)
+    simulator = make_simulator(WEIGHTLESS, substeps=4)
+    course = follow(simulator, case)
+    found = quantities(course, compare(case, course, reference), restarts(simulator, case, reference), case.dt)
+    assert found["rate"] == 1.0
+    assert found["speed"] == pytest.approx(np.mean(np.hypot(course.states[:, 9], course.states[:, 10])))
+    assert found["impulse"] == course.impacts[0].impulse
+    assert found["prefix"] == found["sure"] == 1
+    assert found["escaped"] is False
+    for value in found.values():
+        assert type(value) in (float, int, bool, list)
