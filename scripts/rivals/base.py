@@ -97,7 +97,7 @@ class Rival(ABC):
         self._present = _Present([0.0] * 5 + [math.pi / 4.0] + [0.0] * 6, 0.0)
         self._prepare()
 
-    def _prepare(self) -> None:
+    def _prepare(self) -> None:  # noqa: B027  # most have an engine to build, one has not
         """Build what is not kept when pickled."""
 
     @abstractmethod
