@@ -312,7 +312,8 @@ def head(arguments: Arguments) -> str:
     return (
         "Written by `make costs`: what a control step of 0.02 s takes with a thing less what it takes without, "
         f"{where}. Medians over {arguments.rounds} rounds, each the median of {PASSES} passes in which all take turns; "
-        "every difference and ratio is taken within a pass. What changes its sign between rounds is below noise.\n\n"
+        "every difference and ratio is taken within a pass. What changes its sign between rounds is below noise. Times "
+        "are the processor's, while other processes have it they stand still.\n\n"
         "A plain step: the default scene, a held random torque, task juggle, no pictures, as `gymnasium.make` makes "
         f"it; of the batch, one of its {TOGETHER:,} environments. All step the same moments of {FEW} episodes "
         f"({TOGETHER:,} in the batch), put back before each step, so that a thing's cost is not mixed up with where it "
