@@ -193,6 +193,11 @@ def signed(value: float) -> str:
     return f"{'+' if value > 0.0 else ''}{figure(value)}"
 
 
+def share(times: Times, row: Row) -> float:
+    """What a thing costs on top, as a share of a plain step."""
+    return statistics.median(over_plain(times, row)) - 1.0
+
+
 # -- the page ---------------------------------------------------------------------------------------------------------
 
 
@@ -211,10 +216,33 @@ def glance(times: Times) -> list[str]:
             elif not seen(on_top(times, row)):
                 line.append("below noise")
             else:
-                share = 100.0 * (statistics.median(over_plain(times, row)) - 1.0)
-                line.append(f"{signed(statistics.median(on_top(times, row)))} ns ({signed(share)} %)")
+                part = share(times, row)
+                percent = f"{part:+.1%}" if abs(part) < 0.1 else f"{part:+,.0%}"
+                line.append(f"{signed(statistics.median(on_top(times, row)))} ns ({percent})")
         lines.append(f"| {what} | " + " | ".join(line) + " |")
     return lines
+
+
+def in_short(times: Times) -> list[str]:
+    """What costs little with every model, and what costs much with some."""
+    shares = {what: [abs(share(times, row)) for row in rows(times) if row.what == what] for what in THINGS}
+    little = [what for what, found in shares.items() if found and max(found) < 0.1]
+    much = [what for what, found in shares.items() if found and max(found) > 1.0]
+    return [
+        f"- Less than a tenth of a plain step with every model: {'; '.join(little) or 'nothing'}.",
+        f"- More than another plain step with some model: {'; '.join(much) or 'nothing'}.",
+        f"- {asked_line()}",
+        "- A batch with a `render_mode` is stepped one by one, hence what it costs there.",
+        "- What is off costs nothing: it is not executed, which is counted below.",
+    ]
+
+
+def asked_line() -> str:
+    """How often a drive's functions are asked."""
+    from scripts.counting import STEPS, asked
+
+    each = [f"{asked(model) / STEPS:.0f} times per step by {model}" for model in (PYMUNK, EXACT)]
+    return f"A drive's Python function is asked {', '.join(each)}; in a batch of it once for all at the same time."
 
 
 def full_table(times: Times) -> list[str]:
@@ -344,7 +372,7 @@ def main() -> None:
     text = joined(
         {
             "# What each thing costs": [top, "", meanwhile(before)],
-            "## At a glance": [*glance(times), "", impact_line(times, impacts)],
+            "## At a glance": [*glance(times), "", *in_short(times), f"- {impact_line(times, impacts)}"],
             "## Where the time of a step goes": [*layer_table(times, PYMUNK), "", *layer_table(times, EXACT)],
             "## What is off is not there": proof_table(),
             "## All figures": full_table(times),

@@ -156,12 +156,12 @@ def _wave(time: float) -> float:
     return 4000.0 * math.sin(3.0 * time)
 
 
-_WEIGHTLESS = {"scene": Scene(gravity=0.0)}
-_UNDRIVEN = {"scene": Scene(drive=None), "driven": True}
-_PUSHED = {"scene": Scene(drive=Drive(force_x=_wave, force_y=_wave))}
-_TURNED = {"scene": Scene(drive=Drive(torque=_wave))}
-_CHIRP = {"driven": True}
-_PICTURE = {"render_mode": "rgb_array"}
+_WEIGHTLESS: dict[str, Any] = {"scene": Scene(gravity=0.0)}
+_UNDRIVEN: dict[str, Any] = {"scene": Scene(drive=None), "driven": True}
+_PUSHED: dict[str, Any] = {"scene": Scene(drive=Drive(force_x=_wave, force_y=_wave))}
+_TURNED: dict[str, Any] = {"scene": Scene(drive=Drive(torque=_wave))}
+_CHIRP: dict[str, Any] = {"driven": True}
+_PICTURE: dict[str, Any] = {"render_mode": "rgb_array"}
 
 PROOFS = (
     Proof("gravity", PYMUNK, "the engine is given a force", "Body.force", _WEIGHTLESS, {}, "_advance"),
@@ -183,3 +183,8 @@ PROOFS = (
     Proof("another task", PYMUNK, "its reward is worked out", "rattle", {}, {"task": "rattle"}),
     Proof("another task", EXACT, "its reward is worked out", "rattle", {}, {"task": "rattle"}),
 )
+
+
+def asked(model: str) -> int:
+    """How often one function of a drive is asked in ``STEPS`` steps."""
+    return times_called(count_steps(model, **_TURNED, driven=True), "_wave")
