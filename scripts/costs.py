@@ -233,7 +233,8 @@ def in_short(times: Times) -> list[str]:
         f"- More than another plain step with some model: {'; '.join(much) or 'nothing'}.",
         f"- {asked_line()}",
         "- A batch with a `render_mode` is stepped one by one, hence what it costs there.",
-        "- What is off costs nothing: it is not executed, which is counted below.",
+        "- What is off costs nothing: it is not executed, which is counted below. One thing is not so: a batch of the "
+        "pymunk model builds its infos with `with_infos` and without.",
     ]
 
 
