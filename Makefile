@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 OLD_GYMNASIUM := .venv/gymnasium-1.2.2
 
-.PHONY: demo test benchmark benchmark-quick throughput speed readme clean
+.PHONY: demo test benchmark benchmark-quick throughput speed costs readme clean
 .DELETE_ON_ERROR:
 
 demo: .venv/ready
@@ -28,6 +28,9 @@ throughput: .venv/ready
 
 speed: .venv/ready
 	@$(BIN)/python scripts/speed.py
+
+costs: .venv/ready
+	@$(BIN)/python scripts/costs.py
 
 readme: .venv/ready
 	@$(BIN)/python scripts/readme.py

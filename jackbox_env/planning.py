@@ -97,7 +97,8 @@ def rollout(
     ranges = count if num_threads else min(count, count * steps // _FEWEST_PER_THREAD)
     threads = Threads(thread_count(num_threads, ranges))
     workspaces = [new_workspace() for _ in range(threads.count)]
-    numbers, drive, play, moments = np.array(scene.numbers), drive_kind(scene), compiled(roll), np.array(times)
+    numbers, drive = np.array(scene.numbers), drive_kind(scene, held=True)
+    play, moments = compiled(roll), np.array(times)
 
     def work(thread: int, low: int, high: int) -> tuple[int, int, int]:
         first = 0

@@ -17,7 +17,12 @@ from tqdm import tqdm
 Timed = Callable[[], float]  # runs once and returns operations per second
 
 
-def repeat(block: Callable[[], int], seconds: float, prepare: Callable[[], None] | None = None) -> Timed:
+def repeat(
+    block: Callable[[], int],
+    seconds: float,
+    prepare: Callable[[], None] | None = None,
+    clock: Callable[[], float] = time.perf_counter,
+) -> Timed:
     """Operations per second of ``block``, which returns how many it did, over ``seconds`` [s] or the block under way.
 
     What ``prepare`` does before each block is not timed.
@@ -28,9 +33,9 @@ def repeat(block: Callable[[], int], seconds: float, prepare: Callable[[], None]
         while passed <= seconds:
             if prepare is not None:
                 prepare()
-            began = time.perf_counter()
+            began = clock()
             count += block()
-            passed += time.perf_counter() - began
+            passed += clock() - began
         return count / passed
 
     return run

@@ -15,11 +15,13 @@ import pytest
 
 from jackbox_env._compiled import compiled
 from jackbox_env.mechanics import clearance, energy, impact_map, simultaneous_impact_map
+from jackbox_env.planning import rollout
 from jackbox_env.scene import Chirp, Drive, Scene
-from jackbox_env.simulators import Impact, impacts, kernel, step
+from jackbox_env.simulators import Impact, drives, exact, impacts, kernel, step
 from jackbox_env.simulators.exact import ExactSimulator, drive_kind, pieces_for
 from jackbox_env.simulators.workspace import GRADIENTS, HITS, IMPULSES, RECORD, STATE, TALLY, new_workspace
 from jackbox_env.tasks import sample_start
+from jackbox_env.vector_env import JackInBoxVectorEnv
 from scripts import naive
 from tests.states import Array, inside, load, one_foot_on_wall, several_contacts
 
@@ -39,10 +41,9 @@ def plain_step(scene: Scene, state: Any, dt: float, torque: float | None = None,
     before, after = np.array(state, dtype=float), np.empty(12)
     pieces = pieces_for(scene, time, dt, torque)
     held = math.nan if torque is None else torque
+    plan = step.make_plan(n, dt, drive_kind(scene, torque is not None))
     with np.errstate(divide="ignore", invalid="ignore"):
-        ended, _ = step.step(
-            n, step.make_plan(n, dt, drive_kind(scene)), before, after, time, held, pieces, 0, len(pieces), w
-        )
+        ended, _ = step.step(n, plan, before, after, time, held, pieces, 0, len(pieces), w)
     rows = w[RECORD : RECORD + int(w[TALLY, HITS]), :3]
     return ended, after, [(row[0], int(row[1]), int(row[2])) for row in rows]
 
@@ -554,6 +555,42 @@ def test_a_drive_that_does_nothing_changes_nothing(drive: Drive | None) -> None:
         one.step(0.02)
         other.step(0.02)
     np.testing.assert_allclose(one.state, other.state, atol=1e-9)
+
+
+def test_a_held_torque_costs_no_more_where_it_replaces_a_function(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Where no side force acts there is nothing to interpolate: the step is, bit for bit, that of a scene without drive.
+    function, none = Scene(drive=Drive(torque=lambda t: 1e4 * math.sin(t))), Scene(drive=None)
+    rng = np.random.default_rng(7)
+    start, torques = inside(none, rng), rng.uniform(-9e4, 9e4, 200)
+    one, other = simulator(function, start), simulator(none, start)
+    asked: list[float] = []
+
+    def interpolate(drive: Drive, time: float, dt: float) -> Any:
+        asked.append(time)
+        return drives.function_pieces(drive, time, dt)
+
+    monkeypatch.setattr(exact, "function_pieces", interpolate)
+    for torque in torques.tolist():
+        one.step(0.02, torque)
+        other.step(0.02, torque)
+        np.testing.assert_array_equal(one.state, other.state)
+    np.testing.assert_array_equal(rollout(function, start, torques, 0.02), rollout(none, start, torques, 0.02))
+    batches = [make_vec(scene, start) for scene in (function, none)]
+    for actions in rng.uniform(-1.0, 1.0, (50, 3)):
+        seen, expected = (batch.step(actions) for batch in batches)
+        np.testing.assert_array_equal(seen[0], expected[0])
+        np.testing.assert_array_equal(seen[1], expected[1])
+    assert asked == []
+    one.step(0.02)
+    assert asked == pytest.approx([4.0])
+    batches[0].step(None)
+    assert asked == pytest.approx([4.0, 1.0])
+
+
+def make_vec(scene: Scene, start: Array) -> JackInBoxVectorEnv:
+    made = JackInBoxVectorEnv(3, contact="exact", scene=scene)
+    made.reset(options={"state": start})
+    return made
 
 
 def test_impacts_under_side_forces_keep_momentum() -> None:

@@ -220,6 +220,29 @@ def closed_form(scene: Scene, start: Array, time: float, torque: float) -> Array
 
 
 @pytest.mark.usefixtures("always_the_engine")
+def test_the_engine_is_told_of_no_torque_where_there_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    # It forgets a torque after each of its steps, so that none need not be written; bit for bit as if it were.
+    given: list[float] = []
+
+    def note(body: pymunk.Body, torque: float) -> None:
+        given.append(torque)
+        write(body, torque)
+
+    told: Any = pymunk.Body.torque
+    read, write = told.fget, told.fset
+    monkeypatch.setattr(pymunk.Body, "torque", property(read, note))
+    simulator = PymunkSimulator(Scene(drive=None))
+    simulator.reset([0.0] * 5 + [0.3] + [0.0] * 6)
+    for _ in range(3):
+        simulator.step(0.02)
+    assert given == []
+    simulator.step(0.02, 900.0)
+    simulator.step(0.02)
+    assert given == [900.0] * 4
+    np.testing.assert_allclose(simulator.state[8], 0.02 * 900.0 / 14400.0, rtol=1e-15)
+
+
+@pytest.mark.usefixtures("always_the_engine")
 @pytest.mark.parametrize("substeps", [1, 2, 3, 4, 7, 64, 256])
 def test_the_engine_flies_exactly(substeps: int) -> None:
     scene = Scene()

@@ -54,7 +54,7 @@ class ExactBatch:
         self._threads = Threads(thread_count(num_threads, ranges))
         self._workspaces = self._new_workspaces()
         self._numbers = np.array(scene.numbers)
-        self._drive = drive_kind(scene)
+        self._drives = drive_kind(scene), drive_kind(scene, held=True)
 
     def _new_workspaces(self) -> list[tuple[Array, Array]]:
         return [(np.zeros((loop.LANES, self._blocks.shape[2])), new_workspace()) for _ in range(self._threads.count)]
@@ -122,6 +122,7 @@ class ExactBatch:
         rewards, truncations = np.empty(count), np.empty(count, dtype=np.bool_)
         reports = np.zeros((count if self._with_infos else 0, loop.REPORT_WIDTH))
         given = _NO_ACTIONS if actions is None else actions
+        drive = self._drives[actions is not None]
         table, ranges = self._pieces(actions)
         step_blocks = compiled(loop.step_blocks)
 
@@ -129,7 +130,7 @@ class ExactBatch:
             finished = 0
             while True:
                 ended, number, now = step_blocks(
-                    self._numbers, self._dt, self._drive, self._task, self._limit, blocks, spare, given, table, ranges,
+                    self._numbers, self._dt, drive, self._task, self._limit, blocks, spare, given, table, ranges,
                     low, high, observations, rewards, truncations, reports, *self._workspaces[thread],
                 )  # fmt: skip
                 finished += now
@@ -152,7 +153,7 @@ class ExactBatch:
 
     def _pieces(self, actions: Array | None) -> tuple[Array, NDArray[np.int64]]:
         """The pieces of a drive of functions, once for each different time, and each environment's range of them."""
-        if self._drive != FUNCTIONS:
+        if self._drives[actions is not None] != FUNCTIONS:
             return _NO_TABLE, _NO_RANGES
         going = ~self.over
         times, places = np.unique(self._column(loop.TIME)[going], return_inverse=True)

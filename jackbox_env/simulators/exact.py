@@ -46,18 +46,19 @@ def refuse_inelastic(scene: Scene) -> None:
         )
 
 
-def drive_kind(scene: Scene) -> int:
-    """Which kind of drive the compiled code is told of."""
-    if isinstance(scene.drive, Chirp):
+def drive_kind(scene: Scene, held: bool = False) -> int:
+    """Which kind of drive the compiled code is told of, with a torque ``held`` in place of the drive's or without."""
+    drive = scene.drive
+    if isinstance(drive, Chirp):
         return CHIRP
-    idle = scene.drive is None or (scene.drive.torque_bound == 0.0 and scene.drive.force_bound == 0.0)
+    idle = drive is None or (drive.force_bound == 0.0 and (held or drive.torque_bound == 0.0))
     return NO_DRIVE if idle else FUNCTIONS
 
 
 def pieces_for(scene: Scene, time: float, dt: float, torque: float | None) -> Array:
     """The pieces of a drive of functions over a step; none for any other drive, or where no function acts."""
     drive = scene.drive
-    if not isinstance(drive, Drive) or drive_kind(scene) != FUNCTIONS:
+    if not isinstance(drive, Drive) or drive_kind(scene, torque is not None) != FUNCTIONS:
         return _NO_PIECES
     if torque is not None:
         drive = Drive(force_x=drive.force_x, force_y=drive.force_y)
@@ -143,12 +144,13 @@ class ExactSimulator:
             torque = check.real("torque", torque)
         before, time, _, _ = self._present
         end = end_of_step(time, dt)
-        pieces = pieces_for(self.scene, time, dt, torque) if self._drive == FUNCTIONS else _NO_PIECES
+        drive = self._drives[torque is not None]
+        pieces = pieces_for(self.scene, time, dt, torque) if drive == FUNCTIONS else _NO_PIECES
         after = np.empty(12)
         held = math.nan if torque is None else torque
         while True:
             ended, hits, mean = self._step(
-                self._numbers, dt, self._drive, before, after, time, held, pieces, self._workspace
+                self._numbers, dt, drive, before, after, time, held, pieces, self._workspace
             )  # fmt: skip
             if ended:
                 raise failure(ended, self.scene, time, dt)
@@ -164,5 +166,5 @@ class ExactSimulator:
     def _prepare(self) -> None:
         self._step = compiled(step_one)
         self._numbers = np.array(self.scene.numbers)
-        self._drive = drive_kind(self.scene)
+        self._drives = drive_kind(self.scene), drive_kind(self.scene, held=True)
         self._workspace = new_workspace(64)

@@ -230,7 +230,8 @@ class PymunkSimulator:
         jack.angular_velocity = jack_omega
         weight = (0.0, -scene.jack_mass * scene.gravity) if scene.gravity > 0.0 else None
         for recorder.substep, torque in enumerate(load.during):
-            box.torque = torque
+            if torque:  # the engine forgets it after each step
+                box.torque = torque
             if weight:
                 jack.force = weight
             if push:

@@ -1,0 +1,269 @@
+"""What a scene does not have is not executed: counted, so that no clock is asked. The times are in docs/costs.md.
+
+Each count comes with its negative control: with the thing, what was not executed is.
+"""
+
+from __future__ import annotations
+
+import functools
+import linecache
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pymunk
+import pytest
+
+from jackbox_env import _compiled
+from jackbox_env.batches import exact as batches
+from jackbox_env.scene import Chirp, Drive, Scene
+from jackbox_env.simulators import CONTACT_MODELS, make_simulator, step
+from jackbox_env.simulators.workspace import RECORD, new_workspace
+from jackbox_env.vector_env import JackInBoxVectorEnv
+from scripts import costs
+from scripts.counting import (
+    BATCH,
+    EXACT,
+    PROOFS,
+    PYMUNK,
+    SIDE_BY_SIDE,
+    STEPS,
+    Calls,
+    Lines,
+    Proof,
+    calls_of,
+    count_steps,
+    lines_of,
+    most_bytes,
+    times_called,
+    uncompiled,
+)
+
+EVERY_MODEL = pytest.mark.parametrize("contact", CONTACT_MODELS)
+MID_AIR = np.array([0.0] * 3 + [0.5, 0.2, 0.3] + [0.0] * 3 + [1.0, -1.0, 2.0])
+NEAR_A_WALL = np.array([0.0] * 3 + [5.0, 0.0, 0.3] + [0.0] * 3 + [6.0, -4.0, 2.0])
+WEIGHTLESS, UNDRIVEN = Scene(gravity=0.0), Scene(drive=None)
+TURNED = Scene(drive=Drive(torque=lambda time: 100.0 * time))
+
+
+@pytest.fixture(autouse=True)
+def no_display(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+
+
+def counted(count: Any, contact: str, scene: Scene, state: Any, torque: float | None = 1e4) -> Any:
+    """Lines or calls of one step of a simulator from ``state``, nothing compiled."""
+    with uncompiled():
+        simulator = make_simulator(scene, contact)
+        simulator.reset(state)
+        return count(lambda: simulator.step(0.02, torque))
+
+
+# -- functions --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("proof", PROOFS, ids=lambda proof: f"{proof.thing}, {proof.model}: {proof.what}")
+def test_what_is_off_does_not_run_and_what_is_on_does(proof: Proof) -> None:
+    without, having = proof.counts()
+    assert without == 0
+    assert having > 0
+
+
+@pytest.mark.parametrize(("model", "solved"), [(PYMUNK, "Recorder.__call__"), (EXACT, "resolve"), (BATCH, "resolve")])
+def test_the_steps_counted_have_impacts_with_weight_and_without(model: str, solved: str) -> None:
+    for scene in (Scene(), WEIGHTLESS, UNDRIVEN):
+        assert times_called(count_steps(model, scene=scene), solved) > 0
+
+
+def test_the_engine_is_given_each_force_once_per_engine_step_and_no_other() -> None:
+    shaken = Drive(force_x=lambda time: 100.0)
+    for scene, forces in (
+        (WEIGHTLESS, 0),
+        (Scene(), 1),
+        (Scene(drive=shaken), 2),
+        (Scene(gravity=0.0, drive=shaken), 1),
+    ):
+        counts: Calls = counted(calls_of, "pymunk", scene, NEAR_A_WALL)
+        assert times_called(counts, "Space.step", "_advance") == 4
+        assert times_called(counts, "Body.force", "_advance") == 4 * forces
+        assert times_called(counts, "Body.torque", "_advance") == 4
+    assert times_called(counted(calls_of, "pymunk", UNDRIVEN, NEAR_A_WALL, None), "Body.torque", "_advance") == 0
+
+
+def test_in_mid_air_no_wall_is_looked_at() -> None:
+    for contact, functions in (("pymunk", ["Space.step"]), ("exact", ["bounds_of", "walls_in_reach", "box_frame"])):
+        for function in functions:
+            assert times_called(counted(calls_of, contact, Scene(), MID_AIR), function) == 0
+            assert times_called(counted(calls_of, contact, Scene(), NEAR_A_WALL), function) > 0
+
+
+def test_a_held_torque_does_without_the_chirp(monkeypatch: pytest.MonkeyPatch) -> None:
+    torques = np.random.default_rng(0).uniform(-9e4, 9e4, 100).tolist()
+
+    def fail(*_: Any) -> Any:
+        raise AssertionError("the chirp was asked")
+
+    for contact in CONTACT_MODELS:
+        ends = []
+        for asked in (True, False):
+            with uncompiled(), monkeypatch.context() as patch:
+                if not asked:
+                    for name in ("advance_chirp", "chirp_piece", "chirp_pieces", "chirp_turns", "integrate", "horner"):
+                        patch.setattr(step, name, fail)
+                    patch.setattr(Chirp, "torque_means", fail)
+                simulator = make_simulator(Scene(), contact)
+                simulator.reset(NEAR_A_WALL)
+                for torque in torques:
+                    simulator.step(0.02, torque)
+                ends.append(simulator.state)
+                if not asked:
+                    simulator.reset(NEAR_A_WALL)
+                    with pytest.raises(AssertionError, match="the chirp was asked"):
+                        simulator.step(0.02)
+        np.testing.assert_array_equal(ends[0], ends[1])
+
+
+def test_a_batch_works_its_reward_out_once_and_again_for_infos() -> None:
+    for settings, times in (({}, 1), ({"with_infos": True}, 2)):
+        assert times_called(count_steps(BATCH, **settings), "reward_terms") == times * STEPS * SIDE_BY_SIDE
+
+
+# -- lines ------------------------------------------------------------------------------------------------------------
+
+
+def test_gravity_is_one_line_per_engine_step() -> None:
+    with_weight, without = (counted(lines_of, "pymunk", scene, NEAR_A_WALL) for scene in (Scene(), WEIGHTLESS))
+    ((file, number),) = with_weight - without
+    assert linecache.getline(str(_compiled.PACKAGE / file), number).strip() == "jack.force = weight"
+    assert (with_weight - without).total() == 4
+    assert without - with_weight == Lines()
+
+
+@pytest.mark.parametrize(
+    ("contact", "state"),
+    [("pymunk", MID_AIR), ("exact", MID_AIR), ("exact", NEAR_A_WALL)],
+    ids=["pymunk", "exact", "near"],
+)
+def test_gravity_is_no_line_in_flight_and_none_of_the_exact_model(contact: str, state: Any) -> None:
+    lines = counted(lines_of, contact, Scene(), state)
+    assert lines == counted(lines_of, contact, WEIGHTLESS, state)
+    assert lines != counted(lines_of, contact, Scene(), state, None)  # under the chirp
+
+
+@pytest.mark.parametrize("state", [MID_AIR, NEAR_A_WALL], ids=["mid air", "near a wall"])
+def test_a_drive_that_a_held_torque_replaces_is_no_line(state: Any) -> None:
+    scenes = (Scene(), TURNED, UNDRIVEN)
+    exact = [counted(lines_of, "exact", scene, state) for scene in scenes]
+    assert exact[0] == exact[1] == exact[2]
+    engine = [counted(lines_of, "pymunk", scene, state) for scene in scenes]
+    for one in engine:
+        for other in engine:
+            assert {file for file, _ in one - other} <= {"scene.py"}  # each drive states its own bounds
+            assert (one - other).total() <= 4
+    assert sum(counted(lines_of, "pymunk", Scene(), state, None).values()) > engine[0].total() + 50
+
+
+# -- what is built, kept and allocated --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "scene", [Scene(), WEIGHTLESS, Scene(restitution=0.5), TURNED], ids=["default", "weightless", "lossy", "function"]
+)
+def test_the_engines_space_holds_two_bodies_four_walls_and_four_feet(scene: Scene) -> None:
+    simulator: Any = make_simulator(scene)
+    for _ in range(3):
+        space = simulator._space
+        kinds = [type(shape) for shape in space.shapes]
+        assert len(space.bodies) == 2
+        assert (kinds.count(pymunk.Segment), kinds.count(pymunk.Circle), len(kinds)) == (4, 4, 8)
+        assert len(space.constraints) == 0
+        assert space.gravity == (0.0, 0.0)
+        simulator.reset(NEAR_A_WALL)
+        simulator.step(0.02, 1e4)
+        assert len(simulator.impacts) > 0
+
+
+def batch_of(count: int, **settings: Any) -> JackInBoxVectorEnv:
+    made = JackInBoxVectorEnv(count, contact="exact", num_threads=1, **settings)
+    made.reset(options={"state": NEAR_A_WALL})
+    return made
+
+
+def test_a_batch_records_no_impacts(monkeypatch: pytest.MonkeyPatch) -> None:
+    for room in (0, 8):
+        monkeypatch.setattr(batches, "new_workspace", lambda room=room: new_workspace(room))
+        batch = batch_of(4, with_infos=True)
+        assert (batch.step(np.zeros(4))[4]["impacts"] > 0).all()
+        ((_, workspace),) = batch._batch._workspaces  # type: ignore[attr-defined]
+        assert len(workspace) == RECORD + room
+        assert workspace[RECORD:].any() == (room > 0)  # with room it would record
+    simulator: Any = make_simulator(Scene(), "exact")
+    simulator.reset(NEAR_A_WALL)
+    simulator.step(0.02, 0.0)
+    assert simulator._workspace[RECORD, 3] == simulator.impacts[0].impulse
+
+
+def test_a_step_of_a_batch_allocates_what_it_returns_and_its_actions() -> None:
+    count, actions = 4096, np.zeros((4096, 1), dtype=np.float32)
+    most = {}
+    for with_infos in (False, True):
+        step = functools.partial(batch_of(count, with_infos=with_infos).step, actions)
+        returned = sum(array.nbytes for array in step()[:4])
+        most[with_infos] = most_bytes(step) - returned - 8 * count
+    assert returned == count * (4 * 10 + 8 + 1 + 1)
+    assert 0 <= most[False] < 8192  # objects; an array of one number for each would be more
+    assert most[True] > 8 * 16 * count
+
+
+def test_no_renderer_is_loaded_unless_asked_for() -> None:
+    code = """
+import sys, gymnasium, jackbox_env
+def stepped(**settings):
+    for env in (gymnasium.make("JackInBox-v0", **settings), gymnasium.make_vec("JackInBox-v0", 2, **settings)):
+        env.reset(seed=0)
+        env.step(env.action_space.sample())
+    return [name for name in ("jackbox_env.rendering", "jackbox_env.canvas", "pygame") if name in sys.modules]
+print(stepped(contact="pymunk"), stepped(contact="exact"), len(stepped(render_mode="rgb_array")))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[] [] 3"
+
+
+# -- the counters and the page ----------------------------------------------------------------------------------------
+
+
+def test_the_counters_count() -> None:
+    def twice() -> None:
+        for _ in range(2):
+            Scene().mass_diagonal  # noqa: B018
+
+    assert times_called(calls_of(twice), "Scene.mass_diagonal") == 2
+    assert times_called(calls_of(twice), "mass_diagonal", "twice") == 2
+    assert times_called(calls_of(twice), "mass_diagonal", "thrice") == 0
+    assert times_called(calls_of(twice), "diagonal") == 0
+    assert max(lines_of(twice).values()) >= 2
+    assert 10**6 <= most_bytes(lambda: bytes(10**6)) < 10**6 + 4096
+    with uncompiled():
+        assert _compiled.compiled(step.step_one) is step.step_one
+    assert _compiled.compiled(step.step_one) is not step.step_one
+
+
+def test_differences_are_taken_within_passes_and_noise_is_told() -> None:
+    # The machine is twice as slow in the second pass, and the difference stays a tenth; one pass is disturbed.
+    plain = [[100.0, 200.0, 100.0]] * 2
+    times = {"pymunk: plain": plain, "pymunk: with": [[110.0, 220.0, 900.0], [110.0, 220.0, 50.0]]}
+    row = costs.Row("a thing", "pymunk", "pymunk: with", "pymunk: plain")
+    assert costs.on_top(times, row) == [20.0, 10.0]
+    assert costs.over_plain(times, row) == [1.2, 1.1]
+    assert costs.seen([1.0, 2.0])
+    assert costs.seen([-1.0, -2.0])
+    assert not costs.seen([-1.0, 2.0])
+    assert not costs.seen([0.0, 2.0])
+
+
+def test_the_page_shows_the_counts_of_today() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "costs.md").read_text()
+    for line in costs.proof_table():
+        assert line in page
