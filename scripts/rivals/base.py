@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from numpy.typing import ArrayLike
@@ -51,6 +52,11 @@ class Pushes:
     def add_whole(self, impact: Impact) -> None:
         """Take note of an impact that is over at once."""
         self._waiting.append([impact, False])
+
+    def close(self, is_over: Callable[[int, int], bool]) -> None:
+        """End the impacts under way of which ``is_over(wall, foot)`` knows that they will not push any more."""
+        for entry in self._waiting:
+            entry[1] = entry[1] and not is_over(entry[0].wall, entry[0].foot)
 
     def take(self) -> list[Impact]:
         """What can be told now."""
@@ -216,7 +222,9 @@ class EngineRival(Rival):
                 after = self._read()
                 trace.append(Stretch(before, after))
                 before = after
-        return self._read(), total / self.substeps
+        end = self._read()
+        pushes.close(lambda wall, foot: self._is_over(end, wall, foot))
+        return end, total / self.substeps
 
     @abstractmethod
     def _place(self, state: list[float], h: float) -> None:
@@ -228,6 +236,10 @@ class EngineRival(Rival):
 
         The engine finds its contacts where the substep starts.
         """
+
+    @abstractmethod
+    def _is_over(self, state: list[float], wall: int, foot: int) -> bool:
+        """Whether a contact that pushed in the last substep is done with."""
 
     @abstractmethod
     def _read(self) -> list[float]:

@@ -10,11 +10,12 @@ Fails: below a closing speed of 1 m/s (``b2_velocityThreshold``, compiled in: as
     per substep is cut by the engine, so such a step is refused. Position correction moves bodies without any work.
 Reference: Catto, Box2D v2.3 User Manual; b2Settings.h for the constants.
 
-How it is tuned: metres, kilograms, seconds; 8 velocity and 3 position iterations (30 and 10 gave the same
-numbers under the default chirp); both restitutions e (the larger counts), no friction, no damping, no sleeping. Walls are fat boxes on
-the box's body and every polygon has a skin of 0.01 m, so they are set back by it: a foot, a circle of radius 0,
-touches at gap 0. Bullets are not needed, walls are as thick as L. Warm starting is off: nothing rests, and it would let
-the past act. Each control step starts at the box's place and with angles within half a turn: float32 is finest there.
+How it is tuned: metres, kilograms, seconds; 8 velocity and 3 position iterations (30 and 10 gave the same numbers under
+the default chirp); both restitutions e (the larger counts), no friction, no damping, no sleeping. Walls are fat boxes
+on the box's body and every polygon has a skin of 0.01 m, so they are set back by it: a foot, a circle of radius 0,
+touches at gap 0. Bullets are not needed, walls are as thick as L. Each control step starts at the box's place and with
+angles within half a turn, where float32 is finest, and without the contacts of the last: they are solved in the order
+in which they came to be and started from their last impulses, so that the past would act.
 """
 
 from __future__ import annotations
@@ -23,7 +24,9 @@ import math
 from typing import Any
 
 import Box2D
+import numpy as np
 
+from jackbox_env.mechanics import gap_jacobian
 from jackbox_env.scene import Scene
 from scripts.rivals.base import EngineRival, Loads, Pair, refuse_extremes
 
@@ -31,6 +34,8 @@ _VELOCITY_ITERATIONS, _POSITION_ITERATIONS = 8, 3
 _SKIN = float(Box2D.b2_polygonRadius)  # [m]
 _FARTHEST, _FURTHEST_TURN = float(Box2D.b2_maxTranslation), float(Box2D.b2_maxRotation)  # of a substep [m], [rad]
 _SLACK = 0.999  # of float32
+_LEAVING = 1e-3  # [m/s]
+_FAR_OFF = 100.0  # over L
 _DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
 
 
@@ -60,7 +65,6 @@ class Box2DSimulator(EngineRival):
         scene = self.scene
         self._listener = _Listener()
         world = Box2D.b2World(gravity=(0.0, -scene.gravity), doSleep=False, contactListener=self._listener)
-        world.warmStarting = False
         world.continuousPhysics = False  # for bullets and unmoved bodies, of which there are none
         self._box = world.CreateDynamicBody(allowSleep=False, gravityScale=0.0)
         self._jack = world.CreateDynamicBody(allowSleep=False)
@@ -85,11 +89,17 @@ class Box2DSimulator(EngineRival):
         whole, jack_whole = (turned - math.remainder(turned, 2.0 * math.pi) for turned in (angle, jack_angle))
         self._origin = [x, y, whole, x, y, jack_whole]
         self._h = h
+        self._forget_contacts()
         q = [place - start for place, start in zip(state[:6], self._origin, strict=True)]
         for body, at, rate in ((self._box, q[0:3], state[6:9]), (self._jack, q[3:6], state[9:12])):
             body.transform = (at[0], at[1]), at[2]
             body.linearVelocity = rate[0], rate[1]
             body.angularVelocity = rate[2]
+
+    def _forget_contacts(self) -> None:
+        """Let the engine drop its contacts, with the jack out of reach; put back, it finds them in a fixed order."""
+        self._jack.transform = (_FAR_OFF * self.scene.box_half_width, 0.0), 0.0
+        self._world.Step(0.0, 1, 1)
 
     def _substep(self, h: float, loads: Loads) -> dict[Pair, float]:
         self._listener.pushes = {}
@@ -99,6 +109,10 @@ class Box2DSimulator(EngineRival):
         self._world.Step(h, _VELOCITY_ITERATIONS, _POSITION_ITERATIONS)
         self._world.ClearForces()
         return self._listener.pushes
+
+    def _is_over(self, state: list[float], wall: int, foot: int) -> bool:
+        """It is once the foot moves off: one that sticks has no rate but float32's rounding."""
+        return bool(gap_jacobian(self.scene, state, wall, foot) @ np.array(state[6:]) > _LEAVING)
 
     def _read(self) -> list[float]:
         q, v = list[float](), list[float]()

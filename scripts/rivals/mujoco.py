@@ -35,6 +35,7 @@ import mujoco
 import numpy as np
 
 from jackbox_env import _validation as check
+from jackbox_env.mechanics import gaps
 from jackbox_env.scene import Scene
 from scripts.rivals.base import EngineRival, Loads, Pair, refuse_extremes
 
@@ -124,6 +125,10 @@ class MujocoSimulator(EngineRival):
             if force > 0.0:
                 pushes[wall, foot] = force * h
         return pushes
+
+    def _is_over(self, state: list[float], wall: int, foot: int) -> bool:
+        """It is once the foot is out of the wall."""
+        return bool(gaps(self.scene, state)[wall, foot] > 0.0)
 
     def _read(self) -> list[float]:
         state: list[float] = np.concatenate([self._data.qpos, self._data.qvel]).tolist()
