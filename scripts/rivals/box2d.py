@@ -4,7 +4,7 @@ Law: each substep adds the forces' impulses to the velocities, solves the contac
     (restitution by the approach speed before the solve), moves by the new velocities, then pushes apart what overlaps
     by more than 5 mm.
 Order: first in h = dt / substeps: flight runs ahead by g h t / 2, and an impact waits for the next substep's start.
-Cost: about 10 us per substep, callbacks and Python included.
+Cost: about 20 us per substep, of which the engine takes half.
 Fails: below a closing speed of 1 m/s (``b2_velocityThreshold``, compiled in: assigning to the module's constant does
     nothing) a contact is inelastic, whatever its restitution. Numbers are float32. Motion above 2 m or a quarter turn
     per substep is cut by the engine, so such a step is refused. Position correction moves bodies without any work.
