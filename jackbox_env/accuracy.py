@@ -289,7 +289,7 @@ def quantities(course: Course, comparison: Comparison, again: Restarts, dt: floa
     """Everything measured on one case, as plain numbers for JSON: SI units, the imbalance over the kinetic energy."""
     duration = dt * (len(course.states) - 1)
     speeds = np.hypot(course.states[:, 9], course.states[:, 10])
-    impulses = [impact.impulse for impact in course.impacts]
+    impulses = [abs(impact.impulse) for impact in course.impacts]  # a model that pulls has some below 0
     return {
         "flight": comparison.flight,
         "errors": comparison.errors,
