@@ -25,7 +25,7 @@ SEEDS = 10**12  # cases between those of one --seed and of the next
 _EVERY = 30.0  # [s] between reports
 _KEPT = 10  # failing cases kept in full
 _SENTENCES = 20  # different refusals that are counted apart
-_WARM = 20  # cases before memory is first looked at
+_WARM = 200  # cases before memory is first looked at
 
 
 @dataclass(frozen=True)
