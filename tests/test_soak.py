@@ -14,7 +14,7 @@ import pytest
 from jackbox_env.simulators.exact import ExactSimulator
 from scripts import soak
 from scripts.cases import Case, SeededDraw, draw_case
-from scripts.laws import Examination
+from scripts.laws import Examination, examine
 
 MEASURED = {"seconds", "spent", "memory_at_start", "memory_at_end", "sittings"}
 
@@ -49,7 +49,6 @@ def test_an_interrupted_soak_goes_on_to_the_report_of_one_that_was_not(
             raise KeyboardInterrupt
         return examine(case)
 
-    examine = soak.examine
     monkeypatch.setattr(soak, "examine", interrupted)
     assert run(monkeypatch, *settings, "--out", str(parted)) == 130
     assert "interrupted: 2 cases" in (parted / "report.txt").read_text()
