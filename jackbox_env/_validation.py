@@ -8,6 +8,9 @@ import operator
 from collections.abc import Iterable
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 
 def real(
     name: str,
@@ -25,7 +28,7 @@ def real(
     """
     try:
         number = float(value) if type(value) is float or _is_real(value) else math.nan  # the first is fast
-    except OverflowError:
+    except Exception:  # too large, or a value that fails when it is looked at
         number = math.nan
     # NaN fails the comparisons; -inf and inf fail these open ends.
     if -math.inf < number < math.inf and number > above and at_least <= number <= at_most:
@@ -60,7 +63,7 @@ def whole(name: str, value: Any, *, at_least: int, at_most: int | None = None) -
         raise TypeError(f"{name} must be {wanted}, got {shown(value)}")
     try:
         number = operator.index(value)
-    except TypeError as error:
+    except Exception as error:
         raise TypeError(f"{name} must be {wanted}, got {shown(value)}") from error
     if number < at_least or (at_most is not None and number > at_most):
         raise ValueError(f"{name} must be {wanted}, got {shown(value)}")
@@ -78,9 +81,32 @@ def flag(name: str, value: Any) -> bool:
     return value
 
 
+def array(name: str, value: Any, wanted: str) -> NDArray[Any]:
+    """Return ``value`` as an array of real numbers, those of extended precision as float64.
+
+    Raises:
+        TypeError: it is something else: no ``wanted``.
+    """
+    try:
+        given = np.asarray(value)
+    except MemoryError:
+        raise
+    except Exception as error:  # ragged lists, tensors that want gradients, values that fail when they are looked at
+        raise TypeError(f"{name} must {wanted}, got {shown(value)}") from error
+    if given.dtype.kind not in "fiu":
+        raise TypeError(f"{name} must {wanted}, got {shown(value)}")
+    if given.dtype.itemsize > 8:
+        with np.errstate(over="ignore"):  # to infinity, which is refused
+            given = given.astype(np.float64)
+    return given
+
+
 def shown(value: Any) -> str:
     """A value as one short line."""
-    line = " ".join(repr(value).split())
+    try:
+        line = " ".join(repr(value).split())
+    except Exception:
+        line = f"a {type(value).__name__} that can not be shown"
     return line if len(line) <= 80 else line[:77] + "..."
 
 

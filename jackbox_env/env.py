@@ -268,14 +268,9 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     # -- helpers ------------------------------------------------------------------------------------------------------
 
     def _torque_of(self, action: Action) -> float:
-        try:
-            values = action if isinstance(action, np.ndarray) else np.asarray(action)
-        except (TypeError, ValueError, RuntimeError) as error:  # ragged lists, tensors that want gradients
-            raise TypeError(
-                f"action must hold one finite number (clipped to [-1, 1]), got {check.shown(action)}"
-            ) from error
-        if values.dtype.kind not in "fiu":
-            raise TypeError(f"action must hold one finite number (clipped to [-1, 1]), got {check.shown(action)}")
+        if not (isinstance(action, np.ndarray) and action.dtype.char in "fd"):  # these are fast
+            action = check.array("action", action, "hold one finite number (clipped to [-1, 1])")
+        values = action
         if values.shape not in ((1,), ()):
             raise ValueError(f"action must have shape (1,), got shape {values.shape}")
         value = float(values.item())

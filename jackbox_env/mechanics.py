@@ -21,7 +21,7 @@ No contact model calls the maps below: they are the law that the models are chec
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -67,13 +67,7 @@ def as_state(state: ArrayLike) -> Array:
         TypeError: it does not hold numbers.
         ValueError: its shape is not (12,), or a number is NaN, infinite or beyond 1e100 (named by its place).
     """
-    try:
-        given = np.asarray(state)
-    except ValueError as error:  # ragged
-        raise TypeError(f"state must hold 12 numbers, got {check.shown(state)}") from error
-    if given.dtype.kind not in "fiu":
-        raise TypeError(f"state must hold 12 numbers, got {check.shown(state)}")
-    array = np.array(given, dtype=np.float64)
+    array = np.array(check.array("state", state, "hold 12 numbers"), dtype=np.float64)
     if array.shape != (12,):
         raise ValueError(f"state must have shape (12,), got shape {array.shape}")
     if not np.isfinite(array).all():
@@ -83,6 +77,11 @@ def as_state(state: ArrayLike) -> Array:
         place = int(np.argmax(np.abs(array)))
         raise ValueError(f"state must be within +-{LARGEST:g}, got {STATE_NAMES[place]} = {array[place]}")
     return array
+
+
+def _refuse_no_scene(scene: Scene) -> None:
+    if not isinstance(scene, Scene):
+        raise TypeError(f"scene must be a Scene, got {check.shown(scene)}")
 
 
 def _directions(angle: float) -> Array:
@@ -96,6 +95,7 @@ def gaps(scene: Scene, state: ArrayLike) -> Array:
     Raises:
         TypeError, ValueError: the state is not 12 finite numbers.
     """
+    _refuse_no_scene(scene)
     q = as_state(state)
     feet = q[3:5] - q[0:2] + scene.jack_arm * _directions(q[5])  # (4, 2) from the box's centre
     return scene.box_half_width - _directions(q[2]) @ feet.T
@@ -126,10 +126,13 @@ def as_start(scene: Scene, state: ArrayLike) -> Array:
     """Return ``state`` as a fresh float64 array of shape (12,) if every foot is inside, to the start's tolerance.
 
     Raises:
-        TypeError, ValueError: the state is not 12 finite numbers, or a foot is outside.
+        TypeError, ValueError: the state is not 12 finite numbers, a foot is outside, or the places are so far off that
+            float64 can not tell L / 1000.
     """
+    _refuse_no_scene(scene)
     array = as_state(state)
     values = array.tolist()
+    _refuse_far_off(scene, values)
     outside, tolerance = -clearance(scene, values), start_tolerance(values)
     if not outside <= tolerance:
         raise ValueError(
@@ -151,15 +154,20 @@ def as_held(scene: Scene, state: ArrayLike) -> Array:
         TypeError, ValueError: the state is not 12 finite numbers, a foot is further outside, or the places are so far
             off that float64 can not tell L / 1000.
     """
+    _refuse_no_scene(scene)
     array = as_state(state)
     values = array.tolist()
-    furthest = max(abs(values[place]) for place in (0, 1, 3, 4))
-    if not math.ulp(furthest) <= 1e-3 * scene.box_half_width:
-        raise ValueError(f"state must be near enough for its places to be finer than L / 1000, got {furthest:g} m")
+    _refuse_far_off(scene, values)
     outside, deepest = -clearance(scene, values), deepest_held(scene)
     if not outside <= deepest:
         raise ValueError(f"state must have every foot at most {deepest:g} m outside, got {outside:g} m")
     return array
+
+
+def _refuse_far_off(scene: Scene, values: Sequence[float]) -> None:
+    furthest = max(abs(values[place]) for place in (0, 1, 3, 4))
+    if not math.ulp(furthest) <= 1e-3 * scene.box_half_width:
+        raise ValueError(f"state must be near enough for its places to be finer than L / 1000, got {furthest:g} m")
 
 
 def gap_jacobian(scene: Scene, state: ArrayLike, wall: int, foot: int) -> Array:
@@ -168,8 +176,10 @@ def gap_jacobian(scene: Scene, state: ArrayLike, wall: int, foot: int) -> Array:
     Units: 1 for the four places, m for the two angles.
 
     Raises:
-        TypeError, ValueError: the state is not 12 finite numbers, or wall or foot is no whole number from 0 to 3.
+        TypeError, ValueError: the state is not 12 finite numbers, scene is no Scene, or wall or foot is no whole number
+            from 0 to 3.
     """
+    _refuse_no_scene(scene)
     q = as_state(state)
     wall = check.whole("wall", wall, at_least=0, at_most=3)
     foot = check.whole("foot", foot, at_least=0, at_most=3)
@@ -194,7 +204,8 @@ def impact_map(scene: Scene, state: ArrayLike, wall: int, foot: int) -> tuple[Ar
         The state after, shape (12,), and the impulse lambda >= 0 [N s].
 
     Raises:
-        TypeError, ValueError: the state is not 12 finite numbers, or wall or foot is no whole number from 0 to 3.
+        TypeError, ValueError: the state is not 12 finite numbers, scene is no Scene, or wall or foot is no whole number
+            from 0 to 3.
     """
     jacobian = gap_jacobian(scene, state, wall, foot)
     after = as_state(state)
@@ -229,13 +240,13 @@ def simultaneous_impact_map(scene: Scene, state: ArrayLike, contacts: Sequence[t
     Raises:
         TypeError, ValueError: the state is not 12 finite numbers, or a contact is no pair of numbers 0..3 or repeated.
     """
+    _refuse_no_scene(scene)
     before = as_state(state)
     try:
-        pairs = [_pair(contact) for contact in contacts]
-    except TypeError as error:
-        if isinstance(contacts, Iterable):
-            raise
+        listed = list(contacts)
+    except Exception as error:
         raise TypeError(f"contacts must be a list of (wall, foot) pairs, got {check.shown(contacts)}") from error
+    pairs = [_pair(contact) for contact in listed]
     if len(set(pairs)) < len(pairs):
         raise ValueError(f"contacts must be distinct (wall, foot) pairs, got {pairs}")
     if not pairs:
@@ -252,7 +263,7 @@ def simultaneous_impact_map(scene: Scene, state: ArrayLike, contacts: Sequence[t
 def _pair(contact: tuple[int, int]) -> tuple[int, int]:
     try:
         wall, foot = contact
-    except (TypeError, ValueError) as error:
+    except Exception as error:
         raise TypeError(f"a contact must be a pair (wall, foot), got {check.shown(contact)}") from error
     return check.whole("wall", wall, at_least=0, at_most=3), check.whole("foot", foot, at_least=0, at_most=3)
 
@@ -309,6 +320,7 @@ def energy(scene: Scene, state: ArrayLike) -> float:
     Raises:
         TypeError, ValueError: the state is not 12 finite numbers.
     """
+    _refuse_no_scene(scene)
     return energy_of(scene, as_state(state).tolist())
 
 

@@ -94,7 +94,7 @@ def rollout(
     trajectories[:, 0] = starts
     hits = np.zeros((count, steps) if impacts else (0, steps), dtype=np.int64)
     impulses, energies = np.zeros(hits.shape), np.zeros((count, steps + 1) if energy else (0, steps + 1))
-    ranges = count if num_threads else min(count, count * steps // _FEWEST_PER_THREAD)
+    ranges = count if num_threads is not None else min(count, count * steps // _FEWEST_PER_THREAD)
     threads = Threads(thread_count(num_threads, ranges))
     workspaces = [new_workspace() for _ in range(threads.count)]
     numbers, drive = np.array(scene.numbers), drive_kind(scene, held=True)
@@ -143,10 +143,4 @@ def _sequences(scene: Scene, states: ArrayLike, torques: ArrayLike) -> tuple[Arr
 
 
 def _numbers(name: str, given: ArrayLike) -> Array:
-    try:
-        array = np.asarray(given)
-    except (TypeError, ValueError, RuntimeError) as error:  # ragged lists, tensors that want gradients
-        raise TypeError(f"{name} must hold numbers, got {check.shown(given)}") from error
-    if array.dtype.kind not in "fiu":
-        raise TypeError(f"{name} must hold numbers, got {check.shown(given)}")
-    return array.astype(np.float64, copy=False)  # only read
+    return check.array(name, given, "hold numbers").astype(np.float64, copy=False)  # only read

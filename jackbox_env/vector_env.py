@@ -21,6 +21,7 @@ from jackbox_env.simulators.base import LATEST_TIME
 Infos = dict[str, Any]
 
 _MOST_ENVS = 1_000_000_000
+_ROOM = {"pymunk": 130_000, "exact": 500}  # [bytes] that an environment takes, about
 _NO_LIMIT = 10**15  # steps; float64 counts them all
 
 
@@ -65,6 +66,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
 
     Raises:
         TypeError, ValueError: an argument out of its range. Calls that are refused leave all environments as they were.
+        MemoryError: more environments than the machine has room for.
     """
 
     metadata: dict[str, Any] = {**JackInBoxEnv.metadata, "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
@@ -87,10 +89,12 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
     ) -> None:
         self.num_envs = check.whole("num_envs", num_envs, at_least=1, at_most=_MOST_ENVS)
         limit = _NO_LIMIT
-        if max_episode_steps != -1:
+        if not (isinstance(max_episode_steps, int | np.integer) and max_episode_steps == -1):
             limit = check.whole("max_episode_steps", max_episode_steps, at_least=1, at_most=_NO_LIMIT)
         if num_threads is not None:
-            check.whole("num_threads", num_threads, at_least=1)
+            num_threads = check.whole("num_threads", num_threads, at_least=1)
+        if render_mode is not None:
+            check.choice("render_mode", render_mode, JackInBoxEnv.metadata["render_modes"])
         if render_mode == "human" and self.num_envs > 1:
             raise ValueError(f'render_mode must be None or "rgb_array" for several environments, got {render_mode!r}')
         self._mode = _autoreset_mode(autoreset_mode)
@@ -101,8 +105,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         }  # fmt: skip
         single = JackInBoxEnv(**settings, render_mode=render_mode if self.num_envs == 1 else None)  # checks them all
         single.close()
-        if render_mode is not None:
-            check.choice("render_mode", render_mode, JackInBoxEnv.metadata["render_modes"])
+        np.empty(self.num_envs * _ROOM[contact], dtype=np.uint8)  # MemoryError now, rather than after hours of making
         self.scene, self.task, self.render_mode = single.scene, task, render_mode
         self._driven = torque == "chirp"
         self.metadata = {**self.metadata, "render_fps": single.metadata["render_fps"], "autoreset_mode": self._mode}
@@ -304,9 +307,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
     # -- what is given ------------------------------------------------------------------------------------------------
 
     def _actions(self, actions: ArrayLike) -> Array:
-        given = _array("actions", actions)
-        if given.dtype.kind not in "fiu":
-            raise TypeError(f"actions must hold numbers (clipped to [-1, 1]), got {check.shown(actions)}")
+        given = check.array("actions", actions, "hold numbers (clipped to [-1, 1])")
         if given.shape not in ((self.num_envs, 1), (self.num_envs,)):
             raise ValueError(
                 f"actions must have shape ({self.num_envs}, 1) or ({self.num_envs},), got shape {given.shape}"
@@ -326,7 +327,10 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         return [None if one is None else check.whole("seed", one, at_least=0) for one in listed]
 
     def _mask(self, name: str, given: Any) -> Flags:
-        mask = _array(name, given)
+        try:
+            mask = np.asarray(given)
+        except Exception as error:
+            raise TypeError(f"{name} must be an array of bool, got {check.shown(given)}") from error
         if mask.dtype != np.bool_:
             raise TypeError(f"{name} must be an array of bool, got {check.shown(given)}")
         if mask.shape != (self.num_envs,):
@@ -334,9 +338,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         return mask.copy()
 
     def _times(self, name: str, given: ArrayLike, chosen: Flags) -> Array:
-        times = _array(name, given)
-        if times.dtype.kind not in "fiu":
-            raise TypeError(f"{name} must hold numbers, got {check.shown(given)}")
+        times = check.array(name, given, "hold numbers")
         if times.shape not in ((), (self.num_envs,)):
             raise ValueError(f"{name} must be a number or have shape ({self.num_envs},), got shape {times.shape}")
         all_times = np.broadcast_to(times.astype(np.float64), (self.num_envs,))
@@ -346,7 +348,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
 
     def _states(self, name: str, given: ArrayLike, chosen: Flags, checked: Callable[[Scene, Any], Array]) -> Array:
         """Rows of states, shape (N, 12), those ``chosen`` checked."""
-        states = _array(name, given)
+        states = check.array(name, given, "hold numbers")
         if states.shape == (12,):
             return np.tile(checked(self.scene, states), (self.num_envs, 1))
         if states.shape != (self.num_envs, 12):
@@ -358,13 +360,6 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
             except (TypeError, ValueError) as error:
                 raise type(error)(f"{name}[{number}]: {error}") from error
         return rows
-
-
-def _array(name: str, given: Any) -> NDArray[Any]:
-    try:
-        return np.asarray(given)
-    except (TypeError, ValueError, RuntimeError) as error:  # ragged lists, tensors that want gradients
-        raise TypeError(f"{name} must hold numbers in an array, got {check.shown(given)}") from error
 
 
 def _marked(infos: Infos, mask: Flags) -> Infos:

@@ -448,3 +448,20 @@ def test_no_legal_action_breaks_a_default_episode(policy: Callable[[], float]) -
         while not truncated:
             observation, _, _, truncated, _ = env.step(policy())
         assert observation in env.observation_space
+
+
+@pytest.mark.parametrize("contact", ["pymunk", "exact"])
+def test_a_start_too_far_off_is_refused_before_anything_changes(contact: str) -> None:
+    # At 1e15 m places are an eighth of a metre apart.
+    far = np.zeros(12)
+    far[[0, 3, 5]] = 1e15, 1e15, math.pi / 4.0
+    env = gym.make("JackInBox-v0", contact=contact)
+    env.reset(seed=1)
+    before = env.unwrapped.np_random.bit_generator.state
+    with pytest.raises(ValueError, match="near enough for its places to be finer than L / 1000, got 1e[+]15 m"):
+        env.reset(seed=2, options={"state": far})
+    assert env.unwrapped.np_random.bit_generator.state == before
+    envs: Any = gym.make_vec("JackInBox-v0", num_envs=2, contact=contact)
+    with pytest.raises(ValueError, match="near enough for its places to be finer than L / 1000, got 1e[+]15 m"):
+        envs.reset(seed=2, options={"state": far})
+    assert envs.np_random_seed == (-1, -1)

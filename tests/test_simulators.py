@@ -536,6 +536,22 @@ def test_a_light_jack_inertia_gets_the_iterations_it_needs(kind: str, share: flo
         assert energy(scene, found) == pytest.approx(energy(scene, state), rel=1e-9)
 
 
+@pytest.mark.parametrize("arm", [6.005, 6.01, 6.03])
+def test_a_jack_wedged_between_three_walls_gets_the_iterations_it_needs(arm: float) -> None:
+    scene = Scene(gravity=0.0, drive=None, jack_arm=arm)
+    state = np.zeros(12)
+    state[[5, 9, 10, 11]] = math.acos(6.0 / arm), 0.1, 1.0, -1.0  # feet 0 to 3 at walls 0 to 3, the fourth leaves
+    expected, impulses = simultaneous_impact_map(scene, state, [(0, 0), (1, 1), (2, 2), (3, 3)])
+    assert np.count_nonzero(impulses) == 3
+    found = impact_in_an_instant(scene, state)
+    assert {0, 1, 2} <= {hit.wall for hit in found.impacts}
+    assert relative_error(found.state, expected) < 1e-9
+    hasty = impact_in_an_instant(scene, state, iterations=64).state
+    assert relative_error(hasty, expected) > 1e-3
+    with pytest.raises(ValueError, match="jack_arm = 1.000001 box_half_width couple the feet so strongly"):
+        PymunkSimulator(Scene(jack_arm=6.0 + 6e-6))
+
+
 def test_an_inertia_beyond_the_solver_is_refused() -> None:
     with pytest.raises(ValueError, match=r"couple the feet so strongly .* needs [\d,]+ iterations, at most 100,000"):
         PymunkSimulator(Scene(jack_inertia=4e-6))

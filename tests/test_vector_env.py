@@ -7,6 +7,9 @@ import inspect
 import math
 import os
 import pickle
+import subprocess
+import sys
+import time
 from typing import Any
 
 import gymnasium as gym
@@ -533,8 +536,8 @@ def test_an_unusable_action_is_ignored_only_where_an_episode_waits(contact: str)
             r"options\['state'\]\[1\]: a start must have every foot inside",
         ),
         ({"options": {"time": math.nan}}, r"options\['time'\] must be a finite number"),
-        ({"options": {"time": [[1.0], [1.0, 2.0]]}}, r"options\['time'\] must hold numbers in an array"),
-        ({"options": {"reset_mask": [[True], []]}}, r"options\['reset_mask'\] must hold numbers in an array"),
+        ({"options": {"time": [[1.0], [1.0, 2.0]]}}, r"options\['time'\] must hold numbers, got"),
+        ({"options": {"reset_mask": [[True], []]}}, r"options\['reset_mask'\] must be an array of bool, got"),
         ({"options": {"time": [1.0]}}, r"options\['time'\] must be a number or have shape \(2,\)"),
         ({"options": {"reset_mask": [1, 0]}}, r"options\['reset_mask'\] must be an array of bool"),
         ({"options": {"reset_mask": np.zeros(2, bool)}}, r"options\['reset_mask'\] must choose at least one"),
@@ -635,3 +638,19 @@ def test_times_run_out_for_each_environment() -> None:
 
 def test_nothing_is_left_out_of_the_public_names() -> None:
     assert jackbox_env.JackInBoxVectorEnv is JackInBoxVectorEnv
+
+
+@EVERY_MODEL
+def test_more_environments_than_there_is_room_for_are_refused_at_once(contact: str) -> None:
+    # A child process, because the limit on its address space stands for a machine that is full.
+    code = (
+        "import resource, jackbox_env, gymnasium\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (6 * 2**30, 6 * 2**30))\n"
+        f"settings = {{'num_envs': 50_000_000, 'contact': {contact!r}}}\n"
+        "try:\n    gymnasium.make_vec('JackInBox-v0', **settings)\n"
+        "except MemoryError as error:\n    print(error)"
+    )
+    began = time.monotonic()
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    assert ran.stdout.startswith("Unable to allocate")
+    assert time.monotonic() - began < 30.0

@@ -13,10 +13,11 @@ from jackbox_env import _validation as check
 R = TypeVar("R")
 
 _PIECES = 2  # for each thread
+_MOST = 256  # threads: a slip of the pen must not ask the system for a million
 
 
 def thread_count(given: int | None, ranges: int) -> int:
-    """The number of threads: as ``given``, or as many as this process may use, but no more than ``ranges``.
+    """The number of threads: as ``given``, or as many as this process may use, but no more than ``ranges`` or 256.
 
     Raises:
         TypeError, ValueError: ``given`` is no whole number of at least 1.
@@ -26,7 +27,7 @@ def thread_count(given: int | None, ranges: int) -> int:
         wanted = len(affinity(0)) if affinity else os.cpu_count() or 1
     else:
         wanted = check.whole("num_threads", given, at_least=1)
-    return max(1, min(wanted, ranges))
+    return max(1, min(wanted, ranges, _MOST))
 
 
 class Threads:

@@ -30,7 +30,7 @@ def make_simulator(scene: Scene | dict[str, Any] | None = None, contact: str = "
     if contact == "exact":
         check.known_keys(f"contact={contact!r}", settings, ("substeps", "iterations"))
         for name, value in given.items():
-            raise ValueError(f"contact='exact' has no substeps or iterations, got {name}={value!r}")
+            raise ValueError(f"contact='exact' has no substeps or iterations, got {name}={check.shown(value)}")
         from jackbox_env.simulators.exact import ExactSimulator
 
         return ExactSimulator(scene)

@@ -63,12 +63,14 @@ def iterations_for(scene: Scene) -> int:
         ValueError: more than 100,000 are needed.
     """
     half, arm = scene.box_half_width, scene.jack_arm
-    depth = half - arm * math.sqrt(0.5)  # of the centre where two feet at 45 degrees touch
-    cases = [((depth, place), [(0, 0), (0, 3)]) for place in (0.0, 0.5 * depth, depth)]
-    cases.append(((depth, depth), [(0, 0), (0, 3), (1, 0), (1, 1)]))
+    depth, turned = half - arm * math.sqrt(0.5), math.pi / 4.0  # of the centre where two feet at 45 degrees touch
+    cases = [((depth, place, turned), [(0, 0), (0, 3)]) for place in (0.0, 0.5 * depth, depth)]
+    cases.append(((depth, depth, turned), [(0, 0), (0, 3), (1, 0), (1, 1)]))
+    if arm > half:  # wedged: feet on opposite walls, with little leverage where the arm is hardly longer
+        cases.append(((0.0, 0.0, math.acos(half / arm)), [(0, 0), (1, 1), (2, 2)]))
     worst = 0.0
-    for (x, y), contacts in cases:
-        state = np.array([0.0, 0.0, 0.0, x, y, math.pi / 4.0, *[0.0] * 6])
+    for pose, contacts in cases:
+        state = np.array([0.0, 0.0, 0.0, *pose, *[0.0] * 6])
         rows = np.array([gap_jacobian(scene, state, wall, foot) for wall, foot in contacts])
         rows /= np.sqrt(scene.mass_diagonal)
         matrix = rows @ rows.T
@@ -79,8 +81,8 @@ def iterations_for(scene: Scene) -> int:
     needed = math.log(1e-16) / math.log(max(worst, 1e-16)) if worst < 1.0 else math.inf
     if not needed <= _MOST_ITERATIONS:
         raise ValueError(
-            f"jack_inertia = {scene.jack_inertia:g} kg m^2 and box_inertia = {scene.box_inertia:g} kg m^2 couple the "
-            f"feet so strongly that contact='pymunk' needs {needed:,.0f} iterations, at most {_MOST_ITERATIONS:,} "
-            "are made"
+            f"jack_inertia = {scene.jack_inertia:g} kg m^2, box_inertia = {scene.box_inertia:g} kg m^2 and jack_arm = "
+            f"{arm / half:.7g} box_half_width couple the feet so strongly that contact='pymunk' needs {needed:,.0f} "
+            f"iterations, at most {_MOST_ITERATIONS:,} are made"
         )
     return max(_FEWEST_ITERATIONS, math.ceil(needed))

@@ -34,6 +34,7 @@ _MOST_PIECES = 4096  # of a step
 _RESIDUAL = 1e-13  # of a function's interpolation, over the function's largest value in the step
 _NOISE = 1e-5  # the same for a function whose residual does not shrink in _STALLED halvings: it is rounding, not shape
 _STALLED = 4
+_SHORTEST = 2.0**-1000  # [s] a time to divide by; no two times are that near but equal ones
 
 # Chebyshev points of the first kind, and what makes values there into powers of u.
 _POINTS = np.polynomial.chebyshev.chebpts1(DEGREE + 1)
@@ -117,7 +118,7 @@ def function_pieces(drive: Drive, time: float, dt: float) -> Array:
             largest[axis] = max(largest[axis], np.abs(values).max())
             tail = np.abs(powers[-3:]).max()
             # A time that is rounded moves the value along the slope.
-            slope = np.abs(np.diff(values) / np.diff(_POINTS)).max() / (0.5 * row[1])
+            slope = np.abs(np.diff(values) / np.diff(_POINTS)).max() / max(0.5 * row[1], _SHORTEST)
             accepted &= bool(tail <= _RESIDUAL * largest[axis] + 4.0 * slope * math.ulp(abs(time) + dt))
             residual = max(residual, tail / largest[axis])
             row[2 + axis * (DEGREE + 1) :][: DEGREE + 1] = powers @ _TO_POWERS
