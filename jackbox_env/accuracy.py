@@ -131,7 +131,12 @@ def follow(simulator: Simulator, case: Case, look: Look | None = between) -> Cou
         simulator: of the case's scene.
         case: what to run.
         look: what tells of the inside of a step; None: nobody looks, depth, imbalance and energy are NaN.
+
+    Raises:
+        ValueError: the case has fewer torques than steps, or a start that the simulator does not take.
     """
+    if case.torques is not None and len(case.torques) < case.steps:
+        raise ValueError(f"a case of {case.steps} steps must have as many torques, got {len(case.torques)}")
     simulator.reset(case.state)
     scene, state = case.scene, simulator.state
     states, impacts = [state], list[Impact]()
@@ -178,7 +183,10 @@ def reference_of(case: Case) -> Reference:
     simulator = make_simulator(case.scene, "exact")
     course = follow(simulator, case, look=None)
     if course.escaped:
-        raise RuntimeError(f"the exact model cannot follow the case {case.name!r} to its end")
+        raise RuntimeError(
+            f"the jack of {case.name} moves too fast to be followed by the exact model to the end of {case.steps} steps "
+            f"of {case.dt:g} s; use a smaller time step, less speed or less torque"
+        )
     aside = case.state.copy()
     aside[3] += _ASIDE * (1.0 if aside[0] > aside[3] else -1.0)  # towards the middle, so that it stays inside
     twin = follow(simulator, case._replace(state=aside), look=None)

@@ -11,6 +11,7 @@ import statistics
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from jackbox_env import _validation as check
 from jackbox_env.accuracy import Case, Reference, follow, matched, reference_of
-from jackbox_env.mechanics import as_start
+from jackbox_env.mechanics import Array, as_start
 from jackbox_env.scene import Scene
 from jackbox_env.simulators import make_simulator
 from jackbox_env.tasks import sample_start
@@ -35,12 +36,14 @@ class Setting(NamedTuple):
     substeps: int | None = None
 
 
-FIDELITIES = {
-    "fast": Setting("pymunk", 2),
-    "balanced": Setting("pymunk", 4),
-    "accurate": Setting("pymunk", 64),
-    "exact": Setting("exact"),
-}
+FIDELITIES = MappingProxyType(
+    {
+        "fast": Setting("pymunk", 2),
+        "balanced": Setting("pymunk", 4),
+        "accurate": Setting("pymunk", 64),
+        "exact": Setting("exact"),
+    }
+)
 
 
 def resolve(fidelity: str | None, contact: str | None, substeps: int | None) -> Setting:
@@ -149,7 +152,9 @@ def cheapest(
 
 def _bound(name: str, value: float) -> float:
     """A bound above 0, infinite where nothing is asked."""
-    return math.inf if value == math.inf else check.real(name, value, above=0.0)
+    if isinstance(value, float) and value == math.inf:
+        return value
+    return check.real(name, value, above=0.0)
 
 
 def _within(choice: Choice, bounds: tuple[float, float]) -> bool:
@@ -164,9 +169,7 @@ def _cases(
     check.whole("steps", steps, at_least=1, at_most=1_000_000)
     check.whole("seed", seed, at_least=0)
     dt = check.real("control_dt", control_dt, above=0.0)
-    starts = None if states is None else [as_start(scene, state) for state in states]
-    if starts == []:
-        raise ValueError("states must hold at least one start, got none")
+    starts = _starts(scene, states)
     rng = np.random.default_rng(seed)
     drawn = []
     for number in range(cases):
@@ -183,6 +186,19 @@ def _cases(
             "measured; give more steps, or states from which one does"
         )
     return drawn
+
+
+def _starts(scene: Scene, states: Sequence[ArrayLike] | None) -> list[Array] | None:
+    """The starts given, checked; None for the environment's own."""
+    if states is None:
+        return None
+    try:
+        listed = list(states)
+    except Exception as error:
+        raise TypeError(f"states must be a list of starts, got {check.shown(states)}") from error
+    if not listed:
+        raise ValueError("states must hold at least one start, got none")
+    return [as_start(scene, state) for state in listed]
 
 
 def _measured(setting: Setting, drawn: list[tuple[Case, Reference]]) -> Choice:

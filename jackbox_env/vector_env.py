@@ -105,7 +105,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         }  # fmt: skip
         single = JackInBoxEnv(**settings, render_mode=render_mode if self.num_envs == 1 else None)  # checks them all
         single.close()
-        np.empty(self.num_envs * _ROOM[contact], dtype=np.uint8)  # MemoryError now, rather than after hours of making
+        np.empty(self.num_envs * _ROOM[single.contact], dtype=np.uint8)  # MemoryError now, not after hours of making
         self.scene, self.task, self.render_mode = single.scene, task, render_mode
         self._driven = torque == "chirp"
         self.metadata = {**self.metadata, "render_fps": single.metadata["render_fps"], "autoreset_mode": self._mode}

@@ -16,7 +16,18 @@ import numpy as np
 import pytest
 
 import jackbox_env
-from jackbox_env import Chirp, Drive, JackInBoxEnv, JackInBoxVectorEnv, Scene, make_simulator, mechanics, rollout, tasks
+from jackbox_env import (
+    Chirp,
+    Drive,
+    JackInBoxEnv,
+    JackInBoxVectorEnv,
+    Scene,
+    cheapest,
+    make_simulator,
+    mechanics,
+    rollout,
+    tasks,
+)
 from jackbox_env.sb3 import EnvView, JackInBoxVecEnv, make_sb3_vec_env
 from jackbox_env.simulators import CONTACT_MODELS, Simulator
 from tests.hostile import EVERYTHING, NUMBERS, answer, arrays
@@ -93,6 +104,7 @@ SCENES: dict[str, Callable[[Any], Any]] = {
     "Scene.of": Scene.of,
     "make_simulator": make_simulator,
     "rollout": lambda scene: rollout(scene, START, [0.0], 0.02),
+    "cheapest": lambda scene: cheapest(scene, cases=1, steps=60),
     "JackInBoxEnv": lambda scene: of_env(JackInBoxEnv, scene=scene),
     "JackInBoxVectorEnv": lambda scene: of_env(JackInBoxVectorEnv, scene=scene, contact="exact"),
 }
@@ -109,7 +121,7 @@ INDICES: dict[str, Callable[[Any], Any]] = {
 UNCHECKED = {
     "mechanics.clearance", "mechanics.start_tolerance", "mechanics.deepest_held", "mechanics.energy_of",
     "tasks.juggle", "tasks.spin", "tasks.rattle", "tasks.sample_start", "tasks.start_pose", "tasks.Task",
-    "Impact", "Rollout",
+    "Impact", "Rollout", "FIDELITIES",
 }  # fmt: skip
 
 
@@ -126,6 +138,19 @@ def test_functions_of_a_scene(name: str) -> None:
 @pytest.mark.parametrize("name", INDICES)
 def test_functions_of_walls_and_feet(name: str) -> None:
     assert not failures(INDICES[name], EVERYTHING | {f"pairs: {key}": value for key, value in arrays(2, 2).items()})
+
+
+BOUNDS = ("first_impact_error", "penetration", "states", "cases", "steps", "control_dt", "seed")
+
+
+@pytest.mark.parametrize("name", BOUNDS)
+def test_arguments_of_the_helper_that_chooses_a_setting(name: str) -> None:
+    assert [*inspect.signature(cheapest).parameters] == ["scene", *BOUNDS]
+    short = {"cases": 1, "steps": 60}
+    large = ("cases", "steps")  # as large as they are, these take their time
+    values = {key: value for key, value in EVERYTHING.items() if name not in large or not key.startswith("1")}
+    assert not failures(lambda value: cheapest(SCENE, **{**short, name: value}), values)
+    assert not failures(lambda value: cheapest(SCENE, states=[value], **short), arrays(12) if name == "states" else {})
 
 
 @pytest.mark.parametrize("name", [field.name for field in dataclasses.fields(Scene)])
