@@ -1,9 +1,10 @@
 # make demo: train, evaluate, film. make test: lint, types, tests. Both set themselves up in .venv first.
+# make extremes: tests/extremes with all the steps of its long runs, which writes docs/extremes.md.
 PYTHON ?= python3
 BIN := .venv/bin
 OLD_GYMNASIUM := .venv/gymnasium-1.2.2
 
-.PHONY: demo test benchmark speed readme clean
+.PHONY: demo test benchmark speed extremes readme clean
 .DELETE_ON_ERROR:
 
 demo: .venv/ready
@@ -21,6 +22,9 @@ benchmark: .venv/ready
 
 speed: .venv/ready
 	@$(BIN)/python scripts/speed.py
+
+extremes: .venv/ready
+	@JACKBOX_EXTREMES=full $(BIN)/python -m pytest -q tests/extremes
 
 readme: .venv/ready
 	@$(BIN)/python scripts/readme.py

@@ -119,7 +119,7 @@ def test_feet_that_touch_at_the_same_moment(contact: str) -> Finding:
     for kind in KINDS:
         several = 0
         for _ in range(40):
-            state, contacts = several_contacts(WEIGHTLESS, rng, kind)
+            state, _ = several_contacts(WEIGHTLESS, rng, kind)
             simulator = started(WEIGHTLESS, contact, state)
             law = max(law, off_the_law(simulator, INSTANT))
             kept = max(kept, abs(energy(WEIGHTLESS, simulator.state) / energy(WEIGHTLESS, state) - 1.0))
@@ -135,7 +135,7 @@ def test_feet_that_touch_almost_at_the_same_moment(contact: str) -> Finding:
     for delay in (1e-15, 1e-13, 1e-12, 1e-11, 1e-9, 1e-6, 1e-3):
         for kind in KINDS:
             for _ in range(10):
-                state, contacts = several_contacts(WEIGHTLESS, rng, kind)
+                state, _ = several_contacts(WEIGHTLESS, rng, kind)
                 ahead = 3.0 * delay + INSTANT
                 state[5] += delay * rng.choice([-1.0, 1.0])  # one foot is now this much earlier: arms are 1 m
                 state[:6] -= ahead * state[6:]

@@ -15,7 +15,6 @@ from tests.extremes.measures import (
     angular_momentum,
     deepest_allowed,
     follow,
-    off_the_law,
     relative,
     started,
 )
@@ -26,14 +25,16 @@ WEIGHTLESS = Scene(gravity=0.0, drive=None)
 TOO_FAST_FOR_SUBSTEPS = "the jack would leave the box: .* use more substeps, a smaller time step or less torque"
 
 
-def kept(courses: list[Course], contact: str, hits: int) -> Finding:
-    """Momentum, energy and containment over courses with at least so many impacts each."""
-    assert min(course.hits for course in courses) >= hits
+def kept(courses: list[Course], contact: str, hits: int, *more: Bound) -> Finding:
+    """Momentum, energy and containment over courses with at least so many impacts each, after what else is bounded."""
+    fewest = min(course.hits for course in courses)
+    assert fewest >= hits
     return within(
+        *more,
         Bound("momentum", max(course.momentum for course in courses), 1e-12),
         Bound("energy", max(course.energy for course in courses), 1e-11),
         Bound("a foot outside", max(0.0, *(course.deepest for course in courses)), deepest_allowed(contact), "m"),
-        note=f"; over {min(course.hits for course in courses):,} impacts or more",
+        note=f"; {fewest:,} impacts or more",
     )
 
 
@@ -79,9 +80,7 @@ def spun(place: int, dt: float, steps: int, contact: str) -> Finding:
     turning = angular_momentum(WEIGHTLESS, simulator.state)
     course = follow(simulator, steps, dt)
     error = abs(angular_momentum(WEIGHTLESS, simulator.state) / turning - 1.0)
-    found = kept([course], contact, hits=1)
-    turned = within(Bound("angular momentum", error, 1e-11))
-    return Finding(f"{turned.expected}; {found.expected}", f"{turned.seen}; {found.seen}", found.verdict)
+    return kept([course], contact, 1, Bound("angular momentum", error, 1e-11))
 
 
 @extreme("jack at 7000 m/s straight to and fro for 1 s")
@@ -98,9 +97,7 @@ def test_a_jack_straight_to_and_fro_at_7_km_per_s(contact: str) -> Finding:
         return kept([course], contact, hits=600)
     assert simulator.state[9] - simulator.state[6] == sign * speed or abs(abs(place) - 5.0) < 1e-6
     assert course.hits == int((speed * simulator.time + 5.0) // 10.0)
-    finding = kept([course], contact, hits=600)
-    placed = within(Bound("place off the closed form", abs(x - place), 1e-9, "m"))
-    return Finding(f"{placed.expected}; {finding.expected}", f"{placed.seen}; {finding.seen}", finding.verdict)
+    return kept([course], contact, 600, Bound("place off the closed form", abs(x - place), 1e-9, "m"))
 
 
 @extreme("jack at 1000 to 7000 m/s in any direction for 0.2 s")
@@ -135,7 +132,14 @@ def test_an_impact_amid_steps_of_any_length(contact: str) -> Finding:
             error = np.abs(simulator.state[:6] - expected[:6]).max()
             worst = max(worst, error / (speed * h) if h else error)
     if contact == "pymunk":
-        return within(Bound("places off the closed form", worst, 4.0, "times what the fastest coordinate moves in a substep"))
+        return within(
+            Bound(
+                "places off the closed form",
+                worst,
+                8.0,
+                "times what the fastest coordinate moves in a substep of a quarter of the step",
+            )
+        )
     return within(Bound("places off the closed form", worst, 1e-11, "m or rad"))
 
 
@@ -189,18 +193,21 @@ def test_arms_that_fit_at_some_angles_only(contact: str) -> Finding:
 # -- forces ------------------------------------------------------------------------------------------------------------
 
 
-@extreme("no gravity: a body without forces for 1000 s")
+@extreme("no gravity: bodies without forces for 200 s")
 def test_without_gravity_nothing_is_lifted_or_falls(contact: str) -> Finding:
     # Both move on alike, so nothing touches.
     start = np.array([0.0, 0.0, 0.1, 1.0, 2.0, 0.3, 3.0, -2.0, 0.0, 3.0, -2.0, 0.5])
     simulator = started(WEIGHTLESS, contact, start)
-    course = follow(simulator, 50_000, 0.02)
+    course = follow(simulator, 10_000, 0.02)
     assert course.hits == 0
     expected = start.copy()
-    expected[:6] += 1000.0 * start[6:]
+    expected[:6] += 200.0 * start[6:]
     assert np.array_equal(simulator.state[6:], start[6:])
     error = float(np.abs(simulator.state - expected).max())
-    return within(Bound("places off the closed form", error, 50_000 * 2.3e-13, "m or rad"), note=" (half a unit in the last place of 3000 m per step); rates the same bits")
+    return within(
+        Bound("places off the closed form", error, 10_000 * 5.7e-14, "m or rad"),
+        note=" (half a unit in the last place of 600 m per step); rates the same bits",
+    )
 
 
 @extreme("1000 g: 30 bounces on the floor")
@@ -216,9 +223,7 @@ def test_a_thousandfold_gravity(contact: str) -> Finding:
         return kept([course], contact, hits=25)
     assert course.hits == 30
     height = abs(simulator.state[4] - simulator.state[1])
-    finding = kept([course], contact, hits=30)
-    placed = within(Bound("height after 30 whole periods off the closed form", height, 1e-9, "m"))
-    return Finding(f"{placed.expected}; {finding.expected}", f"{placed.seen}; {finding.seen}", finding.verdict)
+    return kept([course], contact, 30, Bound("height after 30 whole periods off the closed form", height, 1e-9, "m"))
 
 
 def worked(simulator: Simulator, torque: float, dt: float, steps: int) -> tuple[float, int, float]:
@@ -270,6 +275,7 @@ def test_the_chirp_after_a_million_seconds(contact: str) -> Finding:
     return within(
         Bound("box's rate off the closed form", abs(simulator.state[8] - spun), rounding, "rad/s"),
         Bound("its angle", abs(simulator.state[2] - turned), 1e-15, "rad"),
+        note=" (a sum of 216,000 panels)" if contact == "pymunk" else "",
     )
 
 
@@ -292,8 +298,8 @@ def test_a_giga_metre_from_the_origin(contact: str) -> Finding:
         assert [hit[1:3] for hit in one.impacts] == [hit[1:3] for hit in other.impacts]
         assert (wall, foot) in [hit[1:3] for hit in one.impacts]
         rates = max(rates, relative(one.state, other.state))
-        moved = one.state[:6] - other.state[:6]
-        places = max(places, float(np.abs(moved - [*offset, 0.0, *offset, 0.0]).max()))
+        moved = one.state[:6] - [*offset, 0.0, *offset, 0.0] - other.state[:6]
+        places = max(places, float(np.abs(moved).max()))
     return within(
         Bound("rates off those of the same state at the origin", rates, 1e-12),
         Bound("places", places, 1.2e-7, "m"),
