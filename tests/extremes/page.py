@@ -181,7 +181,7 @@ class Page:
         try:
             finding = measure(contact)
         except Exception as error:
-            self.findings[what, contact] = Finding("no error", f"{type(error).__name__}: {error}", FAILS)
+            self.findings[what, contact] = Finding("no error", shortened(f"{type(error).__name__}: {error}"), FAILS)
             raise
         self.findings[what, contact] = finding
         assert finding.verdict != FAILS, f"{what}, {contact}: expected {finding.expected}; seen {finding.seen}"
