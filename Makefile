@@ -1,9 +1,10 @@
 # make demo: train, evaluate, film. make test: lint, types, tests. Both set themselves up in .venv first.
+# make extremes: tests/extremes with all the steps of its long runs, which writes docs/extremes.md.
 PYTHON ?= python3
 BIN := .venv/bin
 OLD_GYMNASIUM := .venv/gymnasium-1.2.2
 
-.PHONY: demo test benchmark benchmark-quick throughput speed costs readme clean
+.PHONY: demo test benchmark benchmark-quick throughput speed costs extremes readme clean
 .DELETE_ON_ERROR:
 
 demo: .venv/ready
@@ -31,6 +32,9 @@ speed: .venv/ready
 
 costs: .venv/ready
 	@$(BIN)/python scripts/costs.py
+
+extremes: .venv/ready
+	@JACKBOX_EXTREMES=full $(BIN)/python -m pytest -q tests/extremes
 
 readme: .venv/ready
 	@$(BIN)/python scripts/readme.py

@@ -184,7 +184,7 @@ def reference_of(case: Case) -> Reference:
     course = follow(simulator, case, look=None)
     if course.escaped:
         raise RuntimeError(
-            f"the jack of {case.name} moves too fast to be followed by the exact model to the end of {case.steps} steps "
+            f"the jack of {case.name} moves too fast to be followed exactly to the end of {case.steps} steps "
             f"of {case.dt:g} s; use a smaller time step, less speed or less torque"
         )
     aside = case.state.copy()

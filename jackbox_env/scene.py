@@ -142,7 +142,7 @@ class Chirp:
         if not turned <= MOST_TURNS:
             raise ValueError(too_many_turns(turned, time, duration))
 
-        half_rate, half = 0.5 * self.rate, 0.5 * duration
+        half_rate, half = 0.5 * self.rate, middle - time  # not duration / 2: late times round the middle
 
         def signal(since: float) -> float:
             offset = since - half

@@ -23,6 +23,7 @@ from jackbox_env.simulators.workspace import GRADIENTS, HITS, IMPULSES, RECORD, 
 from jackbox_env.tasks import sample_start
 from jackbox_env.vector_env import JackInBoxVectorEnv
 from scripts import naive
+from tests.closed_forms import chirp_motion_by_fresnel
 from tests.states import Array, inside, load, one_foot_on_wall, several_contacts
 
 WEIGHTLESS = Scene(gravity=0.0, drive=None)
@@ -448,24 +449,8 @@ def test_any_chirp_at_any_time_moves_the_box_as_it_should(chirp: Chirp, time: fl
 
 
 def test_the_chirp_after_a_million_seconds() -> None:
-    # Closed form by Fresnel integrals (Abramowitz and Stegun 7.3) with 50 digits.
     chirp, time, dt = Chirp(), 1e6, 0.02
-    with mp.workdps(50):
-        f0, k = mp.mpf(chirp.start_frequency), mp.mpf(chirp.rate)
-        c, s, root = mp.cos(mp.pi * f0**2 / k), mp.sin(mp.pi * f0**2 / k), mp.sqrt(2 * k)
-
-        def once(t: Any) -> Any:
-            z = root * (t + f0 / k)
-            return (c * mp.fresnels(z) - s * mp.fresnelc(z)) / root
-
-        def twice(t: Any) -> Any:
-            z = root * (t + f0 / k)
-            part = c * (z * mp.fresnels(z) + mp.cos(mp.pi * z * z / 2) / mp.pi)
-            return (part - s * (z * mp.fresnelc(z) - mp.sin(mp.pi * z * z / 2) / mp.pi)) / (2 * k)
-
-        start, end = mp.mpf(time), mp.mpf(time) + mp.mpf(dt)
-        spun = float(6.25 * (once(end) - once(start)))
-        turned = float(6.25 * (twice(end) - twice(start) - once(start) * mp.mpf(dt)))
+    spun, turned = chirp_motion_by_fresnel(chirp, 14400.0, time, dt)
     run = simulator(Scene(gravity=0.0, drive=chirp), np.zeros(12), time)
     run.step(dt)
     assert run.state[8] == pytest.approx(spun, abs=1e-13)

@@ -143,7 +143,9 @@ def test_an_unreduced_phase_would_lose_the_chirp_at_late_times() -> None:
 
 
 @pytest.mark.parametrize("chirp", CHIRPS, ids=repr)
-@pytest.mark.parametrize(("time", "duration"), [(0.0, 0.005), (3.0, 0.02), (9.5, 0.1), (1e3, 0.0005), (-4.0, 0.02)])
+@pytest.mark.parametrize(
+    ("time", "duration"), [(0.0, 0.005), (3.0, 0.02), (9.5, 0.1), (1e3, 0.0005), (-4.0, 0.02), (1e6, 1.3e-5)]
+)
 def test_the_chirps_means_under_triangles(chirp: Chirp, time: float, duration: float) -> None:
     with mp.workdps(40):
         start, length = mp.mpf(time), mp.mpf(duration)
@@ -152,8 +154,7 @@ def test_the_chirps_means_under_triangles(chirp: Chirp, time: float, duration: f
         falling = mp.quad(lambda s: 2 * (length - s) / length**2 * exact_torque(chirp, start + s), pieces)
         rising = mp.quad(lambda s: 2 * s / length**2 * exact_torque(chirp, start + s), pieces)
     found = chirp.torque_means(time, duration)
-    phase_error = 2.0 * math.pi * turns / duration * math.ulp(time)  # of rounding the middle of the interval
-    tolerance = (2e-13 + phase_error) * abs(chirp.amplitude)
+    tolerance = 2e-13 * abs(chirp.amplitude)  # late times too, where the interval's middle is rounded
     np.testing.assert_allclose(found, [float(falling), float(rising)], rtol=0.0, atol=tolerance)
 
 

@@ -523,6 +523,17 @@ def test_feet_do_not_sweep_through_walls_between_substeps() -> None:
     assert len({hit.time for hit in simulator.impacts}) > 4 or simulator.impacts[0].time < 0.005
 
 
+def test_a_foot_that_dips_into_a_wall_and_out_again_within_a_substep_is_not_seen() -> None:
+    # Foot 0 points at the wall after 10 ms and would be 1 um in it then, outside for 0.28 ms.
+    start = np.zeros(12)
+    start[[3, 5, 11]] = 5.0 + 1e-6, -0.1, 10.0
+    for substeps, hits in ((3, 0), (400, 1)):
+        simulator = PymunkSimulator(WEIGHTLESS, substeps=substeps)
+        simulator.reset(start)
+        simulator.step(0.02)
+        assert [hit[1:3] for hit in simulator.impacts] == hits * [(0, 0)]
+
+
 @pytest.mark.parametrize("share", [1.0, 0.1, 0.01, 0.001])
 @pytest.mark.parametrize("kind", ["one wall", "two walls", "corner"])
 def test_a_light_jack_inertia_gets_the_iterations_it_needs(kind: str, share: float) -> None:

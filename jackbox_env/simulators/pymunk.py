@@ -8,11 +8,13 @@ Cost: about the engine's own where a contact is possible within the step; elsewh
     engine is not asked at all. A step that ends with a contact alive adds two empty engine steps.
 Fails: a step in which a foot could move further than min(1 m, L) within a substep, or that ends with a foot deeper than
     that in a wall (above 200 m/s at h = 5 ms), is taken with up to 64 times the substeps; if that is not enough it
-    raises RuntimeError. Slow bounces that rise and fall within a few substeps come back too fast. Restitution
-    0 <= e <= 1. A jack inertia far below m_j l^2 couples the feet so strongly that the contact solver needs more
-    iterations: they are chosen by the scene, and scenes that want more than 100,000 are refused. An arm little longer
-    than L wedges the jack between opposite walls: where a coarse substep lets its feet overlap with both at once they
-    have next to no leverage, no number of iterations is enough, and energy is lost or gained by some percent.
+    raises RuntimeError. A foot that dips into a wall and out again within a substep is not seen. Slow bounces that rise
+    and fall within a few substeps come back too fast. Restitution 0 <= e <= 1; below 1 a foot is lifted out of the wall
+    it sank v h into, which gives back up to m_j g v h of what the impact lost. A jack inertia far below m_j l^2 couples
+    the feet so strongly that the contact solver needs more iterations: they are chosen by the scene, and scenes that
+    want more than 100,000 are refused. An arm little longer than L wedges the jack between opposite walls: where a
+    coarse substep lets its feet overlap with both at once they have next to no leverage, no number of iterations is
+    enough, and energy is lost or gained by some percent.
 Reference: Catto 2005, "Iterative dynamics with temporal coherence"; pymunk 7.3 (Munk2D).
 
 How the engine is held to the law:
