@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jackbox_env.mechanics import Array, clearance, deepest_held, energy_of, gap_jacobian
-from jackbox_env.scene import Drive, Scene
+from jackbox_env.mechanics import Array, clearance, deepest_held, energy_of
+from jackbox_env.scene import Scene
 from jackbox_env.simulators import Impact, Simulator, make_simulator
-from jackbox_env.simulators.flight import fly
+from jackbox_env.simulators.replay import replayed
 
 STEPS_PER_RESTART = 5  # control steps: 0.1 s by default
 _ASIDE = 1e-13  # by which the start of a reference's twin is moved [m]
@@ -85,43 +85,17 @@ class Restarts(NamedTuple):
 # -- what a simulator does ---------------------------------------------------------------------------------------------
 
 
-def flown(scene: Scene, state: list[float], time: float, duration: float, torque: float | None) -> list[float]:
-    """The state after flight from ``time`` for ``duration`` [s] under a held torque [N m] or the drive (None)."""
-    if duration <= 0.0:
-        return list(state)
-    drive = scene.drive or Drive()
-    falling, rising = drive.torque_means(time, duration) if torque is None else (torque, torque)
-    return fly(scene, state, duration, falling, rising, [means(time, duration) for means in drive.force_means])
-
-
 def between(simulator: Simulator, before: Array, time: float, torque: float | None) -> Between:
-    """Play the last step once more from its impacts: flight in closed form, and the impulses that were recorded.
-
-    So one sees the poses at which a model resolved its contacts, and the work is that of the true torque: in flight
-    nothing else changes the box's kinetic energy.
+    """Play the last step of a contact model of this package once more, see :mod:`jackbox_env.simulators.replay`.
 
     Args:
-        simulator: a contact model of this package after a step.
-        before: the state before that step, shape (12,).
+        simulator: after the step.
+        before: the state before it, shape (12,).
         time: the time before it [s].
         torque: the torque held [N m]; None: the drive.
     """
-    scene, state = simulator.scene, before.tolist()
-    depth, work, now = -math.inf, 0.0, time
-    for impact in simulator.impacts:
-        after = flown(scene, state, now, impact.time - now, torque)
-        work += _box_energy(scene, after) - _box_energy(scene, state)
-        state, now = after, max(now, impact.time)
-        depth = max(depth, -clearance(scene, state))
-        kick = impact.impulse * gap_jacobian(scene, state, impact.wall, impact.foot) / np.array(scene.mass_diagonal)
-        state[6:] = (np.array(state[6:]) + kick).tolist()
-    after = flown(scene, state, now, simulator.time - now, torque)
-    work += _box_energy(scene, after) - _box_energy(scene, state)
-    return Between(max(depth, -clearance(scene, simulator.state.tolist())), work)
-
-
-def _box_energy(scene: Scene, state: list[float]) -> float:
-    return 0.5 * (scene.box_mass * (state[6] ** 2 + state[7] ** 2) + scene.box_inertia * state[8] ** 2)
+    again = replayed(simulator.scene, before.tolist(), time, simulator.impacts, simulator.time, torque)
+    return Between(max(again.depth, -clearance(simulator.scene, simulator.state.tolist())), again.work)
 
 
 def follow(simulator: Simulator, case: Case, look: Look | None = between) -> Course:

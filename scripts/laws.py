@@ -194,7 +194,7 @@ class Books:
         self._enter_momentum(state, run.time - self._case.time, found)
         if torque is None and self._idle:
             torque = 0.0
-        wedged = self._case.contact == "pymunk" and _opposite_walls_at_once(run)
+        wedged = self._case.scene.restitution < 1.0 and _opposite_walls_at_once(run)
         if torque is not None and not self._pushed and not wedged:
             self._enter_energy(before, run, torque, found)
 
@@ -251,8 +251,9 @@ class Books:
 def _opposite_walls_at_once(run: Simulator) -> bool:
     """Whether feet overlapped with opposite walls in one substep.
 
-    They have next to no leverage on one another, and pymunk's contact solver stops far from rounding level: such steps
-    stay out of its balance of energy, as the head of ``simulators/pymunk.py`` says.
+    They have next to no leverage on one another, and pymunk's contact solver stops far from rounding level. It divides
+    such steps further, but those of scenes with losses it takes in the end, as the head of ``simulators/pymunk.py``
+    says: they stay out of the balance of energy.
     """
     return any(
         one.time == other.time and one.wall + 2 == other.wall for one, other in itertools.permutations(run.impacts, 2)

@@ -5,6 +5,7 @@ Each engine setting that matters has a negative control: the same scene with the
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import math
 import pickle
@@ -557,8 +558,10 @@ def test_a_jack_wedged_between_three_walls_gets_the_iterations_it_needs(arm: flo
     found = impact_in_an_instant(scene, state)
     assert {0, 1, 2} <= {hit.wall for hit in found.impacts}
     assert relative_error(found.state, expected) < 1e-9
-    hasty = impact_in_an_instant(scene, state, iterations=64).state
-    assert relative_error(hasty, expected) > 1e-3
+    assert PymunkSimulator(scene).iterations > 64
+    with contextlib.suppress(RuntimeError):  # with fewer it is seen to be unresolved, or comes out otherwise
+        hasty = impact_in_an_instant(scene, state, iterations=64).state
+        assert relative_error(hasty, expected) > 1e-3
     with pytest.raises(ValueError, match="jack_arm = 1.000001 box_half_width couple the feet so strongly"):
         PymunkSimulator(Scene(jack_arm=6.0 + 6e-6))
 
@@ -653,3 +656,48 @@ def test_a_jack_that_loses_energy_comes_to_rest(restitution: float) -> None:
 def test_substeps_must_be_whole_and_positive(substeps: Any) -> None:
     with pytest.raises((TypeError, ValueError), match="substeps must be a whole number from 1 to 1000000, got"):
         make_simulator(Scene(), substeps=substeps)
+
+
+def test_a_jack_wedged_between_opposite_walls_keeps_its_energy_or_is_refused() -> None:
+    # An arm little longer than L, spun towards alignment: feet reach opposite walls almost at once. Where such steps
+    # are not divided further up to 46 % of the energy are lost in one.
+    rng = np.random.default_rng(0)
+    refused, divided = [], 0
+    for _ in range(300):
+        scene = Scene(jack_arm=6.0 * (1.0 + 10.0 ** rng.uniform(-3.5, -0.5)), gravity=0.0, drive=None)
+        simulator = PymunkSimulator(scene, substeps=4)
+        state = np.zeros(12)
+        state[5] = math.pi / 4.0 + rng.uniform(-0.02, 0.02)
+        state[6:] = 3.0 * rng.standard_normal(6)
+        state[11] = rng.choice([-1, 1]) * rng.uniform(1.0, 20.0)
+        if clearance(scene, state.tolist()) < 0.0:
+            continue
+        simulator.reset(state)
+        kept = energy(scene, state)
+        for _ in range(40):
+            try:
+                simulator.step(0.02, 0.0)
+            except RuntimeError as error:
+                refused.append(str(error))
+                break
+            assert energy(scene, simulator.state) == pytest.approx(kept, rel=1e-5)
+            divided += any(1e-6 < hit.time % 0.005 < 0.005 - 1e-6 for hit in simulator.impacts)
+    assert divided > 10
+    assert len(refused) < 10
+    for sentence in refused:
+        assert sentence.startswith("the jack is wedged between opposite walls after t = ")
+        assert "moves too fast to be followed in substeps of h = " in sentence
+
+
+def test_a_wedged_jack_with_losses_is_followed() -> None:
+    scene = Scene(jack_arm=6.01, gravity=0.0, drive=None, restitution=0.5)
+    simulator = PymunkSimulator(scene, substeps=1)
+    state = np.zeros(12)
+    state[5], state[11] = math.pi / 4.0, 20.0
+    simulator.reset(state)
+    before = energy(scene, state)
+    for _ in range(50):
+        simulator.step(0.02, 0.0)
+        after = energy(scene, simulator.state)
+        assert after <= before + 1e-9
+        before = after

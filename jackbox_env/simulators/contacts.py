@@ -47,6 +47,12 @@ class Recorder:
         except BaseException as failure:
             self._failure = failure
 
+    @property
+    def wedged(self) -> bool:
+        """Whether opposite walls pushed in one substep."""
+        pushed = {(hit.time, hit.wall) for hit in self.impacts} if len(self.impacts) > 1 else ()
+        return any((time, wall + 2) in pushed for time, wall in pushed)
+
     def check(self) -> None:
         """Raise what was raised while recording."""
         if self._failure is not None:

@@ -12,9 +12,9 @@ Fails: a step in which a foot could move further than min(1 m, L) within a subst
     and fall within a few substeps come back too fast. Restitution 0 <= e <= 1; below 1 a foot is lifted out of the wall
     it sank v h into, which gives back up to m_j g v h of what the impact lost. A jack inertia far below m_j l^2 couples
     the feet so strongly that the contact solver needs more iterations: they are chosen by the scene, and scenes that
-    want more than 100,000 are refused. An arm little longer than L wedges the jack between opposite walls: where a
-    coarse substep lets its feet overlap with both at once they have next to no leverage, no number of iterations is
-    enough, and energy is lost or gained by some percent.
+    want more than 100,000 are refused. A jack with an arm longer than L can be wedged: feet deep in opposite walls have
+    next to no leverage, and no number of iterations is enough. Where energy is not kept such a step is divided further
+    as well; if that does not help an elastic scene raises, and one with losses loses up to some percent more.
 Reference: Catto 2005, "Iterative dynamics with temporal coherence"; pymunk 7.3 (Munk2D).
 
 How the engine is held to the law:
@@ -43,16 +43,18 @@ from numpy.typing import ArrayLike
 from pymunk.batch import BodyFields, Buffer, get_space_bodies
 
 from jackbox_env import _validation as check
-from jackbox_env.mechanics import Array, as_held, clearance, deepest_held
+from jackbox_env.mechanics import Array, as_held, clearance, deepest_held, energy_of
 from jackbox_env.scene import Drive, Scene
 from jackbox_env.simulators.base import LATEST_TIME, Impact, end_of_step
 from jackbox_env.simulators.contacts import Recorder, iterations_for
 from jackbox_env.simulators.flight import fly, reach
+from jackbox_env.simulators.replay import replayed
 
 _WALL_THICKNESS = 100.0 / 6.0  # R over L: 100 m by default
 _HASH_CELL = 1000.0 / 6.0  # over L: 1000 m by default
 _FARTHEST = 1e9  # over L: motion within one step that the spatial hash can index
 _FINER = (1, 2, 4, 8, 16, 32, 64)  # by which a step too fast for its substeps is divided further
+_UNRESOLVED = 1e-6  # of the energy in a step that opposite walls push in: the solver stopped short
 _PERSISTENCE = 1  # substeps for which the engine remembers a contact that has ended; 0 would turn collisions off
 _CORRECTION_TIME = 0.05  # in which overlap decays to 1 / e at restitution 0 [s]
 _FAR_OFF = 500.0  # over L: out of reach of every wall, whose far ends are 55 L away
@@ -173,6 +175,7 @@ class PymunkSimulator:
         if self._dirty:  # the last step was cut short, between two steps of the engine
             self._forget_contacts()
         self._dirty = True  # until the engine has forgotten this step, also if it is cut short
+        wedged = False
         for finer in _FINER:
             substeps = finer * self.substeps
             h = check.real("dt / substeps", dt / substeps, above=0.0)
@@ -183,6 +186,10 @@ class PymunkSimulator:
             self._recorder.start(self.time)
             after = self._advance(h, load, push)
             moves = -clearance(self.scene, after)
+            wedged = self._recorder.wedged and not self._resolved(after, dt, torque)
+            if wedged and (finer < _FINER[-1] or self.scene.restitution == 1.0):
+                self._forget_contacts()
+                continue
             if moves <= self._deepest and math.isfinite(sum(after)):
                 if self._recorder.last_contact >= substeps - (_PERSISTENCE + 1):  # the engine may still remember it
                     self._forget_contacts()
@@ -190,11 +197,24 @@ class PymunkSimulator:
                 return after, load.mean
             self._forget_contacts()
         self._build()  # it may have overflowed
+        if wedged:
+            raise RuntimeError(
+                f"the jack is wedged between opposite walls after t = {self.time:g} s and moves too fast to be "
+                f"followed in substeps of h = {h:.3g} s; use more of them, a smaller time step or contact='exact'"
+            )
         raise RuntimeError(
             f"the jack would leave the box: after t = {self.time:g} s a foot moves {moves:.3g} m in h = {h:.3g} s, or "
             f"ends so far outside, at most {self._deepest:g} m is followed; use more substeps, a smaller time step or "
             "less torque"
         )
+
+    def _resolved(self, after: list[float], dt: float, torque: float | None) -> bool:
+        """Whether the contact solver kept the energy of an elastic step with contacts that strain it."""
+        scene, (before, time, _, _) = self.scene, self._present
+        work = replayed(scene, before, time, self._recorder.impacts, time + dt, torque).work
+        kinetic = energy_of(scene, before) - scene.jack_mass * scene.gravity * before[4]
+        gained = energy_of(scene, after) - energy_of(scene, before)
+        return scene.restitution == 1.0 and abs(gained - work) <= _UNRESOLVED * (kinetic + abs(work))
 
     def _refuse_runaway(self, dt: float) -> None:
         """Refuse motion that would overflow the engine's spatial hash, which may loop forever on it."""

@@ -1,0 +1,55 @@
+"""A step played once more from its impacts: flight in closed form, and the impulses that were recorded.
+
+It shows the poses at which a contact model resolved its contacts, and the work of the true torque on the way there.
+Exactness: that of the record; where impulses act at other poses than the model's own the replay leaves its path.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from jackbox_env.mechanics import clearance, gap_jacobian
+from jackbox_env.scene import Drive, Scene
+from jackbox_env.simulators.base import Impact
+from jackbox_env.simulators.flight import fly
+
+
+class Replay(NamedTuple):
+    """What happened inside a step."""
+
+    state: list[float]  # at its end, 12 numbers
+    depth: float  # deepest that a foot was in a wall at an impact [m]; -inf: there was none
+    work: float  # of torque and side forces on the box [J]
+
+
+def flown(scene: Scene, state: Sequence[float], time: float, duration: float, torque: float | None) -> list[float]:
+    """The state after flight from ``time`` for ``duration`` [s] under a held torque [N m] or the drive (None)."""
+    if duration <= 0.0:
+        return list(state)
+    drive = scene.drive or Drive()
+    falling, rising = drive.torque_means(time, duration) if torque is None else (torque, torque)
+    return fly(scene, list(state), duration, falling, rising, [means(time, duration) for means in drive.force_means])
+
+
+def replayed(
+    scene: Scene, state: Sequence[float], time: float, impacts: Sequence[Impact], end: float, torque: float | None
+) -> Replay:
+    """Play a step from ``time`` to ``end`` [s] once more; ``state`` is that before it."""
+    now, depth, work = list(state), -math.inf, 0.0
+    for impact in impacts:
+        after = flown(scene, now, time, impact.time - time, torque)
+        work += _box_energy(scene, after) - _box_energy(scene, now)  # in flight nothing else changes it
+        now, time = after, max(time, impact.time)
+        depth = max(depth, -clearance(scene, now))
+        kick = impact.impulse * gap_jacobian(scene, now, impact.wall, impact.foot) / np.array(scene.mass_diagonal)
+        now[6:] = (np.array(now[6:]) + kick).tolist()
+    after = flown(scene, now, time, end - time, torque)
+    return Replay(after, depth, work + _box_energy(scene, after) - _box_energy(scene, now))
+
+
+def _box_energy(scene: Scene, state: Sequence[float]) -> float:
+    return 0.5 * (scene.box_mass * (state[6] ** 2 + state[7] ** 2) + scene.box_inertia * state[8] ** 2)
