@@ -144,7 +144,7 @@ def test_an_unreduced_phase_would_lose_the_chirp_at_late_times() -> None:
 
 @pytest.mark.parametrize("chirp", CHIRPS, ids=repr)
 @pytest.mark.parametrize(
-    ("time", "duration"), [(0.0, 0.005), (3.0, 0.02), (9.5, 0.1), (1e3, 0.0005), (-4.0, 0.02), (1e6, 1.3e-5)]
+    ("time", "duration"), [(0.0, 0.005), (3.0, 0.02), (9.5, 0.1), (1e3, 0.0005), (-4.0, 0.02), (1e6, 1e-6)]
 )
 def test_the_chirps_means_under_triangles(chirp: Chirp, time: float, duration: float) -> None:
     with mp.workdps(40):
