@@ -1,7 +1,7 @@
 """What a contact model does to a learner: the same PPO trained on each named fidelity, every policy run on all of them.
 
 A study is a folder that holds a run folder for each task, fidelity and seed; :func:`train_all` fills what is missing,
-:func:`matrix_of` runs what is finished. Interrupted, either goes on where it was.
+:func:`run_all` runs what is finished. Interrupted, either goes on where it was.
 
 study.json                      settings of the study
 study_run.json                  command line, versions, date
@@ -23,16 +23,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from tqdm import tqdm
 
-from agents.runs import SETTINGS, describe, machine, new_folder, read_settings, versions, write_json
+from agents.evaluation import evaluate
+from agents.models import load_model
+from agents.policies import Policy, baseline
+from agents.runs import SETTINGS, describe, new_folder, read_settings, versions, write_json
 from agents.settings import TrainSettings
 from agents.training import latest_checkpoint
-from jackbox_env import FIDELITIES
+from jackbox_env import FIDELITIES, Scene
 from jackbox_env import _validation as check
 
 TRAIN = Path(__file__).parents[1] / "scripts" / "train.py"
 STUDY = "study.json"
+BASELINES = ("zero", "level", "chirp")  # without chance: the same policy on every fidelity
 _LOOK_AGAIN = 0.5  # [s]
 
 
@@ -46,8 +52,8 @@ class StudySettings:
     """Trained on, and run on; the last is what the others are held against."""
     seeds: int = 3
     """Trainings of each task and fidelity."""
-    total_steps: int = TrainSettings.total_steps
-    """Environment steps of each training."""
+    total_steps: tuple[int, ...] = (TrainSettings.total_steps,)
+    """Environment steps of each training: one number, or one for each task."""
     episodes: int = 128
     """Episodes of each policy on each fidelity, from the same starts everywhere."""
 
@@ -58,7 +64,10 @@ class StudySettings:
             TypeError, ValueError: a setting out of its range.
         """
         check.whole("seeds", self.seeds, at_least=1, at_most=1000)
-        check.whole("total_steps", self.total_steps, at_least=1)
+        for steps in self.total_steps:
+            check.whole("total_steps", steps, at_least=1)
+        if len(self.total_steps) not in (1, len(self.tasks)):
+            raise ValueError(f"total_steps must be one number or {len(self.tasks)}, got {self.total_steps}")
         check.whole("episodes", self.episodes, at_least=2)
         for name in self.fidelities:
             check.choice("fidelities", name, FIDELITIES)
@@ -68,11 +77,16 @@ class StudySettings:
         for task in self.tasks:
             self.run_settings(task, self.fidelities[0], 0)
 
+    def steps_of(self, task: str) -> int:
+        """Environment steps of each training on a task."""
+        return dict(zip(self.tasks, self.total_steps * len(self.tasks), strict=False))[task]  # type: ignore[index]
+
     def run_settings(self, task: Any, fidelity: str, seed: int) -> TrainSettings:
         """Settings of one training: the defaults but for what is varied."""
-        every = min(TrainSettings.eval_steps, self.total_steps)  # a short training is evaluated too
+        steps = self.steps_of(task)
+        every = min(TrainSettings.eval_steps, steps)  # a short training is evaluated too
         return TrainSettings(
-            task=task, fidelity=fidelity, seed=seed, total_steps=self.total_steps, eval_steps=every,
+            task=task, fidelity=fidelity, seed=seed, total_steps=steps, eval_steps=every,
             checkpoint_steps=min(TrainSettings.checkpoint_steps, every),
         )  # fmt: skip
 
@@ -108,7 +122,7 @@ def read_study(folder: Path) -> StudySettings:
     if not path.is_file():
         raise FileNotFoundError(f"{folder} is no study: it has no {STUDY}")
     values = json.loads(path.read_text())
-    for name in ("tasks", "fidelities"):
+    for name in ("tasks", "fidelities", "total_steps"):
         values[name] = tuple(values[name])
     return StudySettings(**values)
 
@@ -137,7 +151,7 @@ def train_all(folder: Path, settings: StudySettings, processes: int = 2, progres
             raise ValueError(f"{run} was made by other settings than those of {folder / STUDY}")
     waiting = [(run, wanted) for run, wanted in planned if not finished(run)]
     under_way: dict[Path, subprocess.Popen[bytes]] = {}
-    total = len(planned) * settings.total_steps
+    total = sum(wanted.total_steps for _, wanted in planned)
     try:
         with tqdm(total=total, unit="steps", unit_scale=True, disable=not progress, desc="training") as bar:
             while waiting or under_way:
@@ -146,12 +160,65 @@ def train_all(folder: Path, settings: StudySettings, processes: int = 2, progres
                     under_way[run] = _start(run, wanted)
                 time.sleep(_LOOK_AGAIN)
                 under_way = {run: process for run, process in under_way.items() if not _ended(run, process)}
-                bar.update(sum(_done(run, settings.total_steps) for run, _ in planned) - bar.n)
+                bar.update(sum(_done(run, wanted.total_steps) for run, wanted in planned) - bar.n)
     finally:
         for process in under_way.values():
             process.send_signal(signal.SIGINT)  # it leaves a checkpoint
         for process in under_way.values():
             process.wait()
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Returns of one task, every policy run from the same starts on each fidelity.
+
+    Attributes:
+        task: what was rewarded.
+        trained: fidelity trained on -> fidelity run on -> returns, shape (seeds, episodes).
+        baselines: scripted policy -> fidelity run on -> returns, shape (episodes,).
+    """
+
+    task: str
+    trained: dict[str, dict[str, NDArray[np.float64]]]
+    baselines: dict[str, dict[str, NDArray[np.float64]]]
+
+
+def run_all(folder: Path, settings: StudySettings, task: str, progress: bool = True) -> Cells:
+    """Run every policy of a task on every fidelity, or read what was run before."""
+    total = (len(settings.fidelities) * settings.seeds + len(BASELINES)) * len(settings.fidelities)
+    with tqdm(total=total, unit="cells", disable=not progress, desc=f"running on {task}") as bar:
+
+        def returns(policy: str, fidelity: str) -> list[float]:
+            found = cell(folder, settings, task, policy, fidelity)
+            bar.update()
+            return found
+
+        names, seeds = settings.fidelities, range(settings.seeds)
+        trained = {
+            one: {other: np.array([returns(f"{one}-{seed}", other) for seed in seeds]) for other in names}
+            for one in names
+        }
+        baselines = {one: {other: np.array(returns(one, other)) for other in names} for one in BASELINES}
+    return Cells(task, trained, baselines)
+
+
+def cell(folder: Path, settings: StudySettings, task: str, policy: str, fidelity: str) -> list[float]:
+    """Returns of a baseline, or of ``<fidelity>-<seed>``'s best model, on a fidelity; kept in a file."""
+    path = folder / "cells" / f"{task}-{policy}-on-{fidelity}.json"
+    if not path.is_file():
+        path.parent.mkdir(exist_ok=True)
+        more: dict[str, Any] = {}
+        actor: Policy
+        if policy in BASELINES:
+            actor, more = baseline(policy, Scene())
+        else:
+            actor = load_model(folder / f"{task}-{policy}")
+        env_settings = {"task": task, "fidelity": fidelity, **more}
+        write_json(path, evaluate(policy, actor, env_settings, settings.episodes, seed=0).returns)
+    returns: list[float] = json.loads(path.read_text())
+    if len(returns) != settings.episodes:
+        raise ValueError(f"{path} holds {len(returns)} episodes instead of {settings.episodes}")
+    return returns
 
 
 def _start(run: Path, settings: TrainSettings) -> subprocess.Popen[bytes]:

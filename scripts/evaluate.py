@@ -47,8 +47,8 @@ def warn_of_other_training(name: str, here: EnvSettings) -> None:
         trained = EnvSettings(
             **{part.name: getattr(read_settings(Path(name)), part.name) for part in fields(EnvSettings)}
         )
-        words = {"contact": None, "substeps": None, "fidelity": None}  # several say the same
-        if trained.setting != here.setting or replace(trained, **words) != replace(here, **words):
+        same = replace(trained, contact=here.contact, substeps=here.substeps, fidelity=here.fidelity) == here
+        if trained.setting != here.setting or not same:  # several words say the same setting
             print(f"Note: {name} was trained in another environment ({describe_env(trained)})", file=sys.stderr)
 
 
