@@ -9,13 +9,17 @@ impacts within an episode follow from each other.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from agents.models import derived_seed
 from agents.policies import Policy
 from jackbox_env import FIDELITIES, Impact, Scene, make_simulator
 from jackbox_env.mechanics import clearance
@@ -36,6 +40,8 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "exact again": FIDELITIES["exact"]._asdict(),
 }
 
+# Torques [N m], or None for the drive, from the states, each shape (12,).
+Torques = Callable[[list[NDArray[np.float64]]], Sequence[float | None]]
 # Names with units; each function takes (impacts, jack's speeds [m/s], its rates [rad/s]) of an episode.
 Measure = Callable[[list[Impact], NDArray[np.float64], NDArray[np.float64]], float]
 STATISTICS: dict[str, Measure] = {
@@ -81,7 +87,7 @@ class Episodes(NamedTuple):
     lost: int
 
 
-def random_torques(scene: Scene, rng: np.random.Generator) -> Callable[[list[NDArray[np.float64]]], list[float]]:
+def random_torques(scene: Scene, rng: np.random.Generator) -> Torques:
     """Torques [N m] uniform within the limit, another in each step."""
     return lambda states: rng.uniform(-scene.torque_limit, scene.torque_limit, len(states)).tolist()
 
@@ -91,7 +97,7 @@ def drive(states: list[NDArray[np.float64]]) -> list[None]:
     return [None] * len(states)
 
 
-def acting(scene: Scene, policy: Policy) -> Callable[[list[NDArray[np.float64]]], list[float]]:
+def acting(scene: Scene, policy: Policy) -> Torques:
     """Torques [N m] of a policy that sees what the environment shows."""
 
     def torques(states: list[NDArray[np.float64]]) -> list[float]:
@@ -104,7 +110,7 @@ def acting(scene: Scene, policy: Policy) -> Callable[[list[NDArray[np.float64]]]
 
 def run_episodes(
     setting: dict[str, Any],
-    torques: Callable[[list[NDArray[np.float64]]], list[Any]],
+    torques: Torques,
     rng: np.random.Generator,
     episodes: int,
     scene: Scene | None = None,
@@ -160,3 +166,44 @@ class _Episode:
         states = np.array(self.states[1:])
         speeds, rates = np.hypot(states[:, 9], states[:, 10]), states[:, 11]
         return {name: measure(self._impacts, speeds, rates) for name, measure in STATISTICS.items()}
+
+
+def stored(path: Path, make: Callable[[], Episodes]) -> Episodes:
+    """What ``make`` measures, from the file if it is there."""
+    if not path.is_file():
+        path.parent.mkdir(exist_ok=True)
+        episodes = make()
+        partial = path.with_suffix(".partial.npz")
+        names = {f"value_{number}": column for number, column in enumerate(episodes.values.values())}
+        np.savez(partial, depth=episodes.depth, lost=episodes.lost, **names)  # type: ignore[arg-type]
+        os.replace(partial, path)
+    with np.load(path) as kept:
+        values = {name: kept[f"value_{number}"] for number, name in enumerate(STATISTICS)}
+        return Episodes(values, float(kept["depth"]), int(kept["lost"]))
+
+
+def run_long(
+    folder: Path, policies: dict[str, Policy], episodes: int, progress: bool = True
+) -> dict[str, dict[str, Episodes]]:
+    """Episodes under random torques, under the chirp and under each policy: condition -> setting -> episodes.
+
+    They are kept in ``folder``: what is there is not run again.
+
+    Raises:
+        ValueError: ``folder`` holds another number of episodes.
+    """
+    scene = Scene()
+    found: dict[str, dict[str, Episodes]] = {}
+    for number, condition in enumerate(["random torques", "the chirp", *policies]):
+        found[condition] = {}
+        for place, (setting, keywords) in enumerate(SETTINGS.items()):
+            rng = np.random.default_rng(derived_seed("long run", number, place))
+            named: dict[str, Torques] = {"random torques": random_torques(scene, rng), "the chirp": drive}
+            torques = named[condition] if condition in named else acting(scene, policies[condition])
+            label = f"{setting}, {condition}"
+            make = partial(run_episodes, keywords, torques, rng, episodes, scene, progress, label)
+            kept = stored(folder / f"{condition}-{setting}.npz".replace(" ", "_"), make)
+            if len(next(iter(kept.values.values()))) + kept.lost != episodes:
+                raise ValueError(f"{folder} holds other than {episodes} episodes for {setting} under {condition}")
+            found[condition][setting] = kept
+    return found

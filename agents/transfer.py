@@ -7,6 +7,7 @@ study.json                      settings of the study
 study_run.json                  command line, versions, date
 <task>-<fidelity>-<seed>/       a run of training each, see :mod:`agents.runs`
 cells/<task>-<policy>-on-<fidelity>.json   returns of a policy, one per episode
+longrun/<torque>-<setting>.npz  long-run statistics, one number per episode
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from agents.evaluation import evaluate
+from agents.longrun import Episodes, run_long
 from agents.models import load_model
 from agents.policies import Policy, baseline
 from agents.runs import SETTINGS, describe, new_folder, read_settings, versions, write_json
@@ -49,13 +51,15 @@ class StudySettings:
     tasks: tuple[Literal["juggle", "spin", "rattle"], ...] = ("juggle", "rattle")
     """What is rewarded."""
     fidelities: tuple[str, ...] = tuple(FIDELITIES)
-    """Trained on, and run on; the last is what the others are held against."""
+    """Trained on, and run on; exact, which the others are held against, among them."""
     seeds: int = 3
     """Trainings of each task and fidelity."""
     total_steps: tuple[int, ...] = (TrainSettings.total_steps,)
     """Environment steps of each training: one number, or one for each task."""
     episodes: int = 128
     """Episodes of each policy on each fidelity, from the same starts everywhere."""
+    long_episodes: int = 1024
+    """Episodes of the long-run statistics, for each contact setting and each kind of torque."""
 
     def __post_init__(self) -> None:
         """Refuse a study that cannot be made.
@@ -69,8 +73,11 @@ class StudySettings:
         if len(self.total_steps) not in (1, len(self.tasks)):
             raise ValueError(f"total_steps must be one number or {len(self.tasks)}, got {self.total_steps}")
         check.whole("episodes", self.episodes, at_least=2)
+        check.whole("long_episodes", self.long_episodes, at_least=16)
         for name in self.fidelities:
             check.choice("fidelities", name, FIDELITIES)
+        if "exact" not in self.fidelities:
+            raise ValueError(f"fidelities must hold 'exact', which the others are held against, got {self.fidelities}")
         for name, chosen in (("tasks", self.tasks), ("fidelities", self.fidelities)):
             if len(set(chosen)) != len(chosen) or not chosen:
                 raise ValueError(f"{name} must be different ones, at least one, got {chosen}")
@@ -219,6 +226,14 @@ def cell(folder: Path, settings: StudySettings, task: str, policy: str, fidelity
     if len(returns) != settings.episodes:
         raise ValueError(f"{path} holds {len(returns)} episodes instead of {settings.episodes}")
     return returns
+
+
+def run_statistics(folder: Path, settings: StudySettings, progress: bool = True) -> dict[str, dict[str, Episodes]]:
+    """Long-run statistics, also under the first policy that was trained on exact for each task."""
+    policies: dict[str, Policy] = {
+        f"PPO on {task}": load_model(run_folder(folder, task, "exact", 0)) for task in settings.tasks
+    }
+    return run_long(folder / "longrun", policies, settings.long_episodes, progress)
 
 
 def _start(run: Path, settings: TrainSettings) -> subprocess.Popen[bytes]:

@@ -5,12 +5,16 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from agents.transfer import StudySettings
 from scripts.common import command_line
+
+if TYPE_CHECKING:
+    from agents.longrun import Episodes
+    from agents.transfer import Cells
 
 
 @dataclass(frozen=True)
@@ -30,11 +34,41 @@ class Arguments:
     """Show progress bars."""
 
 
+def write(
+    folder: Path,
+    settings: StudySettings,
+    results: list[Cells],
+    runs: dict[str, dict[str, Episodes]],
+    out: Path,
+) -> str:
+    """Write page, data and pictures; return the page."""
+    import json
+
+    import numpy as np
+
+    from agents.figures import transfer_figure
+    from agents.inference import crossed_estimate
+    from agents.learning_page import as_json, page
+    from agents.verdict import compare
+
+    samples = {condition: {name: one.values for name, one in each.items()} for condition, each in runs.items()}
+    comparisons = compare(samples, np.random.default_rng(0))
+    for cells in results:
+        rows = {name: [crossed_estimate(row[other]) for other in row] for name, row in cells.trained.items()}
+        scripted = {name: [float(row[other].mean()) for other in row] for name, row in cells.baselines.items()}
+        transfer_figure(out / f"learning_{cells.task}.png", cells.task, rows, scripted)
+    text = page(folder, settings, results, runs, comparisons)
+    data = as_json(folder, settings, results, runs, comparisons)
+    (out / "learning.json").write_text(json.dumps(data) + "\n")
+    (out / "learning.md").write_text(text)
+    return text
+
+
 @command_line
 def main() -> None:
     """Parse, train, run, write."""
     arguments = tyro.cli(Arguments, description=__doc__)
-    from agents.transfer import new_study, read_study, train_all
+    from agents.transfer import new_study, read_study, run_all, run_statistics, train_all
 
     if not arguments.out.is_dir():
         raise FileNotFoundError(f"{arguments.out} is no folder to write a page in")
@@ -47,9 +81,12 @@ def main() -> None:
         folder = new_study(arguments.folder, settings)
     try:
         train_all(folder, settings, arguments.processes, arguments.progress)
+        results = [run_all(folder, settings, task, arguments.progress) for task in settings.tasks]
+        runs = run_statistics(folder, settings, arguments.progress)
     except KeyboardInterrupt:
         print(f"\nInterrupted. Go on with: python scripts/transfer.py --resume {folder}", file=sys.stderr)
         raise
+    print(write(folder, settings, results, runs, arguments.out))
 
 
 if __name__ == "__main__":
