@@ -110,38 +110,48 @@ def depth_table(runs: Mapping[str, Mapping[str, Episodes]]) -> list[str]:
     return lines
 
 
+METHOD = """\
+- Intervals are 95 % ones. Of trained policies they hold for another training and for other starts: the t-interval over
+  the seeds' means and the one over the starts' means, added by their squares. Trainings on different fidelities are
+  compared as independent samples (Welch), the runs of one policy as pairs. They are for one comparison each, not for
+  all together.
+- Safe: the interval of what is lost, run on exact, stays above -{margin:.0%} of the return of training on exact.
+  Harmful: it lies below that; worse: it lies below 0; undecided: else. The margin was chosen beforehand. Honest: a
+  fidelity's own return is within {margin:.0%} of what the same policies earn on exact.
+- Statistics: {long:,} episodes of {steps} steps of {dt:g} s for each torque and setting, each with its own starts and
+  torques, so that the samples are independent. Every statistic is one number per episode, because what follows within
+  an episode is correlated. Two tests each: of the means (Welch) and of the distributions (Kolmogorov and Smirnov's
+  distance, by permutation); Holm's correction over all of them together. Bold: equality refused at 5 %. The last column
+  is the difference of means that would have been seen with probability {power:g}.
+- `one iteration` is pymunk with one substep and one solver iteration; no policy was trained on it. `exact again` is
+  exact with other seeds: the negative control.
+- Again: `make transfer` trains (an hour or more on two cores); `python scripts/transfer.py --resume <its folder>` goes
+  on with an interrupted study, or makes this page from a finished one."""
+
+
 def how(folder: Path, settings: StudySettings) -> list[str]:
     """Settings, numbers, versions, machine, command."""
     run = read_settings(run_folder(folder, settings.tasks[0], settings.fidelities[0], 0))
     trained_with = json.loads((folder / "study_run.json").read_text())["versions"]
-    steps = ", ".join(f"{task} {settings.steps_of(task):,} steps" for task in settings.tasks)
-    now = ", ".join(f"{name} {version}" for name, version in versions().items())
+    steps = ", ".join(f"{settings.steps_of(task):,} steps on {task}" for task in settings.tasks)
+    now = versions()
+    same = {name: version for name, version in now.items() if trained_with.get(name) == version}
+    changed = [f"{name} {trained_with[name]} at the training, {now[name]} now" for name in now if name not in same]
+    text = METHOD.format(
+        margin=MARGIN, long=settings.long_episodes, steps=STEPS, dt=DT, power=POWER
+    )  # fmt: skip
     return [
-        f"- Trainings: {steps}; {settings.seeds} seeds of each task and fidelity, the same settings for all: "
-        f"{run.num_envs} environments, {run.rollout_steps} steps of each between updates, batches of {run.batch_size}, "
-        f"{run.epochs} epochs, learning rate {run.learning_rate:g} falling to 0, gamma {run.gamma:g}, networks "
-        f"{run.hidden_units}. What is run is the best model by the separate evaluation that a run makes every "
-        f"{run.eval_steps:,} steps on its own fidelity ({run.eval_episodes} episodes).",
-        f"- Runs: {settings.episodes} episodes of {STEPS} steps in each cell and for each seed, deterministic actions, "
-        "from the same starts in every cell: differences are paired by start.",
-        "- Intervals are 95 % ones. Of trained policies they hold for another training and for other starts: the "
-        "t-interval over the seeds' means and the one over the starts' means, added by their squares. Trainings on "
-        "different fidelities are compared as independent samples (Welch), the runs of one policy as pairs. They are "
-        "for one comparison each, not for all together.",
-        f"- Safe: the interval of what is lost, run on exact, stays above -{MARGIN:.0%} of the return of training on "
-        "exact; harmful: it lies below that; worse: it lies below 0; undecided: else. The margin was chosen beforehand. "
-        f"Honest: the fidelity's own return is within {MARGIN:.0%} of what the same policies earn on exact.",
-        f"- Statistics: {settings.long_episodes:,} episodes of {STEPS} steps of {DT:g} s for each torque and setting, "
-        "each with starts and torques of its own, so that the samples are independent. Every statistic is one number per "
-        "episode, because what follows within an episode is correlated. Two tests: the means (Welch) and the "
-        "distributions (Kolmogorov and Smirnov's distance, by permutation); Holm's correction over all of them "
-        f"together. Bold: equality refused at 5 %. The last column is the difference of means that would have been "
-        f"seen with probability {POWER:g}. `one iteration` is pymunk with one substep and one solver iteration; `exact "
-        "again` is exact with other seeds: the negative control.",
-        f"- Trained with {', '.join(f'{name} {version}' for name, version in trained_with.items())}; run with {now}; "
-        f"{machine()}.",
-        "- Again: `make transfer` (trains, hours on two cores); `python scripts/transfer.py --resume "
-        "runs/transfer-<date>` makes this page from trainings that are done.",
+        f"- Trainings: {steps}; {settings.seeds} for each task and fidelity, by the same settings: {run.num_envs} "
+        f"environments, {run.rollout_steps} steps of each between updates, batches of {run.batch_size}, {run.epochs} "
+        f"epochs, learning rate {run.learning_rate:g} falling to 0, gamma {run.gamma:g}, networks {run.hidden_units}.",
+        f"- What is run is the best model by the evaluations that a training makes every {run.eval_steps:,} steps, "
+        f"{run.eval_episodes} episodes on its own fidelity.",
+        f"- Runs: {settings.episodes} episodes of {STEPS} steps in each cell for each seed, deterministic actions, "
+        "from the same starts in every cell.",
+        text,
+        f"- {', '.join(f'{name} {version}' for name, version in same.items())}"
+        + "".join(f"; {one}" for one in changed)
+        + f"; {machine()}.",
     ]
 
 

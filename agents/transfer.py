@@ -73,7 +73,7 @@ class StudySettings:
         if len(self.total_steps) not in (1, len(self.tasks)):
             raise ValueError(f"total_steps must be one number or {len(self.tasks)}, got {self.total_steps}")
         check.whole("episodes", self.episodes, at_least=2)
-        check.whole("long_episodes", self.long_episodes, at_least=16)
+        check.whole("long_episodes", self.long_episodes, at_least=4)
         for name in self.fidelities:
             check.choice("fidelities", name, FIDELITIES)
         if "exact" not in self.fidelities:

@@ -113,8 +113,8 @@ def sentence(found: Finding) -> str:
     """One finding in words, with the numbers it stands on."""
     return (
         f"`{found.fidelity}` {_LEARNING[found.learning]}: run on exact, its policies earn "
-        f"{percent(found.loss, found.exact)} against those trained on exact. Measured on itself, {_PROMISE[found.promise]}: "
-        f"{percent(found.shift, found.exact)} against what the same policies earn on exact."
+        f"{percent(found.loss, found.exact)} against those trained on exact. Measured on itself, "
+        f"{_PROMISE[found.promise]}: {percent(found.shift, found.exact)} against what the same policies earn on exact."
     )
 
 
@@ -124,8 +124,8 @@ def headline(task: str, findings: Sequence[Finding]) -> str:
     for words, kinds in (("safe", ("safe",)), ("not safe", ("harmful", "worse")), ("undecided", ("undecided",))):
         names = [f"`{found.fidelity}`" for found in findings if found.learning in kinds]
         if names:
-            parts.append(f"{words}: {', '.join(names)}")
-    return f"**Learning `{task}`** by the shortcuts — {'; '.join(parts)}."
+            parts.append(f"{words} {', '.join(names)}")
+    return f"**Learning `{task}`** by shortcut: {'; '.join(parts)}."
 
 
 class Comparison(NamedTuple):
@@ -200,9 +200,9 @@ def statistics_sentence(setting: str, comparisons: Sequence[Comparison]) -> str:
     if not differing:
         sizes = [row.seen / abs(row.exact) for row in rows if row.exact]
         return (
-            f"`{setting}`: no difference from exact was found in {len(rows)} comparisons; a difference of the means of "
-            f"more than {100.0 * min(sizes):.1f} to {100.0 * max(sizes):.1f} %, by statistic, would have been seen with "
-            f"probability {POWER:g}."
+            f"`{setting}`: no difference from exact was found in {len(rows)} comparisons; a difference of the means "
+            f"of more than {100.0 * min(sizes):.1f} to {100.0 * max(sizes):.1f} %, by statistic, would have been seen "
+            f"with probability {POWER:g}."
         )
     most = max(differing, key=relative)
     return (
