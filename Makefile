@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 OLD_GYMNASIUM := .venv/gymnasium-1.2.2
 
-.PHONY: demo test benchmark speed readme clean
+.PHONY: demo test benchmark speed transfer readme clean
 .DELETE_ON_ERROR:
 
 demo: .venv/ready
@@ -21,6 +21,9 @@ benchmark: .venv/ready
 
 speed: .venv/ready
 	@$(BIN)/python scripts/speed.py
+
+transfer: .venv/ready
+	@$(BIN)/python scripts/transfer.py --total-steps 1000000 500000
 
 readme: .venv/ready
 	@$(BIN)/python scripts/readme.py

@@ -353,7 +353,7 @@ def test_an_interrupted_study_interrupts_its_trainings_and_says_how_to_go_on(
 
     with monkeypatch.context() as patched:
         patched.setattr(transfer, "_start", remember)
-        patched.setattr(transfer.time, "sleep", interrupt)
+        patched.setattr(time, "sleep", interrupt)
         command(patched, "--resume", str(stand_in), status=130)
     assert f"Go on with: python scripts/transfer.py --resume {stand_in}" in capsys.readouterr().err
     assert len(started) == 2
@@ -366,11 +366,11 @@ def test_refusals_of_the_command_line(
 ) -> None:
     (tmp_path / "docs").mkdir()
     monkeypatch.chdir(tmp_path)
-    for arguments, sentence in (
+    for arguments, refusal in (
         ("--resume study --episodes 7", "--resume goes on by the settings of its folder"),
         ("--resume docs", "docs is no study: it has no study.json"),
         ("--out no", "no is no folder to write a page in"),
         ("--folder docs", "docs exists, and runs are never overwritten"),
     ):
         command(monkeypatch, *arguments.split(), status=2)
-        assert sentence in capsys.readouterr().err
+        assert refusal in capsys.readouterr().err
