@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 import jackbox_env  # noqa: F401
 from agents import transfer
-from agents.inference import Estimate
+from agents.inference import Estimate, two_sided
 from agents.longrun import (
     DT,
     SETTINGS,
@@ -68,6 +68,14 @@ def test_comparisons_find_what_is_planted_and_nothing_else() -> None:
     nothing = statistics_sentence("exact again", list(rows.values()))
     assert "no difference from exact was found in 2 comparisons" in nothing
     assert "would have been seen with probability 0.8" in nothing
+
+
+def test_many_comparisons_raise_no_more_false_alarms_than_one() -> None:
+    rng = np.random.default_rng(10)
+    many = {name: {"rate": rng.normal(size=60)} for name in ("exact", *map(str, range(60)))}
+    rows = compare({"noise": many}, rng)
+    assert sum(two_sided(row.difference) < 0.025 for row in rows) >= 2  # what would be alarms by themselves
+    assert not any(row.differs for row in rows)
 
 
 def test_episodes_without_a_number_are_left_out_of_its_comparison() -> None:
@@ -158,9 +166,9 @@ def test_verdicts_in_words() -> None:
 
 
 def test_statistics_of_made_up_impacts() -> None:
-    # feet 0 and 1 in step 3 of 4, one at its very end; foot 2 twice in step 4
+    # feet 0 and 1 in step 3 of 4, one at its very end; foot 1 twice in step 4
     impacts = [Impact(2.5 * DT, 0, 0, 4.0), Impact(3.0 * DT, 0, 1, 1.0)]
-    impacts += [Impact(3.2 * DT, 1, 2, 2.0), Impact(3.3 * DT, 1, 2, 3.0)]
+    impacts += [Impact(3.2 * DT, 1, 1, 2.0), Impact(3.3 * DT, 1, 1, 3.0)]
     speeds, rates = np.array([1.0, 2.0, 3.0, 4.0]), np.array([-1.0, 1.0, -3.0, 3.0])
     seconds = 4 * DT
     found = {name: measure(impacts, speeds, rates) for name, measure in STATISTICS.items()}
