@@ -19,6 +19,7 @@ Floats = NDArray[np.float64]
 LEVEL = 0.05  # chance of a false alarm that is accepted
 POWER = 0.8  # chance with which "would have been seen" is meant
 _PERMUTATIONS = 9999
+_MOST_TRAININGS = 1000  # nobody trains more to settle a question
 _ENOUGH = 20  # as large: no further permutations are drawn
 _AT_ONCE = 500  # permutations held in memory together
 
@@ -97,6 +98,22 @@ def crossed_difference(one: ArrayLike, other: ArrayLike) -> Estimate:
     over_trainings = welch(a.mean(axis=1), b.mean(axis=1)).half_width
     over_starts = t_estimate(a.mean(axis=0) - b.mean(axis=0)).half_width
     return Estimate(float(a.mean() - b.mean()), math.hypot(over_trainings, over_starts))
+
+
+def trainings_needed(one: ArrayLike, other: ArrayLike, width: float) -> int | None:
+    """How many trainings of each kind make the half width of the difference of their means ``width``, > 0.
+
+    From what trainings came to, shape (trainings,) each, by their pooled spread; None for a single one of each.
+    """
+    a, b = (np.asarray(sample, dtype=np.float64) for sample in (one, other))
+    if len(a) + len(b) < 3:
+        return None
+    squares = float(((a - a.mean()) ** 2).sum() + ((b - b.mean()) ** 2).sum())
+    variance = squares / (len(a) + len(b) - 2)
+    count = 2
+    while count < _MOST_TRAININGS and student_quantile(2 * count - 2) * math.sqrt(2.0 * variance / count) > width:
+        count += 1
+    return count
 
 
 def welch(one: ArrayLike, other: ArrayLike) -> Estimate:

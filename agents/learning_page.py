@@ -49,6 +49,15 @@ def matrix_table(cells: Cells) -> list[str]:
     return lines
 
 
+def seeds_table(cells: Cells) -> list[str]:
+    """Mean returns on exact, training by training: one that learnt little stands out."""
+    count = len(next(iter(cells.trained.values()))[EXACT])
+    lines = [f"| trained on | {' | '.join(f'seed {seed}' for seed in range(count))} |", f"|---|{'---:|' * count}"]
+    for row, returns in cells.trained.items():
+        lines.append(f"| {row} | {' | '.join(f'{mean:.1f}' for mean in returns[EXACT].mean(axis=1))} |")
+    return lines
+
+
 def difference_table(cells: Cells, findings: Sequence[Finding]) -> list[str]:
     """The two differences the verdict stands on, for trained and for scripted policies."""
     lines = [
@@ -175,6 +184,7 @@ def page(
     for cells in results:
         lines += [f"## {cells.task}", "", f"![Returns of policies on each fidelity](learning_{cells.task}.png)", ""]
         lines += ["Mean return of an episode ± half its 95 % interval.", "", *matrix_table(cells), ""]
+        lines += ["Run on exact, training by training:", "", *seeds_table(cells), ""]
         lines += ["In percent of the return on exact, with 95 % intervals:", ""]
         lines += [*difference_table(cells, found[cells.task]), ""]
     lines += ["## Long-run statistics", ""]

@@ -229,10 +229,9 @@ def cell(folder: Path, settings: StudySettings, task: str, policy: str, fidelity
 
 
 def run_statistics(folder: Path, settings: StudySettings, progress: bool = True) -> dict[str, dict[str, Episodes]]:
-    """Long-run statistics, also under the first policy that was trained on exact for each task."""
-    policies: dict[str, Policy] = {
-        f"PPO on {task}": load_model(run_folder(folder, task, "exact", 0)) for task in settings.tasks
-    }
+    """Long-run statistics, also under the first policy that was trained on exact for the first task."""
+    task = settings.tasks[0]
+    policies: dict[str, Policy] = {f"PPO on {task}": load_model(run_folder(folder, task, "exact", 0))}
     return run_long(folder / "longrun", policies, settings.long_episodes, progress)
 
 

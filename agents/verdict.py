@@ -19,6 +19,7 @@ from agents.inference import (
     ks_statistic,
     ks_test,
     t_estimate,
+    trainings_needed,
     two_sided,
     welch,
     would_have_been_seen,
@@ -39,6 +40,7 @@ class Finding:
         own: mean return run on the fidelity trained on.
         loss: run on exact, trained on the fidelity less trained on exact.
         shift: trained on the fidelity, run on it less run on exact: what its own evaluation promises too much.
+        needed: trainings of each kind that would tell a loss of the margin from none; None where one is all there is.
     """
 
     task: str
@@ -47,6 +49,7 @@ class Finding:
     own: float
     loss: Estimate
     shift: Estimate
+    needed: int | None = None
 
     @property
     def learning(self) -> str:
@@ -79,6 +82,7 @@ def finding(task: str, trained: Mapping[str, Mapping[str, Floats]], fidelity: st
         own=float(own.mean()),
         loss=crossed_difference(on_exact, best),
         shift=crossed_estimate(own - on_exact),  # the same policies from the same starts: paired
+        needed=trainings_needed(on_exact.mean(axis=1), best.mean(axis=1), MARGIN * abs(float(best.mean()))),
     )
 
 
@@ -99,7 +103,7 @@ _LEARNING = {
     "safe": "is safe to learn on",
     "harmful": "is not safe to learn on",
     "worse": "is not safe to learn on (how much is lost is open)",
-    "undecided": "is undecided for learning: so few trainings do not tell",
+    "undecided": "is undecided for learning, so few trainings do not tell",
 }
 _PROMISE = {
     "honest": "its own returns are honest",
@@ -111,21 +115,36 @@ _PROMISE = {
 
 def sentence(found: Finding) -> str:
     """One finding in words, with the numbers it stands on."""
+    needed = f" (about {found.needed} of each would)" if found.learning == "undecided" and found.needed else ""
     return (
-        f"`{found.fidelity}` {_LEARNING[found.learning]}: run on exact, its policies earn "
+        f"`{found.fidelity}` {_LEARNING[found.learning]}{needed}: run on exact, its policies earn "
         f"{percent(found.loss, found.exact)} against those trained on exact. Measured on itself, "
         f"{_PROMISE[found.promise]}: {percent(found.shift, found.exact)} against what the same policies earn on exact."
     )
 
 
 def headline(task: str, findings: Sequence[Finding]) -> str:
-    """The verdict on a task in one line: what is safe, what is not, what is open."""
+    """The verdict on a task in one line: what is safe, what is not, what is open, and where policies carry over."""
+    learning = _grouped(
+        findings, "learning", {"safe": ("safe",), "not safe": ("harmful", "worse"), "undecided": ("undecided",)}
+    )
+    promise = _grouped(
+        findings, "promise", {"yes": ("honest",), "no": ("too high", "too low"), "undecided": ("undecided",)}
+    )
+    return (
+        f"**Learning `{task}` by shortcut**: {learning}. Does a policy earn on exact what it earned on the shortcut it "
+        f"was trained on, within {MARGIN:.0%}? {promise[0].upper()}{promise[1:]}."
+    )
+
+
+def _grouped(findings: Sequence[Finding], question: str, answers: Mapping[str, tuple[str, ...]]) -> str:
+    """Fidelities by their answer to a question: ``safe `accurate`; not safe `fast```."""
     parts = []
-    for words, kinds in (("safe", ("safe",)), ("not safe", ("harmful", "worse")), ("undecided", ("undecided",))):
-        names = [f"`{found.fidelity}`" for found in findings if found.learning in kinds]
+    for words, kinds in answers.items():
+        names = [f"`{found.fidelity}`" for found in findings if getattr(found, question) in kinds]
         if names:
             parts.append(f"{words} {', '.join(names)}")
-    return f"**Learning `{task}`** by shortcut: {'; '.join(parts)}."
+    return "; ".join(parts)
 
 
 class Comparison(NamedTuple):

@@ -56,7 +56,8 @@ def write(
     for cells in results:
         rows = {name: [crossed_estimate(row[other]) for other in row] for name, row in cells.trained.items()}
         scripted = {name: [float(row[other].mean()) for other in row] for name, row in cells.baselines.items()}
-        transfer_figure(out / f"learning_{cells.task}.png", cells.task, rows, scripted)
+        seeds = {name: [row[other].mean(axis=1).tolist() for other in row] for name, row in cells.trained.items()}
+        transfer_figure(out / f"learning_{cells.task}.png", cells.task, rows, seeds, scripted)
     text = page(folder, settings, results, runs, comparisons)
     data = as_json(folder, settings, results, runs, comparisons)
     (out / "learning.json").write_text(json.dumps(data) + "\n")

@@ -18,6 +18,7 @@ from agents.inference import (
     student_probability,
     student_quantile,
     t_estimate,
+    trainings_needed,
     two_sided,
     welch,
     would_have_been_seen,
@@ -79,6 +80,14 @@ def test_pairing_by_start_takes_the_starts_out_of_a_difference() -> None:
     one, other = drawn(rng, starts, 3), drawn(rng, starts, 3)
     assert crossed_difference(one, other).half_width < 12.0
     assert crossed_difference(one, rng.permuted(other, axis=1)).half_width > 20.0
+
+
+def test_the_trainings_needed_make_the_interval_as_narrow_as_asked() -> None:
+    # pooled variance (2 + 2) / 4 = 1: t_18 sqrt(2 / 10) = 0.940, t_16 sqrt(2 / 9) = 0.999
+    assert trainings_needed([1.0, 2.0, 3.0], [11.0, 12.0, 13.0], 0.95) == 10
+    assert trainings_needed([1.0, 2.0, 3.0], [11.0, 12.0, 13.0], 1.0) == 9
+    assert trainings_needed([1.0, 1.0], [2.0, 2.0], 0.1) == 2
+    assert trainings_needed([1.0], [2.0], 0.1) is None
 
 
 # -- tests of equality ------------------------------------------------------------------------------------------------

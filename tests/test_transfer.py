@@ -150,6 +150,7 @@ def test_findings_come_from_the_right_cells() -> None:
     assert found.loss.mean == pytest.approx(-20.0, abs=1.0)
     assert found.shift.mean == pytest.approx(40.0, abs=1.0)
     assert (found.learning, found.promise) == ("harmful", "too high")
+    assert found.needed == 2  # seeds differ by about 1/8, the margin is 5
     assert baseline_shift({"fast": returns(9.0)[0], "exact": returns(7.0)[0]}, "fast").mean == pytest.approx(2, abs=0.6)
 
 
@@ -159,7 +160,12 @@ def test_verdicts_in_words() -> None:
         "`fast` is not safe to learn on: run on exact, its policies earn -10.0 % (-12.0 to -8.0) against those"
     )
     assert "its own returns promise too much: +20.0 % (+17.0 to +23.0)" in sentence(bad)
-    assert headline("juggle", [bad, good]) == "**Learning `juggle`** by shortcut: safe `accurate`; not safe `fast`."
+    assert headline("juggle", [bad, good]) == (
+        "**Learning `juggle` by shortcut**: safe `accurate`; not safe `fast`. Does a policy earn on exact what it "
+        "earned on the shortcut it was trained on, within 5%? Yes `accurate`; no `fast`."
+    )
+    open_one = replace(made_up((0.0, 9.0)), needed=12)
+    assert "is undecided for learning, so few trainings do not tell (about 12 of each would): run" in sentence(open_one)
 
 
 # -- the long run -----------------------------------------------------------------------------------------------------
@@ -326,7 +332,8 @@ def test_a_small_study_from_end_to_end_and_its_page_again_without_training(
     monkeypatch.chdir(tmp_path)
     command(monkeypatch, *small.split(), "--folder", "study")
     page = (tmp_path / "docs" / "learning.md").read_text()
-    assert page.splitlines()[2] == "**Learning `juggle`** by shortcut: undecided `fast`."  # one training tells nothing
+    # one training tells nothing
+    assert page.splitlines()[2].startswith("**Learning `juggle` by shortcut**: undecided `fast`. Does a policy")
     data = json.loads((tmp_path / "docs" / "learning.json").read_text())
     returns = data["returns"]["juggle"]["trained"]["fast"]["exact"]
     assert f"| PPO, fast | {np.mean(data['returns']['juggle']['trained']['fast']['fast']):.1f} ± inf |" in page
