@@ -205,12 +205,14 @@ def as_json(
 ) -> dict[str, Any]:
     """Everything on the page and each return."""
 
+    begun = json.loads((folder / "study_run.json").read_text())
+
     def plain(returns: Mapping[str, Any]) -> dict[str, Any]:
         return {name: np.round(values, 2).tolist() for name, values in returns.items()}
 
     return {
         "settings": asdict(settings),
-        "trained": json.loads((folder / "study_run.json").read_text()),
+        "trained": {"started": begun["started"], "versions": begun["versions"]},
         "run": {"versions": versions(), "machine": machine()},
         "margin": MARGIN,
         "findings": [
