@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 OLD_GYMNASIUM := .venv/gymnasium-1.2.2
 
-.PHONY: demo test benchmark benchmark-quick throughput speed costs extremes readme clean
+.PHONY: demo test benchmark benchmark-quick throughput speed costs extremes transfer readme clean
 .DELETE_ON_ERROR:
 
 demo: .venv/ready
@@ -35,6 +35,9 @@ costs: .venv/ready
 
 extremes: .venv/ready
 	@JACKBOX_EXTREMES=full $(BIN)/python -m pytest -q tests/extremes
+
+transfer: .venv/ready
+	@$(BIN)/python scripts/transfer.py --total-steps 1000000 500000
 
 readme: .venv/ready
 	@$(BIN)/python scripts/readme.py

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from jackbox_env import Scene
 from jackbox_env import _validation as check
+from jackbox_env.fidelity import FIDELITIES, Setting, resolve
 
 
 @dataclass(frozen=True)
@@ -16,18 +17,21 @@ class EnvSettings:
 
     task: Literal["juggle", "spin", "rattle"] = "juggle"
     """What is rewarded."""
-    contact: str = "pymunk"
-    """Contact model: pymunk or exact."""
+    contact: str | None = None
+    """Contact model: pymunk or exact; None: the fidelity's, or pymunk."""
     substeps: int | None = None
-    """Engine steps per control step; None: the contact model's default."""
+    """Engine steps per control step; None: the fidelity's, or the contact model's default."""
     control_dt: float = 0.02
     """Duration of a control step [s]."""
     scene: str = "{}"
     """Fields of the scene that differ from the default, as JSON, e.g. '{"gravity": 1.62}'."""
+    fidelity: str | None = None
+    """A name for contact and substeps: fast, balanced, accurate or exact; what these say themselves wins."""
 
     def __post_init__(self) -> None:
-        """Refuse a scene that is no scene; the environment checks the rest."""
+        """Refuse a scene that is no scene and a name that is none; the environment checks the rest."""
         Scene.of(self.scene_fields)
+        resolve(self.fidelity, self.contact, self.substeps)
 
     @property
     def scene_fields(self) -> dict[str, Any]:
@@ -53,7 +57,14 @@ class EnvSettings:
             "substeps": self.substeps,
             "control_dt": self.control_dt,
             "scene": self.scene_fields,
+            "fidelity": self.fidelity,
         }
+
+    @property
+    def setting(self) -> Setting:
+        """The contact model that is meant, whatever words say it."""
+        setting = resolve(self.fidelity, self.contact, self.substeps)
+        return FIDELITIES["balanced"] if setting == Setting("pymunk") else setting  # pymunk's default has that name
 
 
 @dataclass(frozen=True)

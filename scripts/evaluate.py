@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -47,7 +47,8 @@ def warn_of_other_training(name: str, here: EnvSettings) -> None:
         trained = EnvSettings(
             **{part.name: getattr(read_settings(Path(name)), part.name) for part in fields(EnvSettings)}
         )
-        if trained != here:
+        same = replace(trained, contact=here.contact, substeps=here.substeps, fidelity=here.fidelity) == here
+        if trained.setting != here.setting or not same:  # several words say the same setting
             print(f"Note: {name} was trained in another environment ({describe_env(trained)})", file=sys.stderr)
 
 

@@ -18,16 +18,18 @@ class Arguments:
     """Simulated time [s]."""
     dt: float = 0.02
     """Time between stored states [s]."""
-    contact: str = "pymunk"
-    """Contact model."""
+    contact: str | None = None
+    """Contact model: pymunk or exact; None: the fidelity's, or pymunk."""
     substeps: int | None = None
-    """Engine steps per dt; None: the contact model's default."""
+    """Engine steps per dt; None: the fidelity's, or the contact model's default."""
     scene: str = "{}"
     """Fields of the scene that differ from the default, as JSON, e.g. '{"gravity": 1.62}'."""
     state: str | None = None
     """The 12 numbers to start from, as a JSON list; None: box and jack at rest at the origin."""
     time: float = 0.0
     """Time at the start [s], which the drive sees."""
+    fidelity: str | None = None
+    """A name for contact and substeps: fast, balanced, accurate or exact; what these say themselves wins."""
     folder: Path | None = None
     """New folder for the files; None: runs/simulate-<date>-<time>."""
     format: Literal["csv", "npz"] = "csv"
@@ -47,6 +49,7 @@ def main() -> None:
     from agents.trajectory import simulate, write_csv, write_npz
     from jackbox_env import Scene, make_simulator
     from jackbox_env import _validation as check
+    from jackbox_env.fidelity import resolve
     from jackbox_env.mechanics import as_start
 
     check.real("seconds", arguments.seconds, above=0.0, at_most=1e6)
@@ -55,8 +58,9 @@ def main() -> None:
         raise ValueError(f"dt must be at most seconds = {arguments.seconds:g}, got {arguments.dt:g}")
     if arguments.seconds / arguments.dt > 1e8:
         raise ValueError(f"seconds / dt must be at most 1e8 steps, got {arguments.seconds / arguments.dt:g}")
+    setting = resolve(arguments.fidelity, arguments.contact, arguments.substeps)
     scene = Scene.of(EnvSettings(scene=arguments.scene).scene_fields)
-    simulator = make_simulator(scene, contact=arguments.contact, substeps=arguments.substeps)
+    simulator = make_simulator(scene, **setting._asdict())
     if arguments.state is not None:
         try:
             state = json.loads(arguments.state)

@@ -30,6 +30,7 @@ from agents.runs import describe, new_folder, read_settings
 from agents.settings import EnvSettings, TrainSettings
 from agents.trajectory import simulate, write_npz
 from jackbox_env import Scene, make_simulator
+from jackbox_env.fidelity import Setting
 from tests.states import load
 
 ROOT = Path(__file__).parents[1]
@@ -354,7 +355,7 @@ def test_simulate_writes_states_impacts_and_four_plots(tmp_path: Path) -> None:
 
 
 def test_simulate_by_the_exact_model_gives_the_reference(tmp_path: Path) -> None:
-    script("simulate", "--contact", "exact", "--seconds", "3", "--no-plots", "--folder", "out", cwd=tmp_path)
+    script("simulate", "--fidelity", "exact", "--seconds", "3", "--no-plots", "--folder", "out", cwd=tmp_path)
     with (tmp_path / "out" / "impacts.csv").open() as file:
         times = [float(row["time"]) for row in csv.DictReader(file)]
     known = [hit["time"] for hit in load("seed_scene")[0]["impacts"] if hit["time"] < 3.0]
@@ -414,6 +415,8 @@ def test_evaluate_compares_policies_and_writes_json(tmp_path: Path, run: Path) -
     assert f"{stored['results'][0]['mean']:.1f}" in done.stdout
     assert "4 episodes each, seed 0, task spin, substeps 2" in done.stdout
     assert f"Note: {run} was trained in another environment (task juggle, default scene)" in done.stderr
+    same = script("evaluate", "--policy", str(run), "--episodes", "2", "--fidelity", "balanced", cwd=tmp_path)
+    assert "Note:" not in same.stderr  # another word for the same
     assert "is no folder" in script("evaluate", "--json", "no/out.json", cwd=tmp_path, status=2).stderr
     assert "never overwritten" in script("evaluate", *arguments, cwd=tmp_path, status=2).stderr
 
@@ -452,10 +455,29 @@ def test_the_demo_runs_end_to_end_when_made_small(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["train", "evaluate", "simulate", "play", "demo", "benchmark", "readme", "speed", "containment"]
+    "name", ["train", "evaluate", "simulate", "play", "demo", "benchmark", "readme", "speed", "containment", "transfer"]
 )
 def test_every_command_line_explains_itself(name: str, tmp_path: Path) -> None:
     assert "show this help message" in script(name, "--help", cwd=tmp_path).stdout
+
+
+def test_the_words_for_a_contact_setting_mean_one_setting() -> None:
+    default = make_simulator(Scene())
+    assert EnvSettings().setting == Setting("pymunk", default.substeps)  # type: ignore[attr-defined]
+    assert EnvSettings(fidelity="balanced").setting == EnvSettings(contact="pymunk").setting
+    assert EnvSettings(fidelity="exact").setting == EnvSettings(contact="exact").setting == Setting("exact")
+    assert EnvSettings(fidelity="fast", substeps=8).setting == Setting("pymunk", 8)
+    with pytest.raises(ValueError, match="fidelity must be one of 'fast', 'balanced', 'accurate', 'exact', got 'slow'"):
+        EnvSettings(fidelity="slow")
+    env: Any = gym.make("JackInBox-v0", **EnvSettings(fidelity="exact").env_settings).unwrapped
+    assert env.contact == "exact"
+
+
+def test_a_run_from_before_fidelities_had_names_loads(tmp_path: Path) -> None:
+    old = asdict(TINY)
+    del old["fidelity"]
+    (tmp_path / "settings.json").write_text(json.dumps({**old, "contact": "pymunk"}))
+    assert read_settings(tmp_path).setting == TINY.setting
 
 
 def test_env_settings_are_keyword_arguments_of_make() -> None:
