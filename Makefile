@@ -19,7 +19,7 @@ test: .venv/ready $(OLD_GYMNASIUM)/ready
 
 # Speed against accuracy: the full sweep writes docs/accuracy.md, the quick one (2 minutes) only its run folder.
 benchmark: .venv/ready
-	@$(BIN)/python scripts/benchmark.py
+	@$(BIN)/python scripts/benchmark.py --out docs
 
 benchmark-quick: .venv/ready
 	@$(BIN)/python scripts/benchmark.py --quick --no-progress

@@ -24,7 +24,7 @@ class Arguments:
     """Sweep; an interrupted sweep is taken up again by the same command."""
 
     quick: bool = False
-    """Two minutes: fewer settings, cases and rounds; writes to its run folder only."""
+    """Two minutes: fewer settings, cases and rounds."""
     cases: int | None = None
     """Seeded cases of each kind (chirp, held, weightless); None: 100, or 5 when quick."""
     rounds: int | None = None
@@ -33,8 +33,8 @@ class Arguments:
     """Time per measurement of cost [s]."""
     folder: Path | None = None
     """Run folder to make or to go on in; None: an unfinished one of the same sweep, or runs/benchmark-<date>-<time>."""
-    out: Path = Path("docs")
-    """Where the page goes, its files beside it in accuracy/; a quick sweep leaves it alone."""
+    out: Path | None = None
+    """Where the page goes as well, its files beside it in accuracy/, e.g. docs; None: into the run folder only."""
     progress: bool = True
     """Show progress bars."""
 
@@ -102,7 +102,7 @@ def how(arguments: Arguments, before: tuple[float, float]) -> list[str]:
     from scripts.speed import meanwhile
 
     known = versions((*(name for name in PACKAGES if name != "torch"), "numba", "mujoco", "box2d"))
-    command = "make benchmark-quick" if arguments.quick else "make benchmark"
+    command = " ".join(["python scripts/benchmark.py", *sys.argv[1:]])
     return [
         f"Written by `{command}`: {arguments.cases} seeded cases of each kind; costs are medians (smallest to largest) "
         f"over {arguments.rounds} interleaved rounds after one to warm up, at least {arguments.seconds:g} s each.",
@@ -124,14 +124,15 @@ def write(results: dict[str, Any], folder: Path, out: Path | None) -> None:
     pictures.interactive(results, folder / INTERACTIVE)
     page.write_csv(results, folder / TABLE)
     (folder / PAGE).write_text(page.page(results, PICTURE, INTERACTIVE, [f"[{name}]({name})" for name in files]))
-    write_json(folder / RESULTS, results)
     if out is not None:
         beside = out / "accuracy"
         beside.mkdir(exist_ok=True)
-        for name in (PICTURE, INTERACTIVE, *files):
+        for name in (PICTURE, INTERACTIVE, TABLE):
             shutil.copyfile(folder / name, beside / name)
+        write_json(beside / RESULTS, results)
         links = [f"[{name}](accuracy/{name})" for name in files]
         (out / PAGE).write_text(page.page(results, f"accuracy/{PICTURE}", f"accuracy/{INTERACTIVE}", links))
+    write_json(folder / RESULTS, results)  # last: the sweep is finished
 
 
 def resolved(arguments: Arguments) -> Arguments:
@@ -143,7 +144,7 @@ def resolved(arguments: Arguments) -> Arguments:
     check.whole("cases", cases, at_least=2)
     check.whole("rounds", rounds, at_least=1)
     check.real("seconds", arguments.seconds, above=0.0)
-    if not arguments.quick and not arguments.out.is_dir():
+    if arguments.out is not None and not arguments.out.is_dir():
         raise FileNotFoundError(f"{arguments.out} is no folder to write a page in")
     return dataclasses.replace(arguments, cases=cases, rounds=rounds)
 
@@ -154,6 +155,9 @@ def main() -> None:
     import tyro
 
     arguments = resolved(tyro.cli(Arguments, description=__doc__))
+    import bokeh  # noqa: F401  # refused now rather than after the sweep
+    import matplotlib  # noqa: F401
+
     from scripts.sweep.page import fidelity_table
     from scripts.sweep.records import open_folder
     from scripts.sweep.settings import settings
@@ -170,11 +174,11 @@ def main() -> None:
         print(f"\nInterrupted; the same command goes on in {folder}", file=sys.stderr)
         raise
     results |= {"arguments": asked, "how": how(arguments, before)}
-    write(results, folder, None if arguments.quick else arguments.out)
+    write(results, folder, arguments.out)
     print("\n".join(fidelity_table(results)))
     for what, seen, holds in results["claims"]:
         print(f"{'holds' if holds else 'FAILS'}: {what}: {seen}")
-    print(f"Wrote {folder}" if arguments.quick else f"Wrote {arguments.out / PAGE} and {folder}")
+    print(f"Wrote {folder}" + (f" and {arguments.out / PAGE}" if arguments.out else ""))
     failed = [what for what, _, holds in json.loads(json.dumps(results["claims"])) if not holds]
     if failed:
         raise RuntimeError(f"{len(failed)} claims do not hold: " + "; ".join(failed))

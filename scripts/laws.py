@@ -251,9 +251,9 @@ class Books:
 def _opposite_walls_at_once(run: Simulator) -> bool:
     """Whether feet overlapped with opposite walls in one substep.
 
-    They have next to no leverage on one another, and pymunk's contact solver stops far from rounding level. It divides
-    such steps further, but those of scenes with losses it takes in the end, as the head of ``simulators/pymunk.py``
-    says: they stay out of the balance of energy.
+    They have next to no leverage on one another, and pymunk's contact solver stops far from rounding level. In a scene
+    with losses it takes such steps as they are, as the head of ``simulators/pymunk.py`` says: they stay out of the
+    balance of energy.
     """
     return any(
         one.time == other.time and one.wall + 2 == other.wall for one, other in itertools.permutations(run.impacts, 2)

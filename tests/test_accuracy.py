@@ -13,6 +13,7 @@ from jackbox_env.accuracy import (
     Case,
     Course,
     Reference,
+    at_ends,
     between,
     compare,
     follow,
@@ -246,6 +247,45 @@ def test_restarts_count_what_is_missed_and_what_is_extra() -> None:
     coward = restarts(Coward(WEIGHTLESS), case, reference)
     assert coward.errors == [math.inf]
     assert coward.missed == 1
+
+
+def test_a_model_without_impacts_misses_all_that_could_be_seen_and_one_that_tells_them_twice_adds_as_many() -> None:
+    class Stutter(ExactSimulator):
+        @property
+        def impacts(self) -> list[Impact]:
+            return [hit for hit in super().impacts for _ in range(2)]
+
+    case = Case("chirp", Scene(), sample_start(Scene(), np.random.default_rng(5)), 500)
+    reference = reference_of(case)
+    ghost = restarts(Ghost(case.scene), case, reference)
+    assert ghost.missed == ghost.impacts > 5
+    twice = restarts(Stutter(case.scene), case, reference)
+    assert (twice.missed, twice.extra) == (0, twice.impacts)
+    honest = restarts(make_simulator(case.scene, "exact"), case, reference)
+    assert (honest.missed, honest.extra) == (0, 0)
+
+
+def test_steps_too_long_to_be_played_once_more_tell_nothing_rather_than_something_wrong() -> None:
+    # a second of a box at some 50 rad/s: hundreds of impacts in one step, each multiplies the replay's rounding by 5
+    scene = Scene(drive=None)
+    start = np.zeros(12)
+    start[[3, 5, 8]] = 0.5, 0.3, 60.0
+    case = Case("fast box", scene, start, 20, None, 1.0)
+    exact = make_simulator(scene, "exact")
+    course = follow(exact, case)
+    assert len(course.impacts) > 1000
+    assert math.isnan(course.depth)
+    assert math.isnan(course.imbalance)
+    ends = follow(exact, case, at_ends)
+    assert -1.0 < ends.depth < 1e-9
+    assert math.isnan(ends.imbalance)
+
+
+def test_references_far_off_are_no_surer_than_near_the_origin() -> None:
+    case = Case("chirp", Scene(), sample_start(Scene(), np.random.default_rng(5)), 1000)
+    far = case.state.copy()
+    far[[0, 3]] += 1e5
+    assert reference_of(case._replace(state=far)).sure <= reference_of(case).sure
 
 
 def test_quantities_are_plain_numbers() -> None:

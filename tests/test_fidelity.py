@@ -113,6 +113,38 @@ def test_scenes_with_side_forces_and_own_starts_are_measured() -> None:
     assert -1e-9 < chosen.penetration < 1e-9
 
 
+def test_settings_that_lose_the_jack_or_hit_elsewhere_will_not_do_whatever_the_bounds() -> None:
+    # 1000 times the torque: coarse substeps of pymunk cannot follow
+    wild = {"torque_limit": 9e7}
+    assert cheapest(wild, cases=2, steps=100).setting == Setting("exact", None)
+    lossy = cheapest({**wild, "restitution": 0.5}, cases=2, steps=100)
+    assert (lossy.setting.substeps or 0) > 1
+    assert math.isfinite(lossy.first_impact_error + lossy.penetration)
+    # a jack that turns by a quarter in each control step: dips into walls that no step of pymunk sees
+    spinner = np.zeros(12)
+    spinner[[3, 5, 11]] = 0.35, math.pi / 4.0, math.pi / 2.0 / 0.02
+    scene = {"gravity": 0.0, "drive": None, "box_half_width": 0.8, "jack_arm": 0.5, "torque_limit": 1e-9}
+    chosen = cheapest({**scene, "restitution": 0.99}, states=[spinner], cases=1, steps=50)
+    assert (chosen.setting.substeps or 0) > 1
+    assert math.isfinite(chosen.first_impact_error)
+
+
+def test_the_exact_model_is_not_blamed_for_steps_too_long_to_look_into() -> None:
+    chosen = cheapest(control_dt=1.0, cases=2, steps=20, penetration=0.01, first_impact_error=0.001)
+    assert chosen.setting == Setting("exact", None)
+    assert chosen.penetration < 1e-9
+
+
+def test_feet_that_touch_together_are_the_first_impact_in_any_order() -> None:
+    # straight into a corner: pymunk lets one of four redundant contacts go without impulse
+    start = np.zeros(12)
+    start[[5, 9, 10]] = math.pi / 4.0, 3.0, 3.0
+    scene = {"gravity": 0.0, "drive": None, "torque_limit": 1e-9}
+    chosen = cheapest({**scene, "restitution": 0.9}, states=[start], cases=1, steps=200)
+    assert chosen.setting == Setting("pymunk", 1)
+    assert chosen.first_impact_error < 0.02
+
+
 def test_the_choice_makes_an_environment() -> None:
     choice = cheapest({"restitution": 0.5}, first_impact_error=0.01, cases=2)
     assert isinstance(choice, Choice)

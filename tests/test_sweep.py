@@ -122,11 +122,12 @@ def test_claims_hold_in_the_stored_results_and_each_fails_where_it_is_broken(sto
         lambda s, r: s[exact]["kinds"][digits]["flight"].update(worst=1e-9),
         lambda s, r: s[exact]["kinds"][seeds]["depth"].update(worst=1e-6),
         lambda s, r: s[coarse]["kinds"][seeds]["first_1"].update(worst=0.011),
+        lambda s, r: s[coarse]["kinds"][seeds].update(with_impacts=10**6),
         lambda s, r: r["orders"]["first_1"].update(order=0.5),
         lambda s, r: s[coarse]["kinds"][seeds].update(escaped=1),
     ]
-    assert [len(broken(change)) for change in breakages] == [1] * len(summary.claims(stored))
-    assert len({broken(change)[0] for change in breakages}) == len(breakages)
+    assert [len(broken(change)) for change in breakages] == [1] * len(breakages)
+    assert len({broken(change)[0] for change in breakages}) == len(summary.claims(stored))
 
 
 # -- records -----------------------------------------------------------------------------------------------------------
@@ -175,6 +176,28 @@ def few_settings(quick: bool) -> list[settings.Setting]:
 
 
 settings_of = settings.settings
+
+
+def test_a_folder_whose_arguments_were_cut_short_is_not_gone_on_with(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    broken = tmp_path / "runs" / "benchmark-0"
+    broken.mkdir(parents=True)
+    (broken / records.ARGUMENTS).write_text('{"quick": tr')
+    assert records.open_folder({"quick": True}, None, "benchmark") != broken
+
+
+def test_what_draws_the_pictures_is_asked_for_before_the_sweep(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, "bokeh", None)
+    monkeypatch.setattr(sys, "argv", ["benchmark.py", "--quick"])
+    with pytest.raises(SystemExit):
+        benchmark.main()
+    assert "this command needs more packages" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_interrupted_sweep_goes_on_to_the_records_of_an_uninterrupted_one(

@@ -13,8 +13,8 @@ Fails: a step in which a foot could move further than min(1 m, L) within a subst
     it sank v h into, which gives back up to m_j g v h of what the impact lost. A jack inertia far below m_j l^2 couples
     the feet so strongly that the contact solver needs more iterations: they are chosen by the scene, and scenes that
     want more than 100,000 are refused. A jack with an arm longer than L can be wedged: feet deep in opposite walls have
-    next to no leverage, and no number of iterations is enough. Where energy is not kept such a step is divided further
-    as well; if that does not help an elastic scene raises, and one with losses loses up to some percent more.
+    next to no leverage, and no number of iterations is enough. Where an elastic scene does not keep its energy over
+    such a step it is divided further as well, and refused if that does not help; one with losses loses percents more.
 Reference: Catto 2005, "Iterative dynamics with temporal coherence"; pymunk 7.3 (Munk2D).
 
 How the engine is held to the law:
@@ -186,8 +186,8 @@ class PymunkSimulator:
             self._recorder.start(self.time)
             after = self._advance(h, load, push)
             moves = -clearance(self.scene, after)
-            wedged = self._recorder.wedged and not self._resolved(after, dt, torque)
-            if wedged and (finer < _FINER[-1] or self.scene.restitution == 1.0):
+            wedged = self.scene.restitution == 1.0 and self._recorder.wedged and not self._resolved(after, dt, torque)
+            if wedged:
                 self._forget_contacts()
                 continue
             if moves <= self._deepest and math.isfinite(sum(after)):
@@ -214,7 +214,7 @@ class PymunkSimulator:
         work = replayed(scene, before, time, self._recorder.impacts, time + dt, torque).work
         kinetic = energy_of(scene, before) - scene.jack_mass * scene.gravity * before[4]
         gained = energy_of(scene, after) - energy_of(scene, before)
-        return scene.restitution == 1.0 and abs(gained - work) <= _UNRESOLVED * (kinetic + abs(work))
+        return abs(gained - work) <= _UNRESOLVED * (kinetic + abs(work))
 
     def _refuse_runaway(self, dt: float) -> None:
         """Refuse motion that would overflow the engine's spatial hash, which may loop forever on it."""

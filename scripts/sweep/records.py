@@ -14,20 +14,21 @@ import os
 from pathlib import Path
 from typing import Any
 
-from agents.runs import new_folder, write_json
+from agents.runs import new_folder, versions, write_json
 from jackbox_env.accuracy import Case, Reference, compare, follow, quantities, restarts
 from scripts.sweep.settings import Setting, look_of
 
 ROOT = Path(__file__).parents[2]
 ARGUMENTS, RECORDS, RESULTS = "arguments.json", "records.jsonl", "results.json"
-_MEASURED = ("jackbox_env", "scripts/sweep", "scripts/rivals")
+_MEASURED = ("jackbox_env", "scripts/sweep", "scripts/rivals", "tests/data")
+_ENGINES = ("numpy", "numba", "pymunk", "mujoco", "box2d")
 
 
 def digest() -> str:
     """A digest of all code that a measurement depends on."""
     text = hashlib.sha256()
     for folder in _MEASURED:
-        for path in sorted((ROOT / folder).rglob("*.py")):
+        for path in sorted([*(ROOT / folder).rglob("*.py"), *(ROOT / folder).glob("*.json")]):
             text.update(path.relative_to(ROOT).as_posix().encode() + path.read_bytes())
     return text.hexdigest()[:16]
 
@@ -38,7 +39,7 @@ def open_folder(arguments: dict[str, Any], folder: Path | None, kind: str) -> Pa
     Raises:
         FileExistsError: ``folder`` holds something else, or a finished sweep.
     """
-    asked = {**arguments, "code": digest()}
+    asked = {**arguments, "code": digest(), "engines": {name: versions((name,))[name] for name in _ENGINES}}
     if folder is None:
         runs = sorted(Path("runs").glob(f"{kind}-*"), reverse=True)
         folder = next((run for run in runs if _unfinished(run, asked)), None)
@@ -55,8 +56,11 @@ def open_folder(arguments: dict[str, Any], folder: Path | None, kind: str) -> Pa
 
 
 def _unfinished(folder: Path, asked: dict[str, Any]) -> bool:
-    path = folder / ARGUMENTS
-    return path.is_file() and json.loads(path.read_text()) == asked and not (folder / RESULTS).exists()
+    try:
+        found = json.loads((folder / ARGUMENTS).read_text())
+    except (OSError, json.JSONDecodeError):
+        return False
+    return bool(found == asked) and not (folder / RESULTS).exists()
 
 
 def read(folder: Path) -> dict[tuple[str, str], dict[str, Any]]:
