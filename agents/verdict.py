@@ -144,7 +144,7 @@ def _needed(found: Finding) -> str:
     if found.trainings < 2:
         return ""
     if found.starts >= found.margin:
-        return f" (nor would any number: more episodes are needed, the starts alone leave more than the margin)"
+        return " (nor would any number: more episodes are needed, the starts alone leave more than the margin)"
     if found.needed is None:
         return f" (more than {MOST_TRAININGS:,} of each would be needed)"
     return f" (at least about {max(found.needed, found.trainings + 1)} of each would)"

@@ -225,8 +225,8 @@ def test_verdicts_in_words() -> None:
     )
     assert "its own returns promise too much: +20.0 % (+17.0 to +23.0)" in sentence(bad)
     assert headline("juggle", [bad, good]) == (
-        "**Learning `juggle` by shortcut**: safe on average `accurate`; not safe `fast`. Does a policy earn on exact what it "
-        "earned on the shortcut it was trained on, within 5%? Yes `accurate`; no `fast`."
+        "**Learning `juggle` by shortcut**: safe on average `accurate`; not safe `fast`. Does a policy earn on exact "
+        "what it earned on the shortcut it was trained on, within 5%? Yes `accurate`; no `fast`."
     )
     assert sentence(good).startswith(
         "`accurate` is safe on average to learn on: run on exact, its policies earn +1.0 %"
