@@ -132,9 +132,9 @@ METHOD = """\
   all together.
 - Safe: the interval of what is lost on average, run on exact, stays above -{margin:.0%} of the return of training on
   exact. Harmful: it lies below that; worse: it lies below 0; undecided: else. The margin was chosen beforehand. Honest:
-  a fidelity's own return is within {margin:.0%} of what the same policies earn on exact. The intervals take trainings as
-  normally distributed; so few cannot show that none fails. Trainings that would tell: so many of each that, if nothing
-  is lost, safe comes out with probability {power:g}, by the spread of those there are.
+  a fidelity's own return is within {margin:.0%} of what the same policies earn on exact. The intervals take trainings
+  as normally distributed; so few cannot show that none fails. Trainings that would tell: so many of each that, if
+  nothing is lost, safe comes out with probability {power:g}, by the spread of those there are.
 - Statistics: {long:,} episodes of {steps} steps of {dt:g} s for each torque and setting, each with its own starts and
   torques, so that the samples are independent. Every statistic is one number per episode, because what follows within
   an episode is correlated. Two tests each: of the means (Welch) and of the distributions (Kolmogorov and Smirnov's
