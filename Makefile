@@ -37,7 +37,7 @@ extremes: .venv/ready
 	@JACKBOX_EXTREMES=full $(BIN)/python -m pytest -q tests/extremes
 
 transfer: .venv/ready
-	@$(BIN)/python scripts/transfer.py --seeds 5 --total-steps 1000000 500000
+	@$(BIN)/python scripts/transfer.py --seeds 5 --total-steps 1000000 500000 --out docs
 
 readme: .venv/ready
 	@$(BIN)/python scripts/readme.py

@@ -7,6 +7,7 @@ enters as one number.
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Sequence
 from statistics import NormalDist
 from typing import Any, NamedTuple
@@ -19,7 +20,7 @@ Floats = NDArray[np.float64]
 LEVEL = 0.05  # chance of a false alarm that is accepted
 POWER = 0.8  # chance with which "would have been seen" is meant
 _PERMUTATIONS = 9999
-_MOST_TRAININGS = 1000  # nobody trains more to settle a question
+MOST_TRAININGS = 1000  # nobody trains more to settle a question
 _ENOUGH = 20  # as large: no further permutations are drawn
 _AT_ONCE = 500  # permutations held in memory together
 
@@ -96,24 +97,48 @@ def crossed_difference(one: ArrayLike, other: ArrayLike) -> Estimate:
     """
     a, b = (np.asarray(table, dtype=np.float64) for table in (one, other))
     over_trainings = welch(a.mean(axis=1), b.mean(axis=1)).half_width
-    over_starts = t_estimate(a.mean(axis=0) - b.mean(axis=0)).half_width
-    return Estimate(float(a.mean() - b.mean()), math.hypot(over_trainings, over_starts))
+    return Estimate(float(a.mean() - b.mean()), math.hypot(over_trainings, starts_half_width(a, b)))
 
 
-def trainings_needed(one: ArrayLike, other: ArrayLike, width: float) -> int | None:
-    """How many trainings of each kind make the half width of the difference of their means ``width``, > 0.
+def starts_half_width(one: ArrayLike, other: ArrayLike) -> float:
+    """The starts' part of :func:`crossed_difference`: more trainings leave it, more episodes make it smaller."""
+    a, b = (np.asarray(table, dtype=np.float64) for table in (one, other))
+    return t_estimate(a.mean(axis=0) - b.mean(axis=0)).half_width
 
-    From what trainings came to, shape (trainings,) each, by their pooled spread; None for a single one of each.
+
+def trainings_needed(one: ArrayLike, other: ArrayLike, margin: float, starts: float = 0.0) -> int | None:
+    """How many trainings of each kind show with ``POWER`` that no more than ``margin`` is lost, if nothing is.
+
+    With n of each, (t + z) s sqrt(2 / n) + ``starts`` is at most the margin: t is the interval's quantile; without z,
+    the normal quantile of ``POWER``, chance would push the interval over the margin every other time.
+
+    Args:
+        one, other: what trainings came to, shape (trainings,) each; s is their pooled spread.
+        margin: what may be lost, >= 0.
+        starts: half width that the starts leave, however many trainings there are.
+
+    Returns:
+        None where ``MOST_TRAININGS`` do not suffice, or where a single one of each tells no spread.
     """
     a, b = (np.asarray(sample, dtype=np.float64) for sample in (one, other))
     if len(a) + len(b) < 3:
         return None
     squares = float(((a - a.mean()) ** 2).sum() + ((b - b.mean()) ** 2).sum())
-    variance = squares / (len(a) + len(b) - 2)
-    count = 2
-    while count < _MOST_TRAININGS and student_quantile(2 * count - 2) * math.sqrt(2.0 * variance / count) > width:
-        count += 1
-    return count
+    spread = math.sqrt(squares / (len(a) + len(b) - 2))
+    power = NormalDist().inv_cdf(POWER)
+
+    def enough(count: int) -> bool:
+        reach = (student_quantile(2 * count - 2) + power) * spread * math.sqrt(2.0 / count)
+        return reach + starts <= margin
+
+    counts = range(2, MOST_TRAININGS + 1)
+    found = bisect_left(counts, True, key=enough)
+    return counts[found] if found < len(counts) else None
+
+
+def failures_not_excluded(trainings: int) -> float:
+    """The largest share of trainings that may fail although none of ``trainings`` did, at 95 %; normal or not."""
+    return float(1.0 - LEVEL ** (1.0 / trainings))
 
 
 def welch(one: ArrayLike, other: ArrayLike) -> Estimate:

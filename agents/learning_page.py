@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import json
+import math
+import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from agents.inference import POWER, Estimate, crossed_estimate, t_estimate
-from agents.longrun import DT, STATISTICS, STEPS, Episodes
+from agents.longrun import DT, SETTINGS, STATISTICS, STEPS, Episodes
 from agents.runs import machine, read_settings, versions
-from agents.transfer import Cells, StudySettings, run_folder
+from agents.transfer import Cells, StudySettings, resolved_fidelities, run_folder
 from agents.verdict import (
     EXACT,
     MARGIN,
     Comparison,
     Finding,
     baseline_shift,
+    failures_sentence,
     finding,
     headline,
     percent,
@@ -88,13 +91,16 @@ def statistics_table(condition: str, comparisons: Sequence[Comparison]) -> list[
     for statistic in STATISTICS:
         of = {row.setting: row for row in rows if row.statistic == statistic}
         exact = next(iter(of.values())).exact
-        largest = max(row.seen for row in of.values())
+        # a single survivor would have shown nothing; its own cell says so
+        largest = max((row.seen for row in of.values() if math.isfinite(row.seen)), default=math.inf)
         texts = [_difference(of[setting]) for setting in settings]
         lines.append(f"| {statistic} | {exact:.3g} | {' | '.join(texts)} | {_share(largest, exact)} |")
     return lines
 
 
 def _difference(row: Comparison) -> str:
+    if row.absent:
+        return row.absent
     if not row.exact:
         return f"{row.difference.mean:+.3g}"
     mean, half = (100.0 * value / abs(row.exact) for value in row.difference)
@@ -124,21 +130,56 @@ METHOD = """\
   the seeds' means and the one over the starts' means, added by their squares. Trainings on different fidelities are
   compared as independent samples (Welch), the runs of one policy as pairs. They are for one comparison each, not for
   all together.
-- Safe: the interval of what is lost, run on exact, stays above -{margin:.0%} of the return of training on exact.
-  Harmful: it lies below that; worse: it lies below 0; undecided: else. The margin was chosen beforehand. Honest: a
-  fidelity's own return is within {margin:.0%} of what the same policies earn on exact.
+- Safe: the interval of what is lost on average, run on exact, stays above -{margin:.0%} of the return of training on
+  exact. Harmful: it lies below that; worse: it lies below 0; undecided: else. The margin was chosen beforehand. Honest:
+  a fidelity's own return is within {margin:.0%} of what the same policies earn on exact. The intervals take trainings
+  as normally distributed; so few cannot show that none fails. Trainings that would tell: so many of each that, if
+  nothing is lost, safe comes out with probability {power:g}, by the spread of those there are.
 - Statistics: {long:,} episodes of {steps} steps of {dt:g} s for each torque and setting, each with its own starts and
   torques, so that the samples are independent. Every statistic is one number per episode, because what follows within
   an episode is correlated. Two tests each: of the means (Welch) and of the distributions (Kolmogorov and Smirnov's
   distance, by permutation); Holm's correction over all of them together. Bold: equality refused at 5 %. The last column
   is the difference of means that would have been seen with probability {power:g}.
-- `one iteration` is pymunk with one substep and one solver iteration; no policy was trained on it. `exact again` is
+- `one iteration` is {one_iteration}; no policy was trained on it. `exact again` is
   exact with other seeds: the negative control.
-- Again: `make transfer` trains (an hour or more on two cores); `python scripts/transfer.py --resume <its folder>` goes
-  on with an interrupted study, or makes this page from a finished one."""
+- Again: `{command}` trains, runs and writes this page;
+  `{resume}` goes on with an interrupted study, or makes this page from a finished one."""
 
 
-def how(folder: Path, settings: StudySettings) -> list[str]:
+def counted(number: int | None, what: str) -> str:
+    """``2 substeps``, ``1 substep``, ``no substeps``."""
+    return f"{'no' if number is None else number} {what}{'' if number == 1 else 's'}"
+
+
+def fidelities_line() -> str:
+    """What the names stand for, at their first mention."""
+    named = resolved_fidelities().items()
+    texts = [f"`{name}` ({contact}, {counted(steps, 'substep')})" for name, (contact, steps) in named]
+    return f"Fidelities: {', '.join(texts)}."
+
+
+def one_iteration() -> str:
+    """The deliberately coarse setting in words."""
+    setting = SETTINGS["one iteration"]
+    substeps, iterations = counted(setting["substeps"], "substep"), counted(setting["iterations"], "solver iteration")
+    return f"{setting['contact']} with {substeps} and {iterations}"
+
+
+def commands(settings: StudySettings, out: Path | None) -> tuple[str, str]:
+    """Command lines that make such a study, and that go on with one; ``out`` as it was given."""
+    chosen: list[str] = []
+    for field in fields(settings):
+        value = getattr(settings, field.name)
+        if value != field.default:
+            values = value if isinstance(value, tuple) else (value,)
+            chosen += [f"--{field.name.replace('_', '-')}", *map(str, values)]
+    where = [] if out is None else ["--out", str(out)]
+    script = "python scripts/transfer.py"
+    again, resume = f"{script} {shlex.join([*chosen, *where])}", f"{script} --resume <its folder> {shlex.join(where)}"
+    return again.strip(), resume.strip()
+
+
+def how(folder: Path, settings: StudySettings, out: Path | None) -> list[str]:
     """Settings, numbers, versions, machine, command."""
     run = read_settings(run_folder(folder, settings.tasks[0], settings.fidelities[0], 0))
     trained_with = json.loads((folder / "study_run.json").read_text())["versions"]
@@ -146,8 +187,10 @@ def how(folder: Path, settings: StudySettings) -> list[str]:
     now = versions()
     same = {name: version for name, version in now.items() if trained_with.get(name) == version}
     changed = [f"{name} {trained_with[name]} at the training, {now[name]} now" for name in now if name not in same]
+    again, resume = commands(settings, out)
     text = METHOD.format(
-        margin=MARGIN, long=settings.long_episodes, steps=STEPS, dt=DT, power=POWER
+        margin=MARGIN, long=settings.long_episodes, steps=STEPS, dt=DT, power=POWER, one_iteration=one_iteration(),
+        command=again, resume=resume,
     )  # fmt: skip
     return [
         f"- Trainings: {steps}; {settings.seeds} for each task and fidelity, by the same settings: {run.num_envs} "
@@ -170,15 +213,17 @@ def page(
     results: Sequence[Cells],
     runs: Mapping[str, Mapping[str, Episodes]],
     comparisons: Sequence[Comparison],
+    out: Path | None,
 ) -> str:
-    """The page in Markdown."""
+    """The page in Markdown; ``out``: the folder that was asked for, None for the study's own."""
     found = {cells.task: findings_of(cells) for cells in results}
     shortcuts = list(dict.fromkeys(row.setting for row in comparisons))
-    lines = ["# What a fidelity does to a learner", ""]
+    lines = ["# What a fidelity does to a learner", "", fidelities_line(), ""]
     for task, findings in found.items():
         lines += [headline(task, findings), ""] if findings else []
-    for task, findings in found.items():
-        lines += [f"On `{task}`:", "", *(f"- {sentence(one)}" for one in findings), ""]
+    for cells in results:
+        lines += [f"On `{cells.task}`:", "", *(f"- {sentence(one)}" for one in found[cells.task])]
+        lines += [f"- {failures_sentence(cells.trained)}", ""]
     lines += ["Long-run statistics:", ""]
     lines += [*(f"- {statistics_sentence(name, comparisons)}" for name in shortcuts), ""]
     for cells in results:
@@ -192,7 +237,7 @@ def page(
         lines += [f"Under {condition}, differences of means from exact:", ""]
         lines += [*statistics_table(condition, comparisons), ""]
     lines += ["Deepest that a foot was in a wall at the end of a step:", "", *depth_table(runs), ""]
-    lines += ["## How it was measured", "", *how(folder, settings), ""]
+    lines += ["## How it was measured", "", *how(folder, settings, out), ""]
     return "\n".join(lines)
 
 
@@ -212,6 +257,7 @@ def as_json(
 
     return {
         "settings": asdict(settings),
+        "fidelities": resolved_fidelities(),
         "trained": {"started": begun["started"], "versions": begun["versions"]},
         "run": {"versions": versions(), "machine": machine()},
         "margin": MARGIN,

@@ -3,7 +3,7 @@
 A study is a folder that holds a run folder for each task, fidelity and seed; :func:`train_all` fills what is missing,
 :func:`run_all` runs what is finished. Interrupted, either goes on where it was.
 
-study.json                      settings of the study
+study.json                      settings of the study, and what the fidelities stood for
 study_run.json                  command line, versions, date
 <task>-<fidelity>-<seed>/       a run of training each, see :mod:`agents.runs`
 cells/<task>-<policy>-on-<fidelity>.json   returns of a policy, one per episode
@@ -40,6 +40,7 @@ from jackbox_env import _validation as check
 
 TRAIN = Path(__file__).parents[1] / "scripts" / "train.py"
 STUDY = "study.json"
+_RESOLVED = "settings"  # key in it: fidelity -> [contact, substeps]
 BASELINES = ("zero", "level", "chirp")  # without chance: the same policy on every fidelity
 _LOOK_AGAIN = 0.5  # [s]
 
@@ -114,8 +115,13 @@ def new_study(path: Path | None, settings: StudySettings) -> Path:
     folder = new_folder(path, "transfer")
     started = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
     write_json(folder / "study_run.json", {"command": sys.argv, "started": started, "versions": versions()})
-    write_json(folder / STUDY, dataclasses.asdict(settings))
+    write_json(folder / STUDY, {**dataclasses.asdict(settings), _RESOLVED: resolved_fidelities()})
     return folder
+
+
+def resolved_fidelities() -> dict[str, list[Any]]:
+    """What the names stand for today, as it is kept in JSON: name -> [contact, substeps]."""
+    return {name: [setting.contact, setting.substeps] for name, setting in FIDELITIES.items()}
 
 
 def read_study(folder: Path) -> StudySettings:
@@ -123,12 +129,24 @@ def read_study(folder: Path) -> StudySettings:
 
     Raises:
         FileNotFoundError: it is no study.
-        TypeError, ValueError: the settings are unknown or out of range.
+        TypeError, ValueError: the settings are unknown or out of range; or the names of the fidelities stood for
+            something else, so that what is in the folder and what would be added do not belong together.
     """
     path = folder / STUDY
     if not path.is_file():
         raise FileNotFoundError(f"{folder} is no study: it has no {STUDY}")
     values = json.loads(path.read_text())
+    if _RESOLVED not in values:
+        raise ValueError(
+            f"{path} does not say which contact and substeps its fidelities stood for ({_RESOLVED!r} is missing), so "
+            "it cannot be gone on with: make another study"
+        )
+    made, today = values.pop(_RESOLVED), resolved_fidelities()
+    if made != today:
+        raise ValueError(
+            f"{path} was made with the fidelities {json.dumps(made)}, which are {json.dumps(today)} today, so it "
+            "cannot be gone on with: make another study"
+        )
     for name in ("tasks", "fidelities", "total_steps"):
         values[name] = tuple(values[name])
     return StudySettings(**values)
@@ -144,6 +162,15 @@ def finished(run: Path) -> bool:
     return (run / "model.zip").is_file()
 
 
+def checked_processes(processes: int) -> int:
+    """Trainings side by side, 1 to 1000.
+
+    Raises:
+        TypeError, ValueError: no such number.
+    """
+    return check.whole("processes", processes, at_least=1, at_most=1000)
+
+
 def train_all(folder: Path, settings: StudySettings, processes: int = 2, progress: bool = True) -> None:
     """Train what is not finished, ``processes`` at a time, each in a process of its own.
 
@@ -151,7 +178,7 @@ def train_all(folder: Path, settings: StudySettings, processes: int = 2, progres
         RuntimeError: a training failed; the others under way are interrupted at a checkpoint.
         ValueError: a run in the folder was made by other settings.
     """
-    check.whole("processes", processes, at_least=1, at_most=1000)
+    checked_processes(processes)
     planned = [(run_folder(folder, *run), settings.run_settings(*run)) for run in settings.runs()]
     for run, wanted in planned:
         if (run / SETTINGS).is_file() and read_settings(run) != wanted:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -10,14 +11,18 @@ import numpy as np
 
 from agents.inference import (
     LEVEL,
+    MOST_TRAININGS,
     POWER,
     Estimate,
     Floats,
     crossed_difference,
     crossed_estimate,
+    failures_not_excluded,
     holm,
     ks_statistic,
     ks_test,
+    standard_error,
+    starts_half_width,
     t_estimate,
     trainings_needed,
     two_sided,
@@ -40,7 +45,10 @@ class Finding:
         own: mean return run on the fidelity trained on.
         loss: run on exact, trained on the fidelity less trained on exact.
         shift: trained on the fidelity, run on it less run on exact: what its own evaluation promises too much.
-        needed: trainings of each kind that would tell a loss of the margin from none; None where one is all there is.
+        trainings: of each kind.
+        starts: half width of the loss that the starts leave, however many trainings there are.
+        needed: trainings of each kind that would show it safe with probability 0.8 if nothing is lost; None where more
+            than 1,000 would be needed, or where one training is all there is.
     """
 
     task: str
@@ -49,23 +57,28 @@ class Finding:
     own: float
     loss: Estimate
     shift: Estimate
+    trainings: int = 1
+    starts: float = 0.0
     needed: int | None = None
+
+    @property
+    def margin(self) -> float:
+        """What may be lost and still be called safe."""
+        return MARGIN * abs(self.exact)
 
     @property
     def learning(self) -> str:
         """``safe``, ``harmful`` (loses more than the margin), ``worse`` (loses, how much is open), or ``undecided``."""
-        margin = MARGIN * abs(self.exact)
-        if self.loss.low >= -margin:
+        if self.loss.low >= -self.margin:
             return "safe"
-        if self.loss.high < -margin:
+        if self.loss.high < -self.margin:
             return "harmful"
         return "worse" if self.loss.high < 0.0 else "undecided"
 
     @property
     def promise(self) -> str:
         """``honest`` (within the margin), ``too high``, ``too low`` or ``undecided``."""
-        margin = MARGIN * abs(self.exact)
-        if self.shift.low >= -margin and self.shift.high <= margin:
+        if self.shift.low >= -self.margin and self.shift.high <= self.margin:
             return "honest"
         if self.shift.low > 0.0:
             return "too high"
@@ -75,6 +88,7 @@ class Finding:
 def finding(task: str, trained: Mapping[str, Mapping[str, Floats]], fidelity: str) -> Finding:
     """What training on ``fidelity`` came to; ``trained`` maps trained on -> run on -> returns (seeds, starts)."""
     own, on_exact, best = trained[fidelity][fidelity], trained[fidelity][EXACT], trained[EXACT][EXACT]
+    margin, starts = MARGIN * abs(float(best.mean())), starts_half_width(on_exact, best)
     return Finding(
         task=task,
         fidelity=fidelity,
@@ -82,7 +96,9 @@ def finding(task: str, trained: Mapping[str, Mapping[str, Floats]], fidelity: st
         own=float(own.mean()),
         loss=crossed_difference(on_exact, best),
         shift=crossed_estimate(own - on_exact),  # the same policies from the same starts: paired
-        needed=trainings_needed(on_exact.mean(axis=1), best.mean(axis=1), MARGIN * abs(float(best.mean()))),
+        trainings=len(best),
+        starts=starts,
+        needed=trainings_needed(on_exact.mean(axis=1), best.mean(axis=1), margin, starts),
     )
 
 
@@ -100,7 +116,7 @@ def percent(estimate: Estimate, of: float) -> str:
 
 
 _LEARNING = {
-    "safe": "is safe to learn on",
+    "safe": "is safe on average to learn on",
     "harmful": "is not safe to learn on",
     "worse": "is not safe to learn on (how much is lost is open)",
     "undecided": "is undecided for learning, so few trainings do not tell",
@@ -115,7 +131,7 @@ _PROMISE = {
 
 def sentence(found: Finding) -> str:
     """One finding in words, with the numbers it stands on."""
-    needed = f" (about {found.needed} of each would)" if found.learning == "undecided" and found.needed else ""
+    needed = _needed(found) if found.learning == "undecided" else ""
     return (
         f"`{found.fidelity}` {_LEARNING[found.learning]}{needed}: run on exact, its policies earn "
         f"{percent(found.loss, found.exact)} against those trained on exact. Measured on itself, "
@@ -123,10 +139,42 @@ def sentence(found: Finding) -> str:
     )
 
 
+def _needed(found: Finding) -> str:
+    """What would tell, if nothing is lost; nothing where a single training shows no spread."""
+    if found.trainings < 2:
+        return ""
+    if found.starts >= found.margin:
+        return " (nor would any number: more episodes are needed, the starts alone leave more than the margin)"
+    if found.needed is None:
+        return f" (more than {MOST_TRAININGS:,} of each would be needed)"
+    return f" (at least about {max(found.needed, found.trainings + 1)} of each would)"
+
+
+def failures_sentence(trained: Mapping[str, Mapping[str, Floats]]) -> str:
+    """What an average hides: how many trainings may fail, and the worst of each fidelity, run on exact."""
+    count = len(trained[EXACT][EXACT])
+    worst = []
+    for fidelity, returns in trained.items():
+        means = returns[EXACT].mean(axis=1)
+        seed, mean = int(means.argmin()), float(means.mean())
+        worst.append(f"`{fidelity}` seed {seed} {_relative(float(means[seed]) - mean, mean)}")
+    return (
+        f"Safe means on average: {count} training{'s' if count > 1 else ''} cannot exclude that up to "
+        f"{100.0 * failures_not_excluded(count):.1f} % of trainings fail, even if none of them did. The worst training "
+        f"of each fidelity, run on exact, against the mean of its trainings: {', '.join(worst)}."
+    )
+
+
+def _relative(value: float, of: float) -> str:
+    return f"{100.0 * value / abs(of):+.1f} %" if of else f"{value:+.3g}"
+
+
 def headline(task: str, findings: Sequence[Finding]) -> str:
     """The verdict on a task in one line: what is safe, what is not, what is open, and where policies carry over."""
     learning = _grouped(
-        findings, "learning", {"safe": ("safe",), "not safe": ("harmful", "worse"), "undecided": ("undecided",)}
+        findings,
+        "learning",
+        {"safe on average": ("safe",), "not safe": ("harmful", "worse"), "undecided": ("undecided",)},
     )
     promise = _grouped(
         findings, "promise", {"yes": ("honest",), "no": ("too high", "too low"), "undecided": ("undecided",)}
@@ -161,6 +209,7 @@ class Comparison(NamedTuple):
         shape_probability: that the distributions differ so much by chance, likewise.
         seen: difference of means that would have been seen with probability 0.8.
         episodes: those on exact and on the setting that have the number.
+        absent: why there is nothing to compare, e.g. ``all lost``; empty where there is something.
     """
 
     condition: str
@@ -173,6 +222,7 @@ class Comparison(NamedTuple):
     shape_probability: float
     seen: float
     episodes: tuple[int, int]
+    absent: str = ""
 
     @property
     def differs(self) -> bool:
@@ -190,16 +240,7 @@ def compare(runs: Mapping[str, Samples], rng: np.random.Generator) -> list[Compa
     for condition, samples in runs.items():
         for setting in samples:
             for statistic, values in samples[EXACT].items() if setting != EXACT else ():
-                one, other = (part[~np.isnan(part)] for part in (samples[setting][statistic], values))
-                difference = welch(one, other)
-                error = float(np.sqrt(one.var(ddof=1) / len(one) + other.var(ddof=1) / len(other)))
-                found.append(
-                    Comparison(
-                        condition, setting, statistic, float(other.mean()), difference, ks_statistic(one, other),
-                        two_sided(difference), ks_test(one, other, rng), would_have_been_seen(error, tests),
-                        (len(other), len(one)),
-                    )
-                )  # fmt: skip
+                found.append(_row((condition, setting, statistic), samples[setting][statistic], values, tests, rng))
     raw = [row.mean_probability for row in found] + [row.shape_probability for row in found]
     adjusted = holm(raw)
     return [
@@ -208,9 +249,39 @@ def compare(runs: Mapping[str, Samples], rng: np.random.Generator) -> list[Compa
     ]
 
 
+def _row(
+    names: tuple[str, str, str], measured: Floats, reference: Floats, tests: int, rng: np.random.Generator
+) -> Comparison:
+    """One comparison, its probabilities as they are; where one of the two has no number at all, that is the result."""
+    one, other = (part[~np.isnan(part)] for part in (measured, reference))
+    episodes = len(other), len(one)
+    mean = float(other.mean()) if len(other) else math.nan
+    absent = _absent(measured) or (f"{_absent(reference)} on exact" if not len(other) else "")
+    if absent:
+        nothing = Estimate(math.nan, math.inf)
+        return Comparison(*names, mean, nothing, math.nan, 1.0, 1.0, math.inf, episodes, absent)
+    difference = welch(one, other)
+    error = math.hypot(standard_error(one), standard_error(other))
+    return Comparison(
+        *names, mean, difference, ks_statistic(one, other), two_sided(difference), ks_test(one, other, rng),
+        would_have_been_seen(error, tests), episodes,
+    )  # fmt: skip
+
+
+def _absent(values: Floats) -> str:
+    """Why no episode has the number: lost ones are not among the values, those without an impact are NaN."""
+    if not len(values):
+        return "all lost"
+    return "all lost or without an impact" if np.isnan(values).all() else ""
+
+
 def statistics_sentence(setting: str, comparisons: Sequence[Comparison]) -> str:
     """What the long run shows of a setting: where it differs most, or what would have been seen."""
-    rows = [row for row in comparisons if row.setting == setting]
+    rows = [row for row in comparisons if row.setting == setting and not row.absent]
+    reasons = [f"{row.absent} under {row.condition}" for row in comparisons if row.setting == setting and row.absent]
+    missing = f"{'; '.join(dict.fromkeys(reasons))}: nothing to compare; " if reasons else ""
+    if not rows:
+        return f"`{setting}`: {missing.removesuffix('; ')}."
     differing = [row for row in rows if row.differs]
 
     def relative(row: Comparison) -> float:
@@ -219,12 +290,12 @@ def statistics_sentence(setting: str, comparisons: Sequence[Comparison]) -> str:
     if not differing:
         sizes = [row.seen / abs(row.exact) for row in rows if row.exact]
         return (
-            f"`{setting}`: no difference from exact was found in {len(rows)} comparisons; a difference of the means "
-            f"of more than {100.0 * min(sizes):.1f} to {100.0 * max(sizes):.1f} %, by statistic, would have been seen "
-            f"with probability {POWER:g}."
+            f"`{setting}`: {missing}no difference from exact was found in {len(rows)} comparisons; a difference of the "
+            f"means of more than {100.0 * min(sizes):.1f} to {100.0 * max(sizes):.1f} %, by statistic, would have been "
+            f"seen with probability {POWER:g}."
         )
     most = max(differing, key=relative)
     return (
-        f"`{setting}`: differs from exact in {len(differing)} of {len(rows)} comparisons, most in "
+        f"`{setting}`: {missing}differs from exact in {len(differing)} of {len(rows)} comparisons, most in "
         f"{most.statistic} under {most.condition}: {percent(most.difference, most.exact)}."
     )

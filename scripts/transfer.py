@@ -28,8 +28,9 @@ class Arguments:
     """Folder of an earlier study to go on with, by its own settings; what is finished in it is not done again."""
     processes: int = 2
     """Trainings side by side."""
-    out: Path = Path("docs")
-    """Folder of the page, its data and its pictures: learning.md, learning.json, learning_<task>.png."""
+    out: Path | None = None
+    """Folder of the page, its data and its pictures: learning.md, learning.json, learning_<task>.png. None: the
+    study's."""
     progress: bool = True
     """Show progress bars."""
 
@@ -39,9 +40,9 @@ def write(
     settings: StudySettings,
     results: list[Cells],
     runs: dict[str, dict[str, Episodes]],
-    out: Path,
+    out: Path | None,
 ) -> str:
-    """Write page, data and pictures; return the page."""
+    """Write page, data and pictures into ``out``, None for the study's folder; return the page."""
     import json
 
     import numpy as np
@@ -51,17 +52,18 @@ def write(
     from agents.learning_page import as_json, page
     from agents.verdict import compare
 
+    place = folder if out is None else out
     samples = {condition: {name: one.values for name, one in each.items()} for condition, each in runs.items()}
     comparisons = compare(samples, np.random.default_rng(0))
     for cells in results:
         rows = {name: [crossed_estimate(row[other]) for other in row] for name, row in cells.trained.items()}
         scripted = {name: [float(row[other].mean()) for other in row] for name, row in cells.baselines.items()}
         seeds = {name: [row[other].mean(axis=1).tolist() for other in row] for name, row in cells.trained.items()}
-        transfer_figure(out / f"learning_{cells.task}.png", cells.task, rows, seeds, scripted)
-    text = page(folder, settings, results, runs, comparisons)
+        transfer_figure(place / f"learning_{cells.task}.png", cells.task, rows, seeds, scripted)
+    text = page(folder, settings, results, runs, comparisons, out)
     data = as_json(folder, settings, results, runs, comparisons)
-    (out / "learning.json").write_text(json.dumps(data) + "\n")
-    (out / "learning.md").write_text(text)
+    (place / "learning.json").write_text(json.dumps(data) + "\n")
+    (place / "learning.md").write_text(text)
     return text
 
 
@@ -69,9 +71,10 @@ def write(
 def main() -> None:
     """Parse, train, run, write."""
     arguments = tyro.cli(Arguments, description=__doc__)
-    from agents.transfer import new_study, read_study, run_all, run_statistics, train_all
+    from agents.transfer import checked_processes, new_study, read_study, run_all, run_statistics, train_all
 
-    if not arguments.out.is_dir():
+    checked_processes(arguments.processes)  # before a folder is made
+    if arguments.out is not None and not arguments.out.is_dir():
         raise FileNotFoundError(f"{arguments.out} is no folder to write a page in")
     if arguments.resume is not None:
         if arguments.settings != StudySettings() or arguments.folder is not None:

@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 from agents.inference import (
     crossed_difference,
     crossed_estimate,
+    failures_not_excluded,
     holm,
     ks_statistic,
     ks_test,
+    starts_half_width,
     student_probability,
     student_quantile,
     t_estimate,
@@ -82,12 +84,47 @@ def test_pairing_by_start_takes_the_starts_out_of_a_difference() -> None:
     assert crossed_difference(one, rng.permuted(other, axis=1)).half_width > 20.0
 
 
-def test_the_trainings_needed_make_the_interval_as_narrow_as_asked() -> None:
-    # pooled variance (2 + 2) / 4 = 1: t_18 sqrt(2 / 10) = 0.940, t_16 sqrt(2 / 9) = 0.999
-    assert trainings_needed([1.0, 2.0, 3.0], [11.0, 12.0, 13.0], 0.95) == 10
-    assert trainings_needed([1.0, 2.0, 3.0], [11.0, 12.0, 13.0], 1.0) == 9
+def test_the_trainings_needed_worked_by_hand() -> None:
+    # pooled variance (2 + 2) / 4 = 1: (t_18 + 0.842) sqrt(2 / 10) = 1.316, (t_16 + 0.842) sqrt(2 / 9) = 1.396
+    one, other = [1.0, 2.0, 3.0], [11.0, 12.0, 13.0]
+    assert trainings_needed(one, other, 1.32) == 10
+    assert trainings_needed(one, other, 1.40) == 9
+    assert trainings_needed(one, other, 1.52, starts=0.2) == 10
     assert trainings_needed([1.0, 1.0], [2.0, 2.0], 0.1) == 2
     assert trainings_needed([1.0], [2.0], 0.1) is None
+
+
+def test_the_trainings_needed_have_no_number_beyond_a_thousand_or_where_the_starts_alone_are_too_wide() -> None:
+    one, other = [1.0, 2.0, 3.0], [11.0, 12.0, 13.0]
+    # (1.961 + 0.842) sqrt(2 / 1000) = 0.1254
+    assert trainings_needed(one, other, 0.126) in range(980, 1001)
+    assert trainings_needed(one, other, 0.125) is None
+    assert trainings_needed(one, other, 1.32, starts=1.3) is None
+
+
+def test_as_many_trainings_as_needed_show_four_times_in_five_that_nothing_is_lost() -> None:
+    rng = np.random.default_rng(11)
+    count = trainings_needed([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], 1.2)  # spread 1
+    assert count is not None
+    shown = sum(welch(rng.normal(size=count), rng.normal(size=count)).low >= -1.2 for _ in range(1000))
+    assert 0.76 * 1000 <= shown <= 0.86 * 1000
+
+
+def test_the_part_of_the_starts_stays_however_many_trainings_there_are() -> None:
+    rng = np.random.default_rng(12)
+    # what a start adds to one of the two only: standard error 4 / sqrt(64), t_63 = 1.998
+    effect = 4.0 * rng.normal(size=(1, 64))
+    few, many = (starts_half_width(rng.normal(size=(n, 64)) + effect, rng.normal(size=(n, 64))) for n in (4, 400))
+    own = 1.998 * float(effect.std(ddof=1)) / 8.0
+    assert many == pytest.approx(own, rel=0.02)
+    assert few == pytest.approx(own, rel=0.2)
+
+
+@pytest.mark.parametrize("count", [1, 5, 58, 59])
+def test_as_many_failures_as_are_not_excluded_stay_unseen_once_in_twenty(count: int) -> None:
+    assert (1.0 - failures_not_excluded(count)) ** count == pytest.approx(0.05)
+    # the rule of 59 trials: no failure among them shows fewer than 5 %
+    assert (failures_not_excluded(count) < 0.05) == (count >= 59)
 
 
 # -- tests of equality ------------------------------------------------------------------------------------------------

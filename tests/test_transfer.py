@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
 import subprocess
 import sys
 import time
@@ -14,11 +15,13 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+import tyro
 from numpy.typing import NDArray
 
 import jackbox_env  # noqa: F401
 from agents import transfer
-from agents.inference import Estimate, two_sided
+from agents.inference import Estimate, Floats, two_sided
+from agents.learning_page import commands, fidelities_line, one_iteration, statistics_table
 from agents.longrun import (
     DT,
     SETTINGS,
@@ -32,11 +35,23 @@ from agents.longrun import (
     stored,
 )
 from agents.policies import baseline
-from agents.transfer import StudySettings, cell, new_study, read_study, train_all
-from agents.verdict import MARGIN, Finding, baseline_shift, compare, finding, headline, sentence, statistics_sentence
-from jackbox_env import Impact, Scene
+from agents.transfer import StudySettings, cell, new_study, read_study, resolved_fidelities, train_all
+from agents.verdict import (
+    MARGIN,
+    Finding,
+    baseline_shift,
+    compare,
+    failures_sentence,
+    finding,
+    headline,
+    sentence,
+    statistics_sentence,
+)
+from jackbox_env import FIDELITIES, Impact, Scene
 from jackbox_env.tasks import sample_start
-from scripts.transfer import main
+from scripts.transfer import Arguments, main
+
+ROOT = Path(__file__).parents[1]
 
 # -- comparisons ------------------------------------------------------------------------------------------------------
 
@@ -85,6 +100,54 @@ def test_episodes_without_a_number_are_left_out_of_its_comparison() -> None:
     row = next(row for row in compare(runs, rng) if (row.setting, row.statistic) == ("fast", "rate"))
     assert row.episodes == (500, 400)
     assert math.isfinite(row.difference.mean)
+
+
+@pytest.mark.parametrize("survivors", [0, 1])
+@pytest.mark.parametrize("left", [math.nan, None], ids=["NaN", "left out"])
+def test_a_setting_that_loses_all_jacks_or_all_but_one_is_compared_without_a_crash(
+    survivors: int, left: float | None
+) -> None:
+    rng = np.random.default_rng(13)
+    runs = {"noise": planted_runs(rng)["noise"], "calm": planted_runs(rng)["noise"]}
+    for name, values in runs["noise"]["fast"].items():
+        kept = values[:survivors]
+        runs["noise"]["fast"][name] = kept if left is None else np.append(kept, np.full(9, left))
+    rows = compare(runs, rng)
+    lost = [row for row in rows if (row.condition, row.setting) == ("noise", "fast")]
+    assert [row.episodes for row in lost] == [(500, survivors)] * 2
+    assert not any(row.differs for row in lost)
+    assert all(row.difference.half_width == math.inf for row in lost)
+    assert [row.absent.startswith("all lost") for row in lost] == [survivors == 0] * 2
+    words = statistics_sentence("fast", rows)
+    assert ("all lost" in words) == (survivors == 0)
+    assert f"differs from exact in 1 of {4 if survivors else 2} comparisons" in words
+    # what the other settings came to is found nevertheless
+    assert {(row.condition, row.setting) for row in rows if row.differs} == {
+        ("noise", "wide"), ("calm", "fast"), ("calm", "wide"),
+    }  # fmt: skip
+    assert all(math.isfinite(row.seen) for row in rows if row not in lost)
+
+
+def test_the_table_says_all_lost_and_keeps_what_the_others_would_have_shown() -> None:
+    rng = np.random.default_rng(14)
+    name = "impacts [1/s]"
+    runs: dict[str, dict[str, dict[str, Floats]]] = {
+        "noise": {setting: {one: rng.normal(1.0, 0.2, 500) for one in STATISTICS} for setting in ("exact", "fast", "b")}
+    }
+    runs["noise"]["fast"] = {one: np.array([]) for one in STATISTICS}
+    line = next(line for line in statistics_table("noise", compare(runs, rng)) if line.startswith(f"| {name}"))
+    cells = line.split(" | ")
+    assert cells[2] == "all lost"
+    assert "nan" not in line
+    assert 3.0 < float(cells[-1].split(" %")[0]) < 7.0
+
+
+def test_where_exact_has_no_number_that_is_said() -> None:
+    rng = np.random.default_rng(15)
+    runs = planted_runs(rng)
+    runs["noise"]["exact"]["rate"] = np.array([])
+    row = next(row for row in compare(runs, rng) if (row.setting, row.statistic) == ("fast", "rate"))
+    assert row.absent == "all lost on exact"
 
 
 # -- verdicts ---------------------------------------------------------------------------------------------------------
@@ -150,7 +213,8 @@ def test_findings_come_from_the_right_cells() -> None:
     assert found.loss.mean == pytest.approx(-20.0, abs=1.0)
     assert found.shift.mean == pytest.approx(40.0, abs=1.0)
     assert (found.learning, found.promise) == ("harmful", "too high")
-    assert found.needed == 2  # seeds differ by about 1/8, the margin is 5
+    assert (found.trainings, found.needed) == (3, 2)  # seeds differ by about 1/8, the margin is 5
+    assert found.starts == pytest.approx(1.998 * math.sqrt(2.0 / 3.0 / 64), rel=0.3)
     assert baseline_shift({"fast": returns(9.0)[0], "exact": returns(7.0)[0]}, "fast").mean == pytest.approx(2, abs=0.6)
 
 
@@ -161,11 +225,38 @@ def test_verdicts_in_words() -> None:
     )
     assert "its own returns promise too much: +20.0 % (+17.0 to +23.0)" in sentence(bad)
     assert headline("juggle", [bad, good]) == (
-        "**Learning `juggle` by shortcut**: safe `accurate`; not safe `fast`. Does a policy earn on exact what it "
-        "earned on the shortcut it was trained on, within 5%? Yes `accurate`; no `fast`."
+        "**Learning `juggle` by shortcut**: safe on average `accurate`; not safe `fast`. Does a policy earn on exact "
+        "what it earned on the shortcut it was trained on, within 5%? Yes `accurate`; no `fast`."
     )
-    open_one = replace(made_up((0.0, 9.0)), needed=12)
-    assert "is undecided for learning, so few trainings do not tell (about 12 of each would): run" in sentence(open_one)
+    assert sentence(good).startswith(
+        "`accurate` is safe on average to learn on: run on exact, its policies earn +1.0 %"
+    )
+
+
+@pytest.mark.parametrize(
+    ("known", "words"),
+    [
+        ({"trainings": 5, "needed": 12}, " (at least about 12 of each would): run"),
+        ({"trainings": 5, "needed": 4}, " (at least about 6 of each would): run"),  # five were tried
+        ({"trainings": 5}, " (more than 1,000 of each would be needed): run"),
+        ({"trainings": 5, "starts": 5.1}, " (nor would any number: more episodes are needed, the starts alone"),
+        ({"trainings": 1}, ": run"),
+    ],
+)
+def test_what_would_settle_an_open_verdict(known: dict[str, Any], words: str) -> None:
+    open_one = replace(made_up((0.0, 9.0)), **known)
+    assert f"`fast` is undecided for learning, so few trainings do not tell{words}" in sentence(open_one)
+
+
+def test_trainings_that_may_fail_and_the_worst_of_each_fidelity() -> None:
+    means = {"fast": [100.0, 20.0, 110.0, 90.0, 80.0], "exact": [50.0, 50.0, 50.0, 50.0, 40.0]}
+    trained = {name: {"exact": np.array([[mean, mean] for mean in row])} for name, row in means.items()}
+    words = failures_sentence(trained)
+    # 1 - 0.05^(1/5)
+    assert "5 trainings cannot exclude that up to 45.1 % of trainings fail" in words
+    assert words.endswith("`fast` seed 1 -75.0 %, `exact` seed 4 -16.7 %.")
+    single = {name: {"exact": row["exact"][:1]} for name, row in trained.items()}
+    assert "1 training cannot exclude that up to 95.0 % of trainings fail" in failures_sentence(single)
 
 
 # -- the long run -----------------------------------------------------------------------------------------------------
@@ -272,6 +363,21 @@ def test_runs_of_other_settings_are_refused(stand_in: Path) -> None:
         train_all(stand_in, replace(settings, total_steps=(5,)), 2, progress=False)
 
 
+def test_a_study_keeps_what_its_fidelities_stood_for_and_is_refused_where_they_changed(stand_in: Path) -> None:
+    path = stand_in / "study.json"
+    kept = json.loads(path.read_text())
+    assert kept["settings"]["fast"] == [FIDELITIES["fast"].contact, FIDELITIES["fast"].substeps]
+    assert kept["settings"]["exact"] == ["exact", None]
+    kept["settings"]["fast"] = ["pymunk", 7]
+    path.write_text(json.dumps(kept))
+    with pytest.raises(ValueError, match=r'made with the fidelities .*"fast": \["pymunk", 7\].*, which are .* today'):
+        read_study(stand_in)
+    del kept["settings"]
+    path.write_text(json.dumps(kept))
+    with pytest.raises(ValueError, match=r"does not say which contact and substeps .*'settings' is missing"):
+        read_study(stand_in)
+
+
 @pytest.mark.parametrize(
     ("given", "sentence"),
     [
@@ -331,9 +437,18 @@ def test_a_small_study_from_end_to_end_and_its_page_again_without_training(
     (tmp_path / "docs").mkdir()
     monkeypatch.chdir(tmp_path)
     command(monkeypatch, *small.split(), "--folder", "study")
+    assert not list((tmp_path / "docs").iterdir())  # a trial leaves the published page alone
+    own = (tmp_path / "study" / "learning.md").read_text()
+    assert f"`python scripts/transfer.py {small}` trains" in own
+    assert "--out" not in own
+    command(monkeypatch, "--resume", "study", "--out", "docs")
     page = (tmp_path / "docs" / "learning.md").read_text()
+    assert f"`python scripts/transfer.py {small} --out docs` trains" in page
+    assert f"`one iteration` is {one_iteration()};" in page
+    assert page.splitlines()[2] == fidelities_line()  # before any of the names
     # one training tells nothing
-    assert page.splitlines()[2].startswith("**Learning `juggle` by shortcut**: undecided `fast`. Does a policy")
+    assert page.splitlines()[4].startswith("**Learning `juggle` by shortcut**: undecided `fast`. Does a policy")
+    assert "- Safe means on average: 1 training cannot exclude that up to 95.0 % of trainings fail" in page
     data = json.loads((tmp_path / "docs" / "learning.json").read_text())
     returns = data["returns"]["juggle"]["trained"]["fast"]["exact"]
     assert f"| PPO, fast | {np.mean(data['returns']['juggle']['trained']['fast']['fast']):.1f} ± inf |" in page
@@ -342,7 +457,7 @@ def test_a_small_study_from_end_to_end_and_its_page_again_without_training(
     assert (tmp_path / "docs" / "learning_juggle.png").stat().st_size > 10_000
     weights = {path: path.stat().st_mtime_ns for path in (tmp_path / "study").rglob("*.zip")}
     assert len(weights) >= 4
-    command(monkeypatch, "--resume", "study")
+    command(monkeypatch, "--resume", "study", "--out", "docs")
     assert {path: path.stat().st_mtime_ns for path in (tmp_path / "study").rglob("*.zip")} == weights
     assert (tmp_path / "docs" / "learning.md").read_text() == page
 
@@ -381,11 +496,54 @@ def test_refusals_of_the_command_line(
 ) -> None:
     (tmp_path / "docs").mkdir()
     monkeypatch.chdir(tmp_path)
+    before = list(tmp_path.iterdir())
     for arguments, refusal in (
         ("--resume study --episodes 7", "--resume goes on by the settings of its folder"),
         ("--resume docs", "docs is no study: it has no study.json"),
         ("--out no", "no is no folder to write a page in"),
         ("--folder docs", "docs exists, and runs are never overwritten"),
+        ("--folder new --processes 0", "processes must be a whole number from 1 to 1000, got 0"),
     ):
         command(monkeypatch, *arguments.split(), status=2)
         assert refusal in capsys.readouterr().err
+        assert list(tmp_path.iterdir()) == before  # nothing was made
+
+
+# -- the page ---------------------------------------------------------------------------------------------------------
+
+
+def test_the_page_says_what_the_names_stand_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    fast = FIDELITIES["fast"]
+    assert f"`fast` ({fast.contact}, {fast.substeps} substeps)" in fidelities_line()
+    assert fidelities_line().endswith("`exact` (exact, no substeps).")
+    assert one_iteration() == f"{fast.contact} with {fast.substeps} substeps and 1 solver iteration"
+    monkeypatch.setitem(SETTINGS, "one iteration", {"contact": "pymunk", "substeps": 1, "iterations": 3})
+    assert one_iteration() == "pymunk with 1 substep and 3 solver iterations"
+
+
+def test_the_committed_page_is_of_todays_fidelities() -> None:
+    data = json.loads((ROOT / "docs" / "learning.json").read_text())
+    assert data["fidelities"] == resolved_fidelities()
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        StudySettings(),
+        StudySettings(seeds=5, total_steps=(1_000_000, 500_000)),
+        StudySettings(("spin",), ("fast", "exact"), 2, (7,), 3, 4),
+    ],
+)
+@pytest.mark.parametrize("out", [None, Path("docs")])
+def test_the_command_on_the_page_makes_the_study_again(settings: StudySettings, out: Path | None) -> None:
+    again, resume = commands(settings, out)
+    words = shlex.split(again)
+    assert words[:2] == ["python", "scripts/transfer.py"]
+    assert tyro.cli(Arguments, args=words[2:]) == Arguments(settings, out=out)
+    assert ("--out docs" in resume) == (out is not None)
+
+
+def test_make_transfer_is_the_one_that_writes_to_docs() -> None:
+    again, _ = commands(StudySettings(seeds=5, total_steps=(1_000_000, 500_000)), Path("docs"))
+    assert again == "python scripts/transfer.py --seeds 5 --total-steps 1000000 500000 --out docs"
+    assert f"/{again}\n" in (ROOT / "Makefile").read_text()
