@@ -26,7 +26,7 @@ class Arguments:
     quick: bool = False
     """Two minutes: fewer settings, cases and rounds."""
     cases: int | None = None
-    """Seeded cases of each kind (chirp, held, weightless); None: 100, or 5 when quick."""
+    """Seeded cases of each kind (chirp, held, weightless); None: 34, or 5 when quick."""
     rounds: int | None = None
     """Rounds in which the costs are measured; None: 7, or 3 when quick."""
     seconds: float = 0.3
@@ -139,7 +139,7 @@ def resolved(arguments: Arguments) -> Arguments:
     """Arguments with the numbers that are meant, checked."""
     from jackbox_env import _validation as check
 
-    cases = (5 if arguments.quick else 100) if arguments.cases is None else arguments.cases
+    cases = (5 if arguments.quick else 34) if arguments.cases is None else arguments.cases
     rounds = (3 if arguments.quick else 7) if arguments.rounds is None else arguments.rounds
     check.whole("cases", cases, at_least=2)
     check.whole("rounds", rounds, at_least=1)
