@@ -105,7 +105,8 @@ def how(arguments: Arguments, before: tuple[float, float]) -> list[str]:
     command = " ".join(["python scripts/benchmark.py", *sys.argv[1:]])
     return [
         f"Written by `{command}`: {arguments.cases} seeded cases of each kind; costs are medians (smallest to largest) "
-        f"over {arguments.rounds} interleaved rounds after one to warm up, at least {arguments.seconds:g} s each.",
+        f"over {arguments.rounds} interleaved rounds after one to warm up, at least {arguments.seconds:g} s each, of "
+        "the simulator's thread: while others have the processor its time stands still.",
         "",
         f"{machine()}; " + ", ".join(f"{name} {version}" for name, version in known.items()),
         "",

@@ -83,7 +83,7 @@ def draw(results: dict[str, Any], path: Path) -> None:
             low = [min(point.median, point.worst) for point in line]
             high = [max(point.median, point.worst) for point in line]
             axis.vlines(costs, low, high, color=colour, alpha=0.35, linewidth=1.0)
-            for point in line if len(line) > 2 else ():
+            for point in line if len(line) > 2 and "iterations" not in family else ():
                 label = point.name.split(", ")[-1].split()[0]
                 axis.annotate(
                     label,
@@ -102,7 +102,7 @@ def draw(results: dict[str, Any], path: Path) -> None:
     figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=9)
     figure.suptitle(
         "Speed against accuracy: left is cheaper, low is better but for the last. Points: medians, lines: to the worst "
-        "case; numbers: substeps or iterations",
+        "case; numbers: substeps",
         fontsize=10,
     )
     figure.savefig(path, dpi=110)
