@@ -196,7 +196,7 @@ def claims(results: dict[str, Any]) -> list[Claim]:
         ),
         Claim(
             f"exact: wall and foot of the first {PREDICTABLE} impacts of each 60-digit trajectory, or of all it has",
-            f"{digits['prefix']['median']:g} (median), {digits['lacking']} lacking",
+            f"{digits['prefix']['median']:g} of each compared (median), {digits['lacking']} lacking",
             digits["lacking"] <= 0,
         ),
         Claim("exact: flight within 1e-13 m", f"{flight:.1e} m", flight <= 1e-13),
