@@ -156,10 +156,10 @@ def fidelities_line() -> str:
     named = resolved_fidelities().items()
     texts = [f"`{name}` ({contact}, {counted(steps, 'substep')})" for name, (contact, steps) in named]
     return (
-        f"Fidelities: {', '.join(texts)}. Train elastic scenes on `{EXACT}`: it is the reference, and the fastest. A "
-        "shortcut is any of the others; *safe*: what is learnt on it earns as much on exact; *honest*: what a policy "
-        "earns on it is what it earns on exact; *undecided*: the interval is wider than the margin, often by one failed "
-        "training, which is no evidence against the fidelity."
+        f"Fidelities: {', '.join(texts)}. Train elastic scenes on `{EXACT}`: it is the reference, and the fastest. "
+        "A shortcut is any of the others. *Safe*: what is learnt on it earns as much on exact. *Honest*: what a policy "
+        "earns on it is what it earns on exact. *Undecided*: the interval is wider than the margin, often by one "
+        "failed training, which is no evidence against the fidelity."
     )
 
 

@@ -515,7 +515,7 @@ def test_refusals_of_the_command_line(
 def test_the_page_says_what_the_names_stand_for(monkeypatch: pytest.MonkeyPatch) -> None:
     fast = FIDELITIES["fast"]
     assert f"`fast` ({fast.contact}, {fast.substeps} substeps)" in fidelities_line()
-    assert fidelities_line().endswith("`exact` (exact, no substeps).")
+    assert "`exact` (exact, no substeps). Train elastic scenes on `exact`" in fidelities_line()
     assert one_iteration() == f"{fast.contact} with {fast.substeps} substeps and 1 solver iteration"
     monkeypatch.setitem(SETTINGS, "one iteration", {"contact": "pymunk", "substeps": 1, "iterations": 3})
     assert one_iteration() == "pymunk with 1 substep and 3 solver iterations"
