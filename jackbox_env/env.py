@@ -111,19 +111,18 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     ## Fidelity
 
     `fidelity` names a contact model and its substeps; what `contact` and `substeps` say themselves wins. Measured by
-    `make benchmark` over 102 seeded scenes of 10 s (docs/accuracy.md): the first impact's time error (median, worst),
-    the deepest penetration (worst), the impacts right before the first wrong one (median), the simulator's speed over
-    that of `"balanced"`, which is the default.
+    `make benchmark` over 102 seeded scenes of 10 s (docs/accuracy.md): the first impact's time error (median, worst;
+    that of `"exact"` over ten trajectories known to 60 digits), the deepest penetration (worst), the impacts right
+    before the first wrong one (median), the simulator's speed over that of `"balanced"`, which is the default.
 
     | `fidelity`   | stands for          | first impact late by | deepest in a wall | right impacts | speed |
     |--------------|---------------------|----------------------|-------------------|---------------|-------|
-    | `"fast"`     | pymunk, 2 substeps  | 0.0045, 0.0099 s     | 0.22 m            | 2             | 1.2   |
+    | `"fast"`     | pymunk, 2 substeps  | 0.0045, 0.0099 s     | 0.22 m            | 2             | 1.1   |
     | `"balanced"` | pymunk, 4 substeps  | 0.0025, 0.0049 s     | 0.11 m            | 3             | 1     |
     | `"accurate"` | pymunk, 64 substeps | 1.7e-04, 3.1e-04 s   | 0.0067 m          | 4             | 0.21  |
-    | `"exact"`    | exact               | 4.4e-16, 1.3e-15 s   | 2.2e-14 m         | 11            | 8     |
+    | `"exact"`    | exact               | 4.4e-16, 1.3e-15 s   | 2.2e-14 m         | 11            | 7.8   |
 
-    `"exact"` is held against trajectories computed with 60 digits, the others against it. `jackbox_env.cheapest`
-    measures which setting keeps given bounds for a scene of your own.
+    `jackbox_env.cheapest` measures which setting keeps given bounds for a scene of your own.
 
     >>> import gymnasium as gym, jackbox_env
     >>> env = gym.make("JackInBox-v0")
