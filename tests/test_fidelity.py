@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import jackbox_env
-from jackbox_env import FIDELITIES, cheapest
+from jackbox_env import FIDELITIES, cheapest, fidelity
 from jackbox_env.fidelity import Choice, Setting, resolve
 
 WEIGHTLESS = {"gravity": 0.0, "drive": None}
@@ -96,6 +96,13 @@ def test_what_was_chosen_is_what_its_next_coarser_setting_fails() -> None:
 def test_the_exact_model_is_chosen_where_nothing_else_will_do() -> None:
     assert cheapest(first_impact_error=1e-9).setting == Setting("exact", None)
     assert cheapest(penetration=1e-9).setting == Setting("exact", None)
+
+
+def test_of_two_that_will_do_the_one_that_takes_less_time_is_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
+    loose: dict[str, Any] = {"first_impact_error": 0.02, "penetration": 1.0, "cases": 2}
+    assert cheapest(**loose).setting == Setting("exact", None)  # some 8 times cheaper than any of pymunk
+    monkeypatch.setattr(fidelity, "_costs", lambda settings, cases: [float(one.contact == "exact") for one in settings])
+    assert cheapest(**loose).setting == Setting("pymunk", 1)
 
 
 def test_a_jack_that_couples_its_feet_too_strongly_for_pymunk_leaves_the_exact_model() -> None:
