@@ -18,6 +18,7 @@ import json
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -43,6 +44,7 @@ STUDY = "study.json"
 _RESOLVED = "settings"  # key in it: fidelity -> [contact, substeps]
 BASELINES = ("zero", "level", "chirp")  # without chance: the same policy on every fidelity
 _LOOK_AGAIN = 0.5  # [s]
+_PATIENCE = 10.0  # for an interrupted training to leave its checkpoint [s]
 
 
 @dataclass(frozen=True)
@@ -196,10 +198,7 @@ def train_all(folder: Path, settings: StudySettings, processes: int = 2, progres
                 under_way = {run: process for run, process in under_way.items() if not _ended(run, process)}
                 bar.update(sum(_done(run, wanted.total_steps) for run, wanted in planned) - bar.n)
     finally:
-        for process in under_way.values():
-            process.send_signal(signal.SIGINT)  # it leaves a checkpoint
-        for process in under_way.values():
-            process.wait()
+        _interrupt(list(under_way.values()))
 
 
 @dataclass(frozen=True)
@@ -269,7 +268,23 @@ def _start(run: Path, settings: TrainSettings) -> subprocess.Popen[bytes]:
     command = [sys.executable, str(TRAIN), "--resume", str(run), "--no-progress"]
     with (run / "log.txt").open("ab") as log:
         # in a session of its own: Ctrl-C reaches it once, from here
-        return subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True)
+        return subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True, preexec_fn=_heed_interrupts)
+
+
+def _interrupt(processes: list[subprocess.Popen[bytes]]) -> None:
+    """Let trainings leave a checkpoint and end. One that is just starting may miss an interrupt: it gets another."""
+    while processes:
+        for process in processes:
+            process.send_signal(signal.SIGINT)
+        deadline = time.monotonic() + _PATIENCE
+        while time.monotonic() < deadline and any(process.poll() is None for process in processes):
+            threading.Event().wait(0.05)
+        processes = [process for process in processes if process.poll() is None]
+
+
+def _heed_interrupts() -> None:
+    """In a new process: a shell that starts commands in the background lets them ignore interrupts, and theirs too."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def _ended(run: Path, process: subprocess.Popen[bytes]) -> bool:

@@ -466,6 +466,7 @@ def test_an_interrupted_study_interrupts_its_trainings_and_says_how_to_go_on(
     stand_in: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("LASTS", "60")
+    monkeypatch.setattr(transfer, "_PATIENCE", 2.0)
     (stand_in.parent / "docs").mkdir()
     monkeypatch.chdir(stand_in.parent)
     started: list[subprocess.Popen[bytes]] = []
