@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import shutil
 import statistics
 import sys
@@ -180,7 +179,7 @@ def main() -> None:
     for what, seen, holds in results["claims"]:
         print(f"{'holds' if holds else 'FAILS'}: {what}: {seen}")
     print(f"Wrote {folder}" + (f" and {arguments.out / PAGE}" if arguments.out else ""))
-    failed = [what for what, _, holds in json.loads(json.dumps(results["claims"])) if not holds]
+    failed = [what for what, _, holds in results["claims"] if not holds]
     if failed:
         raise RuntimeError(f"{len(failed)} claims do not hold: " + "; ".join(failed))
 

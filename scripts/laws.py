@@ -25,7 +25,7 @@ from jackbox_env.scene import Drive, Scene
 from jackbox_env.simulators import CONTACT_MODELS, Simulator, make_simulator
 from jackbox_env.simulators.flight import reach
 from jackbox_env.vector_env import JackInBoxVectorEnv
-from scripts.cases import Case, Wave
+from scripts.random_cases import Case, Wave
 
 LAWS = ("containment", "momentum", "centre", "energy", "record", "restore", "batch", "refusal")
 ROUNDING = 1e-11  # of the largest number in a balance, over a case

@@ -16,9 +16,9 @@ from typing import Any, Literal
 from tqdm import tqdm
 
 from jackbox_env import _validation as check
-from scripts.cases import Case, SeededDraw, draw_case
 from scripts.common import command_line
 from scripts.laws import CONTACT_MODELS, LAWS, Examination, examine
+from scripts.random_cases import Case, SeededDraw, draw_case
 
 REPORT, TEXT = "report.json", "report.txt"
 SEEDS = 10**12  # cases between those of one --seed and of the next

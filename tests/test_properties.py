@@ -18,8 +18,8 @@ from jackbox_env.scene import Drive, Scene
 from jackbox_env.simulators import CONTACT_MODELS, make_simulator
 from jackbox_env.simulators.exact import ExactSimulator
 from jackbox_env.simulators.pymunk import PymunkSimulator
-from scripts.cases import Case, SeededDraw, Wave, draw_case
 from scripts.laws import LAWS, examine
+from scripts.random_cases import Case, SeededDraw, Wave, draw_case
 from tests.strategies import HypothesisDraw, cases
 
 EVERY_MODEL = pytest.mark.parametrize("contact", CONTACT_MODELS)

@@ -13,8 +13,8 @@ import pytest
 
 from jackbox_env.simulators.exact import ExactSimulator
 from scripts import soak
-from scripts.cases import Case, SeededDraw, draw_case
 from scripts.laws import Examination, examine
+from scripts.random_cases import Case, SeededDraw, draw_case
 
 MEASURED = {"seconds", "spent", "memory_at_start", "memory_at_end", "sittings"}
 

@@ -309,6 +309,25 @@ def test_the_readme_holds_the_verdicts_and_the_table(stored: dict[str, Any]) -> 
     assert page.for_the_readme(stored) in readme, "make readme"
 
 
+def test_the_readme_and_the_docstring_say_over_how_many_scenes(stored: dict[str, Any]) -> None:
+    count = stored["settings"][page.DEFAULT]["kinds"][summary.ALL]["cases"]
+    for text in ((ROOT / "README.md").read_text(), JackInBoxEnv.__doc__ or ""):
+        assert f"over {count} seeded scenes of 10 s" in " ".join(text.split())
+
+
+def test_wording_does_not_throw_a_sweep_away_but_code_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sweep = tmp_path / "scripts" / "sweep"
+    sweep.mkdir(parents=True)
+    monkeypatch.setattr(records, "ROOT", tmp_path)
+    (sweep / "page.py").write_text("one")
+    (sweep / "cases.py").write_text("one")
+    first = records.digest()
+    (sweep / "page.py").write_text("other")
+    assert records.digest() == first
+    (sweep / "cases.py").write_text("other")
+    assert records.digest() != first
+
+
 def test_pictures_show_every_setting_that_has_a_value(stored: dict[str, Any]) -> None:
     shown = {point.name for line in pictures.points(stored, pictures.PANELS[0]).values() for point in line}
     assert shown == set(stored["settings"])

@@ -186,11 +186,10 @@ class PymunkSimulator:
             self._recorder.start(self.time)
             after = self._advance(h, load, push)
             moves = -clearance(self.scene, after)
-            wedged = self.scene.restitution == 1.0 and self._recorder.wedged and not self._resolved(after, dt, torque)
-            if wedged:
-                self._forget_contacts()
-                continue
-            if moves <= self._deepest and math.isfinite(sum(after)):
+            followed = moves <= self._deepest and math.isfinite(sum(after))
+            strained = followed and self.scene.restitution == 1.0 and self._recorder.wedged
+            wedged = strained and not self._resolved(after, dt, torque)
+            if followed and not wedged:
                 if self._recorder.last_contact >= substeps - (_PERSISTENCE + 1):  # the engine may still remember it
                     self._forget_contacts()
                 self._dirty = False
