@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from jackbox_env import Scene
 from jackbox_env import _validation as check
-from jackbox_env.fidelity import FIDELITIES, Setting, resolve
+from jackbox_env.simulators.fidelity import FIDELITIES, Setting, resolve
 
 
 @dataclass(frozen=True)

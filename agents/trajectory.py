@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from jackbox_env import Impact, Simulator
-from jackbox_env.mechanics import STATE_NAMES
+from jackbox_env.states import STATE_NAMES
 
 
 @dataclass(frozen=True)

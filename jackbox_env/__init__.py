@@ -10,22 +10,23 @@ from gymnasium.envs.registration import register
 from jackbox_env.scene import Chirp, Drive, Scene
 
 if TYPE_CHECKING:
+    from jackbox_env.choosing import cheapest
     from jackbox_env.env import JackInBoxEnv
-    from jackbox_env.fidelity import FIDELITIES, cheapest
     from jackbox_env.planning import Rollout, rollout
     from jackbox_env.simulators import Impact, Simulator, make_simulator
+    from jackbox_env.simulators.fidelity import FIDELITIES
     from jackbox_env.vector_env import JackInBoxVectorEnv
 
 __version__ = "0.1.0"
 _LAZY = {
-    "FIDELITIES": "fidelity",
+    "FIDELITIES": "simulators.fidelity",
     "JackInBoxEnv": "env",
     "JackInBoxVectorEnv": "vector_env",
     "Impact": "simulators",
     "Simulator": "simulators",
     "make_simulator": "simulators",
     "Rollout": "planning",
-    "cheapest": "fidelity",
+    "cheapest": "choosing",
     "rollout": "planning",
 }
 __all__ = [

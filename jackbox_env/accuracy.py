@@ -14,10 +14,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jackbox_env.mechanics import Array, clearance, deepest_held, energy_of
+from jackbox_env.mechanics import energy_of
 from jackbox_env.scene import Scene
 from jackbox_env.simulators import Impact, Simulator, make_simulator
 from jackbox_env.simulators.replay import replayed
+from jackbox_env.states import Array, clearance, deepest_held
 
 STEPS_PER_RESTART = 5  # control steps: 0.1 s by default
 _ASIDE = 1e-13  # by which the start of a reference's twin is moved, far off by 100 units in the last place [m]

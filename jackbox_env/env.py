@@ -12,13 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import _validation as check
 from jackbox_env import tasks
-from jackbox_env.fidelity import resolve
-from jackbox_env.mechanics import Array, as_start
 from jackbox_env.observation import BOUNDS
 from jackbox_env.scene import Scene
 from jackbox_env.scoring import make_score
 from jackbox_env.simulators import Impact, make_simulator
-from jackbox_env.simulators.base import LATEST_TIME, total_impulse
+from jackbox_env.simulators.base import total_impulse
+from jackbox_env.simulators.fidelity import resolve
+from jackbox_env.states import LATEST_TIME, Array, as_start
 
 Observation = NDArray[np.float32]
 Action = NDArray[np.float32] | float | None

@@ -28,60 +28,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import _validation as check
 from jackbox_env.scene import Scene, SceneNumbers
-
-STATE_NAMES = (
-    "x_box",
-    "y_box",
-    "theta_box",
-    "x_jack",
-    "y_jack",
-    "theta_jack",
-    "vx_box",
-    "vy_box",
-    "omega_box",
-    "vx_jack",
-    "vy_jack",
-    "omega_jack",
-)
-
-# A start is inside when no foot is further out than this [m], or than 4 units in the last place of a far-off position.
-START_TOLERANCE = 1e-9
-
-# A state that a contact model has left is taken back with a foot this far outside [m], or L if that is less.
-DEEPEST = 1.0
-
-# Beyond this, squares and products of states and masses would overflow.
-LARGEST = 1e100
+from jackbox_env.states import Array, Numbers, as_state, refuse_no_scene
 
 _QUARTERS = np.arange(4) * (math.pi / 2.0)
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-Numbers = Sequence[float] | Array  # 12 of them
-
-
-def as_state(state: ArrayLike) -> Array:
-    """Return ``state`` as a fresh float64 array of shape (12,).
-
-    Raises:
-        TypeError: it does not hold numbers.
-        ValueError: its shape is not (12,), or a number is NaN, infinite or beyond 1e100 (named by its place).
-    """
-    array = np.array(check.array("state", state, "hold 12 numbers"), dtype=np.float64)
-    if array.shape != (12,):
-        raise ValueError(f"state must have shape (12,), got shape {array.shape}")
-    if not np.isfinite(array).all():
-        place = int(np.argmin(np.isfinite(array)))
-        raise ValueError(f"state must be finite, got {STATE_NAMES[place]} = {array[place]}")
-    if np.abs(array).max() > LARGEST:
-        place = int(np.argmax(np.abs(array)))
-        raise ValueError(f"state must be within +-{LARGEST:g}, got {STATE_NAMES[place]} = {array[place]}")
-    return array
-
-
-def _refuse_no_scene(scene: Scene) -> None:
-    if not isinstance(scene, Scene):
-        raise TypeError(f"scene must be a Scene, got {check.shown(scene)}")
 
 
 def _directions(angle: float) -> Array:
@@ -95,79 +46,10 @@ def gaps(scene: Scene, state: ArrayLike) -> Array:
     Raises:
         TypeError, ValueError: the state is not 12 finite numbers.
     """
-    _refuse_no_scene(scene)
+    refuse_no_scene(scene)
     q = as_state(state)
     feet = q[3:5] - q[0:2] + scene.jack_arm * _directions(q[5])  # (4, 2) from the box's centre
     return scene.box_half_width - _directions(q[2]) @ feet.T
-
-
-def clearance(scene: Scene | SceneNumbers, state: Numbers) -> float:
-    """Smallest of the 16 gaps [m] of 12 numbers, in closed form: opposite feet make each extent symmetric.
-
-    In the box frame the jack reaches |x| + l max(|cos|, |sin|) of the relative angle along x, and likewise along y.
-    NaN for a state that is not finite.
-    """
-    x, y = state[3] - state[0], state[4] - state[1]
-    relative = state[5] - state[2]
-    if not (abs(state[2]) < math.inf and abs(relative) < math.inf):
-        return math.nan
-    cosine, sine = math.cos(state[2]), math.sin(state[2])
-    reach = scene.jack_arm * max(abs(math.cos(relative)), abs(math.sin(relative)))
-    return scene.box_half_width - reach - max(abs(cosine * x + sine * y), abs(cosine * y - sine * x))
-
-
-def start_tolerance(state: Sequence[float]) -> float:
-    """How far a foot of a start may be outside [m]: 1e-9, or 4 units in the last place of a far-off position."""
-    furthest = max(abs(state[0]), abs(state[1]), abs(state[3]), abs(state[4]))
-    return max(START_TOLERANCE, 4.0 * math.ulp(furthest))
-
-
-def as_start(scene: Scene, state: ArrayLike) -> Array:
-    """Return ``state`` as a fresh float64 array of shape (12,) if every foot is inside, to the start's tolerance.
-
-    Raises:
-        TypeError, ValueError: the state is not 12 finite numbers, a foot is outside, or the places are so far off that
-            float64 can not tell L / 1000.
-    """
-    _refuse_no_scene(scene)
-    array = as_state(state)
-    values = array.tolist()
-    _refuse_far_off(scene, values)
-    outside, tolerance = -clearance(scene, values), start_tolerance(values)
-    if not outside <= tolerance:
-        raise ValueError(
-            f"a start must have every foot inside the box (at most {tolerance:g} m outside), got a foot {outside:g} m "
-            "outside; a state taken while a foot touches goes back with set_state"
-        )
-    return array
-
-
-def deepest_held(scene: Scene) -> float:
-    """How far outside a foot of a state may be that is taken back [m]: min(1 m, L)."""
-    return min(DEEPEST, scene.box_half_width)
-
-
-def as_held(scene: Scene, state: ArrayLike) -> Array:
-    """Return ``state`` as a fresh float64 array of shape (12,) if every foot is at most min(1 m, L) outside.
-
-    Raises:
-        TypeError, ValueError: the state is not 12 finite numbers, a foot is further outside, or the places are so far
-            off that float64 can not tell L / 1000.
-    """
-    _refuse_no_scene(scene)
-    array = as_state(state)
-    values = array.tolist()
-    _refuse_far_off(scene, values)
-    outside, deepest = -clearance(scene, values), deepest_held(scene)
-    if not outside <= deepest:
-        raise ValueError(f"state must have every foot at most {deepest:g} m outside, got {outside:g} m")
-    return array
-
-
-def _refuse_far_off(scene: Scene, values: Sequence[float]) -> None:
-    furthest = max(abs(values[place]) for place in (0, 1, 3, 4))
-    if not math.ulp(furthest) <= 1e-3 * scene.box_half_width:
-        raise ValueError(f"state must be near enough for its places to be finer than L / 1000, got {furthest:g} m")
 
 
 def gap_jacobian(scene: Scene, state: ArrayLike, wall: int, foot: int) -> Array:
@@ -179,7 +61,7 @@ def gap_jacobian(scene: Scene, state: ArrayLike, wall: int, foot: int) -> Array:
         TypeError, ValueError: the state is not 12 finite numbers, scene is no Scene, or wall or foot is no whole number
             from 0 to 3.
     """
-    _refuse_no_scene(scene)
+    refuse_no_scene(scene)
     q = as_state(state)
     wall = check.whole("wall", wall, at_least=0, at_most=3)
     foot = check.whole("foot", foot, at_least=0, at_most=3)
@@ -240,7 +122,7 @@ def simultaneous_impact_map(scene: Scene, state: ArrayLike, contacts: Sequence[t
     Raises:
         TypeError, ValueError: the state is not 12 finite numbers, or a contact is no pair of numbers 0..3 or repeated.
     """
-    _refuse_no_scene(scene)
+    refuse_no_scene(scene)
     before = as_state(state)
     try:
         listed = list(contacts)
@@ -320,7 +202,7 @@ def energy(scene: Scene, state: ArrayLike) -> float:
     Raises:
         TypeError, ValueError: the state is not 12 finite numbers.
     """
-    _refuse_no_scene(scene)
+    refuse_no_scene(scene)
     return energy_of(scene, as_state(state).tolist())
 
 

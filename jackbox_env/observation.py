@@ -22,8 +22,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.mechanics import Numbers
 from jackbox_env.scene import Scene, SceneNumbers
+from jackbox_env.states import Numbers
 
 BOUNDS = np.array([1, 1, 10, 10, 1, 1, 10, 1, 1, 10], dtype=np.float32)
 

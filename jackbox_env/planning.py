@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import _validation as check
-from jackbox_env._compiled import compiled
-from jackbox_env.batches.loop import PAUSED
-from jackbox_env.batches.rollouts import outside, roll
 from jackbox_env.batches.threads import Threads, thread_count
-from jackbox_env.mechanics import Array, as_held, deepest_held
+from jackbox_env.compiled.compiler import compiled
+from jackbox_env.compiled.loop import PAUSED
+from jackbox_env.compiled.rollouts import outside, roll
+from jackbox_env.compiled.workspace import new_workspace
 from jackbox_env.scene import Scene
-from jackbox_env.simulators.base import LATEST_TIME, end_of_step
+from jackbox_env.simulators.base import end_of_step
 from jackbox_env.simulators.exact import drive_kind, failure, pieces_for, refuse_inelastic
-from jackbox_env.simulators.workspace import new_workspace
+from jackbox_env.states import LATEST_TIME, Array, as_held, deepest_held
 
 _GRAIN = 1000  # steps that are worth a call
 _FEWEST_PER_THREAD = 5000  # steps that are worth waking a thread

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.canvas import SIZE, TRACK, Canvas, Colour, Point, import_pygame
-from jackbox_env.mechanics import Array
 from jackbox_env.scene import Scene
 from jackbox_env.simulators.base import Impact
+from jackbox_env.states import Array
 
 if TYPE_CHECKING:
     import pygame

@@ -19,8 +19,8 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
 from jackbox_env import _validation as check
-from jackbox_env.mechanics import Array
 from jackbox_env.scene import Scene
+from jackbox_env.states import Array
 from jackbox_env.vector_env import JackInBoxVectorEnv
 
 _KNOWN = set(inspect.signature(JackInBoxVectorEnv).parameters) - {"num_envs", "autoreset_mode", "with_infos"}

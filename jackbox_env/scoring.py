@@ -11,9 +11,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.mechanics import Array
 from jackbox_env.observation import observe
 from jackbox_env.scene import Scene
+from jackbox_env.states import Array
 from jackbox_env.tasks import TASKS
 
 
@@ -45,8 +45,8 @@ class CompiledScore:
     """Compiled."""
 
     def __init__(self, scene: Scene, task: str) -> None:
-        from jackbox_env._compiled import compiled
-        from jackbox_env.batches.loop import score_one
+        from jackbox_env.compiled.compiler import compiled
+        from jackbox_env.compiled.score import score_one
 
         self._given = scene, task
         self._call, self._numbers, self._task = compiled(score_one), np.array(scene.numbers), list(TASKS).index(task)

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jackbox_env.mechanics import Array, Numbers
 from jackbox_env.scene import Scene, SceneNumbers
+from jackbox_env.states import Array, Numbers
 
 AnyScene = Scene | SceneNumbers
 

@@ -14,9 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from jackbox_env import _validation as check
 from jackbox_env.batches.base import Batch, Flags, Floats, Outcome
 from jackbox_env.env import JackInBoxEnv
-from jackbox_env.mechanics import Array, as_held, as_start
 from jackbox_env.scene import Scene
-from jackbox_env.simulators.base import LATEST_TIME
+from jackbox_env.states import LATEST_TIME, Array, as_held, as_start
 
 Infos = dict[str, Any]
 

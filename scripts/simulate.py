@@ -49,8 +49,8 @@ def main() -> None:
     from agents.trajectory import simulate, write_csv, write_npz
     from jackbox_env import Scene, make_simulator
     from jackbox_env import _validation as check
-    from jackbox_env.fidelity import resolve
-    from jackbox_env.mechanics import as_start
+    from jackbox_env.simulators.fidelity import resolve
+    from jackbox_env.states import as_start
 
     check.real("seconds", arguments.seconds, above=0.0, at_most=1e6)
     check.real("dt", arguments.dt, above=0.0)

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 
-from scripts.random_cases import Case, draw_case
+from scripts.studies.laws.random_cases import Case, draw_case
 
 T = TypeVar("T")
 STEPS = 24  # control steps of a case
@@ -28,7 +28,7 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "quick"))
 
 @dataclass(frozen=True)
 class HypothesisDraw:
-    """A :class:`scripts.random_cases.Draw` of hypothesis's choices, which it shrinks when a law breaks."""
+    """A :class:`scripts.studies.laws.random_cases.Draw` of hypothesis's choices, which it shrinks when a law breaks."""
 
     draw: Callable[[st.SearchStrategy[Any]], Any]
 

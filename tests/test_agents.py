@@ -30,7 +30,7 @@ from agents.runs import describe, new_folder, read_settings
 from agents.settings import EnvSettings, TrainSettings
 from agents.trajectory import simulate, write_npz
 from jackbox_env import Scene, make_simulator
-from jackbox_env.fidelity import Setting
+from jackbox_env.simulators.fidelity import Setting
 from tests.states import load
 
 ROOT = Path(__file__).parents[1]

@@ -17,10 +17,10 @@ import pytest
 from numpy.typing import NDArray
 
 import jackbox_env
-from jackbox_env._compiled import compiled, compiled_with
-from jackbox_env.batches.generator import fresh, packed, seeded, uniform
 from jackbox_env.batches.threads import Threads, thread_count
-from jackbox_env.trigonometry import LARGEST, cos_sin, cos_sin_within
+from jackbox_env.compiled.compiler import compiled, compiled_with
+from jackbox_env.compiled.generator import fresh, packed, seeded, uniform
+from jackbox_env.compiled.trigonometry import LARGEST, cos_sin, cos_sin_within
 
 PACKAGE = Path(jackbox_env.__file__).parent
 STEP = "import jackbox_env; s = jackbox_env.make_simulator(contact='exact'); s.step(0.02, 1.0); "
@@ -39,7 +39,7 @@ def run(code: str, **environment: str) -> str:
 
 def test_a_later_process_finds_the_compiled_code(tmp_path: Path) -> None:
     stats = (
-        "from jackbox_env._compiled import compiled; from jackbox_env.simulators.step import step_one;"
+        "from jackbox_env.compiled.compiler import compiled; from jackbox_env.compiled.step import step_one;"
         "c = compiled(step_one).stats; print(sum(c.cache_hits.values()), sum(c.cache_misses.values()))"
     )
     assert run(STEP + stats, NUMBA_CACHE_DIR=str(tmp_path)) == "0 1"
@@ -67,10 +67,10 @@ def test_nowhere_to_keep_compiled_code_is_said(tmp_path: Path) -> None:
     blocked = tmp_path / "a file, not a folder"
     blocked.write_text("")
     code = (
-        "import warnings, jackbox_env._compiled as c; from pathlib import Path;"
+        "import warnings, jackbox_env.compiled.compiler as c; from pathlib import Path;"
         f"c.PACKAGE = Path({str(blocked)!r}); c._digest = lambda: 'x';"
         "warnings.simplefilter('error');"
-        "from jackbox_env.trigonometry import cos_sin;"
+        "from jackbox_env.compiled.trigonometry import cos_sin;"
         "\ntry: c.compiled(cos_sin)\nexcept UserWarning as w: print(w)"
     )
     said = run(code, NUMBA_CACHE_DIR=str(blocked), XDG_CACHE_HOME=str(blocked))
@@ -79,8 +79,8 @@ def test_nowhere_to_keep_compiled_code_is_said(tmp_path: Path) -> None:
 
 def test_another_function_can_take_a_functions_place() -> None:
     # A turn that compiled code counts in quarters, by another rule.
-    from jackbox_env.simulators.impacts import quarter
-    from jackbox_env.simulators.kernel import foot_gap
+    from jackbox_env.compiled.impacts import quarter
+    from jackbox_env.compiled.search import foot_gap
 
     numbers = jackbox_env.Scene().numbers
     given = numbers, 1.0, 0.0, 0.8, 0.6, 0.0, 1

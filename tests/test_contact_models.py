@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jackbox_env.mechanics import clearance, energy
+from jackbox_env.mechanics import energy
 from jackbox_env.scene import Chirp, Drive, Scene
 from jackbox_env.simulators import CONTACT_MODELS, make_simulator
+from jackbox_env.states import clearance
 from tests.states import inside, one_foot_on_wall
 
 WEIGHTLESS = Scene(gravity=0.0, drive=None)

@@ -16,14 +16,15 @@ import numpy as np
 import pymunk
 import pytest
 
-from jackbox_env import _compiled
 from jackbox_env.batches import exact as batches
+from jackbox_env.compiled import compiler as _compiled
+from jackbox_env.compiled import step
+from jackbox_env.compiled.workspace import RECORD, new_workspace
 from jackbox_env.scene import Chirp, Drive, Scene
-from jackbox_env.simulators import CONTACT_MODELS, make_simulator, step
-from jackbox_env.simulators.workspace import RECORD, new_workspace
+from jackbox_env.simulators import CONTACT_MODELS, make_simulator
 from jackbox_env.vector_env import JackInBoxVectorEnv
-from scripts import costs
-from scripts.counting import (
+from scripts.studies.costs import costs
+from scripts.studies.costs.counting import (
     BATCH,
     EXACT,
     PROOFS,

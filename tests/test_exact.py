@@ -13,16 +13,19 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from jackbox_env._compiled import compiled
-from jackbox_env.mechanics import clearance, energy, impact_map, simultaneous_impact_map
+from jackbox_env.compiled import drives, impacts, step
+from jackbox_env.compiled import search as kernel
+from jackbox_env.compiled.compiler import compiled
+from jackbox_env.compiled.workspace import GRADIENTS, HITS, IMPULSES, RECORD, STATE, TALLY, new_workspace
+from jackbox_env.mechanics import energy, impact_map, simultaneous_impact_map
 from jackbox_env.planning import rollout
 from jackbox_env.scene import Chirp, Drive, Scene
-from jackbox_env.simulators import Impact, drives, exact, impacts, kernel, step
+from jackbox_env.simulators import Impact, exact
 from jackbox_env.simulators.exact import ExactSimulator, drive_kind, pieces_for
-from jackbox_env.simulators.workspace import GRADIENTS, HITS, IMPULSES, RECORD, STATE, TALLY, new_workspace
+from jackbox_env.states import clearance
 from jackbox_env.tasks import sample_start
 from jackbox_env.vector_env import JackInBoxVectorEnv
-from scripts import naive
+from scripts.studies.speed import naive
 from tests.closed_forms import chirp_motion_by_fresnel
 from tests.states import Array, inside, load, one_foot_on_wall, several_contacts
 
@@ -327,7 +330,7 @@ def test_an_uncertified_step_would_let_feet_through(monkeypatch: pytest.MonkeyPa
 
 def test_no_foot_gets_out_over_two_million_steps_of_random_torque() -> None:
     # The full measurement over 1e8 steps is scripts/containment.py.
-    from scripts.containment import deepest_over
+    from scripts.studies.laws.containment import deepest_over
 
     deepest, steps = deepest_over(steps=2_000_000, num_envs=2048, seed=5, progress=False)
     assert steps >= 2_000_000

@@ -11,7 +11,8 @@ import pytest
 
 import jackbox_env
 from jackbox_env import FIDELITIES, cheapest, fidelity
-from jackbox_env.fidelity import Choice, Setting, resolve
+from jackbox_env.choosing import Choice
+from jackbox_env.simulators.fidelity import Setting, resolve
 
 WEIGHTLESS = {"gravity": 0.0, "drive": None}
 

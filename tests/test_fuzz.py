@@ -26,6 +26,7 @@ from jackbox_env import (
     make_simulator,
     mechanics,
     rollout,
+    states,
     tasks,
 )
 from jackbox_env.sb3 import EnvView, JackInBoxVecEnv, make_sb3_vec_env
@@ -84,9 +85,9 @@ def of_env(maker: Callable[..., Any], **settings: Any) -> None:
 
 SCENE = Scene(gravity=1.0)
 FUNCTIONS: dict[str, Callable[[Any], Any]] = {
-    "mechanics.as_state": mechanics.as_state,
-    "mechanics.as_start": lambda state: mechanics.as_start(SCENE, state),
-    "mechanics.as_held": lambda state: mechanics.as_held(SCENE, state),
+    "states.as_state": states.as_state,
+    "states.as_start": lambda state: states.as_start(SCENE, state),
+    "states.as_held": lambda state: states.as_held(SCENE, state),
     "mechanics.gaps": lambda state: mechanics.gaps(SCENE, state),
     "mechanics.gap_jacobian": lambda state: mechanics.gap_jacobian(SCENE, state, 0, 0),
     "mechanics.impact_map": lambda state: mechanics.impact_map(SCENE, state, 0, 0),
@@ -99,8 +100,8 @@ SCENES: dict[str, Callable[[Any], Any]] = {
     "mechanics.impact_map": lambda scene: mechanics.impact_map(scene, START, 0, 0),
     "mechanics.simultaneous_impact_map": lambda scene: mechanics.simultaneous_impact_map(scene, START, [(0, 0)]),
     "mechanics.energy": lambda scene: mechanics.energy(scene, START),
-    "mechanics.as_start": lambda scene: mechanics.as_start(scene, START),
-    "mechanics.as_held": lambda scene: mechanics.as_held(scene, START),
+    "states.as_start": lambda scene: states.as_start(scene, START),
+    "states.as_held": lambda scene: states.as_held(scene, START),
     "Scene.of": Scene.of,
     "make_simulator": make_simulator,
     "rollout": lambda scene: rollout(scene, START, [0.0], 0.02),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from agents.inference import (
+from scripts.studies.transfer.inference import (
     crossed_difference,
     crossed_estimate,
     failures_not_excluded,

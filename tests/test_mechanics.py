@@ -16,18 +16,9 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from jackbox_env.mechanics import (
-    STATE_NAMES,
-    as_state,
-    clearance,
-    energy,
-    gap_jacobian,
-    gaps,
-    impact_map,
-    simultaneous_impact_map,
-    start_tolerance,
-)
+from jackbox_env.mechanics import energy, gap_jacobian, gaps, impact_map, simultaneous_impact_map
 from jackbox_env.scene import Scene
+from jackbox_env.states import STATE_NAMES, as_state, clearance, start_tolerance
 from tests.states import Array, inside, load, several_contacts
 from tests.symbolic import (
     ARM,

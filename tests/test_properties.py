@@ -13,13 +13,13 @@ import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from jackbox_env.mechanics import clearance, deepest_held, start_tolerance
 from jackbox_env.scene import Drive, Scene
 from jackbox_env.simulators import CONTACT_MODELS, make_simulator
 from jackbox_env.simulators.exact import ExactSimulator
 from jackbox_env.simulators.pymunk import PymunkSimulator
-from scripts.laws import LAWS, examine
-from scripts.random_cases import Case, SeededDraw, Wave, draw_case
+from jackbox_env.states import clearance, deepest_held, start_tolerance
+from scripts.studies.laws.laws import LAWS, examine
+from scripts.studies.laws.random_cases import Case, SeededDraw, Wave, draw_case
 from tests.strategies import HypothesisDraw, cases
 
 EVERY_MODEL = pytest.mark.parametrize("contact", CONTACT_MODELS)

@@ -14,14 +14,15 @@ import numpy as np
 import pytest
 
 from jackbox_env.accuracy import Between, Case, Course, compare, follow, reference_of
-from jackbox_env.mechanics import Array, energy, gap_jacobian, impact_map
+from jackbox_env.mechanics import energy, gap_jacobian, impact_map
 from jackbox_env.scene import Chirp, Drive, Scene
 from jackbox_env.simulators import make_simulator
 from jackbox_env.simulators.base import Impact
+from jackbox_env.states import Array
 from jackbox_env.tasks import sample_start
-from scripts import rivals
-from scripts.rivals.base import Pushes, Rival
-from scripts.rivals.naive import BAND, NaiveSimulator, reflect
+from scripts.studies import rivals
+from scripts.studies.rivals.base import Pushes, Rival
+from scripts.studies.rivals.naive import BAND, NaiveSimulator, reflect
 from tests.states import inside, one_foot_on_wall
 
 WEIGHTLESS = Scene(gravity=0.0, drive=None)

@@ -15,10 +15,11 @@ import numpy as np
 import pymunk
 import pytest
 
-from jackbox_env.mechanics import clearance, energy, gaps, impact_map, simultaneous_impact_map
+from jackbox_env.mechanics import energy, gaps, impact_map, simultaneous_impact_map
 from jackbox_env.scene import Chirp, Scene
 from jackbox_env.simulators import Impact, contacts, make_simulator
 from jackbox_env.simulators.pymunk import PymunkSimulator
+from jackbox_env.states import clearance
 from tests.states import Array, inside, load, one_foot_on_wall, several_contacts
 
 WEIGHTLESS = Scene(gravity=0.0, drive=None)

@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 
 from jackbox_env.simulators.exact import ExactSimulator
-from scripts import soak
-from scripts.laws import Examination, examine
-from scripts.random_cases import Case, SeededDraw, draw_case
+from scripts.studies.laws import soak
+from scripts.studies.laws.laws import Examination, examine
+from scripts.studies.laws.random_cases import Case, SeededDraw, draw_case
 
 MEASURED = {"seconds", "spent", "memory_at_start", "memory_at_end", "sittings"}
 

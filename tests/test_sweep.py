@@ -16,8 +16,7 @@ import pytest
 
 from jackbox_env import FIDELITIES, JackInBoxEnv, Scene
 from jackbox_env.simulators.pymunk import PymunkSimulator
-from scripts import benchmark
-from scripts.sweep import cases, page, pictures, records, settings, summary
+from scripts.studies.accuracy import benchmark, cases, page, pictures, records, settings, summary
 
 ROOT = Path(__file__).parents[1]
 STORED = ROOT / "docs" / "accuracy" / "results.json"

@@ -19,10 +19,12 @@ import tyro
 from numpy.typing import NDArray
 
 import jackbox_env  # noqa: F401
-from agents import transfer
-from agents.inference import Estimate, Floats, two_sided
-from agents.learning_page import commands, fidelities_line, one_iteration, statistics_table
-from agents.longrun import (
+from agents.policies import baseline
+from jackbox_env import FIDELITIES, Impact, Scene
+from jackbox_env.tasks import sample_start
+from scripts.studies.transfer import study as transfer
+from scripts.studies.transfer.inference import Estimate, Floats, two_sided
+from scripts.studies.transfer.longrun import (
     DT,
     SETTINGS,
     STATISTICS,
@@ -34,9 +36,10 @@ from agents.longrun import (
     run_episodes,
     stored,
 )
-from agents.policies import baseline
-from agents.transfer import StudySettings, cell, new_study, read_study, resolved_fidelities, train_all
-from agents.verdict import (
+from scripts.studies.transfer.page import commands, fidelities_line, one_iteration, statistics_table
+from scripts.studies.transfer.study import StudySettings, cell, new_study, read_study, resolved_fidelities, train_all
+from scripts.studies.transfer.transfer import Arguments, main
+from scripts.studies.transfer.verdict import (
     MARGIN,
     Finding,
     baseline_shift,
@@ -47,9 +50,6 @@ from agents.verdict import (
     sentence,
     statistics_sentence,
 )
-from jackbox_env import FIDELITIES, Impact, Scene
-from jackbox_env.tasks import sample_start
-from scripts.transfer import Arguments, main
 
 ROOT = Path(__file__).parents[1]
 

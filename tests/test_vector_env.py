@@ -19,8 +19,8 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import jackbox_env
 from jackbox_env import Drive, JackInBoxVectorEnv, Scene, planning
-from jackbox_env._compiled import compiled_with
 from jackbox_env.batches import exact
+from jackbox_env.compiled.compiler import compiled_with
 from jackbox_env.env import JackInBoxEnv
 
 MODES = (AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP)

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.mechanics import Array
+from jackbox_env.states import Array
 
 Flags = NDArray[np.bool_]
 Floats = NDArray[np.float32]

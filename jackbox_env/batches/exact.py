@@ -7,18 +7,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env._compiled import compiled
-from jackbox_env.batches import loop
 from jackbox_env.batches.base import Flags, Floats, Outcome, bad_action
-from jackbox_env.batches.generator import fresh, seeded
 from jackbox_env.batches.threads import Threads, thread_count
-from jackbox_env.mechanics import Array
+from jackbox_env.compiled import loop
+from jackbox_env.compiled.compiler import compiled
+from jackbox_env.compiled.drives import TABLE_WIDTH
+from jackbox_env.compiled.generator import fresh, seeded
+from jackbox_env.compiled.step import FUNCTIONS
+from jackbox_env.compiled.workspace import new_workspace
 from jackbox_env.scene import Scene
 from jackbox_env.simulators.base import end_of_step
-from jackbox_env.simulators.drives import TABLE_WIDTH
 from jackbox_env.simulators.exact import drive_kind, failure, pieces_for, refuse_inelastic
-from jackbox_env.simulators.step import FUNCTIONS
-from jackbox_env.simulators.workspace import new_workspace
+from jackbox_env.states import Array
 from jackbox_env.tasks import TASKS
 
 _FEWEST_PER_THREAD = 4096  # below that, waking a thread costs more than it saves

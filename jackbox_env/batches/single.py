@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from jackbox_env.batches.base import Flags, Floats, Outcome, bad_action
 from jackbox_env.env import JackInBoxEnv
-from jackbox_env.mechanics import Array
+from jackbox_env.states import Array
 
 
 class SingleBatch:

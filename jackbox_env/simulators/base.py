@@ -6,11 +6,8 @@ from typing import NamedTuple, Protocol
 
 from numpy.typing import ArrayLike
 
-from jackbox_env.mechanics import Array
 from jackbox_env.scene import Scene
-
-# Beyond this the spacing of float64 times (1.2e-7 s) is no longer small against a control step.
-LATEST_TIME = 1e9  # [s]
+from jackbox_env.states import LATEST_TIME, Array
 
 
 class Impact(NamedTuple):

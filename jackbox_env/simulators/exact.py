@@ -22,14 +22,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jackbox_env import _validation as check
-from jackbox_env._compiled import compiled
-from jackbox_env.mechanics import Array, as_held
+from jackbox_env.compiled.compiler import compiled
+from jackbox_env.compiled.drives import TABLE_WIDTH, function_pieces
+from jackbox_env.compiled.search import MOST_WORK, TOO_MUCH_WORK
+from jackbox_env.compiled.step import CHIRP, FUNCTIONS, NO_DRIVE, TOO_MANY_TURNS, step_one
+from jackbox_env.compiled.workspace import RECORD, Workspace, new_workspace
 from jackbox_env.scene import Chirp, Drive, Scene, too_many_turns
-from jackbox_env.simulators.base import LATEST_TIME, Impact, end_of_step
-from jackbox_env.simulators.drives import TABLE_WIDTH, function_pieces
-from jackbox_env.simulators.kernel import MOST_WORK, TOO_MUCH_WORK
-from jackbox_env.simulators.step import CHIRP, FUNCTIONS, NO_DRIVE, TOO_MANY_TURNS, step_one
-from jackbox_env.simulators.workspace import RECORD, Workspace, new_workspace
+from jackbox_env.simulators.base import Impact, end_of_step
+from jackbox_env.states import LATEST_TIME, Array, as_held
 
 _NO_PIECES: Array = np.zeros((0, TABLE_WIDTH))
 

@@ -43,12 +43,13 @@ from numpy.typing import ArrayLike
 from pymunk.batch import BodyFields, Buffer, get_space_bodies
 
 from jackbox_env import _validation as check
-from jackbox_env.mechanics import Array, as_held, clearance, deepest_held, energy_of
+from jackbox_env.mechanics import energy_of
 from jackbox_env.scene import Drive, Scene
-from jackbox_env.simulators.base import LATEST_TIME, Impact, end_of_step
+from jackbox_env.simulators.base import Impact, end_of_step
 from jackbox_env.simulators.contacts import Recorder, iterations_for
 from jackbox_env.simulators.flight import fly, reach
 from jackbox_env.simulators.replay import replayed
+from jackbox_env.states import LATEST_TIME, Array, as_held, clearance, deepest_held
 
 _WALL_THICKNESS = 100.0 / 6.0  # R over L: 100 m by default
 _HASH_CELL = 1000.0 / 6.0  # over L: 1000 m by default

@@ -12,10 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jackbox_env.mechanics import clearance, gap_jacobian
+from jackbox_env.mechanics import gap_jacobian
 from jackbox_env.scene import Drive, Scene
 from jackbox_env.simulators.base import Impact
 from jackbox_env.simulators.flight import fly
+from jackbox_env.states import clearance
 
 
 class Replay(NamedTuple):

@@ -9,9 +9,10 @@ from itertools import groupby
 
 import numpy as np
 
-from jackbox_env.mechanics import clearance, energy, simultaneous_impact_map
+from jackbox_env.mechanics import energy, simultaneous_impact_map
 from jackbox_env.scene import Scene
 from jackbox_env.simulators import Impact, Simulator, make_simulator
+from jackbox_env.states import clearance
 from tests.states import Array
 
 

@@ -12,11 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from jackbox_env._compiled import compiled
-from jackbox_env.mechanics import clearance, energy
+from jackbox_env.compiled.compiler import compiled
+from jackbox_env.mechanics import energy
 from jackbox_env.scene import Scene
+from jackbox_env.states import clearance
 from jackbox_env.vector_env import JackInBoxVectorEnv
-from scripts.containment import least_clearance
+from scripts.studies.laws.containment import least_clearance
 from tests.extremes.measures import angular_momentum, deepest_allowed, momentum, momentum_scale, started
 from tests.extremes.page import FULL, Bound, Finding, extreme, within
 from tests.states import inside

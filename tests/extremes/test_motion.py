@@ -6,9 +6,10 @@ import math
 
 import numpy as np
 
-from jackbox_env.mechanics import clearance, energy, impact_map
+from jackbox_env.mechanics import energy, impact_map
 from jackbox_env.scene import Chirp, Scene
 from jackbox_env.simulators import Simulator
+from jackbox_env.states import clearance
 from tests.closed_forms import chirp_motion_by_fresnel
 from tests.extremes.measures import (
     Course,

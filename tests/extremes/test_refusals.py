@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 
 from jackbox_env.env import JackInBoxEnv
-from jackbox_env.mechanics import STATE_NAMES, energy, gaps
+from jackbox_env.mechanics import energy, gaps
 from jackbox_env.planning import rollout
 from jackbox_env.scene import Chirp, Drive, Scene
 from jackbox_env.simulators import make_simulator
+from jackbox_env.states import STATE_NAMES
 from jackbox_env.vector_env import JackInBoxVectorEnv
 from tests.extremes.measures import Course, deepest_allowed, follow, off_the_law, started
 from tests.extremes.page import Bound, Finding, extreme, refuses, refuses_each, sentence_of, within

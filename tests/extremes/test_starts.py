@@ -9,8 +9,9 @@ from functools import partial
 import numpy as np
 
 from jackbox_env.env import JackInBoxEnv
-from jackbox_env.mechanics import clearance, energy, gap_jacobian
+from jackbox_env.mechanics import energy, gap_jacobian
 from jackbox_env.scene import Scene
+from jackbox_env.states import clearance
 from tests.extremes.measures import off_the_law, relative, replayed, started
 from tests.extremes.page import REFUSED, Bound, Finding, extreme, refuses, within
 from tests.states import Array, one_foot_on_wall

@@ -1,0 +1,214 @@
+"""Which setting to use for a scene of your own: a measurement that chooses."""
+
+from __future__ import annotations
+
+import math
+import statistics
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from jackbox_env import _validation as check
+from jackbox_env.accuracy import Case, at_ends, between, follow
+from jackbox_env.scene import Scene
+from jackbox_env.simulators import Impact, make_simulator
+from jackbox_env.simulators.fidelity import Setting
+from jackbox_env.states import Array, as_start
+from jackbox_env.tasks import sample_start
+
+_CANDIDATES = (1, 2, 4, 8, 16, 32, 64, 128, 256)  # substeps of pymunk, cheapest first
+_ROUNDS = 5  # in which the costs of two settings are compared
+
+
+class Choice(NamedTuple):
+    """A setting and what was measured of it; errors are the worst over the cases."""
+
+    setting: Setting
+    first_impact_error: float  # [s]
+    penetration: float  # deepest that a foot was in a wall at an impact or a step's end [m]
+    microseconds: float  # per control step
+    cases: int  # that had an impact
+
+
+def cheapest(
+    scene: Scene | Mapping[str, Any] | None = None,
+    *,
+    first_impact_error: float = math.inf,
+    penetration: float = math.inf,
+    states: Sequence[ArrayLike] | None = None,
+    cases: int = 12,
+    steps: int = 250,
+    control_dt: float = 0.02,
+    seed: int = 0,
+) -> Choice:
+    """Measure which setting is the cheapest that keeps both errors within bounds, for a scene.
+
+    Every case is a start under held random torques within ``scene.torque_limit`` and, in turn, under the scene's drive
+    if it has one. The first impact is held against the exact model's, whose own error is rounding; before it
+    restitution plays no part, so scenes with loss are measured too. Among pymunk's substeps 1, 2, 4, ... 256 the first
+    that will do is compared with the exact model, where the scene allows it, by the time they take in turns. A setting
+    that loses a jack, or whose first impact is of another foot or on another wall, will not do whatever the bounds.
+    Seconds for an ordinary scene; the first exact step on a machine compiles.
+
+    What is found holds for the cases simulated: it is a measurement, not a guarantee.
+
+    Args:
+        scene: a Scene, a dict of some of its fields, or None for the default scene.
+        first_impact_error: largest error of the time of the first impact [s], > 0.
+        penetration: deepest that a foot may be in a wall, at an impact or at the end of a control step [m], > 0.
+        states: starts, each of shape (12,), taken in turn; None: the environment's own.
+        cases: how many courses to simulate, 1 to 10,000.
+        steps: control steps of each, 1 to 1,000,000.
+        control_dt: control step [s].
+        seed: of the starts and the torques.
+
+    Returns:
+        The setting with what was measured: ``gym.make("JackInBox-v0", **choice.setting._asdict())``.
+
+    Raises:
+        TypeError, ValueError: an argument out of its range; no jack touches a wall; or no setting will do, the sentence
+            then says what the finest one reaches.
+        RuntimeError: the exact model cannot follow a case to its first impact.
+
+    >>> from jackbox_env import cheapest
+    >>> cheapest({"restitution": 0.5}, first_impact_error=0.005, penetration=0.2).setting
+    Setting(contact='pymunk', substeps=4)
+    """
+    bounds = _bound("first_impact_error", first_impact_error), _bound("penetration", penetration)
+    scene = Scene.of(scene)
+    drawn = _cases(scene, states, cases, steps, control_dt, seed)
+    measured: list[Choice] = []
+    try:
+        make_simulator(scene, "pymunk")
+    except ValueError:  # its solver would need too many iterations
+        if scene.restitution != 1.0:
+            raise
+    else:
+        for substeps in _CANDIDATES:
+            measured = [_measured(Setting("pymunk", substeps), drawn, bounds)]
+            if _within(measured[0], bounds):
+                break
+    if scene.restitution == 1.0:
+        measured.append(_measured(Setting("exact"), drawn, bounds))
+    found = [choice for choice in measured if _within(choice, bounds)]
+    if not found:
+        finest = measured[-1]
+        name = "the exact model" if finest.setting.contact == "exact" else f"pymunk with {_CANDIDATES[-1]} substeps"
+        raise ValueError(
+            f"no setting keeps the first impact within {bounds[0]:g} s and penetration within {bounds[1]:g} m; {name} "
+            f"reaches {finest.first_impact_error:.3g} s and {finest.penetration:.3g} m or more"
+        )
+    costs = _costs([choice.setting for choice in found], [case for case, _ in drawn])
+    return min(
+        (choice._replace(microseconds=cost) for choice, cost in zip(found, costs, strict=True)),
+        key=lambda choice: choice.microseconds,
+    )
+
+
+def _bound(name: str, value: float) -> float:
+    """A bound above 0, infinite where nothing is asked."""
+    if isinstance(value, float | np.floating) and value == math.inf:
+        return math.inf
+    return check.real(name, value, above=0.0)
+
+
+def _within(choice: Choice, bounds: tuple[float, float]) -> bool:
+    """Whether a setting will do: what is infinite will not."""
+    errors = choice.first_impact_error, choice.penetration
+    return all(error <= bound and error < math.inf for error, bound in zip(errors, bounds, strict=True))
+
+
+def _cases(
+    scene: Scene, states: Sequence[ArrayLike] | None, cases: int, steps: int, control_dt: float, seed: int
+) -> list[tuple[Case, list[Impact]]]:
+    """Cases with the impacts that come first in them, those without an impact left out."""
+    check.whole("cases", cases, at_least=1, at_most=10_000)
+    check.whole("steps", steps, at_least=1, at_most=1_000_000)
+    check.whole("seed", seed, at_least=0)
+    dt = check.real("control_dt", control_dt, above=0.0)
+    starts = _starts(scene, states)
+    rng = np.random.default_rng(seed)
+    drawn = []
+    for number in range(cases):
+        start = sample_start(scene, rng) if starts is None else starts[number % len(starts)]
+        held = rng.uniform(-scene.torque_limit, scene.torque_limit, steps).tolist()
+        driven = scene.drive is not None and number % 2 == 1
+        case = Case(f"case {number}", scene, start, steps, None if driven else held, dt)
+        first = _first_impacts(case)
+        if first:
+            drawn.append((case, first))
+    if not drawn:
+        raise ValueError(
+            f"no foot reaches a wall within {steps} steps of {dt:g} s in any of {cases} cases, so nothing can be "
+            "measured; give more steps, or states from which one does"
+        )
+    return drawn
+
+
+def _starts(scene: Scene, states: Sequence[ArrayLike] | None) -> list[Array] | None:
+    """The starts given, checked; None for the environment's own."""
+    if states is None:
+        return None
+    try:
+        listed = list(states)
+    except Exception as error:
+        raise TypeError(f"states must be a list of starts, got {check.shown(states)}") from error
+    if not listed:
+        raise ValueError("states must hold at least one start, got none")
+    return [as_start(scene, state) for state in listed]
+
+
+def _first_impacts(case: Case) -> list[Impact]:
+    """The first impact of the exact model with those at the same moment; none if there is none."""
+    simulator = make_simulator(replace(case.scene, restitution=1.0), "exact")
+    simulator.reset(case.state)
+    for number in range(case.steps):
+        simulator.step(case.dt, None if case.torques is None else case.torques[number])
+        if simulator.impacts:
+            return [hit for hit in simulator.impacts if hit.time == simulator.impacts[0].time]
+    return []
+
+
+def _first_error(impacts: list[Impact], first: list[Impact]) -> float:
+    """By how much the first impact comes at another time [s]; infinite where it is another one, or none.
+
+    Impacts recorded at one time have no order, and where feet touch together an engine may let some go without impulse.
+    """
+    found = {hit[1:3] for hit in impacts if hit.time == impacts[0].time}
+    if not found & {hit[1:3] for hit in first}:
+        return math.inf
+    return abs(impacts[0].time - first[0].time)
+
+
+def _measured(setting: Setting, drawn: list[tuple[Case, list[Impact]]], bounds: tuple[float, float]) -> Choice:
+    """The worst errors over the cases, as far as the first case that breaks a bound.
+
+    Infinite for a case that the contact model cannot follow, or whose steps are too long to look into.
+    """
+    look = at_ends if setting.contact == "exact" else between
+    simulator = make_simulator(drawn[0][0].scene, setting.contact, substeps=setting.substeps)
+    choice = Choice(setting, 0.0, 0.0, math.nan, len(drawn))
+    for case, first in drawn:
+        course = follow(simulator, case, look)
+        error = max(choice.first_impact_error, _first_error(course.impacts, first))
+        depth = math.inf if course.escaped or math.isnan(course.depth) else max(choice.penetration, course.depth)
+        choice = choice._replace(first_impact_error=error, penetration=depth)
+        if not _within(choice, bounds):
+            break
+    return choice
+
+
+def _costs(settings: list[Setting], cases: list[Case]) -> list[float]:
+    """Microseconds per control step of each, medians over rounds in which they take turns."""
+    passed: list[list[float]] = [[] for _ in settings]
+    simulators = [make_simulator(cases[0].scene, setting.contact, substeps=setting.substeps) for setting in settings]
+    for _ in range(_ROUNDS if len(settings) > 1 else 1):
+        for simulator, record in zip(simulators, passed, strict=True):
+            began = time.perf_counter()
+            taken = sum(len(follow(simulator, case, look=None).states) - 1 for case in cases)
+            record.append(1e6 * (time.perf_counter() - began) / max(taken, 1))
+    return [statistics.median(record) for record in passed]

@@ -1,0 +1,1 @@
+"""The studies that write the measurement reports of docs/, a folder each."""

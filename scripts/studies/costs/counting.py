@@ -1,0 +1,190 @@
+"""Count what control steps execute. Counts, unlike times, are the same on every machine: what is off must not run.
+
+``docs/costs.md`` shows the counts of ``PROOFS``, and tests hold them: nothing without the thing, something with it. The
+exact model's code is plain Python that is compiled, so it is counted as it stands, uncompiled.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import tracemalloc
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from types import FrameType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jackbox_env.compiled import compiler as _compiled
+from jackbox_env.env import JackInBoxEnv
+from jackbox_env.scene import Drive, Scene
+from jackbox_env.vector_env import JackInBoxVectorEnv
+
+PYMUNK, EXACT, BATCH = "pymunk", "exact", "exact, batch"
+STEPS = 120  # counted
+SIDE_BY_SIDE = 6  # environments in a batch that is counted
+_START = [0.0] * 3 + [0.5, 0.2, 0.3] + [0.0] * 3 + [6.0, -4.0, 2.0]  # the jack moves, so that it bounces also unweighed
+
+Calls = Counter[tuple[str, str]]  # of (caller, function): qualified names without the module
+Lines = Counter[tuple[str, int]]  # of (file, line)
+
+
+def calls_of(run: Callable[[], object]) -> Calls:
+    """Count the calls of functions, Python's and others, while ``run`` runs."""
+    counts: Calls = Counter()
+
+    def note(frame: FrameType, event: str, given: Any) -> None:
+        if event == "call":
+            by = frame.f_back
+            while by and by.f_code.co_name == "__setattr__":  # pymunk's, which hands on what it is given
+                by = by.f_back
+            counts[by.f_code.co_qualname if by else "", frame.f_code.co_qualname] += 1
+        elif event == "c_call":
+            counts[frame.f_code.co_qualname, getattr(given, "__qualname__", str(given))] += 1
+
+    before = sys.getprofile()
+    sys.setprofile(note)
+    try:
+        run()
+    finally:
+        sys.setprofile(before)
+    return counts
+
+
+def lines_of(run: Callable[[], object]) -> Lines:
+    """Count the lines of this package that are executed while ``run`` runs."""
+    counts: Lines = Counter()
+    package = str(_compiled.PACKAGE)
+
+    def note(frame: FrameType, event: str, given: Any) -> Any:
+        if not frame.f_code.co_filename.startswith(package):
+            return None
+        if event == "line":
+            counts[frame.f_code.co_filename[len(package) + 1 :], frame.f_lineno] += 1
+        return note
+
+    before = sys.gettrace()
+    sys.settrace(note)
+    try:
+        run()
+    finally:
+        sys.settrace(before)
+    return counts
+
+
+def most_bytes(run: Callable[[], object]) -> int:
+    """How many bytes are allocated at once while ``run`` runs, arrays among them."""
+    tracemalloc.start()
+    try:
+        before = tracemalloc.get_traced_memory()[0]
+        run()
+        return tracemalloc.get_traced_memory()[1] - before
+    finally:
+        tracemalloc.stop()
+
+
+@contextmanager
+def uncompiled() -> Iterator[None]:
+    """Let what is compiled run as the plain Python it is written in, for what is made and stepped within."""
+    before = _compiled._compile
+    _compiled._compile = lambda function, *_, **__: function
+    try:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            yield
+    finally:
+        _compiled._compile = before
+
+
+def times_called(counts: Calls, function: str, caller: str = "") -> int:
+    """How often a function was called, by ``caller`` or by anybody; names may leave out their beginning."""
+    return sum(
+        count
+        for (by, name), count in counts.items()
+        if f".{name}".endswith(f".{function}") and f".{by}".endswith(f".{caller}" if caller else "")
+    )
+
+
+def count_steps(model: str, driven: bool = False, frames: bool = False, **settings: Any) -> Calls:
+    """Count ``STEPS`` control steps from a moving start under random actions, or under the drive.
+
+    Args:
+        model: ``PYMUNK``, ``EXACT`` or ``BATCH``.
+        driven: whether the scene's drive acts in place of the actions.
+        frames: whether a frame is drawn after each step.
+        **settings: of the environment.
+    """
+    contact = "pymunk" if model == PYMUNK else "exact"
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (STEPS, SIDE_BY_SIDE))
+    with uncompiled():
+        env: Any = JackInBoxEnv(contact=contact, **settings) if model != BATCH else None
+        env = env or JackInBoxVectorEnv(SIDE_BY_SIDE, contact=contact, **settings)
+        env.reset(options={"state": np.array(_START)})
+
+        def run() -> None:
+            for action in actions:
+                env.step(None if driven else action if model == BATCH else action[:1])
+                if frames:
+                    env.render()
+
+        try:
+            return calls_of(run)
+        finally:
+            env.close()
+
+
+class Proof(NamedTuple):
+    """A function that must not run without a thing, and must run with it."""
+
+    thing: str
+    model: str
+    what: str  # the function does, in words
+    function: str
+    without: Mapping[str, Any] = {}
+    having: Mapping[str, Any] = {}
+    caller: str = ""
+
+    def counts(self) -> tuple[int, int]:
+        """Calls without the thing, and with it."""
+        without = count_steps(self.model, **self.without)
+        having = count_steps(self.model, **self.having)
+        return times_called(without, self.function, self.caller), times_called(having, self.function, self.caller)
+
+
+def _wave(time: float) -> float:
+    return 4000.0 * math.sin(3.0 * time)
+
+
+_WEIGHTLESS: dict[str, Any] = {"scene": Scene(gravity=0.0)}
+_UNDRIVEN: dict[str, Any] = {"scene": Scene(drive=None), "driven": True}
+_PUSHED: dict[str, Any] = {"scene": Scene(drive=Drive(force_x=_wave, force_y=_wave))}
+_TURNED: dict[str, Any] = {"scene": Scene(drive=Drive(torque=_wave))}
+_CHIRP: dict[str, Any] = {"driven": True}
+_PICTURE: dict[str, Any] = {"render_mode": "rgb_array"}
+
+PROOFS = (
+    Proof("gravity", PYMUNK, "the engine is given a force", "Body.force", _WEIGHTLESS, {}, "_advance"),
+    Proof("drive", PYMUNK, "the engine is given a torque", "Body.torque", _UNDRIVEN, _CHIRP, "_advance"),
+    Proof("drive", PYMUNK, "the chirp is averaged", "Chirp.torque_means", {}, _CHIRP),
+    Proof("drive", EXACT, "the chirp's powers are worked out", "chirp_piece", {}, _CHIRP),
+    Proof("drive", EXACT, "a polynomial is integrated", "integrate", {}, _CHIRP),
+    Proof("drive", EXACT, "a polynomial is evaluated", "horner", {}, _CHIRP),
+    Proof("drive", EXACT, "a function is interpolated", "function_pieces", _TURNED, {**_TURNED, "driven": True}),
+    Proof("drive", BATCH, "the chirp's powers are worked out", "chirp_piece", {}, _CHIRP),
+    Proof("drive", BATCH, "environments in free flight are moved one by one", "step", {}, _CHIRP, "step_blocks"),
+    Proof("side forces", PYMUNK, "a force is averaged", "Drive._means", {}, _PUSHED),
+    Proof("side forces", EXACT, "pieces of functions are followed", "advance_table", {}, _PUSHED),
+    Proof("side forces", BATCH, "pieces of functions are followed", "advance_table", {}, _PUSHED),
+    Proof("infos of a batch", BATCH, "infos are gathered", "ExactBatch._infos", {}, {"with_infos": True}),
+    Proof("rendering", PYMUNK, "the picture is told of a step", "Renderer.record", {}, _PICTURE),
+    Proof("rendering", EXACT, "the picture is told of a step", "Renderer.record", {}, _PICTURE),
+    Proof("a frame", PYMUNK, "a frame is drawn", "Renderer.render", _PICTURE, {**_PICTURE, "frames": True}),
+    Proof("another task", PYMUNK, "its reward is worked out", "rattle", {}, {"task": "rattle"}),
+    Proof("another task", EXACT, "its reward is worked out", "rattle", {}, {"task": "rattle"}),
+)
+
+
+def asked(model: str) -> int:
+    """How often one function of a drive is asked in ``STEPS`` steps."""
+    return times_called(count_steps(model, **_TURNED, driven=True), "_wave")

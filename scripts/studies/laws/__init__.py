@@ -1,0 +1,1 @@
+"""Random scenes held against the laws of mechanics, for hours."""

@@ -1,0 +1,336 @@
+"""The laws that every simulation owes, measured on one case: the property tests and ``scripts/soak.py`` share them.
+
+containment  no foot outside: ``exact`` by 1e-9 m or 4 units in the last place, ``pymunk`` by min(1 m, L) [m]
+momentum     total momentum = at first + impulse of the side forces - m_j g t [N s]
+centre       the common centre of mass goes where that momentum takes it [m]
+energy       gained in steps of held torque without side forces = torque times the box's turn; with losses, no more [J]
+record       impacts are in time order, within their step, of walls and feet there are, with impulse > 0; their count
+restore      a new simulator put into (state, time) goes on bit for bit, and one that has gone elsewhere; numbers apart
+batch        the vector environment is bit for bit the single one, across restarts; numbers apart
+refusal      nothing is raised but what is documented; a refused step leaves the simulator as it was; exceptions
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from jackbox_env.env import JackInBoxEnv
+from jackbox_env.mechanics import energy_of
+from jackbox_env.scene import Drive, Scene
+from jackbox_env.simulators import CONTACT_MODELS, Simulator, make_simulator
+from jackbox_env.simulators.flight import reach
+from jackbox_env.states import Array, clearance, deepest_held, start_tolerance
+from jackbox_env.vector_env import JackInBoxVectorEnv
+from scripts.studies.laws.random_cases import Case, Wave
+
+LAWS = ("containment", "momentum", "centre", "energy", "record", "restore", "batch", "refusal")
+ROUNDING = 1e-11  # of the largest number in a balance, over a case
+SIDE_BY_SIDE = 3  # environments of the batch law
+
+# What a contact model may say where it can not follow, and to a scene that it can not solve.
+_CAN_NOT_FOLLOW = ("would leave the box", "moves too fast to be followed", "needs more than 1,000,000 gap evaluations")
+_CAN_NOT_SOLVE = "couple the feet so strongly"
+
+__all__ = ["CONTACT_MODELS", "LAWS", "Examination", "Worst", "examine"]
+
+
+@dataclass(frozen=True)
+class Worst:
+    """The furthest that a law was from holding."""
+
+    value: float
+    limit: float
+    step: int
+    words: str = ""
+
+    @property
+    def share(self) -> float:
+        """Of the limit; beyond 1 the law is broken."""
+        if math.isnan(self.value):
+            return math.inf
+        return self.value / self.limit if self.limit > 0.0 else math.inf if self.value > 0.0 else 0.0
+
+
+@dataclass
+class Examination:
+    """What was found in one case."""
+
+    worst: dict[str, Worst] = field(default_factory=dict)
+    steps: int = 0
+    impacts: int = 0
+    refused: str = ""  # why the case ended early, or never began
+
+    def measure(self, law: str, value: float, limit: float, words: str = "") -> None:
+        """Keep ``value`` if it is the law's worst so far."""
+        found = Worst(value, limit, self.steps, words)
+        if law not in self.worst or found.share > self.worst[law].share:
+            self.worst[law] = found
+
+    @property
+    def broken(self) -> list[str]:
+        """The laws that do not hold."""
+        return [law for law, worst in self.worst.items() if worst.share > 1.0]
+
+    def __str__(self) -> str:
+        told = [
+            f"{law}: {self.worst[law].value:.3g}, at most {self.worst[law].limit:.3g}, by step {self.worst[law].step}"
+            f" {self.worst[law].words}".rstrip()
+            for law in self.broken
+        ]
+        return "; ".join(told) or "all laws hold"
+
+
+def examine(case: Case) -> Examination:
+    """Simulate a case and measure every law on it."""
+    found = Examination()
+    try:
+        _examine_simulator(case, found)
+        if not found.refused:
+            _examine_batch(case, found)
+    except Exception as error:
+        found.measure("refusal", 1.0, 0.0, f"{type(error).__name__}: {error}"[:300])
+    return found
+
+
+def _make(case: Case) -> Simulator:
+    return make_simulator(case.scene, contact=case.contact, substeps=case.substeps)
+
+
+def _examine_simulator(case: Case, found: Examination) -> None:
+    try:
+        run = _make(case)
+    except ValueError as error:
+        if case.contact != "pymunk" or _CAN_NOT_SOLVE not in str(error):
+            raise
+        found.refused = str(error)
+        return
+    run.reset(case.state, case.time)
+    books, elsewhere = Books(case), _make(case)
+    fresh: Simulator | None = None
+    for number, torque in enumerate(case.torques):
+        found.steps = number
+        before = run.state
+        if number == case.restored_at:
+            fresh = _make(case)
+            fresh.reset(before, run.time)
+        elsewhere.reset(before, run.time)
+        if not _stepped(run, case.control_dt, torque, found):
+            return
+        _restored(run, [elsewhere, fresh], case.control_dt, torque, found)
+        _contained(case, run, found)
+        _recorded(case, run, found)
+        books.enter(before, run, torque, found)
+        found.impacts += len(run.impacts)
+    found.steps = len(case.actions)
+
+
+def _stepped(run: Simulator, dt: float, torque: float | None, found: Examination) -> bool:
+    before, time = run.state, run.time
+    try:
+        run.step(dt, torque)
+    except RuntimeError as error:
+        if not any(words in str(error) for words in _CAN_NOT_FOLLOW):
+            raise
+        found.measure("refusal", float(np.sum(run.state != before) + (run.time != time)), 0.0, "moved by a refusal")
+        found.refused = str(error)
+        return False
+    return True
+
+
+def _restored(
+    run: Simulator, twins: list[Simulator | None], dt: float, torque: float | None, found: Examination
+) -> None:
+    for twin in twins:
+        if twin is not None:
+            twin.step(dt, torque)
+            apart = float(np.sum(twin.state != run.state))
+            apart += (twin.time != run.time) + (twin.torque != run.torque) + (twin.impacts != run.impacts)
+            found.measure("restore", apart, 0.0)
+
+
+def _contained(case: Case, run: Simulator, found: Examination) -> None:
+    state = run.state.tolist()
+    allowed = start_tolerance(state) if case.contact == "exact" else deepest_held(case.scene)
+    outside = -clearance(case.scene, state)
+    found.measure("containment", outside if math.isnan(outside) else max(0.0, outside), allowed)
+
+
+def _recorded(case: Case, run: Simulator, found: Examination) -> None:
+    """Times are added up from the step's start, with one rounding more than the step's end."""
+    impacts, slack = run.impacts, 4.0 * math.ulp(abs(run.time) + case.control_dt)
+    times = [run.time - case.control_dt - slack, *(impact.time for impact in impacts), run.time + slack]
+    wrong = sum(later < earlier for earlier, later in itertools.pairwise(times))
+    wrong += sum(not (0 <= hit.wall < 4 and 0 <= hit.foot < 4 and 0.0 < hit.impulse < math.inf) for hit in impacts)
+    found.measure("record", float(wrong), 0.0)
+
+
+class Books:
+    """The balances of momentum, centre of mass and energy since the start."""
+
+    def __init__(self, case: Case) -> None:
+        scene, start = case.scene, np.array(case.state)
+        self._case, self._masses = case, np.array([scene.box_mass, scene.jack_mass])
+        self._momentum, self._centre = self._totals(start)
+        self._largest_momentum, self._largest_place = np.zeros(2), 0.0
+        self._gained = self._largest_energy = 0.0
+        drive = scene.drive
+        forces = (drive.force_x, drive.force_y) if isinstance(drive, Drive) else (None, None)
+        self._forces: tuple[Wave | None, ...] = tuple(force if isinstance(force, Wave) else None for force in forces)
+        self._idle = drive is None or (isinstance(drive, Drive) and drive.torque is None)
+        self._pushed = any(self._forces)
+
+    def _totals(self, state: Array) -> tuple[Array, Array]:
+        """Total momentum [N s] and centre of mass [m], shape (2,) each."""
+        places, rates = state[[0, 1, 3, 4]].reshape(2, 2), state[[6, 7, 9, 10]].reshape(2, 2)
+        return self._masses @ rates, self._masses @ places / self._masses.sum()
+
+    def enter(self, before: Array, run: Simulator, torque: float | None, found: Examination) -> None:
+        """Measure the balances after a step."""
+        state = run.state
+        self._enter_momentum(state, run.time - self._case.time, found)
+        if torque is None and self._idle:
+            torque = 0.0
+        wedged = self._case.scene.restitution < 1.0 and _opposite_walls_at_once(run)
+        if torque is not None and not self._pushed and not wedged:
+            self._enter_energy(before, run, torque, found)
+
+    def _enter_momentum(self, state: Array, since: float, found: Examination) -> None:
+        weight = self._case.scene.jack_mass * self._case.scene.gravity
+        impulse, moment = np.array([0.0, -weight * since]), np.array([0.0, -0.5 * weight * since**2])
+        for axis, force in enumerate(self._forces):
+            if force is not None:
+                once, twice = force.integrals(self._case.time, since)
+                impulse[axis] += once
+                moment[axis] += twice
+        momentum, centre = self._totals(state)
+        total = self._masses.sum()
+        path = (self._momentum * since + moment) / total
+        sizes = self._masses @ np.abs(state[[6, 7, 9, 10]]).reshape(2, 2) + np.abs(impulse) + np.abs(self._momentum)
+        self._largest_momentum = np.maximum(self._largest_momentum, sizes)
+        reach = np.abs(state[[0, 1, 3, 4]]).max() + np.abs(path).max() + self._largest_momentum.max() / total * since
+        self._largest_place = max(self._largest_place, float(reach))
+        off = float(np.abs(momentum - self._momentum - impulse).max())
+        found.measure("momentum", off, ROUNDING * float(self._largest_momentum.max()))
+        found.measure("centre", float(np.abs(centre - self._centre - path).max()), ROUNDING * self._largest_place)
+
+    def _enter_energy(self, before: Array, run: Simulator, torque: float, found: Examination) -> None:
+        scene, state = self._case.scene, run.state
+        turns = before[2], state[2]
+        gained = _energy(scene, state) - _energy(scene, before) - torque * (turns[1] - turns[0])
+        size = _size_of_energy(scene, state) + _size_of_energy(scene, before) + abs(torque) * max(map(abs, turns))
+        self._largest_energy = max(self._largest_energy, size)
+        limit = ROUNDING * self._largest_energy
+        if scene.restitution < 1.0:
+            found.measure(
+                "energy", gained if math.isnan(gained) else max(0.0, gained), limit + self._granted(before, run)
+            )
+            return
+        self._gained += gained
+        found.measure("energy", abs(self._gained), limit)
+
+    def _granted(self, before: Array, run: Simulator) -> float:
+        """Energy that ``pymunk`` may add in a step of a scene with losses [J], where feet overlap with walls.
+
+        It moves them apart without velocity, by no more than the overlap: that lifts the jack, and turns the box
+        against its torque. The overlap is that at the step's start, and for each contact what a foot moves in a
+        substep. A contact that does (1 / m_j + a^2 / J_b) of gap per impulse turns the box by a / J_b, which is at most
+        sqrt(m_j / J_b) / 2 of turn per gap.
+        """
+        scene, numbers = self._case.scene, before.tolist()
+        h = self._case.control_dt / (self._case.substeps or 1)
+        overlap = max(0.0, -clearance(scene, numbers))
+        overlap += len(run.impacts) * reach(scene, numbers, h, abs(run.torque), 0.0)
+        lever = 0.5 * math.sqrt(scene.jack_mass / scene.box_inertia)
+        return (scene.jack_mass * scene.gravity + abs(run.torque) * lever) * overlap
+
+
+def _opposite_walls_at_once(run: Simulator) -> bool:
+    """Whether feet overlapped with opposite walls in one substep.
+
+    They have next to no leverage on one another, and pymunk's contact solver stops far from rounding level. In a scene
+    with losses it takes such steps as they are, as the head of ``simulators/pymunk.py`` says: they stay out of the
+    balance of energy.
+    """
+    return any(
+        one.time == other.time and one.wall + 2 == other.wall for one, other in itertools.permutations(run.impacts, 2)
+    )
+
+
+def _energy(scene: Scene, state: Array) -> float:
+    return float(energy_of(scene, state.tolist()))
+
+
+def _size_of_energy(scene: Scene, state: Array) -> float:
+    """Sum of the energies' moduli [J]: what their rounding is in proportion to."""
+    numbers = [abs(number) for number in state.tolist()]
+    return float(energy_of(scene, numbers))
+
+
+# -- the batch ---------------------------------------------------------------------------------------------------------
+
+
+def _examine_batch(case: Case, found: Examination) -> None:
+    """Environments side by side: the case's own start, the same with the actions turned round, and a drawn start."""
+    limit = max(2, 2 * len(case.actions) // 3)
+    batch = JackInBoxVectorEnv(SIDE_BY_SIDE, max_episode_steps=limit, with_infos=True, **case.settings)
+    singles = [JackInBoxEnv(**case.settings) for _ in range(SIDE_BY_SIDE)]
+    seen = [batch.reset(seed=case.seed)[0]]
+    alone = [[single.reset(seed=case.seed + number)[0] for number, single in enumerate(singles)]]
+    found.measure("batch", _apart(seen, alone), 0.0, "reset")
+    placed = np.array([True, True, False])
+    batch.set_states(np.array(case.state), case.time, placed)
+    for number in np.flatnonzero(placed):
+        singles[number].set_state(case.state, case.time)
+    for step, action in enumerate(case.actions):
+        found.steps = step
+        signs = np.array([1.0, -1.0, 1.0])
+        actions = None if action is None else action * signs
+        try:
+            outcome = batch.step(actions)
+        except RuntimeError as error:
+            _refused_alike(singles, actions, found, error)
+            return
+        rows = [_alone(single, actions, number, step == limit) for number, single in enumerate(singles)]
+        _compare(outcome, rows, found, truncated=step == limit - 1)
+    found.steps = len(case.actions)
+
+
+def _alone(single: JackInBoxEnv, actions: Array | None, number: int, restarts: bool) -> tuple[Any, float, Any]:
+    """Observation, reward and info of one environment, which restarts in the step after its last."""
+    if restarts:
+        observation, info = single.reset()
+        return observation, 0.0, info
+    observation, reward, _, _, info = single.step(None if actions is None else float(actions[number]))
+    return observation, reward, info
+
+
+def _compare(outcome: Any, rows: list[tuple[Any, float, Any]], found: Examination, truncated: bool) -> None:
+    observations, rewards, terminations, truncations, infos = outcome
+    apart = _apart([observations, rewards], [[row[0] for row in rows], [row[1] for row in rows]])
+    apart += float(np.sum(terminations) + np.sum(truncations != truncated))
+    for name in rows[0][2]:
+        apart += _apart([infos[name]], [[row[2][name] for row in rows]])
+    found.measure("batch", apart, 0.0)
+
+
+def _apart(ones: list[Any], others: list[Any]) -> float:
+    return float(sum(np.sum(np.asarray(one) != np.asarray(other)) for one, other in zip(ones, others, strict=True)))
+
+
+def _refused_alike(singles: list[JackInBoxEnv], actions: Array | None, found: Examination, error: Exception) -> None:
+    """A batch refuses where one of its environments does, in the same words."""
+    told = []
+    for number, single in enumerate(singles):
+        try:
+            single.step(None if actions is None else float(actions[number]))
+        except RuntimeError as own:
+            told.append(str(own).replace("the jack", f"the jack of environment {number}", 1))
+    same = any(str(error) in (one, one.replace(f" of environment {number}", "", 1)) for number, one in enumerate(told))
+    known = any(words in str(error) for words in _CAN_NOT_FOLLOW)
+    found.measure("batch", 0.0 if told and known else 1.0, 0.0, f"refused, alone {told or 'not'}: {error}"[:300])
+    found.refused = str(error) if same or told else found.refused

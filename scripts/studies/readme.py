@@ -1,0 +1,103 @@
+"""Write the README's numbers and picture: a demo run's table, the fidelities, the throughput, and the film as a GIF."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from scripts.common import command_line
+
+ROOT = Path(__file__).parents[1]
+SWEEP = ROOT / "docs" / "accuracy" / "results.json"
+PICTURE = ROOT / "docs" / "jackbox.gif"
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Write the README's numbers and picture from a run of the demo."""
+
+    run: Path | None = None
+    """Folder of a demo run; None: the newest in runs/."""
+    benchmark: bool = True
+    """Measure the benchmark anew."""
+    picture: bool = True
+    """Film the picture anew."""
+
+
+def newest_demo() -> Path:
+    """The newest finished demo in runs/.
+
+    Raises:
+        FileNotFoundError: there is none.
+    """
+    found = sorted(path.parent for path in Path("runs").glob("demo-*/results.json"))
+    if not found:
+        raise FileNotFoundError("runs/ holds no finished demo: make demo first, or give --run")
+    return found[-1]
+
+
+def fill(page: str, mark: str, text: str) -> str:
+    """Replace what stands between ``<!-- mark -->`` and ``<!-- /mark -->``.
+
+    Raises:
+        ValueError: the page has no such marks.
+    """
+    pattern = re.compile(rf"(<!-- {mark} -->\n).*?(<!-- /{mark} -->)", re.DOTALL)
+    if not pattern.search(page):
+        raise ValueError(f"the README has no place marked {mark}")
+    return pattern.sub(lambda match: f"{match[1]}{text}\n{match[2]}", page)
+
+
+def results_table(results: dict[str, Any]) -> str:
+    """The demo's table and what it was made with."""
+    from agents.evaluation import Returns, table
+
+    rows = [Returns(row["policy"], tuple(row["returns"])) for row in results["results"]]
+    made = ", ".join(f"{name} {results['versions'][name]}" for name in ("gymnasium", "pymunk", "stable-baselines3"))
+    return f"{table(rows)}\n\nWritten by `make demo` and `make readme` ({made})."
+
+
+def take_picture(run: Path) -> None:
+    """Film the trained agent beside the chirp, small enough for a page."""
+    from agents.film import film
+    from agents.models import derived_seed, load_model
+    from agents.policies import Baseline, baseline
+    from agents.runs import read_settings
+    from jackbox_env import Scene
+
+    partial = PICTURE.with_name("new.gif")
+    partial.unlink(missing_ok=True)
+    acts = {"PPO": Baseline(load_model(run), {}), "chirp": baseline("chirp", Scene())}
+    film(acts, read_settings(run).env_settings, partial, seed=derived_seed("evaluation", 0), seconds=8.0, width=256)
+    partial.replace(PICTURE)
+
+
+@command_line
+def main() -> None:
+    """Parse, collect, write."""
+    import tyro
+
+    from scripts.studies.accuracy.page import for_the_readme
+
+    arguments = tyro.cli(Arguments, description=__doc__)
+    run = arguments.run or newest_demo()
+    page = (ROOT / "README.md").read_text()
+    page = fill(page, "baselines", results_table(json.loads((run / "results.json").read_text())))
+    page = fill(page, "fidelity", for_the_readme(json.loads(SWEEP.read_text())))
+    if arguments.picture:
+        take_picture(run)
+    if arguments.benchmark:
+        command = [sys.executable, str(ROOT / "scripts" / "throughput.py")]
+        measured = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout
+        page = fill(page, "benchmark", measured.strip())
+    (ROOT / "README.md").write_text(page)
+    print(f"Wrote README.md from {run}")
+
+
+if __name__ == "__main__":
+    main()

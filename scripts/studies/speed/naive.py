@@ -1,0 +1,57 @@
+"""How impacts are usually found: look at the step's end, then Newton's method. What happens in between is lost.
+
+It stands in for the certified search of ``jackbox_env.compiled.search`` where the two are compared: by
+``scripts/speed.py`` for what the guarantee costs, by the tests for what it finds and this one misses.
+"""
+
+from __future__ import annotations
+
+import math
+
+from jackbox_env.compiled.search import (
+    ENDLESS,
+    NONE,
+    Bounds,
+    BoxFrame,
+    Flight,
+    box_frame,
+    foot_gap,
+    gap_at,
+    pose_at,
+    towards,
+)
+from jackbox_env.compiled.trigonometry import cos_sin
+from jackbox_env.compiled.workspace import Workspace
+from jackbox_env.scene import SceneNumbers
+
+_MOST_ITERATIONS = 50
+
+
+def next_impact(
+    n: SceneNumbers, flight: Flight, frame: BoxFrame, walls: int, w: Workspace, left: float, bounds: Bounds,
+    tolerance: float,
+) -> tuple[float, int]:  # fmt: skip
+    """The earliest root of the gaps that are closed at the end; like the certified search in what it returns."""
+    if not math.isfinite(bounds.bend):
+        return left, ENDLESS
+    best, found = left, NONE
+    end = pose_at(flight, w, left)
+    at_end = box_frame(end.x, end.y, end.vx, end.vy, end.angle, end.omega)
+    cosine, sine = cos_sin(end.jack_angle - end.angle)
+    for wall in range(4):
+        if not walls & (1 << wall):
+            continue
+        ahead, speed = towards(at_end, wall)
+        for foot in range(4):
+            gap, rate = foot_gap(n, ahead, speed, cosine, sine, flight.jack_omega - end.omega, foot - wall)
+            if gap > 0.0 or rate >= 0.0:
+                continue
+            s = left
+            for _ in range(_MOST_ITERATIONS):
+                s = min(max(s - gap / rate, 0.0), left)
+                gap, rate = gap_at(n, flight, w, wall, foot, s)
+                if abs(gap) <= tolerance or rate == 0.0:
+                    break
+            if s <= best and rate < 0.0:
+                best, found = s, 4 * wall + foot
+    return best, found

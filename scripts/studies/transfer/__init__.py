@@ -1,0 +1,1 @@
+"""What a contact setting does to a learner: docs/learning.md."""

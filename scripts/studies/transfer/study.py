@@ -1,0 +1,301 @@
+"""What a contact model does to a learner: the same PPO trained on each named fidelity, every policy run on all of them.
+
+A study is a folder that holds a run folder for each task, fidelity and seed; :func:`train_all` fills what is missing,
+:func:`run_all` runs what is finished. Interrupted, either goes on where it was.
+
+study.json                      settings of the study, and what the fidelities stood for
+study_run.json                  command line, versions, date
+<task>-<fidelity>-<seed>/       a run of training each, see :mod:`agents.runs`
+cells/<task>-<policy>-on-<fidelity>.json   returns of a policy, one per episode
+longrun/<torque>-<setting>.npz  long-run statistics, one number per episode
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+import json
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from agents.evaluation import evaluate
+from agents.models import load_model
+from agents.policies import Policy, baseline
+from agents.runs import SETTINGS, describe, new_folder, read_settings, versions, write_json
+from agents.settings import TrainSettings
+from agents.training import latest_checkpoint
+from jackbox_env import FIDELITIES, Scene
+from jackbox_env import _validation as check
+from scripts.studies.transfer.longrun import Episodes, run_long
+
+TRAIN = Path(__file__).parents[1] / "scripts" / "train.py"
+STUDY = "study.json"
+_RESOLVED = "settings"  # key in it: fidelity -> [contact, substeps]
+BASELINES = ("zero", "level", "chirp")  # without chance: the same policy on every fidelity
+_LOOK_AGAIN = 0.5  # [s]
+_PATIENCE = 10.0  # for an interrupted training to leave its checkpoint [s]
+
+
+@dataclass(frozen=True)
+class StudySettings:
+    """What is trained and how often it is run."""
+
+    tasks: tuple[Literal["juggle", "spin", "rattle"], ...] = ("juggle", "rattle")
+    """What is rewarded."""
+    fidelities: tuple[str, ...] = tuple(FIDELITIES)
+    """Trained on, and run on; exact, which the others are held against, among them."""
+    seeds: int = 3
+    """Trainings of each task and fidelity."""
+    total_steps: tuple[int, ...] = (TrainSettings.total_steps,)
+    """Environment steps of each training: one number, or one for each task."""
+    episodes: int = 128
+    """Episodes of each policy on each fidelity, from the same starts everywhere."""
+    long_episodes: int = 1024
+    """Episodes of the long-run statistics, for each contact setting and each kind of torque."""
+
+    def __post_init__(self) -> None:
+        """Refuse a study that cannot be made.
+
+        Raises:
+            TypeError, ValueError: a setting out of its range.
+        """
+        check.whole("seeds", self.seeds, at_least=1, at_most=1000)
+        for steps in self.total_steps:
+            check.whole("total_steps", steps, at_least=1)
+        if len(self.total_steps) not in (1, len(self.tasks)):
+            raise ValueError(f"total_steps must be one number or {len(self.tasks)}, got {self.total_steps}")
+        check.whole("episodes", self.episodes, at_least=2)
+        check.whole("long_episodes", self.long_episodes, at_least=4)
+        for name in self.fidelities:
+            check.choice("fidelities", name, FIDELITIES)
+        if "exact" not in self.fidelities:
+            raise ValueError(f"fidelities must hold 'exact', which the others are held against, got {self.fidelities}")
+        for name, chosen in (("tasks", self.tasks), ("fidelities", self.fidelities)):
+            if len(set(chosen)) != len(chosen) or not chosen:
+                raise ValueError(f"{name} must be different ones, at least one, got {chosen}")
+        for task in self.tasks:
+            self.run_settings(task, self.fidelities[0], 0)
+
+    def steps_of(self, task: str) -> int:
+        """Environment steps of each training on a task."""
+        return dict(zip(self.tasks, self.total_steps * len(self.tasks), strict=False))[task]  # type: ignore[index]
+
+    def run_settings(self, task: Any, fidelity: str, seed: int) -> TrainSettings:
+        """Settings of one training: the defaults but for what is varied."""
+        steps = self.steps_of(task)
+        every = min(TrainSettings.eval_steps, steps)  # a short training is evaluated too
+        return TrainSettings(
+            task=task, fidelity=fidelity, seed=seed, total_steps=steps, eval_steps=every,
+            checkpoint_steps=min(TrainSettings.checkpoint_steps, every),
+        )  # fmt: skip
+
+    def runs(self) -> Iterator[tuple[str, str, int]]:
+        """Task, fidelity and seed of every run; seeds outermost, so that what is done first is a whole."""
+        for seed in range(self.seeds):
+            for task in self.tasks:
+                for fidelity in self.fidelities:
+                    yield task, fidelity, seed
+
+
+def new_study(path: Path | None, settings: StudySettings) -> Path:
+    """Make the folder of a study; None: ``runs/transfer-<date>-<time>``.
+
+    Raises:
+        FileExistsError: there is something at ``path`` already.
+    """
+    folder = new_folder(path, "transfer")
+    started = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+    write_json(folder / "study_run.json", {"command": sys.argv, "started": started, "versions": versions()})
+    write_json(folder / STUDY, {**dataclasses.asdict(settings), _RESOLVED: resolved_fidelities()})
+    return folder
+
+
+def resolved_fidelities() -> dict[str, list[Any]]:
+    """What the names stand for today, as it is kept in JSON: name -> [contact, substeps]."""
+    return {name: [setting.contact, setting.substeps] for name, setting in FIDELITIES.items()}
+
+
+def read_study(folder: Path) -> StudySettings:
+    """Read the settings of a study.
+
+    Raises:
+        FileNotFoundError: it is no study.
+        TypeError, ValueError: the settings are unknown or out of range; or the names of the fidelities stood for
+            something else, so that what is in the folder and what would be added do not belong together.
+    """
+    path = folder / STUDY
+    if not path.is_file():
+        raise FileNotFoundError(f"{folder} is no study: it has no {STUDY}")
+    values = json.loads(path.read_text())
+    if _RESOLVED not in values:
+        raise ValueError(
+            f"{path} does not say which contact and substeps its fidelities stood for ({_RESOLVED!r} is missing), so "
+            "it cannot be gone on with: make another study"
+        )
+    made, today = values.pop(_RESOLVED), resolved_fidelities()
+    if made != today:
+        raise ValueError(
+            f"{path} was made with the fidelities {json.dumps(made)}, which are {json.dumps(today)} today, so it "
+            "cannot be gone on with: make another study"
+        )
+    for name in ("tasks", "fidelities", "total_steps"):
+        values[name] = tuple(values[name])
+    return StudySettings(**values)
+
+
+def run_folder(folder: Path, task: str, fidelity: str, seed: int) -> Path:
+    """Where a training of a study is."""
+    return folder / f"{task}-{fidelity}-{seed}"
+
+
+def finished(run: Path) -> bool:
+    """Whether a training came to its end."""
+    return (run / "model.zip").is_file()
+
+
+def checked_processes(processes: int) -> int:
+    """Trainings side by side, 1 to 1000.
+
+    Raises:
+        TypeError, ValueError: no such number.
+    """
+    return check.whole("processes", processes, at_least=1, at_most=1000)
+
+
+def train_all(folder: Path, settings: StudySettings, processes: int = 2, progress: bool = True) -> None:
+    """Train what is not finished, ``processes`` at a time, each in a process of its own.
+
+    Raises:
+        RuntimeError: a training failed; the others under way are interrupted at a checkpoint.
+        ValueError: a run in the folder was made by other settings.
+    """
+    checked_processes(processes)
+    planned = [(run_folder(folder, *run), settings.run_settings(*run)) for run in settings.runs()]
+    for run, wanted in planned:
+        if (run / SETTINGS).is_file() and read_settings(run) != wanted:
+            raise ValueError(f"{run} was made by other settings than those of {folder / STUDY}")
+    waiting = [(run, wanted) for run, wanted in planned if not finished(run)]
+    under_way: dict[Path, subprocess.Popen[bytes]] = {}
+    total = sum(wanted.total_steps for _, wanted in planned)
+    try:
+        with tqdm(total=total, unit="steps", unit_scale=True, disable=not progress, desc="training") as bar:
+            while waiting or under_way:
+                while waiting and len(under_way) < processes:
+                    run, wanted = waiting.pop(0)
+                    under_way[run] = _start(run, wanted)
+                time.sleep(_LOOK_AGAIN)
+                under_way = {run: process for run, process in under_way.items() if not _ended(run, process)}
+                bar.update(sum(_done(run, wanted.total_steps) for run, wanted in planned) - bar.n)
+    finally:
+        _interrupt(list(under_way.values()))
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Returns of one task, every policy run from the same starts on each fidelity.
+
+    Attributes:
+        task: what was rewarded.
+        trained: fidelity trained on -> fidelity run on -> returns, shape (seeds, episodes).
+        baselines: scripted policy -> fidelity run on -> returns, shape (episodes,).
+    """
+
+    task: str
+    trained: dict[str, dict[str, NDArray[np.float64]]]
+    baselines: dict[str, dict[str, NDArray[np.float64]]]
+
+
+def run_all(folder: Path, settings: StudySettings, task: str, progress: bool = True) -> Cells:
+    """Run every policy of a task on every fidelity, or read what was run before."""
+    total = (len(settings.fidelities) * settings.seeds + len(BASELINES)) * len(settings.fidelities)
+    with tqdm(total=total, unit="cells", disable=not progress, desc=f"running on {task}") as bar:
+
+        def returns(policy: str, fidelity: str) -> list[float]:
+            found = cell(folder, settings, task, policy, fidelity)
+            bar.update()
+            return found
+
+        names, seeds = settings.fidelities, range(settings.seeds)
+        trained = {
+            one: {other: np.array([returns(f"{one}-{seed}", other) for seed in seeds]) for other in names}
+            for one in names
+        }
+        baselines = {one: {other: np.array(returns(one, other)) for other in names} for one in BASELINES}
+    return Cells(task, trained, baselines)
+
+
+def cell(folder: Path, settings: StudySettings, task: str, policy: str, fidelity: str) -> list[float]:
+    """Returns of a baseline, or of ``<fidelity>-<seed>``'s best model, on a fidelity; kept in a file."""
+    path = folder / "cells" / f"{task}-{policy}-on-{fidelity}.json"
+    if not path.is_file():
+        path.parent.mkdir(exist_ok=True)
+        more: dict[str, Any] = {}
+        actor: Policy
+        if policy in BASELINES:
+            actor, more = baseline(policy, Scene())
+        else:
+            actor = load_model(folder / f"{task}-{policy}")
+        env_settings = {"task": task, "fidelity": fidelity, **more}
+        write_json(path, evaluate(policy, actor, env_settings, settings.episodes, seed=0).returns)
+    returns: list[float] = json.loads(path.read_text())
+    if len(returns) != settings.episodes:
+        raise ValueError(f"{path} holds {len(returns)} episodes instead of {settings.episodes}")
+    return returns
+
+
+def run_statistics(folder: Path, settings: StudySettings, progress: bool = True) -> dict[str, dict[str, Episodes]]:
+    """Long-run statistics, also under the first policy that was trained on exact for the first task."""
+    task = settings.tasks[0]
+    policies: dict[str, Policy] = {f"PPO on {task}": load_model(run_folder(folder, task, "exact", 0))}
+    return run_long(folder / "longrun", policies, settings.long_episodes, progress)
+
+
+def _start(run: Path, settings: TrainSettings) -> subprocess.Popen[bytes]:
+    run.mkdir(exist_ok=True)
+    if not (run / SETTINGS).is_file():
+        describe(run, settings)
+    command = [sys.executable, str(TRAIN), "--resume", str(run), "--no-progress"]
+    with (run / "log.txt").open("ab") as log:
+        # in a session of its own: Ctrl-C reaches it once, from here
+        return subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True, preexec_fn=_heed_interrupts)
+
+
+def _interrupt(processes: list[subprocess.Popen[bytes]]) -> None:
+    """Let trainings leave a checkpoint and end. One that is just starting may miss an interrupt: it gets another."""
+    while processes:
+        for process in processes:
+            process.send_signal(signal.SIGINT)
+        deadline = time.monotonic() + _PATIENCE
+        while time.monotonic() < deadline and any(process.poll() is None for process in processes):
+            threading.Event().wait(0.05)
+        processes = [process for process in processes if process.poll() is None]
+
+
+def _heed_interrupts() -> None:
+    """In a new process: a shell that starts commands in the background lets them ignore interrupts, and theirs too."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+def _ended(run: Path, process: subprocess.Popen[bytes]) -> bool:
+    status = process.poll()
+    if status is not None and (status != 0 or not finished(run)):
+        raise RuntimeError(f"training in {run} ended with status {status}; {run / 'log.txt'} says why")
+    return status is not None
+
+
+def _done(run: Path, total_steps: int) -> int:
+    if finished(run):
+        return total_steps
+    checkpoint = latest_checkpoint(run)
+    return min(checkpoint[1], total_steps) if checkpoint else 0
