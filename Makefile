@@ -19,28 +19,28 @@ test: .venv/ready $(OLD_GYMNASIUM)/ready
 
 # Speed against accuracy: the full sweep writes docs/accuracy.md, the quick one (2 minutes) only its run folder.
 benchmark: .venv/ready
-	@$(BIN)/python scripts/benchmark.py --out docs
+	@$(BIN)/python scripts/studies/accuracy/benchmark.py --out docs
 
 benchmark-quick: .venv/ready
-	@$(BIN)/python scripts/benchmark.py --quick --no-progress
+	@$(BIN)/python scripts/studies/accuracy/benchmark.py --quick --no-progress
 
 throughput: .venv/ready
-	@$(BIN)/python scripts/throughput.py
+	@$(BIN)/python scripts/studies/speed/throughput.py
 
 speed: .venv/ready
-	@$(BIN)/python scripts/speed.py
+	@$(BIN)/python scripts/studies/speed/speed.py
 
 costs: .venv/ready
-	@$(BIN)/python scripts/costs.py
+	@$(BIN)/python scripts/studies/costs/costs.py
 
 extremes: .venv/ready
 	@JACKBOX_EXTREMES=full $(BIN)/python -m pytest -q tests/extremes
 
 transfer: .venv/ready
-	@$(BIN)/python scripts/transfer.py --seeds 5 --total-steps 1000000 500000 --out docs
+	@$(BIN)/python scripts/studies/transfer/transfer.py --seeds 5 --total-steps 1000000 500000 --out docs
 
 readme: .venv/ready
-	@$(BIN)/python scripts/readme.py
+	@$(BIN)/python scripts/studies/readme.py
 
 .venv/ready: pyproject.toml constraints.txt
 	@start=$$(date +%s); set -e; \

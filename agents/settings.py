@@ -26,7 +26,7 @@ class EnvSettings:
     scene: str = "{}"
     """Fields of the scene that differ from the default, as JSON, e.g. '{"gravity": 1.62}'."""
     fidelity: str | None = None
-    """A name for contact and substeps: fast, balanced, accurate or exact; what these say themselves wins."""
+    """A name for contact and substeps: coarse, balanced, fine or exact; what these say themselves wins."""
 
     def __post_init__(self) -> None:
         """Refuse a scene that is no scene and a name that is none; the environment checks the rest."""

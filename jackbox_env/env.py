@@ -117,9 +117,9 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
 
     | `fidelity`   | stands for          | first impact late by | deepest in a wall | right impacts | speed |
     |--------------|---------------------|----------------------|-------------------|---------------|-------|
-    | `"fast"`     | pymunk, 2 substeps  | 0.0045, 0.0099 s     | 0.22 m            | 2             | 1.1   |
+    | `"coarse"`   | pymunk, 2 substeps  | 0.0045, 0.0099 s     | 0.22 m            | 2             | 1.1   |
     | `"balanced"` | pymunk, 4 substeps  | 0.0025, 0.0049 s     | 0.11 m            | 3             | 1     |
-    | `"accurate"` | pymunk, 64 substeps | 1.7e-04, 3.1e-04 s   | 0.0067 m          | 4             | 0.21  |
+    | `"fine"`     | pymunk, 64 substeps | 1.7e-04, 3.1e-04 s   | 0.0067 m          | 4             | 0.21  |
     | `"exact"`    | exact               | 4.4e-16, 1.3e-15 s   | 2.2e-14 m         | 11            | 7.8   |
 
     `jackbox_env.cheapest` measures which setting keeps given bounds for a scene of your own.

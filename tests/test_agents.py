@@ -466,8 +466,8 @@ def test_the_words_for_a_contact_setting_mean_one_setting() -> None:
     assert EnvSettings().setting == Setting("pymunk", default.substeps)  # type: ignore[attr-defined]
     assert EnvSettings(fidelity="balanced").setting == EnvSettings(contact="pymunk").setting
     assert EnvSettings(fidelity="exact").setting == EnvSettings(contact="exact").setting == Setting("exact")
-    assert EnvSettings(fidelity="fast", substeps=8).setting == Setting("pymunk", 8)
-    with pytest.raises(ValueError, match="fidelity must be one of 'fast', 'balanced', 'accurate', 'exact', got 'slow'"):
+    assert EnvSettings(fidelity="coarse", substeps=8).setting == Setting("pymunk", 8)
+    with pytest.raises(ValueError, match="fidelity must be one of 'coarse', 'balanced', 'fine', 'exact', got 'slow'"):
         EnvSettings(fidelity="slow")
     env: Any = gym.make("JackInBox-v0", **EnvSettings(fidelity="exact").env_settings).unwrapped
     assert env.contact == "exact"

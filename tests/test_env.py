@@ -357,7 +357,7 @@ def test_set_state_takes_what_pymunk_may_produce(env: Env) -> None:
         ({"contact": "exact", "scene": {"restitution": 0.9}}, "contact='exact' is elastic only, .* got 0.9"),
         ({"contact": "box2d"}, "contact must be one of 'pymunk', 'exact', got 'box2d'"),
         ({"contact": 1}, "contact must be one of 'pymunk', 'exact', got 1"),
-        ({"fidelity": "perfect"}, "fidelity must be one of 'fast', 'balanced', 'accurate', 'exact', got 'perfect'"),
+        ({"fidelity": "perfect"}, "fidelity must be one of 'coarse', 'balanced', 'fine', 'exact', got 'perfect'"),
         ({"fidelity": "exact", "substeps": 4}, "fidelity='exact' has no substeps, got substeps=4"),
         ({"task": "fly"}, "task must be one of 'juggle', 'spin', 'rattle', got 'fly'"),
         ({"torque": "sine"}, "torque must be one of 'agent', 'chirp', got 'sine'"),

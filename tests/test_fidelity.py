@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import jackbox_env
-from jackbox_env import FIDELITIES, cheapest, fidelity
+from jackbox_env import FIDELITIES, cheapest, choosing
 from jackbox_env.choosing import Choice
 from jackbox_env.simulators.fidelity import Setting, resolve
 
@@ -21,13 +21,13 @@ WEIGHTLESS = {"gravity": 0.0, "drive": None}
     ("given", "meant"),
     [
         ({}, Setting("pymunk", None)),
-        ({"fidelity": "fast"}, Setting("pymunk", 2)),
+        ({"fidelity": "coarse"}, Setting("pymunk", 2)),
         ({"fidelity": "balanced"}, Setting("pymunk", 4)),
-        ({"fidelity": "accurate"}, Setting("pymunk", 64)),
+        ({"fidelity": "fine"}, Setting("pymunk", 64)),
         ({"fidelity": "exact"}, Setting("exact", None)),
-        ({"fidelity": "fast", "substeps": 8}, Setting("pymunk", 8)),
-        ({"fidelity": "accurate", "contact": "pymunk"}, Setting("pymunk", 64)),
-        ({"fidelity": "accurate", "contact": "exact"}, Setting("exact", None)),
+        ({"fidelity": "coarse", "substeps": 8}, Setting("pymunk", 8)),
+        ({"fidelity": "fine", "contact": "pymunk"}, Setting("pymunk", 64)),
+        ({"fidelity": "fine", "contact": "exact"}, Setting("exact", None)),
         ({"fidelity": "exact", "contact": "pymunk"}, Setting("pymunk", None)),
         ({"fidelity": "exact", "contact": "pymunk", "substeps": 2}, Setting("pymunk", 2)),
         ({"contact": "exact"}, Setting("exact", None)),
@@ -102,7 +102,7 @@ def test_the_exact_model_is_chosen_where_nothing_else_will_do() -> None:
 def test_of_two_that_will_do_the_one_that_takes_less_time_is_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
     loose: dict[str, Any] = {"first_impact_error": 0.02, "penetration": 1.0, "cases": 2}
     assert cheapest(**loose).setting == Setting("exact", None)  # some 8 times cheaper than any of pymunk
-    monkeypatch.setattr(fidelity, "_costs", lambda settings, cases: [float(one.contact == "exact") for one in settings])
+    monkeypatch.setattr(choosing, "_costs", lambda settings, cases: [float(one.contact == "exact") for one in settings])
     assert cheapest(**loose).setting == Setting("pymunk", 1)
 
 

@@ -1,4 +1,4 @@
-"""The laws of ``scripts/laws.py`` over scenes, starts and actions that hypothesis chooses."""
+"""The laws of ``scripts/studies/laws/laws.py`` over scenes, starts and actions that hypothesis chooses."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ def test_an_interrupted_soak_goes_on_to_the_report_of_one_that_was_not(
     assert "interrupted: 2 cases" in (parted / "report.txt").read_text()
     assert run(monkeypatch, "--resume", str(parted)) == 130
     assert run(monkeypatch, "--resume", str(parted)) == 0
-    assert f"Go on with: python scripts/soak.py --resume {parted}" in capsys.readouterr().err
+    assert f"Go on with: python scripts/studies/laws/soak.py --resume {parted}" in capsys.readouterr().err
     assert found_in(parted) == found_in(whole)
     assert soak.read_report(parted).sittings == 3
     assert run(monkeypatch, *settings, "--out", str(whole)) == 2  # never overwritten
@@ -79,7 +79,7 @@ def test_a_broken_law_is_reported_kept_and_replayed_and_the_report_stays_small(
     assert report.broken["energy"] > 5
     assert len(report.kept) == 10
     first = report.kept[0]
-    assert first["replay"] == "python scripts/soak.py --replay 0 --contact exact"
+    assert first["replay"] == "python scripts/studies/laws/soak.py --replay 0 --contact exact"
     assert first["case"] == json.loads(json.dumps(draw_case(SeededDraw(0), "exact").as_json()))
     assert first["replay"] in (tmp_path / "broken" / "report.txt").read_text()
     assert sum(path.stat().st_size for path in (tmp_path / "broken").iterdir()) < 100_000
@@ -127,6 +127,6 @@ def test_what_can_not_be_soaked_is_refused(
 
 def test_the_command_stands_alone() -> None:
     root = Path(__file__).parents[1]
-    command = [sys.executable, "scripts/soak.py", "--replay", "1", "--contact", "pymunk"]
+    command = [sys.executable, "scripts/studies/laws/soak.py", "--replay", "1", "--contact", "pymunk"]
     ran = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True)
     assert "pymunk: all laws hold" in ran.stdout

@@ -57,19 +57,19 @@ ROOT = Path(__file__).parents[1]
 
 
 def planted_runs(rng: np.random.Generator) -> dict[str, dict[str, dict[str, NDArray[np.float64]]]]:
-    """Two statistics; ``fast`` has the one 10 % higher, ``wide`` spreads the other twice as far."""
+    """Two statistics; ``coarse`` has the one 10 % higher, ``wide`` spreads the other twice as far."""
 
     def sample(mean: float = 1.0, spread: float = 0.2, other: float = 0.2) -> dict[str, NDArray[np.float64]]:
         return {"rate": rng.normal(mean, spread, 500), "speed": rng.normal(5.0, other, 500)}
 
-    return {"noise": {"exact": sample(), "fast": sample(1.1), "wide": sample(other=0.4), "exact again": sample()}}
+    return {"noise": {"exact": sample(), "coarse": sample(1.1), "wide": sample(other=0.4), "exact again": sample()}}
 
 
 def test_comparisons_find_what_is_planted_and_nothing_else() -> None:
     rng = np.random.default_rng(5)
     rows = {(row.setting, row.statistic): row for row in compare(planted_runs(rng), rng)}
-    assert {name for name, row in rows.items() if row.differs} == {("fast", "rate"), ("wide", "speed")}
-    found = rows["fast", "rate"]
+    assert {name for name, row in rows.items() if row.differs} == {("coarse", "rate"), ("wide", "speed")}
+    found = rows["coarse", "rate"]
     assert found.difference.low < 0.1 < found.difference.high
     assert found.mean_probability < 0.001
     wide = rows["wide", "speed"]
@@ -78,7 +78,7 @@ def test_comparisons_find_what_is_planted_and_nothing_else() -> None:
     assert not same.differs
     assert 0.03 < same.seen < 0.06  # 0.2 sqrt(2 / 500) (3.04 + 0.84)
     assert "differs from exact in 1 of 2 comparisons, most in rate under noise: +" in statistics_sentence(
-        "fast", list(rows.values())
+        "coarse", list(rows.values())
     )
     nothing = statistics_sentence("exact again", list(rows.values()))
     assert "no difference from exact was found in 2 comparisons" in nothing
@@ -96,8 +96,8 @@ def test_many_comparisons_raise_no_more_false_alarms_than_one() -> None:
 def test_episodes_without_a_number_are_left_out_of_its_comparison() -> None:
     rng = np.random.default_rng(6)
     runs = planted_runs(rng)
-    runs["noise"]["fast"]["rate"][:100] = math.nan
-    row = next(row for row in compare(runs, rng) if (row.setting, row.statistic) == ("fast", "rate"))
+    runs["noise"]["coarse"]["rate"][:100] = math.nan
+    row = next(row for row in compare(runs, rng) if (row.setting, row.statistic) == ("coarse", "rate"))
     assert row.episodes == (500, 400)
     assert math.isfinite(row.difference.mean)
 
@@ -109,21 +109,21 @@ def test_a_setting_that_loses_all_jacks_or_all_but_one_is_compared_without_a_cra
 ) -> None:
     rng = np.random.default_rng(13)
     runs = {"noise": planted_runs(rng)["noise"], "calm": planted_runs(rng)["noise"]}
-    for name, values in runs["noise"]["fast"].items():
+    for name, values in runs["noise"]["coarse"].items():
         kept = values[:survivors]
-        runs["noise"]["fast"][name] = kept if left is None else np.append(kept, np.full(9, left))
+        runs["noise"]["coarse"][name] = kept if left is None else np.append(kept, np.full(9, left))
     rows = compare(runs, rng)
-    lost = [row for row in rows if (row.condition, row.setting) == ("noise", "fast")]
+    lost = [row for row in rows if (row.condition, row.setting) == ("noise", "coarse")]
     assert [row.episodes for row in lost] == [(500, survivors)] * 2
     assert not any(row.differs for row in lost)
     assert all(row.difference.half_width == math.inf for row in lost)
     assert [row.absent.startswith("all lost") for row in lost] == [survivors == 0] * 2
-    words = statistics_sentence("fast", rows)
+    words = statistics_sentence("coarse", rows)
     assert ("all lost" in words) == (survivors == 0)
     assert f"differs from exact in 1 of {4 if survivors else 2} comparisons" in words
     # what the other settings came to is found nevertheless
     assert {(row.condition, row.setting) for row in rows if row.differs} == {
-        ("noise", "wide"), ("calm", "fast"), ("calm", "wide"),
+        ("noise", "wide"), ("calm", "coarse"), ("calm", "wide"),
     }  # fmt: skip
     assert all(math.isfinite(row.seen) for row in rows if row not in lost)
 
@@ -132,9 +132,9 @@ def test_the_table_says_all_lost_and_keeps_what_the_others_would_have_shown() ->
     rng = np.random.default_rng(14)
     name = "impacts [1/s]"
     runs: dict[str, dict[str, dict[str, Floats]]] = {
-        "noise": {setting: {one: rng.normal(1.0, 0.2, 500) for one in STATISTICS} for setting in ("exact", "fast", "b")}
+        "noise": {setting: {one: rng.normal(1.0, 0.2, 500) for one in STATISTICS} for setting in ("exact", "coarse", "b")}
     }
-    runs["noise"]["fast"] = {one: np.array([]) for one in STATISTICS}
+    runs["noise"]["coarse"] = {one: np.array([]) for one in STATISTICS}
     line = next(line for line in statistics_table("noise", compare(runs, rng)) if line.startswith(f"| {name}"))
     cells = line.split(" | ")
     assert cells[2] == "all lost"
@@ -146,7 +146,7 @@ def test_where_exact_has_no_number_that_is_said() -> None:
     rng = np.random.default_rng(15)
     runs = planted_runs(rng)
     runs["noise"]["exact"]["rate"] = np.array([])
-    row = next(row for row in compare(runs, rng) if (row.setting, row.statistic) == ("fast", "rate"))
+    row = next(row for row in compare(runs, rng) if (row.setting, row.statistic) == ("coarse", "rate"))
     assert row.absent == "all lost on exact"
 
 
@@ -155,7 +155,7 @@ def test_where_exact_has_no_number_that_is_said() -> None:
 
 def made_up(loss: tuple[float, float], shift: tuple[float, float] = (0.0, 1.0)) -> Finding:
     """On a return of 100, where the margin is 5."""
-    return Finding("juggle", "fast", 100.0, 100.0, Estimate(*loss), Estimate(*shift))
+    return Finding("juggle", "coarse", 100.0, 100.0, Estimate(*loss), Estimate(*shift))
 
 
 @pytest.mark.parametrize(
@@ -193,7 +193,7 @@ def test_what_is_honest_about_its_own_returns(shift: tuple[float, float], verdic
 
 
 def test_a_negative_return_has_a_margin_too() -> None:
-    assert Finding("spin", "fast", -100.0, 0.0, Estimate(-2.0, 2.0), Estimate(0.0, 1.0)).learning == "safe"
+    assert Finding("spin", "coarse", -100.0, 0.0, Estimate(-2.0, 2.0), Estimate(0.0, 1.0)).learning == "safe"
 
 
 def test_findings_come_from_the_right_cells() -> None:
@@ -204,10 +204,10 @@ def test_findings_come_from_the_right_cells() -> None:
 
     # trained on fast: 120 on itself, 80 on exact; trained on exact: 100 on exact
     trained = {
-        "fast": {"fast": returns(120.0), "exact": returns(80.0)},
-        "exact": {"fast": returns(90.0), "exact": returns(100.0)},
+        "coarse": {"coarse": returns(120.0), "exact": returns(80.0)},
+        "exact": {"coarse": returns(90.0), "exact": returns(100.0)},
     }
-    found = finding("juggle", trained, "fast")
+    found = finding("juggle", trained, "coarse")
     assert found.exact == pytest.approx(100.0, abs=1.0)
     assert found.own == pytest.approx(120.0, abs=1.0)
     assert found.loss.mean == pytest.approx(-20.0, abs=1.0)
@@ -215,21 +215,21 @@ def test_findings_come_from_the_right_cells() -> None:
     assert (found.learning, found.promise) == ("harmful", "too high")
     assert (found.trainings, found.needed) == (3, 2)  # seeds differ by about 1/8, the margin is 5
     assert found.starts == pytest.approx(1.998 * math.sqrt(2.0 / 3.0 / 64), rel=0.3)
-    assert baseline_shift({"fast": returns(9.0)[0], "exact": returns(7.0)[0]}, "fast").mean == pytest.approx(2, abs=0.6)
+    assert baseline_shift({"coarse": returns(9.0)[0], "exact": returns(7.0)[0]}, "coarse").mean == pytest.approx(2, abs=0.6)
 
 
 def test_verdicts_in_words() -> None:
-    bad, good = made_up((-10.0, 2.0), (20.0, 3.0)), replace(made_up((1.0, 2.0)), fidelity="accurate")
+    bad, good = made_up((-10.0, 2.0), (20.0, 3.0)), replace(made_up((1.0, 2.0)), fidelity="fine")
     assert sentence(bad).startswith(
-        "`fast` is not safe to learn on: run on exact, its policies earn -10.0 % (-12.0 to -8.0) against those"
+        "`coarse` is not safe to learn on: run on exact, its policies earn -10.0 % (-12.0 to -8.0) against those"
     )
     assert "its own returns promise too much: +20.0 % (+17.0 to +23.0)" in sentence(bad)
     assert headline("juggle", [bad, good]) == (
-        "**Learning `juggle` by shortcut**: safe on average `accurate`; not safe `fast`. Does a policy earn on exact "
-        "what it earned on the shortcut it was trained on, within 5%? Yes `accurate`; no `fast`."
+        "**Learning `juggle` by shortcut**: safe on average `fine`; not safe `coarse`. Does a policy earn on exact "
+        "what it earned on the shortcut it was trained on, within 5%? Yes `fine`; no `coarse`."
     )
     assert sentence(good).startswith(
-        "`accurate` is safe on average to learn on: run on exact, its policies earn +1.0 %"
+        "`fine` is safe on average to learn on: run on exact, its policies earn +1.0 %"
     )
 
 
@@ -245,16 +245,16 @@ def test_verdicts_in_words() -> None:
 )
 def test_what_would_settle_an_open_verdict(known: dict[str, Any], words: str) -> None:
     open_one = replace(made_up((0.0, 9.0)), **known)
-    assert f"`fast` is undecided for learning, so few trainings do not tell{words}" in sentence(open_one)
+    assert f"`coarse` is undecided for learning, so few trainings do not tell{words}" in sentence(open_one)
 
 
 def test_trainings_that_may_fail_and_the_worst_of_each_fidelity() -> None:
-    means = {"fast": [100.0, 20.0, 110.0, 90.0, 80.0], "exact": [50.0, 50.0, 50.0, 50.0, 40.0]}
+    means = {"coarse": [100.0, 20.0, 110.0, 90.0, 80.0], "exact": [50.0, 50.0, 50.0, 50.0, 40.0]}
     trained = {name: {"exact": np.array([[mean, mean] for mean in row])} for name, row in means.items()}
     words = failures_sentence(trained)
     # 1 - 0.05^(1/5)
     assert "5 trainings cannot exclude that up to 45.1 % of trainings fail" in words
-    assert words.endswith("`fast` seed 1 -75.0 %, `exact` seed 4 -16.7 %.")
+    assert words.endswith("`coarse` seed 1 -75.0 %, `exact` seed 4 -16.7 %.")
     single = {name: {"exact": row["exact"][:1]} for name, row in trained.items()}
     assert "1 training cannot exclude that up to 95.0 % of trainings fail" in failures_sentence(single)
 
@@ -303,7 +303,7 @@ def test_a_policy_acts_in_the_long_run_as_in_the_environment() -> None:
 
 def test_a_jack_that_leaves_is_counted_and_not_measured() -> None:
     rng, light = np.random.default_rng(0), Scene(box_mass=0.01)
-    found = run_episodes(SETTINGS["fast"], random_torques(light, rng), rng, 4, light)
+    found = run_episodes(SETTINGS["coarse"], random_torques(light, rng), rng, 4, light)
     assert found.lost + len(found.values["impacts [1/s]"]) == 4
     assert found.lost >= 1
 
@@ -338,12 +338,12 @@ def stand_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     path = tmp_path / "train.py"
     path.write_text(STAND_IN)
     monkeypatch.setattr(transfer, "TRAIN", path)
-    return new_study(tmp_path / "study", StudySettings(("juggle",), ("fast", "exact"), 2))
+    return new_study(tmp_path / "study", StudySettings(("juggle",), ("coarse", "exact"), 2))
 
 
 def test_only_what_is_not_finished_is_trained(stand_in: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     settings = read_study(stand_in)
-    assert settings == StudySettings(("juggle",), ("fast", "exact"), 2)
+    assert settings == StudySettings(("juggle",), ("coarse", "exact"), 2)
     monkeypatch.setenv("FAILS", "juggle-exact-0")
     with pytest.raises(RuntimeError, match="juggle-exact-0 ended with status 1; .*log.txt says why"):
         train_all(stand_in, settings, 1, progress=False)
@@ -359,18 +359,18 @@ def test_only_what_is_not_finished_is_trained(stand_in: Path, monkeypatch: pytes
 def test_runs_of_other_settings_are_refused(stand_in: Path) -> None:
     settings = read_study(stand_in)
     train_all(stand_in, settings, 2, progress=False)
-    with pytest.raises(ValueError, match="juggle-fast-0 was made by other settings than those of"):
+    with pytest.raises(ValueError, match="juggle-coarse-0 was made by other settings than those of"):
         train_all(stand_in, replace(settings, total_steps=(5,)), 2, progress=False)
 
 
 def test_a_study_keeps_what_its_fidelities_stood_for_and_is_refused_where_they_changed(stand_in: Path) -> None:
     path = stand_in / "study.json"
     kept = json.loads(path.read_text())
-    assert kept["settings"]["fast"] == [FIDELITIES["fast"].contact, FIDELITIES["fast"].substeps]
+    assert kept["settings"]["coarse"] == [FIDELITIES["coarse"].contact, FIDELITIES["coarse"].substeps]
     assert kept["settings"]["exact"] == ["exact", None]
-    kept["settings"]["fast"] = ["pymunk", 7]
+    kept["settings"]["coarse"] = ["pymunk", 7]
     path.write_text(json.dumps(kept))
-    with pytest.raises(ValueError, match=r'made with the fidelities .*"fast": \["pymunk", 7\].*, which are .* today'):
+    with pytest.raises(ValueError, match=r'made with the fidelities .*"coarse": \["pymunk", 7\].*, which are .* today'):
         read_study(stand_in)
     del kept["settings"]
     path.write_text(json.dumps(kept))
@@ -386,8 +386,8 @@ def test_a_study_keeps_what_its_fidelities_stood_for_and_is_refused_where_they_c
         ({"long_episodes": 3}, "long_episodes must be a whole number >= 4, got 3"),
         ({"total_steps": (0,)}, "total_steps must be a whole number >= 1, got 0"),
         ({"total_steps": (1, 2, 3)}, r"total_steps must be one number or 2, got \(1, 2, 3\)"),
-        ({"fidelities": ("fast", "slow", "exact")}, "fidelities must be one of .* got 'slow'"),
-        ({"fidelities": ("fast",)}, "fidelities must hold 'exact'"),
+        ({"fidelities": ("coarse", "slow", "exact")}, "fidelities must be one of .* got 'slow'"),
+        ({"fidelities": ("coarse",)}, "fidelities must hold 'exact'"),
         ({"fidelities": ("exact", "exact")}, "fidelities must be different ones"),
         ({"tasks": ()}, "tasks must be different ones, at least one"),
     ],
@@ -409,7 +409,7 @@ def test_steps_may_differ_between_tasks() -> None:
 def test_cells_start_alike_on_every_fidelity_and_are_run_once(tmp_path: Path) -> None:
     settings = StudySettings(("juggle",), episodes=3)
     exact = cell(tmp_path, settings, "juggle", "level", "exact")
-    accurate = cell(tmp_path, settings, "juggle", "level", "accurate")
+    accurate = cell(tmp_path, settings, "juggle", "level", "fine")
     # the same starts: until chaos parts them returns differ little, much less than between starts
     assert np.abs(np.subtract(exact, accurate)).min() < 0.2 * np.ptp(exact)
     path = tmp_path / "cells" / "juggle-level-on-exact.json"
@@ -439,19 +439,19 @@ def test_a_small_study_from_end_to_end_and_its_page_again_without_training(
     command(monkeypatch, *small.split(), "--folder", "study")
     assert not list((tmp_path / "docs").iterdir())  # a trial leaves the published page alone
     own = (tmp_path / "study" / "learning.md").read_text()
-    assert f"`python scripts/transfer.py {small}` trains" in own
+    assert f"`python scripts/studies/transfer/transfer.py {small}` trains" in own
     assert "--out" not in own
     command(monkeypatch, "--resume", "study", "--out", "docs")
     page = (tmp_path / "docs" / "learning.md").read_text()
-    assert f"`python scripts/transfer.py {small} --out docs` trains" in page
+    assert f"`python scripts/studies/transfer/transfer.py {small} --out docs` trains" in page
     assert f"`one iteration` is {one_iteration()};" in page
     assert page.splitlines()[2] == fidelities_line()  # before any of the names
     # one training tells nothing
-    assert page.splitlines()[4].startswith("**Learning `juggle` by shortcut**: undecided `fast`. Does a policy")
+    assert page.splitlines()[4].startswith("**Learning `juggle` by shortcut**: undecided `coarse`. Does a policy")
     assert "- Safe means on average: 1 training cannot exclude that up to 95.0 % of trainings fail" in page
     data = json.loads((tmp_path / "docs" / "learning.json").read_text())
-    returns = data["returns"]["juggle"]["trained"]["fast"]["exact"]
-    assert f"| PPO, fast | {np.mean(data['returns']['juggle']['trained']['fast']['fast']):.1f} ± inf |" in page
+    returns = data["returns"]["juggle"]["trained"]["coarse"]["exact"]
+    assert f"| PPO, coarse | {np.mean(data['returns']['juggle']['trained']['coarse']['coarse']):.1f} ± inf |" in page
     assert np.shape(returns) == (1, 2)
     assert {row["setting"] for row in data["comparisons"]} == set(SETTINGS) - {"exact"}
     assert (tmp_path / "docs" / "learning_juggle.png").stat().st_size > 10_000
@@ -486,7 +486,7 @@ def test_an_interrupted_study_interrupts_its_trainings_and_says_how_to_go_on(
         patched.setattr(transfer, "_start", remember)
         patched.setattr(time, "sleep", interrupt)
         command(patched, "--resume", str(stand_in), status=130)
-    assert f"Go on with: python scripts/transfer.py --resume {stand_in}" in capsys.readouterr().err
+    assert f"Go on with: python scripts/studies/transfer/transfer.py --resume {stand_in}" in capsys.readouterr().err
     assert len(started) == 2
     assert all(process.returncode != 0 for process in started)
     assert not list(stand_in.rglob("model.zip"))
@@ -514,8 +514,8 @@ def test_refusals_of_the_command_line(
 
 
 def test_the_page_says_what_the_names_stand_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    fast = FIDELITIES["fast"]
-    assert f"`fast` ({fast.contact}, {fast.substeps} substeps)" in fidelities_line()
+    fast = FIDELITIES["coarse"]
+    assert f"`coarse` ({fast.contact}, {fast.substeps} substeps)" in fidelities_line()
     assert "`exact` (exact, no substeps). Train elastic scenes on `exact`" in fidelities_line()
     assert one_iteration() == f"{fast.contact} with {fast.substeps} substeps and 1 solver iteration"
     monkeypatch.setitem(SETTINGS, "one iteration", {"contact": "pymunk", "substeps": 1, "iterations": 3})
@@ -532,19 +532,19 @@ def test_the_committed_page_is_of_todays_fidelities() -> None:
     [
         StudySettings(),
         StudySettings(seeds=5, total_steps=(1_000_000, 500_000)),
-        StudySettings(("spin",), ("fast", "exact"), 2, (7,), 3, 4),
+        StudySettings(("spin",), ("coarse", "exact"), 2, (7,), 3, 4),
     ],
 )
 @pytest.mark.parametrize("out", [None, Path("docs")])
 def test_the_command_on_the_page_makes_the_study_again(settings: StudySettings, out: Path | None) -> None:
     again, resume = commands(settings, out)
     words = shlex.split(again)
-    assert words[:2] == ["python", "scripts/transfer.py"]
+    assert words[:2] == ["python", "scripts/studies/transfer/transfer.py"]
     assert tyro.cli(Arguments, args=words[2:]) == Arguments(settings, out=out)
     assert ("--out docs" in resume) == (out is not None)
 
 
 def test_make_transfer_is_the_one_that_writes_to_docs() -> None:
     again, _ = commands(StudySettings(seeds=5, total_steps=(1_000_000, 500_000)), Path("docs"))
-    assert again == "python scripts/transfer.py --seeds 5 --total-steps 1000000 500000 --out docs"
+    assert again == "python scripts/studies/transfer/transfer.py --seeds 5 --total-steps 1000000 500000 --out docs"
     assert f"/{again}\n" in (ROOT / "Makefile").read_text()

@@ -22,9 +22,9 @@ class Setting(NamedTuple):
 
 FIDELITIES = MappingProxyType(
     {
-        "fast": Setting("pymunk", 2),
+        "coarse": Setting("pymunk", 2),
         "balanced": Setting("pymunk", 4),
-        "accurate": Setting("pymunk", 64),
+        "fine": Setting("pymunk", 64),
         "exact": Setting("exact"),
     }
 )

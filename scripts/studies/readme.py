@@ -12,7 +12,7 @@ from typing import Any
 
 from scripts.common import command_line
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 SWEEP = ROOT / "docs" / "accuracy" / "results.json"
 PICTURE = ROOT / "docs" / "jackbox.gif"
 

@@ -101,7 +101,7 @@ def how(arguments: Arguments, before: tuple[float, float]) -> list[str]:
     from scripts.studies.speed.speed import meanwhile
 
     known = versions((*(name for name in PACKAGES if name != "torch"), "numba", "mujoco", "box2d"))
-    command = " ".join(["python scripts/benchmark.py", *sys.argv[1:]])
+    command = " ".join(["python scripts/studies/accuracy/benchmark.py", *sys.argv[1:]])
     return [
         f"Written by `{command}`: {arguments.cases} seeded cases of each kind; costs are medians (smallest to largest) "
         f"over {arguments.rounds} interleaved rounds after one to warm up, at least {arguments.seconds:g} s each, of "

@@ -19,7 +19,7 @@ DIGITS = "60 digits"  # the kind of those with an independent reference
 DT = 0.02  # control step [s]
 STEPS = 500  # control steps of a seeded case: 10 s
 WEIGHTLESS = Scene(gravity=0.0, drive=None)
-_DATA = Path(__file__).parents[2] / "tests" / "data"
+_DATA = Path(__file__).parents[3] / "tests" / "data"
 
 
 def seeded(kind: str, seed: int) -> Case:

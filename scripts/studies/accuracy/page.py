@@ -120,7 +120,7 @@ def verdicts(results: dict[str, Any]) -> list[str]:
     """What to use, in sentences made from the numbers."""
     exact, default = results["settings"][EXACT], results["settings"][DEFAULT]
     many = exact["cost"]["median"] / results["settings"][BATCH]["cost"]["median"]
-    fast, accurate = named(results, "fast"), named(results, "accurate")
+    coarse, fine = named(results, "coarse"), named(results, "fine")
     right = figure(exact["kinds"][DIGITS]["first_1"]["worst"])
     lines = [
         '- **Elastic scene** (`restitution` 1), training included: `fidelity="exact"`. The simulator takes '
@@ -130,10 +130,10 @@ def verdicts(results: dict[str, Any]) -> list[str]:
         f"first impact is late by {_late(default)}, a foot is up to {_deep(default)} m deep in a wall (worst of "
         f"{default['kinds'][ALL]['cases']} cases). Measured on elastic scenes; up to the first impact loss plays no "
         "part.",
-        f'- **The same, but the first impact matters**: `"accurate"`: late by {_late(accurate)}, up to '
-        f"{_deep(accurate)} m deep, in {_ratio(accurate)} times the default's time. {_within(results, 0.001)}",
-        f'- **As cheap as pymunk gets**: `"fast"`: late by {_late(fast)}, up to {_deep(fast)} m deep, in '
-        f"{_ratio(fast)} of the default's time.",
+        f'- **The same, but the first impact matters**: `"fine"`: late by {_late(fine)}, up to '
+        f"{_deep(fine)} m deep, in {_ratio(fine)} times the default's time. {_within(results, 0.001)}",
+        f'- **As cheap as pymunk gets**: `"coarse"`: late by {_late(coarse)}, up to {_deep(coarse)} m deep, in '
+        f"{_ratio(coarse)} of the default's time.",
         "- **A scene of your own**: `choice = jackbox_env.cheapest(scene, first_impact_error=0.001, penetration=0.01)` "
         "measures which setting keeps these bounds; `gym.make(..., **choice.setting._asdict())` takes it.",
     ]

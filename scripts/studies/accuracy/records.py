@@ -18,9 +18,9 @@ from agents.runs import new_folder, versions, write_json
 from jackbox_env.accuracy import Case, Reference, compare, follow, quantities, restarts
 from scripts.studies.accuracy.settings import Setting, look_of
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 ARGUMENTS, RECORDS, RESULTS = "arguments.json", "records.jsonl", "results.json"
-_MEASURED = ("jackbox_env", "scripts/sweep", "scripts/rivals", "tests/data")
+_MEASURED = ("jackbox_env", "scripts/studies/accuracy", "scripts/studies/rivals", "tests/data")
 _WORDS = ("page.py", "pictures.py", "summary.py")  # what becomes of the records does not change them
 _ENGINES = ("numpy", "numba", "pymunk", "mujoco", "box2d")
 

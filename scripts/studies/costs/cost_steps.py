@@ -1,4 +1,4 @@
-"""What ``scripts/costs.py`` times: the same control steps with a thing and without it.
+"""What ``scripts/studies/costs/costs.py`` times: the same control steps with a thing and without it.
 
 What a thing costs must not be mixed up with where it leads: without gravity the jack hardly meets a wall. So all step
 the same moments, states of episodes of the default scene, each put back before it is stepped. What can not be switched

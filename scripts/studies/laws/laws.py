@@ -1,4 +1,4 @@
-"""The laws that every simulation owes, measured on one case: the property tests and ``scripts/soak.py`` share them.
+"""The laws that every simulation owes, measured on one case: the property tests and ``scripts/studies/laws/soak.py`` share them.
 
 containment  no foot outside: ``exact`` by 1e-9 m or 4 units in the last place, ``pymunk`` by min(1 m, L) [m]
 momentum     total momentum = at first + impulse of the side forces - m_j g t [N s]

@@ -1,4 +1,4 @@
-"""Random cases for the laws of ``scripts/laws.py``: a scene, a start, and actions to play.
+"""Random cases for the laws of ``scripts/studies/laws/laws.py``: a scene, a start, and actions to play.
 
 Lengths are drawn first, speeds and torques in proportion: within the steps of a case the jack crosses the box some
 times and the box turns by some radians, whatever its size, so that most cases have impacts.

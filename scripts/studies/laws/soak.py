@@ -129,7 +129,7 @@ class Report:
 
 def replay_command(seed: int, contact: str) -> str:
     """What shows a case again."""
-    return f"python scripts/soak.py --replay {seed} --contact {contact}"
+    return f"python scripts/studies/laws/soak.py --replay {seed} --contact {contact}"
 
 
 def _beginning(sentence: str) -> str:
@@ -266,7 +266,7 @@ def main() -> None:
     try:
         report = soak(report, folder, arguments.progress)
     except KeyboardInterrupt:
-        print(f"\nInterrupted. Go on with: python scripts/soak.py --resume {folder}", file=sys.stderr)
+        print(f"\nInterrupted. Go on with: python scripts/studies/laws/soak.py --resume {folder}", file=sys.stderr)
         raise
     print(report.text(), end="")
     print(f"Report: {folder}")

@@ -1,4 +1,4 @@
-"""What ``scripts/speed.py`` times of the exact contact model: its compiled loop alone, batches, rollouts.
+"""What ``scripts/studies/speed/speed.py`` times of the exact contact model: its compiled loop alone, batches, rollouts.
 
 All play the same game: episodes of 500 steps from the environment's own starts, a fresh random torque in each step.
 Where a batch is too large for whole episodes it starts from a mixture of the moments of such episodes.

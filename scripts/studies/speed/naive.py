@@ -1,7 +1,7 @@
 """How impacts are usually found: look at the step's end, then Newton's method. What happens in between is lost.
 
 It stands in for the certified search of ``jackbox_env.compiled.search`` where the two are compared: by
-``scripts/speed.py`` for what the guarantee costs, by the tests for what it finds and this one misses.
+``scripts/studies/speed/speed.py`` for what the guarantee costs, by the tests for what it finds and this one misses.
 """
 
 from __future__ import annotations

@@ -33,10 +33,10 @@ _TOGETHER = 64  # simulators, so that a network is asked for many at once
 # Keywords of make_simulator. The last is the negative control: what differs from exact in nothing but its seeds.
 SETTINGS: dict[str, dict[str, Any]] = {
     "exact": FIDELITIES["exact"]._asdict(),
-    "fast": FIDELITIES["fast"]._asdict(),
+    "coarse": FIDELITIES["coarse"]._asdict(),
     "balanced": FIDELITIES["balanced"]._asdict(),
-    "accurate": FIDELITIES["accurate"]._asdict(),
-    "one iteration": {**FIDELITIES["fast"]._asdict(), "iterations": 1},
+    "fine": FIDELITIES["fine"]._asdict(),
+    "one iteration": {**FIDELITIES["coarse"]._asdict(), "iterations": 1},
     "exact again": FIDELITIES["exact"]._asdict(),
 }
 

@@ -179,7 +179,7 @@ def commands(settings: StudySettings, out: Path | None) -> tuple[str, str]:
             values = value if isinstance(value, tuple) else (value,)
             chosen += [f"--{field.name.replace('_', '-')}", *map(str, values)]
     where = [] if out is None else ["--out", str(out)]
-    script = "python scripts/transfer.py"
+    script = "python scripts/studies/transfer/transfer.py"
     again, resume = f"{script} {shlex.join([*chosen, *where])}", f"{script} --resume <its folder> {shlex.join(where)}"
     return again.strip(), resume.strip()
 

@@ -39,7 +39,7 @@ from jackbox_env import FIDELITIES, Scene
 from jackbox_env import _validation as check
 from scripts.studies.transfer.longrun import Episodes, run_long
 
-TRAIN = Path(__file__).parents[1] / "scripts" / "train.py"
+TRAIN = Path(__file__).parents[3] / "scripts" / "train.py"
 STUDY = "study.json"
 _RESOLVED = "settings"  # key in it: fidelity -> [contact, substeps]
 BASELINES = ("zero", "level", "chirp")  # without chance: the same policy on every fidelity

@@ -186,7 +186,7 @@ def headline(task: str, findings: Sequence[Finding]) -> str:
 
 
 def _grouped(findings: Sequence[Finding], question: str, answers: Mapping[str, tuple[str, ...]]) -> str:
-    """Fidelities by their answer to a question: ``safe `accurate`; not safe `fast```."""
+    """Fidelities by their answer to a question: ``safe `fine`; not safe `coarse```."""
     parts = []
     for words, kinds in answers.items():
         names = [f"`{found.fidelity}`" for found in findings if getattr(found, question) in kinds]
