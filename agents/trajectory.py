@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from jackbox_env import Impact, Simulator
+from jackbox_env import Impact, JackLostError, Simulator
 from jackbox_env.states import STATE_NAMES
 
 
@@ -37,7 +37,7 @@ def simulate(simulator: Simulator, seconds: float, dt: float, progress: bool = T
     for _ in tqdm(range(max(1, round(seconds / dt))), disable=not progress, unit="step", leave=False):
         try:
             simulator.step(dt)
-        except RuntimeError as error:
+        except JackLostError as error:
             return Trajectory(np.array(times), np.array(states), impacts, str(error))
         times.append(simulator.time)
         states.append(simulator.state)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from jackbox_env.choosing import cheapest
     from jackbox_env.env import JackInBoxEnv
     from jackbox_env.planning import Rollout, rollout
-    from jackbox_env.simulators import Impact, Simulator, make_simulator
+    from jackbox_env.simulators import Impact, JackLostError, Simulator, make_simulator
     from jackbox_env.simulators.fidelity import FIDELITIES
     from jackbox_env.vector_env import JackInBoxVectorEnv
 
@@ -23,6 +23,7 @@ _LAZY = {
     "JackInBoxEnv": "env",
     "JackInBoxVectorEnv": "vector_env",
     "Impact": "simulators",
+    "JackLostError": "simulators",
     "Simulator": "simulators",
     "make_simulator": "simulators",
     "Rollout": "planning",
@@ -36,6 +37,7 @@ __all__ = [
     "Impact",
     "JackInBoxEnv",
     "JackInBoxVectorEnv",
+    "JackLostError",
     "Rollout",
     "Scene",
     "Simulator",

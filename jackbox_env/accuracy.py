@@ -16,7 +16,7 @@ import numpy as np
 
 from jackbox_env.mechanics import energy_of
 from jackbox_env.scene import Scene
-from jackbox_env.simulators import Impact, Simulator, make_simulator
+from jackbox_env.simulators import Impact, JackLostError, Simulator, make_simulator
 from jackbox_env.simulators.replay import replayed
 from jackbox_env.states import Array, clearance, deepest_held
 
@@ -103,7 +103,7 @@ def between(simulator: Simulator, before: Array, time: float, torque: float | No
     again = replayed(scene, before.tolist(), time, simulator.impacts, simulator.time, torque)
     depth = max(again.depth, -clearance(scene, after.tolist()))
     allowed = _LOST * scene.box_half_width
-    if scene.restitution < 1.0:  # overlap is moved apart, by no more than there is, at each contact
+    if not scene.elastic:  # overlap is moved apart, by no more than there is, at each contact
         allowed += (1 + len(simulator.impacts)) * max(depth, -clearance(scene, before.tolist()), 0.0)
     if not pose_errors(scene, np.array([again.state]), after[None])[0] <= allowed:
         return Between(math.nan, math.nan)
@@ -138,7 +138,7 @@ def follow(simulator: Simulator, case: Case, look: Look | None = between) -> Cou
         time = simulator.time
         try:
             simulator.step(case.dt, torque)
-        except RuntimeError:  # it would leave the box
+        except JackLostError:
             escaped = True
             break
         before, state = state, simulator.state
@@ -169,12 +169,12 @@ def reference_of(case: Case) -> Reference:
 
     Raises:
         ValueError: the scene is not elastic.
-        RuntimeError: the exact model cannot follow the case.
+        JackLostError: the exact model cannot follow the case.
     """
     simulator = make_simulator(case.scene, "exact")
     course = follow(simulator, case, look=None)
     if course.escaped:
-        raise RuntimeError(
+        raise JackLostError(
             f"the jack of {case.name} moves too fast to be followed exactly to the end of {case.steps} steps "
             f"of {case.dt:g} s; use a smaller time step, less speed or less torque"
         )
@@ -261,7 +261,7 @@ def restarts(simulator: Simulator, case: Case, reference: Reference) -> Restarts
             for number in range(first, last):
                 simulator.step(case.dt, None if case.torques is None else case.torques[number])
                 found += simulator.impacts
-        except RuntimeError:  # it would leave the box
+        except JackLostError:
             errors.append(math.inf)
             missed += sum(hit.time <= late for hit in wanted)
             continue

@@ -72,7 +72,7 @@ def cheapest(
     Raises:
         TypeError, ValueError: an argument out of its range; no jack touches a wall; or no setting will do, the sentence
             then says what the finest one reaches.
-        RuntimeError: the exact model cannot follow a case to its first impact.
+        JackLostError: the exact model cannot follow a case to its first impact.
 
     >>> from jackbox_env import cheapest
     >>> cheapest({"restitution": 0.5}, first_impact_error=0.005, penetration=0.2).setting
@@ -85,14 +85,14 @@ def cheapest(
     try:
         make_simulator(scene, "pymunk")
     except ValueError:  # its solver would need too many iterations
-        if scene.restitution != 1.0:
+        if not scene.elastic:
             raise
     else:
         for substeps in _CANDIDATES:
             measured = [_measured(Setting("pymunk", substeps), drawn, bounds)]
             if _within(measured[0], bounds):
                 break
-    if scene.restitution == 1.0:
+    if scene.elastic:
         measured.append(_measured(Setting("exact"), drawn, bounds))
     found = [choice for choice in measured if _within(choice, bounds)]
     if not found:

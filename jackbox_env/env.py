@@ -83,7 +83,8 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
 
     The episode never terminates. The time limit that `gymnasium.make` adds truncates it after 500 steps (by default
     10 s).
-    A jack that leaves the box raises RuntimeError, which needs far more speed than 10 s of torque can give by default.
+    A jack that leaves the box raises `JackLostError` (a RuntimeError), which needs far more speed than 10 s of torque
+    can give by default.
 
     ## Information
 
@@ -242,7 +243,8 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
 
         Raises:
             TypeError, ValueError: an unusable action.
-            RuntimeError: the jack would leave the box. After any error the environment is as it was.
+            JackLostError: the jack would leave the box, or cannot be followed. After any error the environment is as it
+                was.
         """
         torque = None
         if action is not None and self._torque_source == "agent":

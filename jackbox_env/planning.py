@@ -16,7 +16,7 @@ from jackbox_env.compiled.rollouts import outside, roll
 from jackbox_env.compiled.workspace import new_workspace
 from jackbox_env.scene import Scene
 from jackbox_env.simulators.base import end_of_step
-from jackbox_env.simulators.exact import drive_kind, failure, pieces_for, refuse_inelastic
+from jackbox_env.simulators.exact import ExactSimulator, drive_kind, failure, pieces_for
 from jackbox_env.states import LATEST_TIME, Array, as_held, deepest_held
 
 _GRAIN = 1000  # steps that are worth a call
@@ -76,10 +76,10 @@ def rollout(
 
     Raises:
         TypeError, ValueError: unusable values.
-        RuntimeError: a jack moves too fast to be followed.
+        JackLostError: a jack moves too fast to be followed.
     """
     scene = Scene.of(scene)
-    refuse_inelastic(scene)
+    ExactSimulator.refuse(scene)
     energy, impacts = check.flag("energy", energy), check.flag("impacts", impacts)
     dt = check.real("dt", dt, above=0.0)
     time = check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)

@@ -306,6 +306,11 @@ class Scene:
         return cls(**given)
 
     @property
+    def elastic(self) -> bool:
+        """Whether impacts keep the energy: restitution 1."""
+        return self.restitution == 1.0
+
+    @property
     def mass_diagonal(self) -> tuple[float, float, float, float, float, float]:
         """Diagonal of the mass matrix M for q = (box x, y, angle, jack x, y, angle) [kg, kg, kg m^2, twice]."""
         return (self.box_mass,) * 2 + (self.box_inertia,) + (self.jack_mass,) * 2 + (self.jack_inertia,)

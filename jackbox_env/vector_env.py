@@ -219,7 +219,8 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
 
         Raises:
             TypeError, ValueError: unusable actions.
-            RuntimeError: a jack would leave its box, or there was no reset yet. After any error all environments are as
+            JackLostError: a jack would leave its box, or cannot be followed.
+            RuntimeError: there was no reset yet. After any error all environments are as
                 they were.
         """
         if not self._started:

@@ -23,6 +23,7 @@ from jackbox_env.accuracy import (
     reference_of,
     restarts,
 )
+from jackbox_env.simulators.base import JackLostError, Present
 from jackbox_env.simulators.exact import ExactSimulator
 from jackbox_env.simulators.replay import flown, replayed
 from jackbox_env.tasks import sample_start
@@ -139,7 +140,7 @@ def test_energy_that_comes_from_nowhere_is_seen() -> None:
             super().step(dt, torque)
             state = self.state
             state[9] *= 1.001
-            self._present = (state, *self._present[1:])
+            self._present = self._present._replace(state=state)
 
     case = Case("straight", WEIGHTLESS, flying_at_a_wall(), 10)
     honest, heated = (follow(kind(WEIGHTLESS), case) for kind in (ExactSimulator, Heater))
@@ -157,7 +158,7 @@ class Ghost(ExactSimulator):
 
     def step(self, dt: float, torque: float | None = None) -> None:
         after = flown(self.scene, self.state.tolist(), self.time, dt, torque)
-        self._present = np.array(after), self.time + dt, 0.0, []
+        self._present = Present(np.array(after), self.time + dt)
 
 
 class Coward(ExactSimulator):
@@ -166,7 +167,7 @@ class Coward(ExactSimulator):
     def step(self, dt: float, torque: float | None = None) -> None:
         super().step(dt, torque)
         if self.impacts:
-            raise RuntimeError("the jack would leave the box")
+            raise JackLostError("the jack would leave the box")
 
 
 @pytest.mark.parametrize("kind", [Ghost, Coward])

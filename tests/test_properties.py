@@ -156,7 +156,7 @@ def disturbed(step: Callable[..., None], place: int, amount: float, at: int) -> 
             state = self.state
             state[place] += amount * (1.0 + abs(state[place]))
             kept = state if isinstance(self, ExactSimulator) else state.tolist()
-            self._present = (kept, *self._present[1:])
+            self._present = self._present._replace(state=kept)
 
     return wrapped
 
@@ -189,7 +189,7 @@ def test_impacts_out_of_order_and_exceptions_break_their_laws(contact: str, monk
     simulator = ExactSimulator if contact == "exact" else PymunkSimulator
     with monkeypatch.context() as patch:
         patch.setattr(
-            simulator, "impacts", property(lambda self: [hit._replace(time=-1e3) for hit in self._present[3]])
+            simulator, "impacts", property(lambda self: [hit._replace(time=-1e3) for hit in self._present.impacts])
         )
         assert examine(case).broken == ["record"]
 

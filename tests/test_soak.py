@@ -70,7 +70,7 @@ def test_a_broken_law_is_reported_kept_and_replayed_and_the_report_stays_small(
         step(self, dt, torque)
         state = self.state
         state[8] += 1e-3
-        self._present = (state, *self._present[1:])
+        self._present = self._present._replace(state=state)
 
     monkeypatch.setattr(ExactSimulator, "step", gains)
     assert run(monkeypatch, "--cases", "15", "--contact", "exact", "--out", str(tmp_path / "broken")) == 1

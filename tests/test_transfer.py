@@ -132,7 +132,9 @@ def test_the_table_says_all_lost_and_keeps_what_the_others_would_have_shown() ->
     rng = np.random.default_rng(14)
     name = "impacts [1/s]"
     runs: dict[str, dict[str, dict[str, Floats]]] = {
-        "noise": {setting: {one: rng.normal(1.0, 0.2, 500) for one in STATISTICS} for setting in ("exact", "coarse", "b")}
+        "noise": {
+            setting: {one: rng.normal(1.0, 0.2, 500) for one in STATISTICS} for setting in ("exact", "coarse", "b")
+        }
     }
     runs["noise"]["coarse"] = {one: np.array([]) for one in STATISTICS}
     line = next(line for line in statistics_table("noise", compare(runs, rng)) if line.startswith(f"| {name}"))
@@ -215,7 +217,9 @@ def test_findings_come_from_the_right_cells() -> None:
     assert (found.learning, found.promise) == ("harmful", "too high")
     assert (found.trainings, found.needed) == (3, 2)  # seeds differ by about 1/8, the margin is 5
     assert found.starts == pytest.approx(1.998 * math.sqrt(2.0 / 3.0 / 64), rel=0.3)
-    assert baseline_shift({"coarse": returns(9.0)[0], "exact": returns(7.0)[0]}, "coarse").mean == pytest.approx(2, abs=0.6)
+    assert baseline_shift({"coarse": returns(9.0)[0], "exact": returns(7.0)[0]}, "coarse").mean == pytest.approx(
+        2, abs=0.6
+    )
 
 
 def test_verdicts_in_words() -> None:
@@ -228,9 +232,7 @@ def test_verdicts_in_words() -> None:
         "**Learning `juggle` by shortcut**: safe on average `fine`; not safe `coarse`. Does a policy earn on exact "
         "what it earned on the shortcut it was trained on, within 5%? Yes `fine`; no `coarse`."
     )
-    assert sentence(good).startswith(
-        "`fine` is safe on average to learn on: run on exact, its policies earn +1.0 %"
-    )
+    assert sentence(good).startswith("`fine` is safe on average to learn on: run on exact, its policies earn +1.0 %")
 
 
 @pytest.mark.parametrize(

@@ -68,7 +68,7 @@ class Batch(Protocol):
         """Step all under ``actions``, shape (N,), or under the scene's drive.
 
         Raises:
-            ValueError, RuntimeError: as the single environment does; then no environment has moved.
+            ValueError, JackLostError: as the single environment does; then no environment has moved.
         """
 
     def render(self) -> tuple[Any, ...]:

@@ -6,7 +6,7 @@ from typing import Any
 
 from jackbox_env import _validation as check
 from jackbox_env.scene import Scene
-from jackbox_env.simulators.base import Impact, Simulator
+from jackbox_env.simulators.base import Impact, JackLostError, Simulator
 
 CONTACT_MODELS = ("pymunk", "exact")
 
@@ -40,4 +40,4 @@ def make_simulator(scene: Scene | dict[str, Any] | None = None, contact: str = "
     return PymunkSimulator(scene, **given)
 
 
-__all__ = ["CONTACT_MODELS", "Impact", "Simulator", "make_simulator"]
+__all__ = ["CONTACT_MODELS", "Impact", "JackLostError", "Simulator", "make_simulator"]

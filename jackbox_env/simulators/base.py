@@ -1,13 +1,21 @@
-"""What every contact model offers: the Simulator interface and the record of an impact."""
+"""What every contact model offers and shares: the Simulator interface, the present state, the record of an impact."""
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+import math
+from abc import ABC, abstractmethod
+from typing import Any, ClassVar, NamedTuple, Protocol
 
+import numpy as np
 from numpy.typing import ArrayLike
 
+from jackbox_env import _validation as check
 from jackbox_env.scene import Scene
-from jackbox_env.states import LATEST_TIME, Array
+from jackbox_env.states import LATEST_TIME, Array, Numbers, as_held
+
+
+class JackLostError(RuntimeError):
+    """A contact model cannot follow the jack: it would leave the box, or moves too fast. All stays as it was."""
 
 
 class Impact(NamedTuple):
@@ -87,5 +95,96 @@ class Simulator(Protocol):
 
         Raises:
             TypeError, ValueError: unusable values.
-            RuntimeError: the jack would leave the box. After any error the simulator is as it was.
+            JackLostError: the jack would leave the box, or cannot be followed. After any error the simulator is as it
+                was.
         """
+
+
+class Present(NamedTuple):
+    """A simulator's state and what its last step brought: replaced as one, so that no interruption parts them."""
+
+    state: Numbers  # 12 numbers, never written again
+    time: float  # [s]
+    torque: float = 0.0  # mean over the last step [N m]
+    impacts: tuple[Impact, ...] = ()  # of the last step
+
+
+class ContactModel(ABC):
+    """What the contact models of this package share: they hold a :class:`Present`, take states, and are pickled by it.
+
+    A contact model of your own derives from this class, says what it can do, and implements ``step``.
+    """
+
+    name: ClassVar[str]  # as in contact="..."
+    elastic_only: ClassVar[bool] = False  # whether it refuses scenes that lose energy
+    _settings: ClassVar[tuple[str, ...]] = ()  # its own, kept when pickled
+
+    def __init__(self, scene: Scene) -> None:
+        """Start at rest in the middle of the box, each foot facing a corner.
+
+        Raises:
+            ValueError: the model cannot do the scene.
+        """
+        self.refuse(scene)
+        self.scene = scene
+        self._present = Present(self._held(np.array([0.0] * 5 + [math.pi / 4.0] + [0.0] * 6)), 0.0)
+
+    @classmethod
+    def refuse(cls, scene: Scene) -> None:
+        """Refuse a scene that the model cannot do.
+
+        Raises:
+            ValueError: the scene loses energy, and the model is elastic only.
+        """
+        if cls.elastic_only and not scene.elastic:
+            raise ValueError(
+                f"contact={cls.name!r} is elastic only, restitution 1, got {scene.restitution!r}; contact='pymunk' "
+                "takes 0 to 1"
+            )
+
+    @property
+    def state(self) -> Array:
+        """A copy of the present state, float64, shape (12,), SI units."""
+        return np.array(self._present.state)
+
+    @property
+    def time(self) -> float:
+        """Present time [s]."""
+        return self._present.time
+
+    @property
+    def torque(self) -> float:
+        """Mean torque on the box over the last step [N m], 0 after a reset."""
+        return self._present.torque
+
+    @property
+    def impacts(self) -> list[Impact]:
+        """The impacts of the last step in time order; a fresh list."""
+        return list(self._present.impacts)
+
+    def reset(self, state: ArrayLike, time: float = 0.0) -> None:
+        """Set the state, shape (12,), and the time [s], exactly; a foot may be at most min(1 m, L) outside.
+
+        Raises:
+            TypeError, ValueError: unusable values; the simulator stays as it was.
+        """
+        values = self._held(as_held(self.scene, state))
+        self._present = Present(values, check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME))
+
+    def _held(self, state: Array) -> Numbers:
+        """A fresh state in the form in which the model steps it."""
+        return state
+
+    @abstractmethod
+    def step(self, dt: float, torque: float | None = None) -> None:
+        """See :meth:`Simulator.step`."""
+
+    def _prepare(self) -> None:  # noqa: B027  # some have nothing to build
+        """Build what is not kept when pickled."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in ("scene", *self._settings, "_present")}
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        self.__dict__.update(kept)
+        self._prepare()

@@ -6,7 +6,7 @@ Law: flight in closed form (``kernel.py``); at an impact all feet that touch, wi
 Order: none; the error is rounding, whatever the control step. The system is chaotic and multiplies any error by about 5
     per impact, so some 15 impacts are predicted before even this one is lost.
 Cost: below 0.1 microseconds per control step in a batch. Work is in proportion to the impacts.
-Fails: elastic scenes only. A step that wants more than 1,000,000 gap evaluations raises RuntimeError: rotation or
+Fails: elastic scenes only. A step that wants more than 1,000,000 gap evaluations raises JackLostError: rotation or
     impacts far too fast for the step. A chirp that turns more than 83,333 times in a step is refused. A foot at rest
     on a wall bounces by 1e-10 m and less, some thousand times per control step. A drive's functions are interpolated:
     what happens between 13 points of a smooth stretch is not seen.
@@ -16,10 +16,9 @@ Reference: Lygeros et al. 2003, "Dynamical properties of hybrid automata"; the b
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import cast
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from jackbox_env import _validation as check
 from jackbox_env.compiled.compiler import compiled
@@ -28,22 +27,10 @@ from jackbox_env.compiled.search import MOST_WORK, TOO_MUCH_WORK
 from jackbox_env.compiled.step import CHIRP, FUNCTIONS, NO_DRIVE, TOO_MANY_TURNS, step_one
 from jackbox_env.compiled.workspace import RECORD, Workspace, new_workspace
 from jackbox_env.scene import Chirp, Drive, Scene, too_many_turns
-from jackbox_env.simulators.base import Impact, end_of_step
-from jackbox_env.states import LATEST_TIME, Array, as_held
+from jackbox_env.simulators.base import ContactModel, Impact, JackLostError, Present, end_of_step
+from jackbox_env.states import Array
 
 _NO_PIECES: Array = np.zeros((0, TABLE_WIDTH))
-
-
-def refuse_inelastic(scene: Scene) -> None:
-    """Refuse a scene that loses energy.
-
-    Raises:
-        ValueError: its restitution is below 1.
-    """
-    if scene.restitution != 1.0:
-        raise ValueError(
-            f"contact='exact' is elastic only, restitution 1, got {scene.restitution!r}; contact='pymunk' takes 0 to 1"
-        )
 
 
 def drive_kind(scene: Scene, held: bool = False) -> int:
@@ -70,19 +57,21 @@ def failure(ended: int, scene: Scene, time: float, dt: float, who: str = "the ja
     if ended == TOO_MANY_TURNS and isinstance(scene.drive, Chirp):
         return ValueError(too_many_turns(scene.drive.fastest(time, dt) * dt, time, dt))
     if ended == TOO_MUCH_WORK:
-        return RuntimeError(
+        return JackLostError(
             f"{who} needs more than {MOST_WORK:,} gap evaluations in the dt = {dt:g} s after t = {time:g} s; use a "
             "smaller time step or less torque"
         )
-    return RuntimeError(
+    return JackLostError(
         f"{who} moves too fast to be followed in the dt = {dt:g} s after t = {time:g} s, or is too far off; use a "
         "smaller time step, less speed or less torque"
     )
 
 
-class ExactSimulator:
+class ExactSimulator(ContactModel):
     """Event-driven simulation; the module's head states the law, :class:`Simulator` the methods."""
 
+    name = "exact"
+    elastic_only = True
     _workspace: Workspace  # grows to what a step has recorded
 
     def __init__(self, scene: Scene) -> None:
@@ -91,48 +80,7 @@ class ExactSimulator:
         Raises:
             ValueError: the scene is not elastic.
         """
-        refuse_inelastic(scene)
-        self.scene = scene
-        # state (never written again), time, mean torque and impacts of the last step: replaced as one
-        self._present = (np.array([0.0] * 5 + [math.pi / 4.0] + [0.0] * 6), 0.0, 0.0, list[Impact]())
-        self._prepare()
-
-    # -- state --------------------------------------------------------------------------------------------------------
-
-    @property
-    def state(self) -> Array:
-        """A copy of the present state, float64, shape (12,), SI units."""
-        return self._present[0].copy()
-
-    @property
-    def time(self) -> float:
-        """Present time [s]."""
-        return self._present[1]
-
-    @property
-    def torque(self) -> float:
-        """Mean torque on the box over the last step [N m], 0 after a reset."""
-        return self._present[2]
-
-    @property
-    def impacts(self) -> list[Impact]:
-        """The impacts of the last step in time order; a fresh list."""
-        return list(self._present[3])
-
-    def reset(self, state: ArrayLike, time: float = 0.0) -> None:
-        """See :meth:`Simulator.reset`; a foot may be at most min(1 m, L) outside, as the pymunk model leaves it.
-
-        A foot outside that comes in is free, one that goes out bounces at once.
-        """
-        values = as_held(self.scene, state)
-        time = check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
-        self._present = values, time, 0.0, []
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {"scene": self.scene, "_present": self._present}
-
-    def __setstate__(self, kept: dict[str, Any]) -> None:
-        self.__dict__.update(kept)
+        super().__init__(scene)
         self._prepare()
 
     # -- stepping -----------------------------------------------------------------------------------------------------
@@ -142,7 +90,7 @@ class ExactSimulator:
         dt = check.real("dt", dt, above=0.0)
         if torque is not None:
             torque = check.real("torque", torque)
-        before, time, _, _ = self._present
+        before, time = cast(Array, self._present.state), self.time
         end = end_of_step(time, dt)
         drive = self._drives[torque is not None]
         pieces = pieces_for(self.scene, time, dt, torque) if drive == FUNCTIONS else _NO_PIECES
@@ -157,11 +105,11 @@ class ExactSimulator:
             if RECORD + hits <= len(self._workspace):
                 break
             self._workspace = new_workspace(2 * hits)  # more impacts than were ever recorded: once more, with room
-        self._present = after, end, mean, self._recorded(time, hits) if hits else []
+        self._present = Present(after, end, mean, self._recorded(time, hits) if hits else ())
 
-    def _recorded(self, time: float, hits: int) -> list[Impact]:
+    def _recorded(self, time: float, hits: int) -> tuple[Impact, ...]:
         rows = self._workspace[RECORD : RECORD + hits, :4].tolist()
-        return [Impact(time + since, int(wall), int(foot), impulse) for since, wall, foot, impulse in rows]
+        return tuple(Impact(time + since, int(wall), int(foot), impulse) for since, wall, foot, impulse in rows)
 
     def _prepare(self) -> None:
         self._step = compiled(step_one)

@@ -8,8 +8,8 @@ Cost: about the engine's own where a contact is possible within the step; elsewh
     engine is not asked at all. A step that ends with a contact alive adds two empty engine steps.
 Fails: a step in which a foot could move further than min(1 m, L) within a substep, or that ends with a foot deeper than
     that in a wall (above 200 m/s at h = 5 ms), is taken with up to 64 times the substeps; if that is not enough it
-    raises RuntimeError. A foot that dips into a wall and out again within a substep is not seen. Slow bounces that rise
-    and fall within a few substeps come back too fast. Restitution 0 <= e <= 1; below 1 a foot is lifted out of the wall
+    raises JackLostError. A foot that dips into a wall and out again within a substep is not seen. Slow bounces that
+    rise and fall within a few substeps come back too fast. Restitution 0 <= e <= 1; below 1 a foot is lifted out of the wall
     it sank v h into, which gives back up to m_j g v h of what the impact lost. A jack inertia far below m_j l^2 couples
     the feet so strongly that the contact solver needs more iterations: they are chosen by the scene, and scenes that
     want more than 100,000 are refused. A jack with an arm longer than L can be wedged: feet deep in opposite walls have
@@ -35,21 +35,19 @@ How the engine is held to the law:
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple, cast
 
-import numpy as np
 import pymunk
-from numpy.typing import ArrayLike
 from pymunk.batch import BodyFields, Buffer, get_space_bodies
 
 from jackbox_env import _validation as check
 from jackbox_env.mechanics import energy_of
 from jackbox_env.scene import Drive, Scene
-from jackbox_env.simulators.base import Impact, end_of_step
+from jackbox_env.simulators.base import ContactModel, JackLostError, Present, end_of_step
 from jackbox_env.simulators.contacts import Recorder, iterations_for
 from jackbox_env.simulators.flight import fly, reach
 from jackbox_env.simulators.replay import replayed
-from jackbox_env.states import LATEST_TIME, Array, as_held, clearance, deepest_held
+from jackbox_env.states import Array, clearance, deepest_held
 
 _WALL_THICKNESS = 100.0 / 6.0  # R over L: 100 m by default
 _HASH_CELL = 1000.0 / 6.0  # over L: 1000 m by default
@@ -89,8 +87,11 @@ class _Load(NamedTuple):
         return cls(falling[0], during, rising[-1], mean, max(map(abs, falling + rising)))
 
 
-class PymunkSimulator:
+class PymunkSimulator(ContactModel):
     """Time stepping in pymunk; the module's head states the law, :class:`Simulator` the methods."""
+
+    name = "pymunk"
+    _settings = ("substeps", "iterations")
 
     def __init__(self, scene: Scene, substeps: int = 4, iterations: int | None = None) -> None:
         """Start at rest in the middle of the box, each foot facing a corner.
@@ -103,49 +104,12 @@ class PymunkSimulator:
         Raises:
             TypeError, ValueError: substeps or iterations is no whole number in its range, or the scene needs too many.
         """
-        self.scene = scene
+        super().__init__(scene)
         self.substeps = check.whole("substeps", substeps, at_least=1, at_most=1_000_000)
         if iterations is None:
             iterations = iterations_for(scene)
         self.iterations = check.whole("iterations", iterations, at_least=1, at_most=1_000_000)
         self._dirty = True  # whether the engine may remember something that (state, time) does not tell
-        # state, time, mean torque and impacts of the last step: replaced as one, so that no interruption parts them
-        self._present = ([0.0] * 5 + [math.pi / 4.0] + [0.0] * 6, 0.0, 0.0, list[Impact]())
-        self._prepare()
-
-    # -- state --------------------------------------------------------------------------------------------------------
-
-    @property
-    def state(self) -> Array:
-        """A copy of the present state, float64, shape (12,), SI units."""
-        return np.array(self._present[0])
-
-    @property
-    def time(self) -> float:
-        """Present time [s]."""
-        return self._present[1]
-
-    @property
-    def torque(self) -> float:
-        """Mean torque on the box over the last step [N m], 0 after a reset."""
-        return self._present[2]
-
-    @property
-    def impacts(self) -> list[Impact]:
-        """The impacts of the last step in time order; a fresh list."""
-        return list(self._present[3])
-
-    def reset(self, state: ArrayLike, time: float = 0.0) -> None:
-        """See :meth:`Simulator.reset`; a foot may be at most min(1 m, L) outside."""
-        values: list[float] = as_held(self.scene, state).tolist()
-        time = check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
-        self._present = values, time, 0.0, []
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in ("scene", "substeps", "iterations", "_present")}
-
-    def __setstate__(self, kept: dict[str, Any]) -> None:
-        self.__dict__.update(kept)
         self._prepare()
 
     # -- stepping -----------------------------------------------------------------------------------------------------
@@ -155,18 +119,27 @@ class PymunkSimulator:
         dt = check.real("dt", dt, above=0.0)
         if torque is not None:
             torque = check.real("torque", torque)
-        state, time, _, _ = self._present
+        state, time = self._numbers, self.time
         end = end_of_step(time, dt)
         if self._may_touch(dt, torque):
             after, mean_torque = self._step_engine(dt, torque)
-            self._present = after, end, mean_torque, self._recorder.impacts
+            self._present = Present(after, end, mean_torque, tuple(self._recorder.impacts))
         else:
             falling, rising = self._drive.torque_means(time, dt) if torque is None else (torque, torque)
-            self._present = fly(self.scene, state, dt, falling, rising), end, 0.5 * (falling + rising), []
+            self._present = Present(fly(self.scene, state, dt, falling, rising), end, 0.5 * (falling + rising))
+
+    @property
+    def _numbers(self) -> list[float]:
+        """The present state's 12 numbers."""
+        return cast(list[float], self._present.state)
+
+    def _held(self, state: Array) -> list[float]:
+        """As Python's numbers."""
+        return cast(list[float], state.tolist())
 
     def _may_touch(self, dt: float, torque: float | None) -> bool:
         """Whether a foot may reach a wall within ``dt`` [s]: flight is closed form where none can."""
-        state, drive = self._present[0], self._drive
+        state, drive = self._numbers, self._drive
         bound = drive.torque_bound if torque is None else abs(torque)
         return not clearance(self.scene, state) > reach(self.scene, state, dt, bound, drive.force_bound)
 
@@ -188,7 +161,7 @@ class PymunkSimulator:
             after = self._advance(h, load, push)
             moves = -clearance(self.scene, after)
             followed = moves <= self._deepest and math.isfinite(sum(after))
-            strained = followed and self.scene.restitution == 1.0 and self._recorder.wedged
+            strained = followed and self.scene.elastic and self._recorder.wedged
             wedged = strained and not self._resolved(after, dt, torque)
             if followed and not wedged:
                 if self._recorder.last_contact >= substeps - (_PERSISTENCE + 1):  # the engine may still remember it
@@ -198,11 +171,11 @@ class PymunkSimulator:
             self._forget_contacts()
         self._build()  # it may have overflowed
         if wedged:
-            raise RuntimeError(
+            raise JackLostError(
                 f"the jack is wedged between opposite walls after t = {self.time:g} s and moves too fast to be "
                 f"followed in substeps of h = {h:.3g} s; use more of them, a smaller time step or contact='exact'"
             )
-        raise RuntimeError(
+        raise JackLostError(
             f"the jack would leave the box: after t = {self.time:g} s a foot moves {moves:.3g} m in h = {h:.3g} s, or "
             f"ends so far outside, at most {self._deepest:g} m is followed; use more substeps, a smaller time step or "
             "less torque"
@@ -210,7 +183,7 @@ class PymunkSimulator:
 
     def _resolved(self, after: list[float], dt: float, torque: float | None) -> bool:
         """Whether the contact solver kept the energy of an elastic step with contacts that strain it."""
-        scene, (before, time, _, _) = self.scene, self._present
+        scene, before, time = self.scene, self._numbers, self.time
         work = replayed(scene, before, time, self._recorder.impacts, time + dt, torque).work
         kinetic = energy_of(scene, before) - scene.jack_mass * scene.gravity * before[4]
         gained = energy_of(scene, after) - energy_of(scene, before)
@@ -218,17 +191,17 @@ class PymunkSimulator:
 
     def _refuse_runaway(self, dt: float) -> None:
         """Refuse motion that would overflow the engine's spatial hash, which may loop forever on it."""
-        state, farthest = self._present[0], _FARTHEST * self.scene.box_half_width
+        state, farthest = self._numbers, _FARTHEST * self.scene.box_half_width
         travel = dt * max(abs(state[6]), abs(state[7]), abs(state[9]), abs(state[10]))
         if not travel <= farthest:
-            raise RuntimeError(
+            raise JackLostError(
                 f"the jack would leave the box: it or the box moves {travel:.3g} m within dt = {dt:g} s, at most "
                 f"{farthest:.3g} m is followed; use a smaller time step or speed"
             )
 
     def _moves(self, h: float, load: _Load, push: tuple[_Load, ...]) -> float:
         """Bound of how far a foot moves against the walls within one substep [m]; may be infinite or NaN."""
-        return reach(self.scene, self._present[0], h, load.peak, sum(force.peak for force in push))
+        return reach(self.scene, self._numbers, h, load.peak, sum(force.peak for force in push))
 
     def _loads(self, h: float, substeps: int, torque: float | None) -> tuple[_Load, tuple[_Load, ...]]:
         """The torque, and the side forces along x and y if there are any."""
@@ -242,7 +215,7 @@ class PymunkSimulator:
     def _advance(self, h: float, load: _Load, push: tuple[_Load, ...]) -> list[float]:
         """Run the substeps from the present state and return the state after them."""
         scene, box, jack, step, recorder = self.scene, self._box, self._jack, self._space.step, self._recorder
-        x, y, angle, jack_x, jack_y, jack_angle, vx, vy, omega, jack_vx, jack_vy, jack_omega = self._present[0]
+        x, y, angle, jack_x, jack_y, jack_angle, vx, vy, omega, jack_vx, jack_vy, jack_omega = self._numbers
         half_fall = 0.5 * h * scene.gravity
         half_turn = 0.5 * h / scene.box_inertia
         half_push = 0.5 * h / scene.box_mass

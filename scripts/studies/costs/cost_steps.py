@@ -200,7 +200,7 @@ def compiled_step(given: Moments, seconds: float) -> Timed:
 def without_engine(given: Moments, seconds: float) -> Timed:
     """Steps of the pymunk model without what it does where a foot may touch: there it stays where it is."""
     simulator = trusting(pymunk.PymunkSimulator(Scene()))
-    simulator._step_engine = lambda dt, torque: (simulator._present[0], torque)
+    simulator._step_engine = lambda dt, torque: (simulator._present.state, torque)
     torques = [[90000.0 * float(action[0]) for action in game] for game in given.actions]
     return replay(simulator, lambda torque: simulator.step(DT, torque), "pymunk", given, torques, seconds)
 

@@ -95,7 +95,9 @@ def main() -> None:
         results = [run_all(folder, settings, task, arguments.progress) for task in settings.tasks]
         runs = run_statistics(folder, settings, arguments.progress)
     except KeyboardInterrupt:
-        print(f"\nInterrupted. Go on with: python scripts/studies/transfer/transfer.py --resume {folder}", file=sys.stderr)
+        print(
+            f"\nInterrupted. Go on with: python scripts/studies/transfer/transfer.py --resume {folder}", file=sys.stderr
+        )
         raise
     print(write(folder, settings, results, runs, arguments.out))
 
