@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from jackbox_env import _validation as check
 from jackbox_env.batches.threads import Threads, thread_count
 from jackbox_env.compiled.compiler import compiled
-from jackbox_env.compiled.loop import PAUSED
 from jackbox_env.compiled.rollouts import outside, roll
+from jackbox_env.compiled.status import Status
 from jackbox_env.compiled.workspace import new_workspace
 from jackbox_env.scene import Scene
 from jackbox_env.simulators.base import end_of_step
@@ -97,17 +97,14 @@ def rollout(
     ranges = count if num_threads is not None else min(count, count * steps // _FEWEST_PER_THREAD)
     threads = Threads(thread_count(num_threads, ranges))
     workspaces = [new_workspace() for _ in range(threads.count)]
-    numbers, drive = np.array(scene.numbers), drive_kind(scene, held=True)
-    play, moments = compiled(roll), np.array(times)
+    numbers, kind, play = np.array(scene.numbers), drive_kind(scene, held=True), compiled(roll)
+    drive, results = (np.array(times), table, ends), (trajectories, hits, impulses, energies)
 
     def work(thread: int, low: int, high: int) -> tuple[int, int, int]:
         first = 0
         while True:
-            ended, who, when = play(
-                numbers, dt, drive, trajectories, held, moments, table, ends, low, high, first, hits, impulses,
-                energies, workspaces[thread],
-            )  # fmt: skip
-            if ended != PAUSED:
+            ended, who, when = play(numbers, dt, kind, held, drive, (low, high, first), results, workspaces[thread])
+            if ended != Status.PAUSED:
                 return ended, who, when
             low, first = who, when  # after a while, so that an interruption is heard
 

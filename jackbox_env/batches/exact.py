@@ -13,11 +13,11 @@ from jackbox_env.compiled import loop
 from jackbox_env.compiled.compiler import compiled
 from jackbox_env.compiled.drives import TABLE_WIDTH
 from jackbox_env.compiled.generator import fresh, seeded
-from jackbox_env.compiled.step import FUNCTIONS
+from jackbox_env.compiled.status import Status
 from jackbox_env.compiled.workspace import new_workspace
 from jackbox_env.scene import Scene
 from jackbox_env.simulators.base import end_of_step
-from jackbox_env.simulators.exact import ExactSimulator, drive_kind, failure, pieces_for
+from jackbox_env.simulators.exact import WITH_PIECES, ExactSimulator, drive_kind, failure, pieces_for
 from jackbox_env.states import Array
 from jackbox_env.tasks import TASKS
 
@@ -54,7 +54,7 @@ class ExactBatch:
         self._threads = Threads(thread_count(num_threads, ranges))
         self._workspaces = self._new_workspaces()
         self._numbers = np.array(scene.numbers)
-        self._drives = drive_kind(scene), drive_kind(scene, held=True)
+        self._kinds = drive_kind(scene), drive_kind(scene, held=True)
 
     def _new_workspaces(self) -> list[tuple[Array, Array]]:
         return [(np.zeros((loop.LANES, self._blocks.shape[2])), new_workspace()) for _ in range(self._threads.count)]
@@ -122,19 +122,19 @@ class ExactBatch:
         rewards, truncations = np.empty(count), np.empty(count, dtype=np.bool_)
         reports = np.zeros((count if self._with_infos else 0, loop.REPORT_WIDTH))
         given = _NO_ACTIONS if actions is None else actions
-        drive = self._drives[actions is not None]
+        rules = self._dt, self._kinds[actions is not None], self._task, self._limit
         table, ranges = self._pieces(actions)
+        asked, filled = (given, table, ranges), (observations, rewards, truncations, reports)
         step_blocks = compiled(loop.step_blocks)
 
         def work(thread: int, low: int, high: int) -> tuple[int, int]:
             finished = 0
             while True:
                 ended, number, now = step_blocks(
-                    self._numbers, self._dt, drive, self._task, self._limit, blocks, spare, given, table, ranges,
-                    low, high, observations, rewards, truncations, reports, *self._workspaces[thread],
-                )  # fmt: skip
+                    self._numbers, rules, (blocks, spare), asked, (low, high), filled, self._workspaces[thread]
+                )
                 finished += now
-                if ended != loop.PAUSED:
+                if ended != Status.PAUSED:
                     return ended, number if ended else finished
                 low = number  # after a while, so that an interruption is heard
 
@@ -153,7 +153,7 @@ class ExactBatch:
 
     def _pieces(self, actions: Array | None) -> tuple[Array, NDArray[np.int64]]:
         """The pieces of a drive of functions, once for each different time, and each environment's range of them."""
-        if self._drives[actions is not None] != FUNCTIONS:
+        if self._kinds[actions is not None] not in WITH_PIECES:
             return _NO_TABLE, _NO_RANGES
         going = ~self.over
         times, places = np.unique(self._column(loop.TIME)[going], return_inverse=True)
@@ -179,10 +179,10 @@ class ExactBatch:
         return dict(zip(self.info_names, numbers, strict=True))
 
     def _failure(self, ended: int, number: int, actions: Array) -> Exception:
-        if ended == loop.BAD_ACTION:
+        if ended == Status.BAD_ACTION:
             return bad_action(float(actions[number]), number)
         time = float(self._column(loop.TIME)[number])
-        if ended == loop.TOO_LATE:
+        if ended == Status.TOO_LATE:
             try:
                 end_of_step(time, self._dt)
             except ValueError as error:

@@ -1,6 +1,6 @@
 """A drive as the exact contact model takes it: pieces of a step on which each acceleration of the box is a polynomial.
 
-Each of the three accelerations (``ALPHA`` [rad/s^2], ``PUSH_X`` and ``PUSH_Y`` [m/s^2]) is a sum of powers of
+Each of the three accelerations (``TURN`` [rad/s^2], ``PUSH_X`` and ``PUSH_Y`` [m/s^2]) is a sum of powers of
 u = 2 s / T - 1 in [-1, 1], with s [s] since the piece's start and T its length; its integrals once and twice from that
 start are such sums too. A workspace holds the powers of each in row PIECE + 3 * acceleration + order of integration.
 
@@ -23,7 +23,7 @@ from jackbox_env.scene import MOST_TURNS, Drive, SceneNumbers
 
 Array = NDArray[np.float64]
 
-ALPHA, PUSH_X, PUSH_Y = range(3)
+TURN, PUSH_X, PUSH_Y = range(3)
 POWERS = 16  # stored
 DEGREE = 12  # of a polynomial before it is integrated
 PIECES_PER_TURN = 6
@@ -78,11 +78,11 @@ def chirp_piece(n: SceneNumbers, turns: float, frequency: float, start: float, l
     peak = n.chirp_amplitude / n.box_inertia
     before_s = before_c = 0.0
     for k in range(DEGREE + 1):
-        w[PIECE + 3 * ALPHA, k] = peak * s
+        w[PIECE + 3 * TURN, k] = peak * s
         next_s = (a * c + b2 * before_c) * _SHARES[k]
         next_c = -(a * s + b2 * before_s) * _SHARES[k]
         before_s, before_c, s, c = s, c, next_s, next_c
-    integrate(w, ALPHA, length)
+    integrate(w, TURN, length)
 
 
 def chirp_pieces(n: SceneNumbers, time: float, dt: float) -> int:

@@ -3,22 +3,24 @@
 Environments are held in blocks, shape (blocks, 16, width): row k of a block has the k-th number of each environment,
 its state first, then what is named below, so that one machine instruction moves several environments. A step reads
 one array of blocks and writes another: a step that fails leaves all as it was. Environments in free flight are moved
-together, those near a wall one by one by ``simulators.step``. Everything here is compiled as it stands.
+together, those near a wall one by one by ``compiled.step``. Everything here is compiled as it stands.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.compiled.generator import Words, uniform
 from jackbox_env.compiled.score import look, look_block, reward_terms
-from jackbox_env.compiled.search import DONE, STEEPEST
+from jackbox_env.compiled.search import STEEPEST
+from jackbox_env.compiled.status import Status
 from jackbox_env.compiled.step import (
-    CHIRP,
-    NO_DRIVE,
+    HELD,
+    Pieces,
     Plan,
     clear_tally,
     fallen,
@@ -42,124 +44,163 @@ Counts = NDArray[np.int64]
 
 WIDTH = 16
 TIME, STEPS, OVER = 12, 13, 14  # [s], steps in the episode, 1 where it has ended
-BAD_ACTION, TOO_LATE, PAUSED = 4, 5, 6  # how a step ended, besides the ways of simulators.step
 PATIENCE = 20_000_000  # gaps evaluated before it pauses, about a second
 # Columns of a report: what a step's info holds beside state and time.
 REPORTED_TORQUE, REPORTED_HITS, REPORTED_IMPULSE, TERMS = range(4)
 # Rows of a thread's memory for a block; 0 to 3 are for what is needed in passing.
-TORQUE, ALPHA, NEAR, HIT, IMPULSES = range(4, 9)
+TORQUE, TURNING, NEAR, HIT, IMPULSES = range(4, 9)  # TURNING: the box's angular acceleration [rad/s^2]
 LANES = 9
 WIDEST = 128  # environments in a block
 REPORT_WIDTH = 5  # two terms at most
 
 
+class Rules(NamedTuple):
+    """What all environments of a call have in common besides the scene."""
+
+    dt: float  # control step [s]
+    kind: int  # what turns the boxes, see compiled.step
+    task: int  # number of the task
+    limit: float  # steps after which an episode is truncated
+
+
+class Given(NamedTuple):
+    """What a step is given."""
+
+    actions: Array  # (N,), clipped to [-1, 1]; (0,): the drive acts
+    table: Array  # pieces of a drive of functions, (pieces, TABLE_WIDTH)
+    ranges: Counts  # first and past the last of each environment's, (N, 2), or (0, 2) where there are none
+
+
+class Results(NamedTuple):
+    """What a step fills in."""
+
+    observations: Floats  # (N, 10)
+    rewards: Array  # (N,)
+    truncations: Flags  # (N,)
+    reports: Array  # (N, REPORT_WIDTH), or (0, REPORT_WIDTH) if nobody asks
+
+
+class Block(NamedTuple):
+    """Environments that are stepped together."""
+
+    before: Array  # (16, width)
+    after: Array  # (16, width), where they go
+    lanes: Array  # (LANES, width), memory to work in
+    first: int  # number of its first environment
+    size: int  # number of its environments
+
+
 def step_blocks(
-    values: Array, dt: float, drive: int, task: int, limit: float, blocks: Array, after: Array, actions: Array,
-    table: Array, ranges: Counts, low: int, high: int, observations: Floats, rewards: Array, truncations: Flags,
-    reports: Array, lanes: Array, w: Workspace,
+    values: Array, rules: tuple[float, int, int, float], blocks: tuple[Array, Array],
+    given: tuple[Array, Array, Counts], span: tuple[int, int], results: tuple[Floats, Array, Flags, Array], memory: tuple[Array, Workspace],
 ) -> tuple[int, int, int]:  # fmt: skip
-    """Step the environments of blocks ``low`` to ``high`` whose episodes are not over.
+    """Step the environments of some blocks whose episodes are not over.
 
     Args:
         values: the scene's numbers.
-        dt: control step [s].
-        drive: kind of the scene's drive.
-        task: number of the task.
-        limit: steps after which an episode is truncated.
-        blocks: environments, shape (blocks, 16, width).
-        after: where they go, likewise.
-        actions: shape (N,), clipped to [-1, 1]; shape (0,): the drive acts.
-        table: pieces of a drive of functions, shape (pieces, TABLE_WIDTH).
-        ranges: first and past the last of each environment's, shape (N, 2), or (0, 2) where there are none.
-        low: first block.
-        high: past the last.
-        observations: to be filled, shape (N, 10).
-        rewards: to be filled, shape (N,).
-        truncations: to be filled, shape (N,).
-        reports: to be filled, shape (N, REPORT_WIDTH), or (0, REPORT_WIDTH) if nobody asks.
-        lanes: memory to work in, shape (LANES, width).
-        w: memory to work in.
+        rules: the fields of :class:`Rules`. Plain tuples are handed in because numba takes them in faster.
+        blocks: environments, shape (blocks, 16, width), and where they go, likewise.
+        given: the fields of :class:`Given`.
+        span: first block, and past the last.
+        results: the fields of :class:`Results`.
+        memory: to work in: lanes, shape (LANES, width), and a workspace.
 
     Returns:
         How it ended: DONE, how a step that failed ended, or PAUSED after long work; the environment that failed or the
         block that is next; and the number of episodes that ended.
     """
-    n = make_numbers(values)
-    plan = make_plan(n, dt, drive)
-    finished, worked, width = 0, 0.0, blocks.shape[2]
-    for number in range(low, high):
-        if number > low and worked > PATIENCE:
-            return PAUSED, number, finished
+    scene = make_numbers(values)
+    common = Rules(rules[0], rules[1], rules[2], rules[3])
+    asked = Given(given[0], given[1], given[2])
+    filled = Results(results[0], results[1], results[2], results[3])
+    before, after = blocks
+    lanes, work = memory
+    plan = make_plan(scene, common.dt, common.kind)
+    finished, worked, width = 0, 0.0, before.shape[2]
+    for number in range(span[0], span[1]):
+        if number > span[0] and worked > PATIENCE:
+            return Status.PAUSED.value, number, finished
         first = number * width
-        count = min(width, rewards.shape[0] - first)
-        block, new = blocks[number], after[number]
-        bad = take_actions(n, actions, block[OVER], first, count, lanes)
+        block = Block(before[number], after[number], lanes, first, min(width, filled.rewards.shape[0] - first))
+        bad = take_actions(scene, asked.actions, block)
         if bad >= 0:
-            return BAD_ACTION, first + bad, finished
-        alone = not (drive == NO_DRIVE or (drive == CHIRP and actions.shape[0] > 0))
-        if not alone:
-            glide_block(n, plan, block, new, count, lanes)
-        for k in range(count):
-            if block[OVER, k] != 0.0:
-                continue
-            time = block[TIME, k]
-            if time + dt == time or time + dt > LATEST_TIME:
-                return TOO_LATE, first + k, finished
-            if not alone and lanes[NEAR, k] == 0.0:
-                continue
-            for place in range(12):
-                w[BEFORE, place] = block[place, k]
-            if alone:
-                begin, end = 0, 0
-                if ranges.shape[0]:
-                    begin, end = ranges[first + k, 0], ranges[first + k, 1]
-                torque = lanes[TORQUE, k]
-                ended, lanes[TORQUE, k] = step(n, plan, w[BEFORE], w[AFTER], time, torque, table, begin, end, w)
-            else:
-                clear_tally(w)
-                ended = step_near(n, plan, w[BEFORE], w[AFTER], lanes[ALPHA, k], w)
-            if ended != DONE:
-                return ended, first + k, finished
-            for place in range(12):
-                new[place, k] = w[AFTER, place]
-            lanes[HIT, k], lanes[IMPULSES, k] = w[TALLY, HITS], w[TALLY, IMPULSE]
-            worked += w[TALLY, WORK]
-        finished += close_block(n, task, limit, dt, block, new, first, count, lanes, rewards, truncations, reports)
-        look_block(n, new, count, lanes, first, observations)
-    return DONE, -1, finished
+            return Status.BAD_ACTION.value, first + bad, finished
+        if plan.kind == HELD:
+            glide_block(scene, plan, block)
+        ended, lane, looks = step_lanes(scene, plan, block, asked, work)
+        if ended != Status.DONE:
+            return ended.value, first + lane, finished
+        worked += looks
+        finished += close_block(scene, common, block, filled)
+        look_block(scene, block.after, block.size, lanes, first, filled.observations)
+    return Status.DONE.value, -1, finished
 
 
-def take_actions(n: SceneNumbers, actions: Array, over: Array, first: int, count: int, lanes: Array) -> int:
-    """Fill in the torques, NaN where the drive acts; return the place of an unusable action, or -1.
+def step_lanes(
+    scene: SceneNumbers, plan: Plan, block: Block, given: Given, work: Workspace
+) -> tuple[Status, int, float]:
+    """Step one by one what :func:`glide_block` has not moved; return how it ended, the last lane, gaps evaluated."""
+    before, after, lanes, looks = block.before, block.after, block.lanes, 0.0
+    for k in range(block.size):
+        if before[OVER, k] != 0.0:
+            continue
+        time = before[TIME, k]
+        if time + plan.dt == time or time + plan.dt > LATEST_TIME:
+            return Status.TOO_LATE, k, looks
+        if plan.kind == HELD and lanes[NEAR, k] == 0.0:
+            continue
+        for place in range(12):
+            work[BEFORE, place] = before[place, k]
+        if plan.kind == HELD:
+            clear_tally(work)
+            ended = step_near(scene, plan, work[BEFORE], work[AFTER], lanes[TURNING, k], work)
+        else:
+            pieces = Pieces(given.table, 0, 0)
+            if given.ranges.shape[0]:
+                number = block.first + k
+                pieces = Pieces(given.table, given.ranges[number, 0], given.ranges[number, 1])
+            ended, lanes[TORQUE, k] = step(scene, plan, work[BEFORE], work[AFTER], time, lanes[TORQUE, k], pieces, work)
+        if ended != Status.DONE:
+            return ended, k, looks
+        for place in range(12):
+            after[place, k] = work[AFTER, place]
+        lanes[HIT, k], lanes[IMPULSES, k] = work[TALLY, HITS], work[TALLY, IMPULSE]
+        looks += work[TALLY, WORK]
+    return Status.DONE, -1, looks
 
-    An action for an episode that is ``over`` and waits is not looked at.
+
+def take_actions(scene: SceneNumbers, actions: Array, block: Block) -> int:
+    """Fill in the torques, 0 where the drive acts; return the place of an unusable action, or -1.
+
+    An action for an episode that is over and waits is not looked at.
     """
-    torque = lanes[TORQUE]
+    torque, over = block.lanes[TORQUE], block.before[OVER]
     if actions.shape[0] == 0:
-        for k in range(count):
-            torque[k] = math.nan
+        for k in range(block.size):
+            torque[k] = 0.0
         return -1
     bad = -1
-    for k in range(count):
-        action = actions[first + k]
-        torque[k] = max(-1.0, min(1.0, action)) * n.torque_limit
-    for k in range(count):
-        if not abs(actions[first + k]) < math.inf and over[k] == 0.0:
+    for k in range(block.size):
+        action = actions[block.first + k]
+        torque[k] = max(-1.0, min(1.0, action)) * scene.torque_limit
+    for k in range(block.size):
+        if not abs(actions[block.first + k]) < math.inf and over[k] == 0.0:
             bad = k if bad < 0 else bad
     return bad
 
 
-def glide_block(n: SceneNumbers, plan: Plan, before: Array, after: Array, count: int, lanes: Array) -> None:
+def glide_block(scene: SceneNumbers, plan: Plan, block: Block) -> None:
     """Fly all lanes of a block for a step, many at a time, and mark those where a foot may touch a wall.
 
-    The law is that of ``simulators.step.glide``; one coordinate per loop is what the compiler makes wide.
+    The law is that of ``compiled.step.glide``; one coordinate per loop is what the compiler makes wide.
     """
-    dt, fall, torque, near = plan.dt, n.gravity * plan.dt, lanes[TORQUE], lanes[NEAR]
-    alpha, hits, impulses = lanes[ALPHA], lanes[HIT], lanes[IMPULSES]
+    before, after, lanes, count = block.before, block.after, block.lanes, block.size
+    dt, fall, torque, near = plan.dt, scene.gravity * plan.dt, lanes[TORQUE], lanes[NEAR]
+    alpha, hits, impulses = lanes[TURNING], lanes[HIT], lanes[IMPULSES]
     for k in range(count):
-        alpha[k] = torque[k] / n.box_inertia if torque[k] == torque[k] else 0.0
+        alpha[k] = torque[k] / scene.box_inertia
     for k in range(count):
-        torque[k] = n.box_inertia * alpha[k]
+        torque[k] = scene.box_inertia * alpha[k]
         hits[k] = impulses[k] = 0.0
     x, y, vx, vy = lanes[0], lanes[1], lanes[2], lanes[3]
     for place in range(2):
@@ -192,31 +233,30 @@ def glide_block(n: SceneNumbers, plan: Plan, before: Array, after: Array, count:
             there[k] = here[k]
 
 
-def close_block(
-    n: SceneNumbers, task: int, limit: float, dt: float, before: Array, after: Array, first: int, count: int,
-    lanes: Array, rewards: Array, truncations: Flags, reports: Array,
-) -> int:  # fmt: skip
+def close_block(scene: SceneNumbers, rules: Rules, block: Block, results: Results) -> int:
     """Reward, count and report a step; leave what is over as it was. Return the number of episodes that ended."""
-    torque, hits, impulses = lanes[TORQUE], lanes[HIT], lanes[IMPULSES]
+    before, after, first, count = block.before, block.after, block.first, block.size
+    rewards, truncations, reports = results.rewards, results.truncations, results.reports
+    torque, hits, impulses = block.lanes[TORQUE], block.lanes[HIT], block.lanes[IMPULSES]
     for k in range(count):
-        one, two = reward_terms(n, task, after[:, k], torque[k], impulses[k])
+        one, two = reward_terms(scene, rules.task, after[:, k], torque[k], impulses[k])
         rewards[first + k] = one + two
     if reports.shape[0]:
         for k in range(count):
             report = reports[first + k]
             report[REPORTED_TORQUE], report[REPORTED_HITS], report[REPORTED_IMPULSE] = torque[k], hits[k], impulses[k]
-            report[TERMS], report[TERMS + 1] = reward_terms(n, task, after[:, k], torque[k], impulses[k])
+            report[TERMS], report[TERMS + 1] = reward_terms(scene, rules.task, after[:, k], torque[k], impulses[k])
     time, steps, over = before[TIME], before[STEPS], before[OVER]
     new_time, new_steps, new_over = after[TIME], after[STEPS], after[OVER]
     waiting = 0.0
     for k in range(count):
-        new_time[k] = time[k] + dt
+        new_time[k] = time[k] + rules.dt
     for k in range(count):
         new_steps[k] = steps[k] + 1.0
         waiting += over[k]
     ended = 0
     for k in range(count):
-        truncated = new_steps[k] >= limit
+        truncated = new_steps[k] >= rules.limit
         truncations[first + k] = truncated
         new_over[k] = 1.0 if truncated else 0.0
         ended += 1 if truncated else 0
@@ -234,7 +274,7 @@ def close_block(
 
 def restart_blocks(values: Array, blocks: Array, generators: Words, chosen: Flags) -> None:
     """Draw a start for each of the ``chosen`` environments, at time 0."""
-    n, width = make_numbers(values), blocks.shape[2]
+    scene, width = make_numbers(values), blocks.shape[2]
     for i in range(chosen.shape[0]):
         if chosen[i]:
             row = blocks[i // width, :, i % width]
@@ -243,12 +283,12 @@ def restart_blocks(values: Array, blocks: Array, generators: Words, chosen: Flag
             x = -1.0 + 2.0 * uniform(generators[i])
             y = -1.0 + 2.0 * uniform(generators[i])
             angle = -1.0 + 2.0 * uniform(generators[i])
-            row[3], row[4], row[5] = start_pose(n, x, y, angle)
+            row[3], row[4], row[5] = start_pose(scene, x, y, angle)
 
 
 def look_blocks(values: Array, blocks: Array, chosen: Flags, observations: Floats) -> None:
     """Write the observations of the ``chosen`` environments."""
-    n, width = make_numbers(values), blocks.shape[2]
+    scene, width = make_numbers(values), blocks.shape[2]
     for i in range(chosen.shape[0]):
         if chosen[i]:
-            look(n, blocks[i // width, :, i % width], observations[i])
+            look(scene, blocks[i // width, :, i % width], observations[i])

@@ -1,6 +1,6 @@
 """The exact contact model's physics: one piece of a step, cut at every impact.
 
-It reads detect -> evolve -> resolve: :func:`next_impact` finds the next impact or proves that there is none,
+It reads detect -> evolve -> resolve: :func:`first_impact` finds the next impact or proves that there is none,
 :func:`evolve` flies there, ``impacts.resolve`` applies the law and records. All of it is plain Python of scalars,
 compiled as it stands (:mod:`jackbox_env.compiled.compiler`); the head of ``exact.py`` states order, cost and limits.
 
@@ -24,21 +24,55 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.compiled.drives import ALPHA, DEGREE, PUSH_X, PUSH_Y, horner
+from jackbox_env.compiled.drives import DEGREE, PUSH_X, PUSH_Y, TURN, horner
 from jackbox_env.compiled.impacts import quarter, resolve
+from jackbox_env.compiled.status import Status
 from jackbox_env.compiled.trigonometry import cos_sin
 from jackbox_env.compiled.workspace import ELAPSED, PIECE, STATE, TALLY, WORK, Workspace
 from jackbox_env.scene import SceneNumbers
 
 Array = NDArray[np.float64]
 
-# How a step ended.
-DONE, TOO_MUCH_WORK, TOO_FAST = range(3)
-# In place of 4 * wall + foot: no impact, none looked for yet, none to be found by reasonable work.
-NONE, NOT_KNOWN, ENDLESS = -1, -2, -3
+# In place of 4 * wall + foot: no impact, or none to be found by reasonable work.
+NONE, ENDLESS = -1, -2
 MOST_WORK = 1_000_000  # gaps evaluated in one step
 _SLACK = 1.0 + 1e-12  # on bounds, for their rounding
 STEEPEST = 1e40  # K [m/s^2] and alpha [rad/s^2] beyond which squares overflow
+
+
+class Piece(NamedTuple):
+    """What acts on the box during one piece of a step."""
+
+    length: float  # [s]
+    alpha: float  # angular acceleration, where it is constant [rad/s^2]
+    curved: bool  # whether the accelerations are polynomials
+    pushed: bool  # whether the box's centre is accelerated too
+    spin_up: float  # bound of the angular acceleration [rad/s^2]
+    push: float  # bound of the centre's acceleration [m/s^2]
+
+
+class Touch(NamedTuple):
+    """When feet touch."""
+
+    tolerance: float  # gap at which a foot touches [m]
+    together: float  # gap within which others touch at the same moment [m]
+
+
+class Approach(NamedTuple):
+    """A foot on its way to a wall."""
+
+    wall: int
+    foot: int
+    gap: float  # [m] now
+    rate: float  # [m/s]
+
+
+class Limits(NamedTuple):
+    """What a search for an impact may rely on."""
+
+    curvature: float  # bound of a gap's second derivative [m/s^2]
+    end: float  # until when it holds, since the flight's start [s]
+    tolerance: float  # gap at which a foot touches [m]
 
 
 class Flight(NamedTuple):
@@ -72,60 +106,82 @@ class Pose(NamedTuple):
     jack_angle: float
 
 
-def excursion(w: Workspace, axis: int, flight: Flight, s: float) -> tuple[float, float]:
+def excursion(work: Workspace, axis: int, flight: Flight, s: float) -> tuple[float, float]:
     """Change of a coordinate and of its rate in ``s`` [s] that the polynomial acceleration brings."""
     end = (flight.since + s) / flight.half - 1.0
-    moved, rate = horner(w[PIECE + 3 * axis + 2], DEGREE + 2, end), horner(w[PIECE + 3 * axis + 1], DEGREE + 1, end)
+    moved, rate = (
+        horner(work[PIECE + 3 * axis + 2], DEGREE + 2, end),
+        horner(work[PIECE + 3 * axis + 1], DEGREE + 1, end),
+    )
     if flight.since == 0.0:
         return moved, rate
     start = flight.since / flight.half - 1.0
-    before = horner(w[PIECE + 3 * axis + 1], DEGREE + 1, start)
-    return moved - horner(w[PIECE + 3 * axis + 2], DEGREE + 2, start) - before * s, rate - before
+    before = horner(work[PIECE + 3 * axis + 1], DEGREE + 1, start)
+    return moved - horner(work[PIECE + 3 * axis + 2], DEGREE + 2, start) - before * s, rate - before
 
 
-def pose_at(flight: Flight, w: Workspace, s: float) -> Pose:
+def held_piece(length: float, alpha: float) -> Piece:
+    """A piece of ``length`` [s] under a constant angular acceleration [rad/s^2]."""
+    return Piece(length, alpha, False, False, abs(alpha), 0.0)
+
+
+def curved_piece(work: Workspace, length: float, pushed: bool) -> Piece:
+    """A piece of ``length`` [s] under the polynomial accelerations in ``work``."""
+    push = largest(work, PUSH_X) + largest(work, PUSH_Y) if pushed else 0.0
+    return Piece(length, 0.0, True, pushed, largest(work, TURN), push)
+
+
+def flight_of(scene: SceneNumbers, state: Array, piece: Piece, since: float) -> Flight:
+    """The relative motion of a state ``since`` [s] after the start of a piece."""
+    return Flight(
+        state[3] - state[0], state[4] - state[1], state[9] - state[6], state[10] - state[7], state[2], state[8],
+        state[5], state[11], scene.gravity, piece.alpha, since, 0.5 * piece.length, piece.curved, piece.pushed,
+    )  # fmt: skip
+
+
+def pose_at(flight: Flight, work: Workspace, s: float) -> Pose:
     """The relative motion ``s`` [s] into the flight."""
     x = flight.x + flight.vx * s
     y = flight.y + (flight.vy - 0.5 * flight.gravity * s) * s
     vx, vy = flight.vx, flight.vy - flight.gravity * s
     turned, spun = 0.5 * flight.alpha * s * s, flight.alpha * s
     if flight.curved:
-        turned, spun = excursion(w, ALPHA, flight, s)
+        turned, spun = excursion(work, TURN, flight, s)
         if flight.pushed:
-            moved, pushed = excursion(w, PUSH_X, flight, s)
+            moved, pushed = excursion(work, PUSH_X, flight, s)
             x, vx = x - moved, vx - pushed
-            moved, pushed = excursion(w, PUSH_Y, flight, s)
+            moved, pushed = excursion(work, PUSH_Y, flight, s)
             y, vy = y - moved, vy - pushed
     angle = flight.angle + (flight.omega * s + turned)
     return Pose(x, y, vx, vy, angle, flight.omega + spun, flight.jack_angle + flight.jack_omega * s)
 
 
-def evolve(w: Workspace, flight: Flight, s: float) -> None:
+def evolve(work: Workspace, flight: Flight, s: float) -> None:
     """Fly for ``s`` [s]: move the state."""
-    m = w[STATE]
+    state = work[STATE]
     turned, spun = 0.5 * flight.alpha * s * s, flight.alpha * s
     if flight.curved:
-        turned, spun = excursion(w, ALPHA, flight, s)
-    m[0] += m[6] * s
-    m[1] += m[7] * s
+        turned, spun = excursion(work, TURN, flight, s)
+    state[0] += state[6] * s
+    state[1] += state[7] * s
     if flight.pushed:
-        moved, pushed = excursion(w, PUSH_X, flight, s)
-        m[0], m[6] = m[0] + moved, m[6] + pushed
-        moved, pushed = excursion(w, PUSH_Y, flight, s)
-        m[1], m[7] = m[1] + moved, m[7] + pushed
-    m[2] += m[8] * s + turned
-    m[8] += spun
-    m[3] += m[9] * s
-    m[4] += (m[10] - 0.5 * flight.gravity * s) * s
-    m[10] -= flight.gravity * s
-    m[5] += m[11] * s
+        moved, pushed = excursion(work, PUSH_X, flight, s)
+        state[0], state[6] = state[0] + moved, state[6] + pushed
+        moved, pushed = excursion(work, PUSH_Y, flight, s)
+        state[1], state[7] = state[1] + moved, state[7] + pushed
+    state[2] += state[8] * s + turned
+    state[8] += spun
+    state[3] += state[9] * s
+    state[4] += (state[10] - 0.5 * flight.gravity * s) * s
+    state[10] -= flight.gravity * s
+    state[5] += state[11] * s
 
 
-def largest(w: Workspace, axis: int) -> float:
+def largest(work: Workspace, axis: int) -> float:
     """Bound of a polynomial acceleration over its piece."""
     bound = 0.0
     for k in range(DEGREE + 1):
-        bound += abs(w[PIECE + 3 * axis, k])
+        bound += abs(work[PIECE + 3 * axis, k])
     return bound
 
 
@@ -137,23 +193,23 @@ class Bounds(NamedTuple):
     swing: float  # that of a foot's distance from the jack's centre, along a wall's normal [m/s^2]
 
 
-def reach_of(n: SceneNumbers, flight: Flight, left: float, push: float) -> float:
+def reach_of(scene: SceneNumbers, flight: Flight, left: float, push: float) -> float:
     """Bound of the distance of the centres within ``left`` [s] [m]."""
-    x, y = flight.x + flight.vx * left, flight.y + (flight.vy - 0.5 * n.gravity * left) * left
+    x, y = flight.x + flight.vx * left, flight.y + (flight.vy - 0.5 * scene.gravity * left) * left
     # A chord's ends, and a bent path's distance from it.
     far = math.sqrt(max(flight.x * flight.x + flight.y * flight.y, x * x + y * y))
-    return (far + (0.125 * n.gravity + 0.5 * push) * left * left) * _SLACK
+    return (far + (0.125 * scene.gravity + 0.5 * push) * left * left) * _SLACK
 
 
-def bounds_of(n: SceneNumbers, flight: Flight, left: float, spin_up: float, push: float) -> Bounds:
+def bounds_of(scene: SceneNumbers, flight: Flight, left: float, spin_up: float, push: float) -> Bounds:
     """Bounds within ``left`` [s]; the box's angular and linear acceleration stay below ``spin_up`` and ``push``."""
-    far = reach_of(n, flight, left, push)
-    pull = n.gravity + push
+    far = reach_of(scene, flight, left, push)
+    pull = scene.gravity + push
     speed = math.sqrt(flight.vx * flight.vx + flight.vy * flight.vy) + pull * left
     omega = abs(flight.omega) + spin_up * left
     spin = abs(flight.jack_omega - flight.omega) + spin_up * left
     bend = (pull + 2.0 * omega * speed + (omega * omega + spin_up) * far) * _SLACK
-    return Bounds(far, bend, n.jack_arm * (spin * spin + spin_up) * _SLACK)
+    return Bounds(far, bend, scene.jack_arm * (spin * spin + spin_up) * _SLACK)
 
 
 class BoxFrame(NamedTuple):
@@ -183,21 +239,21 @@ def towards(frame: BoxFrame, wall: int) -> tuple[float, float]:
     return -frame.y, -frame.vy
 
 
-def walls_in_reach(n: SceneNumbers, frame: BoxFrame, left: float, bend: float) -> int:
+def walls_in_reach(scene: SceneNumbers, frame: BoxFrame, left: float, bend: float) -> int:
     """Walls that the circle through the jack's feet may touch within ``left`` [s], as bits."""
     reach = 0.5 * bend * left * left
     walls = 0
     for wall in range(4):
         ahead, speed = towards(frame, wall)
-        room = n.box_half_width - n.jack_arm - ahead
+        room = scene.box_half_width - scene.jack_arm - ahead
         if not (room > 0.0 and room - speed * left - reach > 0.0):
             walls |= 1 << wall
     return walls
 
 
-def contact_tolerance(n: SceneNumbers) -> float:
+def contact_tolerance(scene: SceneNumbers) -> float:
     """Gap at which a foot touches [m]: 1e-13, less in boxes below 1 m, never below what rounding leaves of a gap."""
-    return max(1e-13 * min(1.0, n.box_half_width), 3.6e-15 * n.box_half_width)
+    return max(1e-13 * min(1.0, scene.box_half_width), 3.6e-15 * scene.box_half_width)
 
 
 def parabola_root(gap: float, rate: float, curvature: float) -> float:
@@ -209,12 +265,12 @@ def parabola_root(gap: float, rate: float, curvature: float) -> float:
 
 
 def foot_gap(
-    n: SceneNumbers, ahead: float, speed: float, cosine: float, sine: float, spin: float, turn: int
+    scene: SceneNumbers, ahead: float, speed: float, cosine: float, sine: float, spin: float, turn: int
 ) -> tuple[float, float]:
     """Gap between a wall and a foot [m], and its rate [m/s].
 
     Args:
-        n: the scene.
+        scene: the scene.
         ahead: how far the jack's centre is on the way to the wall [m].
         speed: the rate of that [m/s].
         cosine: of the jack's angle relative to the box.
@@ -223,143 +279,133 @@ def foot_gap(
         turn: number of the foot less that of the wall.
     """
     along, across = quarter(cosine, sine, turn)
-    return n.box_half_width - ahead - n.jack_arm * along, n.jack_arm * across * spin - speed
+    return scene.box_half_width - ahead - scene.jack_arm * along, scene.jack_arm * across * spin - speed
 
 
-def gap_at(n: SceneNumbers, flight: Flight, w: Workspace, wall: int, foot: int, s: float) -> tuple[float, float]:
+def gap_at(scene: SceneNumbers, flight: Flight, work: Workspace, wall: int, foot: int, s: float) -> tuple[float, float]:
     """Gap between a wall and a foot ``s`` [s] into the flight [m], and its rate [m/s]."""
-    w[TALLY, WORK] += 1.0
-    pose = pose_at(flight, w, s)
+    work[TALLY, WORK] += 1.0
+    pose = pose_at(flight, work, s)
     ahead, speed = towards(box_frame(pose.x, pose.y, pose.vx, pose.vy, pose.angle, pose.omega), wall)
     cosine, sine = cos_sin(pose.jack_angle - pose.angle)
-    return foot_gap(n, ahead, speed, cosine, sine, flight.jack_omega - pose.omega, foot - wall)
+    return foot_gap(scene, ahead, speed, cosine, sine, flight.jack_omega - pose.omega, foot - wall)
 
 
-def next_impact(
-    n: SceneNumbers, flight: Flight, frame: BoxFrame, walls: int, w: Workspace, left: float, bounds: Bounds,
-    tolerance: float,
-) -> tuple[float, int]:  # fmt: skip
-    """Find the first impact within ``left`` [s].
+def first_impact(
+    scene: SceneNumbers, work: Workspace, flight: Flight, piece: Piece, tolerance: float
+) -> tuple[float, int]:
+    """Find the first impact of a flight within what is left of its piece.
 
     Args:
-        n: the scene.
+        scene: the scene.
+        work: memory with the polynomial accelerations.
         flight: what moves.
-        frame: the jack's centre in the box.
-        walls: those in reach, as bits.
-        w: memory with the polynomial accelerations.
-        left: [s].
-        bounds: of the motion within that time.
+        piece: what acts on the box.
         tolerance: gap at which a foot touches [m].
 
     Returns:
-        Its time [s] and 4 * wall + foot; ``NONE`` if there is none, ``ENDLESS`` if it can not be told.
+        Its time since the flight's start [s] and 4 * wall + foot; ``NONE`` if there is none, ``ENDLESS`` if it can not
+        be told.
     """
-    tolerance *= 0.5  # so that rounding does not part what the search has found from what touches
-    best, found = left, NONE
+    left = piece.length - flight.since
+    if reach_of(scene, flight, left, piece.push) + scene.jack_arm < scene.box_half_width:
+        return left, NONE
+    bounds = bounds_of(scene, flight, left, piece.spin_up, piece.push)
+    frame = box_frame(flight.x, flight.y, flight.vx, flight.vy, flight.angle, flight.omega)
+    walls = walls_in_reach(scene, frame, left, bounds.bend)
+    if walls == 0:
+        return left, NONE
     curvature = bounds.bend + bounds.swing
     if not curvature < STEEPEST:
-        return best, ENDLESS
+        return left, ENDLESS
+    # Half of it, so that rounding does not part what the search has found from what touches.
+    return first_of_all(scene, work, flight, frame, walls, Limits(curvature, left, 0.5 * tolerance))
+
+
+def first_of_all(
+    scene: SceneNumbers, work: Workspace, flight: Flight, frame: BoxFrame, walls: int, limits: Limits
+) -> tuple[float, int]:
+    """The first impact of any foot on any of these ``walls`` (as bits): see :func:`first_impact`."""
+    best, found = limits.end, NONE
+    curvature, tolerance = limits.curvature, limits.tolerance
     cosine, sine = cos_sin(flight.jack_angle - flight.angle)
     spin = flight.jack_omega - flight.omega
-    longest = n.jack_arm * max(abs(cosine), abs(sine))
+    longest = scene.jack_arm * max(abs(cosine), abs(sine))
     for wall in range(4):
         if not walls & (1 << wall):
             continue
         ahead, speed = towards(frame, wall)
-        nearest = n.box_half_width - ahead - longest  # of the feet, now; none comes nearer faster than this
-        fall = max(speed, 0.0) + n.jack_arm * abs(spin) + 0.5 * curvature * best
+        nearest = scene.box_half_width - ahead - longest  # of the feet, now; none comes nearer faster than this
+        fall = max(speed, 0.0) + scene.jack_arm * abs(spin) + 0.5 * curvature * best
         if nearest > tolerance and nearest - fall * best > 0.0:
             continue
         for foot in range(4):
-            gap, rate = foot_gap(n, ahead, speed, cosine, sine, spin, foot - wall)
+            gap, rate = foot_gap(scene, ahead, speed, cosine, sine, spin, foot - wall)
             if gap > tolerance and gap + (rate - 0.5 * curvature * best) * best > 0.0:
                 continue
-            time = search(n, flight, w, wall, foot, gap, rate, curvature, best, tolerance)
+            time = search(scene, work, flight, Approach(wall, foot, gap, rate), Limits(curvature, best, tolerance))
             if time < best or (time == best and found == NONE):
                 best, found = time, 4 * wall + foot
-    return best, ENDLESS if w[TALLY, WORK] > MOST_WORK else found
+    return best, ENDLESS if work[TALLY, WORK] > MOST_WORK else found
 
 
-def search(
-    n: SceneNumbers, flight: Flight, w: Workspace, wall: int, foot: int, gap: float, rate: float, curvature: float,
-    end: float, tolerance: float,
-) -> float:  # fmt: skip
-    """First time up to ``end`` [s] at which this foot touches this wall and approaches; infinity if there is none.
+def search(scene: SceneNumbers, work: Workspace, flight: Flight, approach: Approach, limits: Limits) -> float:
+    """First time within ``limits.end`` [s] at which a foot touches a wall and approaches; infinity if there is none.
 
-    A foot at the wall that does not approach can not be deeper than ``sink`` before the parabola from where it is is:
-    without that depth a foot at rest on a wall would never get off the spot. It is the tolerance, and grows to 1e-10 m
-    with the work of a step, so that a jack that rests on a wall or slides along it costs thousands of looks and impacts
-    and not millions.
+    A foot that touches and does not approach stays within ``sink`` until the parabola through its present gap does:
+    without that depth a foot at rest on a wall would never leave the spot. ``sink`` is the tolerance and grows to
+    1e-10 m with the work of a step, so that a jack that rests on a wall or slides along it costs thousands of looks and
+    impacts and not millions.
     """
-    still = 1e-15 * (abs(flight.vx) + abs(flight.vy) + flight.gravity * end)
-    still += 1e-15 * (abs(flight.omega) * n.box_half_width + n.jack_arm * abs(flight.jack_omega))
+    still = 1e-15 * (abs(flight.vx) + abs(flight.vy) + flight.gravity * limits.end)
+    still += 1e-15 * (abs(flight.omega) * scene.box_half_width + scene.jack_arm * abs(flight.jack_omega))
+    tolerance, gap, rate = limits.tolerance, approach.gap, approach.rate
     s = 0.0
     while True:
         if gap > tolerance:
-            after = s + parabola_root(gap, rate, curvature)
+            after = s + parabola_root(gap, rate, limits.curvature)
         elif rate < -still:
             return s
         else:
-            sink = min(1e-10 * min(1.0, n.box_half_width), tolerance * 2.0 ** min(w[TALLY, WORK] / 64.0, 60.0))
-            after = s + parabola_root(max(gap + sink, 0.1 * tolerance), max(rate, 0.0), curvature)
-        if not after <= end or w[TALLY, WORK] > MOST_WORK:
+            sink = min(1e-10 * min(1.0, scene.box_half_width), tolerance * 2.0 ** min(work[TALLY, WORK] / 64.0, 60.0))
+            after = s + parabola_root(max(gap + sink, 0.1 * tolerance), max(rate, 0.0), limits.curvature)
+        if not after <= limits.end or work[TALLY, WORK] > MOST_WORK:
             return math.inf
         if after == s:
             if rate < 0.0:  # the wall is nearer than time can tell
                 return s
             after = s + 2.3e-16 * s
         s = after
-        gap, rate = gap_at(n, flight, w, wall, foot, s)
+        gap, rate = gap_at(scene, flight, work, approach.wall, approach.foot, s)
 
 
-def advance(
-    n: SceneNumbers, w: Workspace, length: float, curved: bool, pushed: bool, alpha: float, tolerance: float,
-    together: float, time: float, pair: int,
-) -> int:  # fmt: skip
-    """Advance the state ``w[STATE]`` through one piece of a step; return how it ended.
+def advance(scene: SceneNumbers, work: Workspace, piece: Piece, touch: Touch, since: float) -> Status:
+    """Advance the state ``work[STATE]`` from ``since`` [s] to the end of a piece; return how it ended.
 
-    Args:
-        n: the scene.
-        w: memory with the state in a frame near the box, and the polynomial accelerations.
-        length: of the piece [s].
-        curved: whether the box's accelerations are polynomials.
-        pushed: whether side forces are among them.
-        alpha: the box's angular acceleration where it is constant [rad/s^2].
-        tolerance: gap at which a foot touches [m].
-        together: gap within which others touch at the same moment [m].
-        time: of the first impact if it is known [s].
-        pair: 4 * wall + foot of the first impact if it is known, else ``NOT_KNOWN``.
+    The state is in a frame near the box; ``work`` holds the polynomial accelerations.
     """
-    m, tally = w[STATE], w[TALLY]
-    since = 0.0
-    spin_up, push = (largest(w, ALPHA), 0.0) if curved else (abs(alpha), 0.0)
-    if pushed:
-        push = largest(w, PUSH_X) + largest(w, PUSH_Y)
-    while True:
-        left = length - since
-        flight = Flight(
-            m[3] - m[0], m[4] - m[1], m[9] - m[6], m[10] - m[7], m[2], m[8], m[5], m[11],
-            n.gravity, alpha, since, 0.5 * length, curved, pushed,
-        )  # fmt: skip
-        if pair == NOT_KNOWN:
-            pair = NONE
-            if not reach_of(n, flight, left, push) + n.jack_arm < n.box_half_width:
-                bounds = bounds_of(n, flight, left, spin_up, push)
-                frame = box_frame(flight.x, flight.y, flight.vx, flight.vy, flight.angle, flight.omega)
-                walls = walls_in_reach(n, frame, left, bounds.bend)
-                if walls:
-                    time, pair = next_impact(n, flight, frame, walls, w, left, bounds, tolerance)
+    while since < piece.length:
+        flight = flight_of(scene, work[STATE], piece, since)
+        time, pair = first_impact(scene, work, flight, piece, touch.tolerance)
         if pair == ENDLESS:
-            return TOO_MUCH_WORK if tally[WORK] > MOST_WORK else TOO_FAST
+            return why_endless(work)
         if pair == NONE:
-            evolve(w, flight, left)
-            tally[ELAPSED] += left
-            return DONE
-        evolve(w, flight, time)
-        tally[ELAPSED] += time
-        tally[WORK] += 1.0
-        resolve(n, w, together, pair // 4, pair % 4)
+            evolve(work, flight, piece.length - since)
+            work[TALLY, ELAPSED] += piece.length - since
+            return Status.DONE
+        strike(scene, work, flight, time, pair, touch.together)
         since += time
-        if since >= length:
-            return DONE
-        pair = NOT_KNOWN
+    return Status.DONE
+
+
+def strike(scene: SceneNumbers, work: Workspace, flight: Flight, time: float, pair: int, together: float) -> None:
+    """Fly for ``time`` [s] to an impact of ``pair`` = 4 * wall + foot, and apply the law to all that touch there."""
+    evolve(work, flight, time)
+    work[TALLY, ELAPSED] += time
+    work[TALLY, WORK] += 1.0
+    resolve(scene, work, together, pair // 4, pair % 4)
+
+
+def why_endless(work: Workspace) -> Status:
+    """Why no impact could be told."""
+    return Status.TOO_MUCH_WORK if work[TALLY, WORK] > MOST_WORK else Status.TOO_FAST

@@ -15,7 +15,6 @@ Reference: Lygeros et al. 2003, "Dynamical properties of hybrid automata"; the b
 
 from __future__ import annotations
 
-import math
 from typing import cast
 
 import numpy as np
@@ -23,29 +22,33 @@ import numpy as np
 from jackbox_env import _validation as check
 from jackbox_env.compiled.compiler import compiled
 from jackbox_env.compiled.drives import TABLE_WIDTH, function_pieces
-from jackbox_env.compiled.search import MOST_WORK, TOO_MUCH_WORK
-from jackbox_env.compiled.step import CHIRP, FUNCTIONS, NO_DRIVE, TOO_MANY_TURNS, step_one
+from jackbox_env.compiled.search import MOST_WORK
+from jackbox_env.compiled.status import Status
+from jackbox_env.compiled.step import CHIRP, FUNCTIONS, HELD, HELD_BESIDE_FORCES, step_one
 from jackbox_env.compiled.workspace import RECORD, Workspace, new_workspace
 from jackbox_env.scene import Chirp, Drive, Scene, too_many_turns
 from jackbox_env.simulators.base import ContactModel, Impact, JackLostError, Present, end_of_step
 from jackbox_env.states import Array
 
+WITH_PIECES = (FUNCTIONS, HELD_BESIDE_FORCES)  # kinds whose functions are cut into pieces
 _NO_PIECES: Array = np.zeros((0, TABLE_WIDTH))
 
 
 def drive_kind(scene: Scene, held: bool = False) -> int:
-    """Which kind of drive the compiled code is told of, with a torque ``held`` in place of the drive's or without."""
+    """What turns the box in a step, as the compiled code is told: a torque that is ``held``, or the scene's drive."""
     drive = scene.drive
     if isinstance(drive, Chirp):
-        return CHIRP
-    idle = drive is None or (drive.force_bound == 0.0 and (held or drive.torque_bound == 0.0))
-    return NO_DRIVE if idle else FUNCTIONS
+        return HELD if held else CHIRP
+    forced = drive is not None and drive.force_bound > 0.0
+    if held:
+        return HELD_BESIDE_FORCES if forced else HELD
+    return FUNCTIONS if forced or (drive is not None and drive.torque_bound > 0.0) else HELD
 
 
 def pieces_for(scene: Scene, time: float, dt: float, torque: float | None) -> Array:
     """The pieces of a drive of functions over a step; none for any other drive, or where no function acts."""
     drive = scene.drive
-    if not isinstance(drive, Drive) or drive_kind(scene, torque is not None) != FUNCTIONS:
+    if not isinstance(drive, Drive) or drive_kind(scene, torque is not None) not in WITH_PIECES:
         return _NO_PIECES
     if torque is not None:
         drive = Drive(force_x=drive.force_x, force_y=drive.force_y)
@@ -54,9 +57,9 @@ def pieces_for(scene: Scene, time: float, dt: float, torque: float | None) -> Ar
 
 def failure(ended: int, scene: Scene, time: float, dt: float, who: str = "the jack") -> Exception:
     """What to raise for a step that did not end well."""
-    if ended == TOO_MANY_TURNS and isinstance(scene.drive, Chirp):
+    if ended == Status.TOO_MANY_TURNS and isinstance(scene.drive, Chirp):
         return ValueError(too_many_turns(scene.drive.fastest(time, dt) * dt, time, dt))
-    if ended == TOO_MUCH_WORK:
+    if ended == Status.TOO_MUCH_WORK:
         return JackLostError(
             f"{who} needs more than {MOST_WORK:,} gap evaluations in the dt = {dt:g} s after t = {time:g} s; use a "
             "smaller time step or less torque"
@@ -92,13 +95,13 @@ class ExactSimulator(ContactModel):
             torque = check.real("torque", torque)
         before, time = cast(Array, self._present.state), self.time
         end = end_of_step(time, dt)
-        drive = self._drives[torque is not None]
-        pieces = pieces_for(self.scene, time, dt, torque) if drive == FUNCTIONS else _NO_PIECES
+        kind = self._kinds[torque is not None]
+        pieces = pieces_for(self.scene, time, dt, torque) if kind in WITH_PIECES else _NO_PIECES
         after = np.empty(12)
-        held = math.nan if torque is None else torque
+        held = 0.0 if torque is None else torque
         while True:
             ended, hits, mean = self._step(
-                self._numbers, dt, drive, before, after, time, held, pieces, self._workspace
+                self._numbers, dt, kind, before, after, time, held, pieces, self._workspace
             )  # fmt: skip
             if ended:
                 raise failure(ended, self.scene, time, dt)
@@ -114,5 +117,5 @@ class ExactSimulator(ContactModel):
     def _prepare(self) -> None:
         self._step = compiled(step_one)
         self._numbers = np.array(self.scene.numbers)
-        self._drives = drive_kind(self.scene), drive_kind(self.scene, held=True)
+        self._kinds = drive_kind(self.scene), drive_kind(self.scene, held=True)
         self._workspace = new_workspace(64)

@@ -7,14 +7,17 @@ Order: first in the substep h = dt / substeps: an impact waits for the end of th
 Cost: about the engine's own where a contact is possible within the step; elsewhere the flight is closed form and the
     engine is not asked at all. A step that ends with a contact alive adds two empty engine steps.
 Fails: a step in which a foot could move further than min(1 m, L) within a substep, or that ends with a foot deeper than
-    that in a wall (above 200 m/s at h = 5 ms), is taken with up to 64 times the substeps; if that is not enough it
-    raises JackLostError. A foot that dips into a wall and out again within a substep is not seen. Slow bounces that
-    rise and fall within a few substeps come back too fast. Restitution 0 <= e <= 1; below 1 a foot is lifted out of the wall
-    it sank v h into, which gives back up to m_j g v h of what the impact lost. A jack inertia far below m_j l^2 couples
-    the feet so strongly that the contact solver needs more iterations: they are chosen by the scene, and scenes that
-    want more than 100,000 are refused. A jack with an arm longer than L can be wedged: feet deep in opposite walls have
-    next to no leverage, and no number of iterations is enough. Where an elastic scene does not keep its energy over
-    such a step it is divided further as well, and refused if that does not help; one with losses loses percents more.
+    that in a wall (above 200 m/s at h = 5 ms), is taken with up to 64 times the substeps. If that is not enough it
+    raises JackLostError.
+    A foot that dips into a wall and out again within a substep is not seen. Slow bounces that rise and fall within a
+    few substeps come back too fast.
+    Below restitution 1 a foot is lifted out of the wall it sank v h into, which gives back up to m_j g v h of what the
+    impact lost.
+    A jack inertia far below m_j l^2 couples the feet so strongly that the contact solver needs more iterations. Their
+    number is chosen by the scene; scenes that want more than 100,000 are refused.
+    A jack with an arm longer than L can be wedged: feet deep in opposite walls have next to no leverage, and no number
+    of iterations is enough. Where an elastic scene does not keep its energy over such a step it is divided further, and
+    refused if that does not help. A scene with loss is off by some percent there.
 Reference: Catto 2005, "Iterative dynamics with temporal coherence"; pymunk 7.3 (Munk2D).
 
 How the engine is held to the law:
