@@ -16,6 +16,7 @@ import pytest
 from jackbox_env.compiled import drives, impacts, step
 from jackbox_env.compiled import search as kernel
 from jackbox_env.compiled.compiler import compiled
+from jackbox_env.compiled.status import Status
 from jackbox_env.compiled.workspace import GRADIENTS, HITS, IMPULSES, RECORD, STATE, TALLY, new_workspace
 from jackbox_env.mechanics import energy, impact_map, simultaneous_impact_map
 from jackbox_env.planning import rollout
@@ -44,10 +45,10 @@ def plain_step(scene: Scene, state: Any, dt: float, torque: float | None = None,
     n, w = scene.numbers, new_workspace(64)
     before, after = np.array(state, dtype=float), np.empty(12)
     pieces = pieces_for(scene, time, dt, torque)
-    held = math.nan if torque is None else torque
+    held = 0.0 if torque is None else torque
     plan = step.make_plan(n, dt, drive_kind(scene, torque is not None))
     with np.errstate(divide="ignore", invalid="ignore"):
-        ended, _ = step.step(n, plan, before, after, time, held, pieces, 0, len(pieces), w)
+        ended, _ = step.step(n, plan, before, after, time, held, step.Pieces(pieces, 0, len(pieces)), w)
     rows = w[RECORD : RECORD + int(w[TALLY, HITS]), :3]
     return ended, after, [(row[0], int(row[1]), int(row[2])) for row in rows]
 
@@ -240,19 +241,18 @@ MISSED: dict[str, Callable[[], tuple[Scene, Array, float]]] = {
 def test_what_sampling_at_the_steps_end_misses_is_found(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     scene, state, dt = MISSED[name]()
     ended, after, found = plain_step(scene, state, dt, 0.0)
-    assert ended == kernel.DONE
+    assert ended == Status.DONE
     assert found
     run = simulator(scene, state)  # and compiled it finds the same
     run.step(dt, 0.0)
     np.testing.assert_array_equal(run.state, after)
     # In small steps the foot is seen outside: the impact is real.
-    monkeypatch.setattr(step, "walls_in_reach", lambda *_: 0)
+    monkeypatch.setattr(kernel, "walls_in_reach", lambda *_: 0)
     times = found[0][0] + np.linspace(0.0, 0.1 * dt, 2001)[1:]
     lows = [clearance(scene, plain_step(scene, state, float(time), 0.0)[1].tolist()) for time in times]
     assert min(lows) < -1e-13
     monkeypatch.undo()
-    monkeypatch.setattr(kernel, "next_impact", naive.next_impact)
-    monkeypatch.setattr(step, "next_impact", naive.next_impact)
+    monkeypatch.setattr(kernel, "first_of_all", naive.first_of_all)
     assert len(plain_step(scene, state, dt, 0.0)[2]) < len(found)
 
 
@@ -323,7 +323,6 @@ def test_an_uncertified_step_would_let_feet_through(monkeypatch: pytest.MonkeyPa
         return kernel.Bounds(far, 0.01 * bend, 0.01 * swing)
 
     monkeypatch.setattr(kernel, "bounds_of", brazen)
-    monkeypatch.setattr(step, "bounds_of", brazen)
     hasty = plain_step(scene, state, dt, 0.0)[2]
     assert not hasty or hasty[0] != first
 
@@ -676,7 +675,7 @@ def test_compiled_and_plain_give_the_same_bits() -> None:
             torque = rng.uniform(-9e4, 9e4) if number % 2 else None
             ended, after, found = plain_step(scene, run.state, 0.02, torque, run.time)
             run.step(0.02, torque)
-            assert ended == kernel.DONE
+            assert ended == Status.DONE
             np.testing.assert_array_equal(run.state, after)
             assert [(hit.wall, hit.foot) for hit in run.impacts] == [hit[1:] for hit in found]
             hits += len(found)

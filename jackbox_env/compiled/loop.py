@@ -92,7 +92,8 @@ class Block(NamedTuple):
 
 def step_blocks(
     values: Array, rules: tuple[float, int, int, float], blocks: tuple[Array, Array],
-    given: tuple[Array, Array, Counts], span: tuple[int, int], results: tuple[Floats, Array, Flags, Array], memory: tuple[Array, Workspace],
+    given: tuple[Array, Array, Counts], span: tuple[int, int], results: tuple[Floats, Array, Flags, Array],
+    memory: tuple[Array, Workspace],
 ) -> tuple[int, int, int]:  # fmt: skip
     """Step the environments of some blocks whose episodes are not over.
 

@@ -182,7 +182,7 @@ def compiled_step(given: Moments, seconds: float) -> Timed:
     """Steps of the exact model's compiled code alone, called with what is ready."""
     simulator = exact.ExactSimulator(Scene())
     step, numbers, workspace, after = simulator._step, simulator._numbers, simulator._workspace, np.empty(12)
-    drive = simulator._drives[True]
+    drive = simulator._kinds[True]
     calls = [
         (numbers, DT, drive, state.copy(), after, time, 90000.0 * float(action[0]), exact._NO_PIECES, workspace)
         for game, actions in zip(given.states, given.actions, strict=True)

@@ -19,11 +19,11 @@ from jackbox_env import Scene
 from jackbox_env.compiled.compiler import compiled, compiled_with
 from jackbox_env.compiled.drives import TABLE_WIDTH
 from jackbox_env.compiled.rollouts import outside, roll
+from jackbox_env.compiled.step import HELD
 from jackbox_env.compiled.workspace import new_workspace
 from jackbox_env.planning import rollout
-from jackbox_env.simulators.exact import drive_kind
 from jackbox_env.tasks import sample_start
-from scripts.studies.speed.naive import next_impact
+from scripts.studies.speed.naive import first_of_all
 from scripts.studies.timing import Timed, repeat
 
 Array = NDArray[np.float64]
@@ -53,8 +53,8 @@ class Kernel:
             for _ in range(_GAMES)
         ]
         self._game = 0
-        self._numbers, self._drive, self._workspace = np.array(scene.numbers), drive_kind(scene), new_workspace()
-        self._play = compiled_with(roll, next_impact=next_impact) if unguarded else compiled(roll)
+        self._numbers, self._workspace = np.array(scene.numbers), new_workspace()
+        self._play = compiled_with(roll, first_of_all=first_of_all) if unguarded else compiled(roll)
         self.prepare()
         self.play()
 
@@ -72,12 +72,12 @@ class Kernel:
         impulses, energies = np.zeros(hits.shape), np.zeros((0, EPISODE + 1))
         times: Array = DT * np.arange(EPISODE + 1, dtype=np.float64)
         ends = np.zeros(EPISODE + 1, dtype=np.int64)
-        table, first = np.zeros((0, TABLE_WIDTH)), 0
+        drive, first = (times, np.zeros((0, TABLE_WIDTH)), ends), 0
         while first < TRAJECTORIES:
+            torques, results = self._games[self._game][1], (self.trajectories, hits, impulses, energies)
             ended, who, when = self._play(
-                self._numbers, DT, self._drive, self.trajectories, self._games[self._game][1], times, table, ends,
-                first, TRAJECTORIES, 0, hits, impulses, energies, self._workspace,
-            )  # fmt: skip
+                self._numbers, DT, HELD, torques, drive, (first, TRAJECTORIES, 0), results, self._workspace
+            )
             if not ended:
                 break
             self.trajectories[who, when + 1 :] = np.nan

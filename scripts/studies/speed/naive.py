@@ -6,20 +6,7 @@ It stands in for the certified search of ``jackbox_env.compiled.search`` where t
 
 from __future__ import annotations
 
-import math
-
-from jackbox_env.compiled.search import (
-    ENDLESS,
-    NONE,
-    Bounds,
-    BoxFrame,
-    Flight,
-    box_frame,
-    foot_gap,
-    gap_at,
-    pose_at,
-    towards,
-)
+from jackbox_env.compiled.search import NONE, BoxFrame, Flight, Limits, box_frame, foot_gap, gap_at, pose_at, towards
 from jackbox_env.compiled.trigonometry import cos_sin
 from jackbox_env.compiled.workspace import Workspace
 from jackbox_env.scene import SceneNumbers
@@ -27,15 +14,13 @@ from jackbox_env.scene import SceneNumbers
 _MOST_ITERATIONS = 50
 
 
-def next_impact(
-    n: SceneNumbers, flight: Flight, frame: BoxFrame, walls: int, w: Workspace, left: float, bounds: Bounds,
-    tolerance: float,
-) -> tuple[float, int]:  # fmt: skip
+def first_of_all(
+    scene: SceneNumbers, work: Workspace, flight: Flight, frame: BoxFrame, walls: int, limits: Limits
+) -> tuple[float, int]:
     """The earliest root of the gaps that are closed at the end; like the certified search in what it returns."""
-    if not math.isfinite(bounds.bend):
-        return left, ENDLESS
+    left = limits.end
     best, found = left, NONE
-    end = pose_at(flight, w, left)
+    end = pose_at(flight, work, left)
     at_end = box_frame(end.x, end.y, end.vx, end.vy, end.angle, end.omega)
     cosine, sine = cos_sin(end.jack_angle - end.angle)
     for wall in range(4):
@@ -43,14 +28,14 @@ def next_impact(
             continue
         ahead, speed = towards(at_end, wall)
         for foot in range(4):
-            gap, rate = foot_gap(n, ahead, speed, cosine, sine, flight.jack_omega - end.omega, foot - wall)
+            gap, rate = foot_gap(scene, ahead, speed, cosine, sine, flight.jack_omega - end.omega, foot - wall)
             if gap > 0.0 or rate >= 0.0:
                 continue
             s = left
             for _ in range(_MOST_ITERATIONS):
                 s = min(max(s - gap / rate, 0.0), left)
-                gap, rate = gap_at(n, flight, w, wall, foot, s)
-                if abs(gap) <= tolerance or rate == 0.0:
+                gap, rate = gap_at(scene, flight, work, wall, foot, s)
+                if abs(gap) <= limits.tolerance or rate == 0.0:
                     break
             if s <= best and rate < 0.0:
                 best, found = s, 4 * wall + foot
