@@ -1,21 +1,27 @@
 # make demo: train, evaluate, film. make test: lint, types, tests. Both set themselves up in .venv first.
-# make extremes: tests/extremes with all the steps of its long runs, which writes docs/extremes.md.
+# make test-all: the slow tests too. The other targets write the reports in docs/.
 PYTHON ?= python3
 BIN := .venv/bin
 OLD_GYMNASIUM := .venv/gymnasium-1.2.2
+WORKERS := -n 2 --dist loadfile
 
-.PHONY: demo test benchmark benchmark-quick throughput speed costs extremes transfer readme clean
+.PHONY: demo test test-all benchmark benchmark-quick throughput speed costs soak extremes transfer readme clean
 .DELETE_ON_ERROR:
 
 demo: .venv/ready
 	@$(BIN)/python scripts/demo.py
 
-test: .venv/ready $(OLD_GYMNASIUM)/ready
+# Under 4 minutes on two cores. The compiled code is made once, before the workers start (tests/conftest.py).
+test: .venv/ready
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	EXPECTED_GYMNASIUM=1.2.2 PYTHONPATH=$(OLD_GYMNASIUM) $(BIN)/python -m pytest -q tests/test_env.py tests/test_tools.py tests/test_vector_env.py
-	EXPECTED_GYMNASIUM=1.4.0 $(BIN)/python -m pytest -q
+	$(BIN)/python -m pytest -q $(WORKERS) -m "not slow"
+
+# What make test leaves out: sweeps, kills, soaks, long runs, and the environment under the oldest Gymnasium covered.
+test-all: test $(OLD_GYMNASIUM)/ready
+	EXPECTED_GYMNASIUM=1.2.2 PYTHONPATH=$(OLD_GYMNASIUM) $(BIN)/python -m pytest -q $(WORKERS) tests/environment tests/batches
+	EXPECTED_GYMNASIUM=1.4.0 $(BIN)/python -m pytest -q $(WORKERS) -m slow
 
 # Speed against accuracy: the full sweep writes docs/accuracy.md, the quick one (2 minutes) only its run folder.
 benchmark: .venv/ready
@@ -32,6 +38,9 @@ speed: .venv/ready
 
 costs: .venv/ready
 	@$(BIN)/python scripts/studies/costs/costs.py
+
+soak: .venv/ready
+	@$(BIN)/python scripts/studies/laws/soak.py --hours 8
 
 extremes: .venv/ready
 	@JACKBOX_EXTREMES=full $(BIN)/python -m pytest -q tests/extremes
