@@ -26,10 +26,10 @@ class EnvSettings:
     scene: str = "{}"
     """Fields of the scene that differ from the default, as JSON, e.g. '{"gravity": 1.62}'."""
     fidelity: str | None = None
-    """A name for contact and substeps: coarse, balanced, fine or exact; what these say themselves wins."""
+    """A name for contact and substeps: coarse, balanced, fine or exact; contact and substeps override it."""
 
     def __post_init__(self) -> None:
-        """Refuse a scene that is no scene and a name that is none; the environment checks the rest."""
+        """Raises ValueError for an unknown fidelity or an invalid scene; the environment checks the rest."""
         Scene.of(self.scene_fields)
         resolve(self.fidelity, self.contact, self.substeps)
 

@@ -47,14 +47,14 @@ def cheapest(
 ) -> Choice:
     """Measure which setting is the cheapest that keeps both errors within bounds, for a scene.
 
-    Every case is a start under held random torques within ``scene.torque_limit`` and, in turn, under the scene's drive
-    if it has one. The first impact is held against the exact model's, whose own error is rounding; before it
-    restitution plays no part, so scenes with loss are measured too. Among pymunk's substeps 1, 2, 4, ... 256 the first
-    that will do is compared with the exact model, where the scene allows it, by the time they take in turns. A setting
-    that loses a jack, or whose first impact is of another foot or on another wall, will not do whatever the bounds.
-    Seconds for an ordinary scene; the first exact step on a machine compiles.
+    The cases are starts of the environment, under random held torques within ``scene.torque_limit`` and, every other
+    time, under the scene's drive. The first impact is compared with the exact model's, whose own error is rounding.
+    Restitution plays no part before it, so scenes with loss are measured too. The fewest substeps of pymunk (1, 2, 4,
+    ... 256) that keep both bounds are timed against the exact model, where the scene allows it, and the faster is
+    returned. A setting that loses a jack, or whose first impact is that of another foot or wall, is never returned.
 
-    What is found holds for the cases simulated: it is a measurement, not a guarantee.
+    It takes seconds for an ordinary scene; the first exact step on a machine compiles. The result is a measurement on
+    these cases, not a guarantee.
 
     Args:
         scene: a Scene, a dict of some of its fields, or None for the default scene.
@@ -117,7 +117,7 @@ def _bound(name: str, value: float) -> float:
 
 
 def _within(choice: Choice, bounds: tuple[float, float]) -> bool:
-    """Whether a setting will do: what is infinite will not."""
+    """Whether both errors keep their bounds. False if an error is NaN or infinite."""
     errors = choice.first_impact_error, choice.penetration
     return all(error <= bound and error < math.inf for error, bound in zip(errors, bounds, strict=True))
 

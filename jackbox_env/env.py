@@ -31,19 +31,22 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
 
     A square box of half width L = 6 m and a jack, a cross with a point mass at each of its four feet, move in a
     vertical plane. The feet bounce off the inside of the walls without friction or loss. A lift carries the box's
-    weight, nothing carries the jack's: the jack falls, the walls hit it, and the box slowly sinks because the impacts
-    push it down. The agent sets the torque that turns the box. The physics is stated in `jackbox_env.mechanics`, and
-    what a contact model does to it at the head of its file in `jackbox_env.simulators`.
+    weight, nothing carries the jack's. So the jack falls, the walls hit it, and the box slowly sinks because the
+    impacts push it down. The agent sets the torque that turns the box.
+
+    The law is stated in `jackbox_env.mechanics`. How well a contact model keeps it is stated at the head of its file in
+    `jackbox_env.simulators`.
 
     ## Action Space
 
-    `Box(-1, 1, (1,), float32)`: the torque on the box, in units of `scene.torque_limit` (90000 N m), positive
-    counter-clockwise, held for one control step. Finite values outside are clipped, NaN and infinities refused; a
-    plain number counts as shape (1,). `step(None)` applies the scene's own drive instead: by default a chirp, a sine
-    of 90000 N m whose frequency grows from 0.5 Hz by 0.9 Hz per second, as a continuous function of the time. With
-    `torque="chirp"` the drive acts whatever the action: action wrappers, Sync and AsyncVectorEnv and
-    Stable-Baselines3 pass no None. An action
-    replaces the drive's torque only; side forces of a `Drive` always act.
+    `Box(-1, 1, (1,), float32)`: the torque on the box in units of `scene.torque_limit` (90000 N m), positive
+    counter-clockwise, held for one control step. Finite values outside are clipped, NaN and infinities are refused. A
+    plain number counts as shape (1,).
+
+    `step(None)` applies the scene's own drive instead. By default that is a chirp: a sine of 90000 N m whose frequency
+    grows from 0.5 Hz by 0.9 Hz per second, continuous in time. Action wrappers, Gymnasium's vector environments and
+    Stable-Baselines3 cannot pass None: make the environment with `torque="chirp"` there, and the drive acts whatever
+    the action. An action replaces the drive's torque only; the side forces of a `Drive` always act.
 
     ## Observation Space
 
@@ -82,9 +85,8 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     ## Episode End
 
     The episode never terminates. The time limit that `gymnasium.make` adds truncates it after 500 steps (by default
-    10 s).
-    A jack that leaves the box raises `JackLostError` (a RuntimeError), which needs far more speed than 10 s of torque
-    can give by default.
+    10 s). A jack that would leave the box raises `JackLostError`, a RuntimeError. In the default scene 10 s of torque
+    cannot make it fast enough for that.
 
     ## Information
 
@@ -98,7 +100,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     |---------------|------------|-----------------------------------------------------------------------------------|
     | `contact`     | `None`     | contact model: `"pymunk"` (time stepping, the default) or `"exact"` (elastic only) |
     | `substeps`    | `None`     | engine steps of pymunk per control step, >= 1; None: 4                            |
-    | `fidelity`    | `None`     | a name for `contact` and `substeps`, see below; what these say themselves wins    |
+    | `fidelity`    | `None`     | a name for `contact` and `substeps`, see below; these two override it             |
     | `scene`       | `None`     | a `Scene`, or a dict of some of its fields                                        |
     | `task`        | `"juggle"` | `"juggle"`, `"spin"` or `"rattle"`                                                |
     | `control_dt`  | `0.02`     | duration of a step [s], > 0                                                       |
@@ -107,14 +109,15 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
 
     `reset` takes `options={"state": numbers, "time": seconds}`: exactly that state, shape (12,), every foot inside to
     1e-9 m (4 units in the last place of a far-off position), and that time. `env.unwrapped.set_state(state, time)` goes
-    on from any state that `info` ever held, also one in contact; `env.unwrapped.observation` is what is seen of it.
+    on from any state that `info` ever held, also one in contact. `env.unwrapped.observation` is its observation.
 
     ## Fidelity
 
-    `fidelity` names a contact model and its substeps; what `contact` and `substeps` say themselves wins. Measured by
-    `make benchmark` over 102 seeded scenes of 10 s (docs/accuracy.md): the first impact's time error (median, worst;
-    that of `"exact"` over ten trajectories known to 60 digits), the deepest penetration (worst), the impacts right
-    before the first wrong one (median), the simulator's speed over that of `"balanced"`, which is the default.
+    `fidelity` names a contact model and its substeps; `contact` and `substeps` override it. The columns are: the time
+    error of the first impact (median, worst), the deepest penetration (worst), the impacts that are right before the
+    first wrong one (median), and the simulator's speed relative to `"balanced"`, the default. `make benchmark` measures
+    them over 102 seeded scenes of 10 s, the first impact of `"exact"` over ten trajectories known to 60 digits
+    (docs/accuracy.md).
 
     | `fidelity`   | stands for          | first impact late by | deepest in a wall | right impacts | speed |
     |--------------|---------------------|----------------------|-------------------|---------------|-------|
@@ -138,8 +141,8 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     * v0: initial version
 
     Raises:
-        TypeError, ValueError: an argument out of its range; one sentence names the value and what is allowed. Calls
-            that are refused leave the environment as it was.
+        TypeError, ValueError: an argument out of its range. One sentence names the value and what is allowed. A
+            refused call leaves the environment as it was.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 50}  # noqa: RUF012

@@ -29,7 +29,7 @@ class Arguments:
     time: float = 0.0
     """Time at the start [s], which the drive sees."""
     fidelity: str | None = None
-    """A name for contact and substeps: coarse, balanced, fine or exact; what these say themselves wins."""
+    """A name for contact and substeps: coarse, balanced, fine or exact; contact and substeps override it."""
     folder: Path | None = None
     """New folder for the files; None: runs/simulate-<date>-<time>."""
     format: Literal["csv", "npz"] = "csv"

@@ -31,7 +31,7 @@ FIDELITIES = MappingProxyType(
 
 
 def resolve(fidelity: str | None, contact: str | None, substeps: int | None) -> Setting:
-    """The setting that is meant; what is said in ``contact`` and ``substeps`` wins over the name.
+    """The setting that is meant; ``contact`` and ``substeps`` override the name.
 
     Raises:
         ValueError: an unknown name, or substeps for the exact model.
