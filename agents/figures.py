@@ -14,6 +14,7 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from agents.storage import new_file, replacing
 from agents.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -24,8 +25,8 @@ BOX, JACK, ACCENT = "#c23b3b", "#2f5fb3", "#666666"
 
 
 def _write(figure: Figure, path: Path) -> Path:
-    with path.open("xb") as file:
-        figure.savefig(file, dpi=150, format=path.suffix[1:])
+    with new_file(path) as partial:
+        figure.savefig(partial, dpi=150)
     plt.close(figure)
     return path
 
@@ -99,7 +100,8 @@ def transfer_figure(
     )
     axes.legend(title="policy, trained on", loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     axes.spines[["top", "right"]].set_visible(False)
-    figure.savefig(path, dpi=150)
+    with replacing(path) as partial:
+        figure.savefig(partial, dpi=150)
     plt.close(figure)
 
 

@@ -50,6 +50,7 @@ def write(
     from agents.figures import transfer_figure
     from agents.inference import crossed_estimate
     from agents.learning_page import as_json, page
+    from agents.storage import write_text
     from agents.verdict import compare
 
     place = folder if out is None else out
@@ -62,8 +63,8 @@ def write(
         transfer_figure(place / f"learning_{cells.task}.png", cells.task, rows, seeds, scripted)
     text = page(folder, settings, results, runs, comparisons, out)
     data = as_json(folder, settings, results, runs, comparisons)
-    (place / "learning.json").write_text(json.dumps(data) + "\n")
-    (place / "learning.md").write_text(text)
+    write_text(place / "learning.json", json.dumps(data) + "\n")
+    write_text(place / "learning.md", text)
     return text
 
 
@@ -71,6 +72,7 @@ def write(
 def main() -> None:
     """Parse, train, run, write."""
     arguments = tyro.cli(Arguments, description=__doc__)
+    from agents.storage import held, remove_partials
     from agents.transfer import checked_processes, new_study, read_study, run_all, run_statistics, train_all
 
     checked_processes(arguments.processes)  # before a folder is made
@@ -83,14 +85,16 @@ def main() -> None:
     else:
         settings = arguments.settings
         folder = new_study(arguments.folder, settings)
-    try:
-        train_all(folder, settings, arguments.processes, arguments.progress)
-        results = [run_all(folder, settings, task, arguments.progress) for task in settings.tasks]
-        runs = run_statistics(folder, settings, arguments.progress)
-    except KeyboardInterrupt:
-        print(f"\nInterrupted. Go on with: python scripts/transfer.py --resume {folder}", file=sys.stderr)
-        raise
-    print(write(folder, settings, results, runs, arguments.out))
+    with held(folder):
+        remove_partials(folder, folder / "cells", folder / "longrun")
+        try:
+            train_all(folder, settings, arguments.processes, arguments.progress)
+            results = [run_all(folder, settings, task, arguments.progress) for task in settings.tasks]
+            runs = run_statistics(folder, settings, arguments.progress)
+        except KeyboardInterrupt:
+            print(f"\nInterrupted. Go on with: python scripts/transfer.py --resume {folder}", file=sys.stderr)
+            raise
+        print(write(folder, settings, results, runs, arguments.out))
 
 
 if __name__ == "__main__":
