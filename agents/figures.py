@@ -14,6 +14,7 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from agents.storage import new_file
 from agents.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -23,8 +24,8 @@ BOX, JACK, ACCENT = "#c23b3b", "#2f5fb3", "#666666"
 
 
 def _write(figure: Figure, path: Path) -> Path:
-    with path.open("xb") as file:
-        figure.savefig(file, dpi=150, format=path.suffix[1:])
+    with new_file(path) as partial:
+        figure.savefig(partial, dpi=150)
     plt.close(figure)
     return path
 

@@ -14,6 +14,7 @@ from tqdm import tqdm
 
 import jackbox_env  # noqa: F401
 from agents.policies import Baseline
+from agents.storage import replacing
 
 Frame = NDArray[np.uint8]
 _CAPTION_HEIGHT = 36  # [pixels]
@@ -81,15 +82,15 @@ def _captioned(picture: Any, caption: str, width: int) -> Frame:
 
 
 def _write(frames: list[Frame], path: Path, fps: float) -> None:
-    partial = path.with_name(f"{path.stem}.partial{path.suffix}")
     if path.suffix == ".gif":
         # One palette for all frames keeps the background still and the file small.
         palette = _palette(np.concatenate(frames[:: max(1, len(frames) // 24)]).reshape(-1, 3))
         pages = [Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
-        pages[0].save(partial, save_all=True, append_images=pages[1:], duration=round(1000.0 / fps), loop=0)
+        with replacing(path) as partial:
+            pages[0].save(partial, save_all=True, append_images=pages[1:], duration=round(1000.0 / fps), loop=0)
     else:
-        imageio.imwrite(partial, np.stack(frames), fps=fps, codec="libx264", macro_block_size=4)
-    partial.replace(path)
+        with replacing(path) as partial:
+            imageio.imwrite(partial, np.stack(frames), fps=fps, codec="libx264", macro_block_size=4)
 
 
 def _palette(pixels: Frame) -> Image.Image:

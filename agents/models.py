@@ -9,8 +9,10 @@ import numpy as np
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecEnv
 
+from agents.checkpoints import read_model_file
 from agents.runs import SETTINGS, read_settings
 from agents.settings import TrainSettings
+from agents.storage import DamagedFileError, say_skipped
 from jackbox_env.sb3 import make_sb3_vec_env
 
 
@@ -47,6 +49,19 @@ def make_ppo(settings: TrainSettings, environments: VecEnv, **more: Any) -> PPO:
     )
 
 
+def _best_or_last(folder: Path) -> Path:
+    """The model file that stands for a run folder; the folder itself if there is none."""
+    there = [folder / name for name in ("best_model.zip", "model.zip") if (folder / name).is_file()]
+    for file in there:
+        try:
+            read_model_file(file)
+        except DamagedFileError as error:
+            say_skipped(error)
+        else:
+            return file
+    return there[-1] if there else folder
+
+
 def load_model(path: Path, trust: bool = False) -> PPO:
     """Load a run folder's best model (else its last), or the model file in a run folder.
 
@@ -54,7 +69,8 @@ def load_model(path: Path, trust: bool = False) -> PPO:
     model from a stranger cannot run code.
 
     Args:
-        path: run folder, or a .zip in it (or in a folder below it).
+        path: run folder, or a .zip in it (or in a folder below it). A damaged best model in a run folder is skipped,
+            and standard error says so.
         trust: unpickle a model that has no settings.json, as ``PPO.load`` does: only from people you trust.
 
     Raises:
@@ -63,7 +79,7 @@ def load_model(path: Path, trust: bool = False) -> PPO:
     """
     file = path
     if path.is_dir():
-        file = next((path / name for name in ("best_model.zip", "model.zip") if (path / name).is_file()), path)
+        file = _best_or_last(path)
     if not file.is_file():
         raise FileNotFoundError(f"{path} holds no model: best_model.zip or model.zip was looked for")
     folder = next((parent for parent in file.parents[:2] if (parent / SETTINGS).is_file()), None)

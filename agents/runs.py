@@ -3,40 +3,38 @@
 settings.json            resolved settings, from which a model is rebuilt
 run.json                 command line, seed, versions, date
 checkpoints/ppo_N.zip    weights and optimiser after N steps
-best_model.zip           the best by the separate evaluation
+best_model.zip           the best by the separate evaluation, and its mean return
 model.zip                the last
 evaluations.npz          the separate evaluations
 tensorboard/             curves
+lock                     held, with its number in it, by the process that works here
 """
 
 from __future__ import annotations
 
 import dataclasses
 import datetime
-import json
 import os
 import platform
 import subprocess
 import sys
+from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
-from typing import Any
 
 from agents.settings import TrainSettings
+from agents.storage import make_filled_folder, read_json, write_json
 
 SETTINGS = "settings.json"
 PACKAGES = ("jackbox", "gymnasium", "numpy", "pymunk", "stable-baselines3", "torch")
 
 
-def write_json(path: Path, content: Any) -> None:
-    """Write JSON in one stroke: a reader sees the old file or the new one, never half of one."""
-    partial = path.with_suffix(path.suffix + ".partial")
-    partial.write_text(json.dumps(content, indent=2) + "\n")
-    os.replace(partial, path)
+def _nothing(folder: Path) -> None:
+    """Leave a folder empty."""
 
 
-def new_folder(path: Path | None, kind: str) -> Path:
-    """Make an empty run folder; None: ``runs/<kind>-<date>-<time>``.
+def new_folder(path: Path | None, kind: str, fill: Callable[[Path], None] = _nothing) -> Path:
+    """Make a run folder together with what ``fill`` writes into it; None: ``runs/<kind>-<date>-<time>``.
 
     Raises:
         FileExistsError: there is something at ``path`` already.
@@ -46,7 +44,7 @@ def new_folder(path: Path | None, kind: str) -> Path:
         path = Path("runs") / f"{kind}-{stamp}"
     if path.exists():
         raise FileExistsError(f"{path} exists, and runs are never overwritten: choose another folder")
-    path.mkdir(parents=True)
+    make_filled_folder(path, fill)
     return path
 
 
@@ -76,10 +74,10 @@ def machine() -> str:
 
 def describe(folder: Path, settings: TrainSettings) -> None:
     """Write down what the run is made from."""
-    write_json(folder / SETTINGS, dataclasses.asdict(settings))
     started = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
     record = {"command": sys.argv, "seed": settings.seed, "started": started, "machine": machine()}
     write_json(folder / "run.json", {**record, "versions": versions()})
+    write_json(folder / SETTINGS, dataclasses.asdict(settings))  # last: what has settings is a run folder
 
 
 def read_settings(folder: Path) -> TrainSettings:
@@ -92,7 +90,7 @@ def read_settings(folder: Path) -> TrainSettings:
     path = folder / SETTINGS
     if not path.is_file():
         raise FileNotFoundError(f"{folder} is no run folder: it has no {SETTINGS}")
-    values = json.loads(path.read_text())
+    values = read_json(path)
     if "hidden_units" in values:
         values["hidden_units"] = tuple(values["hidden_units"])
     return TrainSettings(**values)

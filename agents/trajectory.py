@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from agents.storage import new_file
 from jackbox_env import Impact, JackLostError, Simulator
 from jackbox_env.states import STATE_NAMES
 
@@ -48,12 +49,12 @@ def simulate(simulator: Simulator, seconds: float, dt: float, progress: bool = T
 def write_csv(trajectory: Trajectory, folder: Path) -> list[Path]:
     """Write states.csv (time and the 12 numbers) and impacts.csv (time, wall, foot, impulse), digits in full."""
     paths = [folder / "states.csv", folder / "impacts.csv"]
-    with paths[0].open("x", newline="") as file:
+    with new_file(paths[0]) as partial, partial.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(["time", *STATE_NAMES])
         for time, state in zip(trajectory.times.tolist(), trajectory.states.tolist(), strict=True):
             writer.writerow([repr(time), *map(repr, state)])
-    with paths[1].open("x", newline="") as file:
+    with new_file(paths[1]) as partial, partial.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(Impact._fields)
         writer.writerows(trajectory.impacts)
@@ -65,6 +66,6 @@ def write_npz(trajectory: Trajectory, folder: Path) -> list[Path]:
     path = folder / "trajectory.npz"
     columns = list(zip(*trajectory.impacts, strict=True)) or [()] * len(Impact._fields)
     named = {f"impact_{name}": np.array(column) for name, column in zip(Impact._fields, columns, strict=True)}
-    with path.open("xb") as file:
-        np.savez(file, time=trajectory.times, state=trajectory.states, **named)  # type: ignore[arg-type]
+    with new_file(path) as partial:
+        np.savez(partial, time=trajectory.times, state=trajectory.states, **named)  # type: ignore[arg-type]
     return [path]

@@ -38,7 +38,8 @@ def main() -> None:
     from agents.film import film
     from agents.models import derived_seed, load_model
     from agents.policies import BASELINES, Baseline, baseline
-    from agents.runs import describe, machine, new_folder, versions, write_json
+    from agents.runs import describe, machine, new_folder, versions
+    from agents.storage import write_json
     from agents.training import train
     from jackbox_env import Scene
     from jackbox_env import _validation as check
@@ -50,8 +51,7 @@ def main() -> None:
         max_minutes=arguments.max_minutes,
         seed=arguments.seed,
     )
-    folder = new_folder(arguments.folder, "demo")
-    describe(folder, settings)
+    folder = new_folder(arguments.folder, "demo", lambda made: describe(made, settings))
     print(f"Training PPO for {settings.total_steps:,} steps (at most {settings.max_minutes:g} min)")
     train(settings, folder)
 

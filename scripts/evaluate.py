@@ -57,7 +57,8 @@ def main() -> None:
     """Parse, evaluate, print the table."""
     arguments = tyro.cli(Arguments, description=__doc__)
     from agents.evaluation import evaluate, find_policy, table
-    from agents.runs import versions, write_json
+    from agents.runs import versions
+    from agents.storage import write_json
     from jackbox_env import Scene
     from jackbox_env import _validation as check
 

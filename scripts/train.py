@@ -1,4 +1,4 @@
-"""Train PPO on JackInBox-v0 in a run folder; interrupt it with Ctrl-C and resume it with --resume."""
+"""Train PPO on JackInBox-v0 in a run folder; interrupt it with Ctrl-C, or kill it, and resume it with --resume."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Arguments:
     folder: Path | None = None
     """Run folder to make; None: runs/<task>-<date>-<time>."""
     resume: Path | None = None
-    """Run folder to go on with, by its own settings, from its newest checkpoint."""
+    """Run folder to go on with, by its own settings, from its newest whole checkpoint."""
     progress: bool = True
     """Show a progress bar."""
 
@@ -31,20 +31,20 @@ class Arguments:
 def main() -> None:
     """Parse, train, say where things are."""
     arguments = tyro.cli(Arguments, description=__doc__)
+    from agents.checkpoints import kept_steps
     from agents.models import make_vec_env
-    from agents.training import latest_checkpoint, train
+    from agents.training import train
 
     if arguments.resume is not None:
         if arguments.settings != TrainSettings() or arguments.folder is not None:
             raise ValueError("--resume goes on by the settings of its run folder: give no other setting beside it")
         folder, settings = arguments.resume, read_settings(arguments.resume)
-        found = latest_checkpoint(folder)
-        print(f"Going on after {found[1]:,} steps" if found else "No checkpoint yet: starting from the beginning")
+        if not kept_steps(folder):
+            print("No checkpoint yet: starting from the beginning")
     else:
         settings = arguments.settings
         make_vec_env(settings.env_settings, 1, 0).close()  # refuse before there is a folder
-        folder = new_folder(arguments.folder, settings.task)
-        describe(folder, settings)
+        folder = new_folder(arguments.folder, settings.task, lambda made: describe(made, settings))
     try:
         train(settings, folder, progress=arguments.progress)
     except KeyboardInterrupt:

@@ -22,6 +22,8 @@ import pytest
 from stable_baselines3.common.evaluation import evaluate_policy
 
 from agents import training
+from agents.best import choosing_seed
+from agents.checkpoints import Checkpoint, kept_steps
 from agents.evaluation import Returns, evaluate, find_policy, table
 from agents.film import film
 from agents.models import load_model, make_ppo, make_vec_env
@@ -167,7 +169,7 @@ def test_training_learns_from_its_rollouts(run: Path) -> None:
 def test_the_best_model_is_the_best_evaluation(run: Path) -> None:
     stored = np.load(run / "evaluations.npz")
     environments = make_vec_env(TINY.env_settings, 4, 0)
-    environments.seed(training.choosing_seed(TINY))
+    environments.seed(choosing_seed(TINY))
     best, _ = evaluate_policy(load_model(run), environments, n_eval_episodes=4)
     assert best == pytest.approx(stored["results"].mean(axis=1).max(), rel=1e-6)
 
@@ -176,7 +178,7 @@ def test_interrupted_training_resumes_to_the_same_total(tmp_path: Path, monkeypa
     folder = new_folder(tmp_path / "run", "test")
     describe(folder, TINY)
 
-    class Interrupt(training.Checkpoint):
+    class Interrupt(Checkpoint):
         def _on_step(self) -> bool:
             if self.num_timesteps >= 1300:
                 raise KeyboardInterrupt
@@ -186,8 +188,8 @@ def test_interrupted_training_resumes_to_the_same_total(tmp_path: Path, monkeypa
         patched.setattr(training, "Checkpoint", Interrupt)
         with pytest.raises(KeyboardInterrupt):
             training.train(TINY, folder, progress=False)
-    # the periodic checkpoint was at 1024, the rollout under way began at 1280
-    assert training.latest_checkpoint(folder) == (folder / "checkpoints" / "ppo_1280.zip", 1280)
+    # the last checkpoint was made for the evaluation at 1024, the rollout under way began at 1280
+    assert kept_steps(folder) == [1280, 768, 512]
     assert not (folder / "model.zip").exists()
     model = training.train(TINY, folder, progress=False)
     assert model.num_timesteps == TINY.total_steps
@@ -199,11 +201,11 @@ def test_interrupted_training_resumes_to_the_same_total(tmp_path: Path, monkeypa
 def test_a_resumed_run_goes_on_from_the_weights_it_had(tmp_path: Path, run: Path) -> None:
     # Resuming at the total changes nothing: the checkpoint's weights come out again.
     folder = new_folder(tmp_path / "run", "test")
-    describe(folder, replace(TINY, total_steps=1024))
+    describe(folder, replace(TINY, total_steps=768))
     (folder / "checkpoints").mkdir()
-    checkpoint = folder / "checkpoints" / "ppo_1024.zip"
-    checkpoint.write_bytes((run / "checkpoints" / "ppo_1024.zip").read_bytes())
-    resumed = training.train(replace(TINY, total_steps=1024), folder, progress=False)
+    checkpoint = folder / "checkpoints" / "ppo_768.zip"
+    checkpoint.write_bytes((run / "checkpoints" / "ppo_768.zip").read_bytes())
+    resumed = training.train(replace(TINY, total_steps=768), folder, progress=False)
     kept = load_model(checkpoint).get_parameters()
     for group, parameters in resumed.get_parameters().items():
         if group == "policy":

@@ -15,9 +15,12 @@ PACKAGE = """
     _validation
     scene
     states
+    complementarity
     mechanics
     tasks observation
-    compiled.compiler compiled.status compiled.workspace compiled.trigonometry compiled.generator
+    compiled.kept compiled.status
+    compiled.compiler
+    compiled.workspace compiled.trigonometry compiled.generator
     compiled.drives compiled.impacts
     compiled.search
     compiled.step
@@ -40,10 +43,11 @@ PACKAGE = """
     choosing
 """
 AGENTS = """
-    policies settings trajectory
-    runs film
+    policies settings storage
+    trajectory runs film checkpoints
     models
-    training evaluation
+    best evaluation
+    training
     figures
 """
 

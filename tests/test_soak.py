@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from dataclasses import asdict
@@ -11,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from agents.storage import held
 from jackbox_env.simulators.exact import ExactSimulator
 from scripts.studies.laws import soak
 from scripts.studies.laws.laws import Examination, examine
@@ -59,6 +61,24 @@ def test_an_interrupted_soak_goes_on_to_the_report_of_one_that_was_not(
     assert soak.read_report(parted).sittings == 3
     assert run(monkeypatch, *settings, "--out", str(whole)) == 2  # never overwritten
     assert "runs are never overwritten" in capsys.readouterr().err
+
+
+def test_a_soak_under_way_is_not_joined_and_a_damaged_report_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "soak"
+    folder.mkdir()
+    soak.write_report(soak.Report(0, ["exact"], None, 1), folder)
+    with held(folder):
+        assert run(monkeypatch, "--resume", str(folder)) == 2
+    assert capsys.readouterr().err.startswith(f"{folder} is in use by process {os.getpid()}")
+    assert soak.read_report(folder).done == 0
+    report = (folder / "report.json").read_bytes()
+    (folder / "report.json").write_bytes(report[: len(report) // 2])
+    assert run(monkeypatch, "--resume", str(folder)) == 2
+    assert capsys.readouterr().err.startswith(f"{folder / 'report.json'} is damaged (")
+    (folder / "report.json").write_bytes(report)
+    assert run(monkeypatch, "--resume", str(folder)) == 0
 
 
 def test_a_broken_law_is_reported_kept_and_replayed_and_the_report_stays_small(

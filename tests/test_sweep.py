@@ -6,6 +6,7 @@ import copy
 import csv
 import json
 import math
+import os
 import re
 import sys
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from agents.storage import held
 from jackbox_env import FIDELITIES, JackInBoxEnv, Scene
 from jackbox_env.simulators.pymunk import PymunkSimulator
 from scripts.studies.accuracy import benchmark, cases, page, pictures, records, settings, summary
@@ -138,11 +140,13 @@ def test_what_is_measured_is_kept_line_by_line_also_after_a_cut(tmp_path: Path) 
     with (tmp_path / records.RECORDS).open("a") as file:
         file.write('{"setting": "a", "ca')  # interrupted in the middle of a line
     records.append(tmp_path, other)
+    with (tmp_path / records.RECORDS).open("ab") as file:
+        file.write(b"\x00\xff\n[1, 2]\n{}\n")
     assert records.read(tmp_path) == {("a", "x"): one, ("a", "y"): other}
 
 
 def test_only_an_unfinished_sweep_of_the_same_code_and_arguments_is_gone_on_with(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     asked = {"quick": True, "cases": 2}
@@ -156,6 +160,9 @@ def test_only_an_unfinished_sweep_of_the_same_code_and_arguments_is_gone_on_with
         patch.setattr(records, "digest", lambda: "other code")
         with pytest.raises(FileExistsError, match="runs are never overwritten"):
             records.open_folder(asked, first, "benchmark")
+    (first / records.RESULTS).write_text("{")  # cut short
+    assert records.open_folder(asked, first, "benchmark") == first
+    assert f"Skipped: {first / records.RESULTS} is damaged" in capsys.readouterr().err
     (first / records.RESULTS).write_text("{}")
     with pytest.raises(FileExistsError, match="is finished"):
         records.open_folder(asked, first, "benchmark")
@@ -185,6 +192,18 @@ def test_a_folder_whose_arguments_were_cut_short_is_not_gone_on_with(
     broken.mkdir(parents=True)
     (broken / records.ARGUMENTS).write_text('{"quick": tr')
     assert records.open_folder({"quick": True}, None, "benchmark") != broken
+
+
+def test_a_sweep_under_way_is_not_joined_by_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    folder = records.open_folder({"quick": True, "cases": 2}, None, "benchmark-quick")
+    monkeypatch.setattr(sys, "argv", ["benchmark.py", *FEW])
+    with held(folder), pytest.raises(SystemExit):
+        benchmark.main()
+    assert capsys.readouterr().err.startswith(f"{folder} is in use by process {os.getpid()}")
+    assert {path.name for path in folder.iterdir()} == {records.ARGUMENTS, "lock"}
 
 
 def test_what_draws_the_pictures_is_asked_for_before_the_sweep(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import shlex
 import subprocess
 import sys
@@ -19,7 +20,11 @@ import tyro
 from numpy.typing import NDArray
 
 import jackbox_env  # noqa: F401
+from agents.checkpoints import model_file
+from agents.models import make_ppo, make_vec_env
 from agents.policies import baseline
+from agents.settings import TrainSettings
+from agents.storage import FolderInUseError, held
 from jackbox_env import FIDELITIES, Impact, Scene
 from jackbox_env.tasks import sample_start
 from scripts.studies.transfer import study as transfer
@@ -310,11 +315,17 @@ def test_a_jack_that_leaves_is_counted_and_not_measured() -> None:
     assert found.lost >= 1
 
 
-def test_what_was_measured_is_read_again_from_its_file(tmp_path: Path) -> None:
+def test_what_was_measured_is_read_again_from_its_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     made = Episodes({name: np.arange(3.0) + number for number, name in enumerate(STATISTICS)}, 0.25, 2)
     first = stored(tmp_path / "kept" / "x.npz", lambda: made)
     again = stored(tmp_path / "kept" / "x.npz", lambda: pytest.fail("measured twice"))
-    for found in (first, again):
+    path = tmp_path / "kept" / "x.npz"
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    third = stored(path, lambda: made)
+    assert f"Skipped: {path} is damaged" in capsys.readouterr().err
+    assert path.read_bytes() == whole
+    for found in (first, again, third):
         assert (found.depth, found.lost) == (0.25, 2)
         assert all(np.array_equal(found.values[name], made.values[name]) for name in STATISTICS)
 
@@ -330,7 +341,8 @@ json.loads((run / "settings.json").read_text())
 if os.environ.get("FAILS") == run.name:
     sys.exit("it failed")
 time.sleep(float(os.environ.get("LASTS", "0")))
-(run / "model.zip").write_bytes(b"")
+(run / "model.zip").write_bytes((run.parent.parent / "whole.zip").read_bytes())
+sys.exit(os.environ.get("ENDS"))
 """
 
 
@@ -339,6 +351,7 @@ def stand_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A study of two fidelities whose trainings take no time."""
     path = tmp_path / "train.py"
     path.write_text(STAND_IN)
+    (tmp_path / "whole.zip").write_bytes(model_file(make_ppo(TrainSettings(), make_vec_env({}, 1, 0))))
     monkeypatch.setattr(transfer, "TRAIN", path)
     return new_study(tmp_path / "study", StudySettings(("juggle",), ("coarse", "exact"), 2))
 
@@ -356,6 +369,40 @@ def test_only_what_is_not_finished_is_trained(stand_in: Path, monkeypatch: pytes
     began = (stand_in / "began.txt").read_text().split()
     # only the one that failed began twice
     assert began == [f"juggle-{run}" for run in ("fast-0", "exact-0", "exact-0", "fast-1", "exact-1")]
+
+
+def test_a_training_whose_model_was_cut_short_is_not_finished(stand_in: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = read_study(stand_in)
+    train_all(stand_in, settings, 2, progress=False)
+    model = stand_in / "juggle-exact-1" / "model.zip"
+    whole = model.read_bytes()
+    for content in (b"", whole[:-1], whole[: len(whole) // 2]):
+        model.write_bytes(content)
+        monkeypatch.setenv("ENDS", "it was finished by another meanwhile")
+        train_all(stand_in, settings, 2, progress=False)
+        assert model.read_bytes() == whole
+    best = stand_in / "juggle-fast-0" / "best_model.zip"
+    best.write_bytes(whole[:-1])
+    assert not transfer.finished(best.parent)
+    assert (stand_in / "began.txt").read_text().split()[4:] == ["juggle-exact-1"] * 3
+
+
+def test_a_training_that_goes_on_from_before_is_not_joined_by_another(stand_in: Path) -> None:
+    run = stand_in / "juggle-exact-0"
+    run.mkdir()
+    with held(run), pytest.raises(FolderInUseError, match=f"juggle-exact-0 is in use by process {os.getpid()}"):
+        train_all(stand_in, read_study(stand_in), 2, progress=False)
+    assert not (stand_in / "began.txt").exists()
+    train_all(stand_in, read_study(stand_in), 2, progress=False)
+
+
+def test_a_study_is_held_by_one_process(
+    stand_in: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with held(stand_in):
+        command(monkeypatch, "--resume", str(stand_in), status=2)
+    assert capsys.readouterr().err.startswith(f"{stand_in} is in use by process {os.getpid()}")
+    assert not (stand_in / "began.txt").exists()
 
 
 def test_runs_of_other_settings_are_refused(stand_in: Path) -> None:
@@ -377,6 +424,9 @@ def test_a_study_keeps_what_its_fidelities_stood_for_and_is_refused_where_they_c
     del kept["settings"]
     path.write_text(json.dumps(kept))
     with pytest.raises(ValueError, match=r"does not say which contact and substeps .*'settings' is missing"):
+        read_study(stand_in)
+    path.write_text(json.dumps(kept)[:-9])
+    with pytest.raises(ValueError, match=r"study.json is damaged \(JSONDecodeError: "):
         read_study(stand_in)
 
 
@@ -408,7 +458,9 @@ def test_steps_may_differ_between_tasks() -> None:
     assert [run.seed for run in runs] == [0] * 8 + [1] * 8 + [2] * 8
 
 
-def test_cells_start_alike_on_every_fidelity_and_are_run_once(tmp_path: Path) -> None:
+def test_cells_start_alike_on_every_fidelity_and_are_run_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     settings = StudySettings(("juggle",), episodes=3)
     exact = cell(tmp_path, settings, "juggle", "level", "exact")
     accurate = cell(tmp_path, settings, "juggle", "level", "fine")
@@ -417,6 +469,9 @@ def test_cells_start_alike_on_every_fidelity_and_are_run_once(tmp_path: Path) ->
     path = tmp_path / "cells" / "juggle-level-on-exact.json"
     path.write_text("[1.0, 2.0, 3.0]")
     assert cell(tmp_path, settings, "juggle", "level", "exact") == [1.0, 2.0, 3.0]
+    path.write_text("[1.0, 2.")
+    assert cell(tmp_path, settings, "juggle", "level", "exact") == exact
+    assert f"Skipped: {path} is damaged" in capsys.readouterr().err
     with pytest.raises(ValueError, match="holds 3 episodes instead of 4"):
         cell(tmp_path, replace(settings, episodes=4), "juggle", "level", "exact")
 

@@ -5,22 +5,24 @@ The functions stay plain Python where they are written: readable, importable wit
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import linecache
 import os
 import shutil
 import sys
 import threading
-import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from functools import cache
+from importlib.resources import files
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from types import FunctionType
 from typing import Any, TypeVar, cast
 
 PACKAGE = Path(__file__).parents[1]
 F = TypeVar("F", bound=Callable[..., Any])
-_LOCK = threading.RLock()  # numba is told of the folder by a variable that all threads share
+_LOCK = threading.RLock()  # a function is compiled once, whichever threads ask for it
 _KEPT = 8  # folders of compiled code, of as many states of the source
 
 
@@ -51,6 +53,7 @@ def _compile(
 @cache
 def _compile_once(function: FunctionType, instead: tuple[tuple[str, Any], ...], keep: bool) -> Callable[..., Any]:
     from numba import njit
+    from numba.extending import is_jitted
 
     known = {**function.__globals__, **dict(instead)}
     for name in function.__code__.co_names:
@@ -61,10 +64,24 @@ def _compile_once(function: FunctionType, instead: tuple[tuple[str, Any], ...], 
     # Without the runtime that counts references to arrays: nothing compiled here makes any, and counting them took
     # two thirds of a step.
     settings: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False}
-    if not keep:
-        return cast(Callable[..., Any], njit(**settings)(twin))
-    with _cache_folder() as folder:
-        return cast(Callable[..., Any], njit(cache=folder is not None, **settings)(twin))
+    dispatcher = njit(**settings)(twin)
+    if keep and is_jitted(dispatcher):  # it is the plain function under NUMBA_DISABLE_JIT
+        _keep(dispatcher, twin)
+    return cast(Callable[..., Any], dispatcher)
+
+
+def _keep(dispatcher: Any, function: FunctionType) -> None:
+    """Let numba look for compiled code on disk before it compiles, and save there what it compiles."""
+    from jackbox_env.compiled.kept import CodeCache, say_once
+
+    name, source = (
+        function.__qualname__,
+        "".join(linecache.getlines(function.__code__.co_filename, function.__globals__)),
+    )
+    if not source:  # then a changed function could not be told from the one whose code is kept
+        say_once(name, f"the source of {name} cannot be read, so what is compiled of it is not kept")
+    elif folders := _cache_folders():
+        dispatcher._cache = CodeCache(function, source, folders)  # where njit(cache=True) puts numba's own
 
 
 def _is_ours(function: FunctionType) -> bool:
@@ -73,58 +90,68 @@ def _is_ours(function: FunctionType) -> bool:
 
 @cache
 def _digest() -> str:
-    """Of the package's whole source: numba itself sees only changes of the file that a kept function stands in."""
+    """Of the package's whole source: what is kept of a function holds what it calls, from whatever file."""
     digest = hashlib.sha256()
-    for path in sorted(PACKAGE.rglob("*.py")):
-        digest.update(path.read_bytes())
+    for text in _sources(files("jackbox_env")):
+        digest.update(text)
     return digest.hexdigest()[:16]
+
+
+def _sources(folder: Traversable) -> Iterator[bytes]:
+    for entry in sorted(folder.iterdir(), key=lambda entry: entry.name):  # of an archive too
+        if entry.is_dir():
+            yield from _sources(entry)
+        elif entry.name.endswith(".py"):
+            yield entry.read_bytes()
 
 
 def _cache_places() -> Iterator[Path]:
     given = os.environ.get("NUMBA_CACHE_DIR")
     if given:
-        yield Path(given)
+        yield Path(given).absolute()  # saving comes later, perhaps after a change of folder
     yield PACKAGE / "__pycache__"
-    yield Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jackbox"
+    with contextlib.suppress(RuntimeError):  # a user without a home
+        yield Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache").absolute() / "jackbox"
 
 
 def _tidy(place: Path) -> None:
     """Remove what was compiled from states of the source that are long gone."""
-    folders = sorted(place.glob("compiled-*"), key=lambda folder: folder.stat().st_mtime, reverse=True)
-    for folder in folders[_KEPT:]:
-        shutil.rmtree(folder, ignore_errors=True)
+    with contextlib.suppress(OSError):  # another process may be tidying too
+        folders = sorted(place.glob("compiled-*"), key=lambda folder: folder.stat().st_mtime, reverse=True)
+        for folder in folders[_KEPT:]:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
-@contextmanager
-def _cache_folder() -> Iterator[Path | None]:
-    """Where what is compiled now is kept: the first place that can be written, a folder for each state of the source.
+def _cache_folders() -> list[Path]:
+    """Where compiled code may be found, a folder for each state of the source: the last of them can be written.
 
-    None, with a warning, if there is none.
+    Before it stand those that can only be read. A warning says that none can be written, or that the place the user
+    named cannot be used.
     """
-    from numba import config
+    from jackbox_env.compiled.kept import say_once
 
+    found, refused = list[Path](), list[str]()
     for place in _cache_places():
         folder = place / f"compiled-{_digest()}"
         try:
-            if not folder.is_dir():
-                folder.mkdir(parents=True, exist_ok=True)
-                _tidy(place)
-                print("jackbox compiles its exact contact model, once: about 15 s", file=sys.stderr)
-        except OSError:
+            new = not folder.is_dir()
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            refused.append(f"{place}: {error.strerror}")
             continue
+        found.append(folder)
+        if new:
+            _tidy(place)
+            print("jackbox compiles its exact contact model, once: about 15 s", file=sys.stderr)
         if os.access(folder, os.W_OK):
             break
-    else:
-        warnings.warn(
+    if not found:
+        tried = "; ".join(refused)
+        say_once(
+            "nowhere",
             "no folder to keep compiled code in can be written, so each process compiles it anew, which takes some "
-            "15 s; set NUMBA_CACHE_DIR to one that can",
-            stacklevel=2,
+            f"15 s; set NUMBA_CACHE_DIR to one that can (tried {tried})",
         )
-        yield None
-        return
-    before = config.CACHE_DIR  # type: ignore[attr-defined]
-    config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
-    try:
-        yield folder
-    finally:
-        config.CACHE_DIR = before  # type: ignore[attr-defined]
+    elif refused and os.environ.get("NUMBA_CACHE_DIR"):  # it comes first
+        say_once("elsewhere", f"compiled code is kept in {found[-1]}, as NUMBA_CACHE_DIR cannot be used ({refused[0]})")
+    return found

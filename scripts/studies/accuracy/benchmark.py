@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import shutil
 import statistics
 import sys
 from dataclasses import dataclass
@@ -115,7 +114,7 @@ def how(arguments: Arguments, before: tuple[float, float]) -> list[str]:
 
 def write(results: dict[str, Any], folder: Path, out: Path | None) -> None:
     """Files into the run folder, and the page with its files into ``out``."""
-    from agents.runs import write_json
+    from agents.storage import write_bytes, write_json, write_text
     from scripts.studies.accuracy import page, pictures
     from scripts.studies.accuracy.records import RESULTS
 
@@ -123,16 +122,32 @@ def write(results: dict[str, Any], folder: Path, out: Path | None) -> None:
     pictures.draw(results, folder / PICTURE)
     pictures.interactive(results, folder / INTERACTIVE)
     page.write_csv(results, folder / TABLE)
-    (folder / PAGE).write_text(page.page(results, PICTURE, INTERACTIVE, [f"[{name}]({name})" for name in files]))
+    write_text(folder / PAGE, page.page(results, PICTURE, INTERACTIVE, [f"[{name}]({name})" for name in files]))
     if out is not None:
         beside = out / "accuracy"
         beside.mkdir(exist_ok=True)
         for name in (PICTURE, INTERACTIVE, TABLE):
-            shutil.copyfile(folder / name, beside / name)
+            write_bytes(beside / name, (folder / name).read_bytes())
         write_json(beside / RESULTS, results)
         links = [f"[{name}](accuracy/{name})" for name in files]
-        (out / PAGE).write_text(page.page(results, f"accuracy/{PICTURE}", f"accuracy/{INTERACTIVE}", links))
+        write_text(out / PAGE, page.page(results, f"accuracy/{PICTURE}", f"accuracy/{INTERACTIVE}", links))
     write_json(folder / RESULTS, results)  # last: the sweep is finished
+
+
+def sweep(arguments: Arguments, folder: Path) -> dict[str, Any]:
+    """Results of what is measured in the folder and of what was missing there."""
+    from scripts.studies.accuracy.settings import settings
+    from scripts.studies.timing import others
+
+    before, chosen = others(), settings(arguments.quick)
+    try:
+        records = swept(folder, chosen, arguments.cases or 0, arguments.progress)
+        cost = costs(chosen, arguments.rounds or 0, arguments.seconds, arguments.progress)
+        results = collected(chosen, records, cost)
+    except KeyboardInterrupt:
+        print(f"\nInterrupted; the same command goes on in {folder}", file=sys.stderr)
+        raise
+    return {**results, "how": how(arguments, before)}
 
 
 def resolved(arguments: Arguments) -> Arguments:
@@ -158,23 +173,16 @@ def main() -> None:
     import bokeh  # noqa: F401  # refused now rather than after the sweep
     import matplotlib  # noqa: F401
 
+    from agents.storage import held, remove_partials
     from scripts.studies.accuracy.page import fidelity_table
     from scripts.studies.accuracy.records import open_folder
-    from scripts.studies.accuracy.settings import settings
-    from scripts.studies.timing import others
 
-    before, chosen = others(), settings(arguments.quick)
     asked = {"quick": arguments.quick, "cases": arguments.cases}
     folder = open_folder(asked, arguments.folder, "benchmark-quick" if arguments.quick else "benchmark")
-    try:
-        records = swept(folder, chosen, arguments.cases or 0, arguments.progress)
-        cost = costs(chosen, arguments.rounds or 0, arguments.seconds, arguments.progress)
-        results = collected(chosen, records, cost)
-    except KeyboardInterrupt:
-        print(f"\nInterrupted; the same command goes on in {folder}", file=sys.stderr)
-        raise
-    results |= {"arguments": asked, "how": how(arguments, before)}
-    write(results, folder, arguments.out)
+    with held(folder):
+        remove_partials(folder)
+        results = {**sweep(arguments, folder), "arguments": asked}
+        write(results, folder, arguments.out)
     print("\n".join(fidelity_table(results)))
     for what, seen, holds in results["claims"]:
         print(f"{'holds' if holds else 'FAILS'}: {what}: {seen}")

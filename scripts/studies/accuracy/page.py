@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from agents.storage import replacing
 from jackbox_env.simulators.fidelity import FIDELITIES
 from scripts.studies.accuracy.cases import DIGITS, KINDS
 from scripts.studies.accuracy.pictures import shown
@@ -267,7 +268,7 @@ def page(results: dict[str, Any], picture: str, interactive: str, files: Iterabl
 
 def write_csv(results: dict[str, Any], path: Path) -> None:
     """One row per setting, kind and quantity."""
-    with path.open("w", newline="") as file:
+    with replacing(path) as partial, partial.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(
             ["setting", "family", "substeps", "cost_us_per_s", "kind", "quantity", "unit", "median", "worst", "n"]

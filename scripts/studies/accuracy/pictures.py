@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from agents.storage import replacing, write_text
 from scripts.studies.accuracy.cases import DIGITS
 from scripts.studies.accuracy.settings import BATCH, EXACT
 from scripts.studies.accuracy.summary import ALL
@@ -105,7 +106,8 @@ def draw(results: dict[str, Any], path: Path) -> None:
         "case; numbers: substeps",
         fontsize=10,
     )
-    figure.savefig(path, dpi=110)
+    with replacing(path) as partial:
+        figure.savefig(partial, dpi=110)
 
 
 def interactive(results: dict[str, Any], path: Path) -> None:
@@ -140,4 +142,4 @@ def interactive(results: dict[str, Any], path: Path) -> None:
         plot.legend.click_policy = "hide"
         plot.add_layout(plot.legend[0], "right")
         tabs.append(TabPanel(child=plot, title=panel.title))
-    path.write_text(file_html(Tabs(tabs=tabs), INLINE, "jackbox: speed against accuracy"))
+    write_text(path, file_html(Tabs(tabs=tabs), INLINE, "jackbox: speed against accuracy"))

@@ -14,7 +14,8 @@ import os
 from pathlib import Path
 from typing import Any
 
-from agents.runs import new_folder, versions, write_json
+from agents.runs import new_folder, versions
+from agents.storage import DamagedFileError, read_json, say_skipped, write_json
 from jackbox_env.accuracy import Case, Reference, compare, follow, quantities, restarts
 from scripts.studies.accuracy.settings import Setting, look_of
 
@@ -53,29 +54,38 @@ def open_folder(arguments: dict[str, Any], folder: Path | None, kind: str) -> Pa
         )
     if folder is not None and folder.exists():
         return folder
-    made = new_folder(folder, kind)
-    write_json(made / ARGUMENTS, asked)
-    return made
+    return new_folder(folder, kind, lambda made: write_json(made / ARGUMENTS, asked))
 
 
 def _unfinished(folder: Path, asked: dict[str, Any]) -> bool:
     try:
-        found = json.loads((folder / ARGUMENTS).read_text())
-    except (OSError, json.JSONDecodeError):
+        found = read_json(folder / ARGUMENTS)
+    except (OSError, DamagedFileError):
         return False
-    return bool(found == asked) and not (folder / RESULTS).exists()
+    return bool(found == asked) and not _finished(folder)
+
+
+def _finished(folder: Path) -> bool:
+    try:
+        read_json(folder / RESULTS)
+    except FileNotFoundError:
+        return False
+    except DamagedFileError as error:
+        say_skipped(error)
+        return False
+    return True
 
 
 def read(folder: Path) -> dict[tuple[str, str], dict[str, Any]]:
-    """What is measured already, by the names of setting and case; a line cut short by an interruption is left out."""
+    """What is measured already, by the names of setting and case; a line that was cut short is left out."""
     path = folder / RECORDS
     found: dict[tuple[str, str], dict[str, Any]] = {}
-    for line in path.read_text().splitlines() if path.is_file() else []:
+    for line in path.read_bytes().splitlines() if path.is_file() else []:
         try:
             record = json.loads(line)
-        except json.JSONDecodeError:
+            found[record["setting"], record["case"]] = record
+        except (ValueError, TypeError, KeyError):
             continue
-        found[record["setting"], record["case"]] = record
     return found
 
 
@@ -98,6 +108,8 @@ def append(folder: Path, record: dict[str, Any]) -> None:
         if file.tell() > 0 and not _ends_a_line(path):
             file.write(b"\n")
         file.write(json.dumps(record).encode() + b"\n")
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def _ends_a_line(path: Path) -> bool:

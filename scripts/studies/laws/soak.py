@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import dataclasses
 import itertools
-import json
 import math
 import sys
 import time
@@ -163,16 +162,18 @@ def read_report(folder: Path) -> Report:
     path = folder / REPORT
     if not path.is_file():
         raise FileNotFoundError(f"{folder} is no folder of a soak: it has no {REPORT}")
-    return Report(**json.loads(path.read_text()))
+    from agents.storage import read_json
+
+    return Report(**read_json(path))
 
 
 def write_report(report: Report, folder: Path) -> None:
     """Write the report for machines and for people."""
-    from agents.runs import write_json
+    from agents.storage import write_json, write_text
 
     report.memory_at_end = memory()
     write_json(folder / REPORT, asdict(report))
-    (folder / TEXT).write_text(report.text())
+    write_text(folder / TEXT, report.text())
 
 
 def soak(report: Report, folder: Path, progress: bool = True) -> Report:
@@ -254,20 +255,26 @@ def main() -> None:
         seed = check.whole("replay", arguments.replay, at_least=0)
         sys.exit(0 if replay(seed, contacts) else 1)
     from agents.runs import new_folder
+    from agents.storage import held, remove_partials
 
     if arguments.resume is not None:
         if dataclasses.replace(arguments, resume=None, progress=True) != Arguments():
             raise ValueError("--resume goes on by the settings of its folder: give no other setting beside it")
-        folder, report = arguments.resume, read_report(arguments.resume)
-        print(f"Going on after {report.done:,} cases of each contact model")
+        folder = arguments.resume
+        read_report(folder)  # refused before it gets a lock
     else:
-        report = _new_report(arguments, contacts)
-        folder = new_folder(arguments.out, "soak")
-    try:
-        report = soak(report, folder, arguments.progress)
-    except KeyboardInterrupt:
-        print(f"\nInterrupted. Go on with: python scripts/studies/laws/soak.py --resume {folder}", file=sys.stderr)
-        raise
+        new = _new_report(arguments, contacts)
+        folder = new_folder(arguments.out, "soak", lambda made: write_report(new, made))
+    with held(folder):
+        remove_partials(folder)
+        report = read_report(folder)
+        if arguments.resume is not None:
+            print(f"Going on after {report.done:,} cases of each contact model")
+        try:
+            report = soak(report, folder, arguments.progress)
+        except KeyboardInterrupt:
+            print(f"\nInterrupted. Go on with: python scripts/studies/laws/soak.py --resume {folder}", file=sys.stderr)
+            raise
     print(report.text(), end="")
     print(f"Report: {folder}")
     sys.exit(1 if report.failures else 0)

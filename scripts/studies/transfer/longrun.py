@@ -8,8 +8,8 @@ impacts within an episode follow from each other.
 
 from __future__ import annotations
 
+import io
 import math
-import os
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -21,6 +21,7 @@ from tqdm import tqdm
 
 from agents.models import derived_seed
 from agents.policies import Policy
+from agents.storage import DamagedFileError, make_folder, parsing, say_skipped, write_bytes
 from jackbox_env import FIDELITIES, Impact, Scene, make_simulator
 from jackbox_env.observation import observe
 from jackbox_env.states import clearance
@@ -169,17 +170,22 @@ class _Episode:
 
 
 def stored(path: Path, make: Callable[[], Episodes]) -> Episodes:
-    """What ``make`` measures, from the file if it is there."""
-    if not path.is_file():
-        path.parent.mkdir(exist_ok=True)
-        episodes = make()
-        partial = path.with_suffix(".partial.npz")
-        names = {f"value_{number}": column for number, column in enumerate(episodes.values.values())}
-        np.savez(partial, depth=episodes.depth, lost=episodes.lost, **names)  # type: ignore[arg-type]
-        os.replace(partial, path)
-    with np.load(path) as kept:
-        values = {name: kept[f"value_{number}"] for number, name in enumerate(STATISTICS)}
-        return Episodes(values, float(kept["depth"]), int(kept["lost"]))
+    """What ``make`` measures, from the file if it is there and whole."""
+    if path.is_file():
+        content = path.read_bytes()
+        try:
+            with parsing(path), np.load(io.BytesIO(content)) as kept:
+                values = {name: kept[f"value_{number}"] for number, name in enumerate(STATISTICS)}
+                return Episodes(values, float(kept["depth"]), int(kept["lost"]))
+        except DamagedFileError as error:
+            say_skipped(error)
+    episodes = make()
+    file = io.BytesIO()
+    names = {f"value_{number}": column for number, column in enumerate(episodes.values.values())}
+    np.savez(file, depth=episodes.depth, lost=episodes.lost, **names)  # type: ignore[arg-type]
+    make_folder(path.parent)
+    write_bytes(path, file.getvalue())
+    return episodes
 
 
 def run_long(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import shlex
 from collections.abc import Mapping, Sequence
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from agents.runs import machine, read_settings, versions
+from agents.storage import read_json
 from scripts.studies.transfer.inference import POWER, Estimate, crossed_estimate, t_estimate
 from scripts.studies.transfer.longrun import DT, SETTINGS, STATISTICS, STEPS, Episodes
 from scripts.studies.transfer.study import Cells, StudySettings, resolved_fidelities, run_folder
@@ -187,7 +187,7 @@ def commands(settings: StudySettings, out: Path | None) -> tuple[str, str]:
 def how(folder: Path, settings: StudySettings, out: Path | None) -> list[str]:
     """Settings, numbers, versions, machine, command."""
     run = read_settings(run_folder(folder, settings.tasks[0], settings.fidelities[0], 0))
-    trained_with = json.loads((folder / "study_run.json").read_text())["versions"]
+    trained_with = read_json(folder / "study_run.json")["versions"]
     steps = ", ".join(f"{settings.steps_of(task):,} steps on {task}" for task in settings.tasks)
     now = versions()
     same = {name: version for name, version in now.items() if trained_with.get(name) == version}
@@ -255,7 +255,7 @@ def as_json(
 ) -> dict[str, Any]:
     """Everything on the page and each return."""
 
-    begun = json.loads((folder / "study_run.json").read_text())
+    begun = read_json(folder / "study_run.json")
 
     def plain(returns: Mapping[str, Any]) -> dict[str, Any]:
         return {name: np.round(values, 2).tolist() for name, values in returns.items()}

@@ -12,6 +12,7 @@ matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
 from agents.figures import ACCENT
+from agents.storage import replacing
 from scripts.studies.transfer.inference import Estimate
 
 _FIDELITY_COLORS = ("#d95f02", "#e6ab02", "#1b9e77", "#2f5fb3", "#7570b3")
@@ -57,5 +58,6 @@ def transfer_figure(
     )
     axes.legend(title="policy, trained on", loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     axes.spines[["top", "right"]].set_visible(False)
-    figure.savefig(path, dpi=150)
+    with replacing(path) as partial:
+        figure.savefig(partial, dpi=150)
     plt.close(figure)

@@ -29,12 +29,15 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from agents.best import BEST
+from agents.checkpoints import is_whole, kept_steps
 from agents.evaluation import evaluate
 from agents.models import load_model
 from agents.policies import Policy, baseline
-from agents.runs import SETTINGS, describe, new_folder, read_settings, versions, write_json
+from agents.runs import SETTINGS, describe, new_folder, read_settings, versions
 from agents.settings import TrainSettings
-from agents.training import latest_checkpoint
+from agents.storage import DamagedFileError, held, make_folder, read_json, say_skipped, write_json
+from agents.training import MODEL
 from jackbox_env import FIDELITIES, Scene
 from jackbox_env import _validation as check
 from scripts.studies.transfer.longrun import Episodes, run_long
@@ -114,11 +117,13 @@ def new_study(path: Path | None, settings: StudySettings) -> Path:
     Raises:
         FileExistsError: there is something at ``path`` already.
     """
-    folder = new_folder(path, "transfer")
     started = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-    write_json(folder / "study_run.json", {"command": sys.argv, "started": started, "versions": versions()})
-    write_json(folder / STUDY, {**dataclasses.asdict(settings), _RESOLVED: resolved_fidelities()})
-    return folder
+
+    def describe_study(folder: Path) -> None:
+        write_json(folder / "study_run.json", {"command": sys.argv, "started": started, "versions": versions()})
+        write_json(folder / STUDY, {**dataclasses.asdict(settings), _RESOLVED: resolved_fidelities()})
+
+    return new_folder(path, "transfer", describe_study)
 
 
 def resolved_fidelities() -> dict[str, list[Any]]:
@@ -137,7 +142,7 @@ def read_study(folder: Path) -> StudySettings:
     path = folder / STUDY
     if not path.is_file():
         raise FileNotFoundError(f"{folder} is no study: it has no {STUDY}")
-    values = json.loads(path.read_text())
+    values = read_json(path)
     if _RESOLVED not in values:
         raise ValueError(
             f"{path} does not say which contact and substeps its fidelities stood for ({_RESOLVED!r} is missing), so "
@@ -160,8 +165,8 @@ def run_folder(folder: Path, task: str, fidelity: str, seed: int) -> Path:
 
 
 def finished(run: Path) -> bool:
-    """Whether a training came to its end."""
-    return (run / "model.zip").is_file()
+    """Whether a training came to its end, and left its models whole."""
+    return is_whole(run / MODEL) and (is_whole(run / BEST) or not (run / BEST).exists())
 
 
 def checked_processes(processes: int) -> int:
@@ -177,6 +182,7 @@ def train_all(folder: Path, settings: StudySettings, processes: int = 2, progres
     """Train what is not finished, ``processes`` at a time, each in a process of its own.
 
     Raises:
+        FolderInUseError: a training goes on from before, because the study's process was killed.
         RuntimeError: a training failed; the others under way are interrupted at a checkpoint.
         ValueError: a run in the folder was made by other settings.
     """
@@ -186,6 +192,10 @@ def train_all(folder: Path, settings: StudySettings, processes: int = 2, progres
         if (run / SETTINGS).is_file() and read_settings(run) != wanted:
             raise ValueError(f"{run} was made by other settings than those of {folder / STUDY}")
     waiting = [(run, wanted) for run, wanted in planned if not finished(run)]
+    for run, _ in waiting:
+        if run.is_dir():
+            with held(run):  # refused now rather than in its log
+                pass
     under_way: dict[Path, subprocess.Popen[bytes]] = {}
     total = sum(wanted.total_steps for _, wanted in planned)
     try:
@@ -238,17 +248,23 @@ def run_all(folder: Path, settings: StudySettings, task: str, progress: bool = T
 def cell(folder: Path, settings: StudySettings, task: str, policy: str, fidelity: str) -> list[float]:
     """Returns of a baseline, or of ``<fidelity>-<seed>``'s best model, on a fidelity; kept in a file."""
     path = folder / "cells" / f"{task}-{policy}-on-{fidelity}.json"
-    if not path.is_file():
-        path.parent.mkdir(exist_ok=True)
+    returns: list[float] | None = None
+    if path.is_file():
+        try:
+            returns = read_json(path)
+        except DamagedFileError as error:
+            say_skipped(error)
+    if returns is None:
         more: dict[str, Any] = {}
         actor: Policy
         if policy in BASELINES:
             actor, more = baseline(policy, Scene())
         else:
-            actor = load_model(folder / f"{task}-{policy}")
+            actor = load_model(folder / f"{task}-{policy}" / BEST)
         env_settings = {"task": task, "fidelity": fidelity, **more}
-        write_json(path, evaluate(policy, actor, env_settings, settings.episodes, seed=0).returns)
-    returns: list[float] = json.loads(path.read_text())
+        returns = list(evaluate(policy, actor, env_settings, settings.episodes, seed=0).returns)
+        make_folder(path.parent)
+        write_json(path, returns)
     if len(returns) != settings.episodes:
         raise ValueError(f"{path} holds {len(returns)} episodes instead of {settings.episodes}")
     return returns
@@ -257,12 +273,12 @@ def cell(folder: Path, settings: StudySettings, task: str, policy: str, fidelity
 def run_statistics(folder: Path, settings: StudySettings, progress: bool = True) -> dict[str, dict[str, Episodes]]:
     """Long-run statistics, also under the first policy that was trained on exact for the first task."""
     task = settings.tasks[0]
-    policies: dict[str, Policy] = {f"PPO on {task}": load_model(run_folder(folder, task, "exact", 0))}
+    policies: dict[str, Policy] = {f"PPO on {task}": load_model(run_folder(folder, task, "exact", 0) / BEST)}
     return run_long(folder / "longrun", policies, settings.long_episodes, progress)
 
 
 def _start(run: Path, settings: TrainSettings) -> subprocess.Popen[bytes]:
-    run.mkdir(exist_ok=True)
+    make_folder(run)
     if not (run / SETTINGS).is_file():
         describe(run, settings)
     command = [sys.executable, str(TRAIN), "--resume", str(run), "--no-progress"]
@@ -289,13 +305,12 @@ def _heed_interrupts() -> None:
 
 def _ended(run: Path, process: subprocess.Popen[bytes]) -> bool:
     status = process.poll()
-    if status is not None and (status != 0 or not finished(run)):
+    if status is not None and not finished(run):
         raise RuntimeError(f"training in {run} ended with status {status}; {run / 'log.txt'} says why")
     return status is not None
 
 
 def _done(run: Path, total_steps: int) -> int:
-    if finished(run):
+    if (run / MODEL).is_file():
         return total_steps
-    checkpoint = latest_checkpoint(run)
-    return min(checkpoint[1], total_steps) if checkpoint else 0
+    return min(max(kept_steps(run), default=0), total_steps)

@@ -47,6 +47,7 @@ def write(
 
     import numpy as np
 
+    from agents.storage import write_text
     from scripts.studies.transfer.inference import crossed_estimate
     from scripts.studies.transfer.page import as_json, page
     from scripts.studies.transfer.pictures import transfer_figure
@@ -62,8 +63,8 @@ def write(
         transfer_figure(place / f"learning_{cells.task}.png", cells.task, rows, seeds, scripted)
     text = page(folder, settings, results, runs, comparisons, out)
     data = as_json(folder, settings, results, runs, comparisons)
-    (place / "learning.json").write_text(json.dumps(data) + "\n")
-    (place / "learning.md").write_text(text)
+    write_text(place / "learning.json", json.dumps(data) + "\n")
+    write_text(place / "learning.md", text)
     return text
 
 
