@@ -14,9 +14,10 @@ import pytest
 
 from agents import best, training
 from agents.best import BEST, EVALUATIONS, read_evaluations
-from agents.checkpoints import CHECKPOINTS, Checkpoint, checkpoint_path, kept_steps, read_model_file
+from agents.checkpoints import CHECKPOINTS, Checkpoint, checkpoint_path, kept_steps, read_model_file, with_note
 from agents.models import load_model
 from agents.runs import describe, new_folder, read_settings
+from agents.storage import DamagedFileError
 from agents.training import MODEL
 from scripts import train as command
 from tests.killing import KILLS, SMALL, expected_steps, short_episodes
@@ -67,9 +68,9 @@ def cut_to(share: float) -> Callable[[bytes], bytes]:
     return lambda content: content[: int(share * len(content))]
 
 
-def flipped(content: bytes) -> bytes:
-    """A bit of the first tensor's bytes."""
-    place = content.index(b"policy.pth") + 2000
+def flipped(content: bytes, place: int | None = None) -> bytes:
+    """A bit changed, of the first tensor's bytes if it is not said where."""
+    place = content.index(b"policy.pth") + 2000 if place is None else place
     return content[:place] + bytes([content[place] ^ 16]) + content[place + 1 :]
 
 
@@ -98,6 +99,21 @@ def goes_on_to_its_end(folder: Path) -> None:
 
 def skipped(said: str, path: Path) -> bool:
     return any(line.startswith(f"Skipped: {path} is damaged (") for line in said.splitlines())
+
+
+def test_a_bit_changed_in_any_part_of_a_model_file_is_seen(originals: dict[str, Path], tmp_path: Path) -> None:
+    content = (originals["stopped"] / BEST).read_bytes()
+    with zipfile.ZipFile(originals["stopped"] / BEST) as archive:
+        parts = archive.infolist()
+    assert {part.filename for part in parts} >= {"data", "policy.pth", "policy.optimizer.pth", "note.json"}
+    for part in parts:
+        if part.file_size == 0:
+            continue
+        for share in (0.1, 0.5, 0.9):
+            inside = part.header_offset + 30 + len(part.filename) + len(part.extra) + int(share * part.file_size)
+            (tmp_path / "model.zip").write_bytes(flipped(content, inside))
+            with pytest.raises(DamagedFileError, match="model.zip is damaged"):
+                read_model_file(tmp_path / "model.zip")
 
 
 @pytest.mark.parametrize("how", [*HARMS, "flipped"])
@@ -129,13 +145,13 @@ def test_without_a_whole_checkpoint_the_run_begins_again(stopped: Path, capsys: 
 def test_damaged_evaluations_are_left_out_and_the_best_stays_the_best(
     how: str, stopped: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    before = read_model_file(stopped / BEST)[1]["mean_return"]
+    unbeaten = with_note(checkpoint_path(stopped, 16).read_bytes(), {"mean_return": 1e6, "timesteps": 32})
+    (stopped / BEST).write_bytes(unbeaten)
     harm(stopped / EVALUATIONS, how)
     goes_on_to_its_end(stopped)
     assert skipped(capsys.readouterr().err, stopped / EVALUATIONS)
-    evaluations = read_evaluations(stopped, SMALL.eval_episodes)
-    assert evaluations.timesteps == [96]  # those before are lost
-    assert read_model_file(stopped / BEST)[1]["mean_return"] == max(before, *evaluations.means)
+    assert read_evaluations(stopped, SMALL.eval_episodes).timesteps == [96]  # those before are lost
+    assert (stopped / BEST).read_bytes() == unbeaten
 
 
 @pytest.mark.parametrize("how", [*HARMS, "flipped", "gone"])
