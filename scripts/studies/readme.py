@@ -49,7 +49,7 @@ def fill(page: str, mark: str, text: str) -> str:
     """
     pattern = re.compile(rf"(<!-- {mark} -->\n).*?(<!-- /{mark} -->)", re.DOTALL)
     if not pattern.search(page):
-        raise ValueError(f"the README has no place marked {mark}")
+        raise ValueError(f"the page has no place marked {mark}")
     return pattern.sub(lambda match: f"{match[1]}{text}\n{match[2]}", page)
 
 

@@ -1,15 +1,15 @@
 """How a jack moves in the long run under each contact setting: one number per statistic and episode.
 
-Episodes are the environment's: its starts, 500 control steps of 0.02 s. They are independent, between settings too
-(each has starts and torques of its own), so that tests of two independent samples hold; pairing would gain nothing
-after the first few impacts, when chaos has parted the trajectories. What is tested is one number per episode: the
-impacts within an episode follow from each other.
+Episodes are the environment's: its starts, 500 control steps of 0.02 s. They are independent, between settings too.
+Pairing would gain nothing, as chaos parts the trajectories after a few impacts.
 """
 
 from __future__ import annotations
 
 import io
+import itertools
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -31,71 +31,58 @@ STEPS = 500
 DT = 0.02  # [s]
 _TOGETHER = 64  # simulators, so that a network is asked for many at once
 
-# Keywords of make_simulator. The last is the negative control: what differs from exact in nothing but its seeds.
+# Keywords of make_simulator. The last is the negative control: it differs from exact in nothing but its seeds.
 SETTINGS: dict[str, dict[str, Any]] = {
-    "exact": FIDELITIES["exact"]._asdict(),
-    "coarse": FIDELITIES["coarse"]._asdict(),
-    "balanced": FIDELITIES["balanced"]._asdict(),
-    "fine": FIDELITIES["fine"]._asdict(),
+    **{name: FIDELITIES[name]._asdict() for name in ("exact", "coarse", "balanced", "fine")},
     "one iteration": {**FIDELITIES["coarse"]._asdict(), "iterations": 1},
     "exact again": FIDELITIES["exact"]._asdict(),
 }
 
 # Torques [N m], or None for the drive, from the states, each shape (12,).
 Torques = Callable[[list[NDArray[np.float64]]], Sequence[float | None]]
-# Names with units; each function takes (impacts, jack's speeds [m/s], its rates [rad/s]) of an episode.
-Measure = Callable[[list[Impact], NDArray[np.float64], NDArray[np.float64]], float]
-STATISTICS: dict[str, Measure] = {
-    "impacts [1/s]": lambda impacts, speeds, rates: len(impacts) / (len(speeds) * DT),
-    "steps with two or more feet [1/s]": lambda impacts, speeds, rates: _joint(impacts) / (len(speeds) * DT),
-    "impulse [N s per s]": lambda impacts, speeds, rates: _total(impacts) / (len(speeds) * DT),
-    "median impulse [N s]": lambda impacts, speeds, rates: _quantile([hit.impulse for hit in impacts], 0.5),
-    "9th decile of impulse [N s]": lambda impacts, speeds, rates: _quantile([hit.impulse for hit in impacts], 0.9),
-    "mean speed of the jack [m/s]": lambda impacts, speeds, rates: float(speeds.mean()),
-    "9th decile of its speed [m/s]": lambda impacts, speeds, rates: _quantile(speeds, 0.9),
-    "mean spin of the jack [rad/s]": lambda impacts, speeds, rates: float(np.abs(rates).mean()),
-}
 
 
-def _total(impacts: list[Impact]) -> float:
-    return math.fsum(hit.impulse for hit in impacts)
+def measure(impacts: list[Impact], speeds: NDArray[np.float64], rates: NDArray[np.float64]) -> dict[str, float]:
+    """Statistics of an episode, from its impacts, the jack's speeds [m/s] and its rates [rad/s], one a step."""
+    impulses, seconds = [hit.impulse for hit in impacts], len(speeds) * DT
+    median, decile = np.quantile(impulses, [0.5, 0.9]).tolist() if impulses else (math.nan, math.nan)
+    return {
+        "impacts [1/s]": len(impacts) / seconds,
+        "steps with two or more feet [1/s]": _joint(impacts) / seconds,
+        "impulse [N s per s]": math.fsum(impulses) / seconds,
+        "median impulse [N s]": median,
+        "9th decile of impulse [N s]": decile,
+        "mean speed of the jack [m/s]": float(speeds.mean()),
+        "9th decile of its speed [m/s]": float(np.quantile(speeds, 0.9)),
+        "mean spin of the jack [rad/s]": float(np.abs(rates).mean()),
+    }
 
 
 def _joint(impacts: list[Impact]) -> int:
-    """Control steps in which at least two different feet hit."""
-    feet: dict[int, set[int]] = {}
-    for hit in impacts:
-        # an impact at a step's very end belongs to that step
-        feet.setdefault(math.ceil(hit.time / DT - 1e-9), set()).add(hit.foot)
-    return sum(len(together) > 1 for together in feet.values())
+    """Control steps in which at least two different feet hit; an impact at a step's very end belongs to that step."""
+    hits = {(math.ceil(hit.time / DT - 1e-9), hit.foot) for hit in impacts}
+    return sum(feet > 1 for feet in Counter(step for step, _ in hits).values())
 
 
-def _quantile(values: Any, at: float) -> float:
-    return float(np.quantile(values, at)) if len(values) else math.nan
+STATISTICS = tuple(measure([], np.ones(1), np.ones(1)))  # their names with units
 
 
 class Episodes(NamedTuple):
-    """What was measured of some episodes.
+    """What was measured of some episodes."""
 
-    Attributes:
-        values: statistic by episode, each shape (episodes,); NaN where an episode without an impact has no such number.
-        depth: deepest that a foot was in a wall at the end of any step [m].
-        lost: episodes that ended because the jack would have left the box; they are not in ``values``.
-    """
+    values: dict[str, NDArray[np.float64]]  # statistic by episode, shape (episodes,) each; NaN where it needs an impact
+    depth: float  # deepest that a foot was in a wall at the end of any step [m]
+    lost: int  # episodes that ended because the jack would have left the box; they are not in ``values``
 
-    values: dict[str, NDArray[np.float64]]
-    depth: float
-    lost: int
+
+def chirp(states: list[NDArray[np.float64]]) -> list[None]:
+    """The scene's own drive."""
+    return [None] * len(states)
 
 
 def random_torques(scene: Scene, rng: np.random.Generator) -> Torques:
     """Torques [N m] uniform within the limit, another in each step."""
     return lambda states: rng.uniform(-scene.torque_limit, scene.torque_limit, len(states)).tolist()
-
-
-def drive(states: list[NDArray[np.float64]]) -> list[None]:
-    """The scene's own drive: the chirp."""
-    return [None] * len(states)
 
 
 def acting(scene: Scene, policy: Policy) -> Torques:
@@ -110,32 +97,20 @@ def acting(scene: Scene, policy: Policy) -> Torques:
 
 
 def run_episodes(
-    setting: dict[str, Any],
-    torques: Torques,
-    rng: np.random.Generator,
-    episodes: int,
-    scene: Scene | None = None,
-    progress: bool = False,
-    label: str = "",
+    setting: dict[str, Any], torques: Torques, rng: np.random.Generator, episodes: int, scene: Scene | None = None
 ) -> Episodes:
     """Run episodes under ``torques``, a function of the states of those under way, and measure them."""
-    scene = scene or Scene()
-    values: dict[str, list[float]] = {name: [] for name in STATISTICS}
-    depth, lost = -math.inf, 0
-    with tqdm(total=episodes, unit="episodes", disable=not progress, desc=label, leave=False) as bar:
-        for begin in range(0, episodes, _TOGETHER):
-            block = [_Episode(scene, setting, rng) for _ in range(min(_TOGETHER, episodes - begin))]
-            for _ in range(STEPS):
-                going = [episode for episode in block if not episode.lost]
-                for episode, torque in zip(going, torques([one.states[-1] for one in going]), strict=True):
-                    episode.step(torque)
-            for episode in block:
-                depth = max(depth, episode.depth)
-                lost += episode.lost
-                for name, value in episode.measured().items():
-                    values[name].append(value)
-            bar.update(len(block))
-    return Episodes({name: np.array(column) for name, column in values.items()}, depth, lost)
+    scene, ended = scene or Scene(), []
+    for begin in range(0, episodes, _TOGETHER):
+        block = [_Episode(scene, setting, rng) for _ in range(min(_TOGETHER, episodes - begin))]
+        for _ in range(STEPS):
+            going = [episode for episode in block if not episode.lost]
+            for episode, torque in zip(going, torques([one.states[-1] for one in going]), strict=True):
+                episode.step(torque)
+        ended += [(episode.measured(), episode.depth) for episode in block]
+    kept = [measured for measured, _ in ended if measured]
+    values = {name: np.array([measured[name] for measured in kept]) for name in STATISTICS}
+    return Episodes(values, max(depth for _, depth in ended), episodes - len(kept))
 
 
 class _Episode:
@@ -165,8 +140,7 @@ class _Episode:
         if self.lost:
             return {}
         states = np.array(self.states[1:])
-        speeds, rates = np.hypot(states[:, 9], states[:, 10]), states[:, 11]
-        return {name: measure(self._impacts, speeds, rates) for name, measure in STATISTICS.items()}
+        return measure(self._impacts, np.hypot(states[:, 9], states[:, 10]), states[:, 11])
 
 
 def stored(path: Path, make: Callable[[], Episodes]) -> Episodes:
@@ -199,17 +173,16 @@ def run_long(
         ValueError: ``folder`` holds another number of episodes.
     """
     scene = Scene()
-    found: dict[str, dict[str, Episodes]] = {}
-    for number, condition in enumerate(["random torques", "the chirp", *policies]):
-        found[condition] = {}
-        for place, (setting, keywords) in enumerate(SETTINGS.items()):
-            rng = np.random.default_rng(derived_seed("long run", number, place))
-            named: dict[str, Torques] = {"random torques": random_torques(scene, rng), "the chirp": drive}
-            torques = named[condition] if condition in named else acting(scene, policies[condition])
-            label = f"{setting}, {condition}"
-            make = partial(run_episodes, keywords, torques, rng, episodes, scene, progress, label)
-            kept = stored(folder / f"{condition}-{setting}.npz".replace(" ", "_"), make)
-            if len(next(iter(kept.values.values()))) + kept.lost != episodes:
-                raise ValueError(f"{folder} holds other than {episodes} episodes for {setting} under {condition}")
-            found[condition][setting] = kept
+    conditions = ["random torques", "the chirp", *policies]
+    found: dict[str, dict[str, Episodes]] = {condition: {} for condition in conditions}
+    pairs = list(itertools.product(enumerate(conditions), enumerate(SETTINGS)))
+    for (number, condition), (place, setting) in tqdm(pairs, disable=not progress, desc="long run"):
+        rng = np.random.default_rng(derived_seed("long run", number, place))
+        named: dict[str, Torques] = {"random torques": random_torques(scene, rng), "the chirp": chirp}
+        torques = named[condition] if condition in named else acting(scene, policies[condition])
+        make = partial(run_episodes, SETTINGS[setting], torques, rng, episodes, scene)
+        kept = stored(folder / f"{condition}-{setting}.npz".replace(" ", "_"), make)
+        if len(next(iter(kept.values.values()))) + kept.lost != episodes:
+            raise ValueError(f"{folder} holds other than {episodes} episodes for {setting} under {condition}")
+        found[condition][setting] = kept
     return found

@@ -1,284 +1,227 @@
-"""The page on what a fidelity does to a learner: verdict first, then the numbers, then how they were found."""
+"""The numbers and the picture of docs/learning.md, from learning.json. The prose is written there, by hand."""
 
 from __future__ import annotations
 
+import json
 import math
 import shlex
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, fields
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import matplotlib
 import numpy as np
 
+matplotlib.use("Agg")
+
+from matplotlib import pyplot as plt
+from scipy import stats
+
+from agents.figures import ACCENT
 from agents.runs import machine, read_settings, versions
-from agents.storage import read_json
-from scripts.studies.transfer.inference import POWER, Estimate, crossed_estimate, t_estimate
-from scripts.studies.transfer.longrun import DT, SETTINGS, STATISTICS, STEPS, Episodes
-from scripts.studies.transfer.study import Cells, StudySettings, resolved_fidelities, run_folder
-from scripts.studies.transfer.verdict import (
-    EXACT,
-    MARGIN,
-    Comparison,
-    Finding,
-    baseline_shift,
-    failures_sentence,
-    finding,
-    headline,
-    percent,
-    sentence,
-    statistics_sentence,
-)
+from agents.storage import read_json, replacing, write_text
+from scripts.studies.readme import fill
+from scripts.studies.transfer.inference import MOST_TRAININGS, Estimate, crossed_estimate, t_estimate
+from scripts.studies.transfer.longrun import Episodes
+from scripts.studies.transfer.study import Returns, StudySettings, resolved_fidelities, run_folder, settings_from
+from scripts.studies.transfer.verdict import EXACT, MARGIN, Comparison, Finding, compare, finding
+
+PROSE = Path(__file__).parents[3] / "docs" / "learning.md"
+SCRIPT = "python scripts/studies/transfer/transfer.py"
+COLORS = {"safe": "#1b9e77", "undecided": ACCENT, "worse": "#d95f02", "harmful": "#d95f02", "reference": "#2f5fb3"}
+KEYS = ("settings", "fidelities", "training", "trained", "run", "returns", "comparisons", "depth", "lost")
 
 
-def shown(estimate: Estimate) -> str:
-    """``251.3 ± 4.2``."""
-    return f"{estimate.mean:.1f} ± {estimate.half_width:.1f}"
-
-
-def findings_of(cells: Cells) -> list[Finding]:
-    """One for each fidelity but exact."""
-    return [finding(cells.task, cells.trained, name) for name in cells.trained if name != EXACT]
-
-
-def matrix_table(cells: Cells) -> list[str]:
-    """Mean returns with intervals: rows trained on, columns run on, scripted policies below."""
-    columns = list(cells.trained)
-    lines = [f"| trained on \\ run on | {' | '.join(columns)} |", f"|---|{'---:|' * len(columns)}"]
-    for row, returns in cells.trained.items():
-        lines.append(f"| PPO, {row} | {' | '.join(shown(crossed_estimate(returns[name])) for name in columns)} |")
-    for row, scripted in cells.baselines.items():
-        lines.append(f"| {row} (scripted) | {' | '.join(shown(t_estimate(scripted[name])) for name in columns)} |")
-    return lines
-
-
-def seeds_table(cells: Cells) -> list[str]:
-    """Mean returns on exact, training by training: one that learnt little stands out."""
-    count = len(next(iter(cells.trained.values()))[EXACT])
-    lines = [f"| trained on | {' | '.join(f'seed {seed}' for seed in range(count))} |", f"|---|{'---:|' * count}"]
-    for row, returns in cells.trained.items():
-        lines.append(f"| {row} | {' | '.join(f'{mean:.1f}' for mean in returns[EXACT].mean(axis=1))} |")
-    return lines
-
-
-def difference_table(cells: Cells, findings: Sequence[Finding]) -> list[str]:
-    """The two differences the verdict stands on, for trained and for scripted policies."""
-    lines = [
-        "| fidelity | run on exact: trained on it less trained on exact | verdict | "
-        "trained on it: run on it less run on exact | verdict |",
-        "|---|---|---|---|---|",
-    ]
-    for found in findings:
-        lines.append(
-            f"| {found.fidelity} | {percent(found.loss, found.exact)} | {found.learning} | "
-            f"{percent(found.shift, found.exact)} | {found.promise} |"
-        )
-    lines += ["", "| scripted policy | " + " | ".join(f"{found.fidelity} less exact" for found in findings) + " |"]
-    lines.append(f"|---|{'---|' * len(findings)}")
-    for policy, returns in cells.baselines.items():
-        shifts = [baseline_shift(returns, found.fidelity) for found in findings]
-        of = float(returns[EXACT].mean())
-        lines.append(f"| {policy} | {' | '.join(percent(shift, of) for shift in shifts)} |")
-    return lines
-
-
-def statistics_table(condition: str, comparisons: Sequence[Comparison]) -> list[str]:
-    """Differences from exact under one kind of torque; bold where shown to differ."""
-    rows = [row for row in comparisons if row.condition == condition]
-    settings = list(dict.fromkeys(row.setting for row in rows))
-    lines = [f"| statistic | exact | {' | '.join(settings)} | would have been seen |"]
-    lines.append(f"|---|---:|{'---:|' * len(settings)}---:|")
-    for statistic in STATISTICS:
-        of = {row.setting: row for row in rows if row.statistic == statistic}
-        exact = next(iter(of.values())).exact
-        # a single survivor would have shown nothing; its own cell says so
-        largest = max((row.seen for row in of.values() if math.isfinite(row.seen)), default=math.inf)
-        texts = [_difference(of[setting]) for setting in settings]
-        lines.append(f"| {statistic} | {exact:.3g} | {' | '.join(texts)} | {_share(largest, exact)} |")
-    return lines
-
-
-def _difference(row: Comparison) -> str:
-    if row.absent:
-        return row.absent
-    if not row.exact:
-        return f"{row.difference.mean:+.3g}"
-    mean, half = (100.0 * value / abs(row.exact) for value in row.difference)
-    text = f"{mean:+.1f} ± {half:.1f} %"
-    return f"**{text}**" if row.differs else text
-
-
-def _share(value: float, of: float) -> str:
-    return f"{100.0 * value / abs(of):.1f} %" if of else f"{value:.3g}"
-
-
-def depth_table(runs: Mapping[str, Mapping[str, Episodes]]) -> list[str]:
-    """Deepest penetration and lost jacks: what the equality of statistics does not show."""
-    settings = list(next(iter(runs.values())))
-    lines = [f"| torque | {' | '.join(settings)} |", f"|---|{'---:|' * len(settings)}"]
-    for condition, measured in runs.items():
-        texts = [
-            f"{1000.0 * max(0.0, one.depth):.3g} mm" + (f", {one.lost} lost" if one.lost else "")
-            for one in measured.values()
-        ]
-        lines.append(f"| {condition} | {' | '.join(texts)} |")
-    return lines
-
-
-METHOD = """\
-- Intervals are 95 % ones. Of trained policies they hold for another training and for other starts: the t-interval over
-  the seeds' means and the one over the starts' means, added by their squares. Trainings on different fidelities are
-  compared as independent samples (Welch), the runs of one policy as pairs. They are for one comparison each, not for
-  all together.
-- Safe: the interval of what is lost on average, run on exact, stays above -{margin:.0%} of the return of training on
-  exact. Harmful: it lies below that; worse: it lies below 0; undecided: else. The margin was chosen beforehand. Honest:
-  a fidelity's own return is within {margin:.0%} of what the same policies earn on exact. The intervals take trainings
-  as normally distributed; so few cannot show that none fails. Trainings that would tell: so many of each that, if
-  nothing is lost, safe comes out with probability {power:g}, by the spread of those there are.
-- Statistics: {long:,} episodes of {steps} steps of {dt:g} s for each torque and setting, each with its own starts and
-  torques, so that the samples are independent. Every statistic is one number per episode, because what follows within
-  an episode is correlated. Two tests each: of the means (Welch) and of the distributions (Kolmogorov and Smirnov's
-  distance, by permutation); Holm's correction over all of them together. Bold: equality refused at 5 %. The last column
-  is the difference of means that would have been seen with probability {power:g}.
-- `one iteration` is {one_iteration}; no policy was trained on it. `exact again` is
-  exact with other seeds: the negative control.
-- Again: `{command}` trains, runs and writes this page;
-  `{resume}` goes on with an interrupted study, or makes this page from a finished one."""
-
-
-def counted(number: int | None, what: str) -> str:
-    """``2 substeps``, ``1 substep``, ``no substeps``."""
-    return f"{'no' if number is None else number} {what}{'' if number == 1 else 's'}"
-
-
-def fidelities_line() -> str:
-    """What the names stand for, at their first mention."""
-    named = resolved_fidelities().items()
-    texts = [f"`{name}` ({contact}, {counted(steps, 'substep')})" for name, (contact, steps) in named]
-    return (
-        f"Fidelities: {', '.join(texts)}. Train elastic scenes on `{EXACT}`: it is the reference, and the fastest. "
-        "A shortcut is any of the others. *Safe*: what is learnt on it earns as much on exact. *Honest*: what a policy "
-        "earns on it is what it earns on exact. *Undecided*: the interval is wider than the margin, often by one "
-        "failed training, which is no evidence against the fidelity."
-    )
-
-
-def one_iteration() -> str:
-    """The deliberately coarse setting in words."""
-    setting = SETTINGS["one iteration"]
-    substeps, iterations = counted(setting["substeps"], "substep"), counted(setting["iterations"], "solver iteration")
-    return f"{setting['contact']} with {substeps} and {iterations}"
-
-
-def commands(settings: StudySettings, out: Path | None) -> tuple[str, str]:
-    """Command lines that make such a study, and that go on with one; ``out`` as it was given."""
-    chosen: list[str] = []
-    for field in fields(settings):
-        value = getattr(settings, field.name)
-        if value != field.default:
-            values = value if isinstance(value, tuple) else (value,)
-            chosen += [f"--{field.name.replace('_', '-')}", *map(str, values)]
-    where = [] if out is None else ["--out", str(out)]
-    script = "python scripts/studies/transfer/transfer.py"
-    again, resume = f"{script} {shlex.join([*chosen, *where])}", f"{script} --resume <its folder> {shlex.join(where)}"
-    return again.strip(), resume.strip()
-
-
-def how(folder: Path, settings: StudySettings, out: Path | None) -> list[str]:
-    """Settings, numbers, versions, machine, command."""
-    run = read_settings(run_folder(folder, settings.tasks[0], settings.fidelities[0], 0))
-    trained_with = read_json(folder / "study_run.json")["versions"]
-    steps = ", ".join(f"{settings.steps_of(task):,} steps on {task}" for task in settings.tasks)
-    now = versions()
-    same = {name: version for name, version in now.items() if trained_with.get(name) == version}
-    changed = [f"{name} {trained_with[name]} at the training, {now[name]} now" for name in now if name not in same]
-    again, resume = commands(settings, out)
-    text = METHOD.format(
-        margin=MARGIN, long=settings.long_episodes, steps=STEPS, dt=DT, power=POWER, one_iteration=one_iteration(),
-        command=again, resume=resume,
-    )  # fmt: skip
-    return [
-        f"- Trainings: {steps}; {settings.seeds} for each task and fidelity, by the same settings: {run.num_envs} "
-        f"environments, {run.rollout_steps} steps of each between updates, batches of {run.batch_size}, {run.epochs} "
-        f"epochs, learning rate {run.learning_rate:g} falling to 0, gamma {run.gamma:g}, networks {run.hidden_units}.",
-        f"- What is run is the best model by the evaluations that a training makes every {run.eval_steps:,} steps, "
-        f"{run.eval_episodes} episodes on its own fidelity.",
-        f"- Runs: {settings.episodes} episodes of {STEPS} steps in each cell for each seed, deterministic actions, "
-        "from the same starts in every cell.",
-        text,
-        f"- {', '.join(f'{name} {version}' for name, version in same.items())}"
-        + "".join(f"; {one}" for one in changed)
-        + f"; {machine()}.",
-    ]
-
-
-def page(
-    folder: Path,
-    settings: StudySettings,
-    results: Sequence[Cells],
-    runs: Mapping[str, Mapping[str, Episodes]],
-    comparisons: Sequence[Comparison],
-    out: Path | None,
-) -> str:
-    """The page in Markdown; ``out``: the folder that was asked for, None for the study's own."""
-    found = {cells.task: findings_of(cells) for cells in results}
-    shortcuts = list(dict.fromkeys(row.setting for row in comparisons))
-    lines = ["# What a fidelity does to a learner", "", fidelities_line(), ""]
-    for task, findings in found.items():
-        lines += [headline(task, findings), ""] if findings else []
-    for cells in results:
-        lines += [f"On `{cells.task}`:", "", *(f"- {sentence(one)}" for one in found[cells.task])]
-        lines += [f"- {failures_sentence(cells.trained)}", ""]
-    lines += ["Long-run statistics:", ""]
-    lines += [*(f"- {statistics_sentence(name, comparisons)}" for name in shortcuts), ""]
-    for cells in results:
-        lines += [f"## {cells.task}", "", f"![Returns of policies on each fidelity](learning_{cells.task}.png)", ""]
-        lines += ["Mean return of an episode ± half its 95 % interval.", "", *matrix_table(cells), ""]
-        lines += ["Run on exact, training by training:", "", *seeds_table(cells), ""]
-        lines += ["In percent of the return on exact, with 95 % intervals:", ""]
-        lines += [*difference_table(cells, found[cells.task]), ""]
-    lines += ["## Long-run statistics", ""]
-    for condition in runs:
-        lines += [f"Under {condition}, differences of means from exact:", ""]
-        lines += [*statistics_table(condition, comparisons), ""]
-    lines += ["Deepest that a foot was in a wall at the end of a step:", "", *depth_table(runs), ""]
-    lines += ["## How it was measured", "", *how(folder, settings, out), ""]
-    return "\n".join(lines)
-
-
-def as_json(
-    folder: Path,
-    settings: StudySettings,
-    results: Sequence[Cells],
-    runs: Mapping[str, Mapping[str, Episodes]],
-    comparisons: Sequence[Comparison],
+def gather(
+    folder: Path, settings: StudySettings, returns: Mapping[Any, Returns], runs: Mapping[str, Mapping[str, Episodes]]
 ) -> dict[str, Any]:
-    """Everything on the page and each return."""
-
-    begun = read_json(folder / "study_run.json")
-
-    def plain(returns: Mapping[str, Any]) -> dict[str, Any]:
-        return {name: np.round(values, 2).tolist() for name, values in returns.items()}
-
+    """Everything that the page is written from, each return included, as it is kept in learning.json."""
+    samples = {condition: {name: one.values for name, one in each.items()} for condition, each in runs.items()}
     return {
         "settings": asdict(settings),
         "fidelities": resolved_fidelities(),
-        "trained": {"started": begun["started"], "versions": begun["versions"]},
+        "training": asdict(read_settings(run_folder(folder, settings.tasks[0], settings.fidelities[0], 0))),
+        "trained": read_json(folder / "study_run.json"),
         "run": {"versions": versions(), "machine": machine()},
-        "margin": MARGIN,
-        "findings": [
-            {**asdict(found), "learning": found.learning, "promise": found.promise}
-            for cells in results
-            for found in findings_of(cells)
-        ],
-        "returns": {
-            cells.task: {
-                "trained": {name: plain(row) for name, row in cells.trained.items()},
-                "baselines": {name: plain(row) for name, row in cells.baselines.items()},
-            }
-            for cells in results
-        },
-        "comparisons": [{**row._asdict(), "differs": row.differs} for row in comparisons],
+        "returns": returns,
+        "comparisons": [row._asdict() for row in compare(samples)],
         "depth": {condition: {name: one.depth for name, one in each.items()} for condition, each in runs.items()},
         "lost": {condition: {name: one.lost for name, one in each.items()} for condition, each in runs.items()},
     }
+
+
+def read_data(path: Path) -> dict[str, Any]:
+    """Read what :func:`gather` left; a ValueError where the file holds something else."""
+    data: dict[str, Any] = read_json(path)
+    if missing := [key for key in KEYS if key not in data]:
+        raise ValueError(f"{path} holds no data of a study: {missing[0]!r} is missing")
+    settings_from(data["settings"])  # refuses names of fidelities that are no more
+    return data
+
+
+def write(data: Mapping[str, Any], place: Path) -> str:
+    """Write page, data and picture into a folder; return the page."""
+    text = page(data)
+    picture(findings_of(data), place / "learning.png")
+    write_text(place / "learning.json", json.dumps(data) + "\n")
+    write_text(place / "learning.md", text)
+    return text
+
+
+def findings_of(data: Mapping[str, Any]) -> dict[str, list[Finding]]:
+    """One for each fidelity, exact included, by task."""
+    return {task: [finding(of["trained"], on) for on in of["trained"]] for task, of in data["returns"].items()}
+
+
+def page(data: Mapping[str, Any]) -> str:
+    """The prose of docs/learning.md with the numbers of a study in their places."""
+    text, findings, trainings = PROSE.read_text(), findings_of(data), settings_from(data["settings"]).seeds
+    names = ", ".join(f"`{name}` is {of[0]} with {of[1] or 'no'} substeps" for name, of in data["fidelities"].items())
+    failing = 100.0 * stats.binomtest(0, trainings, alternative="less").proportion_ci().high  # Clopper and Pearson's
+    average = f"Even if none of {trainings} trainings fails, up to {failing:.1f} % of all may."
+    blocks = {
+        "answer": [decision(task, found) for task, found in findings.items()],
+        "verdict": [f"{names}.", "", *verdict_table(findings), "", average],
+        "undecided": [line for task, found in findings.items() for line in footnote(task, found)],
+        "returns": [line for task, of in data["returns"].items() for line in [*returns_table(task, of), ""]],
+        "long": long_table(data),
+        "measured": measured(data),
+    }
+    for mark, lines in blocks.items():
+        text = fill(text, mark, "\n".join(lines).strip())
+    return text
+
+
+def percent(estimate: Estimate, of: float) -> str:
+    """A difference in percent of something, with its interval: ``+1.2 % (-0.3 to +2.7)``; plain where that is 0."""
+    scale, unit, form = (100.0 / abs(of), " %", "+.1f") if of else (1.0, "", "+.3g")
+    mean, low, high = (format(scale * value, form) for value in (estimate.mean, estimate.low, estimate.high))
+    return f"{mean}{unit} ({low} to {high})"
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """Lines of a table."""
+    return [f"| {' | '.join(cells)} |" for cells in (header, ["---"] * len(header), *rows)]
+
+
+def decision(task: str, findings: Sequence[Finding]) -> str:
+    """What to train on for a task, in one sentence; what is open is in its footnote."""
+    safe = ", ".join(f"`{found.fidelity}`" for found in findings if found.learning == "safe")
+    costly = ", ".join(f"`{found.fidelity}`" for found in findings if found.learning in ("harmful", "worse"))
+    what = f"learning on {safe} is safe too" if safe else f"stay with `{EXACT}`: no other fidelity is shown to be safe"
+    note = f"[^{task}]" if footnote(task, findings) else ""
+    return f"On `{task}`, {what}{f'; training on {costly} costs return' if costly else ''}.{note}"
+
+
+def footnote(task: str, findings: Sequence[Finding]) -> list[str]:
+    """What is undecided about a task and what would settle it; no line where nothing is."""
+    reasons: dict[str, list[str]] = {}
+    for found in findings:
+        if found.learning == "undecided":
+            reasons.setdefault(_missing(found), []).append(f"`{found.fidelity}`")
+    texts = [f"{', '.join(names)}: {reason}." for reason, names in reasons.items()]
+    return [f"[^{task}]: Undecided. {' '.join(texts)}", ""] if texts else []
+
+
+def _missing(found: Finding) -> str:
+    trainings = len(found.trainings)
+    if trainings < 2:
+        return "one training shows no spread"
+    if found.starts >= found.margin:
+        return "more episodes are needed first, as the starts alone leave more than the margin"
+    needed = f"more than {MOST_TRAININGS:,}" if found.needed is None else f"about {max(found.needed, trainings + 1)}"
+    return f"{trainings} trainings are too few to tell, {needed} would be needed"
+
+
+def verdict_table(findings: Mapping[str, Sequence[Finding]]) -> list[str]:
+    """What each fidelity's policies earn on exact, and whether its own returns are honest."""
+    rows = []
+    for task, found in ((task, found) for task, each in findings.items() for found in each):
+        worst = f"{min(found.trainings):.1f}"
+        if found.fidelity == EXACT:
+            rows.append([task, EXACT, found.learning, f"{found.exact:.1f}", worst, "", ""])
+            continue
+        loss, shift = percent(found.loss, found.exact), percent(found.shift, found.exact)
+        rows.append([task, found.fidelity, found.learning, loss, worst, found.promise, shift])
+    header = ["task", "trained on", "to learn on", "earns on exact", "worst training", "own returns", "earns on itself"]
+    return table(header, rows)
+
+
+def returns_table(task: str, returns: Returns) -> list[str]:
+    """Mean returns with intervals: rows trained on, columns run on, scripted policies below."""
+    rows = {f"PPO, {name}": map(crossed_estimate, of.values()) for name, of in returns["trained"].items()}
+    rows |= {f"{name} (scripted)": map(t_estimate, of.values()) for name, of in returns["baselines"].items()}
+    shown = [
+        [name, *(f"{one.mean:.1f} ± {one.half_width:.1f}" for one in estimates)] for name, estimates in rows.items()
+    ]
+    return table([f"{task}, trained on \\ run on", *returns["trained"]], shown)
+
+
+def long_table(data: Mapping[str, Any]) -> list[str]:
+    """A row a setting: where it differs from exact, how deep a foot was in a wall, how many jacks were lost."""
+    comparisons = [Comparison(**{**row, "difference": Estimate(*row["difference"])}) for row in data["comparisons"]]
+    rows = []
+    for setting in next(iter(data["depth"].values())):
+        found = [row for row in comparisons if row.setting == setting]
+        depths = [f"{1000.0 * max(0.0, of[setting]):.3g}" for of in data["depth"].values()]
+        lost = sum(of[setting] for of in data["lost"].values())
+        rows.append([setting, *(_differences(found) if found else ("reference", "", "")), *depths, str(lost)])
+    depths = [f"mm deep, {condition}" for condition in data["depth"]]
+    return table(["setting", "differs", "in", "most", *depths, "lost"], rows)
+
+
+def _differences(comparisons: Sequence[Comparison]) -> tuple[str, str, str]:
+    """How often a setting differs, in which statistics and by how much, or what would have been seen."""
+    present = [row for row in comparisons if not math.isnan(row.difference.mean)]
+    differing = [row for row in present if row.differs]
+    count, statistics = f"{len(differing)} of {len(present)}", dict.fromkeys(row.statistic for row in differing)
+    if differing:
+        most = max(differing, key=lambda row: abs(row.difference.mean / row.exact) if row.exact else 0.0)
+        return count, ", ".join(statistics), percent(most.difference, most.exact)
+    seen = [100.0 * row.seen / abs(row.exact) for row in present if row.exact]
+    return count, "", f"{min(seen):.1f} to {max(seen):.1f} % would have been seen" if seen else ""
+
+
+def measured(data: Mapping[str, Any]) -> list[str]:
+    """Numbers, command and versions of the study."""
+    settings, run = settings_from(data["settings"]), data["training"]
+    steps = ", ".join(f"{settings.steps_of(task):,} steps on {task}" for task in settings.tasks)
+    return [
+        f"- Trainings: {settings.seeds} of each task and fidelity, {steps}, all by the same settings.",
+        f"- Policies: of each training the best by evaluations of {run['eval_episodes']} episodes on its own fidelity, "
+        f"every {run['eval_steps']:,} steps. Each is run for {settings.episodes} episodes on each fidelity.",
+        f"- Long run: {settings.long_episodes:,} episodes for each torque and setting.",
+        f"- Made by `{SCRIPT} {shlex.join(data['trained']['command'][1:])}`.",
+        f"- {', '.join(f'{name} {version}' for name, version in data['run']['versions'].items())}, trained at commit "
+        f"{data['trained']['versions']['commit']}; {data['run']['machine']}.",
+    ]
+
+
+def picture(findings: Mapping[str, Sequence[Finding]], path: Path) -> None:
+    """Write (again) a panel a task: a row a fidelity, a dot a training, a bar for the mean and its interval."""
+    height = 0.7 + sum(0.6 + 0.4 * len(found) for found in findings.values())
+    figure, panels = plt.subplots(len(findings), 1, figsize=(7.0, height), layout="constrained", squeeze=False)
+    for axes, (task, found) in zip(panels[:, 0], findings.items(), strict=True):
+        _draw(axes, task, found)
+    panels[-1, 0].set_xlabel("return on exact, against training on exact [%]; dashed: the margin")
+    with replacing(path) as partial:
+        figure.savefig(partial, dpi=150)
+    plt.close(figure)
+
+
+def _draw(axes: Any, task: str, findings: Sequence[Finding]) -> None:
+    """A panel; a bar that lies wholly right of the dashed line is safe."""
+    for place, found in enumerate(findings):
+        scale, color = 100.0 / abs(found.exact) if found.exact else 1.0, COLORS[found.learning]
+        half = scale * found.loss.half_width if found.fidelity != EXACT and np.isfinite(found.loss.half_width) else 0.0
+        dots = [scale * (mean - found.exact) for mean in found.trainings]
+        axes.plot(dots, [place - 0.25] * len(dots), ".", color=color)
+        axes.errorbar(scale * found.loss.mean, place, xerr=half, fmt="o", color=color, capsize=3)
+        axes.annotate(found.learning, (1.02, place), xycoords=("axes fraction", "data"), va="center", color=color)
+    for margin, style in ((0.0, "-"), (-100.0 * MARGIN, "--")):
+        axes.axvline(margin, color=ACCENT, linewidth=0.8, linestyle=style, zorder=0)
+    axes.set_yticks(range(len(findings)), [f"trained on {found.fidelity}" for found in findings])
+    axes.set_title(task, loc="left")
+    axes.set_ylim(len(findings) - 0.5, -0.5)
+    axes.spines[["top", "right"]].set_visible(False)

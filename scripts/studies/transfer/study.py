@@ -20,13 +20,11 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from tqdm import tqdm
 
 from agents.best import BEST
@@ -46,6 +44,8 @@ TRAIN = Path(__file__).parents[3] / "scripts" / "train.py"
 STUDY = "study.json"
 _RESOLVED = "settings"  # key in it: fidelity -> [contact, substeps]
 BASELINES = ("zero", "level", "chirp")  # without chance: the same policy on every fidelity
+# "trained" or "baselines" -> policy -> fidelity run on -> returns, (seeds, episodes) of trained ones, else (episodes,)
+Returns = dict[str, dict[str, dict[str, Any]]]
 _LOOK_AGAIN = 0.5  # [s]
 _PATIENCE = 10.0  # for an interrupted training to leave its checkpoint [s]
 
@@ -68,11 +68,7 @@ class StudySettings:
     """Episodes of the long-run statistics, for each contact setting and each kind of torque."""
 
     def __post_init__(self) -> None:
-        """Refuse a study that cannot be made.
-
-        Raises:
-            TypeError, ValueError: a setting out of its range.
-        """
+        """Refuse a study that cannot be made, by a TypeError or ValueError."""
         check.whole("seeds", self.seeds, at_least=1, at_most=1000)
         for steps in self.total_steps:
             check.whole("total_steps", steps, at_least=1)
@@ -103,12 +99,9 @@ class StudySettings:
             checkpoint_steps=min(TrainSettings.checkpoint_steps, every),
         )  # fmt: skip
 
-    def runs(self) -> Iterator[tuple[str, str, int]]:
+    def runs(self) -> list[tuple[str, str, int]]:
         """Task, fidelity and seed of every run; seeds outermost, so that what is done first is a whole."""
-        for seed in range(self.seeds):
-            for task in self.tasks:
-                for fidelity in self.fidelities:
-                    yield task, fidelity, seed
+        return [(task, name, seed) for seed in range(self.seeds) for task in self.tasks for name in self.fidelities]
 
 
 def new_study(path: Path | None, settings: StudySettings) -> Path:
@@ -143,20 +136,19 @@ def read_study(folder: Path) -> StudySettings:
     if not path.is_file():
         raise FileNotFoundError(f"{folder} is no study: it has no {STUDY}")
     values = read_json(path)
-    if _RESOLVED not in values:
-        raise ValueError(
-            f"{path} does not say which contact and substeps its fidelities stood for ({_RESOLVED!r} is missing), so "
-            "it cannot be gone on with: make another study"
-        )
-    made, today = values.pop(_RESOLVED), resolved_fidelities()
+    made, today = values.pop(_RESOLVED, "unknown"), resolved_fidelities()
     if made != today:
         raise ValueError(
             f"{path} was made with the fidelities {json.dumps(made)}, which are {json.dumps(today)} today, so it "
             "cannot be gone on with: make another study"
         )
-    for name in ("tasks", "fidelities", "total_steps"):
-        values[name] = tuple(values[name])
-    return StudySettings(**values)
+    return settings_from(values)
+
+
+def settings_from(values: dict[str, Any]) -> StudySettings:
+    """Settings as they come from JSON."""
+    plain: dict[str, Any] = {name: tuple(of) if isinstance(of, list) else of for name, of in values.items()}
+    return StudySettings(**plain)
 
 
 def run_folder(folder: Path, task: str, fidelity: str, seed: int) -> Path:
@@ -169,15 +161,6 @@ def finished(run: Path) -> bool:
     return is_whole(run / MODEL) and (is_whole(run / BEST) or not (run / BEST).exists())
 
 
-def checked_processes(processes: int) -> int:
-    """Trainings side by side, 1 to 1000.
-
-    Raises:
-        TypeError, ValueError: no such number.
-    """
-    return check.whole("processes", processes, at_least=1, at_most=1000)
-
-
 def train_all(folder: Path, settings: StudySettings, processes: int = 2, progress: bool = True) -> None:
     """Train what is not finished, ``processes`` at a time, each in a process of its own.
 
@@ -186,7 +169,7 @@ def train_all(folder: Path, settings: StudySettings, processes: int = 2, progres
         RuntimeError: a training failed; the others under way are interrupted at a checkpoint.
         ValueError: a run in the folder was made by other settings.
     """
-    checked_processes(processes)
+    check.whole("processes", processes, at_least=1, at_most=1000)
     planned = [(run_folder(folder, *run), settings.run_settings(*run)) for run in settings.runs()]
     for run, wanted in planned:
         if (run / SETTINGS).is_file() and read_settings(run) != wanted:
@@ -211,38 +194,17 @@ def train_all(folder: Path, settings: StudySettings, processes: int = 2, progres
         _interrupt(list(under_way.values()))
 
 
-@dataclass(frozen=True)
-class Cells:
-    """Returns of one task, every policy run from the same starts on each fidelity.
-
-    Attributes:
-        task: what was rewarded.
-        trained: fidelity trained on -> fidelity run on -> returns, shape (seeds, episodes).
-        baselines: scripted policy -> fidelity run on -> returns, shape (episodes,).
-    """
-
-    task: str
-    trained: dict[str, dict[str, NDArray[np.float64]]]
-    baselines: dict[str, dict[str, NDArray[np.float64]]]
-
-
-def run_all(folder: Path, settings: StudySettings, task: str, progress: bool = True) -> Cells:
-    """Run every policy of a task on every fidelity, or read what was run before."""
-    total = (len(settings.fidelities) * settings.seeds + len(BASELINES)) * len(settings.fidelities)
-    with tqdm(total=total, unit="cells", disable=not progress, desc=f"running on {task}") as bar:
-
-        def returns(policy: str, fidelity: str) -> list[float]:
-            found = cell(folder, settings, task, policy, fidelity)
-            bar.update()
-            return found
-
-        names, seeds = settings.fidelities, range(settings.seeds)
-        trained = {
-            one: {other: np.array([returns(f"{one}-{seed}", other) for seed in seeds]) for other in names}
-            for one in names
-        }
-        baselines = {one: {other: np.array(returns(one, other)) for other in names} for one in BASELINES}
-    return Cells(task, trained, baselines)
+def run_all(folder: Path, settings: StudySettings, task: str, progress: bool = True) -> Returns:
+    """Run every policy of a task on every fidelity from the same starts, or read what was run before."""
+    kinds = {"trained": settings.fidelities, "baselines": BASELINES}
+    found: Returns = {kind: {name: {} for name in names} for kind, names in kinds.items()}
+    for on in tqdm(settings.fidelities, unit="fidelities", disable=not progress, desc=f"running on {task}"):
+        for name, returns in found["trained"].items():
+            policies = [f"{name}-{seed}" for seed in range(settings.seeds)]
+            returns[on] = np.round([cell(folder, settings, task, policy, on) for policy in policies], 2).tolist()
+        for name, returns in found["baselines"].items():
+            returns[on] = np.round(cell(folder, settings, task, name, on), 2).tolist()
+    return found
 
 
 def cell(folder: Path, settings: StudySettings, task: str, policy: str, fidelity: str) -> list[float]:
