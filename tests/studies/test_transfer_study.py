@@ -212,6 +212,7 @@ def test_a_small_study_is_written_down_where_it_was_asked_for(
     monkeypatch.setattr("scripts.studies.transfer.longrun.run_episodes", few)
     place = tmp_path / "elsewhere"
     (place / "docs").mkdir(parents=True)
+    (place / "whole.zip").write_bytes((tmp_path / "whole.zip").read_bytes())
     monkeypatch.chdir(place)
     command(monkeypatch, *SMALL.split(), "--folder", "study")
     assert not list((place / "docs").iterdir())  # a trial leaves the published page alone
