@@ -15,7 +15,8 @@ Hamiltonian is kept (Brogliato, Nonsmooth Mechanics, 3rd ed. 2016, ch. 4; Glocke
 
     M (qdot+ - qdot-) = lambda J^T,    J qdot+ = -e J qdot-    =>    lambda = -(1 + e) J qdot- / (J M^-1 J^T)
 
-No contact model calls the maps below: they are the law that the models are checked against.
+No contact model calls the maps below: they are the law that the models are checked against. They give the same bits on
+every processor, because their sums are written out and not left to a linear algebra library.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import _validation as check
+from jackbox_env.complementarity import combined, complementary, dot
 from jackbox_env.scene import Scene, SceneNumbers
 
 STATE_NAMES = (
@@ -56,7 +58,6 @@ LARGEST = 1e100
 _QUARTERS = np.arange(4) * (math.pi / 2.0)
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Numbers = Sequence[float] | Array  # 12 of them
 
 
@@ -98,7 +99,8 @@ def gaps(scene: Scene, state: ArrayLike) -> Array:
     _refuse_no_scene(scene)
     q = as_state(state)
     feet = q[3:5] - q[0:2] + scene.jack_arm * _directions(q[5])  # (4, 2) from the box's centre
-    return scene.box_half_width - _directions(q[2]) @ feet.T
+    normals = _directions(q[2])
+    return scene.box_half_width - (np.outer(normals[:, 0], feet[:, 0]) + np.outer(normals[:, 1], feet[:, 1]))
 
 
 def clearance(scene: Scene | SceneNumbers, state: Numbers) -> float:
@@ -190,9 +192,9 @@ def _gap_jacobian(scene: Scene, q: Array, wall: int, foot: int) -> Array:
     normal = _directions(q[2])[wall]
     offset = scene.jack_arm * _directions(q[5])[foot]
     contact = q[3:5] - q[0:2] + offset
-    normal_perp = np.array([-normal[1], normal[0]])
-    offset_perp = np.array([-offset[1], offset[0]])
-    return np.array([*normal, -normal_perp @ contact, *-normal, -normal @ offset_perp])
+    box_turns = normal[1] * contact[0] - normal[0] * contact[1]  # -n^perp . (r + o)
+    jack_turns = normal[0] * offset[1] - normal[1] * offset[0]  # -n . o^perp
+    return np.array([*normal, box_turns, *-normal, jack_turns])
 
 
 def impact_map(scene: Scene, state: ArrayLike, wall: int, foot: int) -> tuple[Array, float]:
@@ -209,11 +211,11 @@ def impact_map(scene: Scene, state: ArrayLike, wall: int, foot: int) -> tuple[Ar
     """
     jacobian = gap_jacobian(scene, state, wall, foot)
     after = as_state(state)
-    gap_rate = float(jacobian @ after[6:])
+    gap_rate = dot(jacobian, after[6:])
     if gap_rate >= 0.0:
         return after, 0.0
     kick = jacobian / np.array(scene.mass_diagonal)  # change of qdot per impulse
-    impulse = -(1.0 + scene.restitution) * gap_rate / float(jacobian @ kick)
+    impulse = -(1.0 + scene.restitution) * gap_rate / dot(jacobian, kick)
     after[6:] += impulse * kick
     return after, impulse
 
@@ -225,8 +227,8 @@ def simultaneous_impact_map(scene: Scene, state: ArrayLike, contacts: Sequence[t
 
     (Moreau 1988, "Unilateral contact and dry friction in finite freedom dynamics"; Glocker 2001.) Each listed contact
     takes part whether it approaches or not; list those whose gap is within the tolerance of the moment. The law is the
-    optimality condition of a convex problem (see ``_complementary``), so qdot+ is unique even where the impulses are
-    not (a foot in a corner has four contacts of rank 3); then the impulses are one valid choice.
+    optimality condition of a convex problem (:mod:`jackbox_env.complementarity`), so qdot+ is unique even where the
+    impulses are not (a foot in a corner has four contacts of rank 3); then the impulses are one valid choice.
     Resolving the contacts one after the other gives other, equally energy-keeping answers: this is the convention here.
 
     Args:
@@ -254,10 +256,12 @@ def simultaneous_impact_map(scene: Scene, state: ArrayLike, contacts: Sequence[t
     jacobian = np.array([_gap_jacobian(scene, before, wall, foot) for wall, foot in pairs])  # (n, 6)
     root = np.sqrt(np.array(scene.mass_diagonal))
     weighted = jacobian / root  # J M^-1/2
-    impulses = _complementary(weighted, (1.0 + scene.restitution) * (jacobian @ before[6:]))
+    lengths = np.array([math.sqrt(dot(row, row)) for row in weighted])
+    rows = weighted / lengths[:, None]
+    pushes = complementary(rows, (1.0 + scene.restitution) * root * before[6:])
     after = before.copy()
-    after[6:] += (impulses @ weighted) / root
-    return after, impulses
+    after[6:] += combined(rows, pushes) / root
+    return after, pushes / lengths
 
 
 def _pair(contact: tuple[int, int]) -> tuple[int, int]:
@@ -266,52 +270,6 @@ def _pair(contact: tuple[int, int]) -> tuple[int, int]:
     except Exception as error:
         raise TypeError(f"a contact must be a pair (wall, foot), got {check.shown(contact)}") from error
     return check.whole("wall", wall, at_least=0, at_most=3), check.whole("foot", foot, at_least=0, at_most=3)
-
-
-def _complementary(rows: Array, vector: Array) -> Array:
-    """Solve 0 <= x _|_ A x + b >= 0 for A = W W^T, with W = J M^-1/2, shape (n, 6), given as ``rows``.
-
-    The solution minimises |W^T x|^2 / 2 + b^T x over x >= 0, found by the active-set method of Lawson and Hanson (1974,
-    Solving Least Squares Problems, ch. 23). No set of active indices is taken twice: for dependent contacts the
-    remaining gradient is rounding noise, by which they could enter and leave for ever.
-    """
-    x, active = np.zeros_like(vector), np.zeros(len(vector), dtype=bool)
-    barred = np.zeros(len(vector), dtype=bool)  # tried in vain since x last moved
-    lengths = np.linalg.norm(rows, axis=1)  # gradients are compared per unit of weighted velocity
-    seen = {active.tobytes()}
-    while True:
-        descent = -(rows @ (x @ rows) + vector) / lengths
-        promising = ~active & ~barred & (descent > 1e-15 * np.linalg.norm(vector / lengths))
-        if not promising.any():
-            return x
-        chosen = int(np.argmax(np.where(promising, descent, -np.inf)))
-        joined = active.copy()
-        joined[chosen] = True
-        trial, kept = _minimum_within(rows, vector, x, joined)
-        if trial[chosen] > 0.0 and kept.tobytes() not in seen:
-            x, active = trial, kept
-            seen.add(kept.tobytes())
-            barred[:] = False
-        else:
-            barred[chosen] = True
-
-
-def _minimum_within(rows: Array, vector: Array, x: Array, active: Mask) -> tuple[Array, Mask]:
-    """Move x towards the minimum over the active indices, dropping each index that reaches zero on the way."""
-    active = active.copy()
-    while True:
-        trial = np.zeros_like(x)
-        # W W^T x = -b in two steps, W u = -b and W^T x = u: W W^T has the square of W's condition number.
-        # Least squares, because W loses rank for dependent contacts.
-        velocity = np.linalg.lstsq(rows[active], -vector[active], rcond=None)[0]
-        trial[active] = np.linalg.lstsq(rows[active].T, velocity, rcond=None)[0]
-        falling = active & (trial <= 0.0)
-        if not falling.any():
-            return trial, active
-        fractions = np.where(falling, x / np.where(x > trial, x - trial, 1.0), np.inf)
-        first = int(np.argmin(fractions))
-        x = np.where(active, np.maximum(x + fractions[first] * (trial - x), 0.0), 0.0)
-        active[first], x[first] = False, 0.0
 
 
 def energy(scene: Scene, state: ArrayLike) -> float:
