@@ -8,8 +8,9 @@ Order: none; the error is rounding, whatever the control step. The system is cha
 Cost: below 0.1 microseconds per control step in a batch. Work is in proportion to the impacts.
 Fails: elastic scenes only. A step that wants more than 1,000,000 gap evaluations raises RuntimeError: rotation or
     impacts far too fast for the step. A chirp that turns more than 83,333 times in a step is refused. A foot at rest
-    on a wall bounces by 1e-10 m and less, some thousand times per control step. A drive's functions are interpolated:
-    what happens between 13 points of a smooth stretch is not seen.
+    on a wall bounces by 1e-10 m and less, some thousand times per control step; one that comes to another wall
+    meanwhile may be as deep in it when it bounces. A drive's functions are interpolated: what happens between 13
+    points of a smooth stretch is not seen.
 Reference: Lygeros et al. 2003, "Dynamical properties of hybrid automata"; the bound is stated in ``kernel.py``.
 """
 

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from jackbox_env.scene import SceneNumbers
 from jackbox_env.simulators.drives import ALPHA, DEGREE, PUSH_X, PUSH_Y, horner
 from jackbox_env.simulators.impacts import quarter, resolve
-from jackbox_env.simulators.workspace import ELAPSED, PIECE, STATE, TALLY, WORK, Workspace
+from jackbox_env.simulators.workspace import ELAPSED, HITS, IMPULSE, PIECE, STATE, TALLY, WORK, Workspace
 from jackbox_env.trigonometry import cos_sin
 
 Array = NDArray[np.float64]
@@ -37,6 +37,8 @@ DONE, TOO_MUCH_WORK, TOO_FAST = range(3)
 # In place of 4 * wall + foot: no impact, none looked for yet, none to be found by reasonable work.
 NONE, NOT_KNOWN, ENDLESS = -1, -2, -3
 MOST_WORK = 1_000_000  # gaps evaluated in one step
+_RESTLESS = 65_536  # gaps evaluated up to which no step is taken for one at rest
+_GLANCE = 2.0**-12  # of a piece: how far a step at rest looks ahead
 _SLACK = 1.0 + 1e-12  # on bounds, for their rounding
 STEEPEST = 1e40  # K [m/s^2] and alpha [rad/s^2] beyond which squares overflow
 
@@ -200,6 +202,22 @@ def contact_tolerance(n: SceneNumbers) -> float:
     return max(1e-13 * min(1.0, n.box_half_width), 3.6e-15 * n.box_half_width)
 
 
+def deepest(n: SceneNumbers) -> float:
+    """How deep a foot at rest may be in a wall [m]: 1e-10, less in boxes below 1 m."""
+    return 1e-10 * min(1.0, n.box_half_width)
+
+
+def rests(n: SceneNumbers, w: Workspace) -> bool:
+    """Whether the work of a step tells of a jack at rest: much of it, for impacts of next to no impulse.
+
+    Such a step looks ahead only as far as its next impacts are: after each of thousands it would look at what may come
+    in all the rest of the step.
+    """
+    if w[TALLY, WORK] <= _RESTLESS:
+        return False
+    return bool(w[TALLY, IMPULSE] <= 1e-3 * n.jack_mass * n.speed_scale * w[TALLY, HITS])
+
+
 def parabola_root(gap: float, rate: float, curvature: float) -> float:
     """First s > 0 at which gap + rate s - curvature s^2 / 2 is 0, for gap >= 0; infinity if it never is."""
     root = math.sqrt(rate * rate + 2.0 * curvature * gap)
@@ -289,18 +307,18 @@ def search(
     A foot at the wall that does not approach can not be deeper than ``sink`` before the parabola from where it is is:
     without that depth a foot at rest on a wall would never get off the spot. It is the tolerance, and grows to 1e-10 m
     with the work of a step, so that a jack that rests on a wall or slides along it costs thousands of looks and impacts
-    and not millions.
+    and not millions. A step at rest grants that depth to a foot near the wall too.
     """
     still = 1e-15 * (abs(flight.vx) + abs(flight.vy) + flight.gravity * end)
     still += 1e-15 * (abs(flight.omega) * n.box_half_width + n.jack_arm * abs(flight.jack_omega))
     s = 0.0
     while True:
         if gap > tolerance:
-            after = s + parabola_root(gap, rate, curvature)
+            after = s + parabola_root(gap + (deepest(n) if rests(n, w) else 0.0), rate, curvature)
         elif rate < -still:
             return s
         else:
-            sink = min(1e-10 * min(1.0, n.box_half_width), tolerance * 2.0 ** min(w[TALLY, WORK] / 64.0, 60.0))
+            sink = min(deepest(n), tolerance * 2.0 ** min(w[TALLY, WORK] / 64.0, 60.0))
             after = s + parabola_root(max(gap + sink, 0.1 * tolerance), max(rate, 0.0), curvature)
         if not after <= end or w[TALLY, WORK] > MOST_WORK:
             return math.inf
@@ -336,7 +354,8 @@ def advance(
     if pushed:
         push = largest(w, PUSH_X) + largest(w, PUSH_Y)
     while True:
-        left = length - since
+        remaining = length - since
+        left = min(remaining, _GLANCE * length) if rests(n, w) else remaining
         flight = Flight(
             m[3] - m[0], m[4] - m[1], m[9] - m[6], m[10] - m[7], m[2], m[8], m[5], m[11],
             n.gravity, alpha, since, 0.5 * length, curved, pushed,
@@ -354,7 +373,11 @@ def advance(
         if pair == NONE:
             evolve(w, flight, left)
             tally[ELAPSED] += left
-            return DONE
+            if left == remaining:
+                return DONE
+            since += left
+            pair = NOT_KNOWN
+            continue
         evolve(w, flight, time)
         tally[ELAPSED] += time
         tally[WORK] += 1.0
