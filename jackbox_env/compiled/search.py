@@ -28,7 +28,7 @@ from jackbox_env.compiled.drives import DEGREE, PUSH_X, PUSH_Y, TURN, horner
 from jackbox_env.compiled.impacts import quarter, resolve
 from jackbox_env.compiled.status import Status
 from jackbox_env.compiled.trigonometry import cos_sin
-from jackbox_env.compiled.workspace import ELAPSED, PIECE, STATE, TALLY, WORK, Workspace
+from jackbox_env.compiled.workspace import ELAPSED, HITS, IMPULSE, PIECE, STATE, TALLY, WORK, Workspace
 from jackbox_env.scene import SceneNumbers
 
 Array = NDArray[np.float64]
@@ -36,6 +36,8 @@ Array = NDArray[np.float64]
 # In place of 4 * wall + foot: no impact, or none to be found by reasonable work.
 NONE, ENDLESS = -1, -2
 MOST_WORK = 1_000_000  # gaps evaluated in one step
+_RESTLESS = 65_536  # gaps evaluated up to which no step is taken for one at rest
+_GLANCE = 2.0**-12  # of a piece: how far a step at rest looks ahead
 _SLACK = 1.0 + 1e-12  # on bounds, for their rounding
 STEEPEST = 1e40  # K [m/s^2] and alpha [rad/s^2] beyond which squares overflow
 
@@ -256,6 +258,22 @@ def contact_tolerance(scene: SceneNumbers) -> float:
     return max(1e-13 * min(1.0, scene.box_half_width), 3.6e-15 * scene.box_half_width)
 
 
+def deepest(scene: SceneNumbers) -> float:
+    """How deep a foot at rest may be in a wall [m]: 1e-10, less in boxes below 1 m."""
+    return 1e-10 * min(1.0, scene.box_half_width)
+
+
+def rests(scene: SceneNumbers, work: Workspace) -> bool:
+    """Whether the work of a step tells of a jack at rest: much of it, for impacts of next to no impulse.
+
+    Such a step looks ahead only as far as its next impacts are. Otherwise it would look, after each of thousands of
+    them, at what may come in all the rest of the step.
+    """
+    if work[TALLY, WORK] <= _RESTLESS:
+        return False
+    return bool(work[TALLY, IMPULSE] <= 1e-3 * scene.jack_mass * scene.speed_scale * work[TALLY, HITS])
+
+
 def parabola_root(gap: float, rate: float, curvature: float) -> float:
     """First s > 0 at which gap + rate s - curvature s^2 / 2 is 0, for gap >= 0; infinity if it never is."""
     root = math.sqrt(rate * rate + 2.0 * curvature * gap)
@@ -292,22 +310,22 @@ def gap_at(scene: SceneNumbers, flight: Flight, work: Workspace, wall: int, foot
 
 
 def first_impact(
-    scene: SceneNumbers, work: Workspace, flight: Flight, piece: Piece, tolerance: float
+    scene: SceneNumbers, work: Workspace, flight: Flight, piece: Piece, left: float, tolerance: float
 ) -> tuple[float, int]:
-    """Find the first impact of a flight within what is left of its piece.
+    """Find the first impact of a flight within ``left`` [s], which is at most what is left of its piece.
 
     Args:
         scene: the scene.
         work: memory with the polynomial accelerations.
         flight: what moves.
         piece: what acts on the box.
+        left: [s].
         tolerance: gap at which a foot touches [m].
 
     Returns:
         Its time since the flight's start [s] and 4 * wall + foot; ``NONE`` if there is none, ``ENDLESS`` if it can not
         be told.
     """
-    left = piece.length - flight.since
     if reach_of(scene, flight, left, piece.push) + scene.jack_arm < scene.box_half_width:
         return left, NONE
     bounds = bounds_of(scene, flight, left, piece.spin_up, piece.push)
@@ -355,7 +373,7 @@ def search(scene: SceneNumbers, work: Workspace, flight: Flight, approach: Appro
     A foot that touches and does not approach stays within ``sink`` until the parabola through its present gap does:
     without that depth a foot at rest on a wall would never leave the spot. ``sink`` is the tolerance and grows to
     1e-10 m with the work of a step, so that a jack that rests on a wall or slides along it costs thousands of looks and
-    impacts and not millions.
+    impacts and not millions. A step at rest grants that depth to a foot near the wall too.
     """
     still = 1e-15 * (abs(flight.vx) + abs(flight.vy) + flight.gravity * limits.end)
     still += 1e-15 * (abs(flight.omega) * scene.box_half_width + scene.jack_arm * abs(flight.jack_omega))
@@ -363,11 +381,11 @@ def search(scene: SceneNumbers, work: Workspace, flight: Flight, approach: Appro
     s = 0.0
     while True:
         if gap > tolerance:
-            after = s + parabola_root(gap, rate, limits.curvature)
+            after = s + parabola_root(gap + (deepest(scene) if rests(scene, work) else 0.0), rate, limits.curvature)
         elif rate < -still:
             return s
         else:
-            sink = min(1e-10 * min(1.0, scene.box_half_width), tolerance * 2.0 ** min(work[TALLY, WORK] / 64.0, 60.0))
+            sink = min(deepest(scene), tolerance * 2.0 ** min(work[TALLY, WORK] / 64.0, 60.0))
             after = s + parabola_root(max(gap + sink, 0.1 * tolerance), max(rate, 0.0), limits.curvature)
         if not after <= limits.end or work[TALLY, WORK] > MOST_WORK:
             return math.inf
@@ -385,14 +403,19 @@ def advance(scene: SceneNumbers, work: Workspace, piece: Piece, touch: Touch, si
     The state is in a frame near the box; ``work`` holds the polynomial accelerations.
     """
     while since < piece.length:
+        remaining = piece.length - since
+        left = min(remaining, _GLANCE * piece.length) if rests(scene, work) else remaining
         flight = flight_of(scene, work[STATE], piece, since)
-        time, pair = first_impact(scene, work, flight, piece, touch.tolerance)
+        time, pair = first_impact(scene, work, flight, piece, left, touch.tolerance)
         if pair == ENDLESS:
             return why_endless(work)
         if pair == NONE:
-            evolve(work, flight, piece.length - since)
-            work[TALLY, ELAPSED] += piece.length - since
-            return Status.DONE
+            evolve(work, flight, left)
+            work[TALLY, ELAPSED] += left
+            if left == remaining:
+                return Status.DONE
+            since += left
+            continue
         strike(scene, work, flight, time, pair, touch.together)
         since += time
     return Status.DONE

@@ -124,7 +124,7 @@ def step_near(scene: SceneNumbers, plan: Plan, before: Array, after: Array, alph
         return Status.TOO_FAST
     piece = held_piece(plan.dt, alpha)
     flight = flight_of(scene, before, piece, 0.0)
-    time, pair = first_impact(scene, work, flight, piece, plan.tolerance)
+    time, pair = first_impact(scene, work, flight, piece, plan.dt, plan.tolerance)
     if pair == ENDLESS:
         return why_endless(work)
     if pair == NONE:

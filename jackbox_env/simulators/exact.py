@@ -1,6 +1,6 @@
 """``contact="exact"``: from impact to impact, each found with a guarantee, in compiled code.
 
-Law: flight in closed form (``kernel.py``); at an impact all feet that touch, within 1e-13 m or 4 units in the last
+Law: flight in closed form (``compiled/search.py``); at an impact all feet that touch, within 1e-13 m or 4 units in the last
     place of a far-off position, take the simultaneous Newton law of
     :func:`jackbox_env.mechanics.simultaneous_impact_map`.
 Order: none; the error is rounding, whatever the control step. The system is chaotic and multiplies any error by about 5
@@ -8,9 +8,10 @@ Order: none; the error is rounding, whatever the control step. The system is cha
 Cost: below 0.1 microseconds per control step in a batch. Work is in proportion to the impacts.
 Fails: elastic scenes only. A step that wants more than 1,000,000 gap evaluations raises JackLostError: rotation or
     impacts far too fast for the step. A chirp that turns more than 83,333 times in a step is refused. A foot at rest
-    on a wall bounces by 1e-10 m and less, some thousand times per control step. A drive's functions are interpolated:
-    what happens between 13 points of a smooth stretch is not seen.
-Reference: Lygeros et al. 2003, "Dynamical properties of hybrid automata"; the bound is stated in ``kernel.py``.
+    on a wall bounces by 1e-10 m and less, some thousand times per control step; one that comes to another wall
+    meanwhile may be as deep in it when it bounces. A drive's functions are interpolated: what happens between 13
+    points of a smooth stretch is not seen.
+Reference: Lygeros et al. 2003, "Dynamical properties of hybrid automata"; the bound is stated in ``compiled/search.py``.
 """
 
 from __future__ import annotations
