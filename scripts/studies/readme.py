@@ -13,7 +13,7 @@ from typing import Any
 from scripts.common import command_line
 
 ROOT = Path(__file__).parents[2]
-SWEEP = ROOT / "docs" / "accuracy" / "results.json"
+SWEEP = ROOT / "docs" / "accuracy"
 PICTURE = ROOT / "docs" / "jackbox.gif"
 
 
@@ -83,12 +83,13 @@ def main() -> None:
     import tyro
 
     from scripts.studies.accuracy.page import for_the_readme
+    from scripts.studies.accuracy.results import Results
 
     arguments = tyro.cli(Arguments, description=__doc__)
     run = arguments.run or newest_demo()
     page = (ROOT / "README.md").read_text()
     page = fill(page, "baselines", results_table(json.loads((run / "results.json").read_text())))
-    page = fill(page, "fidelity", for_the_readme(json.loads(SWEEP.read_text())))
+    page = fill(page, "fidelity", for_the_readme(Results.load(SWEEP)))
     if arguments.picture:
         take_picture(run)
     if arguments.benchmark:

@@ -1,1 +1,1 @@
-"""Speed against accuracy: every contact model and setting on the same cases. ``scripts/studies/accuracy/benchmark.py`` runs it."""
+"""Speed against accuracy: every contact model and setting on the same cases; ``benchmark.py`` is the command."""

@@ -23,10 +23,10 @@ _DATA = Path(__file__).parents[3] / "tests" / "data"
 
 
 def seeded(kind: str, seed: int) -> Case:
-    """A case of 10 s: under the chirp, under held random torques, or weightless with neither torque nor gravity.
+    """A case of 10 s: under the chirp, under random torques, each held for a step, or weightless without torque.
 
-    The first two start as the environment does. A weightless jack starts with 5 m/s, 5 rad/s and a box at 1 rad/s as
-    standard deviations: nothing else would move it.
+    The first two start as the environment does. A weightless jack gets random rates, of standard deviation 5 m/s and
+    5 rad/s, and its box 1 rad/s: nothing else would move them.
     """
     rng = np.random.default_rng([KINDS.index(kind), seed])
     scene = WEIGHTLESS if kind == "weightless" else Scene()
@@ -39,31 +39,24 @@ def seeded(kind: str, seed: int) -> Case:
     return Case(f"{kind} {seed}", scene, state, STEPS, torques, DT)
 
 
-def seeded_with_references(kind: str, count: int) -> list[tuple[Case, Reference]]:
-    """The first ``count`` seeded cases of a kind with the exact model's courses."""
+def with_references(kind: str, count: int) -> list[tuple[Case, Reference]]:
+    """The cases of a kind: all that are known to 60 digits, or ``count`` seeded ones with the exact model's courses."""
+    if kind == DIGITS:
+        files = [_DATA / "exact_trajectories.json", _DATA / "seed_scene.json"]
+        return [_from_record(record) for file in files for record in json.loads(file.read_text())]
     cases = [seeded(kind, seed) for seed in range(count)]
     return [(case, reference_of(case)) for case in cases]
 
 
-def known_to_60_digits() -> list[tuple[Case, Reference]]:
-    """Trajectories of 5 s (one of 10 s) that were computed with 60 digits, independently of this project."""
-    records = [
-        record
-        for name in ("exact_trajectories", "seed_scene")
-        for record in json.loads((_DATA / f"{name}.json").read_text())
-    ]
-    return [_from_record(record) for record in records]
-
-
 def _from_record(record: dict[str, Any]) -> tuple[Case, Reference]:
+    """A trajectory of 5 or 10 s that was computed with 60 digits, independently of this project."""
     scene = Scene(gravity=record["gravity"]) if record["drive"] != "none" else WEIGHTLESS
     start = np.array(record["q"] + record["qdot"], dtype=np.float64)
-    steps = round(record["T"] / DT)
     torques = None
     if record["drive"] == "held":
         torques = [scene.torque_limit * float(np.float32(action)) for action in record["actions"]]
     times = np.array([0.0] + [entry["time"] for entry in record["states"]])
     states = np.array([start] + [entry["state"] for entry in record["states"]])
     impacts = [Impact(hit["time"], hit["wall"], hit["foot"], hit["impulse"]) for hit in record["impacts"]]
-    case = Case(record["name"], scene, start, steps, torques, DT)
+    case = Case(record["name"], scene, start, round(record["T"] / DT), torques, DT)
     return case, Reference(times, states, impacts, len(impacts))

@@ -1,67 +1,33 @@
-"""How others simulate this system: contact models that :mod:`jackbox_env.accuracy` can follow beside this package's.
+"""How others simulate this system: contact models that :mod:`jackbox_env.accuracy` measures beside this package's.
 
-None of them is offered to users of the environment; they are here to be measured.
+Users of the environment cannot choose them.
 """
 
 from __future__ import annotations
 
 import importlib.util
 from collections.abc import Callable
-from typing import NamedTuple
 
-from jackbox_env.scene import Scene
 from scripts.studies.rivals.base import Rival
 
-Factory = Callable[[Scene, int], Rival]  # of a scene and substeps per control step
-
-
-class _Entry(NamedTuple):
-    factory: Factory
-    package: str | None  # that must be there
-    extra: str | None  # of this project that brings it
-
-
-def _naive(scene: Scene, substeps: int) -> Rival:
-    from scripts.studies.rivals.naive import NaiveSimulator
-
-    return NaiveSimulator(scene, substeps)
-
-
-def _box2d(scene: Scene, substeps: int) -> Rival:
-    from scripts.studies.rivals.box2d import Box2DSimulator
-
-    return Box2DSimulator(scene, substeps)
-
-
-def _mujoco(scene: Scene, substeps: int) -> Rival:
-    from scripts.studies.rivals.mujoco import MujocoSimulator
-
-    return MujocoSimulator(scene, substeps)
-
-
-_ENTRIES = {
-    "naive": _Entry(_naive, None, None),
-    "box2d": _Entry(_box2d, "Box2D", "dev"),
-    "mujoco": _Entry(_mujoco, "mujoco", "peers"),
+Factory = Callable[..., Rival]  # takes the scene and the substeps per control step
+_RIVALS = {  # class in the module of that name, package needed, extra of this project that installs it
+    "naive": ("NaiveSimulator", "numpy", "dev"),
+    "box2d": ("Box2DSimulator", "Box2D", "dev"),
+    "mujoco": ("MujocoSimulator", "mujoco", "peers"),
 }
 
 
-def _is_missing(entry: _Entry) -> bool:
-    return entry.package is not None and importlib.util.find_spec(entry.package) is None
+def missing() -> dict[str, str]:
+    """Rivals whose package is not installed, and how to install it."""
+    packages = {name: entry[1:] for name, entry in _RIVALS.items() if importlib.util.find_spec(entry[1]) is None}
+    return {name: f"not installed (pip install -e '.[{extra}]')" for name, (_, extra) in packages.items()}
 
 
 def available() -> dict[str, Factory]:
-    """What makes each rival whose package is installed: a function of (scene, substeps)."""
-    return {name: entry.factory for name, entry in _ENTRIES.items() if not _is_missing(entry)}
-
-
-def missing() -> dict[str, str]:
-    """The other rivals, and what to do about it."""
-    return {
-        name: f"not installed (pip install -e '.[{entry.extra}]')"
-        for name, entry in _ENTRIES.items()
-        if _is_missing(entry)
-    }
+    """The other rivals."""
+    modules = {name: importlib.import_module(f"{__name__}.{name}") for name in _RIVALS if name not in missing()}
+    return {name: getattr(module, _RIVALS[name][0]) for name, module in modules.items()}
 
 
 __all__ = ["Factory", "Rival", "available", "missing"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -15,106 +16,80 @@ from jackbox_env.scene import Drive, Scene
 from jackbox_env.simulators.base import Impact, Simulator, end_of_step
 from jackbox_env.states import LATEST_TIME, Array, as_held, as_state, clearance, deepest_held
 
+DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))  # of walls 0 to 3 and of feet 0 to 3
 Pair = tuple[int, int]  # wall, foot
 Loads = tuple[float, float, float]  # on the box over a substep: mean torque [N m] and mean side forces [N]
-_MOST_SUBSTEPS = 1_000_000
+Waiting = tuple[tuple[Impact, bool], ...]  # impacts not told yet, and whether each is under way
+Trace = list[tuple[list[float], list[float]]]  # states before and after each substep, without the jump at its end
 
 
-class Stretch(NamedTuple):
-    """What a model did in one substep, but for jumps of the velocity at its end."""
+class Record:
+    """What happens in a step: a foot that pushes on a wall in consecutive substeps makes one impact.
 
-    before: list[float]  # 12 numbers
-    after: list[float]
-
-
-class Pushes:
-    """Makes impacts of contacts that push during substeps.
-
-    A foot that pushes on a wall in substeps that follow one another does so in one impact: its time is that of the
-    first, its impulse the sum. An impact is told once it is over and those that began before it have been told, so
-    impacts come in the order of their times.
+    Its time is that of the first push, its impulse is the sum. It is told when it is over and all that began before it
+    are told: impacts come in the order of their times.
     """
 
-    def __init__(self, waiting: tuple[tuple[Impact, bool], ...] = ()) -> None:
-        """Go on from ``waiting``: what an earlier record left."""
-        self._waiting = [list[Any](entry) for entry in waiting]  # of [impact, whether it is under way]
+    def __init__(self, waiting: Waiting = (), trace: Trace | None = None) -> None:
+        """Continue from what an earlier record had not told; models add each substep to a ``trace``."""
+        self.waiting, self.trace = waiting, trace
 
     def add(self, time: float, pushes: dict[Pair, float]) -> None:
-        """Take note of a substep: ``pushes`` are the impulses in it [N s], ``time`` [s] is when they are found."""
-        rest = dict(pushes)
-        for entry in self._waiting:
-            hit = entry[0]
-            if entry[1]:
-                more = rest.pop((hit.wall, hit.foot), None)
-                entry[0], entry[1] = hit._replace(impulse=hit.impulse + (more or 0.0)), more is not None
-        self._waiting += [[Impact(time, wall, foot, impulse), True] for (wall, foot), impulse in rest.items()]
+        """Record a substep: ``pushes`` are its impulses [N s], found at ``time`` [s]."""
+        rest, waiting = dict(pushes), list[tuple[Impact, bool]]()
+        for hit, under_way in self.waiting:
+            more = rest.pop((hit.wall, hit.foot), None) if under_way else None
+            waiting.append((hit._replace(impulse=hit.impulse + (more or 0.0)), more is not None))
+        self.waiting = (*waiting, *((Impact(time, *pair, impulse), True) for pair, impulse in rest.items()))
 
     def add_whole(self, impact: Impact) -> None:
-        """Take note of an impact that is over at once."""
-        self._waiting.append([impact, False])
+        """Record an impact that is over at once."""
+        self.waiting += ((impact, False),)
 
     def close(self, is_over: Callable[[int, int], bool]) -> None:
-        """End the impacts under way of which ``is_over(wall, foot)`` knows that they will not push any more."""
-        for entry in self._waiting:
-            entry[1] = entry[1] and not is_over(entry[0].wall, entry[0].foot)
+        """End the impacts under way for which ``is_over(wall, foot)`` is true."""
+        self.waiting = tuple((hit, going and not is_over(hit.wall, hit.foot)) for hit, going in self.waiting)
 
     def take(self) -> list[Impact]:
-        """What can be told now."""
-        told = list[Impact]()
-        while self._waiting and not self._waiting[0][1]:
-            told.append(self._waiting.pop(0)[0])
+        """Remove and return what can be told now."""
+        told = [hit for hit, _ in itertools.takewhile(lambda entry: not entry[1], self.waiting)]
+        self.waiting = self.waiting[len(told) :]
         return told
-
-    def left(self) -> tuple[tuple[Impact, bool], ...]:
-        """What can not be told yet."""
-        return tuple((entry[0], entry[1]) for entry in self._waiting)
 
 
 class _Present(NamedTuple):
-    """All that changes: replaced as one, so that no error parts it."""
+    """All that changes. It is replaced as one, so an error leaves it whole."""
 
     state: list[float]
     time: float
     torque: float = 0.0
     impacts: tuple[Impact, ...] = ()
-    waiting: tuple[tuple[Impact, bool], ...] = ()
+    waiting: Waiting = ()
     played: tuple[list[float], float, float, float | None] | None = None  # state, time, h, torque of the last step
 
 
 class Rival(ABC):
     """A contact model that takes equal substeps of h = dt / substeps; see :class:`Simulator` for the methods.
 
-    The motion follows from (state, time) alone. The record of impacts does not: an impact under way at a step's end is
-    told by a later step, and one that is under way in a state put back counts from there on.
+    (state, time) determines the motion, but not the record of impacts: one under way at the end of a step is told by a
+    later step, and after a reset it counts from there on.
     """
 
     def __init__(self, scene: Scene, substeps: int) -> None:
         """Start at rest in the middle of the box, each foot facing a corner.
 
-        Args:
-            scene: what to simulate.
-            substeps: per call of :meth:`step`, 1 to 1,000,000.
-
         Raises:
-            TypeError, ValueError: substeps is no whole number in its range, or the model can not do the scene.
+            TypeError, ValueError: substeps not from 1 to 1,000,000, or a scene that the model cannot simulate.
         """
         self.scene = scene
-        self.substeps = check.whole("substeps", substeps, at_least=1, at_most=_MOST_SUBSTEPS)
+        self.substeps = check.whole("substeps", substeps, at_least=1, at_most=1_000_000)
         self._present = _Present([0.0] * 5 + [math.pi / 4.0] + [0.0] * 6, 0.0)
-        self._prepare()
-
-    def _prepare(self) -> None:  # noqa: B027  # most have an engine to build, one has not
-        """Build what is not kept when pickled."""
 
     @abstractmethod
     def _simulate(
-        self, state: list[float], time: float, h: float, torque: float | None, pushes: Pushes,
-        trace: list[Stretch] | None,
-    ) -> tuple[list[float], float]:  # fmt: skip
-        """Take the substeps; return the state after them and the mean torque [N m].
-
-        Whatever the model did before must not matter. ``trace``, if there is one, gets every substep.
-        """
+        self, state: list[float], time: float, h: float, torque: float | None, record: Record
+    ) -> tuple[list[float], float]:
+        """Take the substeps, whatever came before; return the final state and the mean torque [N m]."""
 
     @property
     def state(self) -> Array:
@@ -133,7 +108,7 @@ class Rival(ABC):
 
     @property
     def impacts(self) -> list[Impact]:
-        """The impacts that the last step told of, in time order; a fresh list."""
+        """The impacts that the last step told, in time order; a fresh list."""
         return list(self._present.impacts)
 
     def reset(self, state: ArrayLike, time: float = 0.0) -> None:
@@ -149,8 +124,8 @@ class Rival(ABC):
         now = self._present
         end = end_of_step(now.time, dt)
         h = check.real("dt / substeps", dt / self.substeps, above=0.0)
-        pushes = Pushes(now.waiting)
-        after, mean = self._simulate(now.state, now.time, h, torque, pushes, None)
+        record = Record(now.waiting)
+        after, mean = self._simulate(now.state, now.time, h, torque, record)
         outside, deepest = -clearance(self.scene, after), deepest_held(self.scene)
         if not (outside <= deepest and math.isfinite(sum(after))):
             raise RuntimeError(
@@ -158,99 +133,91 @@ class Rival(ABC):
                 f"{deepest:g} m is followed"
             )
         played = now.state, now.time, h, torque
-        self._present = _Present(after, end, mean, tuple(pushes.take()), pushes.left(), played)
+        self._present = _Present(after, end, mean, tuple(record.take()), record.waiting, played)
 
     def look(self, simulator: Simulator, before: Array, time: float, torque: float | None) -> Between:
-        """See inside the last step, by taking it once more; for :func:`jackbox_env.accuracy.follow`.
+        """Look inside the last step by taking it again: a Look for :func:`jackbox_env.accuracy.follow`.
 
-        The depth is the deepest at any substep's end. The work is that of the true torque and side forces on the rate
-        omega that the model gave the box: over a substep of h it changes from one omega to the next, so the work is
-        h * (mean torque) * (mean of both), and in flight that is what the true motion would take from the one to the
-        other. The arguments are those of any Look; this one knows of its own last step.
+        The depth is the largest at the ends of the substeps. The work is that of the true torque and side forces on the
+        box as the model moved it: h * (mean torque) * (mean of omega before and after) in each substep.
 
         Raises:
             ValueError: asked about another simulator.
-            RuntimeError: there was no step, or taking it again led elsewhere: the model is not a function of
-                (state, time).
+            RuntimeError: there was no step since the reset, or (state, time) does not determine the motion.
         """
         if simulator is not self:
             raise ValueError("a rival can look only into its own steps, got another simulator")
         if self._present.played is None:
             raise RuntimeError("there was no step to look into since the reset")
         state, time, h, torque = self._present.played
-        trace = list[Stretch]()
-        after, _ = self._simulate(state, time, h, torque, Pushes(), trace)
+        trace: Trace = []
+        after, _ = self._simulate(state, time, h, torque, Record(trace=trace))
         if after != self._present.state:
-            raise RuntimeError(f"the step after t = {time:g} s, taken again, led elsewhere")
+            raise RuntimeError(f"the step after t = {time:g} s gave another state when it was repeated")
         work = 0.0
-        for number, stretch in enumerate(trace):
+        for number, (left, right) in enumerate(trace):
             for load, rate in zip(self._loads(time + number * h, h, torque), (8, 6, 7), strict=True):
-                work += h * load * 0.5 * (stretch.before[rate] + stretch.after[rate])
-        return Between(max(-clearance(self.scene, stretch.after) for stretch in trace), work)
+                work += h * load * 0.5 * (left[rate] + right[rate])
+        return Between(max(-clearance(self.scene, right) for _, right in trace), work)
 
     def _loads(self, time: float, h: float, torque: float | None) -> Loads:
-        """What acts on the box in the ``h`` after ``time`` [s], averaged."""
+        """Mean loads on the box in the ``h`` after ``time`` [s]."""
         drive = self.scene.drive or Drive()
         if torque is None:
             torque = 0.5 * sum(drive.torque_means(time, h))
         forces = [0.5 * sum(means(time, h)) for means in drive.force_means] or [0.0, 0.0]
         return torque, forces[0], forces[1]
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in ("scene", "substeps", "_present")}
-
-    def __setstate__(self, kept: dict[str, Any]) -> None:
-        self.__dict__.update(kept)
-        self._prepare()
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.scene, self.substeps), {"_present": self._present}
 
 
 class EngineRival(Rival):
-    """A rival that an engine steps: placed anew at every control step, then told the loads of each substep."""
+    """A rival that an engine steps: placed anew at every control step, then given the loads of each substep."""
+
+    engine: str  # its name in errors
+
+    def __init__(self, scene: Scene, substeps: int = 4) -> None:
+        """See :class:`Rival`. Lengths and masses must be from 1e-6 to 1e6, to suit the engine's own constants."""
+        for field in ("box_half_width", "box_mass", "box_inertia", "jack_arm", "jack_mass", "jack_inertia"):
+            check.real(f"{field} for {self.engine}", getattr(scene, field), at_least=1e-6, at_most=1e6)
+        super().__init__(scene, substeps)
+        self._build()
 
     def _simulate(
-        self, state: list[float], time: float, h: float, torque: float | None, pushes: Pushes,
-        trace: list[Stretch] | None,
-    ) -> tuple[list[float], float]:  # fmt: skip
+        self, state: list[float], time: float, h: float, torque: float | None, record: Record
+    ) -> tuple[list[float], float]:
         self._place(state, h)
         total, before = 0.0, state
         for number in range(self.substeps):
             start = time + number * h
             loads = self._loads(start, h, torque)
             total += loads[0]
-            pushes.add(start, self._substep(h, loads))
-            if trace is not None:
+            record.add(start, self._substep(h, loads))
+            if record.trace is not None:
                 after = self._read()
-                trace.append(Stretch(before, after))
+                record.trace.append((before, after))
                 before = after
         end = self._read()
-        pushes.close(lambda wall, foot: self._is_over(end, wall, foot))
+        record.close(lambda wall, foot: self._is_over(end, wall, foot))
         return end, total / self.substeps
 
     @abstractmethod
+    def _build(self) -> None:
+        """Build the scene in the engine."""
+
+    @abstractmethod
     def _place(self, state: list[float], h: float) -> None:
-        """Put the engine in a state, to go on with substeps of ``h`` [s]."""
+        """Put the engine in a state, to continue with substeps of ``h`` [s]."""
 
     @abstractmethod
     def _substep(self, h: float, loads: Loads) -> dict[Pair, float]:
-        """Take one substep; return the impulses of the contacts that pushed in it [N s].
-
-        The engine finds its contacts where the substep starts.
-        """
+        """Take one substep. Return the impulses of the contacts that pushed, found at its start [N s]."""
 
     @abstractmethod
     def _is_over(self, state: list[float], wall: int, foot: int) -> bool:
-        """Whether a contact that pushed in the last substep is done with."""
+        """Whether a contact that pushed in the last substep has ended."""
 
     @abstractmethod
     def _read(self) -> list[float]:
         """The engine's state, 12 numbers."""
-
-
-def refuse_extremes(scene: Scene, name: str) -> None:
-    """Refuse a scene whose lengths and masses an engine's own constants could not tell from nothing.
-
-    Raises:
-        ValueError: one of them is outside [1e-6, 1e6] m, kg or kg m^2.
-    """
-    for field in ("box_half_width", "box_mass", "box_inertia", "jack_arm", "jack_mass", "jack_inertia"):
-        check.real(f"{field} for {name}", getattr(scene, field), at_least=1e-6, at_most=1e6)

@@ -1,8 +1,8 @@
 """Box2D 2.3.10: semi-implicit Euler and sequential impulses in single precision, tuned as its manual advises.
 
-Law: each substep adds the forces' impulses to the velocities, solves the contacts found where the substep starts
-    (restitution by the approach speed before the solve), moves by the new velocities, then pushes apart what overlaps
-    by more than 5 mm.
+Law: each substep adds the forces' impulses to the velocities. It solves the contacts found where the substep starts
+    (restitution by the approach speed before the solve) and moves by the new velocities. Then it pushes apart what
+    overlaps by more than 5 mm.
 Order: first in h = dt / substeps: flight runs ahead by g h t / 2, and an impact waits for the next substep's start.
 Cost: about 20 us per substep, of which the engine takes half.
 Fails: below a closing speed of 1 m/s (``b2_velocityThreshold``, compiled in: assigning to the module's constant does
@@ -11,11 +11,11 @@ Fails: below a closing speed of 1 m/s (``b2_velocityThreshold``, compiled in: as
 Reference: Catto, Box2D v2.3 User Manual; b2Settings.h for the constants.
 
 How it is tuned: metres, kilograms, seconds; 8 velocity and 3 position iterations (30 and 10 gave the same numbers under
-the default chirp); both restitutions e (the larger counts), no friction, no damping, no sleeping. Walls are fat boxes
-on the box's body and every polygon has a skin of 0.01 m, so they are set back by it: a foot, a circle of radius 0,
-touches at gap 0. Bullets are not needed, walls are as thick as L. Each control step starts at the box's place and with
-angles within half a turn, where float32 is finest, and without the contacts of the last: they are solved in the order
-in which they came to be and started from their last impulses, so that the past would act.
+the default chirp); both restitutions e (the larger counts), no friction, no damping, no sleeping. Walls are boxes as
+thick as L on the box's body, so bullets are not needed. Every polygon has a skin of 0.01 m, and the walls are set back
+by it: a foot, a circle of radius 0, touches at gap 0. Each control step starts with the box at the origin and angles
+within half a turn, where float32 is finest. It starts without contacts: the engine solves them in the order of their
+beginning and from their last impulses, so the past would act.
 """
 
 from __future__ import annotations
@@ -27,8 +27,7 @@ import Box2D
 import numpy as np
 
 from jackbox_env.mechanics import gap_jacobian
-from jackbox_env.scene import Scene
-from scripts.studies.rivals.base import EngineRival, Loads, Pair, refuse_extremes
+from scripts.studies.rivals.base import DIRECTIONS, EngineRival, Loads, Pair
 
 _VELOCITY_ITERATIONS, _POSITION_ITERATIONS = 8, 3
 _SKIN = float(Box2D.b2_polygonRadius)  # [m]
@@ -36,7 +35,6 @@ _FARTHEST, _FURTHEST_TURN = float(Box2D.b2_maxTranslation), float(Box2D.b2_maxRo
 _SLACK = 0.999  # of float32
 _LEAVING = 1e-3  # [m/s]
 _FAR_OFF = 100.0  # over L
-_DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
 
 
 class _Listener(Box2D.b2ContactListener):  # type: ignore[misc]
@@ -56,12 +54,9 @@ class _Listener(Box2D.b2ContactListener):  # type: ignore[misc]
 class Box2DSimulator(EngineRival):
     """Box2D; the module's head states the law."""
 
-    def __init__(self, scene: Scene, substeps: int = 4) -> None:
-        """See :class:`Rival`; lengths and masses from 1e-6 to 1e6."""
-        refuse_extremes(scene, "box2d")
-        super().__init__(scene, substeps)
+    engine = "box2d"
 
-    def _prepare(self) -> None:
+    def _build(self) -> None:
         scene = self.scene
         self._listener = _Listener()
         world = Box2D.b2World(gravity=(0.0, -scene.gravity), doSleep=False, contactListener=self._listener)
@@ -72,7 +67,7 @@ class Box2DSimulator(EngineRival):
         thick = 0.5 * scene.box_half_width
         back = scene.box_half_width + _SKIN + thick
         wide = scene.box_half_width + 2.0 * thick
-        for number, (x, y) in enumerate(_DIRECTIONS):
+        for number, (x, y) in enumerate(DIRECTIONS):
             size = (thick, wide) if x else (wide, thick)
             wall = Box2D.b2PolygonShape(box=(*size, (x * back, y * back), 0.0))
             self._box.CreateFixture(shape=wall, userData=("wall", number), **material)
@@ -81,25 +76,19 @@ class Box2DSimulator(EngineRival):
         self._box.massData = Box2D.b2MassData(mass=scene.box_mass, I=scene.box_inertia, center=(0.0, 0.0))
         self._jack.massData = Box2D.b2MassData(mass=scene.jack_mass, I=scene.jack_inertia, center=(0.0, 0.0))
         self._world = world
-        self._origin = [0.0] * 6
-        self._h = 0.0
 
     def _place(self, state: list[float], h: float) -> None:
         x, y, angle, _, _, jack_angle = state[:6]
         whole, jack_whole = (turned - math.remainder(turned, 2.0 * math.pi) for turned in (angle, jack_angle))
         self._origin = [x, y, whole, x, y, jack_whole]
         self._h = h
-        self._forget_contacts()
+        self._jack.transform = (_FAR_OFF * self.scene.box_half_width, 0.0), 0.0  # out of reach: contacts are dropped
+        self._world.Step(0.0, 1, 1)
         q = [place - start for place, start in zip(state[:6], self._origin, strict=True)]
         for body, at, rate in ((self._box, q[0:3], state[6:9]), (self._jack, q[3:6], state[9:12])):
             body.transform = (at[0], at[1]), at[2]
             body.linearVelocity = rate[0], rate[1]
             body.angularVelocity = rate[2]
-
-    def _forget_contacts(self) -> None:
-        """Let the engine drop its contacts, with the jack out of reach; put back, it finds them in a fixed order."""
-        self._jack.transform = (_FAR_OFF * self.scene.box_half_width, 0.0), 0.0
-        self._world.Step(0.0, 1, 1)
 
     def _substep(self, h: float, loads: Loads) -> dict[Pair, float]:
         self._listener.pushes = {}
@@ -111,7 +100,7 @@ class Box2DSimulator(EngineRival):
         return self._listener.pushes
 
     def _is_over(self, state: list[float], wall: int, foot: int) -> bool:
-        """It is once the foot moves off: one that sticks has no rate but float32's rounding."""
+        """True when the foot moves away: one that sticks has no rate but float32's rounding."""
         return bool(gap_jacobian(self.scene, state, wall, foot) @ np.array(state[6:]) > _LEAVING)
 
     def _read(self) -> list[float]:
@@ -125,11 +114,11 @@ class Box2DSimulator(EngineRival):
         return state
 
     def _refuse_cuts(self, state: list[float]) -> None:
-        """Refuse a speed that the engine has cut: it then comes out at the bound."""
+        """Refuse a speed that the engine has cut: it comes out at the bound."""
         travel = self._h * max(math.hypot(*state[6:8]), math.hypot(*state[9:11]))
         turn = self._h * max(abs(state[8]), abs(state[11]))
         if not (travel < _SLACK * _FARTHEST and turn < _SLACK * _FURTHEST_TURN):
             raise RuntimeError(
-                f"box2d can not follow the jack: {travel:.3g} m and {turn:.3g} rad per substep, at most "
+                f"box2d cannot follow the jack: {travel:.3g} m and {turn:.3g} rad per substep, at most "
                 f"{_FARTHEST:g} m and {_FURTHEST_TURN:.3g} rad are; use more substeps"
             )

@@ -1,32 +1,32 @@
 """MuJoCo 4.0: a stiff spring at each contact and semi-implicit Euler, tuned for elastic impacts as its manual advises.
 
-Law: two free planar bodies. A foot inside a wall by -gap is pushed out with d2 gap/dt2 = -k gap, whatever the masses;
-    the forces of several such contacts come from one convex problem, solved by Newton's method.
+Law: two free planar bodies. A foot inside a wall is pushed out with d2 gap/dt2 = -k gap, whatever the masses. Several
+    such forces come from one convex problem, solved by Newton's method.
 Order: first in h = dt / substeps: flight runs ahead by g h t / 2, and a bounce lasts two substeps, not none.
 Cost: about 23 us per substep, of which the engine takes a third.
 Fails: feet go in by up to one substep's way at each impact. Restitution comes out as 1 only for a straight bounce; a
     jack that turns, or another contact in between, changes the gap's rate during the bounce. Elastic only.
 Reference: MuJoCo documentation, "Modeling: Solver parameters" and "Computation: Soft contact model".
 
-How it is tuned: the manual recommends the direct format solref = (-stiffness, -damping) and damping 0 for perfectly
-elastic collisions; the impedance is the highest that it accepts, 0.9999, so that d is nearly 1; frictionless contacts
-(condim 1); Newton's solver to 1e-12, no warm start, so that the past does not act. The box's weight is compensated
-(gravcomp). Feet are spheres of radius L / 10,000 and the walls, L / 2 thick, are set back by it.
+How it is tuned: for perfectly elastic collisions the manual recommends solref = (-stiffness, -damping) with damping 0.
+The impedance is the highest accepted, 0.9999. Contacts are frictionless (condim 1). Newton's solver works to 1e-12,
+without warm start so that the past does not act. The box's weight is compensated (gravcomp). Feet are spheres of radius
+L / 10,000, and the walls, L / 2 thick, are set back by it.
 
-The stiffness goes with the substep: k = 2 / h^2. The manual asks for a time constant of 2 h at least, that is
-k h^2 <= 0.25, lest a spring go unstable. But semi-implicit Euler turns (gap, rate) by arccos(1 - k h^2 / 2) a substep:
-with k h^2 = 1 or 2 a bounce is over after exactly three or two, whatever part of a substep the foot came in by. Energy
-change of 100 single bounces at 3 to 10 m/s, jack turned by up to 0.3 rad, weightless, h = 5 ms, mean +- deviation in %:
+The stiffness follows the substep: k = 2 / h^2. The manual asks for k h^2 <= 0.25 (a time constant of at least 2 h) to
+keep springs stable. But semi-implicit Euler turns (gap, rate) by arccos(1 - k h^2 / 2) per substep: with k h^2 = 1 or 2
+a bounce lasts exactly three or two, wherever in a substep the foot came in. Energy change of 100 single bounces at 3 to
+10 m/s, jack turned by up to 0.3 rad, weightless, h = 5 ms, mean +- deviation in %:
 
     k h^2               0.0625        0.25          0.5           1              1.5          2              3
     Euler               -0.9 +- 1.5   -0.2 +- 2.6   +1.1 +- 6.9   -0.24 +- 0.32  +10 +- 26    -0.18 +- 0.32  +90 +- 110
     RK4 (4 times cost)  -1.1 +- 1.0   -0.7 +- 1.1   -1.4 +- 2.3   -3.8 +- 2.5    -8.5 +- 6.6  -13 +- 6       -19 +- 10
 
-implicitfast is Euler to all digits shown; in RK4 a contact begins within a step. Under the default chirp k h^2 = 2 also
-goes less deep than 0.25 (by a factor of 2.2 to 2.8) and keeps the energy better at any substeps from 1 to 64.
+implicitfast equals Euler to all digits shown; in RK4 a contact begins within a step. Under the default chirp, at 1 to
+64 substeps, feet go 2.2 to 2.8 times less deep with k h^2 = 2 than with 0.25, and the energy is kept better.
 
-An impact begins with the substep that finds the foot in the wall, which is nearest to the time at which a hard wall
-would have been hit (the deepest point comes half a bounce later). Its impulse is the sum over the bounce.
+An impact begins with the substep that finds the foot in the wall. That is nearest to the time at which a hard wall
+would have been hit; the deepest point comes half a bounce later. Its impulse is the sum over the bounce.
 """
 
 from __future__ import annotations
@@ -34,14 +34,12 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from jackbox_env import _validation as check
 from jackbox_env.mechanics import gaps
 from jackbox_env.scene import Scene
-from scripts.studies.rivals.base import EngineRival, Loads, Pair, refuse_extremes
+from scripts.studies.rivals.base import DIRECTIONS, EngineRival, Loads, Pair
 
 _STIFFNESS = 2.0  # k h^2
 _LARGEST = 1e9  # places, rates and accelerations that the engine takes; it gives up at 1e10
-_DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
 _JOINTS = '<joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/><joint type="hinge" axis="0 0 1"/>'
 
 
@@ -51,7 +49,7 @@ def model_xml(scene: Scene) -> str:
     thick = 0.25 * half
     back, wide = half + radius + thick, half + 2.0 * thick
     walls = feet = ""
-    for x, y in _DIRECTIONS:
+    for x, y in DIRECTIONS:
         size = (thick, wide) if x else (wide, thick)
         walls += (
             f'<geom type="box" pos="{x * back!r} {y * back!r} 0" size="{size[0]!r} {size[1]!r} {half!r}" '
@@ -80,19 +78,11 @@ def model_xml(scene: Scene) -> str:
 class MujocoSimulator(EngineRival):
     """MuJoCo; the module's head states the law."""
 
-    def __init__(self, scene: Scene, substeps: int = 4, stiffness: float = _STIFFNESS) -> None:
-        """See :class:`Rival`; lengths and masses from 1e-6 to 1e6. ``stiffness`` is k h^2, above 0 and below 4.
+    engine = "mujoco"
 
-        Raises:
-            ValueError: restitution below 1.
-        """
-        if scene.restitution != 1.0:
-            raise ValueError(f"mujoco is tuned for elastic impacts only, got restitution {scene.restitution:g}")
-        refuse_extremes(scene, "mujoco")
-        self.stiffness = check.real("stiffness", stiffness, above=0.0, at_most=4.0)
-        super().__init__(scene, substeps)
-
-    def _prepare(self) -> None:
+    def _build(self) -> None:
+        if self.scene.restitution != 1.0:
+            raise ValueError(f"mujoco is tuned for elastic impacts only, got restitution {self.scene.restitution:g}")
         self._model = mujoco.MjModel.from_xml_string(model_xml(self.scene))
         self._data = mujoco.MjData(self._model)
         self._applied = self._data.qfrc_applied  # a view: asking for it anew costs a microsecond
@@ -100,10 +90,10 @@ class MujocoSimulator(EngineRival):
 
     def _place(self, state: list[float], h: float) -> None:
         if not max(map(abs, state)) < _LARGEST:
-            raise RuntimeError(f"mujoco can not follow a state beyond {_LARGEST:g}, got {max(map(abs, state)):.3g}")
+            raise RuntimeError(f"mujoco cannot follow a state beyond {_LARGEST:g}, got {max(map(abs, state)):.3g}")
         if h != self._h:
             self._model.opt.timestep = h
-            self._model.geom_solref[:] = -self.stiffness / h**2, 0.0
+            self._model.geom_solref[:] = -_STIFFNESS / h**2, 0.0
             self._h = h
         self._data.qpos[:] = state[:6]
         self._data.qvel[:] = state[6:]
@@ -113,7 +103,7 @@ class MujocoSimulator(EngineRival):
         data, scene = self._data, self.scene
         pushed = max(abs(torque) / scene.box_inertia, abs(push_x) / scene.box_mass, abs(push_y) / scene.box_mass)
         if not pushed < _LARGEST:
-            raise RuntimeError(f"mujoco can not follow accelerations beyond {_LARGEST:g}, got {pushed:.3g}")
+            raise RuntimeError(f"mujoco cannot follow accelerations beyond {_LARGEST:g}, got {pushed:.3g}")
         self._applied[:3] = push_x, push_y, torque
         mujoco.mj_step(self._model, data)
         if data.ncon == 0:
@@ -127,12 +117,9 @@ class MujocoSimulator(EngineRival):
         return pushes
 
     def _is_over(self, state: list[float], wall: int, foot: int) -> bool:
-        """It is once the foot is out of the wall."""
+        """True when the foot is out of the wall."""
         return bool(gaps(self.scene, state)[wall, foot] > 0.0)
 
     def _read(self) -> list[float]:
         state: list[float] = np.concatenate([self._data.qpos, self._data.qvel]).tolist()
         return state
-
-    def __getstate__(self) -> dict[str, object]:
-        return {**super().__getstate__(), "stiffness": self.stiffness}

@@ -7,13 +7,12 @@ import importlib.util
 import itertools
 import math
 import pickle
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
-from jackbox_env.accuracy import Between, Case, Course, compare, follow, reference_of
+from jackbox_env.accuracy import Case, compare, follow, reference_of
 from jackbox_env.mechanics import energy, gap_jacobian, impact_map
 from jackbox_env.scene import Chirp, Drive, Scene
 from jackbox_env.simulators import make_simulator
@@ -21,7 +20,7 @@ from jackbox_env.simulators.base import Impact
 from jackbox_env.states import Array
 from jackbox_env.tasks import sample_start
 from scripts.studies import rivals
-from scripts.studies.rivals.base import Pushes, Rival
+from scripts.studies.rivals.base import Record, Rival
 from scripts.studies.rivals.naive import BAND, NaiveSimulator, reflect
 from tests.states import inside, one_foot_on_wall
 
@@ -35,19 +34,15 @@ def rival(name: str, scene: Scene, substeps: int) -> Rival:
     return rivals.available()[name](scene, substeps)
 
 
+def started(name: str, scene: Scene, substeps: int, numbers: dict[int, float], time: float = 0.0) -> Rival:
+    """At a state that is 0 but for these numbers."""
+    simulator = rival(name, scene, substeps)
+    simulator.reset([numbers.get(place, 0.0) for place in range(12)], time)
+    return simulator
+
+
 def chirped(seed: int, steps: int = 500) -> Case:
     return Case(f"seed {seed}", Scene(), sample_start(Scene(), np.random.default_rng(seed)), steps)
-
-
-def lost(name: str, substeps: int, seeds: range) -> list[tuple[int, Course]]:
-    courses = []
-    for seed in seeds:
-        simulator = rival(name, Scene(), substeps)
-        courses.append((seed, follow(simulator, chirped(seed), look=simulator.look)))
-    return [(seed, course) for seed, course in courses if course.escaped]
-
-
-# -- what is offered ---------------------------------------------------------------------------------------------------
 
 
 def test_rivals_without_their_package_are_left_out_and_said_to_be_missing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -56,9 +51,6 @@ def test_rivals_without_their_package_are_left_out_and_said_to_be_missing(monkey
     monkeypatch.setattr(importlib.util, "find_spec", lambda package: None if package == "mujoco" else object())
     assert set(rivals.available()) == {"naive", "box2d"}
     assert rivals.missing() == {"mujoco": "not installed (pip install -e '.[peers]')"}
-
-
-# -- naive -------------------------------------------------------------------------------------------------------------
 
 
 def test_naive_flight_is_classical_runge_kutta_stage_by_stage() -> None:
@@ -116,32 +108,30 @@ def test_a_naive_impact_is_the_impact_map_when_approaching_and_its_reflection_wh
 
 def test_naive_turns_back_the_first_pair_near_a_wall_once_whether_it_approaches_or_not() -> None:
     for speed in (1.0, -1.0):  # of the jack towards wall 0; its feet 0 and 1 are both in the band there
-        state = np.zeros(12)
-        state[[3, 4, 9]] = 4.95, 4.95, speed
-        simulator = NaiveSimulator(WEIGHTLESS, 1)
-        simulator.reset(state)
-        simulator.step(1e-3)
-        moved = state.copy()
+        simulator = started("naive", WEIGHTLESS, 1, {3: 4.95, 4: 4.95, 9: speed})
+        moved = simulator.state
         moved[3] += 1e-3 * speed
+        simulator.step(1e-3)
         wanted, impulse = reflect(WEIGHTLESS, moved, 0, 0)
         np.testing.assert_allclose(simulator.state, wanted, rtol=1e-14, atol=1e-14)
         assert [hit[:3] for hit in simulator.impacts] == [(1e-3, 0, 0)]
         assert simulator.impacts[0].impulse == pytest.approx(impulse)
         assert math.copysign(1.0, impulse) == speed
-    state[[3, 4, 9]] = 5.0 - BAND - 0.002, 0.0, 1.0  # just outside the band after the step
-    simulator.reset(state)
+    simulator = started("naive", WEIGHTLESS, 1, {3: 5.0 - BAND - 0.002, 9: 1.0})  # outside the band after the step
     simulator.step(1e-3)
     assert simulator.impacts == []
 
 
 def test_naive_loses_the_jack_through_a_wall_and_keeps_its_energy_all_the_while() -> None:
-    escaped = lost("naive", 2, range(4, 8))
+    naive, exact, escaped = rival("naive", Scene(), 2), make_simulator(Scene(), "exact"), 0
+    for seed in range(4, 8):
+        course = follow(naive, chirped(seed), look=naive.look)
+        if course.escaped:
+            escaped += 1
+            assert course.depth > BAND  # where nothing brings it back
+            assert course.imbalance < 1e-5 * course.energy
+            assert not follow(exact, chirped(seed), look=None).escaped
     assert escaped
-    for _, course in escaped:
-        assert course.depth > BAND  # where nothing brings it back
-        assert course.imbalance < 1e-5 * course.energy
-    exact = make_simulator(Scene(), "exact")
-    assert not any(follow(exact, chirped(seed), look=None).escaped for seed, _ in escaped)
 
 
 def test_smaller_steps_do_not_bring_the_naive_first_impact_nearer() -> None:
@@ -154,18 +144,12 @@ def test_smaller_steps_do_not_bring_the_naive_first_impact_nearer() -> None:
     assert errors[64] > errors[2]
 
 
-# -- engines -----------------------------------------------------------------------------------------------------------
-
-
 @EVERY_ENGINE
 def test_flight_runs_ahead_of_the_truth_by_half_a_substep(name: str) -> None:
     # Semi-implicit Euler under constant acceleration a: x is ahead by a h t / 2, v is exact.
     torque, steps = 14400.0, 20
     for substeps in (1, 8):
-        simulator = rival(name, Scene(drive=None), substeps)
-        state = np.zeros(12)
-        state[[2, 5, 11]] = 7.0, -9.0, 2.0
-        simulator.reset(state, 1.0)
+        simulator = started(name, Scene(drive=None), substeps, {2: 7.0, 5: -9.0, 11: 2.0}, time=1.0)
         for _ in range(steps):
             simulator.step(0.02, torque)
         h, t = 0.02 / substeps, 0.4
@@ -183,8 +167,7 @@ def test_flight_runs_ahead_of_the_truth_by_half_a_substep(name: str) -> None:
 def test_the_drive_acts_by_its_mean_over_each_substep_and_side_forces_always(name: str) -> None:
     scene = Scene(gravity=0.0, drive=Drive(torque=lambda t: 14400.0 * t, force_x=lambda t: 400.0 * t**2))
     for torque, rate in ((None, 0.5), (28800.0, 2.0)):
-        simulator = rival(name, scene, 4)
-        simulator.reset(np.zeros(12))
+        simulator = started(name, scene, 4, {})
         for _ in range(50):
             simulator.step(0.02, torque)
         tolerance = 1e-5 if name == "box2d" else 1e-12  # float32
@@ -197,12 +180,10 @@ def test_one_straight_bounce_is_the_impact_map(name: str) -> None:
     tolerance = 1e-6 if name == "box2d" else 2e-4
     for wall, (x, y) in enumerate([(1, 0), (0, 1), (-1, 0), (0, -1)]):
         for part in (0.1, 0.5, 0.9):  # of a substep, at which the foot reaches the wall
-            state, h = np.zeros(12), 0.005
+            h, impacts = 0.005, []
             place = 5.0 - 3.0 * h * (2.0 + part)
-            state[[3, 4]], state[[9, 10]] = (x * place, y * place), (x * 3.0, y * 3.0)
-            simulator = rival(name, WEIGHTLESS, 2)
-            simulator.reset(state)
-            impacts = []
+            simulator = started(name, WEIGHTLESS, 2, {3: x * place, 4: y * place, 9: x * 3.0, 10: y * 3.0})
+            state = simulator.state
             for _ in range(4):
                 simulator.step(2 * h)
                 impacts += simulator.impacts
@@ -236,17 +217,14 @@ def test_oblique_bounces_reverse_the_gap_rate_up_to_the_way_of_a_substep(name: s
 @EVERY_RIVAL
 def test_the_look_inside_balances_the_energy_of_flight_and_sees_the_depth(name: str) -> None:
     # A held torque from rest: work = torque * angle = torque^2 t^2 / 2 J, and that is the energy the box gains.
-    simulator = rival(name, WEIGHTLESS, 3)
-    simulator.reset(np.zeros(12))
+    simulator = started(name, WEIGHTLESS, 3, {})
     simulator.step(0.02, 72000.0)
     seen = simulator.look(simulator, np.zeros(12), 0.0, 72000.0)
     assert seen.work == pytest.approx(0.5 * 14400.0 * 0.1**2, rel=1e-6)
     assert seen.depth == pytest.approx(-5.0 + 0.5 * simulator.state[2] ** 2, abs=1e-4)
-    state = np.zeros(12)
-    state[[3, 9]] = 5.0 + (0.02 if name != "naive" else 0.15), 6.0  # goes further in before it comes out
-    simulator.reset(state)
+    simulator = started(name, WEIGHTLESS, 3, {3: 5.0 + (0.02 if name != "naive" else 0.15), 9: 6.0})  # goes further in
     simulator.step(0.03)
-    seen = simulator.look(simulator, state, 0.0, None)
+    seen = simulator.look(simulator, np.zeros(12), 0.0, None)
     first_substep = 5.0 + 6.0 * 0.01 - 5.0
     if name == "naive":  # outside its band: gone for good
         assert seen.depth == pytest.approx(0.15 + 0.18, abs=1e-3)
@@ -272,23 +250,18 @@ def test_the_first_impact_comes_in_time_and_the_run_stays_balanced(name: str) ->
 
 def test_box2d_sticks_to_a_wall_below_a_metre_per_second() -> None:
     for speed, rate in ((0.9, 0.0), (1.1, -1.1)):
-        state = np.zeros(12)
-        state[[3, 9]] = 4.999, speed
-        simulator = rival("box2d", WEIGHTLESS, 4)
-        simulator.reset(state)
+        simulator = started("box2d", WEIGHTLESS, 4, {3: 4.999, 9: speed})
         simulator.step(0.02)
         assert simulator.state[9] - simulator.state[6] == pytest.approx(rate, abs=1e-6)
 
 
 def test_box2d_refuses_steps_in_which_the_engine_would_cut_the_speed() -> None:
     for place, rate in ((9, 150.0), (11, 100.0)):
-        state = np.zeros(12)
-        state[place] = rate
-        simulator = rival("box2d", WEIGHTLESS, 1)
-        simulator.reset(state)
-        with pytest.raises(RuntimeError, match="box2d can not follow the jack: .* use more substeps"):
+        simulator = started("box2d", WEIGHTLESS, 1, {place: rate})
+        before = simulator.state
+        with pytest.raises(RuntimeError, match="box2d cannot follow the jack: .* use more substeps"):
             simulator.step(0.02)
-        np.testing.assert_array_equal(simulator.state, state)
+        np.testing.assert_array_equal(simulator.state, before)
 
 
 @NEEDS_MUJOCO
@@ -297,15 +270,12 @@ def test_mujoco_refuses_what_it_can_not_do(tmp_path: Any, monkeypatch: pytest.Mo
     with pytest.raises(ValueError, match="mujoco is tuned for elastic impacts only, got restitution 0.5"):
         rival("mujoco", Scene(restitution=0.5), 4)
     simulator = rival("mujoco", Scene(), 4)
-    with pytest.raises(RuntimeError, match="mujoco can not follow accelerations beyond 1e[+]09"):
+    with pytest.raises(RuntimeError, match="mujoco cannot follow accelerations beyond 1e[+]09"):
         simulator.step(0.02, 1e20)
-    simulator.reset(np.array([0.0] * 9 + [1e12, 0.0, 0.0]))
-    with pytest.raises(RuntimeError, match="mujoco can not follow a state beyond 1e[+]09"):
+    simulator = started("mujoco", Scene(), 4, {9: 1e12})
+    with pytest.raises(RuntimeError, match="mujoco cannot follow a state beyond 1e[+]09"):
         simulator.step(0.02)
     assert not list(tmp_path.iterdir())  # the engine writes a log file where it gives up by itself
-
-
-# -- what every simulator owes -----------------------------------------------------------------------------------------
 
 
 @EVERY_RIVAL
@@ -351,10 +321,8 @@ def test_box2d_forgets_its_contacts_between_control_steps() -> None:
 
 @EVERY_RIVAL
 def test_a_jack_that_would_leave_is_refused_and_the_simulator_stays_as_it_was(name: str) -> None:
-    state = np.zeros(12)
-    state[[3, 9]] = 4.5, 90.0 if name == "box2d" else 200.0
-    simulator = rival(name, WEIGHTLESS, 1)
-    simulator.reset(state, 3.0)
+    simulator = started(name, WEIGHTLESS, 1, {3: 4.5, 9: 90.0 if name == "box2d" else 200.0}, time=3.0)
+    state = simulator.state
     with pytest.raises(RuntimeError, match="the jack would leave the box: after t = 3 s a foot ends"):
         simulator.step(0.02)
     np.testing.assert_array_equal(simulator.state, state)
@@ -387,24 +355,21 @@ def test_scenes_beyond_an_engines_constants_are_refused(name: str) -> None:
 
 
 def test_looking_without_a_step_or_into_another_simulator_is_refused() -> None:
-    one, other = NaiveSimulator(Scene()), NaiveSimulator(Scene())
-    looks: list[tuple[type[Exception], Callable[[], Between]]] = [
-        (RuntimeError, lambda: one.look(one, np.zeros(12), 0.0, None)),
-        (ValueError, lambda: one.look(other, np.zeros(12), 0.0, None)),
-    ]
-    for error, look in looks:
-        with pytest.raises(error, match="to look into since the reset|only into its own steps"):
-            look()
+    one, other = NaiveSimulator(Scene(), 2), NaiveSimulator(Scene(), 2)
+    with pytest.raises(RuntimeError, match="no step to look into since the reset"):
+        one.look(one, np.zeros(12), 0.0, None)
+    with pytest.raises(ValueError, match="only into its own steps"):
+        one.look(other, np.zeros(12), 0.0, None)
 
 
 def test_a_push_of_several_substeps_is_one_impact_told_in_the_order_of_beginnings() -> None:
-    record = Pushes()
+    record = Record()
     record.add(0.0, {(0, 1): 1.0})
     record.add(0.1, {(0, 1): 2.0, (3, 2): 4.0})
     assert record.take() == []
     record.add(0.2, {(0, 1): 0.5})  # (3, 2) is over, but began later
     assert record.take() == []
-    record = Pushes(record.left())
+    record = Record(record.waiting)
     record.add(0.3, {(3, 2): 7.0})
     assert record.take() == [Impact(0.0, 0, 1, 3.5), Impact(0.1, 3, 2, 4.0)]
     record.add(0.4, {})
@@ -414,20 +379,17 @@ def test_a_push_of_several_substeps_is_one_impact_told_in_the_order_of_beginning
     assert record.take() == [Impact(0.5, 1, 1, 1.0)]
     record.close(lambda wall, foot: True)
     assert record.take() == [Impact(0.5, 2, 2, 3.0)]
-    assert record.left() == ()
+    assert record.waiting == ()
 
 
 @EVERY_ENGINE
 def test_a_bounce_is_told_by_the_control_step_in_which_it_ends(name: str) -> None:
-    state, h = np.zeros(12), 0.01
-    state[[3, 9]] = 5.0 + 0.5 * 3.0 * h, 3.0  # found in the wall at once
-    substeps = {"box2d": 1, "mujoco": 2}[name]  # that a bounce takes
-    simulator = rival(name, WEIGHTLESS, substeps)
-    simulator.reset(state)
+    h, substeps = 0.01, {"box2d": 1, "mujoco": 2}[name]  # that a bounce takes
+    found_in_the_wall = {3: 5.0 + 0.5 * 3.0 * h, 9: 3.0}
+    simulator = started(name, WEIGHTLESS, substeps, found_in_the_wall)
     simulator.step(substeps * h)
     assert [hit[:3] for hit in simulator.impacts] == [(0.0, 0, 0)]
-    simulator = rival(name, WEIGHTLESS, 1)
-    simulator.reset(state)
+    simulator = started(name, WEIGHTLESS, 1, found_in_the_wall)
     told = []
     for _ in range(4):
         simulator.step(h)

@@ -1,0 +1,187 @@
+"""Runs a sweep. What is measured is written at once, so that the same command continues an interrupted sweep.
+
+In the run folder:
+digest                   of what was asked for and of the code that is measured
+records/                 one file for each setting and kind of cases
+accuracy.md, accuracy/   the page and its files; accuracy/results.json comes last: the sweep is finished
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from agents.runs import PACKAGES, machine, new_folder, versions
+from agents.storage import DamagedFileError, held, read_json, remove_partials, say_skipped, write_json, write_text
+from jackbox_env import Scene, rollout
+from jackbox_env.accuracy import Case, Reference, between, compare, follow, quantities, restarts
+from jackbox_env.simulators import Simulator
+from scripts.studies import rivals
+from scripts.studies.accuracy import cases, pictures
+from scripts.studies.accuracy.page import DEFAULT, page
+from scripts.studies.accuracy.results import ABOUT, Record, Results, rows_of
+from scripts.studies.accuracy.settings import TOGETHER, Setting, settings
+from scripts.studies.timing import Timed, measure, others, ratios, repeat
+
+ROOT = Path(__file__).parents[3]
+DIGEST, RECORDS, PAGE, BESIDE = "digest", "records", "accuracy.md", "accuracy"
+_STUDY = [f"scripts/studies/accuracy/{name}.py" for name in ("cases", "settings", "sweep")]  # no words and pictures
+CODE = ("jackbox_env/**/*.py", "scripts/studies/rivals/*.py", "tests/data/*.json", *_STUDY)
+ENGINES = ("numpy", "numba", "pymunk", "mujoco", "box2d")
+
+
+def run(quick: bool, count: int, rounds: int, seconds: float, folder: Path | None, bars: bool) -> tuple[Results, Path]:
+    """Sweep, or continue an interrupted sweep of the same code; return the results and the run folder."""
+    before, chosen = others(), settings(quick)
+    asked = {"quick": quick, "cases": count}
+    folder = open_folder("benchmark-quick" if quick else "benchmark", asked, folder)
+    with held(folder):
+        remove_partials(folder, folder / RECORDS)
+        try:
+            records = measured_all(folder, chosen, count, bars)
+            rates = measure({setting.name: cost_of(setting, seconds) for setting in chosen}, rounds, bars)
+        except KeyboardInterrupt:
+            print(f"\nInterrupted; the same command continues in {folder}", file=sys.stderr)
+            raise
+    rows = []
+    for setting in chosen:
+        cost = [1e6 / rate for rate in rates[setting.name]], ratios(rates, DEFAULT, setting.name)
+        rows += rows_of(setting, records[setting.name], *cost)
+    return Results(rows, asked | {"rounds": rounds, "seconds": seconds} | _circumstances(before)), folder
+
+
+def write(results: Results, folder: Path) -> None:
+    """The page, and beside it the pictures and the numbers."""
+    beside = folder / BESIDE
+    beside.mkdir(exist_ok=True)
+    pictures.draw(results, beside / pictures.PICTURE)
+    pictures.interactive(results, beside / pictures.INTERACTIVE)
+    write_text(folder / PAGE, page(results))
+    results.save(beside)
+
+
+def _circumstances(before: tuple[float, float]) -> dict[str, Any]:
+    """What the figures come from; ``before``: what others had used of the machine at the start."""
+    taken, there = others()
+    return {
+        "command": " ".join(["python scripts/studies/accuracy/benchmark.py", *sys.argv[1:]]),
+        "machine": machine(),
+        "versions": versions((*PACKAGES[:-1], "numba", "mujoco", "box2d")),
+        "busy": round(max(0.0, taken - before[0]) / max(there - before[1], 1e-9), 2),
+        "missing": rivals.missing(),
+    }
+
+
+# -- what is measured already ------------------------------------------------------------------------------------------
+
+
+def digest(asked: dict[str, Any]) -> str:
+    """A digest of what was asked for, and of all code, data and engines that a measurement depends on."""
+    engines = versions(ENGINES) | {"commit": ""}
+    text = hashlib.sha256(json.dumps([asked, engines]).encode())
+    for path in sorted(path for pattern in CODE for path in ROOT.glob(pattern)):
+        text.update(path.relative_to(ROOT).as_posix().encode() + path.read_bytes())
+    return text.hexdigest()[:12]
+
+
+def open_folder(kind: str, asked: dict[str, Any], folder: Path | None) -> Path:
+    """An unfinished sweep with the same digest, in ``folder`` or in runs/, or a new one.
+
+    Raises:
+        FileExistsError: ``folder`` holds something else, or a finished sweep.
+    """
+    mark, runs = digest(asked), [folder] if folder else sorted(Path("runs").glob(f"{kind}-*"))
+    for run in runs:
+        same = (run / DIGEST).is_file() and (run / DIGEST).read_text() == mark
+        if same and not _finished(run):
+            return run
+    return new_folder(folder, kind, lambda made: write_text(made / DIGEST, mark))
+
+
+def _finished(run: Path) -> bool:
+    """Whether a sweep came to its end: the file that is written last is whole."""
+    return _kept(run / BESIDE / ABOUT) is not None
+
+
+def _kept(path: Path) -> Any:
+    """What a JSON file holds; None where there is none, or a damaged one, which is said."""
+    try:
+        return read_json(path)
+    except FileNotFoundError:
+        return None
+    except DamagedFileError as error:
+        say_skipped(error)
+        return None
+
+
+# -- measuring ---------------------------------------------------------------------------------------------------------
+
+
+def measured_all(folder: Path, chosen: list[Setting], count: int, bars: bool) -> dict[str, list[Record]]:
+    """Measure what is not measured yet, and return all records by setting."""
+    records = {setting.name: list[Record]() for setting in chosen}
+    (folder / RECORDS).mkdir(exist_ok=True)
+    for kind in (cases.DIGITS, *cases.KINDS):
+        known = cases.with_references(kind, count)
+        models = [setting for setting in chosen if setting.make]
+        for setting in tqdm(models, desc=kind, unit="setting", disable=not bars, leave=False):
+            path = folder / RECORDS / f"{setting.name}; {kind}.json"
+            if _kept(path) is None:
+                write_json(path, [measured(setting, kind, *case) for case in known])
+            records[setting.name] += read_json(path)
+    return records
+
+
+def measured(setting: Setting, kind: str, case: Case, reference: Reference) -> Record:
+    """All errors of one setting on one case."""
+    assert setting.make is not None
+    simulator: Any = setting.make(case.scene)
+    course = follow(simulator, case, getattr(simulator, "look", between))  # rivals look into their steps themselves
+    again = restarts(simulator, case, reference)
+    record = {"setting": setting.name, "kind": kind, "case": case.name}
+    return record | quantities(course, compare(case, course, reference), again, case.dt)
+
+
+def cost_of(setting: Setting, seconds: float) -> Timed:
+    """Simulated seconds per second of this thread's own time, which stands still while others have the processor."""
+    block = _stepped(setting.make) if setting.make else _together()
+    timed = repeat(block, seconds, clock=time.thread_time)
+    return lambda: cases.DT * timed()
+
+
+def _stepped(make: Callable[[Scene], Simulator]) -> Callable[[], int]:
+    """A block that steps a contact model through some cases."""
+    chosen = [cases.seeded(kind, seed) for kind in cases.KINDS for seed in range(2)]
+    made = [make(case.scene) for case in chosen]
+
+    def block() -> int:
+        for simulator, case in zip(made, chosen, strict=True):
+            simulator.reset(case.state)
+            try:
+                for number in range(case.steps):
+                    simulator.step(cases.DT, None if case.torques is None else case.torques[number])
+            except RuntimeError:  # the jack left: the steps until then count
+                pass
+        return sum(round(simulator.time / cases.DT) for simulator in made)
+
+    return block
+
+
+def _together() -> Callable[[], int]:
+    """A block of the exact model under held torques in one compiled loop on one thread."""
+    chosen = [cases.seeded("held", seed) for seed in range(TOGETHER)]
+    states, torques = np.array([case.state for case in chosen]), np.array([case.torques for case in chosen])
+
+    def block() -> int:
+        rollout(chosen[0].scene, states, torques, cases.DT, num_threads=1)
+        return torques.size
+
+    return block

@@ -1,0 +1,170 @@
+"""What becomes of a sweep: its statistics, its claims, its page, and what README and the docstring show of it."""
+
+from __future__ import annotations
+
+import math
+import re
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jackbox_env import JackInBoxEnv
+from scripts.studies.accuracy import benchmark, cases, claims, page, pictures, results, settings, sweep
+
+ROOT = Path(__file__).parents[2]
+STORED = ROOT / "docs" / sweep.BESIDE
+
+
+@pytest.fixture(scope="module")
+def stored() -> results.Results:
+    return results.Results.load(STORED)
+
+
+# -- statistics --------------------------------------------------------------------------------------------------------
+
+
+def test_medians_worst_means_and_totals_of_known_numbers() -> None:
+    assert results.summed_up([3.0, 1.0, math.nan, 2.0]) == {"n": 3, "median": 2.0, "worst": 3.0}
+    assert results.summed_up([3.0, 1.0, 2.0], results.LEAST) == {"n": 3, "median": 2.0, "worst": 1.0}
+    assert results.summed_up([math.nan]) == {"n": 0}
+    assert results.summed_up([1.0, 4.0], results.TOTAL) == {"n": 2, "total": 5.0}
+    # 1, 2, 3: standard deviation 1; Student's t for 2 degrees of freedom, two sides of 95 %: 4.3027
+    found = results.summed_up([1.0, 2.0, 3.0, math.nan], results.MEAN)
+    assert found == pytest.approx({"n": 3, "mean": 2.0, "half_width": 4.3026527 / math.sqrt(3.0)})
+    assert results.summed_up([5.0], results.MEAN)["half_width"] == math.inf
+
+
+@pytest.mark.parametrize("order", [0.5, 1.0, 2.0])
+def test_a_planted_order_of_convergence_is_found_within_its_interval(order: float) -> None:
+    rng = np.random.default_rng(0)
+    steps = [0.02 / 2**number for number in range(9)]
+    found, low, high = results.order_of(steps, [3.0 * h**order * math.exp(0.1 * rng.normal()) for h in steps])
+    assert found == pytest.approx(order, abs=0.08)
+    assert low < order < high
+    assert high - low < 0.2
+
+
+def test_errors_over_the_first_impacts_need_so_many() -> None:
+    found = [{"errors": [1.0, 3.0, 2.0], "prefix": 3}, {"errors": [5.0], "prefix": 1}]
+    assert results.over_first(1).values(found) == [1.0, 5.0]
+    assert results.over_first(3).values(found) == [3.0]
+
+
+def test_rows_hold_every_kind_and_all_seeds_without_the_60_digits() -> None:
+    names = ("flight", "prefix", "sure", "depth", "imbalance", "escaped", "expected", "missed", "extra")
+    record = dict.fromkeys((*names, "rate", "speed", "fast", "impulse"), 1.0)
+    made = [
+        {**record, "kind": kind, "errors": [error], "local": [error, error], "prefix": 1}
+        for kind, error in ((cases.DIGITS, 9.0), ("chirp", 1.0), ("held", 2.0))
+    ]
+    rows = {(row.kind, row.quantity): row for row in results.rows_of(settings.pymunk(4), made, [7.0, 8.0], [1.0])}
+    assert rows["", "cost"][2:9] == (4, "", "cost", "us/s", 2, 7.5, 8.0)
+    assert rows[results.ALL, "first_1"][6:9] == (2, 1.5, 2.0)
+    assert rows[cases.DIGITS, "local"][6:9] == (2, 9.0, 9.0)
+    assert rows["held", "missed"].total == 1.0
+    assert rows["chirp", "wrong"].total == 0.0
+
+
+def test_what_is_stored_comes_back(stored: results.Results, tmp_path: Path) -> None:
+    stored.save(tmp_path)
+    for name in (results.TABLE, results.ABOUT):
+        assert (tmp_path / name).read_bytes() == (STORED / name).read_bytes()
+    assert stored.of("usual way, RK4 at 0.01 s", "local").worst == math.inf
+    assert stored.of(settings.EXACT, "first_1").kind == cases.DIGITS
+    assert stored.of(settings.EXACT, "depth").kind == results.ALL
+
+
+# -- claims ------------------------------------------------------------------------------------------------------------
+
+
+def test_claims_hold_in_the_stored_results_and_each_fails_where_it_is_broken(stored: results.Results) -> None:
+    assert [claim.what for claim in claims.claims(stored) if not claim.holds] == []
+    exact, coarse, digits, seeds = settings.EXACT, settings.pymunk(2).name, cases.DIGITS, results.ALL
+    breakages: list[tuple[str, str, str, dict[str, Any]]] = [
+        (exact, digits, "first_1", {"worst": 1e-10}),
+        (exact, digits, "first_1", {"n": 9}),
+        (exact, digits, "first_5", {"worst": 1e-9}),
+        (exact, digits, "first_5", {"worst": math.nan, "n": 0}),
+        (exact, digits, "lacking", {"worst": 1.0}),
+        (exact, digits, "flight", {"worst": 1e-9}),
+        (exact, seeds, "depth", {"worst": 1e-6}),
+        (coarse, seeds, "first_1", {"worst": 0.011}),
+        (coarse, seeds, "wrong", {"total": 1.0}),
+        (coarse, seeds, "escaped", {"total": 1.0}),
+        (settings.pymunk(256).name, seeds, "first_1", {"median": 1e-9}),
+    ]
+    broken = set()
+    for *key, change in breakages:
+        rows = dict(stored.rows)
+        rows[key[0], key[1], key[2]] = rows[key[0], key[1], key[2]]._replace(**change)
+        failed = [claim.what for claim in claims.claims(results.Results(rows.values(), {})) if not claim.holds]
+        assert len(failed) == 1
+        broken.update(failed)
+    assert broken == {claim.what for claim in claims.claims(stored)}
+
+
+# -- the page ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_page_is_written_again_from_the_stored_results(
+    stored: results.Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / sweep.BESIDE).mkdir()
+    for name in (results.TABLE, results.ABOUT):
+        shutil.copy(STORED / name, tmp_path / sweep.BESIDE)
+    monkeypatch.setattr(sys, "argv", ["benchmark.py", "--page-from", str(tmp_path / sweep.BESIDE / results.ABOUT)])
+    benchmark.main()
+    assert "holds: exact and pymunk lose no jack: 0 lost" in capsys.readouterr().out
+    again = "python scripts/studies/accuracy/benchmark.py --page-from docs/accuracy/results.json"
+    assert (tmp_path / sweep.PAGE).read_text() == (ROOT / "docs" / sweep.PAGE).read_text(), again
+    assert (tmp_path / sweep.BESIDE / pictures.PICTURE).read_bytes().startswith(b"\x89PNG")
+    interactive = (tmp_path / sweep.BESIDE / pictures.INTERACTIVE).read_text()
+    assert all(name in interactive for name in stored.settings)
+    assert not re.search(r"<(script|link)[^>]+(src|href)=", interactive)  # it needs nothing from elsewhere
+
+
+def test_the_stored_sweep_is_a_full_one(stored: results.Results) -> None:
+    assert stored.about["quick"] is False
+    assert stored.about["cases"] * len(cases.KINDS) >= 100
+    assert set(stored.settings) >= {setting.name for setting in settings.settings(quick=False)}
+
+
+def test_the_page_opens_with_the_answer_and_its_tables_are_short() -> None:
+    text = (ROOT / "docs" / sweep.PAGE).read_text()
+    answer = text.split("\n\n")[1]
+    assert answer.count(". ") == 2  # three sentences
+    assert '`fidelity="exact"`' in answer
+    assert text.split("\n\n")[2].startswith(
+        f"![Error of the first impact's time against computing time](accuracy/{pictures.PICTURE})"
+    )
+    tables = re.findall(r"(?:^\|.*\n)+", text, re.MULTILINE)
+    assert len(tables) == 5
+    assert max(table.count("\n") for table in tables) <= 12  # heads, line, ten rows
+
+
+def test_every_quantity_of_the_table_is_explained(stored: results.Results) -> None:
+    text = (ROOT / "docs" / sweep.PAGE).read_text()
+    for quantity in {row.quantity for row in stored.rows.values()}:
+        assert f"`{quantity}`" in text
+
+
+def test_the_environments_docstring_and_the_readme_hold_the_measured_table(stored: results.Results) -> None:
+    readme, docstring = (ROOT / "README.md").read_text(), JackInBoxEnv.__doc__ or ""
+    for line in page.fidelity_table(stored).splitlines():
+        assert line in docstring, "copy the table of docs/accuracy.md into JackInBoxEnv's docstring"
+    assert page.for_the_readme(stored) in readme, "make readme"
+    count = stored.of(page.DEFAULT, "depth").n
+    for text in (readme, docstring):
+        assert f"over {count} seeded scenes of 10 s" in " ".join(text.split())
+
+
+def test_numbers_in_tables_are_short_and_say_what_they_mean() -> None:
+    wanted = {0.0: "0", 1234.5: "1,234", 12.34: "12", 0.001234: "0.0012", 1.234e-5: "1.2e-05", 3.0: "3"}
+    assert {value: page.figure(value) for value in wanted} == wanted
+    assert page.figure(math.nan) == "-"
+    assert page.figure(math.inf) == "lost"
+    assert page.table(("a", "b"), [("1", "22")]) == "| a | b  |\n|---|----|\n| 1 | 22 |"
