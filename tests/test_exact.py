@@ -17,7 +17,7 @@ from jackbox_env._compiled import compiled
 from jackbox_env.mechanics import clearance, energy, impact_map, simultaneous_impact_map
 from jackbox_env.planning import rollout
 from jackbox_env.scene import Chirp, Drive, Scene
-from jackbox_env.simulators import Impact, drives, exact, impacts, kernel, step
+from jackbox_env.simulators import Impact, exact, functions, impacts, kernel, step
 from jackbox_env.simulators.exact import ExactSimulator, drive_kind, pieces_for
 from jackbox_env.simulators.workspace import GRADIENTS, HITS, IMPULSES, RECORD, STATE, TALLY, new_workspace
 from jackbox_env.tasks import sample_start
@@ -552,7 +552,7 @@ def test_a_held_torque_costs_no_more_where_it_replaces_a_function(monkeypatch: p
 
     def interpolate(drive: Drive, time: float, dt: float) -> Any:
         asked.append(time)
-        return drives.function_pieces(drive, time, dt)
+        return functions.function_pieces(drive, time, dt)
 
     monkeypatch.setattr(exact, "function_pieces", interpolate)
     for torque in torques.tolist():

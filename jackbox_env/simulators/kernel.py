@@ -43,6 +43,23 @@ _SLACK = 1.0 + 1e-12  # on bounds, for their rounding
 STEEPEST = 1e40  # K [m/s^2] and alpha [rad/s^2] beyond which squares overflow
 
 
+_GROWN = 64 * 11  # work after which what a foot at rest may sink has reached its bound
+
+
+def _growth() -> list[float]:
+    """2^(k / 64) for k up to ``_GROWN``, rounded from integer roots: the last place of an exp2 is the C library's."""
+    roots = []
+    for k in range(64):
+        root = 1 << (k + 64 * 80)
+        for _ in range(6):
+            root = math.isqrt(root)
+        roots.append(root / (1 << 80))
+    return [math.ldexp(roots[k % 64], k // 64) for k in range(_GROWN + 1)]
+
+
+_GROWTH = np.array(_growth())
+
+
 class Flight(NamedTuple):
     """Relative motion from a moment on: the jack's centre as seen from the box's, and both angles."""
 
@@ -304,10 +321,10 @@ def search(
 ) -> float:  # fmt: skip
     """First time up to ``end`` [s] at which this foot touches this wall and approaches; infinity if there is none.
 
-    A foot at the wall that does not approach can not be deeper than ``sink`` before the parabola from where it is is:
-    without that depth a foot at rest on a wall would never get off the spot. It is the tolerance, and grows to 1e-10 m
-    with the work of a step, so that a jack that rests on a wall or slides along it costs thousands of looks and impacts
-    and not millions. A step at rest grants that depth to a foot near the wall too.
+    A foot at the wall that does not approach stays within ``sink`` until the parabola through its present gap does:
+    without that depth a foot at rest on a wall would never get off the spot. It is the tolerance, doubles with every 64
+    gaps that a step evaluates, and ends at 1e-10 m, so that a jack that rests on a wall or slides along it costs
+    thousands of looks and impacts and not millions. A step at rest grants that depth to a foot near the wall too.
     """
     still = 1e-15 * (abs(flight.vx) + abs(flight.vy) + flight.gravity * end)
     still += 1e-15 * (abs(flight.omega) * n.box_half_width + n.jack_arm * abs(flight.jack_omega))
@@ -318,7 +335,7 @@ def search(
         elif rate < -still:
             return s
         else:
-            sink = min(deepest(n), tolerance * 2.0 ** min(w[TALLY, WORK] / 64.0, 60.0))
+            sink = min(deepest(n), tolerance * _GROWTH[min(int(w[TALLY, WORK]), _GROWN)])
             after = s + parabola_root(max(gap + sink, 0.1 * tolerance), max(rate, 0.0), curvature)
         if not after <= end or w[TALLY, WORK] > MOST_WORK:
             return math.inf
