@@ -29,7 +29,11 @@ BOUNDS = np.array([1, 1, 10, 10, 1, 1, 10, 1, 1, 10], dtype=np.float32)
 
 
 def observe(scene: Scene, state: Sequence[float]) -> NDArray[np.float32]:
-    """Return the observation of a state of 12 numbers: a fresh float32 array, shape (10,), within ``BOUNDS``."""
+    """Return the observation of a state of 12 numbers: a fresh float32 array, shape (10,), within ``BOUNDS``.
+
+    The C library's cosines differ between machines in the last place of float64, which float32 hides all but once in
+    1e12 numbers.
+    """
     relative = 4.0 * (state[5] - state[2])
     angles = math.cos(state[2]), math.sin(state[2]), math.cos(relative), math.sin(relative)
     return np.array(seen(scene, state, *angles), dtype=np.float32)

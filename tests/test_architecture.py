@@ -28,7 +28,7 @@ PACKAGE = """
     compiled.loop
     compiled.rollouts
     simulators.base simulators.fidelity simulators.flight
-    simulators.replay simulators.contacts
+    simulators.replay simulators.contacts simulators.functions
     simulators.pymunk simulators.exact
     simulators
     scoring

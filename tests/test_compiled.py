@@ -20,7 +20,7 @@ import jackbox_env
 from jackbox_env.batches.threads import Threads, thread_count
 from jackbox_env.compiled.compiler import compiled, compiled_with
 from jackbox_env.compiled.generator import fresh, packed, seeded, uniform
-from jackbox_env.compiled.trigonometry import LARGEST, cos_sin, cos_sin_within
+from jackbox_env.compiled.trigonometry import _TURNS, _TURNS_OVER, FARTHEST, LARGEST, cos_sin, cos_sin_within
 
 PACKAGE = Path(jackbox_env.__file__).parent
 STEP = "import jackbox_env; s = jackbox_env.make_simulator(contact='exact'); s.step(0.02, 1.0); "
@@ -129,10 +129,29 @@ def test_cosine_and_sine_are_right_to_the_last_place() -> None:
             assert abs(value - reference) <= math.ulp(reference)
 
 
+def test_many_turns_are_taken_off_first() -> None:
+    with mp.workdps(40):
+        assert mp.mpf(_TURNS) - 58 * mp.pi == pytest.approx(_TURNS_OVER, rel=1e-15)
+    rng = np.random.default_rng(1)
+    angles = [
+        *10.0 ** rng.uniform(6.0, 15.95, 1000), *(rng.integers(10**6, 10**12, 500) * (math.pi / 2.0)), LARGEST,
+        *(rng.integers(10**4, 10**12, 500) * _TURNS), np.nextafter(FARTHEST, 0.0), np.nextafter(LARGEST, 0.0),
+    ]  # fmt: skip
+    fast = compiled(cos_sin)
+    for angle in map(float, angles):
+        with mp.workdps(60):
+            expected = mp.cos(angle), mp.sin(angle)
+            found = fast(angle)
+            for value, reference in zip(found, expected, strict=True):
+                assert abs(value - reference) <= 1.2 * math.ulp(float(reference)) + 1e-18
+        assert found == cos_sin(angle)
+        assert fast(-angle) == (found[0], -found[1])
+
+
 def test_angles_beyond_the_reduction_are_handed_on() -> None:
     fast = compiled(cos_sin)
-    for angle in (1e6, -1e9, 1e22, 1e300):
-        assert fast(angle) == pytest.approx((math.cos(angle), math.sin(angle)), abs=1e-15)
+    for angle in (2.0**53, -1e22, 1e300):
+        assert fast(angle) == (math.cos(angle), math.sin(angle))
     for angle in (math.inf, -math.inf, math.nan):
         assert all(math.isnan(value) for value in fast(angle))
     assert abs(cos_sin_within(1e15)[0] - math.cos(1e15)) > 1e-3  # which is why

@@ -13,7 +13,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from jackbox_env.compiled import drives, impacts, step
+from jackbox_env.compiled import impacts, step
 from jackbox_env.compiled import search as kernel
 from jackbox_env.compiled.compiler import compiled
 from jackbox_env.compiled.status import Status
@@ -21,7 +21,7 @@ from jackbox_env.compiled.workspace import GRADIENTS, HITS, IMPULSES, RECORD, ST
 from jackbox_env.mechanics import energy, impact_map, simultaneous_impact_map
 from jackbox_env.planning import rollout
 from jackbox_env.scene import Chirp, Drive, Scene
-from jackbox_env.simulators import Impact, exact
+from jackbox_env.simulators import Impact, exact, functions
 from jackbox_env.simulators.exact import ExactSimulator, drive_kind, pieces_for
 from jackbox_env.states import clearance
 from jackbox_env.tasks import sample_start
@@ -554,7 +554,7 @@ def test_a_held_torque_costs_no_more_where_it_replaces_a_function(monkeypatch: p
 
     def interpolate(drive: Drive, time: float, dt: float) -> Any:
         asked.append(time)
-        return drives.function_pieces(drive, time, dt)
+        return functions.function_pieces(drive, time, dt)
 
     monkeypatch.setattr(exact, "function_pieces", interpolate)
     for torque in torques.tolist():

@@ -42,6 +42,23 @@ _SLACK = 1.0 + 1e-12  # on bounds, for their rounding
 STEEPEST = 1e40  # K [m/s^2] and alpha [rad/s^2] beyond which squares overflow
 
 
+_GROWN = 64 * 11  # work after which what a foot at rest may sink has reached its bound
+
+
+def _growth() -> list[float]:
+    """2^(k / 64) for k up to ``_GROWN``, rounded from integer roots: the last place of an exp2 is the C library's."""
+    roots = []
+    for k in range(64):
+        root = 1 << (k + 64 * 80)
+        for _ in range(6):
+            root = math.isqrt(root)
+        roots.append(root / (1 << 80))
+    return [math.ldexp(roots[k % 64], k // 64) for k in range(_GROWN + 1)]
+
+
+_GROWTH = np.array(_growth())
+
+
 class Piece(NamedTuple):
     """What acts on the box during one piece of a step."""
 
@@ -371,9 +388,9 @@ def search(scene: SceneNumbers, work: Workspace, flight: Flight, approach: Appro
     """First time within ``limits.end`` [s] at which a foot touches a wall and approaches; infinity if there is none.
 
     A foot that touches and does not approach stays within ``sink`` until the parabola through its present gap does:
-    without that depth a foot at rest on a wall would never leave the spot. ``sink`` is the tolerance and grows to
-    1e-10 m with the work of a step, so that a jack that rests on a wall or slides along it costs thousands of looks and
-    impacts and not millions. A step at rest grants that depth to a foot near the wall too.
+    without that depth a foot at rest on a wall would never leave the spot. ``sink`` is the tolerance, doubles with every
+    64 gaps that a step evaluates, and ends at 1e-10 m, so that a jack that rests on a wall or slides along it costs
+    thousands of looks and impacts and not millions. A step at rest grants that depth to a foot near the wall too.
     """
     still = 1e-15 * (abs(flight.vx) + abs(flight.vy) + flight.gravity * limits.end)
     still += 1e-15 * (abs(flight.omega) * scene.box_half_width + scene.jack_arm * abs(flight.jack_omega))
@@ -381,11 +398,12 @@ def search(scene: SceneNumbers, work: Workspace, flight: Flight, approach: Appro
     s = 0.0
     while True:
         if gap > tolerance:
-            after = s + parabola_root(gap + (deepest(scene) if rests(scene, work) else 0.0), rate, limits.curvature)
+            granted = deepest(scene) if rests(scene, work) else 0.0
+            after = s + parabola_root(gap + granted, rate, limits.curvature)
         elif rate < -still:
             return s
         else:
-            sink = min(deepest(scene), tolerance * 2.0 ** min(work[TALLY, WORK] / 64.0, 60.0))
+            sink = min(deepest(scene), tolerance * _GROWTH[min(int(work[TALLY, WORK]), _GROWN)])
             after = s + parabola_root(max(gap + sink, 0.1 * tolerance), max(rate, 0.0), limits.curvature)
         if not after <= limits.end or work[TALLY, WORK] > MOST_WORK:
             return math.inf

@@ -5,16 +5,16 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
 import pymunk
 
-from jackbox_env.mechanics import gap_jacobian
+from jackbox_env.compiled.impacts import quarter
 from jackbox_env.scene import Scene
 from jackbox_env.simulators.base import Impact
 
 _FIRST_FOOT = 4  # collision types: walls are 0..3, feet 4..7
 _FEWEST_ITERATIONS = 64
 _MOST_ITERATIONS = 100_000
+_ROUNDING = 1e-16
 
 
 class Recorder:
@@ -64,31 +64,94 @@ def iterations_for(scene: Scene) -> int:
 
     Sequential impulses are the Gauss-Seidel method for A = J M^-1 J^T: the error falls by the largest eigenvalue of
     -(D + L)^-1 L^T in modulus per iteration; those of dependent contacts are 1 and belong to impulses that cancel.
+    Everything is worked out in closed form, so that every machine counts the same.
 
     Raises:
         ValueError: more than 100,000 are needed.
     """
     half, arm = scene.box_half_width, scene.jack_arm
-    depth, turned = half - arm * math.sqrt(0.5), math.pi / 4.0  # of the centre where two feet at 45 degrees touch
-    cases = [((depth, place, turned), [(0, 0), (0, 3)]) for place in (0.0, 0.5 * depth, depth)]
-    cases.append(((depth, depth, turned), [(0, 0), (0, 3), (1, 0), (1, 1)]))
+    diagonal = math.sqrt(0.5)  # cosine and sine of 45 degrees
+    depth = half - arm * diagonal  # of the centre where two feet at 45 degrees touch
+    cases = [(depth, place, diagonal, [(0, 0), (0, 3)]) for place in (0.0, 0.5 * depth, depth)]
+    cases.append((depth, depth, diagonal, [(0, 0), (0, 3), (1, 0), (1, 1)]))
     if arm > half:  # wedged: feet on opposite walls, with little leverage where the arm is hardly longer
-        cases.append(((0.0, 0.0, math.acos(half / arm)), [(0, 0), (1, 1), (2, 2)]))
-    worst = 0.0
-    for pose, contacts in cases:
-        state = np.array([0.0, 0.0, 0.0, *pose, *[0.0] * 6])
-        rows = np.array([gap_jacobian(scene, state, wall, foot) for wall, foot in contacts])
-        rows /= np.sqrt(scene.mass_diagonal)
-        matrix = rows @ rows.T
-        lower = np.tril(matrix)
-        factors = np.sort(np.abs(np.linalg.eigvals(-np.linalg.solve(lower, matrix - lower))))
-        independent = min(len(contacts), 3)  # more contacts have rank 3, and the others' factor is 1
-        worst = max(worst, float(factors[independent - 1]))
-    needed = math.log(1e-16) / math.log(max(worst, 1e-16)) if worst < 1.0 else math.inf
+        cases.append((0.0, 0.0, half / arm, [(0, 0), (1, 1), (2, 2)]))
+    needed = max(_iterations(_convergence(_coupling(scene, *case))) for case in cases)
     if not needed <= _MOST_ITERATIONS:
         raise ValueError(
             f"jack_inertia = {scene.jack_inertia:g} kg m^2, box_inertia = {scene.box_inertia:g} kg m^2 and jack_arm = "
             f"{arm / half:.7g} box_half_width couple the feet so strongly that contact='pymunk' needs {needed:,.0f} "
             f"iterations, at most {_MOST_ITERATIONS:,} are made"
         )
-    return max(_FEWEST_ITERATIONS, math.ceil(needed))
+    return max(_FEWEST_ITERATIONS, int(needed))
+
+
+def _coupling(scene: Scene, x: float, y: float, cosine: float, contacts: list[tuple[int, int]]) -> list[list[float]]:
+    """A = J M^-1 J^T of contacts (wall, foot), with the box at angle 0.
+
+    Args:
+        scene: the scene.
+        x: of the jack's centre in the box [m].
+        y: likewise.
+        cosine: of the jack's angle, which is between 0 and 90 degrees.
+        contacts: that are closed.
+    """
+    sine = math.sqrt((1.0 - cosine) * (1.0 + cosine))
+    rows = []
+    for wall, foot in contacts:
+        nx, ny = quarter(1.0, 0.0, wall)
+        ox, oy = quarter(scene.jack_arm * cosine, scene.jack_arm * sine, foot)
+        rows.append((nx, ny, ny * (x + ox) - nx * (y + oy), ny * ox - nx * oy))
+    centres = 1.0 / scene.box_mass + 1.0 / scene.jack_mass
+    return [
+        [
+            (a[0] * b[0] + a[1] * b[1]) * centres
+            + a[2] * b[2] / scene.box_inertia
+            + a[3] * b[3] / scene.jack_inertia
+            for b in rows
+        ]
+        for a in rows
+    ]  # fmt: skip
+
+
+def _convergence(matrix: list[list[float]]) -> float:
+    """Largest modulus of an eigenvalue of G = -(D + L)^-1 L^T, leaving out a fourth contact's, which is 1.
+
+    The first column of G is zero. Without it two contacts leave one eigenvalue, three leave a matrix of two by two, and
+    four one of three by three, of which one eigenvalue is 1.
+    """
+    size = len(matrix)
+    g = [[0.0] * size for _ in range(size)]
+    for column in range(1, size):
+        for i in range(size):
+            value = -matrix[i][column] if column > i else 0.0
+            for j in range(i):
+                value -= matrix[i][j] * g[j][column]
+            g[i][column] = value / matrix[i][i]
+    if size == 2:
+        return abs(g[1][1])
+    if size == 3:
+        total, product = g[1][1] + g[2][2], g[1][1] * g[2][2] - g[1][2] * g[2][1]
+    else:
+        total = g[1][1] + g[2][2] + g[3][3] - 1.0
+        product = (
+            g[1][1] * (g[2][2] * g[3][3] - g[2][3] * g[3][2])
+            - g[1][2] * (g[2][1] * g[3][3] - g[2][3] * g[3][1])
+            + g[1][3] * (g[2][1] * g[3][2] - g[2][2] * g[3][1])
+        )
+    within = 0.25 * total * total - product
+    return 0.5 * abs(total) + math.sqrt(within) if within >= 0.0 else math.sqrt(product)
+
+
+def _iterations(factor: float) -> float:
+    """The fewest iterations that bring an error down to rounding, where each multiplies it by ``factor``."""
+    if not factor < 1.0:
+        return math.inf
+    powers = [factor]  # of 1, 2, 4, ... iterations
+    while powers[-1] > _ROUNDING:
+        powers.append(powers[-1] * powers[-1])
+    made, left = 0, 1.0
+    for k in reversed(range(len(powers))):
+        if left * powers[k] > _ROUNDING:
+            made, left = made + 2**k, left * powers[k]
+    return made + 1

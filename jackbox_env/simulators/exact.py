@@ -1,6 +1,6 @@
 """``contact="exact"``: from impact to impact, each found with a guarantee, in compiled code.
 
-Law: flight in closed form (``compiled/search.py``); at an impact all feet that touch, within 1e-13 m or 4 units in the last
+Law: flight in closed form (``search.py``); at an impact all feet that touch, within 1e-13 m or 4 units in the last
     place of a far-off position, take the simultaneous Newton law of
     :func:`jackbox_env.mechanics.simultaneous_impact_map`.
 Order: none; the error is rounding, whatever the control step. The system is chaotic and multiplies any error by about 5
@@ -9,9 +9,13 @@ Cost: below 0.1 microseconds per control step in a batch. Work is in proportion 
 Fails: elastic scenes only. A step that wants more than 1,000,000 gap evaluations raises JackLostError: rotation or
     impacts far too fast for the step. A chirp that turns more than 83,333 times in a step is refused. A foot at rest
     on a wall bounces by 1e-10 m and less, some thousand times per control step; one that comes to another wall
-    meanwhile may be as deep in it when it bounces. A drive's functions are interpolated: what happens between 13
-    points of a smooth stretch is not seen.
-Reference: Lygeros et al. 2003, "Dynamical properties of hybrid automata"; the bound is stated in ``compiled/search.py``.
+    meanwhile may be as deep in it when it bounces. A drive's functions are interpolated, see ``functions.py``: what
+    begins and ends between two of the 13 points of a piece is not seen.
+Bits: the same on every x86-64 CPU, whatever its C library, for states, impacts, observations and rewards. Compiled code
+    takes every sum in the order written, fuses no product with a sum, and has its own cosines (``trigonometry.py``).
+    Three things are the C library's: what a drive's own function takes from it (``math.sin``), the cosine of an angle
+    beyond 2^53 rad, and whether a state on the very edge of what is taken is refused.
+Reference: Lygeros et al. 2003, "Dynamical properties of hybrid automata"; the bound stands in ``compiled/search.py``.
 """
 
 from __future__ import annotations
@@ -22,13 +26,14 @@ import numpy as np
 
 from jackbox_env import _validation as check
 from jackbox_env.compiled.compiler import compiled
-from jackbox_env.compiled.drives import TABLE_WIDTH, function_pieces
+from jackbox_env.compiled.drives import TABLE_WIDTH
 from jackbox_env.compiled.search import MOST_WORK
 from jackbox_env.compiled.status import Status
 from jackbox_env.compiled.step import CHIRP, FUNCTIONS, HELD, HELD_BESIDE_FORCES, step_one
 from jackbox_env.compiled.workspace import RECORD, Workspace, new_workspace
 from jackbox_env.scene import Chirp, Drive, Scene, too_many_turns
 from jackbox_env.simulators.base import ContactModel, Impact, JackLostError, Present, end_of_step
+from jackbox_env.simulators.functions import function_pieces
 from jackbox_env.states import Array
 
 WITH_PIECES = (FUNCTIONS, HELD_BESIDE_FORCES)  # kinds whose functions are cut into pieces

@@ -18,6 +18,10 @@ Fails: a step in which a foot could move further than min(1 m, L) within a subst
     A jack with an arm longer than L can be wedged: feet deep in opposite walls have next to no leverage, and no number
     of iterations is enough. Where an elastic scene does not keep its energy over such a step it is divided further, and
     refused if that does not help. A scene with loss is off by some percent there.
+Bits: the same on every CPU that gives the C library's cosine, sine, exp and pow the same last place. The engine takes
+    cosines and sines of both angles from it wherever a contact is possible, the chirp its sine, the observation its
+    cosines, and restitution below 1 an exp and a pow. With one glibc that is every x86-64 CPU with FMA and AVX2 (from
+    2013 or 2015 on); without them one cosine in 1,500 differs.
 Reference: Catto 2005, "Iterative dynamics with temporal coherence"; pymunk 7.3 (Munk2D).
 
 How the engine is held to the law:
@@ -86,8 +90,16 @@ class _Load(NamedTuple):
         falling = [mean[0] for mean in means]
         rising = [mean[1] for mean in means]
         during = [0.5 * (now + after) for now, after in zip(rising, [*falling[1:], rising[-1]], strict=True)]
-        mean = (sum(falling) + sum(rising)) / (2.0 * len(means))
+        mean = (_total(falling) + _total(rising)) / (2.0 * len(means))
         return cls(falling[0], during, rising[-1], mean, max(map(abs, falling + rising)))
+
+
+def _total(values: list[float]) -> float:
+    """Sum in the order given; Python's own rounds otherwise from 3.12 on."""
+    total = 0.0
+    for value in values:
+        total += value
+    return total
 
 
 class PymunkSimulator(ContactModel):

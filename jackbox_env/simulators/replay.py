@@ -53,4 +53,5 @@ def replayed(
 
 
 def _box_energy(scene: Scene, state: Sequence[float]) -> float:
-    return 0.5 * (scene.box_mass * (state[6] ** 2 + state[7] ** 2) + scene.box_inertia * state[8] ** 2)
+    moving = scene.box_mass * (state[6] * state[6] + state[7] * state[7])
+    return 0.5 * (moving + scene.box_inertia * state[8] * state[8])

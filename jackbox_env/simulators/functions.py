@@ -1,0 +1,265 @@
+"""A drive's functions as the exact contact model takes them: a polynomial on each piece of a step, cut at every jump.
+
+Method: interpolation in the 13 Chebyshev points of the second kind (Trefethen 2013, "Approximation Theory and
+    Approximation Practice", ch. 3 and 4). Both ends of a piece are among them, so a jump at an end is seen as well. A
+    piece is kept when its last three Chebyshev coefficients are rounding. Otherwise it is cut: at a jump if bisection
+    finds one, else in the middle.
+Exactness: rounding, of the function's largest value in the step. A jump is located within 2^-44 of the step, or within
+    the spacing of float64 times where that is wider.
+Cost: 13 calls of a function for a smooth step, some 80 more for each jump, some 1,000 more for each kink.
+Fails: what begins and ends between two of the 13 points is not seen; the widest gap is 0.13 of a piece. A residual
+    below 1e-5 of the largest value that four cuts in a row do not bring down is taken for the function's rounding, and
+    so is up to four times as much in the rest of the step. More than 4,096 pieces in a step are refused.
+Bits: the points are literals, and compiled code takes the sums in the order written. So the pieces are the same on
+    every machine where the functions return the same. ``math.sin`` does not: its last place is the C library's.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jackbox_env import _validation as check
+from jackbox_env.compiled.compiler import compiled
+from jackbox_env.compiled.drives import DEGREE, TABLE_WIDTH
+from jackbox_env.scene import Drive
+
+Array = NDArray[np.float64]
+Sampled = Callable[[float], float]  # a function's value at a number of ticks since the step's start
+
+_TICKS = 1 << 44  # in a step; all cuts are at whole ticks
+_TICK = 2.0**-44
+_MOST_PIECES = 4096  # of a step
+_RESIDUAL = 1e-13  # of a function's interpolation, over the function's largest value in the step
+_NOISE = 1e-5  # the same where cuts are in vain: that is the function's rounding, not its shape
+_VAIN = 4  # cuts in a row that show it
+_LEFT = 0.25  # of a residual: a cut that leaves more in each part was in vain
+_MARGIN = 4.0  # times that residual: what is rounding elsewhere in the step
+_SHORTEST = 2.0**-1000  # [s] a time to divide by; no two times are that near but equal ones
+_STEEP = 0.3  # of the change over a gap: what a jump in it keeps, however near it is looked at
+_FLAT = 0.3  # of a jump: what the function may change beside it
+_LOWEST = 1e-8  # of a jump, over the function's largest value in the step
+
+# cos(k pi / 12) for k = 0 to 6, written out: C libraries differ in the last place.
+_COSINES = (1.0, 0.9659258262890683, 0.8660254037844386, 0.7071067811865476, 0.5, 0.25881904510252074, 0.0)
+
+
+def _cosine(twelfths: int) -> float:
+    """Cosine of a number of twelfths of pi."""
+    folded = min(twelfths % 24, -twelfths % 24)
+    return _COSINES[folded] if folded <= 6 else -_COSINES[12 - folded]
+
+
+def _powers_of_chebyshev() -> list[list[int]]:
+    """The powers of u in T_0 to T_12: T_k = 2 u T_{k-1} - T_{k-2}."""
+    rows = [[1] + [0] * DEGREE, [0, 1] + [0] * (DEGREE - 1)]
+    while len(rows) <= DEGREE:
+        rows.append([2 * a - b for a, b in zip([0, *rows[-1][:-1]], rows[-2], strict=True)])
+    return rows
+
+
+_POINTS = np.array([-_cosine(j) for j in range(DEGREE + 1)])  # in [-1, 1]
+_SHARES: list[float] = [0.5 * (1.0 + point) for point in _POINTS.tolist()]  # of a piece's length
+# Coefficient k of an interpolant is the sum of row k times the values; the first and last of each count half.
+_TO_CHEBYSHEV = np.array(
+    [
+        [_cosine(k * (DEGREE - j)) / (6.0 * (1 + (k in (0, DEGREE))) * (1 + (j in (0, DEGREE)))) for j in range(13)]
+        for k in range(DEGREE + 1)
+    ]
+)
+_TO_POWERS = np.array(_powers_of_chebyshev(), dtype=np.float64)
+
+
+@dataclass(slots=True)
+class _Rough:
+    """A function that its interpolant does not follow on a piece."""
+
+    axis: int
+    values: list[float]  # at the piece's 13 points
+    residual: float  # over the function's largest value
+    vain: int = 0  # cuts in a row that did not bring it down
+
+
+class _Piece(NamedTuple):
+    """A stretch of a step, interpolated."""
+
+    first: int  # tick it starts at
+    last: int  # tick it ends at
+    row: Array  # of the table
+    rough: list[_Rough]  # empty: all is resolved
+
+
+class _Functions:
+    """A drive's functions over one step."""
+
+    def __init__(self, drive: Drive, time: float, dt: float) -> None:
+        names = [(axis, name) for axis, name in enumerate(("torque", "force_x", "force_y")) if getattr(drive, name)]
+        self._functions = {axis: _sampled(name, getattr(drive, name), time, dt) for axis, name in names}
+        self._dt, self._rounding = dt, math.ulp(abs(time) + dt)  # [s]
+        self._largest = [1e-300] * 3
+        self._noise = [0.0] * 3  # residual that cuts do not bring down, over the largest value
+        self._interpolate = compiled(interpolate)
+
+    def look(self, first: int, last: int) -> _Piece:
+        """Interpolate the functions between two ticks."""
+        row, rough = np.zeros(TABLE_WIDTH), []
+        row[0], row[1] = first * _TICK * self._dt, (last - first) * _TICK * self._dt
+        for axis, function in self._functions.items():
+            place = 2 + axis * (DEGREE + 1)
+            if last - first == 1:  # as near as a jump is located
+                row[place] = 0.5 * function(first) + 0.5 * function(last)
+                continue
+            values = [function(first + (last - first) * share) for share in _SHARES]
+            peak, tail, slope = self._interpolate(np.array(values), row, place)
+            largest = self._largest[axis] = max(self._largest[axis], peak)
+            # A time that is rounded moves the value along the slope.
+            if tail > _RESIDUAL * largest + 4.0 * slope / max(0.5 * row[1], _SHORTEST) * self._rounding:
+                rough.append(_Rough(axis, values, tail / largest))
+        return _Piece(first, last, row, rough)
+
+    def cut(self, piece: _Piece) -> list[_Piece]:
+        """The parts of a piece that is not resolved, in time order; none where it stays whole."""
+        for one in piece.rough:
+            if one.vain == _VAIN:
+                self._noise[one.axis] = max(self._noise[one.axis], _MARGIN * one.residual)
+        rough = [one for one in piece.rough if one.residual > self._noise[one.axis]]
+        if not rough:
+            return []
+        first, last = piece.first, piece.last
+        ends = {first, (first + last) // 2, last}
+        for one in rough:
+            lowest = _LOWEST * self._largest[one.axis]
+            jump = _jump(self._functions[one.axis], first, last, one.values, lowest)
+            if jump is not None:
+                ends = {first, jump, jump + 1, last}
+                break
+        parts = [self.look(start, end) for start, end in itertools.pairwise(sorted(ends))]
+        for one in rough:
+            self._count_in_vain(one, [part for part in parts if part.last - part.first > 1])
+        return parts
+
+    def _count_in_vain(self, before: _Rough, parts: list[_Piece]) -> None:
+        """Note in what is left of a residual whether the cut was in vain."""
+        left = [one for part in parts for one in part.rough if one.axis == before.axis]
+        helped = len(left) < len(parts) or any(one.residual <= _LEFT * before.residual for one in left)
+        if before.residual <= _NOISE and not helped:
+            for one in left:
+                one.vain = before.vain + 1
+
+
+def function_pieces(drive: Drive, time: float, dt: float) -> Array:
+    """Interpolate a drive's functions over a step of ``dt`` [s] after ``time`` [s], each piece to rounding.
+
+    Returns:
+        Pieces in time order, shape (pieces, ``TABLE_WIDTH``).
+
+    Raises:
+        TypeError, ValueError: a function returns no finite number, or has more jumps or kinks than can be followed.
+    """
+    functions = _Functions(drive, time, dt)
+    rows: list[Array] = []
+    waiting = [functions.look(0, _TICKS)]
+    while waiting:
+        piece = waiting.pop()
+        parts = functions.cut(piece)
+        if parts:
+            waiting += reversed(parts)
+        else:
+            rows.append(piece.row)
+        if len(rows) + len(waiting) > _MOST_PIECES:
+            raise ValueError(
+                f"drive must be smooth but for some jumps: over the {dt:g} s after t = {time:g} s it wants more than "
+                f"{_MOST_PIECES} pieces"
+            )
+    return np.array(rows)
+
+
+def _sampled(name: str, function: Callable[[float], float], time: float, dt: float) -> Sampled:
+    """The function by ticks since the step's start, each value checked."""
+
+    def sampled(ticks: float) -> float:
+        moment = time + ticks * _TICK * dt
+        value = function(moment)
+        if type(value) is float and -math.inf < value < math.inf:  # this is fast
+            return value
+        return check.real(f"{name}({moment:g} s)", value)
+
+    return sampled
+
+
+def interpolate(values: Array, row: Array, place: int) -> tuple[float, float, float]:
+    """Write the powers of u of the polynomial through 13 values to ``row``, from ``place`` on.
+
+    Returns:
+        The largest value, the largest of the last three Chebyshev coefficients, and the steepest slope per u but one:
+        a jump makes one gap steep.
+    """
+    tail, middle = 0.0, values[DEGREE // 2]
+    row[place] = middle  # a constant comes out as it is
+    for k in range(DEGREE + 1):
+        coefficient = 0.0
+        for j in range(DEGREE + 1):
+            coefficient += _TO_CHEBYSHEV[k, j] * (values[j] - middle)
+        for i in range(k & 1, k + 1, 2):
+            row[place + i] += _TO_POWERS[k, i] * coefficient
+        if k > DEGREE - 3:
+            tail = max(tail, abs(coefficient))
+    peak, steepest, slope = abs(values[0]), 0.0, 0.0
+    for j in range(DEGREE):
+        peak = max(peak, abs(values[j + 1]))
+        rise = abs(values[j + 1] - values[j]) / (_POINTS[j + 1] - _POINTS[j])
+        slope = max(slope, min(rise, steepest))
+        steepest = max(steepest, rise)
+    return peak, tail, slope
+
+
+def _odd_gap(values: list[float]) -> tuple[int, float]:
+    """The gap between two points that is most out of step with its neighbours, and their slope, per piece."""
+    widths = [end - start for start, end in itertools.pairwise(_SHARES)]
+    slopes = [(b - a) / width for (a, b), width in zip(itertools.pairwise(values), widths, strict=True)]
+    most, odd, beside = -1.0, 0, 0.0
+    for gap, slope in enumerate(slopes):
+        before, after = slopes[gap - 1 if gap else 1], slopes[gap + 1 if gap < DEGREE - 1 else gap - 1]
+        nearest = max(min(slope, max(before, after)), min(before, after))
+        change = abs(slope - nearest) * widths[gap]
+        if change > most:
+            most, odd, beside = change, gap, nearest
+    return odd, beside
+
+
+def _jump(function: Sampled, first: int, last: int, values: list[float], lowest: float) -> int | None:
+    """The tick after which the function jumps, or None if no jump stands out in the piece.
+
+    Bisection of one gap between two points, less the slope of its neighbours. Where the function is smooth, or bends,
+    its change shrinks with the gap; at a jump it stays.
+    """
+    gap, slope = _odd_gap(values)
+    trend = slope / (last - first)  # per tick
+    low = first + math.floor((last - first) * _SHARES[gap])
+    high = first + math.ceil((last - first) * _SHARES[gap + 1])
+    width, at_low, at_high = high - low, function(low), function(high)
+    change = abs(at_high - at_low - trend * width)
+    least = max(lowest, _STEEP * change)
+    while high - low > 1:
+        middle = (low + high) // 2
+        value = function(middle)
+        below, above = abs(value - at_low - trend * (middle - low)), abs(at_high - value - trend * (high - middle))
+        if below >= above:
+            high, at_high, change = middle, value, below
+        else:
+            low, at_low, change = middle, value, above
+        if not change >= least:
+            return None
+    for near in (width >> 3, width >> 6, width >> 9):  # beside a jump it is quiet
+        before, after = max(first, low - near), min(last, high + near)
+        fall = abs(at_low - function(before) - trend * (low - before))
+        rise = abs(function(after) - at_high - trend * (after - high))
+        if max(fall, rise) > _FLAT * change:
+            return None
+    return low

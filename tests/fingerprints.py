@@ -1,0 +1,165 @@
+"""Digests of what simulators, environments, batches and rollouts bring: ``python -m tests.fingerprints exact pymunk``.
+
+Two machines agree to the last bit where their digests do. The drives' functions are arithmetic without a C library.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import sys
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numba.core.registry import cpu_target
+
+from jackbox_env import Chirp, Drive, Scene, make_simulator, rollout
+from jackbox_env.compiled.trigonometry import cos_sin
+from jackbox_env.env import JackInBoxEnv
+from jackbox_env.simulators.contacts import iterations_for
+from jackbox_env.vector_env import JackInBoxVectorEnv
+
+Digests = dict[str, str]
+
+
+def wave(time: float) -> float:
+    """Smooth."""
+    return 3e4 * float(cos_sin(9.0 * time)[0])
+
+
+def bent(time: float) -> float:
+    """Arcs, whose slope jumps."""
+    share = 1.7 * time % 1.0
+    return 3e5 * share * (1.0 - share) * (0.5 - share)
+
+
+def square(time: float) -> float:
+    """A square wave."""
+    return 6e4 if time % 0.31 < 0.17 else -5e4
+
+
+DRIVES = {
+    "no drive": None,
+    "chirp": Chirp(),
+    "smooth functions": Drive(torque=wave, force_x=bent),
+    "bent functions": Drive(torque=bent, force_x=wave, force_y=bent),
+    "functions that jump": Drive(torque=square, force_x=square),
+}
+FREE = [0.0] * 9 + [3.0, -2.0, 4.0]
+RESTING = [0.0] * 4 + [-5.0] + [0.0] * 4 + [0.3, 0.0, 0.0]
+TURNED = [0.0, 0.0, 3e6, 0.0, 1.0, 2.3e9, 0.0, 0.0, 1.0, 1.0, 1.0, 20.0]
+
+
+def digest(parts: Iterable[Any]) -> str:
+    """Of numbers and arrays, bit for bit."""
+    hashed = hashlib.sha256()
+    for part in parts:
+        hashed.update(np.ascontiguousarray(part).tobytes())
+    return hashed.hexdigest()[:16]
+
+
+def simulated(contact: str, scene: Scene, start: list[float], steps: int, held: bool) -> str:
+    """States and impacts of a simulator, under held torques or the drive."""
+    simulator, rng = make_simulator(scene, contact), np.random.default_rng(3)
+    simulator.reset(start)
+    parts: list[Any] = []
+    for torque in rng.uniform(-1.0, 1.0, steps).tolist():
+        simulator.step(0.02, torque * scene.torque_limit if held else None)
+        parts += [simulator.state, simulator.torque, *map(np.array, simulator.impacts)]
+    return digest(parts)
+
+
+def played(contact: str, scene: Scene, task: str, steps: int) -> str:
+    """What an environment shows."""
+    env = JackInBoxEnv(contact=contact, scene=scene, task=task)
+    observation, info = env.reset(seed=1)
+    parts: list[Any] = [observation]
+    for number in range(steps):
+        observation, reward, _, _, info = env.step(None if number % 40 < 20 else 0.7)
+        parts += [observation, reward, *info.values()]
+    return digest(parts)
+
+
+def batched(contact: str, scene: Scene, task: str, count: int, steps: int) -> str:
+    """What a batch of environments shows."""
+    env = JackInBoxVectorEnv(
+        count, contact=contact, scene=scene, task=task, with_infos=True, max_episode_steps=70,
+        autoreset_mode="SAME_STEP",
+    )  # fmt: skip
+    rng = np.random.default_rng(1)
+    parts: list[Any] = [env.reset(seed=5)[0]]
+    for number in range(steps):
+        actions = rng.uniform(-1.0, 1.0, (count, 1))
+        observations, rewards, _, truncations, infos = env.step(None if number % 40 < 20 else actions)
+        parts += [observations, rewards, truncations, env.states, env.times, infos["torque"], infos["impulse"]]
+    return digest(parts)
+
+
+def rolled(scene: Scene) -> str:
+    """What rollouts bring."""
+    rng = np.random.default_rng(0)
+    states = np.tile(FREE, (5, 1))
+    states[:, 9:] += rng.normal(size=(5, 3))
+    outcome = rollout(scene, states, rng.uniform(-9e4, 9e4, (5, 150)), 0.02, energy=True, impacts=True)
+    return digest(outcome)
+
+
+def of_contact_model(contact: str, steps: int) -> Digests:
+    """Everything a contact model has, for every kind of drive."""
+    found: Digests = {}
+    for (name, drive), task in zip(DRIVES.items(), ("juggle", "spin", "rattle", "juggle", "rattle"), strict=True):
+        scene = Scene(drive=drive)
+        found[f"{contact}, simulator, {name}"] = simulated(contact, scene, FREE, steps, held=False)
+        found[f"{contact}, simulator, {name}, held torques"] = simulated(contact, scene, FREE, steps, held=True)
+        found[f"{contact}, {task}, {name}"] = played(contact, scene, task, steps)
+        count = 33 if contact == "exact" else 2
+        found[f"{contact}, batch, {task}, {name}"] = batched(contact, scene, task, count, steps)
+        if contact == "exact":
+            found[f"rollout, {name}"] = rolled(scene)
+    odd = Scene(box_half_width=3.7391, jack_arm=0.61237, box_mass=211.3, jack_mass=5.31, torque_limit=2e4, drive=None)
+    found[f"{contact}, an odd scene"] = simulated(contact, odd, FREE, steps, held=True)
+    found[f"{contact}, at rest"] = simulated(contact, Scene(drive=None), RESTING, 10, held=False)
+    found[f"{contact}, many turns"] = simulated(contact, Scene(drive=None), TURNED, steps, held=True)
+    return found
+
+
+def of_scenes() -> Digests:
+    """What is derived from scenes: inertias, and iterations of the engine's solver."""
+    rng = np.random.default_rng(0)
+    sizes = rng.uniform([1.0, 0.1], [9.0, 1.4], (4000, 2)).tolist()
+    scenes = [Scene(box_half_width=width, jack_arm=arm) for width, arm in sizes]
+    inertias = [(scene.box_inertia, scene.jack_inertia) for scene in scenes]
+    light = [  # jacks that couple their feet, and get wedged
+        Scene(box_half_width=scene.box_half_width, jack_arm=1.1 * scene.box_half_width, jack_inertia=share)
+        for scene, share in zip(scenes, rng.uniform(0.5, 5.0, 200).tolist(), strict=False)
+    ]
+    return {"inertias": digest(inertias), "iterations": digest(map(iterations_for, light))}
+
+
+def of_libraries() -> Digests:
+    """What other libraries work out, which may differ between machines: it shows that a setting took hold."""
+    rng = np.random.default_rng(0)
+    angles, matrix = rng.uniform(-30.0, 30.0, 100_000), rng.normal(size=(13, 13))
+    return {
+        "C": digest(map(math.cos, angles.tolist())),
+        "NumPy": digest([np.exp(angles)]),
+        "BLAS": digest([np.linalg.inv(matrix)]),
+        "numba": digest([np.array(repr(cpu_target.target_context.codegen().magic_tuple()))]),
+    }
+
+
+def fingerprints(kinds: Iterable[str]) -> Digests:
+    """The digests of these kinds: ``exact``, ``pymunk``, ``scenes``, ``libraries``."""
+    found: Digests = {}
+    for kind in kinds:
+        if kind in ("exact", "pymunk"):
+            found |= of_contact_model(kind, 150 if kind == "exact" else 60)
+        else:
+            found |= of_scenes() if kind == "scenes" else of_libraries()
+    return found
+
+
+if __name__ == "__main__":
+    print(json.dumps(fingerprints(sys.argv[1:])))

@@ -1,0 +1,318 @@
+"""A drive's functions as the exact contact model takes them: where it cuts them, and how near it comes."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import mpmath as mp
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from jackbox_env import Drive, Scene, make_simulator
+from jackbox_env.compiled.compiler import compiled
+from jackbox_env.compiled.drives import DEGREE
+from jackbox_env.simulators import functions
+from jackbox_env.simulators.functions import function_pieces, interpolate
+
+Array = NDArray[np.float64]
+Function = Callable[[float], float]
+
+DT = 0.02
+
+
+class Counted:
+    """A function that counts its calls."""
+
+    def __init__(self, function: Function) -> None:
+        self.function, self.calls = function, 0
+
+    def __call__(self, time: float) -> float:
+        self.calls += 1
+        return self.function(time)
+
+
+def pieces(function: Function, time: float = 0.0, dt: float = DT) -> Array:
+    return function_pieces(Drive(torque=function), time, dt)
+
+
+def ends(table: Array) -> Array:
+    """Where pieces begin and end [s] since the step's start."""
+    return np.append(table[:, 0], table[-1, 0] + table[-1, 1])
+
+
+def integrals(table: Array) -> tuple[float, float]:
+    """The first and second integral over the step of what the pieces hold."""
+    first: list[float] = []
+    second: list[float] = []
+    for row in table.tolist():
+        half, powers = 0.5 * row[1], row[2 : 3 + DEGREE]
+        whole = half * math.fsum(2.0 * power / (k + 1.0) for k, power in enumerate(powers) if k % 2 == 0)
+        moment = half * math.fsum(2.0 * power / (k + 2.0) for k, power in enumerate(powers) if k % 2 == 1)
+        second += [row[1] * math.fsum(first), half * (whole - moment)]
+        first.append(whole)
+    return math.fsum(first), math.fsum(second)
+
+
+# -- interpolation ----------------------------------------------------------------------------------------------------
+
+
+def test_points_and_weights_are_rounded_right() -> None:
+    with mp.workdps(40):
+        for k, cosine in enumerate(functions._COSINES[:6]):
+            assert cosine == float(mp.cos(k * mp.pi / 12))
+        for j, share in enumerate(functions._SHARES):
+            assert share == pytest.approx(float(mp.sin(j * mp.pi / 24) ** 2), rel=1e-16, abs=1e-16)
+    assert functions._SHARES[0] == 0.0
+    assert functions._SHARES[-1] == 1.0
+    for k, powers in enumerate(functions._TO_POWERS):  # T_k = cos(k arccos u)
+        for u in np.linspace(-1.0, 1.0, 9):
+            assert np.polynomial.polynomial.polyval(u, powers) == pytest.approx(math.cos(k * math.acos(u)), abs=1e-12)
+
+
+def test_polynomials_are_interpolated_to_rounding_by_the_compiled_code_and_the_plain_one() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        powers = rng.normal(size=DEGREE + 1) * 10.0 ** rng.uniform(-3.0, 3.0)
+        values = np.polynomial.polynomial.polyval(functions._POINTS, powers)
+        rows = np.zeros((2, 2 + DEGREE + 1))
+        found = compiled(interpolate)(values, rows[0], 2)
+        assert found == interpolate(values, rows[1], 2)  # to the bit
+        np.testing.assert_array_equal(rows[0], rows[1])
+        np.testing.assert_allclose(rows[0, 2:], powers, rtol=0.0, atol=1e-11 * np.abs(powers).max())
+        us = np.linspace(-1.0, 1.0, 101)
+        seen, expected = (np.polynomial.polynomial.polyval(us, p) for p in (rows[0, 2:], powers))
+        np.testing.assert_allclose(seen, expected, rtol=0.0, atol=2e-15 * np.abs(powers).sum())
+        assert found[0] == np.abs(values).max()
+
+
+@pytest.mark.parametrize(
+    ("function", "dt", "most"),
+    [
+        (lambda t: 5.0, 0.02, 1),
+        (lambda t: 3e4 * math.cos(9.0 * t), 0.02, 1),
+        (lambda t: 1.0 + t * (2.0 - t * (3.0 - t)), 10.0, 1),
+        (lambda t: math.sin(100.0 * t), 0.02, 4),
+        (lambda t: math.sin(1000.0 * t), 0.02, 32),
+        (lambda t: 1.0 / (1.0 + (300.0 * (t - 0.0123)) ** 2), 0.02, 23),
+        (lambda t: math.exp(-((200.0 * (t - 0.007)) ** 2)), 0.02, 16),
+        (lambda t: math.tanh(50.0 * (t - 0.3)), 0.7, 39),
+        (lambda t: 3.0 + math.cos(500.0 * t), 0.1, 64),
+    ],
+)  # fmt: skip
+def test_smooth_functions_take_few_pieces_and_are_right_to_rounding(function: Function, dt: float, most: int) -> None:
+    table = pieces(function, 0.0, dt)
+    assert len(table) <= most
+    worst = largest = 0.0
+    for row in table:
+        for u in np.linspace(-1.0, 1.0, 41).tolist():
+            value = function(row[0] + 0.5 * row[1] * (1.0 + u))
+            found = float(np.polynomial.polynomial.polyval(u, row[2 : 3 + DEGREE]))
+            worst, largest = max(worst, abs(found - value)), max(largest, abs(value))
+    assert worst <= 1e-12 * largest
+
+
+def test_pieces_join_and_fill_the_step() -> None:
+    for dt in (1e-4, 0.02, 0.7, 10.0):
+        table = pieces(lambda t: abs(t % 0.31 - 0.17) + (t % 0.43 < 0.2), 0.0, dt)
+        np.testing.assert_allclose(table[1:, 0], table[:-1, 0] + table[:-1, 1], rtol=1e-15, atol=0.0)
+        assert table[0, 0] == 0.0
+        assert math.fsum(table[:, 1]) == pytest.approx(dt, rel=1e-15)
+
+
+# -- jumps ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_jump_at_the_very_end_of_a_step_is_seen() -> None:
+    simulator = make_simulator(Scene(drive=Drive(force_x=lambda t: 0.0 if t < 0.01994 else 1e6)), "exact")
+    simulator.step(0.02)
+    assert simulator.state[6] == pytest.approx(1e6 / 400.0 * (0.02 - 0.01994), abs=2e-11)
+
+
+def cubic(rng: np.random.Generator, time: float) -> tuple[Function, float, float]:
+    """A smooth function of order one over the step after ``time``, and its integrals from the time 0."""
+    a, b, c, d = rng.uniform(-1.0, 1.0, 4).tolist()
+
+    def smooth(t: float) -> float:
+        s = (t - time) / DT
+        return float(a + s * (b + s * (c + s * d)))
+
+    once = DT * (a + b / 2.0 + c / 3.0 + d / 4.0)
+    return smooth, once, DT * DT * (a / 2.0 + b / 6.0 + c / 12.0 + d / 20.0)
+
+
+def place(rng: np.random.Generator, kind: str) -> float:
+    """Of a jump, over the step."""
+    if kind == "near an end":
+        away = 10.0 ** rng.uniform(-12.0, -2.4)
+        return float(rng.choice([away, 1.0 - away]))
+    return float(rng.integers(1, 64) / 64.0) if kind == "dyadic" else rng.uniform()
+
+
+@pytest.mark.parametrize("kind", ["anywhere", "near an end", "dyadic", "several", "left-continuous", "later"])
+def test_jumps_are_located_to_1e_12_of_the_step(kind: str) -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(600):
+        time = rng.uniform(0.0, 30.0) if kind == "later" else 0.0
+        smooth, once, twice = cubic(rng, time)
+        count = int(rng.integers(2, 6)) if kind == "several" else 1
+        jumps = [(time + DT * place(rng, kind), float(rng.choice([-1.0, 1.0]) * height))
+                 for height in 10.0 ** rng.uniform(-3.0, 6.0) * rng.uniform(0.2, 1.0, count)]  # fmt: skip
+
+        def function(t: float, smooth: Function = smooth, jumps: Any = jumps) -> float:
+            closed = kind == "left-continuous"
+            return smooth(t) + math.fsum(height for at, height in jumps if (t > at if closed else t >= at))
+
+        counted = Counted(function)
+        table = pieces(counted, time)
+        spacing = 2.0 * math.ulp(time + DT) if time else 0.0
+        for at, _ in jumps:
+            assert np.abs(ends(table) - (at - time)).min() <= 1e-12 * DT + spacing
+        assert counted.calls < 250 * count + 100
+        if time == 0.0:
+            lowest = min(abs(height) for _, height in jumps)
+            found = integrals(table)
+            once += math.fsum(height * (DT - at) for at, height in jumps)
+            twice += math.fsum(0.5 * height * (DT - at) ** 2 for at, height in jumps)
+            assert abs(found[0] - once) <= 1e-12 * DT * lowest
+            assert abs(found[1] - twice) <= 1e-12 * DT * DT * lowest
+
+
+@pytest.mark.parametrize("kind", ["anywhere", "dyadic", "near an end"])
+def test_kinks_are_followed_to_rounding(kind: str) -> None:
+    # What a kink moves, as a jump that is located to 1e-12 would.
+    rng = np.random.default_rng(1)
+    for _ in range(60):
+        smooth, once, twice = cubic(rng, 0.0)
+        at, bend = DT * place(rng, kind), 10.0 ** rng.uniform(-3.0, 6.0)
+
+        def bent(t: float, smooth: Function = smooth, at: float = at, bend: float = bend) -> float:
+            return smooth(t) + bend / DT * max(0.0, t - at)
+
+        found = integrals(pieces(bent))
+        once, twice = once + bend / DT * (DT - at) ** 2 / 2.0, twice + bend / DT * (DT - at) ** 3 / 6.0
+        assert abs(found[0] - once) <= 1e-12 * DT * bend
+        assert abs(found[1] - twice) <= 1e-12 * DT * DT * bend
+
+
+def test_jumps_of_several_functions_are_all_located() -> None:
+    rng = np.random.default_rng(2)
+    for _ in range(200):
+        at = (DT * rng.uniform(size=3)).tolist()
+        parts = [
+            lambda t, at=at, height=height: math.cos(3.0 * t) + height * (t >= at)
+            for at, height in zip(at, 10.0 ** rng.uniform(-2.0, 5.0, 3), strict=True)
+        ]
+        found = ends(function_pieces(Drive(*parts), 0.0, DT))
+        assert max(np.abs(found - one).min() for one in at) <= 1e-12 * DT
+
+
+def test_low_jumps_are_located_where_the_function_is_steep() -> None:
+    rng = np.random.default_rng(3)
+    for height in (10.0 ** rng.uniform(-7.0, -3.0, 200)).tolist():
+        at, (smooth, _, _) = DT * rng.uniform(), cubic(rng, 0.0)
+
+        def steep(t: float, smooth: Function = smooth, at: float = at, height: float = height) -> float:
+            return 2.0 + smooth(t) + height * (t >= at)
+
+        found = ends(pieces(steep))
+        assert np.abs(found - at).min() <= 1e-12 * DT
+
+
+def test_without_points_at_the_ends_jumps_hide_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    # The control: these are the shares of Chebyshev points of the first kind.
+    def late(t: float) -> float:
+        return float(t >= 0.998 * DT)
+
+    assert integrals(pieces(late))[0] == pytest.approx(0.002 * DT, rel=1e-9)
+    inner = [0.5 - 0.5 * math.cos((k + 0.5) * math.pi / 13.0) for k in range(13)]
+    monkeypatch.setattr(functions, "_SHARES", inner)
+    assert integrals(pieces(late))[0] == 0.0
+
+
+def test_without_bisection_a_jump_costs_ten_times_as_much(monkeypatch: pytest.MonkeyPatch) -> None:
+    costs = []
+    for bisect in (True, False):
+        if not bisect:
+            monkeypatch.setattr(functions, "_jump", lambda *_: None)
+        counted = Counted(lambda t: 1.0 + (t >= 0.0123))
+        table = pieces(counted)
+        assert np.abs(ends(table) - 0.0123).min() <= 1e-12 * DT
+        costs.append(counted.calls)
+    assert costs[0] < 110
+    assert costs[1] > 10 * costs[0]
+
+
+# -- rounding that is not shape ---------------------------------------------------------------------------------------
+
+
+def scattered(time: float) -> float:
+    """Noise in [-1, 1] that is a function of the time."""
+    word = int(np.float64(time).view(np.uint64)) * 6364136223846793005 + 1442695040888963407 & (1 << 64) - 1
+    word = (word ^ word >> 29) * 0xBF58476D1CE4E5B9 & (1 << 64) - 1
+    return (word ^ word >> 32) / 2.0**63 - 1.0
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        *(lambda t, size=size: math.sin(9.0 * t) + size * scattered(t) for size in (1e-5, 1e-6, 1e-7, 1e-9, 1e-12)),
+        lambda t: np.float32(9e4 * math.sin(t)),
+        lambda t: np.float32(9e4 * math.sin(300.0 * t)),
+        lambda t: float(np.float32(9e4 * (1.0 + 1e-3 * t))),
+        lambda t: float(math.floor(1e5 * t)),
+    ],
+)
+def test_rounding_is_not_followed(function: Function) -> None:
+    for time in (1.0, 1.5, 33.3):
+        counted = Counted(function)
+        table = function_pieces(Drive(torque=counted), time, DT)
+        assert counted.calls < 1500
+        for row in table:
+            value = float(function(time + row[0] + 0.5 * row[1]))
+            assert abs(row[2] - value) <= 1e-4 * max(1.0, abs(value))
+
+
+def test_a_kink_that_halving_brings_near_an_end_is_not_taken_for_rounding() -> None:
+    # Halved, the piece with the kink keeps its residual while it shrinks: the other half tells that the cut helped.
+    at, bend = DT * (0.5 + 1e-6), 2e-2
+    once, _ = integrals(pieces(lambda t: 1.0 + bend / DT * max(0.0, t - at)))
+    assert once == pytest.approx(DT + bend / DT * (DT - at) ** 2 / 2.0, abs=1e-14 * DT)
+
+
+def test_rounding_found_in_one_function_leaves_the_others_alone() -> None:
+    rough: Sequence[Function] = (lambda t: float(np.float32(math.sin(t))), lambda t: abs(t - 1.0123))
+    for torque, force in itertools.permutations(rough):
+        table = function_pieces(Drive(torque=torque, force_x=force), 1.0, DT)
+        bent = 2 + (DEGREE + 1) * (torque is rough[0])
+        once = math.fsum(
+            row[1] * math.fsum(power / (k + 1.0) for k, power in enumerate(row[bent : bent + DEGREE + 1]) if k % 2 == 0)
+            for row in table.tolist()
+        )
+        exact = 0.5 * (0.0123**2 + 0.0077**2)
+        assert once == pytest.approx(exact, rel=1e-11)
+
+
+# -- the largest and the smallest --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "function", [lambda t: 1.7e308 * math.cos(500.0 * t), lambda t: 1.7e308 if t < 0.013 else -1.7e308, lambda t: 1e300]
+)
+def test_functions_near_the_largest_float_are_refused_and_leave_the_simulator_as_it_was(function: Function) -> None:
+    for part in ("torque", "force_x", "force_y"):
+        simulator = make_simulator(Scene(drive=Drive(**{part: function})), "exact")
+        before = simulator.state
+        with pytest.raises((RuntimeError, ValueError), match=r"moves too fast|must be smooth"):
+            simulator.step(DT)
+        np.testing.assert_array_equal(simulator.state, before)
+
+
+@pytest.mark.parametrize("dt", [5e-324, 1e-310, 1e-300, 1e-200])
+def test_the_shortest_steps(dt: float) -> None:
+    table = pieces(lambda t: 1.0 + t, 0.0, dt)
+    assert table[:, :2].tolist() == [[0.0, dt]]
+    assert table[0, 2:].tolist() == [1.0] + [0.0] * 38
