@@ -1,5 +1,5 @@
 # make demo: train, evaluate, film. make test: lint, types, tests. Both set themselves up in .venv first.
-# make extremes: tests/extremes with all the steps of its long runs, which writes docs/extremes.md.
+# make extremes: tests/extremes with all the steps of its long runs; writes docs/extremes.md from what they record.
 PYTHON ?= python3
 BIN := .venv/bin
 OLD_GYMNASIUM := .venv/gymnasium-1.2.2
@@ -34,7 +34,7 @@ costs: .venv/ready
 	@$(BIN)/python scripts/studies/costs/costs.py
 
 extremes: .venv/ready
-	@JACKBOX_EXTREMES=full $(BIN)/python -m pytest -q tests/extremes
+	@$(BIN)/python -m tests.extremes
 
 transfer: .venv/ready
 	@$(BIN)/python scripts/studies/transfer/transfer.py --seeds 5 --total-steps 1000000 500000 --out docs
