@@ -24,8 +24,9 @@ benchmark: .venv/ready
 benchmark-quick: .venv/ready
 	@$(BIN)/python scripts/studies/accuracy/benchmark.py --quick --no-progress
 
+# Single environments only, a minute: the README's table, and the part of docs/speed.md.
 throughput: .venv/ready
-	@$(BIN)/python scripts/studies/speed/throughput.py
+	@$(BIN)/python scripts/studies/speed/speed.py --parts alone
 
 speed: .venv/ready
 	@$(BIN)/python scripts/studies/speed/speed.py

@@ -98,7 +98,7 @@ def collected(
 def how(arguments: Arguments, before: tuple[float, float]) -> list[str]:
     """What the figures come from."""
     from agents.runs import PACKAGES, machine, versions
-    from scripts.studies.speed.speed import meanwhile
+    from scripts.studies.timing import meanwhile
 
     known = versions((*(name for name in PACKAGES if name != "torch"), "numba", "mujoco", "box2d"))
     command = " ".join(["python scripts/studies/accuracy/benchmark.py", *sys.argv[1:]])
