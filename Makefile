@@ -30,8 +30,9 @@ benchmark: .venv/ready
 benchmark-quick: .venv/ready
 	@$(BIN)/python scripts/studies/accuracy/benchmark.py --quick --no-progress
 
+# Single environments only, a minute: the README's table, and the part of docs/speed.md.
 throughput: .venv/ready
-	@$(BIN)/python scripts/studies/speed/throughput.py
+	@$(BIN)/python scripts/studies/speed/speed.py --parts alone
 
 speed: .venv/ready
 	@$(BIN)/python scripts/studies/speed/speed.py
@@ -43,7 +44,7 @@ soak: .venv/ready
 	@$(BIN)/python scripts/studies/laws/soak.py --hours 8
 
 extremes: .venv/ready
-	@JACKBOX_EXTREMES=full $(BIN)/python -m pytest -q tests/extremes
+	@$(BIN)/python -m tests.extremes
 
 transfer: .venv/ready
 	@$(BIN)/python scripts/studies/transfer/transfer.py --seeds 5 --total-steps 1000000 500000 --out docs

@@ -327,15 +327,6 @@ def test_an_uncertified_step_would_let_feet_through(monkeypatch: pytest.MonkeyPa
     assert not hasty or hasty[0] != first
 
 
-def test_no_foot_gets_out_over_two_million_steps_of_random_torque() -> None:
-    # The full measurement over 1e8 steps is scripts/studies/laws/containment.py.
-    from scripts.studies.laws.containment import deepest_over
-
-    deepest, steps = deepest_over(steps=2_000_000, num_envs=2048, seed=5, progress=False)
-    assert steps >= 2_000_000
-    assert deepest < 1e-9
-
-
 # -- resting, grazing, touching ----------------------------------------------------------------------------------------
 
 

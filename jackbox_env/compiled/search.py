@@ -388,9 +388,9 @@ def search(scene: SceneNumbers, work: Workspace, flight: Flight, approach: Appro
     """First time within ``limits.end`` [s] at which a foot touches a wall and approaches; infinity if there is none.
 
     A foot that touches and does not approach stays within ``sink`` until the parabola through its present gap does:
-    without that depth a foot at rest on a wall would never leave the spot. ``sink`` is the tolerance, doubles with every
-    64 gaps that a step evaluates, and ends at 1e-10 m, so that a jack that rests on a wall or slides along it costs
-    thousands of looks and impacts and not millions. A step at rest grants that depth to a foot near the wall too.
+    without that depth a foot at rest on a wall would never leave the spot. ``sink`` is the tolerance. It doubles with
+    every 64 gaps that a step evaluates, and ends at 1e-10 m, so that a jack that rests on a wall or slides along it
+    costs thousands of looks and impacts and not millions. A step at rest grants that depth to a foot near the wall too.
     """
     still = 1e-15 * (abs(flight.vx) + abs(flight.vy) + flight.gravity * limits.end)
     still += 1e-15 * (abs(flight.omega) * scene.box_half_width + scene.jack_arm * abs(flight.jack_omega))

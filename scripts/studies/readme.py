@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +12,7 @@ from scripts.common import command_line
 
 ROOT = Path(__file__).parents[2]
 SWEEP = ROOT / "docs" / "accuracy"
+SPEED = ROOT / "docs" / "speed.json"
 PICTURE = ROOT / "docs" / "jackbox.gif"
 
 
@@ -23,8 +22,6 @@ class Arguments:
 
     run: Path | None = None
     """Folder of a demo run; None: the newest in runs/."""
-    benchmark: bool = True
-    """Measure the benchmark anew."""
     picture: bool = True
     """Film the picture anew."""
 
@@ -84,6 +81,7 @@ def main() -> None:
 
     from scripts.studies.accuracy.page import for_the_readme
     from scripts.studies.accuracy.results import Results
+    from scripts.studies.speed import page as speed
 
     arguments = tyro.cli(Arguments, description=__doc__)
     run = arguments.run or newest_demo()
@@ -92,10 +90,7 @@ def main() -> None:
     page = fill(page, "fidelity", for_the_readme(Results.load(SWEEP)))
     if arguments.picture:
         take_picture(run)
-    if arguments.benchmark:
-        command = [sys.executable, str(ROOT / "scripts" / "throughput.py")]
-        measured = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout
-        page = fill(page, "benchmark", measured.strip())
+    page = fill(page, "benchmark", speed.for_the_readme(json.loads(SPEED.read_text())))
     (ROOT / "README.md").write_text(page)
     print(f"Wrote README.md from {run}")
 

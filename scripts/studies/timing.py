@@ -1,20 +1,18 @@
-"""Timing in interleaved rounds, and what more than one benchmark times."""
+"""Timing in interleaved rounds, and the words and bars in which a page tells what was found."""
 
 from __future__ import annotations
 
-import math
 import os
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
-import gymnasium as gym
-import numpy as np
 from tqdm import tqdm
 
 Timed = Callable[[], float]  # runs once and returns operations per second
+Rates = dict[str, list[float]]  # operations per second in each round
+PINNED = hasattr(os, "sched_setaffinity")
 
 
 def repeat(
@@ -41,9 +39,9 @@ def repeat(
     return run
 
 
-def measure(timed: dict[str, Timed], rounds: int, progress: bool = True) -> dict[str, list[float]]:
+def measure(timed: Mapping[str, Timed], rounds: int, progress: bool = True) -> Rates:
     """Run all in turn, ``rounds`` times after a warm-up."""
-    rates: dict[str, list[float]] = {name: [] for name in timed}
+    rates: Rates = {name: [] for name in timed}
     with tqdm(total=(rounds + 1) * len(timed), unit="measurement", disable=not progress, leave=False) as bar:
         for number in range(rounds + 1):
             for name, run in timed.items():
@@ -54,19 +52,18 @@ def measure(timed: dict[str, Timed], rounds: int, progress: bool = True) -> dict
     return rates
 
 
-def ratios(rates: dict[str, list[float]], one: str, other: str) -> list[float]:
+def ratios(rates: Mapping[str, Sequence[float]], one: str, other: str) -> list[float]:
     """One rate over another in each round."""
     return [a / b for a, b in zip(rates[one], rates[other], strict=True)]
 
 
-def spread(values: list[float]) -> str:
-    """Median with the extremes."""
-    return f"{statistics.median(values):.2f} ({min(values):.2f} to {max(values):.2f})"
+# -- the machine -------------------------------------------------------------------------------------------------------
 
 
-def ratio(rates: dict[str, list[float]], one: str, other: str) -> str:
-    """Median over the rounds of one rate over another, with the extremes."""
-    return spread(ratios(rates, one, other))
+def on_cores(cores: Iterable[int]) -> None:
+    """Keep all threads of this process, and those to come, on these cores, where the system can."""
+    for thread in os.listdir("/proc/self/task") if PINNED else ():
+        os.sched_setaffinity(int(thread), cores)
 
 
 def others() -> tuple[float, float]:
@@ -79,51 +76,60 @@ def others() -> tuple[float, float]:
     return (sum(ticks) - idle) / os.sysconf("SC_CLK_TCK") - ours, sum(ticks) / os.sysconf("SC_CLK_TCK")
 
 
-def steps_of(env_id: str, seconds: float, **settings: Any) -> Timed:
-    """Steps per second of an environment under random actions drawn beforehand, resets included."""
-    env = gym.make(env_id, **settings)
-    env.action_space.seed(0)
-    actions = [env.action_space.sample() for _ in range(4096)]
-    env.reset(seed=0)
-
-    def block() -> int:
-        for action in actions[:256]:
-            _, _, terminated, truncated, _ = env.step(action)
-            if terminated or truncated:
-                env.reset()
-        actions.append(actions.pop(0))
-        return 256
-
-    return repeat(block, seconds)
+def meanwhile(before: tuple[float, float]) -> str:
+    """How much of the machine others had since ``before``: what makes figures unsteady."""
+    taken, there = others()
+    share = (taken - before[0]) / max(there - before[1], 1e-9)
+    return f"Other processes took {max(0.0, share):.0%} of the machine's time meanwhile." if there else ""
 
 
-def steps_of_bare_pymunk(seconds: float, substeps: int = 4) -> Timed:
-    """Control steps per second of a plain pymunk loop: same shapes, torque and weight set in each substep."""
-    import pymunk
+def measured_with(packages: Iterable[str]) -> str:
+    """The machine, and the versions of these packages."""
+    from agents.runs import machine, versions
 
-    space = pymunk.Space()
-    space.iterations, space.collision_bias = 64, 1.0
-    box, jack = pymunk.Body(400.0, 14400.0), pymunk.Body(4.0, 4.0)
-    shapes: list[pymunk.Shape] = []
-    for quarter in range(4):
-        normal = pymunk.Vec2d.from_polar(1.0, quarter * math.pi / 2.0)
-        middle, end = normal * 106.0, normal.perpendicular() * 206.0
-        shapes += [pymunk.Segment(box, middle - end, middle + end, 100.0), pymunk.Circle(jack, 0.0, normal)]
-    for shape in shapes:
-        shape.elasticity = 1.0
-    space.add(box, jack, *shapes)
-    torques = np.random.default_rng(0).uniform(-90000.0, 90000.0, 500).tolist()
-    weight, h = (0.0, -4.0 * 9.81), 0.02 / substeps
+    return f"{machine()}; " + ", ".join(f"{name} {version}" for name, version in versions(tuple(packages)).items())
 
-    def block() -> int:
-        box.position = jack.position = 0.0, 0.0
-        box.velocity = jack.velocity = 0.0, 0.0
-        box.angular_velocity = jack.angular_velocity = 0.0
-        for torque in torques:
-            for _ in range(substeps):
-                box.torque = torque
-                jack.force = weight
-                space.step(h)
-        return len(torques)
 
-    return repeat(block, seconds)
+# -- words and bars ----------------------------------------------------------------------------------------------------
+
+
+def figure(value: float) -> str:
+    """A number with three digits, or all before the point."""
+    return f"{value:,.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
+
+
+def rough(value: float) -> str:
+    """A number for a sentence, rounded to three digits."""
+    return figure(float(f"{value:.3g}"))
+
+
+def cells(values: Sequence[float]) -> str:
+    """Median, smallest and largest, as two cells of a table; nothing in the second where there is one value only."""
+    extremes = f"{figure(min(values))} to {figure(max(values))}" if len(values) > 1 else ""
+    return f"{figure(statistics.median(values))} | {extremes}"
+
+
+def joined(parts: Mapping[str, Iterable[str]]) -> str:
+    """A page of titled parts."""
+    return "\n".join("\n".join([title, "", *lines, ""]) for title, lines in parts.items())
+
+
+def bars(path: Path, what: str, rows: Mapping[str, Mapping[str, float]], log: bool = False) -> None:
+    """Draw a bar for each row, of parts set end to end, and write the whole beside it; one part needs no legend."""
+    from matplotlib.figure import Figure
+
+    drawn, parts = Figure(figsize=(7.0, 1.0 + 0.36 * len(rows)), layout="constrained"), list(next(iter(rows.values())))
+    axes, names = drawn.subplots(), list(rows)
+    for number, part in enumerate(parts):
+        before = [sum(list(row.values())[:number]) for row in rows.values()]
+        axes.barh(names, [row[part] for row in rows.values()], left=before, label=part.replace("`", ""))
+    for name, row in rows.items():
+        axes.annotate(f" {rough(sum(row.values()))}", (sum(row.values()), name), va="center")
+    axes.set(xlabel=what, xscale="log" if log else "linear")
+    axes.margins(x=0.15)
+    axes.invert_yaxis()
+    axes.spines[["top", "right"]].set_visible(False)
+    if len(parts) > 1:
+        drawn.set_figheight(drawn.get_figheight() + 0.15 * len(parts))
+        drawn.legend(loc="outside lower center", ncols=2, frameon=False)
+    drawn.savefig(path, dpi=110)

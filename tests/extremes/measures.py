@@ -9,6 +9,7 @@ from itertools import groupby
 
 import numpy as np
 
+from jackbox_env.compiled.step import make_numbers
 from jackbox_env.mechanics import energy, simultaneous_impact_map
 from jackbox_env.scene import Scene
 from jackbox_env.simulators import Impact, Simulator, make_simulator
@@ -25,6 +26,15 @@ def started(scene: Scene, contact: str, state: Array | list[float], time: float 
 def deepest_allowed(contact: str) -> float:
     """How far a foot may be outside at the end of a step [m]: a substep of pymunk may end 1 m deep, exact rounds."""
     return 1.0 if contact == "pymunk" else 1e-9
+
+
+def least_clearance(values: Array, states: Array) -> float:
+    """Smallest gap [m] in any of the states, shape (N, 12); to be compiled."""
+    numbers = make_numbers(values)
+    least = math.inf
+    for i in range(states.shape[0]):
+        least = min(least, clearance(numbers, states[i]))
+    return least
 
 
 def momentum(scene: Scene, state: Array) -> Array:

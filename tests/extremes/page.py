@@ -1,14 +1,16 @@
-"""The page of extremes: what each case found, as a row of docs/extremes.md that the test run itself writes.
+"""The page of extremes: what each case found, as a row of docs/extremes.md.
 
-A case measures and returns a :class:`Finding`; :func:`extreme` makes it a test for every contact model, notes the
-finding in the run's :class:`Page` and only then asserts, so that a row of a failing test reads FAILS.
+A case measures and returns a :class:`Finding`; :func:`extreme` makes it a test for every contact model, records the
+finding where ``JACKBOX_EXTREMES_RECORD`` says and only then asserts, so that a row of a failing test reads FAILS.
+``python -m tests.extremes`` runs the tests so and writes the page; the tests themselves write nothing else.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,8 +19,8 @@ import pytest
 from jackbox_env import _validation as check
 from jackbox_env.simulators import CONTACT_MODELS
 
-DOCS = Path(__file__).parents[2] / "docs"
 HOLDS, REFUSED, FAILS = "holds", "refused", "FAILS"
+RECORD = "JACKBOX_EXTREMES_RECORD"  # names a file to which findings are added, one a line
 FULL = check.choice("JACKBOX_EXTREMES", os.environ.get("JACKBOX_EXTREMES", "quick"), ("quick", "full")) == "full"
 
 # The rows in order; each stands once for every contact model.
@@ -66,12 +68,22 @@ TABLE = (
     "restitution 0 and 0.5: comes to rest",
 )
 
-HEAD = """# Extremes
+# The tables of the page, by the row that each begins with.
+PARTS = {
+    "one impact, jack 1e-9 to 1e9 times as heavy as the box": "Masses and inertias",
+    "jack spins at 3e4 rad/s among the walls, steps of 0.02 s": "Spins and speeds",
+    "an impact amid five control steps of 1e-6 to 1 s": "Steps and arms",
+    "a foot arrives at 1e-9 m/s": "Slow impacts, and several at once",
+    "a foot exactly on the wall at reset: approaching": "Feet that start on a wall or behind it",
+    "no gravity: bodies without forces for 200 s": "Forces, times and places",
+    "episodes of 500 steps under random torque": "Millions of steps",
+    "subnormal numbers in states, time steps and torques": "Numbers too small, too large or not finite",
+    "restitution 0 and 0.5: comes to rest": "Loss",
+}
 
-What each contact model does at the extremes of what it is given. Written by the tests themselves: by `make extremes`,
-and by `pytest tests/extremes`, which takes fewer steps in the long runs and leaves their two rows as they are while it
-finds nothing wrong. *holds*: what was expected was seen, to the bound in the row; *refused*: the library declines with
-that sentence and stays as it was; *FAILS*: neither, and so does the row's test.
+HEAD = """
+*holds*: what was expected was seen; `0.22 of 1 m` is 0.22 m where at most 1 m was expected. *refused*: the library
+declines with that sentence and stays as it was. *FAILS*: neither, and so does the row's test.
 
 Momentum, energy and rates (the six velocities) without a unit are errors relative to the largest of their kind, to
 what the law says: the impact map, or where feet touch together the simultaneous law, at the pose where an impact acts.
@@ -79,9 +91,6 @@ what the law says: the impact map, or where feet touch together the simultaneous
 be as deep in a wall as it moves in a substep, 1 m at most, and one that dips in and out again in between is not seen.
 `exact` finds impacts to rounding. Where a row says nothing else a box has the half width L = 6 m and 400 kg, a jack has
 arms of 1 m and 4 kg, both start at some m/s and rad/s, and there is neither gravity nor torque.
-
-| what | contact model | expected | seen | verdict |
-|---|---|---|---|---|
 """
 
 
@@ -91,7 +100,9 @@ class Finding(NamedTuple):
     expected: str
     seen: str
     verdict: str
-    steps: int | None = None  # taken, of a run that ``make extremes`` makes longer
+
+
+Findings = Mapping[tuple[str, str], Finding]  # by case and contact model
 
 
 class Bound(NamedTuple):
@@ -107,18 +118,20 @@ class Bound(NamedTuple):
         """NaN is not."""
         return self.seen <= self.most
 
-    def worded(self, value: float) -> str:
-        """A number with two digits and its unit."""
-        number = re.sub(r"e([+-])0*", r"e\1", f"{value:.2g}").replace("e+", "e")
-        return f"{number} {self.unit}".strip()
+    def __str__(self) -> str:
+        return f"{self.what} {two_digits(self.seen)} of {two_digits(self.most)} {self.unit}".strip()
+
+
+def two_digits(number: float) -> str:
+    """A number as the page shows it."""
+    return re.sub(r"e([+-])0*", r"e\1", f"{number:.2g}").replace("e+", "e")
 
 
 def within(*bounds: Bound, note: str = "") -> Finding:
     """The finding of numbers that must not exceed their bounds."""
-    expected = "; ".join(f"{bound.what} at most {bound.worded(bound.most)}" for bound in bounds) + note
-    names = [bound.what for bound in bounds] if len(bounds) > 1 else [""]
-    seen = "; ".join(f"{name} {bound.worded(bound.seen)}".strip() for name, bound in zip(names, bounds, strict=True))
-    return Finding(expected, seen, HOLDS if all(bound.kept for bound in bounds) else FAILS)
+    expected = "; ".join(f"{bound.what} at most {two_digits(bound.most)} {bound.unit}".strip() for bound in bounds)
+    seen = "; ".join(map(str, bounds))
+    return Finding(expected + note, seen + note, HOLDS if all(bound.kept for bound in bounds) else FAILS)
 
 
 def sentence_of(call: Callable[[], object]) -> str | None:
@@ -167,72 +180,71 @@ def placed(what: str, table: tuple[str, ...]) -> str:
     return what
 
 
-class Page:
-    """Findings of a run, and the page that shows them."""
+# -- records and the page ----------------------------------------------------------------------------------------------
 
-    def __init__(self, table: tuple[str, ...] = TABLE) -> None:
-        self.table = table
-        self.findings: dict[tuple[str, str], Finding] = {}
 
-    def note(self, what: str, contact: str, measure: Callable[[str], Finding]) -> None:
-        """Measure, note what was found, and fail if it is not what was expected."""
-        placed(what, self.table)
-        self.findings[what, contact] = Finding("an answer", "cut short", FAILS)
-        try:
-            finding = measure(contact)
-        except Exception as error:
-            self.findings[what, contact] = Finding("no error", shortened(f"{type(error).__name__}: {error}"), FAILS)
-            raise
-        self.findings[what, contact] = finding
-        assert finding.verdict != FAILS, f"{what}, {contact}: expected {finding.expected}; seen {finding.seen}"
+def noted(what: str, contact: str, measure: Callable[[str], Finding]) -> None:
+    """Measure, record what was found if that is asked for, and fail if it is not what was expected."""
+    finding = Finding("an answer", "cut short", FAILS)
+    try:
+        finding = measure(contact)
+    except Exception as error:
+        finding = Finding("no error", shortened(f"{type(error).__name__}: {error}"), FAILS)
+        raise
+    finally:
+        if RECORD in os.environ:
+            with open(os.environ[RECORD], "a", encoding="utf-8") as file:
+                file.write(json.dumps([what, contact, *finding]) + "\n")
+    assert finding.verdict != FAILS, f"{what}, {contact}: expected {finding.expected}; seen {finding.seen}"
 
-    @property
-    def complete(self) -> bool:
-        """Whether every case of the table was noted for every contact model."""
-        return set(self.findings) == {(what, contact) for what in self.table for contact in CONTACT_MODELS}
 
-    def text(self, before: str = "", full: bool = FULL) -> str:
-        """The page; ``before`` is what it was, of which rows of longer runs stay.
+def read(path: Path) -> dict[tuple[str, str], Finding]:
+    """What was recorded in a file, or nothing if there is none."""
+    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    rows = [json.loads(line) for line in lines]
+    return {(what, contact): Finding(*finding) for what, contact, *finding in rows}
 
-        A shorter run that holds says nothing about the longer one. One that fails does.
-        """
-        kept = {tuple(line.split(" | ")[:2]): line for line in before.splitlines() if line.startswith("| ")}
-        rows = []
-        for what in self.table:
-            for contact in CONTACT_MODELS:
-                finding = self.findings[what, contact]
-                cells = [what, contact, finding.expected, finding.seen, finding.verdict]
-                row = "| " + " | ".join(" ".join(cell.replace("|", "\\|").split()) for cell in cells) + " |"
-                longer = (
-                    None
-                    if full or finding.steps is None or finding.verdict == FAILS
-                    else kept.get((f"| {what}", contact))
-                )
-                rows.append(longer or row)
-        return HEAD + "\n".join(rows) + "\n"
 
-    def write(self, folder: Path = DOCS, full: bool = FULL) -> bool:
-        """Write the page if the run was complete and there is something new; return whether it was written.
+def recorded(findings: Findings, table: tuple[str, ...] = TABLE) -> str:
+    """The lines of a record in the table's order."""
+    rows = [(what, contact) for what in table for contact in CONTACT_MODELS if (what, contact) in findings]
+    return "".join(json.dumps([*row, *findings[row]]) + "\n" for row in rows)
 
-        Where the folder is missing or not to be written in (an installed copy of the tests), nothing is written.
-        """
-        if not (self.complete and folder.is_dir()):
-            return False
-        page, draft = folder / "extremes.md", folder / f".extremes.{os.getpid()}"
-        try:
-            before = page.read_text(encoding="utf-8") if page.exists() else ""
-            text = self.text(before, full)
-            if text != before:
-                draft.write_text(text, encoding="utf-8")
-                draft.replace(page)
-        except OSError:
-            draft.unlink(missing_ok=True)
-            return False
-        return text != before
+
+def missing(findings: Findings, table: tuple[str, ...] = TABLE) -> list[str]:
+    """The rows of the table that not every contact model has a finding for."""
+    return [what for what in table if any((what, contact) not in findings for contact in CONTACT_MODELS)]
+
+
+def answer(findings: Findings) -> str:
+    """The page in three sentences."""
+    cases, verdicts = len({what for what, _ in findings}), [finding.verdict for finding in findings.values()]
+    return (
+        f"{cases} extremes were given to both contact models: {verdicts.count(HOLDS)} answers hold to their bounds, "
+        f"{verdicts.count(REFUSED)} are refusals in one sentence, and {verdicts.count(FAILS) or 'none'} FAIL. `exact` "
+        "keeps the laws to rounding and every foot inside to 1e-9 m, whatever masses, speeds, spins and steps were "
+        "tried. `pymunk` keeps momentum and energy as well, but a foot may be up to 1 m in a wall at the end of a "
+        "step, and a step in which one would move further is refused."
+    )
+
+
+def page(findings: Findings, table: tuple[str, ...] = TABLE) -> str:
+    """docs/extremes.md, of the rows that are recorded."""
+    lines, part = ["# Extremes", "", answer(findings), HEAD.rstrip()], ""
+    for what in table:
+        told = [findings.get((what, contact)) for contact in CONTACT_MODELS]
+        if PARTS.get(what, part) != part or len(lines) == 4:
+            part = PARTS.get(what, part)
+            lines += ["", f"## {part}", "", "| what | " + " | ".join(CONTACT_MODELS) + " |"]
+            lines.append("|---" * (1 + len(CONTACT_MODELS)) + "|")
+        if any(told):
+            cells = [what, *(f"{found.verdict}: {found.seen}" if found else "" for found in told)]
+            lines.append("| " + " | ".join(" ".join(cell.replace("|", "\\|").split()) for cell in cells) + " |")
+    return "\n".join(lines) + "\n"
 
 
 Measure = Callable[[str], Finding]
-Test = Callable[[str, Page], None]
+Test = Callable[[str], None]
 
 
 def extreme(what: str, timeout: float = 120.0) -> Callable[[Measure], Test]:
@@ -242,8 +254,8 @@ def extreme(what: str, timeout: float = 120.0) -> Callable[[Measure], Test]:
     def decorate(measure: Measure) -> Test:
         @pytest.mark.timeout(timeout)
         @pytest.mark.parametrize("contact", CONTACT_MODELS)
-        def test(contact: str, extremes_page: Page) -> None:
-            extremes_page.note(what, contact, measure)
+        def test(contact: str) -> None:
+            noted(what, contact, measure)
 
         test.__name__, test.__doc__, test.__module__ = measure.__name__, measure.__doc__, measure.__module__
         return test

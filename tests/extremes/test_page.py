@@ -1,115 +1,148 @@
-"""The page itself: failing rows show, incomplete runs write nothing, shorter runs leave the longer ones' rows."""
+"""The record and the page: failing rows show, a run of some rows leaves the others, and tests write nothing else."""
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from jackbox_env.simulators import CONTACT_MODELS
-from tests.extremes.page import FAILS, HOLDS, REFUSED, Bound, Finding, Page, extreme, refuses, refuses_each, within
+from tests.extremes import __main__ as command
+from tests.extremes.page import (
+    FAILS,
+    HOLDS,
+    PARTS,
+    RECORD,
+    REFUSED,
+    TABLE,
+    Bound,
+    Finding,
+    extreme,
+    missing,
+    noted,
+    page,
+    read,
+    recorded,
+    refuses,
+    refuses_each,
+    within,
+)
 
-TWO = ("one thing", "another")
+TWO = TABLE[:2]
+FOUND = Finding("error at most 1e-12 m", "error 1e-15 of 1e-12 m", HOLDS)
 
 
-def noted(**answers: Finding) -> Page:
-    """A complete page of two cases, all as expected but for those of exact that are given."""
-    page = Page(TWO)
-    for what in reversed(TWO):  # not the table's order
-        for contact in reversed(CONTACT_MODELS):
-            finding = answers.get(what.split()[0], within(Bound("error", 1e-15, 1e-12, "m")))
-            page.findings[what, contact] = finding if contact == "exact" else within(Bound("error", 0.0, 1e-12, "m"))
-    return page
+@pytest.fixture
+def record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv(RECORD, str(tmp_path / "findings.jsonl"))
+    return tmp_path / "findings.jsonl"
 
 
-def rows(folder: Path) -> list[str]:
-    return [line for line in (folder / "extremes.md").read_text().splitlines() if line.startswith(("| one", "| anot"))]
+def rows(text: str) -> list[str]:
+    return [line for line in text.splitlines() if line.startswith(("| one impact", "| 4 s"))]
 
 
-def test_a_complete_run_writes_its_rows_in_the_tables_order(tmp_path: Path) -> None:
-    assert noted().write(tmp_path, full=False)
-    assert rows(tmp_path) == [
-        "| one thing | pymunk | error at most 1e-12 m | 0 m | holds |",
-        "| one thing | exact | error at most 1e-12 m | 1e-15 m | holds |",
-        "| another | pymunk | error at most 1e-12 m | 0 m | holds |",
-        "| another | exact | error at most 1e-12 m | 1e-15 m | holds |",
-    ]
-    assert [path.name for path in tmp_path.iterdir()] == ["extremes.md"]
-    assert not noted().write(tmp_path, full=False)  # nothing new
+# -- what is recorded --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("seen", [2e-12, float("nan"), float("inf")])
-def test_a_case_over_its_bound_fails_and_its_row_says_so(seen: float, tmp_path: Path) -> None:
-    page = noted()
-    with pytest.raises(AssertionError, match="one thing, exact: expected error at most 1e-12 m; seen"):
-        page.note("one thing", "exact", lambda contact: within(Bound("error", seen, 1e-12, "m")))
-    assert page.write(tmp_path)
-    assert (
-        rows(tmp_path)[1]
-        == f"| one thing | exact | error at most 1e-12 m | {Bound('', seen, 0.0).worded(seen)} m | FAILS |"
-    )
+def test_a_case_over_its_bound_fails_and_its_record_says_so(seen: float, record: Path) -> None:
+    with pytest.raises(AssertionError, match="one thing, exact: expected error at most 1e-12 m; seen error"):
+        noted("one thing", "exact", lambda contact: within(Bound("error", seen, 1e-12, "m")))
+    finding = read(record)["one thing", "exact"]
+    assert finding == Finding("error at most 1e-12 m", f"error {seen:.0e} of 1e-12 m".replace("e-12", "e-12"), FAILS)
 
 
-def test_a_case_that_raises_fails_and_its_row_says_what(tmp_path: Path) -> None:
-    def broken(contact: str) -> Finding:
-        raise RuntimeError("the jack would leave\nthe | box")
+def test_a_case_that_holds_is_recorded(record: Path) -> None:
+    noted("one thing", "exact", lambda contact: within(Bound("error", 1e-15, 1e-12, "m"), note="; no impact"))
+    (found,) = read(record).values()
+    assert found == Finding("error at most 1e-12 m; no impact", "error 1e-15 of 1e-12 m; no impact", HOLDS)
 
-    page = noted()
+
+def test_a_case_that_raises_or_is_cut_short_does_not_vanish(record: Path) -> None:
+    def raises(error: BaseException) -> Any:
+        raise error
+
     with pytest.raises(RuntimeError):
-        page.note("another", "pymunk", broken)
-    assert page.write(tmp_path)
-    assert (
-        rows(tmp_path)[2] == "| another | pymunk | no error | RuntimeError: the jack would leave the \\| box | FAILS |"
-    )
-
-
-def test_a_case_cut_short_does_not_vanish() -> None:
-    def cut_short(contact: str) -> Finding:
-        raise KeyboardInterrupt
-
-    page = Page(TWO)
+        noted("one", "exact", lambda contact: raises(RuntimeError("the jack would leave")))
     with pytest.raises(KeyboardInterrupt):
-        page.note("another", "exact", cut_short)
-    assert page.findings["another", "exact"].verdict == FAILS
+        noted("other", "exact", lambda contact: raises(KeyboardInterrupt()))
+    found = read(record)
+    assert found["one", "exact"] == Finding("no error", "RuntimeError: the jack would leave", FAILS)
+    assert found["other", "exact"].verdict == FAILS
 
 
-def test_some_cases_alone_write_nothing(tmp_path: Path) -> None:
-    page = noted()
-    del page.findings["another", "exact"]
-    assert not page.complete
-    assert not page.write(tmp_path)
-    assert not list(tmp_path.iterdir())
+def test_an_ordinary_run_writes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(RECORD, raising=False)
+    monkeypatch.chdir(tmp_path)
+    docs = {path: path.stat().st_mtime_ns for path in command.DOCS.glob("extremes*")}
+    noted("one thing", "exact", lambda contact: FOUND)
+    assert list(tmp_path.iterdir()) == []
+    assert docs == {path: path.stat().st_mtime_ns for path in command.DOCS.glob("extremes*")}
 
 
-def test_without_a_folder_to_write_in_nothing_is_written(tmp_path: Path) -> None:
-    assert not noted().write(tmp_path / "missing")
-    (tmp_path / "extremes.md").mkdir()  # can not be replaced, whoever runs the test
-    assert not noted().write(tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["extremes.md"]
+# -- the page ----------------------------------------------------------------------------------------------------------
 
 
-def test_a_shorter_run_that_holds_leaves_the_row_of_a_longer_one(tmp_path: Path) -> None:
-    long, short = (Finding(f"over {steps} steps", "0 m", HOLDS, steps) for steps in (1000, 10))
-    assert noted(one=short).write(tmp_path, full=False)  # there was none yet
-    assert "over 10 steps" in rows(tmp_path)[1]
-    assert noted(one=long).write(tmp_path, full=True)
-    before = rows(tmp_path)
-    assert "over 1000 steps" in before[1]
-    assert not noted(one=short).write(tmp_path, full=False)
-    other = within(Bound("error", 1e-13, 1e-12, "m"))
-    assert noted(one=short, another=other).write(tmp_path, full=False)
-    assert rows(tmp_path)[:3] == before[:3]
-    assert "1e-13" in rows(tmp_path)[3]
+def test_the_page_shows_what_is_recorded() -> None:
+    findings = read(command.DOCS / "extremes.jsonl")
+    assert (command.DOCS / "extremes.jsonl").read_text() == recorded(findings)
+    assert (command.DOCS / "extremes.md").read_text() == page(findings)
 
 
-def test_a_shorter_run_that_fails_replaces_the_row_and_only_a_longer_one_clears_it(tmp_path: Path) -> None:
-    long, short = (Finding(f"over {steps} steps", "0 m", HOLDS, steps) for steps in (1000, 10))
-    noted(one=long).write(tmp_path, full=True)
-    assert noted(one=short._replace(verdict=FAILS)).write(tmp_path, full=False)
-    assert "over 10 steps | 0 m | FAILS" in rows(tmp_path)[1]
-    assert not noted(one=short).write(tmp_path, full=False)
-    assert noted(one=long).write(tmp_path, full=True)
-    assert "over 1000 steps | 0 m | holds" in rows(tmp_path)[1]
+def test_rows_stand_in_the_tables_order_in_short_tables() -> None:
+    found = {(what, contact): FOUND for what in reversed(TABLE) for contact in reversed(CONTACT_MODELS)}
+    text = page(found)
+    places = [text.index(f"\n| {what} |") for what in TABLE]
+    assert places == sorted(places)
+    parts = text.split("\n## ")[1:]
+    assert [part.splitlines()[0] for part in parts] == list(PARTS.values())
+    assert max(part.count("\n| ") for part in parts) <= 11  # ten rows and the head
+    assert f"{len(TABLE)} extremes were given to both contact models: {2 * len(TABLE)} answers hold" in text
+    assert rows(text)[0] == f"| {TABLE[0]} | holds: error 1e-15 of 1e-12 m | holds: error 1e-15 of 1e-12 m |"
+
+
+def test_a_failing_row_shows_in_the_table_and_in_the_first_sentence() -> None:
+    found = {(what, contact): FOUND for what in TWO for contact in CONTACT_MODELS}
+    found[TWO[1], "pymunk"] = Finding("no error", "RuntimeError: the jack would leave\nthe | box", FAILS)
+    text = page(found)
+    assert rows(text)[1].startswith(f"| {TWO[1]} | FAILS: RuntimeError: the jack would leave the \\| box | holds: ")
+    assert "and 1 FAIL." in text.split("\n\n")[1]
+
+
+def test_a_row_that_was_never_run_is_missing_and_is_no_row() -> None:
+    found = {(TWO[0], contact): FOUND for contact in CONTACT_MODELS} | {(TWO[1], "exact"): FOUND}
+    assert missing(found, TWO) == [TWO[1]]
+    del found[TWO[1], "exact"]
+    assert len(rows(page(found))) == 1
+
+
+def test_the_command_adds_what_was_run_to_the_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def ran(arguments: list[str], env: dict[str, str], check: bool) -> Any:
+        assert arguments[-2:] == ["-k", "mass"]
+        assert env["JACKBOX_EXTREMES"] == "full"
+        Path(env[RECORD]).write_text(json.dumps([TWO[0], "exact", *FOUND]) + "\n")
+        return type("Ended", (), {"returncode": 0})
+
+    old = Finding("", "an older one", HOLDS)
+    before = {(what, contact): old for what in TABLE for contact in CONTACT_MODELS}
+    (tmp_path / "extremes.jsonl").write_text(recorded(before))
+    monkeypatch.setattr(subprocess, "run", ran)
+    assert command.main(["-k", "mass"], tmp_path) == 0
+    assert read(tmp_path / "extremes.jsonl") == before | {(TWO[0], "exact"): FOUND}
+    assert rows((tmp_path / "extremes.md").read_text())[0].endswith(
+        "| holds: an older one | holds: " + FOUND.seen + " |"
+    )
+    (tmp_path / "extremes.jsonl").unlink()
+    assert command.main(["-k", "mass"], tmp_path) == 1  # the other rows were never run
+    assert sorted(os.listdir(tmp_path)) == ["extremes.jsonl", "extremes.md"]
+
+
+# -- refusals ----------------------------------------------------------------------------------------------------------
 
 
 def test_refusals_are_sentences_that_match() -> None:
@@ -128,5 +161,5 @@ def test_refusals_are_sentences_that_match() -> None:
 def test_a_case_without_a_place_in_the_table_is_refused() -> None:
     with pytest.raises(ValueError, match="'a third' has no place in the table"):
         extreme("a third")
-    with pytest.raises(ValueError, match="'a third' has no place in the table"):
-        Page(TWO).note("a third", "exact", lambda contact: within())
+    assert set(PARTS) <= set(TABLE)
+    assert TABLE[0] in PARTS

@@ -106,7 +106,7 @@ def test_a_start_outside_is_refused(contact: str) -> Finding:
         assert np.array_equal(env.state, state if taken else before)
         if taken:
             env.reset(options={"state": before})
-    return finding._replace(expected="taken up to 1e-9 m outside, beyond it refused in one sentence")
+    return finding._replace(seen=f"taken up to 1e-9 m outside, beyond it: {finding.seen}")
 
 
 @extreme("a state with a foot up to 1 m outside, put back")

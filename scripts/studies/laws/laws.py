@@ -1,4 +1,4 @@
-"""The laws that every simulation owes, measured on one case: the property tests and ``scripts/studies/laws/soak.py`` share them.
+"""The laws that every simulation owes, measured on one case; property tests and ``soak.py`` share them.
 
 containment  no foot outside: ``exact`` by 1e-9 m or 4 units in the last place, ``pymunk`` by min(1 m, L) [m]
 momentum     total momentum = at first + impulse of the side forces - m_j g t [N s]
@@ -14,6 +14,8 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -22,7 +24,7 @@ import numpy as np
 from jackbox_env.env import JackInBoxEnv
 from jackbox_env.mechanics import energy_of
 from jackbox_env.scene import Drive, Scene
-from jackbox_env.simulators import CONTACT_MODELS, Simulator, make_simulator
+from jackbox_env.simulators import Simulator, make_simulator
 from jackbox_env.simulators.flight import reach
 from jackbox_env.states import Array, clearance, deepest_held, start_tolerance
 from jackbox_env.vector_env import JackInBoxVectorEnv
@@ -31,12 +33,11 @@ from scripts.studies.laws.random_cases import Case, Wave
 LAWS = ("containment", "momentum", "centre", "energy", "record", "restore", "batch", "refusal")
 ROUNDING = 1e-11  # of the largest number in a balance, over a case
 SIDE_BY_SIDE = 3  # environments of the batch law
+KEPT = 10  # broken cases told in full, and refusals counted apart
 
 # What a contact model may say where it can not follow, and to a scene that it can not solve.
 _CAN_NOT_FOLLOW = ("would leave the box", "moves too fast to be followed", "needs more than 1,000,000 gap evaluations")
 _CAN_NOT_SOLVE = "couple the feet so strongly"
-
-__all__ = ["CONTACT_MODELS", "LAWS", "Examination", "Worst", "examine"]
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,9 @@ class Worst:
         if math.isnan(self.value):
             return math.inf
         return self.value / self.limit if self.limit > 0.0 else math.inf if self.value > 0.0 else 0.0
+
+    def __str__(self) -> str:
+        return f"{self.value:.3g}, at most {self.limit:.3g}, by step {self.step} {self.words}".rstrip()
 
 
 @dataclass
@@ -77,12 +81,37 @@ class Examination:
         return [law for law, worst in self.worst.items() if worst.share > 1.0]
 
     def __str__(self) -> str:
-        told = [
-            f"{law}: {self.worst[law].value:.3g}, at most {self.worst[law].limit:.3g}, by step {self.worst[law].step}"
-            f" {self.worst[law].words}".rstrip()
-            for law in self.broken
-        ]
-        return "; ".join(told) or "all laws hold"
+        return "; ".join(f"{law}: {self.worst[law]}" for law in self.broken) or "all laws hold"
+
+
+@dataclass
+class Tally:
+    """What was found with one contact model; its size does not grow with the time."""
+
+    cases: int = 0
+    impacts: int = 0
+    broken: int = 0
+    refused: Counter[str] = field(default_factory=Counter)  # cases that ended early
+    worst: dict[str, tuple[Worst, int]] = field(default_factory=dict)  # by law, with the case's number
+
+    def enter(self, number: int, found: Examination) -> None:
+        """Add what was found in a case."""
+        self.cases += 1
+        self.impacts += found.impacts
+        self.broken += bool(found.broken)
+        if found.refused:
+            begun = re.split(r"\d", found.refused)[0][:80]
+            self.refused[begun if begun in self.refused or len(self.refused) < KEPT else "other refusals"] += 1
+        for law, worst in found.worst.items():
+            if law not in self.worst or worst.share > self.worst[law][0].share:
+                self.worst[law] = worst, number
+
+    def __str__(self) -> str:
+        lines = [f"{self.cases:,} cases, {self.impacts:,} impacts"]
+        lines += [f"{law:12s} worst {worst} of case {number}" for law, (worst, number) in self.worst.items()]
+        lines += [f"{law:12s} nothing to measure" for law in LAWS if law not in self.worst]
+        lines += [f"ended early, {count:,}: {sentence}" for sentence, count in self.refused.items()]
+        return "\n  ".join([*lines, f"cases that broke a law: {self.broken:,}"])
 
 
 def examine(case: Case) -> Examination:
@@ -156,8 +185,7 @@ def _restored(
 def _contained(case: Case, run: Simulator, found: Examination) -> None:
     state = run.state.tolist()
     allowed = start_tolerance(state) if case.contact == "exact" else deepest_held(case.scene)
-    outside = -clearance(case.scene, state)
-    found.measure("containment", outside if math.isnan(outside) else max(0.0, outside), allowed)
+    found.measure("containment", float(np.maximum(0.0, -clearance(case.scene, state))), allowed)  # NaN stays NaN
 
 
 def _recorded(case: Case, run: Simulator, found: Examination) -> None:
@@ -222,13 +250,11 @@ class Books:
         scene, state = self._case.scene, run.state
         turns = before[2], state[2]
         gained = _energy(scene, state) - _energy(scene, before) - torque * (turns[1] - turns[0])
-        size = _size_of_energy(scene, state) + _size_of_energy(scene, before) + abs(torque) * max(map(abs, turns))
+        size = _energy(scene, np.abs(state)) + _energy(scene, np.abs(before)) + abs(torque) * max(map(abs, turns))
         self._largest_energy = max(self._largest_energy, size)
         limit = ROUNDING * self._largest_energy
         if scene.restitution < 1.0:
-            found.measure(
-                "energy", gained if math.isnan(gained) else max(0.0, gained), limit + self._granted(before, run)
-            )
+            found.measure("energy", float(np.maximum(0.0, gained)), limit + self._granted(before, run))
             return
         self._gained += gained
         found.measure("energy", abs(self._gained), limit)
@@ -263,12 +289,6 @@ def _opposite_walls_at_once(run: Simulator) -> bool:
 
 def _energy(scene: Scene, state: Array) -> float:
     return float(energy_of(scene, state.tolist()))
-
-
-def _size_of_energy(scene: Scene, state: Array) -> float:
-    """Sum of the energies' moduli [J]: what their rounding is in proportion to."""
-    numbers = [abs(number) for number in state.tolist()]
-    return float(energy_of(scene, numbers))
 
 
 # -- the batch ---------------------------------------------------------------------------------------------------------

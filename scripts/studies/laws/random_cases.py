@@ -1,4 +1,4 @@
-"""Random cases for the laws of ``scripts/studies/laws/laws.py``: a scene, a start, and actions to play.
+"""Random cases for the laws: a scene, a start, and actions to play.
 
 Lengths are drawn first, speeds and torques in proportion: within the steps of a case the jack crosses the box some
 times and the box turns by some radians, whatever its size, so that most cases have impacts.
@@ -8,48 +8,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+import random
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar
-
-import numpy as np
+from typing import Any
 
 from jackbox_env.scene import Chirp, Drive, Scene
 
-T = TypeVar("T")
 STEPS = 40  # control steps of a long case
-
-
-class Draw(Protocol):
-    """Where random choices come from: a seeded generator here, hypothesis in the tests."""
-
-    def uniform(self, low: float, high: float) -> float:
-        """A number from low to high."""
-
-    def whole(self, low: int, high: int) -> int:
-        """A whole number from low to high, both included."""
-
-    def pick(self, options: Sequence[T]) -> T:
-        """One of the options."""
-
-
-class SeededDraw:
-    """Random choices that follow from a seed alone."""
-
-    def __init__(self, seed: int) -> None:
-        self._rng = np.random.default_rng(seed)
-
-    def uniform(self, low: float, high: float) -> float:
-        """See :class:`Draw`."""
-        return float(self._rng.uniform(low, high))
-
-    def whole(self, low: int, high: int) -> int:
-        """See :class:`Draw`."""
-        return int(self._rng.integers(low, high, endpoint=True))
-
-    def pick(self, options: Sequence[T]) -> T:
-        """See :class:`Draw`."""
-        return options[self.whole(0, len(options) - 1)]
 
 
 @dataclass(frozen=True)
@@ -93,53 +58,44 @@ class Case:
     @property
     def settings(self) -> dict[str, Any]:
         """What an environment of the case is made with."""
-        return {
-            "scene": self.scene,
-            "contact": self.contact,
-            "substeps": self.substeps,
-            "task": self.task,
-            "control_dt": self.control_dt,
-        }
+        names = ("scene", "contact", "substeps", "task", "control_dt")
+        return {name: getattr(self, name) for name in names}
 
     @property
     def torques(self) -> list[float | None]:
         """The held torque of each step [N m], or None."""
         return [None if action is None else action * self.scene.torque_limit for action in self.actions]
 
-    def as_json(self) -> dict[str, Any]:
-        """The case in full, for a report."""
-        return {**dataclasses.asdict(self), "drive_kind": type(self.scene.drive).__name__}
 
-
-def _power(draw: Draw, low: float, high: float) -> float:
+def _power(draw: random.Random, low: float, high: float) -> float:
     return float(10.0 ** draw.uniform(low, high))
 
 
-def draw_case(draw: Draw, contact: str, steps: int = STEPS) -> Case:
-    """Draw a case for a contact model."""
+def draw_case(draw: random.Random, contact: str, steps: int = STEPS) -> Case:
+    """A case for a contact model, by a generator that a seed was given, or hypothesis."""
     dt = _power(draw, -2.5, -1.0)
     scene = _scene(draw, contact, dt)
     return Case(
         scene=scene,
         contact=contact,
-        substeps=draw.whole(1, 8) if contact == "pymunk" else None,
-        task=draw.pick(("juggle", "spin", "rattle")),
+        substeps=draw.randint(1, 8) if contact == "pymunk" else None,
+        task=draw.choice(("juggle", "spin", "rattle")),
         control_dt=dt,
         state=_start(draw, scene, dt),
-        time=draw.pick((0.0, 0.0, draw.uniform(-100.0, 100.0))),
+        time=draw.choice((0.0, 0.0, draw.uniform(-100.0, 100.0))),
         actions=_actions(draw, steps),
-        restored_at=draw.whole(0, steps - 1),
-        seed=draw.whole(0, 2**31 - 1),
+        restored_at=draw.randint(0, steps - 1),
+        seed=draw.randint(0, 2**31 - 1),
     )
 
 
-def _scene(draw: Draw, contact: str, dt: float) -> Scene:
+def _scene(draw: random.Random, contact: str, dt: float) -> Scene:
     half, box_mass = _power(draw, -0.5, 1.5), _power(draw, 0.0, 3.0)
     # From nearly a point, by arms that turn freely, to those that fit near 45 degrees only.
-    arm = half * draw.pick((draw.uniform(0.02, 0.4), draw.uniform(0.4, 0.99), draw.uniform(1.0, 1.4)))
+    arm = half * draw.choice((draw.uniform(0.02, 0.4), draw.uniform(0.4, 0.99), draw.uniform(1.0, 1.4)))
     jack_mass = box_mass * _power(draw, -3.0, 0.5)
-    box_inertia = draw.pick((None, box_mass * half**2 * _power(draw, -0.5, 0.5)))
-    jack_inertia = draw.pick((None, jack_mass * arm**2 * _power(draw, -1.0, 0.3)))
+    box_inertia = draw.choice((None, box_mass * half**2 * _power(draw, -0.5, 0.5)))
+    jack_inertia = draw.choice((None, jack_mass * arm**2 * _power(draw, -1.0, 0.3)))
     scene = Scene(
         box_half_width=half,
         box_mass=box_mass,
@@ -147,42 +103,42 @@ def _scene(draw: Draw, contact: str, dt: float) -> Scene:
         jack_arm=arm,
         jack_mass=jack_mass,
         jack_inertia=jack_inertia,  # type: ignore[arg-type]
-        gravity=draw.pick((0.0, 9.81, draw.uniform(0.0, 0.02) * half / dt**2)),  # the last falls 16 L in a case
-        restitution=draw.pick((1.0, 1.0, 0.0, draw.uniform(0.0, 1.0))) if contact == "pymunk" else 1.0,
+        gravity=draw.choice((0.0, 9.81, draw.uniform(0.0, 0.02) * half / dt**2)),  # the last falls 16 L in a case
+        restitution=draw.choice((1.0, 1.0, 0.0, draw.uniform(0.0, 1.0))) if contact == "pymunk" else 1.0,
     )
     limit = scene.box_inertia * draw.uniform(1e-4, 0.01) / dt**2  # at most 8 rad in a case
     return dataclasses.replace(scene, torque_limit=limit, drive=_drive(draw, scene, limit, dt))
 
 
-def _drive(draw: Draw, scene: Scene, limit: float, dt: float) -> Chirp | Drive | None:
-    kind = draw.pick(("none", "chirp", "chirp", "functions"))
+def _drive(draw: random.Random, scene: Scene, limit: float, dt: float) -> Chirp | Drive | None:
+    kind = draw.choice(("none", "chirp", "chirp", "functions"))
     if kind == "none":
         return None
     if kind == "chirp":
         frequency, growth = draw.uniform(-0.1, 0.1) / dt, draw.uniform(-0.2, 0.2) / (STEPS * dt**2)
-        return Chirp(limit * draw.uniform(-1.0, 1.0), frequency, draw.pick((0.0, growth, growth)))
+        return Chirp(limit * draw.uniform(-1.0, 1.0), frequency, draw.choice((0.0, growth, growth)))
     push = scene.box_mass * 0.01 * scene.box_half_width / dt**2  # at most 8 L in a case
     return Drive(
-        torque=draw.pick((None, _wave(draw, limit, dt))),
-        force_x=draw.pick((None, _wave(draw, push, dt))),
-        force_y=draw.pick((None, _wave(draw, push, dt))),
+        torque=draw.choice((None, _wave(draw, limit, dt))),
+        force_x=draw.choice((None, _wave(draw, push, dt))),
+        force_y=draw.choice((None, _wave(draw, push, dt))),
     )
 
 
-def _wave(draw: Draw, largest: float, dt: float) -> Wave:
+def _wave(draw: random.Random, largest: float, dt: float) -> Wave:
     # At most a twentieth of a turn per step: one panel of quadrature follows it to rounding.
     rate = 2.0 * math.pi * draw.uniform(0.001, 0.05) / dt
     return Wave(draw.uniform(-0.5, 0.5) * largest, draw.uniform(0.0, 0.5) * largest, rate, draw.uniform(-3.0, 3.0))
 
 
-def _start(draw: Draw, scene: Scene, dt: float) -> tuple[float, ...]:
+def _start(draw: random.Random, scene: Scene, dt: float) -> tuple[float, ...]:
     half, arm = scene.box_half_width, scene.jack_arm
     narrow = math.acos(half / arm) if arm > half else 0.0  # a longer arm fits no nearer than this to the axes
     relative = narrow + draw.uniform(0.0, 1.0) * (math.pi / 2.0 - 2.0 * narrow)
     room = half - arm * max(abs(math.cos(relative)), abs(math.sin(relative)))
     x, y = room * draw.uniform(-1.0, 1.0), room * draw.uniform(-1.0, 1.0)
-    turn = draw.pick((0.0, draw.uniform(-10.0, 10.0)))
-    place = draw.pick((0.0, draw.uniform(-100.0, 100.0)))
+    turn = draw.choice((0.0, draw.uniform(-10.0, 10.0)))
+    place = draw.choice((0.0, draw.uniform(-100.0, 100.0)))
     cosine, sine = math.cos(turn), math.sin(turn)
     jack = place + cosine * x - sine * y, -place + sine * x + cosine * y
     speed = 0.15 * half / dt * draw.uniform(0.0, 1.0)
@@ -190,18 +146,18 @@ def _start(draw: Draw, scene: Scene, dt: float) -> tuple[float, ...]:
     box_rates = 0.1 * speed * draw.uniform(-1.0, 1.0), 0.1 * speed * draw.uniform(-1.0, 1.0)
     jack_rates = speed * draw.uniform(-1.0, 1.0), speed * draw.uniform(-1.0, 1.0)
     turning = 0.3 * spin * draw.uniform(-1.0, 1.0), spin * draw.uniform(-1.0, 1.0)
-    angle = turn + relative + draw.whole(-4, 4) * math.pi / 2.0
+    angle = turn + relative + draw.randint(-4, 4) * math.pi / 2.0
     return (place, -place, turn, *jack, angle, *box_rates, turning[0], *jack_rates, turning[1])
 
 
-def _actions(draw: Draw, steps: int) -> tuple[float | None, ...]:
+def _actions(draw: random.Random, steps: int) -> tuple[float | None, ...]:
     """Blocks of equal or of different actions, held ones and the drive's."""
     actions: list[float | None] = []
     while len(actions) < steps:
-        length, kind = draw.whole(1, 12), draw.pick(("drive", "still", "limit", "held", "random"))
+        length, kind = draw.randint(1, 12), draw.choice(("drive", "still", "limit", "held", "random"))
         if kind == "random":
             actions += [draw.uniform(-1.0, 1.0) for _ in range(length)]
             continue
-        value = {"drive": None, "still": 0.0, "limit": draw.pick((-1.0, 1.0)), "held": draw.uniform(-1.0, 1.0)}[kind]
+        value = {"drive": None, "still": 0.0, "limit": draw.choice((-1.0, 1.0)), "held": draw.uniform(-1.0, 1.0)}[kind]
         actions += [value] * length
     return tuple(actions[:steps])

@@ -9,7 +9,6 @@ import functools
 import linecache
 import subprocess
 import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,8 +22,7 @@ from jackbox_env.compiled.workspace import RECORD, new_workspace
 from jackbox_env.scene import Chirp, Drive, Scene
 from jackbox_env.simulators import CONTACT_MODELS, make_simulator
 from jackbox_env.vector_env import JackInBoxVectorEnv
-from scripts.studies.costs import costs
-from scripts.studies.costs.counting import (
+from tests.studies.counting import (
     BATCH,
     EXACT,
     PROOFS,
@@ -232,7 +230,7 @@ print(stepped(contact="pymunk"), stepped(contact="exact"), len(stepped(render_mo
     assert done.stdout.splitlines()[-1] == "[] [] 3"
 
 
-# -- the counters and the page ----------------------------------------------------------------------------------------
+# -- the counters ------------------------------------------------------------------------------------------------------
 
 
 def test_the_counters_count() -> None:
@@ -249,22 +247,3 @@ def test_the_counters_count() -> None:
     with uncompiled():
         assert _compiled.compiled(step.step_one) is step.step_one
     assert _compiled.compiled(step.step_one) is not step.step_one
-
-
-def test_differences_are_taken_within_passes_and_noise_is_told() -> None:
-    # The machine is twice as slow in the second pass, and the difference stays a tenth; one pass is disturbed.
-    plain = [[100.0, 200.0, 100.0]] * 2
-    times = {"pymunk: plain": plain, "pymunk: with": [[110.0, 220.0, 900.0], [110.0, 220.0, 50.0]]}
-    row = costs.Row("a thing", "pymunk", "pymunk: with", "pymunk: plain")
-    assert costs.on_top(times, row) == [20.0, 10.0]
-    assert costs.over_plain(times, row) == [1.2, 1.1]
-    assert costs.seen([1.0, 2.0])
-    assert costs.seen([-1.0, -2.0])
-    assert not costs.seen([-1.0, 2.0])
-    assert not costs.seen([0.0, 2.0])
-
-
-def test_the_page_shows_the_counts_of_today() -> None:
-    page = (Path(__file__).parents[1] / "docs" / "costs.md").read_text()
-    for line in costs.proof_table():
-        assert line in page

@@ -1,7 +1,7 @@
 """Count what control steps execute. Counts, unlike times, are the same on every machine: what is off must not run.
 
-``docs/costs.md`` shows the counts of ``PROOFS``, and tests hold them: nothing without the thing, something with it. The
-exact model's code is plain Python that is compiled, so it is counted as it stands, uncompiled.
+Each of ``PROOFS`` is a function that is not called without a thing, and is called with it. The exact model's code is
+plain Python that is compiled, so it is counted as it stands, uncompiled.
 """
 
 from __future__ import annotations
@@ -183,8 +183,3 @@ PROOFS = (
     Proof("another task", PYMUNK, "its reward is worked out", "rattle", {}, {"task": "rattle"}),
     Proof("another task", EXACT, "its reward is worked out", "rattle", {}, {"task": "rattle"}),
 )
-
-
-def asked(model: str) -> int:
-    """How often one function of a drive is asked in ``STEPS`` steps."""
-    return times_called(count_steps(model, **_TURNED, driven=True), "_wave")

@@ -1,9 +1,13 @@
-"""The laws of ``scripts/studies/laws/laws.py`` over scenes, starts and actions that hypothesis chooses."""
+"""The laws of ``scripts/studies/laws/laws.py`` over scenes, starts and actions that hypothesis chooses.
+
+Each law is broken once on purpose, and seen to be.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import math
+import random
 from collections import Counter
 from collections.abc import Callable
 from typing import Any
@@ -13,18 +17,27 @@ import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from jackbox_env.scene import Drive, Scene
+from jackbox_env.scene import Drive
 from jackbox_env.simulators import CONTACT_MODELS, make_simulator
 from jackbox_env.simulators.exact import ExactSimulator
 from jackbox_env.simulators.pymunk import PymunkSimulator
 from jackbox_env.states import clearance, deepest_held, start_tolerance
 from scripts.studies.laws.laws import LAWS, examine
-from scripts.studies.laws.random_cases import Case, SeededDraw, Wave, draw_case
-from tests.strategies import HypothesisDraw, cases
+from scripts.studies.laws.random_cases import Case, Wave, draw_case
+from tests.studies.strategies import HypothesisDraw, cases
 
 EVERY_MODEL = pytest.mark.parametrize("contact", CONTACT_MODELS)
 
 
+@EVERY_MODEL
+def test_every_law_holds_in_random_scenes(contact: str) -> None:
+    found = [examine(draw_case(random.Random(number), contact)) for number in range(12)]
+    assert [str(one) for one in found if one.broken] == []
+    assert sum(one.impacts for one in found) > 100
+    assert set().union(*(one.worst for one in found)) >= set(LAWS) - {"refusal"}
+
+
+@pytest.mark.slow
 @EVERY_MODEL
 def test_every_law_holds_in_scenes_and_under_actions_of_any_kind(contact: str) -> None:
     seen: Counter[str] = Counter()
@@ -127,15 +140,15 @@ def test_a_waves_integrals_are_those_of_its_quadrature(
 
 def test_cases_follow_from_their_seed() -> None:
     for contact in CONTACT_MODELS:
-        one, other = (draw_case(SeededDraw(5), contact) for _ in range(2))
+        one, other = (draw_case(random.Random(5), contact) for _ in range(2))
         assert one == other
-        assert one != draw_case(SeededDraw(6), contact)
+        assert one != draw_case(random.Random(6), contact)
 
 
 def with_impacts(contact: str, **fields: Any) -> Case:
     """A case of held torques and 10 impacts or more in a scene without losses or drive."""
     for seed in range(100):
-        case = draw_case(SeededDraw(seed), contact)
+        case = draw_case(random.Random(seed), contact)
         scene = dataclasses.replace(case.scene, drive=None, restitution=1.0, **fields)
         case = dataclasses.replace(case, scene=scene, actions=(0.5,) * len(case.actions))
         found = examine(case)
@@ -232,4 +245,3 @@ def test_a_batch_that_differs_by_a_bit_breaks_its_law(contact: str, monkeypatch:
 def test_a_case_measures_every_law_but_what_was_never_refused() -> None:
     measured = set(examine(with_impacts("exact")).worst)
     assert measured == set(LAWS) - {"refusal"}
-    assert Scene(**draw_case(SeededDraw(1), "exact").as_json()["scene"] | {"drive": None})

@@ -6,8 +6,8 @@
 from __future__ import annotations
 
 import os
+import random
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from hypothesis import HealthCheck, settings
@@ -26,23 +26,24 @@ settings.register_profile("soak", max_examples=6000, print_blob=True, deadline=N
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "quick"))
 
 
-@dataclass(frozen=True)
-class HypothesisDraw:
-    """A :class:`scripts.studies.laws.random_cases.Draw` of hypothesis's choices, which it shrinks when a law breaks."""
+class HypothesisDraw(random.Random):
+    """A generator whose choices are hypothesis's, which it shrinks."""
 
-    draw: Callable[[st.SearchStrategy[Any]], Any]
+    def __init__(self, draw: Callable[[st.SearchStrategy[Any]], Any]) -> None:
+        super().__init__()
+        self._draw = draw
 
     def uniform(self, low: float, high: float) -> float:
         # Any float but the tiny: products of those with lengths and times would leave the range of scenes.
-        number: float = self.draw(st.floats(low, high).filter(lambda x: x == 0.0 or abs(x) > 1e-12))
+        number: float = self._draw(st.floats(low, high).filter(lambda x: x == 0.0 or abs(x) > 1e-12))
         return number
 
-    def whole(self, low: int, high: int) -> int:
-        number: int = self.draw(st.integers(low, high))
+    def randint(self, low: int, high: int) -> int:
+        number: int = self._draw(st.integers(low, high))
         return number
 
-    def pick(self, options: Sequence[T]) -> T:
-        option: T = self.draw(st.sampled_from(options))
+    def choice(self, options: Sequence[T]) -> T:  # type: ignore[override]
+        option: T = self._draw(st.sampled_from(options))
         return option
 
 

@@ -1,0 +1,167 @@
+"""docs/costs.md: what a thing costs is the time of steps with it less that of steps without it."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from scripts.studies.timing import Rates, cells, figure, joined, rough
+
+MODELS = PYMUNK, EXACT, BATCH = "pymunk", "exact", "exact, batch"
+ARM, FRAME = "more impacts: an arm of 8 m", "a frame drawn in each step"
+FUNCTION = "a torque that is a Python function, in place of the chirp"
+THINGS = {
+    "gravity": ("plain", "weightless"),
+    "task rattle, in place of juggle": ("rattle", "plain"),
+    "the chirp, in place of a held torque": ("chirp", "plain"),
+    FUNCTION: ("function", "chirp"),
+    "side forces that are Python functions": ("pushed", "plain"),
+    ARM: ("long arm", "plain"),
+    "`with_infos` of a batch": ("infos", "plain"),
+    "a `render_mode`, nothing drawn": ("picture", "plain"),
+    FRAME: ("drawn", "picture"),
+    "stepped in a batch of 16": ("together", "plain"),
+}
+LAYERS: dict[str, dict[str, float]] = {
+    "contact model": {"contact": 1.0},
+    "observation and reward": {"plain": 1.0, "_score": -1.0},
+    "info dict": {"plain": 1.0, "_info": -1.0},
+    "checks of actions, torques and times": {"plain": 1.0, "checks": -1.0},
+    "wrappers of `gymnasium.make`": {"plain": 1.0, "bare": -1.0},
+    "the rest of `step`": {"bare": 1.0, "_score": 1.0, "_info": 1.0, "checks": 1.0, "contact": -1.0, "plain": -3.0},
+}
+Figures = dict[str, dict[str, list[float]]]  # by thing and model: ns in each round
+
+
+# -- figures -----------------------------------------------------------------------------------------------------------
+
+
+def in_rounds(rates: Rates, passes: int, weights: Mapping[str, float]) -> list[float]:
+    """A weighted sum of times [ns], taken within each pass; its median in each round."""
+    each = [
+        sum(weight * 1e9 / rate for weight, rate in zip(weights.values(), at_once, strict=True))
+        for at_once in zip(*(rates[name] for name in weights), strict=True)
+    ]
+    return [statistics.median(each[k : k + passes]) for k in range(0, len(each), passes)]
+
+
+def figures(rates: Rates, passes: int) -> dict[str, Figures]:
+    """A plain step's time, what each thing costs on top of it, and where it goes."""
+
+    def of(model: str, weights: Mapping[str, float]) -> list[float]:
+        return in_rounds(rates, passes, {f"{model}: {kind}": weight for kind, weight in weights.items()})
+
+    def both(model: str, pair: tuple[str, str]) -> bool:
+        return {f"{model}: {kind}" for kind in pair} <= set(rates)
+
+    return {
+        "plain": {"a plain step": {model: of(model, {"plain": 1.0}) for model in MODELS}},
+        "on_top": {
+            what: {model: of(model, {pair[0]: 1.0, pair[1]: -1.0}) for model in MODELS if both(model, pair)}
+            for what, pair in THINGS.items()
+        },
+        "layers": {what: {model: of(model, weights) for model in (PYMUNK, EXACT)} for what, weights in LAYERS.items()},
+    }
+
+
+def seen(values: Sequence[float]) -> bool:
+    """Whether a difference is above the noise: of one sign in all rounds."""
+    return min(values) > 0.0 or max(values) < 0.0
+
+
+# -- the page ----------------------------------------------------------------------------------------------------------
+
+
+def cell(values: Sequence[float] | None, plain: float) -> str:
+    """Nanoseconds, and the share of a plain step."""
+    if values is None:
+        return ""
+    if not seen(values):
+        return "below noise"
+    middle = statistics.median(values)
+    share = middle / plain
+    return f"{'+' if middle > 0.0 else ''}{figure(middle)} ns ({share:{'+,.0%' if abs(share) > 0.1 else '+.1%'}})"
+
+
+def glance(on_top: Figures, plain: Mapping[str, float]) -> list[str]:
+    """One line per thing that costs something, one column per model; then what hardly costs."""
+    lines = ["| on top of a plain step | " + " | ".join(MODELS) + " |", "|---|" + "---:|" * len(MODELS)]
+    lines.append("| **a plain step** | " + " | ".join(f"**{figure(plain[model])} ns**" for model in MODELS) + " |")
+    small = [
+        what
+        for what, found in on_top.items()
+        if all(abs(statistics.median(values)) < 0.1 * plain[model] for model, values in found.items())
+    ]
+    for what, found in on_top.items():
+        if what not in small:
+            lines.append(f"| {what} | " + " | ".join(cell(found.get(m), plain[m]) for m in MODELS) + " |")
+    return [*lines, "", f"Less than a tenth of a plain step with every model: {'; '.join(small)}."]
+
+
+def layer_table(layers: Figures, plain: Mapping[str, float]) -> list[str]:
+    """Where the time of one environment's step goes."""
+    lines = ["| one environment | pymunk, ns | smallest to largest | exact, ns | smallest to largest |"]
+    lines.append("|---|---:|---:|---:|---:|")
+    lines += [f"| {what} | {cells(found[PYMUNK])} | {cells(found[EXACT])} |" for what, found in layers.items()]
+    return [*lines, f"| **a plain step** | **{figure(plain[PYMUNK])}** | | **{figure(plain[EXACT])}** | |"]
+
+
+def answer(results: Mapping[str, Any], plain: Mapping[str, float]) -> str:
+    """The page in three sentences."""
+    each = {model: rough(value) for model, value in plain.items()}
+    frame, function = (rough(statistics.median(results["on_top"][what][PYMUNK])) for what in (FRAME, FUNCTION))
+    return (
+        f"A control step takes {each[PYMUNK]} ns with pymunk, {each[EXACT]} ns with exact, and {each[BATCH]} ns for "
+        f"each environment of an exact batch. Dearest on top of it are a frame, {frame} ns, and a drive written as a "
+        f"Python function, {function} ns more than the chirp. What is off costs nothing: its code does not run, and "
+        "tests count that."
+    )
+
+
+def page(results: Mapping[str, Any], picture: str) -> str:
+    """docs/costs.md."""
+    on_top, impacts = results["on_top"], results["impacts"]
+    plain = {model: statistics.median(values) for model, values in results["plain"]["a plain step"].items()}
+    more = impacts["long arm"] - impacts["usual"]
+    each = [f"{figure(statistics.median(values) / more)} ns ({model})" for model, values in on_top[ARM].items()]
+    asked = [f"{count:.0f} times per step by {model}" for model, count in results["asked"].items()]
+    notes = [
+        f"- An arm of 8 m makes {impacts['long arm']:.2f} impacts per step of {impacts['usual']:.3f}: an impact, and "
+        f"being near a wall for it, costs {', '.join(each)}.",
+        f"- A drive's Python function is asked {', '.join(asked)}; in a batch once for all at the same time.",
+        "- A batch with a `render_mode` is stepped one by one. A batch of pymunk builds its infos with `with_infos` "
+        "and without.",
+    ]
+    return joined(
+        {
+            "# What each thing costs": [answer(results, plain), "", f"![Where the time of a step goes]({picture})"],
+            "## On top of a plain step": [*glance(on_top, plain), "", *notes],
+            "## Where the time of a step goes": layer_table(results["layers"], plain),
+            "## What is off is not there": [OFF],
+            "## How it was measured": [HOW, "", results["made"]],
+        }
+    )
+
+
+OFF = (
+    "Without gravity the engine is given no force; without a drive no torque, and no chirp is worked out; without side "
+    "forces none is averaged; a picture that nobody asked for is told of no step, and no renderer is loaded; another "
+    "task's reward is not worked out; a batch without `with_infos` gathers none, and one of exact has no room for "
+    "impact records. tests/studies/test_costs.py counts the calls: none without the thing, some with it."
+)
+HOW = (
+    "`make costs` times a control step of 0.02 s with a thing and without it, on one core. Figures are medians over "
+    "rounds, each the median of passes in which all take turns; a difference is taken within a pass, and what changes "
+    "its sign between rounds is below noise. Times are the processor's: while other processes have it they stand "
+    "still. A plain step is the default scene's, with a held random torque and the task juggle, as `gymnasium.make` "
+    "makes it; of the batch, one of 1,024 environments. All step the same moments of episodes, put back before each "
+    "step, so that a thing's cost is not mixed up with where it leads the jack. Observation, info dict, checks and "
+    "wrappers always act: they were taken out to be measured."
+)
+
+
+def pictured(results: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+    """The bars of the picture: the layers of a step, end to end."""
+    layers: Figures = results["layers"]
+    return {m: {what: statistics.median(found[m]) for what, found in layers.items()} for m in (EXACT, PYMUNK)}

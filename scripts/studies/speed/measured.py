@@ -1,0 +1,328 @@
+"""What ``speed.py`` times: single environments, batches and rollouts, beside others that do the same.
+
+Actions are random and drawn beforehand. Episodes have 500 steps from the environment's own starts; a batch too large
+for whole episodes starts from states at random moments of them.
+"""
+
+from __future__ import annotations
+
+import importlib
+import itertools
+import math
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any, TypeVar
+from unittest.mock import patch
+
+import gymnasium as gym
+import numpy as np
+import pymunk
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from jackbox_env import Scene, planning
+from jackbox_env.compiled.compiler import compiled, compiled_with
+from jackbox_env.compiled.rollouts import outside
+from jackbox_env.tasks import sample_start
+from scripts.studies.speed.naive import first_of_all
+from scripts.studies.timing import Timed, repeat
+
+BARE = "bare pymunk loop, 4 substeps"
+PYMUNK, CHIRP, EXACT = "JackInBox-v0", "JackInBox-v0, chirp", "JackInBox-v0, exact"
+LANDER, POLE = "LunarLander-v3", "CartPole-v1"
+FRAMES, LANDER_FRAMES = "JackInBox-v0, frames", "LunarLander-v3, frames"
+
+ROLLOUT, UNGUARDED = "`rollout`: physics alone", "the same, unguarded search"
+BATCH, BATCH_CHIRP = "JackInBox-v0, exact, 1,024", "the same under the chirp"
+POLES, POOL = "CartPole-v1, 1,024, Gymnasium's own", "CartPole-v1, 1,024, EnvPool"
+FEW = "JackInBox-v0, pymunk, 16"
+SB3, DUMMY = "`make_sb3_vec_env`, exact, 16", "`DummyVecEnv`, exact, 16"
+TOGETHER = 1024  # environments in a batch
+
+LONG = "`rollout` of 4,096 states, 100 steps"
+SIZES = (256, 4096, 16384, 65536, 262144)
+THREADED = (16384, 65536)  # the sizes that two threads are tried on
+
+Array = NDArray[np.float64]
+T = TypeVar("T")
+
+DT = 0.02  # [s]
+EPISODE = 500  # steps
+SOME = 50  # steps that a large batch or a rollout goes on from random moments
+_STRETCHES = 65536  # of actions drawn beforehand, of which each step takes one
+_WRONG = 1e-6  # difference, or depth outside the box [m], that is no rounding
+
+
+def of_size(count: int) -> str:
+    """Name of a batch's measurement."""
+    return f"{count:,} environments"
+
+
+def by_two(name: str) -> str:
+    """Name of the same measurement with two threads."""
+    return f"{name}, two threads"
+
+
+# -- one environment ---------------------------------------------------------------------------------------------------
+
+
+def one(env_id: str, seconds: float, **settings: Any) -> Timed:
+    """Steps per second of an environment, resets included."""
+    env = gym.make(env_id, **settings)
+    env.action_space.seed(0)
+    actions = [env.action_space.sample() for _ in range(4096)]
+    env.reset(seed=0)
+
+    def block() -> int:
+        for action in actions[:256]:
+            _, _, terminated, truncated, _ = env.step(action)
+            if terminated or truncated:
+                env.reset()
+        actions.append(actions.pop(0))
+        return 256
+
+    return repeat(block, seconds, clock=time.process_time)
+
+
+def frames(env_id: str, seconds: float) -> Timed:
+    """Frames per second of ``rgb_array`` in the middle of an episode."""
+    env = gym.make(env_id, render_mode="rgb_array")
+    env.reset(seed=0)
+    for _ in range(40):
+        env.step(env.action_space.sample())
+    return repeat(lambda: len([env.render() for _ in range(10)]), seconds, clock=time.process_time)
+
+
+def bare_pymunk(seconds: float, substeps: int = 4) -> Timed:
+    """Control steps per second of a plain pymunk loop: same shapes, torque and weight set in each substep."""
+    space = pymunk.Space()
+    space.iterations, space.collision_bias = 64, 1.0
+    box, jack = pymunk.Body(400.0, 14400.0), pymunk.Body(4.0, 4.0)
+    space.add(box, jack)
+    for quarter in range(4):
+        normal = pymunk.Vec2d.from_polar(1.0, quarter * math.pi / 2.0)
+        middle, end = normal * 106.0, normal.perpendicular() * 206.0
+        for shape in (pymunk.Segment(box, middle - end, middle + end, 100.0), pymunk.Circle(jack, 0.0, normal)):
+            shape.elasticity = 1.0
+            space.add(shape)
+    torques = np.random.default_rng(0).uniform(-90000.0, 90000.0, EPISODE).tolist()
+
+    def block() -> int:
+        box.position = jack.position = box.velocity = jack.velocity = 0.0, 0.0
+        box.angular_velocity = jack.angular_velocity = 0.0
+        for torque in torques:
+            for _ in range(substeps):
+                box.torque, jack.force = torque, (0.0, -4.0 * 9.81)
+                space.step(DT / substeps)
+        return EPISODE
+
+    return repeat(block, seconds, clock=time.process_time)
+
+
+def alone(seconds: float) -> dict[str, Timed]:
+    """Single environments and their peers."""
+    return {
+        PYMUNK: one("JackInBox-v0", seconds),
+        CHIRP: one("JackInBox-v0", seconds, torque="chirp"),
+        EXACT: one("JackInBox-v0", seconds, contact="exact"),
+        LANDER: one("LunarLander-v3", seconds),
+        POLE: one("CartPole-v1", seconds),
+        BARE: bare_pymunk(seconds),
+        FRAMES: frames("JackInBox-v0", seconds),
+        LANDER_FRAMES: frames("LunarLander-v3", seconds),
+    }
+
+
+# -- batches -----------------------------------------------------------------------------------------------------------
+
+
+def made(env_id: str, count: int, **settings: Any) -> Any:
+    """An environment's own vector environment, seeded."""
+    env = gym.make_vec(env_id, count, vectorization_mode="vector_entry_point", **settings)
+    env.reset(seed=0)
+    return env
+
+
+def envpool() -> dict[str, Any]:
+    """EnvPool's CartPole-v1 in the one thread that it needs, where EnvPool is installed."""
+    try:
+        package = importlib.import_module("envpool")
+    except ImportError:
+        return {}
+    return {POOL: package.make("CartPole-v1", env_type="gymnasium", num_envs=TOGETHER, num_threads=1, seed=0)}
+
+
+def many(
+    env: Any, seconds: float, steps: int = EPISODE, prepare: Callable[[], None] | None = None,
+    clock: Callable[[], float] = time.process_time,
+) -> Timed:  # fmt: skip
+    """Environment steps per second of a batch, restarts included, in blocks of ``steps``.
+
+    Each step takes another stretch of one long array of actions: a few in turn would spin a box up by their mean.
+    """
+    count = getattr(env, "num_envs", TOGETHER)  # EnvPool's does not say
+    env.reset()
+    actions = batch_space(getattr(env, "single_action_space", env.action_space), count + _STRETCHES)
+    actions.seed(0)
+    pool = actions.sample()
+    order = itertools.cycle(np.random.default_rng(0).integers(_STRETCHES, size=4099).tolist())
+
+    def block() -> int:
+        for first in itertools.islice(order, steps):
+            env.step(pool[first : first + count])
+        return steps * count
+
+    return repeat(block, seconds, prepare, clock)
+
+
+def together(seconds: float) -> dict[str, Timed]:
+    """Batches and rollouts on one core, and their peers."""
+    from stable_baselines3.common.monitor import Monitor
+    from stable_baselines3.common.vec_env import DummyVecEnv
+
+    from jackbox_env.sb3 import make_sb3_vec_env
+
+    exact: dict[str, Any] = {"contact": "exact", "num_threads": 1}
+    batches: dict[str, Any] = {
+        BATCH: made("JackInBox-v0", TOGETHER, **exact),
+        BATCH_CHIRP: made("JackInBox-v0", TOGETHER, torque="chirp", **exact),
+        POLES: made("CartPole-v1", TOGETHER),
+        **envpool(),
+        FEW: made("JackInBox-v0", 16, contact="pymunk"),
+        SB3: make_sb3_vec_env(16, contact="exact"),
+        DUMMY: DummyVecEnv([lambda: Monitor(gym.make("JackInBox-v0", contact="exact"))] * 16),
+    }
+    for name in (SB3, DUMMY):
+        batches[name].seed(0)
+    physics = rolled(TOGETHER, SOME, seconds)
+    return {
+        BARE: bare_pymunk(seconds),
+        ROLLOUT: physics,
+        UNGUARDED: unguarded(physics),
+        **{name: many(env, seconds) for name, env in batches.items()},
+    }
+
+
+def threads(cores: int, seconds: float) -> dict[str, Timed]:
+    """Batches of any size and a rollout, by the wall's clock: two threads are to take half the time."""
+
+    def of(size: int, threads: int) -> Timed:
+        settings: dict[str, Any] = {"contact": "exact", "num_threads": threads, "max_episode_steps": 10**9}
+        env, states = made("JackInBox-v0", size, **settings), moments(size)
+        steps = max(5, min(SOME, 2**22 // size))
+        return many(env, seconds, steps, lambda: env.unwrapped.set_states(states, 0.0), time.perf_counter)
+
+    timed = {of_size(size): of(size, 1) for size in SIZES}
+    timed[LONG] = rolled(4096, 100, seconds, 1, time.perf_counter)
+    if cores > 1:
+        timed |= {by_two(of_size(size)): of(size, 2) for size in THREADED}
+        timed[by_two(LONG)] = rolled(4096, 100, seconds, 2, time.perf_counter)
+    return timed
+
+
+# -- the exact model alone ---------------------------------------------------------------------------------------------
+
+
+def play(count: int = 1024) -> tuple[Array, NDArray[np.int64]]:
+    """Trajectories of whole episodes, shape (count, EPISODE + 1, 12), and the impacts in each step."""
+    scene, rng = Scene(), np.random.default_rng(0)
+    starts = np.array([sample_start(scene, rng) for _ in range(count)])
+    torques = rng.uniform(-scene.torque_limit, scene.torque_limit, (count, EPISODE))
+    played: Any = planning.rollout(scene, starts, torques, DT, impacts=True, num_threads=1)
+    return played.trajectories, played.impacts
+
+
+def moments(count: int) -> Array:
+    """States at random moments of episodes, shape (count, 12), at least ``SOME`` steps before the end."""
+    rng, (trajectories, _) = np.random.default_rng(0), play()
+    states: Array = trajectories[rng.integers(1024, size=count), rng.integers(EPISODE - SOME + 1, size=count)]
+    return states
+
+
+def rolled(
+    count: int, steps: int, seconds: float, threads: int = 1, clock: Callable[[], float] = time.process_time
+) -> Timed:
+    """Control steps per second of ``jackbox_env.rollout`` from moments of episodes."""
+    scene, states = Scene(), moments(count)
+    torques = np.random.default_rng(0).uniform(-scene.torque_limit, scene.torque_limit, (count, steps))
+
+    def block() -> int:
+        planning.rollout(scene, states, torques, DT, num_threads=threads)
+        return torques.size
+
+    return repeat(block, seconds, clock=clock)
+
+
+def unguarded(run: Callable[[], T]) -> Callable[[], T]:
+    """``run`` with rollouts that look for impacts at a step's end only, in place of the certified search."""
+
+    def wrapped() -> T:
+        with patch.object(planning, "compiled", partial(compiled_with, first_of_all=first_of_all)):
+            return run()
+
+    return wrapped
+
+
+def lost() -> dict[str, int]:
+    """How many of the same episodes each search gets wrong: compared as long as chaos has not parted them."""
+    (certified, hits), (other, found) = play(), unguarded(play)()
+    difference = np.abs(certified - other).max(axis=2)[:, :-1]  # before each step
+    level = np.logical_and.accumulate(difference <= _WRONG, axis=1)
+    look, numbers = compiled(outside), np.array(Scene().numbers)
+
+    def escaped(trajectories: Array) -> int:
+        return sum(int(look(numbers, states, _WRONG)) >= 0 for states in trajectories)
+
+    missed = int((level & (found < hits)).any(axis=1).sum())
+    return {"of": len(hits), "missed": missed, "escaped": escaped(other), "certified": escaped(certified)}
+
+
+# -- processes of their own --------------------------------------------------------------------------------------------
+
+_START = """
+import resource, gymnasium as gym, numpy as np, jackbox_env
+def stepped(make, *arguments, **settings):
+    env = make('JackInBox-v0', *arguments, contact='exact', **settings)
+    env.reset(seed=0)
+    for _ in range(2):
+        env.step(np.zeros(env.action_space.shape, np.float32))
+    return env
+def used():
+    return resource.getrusage(resource.RUSAGE_SELF)
+"""
+_SECONDS = "stepped(gym.make); print(used().ru_utime + used().ru_stime)"
+_BYTES = """
+small = stepped(gym.make_vec, 1024, vectorization_mode='vector_entry_point')
+before = int(open('/proc/self/statm').read().split()[1]) * resource.getpagesize()
+large = stepped(gym.make_vec, {}, vectorization_mode='vector_entry_point')
+print(1024 * used().ru_maxrss - before)
+"""
+
+
+def printed(code: str, cache: str | None = None) -> float:
+    """What a process of its own prints, its compiled code kept in ``cache``.
+
+    Raises:
+        RuntimeError: it fails.
+    """
+    environment = {**os.environ, "NUMBA_CACHE_DIR": cache} if cache else None
+    command = [sys.executable, "-c", _START + code]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    if done.returncode:
+        raise RuntimeError(f"a process of its own failed:\n{done.stderr}")
+    return float(done.stdout)
+
+
+def start(times: int, count: int = 1_000_000) -> dict[str, Any]:
+    """Seconds to a first step with nothing compiled before, and compiled; bytes for each of so many environments."""
+    found: dict[str, list[float]] = {"cold": [], "warm": []}
+    for _ in range(times):
+        with tempfile.TemporaryDirectory() as cache:
+            for seconds in found.values():
+                seconds.append(printed(_SECONDS, cache))
+    return {**found, "of": count, "bytes": printed(_BYTES.format(count)) / count}

@@ -1,0 +1,164 @@
+"""docs/speed.md and the README's table, from stored results.
+
+Results are stored by part: ``rates`` and ``ratios`` in each round; ``made``, with what they were measured; ``kept``,
+the ratios of an earlier run to peers that were not installed.
+"""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Mapping
+from typing import Any
+
+from scripts.studies import timing
+from scripts.studies.speed import measured as names
+from scripts.studies.timing import Rates, cells, figure, joined, rough
+
+Results = Mapping[str, Mapping[str, Any]]
+
+
+RATIOS = {
+    "alone": {
+        "the default over LunarLander-v3": (names.PYMUNK, names.LANDER),
+        "the default under the chirp over LunarLander-v3": (names.CHIRP, names.LANDER),
+        "the default over CartPole-v1": (names.PYMUNK, names.POLE),
+        "exact over CartPole-v1": (names.EXACT, names.POLE),
+        "the default over the bare pymunk loop": (names.PYMUNK, names.BARE),
+        "frames of the default over LunarLander-v3's": (names.FRAMES, names.LANDER_FRAMES),
+    },
+    "together": {
+        "`rollout` over the bare pymunk loop": (names.ROLLOUT, names.BARE),
+        "unguarded search over the certified one: what certifying costs": (names.UNGUARDED, names.ROLLOUT),
+        "batch over `rollout`: what observation, reward and restarts leave": (names.BATCH, names.ROLLOUT),
+        "batch under the chirp over the same under actions": (names.BATCH_CHIRP, names.BATCH),
+        "batch over Gymnasium's own CartPole-v1": (names.BATCH, names.POLES),
+        "batch over EnvPool's CartPole-v1": (names.BATCH, names.POOL),
+        "batch over a batch of the pymunk model": (names.BATCH, names.FEW),
+        "`make_sb3_vec_env` over `DummyVecEnv`": (names.SB3, names.DUMMY),
+    },
+    "threads": {
+        f"{name}, two threads over one": (names.by_two(name), name)
+        for name in (*map(names.of_size, names.THREADED), names.LONG)
+    },
+}
+PICTURE = {
+    "exact, batch of 1,024": ("together", names.BATCH),
+    "CartPole, Gymnasium's batch of 1,024": ("together", names.POLES),
+    "exact, one": ("alone", names.EXACT),
+    "CartPole, one": ("alone", names.POLE),
+    "pymunk (the default), one": ("alone", names.PYMUNK),
+    "LunarLander, one": ("alone", names.LANDER),
+}
+
+
+def ratios_of(part: str, rates: Rates) -> Rates:
+    """The ratios of a part in each round; those of what is not installed are left out."""
+    return {what: timing.ratios(rates, *two) for what, two in RATIOS[part].items() if set(two) <= set(rates)}
+
+
+def kept_of(stored: Mapping[str, Any], ratios: Rates) -> dict[str, Any]:
+    """What a part that was stored knows and one that was measured now does not."""
+    known = {what: {"values": values, "made": stored["made"]} for what, values in stored.get("ratios", {}).items()}
+    return {what: found for what, found in (known | stored.get("kept", {})).items() if what not in ratios}
+
+
+def rate_table(rates: Rates) -> list[str]:
+    """Rates with their extremes and the time of one."""
+    lines = ["| what | per second | smallest to largest | ns each |", "|---|---:|---:|---:|"]
+    return lines + [
+        f"| {name} | {cells(values)} | {figure(1e9 / statistics.median(values))} |" for name, values in rates.items()
+    ]
+
+
+def ratio_table(found: Mapping[str, Any]) -> list[str]:
+    """Ratios with their extremes, those of an earlier run last."""
+    lines = ["| ratio | median | smallest to largest |", "|---|---:|---:|"]
+    lines += [f"| {what} | {cells(values)} |" for what, values in all_ratios(found).items()]
+    for what, kept in found["kept"].items():
+        lines += ["", f"Not installed here, and kept from an earlier run: {what}. {kept['made']}"]
+    return lines
+
+
+def all_ratios(found: Mapping[str, Any]) -> Rates:
+    """The ratios measured, and those kept of an earlier run."""
+    return {**found["ratios"], **{what: kept["values"] for what, kept in found["kept"].items()}}
+
+
+def answer(results: Results) -> str:
+    """The page in three sentences."""
+
+    def shown(part: str, name: str) -> str:
+        return rough(statistics.median((results[part]["rates"] | all_ratios(results[part]))[name]))
+
+    cold, warm = (rough(statistics.median(results["start"][name])) for name in ("cold", "warm"))
+    poles, pool = (shown("together", f"batch over {whose} CartPole-v1") for whose in ("Gymnasium's own", "EnvPool's"))
+    return (
+        f"One environment makes {shown('alone', names.PYMUNK)} control steps per second by default (pymunk) and "
+        f'{shown("alone", names.EXACT)} with `contact="exact"`; LunarLander-v3 makes {shown("alone", names.LANDER)}, '
+        f"CartPole-v1 {shown('alone', names.POLE)}. A batch of 1,024 exact environments makes "
+        f"{shown('together', names.BATCH)} per second on one core, {poles} times as many as Gymnasium's own batch of "
+        f"CartPole-v1 and {pool} times as many as EnvPool's. The exact model is compiled once per machine, in {cold} "
+        f"s; after that a process makes its first step within {warm} s."
+    )
+
+
+def guarantee(lost: Mapping[str, int]) -> str:
+    """What the certified search is worth, beside its price in the table above."""
+    return (
+        f"What certifying buys: of {lost['of']:,} episodes a search that looks at a step's end only misses an impact "
+        f"in {lost['missed']} and puts a foot outside the box in {lost['escaped']}; the certified one in "
+        f"{lost['certified']}."
+    )
+
+
+def section(found: Mapping[str, Any]) -> list[str]:
+    """The tables of a part."""
+    return [*rate_table(found["rates"]), "", *ratio_table(found)]
+
+
+def page(results: Results, picture: str) -> str:
+    """docs/speed.md."""
+    start = results["start"]
+    cold, warm = (cells(start[name]).replace(" | ", " (") + ")" for name in ("cold", "warm"))
+    started = (
+        f"A process makes its first step after {cold} s where nothing is compiled yet, and after {warm} s later on. It "
+        f"grows by at most {start['bytes']:.0f} bytes for each of {start['of']:,} environments."
+    )
+    return joined(
+        {
+            "# How fast it is": [answer(results), "", f"![Control steps per second on one core]({picture})"],
+            "## One environment": section(results["alone"]),
+            "## Batches on one core": [
+                *section(results["together"]), "", guarantee(results["together"]["lost"])
+            ],
+            "## Size of the batch, and threads": section(results["threads"]),
+            "## Start-up and memory": [started],
+            "## How it was measured": [HOW, "", *(f"- `{part}`: {found['made']}" for part, found in results.items())],
+        }
+    )  # fmt: skip
+
+
+HOW = (
+    "`make speed` measures in interleaved rounds after one to warm up; ratios are taken within a round, and a table "
+    "shows the median over the rounds and the extremes. A step is a control step of 0.02 s under a random action, "
+    "another in each step; episodes have 500 steps from the environment's own starts. One core does it all by the "
+    "processor's clock, which stands still while other processes have the core; only batch size and threads are taken "
+    "by the wall's clock, and there batches start from random moments of episodes. The parts of the page, as "
+    "`make speed` last measured them:"
+)
+
+
+def for_the_readme(results: Results) -> str:
+    """The README's table: single environments, and ratios beneath."""
+    found = results["alone"]
+    lines = ["| what | per second | microseconds |", "|------|-----------:|-------------:|"]
+    each = {name: statistics.median(values) for name, values in found["rates"].items()}
+    lines += [f"| {name} | {rate:,.0f} | {1e6 / rate:.1f} |" for name, rate in each.items()]
+    lines += ["", "Ratios, medians over interleaved rounds:", ""]
+    lines += [f"- {what}: {figure(statistics.median(values))}" for what, values in found["ratios"].items()]
+    return "\n".join([*lines, "", found["made"]])
+
+
+def pictured(results: Results) -> dict[str, dict[str, float]]:
+    """The bars of the picture: steps per second."""
+    return {label: {"": statistics.median(results[part]["rates"][name])} for label, (part, name) in PICTURE.items()}

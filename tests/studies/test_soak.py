@@ -1,0 +1,115 @@
+"""The soak command: it goes on where it ended, says which law was broken in which case, and its report stays small."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from jackbox_env.simulators.exact import ExactSimulator
+from scripts.studies.laws import soak
+from scripts.studies.laws.laws import KEPT, Examination, Tally, examine
+from scripts.studies.laws.random_cases import Case
+
+
+def run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
+    """The command's exit status."""
+    monkeypatch.setattr(sys, "argv", ["soak.py", "--no-progress", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        soak.main()
+    return int(ended.value.code or 0)
+
+
+def test_an_interrupted_soak_tells_what_it_found_and_goes_on(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(monkeypatch, "--cases", "4") == 0
+    whole = capsys.readouterr().out
+    assert whole.count(": 4 cases, ") == 2
+    examined: list[Case] = []
+
+    def interrupted(case: Case) -> Examination:
+        examined.append(case)
+        if len(examined) == 6:  # within a case: one of the two models is done
+            raise KeyboardInterrupt
+        return examine(case)
+
+    monkeypatch.setattr(soak, "examine", interrupted)
+    assert run(monkeypatch, "--cases", "4") == 130
+    first = capsys.readouterr().out
+    assert first.endswith("go on with --first 2\n")
+    assert run(monkeypatch, "--cases", "2", "--first", "2") == 0
+    second = capsys.readouterr().out
+    assert second.endswith("go on with --first 4\n")
+    assert examined[4:6] == examined[6:8]  # the interrupted case is examined again
+    impacts = [[int(n) for n in re.findall(r"cases, (\d+) impacts", text)] for text in (whole, first, second)]
+    assert [sum(parts) for parts in zip(*impacts[1:], strict=True)] == impacts[0]
+
+
+def test_a_broken_law_is_told_with_its_case_which_can_be_examined_again(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    step = ExactSimulator.step
+
+    def gains(self: ExactSimulator, dt: float, torque: float | None = None) -> None:
+        step(self, dt, torque)
+        state = self.state
+        state[8] += 1e-3
+        self._present = self._present._replace(state=state)
+
+    monkeypatch.setattr(ExactSimulator, "step", gains)
+    assert run(monkeypatch, "--cases", "13", "--contact", "exact") == 1
+    told = capsys.readouterr().out
+    assert "cases that broke a law: 13" in told
+    assert len(re.findall(r"^--first \d+ --cases 1 --contact exact: ", told, re.MULTILINE)) == KEPT
+    again = next(line for line in told.splitlines() if line.startswith("--first 0 "))
+    command, found = again.split(": ", 1)
+    assert found.startswith("energy: ")
+    assert run(monkeypatch, *command.split()) == 1
+    assert found in capsys.readouterr().out
+    monkeypatch.setattr(ExactSimulator, "step", step)
+    assert run(monkeypatch, *command.split()) == 0
+    assert "cases that broke a law: 0" in capsys.readouterr().out
+
+
+def test_a_soak_by_time_ends_in_time(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(monkeypatch, "--hours", "1e-5", "--contact", "pymunk") == 0
+    (cases,) = re.findall(r"pymunk: ([\d,]+) cases", capsys.readouterr().out)
+    assert 1 <= int(cases) <= 10
+
+
+def test_a_tally_does_not_grow_with_the_time() -> None:
+    tally = Tally()
+    for number in range(1000):
+        found = Examination(refused=f"for the reason {chr(200 + number)} {number}")
+        found.measure("energy", float(number), 1.0)
+        tally.enter(number, found)
+    assert "energy       worst 999, at most 1, by step 0 of case 999" in str(tally)
+    assert len(tally.refused) == KEPT + 1
+    assert sum(tally.refused.values()) == 1000
+    assert len(str(tally)) < 2000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--hours", "nan"], "hours must be a finite number"),
+        (["--cases", "0"], "cases must be a whole number from 1"),
+        (["--first", "-1"], "first must be a whole number"),
+    ],
+)
+def test_what_can_not_be_soaked_is_refused(
+    arguments: list[str], sentence: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(monkeypatch, *arguments) == 2
+    assert sentence in capsys.readouterr().err
+
+
+def test_the_command_stands_alone() -> None:
+    root = Path(__file__).parents[2]
+    command = [sys.executable, "scripts/studies/laws/soak.py", "--cases", "1", "--contact", "pymunk", "--no-progress"]
+    ran = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True)
+    assert ran.stdout.startswith("pymunk: 1 cases, ")
