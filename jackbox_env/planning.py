@@ -12,7 +12,7 @@ from jackbox_env import _validation as check
 from jackbox_env._compiled import compiled
 from jackbox_env.batches.loop import PAUSED
 from jackbox_env.batches.rollouts import outside, roll
-from jackbox_env.batches.threads import Threads, thread_count
+from jackbox_env.batches.threads import Halt, Threads, thread_count
 from jackbox_env.mechanics import Array, as_held, deepest_held
 from jackbox_env.scene import Scene
 from jackbox_env.simulators.base import LATEST_TIME, end_of_step
@@ -98,7 +98,7 @@ def rollout(
     threads = Threads(thread_count(num_threads, ranges))
     workspaces = [new_workspace() for _ in range(threads.count)]
     numbers, drive = np.array(scene.numbers), drive_kind(scene, held=True)
-    play, moments = compiled(roll), np.array(times)
+    play, moments, halt = compiled(roll), np.array(times), Halt()
 
     def work(thread: int, low: int, high: int) -> tuple[int, int, int]:
         first = 0
@@ -107,11 +107,11 @@ def rollout(
                 numbers, dt, drive, trajectories, held, moments, table, ends, low, high, first, hits, impulses,
                 energies, workspaces[thread],
             )  # fmt: skip
-            if ended != PAUSED:
+            if ended != PAUSED or halt.asked:
                 return ended, who, when
             low, first = who, when  # after a while, so that an interruption is heard
 
-    for ended, who, when in threads.run(work, count, grain=-(-_GRAIN // max(1, steps))):
+    for ended, who, when in threads.run(work, count, grain=-(-_GRAIN // max(1, steps)), halt=halt):
         if ended:
             raise failure(ended, scene, times[when], dt, f"the jack of states[{who}]")
     if not (energy or impacts):

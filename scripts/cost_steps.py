@@ -229,7 +229,7 @@ def batched(contact: str, count: int, given: Moments, seconds: float, checked: b
         passed, steps = 0.0, 0
         while passed <= seconds:
             for states, times, actions in lap:
-                core._batch.place(everyone, states, times, anew=True)
+                core._place(everyone, states, times, anew=True)
                 began = time.thread_time()
                 env.step(actions)
                 passed += time.thread_time() - began

@@ -191,7 +191,7 @@ def steps_of_mixed(kernel: Kernel, count: int, threads: int, seconds: float) -> 
     everyone, times = np.ones(count, dtype=np.bool_), np.zeros(count)
 
     def prepare() -> None:
-        env.unwrapped._batch.place(everyone, kernel.mixture(rng, count), times, anew=True)
+        env.unwrapped._place(everyone, kernel.mixture(rng, count), times, anew=True)
 
     steps = max(5, min(SOME, _AT_ONCE // count))
     return steps_of_batch(env.step, env.single_action_space, count, seconds, steps, prepare)
@@ -218,5 +218,4 @@ def bytes_held(count: int = 1024) -> float:
     """Bytes per environment in the arrays that a batch holds."""
     env = exact_batch(count)
     env.step(env.action_space.sample())
-    held = vars(env.unwrapped._batch).values()
-    return float(sum(array.nbytes for array in held if isinstance(array, np.ndarray)) / count)
+    return float(env.unwrapped._batch.nbytes / count)
