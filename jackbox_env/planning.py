@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import _validation as check
-from jackbox_env.batches.threads import Threads, thread_count
+from jackbox_env.batches.threads import Halt, Threads, thread_count
 from jackbox_env.compiled.compiler import compiled
 from jackbox_env.compiled.rollouts import outside, roll
 from jackbox_env.compiled.status import Status
@@ -99,16 +99,17 @@ def rollout(
     workspaces = [new_workspace() for _ in range(threads.count)]
     numbers, kind, play = np.array(scene.numbers), drive_kind(scene, held=True), compiled(roll)
     drive, results = (np.array(times), table, ends), (trajectories, hits, impulses, energies)
+    halt = Halt()
 
     def work(thread: int, low: int, high: int) -> tuple[int, int, int]:
         first = 0
         while True:
             ended, who, when = play(numbers, dt, kind, held, drive, (low, high, first), results, workspaces[thread])
-            if ended != Status.PAUSED:
+            if ended != Status.PAUSED or halt.asked:
                 return ended, who, when
             low, first = who, when  # after a while, so that an interruption is heard
 
-    for ended, who, when in threads.run(work, count, grain=-(-_GRAIN // max(1, steps))):
+    for ended, who, when in threads.run(work, count, grain=-(-_GRAIN // max(1, steps)), halt=halt):
         if ended:
             raise failure(ended, scene, times[when], dt, f"the jack of states[{who}]")
     if not (energy or impacts):

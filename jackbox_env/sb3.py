@@ -5,9 +5,8 @@ from __future__ import annotations
 import inspect
 import time
 import warnings
-from collections.abc import Iterable, Sequence
-from copy import deepcopy
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -21,7 +20,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvS
 from jackbox_env import _validation as check
 from jackbox_env.scene import Scene
 from jackbox_env.states import Array
-from jackbox_env.vector_env import JackInBoxVectorEnv
+from jackbox_env.vector_env import JackInBoxVectorEnv, ResetPlan
 
 _KNOWN = set(inspect.signature(JackInBoxVectorEnv).parameters) - {"num_envs", "autoreset_mode", "with_infos"}
 
@@ -44,8 +43,21 @@ def make_sb3_vec_env(num_envs: int, **env_kwargs: Any) -> JackInBoxVecEnv:
     return JackInBoxVecEnv(num_envs, **env_kwargs)
 
 
+class Entered(NamedTuple):
+    """What is kept of each environment's episode, together with the environment."""
+
+    returns: Array  # (N,) sum of its rewards
+    lengths: NDArray[np.int64]  # (N,) its steps
+    reset_infos: list[dict[str, Any]]  # of its start
+    used: tuple[Any, Any]  # seeds and options of the last reset: they are used once
+
+
 class JackInBoxVecEnv(VecEnv):
-    """Environments of one scene for Stable-Baselines3; see :func:`make_sb3_vec_env`."""
+    """Environments of one scene for Stable-Baselines3; see :func:`make_sb3_vec_env`.
+
+    An interruption of ``step_wait`` or ``reset`` leaves all as it was, or all as it is after the call: the vector
+    environment, the statistics of the episodes, the infos of their starts.
+    """
 
     def __init__(self, num_envs: int, **env_kwargs: Any) -> None:
         check.known_keys("make_sb3_vec_env", env_kwargs, _KNOWN)
@@ -53,8 +65,6 @@ class JackInBoxVecEnv(VecEnv):
             num_envs, autoreset_mode=AutoresetMode.SAME_STEP, with_infos=True, **env_kwargs
         )
         self._views = [EnvView(self.vector_env, number) for number in range(self.vector_env.num_envs)]
-        self._returns = np.zeros(self.vector_env.num_envs)
-        self._lengths = np.zeros(self.vector_env.num_envs, dtype=np.int64)
         self._began = time.time()
         self._actions: NDArray[Any] | None = None
         space, actions = self.vector_env.single_observation_space, self.vector_env.single_action_space
@@ -63,28 +73,59 @@ class JackInBoxVecEnv(VecEnv):
 
     # -- stepping -----------------------------------------------------------------------------------------------------
 
+    @property
+    def reset_infos(self) -> list[dict[str, Any]]:
+        """The info of each environment's last start."""
+        return self._entered.reset_infos
+
+    @reset_infos.setter
+    def reset_infos(self, infos: list[dict[str, Any]]) -> None:
+        held = self.vector_env._batch.held
+        held.book = held.book._replace(entered=self._entered._replace(reset_infos=infos))
+
+    @property
+    def _entered(self) -> Entered:
+        entered: Entered | None = self.vector_env._batch.held.book.entered
+        if entered is None:
+            count = self.vector_env.num_envs
+            return Entered(np.zeros(count), np.zeros(count, dtype=np.int64), [{}] * count, (None, None))
+        return entered
+
     def reset(self) -> NDArray[np.float32]:
         """Start an episode in each environment, with the seeds and options set before; both are used once."""
-        plain = np.array([not options for options in self._options])
-        if plain.all():
-            _, infos = self.vector_env.reset(seed=self._seeds)
-            self._keep_reset_infos(infos, range(self.num_envs))
-        else:
-            self._reset_with_options(plain)
-        self._returns[:], self._lengths[:] = 0.0, 0
-        self._reset_seeds()
-        self._reset_options()
-        return self.vector_env.observations
+        self._drop_used()
+        vector_env, plans, reset_infos = self.vector_env, self._plans(), list(self.reset_infos)
+        draft = vector_env._batch.draft()
+        for plan in plans:
+            vector_env._carry_out(plan, draft)
+            rows = _rows(vector_env._fresh_infos(draft, plan.chosen))
+            for number in np.flatnonzero(plan.chosen).tolist():
+                reset_infos[number] = rows[number]
+        entered = Entered(
+            np.zeros(self.num_envs), np.zeros(self.num_envs, dtype=np.int64), reset_infos, (self._seeds, self._options)
+        )
+        draft.book = draft.book._replace(entered=entered)
+        observations = vector_env._seen(draft)
+        vector_env._batch.keep(draft)
+        self._drop_used()
+        return observations
 
-    def _reset_with_options(self, plain: NDArray[np.bool_]) -> None:
+    def _drop_used(self) -> None:
+        """Forget seeds and options that a reset has used, also where it was interrupted at its very end."""
+        seeds, options = self._entered.used
+        if self._seeds is seeds:
+            self._reset_seeds()
+        if self._options is options:
+            self._reset_options()
+
+    def _plans(self) -> list[ResetPlan]:
+        """What a reset does, checked: together the environments without options, each of the others alone."""
+        plain = np.array([not options for options in self._options])
         groups: list[tuple[NDArray[np.bool_], dict[str, Any]]] = [(plain, {})] if plain.any() else []
         for number in np.flatnonzero(~plain):
             check.known_keys("options", self._options[number], ("state", "time"))
             groups.append((np.arange(self.num_envs) == number, self._options[number]))
-        plans = [self.vector_env._plan_reset(self._seeds, {**options, "reset_mask": mask}) for mask, options in groups]
-        for plan in plans:
-            _, infos = self.vector_env._carry_out(plan)
-            self._keep_reset_infos(infos, np.flatnonzero(plan.chosen).tolist())
+        return [self.vector_env._plan_reset(self._seeds, {**options, "reset_mask": mask}) for mask, options in groups]
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Keep the actions, shape (N, 1), for ``step_wait``."""
@@ -92,33 +133,34 @@ class JackInBoxVecEnv(VecEnv):
 
     def step_wait(self) -> VecEnvStepReturn:
         """Step; an episode that ends starts anew, and its info holds its last observation and its statistics."""
-        observations, rewards, _, dones, infos = self.vector_env.step(self._actions)
-        self._returns += rewards
-        self._lengths += 1
+        draft, (observations, rewards, _, dones, infos) = self.vector_env._stepped(self._actions)
+        before = self._entered
+        returns, lengths, reset_infos = before.returns + rewards, before.lengths + 1, before.reset_infos
         ended = np.flatnonzero(dones).tolist()
         if ended:
-            self._keep_reset_infos(infos, ended)
+            reset_infos = list(reset_infos)
+            started = _rows({name: values[ended] for name, values in infos.items() if not name.startswith("final_")})
+            for number, row in zip(ended, started, strict=True):
+                reset_infos[number] = row
             for name, values in infos["final_info"].items():
                 if not name.startswith("_"):
                     infos[name][ended] = values[ended]
         rows = _rows(infos)
         for number in ended:
             rows[number]["episode"] = {
-                "r": round(float(self._returns[number]), 6),
-                "l": int(self._lengths[number]),
+                "r": round(float(returns[number]), 6),
+                "l": int(lengths[number]),
                 "t": round(time.time() - self._began, 6),
             }
         for row, truncated in zip(rows, dones.tolist(), strict=True):
             row["TimeLimit.truncated"] = truncated
         for number in ended:
             rows[number]["terminal_observation"] = infos["final_obs"][number]
-        self._returns[ended], self._lengths[ended] = 0.0, 0
-        return observations, rewards.astype(np.float32), dones, rows
-
-    def _keep_reset_infos(self, infos: dict[str, Any], numbers: Iterable[int]) -> None:
-        rows = _rows(infos)
-        for number in numbers:
-            self.reset_infos[number] = deepcopy(rows[number])
+        returns[ended], lengths[ended] = 0.0, 0
+        returned = observations, rewards.astype(np.float32), dones, rows
+        draft.book = draft.book._replace(entered=Entered(returns, lengths, reset_infos, before.used))
+        self.vector_env._batch.keep(draft)
+        return returned
 
     def close(self) -> None:
         """Release what the renderers hold."""

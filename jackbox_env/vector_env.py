@@ -12,12 +12,13 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import _validation as check
-from jackbox_env.batches.base import Batch, Flags, Floats, Outcome
+from jackbox_env.batches.base import Batch, Flags, Floats, Held, Outcome
 from jackbox_env.env import JackInBoxEnv
 from jackbox_env.scene import Scene
 from jackbox_env.states import LATEST_TIME, Array, as_held, as_start
 
 Infos = dict[str, Any]
+Step = tuple[Floats, Array, Flags, Flags, Infos]
 
 _MOST_ENVS = 1_000_000_000
 _ROOM = {"pymunk": 130_000, "exact": 500}  # [bytes] that an environment takes, about
@@ -31,6 +32,15 @@ class ResetPlan(NamedTuple):
     seeds: list[int | None]
     states: Array | None  # (N, 12) where they start; None: at drawn starts
     times: Array  # (N,) [s]
+
+
+class Book(NamedTuple):
+    """What is kept beside the environments; it changes together with them."""
+
+    seeds: list[int]  # -1 where none was given
+    started: bool  # whether all have been reset
+    waiting: bool  # whether an episode may be over
+    entered: Any  # what the owner of a vector environment keeps beside them, see sb3.py
 
 
 class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
@@ -62,6 +72,11 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
     ``step`` takes actions of shape (N, 1) or (N,), or None: the scene's drive turns all boxes. ``reset`` takes a seed
     (an int, or a list of ints and None) and ``options``: "state", shape (12,) or (N, 12), "time" [s], a number or shape
     (N,), and "reset_mask", bool (N,), to restart some only. What is handed out is never written again.
+
+    An interruption (KeyboardInterrupt, or what else a signal handler raises) of ``step``, ``reset`` or ``set_states``
+    leaves all environments as they were, or all as they are after the call: states, times, episodes, their restarts and
+    random generators. ``times`` tells which of the two: a step changes them. What a call would have returned that was
+    interrupted at its very end is lost, ``observations`` is not.
 
     Raises:
         TypeError, ValueError: an argument out of its range. Calls that are refused leave all environments as they were.
@@ -111,9 +126,6 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         self.single_observation_space, self.single_action_space = single.observation_space, single.action_space
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self._seeds: list[int] = [-1] * self.num_envs
-        self._started = False  # whether all have been reset
-        self._waiting = False  # whether an episode may be over
         self._batch: Batch
         if single.contact == "exact" and render_mode is None:
             from jackbox_env.batches.exact import ExactBatch
@@ -125,24 +137,30 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
             from jackbox_env.batches.single import SingleBatch
 
             self._batch = SingleBatch(self.num_envs, limit, self._with_infos, render_mode=render_mode, **settings)
+        self._batch.held.book = Book([-1] * self.num_envs, started=False, waiting=False, entered=None)
 
     # -- the simulated systems ----------------------------------------------------------------------------------------
 
     @property
     def states(self) -> Array:
         """A copy of all states, float64, shape (N, 12), SI units."""
-        return self._batch.states
+        states: Array = self._batch.held.states
+        return states
 
     @property
     def times(self) -> Array:
         """A copy of all times [s], shape (N,)."""
-        return self._batch.times
+        times: Array = self._batch.held.times
+        return times
 
     @property
     def observations(self) -> Floats:
         """What the agents see of the present states: a fresh float32 array, shape (N, 10)."""
+        return self._seen(self._batch.held)
+
+    def _seen(self, held: Held) -> Floats:
         seen = np.empty((self.num_envs, 10), dtype=np.float32)
-        self._batch.observe(np.ones(self.num_envs, dtype=np.bool_), seen)
+        self._batch.observe(held, np.ones(self.num_envs, dtype=np.bool_), seen)
         return seen
 
     def set_states(self, states: ArrayLike, times: ArrayLike, chosen: Flags | None = None) -> None:
@@ -157,14 +175,20 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         """
         chosen = np.ones(self.num_envs, dtype=np.bool_) if chosen is None else self._mask("chosen", chosen)
         placed = self._states("states", states, chosen, as_held)
-        self._batch.place(chosen, placed, self._times("times", times, chosen), anew=False)
+        self._place(chosen, placed, self._times("times", times, chosen))
+
+    def _place(self, chosen: Flags, states: Array, times: Array, anew: bool = False) -> None:
+        """Put the ``chosen`` environments into states and at times that are checked; ``anew``: an episode starts."""
+        draft = self._batch.draft()
+        self._batch.place(draft, chosen, states, times, anew)
+        self._batch.keep(draft)
 
     # -- Gymnasium's methods ------------------------------------------------------------------------------------------
 
     @property
     def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
         """The environments' seeds, -1 where none was given."""
-        return tuple(self._seeds)
+        return tuple(self._batch.held.book.seeds)
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -174,7 +198,11 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         Raises:
             TypeError, ValueError: an unusable seed or option; all environments stay as they were.
         """
-        return self._carry_out(self._plan_reset(seed, options))
+        plan, draft = self._plan_reset(seed, options), self._batch.draft()
+        self._carry_out(plan, draft)
+        returned = self._seen(draft), self._fresh_infos(draft, plan.chosen) if self._with_infos else {}
+        self._batch.keep(draft)
+        return returned
 
     def _plan_reset(self, seed: int | Sequence[int | None] | None, options: Mapping[str, Any] | None) -> ResetPlan:
         """Check all that a reset is given, and change nothing.
@@ -199,52 +227,56 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
             states = self._states("options['state']", given["state"], chosen, as_start)
         return ResetPlan(chosen, self._seed_list(seed), states, times)
 
-    def _carry_out(self, plan: ResetPlan) -> tuple[Floats, Infos]:
-        """Reset as planned."""
+    def _carry_out(self, plan: ResetPlan, draft: Any) -> None:
+        """Reset a draft as planned."""
+        book = draft.book
+        seeds = list(book.seeds)
         for number in np.flatnonzero(plan.chosen).tolist():
             seed = plan.seeds[number]
             if seed is not None:
-                self._batch.seed(number, seed)
-                self._seeds[number] = seed
+                self._batch.seed(draft, number, seed)
+                seeds[number] = seed
         if plan.states is None:
-            self._batch.restart(plan.chosen)
+            self._batch.restart(draft, plan.chosen)
         if plan.states is not None or plan.times.any():
-            states = self._batch.states if plan.states is None else plan.states
-            self._batch.place(plan.chosen, states, plan.times, anew=True)
-        self._started = self._started or bool(plan.chosen.all())
-        return self.observations, self._fresh_infos(plan.chosen) if self._with_infos else {}
+            states = draft.states if plan.states is None else plan.states
+            self._batch.place(draft, plan.chosen, states, plan.times, anew=True)
+        draft.book = book._replace(seeds=seeds, started=book.started or bool(plan.chosen.all()))
 
-    def step(self, actions: ArrayLike | None) -> tuple[Floats, Array, Flags, Flags, Infos]:
+    def step(self, actions: ArrayLike | None) -> Step:
         """Advance all environments by one control step under ``actions``, shape (N, 1) or (N,), or under the drive.
 
         Raises:
             TypeError, ValueError: unusable actions.
             JackLostError: a jack would leave its box, or cannot be followed.
-            RuntimeError: there was no reset yet. After any error all environments are as
-                they were.
+            RuntimeError: there was no reset yet. After any error all environments are as they were; after an
+                interruption they are as they were or all a step further, see the class.
         """
-        if not self._started:
+        draft, returned = self._stepped(actions)
+        self._batch.keep(draft)
+        return returned
+
+    def _stepped(self, actions: ArrayLike | None) -> tuple[Held, Step]:
+        """A step that is not yet kept, and what it returns."""
+        book = self._batch.held.book
+        if not book.started:
             raise RuntimeError("step must come after a reset of all environments, got none yet")
         given = None if actions is None else self._actions(actions)
-        waiting = self._restart_waiting()
-        self._waiting = True  # also if this is cut short
+        waiting = self._waiting() if book.waiting else None
         outcome = self._batch.step(None if self._driven else given)
         infos: Infos = {}
-        if waiting is not None and self._mode is AutoresetMode.NEXT_STEP:
+        if waiting is not None:
             self._restart(waiting, outcome)
         elif outcome.finished and self._mode is AutoresetMode.SAME_STEP:
             infos = self._final_infos(outcome)
             self._restart(outcome.truncations, outcome)
-        self._waiting = outcome.finished > 0 and self._mode is not AutoresetMode.SAME_STEP
+        still = outcome.finished > 0 and self._mode is not AutoresetMode.SAME_STEP
+        if still is not book.waiting:
+            outcome.draft.book = book._replace(waiting=still)
         if self._with_infos:
             infos |= _marked(outcome.infos, np.ones(self.num_envs, dtype=np.bool_))
-        return (
-            outcome.observations,
-            outcome.rewards,
-            np.zeros(self.num_envs, dtype=np.bool_),
-            outcome.truncations,
-            infos,
-        )
+        terminations = np.zeros(self.num_envs, dtype=np.bool_)
+        return outcome.draft, (outcome.observations, outcome.rewards, terminations, outcome.truncations, infos)
 
     def render(self) -> tuple[Any, ...] | None:
         """A frame of each environment, uint8, shape (512, 512, 3)."""
@@ -260,11 +292,9 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
 
     # -- episodes -----------------------------------------------------------------------------------------------------
 
-    def _restart_waiting(self) -> Flags | None:
+    def _waiting(self) -> Flags | None:
         """The episodes that are over and wait, if there are any."""
-        if not self._waiting:
-            return None
-        waiting = self._batch.over
+        waiting: Flags = self._batch.held.over
         if not waiting.any():
             return None
         if self._mode is AutoresetMode.DISABLED:
@@ -272,24 +302,22 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
                 "autoreset_mode DISABLED leaves it to you to reset an episode that is over before the next step, by "
                 f"options={{'reset_mask': ...}}; over are {int(waiting.sum())} of {self.num_envs}"
             )
-        if self._mode is AutoresetMode.SAME_STEP:  # the step that ended them was cut short
-            self._batch.restart(waiting)
         return waiting
 
     def _restart(self, chosen: Flags, outcome: Outcome) -> None:
         """Start an episode where one is over, and let ``outcome`` show the start."""
-        self._batch.restart(chosen)
-        self._batch.observe(chosen, outcome.observations)
-        for name, values in self._fresh_infos(chosen).items() if self._with_infos else ():
+        self._batch.restart(outcome.draft, chosen)
+        self._batch.observe(outcome.draft, chosen, outcome.observations)
+        for name, values in self._fresh_infos(outcome.draft, chosen).items() if self._with_infos else ():
             if name in outcome.infos:
                 outcome.infos[name][chosen] = values[chosen]
 
-    def _fresh_infos(self, chosen: Flags) -> Infos:
+    def _fresh_infos(self, held: Held, chosen: Flags) -> Infos:
         """Infos of environments that have just started: nothing has happened or been earned yet."""
         infos: Infos = {name: np.zeros(self.num_envs) for name in self._batch.info_names}
         infos["impacts"] = np.zeros(self.num_envs, dtype=np.int64)
-        infos["state"] = np.where(chosen[:, None], self._batch.states, 0.0)
-        infos["time"] = np.where(chosen, self._batch.times, 0.0)
+        infos["state"] = np.where(chosen[:, None], held.states, 0.0)
+        infos["time"] = np.where(chosen, held.times, 0.0)
         return _marked(infos, chosen)
 
     def _final_infos(self, outcome: Outcome) -> Infos:

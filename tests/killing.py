@@ -28,14 +28,14 @@ from agents.storage import read_json
 from agents.training import MODEL
 from scripts import train as command
 
-# Six rollouts, three evaluations, five checkpoints, all within a fraction of a second.
+# Six rollouts, three evaluations, three checkpoints, the first for an evaluation: a fraction of a second.
 SMALL = TrainSettings(
     total_steps=96,
     num_envs=2,
     rollout_steps=8,
     batch_size=16,
     epochs=1,
-    checkpoint_steps=16,
+    checkpoint_steps=24,
     eval_steps=32,
     eval_episodes=2,
     hidden_units=(8,),

@@ -25,6 +25,9 @@ from jackbox_env.env import JackInBoxEnv
 
 MODES = (AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP)
 EVERY_MODEL = pytest.mark.parametrize("contact", ["exact", "pymunk"])
+# One environment alone, of which a copy is easily none; two; more than two blocks.
+SIZES = [("exact", 1), ("exact", 2), ("exact", 300), ("pymunk", 1), ("pymunk", 3)]
+EVERY_SIZE = pytest.mark.parametrize(("contact", "count"), SIZES)
 
 
 def actions_at(step: int, count: int) -> Any:
@@ -159,48 +162,50 @@ def test_none_lets_the_drive_act_and_actions_are_clipped(contact: str) -> None:
 # -- episodes ---------------------------------------------------------------------------------------------------------
 
 
-@EVERY_MODEL
-def test_next_step_autoreset_in_exact_arrays(contact: str) -> None:
-    env = JackInBoxVectorEnv(2, contact=contact, max_episode_steps=3)
+@EVERY_SIZE
+def test_next_step_autoreset_in_exact_arrays(contact: str, count: int) -> None:
+    env = JackInBoxVectorEnv(count, contact=contact, max_episode_steps=3)
     first, _ = env.reset(seed=0)
-    env.reset(options={"reset_mask": np.array([False, True])})  # a second draw for environment 1
-    zeros = np.zeros((2, 1))
+    env.reset(options={"reset_mask": np.arange(count) == count - 1})  # a second draw for the last environment
+    zeros = np.zeros((count, 1))
     for _ in range(2):
         _, _, _, truncations, _ = env.step(zeros)
-        assert truncations.tolist() == [False, False]
+        assert not truncations.any()
     last, rewards, terminations, truncations, infos = env.step(zeros)
-    assert truncations.tolist() == [True, True]
+    assert truncations.all()
     assert not terminations.any()
     assert (rewards > 0.0).all()
     assert infos == {}
     np.testing.assert_array_equal(last, env.observations)
-    started, rewards, _, truncations, _ = env.step(np.ones((2, 1)))  # the action is ignored
-    assert truncations.tolist() == [False, False]
-    assert rewards.tolist() == [0.0, 0.0]
-    assert env.times.tolist() == [0.0, 0.0]
+    started, rewards, _, truncations, _ = env.step(np.ones((count, 1)))  # the action is ignored
+    assert not truncations.any()
+    assert not rewards.any()
+    assert not env.times.any()
     assert not np.array_equal(started, first)
     assert env.states[:, [0, 1, 2, *range(6, 12)]].any() == np.False_
     _, rewards, _, _, _ = env.step(zeros)
     assert (rewards > 0.0).all()
 
 
-@EVERY_MODEL
-def test_same_step_autoreset_in_exact_arrays(contact: str) -> None:
-    env = JackInBoxVectorEnv(2, contact=contact, max_episode_steps=2, autoreset_mode="SAME_STEP")
-    twin = JackInBoxVectorEnv(2, contact=contact, max_episode_steps=100)
+@EVERY_SIZE
+def test_same_step_autoreset_in_exact_arrays(contact: str, count: int) -> None:
+    env = JackInBoxVectorEnv(count, contact=contact, max_episode_steps=2, autoreset_mode="SAME_STEP", with_infos=True)
+    twin = JackInBoxVectorEnv(count, contact=contact, max_episode_steps=100)
     env.reset(seed=0)
     twin.reset(seed=0)
-    zeros = np.zeros((2, 1))
+    zeros = np.zeros((count, 1))
     env.step(zeros)
     twin.step(zeros)
     started, rewards, _, truncations, infos = env.step(zeros)
     last, expected, _, _, _ = twin.step(zeros)
-    assert truncations.tolist() == [True, True]
+    assert truncations.all()
     np.testing.assert_array_equal(rewards, expected)
     np.testing.assert_array_equal(np.stack(infos["final_obs"]), last)
-    assert infos["_final_obs"].tolist() == [True, True]
-    assert env.times.tolist() == [0.0, 0.0]
+    assert infos["_final_obs"].all()
+    np.testing.assert_array_equal(infos["final_info"]["state"], twin.states)
+    assert not env.times.any()
     np.testing.assert_array_equal(started, env.observations)
+    np.testing.assert_array_equal(infos["state"], env.states)
     assert not np.array_equal(started, last)
 
 
@@ -239,17 +244,17 @@ def test_starts_can_be_given(contact: str) -> None:
     np.testing.assert_array_equal(env.states, drawn.states)
 
 
-@EVERY_MODEL
-def test_set_states_goes_on_bit_for_bit(contact: str) -> None:
-    env = JackInBoxVectorEnv(4, contact=contact, scene={"jack_arm": 5.0})
+@EVERY_SIZE
+def test_set_states_goes_on_bit_for_bit(contact: str, count: int) -> None:
+    env = JackInBoxVectorEnv(count, contact=contact, scene={"jack_arm": 5.0})
     env.reset(seed=2)
-    for step in range(60):
-        env.step(actions_at(step, 4))
+    for step in range(50):
+        env.step(actions_at(step, count))
     states, times = env.states, env.times
-    path = [env.step(actions_at(step, 4))[0] for step in range(60, 90)]
+    path = [env.step(actions_at(step, count))[0] for step in range(50, 70)]
     env.set_states(states, times)
-    np.testing.assert_array_equal([env.step(actions_at(step, 4))[0] for step in range(60, 90)], path)
-    only = np.array([False, True, False, False])
+    np.testing.assert_array_equal([env.step(actions_at(step, count))[0] for step in range(50, 70)], path)
+    only = np.arange(count) == count // 2
     kept = env.states
     env.set_states(states, times, only)
     np.testing.assert_array_equal(env.states[only], states[only])
@@ -304,30 +309,9 @@ def test_long_work_that_pauses_comes_to_the_same(monkeypatch: pytest.MonkeyPatch
     assert_same(paused, jackbox_env.rollout({}, np.zeros(12), torques, 0.02, energy=True))
 
 
-def test_what_an_interrupted_step_was_writing_to_is_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
-    env = JackInBoxVectorEnv(6, contact="exact", num_threads=3)
-    env.reset(seed=0)
-    batch: Any = env._batch
-    spare, memory = batch._spare, batch._workspaces
-
-    def interrupted(work: Any, total: int, grain: int) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(batch._threads, "run", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        env.step(None)
-    monkeypatch.undo()
-    assert batch._spare is not spare
-    assert all(new[1] is not old[1] for new, old in zip(batch._workspaces, memory, strict=True))
-    spare[:] = 9.0  # as a thread would that was not to be stopped
-    env.step(None)
-    env.step(None)
-    assert env.times.tolist() == [0.04] * 6
-
-
-@EVERY_MODEL
-def test_a_state_put_back_after_the_end_starts_an_episode_there(contact: str) -> None:
-    env = JackInBoxVectorEnv(2, contact=contact, max_episode_steps=3)
+@EVERY_SIZE
+def test_a_state_put_back_after_the_end_starts_an_episode_there(contact: str, count: int) -> None:
+    env = JackInBoxVectorEnv(count, contact=contact, max_episode_steps=3)
     env.reset(seed=0)
     states, times = env.states, env.times
     path = [env.step(None)[0] for _ in range(3)]
@@ -342,46 +326,78 @@ def test_a_state_put_back_after_the_end_starts_an_episode_there(contact: str) ->
 # -- what is handed out -----------------------------------------------------------------------------------------------
 
 
-@EVERY_MODEL
+def arrays_in(handed: Any) -> list[Any]:
+    """All arrays in what was handed out, those in dicts and in arrays of arrays as well."""
+    if isinstance(handed, np.ndarray) and handed.dtype != object:
+        return [handed]
+    parts = handed.values() if isinstance(handed, dict) else [] if handed is None else handed
+    return [array for part in parts for array in arrays_in(part)]
+
+
+@EVERY_SIZE
 @pytest.mark.parametrize("mode", MODES)
-def test_no_buffer_handed_out_is_written_again(contact: str, mode: AutoresetMode) -> None:
-    env = JackInBoxVectorEnv(3, contact=contact, max_episode_steps=5, with_infos=True, autoreset_mode=mode)
-    actions = np.full((3, 1), 0.5, dtype=np.float32)
-    kept = [env.reset(seed=0)]
+def test_no_buffer_handed_out_is_written_again(contact: str, mode: AutoresetMode, count: int) -> None:
+    env = JackInBoxVectorEnv(count, contact=contact, max_episode_steps=5, with_infos=True, autoreset_mode=mode)
+    actions = np.full((count, 1), 0.5, dtype=np.float32)
+    kept: list[Any] = [env.reset(seed=0)]
     for _ in range(12):
-        kept.append(env.step(actions))  # type: ignore[arg-type]
-        kept.append((env.states, env.times))  # type: ignore[arg-type]
+        kept.append(env.step(actions))
+        kept.append((env.states, env.times, env.observations, env._batch.held.over))
     copied = copy.deepcopy(kept)
     for _ in range(20):
         env.step(actions)
     env.reset(seed=5)
     for found, expected in zip(kept, copied, strict=True):
         assert_same(found, expected)
-    for handed in (env.states, env.times, env.observations):
-        handed[:] = 7.0
-    assert not (env.states == 7.0).any()
     assert (actions == np.float32(0.5)).all()
+
+
+@EVERY_SIZE
+@pytest.mark.parametrize("mode", MODES)
+def test_what_is_handed_out_and_in_can_be_written_to(contact: str, mode: AutoresetMode, count: int) -> None:
+    settings: Any = {"contact": contact, "max_episode_steps": 4, "with_infos": True, "autoreset_mode": mode}
+    scribbled, twin = (JackInBoxVectorEnv(count, **settings) for _ in range(2))
+    given: Any = {"state": np.tile(np.linspace(0.0, 0.5, 12), (count, 1)), "time": np.full(count, 1.0)}
+
+    def scribble(handed: Any) -> None:
+        for array in arrays_in(handed):
+            array[...] = 7
+
+    twin.reset(seed=0, options=copy.deepcopy(given))
+    scribble(scribbled.reset(seed=0, options=given))
+    scribble(given)
+    for step in range(14):
+        found, expected = scribbled.step(actions_at(step, count)), twin.step(actions_at(step, count))
+        assert_same(found, expected)
+        states, times = scribbled.states, scribbled.times
+        assert_same((states, times), (twin.states, twin.times))
+        scribble((found, scribbled.observations, scribbled._batch.held.over))
+        if step % 5 == 1:
+            scribbled.set_states(states, times)
+            twin.set_states(twin.states, twin.times)
+        scribble((states, times))
+    assert_same((scribbled.states, scribbled.times), (twin.states, twin.times))
 
 
 def test_memory_is_a_few_hundred_bytes_per_environment() -> None:
     env = JackInBoxVectorEnv(10_000, contact="exact")
-    held = sum(array.nbytes for array in vars(env._batch).values() if isinstance(array, np.ndarray))
-    assert held / 10_000 <= 300
-    assert env._batch._generators.nbytes == 32 * 10_000  # type: ignore[attr-defined]
-
-
-def test_batches_are_pickled_and_copied_whole() -> None:
-    env = JackInBoxVectorEnv(3000, contact="exact", num_threads=2, max_episode_steps=30)
     env.reset(seed=0)
     env.step(None)
-    for twin in (pickle.loads(pickle.dumps(env)), copy.deepcopy(env)):
-        for step in range(40):
-            twin.step(actions_at(step, 3000))
-        np.testing.assert_array_equal(twin.times, twin.times[0])
-    twins = [pickle.loads(pickle.dumps(env)), env]
-    for step in range(40):
-        one, other = (twin.step(actions_at(step, 3000))[0] for twin in twins)
-        np.testing.assert_array_equal(one, other)
+    assert env._batch.nbytes / 10_000 <= 300  # type: ignore[attr-defined]
+    assert env._batch.held.generators.nbytes == 32 * 10_000
+
+
+@EVERY_SIZE
+def test_batches_are_pickled_and_copied_whole(contact: str, count: int) -> None:
+    env = JackInBoxVectorEnv(count, contact=contact, num_threads=2, max_episode_steps=12)
+    env.reset(seed=0)
+    for step in range(14):  # over a restart
+        env.step(actions_at(step, count))
+    twins = [pickle.loads(pickle.dumps(env)), copy.deepcopy(env), env]
+    for step in range(30):
+        one, other, own = (twin.step(actions_at(step, count))[0] for twin in twins)
+        np.testing.assert_array_equal(one, own)
+        np.testing.assert_array_equal(other, own)
 
 
 def test_a_fork_steps_on() -> None:
@@ -548,11 +564,11 @@ def test_unusable_resets_leave_all_environments_as_they_were(given: dict[str, An
     env = JackInBoxVectorEnv(2, contact="exact")
     env.reset(seed=0)
     env.step(None)
-    states, words = env.states, env._batch._generators.copy()  # type: ignore[attr-defined]
+    states, words = env.states, env._batch.held.settled().copy()
     with pytest.raises((TypeError, ValueError), match=sentence):
         env.reset(**given)
     np.testing.assert_array_equal(env.states, states)
-    np.testing.assert_array_equal(env._batch._generators, words)  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(env._batch.held.settled(), words)
 
 
 @EVERY_MODEL
@@ -588,35 +604,6 @@ def test_a_jack_that_can_not_be_followed_leaves_all_environments_as_they_were(co
     states[2, 9] = 0.0
     env.set_states(states, times)
     env.step(None)
-
-
-@EVERY_MODEL
-@pytest.mark.parametrize("mode", MODES)
-def test_an_interruption_between_step_and_restart_is_made_good(
-    contact: str, mode: AutoresetMode, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    env = JackInBoxVectorEnv(3, contact=contact, max_episode_steps=4, autoreset_mode=mode)
-    env.reset(seed=0)
-    env.reset(seed=9, options={"reset_mask": np.array([False, True, False])})
-    env.step(None)
-    env.reset(options={"reset_mask": np.array([True, False, False])})  # one episode is a step behind the others
-
-    def interrupt(chosen: Any) -> None:
-        raise KeyboardInterrupt
-
-    interrupted = 0
-    for _ in range(30):
-        with monkeypatch.context() as patch:
-            patch.setattr(env._batch, "restart", interrupt)
-            try:
-                env.step(None)
-            except KeyboardInterrupt:
-                interrupted += 1
-        assert np.isfinite(env.states).all()
-        assert (env.times <= 4 * 0.02 + 1e-12).all()
-        env.step(None)
-        assert (env.times <= 4 * 0.02 + 1e-12).all()
-    assert interrupted > 4
 
 
 def test_torque_that_would_overflow_is_refused_for_many_in_mid_air() -> None:

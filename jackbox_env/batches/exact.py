@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.batches.base import Flags, Floats, Outcome, bad_action
-from jackbox_env.batches.threads import Threads, thread_count
+from jackbox_env.batches.threads import Halt, Threads, thread_count
 from jackbox_env.compiled import loop
 from jackbox_env.compiled.compiler import compiled
 from jackbox_env.compiled.drives import TABLE_WIDTH
-from jackbox_env.compiled.generator import fresh, seeded
+from jackbox_env.compiled.generator import Words, fresh, seeded
 from jackbox_env.compiled.status import Status
 from jackbox_env.compiled.workspace import new_workspace
 from jackbox_env.scene import Scene
@@ -26,10 +27,55 @@ _GRAIN = 4  # blocks that are worth a call
 _NO_ACTIONS: Array = np.zeros(0)
 _NO_TABLE: Array = np.zeros((0, TABLE_WIDTH))
 _NO_RANGES = np.zeros((0, 2), dtype=np.int64)
+_NOBODY = np.zeros(0, dtype=np.int64)
+_NO_WORDS: Words = np.zeros((0, 4), dtype=np.uint64)
+
+
+@dataclass(slots=True)
+class ExactHeld:
+    """See :class:`jackbox_env.batches.base.Held`.
+
+    A step's draft shares the generators and only notes where those go that it draws from.
+    """
+
+    count: int
+    blocks: Array  # (blocks, 16, width)
+    generators: Words  # (N, 4), without what is noted
+    drawn: NDArray[np.int64] = field(default_factory=lambda: _NOBODY)  # (k,) environments that have drawn a start
+    words: Words = field(default_factory=lambda: _NO_WORDS)  # (k, 4) their generators since then
+    book: Any = None
+
+    @property
+    def states(self) -> Array:
+        """A copy of all states, shape (N, 12)."""
+        return self.blocks[:, :12].transpose(0, 2, 1).copy().reshape(-1, 12)[: self.count]
+
+    @property
+    def times(self) -> Array:
+        """A copy of all times [s], shape (N,)."""
+        return self.column(loop.TIME)
+
+    @property
+    def over(self) -> Flags:
+        """Which episodes are over, shape (N,)."""
+        return np.not_equal(self.column(loop.OVER), 0.0)
+
+    def column(self, place: int) -> Array:
+        """A copy of one number of all environments, shape (N,)."""
+        return self.blocks[:, place].reshape(-1)[: self.count].copy()
+
+    def settled(self) -> Words:
+        """The generators with what is noted entered, for what is kept; to enter it twice is to enter it once."""
+        self.generators[self.drawn] = self.words
+        return self.generators
 
 
 class ExactBatch:
-    """See :class:`jackbox_env.batches.base.Batch`; 288 bytes per environment besides what is handed out."""
+    """See :class:`jackbox_env.batches.base.Batch`; 288 bytes per environment besides what is handed out.
+
+    Memory that threads write to is taken out of the batch for a step and comes back when they have ended: what an
+    interruption may have left to a thread is never used again.
+    """
 
     def __init__(
         self,
@@ -45,45 +91,33 @@ class ExactBatch:
         self._scene, self._task, self._dt = scene, list(TASKS).index(task), control_dt
         self._terms = [f"reward_{name}" for name in TASKS[task].terms]
         self._limit, self._with_infos = float(max_episode_steps), with_infos
-        self._count = num_envs
         width = min(loop.WIDEST, -(-num_envs // (num_threads or 1)))
-        self._blocks = np.zeros((-(-num_envs // width), loop.WIDTH, width))
-        self._spare = np.zeros_like(self._blocks)  # where the next step writes
-        self._generators = fresh(num_envs)
-        ranges = len(self._blocks) if num_threads else num_envs // _FEWEST_PER_THREAD
+        blocks = np.zeros((-(-num_envs // width), loop.WIDTH, width))
+        self.held = ExactHeld(num_envs, blocks, fresh(num_envs))
+        ranges = len(blocks) if num_threads else num_envs // _FEWEST_PER_THREAD
         self._threads = Threads(thread_count(num_threads, ranges))
-        self._workspaces = self._new_workspaces()
+        self._spare: Array | None = np.zeros_like(blocks)  # where the next step writes
+        self._workspaces: list[tuple[Array, Array]] | None = self._new_workspaces()
         self._numbers = np.array(scene.numbers)
         self._kinds = drive_kind(scene), drive_kind(scene, held=True)
 
     def _new_workspaces(self) -> list[tuple[Array, Array]]:
-        return [(np.zeros((loop.LANES, self._blocks.shape[2])), new_workspace()) for _ in range(self._threads.count)]
+        width = self.held.blocks.shape[2]
+        return [(np.zeros((loop.LANES, width)), new_workspace()) for _ in range(self._threads.count)]
+
+    def _taken_spare(self) -> Array:
+        spare, self._spare = self._spare, None
+        return np.zeros_like(self.held.blocks) if spare is None else spare
+
+    def _taken_workspaces(self) -> list[tuple[Array, Array]]:
+        workspaces, self._workspaces = self._workspaces, None
+        return self._new_workspaces() if workspaces is None else workspaces
 
     @property
-    def _rows(self) -> Array:
-        """A copy of all environments, shape (N, 16)."""
-        return self._blocks.transpose(0, 2, 1).reshape(-1, loop.WIDTH)[: self._count]
-
-    def _column(self, place: int) -> Array:
-        """A copy of one number of all environments, shape (N,)."""
-        return self._blocks[:, place].reshape(-1)[: self._count].copy()
-
-    # -- what it holds ------------------------------------------------------------------------------------------------
-
-    @property
-    def states(self) -> Array:
-        """A copy of all states, shape (N, 12)."""
-        return np.ascontiguousarray(self._rows[:, :12])
-
-    @property
-    def times(self) -> Array:
-        """A copy of all times [s], shape (N,)."""
-        return self._column(loop.TIME)
-
-    @property
-    def over(self) -> Flags:
-        """Which episodes are over, shape (N,)."""
-        return np.not_equal(self._column(loop.OVER), 0.0)
+    def nbytes(self) -> int:
+        """Bytes of the arrays that grow with the environments."""
+        held, spare = self.held, self._spare
+        return held.blocks.nbytes + held.generators.nbytes + (0 if spare is None else spare.nbytes)
 
     @property
     def info_names(self) -> list[str]:
@@ -92,32 +126,48 @@ class ExactBatch:
 
     # -- episodes -----------------------------------------------------------------------------------------------------
 
-    def seed(self, number: int, seed: int) -> None:
-        """Seed one environment's random starts."""
-        self._generators[number] = seeded(seed)
+    def draft(self) -> ExactHeld:
+        """See :meth:`jackbox_env.batches.base.Batch.draft`."""
+        blocks = self._taken_spare()
+        blocks[:] = self.held.blocks
+        return ExactHeld(self.held.count, blocks, self.held.settled().copy(), book=self.held.book)
 
-    def restart(self, chosen: Flags) -> None:
-        """Start an episode in the ``chosen`` environments, each at a drawn start and time 0."""
-        compiled(loop.restart_blocks)(self._numbers, self._blocks, self._generators, chosen)
+    def seed(self, draft: ExactHeld, number: int, seed: int) -> None:
+        """See :meth:`jackbox_env.batches.base.Batch.seed`."""
+        draft.generators[number] = seeded(seed)
 
-    def place(self, chosen: Flags, states: Array, times: Array, anew: bool) -> None:
+    def restart(self, draft: ExactHeld, chosen: Flags) -> None:
+        """See :meth:`jackbox_env.batches.base.Batch.restart`."""
+        shared = draft.generators is self.held.generators
+        drawn = np.flatnonzero(chosen)
+        words = (self.held if shared else draft).settled()[drawn]
+        compiled(loop.restart_blocks)(self._numbers, draft.blocks, drawn, words)
+        draft.drawn, draft.words = drawn, words
+
+    def place(self, draft: ExactHeld, chosen: Flags, states: Array, times: Array, anew: bool) -> None:
         """See :meth:`jackbox_env.batches.base.Batch.place`."""
-        block, lane = np.divmod(np.flatnonzero(chosen), self._blocks.shape[2])
-        self._blocks[block, :12, lane] = states[chosen]
-        self._blocks[block, loop.TIME, lane] = times[chosen]
-        started = np.ones(len(lane), dtype=np.bool_) if anew else self._blocks[block, loop.OVER, lane] != 0.0
+        blocks = draft.blocks
+        block, lane = np.divmod(np.flatnonzero(chosen), blocks.shape[2])
+        blocks[block, :12, lane] = states[chosen]
+        blocks[block, loop.TIME, lane] = times[chosen]
+        started = np.ones(len(lane), dtype=np.bool_) if anew else blocks[block, loop.OVER, lane] != 0.0
         block, lane = block[started], lane[started]
-        self._blocks[block, loop.STEPS, lane] = self._blocks[block, loop.OVER, lane] = 0.0
+        blocks[block, loop.STEPS, lane] = blocks[block, loop.OVER, lane] = 0.0
 
-    def observe(self, chosen: Flags, observations: Floats) -> None:
-        """Write what the ``chosen`` environments' agents see, shape (N, 10)."""
-        compiled(loop.look_blocks)(self._numbers, self._blocks, chosen, observations)
+    def observe(self, held: ExactHeld, chosen: Flags, observations: Floats) -> None:
+        """See :meth:`jackbox_env.batches.base.Batch.observe`."""
+        compiled(loop.look_blocks)(self._numbers, held.blocks, chosen, observations)
+
+    def keep(self, draft: ExactHeld) -> None:
+        """See :meth:`jackbox_env.batches.base.Batch.keep`."""
+        before, self.held = self.held, draft
+        self._spare = before.blocks
 
     # -- stepping -----------------------------------------------------------------------------------------------------
 
     def step(self, actions: Array | None) -> Outcome:
         """See :meth:`jackbox_env.batches.base.Batch.step`."""
-        count, blocks, spare = self._count, self._blocks, self._spare
+        held, count, halt = self.held, self.held.count, Halt()
         observations = np.empty((count, 10), dtype=np.float32)
         rewards, truncations = np.empty(count), np.empty(count, dtype=np.bool_)
         reports = np.zeros((count if self._with_infos else 0, loop.REPORT_WIDTH))
@@ -126,51 +176,50 @@ class ExactBatch:
         table, ranges = self._pieces(actions)
         asked, filled = (given, table, ranges), (observations, rewards, truncations, reports)
         step_blocks = compiled(loop.step_blocks)
+        blocks, after, workspaces = held.blocks, self._taken_spare(), self._taken_workspaces()
 
         def work(thread: int, low: int, high: int) -> tuple[int, int]:
             finished = 0
             while True:
                 ended, number, now = step_blocks(
-                    self._numbers, rules, (blocks, spare), asked, (low, high), filled, self._workspaces[thread]
+                    self._numbers, rules, (blocks, after), asked, (low, high), filled, workspaces[thread]
                 )
                 finished += now
-                if ended != Status.PAUSED:
+                if ended != Status.PAUSED or halt.asked:
                     return ended, number if ended else finished
                 low = number  # after a while, so that an interruption is heard
 
-        try:
-            results = self._threads.run(work, len(blocks), grain=_GRAIN)
-        except BaseException:
-            # A thread may still write: leave it what it writes to.
-            self._spare, self._workspaces = np.zeros_like(blocks), self._new_workspaces()
-            raise
+        results = self._threads.run(work, len(blocks), grain=_GRAIN, halt=halt)
+        self._workspaces = workspaces
         for ended, number in results:
             if ended:
+                self._spare = after
                 raise self._failure(ended, number, given)
-        self._blocks, self._spare = spare, blocks
-        infos = self._infos(reports) if self._with_infos else {}
-        return Outcome(observations, rewards, truncations, infos, sum(finished for _, finished in results))
+        draft = ExactHeld(count, after, held.generators, held.drawn, held.words, held.book)
+        infos = self._infos(draft, reports) if self._with_infos else {}
+        finished = sum(finished for _, finished in results)
+        return Outcome(observations, rewards, truncations, infos, finished, draft)
 
     def _pieces(self, actions: Array | None) -> tuple[Array, NDArray[np.int64]]:
         """The pieces of a drive of functions, once for each different time, and each environment's range of them."""
         if self._kinds[actions is not None] not in WITH_PIECES:
             return _NO_TABLE, _NO_RANGES
-        going = ~self.over
-        times, places = np.unique(self._column(loop.TIME)[going], return_inverse=True)
+        going = ~self.held.over
+        times, places = np.unique(self.held.column(loop.TIME)[going], return_inverse=True)
         torque = None if actions is None else 0.0  # whatever is held
         tables = [_NO_TABLE]
         for time in times.tolist():
             end_of_step(time, self._dt)
             tables.append(pieces_for(self._scene, time, self._dt, torque))
         ends = np.cumsum([len(table) for table in tables])
-        ranges = np.zeros((self._count, 2), dtype=np.int64)
+        ranges = np.zeros((self.held.count, 2), dtype=np.int64)
         ranges[going] = np.stack([ends[places], ends[places + 1]], axis=1)
         return np.concatenate(tables), ranges
 
-    def _infos(self, reports: Array) -> dict[str, NDArray[Any]]:
+    def _infos(self, draft: ExactHeld, reports: Array) -> dict[str, NDArray[Any]]:
         numbers = [
-            self.states,
-            self.times,
+            draft.states,
+            draft.times,
             reports[:, loop.REPORTED_TORQUE].copy(),
             reports[:, loop.REPORTED_HITS].astype(np.int64),
             reports[:, loop.REPORTED_IMPULSE].copy(),
@@ -181,7 +230,7 @@ class ExactBatch:
     def _failure(self, ended: int, number: int, actions: Array) -> Exception:
         if ended == Status.BAD_ACTION:
             return bad_action(float(actions[number]), number)
-        time = float(self._column(loop.TIME)[number])
+        time = float(self.held.column(loop.TIME)[number])
         if ended == Status.TOO_LATE:
             try:
                 end_of_step(time, self._dt)

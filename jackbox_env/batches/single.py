@@ -2,90 +2,139 @@
 
 from __future__ import annotations
 
+import copy
+from dataclasses import dataclass
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
+from gymnasium.utils.seeding import np_random
 from numpy.typing import NDArray
 
 from jackbox_env.batches.base import Flags, Floats, Outcome, bad_action
 from jackbox_env.env import JackInBoxEnv
 from jackbox_env.states import Array
+from jackbox_env.tasks import sample_start
 
 
-class SingleBatch:
-    """See :class:`jackbox_env.batches.base.Batch`."""
+@dataclass(slots=True)
+class SingleHeld:
+    """See :class:`jackbox_env.batches.base.Held`."""
 
-    def __init__(self, num_envs: int, max_episode_steps: int, with_infos: bool, **settings: Any) -> None:
-        self._envs = [JackInBoxEnv(**settings) for _ in range(num_envs)]
-        self._limit, self._with_infos = max_episode_steps, with_infos
-        self._steps = np.zeros(num_envs, dtype=np.int64)
-        self._names = list(self._envs[0].reset()[1])
+    rows: Array  # states, (N, 12)
+    moments: Array  # times [s], (N,)
+    steps: NDArray[np.int64]  # in the episode, (N,)
+    limit: int  # of them
+    generators: list[np.random.Generator]  # never drawn from, but copied
+    book: Any = None
 
     @property
     def states(self) -> Array:
         """A copy of all states, shape (N, 12)."""
-        return np.array([env.state for env in self._envs])
+        return self.rows.copy()
 
     @property
     def times(self) -> Array:
         """A copy of all times [s], shape (N,)."""
-        return np.array([env.time for env in self._envs])
+        return self.moments.copy()
 
     @property
     def over(self) -> Flags:
         """Which episodes are over, shape (N,)."""
-        return self._steps >= self._limit
+        return self.steps >= self.limit
+
+    def copied(self) -> SingleHeld:
+        """A draft; it shares the generators."""
+        return SingleHeld(
+            self.rows.copy(), self.moments.copy(), self.steps.copy(), self.limit, self.generators, self.book
+        )
+
+
+class SingleBatch:
+    """See :class:`jackbox_env.batches.base.Batch`.
+
+    The environments move while a draft is made. Where it is not kept they are put back before they are used again.
+    """
+
+    def __init__(self, num_envs: int, max_episode_steps: int, with_infos: bool, **settings: Any) -> None:
+        self._envs = [JackInBoxEnv(**settings) for _ in range(num_envs)]
+        self._with_infos = with_infos
+        self._names = list(self._envs[0].reset()[1])
+        states = np.array([env.state for env in self._envs])
+        steps, generators = np.zeros(num_envs, dtype=np.int64), [np_random()[0] for _ in range(num_envs)]
+        self.held = SingleHeld(states, np.zeros(num_envs), steps, max_episode_steps, generators)
+        self._at: SingleHeld | None = self.held  # where the environments are, or on their way to
 
     @property
     def info_names(self) -> list[str]:
         """Names of the infos, those of the single environment."""
         return list(self._names)
 
-    def seed(self, number: int, seed: int) -> None:
-        """Seed one environment's random starts."""
-        gym.Env.reset(self._envs[number], seed=seed)  # seeds, and no more
+    def draft(self) -> SingleHeld:
+        """See :meth:`jackbox_env.batches.base.Batch.draft`."""
+        self._move_to(self.held)
+        draft = self.held.copied()
+        draft.generators = list(draft.generators)
+        self._at = draft
+        return draft
 
-    def restart(self, chosen: Flags) -> None:
-        """Start an episode in the ``chosen`` environments, each at a drawn start and time 0."""
-        for number in np.flatnonzero(chosen):
-            self._envs[number].reset()
-        self._steps[chosen] = 0
+    def _move_to(self, held: SingleHeld) -> None:
+        """Put the environments where they are held, unless they are there."""
+        if self._at is held:
+            return
+        self._at = None
+        for env, state, time in zip(self._envs, held.rows, held.moments.tolist(), strict=True):
+            if env.time != time or env.state.tobytes() != state.tobytes():
+                env.set_state(state, time)
+        self._at = held
 
-    def place(self, chosen: Flags, states: Array, times: Array, anew: bool) -> None:
+    def seed(self, draft: SingleHeld, number: int, seed: int) -> None:
+        """See :meth:`jackbox_env.batches.base.Batch.seed`."""
+        draft.generators[number] = np_random(seed)[0]
+
+    def restart(self, draft: SingleHeld, chosen: Flags) -> None:
+        """See :meth:`jackbox_env.batches.base.Batch.restart`."""
+        draft.generators = list(draft.generators)
+        for number in np.flatnonzero(chosen).tolist():
+            env, generator = self._envs[number], copy.deepcopy(draft.generators[number])
+            draft.generators[number] = generator
+            draft.rows[number] = sample_start(env.scene, generator)
+            draft.moments[number], draft.steps[number] = 0.0, 0
+            env.reset(options={"state": draft.rows[number]})
+
+    def place(self, draft: SingleHeld, chosen: Flags, states: Array, times: Array, anew: bool) -> None:
         """See :meth:`jackbox_env.batches.base.Batch.place`."""
-        for number in np.flatnonzero(chosen):
+        for number in np.flatnonzero(chosen).tolist():
             self._envs[number].set_state(states[number], float(times[number]))
-        self._steps[chosen if anew else chosen & self.over] = 0
+        draft.rows[chosen], draft.moments[chosen] = states[chosen], times[chosen]
+        draft.steps[chosen if anew else chosen & draft.over] = 0
 
-    def observe(self, chosen: Flags, observations: Floats) -> None:
-        """Write what the ``chosen`` environments' agents see, shape (N, 10)."""
+    def observe(self, held: SingleHeld, chosen: Flags, observations: Floats) -> None:
+        """See :meth:`jackbox_env.batches.base.Batch.observe`."""
+        self._move_to(held)
         for number in np.flatnonzero(chosen):
             observations[number] = self._envs[number].observation
 
+    def keep(self, draft: SingleHeld) -> None:
+        """See :meth:`jackbox_env.batches.base.Batch.keep`."""
+        self.held = draft
+
     def step(self, actions: Array | None) -> Outcome:
         """See :meth:`jackbox_env.batches.base.Batch.step`."""
-        count, going = len(self._envs), np.flatnonzero(~self.over).tolist()
+        count, going = len(self._envs), np.flatnonzero(~self.held.over).tolist()
         self._refuse(actions, going)
         observations, rewards = np.zeros((count, 10), dtype=np.float32), np.zeros(count)
         infos = self._blank_infos() if self._with_infos else {}
-        moved: list[tuple[JackInBoxEnv, Array, float]] = []
-        try:
-            for number in going:
-                env = self._envs[number]
-                moved.append((env, env.state, env.time))
-                action = None if actions is None else float(actions[number])
-                observations[number], rewards[number], _, _, info = env.step(action)
-                for name, values in infos.items():
-                    values[number] = info[name]
-        except BaseException:
-            for env, state, time in moved:  # all or none
-                env.set_state(state, time)
-            raise
-        self._steps[going] += 1
-        truncations = self.over
-        truncations[np.setdiff1d(np.arange(count), going)] = False
-        return Outcome(observations, rewards, truncations, infos, int(truncations.sum()))
+        self._move_to(self.held)
+        self._at = draft = self.held.copied()
+        for number in going:
+            action = None if actions is None else float(actions[number])
+            observations[number], rewards[number], _, _, info = self._envs[number].step(action)
+            draft.rows[number], draft.moments[number] = info["state"], info["time"]
+            for name, values in infos.items():
+                values[number] = info[name]
+        draft.steps[going] += 1
+        truncations = draft.over & ~self.held.over
+        return Outcome(observations, rewards, truncations, infos, int(truncations.sum()), draft)
 
     def _refuse(self, actions: Array | None, going: list[int]) -> None:
         for number in going if actions is not None else []:
@@ -100,6 +149,7 @@ class SingleBatch:
 
     def render(self) -> tuple[Any, ...]:
         """A frame of each environment."""
+        self._move_to(self.held)
         return tuple(env.render() for env in self._envs)
 
     def close(self) -> None:

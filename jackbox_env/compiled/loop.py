@@ -44,7 +44,7 @@ Counts = NDArray[np.int64]
 
 WIDTH = 16
 TIME, STEPS, OVER = 12, 13, 14  # [s], steps in the episode, 1 where it has ended
-PATIENCE = 20_000_000  # gaps evaluated before it pauses, about a second
+PATIENCE = 2_000_000  # gaps evaluated before it pauses: 0.3 s, 1.2 s where most are followed by impacts
 # Columns of a report: what a step's info holds beside state and time.
 REPORTED_TORQUE, REPORTED_HITS, REPORTED_IMPULSE, TERMS = range(4)
 # Rows of a thread's memory for a block; 0 to 3 are for what is needed in passing.
@@ -273,18 +273,17 @@ def close_block(scene: SceneNumbers, rules: Rules, block: Block, results: Result
     return ended
 
 
-def restart_blocks(values: Array, blocks: Array, generators: Words, chosen: Flags) -> None:
-    """Draw a start for each of the ``chosen`` environments, at time 0."""
+def restart_blocks(values: Array, blocks: Array, numbers: Counts, words: Words) -> None:
+    """Draw a start for each environment of ``numbers``, at time 0, from its generator in ``words``, shape (k, 4)."""
     scene, width = make_numbers(values), blocks.shape[2]
-    for i in range(chosen.shape[0]):
-        if chosen[i]:
-            row = blocks[i // width, :, i % width]
-            for place in range(WIDTH):
-                row[place] = 0.0
-            x = -1.0 + 2.0 * uniform(generators[i])
-            y = -1.0 + 2.0 * uniform(generators[i])
-            angle = -1.0 + 2.0 * uniform(generators[i])
-            row[3], row[4], row[5] = start_pose(scene, x, y, angle)
+    for k in range(numbers.shape[0]):
+        row = blocks[numbers[k] // width, :, numbers[k] % width]
+        for place in range(WIDTH):
+            row[place] = 0.0
+        x = -1.0 + 2.0 * uniform(words[k])
+        y = -1.0 + 2.0 * uniform(words[k])
+        angle = -1.0 + 2.0 * uniform(words[k])
+        row[3], row[4], row[5] = start_pose(scene, x, y, angle)
 
 
 def look_blocks(values: Array, blocks: Array, chosen: Flags, observations: Floats) -> None:

@@ -9,8 +9,9 @@ Cost: below 0.1 microseconds per control step in a batch. Work is in proportion 
 Fails: elastic scenes only. A step that wants more than 1,000,000 gap evaluations raises JackLostError: rotation or
     impacts far too fast for the step. A chirp that turns more than 83,333 times in a step is refused. A foot at rest
     on a wall bounces by 1e-10 m and less, some thousand times per control step; one that comes to another wall
-    meanwhile may be as deep in it when it bounces. A drive's functions are interpolated, see ``functions.py``: what
-    begins and ends between two of the 13 points of a piece is not seen.
+    meanwhile may be as deep in it when it bounces. Angles are rounded to their unit in the last place: beyond 1e6 rad a
+    foot may be outside by up to 4 L times that unit (5e-10 L at 1e6 rad, 5e-4 L at 1e12 rad). A drive's functions are
+    interpolated, see ``functions.py``: what begins and ends between two of the 13 points of a piece is not seen.
 Bits: the same on every x86-64 CPU, whatever its C library, for states, impacts, observations and rewards. Compiled code
     takes every sum in the order written, fuses no product with a sum, and has its own cosines (``trigonometry.py``).
     Three things are the C library's: what a drive's own function takes from it (``math.sin``), the cosine of an angle

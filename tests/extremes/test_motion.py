@@ -307,3 +307,42 @@ def test_a_giga_metre_from_the_origin(contact: str) -> Finding:
         Bound("rates off those of the same state at the origin", rates, 1e-12),
         Bound("places", places, 1.2e-7, "m"),
     )
+
+
+def outside_after_impacts(scene: Scene, contact: str, state: Array, steps: int) -> tuple[float, int]:
+    """How far a foot is outside up to 1e-6 s after the first impact of each step [m], and how many states were seen."""
+    simulator, deepest, looks = started(scene, contact, state), 0.0, 0
+    for _ in range(steps):
+        before, begun = simulator.state, simulator.time
+        simulator.step(0.02, torque=0.0)
+        if not simulator.impacts:
+            continue
+        after, end, since = simulator.state, simulator.time, simulator.impacts[0].time - begun
+        for later in (0.0, 1e-12, 1e-9, 1e-7, 1e-6):
+            if since + later > 0.0:
+                simulator.reset(before, begun)
+                simulator.step(since + later, torque=0.0)
+                deepest, looks = max(deepest, -clearance(scene, simulator.state.tolist())), looks + 1
+        simulator.reset(after, end)
+    return deepest, looks
+
+
+@extreme("angles of 1e6 to 4e12 rad: 4,000 states up to 1e-6 s after an impact")
+def test_angles_of_a_million_turns(contact: str) -> Finding:
+    rng, units, metres, looks = np.random.default_rng(20), 0.0, 0.0, 0
+    while looks < 4_000:
+        half = 10.0 ** rng.uniform(-2.0, 2.0)
+        scene = Scene(box_half_width=half, jack_arm=half * rng.uniform(0.05, 0.95), gravity=0.0, drive=None)
+        state = inside(scene, rng, speed=math.sqrt(half))
+        angle = 10.0 ** rng.uniform(6.0, 12.6)
+        state[2] += rng.choice([0.0, angle, -angle])
+        state[5] += angle
+        state[[8, 11]] = 3.0 * rng.standard_normal(2)
+        if clearance(scene, state.tolist()) < 0.0:
+            continue
+        deepest, looked = outside_after_impacts(scene, contact, state, 100)
+        unit = math.ulp(max(abs(state[2]), abs(state[5])))
+        units, metres, looks = max(units, deepest / (half * unit)), max(metres, deepest), looks + looked
+    if contact == "pymunk":
+        return within(Bound("a foot outside", metres, deepest_allowed(contact), "m"))
+    return within(Bound("a foot outside", units, 4.0, "L ulp(angle)"))

@@ -155,7 +155,7 @@ def batched(contact: str, given: Moments, seconds: float, **settings: Any) -> Ti
         max_episode_steps=_NEVER, **settings,
     )  # fmt: skip
     env.reset(seed=0)
-    everyone, place = np.ones(count, dtype=np.bool_), env.unwrapped._batch.place
+    everyone, place = np.ones(count, dtype=np.bool_), env.unwrapped._place
     lap = [
         (given.states[:count, k].copy(), np.full(count, moment), given.actions[:count, k].copy())
         for k, moment in enumerate(given.times)
