@@ -86,7 +86,10 @@ def array(name: str, value: Any, wanted: str) -> NDArray[Any]:
 
     Raises:
         TypeError: it is something else: no ``wanted``.
+        ValueError: it is a masked array with something masked, which has no number there.
     """
+    if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):
+        raise ValueError(f"{name} must have nothing masked, got {shown(value)}")
     try:
         given = np.asarray(value)
     except MemoryError:

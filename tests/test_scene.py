@@ -11,6 +11,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 
+from jackbox_env.planning import rollout
 from jackbox_env.scene import Chirp, Drive, Scene
 
 
@@ -179,3 +180,13 @@ def test_drive_means_are_exact_for_polynomials() -> None:
 def test_a_drive_that_answers_nan_is_refused() -> None:
     with pytest.raises(ValueError, match=r"force_y\(.* s\) must be a finite number, got nan"):
         Drive(force_y=lambda t: math.nan).force_means[1](0.0, 0.1)
+
+
+@pytest.mark.parametrize("name", ["state", "torques"])
+def test_masked_numbers_are_refused(name: str) -> None:
+    state, torques = np.array([0.0] * 5 + [0.7] + [0.0] * 6), np.zeros((1, 3))
+    whole = {"state": np.ma.array(state, mask=False), "torques": np.ma.array(torques, mask=False)}
+    rollout(None, whole["state"], whole["torques"], 0.02)
+    whole[name][..., 1] = np.ma.masked
+    with pytest.raises(ValueError, match=f"{name}.* must have nothing masked, got masked_array"):
+        rollout(None, whole["state"], whole["torques"], 0.02)

@@ -159,6 +159,28 @@ def test_a_jack_at_rest_on_a_turning_wall_does_not_sink_in(restitution: float) -
     assert deepest(corrected=False) > 0.5
 
 
+@pytest.mark.parametrize("restitution", [0.0, 0.5])
+def test_one_substep_corrects_too_where_a_jack_rests_in_a_corner_that_turns(
+    restitution: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The engine corrects in its next step: with one substep that is the one in which it forgets its contacts.
+    scene = Scene(restitution=restitution, drive=None, box_inertia=1e9, box_mass=1e7)
+    start = np.array([0.0, 0.0, 0.0, 0.0, math.sqrt(0.5) - 6.0, math.pi / 4.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0])
+
+    def deepest() -> float:
+        simulator = PymunkSimulator(scene, substeps=1)
+        simulator.reset(start)
+        depth = 0.0
+        for _ in range(1000):
+            simulator.step(0.02, 0.0)
+            depth = max(depth, -clearance(scene, simulator.state.tolist()))
+        return depth
+
+    assert deepest() < 0.3
+    monkeypatch.setattr(PymunkSimulator, "_corrected", lambda self, after, rates, h: after)
+    assert deepest() > 0.8
+
+
 def test_every_impulse_is_recorded() -> None:
     # With the box immovable and level, the jack's momentum changes by its weight and by the recorded impulses alone;
     # without restitution a foot that rests is hit in every substep of one and the same contact.

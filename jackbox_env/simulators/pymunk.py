@@ -180,7 +180,7 @@ class PymunkSimulator(ContactModel):
             wedged = strained and not self._resolved(after, dt, torque)
             if followed and not wedged:
                 if self._recorder.last_contact >= substeps - (_PERSISTENCE + 1):  # the engine may still remember it
-                    self._forget_contacts()
+                    after = self._corrected(after, self._forget_contacts(), h)
                 self._dirty = False
                 return after, load.mean
             self._forget_contacts()
@@ -279,13 +279,29 @@ class PymunkSimulator(ContactModel):
         self._motion = Buffer()
         self._build()
 
-    def _forget_contacts(self) -> None:
-        """Let the contacts the engine remembers expire, with nothing in reach to make new ones."""
-        for body, x in ((self._box, 0.0), (self._jack, _FAR_OFF * self.scene.box_half_width)):
+    def _forget_contacts(self) -> list[float]:
+        """Let the contacts the engine remembers expire, with nothing in reach to make new ones.
+
+        Returns:
+            The rates at which the engine would have moved overlap apart in its next step: box x, y, angle, jack x, y,
+            angle [m/s and rad/s]; all 0 where position correction is off.
+        """
+        box, jack, away = self._box, self._jack, _FAR_OFF * self.scene.box_half_width
+        for body, x in ((box, 0.0), (jack, away)):
             body.position, body.velocity, body.angular_velocity = (x, 0.0), (0.0, 0.0), 0.0
             body.force, body.torque = (0.0, 0.0), 0.0
-        for _ in range(_PERSISTENCE + 1):
+        angles = box.angle, jack.angle
+        self._space.step(1.0)  # the engine moves by what it has kept for that, and forgets it
+        rates = [*box.position, box.angle - angles[0], jack.position.x - away, jack.position.y, jack.angle - angles[1]]
+        for _ in range(_PERSISTENCE):
             self._space.step(1.0)
+        return rates
+
+    def _corrected(self, after: list[float], rates: list[float], h: float) -> list[float]:
+        """A step's end with the correction of its last substep, which the engine makes only in its next step."""
+        if self.scene.elastic:
+            return after
+        return [place + h * rate for place, rate in zip(after[:6], rates, strict=True)] + after[6:]
 
     def _build(self) -> None:
         scene = self.scene
