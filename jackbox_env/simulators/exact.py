@@ -4,14 +4,13 @@ Law: flight in closed form (``kernel.py``); at an impact all feet that touch, wi
     place of a far-off position, take the simultaneous Newton law of
     :func:`jackbox_env.mechanics.simultaneous_impact_map`.
 Order: none; the error is rounding, whatever the control step. The system is chaotic and multiplies any error by about 5
-    per impact, so some 15 impacts are predicted before even this one is lost.
+    per impact, so some 15 impacts are predicted before even this one is lost. Angles are rounded to their unit in the
+    last place: beyond 1e6 rad a foot may be outside by up to 4 L times that unit, 5e-10 L at 1e6 rad.
 Cost: below 0.1 microseconds per control step in a batch. Work is in proportion to the impacts.
 Fails: elastic scenes only. A step that wants more than 1,000,000 gap evaluations raises RuntimeError: rotation or
     impacts far too fast for the step. A chirp that turns more than 83,333 times in a step is refused. A foot at rest
-    on a wall bounces by 1e-10 m and less, some thousand times per control step; one that comes to another wall
-    meanwhile may be as deep in it when it bounces. Angles are rounded to their unit in the last place: beyond 1e6 rad a
-    foot may be outside by up to 4 L times that unit (5e-10 L at 1e6 rad, 5e-4 L at 1e12 rad). A drive's functions are
-    interpolated: what happens between 13 points of a smooth stretch is not seen.
+    on a wall bounces by 1e-10 m and less, some thousand times per control step. A drive's functions are interpolated:
+    what happens between 13 points of a smooth stretch is not seen.
 Reference: Lygeros et al. 2003, "Dynamical properties of hybrid automata"; the bound is stated in ``kernel.py``.
 """
 

@@ -202,16 +202,12 @@ def contact_tolerance(n: SceneNumbers) -> float:
     return max(1e-13 * min(1.0, n.box_half_width), 3.6e-15 * n.box_half_width)
 
 
-def deepest(n: SceneNumbers) -> float:
-    """How deep a foot at rest may be in a wall [m]: 1e-10, less in boxes below 1 m."""
-    return 1e-10 * min(1.0, n.box_half_width)
-
-
 def rests(n: SceneNumbers, w: Workspace) -> bool:
     """Whether the work of a step tells of a jack at rest: much of it, for impacts of next to no impulse.
 
-    Such a step looks ahead only as far as its next impacts are: after each of thousands it would look at what may come
-    in all the rest of the step.
+    After each of its thousands of bounces the search would look through all that is left of the step. A step at rest
+    looks ahead only as far as some bounces take, and a foot that comes to another wall meanwhile may be 1e-10 m deep
+    when it bounces.
     """
     if w[TALLY, WORK] <= _RESTLESS:
         return False
@@ -307,18 +303,19 @@ def search(
     A foot at the wall that does not approach can not be deeper than ``sink`` before the parabola from where it is is:
     without that depth a foot at rest on a wall would never get off the spot. It is the tolerance, and grows to 1e-10 m
     with the work of a step, so that a jack that rests on a wall or slides along it costs thousands of looks and impacts
-    and not millions. A step at rest grants that depth to a foot near the wall too.
+    and not millions.
     """
     still = 1e-15 * (abs(flight.vx) + abs(flight.vy) + flight.gravity * end)
     still += 1e-15 * (abs(flight.omega) * n.box_half_width + n.jack_arm * abs(flight.jack_omega))
     s = 0.0
     while True:
         if gap > tolerance:
-            after = s + parabola_root(gap + (deepest(n) if rests(n, w) else 0.0), rate, curvature)
+            grazed = 1e-10 * min(1.0, n.box_half_width) if rests(n, w) else 0.0
+            after = s + parabola_root(gap + grazed, rate, curvature)
         elif rate < -still:
             return s
         else:
-            sink = min(deepest(n), tolerance * 2.0 ** min(w[TALLY, WORK] / 64.0, 60.0))
+            sink = min(1e-10 * min(1.0, n.box_half_width), tolerance * 2.0 ** min(w[TALLY, WORK] / 64.0, 60.0))
             after = s + parabola_root(max(gap + sink, 0.1 * tolerance), max(rate, 0.0), curvature)
         if not after <= end or w[TALLY, WORK] > MOST_WORK:
             return math.inf
