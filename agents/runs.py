@@ -25,6 +25,7 @@ from typing import Any
 from agents.settings import TrainSettings
 
 SETTINGS = "settings.json"
+_LARGEST_SETTINGS = 1_000_000  # [bytes]
 PACKAGES = ("jackbox", "gymnasium", "numpy", "pymunk", "stable-baselines3", "torch")
 
 
@@ -87,12 +88,14 @@ def read_settings(folder: Path) -> TrainSettings:
 
     Raises:
         FileNotFoundError: it is no run folder.
-        TypeError, ValueError: the settings are unknown or out of range.
+        ValueError: what is there is not settings, or they are unknown or out of range.
     """
     path = folder / SETTINGS
     if not path.is_file():
         raise FileNotFoundError(f"{folder} is no run folder: it has no {SETTINGS}")
-    values = json.loads(path.read_text())
-    if "hidden_units" in values:
-        values["hidden_units"] = tuple(values["hidden_units"])
-    return TrainSettings(**values)
+    try:
+        if path.stat().st_size > _LARGEST_SETTINGS:
+            raise ValueError(f"they must be at most {_LARGEST_SETTINGS:,} bytes, got {path.stat().st_size:,}")
+        return TrainSettings.of(json.loads(path.read_bytes()))
+    except (RecursionError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} holds no settings of a run: {error}") from error
