@@ -14,6 +14,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.save_util import load_from_zip_file
 
+from agents.archives import unpacked_tensors
 from agents.storage import DamagedFileError, make_folder, parsing, say_skipped, write_bytes
 
 CHECKPOINTS = "checkpoints"
@@ -58,6 +59,7 @@ def read_model_file(path: Path) -> tuple[Parameters, dict[str, Any]]:
     """
     content = path.read_bytes()
     with parsing(path):
+        unpacked_tensors(path)  # refuses what inflates to many times its size, before it is inflated
         file = io.BytesIO(content)
         with zipfile.ZipFile(file) as archive:
             broken = archive.testzip()

@@ -9,6 +9,7 @@ import numpy as np
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecEnv
 
+from agents.archives import unpacked_tensors
 from agents.checkpoints import read_model_file
 from agents.runs import SETTINGS, read_settings
 from agents.settings import TrainSettings
@@ -75,7 +76,7 @@ def load_model(path: Path, trust: bool = False) -> PPO:
 
     Raises:
         FileNotFoundError: there is no model, or no settings.json above it and ``trust`` is off.
-        ValueError: the file is no model of these settings.
+        ValueError: the settings make no model, or the file is no model of these settings.
     """
     file = path
     if path.is_dir():
@@ -90,9 +91,12 @@ def load_model(path: Path, trust: bool = False) -> PPO:
             f"{file} has no {SETTINGS} beside it to rebuild the model from; if you trust its author, use --trust"
         )
     settings = read_settings(folder)
-    model = make_ppo(settings, make_vec_env(settings.env_settings, 1, settings.seed))
     try:
-        model.set_parameters(str(file), device="cpu")
+        model = make_ppo(settings, make_vec_env(settings.env_settings, 1, settings.seed))
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{folder / SETTINGS} makes no model: {error}") from error
+    try:
+        model.set_parameters(unpacked_tensors(file), device="cpu")  # type: ignore[arg-type]
     except Exception as error:
         raise ValueError(f"{file} is no model of the settings beside it: {error}") from error
     return model

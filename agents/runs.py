@@ -23,9 +23,10 @@ from importlib import metadata
 from pathlib import Path
 
 from agents.settings import TrainSettings
-from agents.storage import make_filled_folder, read_json, write_json
+from agents.storage import make_filled_folder, write_json
 
 SETTINGS = "settings.json"
+_LARGEST_SETTINGS = 1_000_000  # [bytes]
 PACKAGES = ("jackbox", "gymnasium", "numpy", "pymunk", "stable-baselines3", "torch")
 
 
@@ -85,12 +86,14 @@ def read_settings(folder: Path) -> TrainSettings:
 
     Raises:
         FileNotFoundError: it is no run folder.
-        TypeError, ValueError: the settings are unknown or out of range.
+        ValueError: what is there is not settings, or they are unknown or out of range.
     """
     path = folder / SETTINGS
     if not path.is_file():
         raise FileNotFoundError(f"{folder} is no run folder: it has no {SETTINGS}")
-    values = read_json(path)
-    if "hidden_units" in values:
-        values["hidden_units"] = tuple(values["hidden_units"])
-    return TrainSettings(**values)
+    try:
+        if path.stat().st_size > _LARGEST_SETTINGS:
+            raise ValueError(f"they must be at most {_LARGEST_SETTINGS:,} bytes, got {path.stat().st_size:,}")
+        return TrainSettings.of(json.loads(path.read_bytes()))
+    except (RecursionError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} holds no settings of a run: {error}") from error

@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from itertools import pairwise
 from typing import Any, Literal
 
 from jackbox_env import Scene
 from jackbox_env import _validation as check
+from jackbox_env.observation import BOUNDS
 from jackbox_env.simulators.fidelity import FIDELITIES, Setting, resolve
+
+# Beyond these a run folder from a stranger could take all memory.
+MOST_COUNTED = 10**12  # of steps, episodes and samples
+MOST_TOGETHER = 5_000_000  # samples that are kept between updates
+MOST_LAYERS = 32
+MOST_WEIGHTS = 20_000_000  # of one network; there are two
+MOST_THREADS = 1024
 
 
 @dataclass(frozen=True)
@@ -42,10 +51,10 @@ class EnvSettings:
         """
         try:
             fields = json.loads(self.scene)
-        except json.JSONDecodeError as error:
-            raise ValueError(f"scene must be a JSON object, got {self.scene!r}") from error
+        except (RecursionError, TypeError, ValueError) as error:
+            raise ValueError(f"scene must be a JSON object, got {check.shown(self.scene)}") from error
         if not isinstance(fields, dict):
-            raise ValueError(f"scene must be a JSON object, got {self.scene!r}")
+            raise ValueError(f"scene must be a JSON object, got {check.shown(self.scene)}")
         return fields
 
     @property
@@ -127,7 +136,41 @@ class TrainSettings(EnvSettings):
         check.real("initial_log_std", self.initial_log_std)
         if self.max_minutes is not None:
             check.real("max_minutes", self.max_minutes, above=0.0)
+        if not isinstance(self.hidden_units, list | tuple):
+            raise TypeError(f"hidden_units must be a list of whole numbers, got {check.shown(self.hidden_units)}")
         for width in self.hidden_units:
             check.whole("hidden_units", width, at_least=1)
+        self._refuse_absurd_sizes(counts.split())
         if self.num_envs * self.rollout_steps < 2:
             raise ValueError("num_envs * rollout_steps must be at least 2 for PPO, got 1")
+
+    def _refuse_absurd_sizes(self, counts: list[str]) -> None:
+        """Refuse what no memory holds, before anything is made of it."""
+        for name in counts:
+            check.whole(name, getattr(self, name), at_least=1, at_most=MOST_COUNTED)
+        check.whole("torch_threads", self.torch_threads, at_least=1, at_most=MOST_THREADS)
+        if self.num_envs * self.rollout_steps > MOST_TOGETHER:
+            together = self.num_envs * self.rollout_steps
+            raise ValueError(f"num_envs * rollout_steps must be at most {MOST_TOGETHER:,}, got {together:,}")
+        if len(self.hidden_units) > MOST_LAYERS:
+            raise ValueError(f"hidden_units must be at most {MOST_LAYERS} layers, got {len(self.hidden_units):,}")
+        weights = sum(before * after for before, after in pairwise((len(BOUNDS), *self.hidden_units, 1)))
+        if weights > MOST_WEIGHTS:
+            raise ValueError(
+                f"hidden_units must make a network of at most {MOST_WEIGHTS:,} weights, got "
+                f"{check.shown(self.hidden_units)}"
+            )
+
+    @classmethod
+    def of(cls, values: Any) -> TrainSettings:
+        """Make settings from what a run folder's JSON holds.
+
+        Raises:
+            TypeError, ValueError: it is no dict, has an unknown key, or a setting is out of its range.
+        """
+        if not isinstance(values, dict):
+            raise TypeError(f"settings must be a JSON object, got {check.shown(values)}")
+        check.known_keys("settings", values, [field.name for field in fields(cls)])
+        if isinstance(values.get("hidden_units"), list):
+            values = {**values, "hidden_units": tuple(values["hidden_units"])}
+        return cls(**values)

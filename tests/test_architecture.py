@@ -43,7 +43,7 @@ PACKAGE = """
     choosing
 """
 AGENTS = """
-    policies settings storage
+    policies settings storage archives
     trajectory runs film checkpoints
     models
     best evaluation

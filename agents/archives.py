@@ -1,0 +1,49 @@
+"""Model files are zip files of zip files: what they inflate to is bounded before any of it is inflated."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from pathlib import Path
+
+# Weights do not compress, and Stable-Baselines3 and torch store them as they are.
+_MOST_TIMES = 4  # the size of a file that it may inflate to
+_SPARE = 2**20  # [bytes] beyond that, for members that are text
+_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # others may take gigabytes to begin with
+_TENSORS = ".pth"  # what a member with tensors ends with: a zip file of torch
+
+
+def unpacked_tensors(path: Path) -> io.BytesIO:
+    """The members of a model file that hold tensors, as a model file in memory in which they are only stored.
+
+    Raises:
+        ValueError: the file, or a member with tensors, would inflate to many times its size.
+        zipfile.BadZipFile: it is no zip file, or a member is damaged, longer than it says, or no zip file where it
+            holds tensors.
+    """
+    stored = io.BytesIO()
+    with zipfile.ZipFile(path) as archive, zipfile.ZipFile(stored, "w") as copy:
+        _refuse_inflation(archive, path.stat().st_size, str(path))
+        for member in archive.infolist():
+            if member.filename.endswith(_TENSORS):
+                content = _read(archive, member)
+                with zipfile.ZipFile(io.BytesIO(content)) as tensors:
+                    _refuse_inflation(tensors, len(content), f"{member.filename} in {path}")
+                copy.writestr(member.filename, content)
+    stored.seek(0)
+    return stored
+
+
+def _refuse_inflation(archive: zipfile.ZipFile, size: int, name: str) -> None:
+    """Add up what the members say of themselves."""
+    if any(member.compress_type not in _METHODS for member in archive.infolist()):
+        raise ValueError(f"{name} must be stored or deflated")
+    inflated, most = sum(member.file_size for member in archive.infolist()), _MOST_TIMES * size + _SPARE
+    if inflated > most:
+        raise ValueError(f"{name} must inflate to at most {most:,} bytes, got {inflated:,}")
+
+
+def _read(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
+    """Read no more than a member says of itself: reading all of it would inflate what it holds beyond that first."""
+    with archive.open(member) as file:
+        return file.read(member.file_size)

@@ -1,0 +1,183 @@
+"""Run folders from strangers: whatever they hold is refused in one sentence, before it takes memory."""
+
+from __future__ import annotations
+
+import io
+import json
+import tracemalloc
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from agents.archives import unpacked_tensors
+from agents.models import load_model, make_ppo, make_vec_env
+from agents.runs import read_settings
+from agents.settings import TrainSettings
+
+TINY = TrainSettings(num_envs=1, rollout_steps=2, batch_size=2, hidden_units=(4,))
+MOST_TAKEN = 10_000_000  # [bytes]
+
+
+@contextmanager
+def little_memory() -> Iterator[None]:
+    """Fail if Python took much memory in the block."""
+    tracemalloc.start()
+    try:
+        yield
+        assert tracemalloc.get_traced_memory()[1] < MOST_TAKEN
+    finally:
+        tracemalloc.stop()
+
+
+def folder_with(tmp_path: Path, settings: str | bytes) -> Path:
+    (tmp_path / "settings.json").write_bytes(settings if isinstance(settings, bytes) else settings.encode())
+    return tmp_path
+
+
+def changed(**values: Any) -> str:
+    return json.dumps({**asdict(TINY), **values})
+
+
+@pytest.mark.parametrize(
+    ("settings", "reason"),
+    [
+        ("", "Expecting value: line 1 column 1"),
+        ("[" * 100_000, "maximum recursion depth exceeded"),
+        (b'{"seed": "\x80"}', "'utf-8' codec can't decode byte 0x80"),
+        ("[1, 2]", r"settings must be a JSON object, got \[1, 2\]"),
+        ("5", "settings must be a JSON object, got 5"),
+        ('{"units": 3}', "settings takes only .* got 'units'"),
+        ('{"seed": ' + "9" * 5000 + "}", "Exceeds the limit"),
+        ('{"seed": "1"}', "seed must be a whole number from 0 to 4294967295, got '1'"),
+        ('{"hidden_units": 5}', "hidden_units must be a list of whole numbers, got 5"),
+        ('{"hidden_units": "ab"}', "hidden_units must be a list of whole numbers, got 'ab'"),
+        ('{"hidden_units": [[1]]}', r"hidden_units must be a whole number >= 1, got \[1\]"),
+        ('{"scene": 5}', "scene must be a JSON object, got 5"),
+        ('{"scene": null}', "scene must be a JSON object, got None"),
+        (json.dumps({"scene": "[" * 100_000}), "scene must be a JSON object, got "),
+        ('{"fidelity": {}}', "fidelity must be one of .* got {}"),
+        ('{"max_minutes": "5"}', "max_minutes must be a finite number above 0, got '5'"),
+        (" " * 1_000_001, "they must be at most 1,000,000 bytes, got 1,000,001"),
+    ],
+)
+def test_what_is_no_settings_is_refused_in_one_sentence(tmp_path: Path, settings: str | bytes, reason: str) -> None:
+    folder = folder_with(tmp_path, settings)
+    with pytest.raises(ValueError, match=f"^{folder}/settings.json holds no settings of a run: {reason}") as refusal:
+        read_settings(folder)
+    assert "\n" not in str(refusal.value)
+    assert len(str(refusal.value)) < 600
+
+
+@pytest.mark.parametrize(
+    ("values", "reason"),
+    [
+        ({"hidden_units": [10**9]}, "hidden_units must make a network of at most 20,000,000 weights, got "),
+        ({"hidden_units": [5000, 5000]}, "hidden_units must make a network of at most 20,000,000 weights, got "),
+        ({"hidden_units": [1] * 33}, "hidden_units must be at most 32 layers, got 33"),
+        ({"num_envs": 10**9}, r"num_envs \* rollout_steps must be at most 5,000,000, got 2,000,000,000"),
+        ({"rollout_steps": 10**9}, r"num_envs \* rollout_steps must be at most 5,000,000, got 1,000,000,000"),
+        ({"rollout_steps": 10**30}, "rollout_steps must be a whole number from 1 to 1000000000000, got 1000"),
+        ({"total_steps": 10**400}, "total_steps must be a whole number from 1 to 1000000000000, got 1000"),
+        ({"torch_threads": 10**9}, "torch_threads must be a whole number from 1 to 1024, got 1000000000"),
+    ],
+)
+def test_absurd_sizes_are_refused_before_anything_is_made(tmp_path: Path, values: dict[str, Any], reason: str) -> None:
+    folder = folder_with(tmp_path, changed(**values))
+    (folder / "model.zip").write_bytes(b"")
+    with little_memory(), pytest.raises(ValueError, match=f"holds no settings of a run: {reason}"):
+        load_model(folder)
+
+
+@pytest.mark.parametrize("values", [{"task": 5}, {"contact": []}, {"control_dt": "x"}, {"control_dt": -1.0}])
+def test_an_environment_that_can_not_be_made_names_the_settings(tmp_path: Path, values: dict[str, Any]) -> None:
+    folder = folder_with(tmp_path, changed(**values))
+    (folder / "model.zip").write_bytes(b"")
+    with pytest.raises(ValueError, match=rf"settings.json makes no model: {next(iter(values))} must be "):
+        load_model(folder)
+
+
+# -- model files ------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def saved(tmp_path: Path) -> Path:
+    """A run folder with a model."""
+    folder = folder_with(tmp_path, changed())
+    make_ppo(TINY, make_vec_env({}, 1, 0)).save(folder / "model.zip")
+    return folder
+
+
+def members(path: Path) -> dict[str, bytes]:
+    with zipfile.ZipFile(path) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
+def zipped(contents: dict[str, bytes], method: int = zipfile.ZIP_DEFLATED) -> bytes:
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", method) as archive:
+        for name, content in contents.items():
+            archive.writestr(name, content)
+    return file.getvalue()
+
+
+ZEROS = bytes(40_000_000)
+
+
+def bomb(kind: str, contents: dict[str, bytes]) -> bytes:
+    """A model file of less than 1 MB that inflates to 40: the tensors' file itself, or a member of that."""
+    if kind == "a tensor":
+        tensors = {**{f"archive/{number}": bytes(8) for number in range(3)}, "archive/data/0": ZEROS}
+        return zipped({**contents, "policy.pth": zipped(tensors)}, zipfile.ZIP_STORED)
+    return zipped({**contents, kind: ZEROS})
+
+
+@pytest.mark.parametrize("kind", ["policy.pth", "more.pth", "data", "a tensor"])
+def test_a_zip_bomb_is_refused_before_it_is_inflated(saved: Path, kind: str) -> None:
+    content = bomb(kind, members(saved / "model.zip"))
+    assert len(content) < 1_000_000
+    (saved / "model.zip").write_bytes(content)
+    sentence = r"is no model of the settings beside it: .* must inflate to at most [\d,]+ bytes, got 40,"
+    with little_memory(), pytest.raises(ValueError, match=sentence):
+        load_model(saved)
+
+
+def understated(content: bytes) -> bytes:
+    """The same zip file with members that say they inflate to 1000 bytes."""
+    size = len(ZEROS).to_bytes(4, "little")
+    assert content.count(size) == 2  # before the member, and in the list at the end
+    return content.replace(size, (1000).to_bytes(4, "little"))
+
+
+@pytest.mark.parametrize("kind", ["policy.pth", "a tensor"])
+def test_a_zip_bomb_that_understates_its_size_is_refused_before_it_is_inflated(saved: Path, kind: str) -> None:
+    if kind == "a tensor":
+        with zipfile.ZipFile(io.BytesIO(members(saved / "model.zip")["policy.pth"])) as inner:
+            parts = {name: inner.read(name) for name in inner.namelist()}
+        largest = max(parts, key=lambda name: len(parts[name]))
+        tensors = understated(zipped({**parts, largest: ZEROS}))
+        content = zipped({**members(saved / "model.zip"), "policy.pth": tensors}, zipfile.ZIP_STORED)
+    else:
+        content = understated(zipped({"policy.pth": ZEROS}))
+    (saved / "model.zip").write_bytes(content)
+    with little_memory(), pytest.raises(ValueError, match="is no model of the settings beside it: ") as refusal:
+        load_model(saved)
+    assert kind == "a tensor" or "Bad CRC-32" in str(refusal.value)
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2])
+def test_other_methods_are_refused(saved: Path, method: int) -> None:
+    (saved / "model.zip").write_bytes(zipped(members(saved / "model.zip"), method))
+    with pytest.raises(ValueError, match="model.zip must be stored or deflated"):
+        unpacked_tensors(saved / "model.zip")
+
+
+def test_models_load_as_they_are_saved_and_packed_once_more(saved: Path) -> None:
+    kept = load_model(saved).get_parameters()["policy"]
+    (saved / "model.zip").write_bytes(zipped(members(saved / "model.zip")))
+    again = load_model(saved).get_parameters()["policy"]
+    assert all(bool((again[name] == kept[name]).all()) for name in kept)
