@@ -118,6 +118,16 @@ def test_a_ratio_to_a_peer_that_is_not_installed_is_kept_from_the_run_that_had_i
     assert f"Not installed here, and kept from an earlier run: {pool}. that day" in speed.ratio_table(first)
 
 
+def test_a_page_without_any_figure_of_a_peer_is_written_without_it() -> None:
+    results = stored("speed")
+    whole = speed.page(results, "speed.png")
+    for kind, name in (("rates", measured.POOL), ("ratios", "batch over EnvPool's CartPole-v1")):
+        del results["together"][kind][name]
+    text = speed.page(results, "speed.png")
+    assert "EnvPool" in whole.split("\n\n")[1]
+    assert "EnvPool" not in text.split("\n\n")[1]
+
+
 # -- what is timed -----------------------------------------------------------------------------------------------------
 
 

@@ -75,15 +75,14 @@ def one(env_id: str, seconds: float, **settings: Any) -> Timed:
     """Steps per second of an environment, resets included."""
     env = gym.make(env_id, **settings)
     env.action_space.seed(0)
-    actions = [env.action_space.sample() for _ in range(4096)]
+    actions = itertools.cycle([env.action_space.sample() for _ in range(4096)])
     env.reset(seed=0)
 
     def block() -> int:
-        for action in actions[:256]:
+        for action in itertools.islice(actions, 256):
             _, _, terminated, truncated, _ = env.step(action)
             if terminated or truncated:
                 env.reset()
-        actions.append(actions.pop(0))
         return 256
 
     return repeat(block, seconds, clock=time.process_time)

@@ -91,14 +91,19 @@ def answer(results: Results) -> str:
         return rough(statistics.median((results[part]["rates"] | all_ratios(results[part]))[name]))
 
     cold, warm = (rough(statistics.median(results["start"][name])) for name in ("cold", "warm"))
-    poles, pool = (shown("together", f"batch over {whose} CartPole-v1") for whose in ("Gymnasium's own", "EnvPool's"))
+    peers = {"Gymnasium's own": "Gymnasium's own batch of CartPole-v1", "EnvPool's": "EnvPool's"}
+    known = all_ratios(results["together"])
+    over = [
+        f"{shown('together', what)} times as many as {words}"
+        for whose, words in peers.items()
+        if (what := f"batch over {whose} CartPole-v1") in known
+    ]
     return (
         f"One environment makes {shown('alone', names.PYMUNK)} control steps per second by default (pymunk) and "
         f'{shown("alone", names.EXACT)} with `contact="exact"`; LunarLander-v3 makes {shown("alone", names.LANDER)}, '
         f"CartPole-v1 {shown('alone', names.POLE)}. A batch of 1,024 exact environments makes "
-        f"{shown('together', names.BATCH)} per second on one core, {poles} times as many as Gymnasium's own batch of "
-        f"CartPole-v1 and {pool} times as many as EnvPool's. The exact model is compiled once per machine, in {cold} "
-        f"s; after that a process makes its first step within {warm} s."
+        f"{shown('together', names.BATCH)} per second on one core, {' and '.join(over)}. The exact model is compiled "
+        f"once per machine, in {cold} s; after that a process makes its first step within {warm} s."
     )
 
 
@@ -118,24 +123,17 @@ def section(found: Mapping[str, Any]) -> list[str]:
 
 def page(results: Results, picture: str) -> str:
     """docs/speed.md."""
-    start = results["start"]
-    cold, warm = (cells(start[name]).replace(" | ", " (") + ")" for name in ("cold", "warm"))
-    started = (
-        f"A process makes its first step after {cold} s where nothing is compiled yet, and after {warm} s later on. It "
-        f"grows by at most {start['bytes']:.0f} bytes for each of {start['of']:,} environments."
-    )
+    start, certifying = results["start"], ["", guarantee(results["together"]["lost"])]
+    memory = f"A process grows by at most {start['bytes']:.0f} bytes for each of {start['of']:,} environments."
     return joined(
         {
             "# How fast it is": [answer(results), "", f"![Control steps per second on one core]({picture})"],
             "## One environment": section(results["alone"]),
-            "## Batches on one core": [
-                *section(results["together"]), "", guarantee(results["together"]["lost"])
-            ],
-            "## Size of the batch, and threads": section(results["threads"]),
-            "## Start-up and memory": [started],
+            "## Batches on one core": [*section(results["together"]), *certifying],
+            "## Size of the batch, and threads": [*section(results["threads"]), "", memory],
             "## How it was measured": [HOW, "", *(f"- `{part}`: {found['made']}" for part, found in results.items())],
         }
-    )  # fmt: skip
+    )
 
 
 HOW = (
