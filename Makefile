@@ -1,10 +1,11 @@
 # make demo: train, evaluate, film. make test: lint, types, tests. Both set themselves up in .venv first.
 # make extremes: tests/extremes with all the steps of its long runs, which writes docs/extremes.md.
+# make machines: this machine against itself as older ones, each of its features taken away alone.
 PYTHON ?= python3
 BIN := .venv/bin
 OLD_GYMNASIUM := .venv/gymnasium-1.2.2
 
-.PHONY: demo test benchmark benchmark-quick throughput speed costs extremes transfer readme clean
+.PHONY: demo test benchmark benchmark-quick throughput speed costs extremes machines transfer readme clean
 .DELETE_ON_ERROR:
 
 demo: .venv/ready
@@ -35,6 +36,9 @@ costs: .venv/ready
 
 extremes: .venv/ready
 	@JACKBOX_EXTREMES=full $(BIN)/python -m pytest -q tests/extremes
+
+machines: .venv/ready
+	@JACKBOX_MACHINES=all $(BIN)/python -m pytest -q tests/test_portability.py
 
 transfer: .venv/ready
 	@$(BIN)/python scripts/transfer.py --seeds 5 --total-steps 1000000 500000 --out docs
