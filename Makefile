@@ -1,11 +1,12 @@
 # make demo: train, evaluate, film. make test: lint, types, tests. Both set themselves up in .venv first.
 # make test-all: the slow tests too. The other targets write the reports in docs/.
+# make machines: this machine against itself as older ones, each of its features taken away alone.
 PYTHON ?= python3
 BIN := .venv/bin
 OLD_GYMNASIUM := .venv/gymnasium-1.2.2
 WORKERS := -n 2 --dist loadfile
 
-.PHONY: demo test test-all benchmark benchmark-quick throughput speed costs soak extremes transfer readme clean
+.PHONY: demo test test-all benchmark benchmark-quick throughput speed costs soak extremes machines kills interruptions transfer readme clean
 .DELETE_ON_ERROR:
 
 demo: .venv/ready
@@ -45,6 +46,16 @@ soak: .venv/ready
 
 extremes: .venv/ready
 	@$(BIN)/python -m tests.extremes
+
+machines: .venv/ready
+	@JACKBOX_MACHINES=all $(BIN)/python -m pytest -q tests/simulators/test_portability.py
+
+# Trainings killed 200 times at random moments; 10,000 interruptions of steps and rollouts.
+kills: .venv/ready
+	@JACKBOX_KILLS=200 $(BIN)/python -m pytest -q tests/agents/test_kills.py
+
+interruptions: .venv/ready
+	@$(BIN)/python scripts/studies/laws/interruptions.py
 
 transfer: .venv/ready
 	@$(BIN)/python scripts/studies/transfer/transfer.py --seeds 5 --total-steps 1000000 500000 --out docs

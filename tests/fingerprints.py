@@ -126,16 +126,21 @@ def of_contact_model(contact: str, steps: int) -> Digests:
 
 
 def of_scenes() -> Digests:
-    """What is derived from scenes: inertias, and iterations of the engine's solver."""
+    """What is derived from scenes, and cosines of many turns."""
     rng = np.random.default_rng(0)
-    sizes = rng.uniform([1.0, 0.1], [9.0, 1.4], (4000, 2)).tolist()
+    sizes = rng.uniform([1.0, 0.1], [9.0, 1.4], (10_000, 2)).tolist()
     scenes = [Scene(box_half_width=width, jack_arm=arm) for width, arm in sizes]
     inertias = [(scene.box_inertia, scene.jack_inertia) for scene in scenes]
     light = [  # jacks that couple their feet, and get wedged
         Scene(box_half_width=scene.box_half_width, jack_arm=1.1 * scene.box_half_width, jack_inertia=share)
         for scene, share in zip(scenes, rng.uniform(0.5, 5.0, 200).tolist(), strict=False)
     ]
-    return {"inertias": digest(inertias), "iterations": digest(map(iterations_for, light))}
+    cosines = map(cos_sin, np.ldexp(rng.uniform(1.0, 2.0, 4000), rng.integers(20, 52, 4000)).tolist())
+    return {
+        "inertias": digest(inertias),
+        "iterations": digest(map(iterations_for, light)),
+        "cosines of many turns": digest(cosines),
+    }
 
 
 def of_libraries() -> Digests:

@@ -198,6 +198,20 @@ def test_kinks_are_followed_to_rounding(kind: str) -> None:
         assert abs(found[1] - twice) <= 1e-12 * DT * DT * bend
 
 
+def test_late_jumps_are_located_as_finely_as_the_time() -> None:
+    # A step of 671 float64 times: a jump's steepness is not the slope along which a rounded time moves the value.
+    rng = np.random.default_rng(4)
+    time, dt = 1e8, 1e-5
+    for _ in range(200):
+        at, smooth = time + dt * rng.uniform(), rng.uniform(-1.0, 1.0)
+
+        def function(t: float, smooth: float = smooth, at: float = at) -> float:
+            return smooth * (t - time) + (t >= at)
+
+        table = pieces(function, time, dt)
+        assert np.abs(ends(table) - (at - time)).min() <= 1.01 * math.ulp(time)
+
+
 def test_jumps_of_several_functions_are_all_located() -> None:
     rng = np.random.default_rng(2)
     for _ in range(200):
@@ -284,16 +298,17 @@ def test_a_kink_that_halving_brings_near_an_end_is_not_taken_for_rounding() -> N
 
 
 def test_rounding_found_in_one_function_leaves_the_others_alone() -> None:
-    rough: Sequence[Function] = (lambda t: float(np.float32(math.sin(t))), lambda t: abs(t - 1.0123))
+    # A kink whose residual is below the other function's rounding.
+    at, bend = 0.0123, 1e-6
+    rough: Sequence[Function] = (
+        lambda t: float(np.float32(math.sin(1.0 + t))),
+        lambda t: 1.0 + bend / DT * max(0.0, t - at),
+    )
     for torque, force in itertools.permutations(rough):
-        table = function_pieces(Drive(torque=torque, force_x=force), 1.0, DT)
+        table = function_pieces(Drive(torque=torque, force_x=force), 0.0, DT)
         bent = 2 + (DEGREE + 1) * (torque is rough[0])
-        once = math.fsum(
-            row[1] * math.fsum(power / (k + 1.0) for k, power in enumerate(row[bent : bent + DEGREE + 1]) if k % 2 == 0)
-            for row in table.tolist()
-        )
-        exact = 0.5 * (0.0123**2 + 0.0077**2)
-        assert once == pytest.approx(exact, rel=1e-11)
+        once, _ = integrals(np.hstack([table[:, :2], table[:, bent : bent + DEGREE + 1]]))
+        assert once == pytest.approx(DT + bend / DT * (DT - at) ** 2 / 2.0, abs=1e-15 * DT)
 
 
 # -- the largest and the smallest --------------------------------------------------------------------------------------

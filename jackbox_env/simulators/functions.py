@@ -43,7 +43,6 @@ _LEFT = 0.25  # of a residual: a cut that leaves more in each part was in vain
 _MARGIN = 4.0  # times that residual: what is rounding elsewhere in the step
 _SHORTEST = 2.0**-1000  # [s] a time to divide by; no two times are that near but equal ones
 _STEEP = 0.3  # of the change over a gap: what a jump in it keeps, however near it is looked at
-_FLAT = 0.3  # of a jump: what the function may change beside it
 _LOWEST = 1e-8  # of a jump, over the function's largest value in the step
 
 # cos(k pi / 12) for k = 0 to 6, written out: C libraries differ in the last place.
@@ -243,8 +242,8 @@ def _jump(function: Sampled, first: int, last: int, values: list[float], lowest:
     trend = slope / (last - first)  # per tick
     low = first + math.floor((last - first) * _SHARES[gap])
     high = first + math.ceil((last - first) * _SHARES[gap + 1])
-    width, at_low, at_high = high - low, function(low), function(high)
-    change = abs(at_high - at_low - trend * width)
+    at_low, at_high = function(low), function(high)
+    change = abs(at_high - at_low - trend * (high - low))
     least = max(lowest, _STEEP * change)
     while high - low > 1:
         middle = (low + high) // 2
@@ -255,11 +254,5 @@ def _jump(function: Sampled, first: int, last: int, values: list[float], lowest:
         else:
             low, at_low, change = middle, value, above
         if not change >= least:
-            return None
-    for near in (width >> 3, width >> 6, width >> 9):  # beside a jump it is quiet
-        before, after = max(first, low - near), min(last, high + near)
-        fall = abs(at_low - function(before) - trend * (low - before))
-        rise = abs(function(after) - at_high - trend * (after - high))
-        if max(fall, rise) > _FLAT * change:
             return None
     return low

@@ -222,7 +222,7 @@ def same(found: Any, expected: Any) -> bool:
     if isinstance(expected, list | tuple) or (isinstance(expected, np.ndarray) and expected.dtype == object):
         return len(found) == len(expected) and all(map(same, found, expected))
     if isinstance(expected, np.ndarray):
-        return found.dtype == expected.dtype and found.tobytes() == expected.tobytes()
+        return bool(found.dtype == expected.dtype and found.tobytes() == expected.tobytes())
     return bool(found == expected)
 
 
