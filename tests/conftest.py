@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import os
+
 import gymnasium as gym
 import numpy as np
+
+os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # pictures need no display
 
 import jackbox_env
 

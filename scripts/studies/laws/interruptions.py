@@ -277,14 +277,14 @@ def main() -> None:
     for name in ("interrupts", "environments"):
         check.whole(name, getattr(arguments, name), at_least=1, at_most=10**9)
     tqdm.monitor_interval = 0  # without a thread of its own: threads are counted
-    for kind in arguments.kinds:
-        KINDS[kind](1, 1)  # what is imported starts its threads now
+    for needed in arguments.kinds:
+        KINDS[needed](1, 1)  # what is imported starts its threads now
     bad, before = 0, len(os.listdir(_TASKS)) if _TASKS.exists() else 0
-    for kind, threads, happened in _runs(arguments):
+    for name, threads, happened in _runs(arguments):
         left = threads_left(before)
         bad += happened["wrong"] + left
         print(
-            f"{kind}, {threads} threads: interrupted before the call was done {happened['before']:,}, after "
+            f"{name}, {threads} threads: interrupted before the call was done {happened['before']:,}, after "
             f"{happened['after']:,}, {happened['strikes']:,} times in all, missed {happened['missed']:,}; "
             f"wrong {happened['wrong']:,}, threads left {left}"
         )

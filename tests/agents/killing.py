@@ -1,0 +1,158 @@
+"""Trainings that are killed: processes that run scripts/train.py, forked from one that has imported torch already."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import resource
+import signal
+import sys
+import zipfile
+from collections.abc import Callable
+from multiprocessing.context import ForkServerProcess
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+import torch._dynamo  # noqa: F401  # Adam does so at its first use, which takes seconds
+from stable_baselines3.common.vec_env import VecEnv
+
+from agents import best
+from agents.best import BEST, EVALUATIONS, read_evaluations
+from agents.checkpoints import checkpoint_path, kept_steps, read_model_file
+from agents.models import make_vec_env
+from agents.settings import TrainSettings
+from agents.storage import read_json
+from agents.training import MODEL
+from scripts import train as command
+
+# Six rollouts, three evaluations, three checkpoints, the first for an evaluation: a fraction of a second.
+SMALL = TrainSettings(
+    total_steps=96,
+    num_envs=2,
+    rollout_steps=8,
+    batch_size=16,
+    epochs=1,
+    checkpoint_steps=24,
+    eval_steps=32,
+    eval_episodes=2,
+    hidden_units=(8,),
+)
+KILLS = int(os.environ.get("JACKBOX_KILLS", "3"))
+# Operations that change a disk, or decide what is on it, where our code does them itself or by pathlib.
+_WRITES = {"open", "write", "close", "fsync", "replace", "rename", "unlink", "mkdir", "flock", "ftruncate", "pwrite"}
+_OURS = (f"{os.sep}agents{os.sep}", f"{os.sep}pathlib")
+
+
+def _words(settings: TrainSettings) -> list[str]:
+    default = TrainSettings()
+    given = {name: value for name, value in vars(settings).items() if value != getattr(default, name)}
+    words = []
+    for name, value in given.items():
+        words += [f"--{name.replace('_', '-')}", *map(str, value if isinstance(value, tuple) else (value,))]
+    return words
+
+
+def short_episodes(env_settings: dict[str, Any], num_envs: int, seed: int) -> VecEnv:
+    """Instead of ``make_vec_env``: evaluations that take no time."""
+    return make_vec_env({**env_settings, "max_episode_steps": 20}, num_envs, seed)
+
+
+def train(folder: Path, output: Path, kill_at: int | None = None, file_size: int | None = None) -> None:
+    """In a forked process: the command line, its words in ``output``.
+
+    Args:
+        folder: to make, or to go on in.
+        output: what the command line says.
+        kill_at: number of the operation on the disk before which the process kills itself; 0: none, but ``output`` says
+            how many there were.
+        file_size: no file may become larger, as if the disk were full [bytes].
+    """
+    log = os.open(output, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    os.dup2(log, 1)
+    os.dup2(log, 2)
+    setattr(best, "make_vec_env", short_episodes)  # as monkeypatch does  # noqa: B010
+    asked = ["--resume", str(folder)] if folder.exists() else ["--folder", str(folder), *_words(SMALL)]
+    sys.argv = ["train.py", *asked, "--no-progress"]
+    if file_size is not None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (file_size, file_size))
+    if kill_at is None:
+        command.main()
+        return
+    watch = _Watch(kill_at)
+    sys.setprofile(watch)
+    command.main()
+    sys.setprofile(None)
+    print(f"{watch.count} operations")
+
+
+class _Watch:
+    """A profiler that counts operations on the disk and kills the process just before one of them."""
+
+    def __init__(self, kill_at: int) -> None:
+        self.kill_at, self.count = kill_at, 0
+
+    def __call__(self, frame: FrameType, event: str, called: Any) -> None:
+        if event != "c_call" or called.__name__ not in _WRITES or isinstance(called.__self__, str | set):
+            return
+        if not any(part in frame.f_code.co_filename for part in _OURS):
+            return
+        if called.__name__ == "open" and "r" in str(frame.f_locals.get("mode")):
+            return
+        self.count += 1
+        if self.count == self.kill_at:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+
+def start(target: Callable[..., None], *arguments: Any) -> ForkServerProcess:
+    """Start a function in a process forked from one that has imported everything."""
+    server = multiprocessing.get_context("forkserver")
+    server.set_forkserver_preload([__name__])
+    process = server.Process(target=target, args=arguments)
+    process.start()
+    return process
+
+
+def ended(process: ForkServerProcess) -> int | None:
+    """The exit status of a process that is waited for; -9 if it was killed."""
+    process.join(120)
+    status = process.exitcode
+    process.close()
+    return status
+
+
+def expected_steps(settings: TrainSettings) -> list[int]:
+    """Steps of the evaluations of an uninterrupted run."""
+    return list(range(settings.eval_steps, settings.total_steps + 1, settings.eval_steps))
+
+
+def check_whole(folder: Path) -> None:
+    """Every file that a killed training has left is whole, and they belong together."""
+    assert read_json(folder / "run.json")["seed"] == SMALL.seed
+    assert TrainSettings(**{**read_json(folder / "settings.json"), "hidden_units": SMALL.hidden_units}) == SMALL
+    for steps in kept_steps(folder):
+        read_model_file(checkpoint_path(folder, steps))
+    if (folder / EVALUATIONS).exists():
+        evaluations = read_evaluations(folder, SMALL.eval_episodes)
+        assert evaluations.timesteps == expected_steps(SMALL)[: len(evaluations.timesteps)]
+        _, note = read_model_file(folder / BEST)
+        assert note["mean_return"] >= max(evaluations.means)
+
+
+def check_finished(folder: Path) -> None:
+    """A run that was killed and resumed has come to what an uninterrupted one comes to."""
+    check_whole(folder)
+    read_model_file(folder / MODEL)
+    with zipfile.ZipFile(folder / MODEL) as archive:
+        assert json.loads(archive.read("data"))["num_timesteps"] == SMALL.total_steps
+    evaluations = read_evaluations(folder, SMALL.eval_episodes)
+    assert evaluations.timesteps == expected_steps(SMALL)  # none twice, none missing
+    kept, note = read_model_file(folder / BEST)
+    assert note["mean_return"] == max(evaluations.means)
+    assert note["timesteps"] == evaluations.timesteps[int(np.argmax(evaluations.means))]
+    rollout = SMALL.num_envs * SMALL.rollout_steps
+    evaluated, _ = read_model_file(checkpoint_path(folder, (note["timesteps"] - 1) // rollout * rollout))
+    assert all(bool((kept["policy"][name] == value).all()) for name, value in evaluated["policy"].items())
+    assert not list(folder.rglob("*.partial*"))

@@ -1,0 +1,193 @@
+"""The command lines."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from agents import training
+from agents.models import load_model
+from agents.policies import BASELINES
+from agents.runs import describe, new_folder, read_settings
+from agents.settings import EnvSettings
+from jackbox_env import Scene, make_simulator
+from jackbox_env.simulators.fidelity import Setting
+from tests.agents.small_run import TINY
+from tests.states import load
+
+ROOT = Path(__file__).parents[2]
+
+
+def script(name: str, *arguments: str, cwd: Path, status: int = 0) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(ROOT / "scripts" / f"{name}.py"), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=250, check=False)
+    assert done.returncode == status, done.stderr
+    return done
+
+
+# -- command lines -----------------------------------------------------------------------------------------------------
+
+
+def test_simulate_writes_states_impacts_and_four_plots(tmp_path: Path) -> None:
+    done = script("simulate", "--seconds", "3", "--folder", "out", cwd=tmp_path)
+    folder = tmp_path / "out"
+    with (folder / "states.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 151
+    reference = load("seed_scene")[0]
+    at_one_second = [float(value) for name, value in rows[50].items() if name != "time"]
+    np.testing.assert_allclose(at_one_second, reference["states"][9]["state"], atol=1e-12)
+    with (folder / "impacts.csv").open() as file:
+        impacts = list(csv.DictReader(file))
+    known = reference["impacts"][:3]
+    assert [(int(row["wall"]), int(row["foot"])) for row in impacts] == [(hit["wall"], hit["foot"]) for hit in known]
+    assert "3 impacts by t = 3 s" in done.stdout
+    plots = sorted(path.name for path in folder.glob("*.png"))
+    assert plots == [f"{body}_{what}.png" for body in ("box", "jack") for what in ("positions", "velocities")]
+    again = script("simulate", "--folder", "out", cwd=tmp_path, status=2)
+    assert "never overwritten" in again.stderr
+
+
+def test_simulate_by_the_exact_model_gives_the_reference(tmp_path: Path) -> None:
+    script("simulate", "--fidelity", "exact", "--seconds", "3", "--no-plots", "--folder", "out", cwd=tmp_path)
+    with (tmp_path / "out" / "impacts.csv").open() as file:
+        times = [float(row["time"]) for row in csv.DictReader(file)]
+    known = [hit["time"] for hit in load("seed_scene")[0]["impacts"] if hit["time"] < 3.0]
+    np.testing.assert_allclose(times, known, rtol=0.0, atol=1e-9)
+
+
+def test_training_by_the_exact_model(tmp_path: Path) -> None:
+    settings = dataclasses.replace(TINY, contact="exact", task="spin")
+    folder = new_folder(tmp_path / "run", "test")
+    describe(folder, settings)
+    model = training.train(settings, folder, progress=False)
+    assert model.num_timesteps >= settings.total_steps
+    loaded = load_model(folder)
+    assert loaded.predict(np.zeros((1, 10), dtype=np.float32))[0].shape == (1, 1)
+
+
+def test_simulate_keeps_what_came_before_the_jack_left(tmp_path: Path) -> None:
+    arguments = ["--scene", '{"box_mass": 0.01}', "--seconds", "5", "--folder", "out", "--no-plots"]
+    done = script("simulate", *arguments, cwd=tmp_path, status=2)
+    assert "the jack would leave the box" in done.stderr
+    assert (tmp_path / "out" / "states.csv").stat().st_size > 100
+
+
+def test_train_refuses_before_it_makes_a_folder(tmp_path: Path) -> None:
+    done = script("train", "--contact", "box2d", "--folder", "run", cwd=tmp_path, status=2)
+    assert "contact must be one of 'pymunk', 'exact', got 'box2d'" in done.stderr
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--seconds", "-1"], "seconds must be a finite number above 0"),
+        (["--seconds", "nan"], "seconds must be a finite number above 0"),
+        (["--dt", "20"], "dt must be at most seconds = 10, got 20"),
+        (["--state", "[1, 2]"], r"state must have shape (12,), got shape (2,)"),
+        (["--state", "[0,0,0,5.5,0,0,0,0,0,0,0,0]"], "a start must have every foot inside the box"),
+        (["--state", "x"], "state must be a JSON list of 12 numbers, got 'x'"),
+        (["--contact", "box2d"], "contact must be one of 'pymunk', 'exact', got 'box2d'"),
+        (["--scene", '{"gravity": -1}'], "gravity must be a finite number at least 0"),
+    ],
+)
+def test_simulate_refuses_nonsense_in_one_sentence(tmp_path: Path, arguments: list[str], sentence: str) -> None:
+    done = script("simulate", *arguments, cwd=tmp_path, status=2)
+    assert sentence in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_evaluate_compares_policies_and_writes_json(tmp_path: Path, run: Path) -> None:
+    arguments = ["--policy", "zero", "chirp", str(run), "--episodes", "4", "--task", "spin", "--json", "out.json"]
+    done = script("evaluate", *arguments, "--substeps", "2", cwd=tmp_path)
+    stored = json.loads((tmp_path / "out.json").read_text())
+    assert stored["env"]["task"] == "spin"
+    assert [row["policy"] for row in stored["results"]] == ["zero", "chirp", str(run)]
+    assert all(len(row["returns"]) == row["episodes"] == 4 for row in stored["results"])
+    assert f"{stored['results'][0]['mean']:.1f}" in done.stdout
+    assert "4 episodes each, seed 0, task spin, substeps 2" in done.stdout
+    assert f"Note: {run} was trained in another environment (task juggle, default scene)" in done.stderr
+    same = script("evaluate", "--policy", str(run), "--episodes", "2", "--fidelity", "balanced", cwd=tmp_path)
+    assert "Note:" not in same.stderr  # another word for the same
+    assert "is no folder" in script("evaluate", "--json", "no/out.json", cwd=tmp_path, status=2).stderr
+    assert "never overwritten" in script("evaluate", *arguments, cwd=tmp_path, status=2).stderr
+
+
+def test_training_survives_ctrl_c_and_resumes_from_the_command_line(tmp_path: Path) -> None:
+    small = "--num-envs 4 --rollout-steps 64 --batch-size 64 --checkpoint-steps 256 --eval-steps 512 --eval-episodes 2"
+    command = [sys.executable, str(ROOT / "scripts" / "train.py"), "--folder", "run", "--no-progress", *small.split()]
+    process = subprocess.Popen(
+        [*command, "--total-steps", "6144"], cwd=tmp_path, stderr=subprocess.PIPE, text=True, env=os.environ
+    )
+    checkpoints = tmp_path / "run" / "checkpoints"
+    deadline = time.monotonic() + 120.0
+    while not list(checkpoints.glob("*.zip")) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130, errors
+    assert "Go on with: python scripts/train.py --resume run" in errors
+    assert not (tmp_path / "run" / "model.zip").exists()
+    assert "give no other setting" in script("train", "--resume", "run", "--seed", "3", cwd=tmp_path, status=2).stderr
+    done = script("train", "--resume", "run", "--no-progress", cwd=tmp_path)
+    assert "Going on after" in done.stdout
+    assert "Trained. Models, settings and evaluations: run" in done.stdout
+    assert (tmp_path / "run" / "model.zip").exists()
+    assert "is finished" in script("train", "--resume", "run", cwd=tmp_path, status=2).stderr
+
+
+def test_the_demo_runs_end_to_end_when_made_small(tmp_path: Path) -> None:
+    done = script("demo", "--folder", "demo", "--total-steps", "8192", "--episodes", "4", cwd=tmp_path)
+    for policy in (*BASELINES, "PPO"):
+        assert f"| {policy}" in done.stdout
+    for name in ("model.zip", "settings.json", "run.json", "results.json", "results.png", "film.gif"):
+        assert (tmp_path / "demo" / name).stat().st_size > 100, name
+    stored = json.loads((tmp_path / "demo" / "results.json").read_text())
+    assert [row["policy"] for row in stored["results"]] == [*BASELINES, "PPO"]
+
+
+@pytest.mark.parametrize(
+    "name", ["train", "evaluate", "simulate", "play", "demo", "benchmark", "readme", "speed", "containment", "transfer"]
+)
+def test_every_command_line_explains_itself(name: str, tmp_path: Path) -> None:
+    assert "show this help message" in script(name, "--help", cwd=tmp_path).stdout
+
+
+def test_the_words_for_a_contact_setting_mean_one_setting() -> None:
+    default = make_simulator(Scene())
+    assert EnvSettings().setting == Setting("pymunk", default.substeps)  # type: ignore[attr-defined]
+    assert EnvSettings(fidelity="balanced").setting == EnvSettings(contact="pymunk").setting
+    assert EnvSettings(fidelity="exact").setting == EnvSettings(contact="exact").setting == Setting("exact")
+    assert EnvSettings(fidelity="coarse", substeps=8).setting == Setting("pymunk", 8)
+    with pytest.raises(ValueError, match="fidelity must be one of 'coarse', 'balanced', 'fine', 'exact', got 'slow'"):
+        EnvSettings(fidelity="slow")
+    env: Any = gym.make("JackInBox-v0", **EnvSettings(fidelity="exact").env_settings).unwrapped
+    assert env.contact == "exact"
+
+
+def test_a_run_from_before_fidelities_had_names_loads(tmp_path: Path) -> None:
+    old = asdict(TINY)
+    del old["fidelity"]
+    (tmp_path / "settings.json").write_text(json.dumps({**old, "contact": "pymunk"}))
+    assert read_settings(tmp_path).setting == TINY.setting
+
+
+def test_env_settings_are_keyword_arguments_of_make() -> None:
+    settings = EnvSettings(task="spin", substeps=3, scene='{"gravity": 1.62}')
+    env: Any = gym.make("JackInBox-v0", **settings.env_settings).unwrapped
+    assert (env.task, env.scene.gravity) == ("spin", 1.62)

@@ -1,0 +1,264 @@
+"""Run folders with damaged files: what is damaged is skipped and named, and the run comes to its end all the same."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import zipfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agents import best, training
+from agents.best import BEST, EVALUATIONS, read_evaluations
+from agents.checkpoints import CHECKPOINTS, Checkpoint, checkpoint_path, kept_steps, read_model_file, with_note
+from agents.models import load_model
+from agents.runs import describe, new_folder, read_settings
+from agents.storage import DamagedFileError
+from agents.training import MODEL
+from scripts import train as command
+from tests.agents.killing import KILLS, SMALL, expected_steps, short_episodes
+
+STOPPED = 80  # steps done of the 96, two evaluations among them
+NEWEST = f"{CHECKPOINTS}/ppo_{STOPPED}.zip"
+
+
+@pytest.fixture(scope="module")
+def originals(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """A run that was stopped on its way, and the same run finished."""
+    stopped = tmp_path_factory.mktemp("runs") / "stopped"
+    new_folder(stopped, "test", lambda made: describe(made, SMALL))
+
+    class Interrupt(Checkpoint):
+        def _on_step(self) -> bool:
+            if self.num_timesteps > STOPPED:
+                raise KeyboardInterrupt
+            return True
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(best, "make_vec_env", short_episodes)
+        patch.setattr(training, "Checkpoint", Interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            training.train(SMALL, stopped, progress=False)
+        patch.undo()
+        patch.setattr(best, "make_vec_env", short_episodes)
+        finished = stopped.with_name("finished")
+        shutil.copytree(stopped, finished)
+        training.train(SMALL, finished, progress=False)
+    assert kept_steps(stopped) == [80, 48, 16]
+    return {"stopped": stopped, "finished": finished}
+
+
+@pytest.fixture
+def stopped(originals: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(best, "make_vec_env", short_episodes)
+    return Path(shutil.copytree(originals["stopped"], tmp_path / "run"))
+
+
+@pytest.fixture
+def finished(originals: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(best, "make_vec_env", short_episodes)
+    return Path(shutil.copytree(originals["finished"], tmp_path / "run"))
+
+
+def cut_to(share: float) -> Callable[[bytes], bytes]:
+    return lambda content: content[: int(share * len(content))]
+
+
+def flipped(content: bytes, place: int | None = None) -> bytes:
+    """A bit changed, of the first tensor's bytes if it is not said where."""
+    place = content.index(b"policy.pth") + 2000 if place is None else place
+    return content[:place] + bytes([content[place] ^ 16]) + content[place + 1 :]
+
+
+HARMS: dict[str, Callable[[bytes], bytes]] = {
+    "empty": cut_to(0.0),
+    "half": cut_to(0.5),
+    "zeros from the middle": lambda content: content[: len(content) // 2] + bytes(len(content) - len(content) // 2),
+}
+if KILLS > 3:
+    HARMS |= {f"{share:.3f} of it": cut_to(share) for share in np.linspace(0.001, 0.999, min(KILLS, 40))}
+    HARMS |= {"a byte short": lambda content: content[:-1], "zeros": lambda content: bytes(len(content))}
+
+
+def harm(path: Path, how: str) -> None:
+    path.write_bytes((flipped if how == "flipped" else HARMS[how])(path.read_bytes()))
+
+
+def goes_on_to_its_end(folder: Path) -> None:
+    model = training.train(SMALL, folder, progress=False)
+    assert model.num_timesteps == SMALL.total_steps
+    for name in (MODEL, BEST):
+        read_model_file(folder / name)
+    with pytest.raises(FileExistsError, match="is finished"):
+        training.train(SMALL, folder, progress=False)
+
+
+def skipped(said: str, path: Path) -> bool:
+    return any(line.startswith(f"Skipped: {path} is damaged (") for line in said.splitlines())
+
+
+def test_a_bit_changed_in_any_part_of_a_model_file_is_seen(originals: dict[str, Path], tmp_path: Path) -> None:
+    content = (originals["stopped"] / BEST).read_bytes()
+    with zipfile.ZipFile(originals["stopped"] / BEST) as archive:
+        parts = archive.infolist()
+    assert {part.filename for part in parts} >= {"data", "policy.pth", "policy.optimizer.pth", "note.json"}
+    for part in parts:
+        if part.file_size == 0:
+            continue
+        for share in (0.1, 0.5, 0.9):
+            inside = part.header_offset + 30 + len(part.filename) + len(part.extra) + int(share * part.file_size)
+            (tmp_path / "model.zip").write_bytes(flipped(content, inside))
+            with pytest.raises(DamagedFileError, match="model.zip is damaged"):
+                read_model_file(tmp_path / "model.zip")
+
+
+@pytest.mark.parametrize("how", [*HARMS, "flipped"])
+def test_a_damaged_checkpoint_is_skipped_for_the_one_before(
+    how: str, stopped: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    harm(stopped / NEWEST, how)
+    goes_on_to_its_end(stopped)
+    said = capsys.readouterr()
+    assert skipped(said.err, stopped / NEWEST)
+    assert "Going on after 48 steps" in said.out
+    assert read_evaluations(stopped, SMALL.eval_episodes).timesteps == expected_steps(SMALL)
+
+
+def test_without_a_whole_checkpoint_the_run_begins_again(stopped: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    first = read_evaluations(stopped, SMALL.eval_episodes)
+    for steps in kept_steps(stopped):
+        harm(checkpoint_path(stopped, steps), "half")
+    goes_on_to_its_end(stopped)
+    said = capsys.readouterr().err
+    assert said.count("Skipped: ") == 3
+    assert f"No checkpoint in {stopped} is whole: starting from the beginning" in said
+    again = read_evaluations(stopped, SMALL.eval_episodes)
+    assert again.timesteps == expected_steps(SMALL)
+    assert again.results[:2] == first.results  # from the same seed
+
+
+@pytest.mark.parametrize("how", HARMS)
+def test_damaged_evaluations_are_left_out_and_the_best_stays_the_best(
+    how: str, stopped: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    unbeaten = with_note(checkpoint_path(stopped, 16).read_bytes(), {"mean_return": 1e6, "timesteps": 32})
+    (stopped / BEST).write_bytes(unbeaten)
+    harm(stopped / EVALUATIONS, how)
+    goes_on_to_its_end(stopped)
+    assert skipped(capsys.readouterr().err, stopped / EVALUATIONS)
+    assert read_evaluations(stopped, SMALL.eval_episodes).timesteps == [96]  # those before are lost
+    assert (stopped / BEST).read_bytes() == unbeaten
+
+
+@pytest.mark.parametrize("how", [*HARMS, "flipped", "gone"])
+@pytest.mark.parametrize("state", ["stopped", "finished"])
+def test_a_damaged_best_model_is_made_again_from_its_checkpoint(
+    how: str, state: str, request: pytest.FixtureRequest, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder: Path = request.getfixturevalue(state)
+    parameters, note = read_model_file(folder / BEST)
+    if how == "gone":
+        (folder / BEST).unlink()
+    else:
+        harm(folder / BEST, how)
+    last = (folder / MODEL).read_bytes() if state == "finished" else b""
+    with pytest.MonkeyPatch.context() as patch:  # see what there is when the training begins
+        patch.setattr(training, "_where_it_was", lambda folder: pytest.fail("begun"))
+        with pytest.raises(FileExistsError if last else pytest.fail.Exception):
+            training.train(SMALL, folder, progress=False)
+    said = capsys.readouterr().err
+    assert skipped(said, folder / BEST) == (how != "gone")
+    assert f"Made {folder / BEST} again from {folder / CHECKPOINTS}" in said
+    again, note_again = read_model_file(folder / BEST)
+    assert note_again == note
+    for name, value in parameters["policy"].items():
+        np.testing.assert_array_equal(again["policy"][name], value)
+    assert last == ((folder / MODEL).read_bytes() if last else b"")
+
+
+def test_a_best_model_that_cannot_be_made_again_is_set_aside(stopped: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    harm(stopped / BEST, "half")
+    harm(stopped / EVALUATIONS, "half")
+    damaged = (stopped / BEST).read_bytes()
+    goes_on_to_its_end(stopped)
+    assert f"Set {stopped / BEST} aside as best_model.zip.damaged" in capsys.readouterr().err
+    assert (stopped / "best_model.zip.damaged").read_bytes() == damaged
+    assert read_model_file(stopped / BEST)[1]["timesteps"] == 96
+
+
+@pytest.mark.parametrize("how", [*HARMS, "flipped"])
+def test_a_damaged_model_is_not_the_end_of_a_run(how: str, finished: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    harm(finished / MODEL, how)
+    goes_on_to_its_end(finished)
+    assert f"Skipped: {finished / MODEL} is damaged, so the run is not finished" in capsys.readouterr().err
+    assert read_evaluations(finished, SMALL.eval_episodes).timesteps == expected_steps(SMALL)
+
+
+@pytest.mark.parametrize("how", HARMS)
+def test_files_that_a_training_does_not_read_may_be_damaged(how: str, stopped: Path) -> None:
+    (events,) = (stopped / "tensorboard").iterdir()
+    for path in (stopped / "run.json", stopped / "lock", events, checkpoint_path(stopped, 48)):
+        harm(path, how)
+    goes_on_to_its_end(stopped)
+    assert read_evaluations(stopped, SMALL.eval_episodes).timesteps == expected_steps(SMALL)
+
+
+@pytest.mark.parametrize("how", HARMS)
+def test_damaged_settings_are_refused_in_a_sentence(
+    how: str, stopped: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = stopped / "settings.json"
+    path.write_bytes(path.read_bytes().rstrip())
+    before = read_settings(stopped)
+    harm(path, how)
+    monkeypatch.setattr(sys, "argv", ["train.py", "--resume", str(stopped)])
+    with pytest.raises(SystemExit) as ended:
+        command.main()
+    assert ended.value.code == 2
+    (sentence,) = capsys.readouterr().err.splitlines()
+    assert sentence.startswith(f"{path} is damaged (")
+    assert before == SMALL
+    assert not (stopped / MODEL).exists()
+
+
+def test_what_a_killed_process_was_writing_is_removed(stopped: Path) -> None:
+    left = [stopped / ".evaluations.npz.1.partial.npz", stopped / CHECKPOINTS / ".ppo_96.zip.1.partial.zip"]
+    for path in left:
+        path.write_bytes(b"PK")
+    goes_on_to_its_end(stopped)
+    assert not any(path.exists() for path in left)
+
+
+def test_a_checkpoint_of_other_settings_is_refused_and_not_taken_for_a_damaged_one(stopped: Path) -> None:
+    with pytest.raises(ValueError, match=r"ppo_80.zip was made by other settings than its run's: Error") as refused:
+        training.train(replace(SMALL, hidden_units=(4,)), stopped, progress=False)
+    assert "\n" not in str(refused.value)
+    assert not (stopped / MODEL).exists()
+
+
+def test_a_best_model_from_before_it_held_its_mean_return_stays_unless_beaten(stopped: Path) -> None:
+    evaluations = read_evaluations(stopped, SMALL.eval_episodes)
+    with zipfile.ZipFile(stopped / BEST) as new, zipfile.ZipFile(stopped / "old.zip", "w") as old:
+        for name in set(new.namelist()) - {"note.json"}:
+            old.writestr(name, new.read(name))
+    (stopped / "old.zip").rename(stopped / BEST)
+    assert best.best_mean(stopped, SMALL, evaluations) == max(evaluations.means)
+    assert best.best_mean(stopped, SMALL, best.Evaluations()) == -np.inf
+
+
+def test_a_run_with_a_damaged_best_model_loads_its_last_and_says_so(
+    finished: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    last, kept = (load_model(finished / name).get_parameters()["policy"] for name in (MODEL, BEST))
+    assert any(bool((last[name] != kept[name]).any()) for name in last)
+    harm(finished / BEST, "half")
+    found = load_model(finished).get_parameters()["policy"]
+    assert skipped(capsys.readouterr().err, finished / BEST)
+    assert all(bool((last[name] == found[name]).all()) for name in last)
+    harm(finished / MODEL, "half")
+    with pytest.raises(ValueError, match="model.zip is no model of the settings beside it"):
+        load_model(finished)

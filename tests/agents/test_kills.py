@@ -1,0 +1,109 @@
+"""Trainings that are killed at random moments and before every operation on the disk come to their end all the same.
+
+JACKBOX_KILLS=200 kills as often instead of three times, and before each operation there is.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agents.training import MODEL
+from tests.agents import killing
+from tests.agents.killing import KILLS, check_finished, check_whole, ended, start
+
+pytestmark = pytest.mark.timeout(300 + 30 * KILLS)
+KILLED = -9
+
+
+class Uninterrupted:
+    """How long a training takes that is left alone, and how many operations on the disk."""
+
+    def __init__(self, folder: Path) -> None:
+        began = time.monotonic()
+        assert ended(start(killing.train, folder / "run", folder / "out.txt", 0)) == 0
+        self.seconds = time.monotonic() - began
+        check_finished(folder / "run")
+        (count,) = re.findall(r"(\d+) operations", (folder / "out.txt").read_text())
+        self.operations = int(count)
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> Uninterrupted:
+    return Uninterrupted(tmp_path_factory.mktemp("uninterrupted"))
+
+
+def test_a_training_killed_at_random_moments_comes_to_its_end(tmp_path: Path, uninterrupted: Uninterrupted) -> None:
+    rng = np.random.default_rng(0)
+    kills, runs, seconds = 0, 0, uninterrupted.seconds
+    while kills < KILLS or (tmp_path / f"run-{runs}").exists():
+        folder, output, began = tmp_path / f"run-{runs}", tmp_path / f"out-{runs}.txt", time.monotonic()
+        new = not folder.exists()
+        process = start(killing.train, folder, output)
+        if kills < KILLS:
+            process.join(rng.uniform(0.0, seconds))
+            process.kill()
+        status = ended(process)
+        assert status in (0, KILLED), f"after {kills} kills: {output.read_text()}"
+        kills += status == KILLED
+        if (folder / MODEL).exists():
+            check_finished(folder)
+            runs += 1
+            if new:
+                seconds = 0.5 * (seconds + time.monotonic() - began)  # others use the processor, more or less
+        elif folder.exists():
+            check_whole(folder)
+    print(f"{kills} kills at random moments, {runs} runs finished")
+
+
+def test_a_training_killed_before_any_operation_on_the_disk_comes_to_its_end(
+    tmp_path: Path, uninterrupted: Uninterrupted
+) -> None:
+    rng = np.random.default_rng(1)
+    count = uninterrupted.operations
+    assert count > 100
+    kills = 0
+    for point in np.unique(np.linspace(1, count, min(KILLS, count)).round()).astype(int).tolist():
+        folder, output = tmp_path / f"run-{point}", tmp_path / f"out-{point}.txt"
+        assert ended(start(killing.train, folder, output, point)) == KILLED
+        again = rng.integers(1, count)  # and once more while it is resumed
+        for kill_at in (int(again), None):
+            if folder.exists():
+                check_whole(folder)
+            kills += 1
+            if (folder / MODEL).exists():  # all that was left to do was to end
+                break
+            status = ended(start(killing.train, folder, output, kill_at))
+            assert status == 0 if kill_at is None else status in (0, KILLED), output.read_text()
+            if status == 0:
+                break
+        check_finished(folder)
+    print(f"{kills} kills before operations on the disk")
+
+
+def test_a_full_disk_is_told_and_the_run_goes_on_when_there_is_room(tmp_path: Path) -> None:
+    folder, output = tmp_path / "run", tmp_path / "out.txt"
+    assert ended(start(killing.train, folder, output, None, 20_000)) == 2
+    assert re.fullmatch(r"\[Errno 27\] File too large: '.*/checkpoints/ppo_16.zip'", output.read_text().strip())
+    check_whole(folder)
+    assert not list(folder.rglob("*.partial*"))
+    assert ended(start(killing.train, folder, output)) == 0
+    check_finished(folder)
+
+
+def test_of_two_resumes_side_by_side_one_is_refused(tmp_path: Path) -> None:
+    folder, output = tmp_path / "run", tmp_path / "out.txt"
+    assert ended(start(killing.train, folder, output, None, 20_000)) == 2
+    outputs = [tmp_path / "one.txt", tmp_path / "other.txt"]
+    processes = [start(killing.train, folder, output) for output in outputs]
+    numbers = [process.pid for process in processes]
+    statuses = [ended(process) for process in processes]
+    assert sorted(map(str, statuses)) == ["0", "2"], [output.read_text() for output in outputs]
+    refused = statuses.index(2)
+    told = outputs[refused].read_text().splitlines()
+    assert told[-1] == f"{folder} is in use by process {numbers[1 - refused]}: wait until it ends, or end it"
+    check_finished(folder)

@@ -1,0 +1,257 @@
+"""Files that outlive kills: written in one stroke and in the right order, folders held by one process."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import json
+import os
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from agents import storage
+from agents.runs import new_folder
+from agents.storage import (
+    LOCK,
+    DamagedFileError,
+    FolderInUseError,
+    held,
+    make_filled_folder,
+    make_folder,
+    new_file,
+    read_json,
+    remove_partials,
+    replacing,
+    write_bytes,
+    write_json,
+    write_text,
+)
+from tests.agents.killing import ended, start
+
+# -- writing ----------------------------------------------------------------------------------------------------------
+
+
+def write_by_block(path: Path, content: str) -> None:
+    with replacing(path) as partial:
+        partial.write_text(content)
+
+
+@pytest.mark.parametrize(
+    "write", [write_text, write_by_block, lambda path, content: write_bytes(path, content.encode()), write_json]
+)
+def test_a_file_is_on_the_disk_before_it_takes_its_name_and_its_name_afterwards(
+    write: Callable[[Path, str], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, done = tmp_path / "file.json", list[Any]()
+    path.write_text("before")
+    replace = os.replace
+    monkeypatch.setattr(os, "fsync", lambda descriptor: done.append((os.fstat(descriptor).st_ino, path.read_text())))
+
+    def renames(source: Path, target: Path) -> None:
+        done.append("rename")
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", renames)
+    write(path, "after")
+    content = path.read_text()
+    assert "after" in content
+    assert done == [(path.stat().st_ino, "before"), "rename", (tmp_path.stat().st_ino, content)]
+
+
+def test_folders_are_on_the_disk_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    synced: list[int] = []
+    monkeypatch.setattr(os, "fsync", lambda descriptor: synced.append(os.fstat(descriptor).st_ino))
+    make_folder(tmp_path / "a" / "b")
+    make_folder(tmp_path / "a" / "b")
+    assert synced == [tmp_path.stat().st_ino, (tmp_path / "a").stat().st_ino]
+    made = new_folder(tmp_path / "run", "test", lambda folder: write_text(folder / "x", "x"))
+    partial, file, top = made.stat().st_ino, (made / "x").stat().st_ino, tmp_path.stat().st_ino
+    assert synced[2:] == [file, partial, top]
+
+
+def fail(path: Path, error: BaseException, left: str | None = None) -> None:
+    """Fail while a file is written, or be killed then and leave it under a name."""
+    with replacing(path) as partial:
+        assert storage._PARTIAL.fullmatch(partial.name)
+        partial.write_text("ne")
+        if left is not None:
+            partial.rename(path.with_name(left))
+        raise error
+
+
+def test_what_fails_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
+    path = tmp_path / "file.txt"
+    path.write_text("old")
+    with pytest.raises(OSError, match=r"No space left on device: '.*file.txt'"):
+        fail(path, OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
+    with pytest.raises(KeyboardInterrupt):
+        fail(path, KeyboardInterrupt())
+    with pytest.raises(TypeError, match="not JSON serializable"):
+        write_json(path, object())
+    assert [entry.name for entry in tmp_path.iterdir()] == ["file.txt"]
+    assert path.read_text() == "old"
+    with pytest.raises(FileExistsError, match="file.txt exists, and is never overwritten"), new_file(path):
+        pass
+
+
+def test_files_are_as_readable_as_others(tmp_path: Path) -> None:
+    (tmp_path / "plain").touch()
+    (tmp_path / "folder").mkdir()
+    write_text(tmp_path / "ours", "")
+    new_folder(tmp_path / "run", "test")
+    assert (tmp_path / "ours").stat().st_mode == (tmp_path / "plain").stat().st_mode
+    assert (tmp_path / "run").stat().st_mode == (tmp_path / "folder").stat().st_mode
+
+
+def test_a_folder_appears_together_with_what_is_in_it(tmp_path: Path) -> None:
+    path = tmp_path / "runs" / "run"
+
+    def fill(folder: Path) -> None:
+        assert not path.exists()
+        write_text(folder / "settings.json", "{}")
+
+    def fails(folder: Path) -> None:
+        write_text(folder / "settings.json", "{}")
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        make_filled_folder(path, fails)
+    assert list(path.parent.iterdir()) == []
+    leftover = path.with_name(f".run.{os.getpid()}.partial")  # of a killed process that had this number
+    leftover.mkdir()
+    (leftover / "something").touch()
+    make_filled_folder(path, fill)
+    assert [entry.relative_to(tmp_path).as_posix() for entry in sorted(tmp_path.rglob("*"))] == [
+        "runs",
+        "runs/run",
+        "runs/run/settings.json",
+    ]
+
+
+def test_what_killed_processes_left_is_removed_and_nothing_else(tmp_path: Path) -> None:
+    for name, left in (("model.zip", ".model.zip.1.partial.zip"), ("no suffix", ".no suffix.22.partial")):
+        with pytest.raises(KeyboardInterrupt):
+            fail(tmp_path / name, KeyboardInterrupt(), left)
+    (tmp_path / ".run.3.partial").mkdir()
+    (tmp_path / ".run.3.partial" / "settings.json").touch()
+    assert len(list(tmp_path.iterdir())) == 3
+    kept = {".hidden", "model.partial.zip", ".model.partial", "x.12.partial"}
+    for name in kept:
+        (tmp_path / name).touch()
+    remove_partials(tmp_path, tmp_path / "not there")
+    assert {path.name for path in tmp_path.iterdir()} == kept
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b'{"a": 1', b"\xff\xfe\x00", b"\x00" * 40, b"[" * 100_000])
+def test_json_that_is_damaged_is_told_by_its_name(content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    path.write_bytes(content)
+    with pytest.raises(DamagedFileError) as refused:
+        read_json(path)
+    assert str(refused.value).startswith(f"{path} is damaged (")
+    assert len(str(refused.value)) < 300
+    assert "\n" not in str(refused.value)
+    write_json(path, {"a": [1.5, None]})
+    assert read_json(path) == json.loads(path.read_text()) == {"a": [1.5, None]}
+
+
+# -- holding ----------------------------------------------------------------------------------------------------------
+
+
+def hold(folder: Path, ready: Path, child: Path | None = None) -> None:
+    """In a process of its own: hold a folder for ever, beside a forked child that wants it once and lives on."""
+    with held(folder):
+        if child is not None and os.fork() == 0:
+            try:
+                with held(folder):
+                    answer = "held"
+            except FolderInUseError as error:
+                answer = str(error)
+            write_text(child, f"{os.getpid()} {answer}")
+            time.sleep(60.0)
+            os._exit(0)
+        ready.touch()
+        time.sleep(60.0)
+
+
+def wait_for(path: Path) -> None:
+    deadline = time.monotonic() + 60.0
+    while not path.exists():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def test_a_folder_is_held_until_its_process_is_killed(tmp_path: Path) -> None:
+    process = start(hold, tmp_path, tmp_path / "ready")
+    wait_for(tmp_path / "ready")
+    sentence = f"{tmp_path} is in use by process {process.pid}: wait until it ends, or end it"
+    for _ in range(2):
+        with pytest.raises(FolderInUseError) as refused, held(tmp_path):
+            pass
+        assert str(refused.value) == sentence
+    process.kill()
+    assert ended(process) == -9
+    assert (tmp_path / LOCK).read_text().strip().isdigit()  # it could not tidy up
+    with held(tmp_path):
+        pass
+    assert (tmp_path / LOCK).read_text() == ""
+
+
+def test_a_folder_is_held_against_a_second_use_in_the_same_process(tmp_path: Path) -> None:
+    with held(tmp_path):
+        with pytest.raises(FolderInUseError, match=f"in use by process {os.getpid()}:"), held(tmp_path):
+            pass
+        with pytest.raises(FolderInUseError), held(tmp_path):  # being refused has not let go of it
+            pass
+    with held(tmp_path):
+        pass
+    assert not storage._held
+
+
+def test_a_forked_child_is_refused_and_holds_nothing_when_it_outlives_its_parent(tmp_path: Path) -> None:
+    process = start(hold, tmp_path, tmp_path / "ready", tmp_path / "child")
+    wait_for(tmp_path / "child")
+    child, answer = (tmp_path / "child").read_text().split(maxsplit=1)
+    assert f"in use by process {process.pid}:" in answer
+    with pytest.raises(FolderInUseError), held(tmp_path):
+        pass
+    process.kill()
+    assert ended(process) == -9
+    os.kill(int(child), 0)  # it lives
+    try:
+        with held(tmp_path):
+            pass
+    finally:
+        os.kill(int(child), signal.SIGKILL)
+
+
+@pytest.mark.parametrize("written", [b"", b"nonsense", b"9" * 40, b"\xff", b"-1", b"0"])
+def test_what_stands_in_a_lock_file_holds_nothing_and_names_nobody(
+    written: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(storage, "_PATIENCE", 0.1)
+    (tmp_path / LOCK).write_bytes(written)
+    with held(tmp_path):
+        (tmp_path / LOCK).write_bytes(written)
+        with pytest.raises(FolderInUseError, match="is in use by another process: wait"), held(tmp_path):
+            pass
+
+
+def test_where_there_are_no_locks_that_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refuses(descriptor: int, operation: int) -> None:
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr(fcntl, "flock", refuses)
+    with held(tmp_path), held(tmp_path):
+        pass
+    assert capsys.readouterr().err.splitlines() == 2 * [
+        f"{tmp_path} cannot be locked on this system: take care that nothing else works in it"
+    ]
+    assert not storage._held

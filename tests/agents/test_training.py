@@ -1,0 +1,156 @@
+"""Training and loading."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import subprocess
+import sys
+import zipfile
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from stable_baselines3.common.evaluation import evaluate_policy
+
+from agents import training
+from agents.best import choosing_seed
+from agents.checkpoints import Checkpoint, kept_steps
+from agents.models import load_model, make_ppo, make_vec_env
+from agents.runs import describe, new_folder, read_settings
+from tests.agents.small_run import TINY
+
+# -- training ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_run_folder_holds_what_the_run_was_made_from(run: Path) -> None:
+    assert read_settings(run) == TINY
+    record = json.loads((run / "run.json").read_text())
+    assert record["seed"] == TINY.seed
+    assert record["command"] == sys.argv
+    assert record["versions"]["torch"].startswith("2.13.0")
+    assert set(record["versions"]) >= {"python", "jackbox", "pymunk", "stable-baselines3", "commit"}
+    for name in ("model.zip", "best_model.zip", "evaluations.npz", "tensorboard", "checkpoints/ppo_512.zip"):
+        assert (run / name).exists(), name
+    stored = np.load(run / "evaluations.npz")
+    assert stored["timesteps"].tolist() == [1024, 2048]
+    assert stored["results"].shape == (2, 4)
+    assert not list(run.rglob("*.partial*"))
+
+
+def test_training_learns_from_its_rollouts(run: Path) -> None:
+    before = make_ppo(TINY, make_vec_env({}, 1, 0)).get_parameters()["policy"]
+    after = load_model(run / "model.zip").get_parameters()["policy"]
+    assert max(float((after[name] - before[name]).abs().max()) for name in before) > 1e-3
+
+
+def test_the_best_model_is_the_best_evaluation(run: Path) -> None:
+    stored = np.load(run / "evaluations.npz")
+    environments = make_vec_env(TINY.env_settings, 4, 0)
+    environments.seed(choosing_seed(TINY))
+    best, _ = evaluate_policy(load_model(run), environments, n_eval_episodes=4)
+    assert best == pytest.approx(stored["results"].mean(axis=1).max(), rel=1e-6)
+
+
+def test_interrupted_training_resumes_to_the_same_total(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = new_folder(tmp_path / "run", "test")
+    describe(folder, TINY)
+
+    class Interrupt(Checkpoint):
+        def _on_step(self) -> bool:
+            if self.num_timesteps >= 1300:
+                raise KeyboardInterrupt
+            return True
+
+    with monkeypatch.context() as patched:
+        patched.setattr(training, "Checkpoint", Interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            training.train(TINY, folder, progress=False)
+    # the last checkpoint was made for the evaluation at 1024, the rollout under way began at 1280
+    assert kept_steps(folder) == [1280, 768, 512]
+    assert not (folder / "model.zip").exists()
+    model = training.train(TINY, folder, progress=False)
+    assert model.num_timesteps == TINY.total_steps
+    assert np.load(folder / "evaluations.npz")["timesteps"].tolist() == [1024, 2048]
+    with pytest.raises(FileExistsError, match="is finished: it has a model.zip, and runs are never overwritten"):
+        training.train(TINY, folder, progress=False)
+
+
+def test_a_resumed_run_goes_on_from_the_weights_it_had(tmp_path: Path, run: Path) -> None:
+    # Resuming at the total changes nothing: the checkpoint's weights come out again.
+    folder = new_folder(tmp_path / "run", "test")
+    describe(folder, replace(TINY, total_steps=768))
+    (folder / "checkpoints").mkdir()
+    checkpoint = folder / "checkpoints" / "ppo_768.zip"
+    checkpoint.write_bytes((run / "checkpoints" / "ppo_768.zip").read_bytes())
+    resumed = training.train(replace(TINY, total_steps=768), folder, progress=False)
+    kept = load_model(checkpoint).get_parameters()
+    for group, parameters in resumed.get_parameters().items():
+        if group == "policy":
+            for name, value in parameters.items():
+                np.testing.assert_array_equal(value.numpy(), kept[group][name].numpy())
+    assert kept["policy.optimizer"]["state"], "the optimiser's moments are part of a checkpoint"
+
+
+def test_a_deadline_ends_training(tmp_path: Path) -> None:
+    folder = new_folder(tmp_path / "run", "test")
+    hurried = replace(TINY, total_steps=10_000_000, max_minutes=0.02)
+    model = training.train(hurried, folder, progress=False)
+    assert 0 < model.num_timesteps < 10_000_000
+    assert (folder / "model.zip").exists()
+
+
+# -- loading -----------------------------------------------------------------------------------------------------------
+
+
+def test_loading_never_unpickles(run: Path, tmp_path: Path) -> None:
+    """A model whose pickled part runs code when unpickled: loaded safely it does not, with trust it does."""
+    shared = tmp_path / "shared"
+    shared.mkdir()
+    (shared / "settings.json").write_text((run / "settings.json").read_text())
+    witness = tmp_path / "witness"
+    code = f"""
+import base64, cloudpickle, pathlib
+class Bomb:
+    def __reduce__(self):
+        return pathlib.Path.touch, (pathlib.Path({str(witness)!r}),)
+print(base64.b64encode(cloudpickle.dumps(Bomb())).decode())
+"""
+    payload = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
+    with (
+        zipfile.ZipFile(run / "model.zip") as original,
+        zipfile.ZipFile(shared / "model.zip", "w") as poisoned,
+    ):
+        for name in original.namelist():
+            content = original.read(name)
+            if name == "data":
+                data = json.loads(content)
+                data["lr_schedule"] = {":type:": "<class 'function'>", ":serialized:": payload}
+                content = json.dumps(data).encode()
+            poisoned.writestr(name, content)
+    observation = np.zeros(10, dtype=np.float32)
+    np.testing.assert_array_equal(load_model(shared).predict(observation)[0].shape, (1,))
+    assert not witness.exists()
+    load_model(shared, trust=True)  # trust is for models without settings only
+    assert not witness.exists()
+    (shared / "settings.json").unlink()
+    with contextlib.suppress(Exception):  # it may or may not load after what it did
+        load_model(shared, trust=True)
+    assert witness.exists()
+
+
+def test_models_that_are_not_there_or_do_not_fit_are_refused(run: Path, tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="holds no model: best_model.zip or model.zip was looked for"):
+        load_model(tmp_path)
+    lonely = tmp_path / "a" / "b" / "model.zip"
+    lonely.parent.mkdir(parents=True)
+    lonely.write_bytes((run / "model.zip").read_bytes())
+    with pytest.raises(FileNotFoundError, match="has no settings.json beside it .* use --trust"):
+        load_model(lonely)
+    (lonely.parent / "settings.json").write_text(json.dumps(asdict(replace(TINY, hidden_units=(8, 8)))))
+    with pytest.raises(ValueError, match="is no model of the settings beside it"):
+        load_model(lonely)
+    lonely.write_bytes(b"nonsense")
+    with pytest.raises(ValueError, match="is no model of the settings beside it"):
+        load_model(lonely)

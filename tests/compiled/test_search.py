@@ -1,0 +1,140 @@
+"""Impacts are isolated with a guarantee: the bound, and what a search without it misses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jackbox_env.compiled import search as kernel
+from jackbox_env.compiled.status import Status
+from jackbox_env.compiled.workspace import new_workspace
+from jackbox_env.scene import Scene
+from jackbox_env.states import clearance
+from scripts.studies.speed import naive
+from tests.simulators.exact_runs import plain_step, simulator
+from tests.states import Array, inside
+
+
+def grazing(depth: float) -> tuple[Scene, Array, float]:
+    """A foot swings through a wall by ``depth`` [m] and back within a step: scene, state and step."""
+    scene = Scene(gravity=0.0, drive=None)
+    # Foot 0 turns at 10 rad/s on an arm of 1 m around a centre at 5 + depth: it points at the wall after 10 ms.
+    state = np.zeros(12)
+    state[3], state[5], state[11] = 5.0 + depth, -0.1, 10.0
+    return scene, state, 0.02
+
+
+MISSED: dict[str, Callable[[], tuple[Scene, Array, float]]] = {
+    "a foot swings 1 mm through": lambda: grazing(1e-3),
+    "a foot swings 1 um through": lambda: grazing(1e-6),
+    "a foot swings 1 nm through": lambda: grazing(1e-9),
+    "fast spin, whole turns in a step": lambda: (
+        Scene(gravity=0.0, drive=None),
+        np.array([0, 0, 0, 5.2, 0, 0.785, 0, 0, 0, 0, 0, 100.0 * math.pi]),
+        0.02,
+    ),
+    "the box's corner sweeps past": lambda: (
+        Scene(gravity=0.0, drive=None),
+        np.array([0, 0, -0.02, 5.001, 0, -0.02, 0, 0, 2.0, 0, 0, 2.0]) * 1.0,
+        0.02,
+    ),
+    "a bounce on the ceiling within a long step": lambda: (
+        Scene(drive=None),
+        np.array([0, 0, 0, 0, 4.9, 0, 0, 0, 0, 0, 1.5, 0]),
+        0.3,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", MISSED)
+def test_what_sampling_at_the_steps_end_misses_is_found(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, state, dt = MISSED[name]()
+    ended, after, found = plain_step(scene, state, dt, 0.0)
+    assert ended == Status.DONE
+    assert found
+    run = simulator(scene, state)  # and compiled it finds the same
+    run.step(dt, 0.0)
+    np.testing.assert_array_equal(run.state, after)
+    # In small steps the foot is seen outside: the impact is real.
+    monkeypatch.setattr(kernel, "walls_in_reach", lambda *_: 0)
+    times = found[0][0] + np.linspace(0.0, 0.1 * dt, 2001)[1:]
+    lows = [clearance(scene, plain_step(scene, state, float(time), 0.0)[1].tolist()) for time in times]
+    assert min(lows) < -1e-13
+    monkeypatch.undo()
+    monkeypatch.setattr(kernel, "first_of_all", naive.first_of_all)
+    assert len(plain_step(scene, state, dt, 0.0)[2]) < len(found)
+
+
+def test_the_gap_stays_above_its_parabola() -> None:
+    # The bound itself, over random flights: gap(s) >= gap + gap' s - K s^2 / 2; with half of K it is broken.
+    rng = np.random.default_rng(5)
+    broken = 0
+    for _ in range(400):
+        scene = Scene(jack_arm=rng.uniform(0.1, 8.0), gravity=rng.choice([0.0, 9.81]))
+        state = inside(scene, rng, speed=rng.choice([1.0, 5.0]))
+        n, w = scene.numbers, new_workspace()
+        alpha, left = rng.uniform(-6.0, 6.0), rng.choice([0.02, 0.2])
+        (x, y), (vx, vy) = (state[3:5] - state[0:2]).tolist(), (state[9:11] - state[6:8]).tolist()
+        angle, omega, jack_angle, jack_omega = state[[2, 8, 5, 11]].tolist()
+        flight = kernel.Flight(
+            x, y, vx, vy, angle, omega, jack_angle, jack_omega, scene.gravity, alpha, 0.0, 0.5 * left, False, False
+        )
+        bounds = kernel.bounds_of(n, flight, left, abs(alpha), 0.0)
+        curvature = bounds.bend + bounds.swing
+        for wall, foot in rng.integers(0, 4, (4, 2)).tolist():
+            gap, rate = kernel.gap_at(n, flight, w, wall, foot, 0.0)
+            for s in np.linspace(0.0, left, 9)[1:]:
+                later, _ = kernel.gap_at(n, flight, w, wall, foot, float(s))
+                assert later >= gap + rate * s - 0.5 * curvature * s * s - 1e-12
+                broken += later < gap + rate * s - 0.25 * curvature * s * s - 1e-12
+    assert broken > 0
+
+
+def test_each_bound_holds_over_the_whole_flight() -> None:
+    # Distance of the centres, and the second derivative of the distance from a wall, over flights that bend most.
+    rng = np.random.default_rng(6)
+    scene = Scene()
+    n, w = scene.numbers, new_workspace()
+    tightest = math.inf
+    for number in range(300):
+        left, alpha = rng.choice([0.02, 0.5, 1.0]), rng.uniform(-50.0, 50.0)
+        x, y, vx, angle, jack_angle, jack_omega = rng.uniform(-3.0, 3.0, 6).tolist()
+        omega = 0.0 if number % 2 else float(rng.uniform(-5.0, 5.0))
+        vy = 0.5 * scene.gravity * left  # thrown up and back again: both ends say nothing of the way between
+        flight = kernel.Flight(
+            x, y, vx, vy, angle, omega, jack_angle, jack_omega, scene.gravity, alpha, 0.0, 0.5 * left, False, False
+        )
+        bounds = kernel.bounds_of(n, flight, left, abs(alpha), 0.0)
+        for s in np.linspace(0.0, left, 9).tolist():
+            pose = kernel.pose_at(flight, w, s)
+            distance = math.hypot(pose.x, pose.y)
+            assert distance <= bounds.far
+            assert distance <= kernel.reach_of(n, flight, left, 0.0)
+            cosine, sine = math.cos(pose.angle), math.sin(pose.angle)
+            ahead, aside = cosine * pose.x + sine * pose.y, cosine * pose.y - sine * pose.x
+            rate_aside = cosine * pose.vy - sine * pose.vx
+            bent = -sine * scene.gravity + 2.0 * pose.omega * rate_aside + alpha * aside - pose.omega**2 * ahead
+            assert abs(bent) <= bounds.bend
+            spin = jack_omega - pose.omega
+            assert scene.jack_arm * math.hypot(spin * spin, alpha) <= bounds.swing
+            tightest = min(tightest, bounds.far - distance, bounds.bend / max(abs(bent), 1e-9) - 1.0)
+    assert tightest < 0.5  # the bounds are no wild exaggeration
+
+
+def test_an_uncertified_step_would_let_feet_through(monkeypatch: pytest.MonkeyPatch) -> None:
+    # With a hundredth of K the walk to the parabola's root passes impacts of a foot that turns away and comes back.
+    scene, state, dt = MISSED["fast spin, whole turns in a step"]()
+    first = plain_step(scene, state, dt, 0.0)[2][0]
+    honest = kernel.bounds_of
+
+    def brazen(*given: Any) -> kernel.Bounds:
+        far, bend, swing = honest(*given)
+        return kernel.Bounds(far, 0.01 * bend, 0.01 * swing)
+
+    monkeypatch.setattr(kernel, "bounds_of", brazen)
+    hasty = plain_step(scene, state, dt, 0.0)[2]
+    assert not hasty or hasty[0] != first

@@ -1,0 +1,289 @@
+"""The law of one contact against its symbolic derivation, the reference cases and closed forms; geometry; energy."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import sympy as sp
+
+from jackbox_env.mechanics import energy, gap_jacobian, gaps, impact_map
+from jackbox_env.scene import Scene
+from jackbox_env.states import STATE_NAMES, clearance, start_tolerance
+from tests.law.poses import PAIRS, approaching, energy_norm, momenta, momentum_scale, random_scene, velocity_error
+from tests.states import Array, inside, load
+from tests.symbolic import (
+    ARM,
+    BOX_INERTIA,
+    BOX_MASS,
+    JACK_INERTIA,
+    JACK_MASS,
+    WORLD_JACK,
+    Derivation,
+    body_kinetic_energy,
+    four_feet_kinetic_energy,
+)
+
+
+def energy_scale(scene: Scene, state: Array) -> float:
+    """Twice the kinetic energy plus the size of the potential energy [J], the yardstick for rounding in ``energy``."""
+    return energy_norm(scene, state[6:]) ** 2 + abs(scene.jack_mass * scene.gravity * float(state[4]))
+
+
+# -- the derivation ----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def derivation() -> Derivation:
+    return Derivation()
+
+
+def test_four_point_feet_are_a_body_of_inertia_m_l_squared() -> None:
+    feet = four_feet_kinetic_energy()
+    body = body_kinetic_energy(WORLD_JACK, JACK_MASS, JACK_INERTIA)
+    (inertia,) = sp.solve(feet - body, JACK_INERTIA)
+    assert sp.simplify(inertia - JACK_MASS * ARM**2) == 0
+    assert Scene(jack_mass=7.0, jack_arm=0.5).jack_inertia == 1.75
+
+
+def test_momenta_are_the_mass_matrix_times_the_velocities(derivation: Derivation) -> None:
+    # The package keeps M as a diagonal; the frames must not say otherwise.
+    scene = Scene(box_inertia=3.0, jack_inertia=5.0)
+    symbols = (BOX_MASS, BOX_INERTIA, JACK_MASS, JACK_INERTIA)
+    numbers = (scene.box_mass, scene.box_inertia, scene.jack_mass, scene.jack_inertia)
+    matrix = derivation.mass_matrix.subs(dict(zip(symbols, numbers, strict=True)))
+    assert np.array_equal(np.array(matrix, dtype=float), np.diag(scene.mass_diagonal))
+
+
+@pytest.mark.parametrize(("wall", "foot"), PAIRS)
+def test_closed_forms_equal_the_derivation(derivation: Derivation, wall: int, foot: int) -> None:
+    rng = np.random.default_rng([1, wall, foot])
+    for case in range(100):
+        scene = Scene() if case % 2 else random_scene(rng)
+        state = approaching(scene, rng, wall, foot)
+        derived = derivation.evaluate(scene, state, wall, foot)
+        length = scene.box_half_width + math.dist(state[0:2], state[3:5])  # [m]
+        assert gaps(scene, state)[wall, foot] == pytest.approx(derived.gap, abs=1e-14 * length)
+        gradient = gap_jacobian(scene, state, wall, foot)
+        np.testing.assert_allclose(gradient, derived.gradient, rtol=0.0, atol=1e-14 * (1.0 + length))
+        assert energy(scene, state) == pytest.approx(derived.hamiltonian, abs=1e-14 * energy_scale(scene, state))
+        after, impulse = impact_map(scene, state, wall, foot)
+        assert velocity_error(scene, after[6:], derived.after) < 1e-13
+        # The gap rate of a grazing foot is a small difference of large terms; this is their share of the impulse [N s].
+        terms = float(
+            2.0 * np.abs(gradient) @ np.abs(state[6:]) / (gradient**2 @ (1.0 / np.array(scene.mass_diagonal)))
+        )
+        assert impulse == pytest.approx(derived.impulse, rel=0.0, abs=1e-14 * terms)
+        assert impulse > 0.0
+
+
+# -- the reference cases -----------------------------------------------------------------------------------------------
+
+
+def test_reference_cases_to_ten_digits() -> None:
+    scene = Scene()
+    cases = load("impact_map_cases")
+    assert sorted((case["wall"], case["foot"]) for case in cases) == sorted(4 * PAIRS)
+    for case in cases:
+        state = np.array(case["q"] + case["qdot"])
+        after, impulse = impact_map(scene, state, case["wall"], case["foot"])
+        np.testing.assert_allclose(after[6:], case["qdot_after"], rtol=1e-10, atol=0.0)  # each velocity on its own
+        assert impulse == pytest.approx(case["impulse"], rel=1e-10, abs=0.0)
+        assert np.array_equal(after[:6], state[:6])
+
+
+def test_reference_cases_are_on_the_wall_and_keep_energy_and_momentum() -> None:
+    scene = Scene()
+    for case in load("impact_map_cases"):
+        state = np.array(case["q"] + case["qdot"])
+        assert abs(gaps(scene, state)[case["wall"], case["foot"]]) < 1e-13
+        after, _ = impact_map(scene, state, case["wall"], case["foot"])
+        assert energy(scene, after) == pytest.approx(energy(scene, state), rel=1e-13)
+        # The contact forces on jack and box act along one line: they cancel, and so do their moments about any point.
+        change = momenta(scene, after) - momenta(scene, state)
+        assert np.abs(change).max() < 1e-14 * momentum_scale(scene, state)
+
+
+# -- geometry ----------------------------------------------------------------------------------------------------------
+
+
+def gaps_by_corners(scene: Scene, state: Array) -> Array:
+    """Distance of each foot from the line through two corners of the box, positive on the inner side [m]."""
+    half = scene.box_half_width
+    c, s = math.cos(state[2]), math.sin(state[2])
+    corners = [(half, -half), (half, half), (-half, half), (-half, -half)]  # wall k runs from corner k to k + 1
+    world = [(state[0] + c * x - s * y, state[1] + s * x + c * y) for x, y in corners]
+    found = np.empty((4, 4))
+    for wall, foot in PAIRS:
+        (ax, ay), (bx, by) = world[wall], world[(wall + 1) % 4]
+        angle = state[5] + foot * math.pi / 2.0
+        x, y = state[3] + scene.jack_arm * math.cos(angle), state[4] + scene.jack_arm * math.sin(angle)
+        # Corners run counter-clockwise: the inside is to the left, where this cross product is positive.
+        found[wall, foot] = ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) / math.hypot(bx - ax, by - ay)
+    return found
+
+
+def test_gaps_at_the_origin() -> None:
+    # L = 6, l = 1, nothing turned: foot 0 is at (1, 0), so 5 from wall 0 (x = 6), 6 from walls 1 and 3, 7 from wall 2.
+    expected = [[5.0, 6.0, 7.0, 6.0], [6.0, 5.0, 6.0, 7.0], [7.0, 6.0, 5.0, 6.0], [6.0, 7.0, 6.0, 5.0]]
+    np.testing.assert_allclose(gaps(Scene(), np.zeros(12)), expected, rtol=1e-15)
+
+
+def test_gaps_equal_distances_from_the_sides_of_the_box() -> None:
+    rng = np.random.default_rng(2)
+    for _ in range(300):
+        scene = random_scene(rng)
+        state = inside(scene, rng)
+        state[[2, 5]] *= 10.0  # several turns
+        state[3:5] += rng.uniform(-1.0, 1.0, 2) * scene.box_half_width  # some of them outside, where gaps are negative
+        found = gaps(scene, state)
+        assert found.shape == (4, 4)
+        np.testing.assert_allclose(found, gaps_by_corners(scene, state), rtol=0.0, atol=1e-13 * scene.box_half_width)
+
+
+@pytest.mark.parametrize(("wall", "foot"), PAIRS)
+def test_gap_jacobian_equals_central_differences(wall: int, foot: int) -> None:
+    rng = np.random.default_rng([3, wall, foot])
+    step = 1e-5  # [m, rad] truncation step^2 / 6 * third derivative and rounding 1e-15 / step are both about 1e-10
+    for _ in range(20):
+        state = inside(Scene(), rng)
+        slopes = []
+        for place in range(6):
+            ahead, behind = state.copy(), state.copy()
+            ahead[place] += step
+            behind[place] -= step
+            rise = gaps(Scene(), ahead)[wall, foot] - gaps(Scene(), behind)[wall, foot]
+            slopes.append(rise / (ahead[place] - behind[place]))
+        np.testing.assert_allclose(gap_jacobian(Scene(), state, wall, foot), slopes, rtol=0.0, atol=2e-9)
+
+
+def test_gaps_know_only_relative_motion() -> None:
+    # Box and jack moved as one body change no gap: all 16 gradients have rank 3, and a corner's four contacts tie.
+    rng = np.random.default_rng(21)
+    for _ in range(50):
+        scene = random_scene(rng)
+        state = inside(scene, rng)
+        x_box, y_box, x_jack, y_jack = state[[0, 1, 3, 4]]
+        along_x, along_y = [1.0, 0.0, 0.0, 1.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0, 1.0, 0.0]
+        about_origin = [-y_box, x_box, 1.0, -y_jack, x_jack, 1.0]
+        gradients = np.array([gap_jacobian(scene, state, wall, foot) for wall, foot in PAIRS])
+        together = gradients @ np.array([along_x, along_y, about_origin]).T
+        assert np.abs(together).max() < 1e-14 * (scene.box_half_width + np.abs(state[:6]).max())
+        assert np.linalg.matrix_rank(gradients, tol=1e-12) == 3
+
+
+def test_clearance_is_the_smallest_gap() -> None:
+    rng = np.random.default_rng(4)
+    for _ in range(3000):
+        scene = random_scene(rng)
+        state = inside(scene, rng)
+        state[[2, 5]] *= 10.0
+        state[3:5] += rng.uniform(-1.0, 1.0, 2) * scene.box_half_width
+        found = clearance(scene, list(state))
+        assert found == pytest.approx(gaps(scene, state).min(), rel=0.0, abs=1e-14 * scene.box_half_width)
+
+
+@pytest.mark.parametrize("place", range(6))
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_clearance_of_a_lost_state_is_never_inside(place: int, value: float) -> None:
+    state = [0.0] * 12
+    state[place] = value
+    found = clearance(Scene(), state)
+    assert math.isnan(found) or found == -math.inf
+
+
+@pytest.mark.parametrize("place", [0, 1, 3, 4])
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_start_tolerance_grows_with_far_off_places(place: int, sign: float) -> None:
+    state = [0.0] * 12
+    state[2] = state[5] = state[7] = 1e12  # angles and speeds do not count
+    assert start_tolerance(state) == 1e-9
+    state[place] = sign * 1e5  # 4 ulp(1e5) = 5.8e-11 m
+    assert start_tolerance(state) == 1e-9
+    state[place] = sign * 1e9
+    assert start_tolerance(state) == 4.0 * 2.0**-23  # 2^29 <= 1e9 < 2^30, so a unit in the last place is 2^(29 - 52)
+
+
+# -- one contact -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("speed", [1e-12, 1.0, 1e6])
+def test_head_on_impact_by_hand(speed: float) -> None:
+    # The jack moves along x at the middle of wall 0: two balls of 4 kg and 400 kg, the second at rest. However slow, it
+    # is an impact. After it the jack has (4 - 400) / 404 and the box 2 * 4 / 404 of the speed; impulse 400 kg of that.
+    state = np.zeros(12)
+    state[3], state[9] = 5.0, speed
+    after, impulse = impact_map(Scene(), state, 0, 0)
+    expected = [8.0 / 404.0 * speed, 0.0, 0.0, -396.0 / 404.0 * speed, 0.0, 0.0]
+    np.testing.assert_allclose(after[6:], expected, rtol=1e-15, atol=1e-15 * speed)
+    assert impulse == pytest.approx(400.0 * 8.0 / 404.0 * speed, rel=1e-15, abs=0.0)
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])
+def test_gap_rate_comes_back_times_minus_e(restitution: float) -> None:
+    rng = np.random.default_rng(5)
+    for _ in range(300):
+        scene = random_scene(rng, restitution)
+        wall, foot = PAIRS[rng.integers(16)]
+        state = approaching(scene, rng, wall, foot)
+        jacobian = gap_jacobian(scene, state, wall, foot)
+        after, _ = impact_map(scene, state, wall, foot)
+        before_rate, after_rate = jacobian @ state[6:], jacobian @ after[6:]
+        terms = np.abs(jacobian) @ (np.abs(state[6:]) + np.abs(after[6:]))  # [m/s] what cancels in the gap rate
+        assert after_rate == pytest.approx(-restitution * before_rate, rel=0.0, abs=1e-14 * terms)
+        # The lost energy is (1 - e^2) / 2 * rate^2 / (J M^-1 J^T).
+        lost = (1.0 - restitution**2) / 2.0 * before_rate**2 / (jacobian**2 @ (1.0 / np.array(scene.mass_diagonal)))
+        fall = energy(scene, state) - energy(scene, after)
+        assert fall == pytest.approx(lost, rel=0.0, abs=1e-14 * energy_scale(scene, state))
+
+
+def test_one_contact_returns_a_fresh_state_and_leaves_the_input_alone() -> None:
+    rng = np.random.default_rng(6)
+    for mirrored in (1.0, -1.0):  # approaching, then separating
+        state = approaching(Scene(), rng, 1, 2)
+        state[6:] *= mirrored
+        kept = state.copy()
+        after, _ = impact_map(Scene(), state, 1, 2)
+        assert not np.shares_memory(after, state)
+        assert np.array_equal(state, kept)
+        assert after.dtype == np.float64
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])
+def test_separating_contact_is_left_alone(restitution: float) -> None:
+    rng = np.random.default_rng(7)
+    scene = Scene(restitution=restitution)
+    for wall, foot in PAIRS:
+        state = approaching(scene, rng, wall, foot)
+        state[6:] *= -1.0
+        after, impulse = impact_map(scene, state, wall, foot)
+        assert np.array_equal(after, state)
+        assert impulse == 0.0
+    at_rest = np.array([*inside(scene, rng)[:6], *np.zeros(6)])  # a gap rate of exactly zero does not approach
+    assert np.array_equal(impact_map(scene, at_rest, 0, 0)[0], at_rest)
+
+
+# -- energy ------------------------------------------------------------------------------------------------------------
+
+
+def test_energy_by_hand() -> None:
+    state = [0.0, 7.0, 0.3, 0.0, 10.0, -0.4, 1.0, 2.0, 0.5, 3.0, 4.0, 2.0]
+    # box:    400 kg (1 + 4) / 2 = 1000 J, 14400 kg m^2 0.25 / 2 = 1800 J, its height of 7 m counts for nothing
+    # jack:   4 kg (9 + 16) / 2 = 50 J,    4 kg m^2 4 / 2 = 8 J,           4 kg 9.81 m/s^2 10 m = 392.4 J
+    assert energy(Scene(), state) == pytest.approx(3250.4, rel=1e-15)
+    # box:    2 kg 5 / 2 = 5 J,     3 kg m^2 0.25 / 2 = 0.375 J
+    # jack:   5 kg 25 / 2 = 62.5 J, 7 kg m^2 4 / 2 = 14 J,          5 kg 2 m/s^2 10 m = 100 J
+    scene = Scene(box_mass=2.0, box_inertia=3.0, jack_mass=5.0, jack_inertia=7.0, gravity=2.0)
+    assert energy(scene, state) == pytest.approx(181.875, rel=1e-15)
+    assert isinstance(energy(scene, state), float)
+
+
+@pytest.mark.parametrize("place", range(6))
+def test_only_the_height_of_the_jack_has_potential_energy(place: int) -> None:
+    rng = np.random.default_rng(19)
+    state = inside(Scene(), rng)
+    moved = state.copy()
+    moved[place] += 2.0  # [m, rad]
+    rise = 4.0 * 9.81 * 2.0 if STATE_NAMES[place] == "y_jack" else 0.0  # [J]
+    assert energy(Scene(), moved) - energy(Scene(), state) == pytest.approx(rise, abs=1e-9)

@@ -1,0 +1,346 @@
+"""The law of several contacts at once."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jackbox_env.mechanics import gap_jacobian, gaps, impact_map, simultaneous_impact_map
+from jackbox_env.scene import Scene
+from tests.law.poses import PAIRS, energy_norm, momenta, momentum_scale, random_scene, velocity_error
+from tests.states import Array, inside, several_contacts
+
+Contacts = list[tuple[int, int]]
+
+
+# -- several contacts --------------------------------------------------------------------------------------------------
+
+
+SCENES = {
+    "nominal": Scene(),
+    "lossy": Scene(restitution=0.5),
+    "plastic": Scene(restitution=0.0),
+    "light jack inertia": Scene(jack_inertia=4e-3),  # 1e-3 of four point feet
+    "light box": Scene(box_mass=4e-6),  # 1e-6 of the jack
+    "heavy box": Scene(box_mass=4e6),  # 1e6 times the jack
+}
+
+
+# The jack's feet sit in all four corners, 6e-12 m from both walls of each: eight contacts.
+JAMMED = math.sqrt(2.0) * 6.0 * (1.0 - 1e-12)
+
+
+KINDS = {"one wall": 2, "two walls": 2, "corner": 4, "four corners": 8}  # how many contacts
+
+
+def touching(scene: Scene, rng: np.random.Generator, kind: str) -> tuple[Array, Contacts]:
+    """A random pose with several feet on walls, at random velocities: some contacts approach, others separate."""
+    if kind == "four corners":
+        state = inside(scene, rng)
+        state[3:5] = state[0:2]
+        state[5] = state[2] + math.pi / 4.0
+    else:
+        state, _ = several_contacts(scene, rng, kind)
+    state[6:] = 5.0 * rng.standard_normal(6)
+    contacts = [pair for pair in PAIRS if abs(gaps(scene, state)[pair]) < 1e-9]
+    assert len(contacts) == KINDS[kind]
+    return state, contacts
+
+
+def unit_rows(scene: Scene, state: Array, contacts: Contacts) -> tuple[Array, Array]:
+    """Rows of J M^-1/2 at unit length, and their lengths: in u = M^1/2 qdot all contacts are then alike."""
+    jacobian = np.array([gap_jacobian(scene, state, wall, foot) for wall, foot in contacts])
+    rows = jacobian / np.sqrt(scene.mass_diagonal)
+    lengths = np.linalg.norm(rows, axis=1)
+    return rows / lengths[:, None], lengths
+
+
+def enumerated(scene: Scene, state: Array, contacts: Contacts) -> Array:
+    """Velocities after, by trying every set of contacts that may be the one with impulses.
+
+    Those in the set end at J qdot+ = -e J qdot-, which fixes u+. The set is right when no impulse pulls and no contact
+    outside it ends below -e times its rate.
+    """
+    rows, _ = unit_rows(scene, state, contacts)
+    u = np.sqrt(scene.mass_diagonal) * state[6:]
+    bound = -scene.restitution * (rows @ u)
+    worst, best = math.inf, u
+    for size in range(len(contacts) + 1):
+        for chosen in itertools.combinations(range(len(contacts)), size):
+            normals = rows[list(chosen)]
+            impulses = np.linalg.pinv(normals @ normals.T, rcond=1e-12) @ (-(1.0 + scene.restitution) * (normals @ u))
+            after = u + impulses @ normals
+            wrong = max(0.0, -min(impulses, default=0.0), float((bound - rows @ after).max()))
+            if wrong < worst:
+                worst, best = wrong, after
+    assert worst < 1e-9 * np.linalg.norm(u), "no set of contacts fulfils the law"
+    return best / np.sqrt(scene.mass_diagonal)
+
+
+def reflection(scene: Scene, state: Array, contacts: Contacts) -> tuple[Array, Array]:
+    """qdot- - 2 M^-1 J^T pinv(J M^-1 J^T) J qdot-, and its impulses: the law only if none of them pulls."""
+    jacobian = np.array([gap_jacobian(scene, state, wall, foot) for wall, foot in contacts])
+    spread = jacobian.T / np.array(scene.mass_diagonal)[:, None]
+    impulses = -2.0 * np.linalg.pinv(jacobian @ spread, rcond=1e-12) @ (jacobian @ state[6:])
+    return state[6:] + spread @ impulses, impulses
+
+
+def assert_law_holds(scene: Scene, state: Array, contacts: Contacts, tolerance: float = 1e-11) -> Array:
+    """Check 0 <= lambda _|_ J qdot+ + e J qdot- >= 0 and M (qdot+ - qdot-) = J^T lambda; return the state after."""
+    after, impulses = simultaneous_impact_map(scene, state, contacts)
+    rows, lengths = unit_rows(scene, state, contacts)
+    root = np.sqrt(scene.mass_diagonal)
+    u_before, u_after, pushes = root * state[6:], root * after[6:], impulses * lengths
+    scale = float(np.linalg.norm(u_before))
+    rates = rows @ (u_after + scene.restitution * u_before)
+    assert impulses.min() >= 0.0
+    assert rates.min() >= -tolerance * scale
+    assert np.abs(pushes * rates).max() <= tolerance * scale * (scale + pushes.max())
+    np.testing.assert_allclose(u_after - u_before, pushes @ rows, rtol=0.0, atol=tolerance * (scale + pushes.max()))
+    assert np.array_equal(after[:6], state[:6])
+    return after
+
+
+def scene_of(name: str, kind: str) -> Scene:
+    return replace(SCENES[name], jack_arm=JAMMED) if kind == "four corners" else SCENES[name]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", SCENES)
+def test_simultaneous_law_holds(name: str, kind: str) -> None:
+    scene = scene_of(name, kind)
+    rng = np.random.default_rng(8)
+    for _ in range(100):
+        state, contacts = touching(scene, rng, kind)
+        after = assert_law_holds(scene, state, contacts)
+        if scene.restitution == 1.0:
+            assert energy_norm(scene, after[6:]) == pytest.approx(energy_norm(scene, state[6:]), rel=1e-12)
+        change = momenta(scene, after) - momenta(scene, state)
+        assert np.abs(change).max() < 1e-13 * (momentum_scale(scene, state) + momentum_scale(scene, after))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", SCENES)
+def test_simultaneous_law_equals_exhaustive_search(name: str, kind: str) -> None:
+    scene = scene_of(name, kind)
+    rng = np.random.default_rng(9)
+    for _ in range(3 if kind == "four corners" else 30):  # eight contacts have 256 sets
+        state, contacts = touching(scene, rng, kind)
+        after, _ = simultaneous_impact_map(scene, state, contacts)
+        error = energy_norm(scene, after[6:] - enumerated(scene, state, contacts)) / energy_norm(scene, state[6:])
+        assert error < 1e-11
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", SCENES)
+def test_impulses_of_very_different_size_come_back(name: str, kind: str) -> None:
+    # Backwards: qdot- = -M^-1 J^T lambda / (1 + e) makes any lambda >= 0 a solution, with J qdot+ = -e J qdot-.
+    # Box and jack moving on as one body add nothing to the gap rates.
+    scene = scene_of(name, kind)
+    rng = np.random.default_rng(22)
+    for _ in range(100):
+        state, contacts = touching(scene, rng, kind)
+        rows, lengths = unit_rows(scene, state, contacts)
+        shares = 10.0 ** rng.uniform(-13.0, 0.0, len(contacts)) * rng.integers(0, 2, len(contacts))
+        shares[rng.integers(len(contacts))] = 1.0
+        drift = np.array([1.0, -2.0, 0.0, 1.0, -2.0, 0.0]) * rng.uniform(0.0, 1.0)
+        change = shares @ rows / np.sqrt(scene.mass_diagonal)
+        state[6:] = drift - change / (1.0 + scene.restitution)
+        after, impulses = simultaneous_impact_map(scene, state, contacts)
+        error = energy_norm(scene, after[6:] - (state[6:] + change)) / energy_norm(scene, change)
+        assert error < 1e-12 * max(1.0, energy_norm(scene, drift))
+        if len(contacts) == 2:  # more contacts may share the same total differently
+            np.testing.assert_allclose(impulses * lengths, shares, rtol=0.0, atol=1e-11)
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])
+def test_one_listed_contact_is_the_impact_map(restitution: float) -> None:
+    rng = np.random.default_rng(10)
+    for case in range(200):
+        scene = random_scene(rng, restitution)
+        wall, foot = PAIRS[case % 16]
+        state = inside(scene, rng)  # about half of them separate
+        expected, impulse = impact_map(scene, state, wall, foot)
+        after, impulses = simultaneous_impact_map(scene, state, [(wall, foot)])
+        assert energy_norm(scene, after[6:] - expected[6:]) <= 1e-14 * energy_norm(scene, state[6:])
+        assert impulses == pytest.approx([impulse], rel=1e-12, abs=0.0)
+
+
+@pytest.mark.parametrize("kind", ["one wall", "two walls", "corner"])
+def test_reflection_is_the_law_while_no_impulse_pulls(kind: str) -> None:
+    rng = np.random.default_rng(11)
+    compared = 0
+    for _ in range(300):
+        state, contacts = several_contacts(Scene(), rng, kind)  # every contact approaches
+        expected, impulses = reflection(Scene(), state, contacts)
+        if impulses.min() < 0.0:
+            continue
+        compared += 1
+        after, found = simultaneous_impact_map(Scene(), state, contacts)
+        assert velocity_error(Scene(), after[6:], expected) < 1e-12
+        if kind != "corner":  # four contacts of rank 3 leave the impulses open
+            np.testing.assert_allclose(found, impulses, rtol=1e-11)
+    assert compared > 30
+
+
+@pytest.mark.parametrize(
+    ("kind", "pose", "difference"),
+    [
+        ("one wall", several_contacts, 0.5),  # every contact approaches
+        ("two walls", several_contacts, 0.3),
+        ("one wall", touching, 1.0),  # some of them separate
+        ("two walls", touching, 1.0),
+        ("corner", touching, 1.0),
+    ],
+)
+def test_reflection_is_not_the_law_where_an_impulse_pulls(kind: str, pose: Any, difference: float) -> None:
+    # Negative control: reflection keeps energy and momentum as well, and yet needs walls that pull.
+    rng = np.random.default_rng(12)
+    largest = 0.0
+    for _ in range(400):
+        state, contacts = pose(Scene(), rng, kind)
+        other, impulses = reflection(Scene(), state, contacts)
+        if impulses.min() < 0.0:
+            after = assert_law_holds(Scene(), state, contacts)
+            largest = max(largest, float(np.abs(other - after[6:]).max() / np.abs(after[6:]).max()))
+    assert largest > difference
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_order_of_contacts_does_not_matter(kind: str) -> None:
+    rng = np.random.default_rng(13)
+    scene = scene_of("nominal", kind)
+    for _ in range(50):
+        state, contacts = touching(scene, rng, kind)
+        after, impulses = simultaneous_impact_map(scene, state, contacts)
+        order = rng.permutation(len(contacts))
+        other, shuffled = simultaneous_impact_map(scene, state, [contacts[place] for place in order])
+        assert velocity_error(scene, other[6:], after[6:]) < 1e-13
+        if len(contacts) == 2:  # more contacts may share the same total differently
+            np.testing.assert_allclose(shuffled, impulses[order], rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_quarter_turns_only_rename_walls_and_feet(kind: str) -> None:
+    rng = np.random.default_rng(14)
+    scene = scene_of("nominal", kind)
+    for _ in range(50):
+        state, contacts = touching(scene, rng, kind)
+        after, _ = simultaneous_impact_map(scene, state, contacts)
+        box_turns, jack_turns = (int(turns) for turns in rng.integers(1, 4, 2))
+        turned = state.copy()
+        turned[2] += box_turns * math.pi / 2.0
+        turned[5] += jack_turns * math.pi / 2.0
+        renamed = [((wall - box_turns) % 4, (foot - jack_turns) % 4) for wall, foot in contacts]
+        other, _ = simultaneous_impact_map(scene, turned, renamed)
+        assert velocity_error(scene, other[6:], after[6:]) < 1e-12
+
+
+def test_several_contacts_return_a_fresh_state_and_leave_the_input_alone() -> None:
+    rng = np.random.default_rng(15)
+    state, contacts = touching(Scene(), rng, "corner")
+    kept, listed = state.copy(), list(contacts)
+    for given in (contacts, []):
+        after, impulses = simultaneous_impact_map(Scene(), state, given)
+        assert not np.shares_memory(after, state)
+        assert impulses.shape == (len(given),)
+    assert np.array_equal(after, state)  # no contacts, no change
+    assert np.array_equal(state, kept)
+    assert contacts == listed
+
+
+def test_separating_contacts_are_left_alone() -> None:
+    rng = np.random.default_rng(16)
+    for kind in ("one wall", "two walls", "corner"):
+        for restitution in (0.0, 0.5, 1.0):
+            scene = Scene(restitution=restitution)
+            state, contacts = several_contacts(scene, rng, kind)
+            state[6:] *= -1.0  # every contact separates
+            after, impulses = simultaneous_impact_map(scene, state, contacts)
+            assert np.array_equal(after, state)
+            assert np.array_equal(impulses, np.zeros(len(contacts)))
+
+
+def corner_pose(scene: Scene, turn: float) -> tuple[Array, Contacts]:
+    """The box at the origin, one foot in its corner between walls 0 and 1, and a neighbour on each of these."""
+    reach = math.sqrt(2.0) * scene.box_half_width - scene.jack_arm  # [m] along the diagonal
+    place = [reach * math.cos(turn + math.pi / 4.0), reach * math.sin(turn + math.pi / 4.0)]
+    return np.array([0.0, 0.0, turn, *place, turn + math.pi / 4.0, *np.zeros(6)]), [(0, 0), (1, 0), (1, 1), (0, 3)]
+
+
+def tidy_rates(motion: str, turn: float, rng: np.random.Generator) -> Array:
+    """Velocities that make contacts of a corner tie exactly, or nearly, for the next one to push."""
+    c, s = math.cos(turn), math.sin(turn)
+    along_wall_0, along_wall_1 = np.array([-s, c]), np.array([c, s])
+    still = np.zeros(3)
+    if motion == "at rest":
+        return np.zeros(6)
+    if motion == "along the diagonal":
+        return np.array([*still, *(3.0 * (along_wall_0 + along_wall_1)), 0.0])
+    if motion == "along a wall":
+        return np.array([*still, *(3.0 * along_wall_0), 0.0])
+    if motion == "in step":
+        return np.array([*along_wall_1, 0.0, *along_wall_1, 0.0])
+    if motion == "turning":
+        return np.array([0.0, 0.0, rng.integers(-1, 2), 0.0, 0.0, rng.integers(-1, 2)])
+    if motion == "whole numbers":
+        return rng.integers(-2, 3, 6).astype(float)
+    return 1e-12 * rng.standard_normal(6)  # faint
+
+
+MOTIONS = ["at rest", "along the diagonal", "along a wall", "in step", "turning", "whole numbers", "faint"]
+
+
+@pytest.mark.timeout(30)  # [s] takes less than 1; an active set that comes round again would take for ever
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_ties_between_contacts_end_and_obey_the_law(motion: str) -> None:
+    rng = np.random.default_rng(17)
+    for case in range(500):
+        scene = list(SCENES.values())[case % len(SCENES)]
+        turn = rng.choice([0.0, math.pi / 2.0, math.pi / 4.0, rng.uniform(-3.0, 3.0)])
+        state, contacts = corner_pose(scene, turn)
+        state[6:] = tidy_rates(motion, turn, rng)
+        listed = [contacts[place] for place in rng.permutation(4)[: rng.integers(2, 5)]]
+        assert_law_holds(scene, state, listed)
+
+
+@pytest.mark.timeout(30)  # [s] takes 2
+def test_ties_among_any_contacts_end_and_obey_the_law() -> None:
+    # The law is local: it may be asked about contacts that no pose closes together. Any number of them has rank 3.
+    rng = np.random.default_rng(18)
+    for case in range(3000):
+        scene = SCENES[("nominal", "plastic", "light jack inertia")[case % 3]]
+        turn = rng.choice([0.0, math.pi / 2.0, math.pi / 4.0, rng.uniform(-3.0, 3.0)])
+        state, _ = corner_pose(scene, turn)
+        state[6:] = tidy_rates(MOTIONS[rng.integers(len(MOTIONS))], turn, rng)
+        listed = [PAIRS[place] for place in rng.permutation(16)[: rng.integers(2, 17)]]
+        assert_law_holds(scene, state, listed, tolerance=1e-10)
+
+
+@pytest.mark.timeout(20)  # [s] takes milliseconds
+def test_dependent_contacts_do_not_go_round_in_circles() -> None:
+    # Seven contacts of rank 3 and a light jack inertia: several active sets share one answer and differ by rounding.
+    scene = SCENES["light jack inertia"]
+    state, _ = corner_pose(scene, 0.0)
+    state[9:11] = 3.0  # [m/s] along the diagonal, into the corner
+    assert_law_holds(scene, state, [(1, 3), (1, 0), (0, 1), (1, 1), (0, 3), (2, 1), (2, 2)])
+
+
+@pytest.mark.timeout(20)  # [s] takes milliseconds
+def test_contact_that_stops_pushing_is_dropped_at_exactly_zero() -> None:
+    # A corner in a box that turns at a touch: an impulse on its way to zero must not linger at 1e-190 N s.
+    scene = Scene(
+        box_mass=18.303078824267537,
+        box_inertia=2.711669915246579e-06,
+        jack_mass=24.626456465241397,
+        jack_inertia=658.6667798149983,
+    )
+    pose = [-0.1365446747530128, 0.33103115395102867, 0.0, 5.156348544060439, 5.623924372764481, math.pi / 4.0]
+    rates = [-1.615498938712097, -4.5252577261458684e-07, -4.025504736885117e-05]
+    rates += [4.7614780340076396e-07, -2.2546028827885607e-08, -1.5617301162274515e-07]
+    assert_law_holds(scene, np.array(pose + rates), [(1, 0), (1, 1), (0, 0), (0, 3)], tolerance=1e-9)

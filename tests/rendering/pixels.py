@@ -1,0 +1,72 @@
+"""Frames and their pixels, as the tests of the renderer read them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from jackbox_env.canvas import Canvas
+from jackbox_env.rendering import Renderer
+from jackbox_env.scene import Scene
+
+Frame = NDArray[np.uint8]
+
+
+Mask = NDArray[np.bool_]
+
+
+Words = dict[str, tuple[float, float]]
+
+
+L, ARM = 6.0, 1.0  # [m] the default scene's half width and jack arm
+
+
+AT_REST = (0.0,) * 6
+
+
+def state(box: tuple[float, ...] = (0.0, 0.0, 0.0), jack: tuple[float, ...] = (0.0, 0.0, 0.0)) -> list[float]:
+    return [*box, *jack, *AT_REST]
+
+
+def renderer_at(start: list[float], scene: Scene | None = None, time: float = 0.0) -> Renderer:
+    renderer = Renderer(scene or Scene(), "rgb_array", 50)
+    renderer.reset(start, time)
+    return renderer
+
+
+def draw(renderer: Renderer) -> Frame:
+    frame = renderer.render()
+    assert frame is not None
+    return frame
+
+
+def pixel(frame: Frame, point: tuple[float, float]) -> tuple[int, int, int]:
+    red, green, blue = frame[round(point[1]), round(point[0])].tolist()
+    return red, green, blue
+
+
+def red(colour: NDArray[np.uint8] | tuple[int, int, int]) -> Mask:
+    parts = np.asarray(colour, dtype=int)
+    return (parts[..., 0] > 180) & (parts[..., 1] < 110) & (parts[..., 2] < 110)
+
+
+def blue(colour: NDArray[np.uint8] | tuple[int, int, int]) -> Mask:
+    parts = np.asarray(colour, dtype=int)
+    return (parts[..., 0] < 80) & (parts[..., 1] < 130) & (parts[..., 2] > 150)
+
+
+@pytest.fixture
+def words(monkeypatch: pytest.MonkeyPatch) -> Words:
+    """Every string written, and the last place where."""
+    written: Words = {}
+    write = Canvas.text
+
+    def noting(self: Canvas, text: str, place: tuple[float, float], *rest: Any, **more: Any) -> None:
+        written[text] = place
+        write(self, text, place, *rest, **more)
+
+    monkeypatch.setattr(Canvas, "text", noting)
+    return written

@@ -1,0 +1,178 @@
+"""What a frame shows of the past: the trail of the jack and the flashes of impacts."""
+
+from __future__ import annotations
+
+import math
+import pickle
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from jackbox_env.simulators import Impact
+from tests.rendering.pixels import ARM, Frame, L, draw, pixel, renderer_at, state
+
+
+def changed(frame: Frame, other: Frame) -> NDArray[np.int_]:
+    """How much each pixel differs, without the rows of text at the top and the gauge's corner."""
+    difference: NDArray[np.int_] = np.abs(frame.astype(int) - other.astype(int)).sum(axis=2)
+    difference[:40] = 0
+    difference[430:, :220] = 0
+    return difference
+
+
+def middle(weights: NDArray[np.int_]) -> tuple[float, float]:
+    rows, columns = np.nonzero(weights)
+    values = weights[rows, columns]
+    return float(np.average(columns, weights=values)), float(np.average(rows, weights=values))
+
+
+# -- the trail ---------------------------------------------------------------------------------------------------------
+
+
+def paleness(frame: Frame, point: tuple[float, float]) -> int:
+    """How blue the trail is at a point: blue less red, 0 on white."""
+    colour = pixel(frame, point)
+    return colour[2] - colour[0]
+
+
+def test_trail_follows_the_jack_through_the_world_fades_and_ends() -> None:
+    """The jack moves along a slope, the box sinks: the trail stays where the jack was."""
+    renderer = renderer_at(state(jack=(-4.0, 2.5, 0.0)))
+    for step in range(1, 41):
+        now = state(box=(0.0, -0.01 * step, 0.0), jack=(-4.0 + 0.17 * step, 2.5 - 0.03 * step, 0.0))
+        renderer.record(now, 0.02 * step, 0.0, [])
+    frame = draw(renderer)
+    ages = [5 * count for count in range(3, 8)]  # steps ago
+    shades = []
+    for age in ages:
+        step = 40 - age
+        shades.append(paleness(frame, renderer.to_pixels(-4.0 + 0.17 * step, 2.5 - 0.03 * step)))
+    assert all(new > old > 5 for new, old in pairwise(shades))
+    # a second later nothing of it is left
+    for step in range(41, 91):
+        renderer.record(now, 0.02 * step, 0.0, [])
+    clean = renderer_at(now)
+    assert not changed(draw(renderer), draw(clean)).any()
+
+
+def test_reset_forgets_everything() -> None:
+    renderer = renderer_at(state(jack=(-4.0, 0.0, 0.0)))
+    for step in range(30):
+        renderer.record(state(jack=(-4.0 + 0.2 * step, 0.0, 0.0)), 0.02 * step, 5e4, [Impact(0.02 * step, 0, 0, 9.0)])
+    still = state(jack=(1.0, 0.0, 0.0))
+    fresh = draw(renderer_at(still, time=0.6))
+    assert changed(draw(renderer), fresh).any()
+    renderer.reset(still, 0.6)
+    np.testing.assert_array_equal(draw(renderer), fresh)
+
+
+def test_beads_lie_on_the_trail_to_a_fraction_of_a_pixel() -> None:
+    """The darkness of a lone bead has its centre where the jack's was."""
+    for x, y in ((2.513, 0.97), (2.52, 0.96), (2.53, 0.95), (2.54, 0.94)):  # [m] between the ruled lines
+        renderer = renderer_at(state(jack=(x, y, 0.0)))
+        renderer.record(state(jack=(-4.0, -4.0, 0.0)), 0.02, 0.0, [])
+        place = renderer.to_pixels(x, y)
+        column, row = round(place[0]), round(place[1])
+        darkness = 255 - draw(renderer)[row - 6 : row + 7, column - 6 : column + 7, 0].astype(int)
+        bead = middle(darkness)
+        assert column - 6 + bead[0] == pytest.approx(place[0], abs=0.2)
+        assert row - 6 + bead[1] == pytest.approx(place[1], abs=0.2)
+
+
+def test_time_may_go_back() -> None:
+    renderer = renderer_at(state(), time=50.0)
+    renderer.record(state(), -50.0, 0.0, [Impact(-10.0, 0, 0, 1.0)])
+    draw(renderer)
+
+
+def test_memory_is_bounded() -> None:
+    renderer = renderer_at(state())
+    sizes = []
+    for step in range(1, 3001):
+        renderer.record(state(), 0.02 * step, 0.0, [Impact(0.02 * step, 0, 0, 1.0)] * 3)
+        if step in (500, 3000):
+            sizes.append(len(pickle.dumps(renderer)))
+    assert sizes[1] <= sizes[0] + 10  # the count itself
+
+
+def test_record_keeps_a_copy_of_the_state() -> None:
+    given = np.array(state(jack=(1.0, 1.0, 0.2)))
+    renderer = renderer_at(state())
+    renderer.record(given, 0.02, 0.0, [])
+    before = draw(renderer)
+    given[:] = 3.0
+    np.testing.assert_array_equal(draw(renderer), before)
+
+
+# -- the flashes -------------------------------------------------------------------------------------------------------
+
+
+def on_wall(wall: int, foot: int, box_angle: float, sideways: float) -> tuple[list[float], tuple[float, float]]:
+    """A state whose foot touches a wall, its arm 0.4 rad from the normal, and the place of that foot."""
+    normal = box_angle + wall * math.pi / 2.0
+    cosine, sine = math.cos(normal), math.sin(normal)
+    place = (2.0 + L * cosine - sideways * sine, -3.0 + L * sine + sideways * cosine)
+    arm = normal + 0.4
+    jack = (place[0] - ARM * math.cos(arm), place[1] - ARM * math.sin(arm), arm - foot * math.pi / 2.0)
+    return state(box=(2.0, -3.0, box_angle), jack=jack), place
+
+
+@pytest.mark.parametrize(("wall", "foot", "sideways"), [(0, 0, 1.0), (1, 3, -2.0), (2, 1, 4.0), (3, 2, -4.5)])
+def test_flash_shows_where_the_foot_hit(wall: int, foot: int, sideways: float) -> None:
+    """Its centre and size are those of what an impact changes in the frame."""
+    touching, place = on_wall(wall, foot, 0.25, sideways)
+    away = [*touching[:3], 2.0, -3.0, *touching[5:]]  # the jack has gone on, the flash stays
+    flashed, plain = renderer_at(touching), renderer_at(touching)
+    flashed.record(touching, 0.02, 0.0, [Impact(0.02, wall, foot, 50.0)])
+    plain.record(touching, 0.02, 0.0, [])
+    for renderer in (flashed, plain):
+        renderer.record(away, 0.04, 0.0, [])
+    glow = changed(draw(flashed), draw(plain))
+    expected = flashed.to_pixels(*place)
+    rows, columns = np.nonzero(glow)
+    assert 0.5 * (columns.min() + columns.max()) == pytest.approx(expected[0], abs=1.5)
+    assert 0.5 * (rows.min() + rows.max()) == pytest.approx(expected[1], abs=1.5)
+    assert 20 <= np.ptp(columns) <= 50
+    assert np.ptp(rows) == pytest.approx(np.ptp(columns), abs=4)
+
+
+def test_flash_is_placed_at_the_time_of_the_impact() -> None:
+    """The foot has slid 0.3 m along the wall between the impact and the end of the step."""
+    touching, place = on_wall(0, 0, 0.0, 1.0)
+    later = touching.copy()
+    later[4] += 0.3
+    later[10] = 30.0  # [m/s] for 0.01 s
+    flashed, plain = renderer_at(touching), renderer_at(touching)
+    flashed.record(later, 0.02, 0.0, [Impact(0.01, 0, 0, 50.0)])
+    plain.record(later, 0.02, 0.0, [])
+    rows = np.nonzero(changed(draw(flashed), draw(plain)))[0]
+    assert 0.5 * (rows.min() + rows.max()) == pytest.approx(flashed.to_pixels(*place)[1], abs=2.0)
+
+
+def test_flash_fades_within_a_quarter_of_a_second() -> None:
+    touching, _ = on_wall(3, 0, 0.1, 0.0)
+    flashed, plain = renderer_at(touching), renderer_at(touching)
+    strengths = []
+    for step in range(1, 16):
+        flashed.record(touching, 0.02 * step, 0.0, [Impact(0.02, 3, 0, 50.0)] if step == 1 else [])
+        plain.record(touching, 0.02 * step, 0.0, [])
+        strengths.append(int(changed(draw(flashed), draw(plain)).sum()))
+    assert strengths[0] > 10_000
+    assert strengths[9] < 0.6 * strengths[0]
+    assert all(new >= old for new, old in pairwise(strengths))
+    assert strengths[11] > 0  # 0.22 s after the impact
+    assert strengths[14] == 0  # 0.28 s
+
+
+def test_harder_impacts_flash_larger() -> None:
+    touching, _ = on_wall(3, 0, 0.1, 0.0)
+    plain = renderer_at(touching)
+    plain.record(touching, 0.02, 0.0, [])
+    areas = []
+    for impulse in (0.1, 20.0, 1e300):
+        flashed = renderer_at(touching)
+        flashed.record(touching, 0.02, 0.0, [Impact(0.02, 3, 0, impulse)])
+        areas.append(np.count_nonzero(changed(draw(flashed), draw(plain))))
+    assert areas[0] < areas[1] < areas[2] < 2500

@@ -1,0 +1,349 @@
+"""The exact model against 60 digits, the law of impact, rest, limits."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jackbox_env.compiled import impacts, step
+from jackbox_env.compiled.compiler import compiled
+from jackbox_env.compiled.status import Status
+from jackbox_env.compiled.workspace import GRADIENTS, IMPULSES, STATE
+from jackbox_env.mechanics import energy, impact_map, simultaneous_impact_map
+from jackbox_env.scene import Chirp, Drive, Scene
+from jackbox_env.simulators import Impact
+from jackbox_env.simulators.exact import ExactSimulator
+from jackbox_env.states import clearance
+from jackbox_env.tasks import sample_start
+from tests.simulators.exact_runs import plain_step, simulator
+from tests.states import Array, inside, load, one_foot_on_wall, several_contacts
+
+WEIGHTLESS = Scene(gravity=0.0, drive=None)
+
+
+RECORDS = [*load("exact_trajectories"), *load("seed_scene")]
+
+
+# -- against the 60-digit reference ------------------------------------------------------------------------------------
+
+
+def run_record(record: dict[str, Any]) -> tuple[list[Impact], list[Array]]:
+    """Impacts, and states every 0.1 s."""
+    scene = Scene(gravity=record["gravity"], drive=Chirp() if record["drive"] == "chirp" else None)
+    run = simulator(scene, record["q"] + record["qdot"])
+    hits: list[Impact] = []
+    states = []
+    for number in range(round(record["T"] / 0.02)):
+        run.step(0.02, 90000.0 * record["actions"][number] if record["drive"] == "held" else None)
+        hits += run.impacts
+        if number % 5 == 4:
+            states.append(run.state)
+    return hits, states
+
+
+@pytest.mark.parametrize("record", RECORDS, ids=lambda record: record["name"])
+def test_impacts_and_states_equal_the_60_digit_reference(record: dict[str, Any]) -> None:
+    hits, states = run_record(record)
+    predictable = 14 if record["name"] == "seed" else len(record["impacts"])  # beyond, float64 can not tell
+    expected = record["impacts"][:predictable]
+    assert [(hit.wall, hit.foot) for hit in hits[:predictable]] == [(hit["wall"], hit["foot"]) for hit in expected]
+    if record["name"] != "seed":
+        assert len(hits) == predictable
+    for hit, reference in list(zip(hits, expected, strict=False))[:5]:
+        assert hit.time == pytest.approx(reference["time"], abs=1e-10, rel=0.0)
+        assert hit.impulse == pytest.approx(reference["impulse"], rel=1e-8)
+    times = [hit["time"] for hit in record["impacts"]]
+    checked = 0
+    for state, reference in zip(states, record["states"], strict=True):
+        before = sum(time < reference["time"] for time in times)
+        if before > 5:
+            break
+        tolerance = 1e-12 if before == 0 else 1e-8
+        np.testing.assert_allclose(state, reference["state"], rtol=0.0, atol=tolerance)
+        checked += 1
+    assert checked > 9
+
+
+def test_the_control_step_does_not_matter() -> None:
+    expected = load("seed_scene")[0]["impacts"][:5]
+    for dt in (0.1, 0.007, 0.5):
+        run = simulator(Scene(), np.zeros(12))
+        hits: list[Impact] = []
+        while len(hits) < 5:
+            run.step(dt)
+            hits += run.impacts
+        for hit, reference in zip(hits, expected, strict=False):
+            assert (hit.wall, hit.foot) == (reference["wall"], reference["foot"])
+            assert hit.time == pytest.approx(reference["time"], abs=1e-10, rel=0.0)
+
+
+def test_without_torque_time_can_be_turned_back() -> None:
+    rng = np.random.default_rng(3)
+    scene = Scene(drive=None)
+    total = 0
+    for _ in range(20):
+        start = inside(scene, rng, speed=3.0)
+        run = simulator(scene, start)
+        hits = 0
+        while hits < 4:
+            run.step(0.02)
+            hits += len(run.impacts)
+        there = run.state
+        there[6:] *= -1.0
+        back = simulator(scene, there)
+        for _ in range(round(run.time / 0.02)):
+            back.step(0.02)
+        home = back.state
+        home[6:] *= -1.0
+        np.testing.assert_allclose(home, start, atol=1e-7)
+        total += hits
+    assert total >= 80
+
+
+# -- the law of impact -------------------------------------------------------------------------------------------------
+
+
+def relative_error(found: Array, expected: Array) -> float:
+    return float(np.abs(found[6:] - expected[6:]).max() / np.abs(expected[6:]).max())
+
+
+def test_one_contact_equals_the_impact_map_over_2000_states() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(2000):
+        state, wall, foot = one_foot_on_wall(WEIGHTLESS, rng)
+        expected, impulse = impact_map(WEIGHTLESS, state, wall, foot)
+        run = simulator(WEIGHTLESS, state)
+        run.step(1e-12, torque=0.0)
+        assert [(hit.wall, hit.foot) for hit in run.impacts] == [(wall, foot)]
+        assert relative_error(run.state, expected) < 1e-10
+        assert run.impacts[0].impulse == pytest.approx(impulse, rel=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["one wall", "two walls", "corner"])
+@pytest.mark.parametrize("inertia", [4.0, 0.004])
+def test_simultaneous_contacts_equal_the_simultaneous_law(kind: str, inertia: float) -> None:
+    rng = np.random.default_rng(2)
+    scene = Scene(gravity=0.0, drive=None, jack_inertia=inertia)
+    several = 0
+    for _ in range(200):
+        state, contacts = several_contacts(scene, rng, kind)
+        expected, impulses = simultaneous_impact_map(scene, state, contacts)
+        run = simulator(scene, state)
+        run.step(1e-13, torque=0.0)
+        assert relative_error(run.state, expected) < 1e-9
+        several += (impulses > 0.0).sum() > 1
+    assert several > 5
+
+
+def test_one_contact_after_the_other_would_break_the_simultaneous_law(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Resolved one by one, two feet on a floor give another, also energy-keeping, answer.
+    def one_by_one(n: Any, w: Any, count: int) -> None:
+        for number in range(count):
+            w[IMPULSES, number] = impacts.bounce(n, w[STATE], w[GRADIENTS + number])
+
+    rng = np.random.default_rng(2)
+    state, contacts = several_contacts(WEIGHTLESS, rng, "one wall")
+    expected, _ = simultaneous_impact_map(WEIGHTLESS, state, contacts)
+    assert relative_error(plain_step(WEIGHTLESS, state, 1e-13, 0.0)[1], expected) < 1e-9
+    monkeypatch.setattr(impacts, "bounce_together", one_by_one)
+    assert relative_error(plain_step(WEIGHTLESS, state, 1e-13, 0.0)[1], expected) > 0.01
+
+
+def test_a_jack_that_fits_at_45_degrees_only_rattles_in_its_corners() -> None:
+    # Eight contacts of rank three, with 1e-4 m of play: thousands of impacts per second, some of them together.
+    scene = Scene(gravity=0.0, drive=None, jack_arm=6.0 * math.sqrt(2.0) - 1e-4)
+    state = np.zeros(12)
+    state[5], state[9], state[10] = math.pi / 4.0, 3.0, 3.0
+    run = simulator(scene, state)
+    hits: list[Impact] = []
+    for _ in range(10):
+        run.step(0.001)
+        hits += run.impacts
+        assert clearance(scene, run.state.tolist()) > -1e-9
+    assert len(hits) > 100
+    assert len({hit.time for hit in hits}) < len(hits)
+    assert energy(scene, run.state) == pytest.approx(energy(scene, state), rel=1e-11)
+    np.testing.assert_allclose(400.0 * run.state[6:8] + 4.0 * run.state[9:11], [12.0, 12.0], rtol=1e-9)
+
+
+def test_a_jack_without_any_play_is_refused_rather_than_shaken_for_ever() -> None:
+    scene = Scene(gravity=0.0, drive=None, jack_arm=6.0 * math.sqrt(2.0) * (1.0 - 4e-16))
+    state = np.zeros(12)
+    state[5], state[9] = math.pi / 4.0, 3.0
+    with pytest.raises(RuntimeError, match="the jack needs more than 1,000,000 gap evaluations"):
+        simulator(scene, state).step(1e-9)
+
+
+# -- resting, grazing, touching ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("angle", [0.0, math.pi / 4.0])
+def test_a_jack_at_rest_on_the_floor_stays_there(angle: float) -> None:
+    scene = Scene(drive=None)
+    state = np.zeros(12)
+    state[5] = angle
+    state[4] = -(6.0 - math.cos(angle))
+    run = simulator(scene, state)
+    impulse = 0.0
+    for _ in range(25):
+        run.step(0.02)
+        impulse += sum(hit.impulse for hit in run.impacts)
+        assert -1e-9 < clearance(scene, run.state.tolist()) < 1e-8
+    # Carried by the box, both sink with the common centre of mass: m_j g t^2 / 2 (m_j + m_b).
+    assert run.state[1] == pytest.approx(-4.0 / 404.0 * 9.81 * 0.5**2 / 2.0, rel=1e-3)
+    assert impulse == pytest.approx(4.0 * 400.0 / 404.0 * 9.81 * 0.5, rel=1e-2)
+    assert energy(scene, run.state) == pytest.approx(energy(scene, state), abs=1e-9)
+
+
+@pytest.mark.parametrize("dt", [0.02, 0.2, 1.0])
+@pytest.mark.parametrize("angle", [0.0, math.pi / 4.0])
+def test_a_foot_that_slides_along_a_wall_is_let_slide(dt: float, angle: float) -> None:
+    # It touches the wall and nothing presses on it: the jack falls along the wall.
+    scene = Scene(drive=None)
+    state = np.zeros(12)
+    state[3], state[5] = 6.0 - math.cos(angle), angle
+    run = simulator(scene, state)
+    run.step(dt)
+    assert [hit for hit in run.impacts if hit.impulse > 1e-6] == []
+    assert run.state[4] == pytest.approx(-0.5 * 9.81 * dt * dt, abs=1e-9)
+    assert clearance(scene, run.state.tolist()) > -1e-9
+
+
+def test_a_foot_at_rest_on_a_wall_without_weight_is_left_alone() -> None:
+    state = np.zeros(12)
+    state[3] = 5.0
+    run = simulator(WEIGHTLESS, state)
+    run.step(1.0)
+    np.testing.assert_array_equal(run.state, state)
+    assert run.impacts == []
+
+
+@pytest.mark.parametrize("speed", [1e-9, 1e-3, 1.0, 7000.0])
+def test_an_approach_at_any_speed_is_reflected(speed: float) -> None:
+    scene = Scene(gravity=0.0, drive=None, box_mass=1e30, box_inertia=1e30)
+    for gap in (0.0, 1e-6 * min(speed, 1.0)):
+        state = np.zeros(12)
+        state[3], state[9] = 5.0 - gap, speed
+        run = simulator(scene, state)
+        run.step(1e-4)
+        assert run.impacts[0][1:3] == (0, 0)
+        assert abs(run.state[9]) == pytest.approx(speed, rel=1e-12)
+    state[3], state[9] = 5.0, -speed  # leaves: nothing happens
+    run = simulator(scene, state)
+    run.step(1e-6)
+    assert run.impacts == []
+
+
+def test_a_wall_far_off_and_a_foot_outside_by_rounding() -> None:
+    rng = np.random.default_rng(4)
+    for _ in range(50):
+        state, wall, foot = one_foot_on_wall(WEIGHTLESS, rng)
+        state[[0, 3]] += 2.0**30
+        run = simulator(WEIGHTLESS, state)
+        run.step(1e-5)
+        assert (wall, foot) in [hit[1:3] for hit in run.impacts]
+
+
+# -- limits and refusals -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0 - 1e-12])
+def test_scenes_that_lose_energy_are_refused(restitution: float) -> None:
+    with pytest.raises(
+        ValueError, match="contact='exact' is elastic only, restitution 1, got .*; contact='pymunk' takes"
+    ):
+        ExactSimulator(Scene(restitution=restitution))
+
+
+def test_work_is_bounded_and_says_so() -> None:
+    run = simulator(Scene(gravity=0.0, drive=None), np.array([0, 0, 0, 5.5, 0, 0.7, 0, 0, 0, 0, 0, 0]))
+    state = run.state
+    state[11] = 1e9
+    run.reset(state)
+    with pytest.raises(RuntimeError, match="the jack needs more than 1,000,000 gap evaluations in the dt = 1 s after"):
+        run.step(1.0)
+    np.testing.assert_array_equal(run.state, state)
+    assert (run.time, run.impacts) == (0.0, [])
+    state[11] = 1.0
+    run.reset(state)
+    run.step(0.02)
+
+
+def test_motion_that_would_overflow_is_refused() -> None:
+    run = simulator(WEIGHTLESS, np.array([0, 0, 0, 0, 0, 0.7, 0, 0, 0, 1e90, 0, 0]))
+    before = run.state
+    with pytest.raises(RuntimeError, match="the jack moves too fast to be followed in the dt = 0.02 s after t = 0 s"):
+        run.step(0.02)
+    np.testing.assert_array_equal(run.state, before)
+
+
+@pytest.mark.parametrize("drive", [Chirp(amplitude=1e60), Drive(torque=lambda t: 1e300), None])
+def test_torque_that_would_overflow_is_refused_also_in_mid_air(drive: Chirp | Drive | None) -> None:
+    run = simulator(Scene(gravity=0.0, drive=drive, box_inertia=1e-60), np.zeros(12))
+    before = run.state
+    with pytest.raises(RuntimeError, match="the jack moves too fast to be followed in the dt = 0.02 s after t = 0 s"):
+        run.step(0.02, None if drive else 1e300)
+    np.testing.assert_array_equal(run.state, before)
+    assert run.time == 0.0
+
+
+@pytest.mark.parametrize("place", [2, 5, 6, 10])
+def test_states_that_float64_can_not_resolve_are_refused_where_it_matters(place: int) -> None:
+    state = np.zeros(12)
+    state[3], state[5], state[9] = 5.2, 0.785, 10.0
+    state[place] = 1e14
+    if place in (6, 10):
+        state[[6, 9] if place == 6 else [7, 10]] = 1e14
+    run = simulator(WEIGHTLESS, state)
+    with pytest.raises(RuntimeError, match="too fast to be followed .* or is too far off"):
+        run.step(0.02)
+    np.testing.assert_array_equal(run.state, state)
+
+
+def test_many_impacts_of_one_step_are_all_recorded() -> None:
+    scene = Scene(gravity=0.0, drive=None, box_mass=1e12, box_inertia=1e14, jack_arm=0.5)
+    run = simulator(scene, np.array([0, 0, 0, 0, 0, 0.1, 0, 0, 0, 3000.0, 0, 0]))
+    run.step(1.0)
+    assert 100 < len(run.impacts) < 300
+    times = [hit.time for hit in run.impacts]
+    assert times == sorted(times)
+    assert all(hit.impulse > 0.0 for hit in run.impacts)
+
+
+# -- compiled and plain ------------------------------------------------------------------------------------------------
+
+
+def test_compiled_and_plain_give_the_same_bits() -> None:
+    rng = np.random.default_rng(8)
+    hits = 0
+    for scene in (Scene(), Scene(jack_arm=5.9), Scene(jack_arm=6.5), Scene(drive=Drive(force_x=lambda t: 1e4 * t))):
+        state = np.zeros(12)
+        state[5] = math.pi / 4.0
+        state[6:] = rng.standard_normal(6) * (2.0, 2.0, 0.5, 8.0, 8.0, 3.0)
+        run = simulator(scene, state)
+        for number in range(100):
+            torque = rng.uniform(-9e4, 9e4) if number % 2 else None
+            ended, after, found = plain_step(scene, run.state, 0.02, torque, run.time)
+            run.step(0.02, torque)
+            assert ended == Status.DONE
+            np.testing.assert_array_equal(run.state, after)
+            assert [(hit.wall, hit.foot) for hit in run.impacts] == [hit[1:] for hit in found]
+            hits += len(found)
+    assert hits > 30
+
+
+def test_starts_are_inside_for_every_arm() -> None:
+    rng = np.random.default_rng(9)
+    for arm in (1e-3, 1.0, 5.999999, 6.0, 7.0, 8.48):
+        scene = Scene(jack_arm=arm)
+        run = simulator(scene, sample_start(scene, rng))
+        for _ in range(200):
+            run.step(0.02, rng.uniform(-9e4, 9e4))
+            assert clearance(scene, run.state.tolist()) > -1e-9
+
+
+def test_compiled_functions_are_made_once() -> None:
+    assert compiled(step.step_one) is compiled(step.step_one)

@@ -1,0 +1,180 @@
+"""The same bits on every x86-64 CPU: this machine against itself as an older one.
+
+Four settings take from a process what newer CPUs have: NumPy's and OpenBLAS's instructions, numba's, and the fused
+multiply-add of the C library's sine and cosine. The default run takes all at once. ``JACKBOX_MACHINES=all`` takes them
+one by one as well.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import platform
+import subprocess
+import sys
+from pathlib import Path
+
+import mpmath as mp
+import numpy as np
+import pytest
+
+from jackbox_env import Scene
+from jackbox_env.compiled import search as kernel
+from jackbox_env.mechanics import gap_jacobian
+from jackbox_env.simulators.contacts import iterations_for
+from tests.fingerprints import Digests, fingerprints
+
+ROOT = Path(__file__).parents[2]
+
+x86 = pytest.mark.skipif(platform.machine().lower() not in ("x86_64", "amd64"), reason="settings for x86-64 CPUs")
+
+
+def numpy_features() -> str:
+    """What NumPy chooses by the CPU, and this CPU has."""
+    older = np.lib.NumpyVersion(np.__version__) < "2.0.0"
+    core = importlib.import_module(f"numpy.{'core' if older else '_core'}._multiarray_umath")
+    return " ".join(name for name in core.__cpu_dispatch__ if core.__cpu_features__[name])
+
+
+def flags() -> set[str]:
+    """This CPU's, as Linux names them."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return set()
+    return next((set(line.split()) for line in lines if line.startswith("flags")), set())
+
+
+WITHOUT_FMA = {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-FMA,-AVX2,-AVX512F,-FMA_Usable,-AVX2_Usable"}
+PLAIN_NUMPY = {"NPY_DISABLE_CPU_FEATURES": numpy_features()}
+PLAIN_NUMBA = {"NUMBA_CPU_NAME": "generic"}
+OLD_BLAS = {"OPENBLAS_CORETYPE": "Prescott"}
+MACHINES = {
+    "OpenBLAS as on Haswell": {"OPENBLAS_CORETYPE": "Haswell"},
+    "OpenBLAS as on Prescott": OLD_BLAS,
+    "OpenBLAS as on Skylake": {"OPENBLAS_CORETYPE": "SkylakeX"},
+    "NumPy without dispatch": PLAIN_NUMPY,
+    "numba for any x86-64": PLAIN_NUMBA,
+    "C library without FMA": WITHOUT_FMA,
+}
+OLDEST = OLD_BLAS | PLAIN_NUMPY | PLAIN_NUMBA | WITHOUT_FMA
+SAME_LIBRARY = OLD_BLAS | PLAIN_NUMPY | PLAIN_NUMBA
+
+
+def start(kinds: list[str], settings: dict[str, str]) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "tests.fingerprints", *kinds],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT, env={**os.environ, **settings},
+    )  # fmt: skip
+
+
+def differing(kinds: list[str], settings: dict[str, str]) -> tuple[list[str], Digests]:
+    """Names of the digests in which this process and one with ``settings`` differ; all of this process's."""
+    other = start(kinds, settings)
+    here = fingerprints(kinds)
+    printed, failed = other.communicate()
+    assert other.returncode == 0, failed
+    there: Digests = json.loads(printed)
+    assert there.keys() == here.keys()
+    return [name for name in here if here[name] != there[name]], here
+
+
+@x86
+def test_the_exact_model_gives_the_same_bits_on_the_oldest_machine() -> None:
+    differ, compared = differing(["exact"], OLDEST)
+    assert differ == []
+    assert len(compared) > 25
+
+
+@x86
+def test_scenes_and_cosines_are_the_same_on_the_oldest_machine() -> None:
+    differ, _ = differing(["scenes"], OLDEST)
+    assert differ == []
+
+
+@x86
+def test_pymunk_gives_the_same_bits_on_every_machine_with_the_same_mathematics_library() -> None:
+    # The engine and the environment ask the C library for cosines and sines.
+    differ, compared = differing(["pymunk"], SAME_LIBRARY)
+    assert differ == []
+    assert len(compared) > 20
+
+
+@x86
+def test_the_settings_make_other_machines() -> None:
+    # Otherwise the tests above compare a machine with itself.
+    if not {"fma", "avx2"} <= flags() or not all(os.environ.get(name) is None for name in OLDEST):
+        pytest.skip("this machine is an old one")
+    differ, _ = differing(["libraries"], OLDEST)
+    assert {"BLAS", "numba"} <= set(differ)
+    assert "NumPy" in differ or not numpy_features()
+    assert "C" in differ or platform.libc_ver()[0] != "glibc"
+
+
+@x86
+@pytest.mark.skipif(os.environ.get("JACKBOX_MACHINES") != "all", reason="JACKBOX_MACHINES=all takes minutes")
+@pytest.mark.parametrize("machine", MACHINES)
+def test_each_setting_alone_leaves_the_bits(machine: str) -> None:
+    if machine == "OpenBLAS as on Skylake" and "avx512f" not in flags():
+        pytest.skip("this CPU has no AVX-512")
+    kinds = ["exact", "scenes"] if machine == "C library without FMA" else ["exact", "scenes", "pymunk"]
+    differ, _ = differing(kinds, MACHINES[machine])
+    assert differ == []
+
+
+# -- numbers that were the C library's or BLAS's ----------------------------------------------------------------------
+
+
+def test_inertias_are_rounded_products() -> None:
+    rng = np.random.default_rng(0)
+    for width in rng.uniform(1.0, 9.0, 5000).tolist():
+        scene = Scene(box_half_width=width, jack_arm=width / 7.0)
+        assert scene.box_inertia == scene.box_mass * (width * width)
+        assert scene.jack_inertia == scene.jack_mass * ((width / 7.0) * (width / 7.0))
+
+
+def test_what_a_foot_at_rest_may_sink_grows_by_powers_rounded_right() -> None:
+    with mp.workdps(40):
+        assert kernel._GROWTH.tolist() == [float(mp.mpf(2) ** (mp.mpf(k) / 64)) for k in range(len(kernel._GROWTH))]
+    smallest = 0.5 * kernel.contact_tolerance(Scene().numbers)  # which next_impact searches with
+    assert smallest * kernel._GROWTH[-1] >= 1e-10  # growth beyond the table would change nothing
+
+
+def test_iterations_are_those_of_the_eigenvalues() -> None:
+    rng = np.random.default_rng(1)
+    counts = set()
+    for _ in range(300):
+        half = 10.0 ** rng.uniform(-2.0, 2.0)
+        arm = half * rng.choice([rng.uniform(0.05, 1.4), 1.0 + 10.0 ** rng.uniform(-3.0, -0.4)])
+        scene = Scene(
+            box_half_width=half, jack_arm=arm, box_mass=10.0 ** rng.uniform(0.0, 4.0),
+            jack_inertia=4.0 * arm**2 * 10.0 ** rng.uniform(-2.0, 1.0),
+        )  # fmt: skip
+        expected = iterations_by_linear_algebra(scene)
+        if expected <= 100_000:
+            assert iterations_for(scene) == expected
+            counts.add(expected)
+        else:
+            with pytest.raises(ValueError, match="couple the feet so strongly"):
+                iterations_for(scene)
+    assert len(counts) > 100
+
+
+def iterations_by_linear_algebra(scene: Scene) -> int:
+    half, arm = scene.box_half_width, scene.jack_arm
+    depth, turned = half - arm * np.sqrt(0.5), np.pi / 4.0
+    cases = [((depth, place, turned), [(0, 0), (0, 3)]) for place in (0.0, 0.5 * depth, depth)]
+    cases.append(((depth, depth, turned), [(0, 0), (0, 3), (1, 0), (1, 1)]))
+    if arm > half:
+        cases.append(((0.0, 0.0, np.arccos(half / arm)), [(0, 0), (1, 1), (2, 2)]))
+    worst = 1e-16
+    for pose, contacts in cases:
+        state = np.array([0.0, 0.0, 0.0, *pose, *[0.0] * 6])
+        rows = np.array([gap_jacobian(scene, state, wall, foot) for wall, foot in contacts])
+        rows /= np.sqrt(scene.mass_diagonal)
+        matrix = rows @ rows.T
+        lower = np.tril(matrix)
+        factors = np.sort(np.abs(np.linalg.eigvals(-np.linalg.solve(lower, matrix - lower))))
+        worst = max(worst, float(factors[min(len(contacts), 3) - 1]))
+    return max(64, int(np.ceil(np.log(1e-16) / np.log(worst))))

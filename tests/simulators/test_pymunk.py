@@ -1,0 +1,335 @@
+"""The pymunk model: impacts and flight."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pymunk
+import pytest
+
+from jackbox_env.mechanics import energy, impact_map, simultaneous_impact_map
+from jackbox_env.scene import Chirp, Scene
+from jackbox_env.simulators import Impact
+from jackbox_env.simulators.pymunk import PymunkSimulator
+from jackbox_env.states import clearance
+from tests.simulators.engine import WEIGHTLESS, impact_in_an_instant, relative_error
+from tests.states import Array, inside, load, one_foot_on_wall, several_contacts
+
+# -- impacts -----------------------------------------------------------------------------------------------------------
+
+
+def test_one_contact_equals_the_impact_map_over_2000_states() -> None:
+    rng = np.random.default_rng(0)
+    worst_velocity = worst_impulse = 0.0
+    for _ in range(2000):
+        state, wall, foot = one_foot_on_wall(WEIGHTLESS, rng)
+        expected, impulse = impact_map(WEIGHTLESS, state, wall, foot)
+        simulator = impact_in_an_instant(WEIGHTLESS, state)
+        assert [(hit.wall, hit.foot) for hit in simulator.impacts] == [(wall, foot)]
+        worst_velocity = max(worst_velocity, relative_error(simulator.state, expected))
+        momentum = WEIGHTLESS.jack_mass * float(np.abs(state[6:]).max())
+        worst_impulse = max(worst_impulse, abs(simulator.impacts[0].impulse - impulse) / momentum)
+    assert worst_velocity < 1e-9
+    assert worst_impulse < 1e-9
+
+
+def test_one_contact_with_loss_equals_the_impact_map() -> None:
+    rng = np.random.default_rng(1)
+    scene = Scene(gravity=0.0, restitution=0.3, drive=None, jack_inertia=0.4, box_mass=7.0)
+    for _ in range(200):
+        state, wall, foot = one_foot_on_wall(scene, rng)
+        assert relative_error(impact_in_an_instant(scene, state).state, impact_map(scene, state, wall, foot)[0]) < 1e-9
+
+
+@pytest.mark.parametrize("kind", ["one wall", "two walls", "corner"])
+def test_simultaneous_contacts_equal_the_simultaneous_law(kind: str) -> None:
+    rng = np.random.default_rng(2)
+    for _ in range(100):
+        state, contacts = several_contacts(WEIGHTLESS, rng, kind)
+        expected, _ = simultaneous_impact_map(WEIGHTLESS, state, contacts)
+        assert relative_error(impact_in_an_instant(WEIGHTLESS, state).state, expected) < 1e-8
+
+
+@pytest.mark.parametrize("kind", ["one wall", "corner"])
+def test_one_iteration_is_not_enough_for_simultaneous_contacts(kind: str) -> None:
+    rng = np.random.default_rng(2)
+    errors, gains = [], []
+    for _ in range(50):
+        state, contacts = several_contacts(WEIGHTLESS, rng, kind)
+        expected, _ = simultaneous_impact_map(WEIGHTLESS, state, contacts)
+        hasty = impact_in_an_instant(WEIGHTLESS, state, iterations=1).state
+        errors.append(relative_error(hasty, expected))
+        gains.append(energy(WEIGHTLESS, hasty) / energy(WEIGHTLESS, state) - 1.0)
+    assert max(errors) > 0.1
+    assert max(np.abs(gains)) > 0.01
+
+
+def bare_bounce(wall_radius: float, **settings: float) -> tuple[float, int]:
+    """Drop a point on a floor in the bare engine for 2 s; return its lowest height [m] and the contacts solved."""
+    space = pymunk.Space()
+    space.gravity = (0.0, -9.81)
+    space.collision_bias = settings.get("collision_bias", 1.0)
+    space.collision_persistence = settings.get("collision_persistence", 1)
+    point = pymunk.Body(1.0, 1.0)
+    point.position = (0.0, 1.0)
+    ball = pymunk.Circle(point, 0.0)
+    floor = pymunk.Segment(space.static_body, (-300.0, -wall_radius), (300.0, -wall_radius), wall_radius)
+    ball.elasticity = floor.elasticity = 1.0
+    space.add(point, ball, floor)
+    contacts = []
+    space.on_collision(post_solve=lambda *_: contacts.append(1))
+    lowest = math.inf
+    for _ in range(400):
+        space.step(0.005)
+        lowest = min(lowest, point.position.y)
+    return lowest, len(contacts)
+
+
+def test_walls_are_fat_because_points_fall_through_lines() -> None:
+    assert bare_bounce(wall_radius=100.0)[0] > -0.05
+    lowest, contacts = bare_bounce(wall_radius=0.0)
+    assert lowest < -10.0
+    assert contacts == 0
+
+
+def test_persistence_zero_would_turn_collisions_off() -> None:
+    assert bare_bounce(wall_radius=100.0, collision_persistence=0)[0] < -10.0
+    assert PymunkSimulator(Scene())._space.collision_persistence >= 1
+
+
+def test_position_correction_would_move_what_the_law_leaves_alone() -> None:
+    # Foot 0 is 0.5 m outside and leaves at 0.1 m/s. The engine's default correction pushes it out of the wall.
+    deep = np.zeros(12)
+    deep[[3, 9]] = 5.5, -0.1
+    lawful, corrected = PymunkSimulator(WEIGHTLESS), PymunkSimulator(WEIGHTLESS)
+    corrected._space.collision_bias = pymunk.Space().collision_bias
+    for simulator in (lawful, corrected):
+        simulator.reset(deep)
+        simulator.step(0.02)
+    assert lawful.state[3] == pytest.approx(5.5 - 0.1 * 0.02, abs=1e-12)
+    assert corrected.state[3] < lawful.state[3] - 1e-3
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5])
+def test_a_jack_at_rest_on_a_turning_wall_does_not_sink_in(restitution: float) -> None:
+    # The wall turns under the resting feet by omega^2 L h^2 / 2 per substep; only position correction answers that.
+    scene = Scene(restitution=restitution, drive=None)
+    start = np.zeros(12)
+    start[[3, 5, 8]] = 4.0, 0.3, 6.0
+
+    def deepest(corrected: bool) -> float:
+        simulator = PymunkSimulator(scene)
+        if not corrected:
+            simulator._space.collision_bias = 1.0
+        simulator.reset(start)
+        depth = 0.0
+        for _ in range(400):
+            try:
+                simulator.step(0.02)
+            except RuntimeError:
+                return 1.0
+            depth = max(depth, -clearance(scene, simulator.state.tolist()))
+            assert energy(scene, simulator.state) <= energy(scene, start) + 1e-9
+        return depth
+
+    assert deepest(corrected=True) < 0.15
+    assert deepest(corrected=False) > 0.5
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5])
+def test_one_substep_corrects_too_where_a_jack_rests_in_a_corner_that_turns(
+    restitution: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The engine corrects in its next step: with one substep that is the one in which it forgets its contacts.
+    scene = Scene(restitution=restitution, drive=None, box_inertia=1e9, box_mass=1e7)
+    start = np.array([0.0, 0.0, 0.0, 0.0, math.sqrt(0.5) - 6.0, math.pi / 4.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0])
+
+    def deepest() -> float:
+        simulator = PymunkSimulator(scene, substeps=1)
+        simulator.reset(start)
+        depth = 0.0
+        for _ in range(1000):
+            simulator.step(0.02, 0.0)
+            depth = max(depth, -clearance(scene, simulator.state.tolist()))
+        return depth
+
+    assert deepest() < 0.3
+    monkeypatch.setattr(PymunkSimulator, "_corrected", lambda self, after, rates, h: after)
+    assert deepest() > 0.8
+
+
+def test_every_impulse_is_recorded() -> None:
+    # With the box immovable and level, the jack's momentum changes by its weight and by the recorded impulses alone;
+    # without restitution a foot that rests is hit in every substep of one and the same contact.
+    scene = Scene(box_mass=1e12, box_inertia=1e14, restitution=0.0, drive=None)
+    simulator = PymunkSimulator(scene)
+    start = np.zeros(12)
+    start[[3, 4, 5, 9, 11]] = 0.4, -4.0, 0.2, 1.0, 0.5
+    simulator.reset(start)
+    momentum = scene.jack_mass * start[9:11]
+    longest = 0
+    for _ in range(200):
+        simulator.step(0.02)
+        for hit in simulator.impacts:
+            assert hit.impulse > 0.0
+            angle = hit.wall * math.pi / 2.0
+            momentum = momentum - hit.impulse * np.array([math.cos(angle), math.sin(angle)])
+        longest = max(longest, len(simulator.impacts))
+    momentum[1] -= scene.jack_mass * scene.gravity * simulator.time
+    assert longest >= simulator.substeps
+    np.testing.assert_allclose(scene.jack_mass * simulator.state[9:11], momentum, atol=0.2)  # m g h / 2 = 0.1
+
+
+def test_impacts_carry_time_order_and_places() -> None:
+    simulator = PymunkSimulator(Scene())
+    simulator.reset(load("seed_scene")[0]["q"] + load("seed_scene")[0]["qdot"], time=0.0)
+    hits: list[Impact] = []
+    for _ in range(150):
+        before = simulator.time
+        simulator.step(0.02)
+        assert all(before < hit.time <= simulator.time + 1e-12 for hit in simulator.impacts)
+        assert isinstance(simulator.impacts, list)
+        hits += simulator.impacts
+    assert hits == sorted(hits, key=lambda hit: hit.time)
+    known = load("seed_scene")[0]["impacts"][:3]
+    assert [(hit.wall, hit.foot) for hit in hits[:3]] == [(hit["wall"], hit["foot"]) for hit in known]
+    # An impact waits for the end of its substep: at most h late, and what happens then compounds.
+    assert 0.0 <= hits[0].time - known[0]["time"] <= 0.005
+    simulator.impacts.clear()
+    simulator.step(0.02)
+    assert simulator.impacts == [] or simulator.impacts is not simulator.impacts
+
+
+# -- flight ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def always_the_engine(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Switch off the closed-form flight, so that the engine takes every step."""
+    monkeypatch.setattr(PymunkSimulator, "_may_touch", lambda *arguments: True)
+
+
+def closed_form(scene: Scene, start: Array, time: float, torque: float) -> Array:
+    """Flight under gravity and a held torque."""
+    state = start.copy()
+    state[:6] += start[6:] * time
+    state[4] -= 0.5 * scene.gravity * time**2
+    state[10] -= scene.gravity * time
+    state[2] += 0.5 * torque / scene.box_inertia * time**2
+    state[8] += torque / scene.box_inertia * time
+    return state
+
+
+@pytest.mark.usefixtures("always_the_engine")
+def test_the_engine_is_told_of_no_torque_where_there_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    # It forgets a torque after each of its steps, so that none need not be written; bit for bit as if it were.
+    given: list[float] = []
+
+    def note(body: pymunk.Body, torque: float) -> None:
+        given.append(torque)
+        write(body, torque)
+
+    told: Any = pymunk.Body.torque
+    read, write = told.fget, told.fset
+    monkeypatch.setattr(pymunk.Body, "torque", property(read, note))
+    simulator = PymunkSimulator(Scene(drive=None))
+    simulator.reset([0.0] * 5 + [0.3] + [0.0] * 6)
+    for _ in range(3):
+        simulator.step(0.02)
+    assert given == []
+    simulator.step(0.02, 900.0)
+    simulator.step(0.02)
+    assert given == [900.0] * 4
+    np.testing.assert_allclose(simulator.state[8], 0.02 * 900.0 / 14400.0, rtol=1e-15)
+
+
+@pytest.mark.usefixtures("always_the_engine")
+@pytest.mark.parametrize("substeps", [1, 2, 3, 4, 7, 64, 256])
+def test_the_engine_flies_exactly(substeps: int) -> None:
+    scene = Scene()
+    start = np.array([0.3, -0.2, 0.1, 0.5, 3.0, 0.4, 0.5, -0.25, 0.2, 0.3, 1.0, 2.0])
+    simulator = PymunkSimulator(scene, substeps=substeps)
+    simulator.reset(start)
+    for _ in range(40):
+        simulator.step(0.02, torque=2500.0)
+    assert simulator.impacts == []
+    np.testing.assert_allclose(simulator.state, closed_form(scene, start, 0.8, 2500.0), atol=1e-11)
+
+
+@pytest.mark.parametrize("record", load("exact_trajectories"), ids=lambda record: record["name"])
+@pytest.mark.parametrize("engine", [False, True], ids=["closed form", "engine"])
+@pytest.mark.parametrize("substeps", [1, 4])
+def test_flight_before_the_first_impact_equals_the_60_digit_reference(
+    record: dict[str, Any], engine: bool, substeps: int, request: pytest.FixtureRequest
+) -> None:
+    if engine:
+        request.getfixturevalue("always_the_engine")
+    scene = Scene(gravity=record["gravity"], drive=Chirp() if record["drive"] == "chirp" else None)
+    simulator = PymunkSimulator(scene, substeps=substeps)
+    simulator.reset(record["q"] + record["qdot"])
+    checked = 0
+    for step in range(250):
+        held = scene.torque_limit * record["actions"][step] if record["drive"] == "held" else None
+        simulator.step(0.02, held)
+        if simulator.time >= record["impacts"][0]["time"]:
+            break
+        if step % 5 == 4:
+            reference = record["states"][step // 5]
+            assert reference["time"] == pytest.approx(simulator.time)
+            np.testing.assert_allclose(simulator.state, reference["state"], rtol=0.0, atol=1e-12)
+            checked += 1
+    assert checked >= 3
+
+
+def test_a_plain_start_and_a_sampled_drive_would_not_be_exact() -> None:
+    # The same loop without half-step velocities is off by g h t / 2, and with the chirp sampled at each substep's
+    # start the box's angle is off by thousandths of a radian after 1 s.
+    h, steps = 0.005, 200
+    space = pymunk.Space()
+    box, jack = pymunk.Body(400.0, 14400.0), pymunk.Body(4.0, 4.0)
+    space.add(box, jack)
+    for step in range(steps):
+        jack.force = (0.0, -4.0 * 9.81)
+        box.torque = Chirp().torque(step * h)
+        space.step(h)
+    simulator = PymunkSimulator(Scene())
+    simulator.reset(np.zeros(12))
+    for _ in range(50):
+        simulator.step(0.02)
+    flight_error = jack.position.y + 0.5 * 9.81
+    assert flight_error == pytest.approx(9.81 * h / 2.0, rel=1e-6)
+    assert abs(box.angle - load("seed_scene")[0]["states"][9]["state"][2]) > 1e-3
+    np.testing.assert_allclose(simulator.state, load("seed_scene")[0]["states"][9]["state"], atol=1e-12)
+
+
+def test_the_engine_is_asked_wherever_a_foot_can_reach_a_wall(request: pytest.FixtureRequest) -> None:
+    # With and without the closed-form flight the same impacts come at the same substeps, over many wild scenes.
+    rng = np.random.default_rng(5)
+    scenes = [Scene(), Scene(jack_arm=5.0), Scene(gravity=100.0, torque_limit=9e5), Scene(box_mass=4.0, jack_mass=4.0)]
+    starts = [
+        (scene, inside(scene, rng, speed=10.0), rng.uniform(-1.0, 1.0, 30)) for scene in scenes for _ in range(25)
+    ]
+
+    def run() -> list[tuple[list[Impact], Array]]:
+        results = []
+        for scene, start, actions in starts:
+            simulator = PymunkSimulator(scene)
+            simulator.reset(start)
+            hits: list[Impact] = []
+            for action in actions:
+                simulator.step(0.02, torque=action * scene.torque_limit * (1.0 if scene.box_mass > 4.0 else 0.01))
+                hits += simulator.impacts
+                if len(hits) >= 2:  # beyond, rounding grows into other paths
+                    break
+            results.append((hits, simulator.state))
+        return results
+
+    mixed = run()
+    request.getfixturevalue("always_the_engine")
+    pure = run()
+    for (hits, state), (engine_hits, engine_state) in zip(mixed, pure, strict=True):
+        assert [hit[:3] for hit in hits] == [pytest.approx(hit[:3], abs=1e-9) for hit in engine_hits]
+        np.testing.assert_allclose(state, engine_state, rtol=1e-7, atol=1e-7)
+    assert sum(len(hits) for hits, _ in mixed) > 100

@@ -1,0 +1,90 @@
+"""A jack at rest in the exact contact model: in corners, in small boxes, and told from one that rattles."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from jackbox_env.compiled import search as kernel
+from jackbox_env.compiled.workspace import HITS, IMPULSE, TALLY, WORK, new_workspace
+from jackbox_env.mechanics import energy
+from jackbox_env.scene import Scene
+from jackbox_env.simulators.exact import ExactSimulator
+from jackbox_env.states import Array, clearance
+from tests.simulators.exact_runs import plain_step
+
+
+def in_a_corner(scene: Scene, speed: float, turning: float = 0.0) -> Array:
+    """Two feet on the floor and two at the wall on the left, all but at rest in a box that turns [rad/s]."""
+    depth = scene.box_half_width - scene.jack_arm * math.sqrt(0.5)
+    state = np.array([0.0, 0.0, 0.0, -depth, -depth, math.pi / 4.0, *np.zeros(6)])
+    state[9:] = speed * np.random.default_rng(1).standard_normal(3)
+    state[[8, 11]] += turning
+    state[9:11] += -turning * state[4], turning * state[3]
+    return state
+
+
+@pytest.mark.parametrize("speed", [1e-10, 1e-8, 1e-6])
+@pytest.mark.parametrize(("half", "arm"), [(0.71, 0.67 * 0.71), (6.0, 1.0), (0.05, 0.025)])
+def test_a_jack_all_but_at_rest_in_a_corner_is_followed(half: float, arm: float, speed: float) -> None:
+    scene = Scene(box_half_width=half, jack_arm=arm, drive=None)
+    run = ExactSimulator(scene)
+    start = in_a_corner(scene, speed)
+    run.reset(start)
+    for _ in range(3):
+        run.step(0.02, torque=0.0)
+        assert run._workspace[TALLY, WORK] < 400_000
+        assert clearance(scene, run.state.tolist()) > -2e-10 * min(1.0, half)
+    assert energy(scene, run.state) == pytest.approx(energy(scene, start), abs=1e-12 * 4.0 * 9.81 * half)
+
+
+def test_a_jack_that_turns_with_the_corner_it_lies_in_is_followed() -> None:
+    scene = Scene(box_half_width=0.71, jack_arm=0.67 * 0.71, drive=None)
+    run = ExactSimulator(scene)
+    run.reset(in_a_corner(scene, 0.0, turning=2.0))
+    for _ in range(3):
+        run.step(0.02, torque=0.0)
+        assert run._workspace[TALLY, WORK] < 200_000
+        assert clearance(scene, run.state.tolist()) > -2e-10
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.1, math.pi / 4.0])
+def test_a_long_step_at_rest_under_ten_times_the_weight_is_followed(angle: float) -> None:
+    scene = Scene(box_half_width=0.71, jack_arm=0.67 * 0.71, gravity=98.1, drive=None)
+    state = np.zeros(12)
+    state[4], state[5] = -(0.71 - scene.jack_arm * math.cos(angle)), angle
+    run = ExactSimulator(scene)
+    run.reset(state)
+    run.step(0.2, torque=0.0)
+    assert clearance(scene, run.state.tolist()) > -2e-10
+    assert energy(scene, run.state) == pytest.approx(energy(scene, state), abs=1e-12 * 4.0 * 98.1)
+
+
+def test_a_rattle_is_not_taken_for_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Feet in all four corners with 1e-4 m of play: as many looks as rest takes, but impulses of m v.
+    scene = Scene(gravity=0.0, drive=None, jack_arm=6.0 * math.sqrt(2.0) - 1e-4)
+    state = np.zeros(12)
+    state[[5, 9, 11]] = math.pi / 4.0, 10.0, 0.3
+    monkeypatch.setattr(kernel, "_RESTLESS", 1000)
+    kept = plain_step(scene, state, 0.005, 0.0)
+    monkeypatch.setattr(kernel, "rests", lambda n, w: False)
+    without = plain_step(scene, state, 0.005, 0.0)
+    assert np.array_equal(kept[1], without[1])  # the same bits
+    assert kept[2] == without[2]
+    monkeypatch.setattr(kernel, "rests", lambda n, w: bool(w[TALLY, WORK] > 1000))
+    assert not np.array_equal(plain_step(scene, state, 0.005, 0.0)[1], without[1])
+
+
+def test_rest_is_much_work_for_little_impulse() -> None:
+    scene, w = Scene(), new_workspace()
+    light = 1e-4 * scene.jack_mass * scene.speed_scale  # [N s]
+    for work, hits, impulse, rests in (
+        (kernel._RESTLESS, 10_000, light, False),
+        (kernel._RESTLESS + 1, 10_000, light, True),
+        (kernel._RESTLESS + 1, 0, 0.0, True),  # a foot that creeps along a wall
+        (kernel._RESTLESS + 1, 10_000, 100.0 * light, False),
+    ):
+        w[TALLY, WORK], w[TALLY, HITS], w[TALLY, IMPULSE] = work, hits, hits * impulse
+        assert kernel.rests(scene.numbers, w) is rests
