@@ -151,6 +151,7 @@ def test_training_survives_ctrl_c_and_resumes_from_the_command_line(tmp_path: Pa
     assert "is finished" in script("train", "--resume", "run", cwd=tmp_path, status=2).stderr
 
 
+@pytest.mark.slow
 def test_the_demo_runs_end_to_end_when_made_small(tmp_path: Path) -> None:
     done = script("demo", "--folder", "demo", "--total-steps", "8192", "--episodes", "4", cwd=tmp_path)
     for policy in (*BASELINES, "PPO"):
@@ -162,7 +163,10 @@ def test_the_demo_runs_end_to_end_when_made_small(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["train", "evaluate", "simulate", "play", "demo", "benchmark", "readme", "speed", "containment", "transfer"]
+    "name",
+    ["train", "evaluate", "simulate", "play", "demo"]
+    + [f"studies/{name}" for name in ("accuracy/benchmark", "readme", "speed/speed", "costs/costs", "laws/soak")]
+    + ["studies/laws/interruptions", "studies/transfer/transfer"],
 )
 def test_every_command_line_explains_itself(name: str, tmp_path: Path) -> None:
     assert "show this help message" in script(name, "--help", cwd=tmp_path).stdout

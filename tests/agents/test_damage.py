@@ -220,7 +220,7 @@ def test_damaged_settings_are_refused_in_a_sentence(
         command.main()
     assert ended.value.code == 2
     (sentence,) = capsys.readouterr().err.splitlines()
-    assert sentence.startswith(f"{path} is damaged (")
+    assert sentence.startswith(f"{path} holds no settings of a run: ")
     assert before == SMALL
     assert not (stopped / MODEL).exists()
 

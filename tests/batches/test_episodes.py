@@ -147,6 +147,7 @@ def test_an_episode_that_waits_does_not_ask_its_drive() -> None:
         single.step(None)
 
 
+@pytest.mark.slow
 def test_long_work_that_pauses_comes_to_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     def run() -> list[Any]:
         env = JackInBoxVectorEnv(200, contact="exact", max_episode_steps=30, num_threads=1, with_infos=True)

@@ -14,7 +14,7 @@ import weakref
 from collections.abc import Callable
 from pathlib import Path
 from queue import SimpleQueue
-from types import FrameType
+from types import FrameType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -245,7 +245,8 @@ def test_a_thread_left_at_work_never_writes_to_the_memory_of_a_later_step(monkey
                 begun.set()
                 gate.wait(20.0)
             # Where it goes, what it returns, what it works in.
-            written[whose].update(id(given[place]) for place in (6, 12, 13, 14, 15, 16, 17) if given[place].size)
+            touched = (given[2][1], *given[5], *given[6])
+            written[whose].update(id(array) for array in touched if array.size)
             kept.append(given)
             return compiled(function)(*given)
 
@@ -269,7 +270,7 @@ def test_a_thread_left_at_work_never_writes_to_the_memory_of_a_later_step(monkey
     before = told(env)
     with monkeypatch.context() as patch:
         patch.setattr(threads, "SimpleQueue", Queue)
-        patch.setattr(time, "sleep", interrupt)  # once more, while it waits for those at work
+        patch.setattr(threads, "time", SimpleNamespace(sleep=interrupt))  # once more, while it waits for those at work
         env._batch._threads._pool = None  # type: ignore[attr-defined]
         with pytest.raises(KeyboardInterrupt):
             step(env, 1)
@@ -426,6 +427,7 @@ def test_a_process_ends_whatever_its_threads_are_at(how: str) -> None:
 # -- at random moments ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_interruptions_at_random_moments_do_no_harm() -> None:
     # Its own process: it needs the timer, and a hang must have an end.
     command = [sys.executable, "scripts/studies/laws/interruptions.py", "--no-progress", "--interrupts", "150"]

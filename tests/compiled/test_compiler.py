@@ -37,6 +37,7 @@ def run(code: str, **environment: str) -> str:
 # -- the cache --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_later_process_finds_the_compiled_code(tmp_path: Path) -> None:
     stats = (
         "from jackbox_env.compiled.compiler import compiled; from jackbox_env.compiled.step import step_one;"
@@ -58,7 +59,7 @@ def test_a_change_in_any_file_is_seen(tmp_path: Path) -> None:
     first = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import jackbox_env; "
     speed, file = run(first + bounce, **places).split()
     assert (speed, Path(file)) == ("-2.0", tmp_path / "jackbox_env" / "__init__.py")
-    law = tmp_path / "jackbox_env" / "simulators" / "impacts.py"
+    law = tmp_path / "jackbox_env" / "compiled" / "impacts.py"
     law.write_text(law.read_text().replace("impulse = -2.0 * rate / yielding", "impulse = -1.5 * rate / yielding"))
     assert run(first + bounce, **places).split()[0] == "-1.0"
 
@@ -97,6 +98,7 @@ def _other_quarter(cosine: float, sine: float, quarters: int) -> tuple[float, fl
 _other_quarter.__module__ = "jackbox_env"
 
 
+@pytest.mark.slow
 def test_compiled_code_of_old_sources_is_tidied_away(tmp_path: Path) -> None:
     for number in range(12):
         folder = tmp_path / f"compiled-{number:02d}"

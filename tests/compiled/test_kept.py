@@ -15,7 +15,7 @@ import pytest
 from numba.core.caching import FunctionCache
 from numba.core.dispatcher import Dispatcher
 
-from jackbox_env import _code_cache
+from jackbox_env.compiled import kept
 from jackbox_env.compiled.impacts import quarter
 from jackbox_env.compiled.trigonometry import cos_sin
 from tests.compiled.kept_code import files, found, fresh, start
@@ -31,13 +31,13 @@ def test_numba_asks_the_cache_once_for_each_signature_and_never_for_a_call(
 ) -> None:
     asked: list[str] = []
     for name in ("load_overload", "save_overload"):
-        method = getattr(_code_cache.CodeCache, name)
+        method = getattr(kept.CodeCache, name)
 
         def noted(*given: Any, name: str = name, method: Any = method) -> Any:
             asked.append(name)
             return method(*given)
 
-        monkeypatch.setattr(_code_cache.CodeCache, name, noted)
+        monkeypatch.setattr(kept.CodeCache, name, noted)
     turn = fresh(quarter)
     assert isinstance(turn, Dispatcher)  # numba's own, called as directly as any
     assert isinstance(vars(numba.njit(cache=True)(_on_disk))["_cache"], FunctionCache)  # stands where ours does
@@ -70,13 +70,13 @@ def test_a_file_with_any_bit_flipped_or_cut_anywhere_is_not_read(place: Path) ->
     fresh(quarter)(0.8, 0.6, 1)
     (path,) = files(place)
     whole, rng = path.read_bytes(), random.Random(0)
-    assert _code_cache._read(path)
+    assert kept._read(path)
     cuts = [whole[:length] for length in (0, 1, 31, 32, 33, *rng.sample(range(len(whole)), 50), len(whole) - 1)]
     flips = [_flipped(whole, rng) for _ in range(500)]
     for damaged in (*cuts, *flips, whole + b"\0", bytes(len(whole))):
         path.write_bytes(damaged)
-        with pytest.raises(_code_cache._DamageError):
-            _code_cache._read(path)
+        with pytest.raises(kept._DamageError):
+            kept._read(path)
 
 
 def _flipped(whole: bytes, rng: random.Random) -> bytes:
@@ -93,7 +93,7 @@ def test_damaged_code_is_compiled_anew_and_replaced_and_the_folder_named(
     whole, rng = path.read_bytes(), random.Random(1)
     for number in range(400 if FULL else 8):
         path.write_bytes(whole[: rng.randrange(len(whole))] if number % 4 == 0 else _flipped(whole, rng))
-        monkeypatch.setattr(_code_cache, "_said", set())
+        monkeypatch.setattr(kept, "_said", set())
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
             made, angles = fresh(cos_sin), [rng.uniform(-1e4, 1e4) for _ in range(100)]
@@ -118,10 +118,10 @@ def test_code_under_another_name_is_damage(place: Path) -> None:
 def test_whole_files_that_numba_cannot_load_are_replaced_too(place: Path) -> None:
     fresh(quarter)(0.8, 0.6, 1)
     (path,) = files(place)
-    (name, kind, (code, _)), *others = _code_cache._read(path)
+    (name, kind, (code, _)), *others = kept._read(path)
     for content in ((), "text", ((name, kind, (code, b"no bitcode")), *others)):
-        _code_cache._said.clear()
-        _code_cache._write(path, content)
+        kept._said.clear()
+        kept._write(path, content)
         with pytest.warns(UserWarning, match=f"kept in {path.parent} cannot be used") as said:
             assert fresh(quarter)(0.8, 0.6, 1) == (-0.6, 0.8)
         assert len(said) == 1

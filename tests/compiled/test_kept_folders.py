@@ -14,8 +14,8 @@ from typing import Any
 
 import pytest
 
-from jackbox_env import _code_cache
 from jackbox_env.compiled import compiler as _compiled
+from jackbox_env.compiled import kept
 from jackbox_env.compiled.impacts import quarter
 from jackbox_env.compiled.trigonometry import cos_sin
 from tests.compiled.kept_code import CALL, files, found, fresh, start
@@ -195,7 +195,7 @@ def test_a_change_of_the_working_folder_does_not_move_the_kept_code(
 
 
 def test_a_package_in_an_archive_knows_its_source(tmp_path: Path) -> None:
-    package = Path(_code_cache.__file__).parent
+    package = Path(kept.__file__).parents[1]
     shutil.copytree(package, tmp_path / "all" / package.name, ignore=shutil.ignore_patterns("__pycache__"))
     archive = shutil.make_archive(str(tmp_path / "archive"), "zip", tmp_path / "all")
     code = CALL + "    import jackbox_env.compiled.compiler as c; print(c.__file__, c._digest())"

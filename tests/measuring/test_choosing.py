@@ -121,6 +121,7 @@ def test_scenes_with_side_forces_and_own_starts_are_measured() -> None:
     assert -1e-9 < chosen.penetration < 1e-9
 
 
+@pytest.mark.slow
 def test_settings_that_lose_the_jack_or_hit_elsewhere_will_not_do_whatever_the_bounds() -> None:
     # 1000 times the torque: coarse substeps of pymunk cannot follow
     wild = {"torque_limit": 9e7}

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from jackbox_env import _validation as check
 from jackbox_env.accuracy import Between
 from jackbox_env.scene import Drive, Scene
-from jackbox_env.simulators.base import Impact, Simulator, end_of_step
+from jackbox_env.simulators.base import Impact, JackLostError, Simulator, end_of_step
 from jackbox_env.states import LATEST_TIME, Array, as_held, as_state, clearance, deepest_held
 
 DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))  # of walls 0 to 3 and of feet 0 to 3
@@ -128,7 +128,7 @@ class Rival(ABC):
         after, mean = self._simulate(now.state, now.time, h, torque, record)
         outside, deepest = -clearance(self.scene, after), deepest_held(self.scene)
         if not (outside <= deepest and math.isfinite(sum(after))):
-            raise RuntimeError(
+            raise JackLostError(
                 f"the jack would leave the box: after t = {now.time:g} s a foot ends {outside:.3g} m outside, at most "
                 f"{deepest:g} m is followed"
             )

@@ -27,6 +27,7 @@ import Box2D
 import numpy as np
 
 from jackbox_env.mechanics import gap_jacobian
+from jackbox_env.simulators.base import JackLostError
 from scripts.studies.rivals.base import DIRECTIONS, EngineRival, Loads, Pair
 
 _VELOCITY_ITERATIONS, _POSITION_ITERATIONS = 8, 3
@@ -118,7 +119,7 @@ class Box2DSimulator(EngineRival):
         travel = self._h * max(math.hypot(*state[6:8]), math.hypot(*state[9:11]))
         turn = self._h * max(abs(state[8]), abs(state[11]))
         if not (travel < _SLACK * _FARTHEST and turn < _SLACK * _FURTHEST_TURN):
-            raise RuntimeError(
+            raise JackLostError(
                 f"box2d cannot follow the jack: {travel:.3g} m and {turn:.3g} rad per substep, at most "
                 f"{_FARTHEST:g} m and {_FURTHEST_TURN:.3g} rad are; use more substeps"
             )

@@ -36,6 +36,7 @@ import numpy as np
 
 from jackbox_env.mechanics import gaps
 from jackbox_env.scene import Scene
+from jackbox_env.simulators.base import JackLostError
 from scripts.studies.rivals.base import DIRECTIONS, EngineRival, Loads, Pair
 
 _STIFFNESS = 2.0  # k h^2
@@ -90,7 +91,7 @@ class MujocoSimulator(EngineRival):
 
     def _place(self, state: list[float], h: float) -> None:
         if not max(map(abs, state)) < _LARGEST:
-            raise RuntimeError(f"mujoco cannot follow a state beyond {_LARGEST:g}, got {max(map(abs, state)):.3g}")
+            raise JackLostError(f"mujoco cannot follow a state beyond {_LARGEST:g}, got {max(map(abs, state)):.3g}")
         if h != self._h:
             self._model.opt.timestep = h
             self._model.geom_solref[:] = -_STIFFNESS / h**2, 0.0
@@ -103,7 +104,7 @@ class MujocoSimulator(EngineRival):
         data, scene = self._data, self.scene
         pushed = max(abs(torque) / scene.box_inertia, abs(push_x) / scene.box_mass, abs(push_y) / scene.box_mass)
         if not pushed < _LARGEST:
-            raise RuntimeError(f"mujoco cannot follow accelerations beyond {_LARGEST:g}, got {pushed:.3g}")
+            raise JackLostError(f"mujoco cannot follow accelerations beyond {_LARGEST:g}, got {pushed:.3g}")
         self._applied[:3] = push_x, push_y, torque
         mujoco.mj_step(self._model, data)
         if data.ncon == 0:
