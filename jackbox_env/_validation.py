@@ -27,7 +27,8 @@ def real(
         ValueError: it is NaN, infinite or out of bounds.
     """
     try:
-        number = float(value) if type(value) is float or _is_real(value) else math.nan  # the first is fast
+        takes = type(value) is float or (_is_real(value) and not masked(value))  # the first is fast
+        number = float(value) if takes else math.nan
     except Exception:  # too large, or a value that fails when it is looked at
         number = math.nan
     # NaN fails the comparisons; -inf and inf fail these open ends.
@@ -61,6 +62,8 @@ def whole(name: str, value: Any, *, at_least: int, at_most: int | None = None) -
         wanted = f"a whole number from {at_least} to {at_most}"
     if isinstance(value, bool):
         raise TypeError(f"{name} must be {wanted}, got {shown(value)}")
+    if masked(value):
+        raise ValueError(f"{name} must be {wanted}, got {shown(value)}")
     try:
         number = operator.index(value)
     except Exception as error:
@@ -86,10 +89,10 @@ def array(name: str, value: Any, wanted: str) -> NDArray[Any]:
 
     Raises:
         TypeError: it is something else: no ``wanted``.
-        ValueError: it is a masked array with something masked, which has no number there.
+        ValueError: an element is masked.
     """
-    if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):
-        raise ValueError(f"{name} must have nothing masked, got {shown(value)}")
+    if masked(value):
+        raise ValueError(f"{name} must {wanted}, none of them masked, got {shown(value)}")
     try:
         given = np.asarray(value)
     except MemoryError:
@@ -102,6 +105,15 @@ def array(name: str, value: Any, wanted: str) -> NDArray[Any]:
         with np.errstate(over="ignore"):  # to infinity, which is refused
             given = given.astype(np.float64)
     return given
+
+
+def masked(value: Any, depth: int = 3) -> bool:
+    """Whether an element of a masked array, or of those in lists, is masked: numpy would take what is behind it."""
+    if isinstance(value, np.ma.MaskedArray):
+        return bool(np.ma.is_masked(value))
+    if depth == 0 or type(value) not in (list, tuple):
+        return False
+    return any(type(one) is not float and masked(one, depth - 1) for one in value)
 
 
 def shown(value: Any) -> str:

@@ -289,7 +289,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     # -- helpers ------------------------------------------------------------------------------------------------------
 
     def _torque_of(self, action: Action) -> float:
-        if not (isinstance(action, np.ndarray) and action.dtype.char in "fd"):  # these are fast
+        if not (type(action) is np.ndarray and action.dtype.char in "fd"):  # these are fast
             action = check.array("action", action, "hold one finite number (clipped to [-1, 1])")
         values = action
         if values.shape not in ((1,), ()):

@@ -355,6 +355,8 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         return [None if one is None else check.whole("seed", one, at_least=0) for one in listed]
 
     def _mask(self, name: str, given: Any) -> Flags:
+        if check.masked(given):
+            raise ValueError(f"{name} must be an array of bool, none of them masked, got {check.shown(given)}")
         try:
             mask = np.asarray(given)
         except Exception as error:

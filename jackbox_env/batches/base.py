@@ -58,7 +58,7 @@ class Batch(Protocol):
     before another is made.
     """
 
-    held: Any
+    held: Any  # a Held: the environments as they are
 
     @property
     def info_names(self) -> list[str]:

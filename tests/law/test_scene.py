@@ -11,8 +11,10 @@ import mpmath as mp
 import numpy as np
 import pytest
 
+from jackbox_env.env import JackInBoxEnv
 from jackbox_env.planning import rollout
 from jackbox_env.scene import Chirp, Drive, Scene
+from jackbox_env.vector_env import JackInBoxVectorEnv
 
 
 def test_defaults_are_the_documented_scene() -> None:
@@ -188,5 +190,23 @@ def test_masked_numbers_are_refused(name: str) -> None:
     whole = {"state": np.ma.array(state, mask=False), "torques": np.ma.array(torques, mask=False)}
     rollout(None, whole["state"], whole["torques"], 0.02)
     whole[name][..., 1] = np.ma.masked
-    with pytest.raises(ValueError, match=f"{name}.* must have nothing masked, got masked_array"):
+    with pytest.raises(ValueError, match=f"{name}.* must hold .*, none of them masked, got masked_array"):
         rollout(None, whole["state"], whole["torques"], 0.02)
+
+
+def test_masked_actions_masks_and_times_are_refused() -> None:
+    hidden = np.ma.array([0.5], mask=[True], dtype=np.float32)
+    single, several = JackInBoxEnv(), JackInBoxVectorEnv(2, contact="exact")
+    several.reset(seed=0)
+    single.reset(seed=0)
+    before = several.states
+    for call in (
+        lambda: single.step(hidden),
+        lambda: single.reset(options={"state": np.ma.array(np.zeros(12), mask=[True] + [False] * 11)}),
+        lambda: several.step([hidden, [0.5]]),  # type: ignore[arg-type]
+        lambda: several.set_states(before, 0.0, np.ma.array([True, True], mask=[True, False])),
+    ):
+        with pytest.raises((TypeError, ValueError), match="masked"):
+            call()
+    np.testing.assert_array_equal(several.states, before)
+    assert single.step(np.ma.array([0.5], dtype=np.float32))[4]["torque"] == 45000.0
