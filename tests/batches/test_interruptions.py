@@ -39,13 +39,15 @@ TASKS = Path("/proc/self/task")
 def struck(call: Callable[[], Any], at: int) -> bool:
     """Make a call and raise KeyboardInterrupt before the ``at``-th instruction of this package; whether it came to it.
 
-    Python itself looks for signals after fewer of them.
+    Python itself looks for signals after fewer of them: never between the end of a ``with`` and the release of its
+    lock. So the one lock on the way, that of the compiler, is left out.
     """
     left = at
 
     def trace(frame: FrameType, event: str, _: Any) -> Any:
         nonlocal left
-        if not frame.f_code.co_filename.startswith(str(PACKAGE)):
+        file = frame.f_code.co_filename
+        if not file.startswith(str(PACKAGE)) or file == compiler.__file__:
             return None
         frame.f_trace_opcodes = True
         left -= event == "opcode"
@@ -225,7 +227,6 @@ def test_an_error_between_step_and_restart_leaves_all_as_it_was(monkeypatch: pyt
 # -- at chosen moments ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.skip(reason="races with the clock of a busy machine; to be mended")
 def test_a_thread_left_at_work_never_writes_to_the_memory_of_a_later_step(monkeypatch: pytest.MonkeyPatch) -> None:
     env, twin = (JackInBoxVectorEnv(640, contact="exact", num_threads=number) for number in (4, 1))
     for one in (env, twin):
@@ -299,7 +300,6 @@ def until(condition: Callable[[], object], seconds: float = 20.0) -> None:
         time.sleep(0.002)
 
 
-@pytest.mark.skip(reason="races with the clock of a busy machine; to be mended")
 def test_long_work_is_given_up_where_it_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
     env = JackInBoxVectorEnv(640, contact="exact", num_threads=2)
     env.reset(seed=0)
