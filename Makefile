@@ -23,10 +23,10 @@ test: .venv/ready
 
 test-all: test-slow test
 
-# What make test leaves out: sweeps, kills, soaks, long runs, and the environment under the oldest Gymnasium covered.
+# What make test leaves out: whole sweeps, kills, soaks, long runs, and the environment under the oldest Gymnasium covered.
 test-slow: .venv/ready $(OLD_GYMNASIUM)/ready
 	EXPECTED_GYMNASIUM=1.2.2 PYTHONPATH=$(OLD_GYMNASIUM) $(BIN)/python -m pytest -q $(WORKERS) $(UNDER_OLD_GYMNASIUM)
-	EXPECTED_GYMNASIUM=1.4.0 $(BIN)/python -m pytest -q $(WORKERS) -m slow
+	EXPECTED_GYMNASIUM=1.4.0 $(BIN)/python -m pytest -q $(WORKERS) --whole -m "slow or sweep"
 
 # Speed against accuracy: the full sweep writes docs/accuracy.md, the quick one (2 minutes) only its run folder.
 benchmark: .venv/ready

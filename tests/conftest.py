@@ -1,11 +1,17 @@
-"""What all tests share: the compiled code is ready before several workers ask for it at once."""
+"""What all tests share.
+
+The compiled code is ready before several workers ask for it at once. Sweeps over random cases draw a quarter of them,
+and all under ``--whole``, as ``make test-slow`` runs them.
+"""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 
 import gymnasium as gym
 import numpy as np
+import pytest
 
 os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # pictures need no display
 
@@ -23,3 +29,22 @@ def pytest_xdist_setupnodes() -> None:
     env.reset(seed=0)
     env.close()
     jackbox_env.rollout(None, np.zeros(12), np.zeros((2, 3)), 0.02)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Let a run draw every case."""
+    parser.addoption("--whole", action="store_true", help="draw all cases of the sweeps, not a quarter")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the sweeps, so that a run of all their cases can leave the other tests out."""
+    for item in items:
+        if "cases" in getattr(item, "fixturenames", ()):
+            item.add_marker("sweep")
+
+
+@pytest.fixture
+def cases(request: pytest.FixtureRequest) -> Callable[[int], int]:
+    """How many of so many random cases to draw."""
+    whole = request.config.getoption("--whole")
+    return lambda number: number if whole else (number + 3) // 4

@@ -48,20 +48,21 @@ def test_a_later_process_finds_the_compiled_code(tmp_path: Path) -> None:
 
 
 def test_a_change_in_any_file_is_seen(tmp_path: Path) -> None:
-    # Numba itself looks only at the file of the function that is kept; here the law of impact is in another one.
+    # Numba itself looks only at the file of the function that is kept; here the turn of a wall is in another one.
     shutil.copytree(PACKAGE, tmp_path / "jackbox_env", ignore=shutil.ignore_patterns("__pycache__"))
-    bounce = (
-        "import numpy as np; x = np.zeros(12); x[3], x[9] = 4.99, 2.0;"
-        "s = jackbox_env.make_simulator({'gravity': 0.0, 'box_mass': 1e30, 'box_inertia': 1e30}, 'exact');"
-        "s.reset(x); s.step(0.02, 0.0); print(round(s.state[9], 3), jackbox_env.__file__)"
+    gap = (
+        "from jackbox_env.compiled.compiler import compiled; from jackbox_env.compiled.search import foot_gap;"
+        "gap, *_ = compiled(foot_gap)(jackbox_env.Scene().numbers, 1.0, 0.0, 0.8, 0.6, 0.0, 1);"
+        "print(round(gap, 3), jackbox_env.__file__)"
     )
     places = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
     first = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import jackbox_env; "
-    speed, file = run(first + bounce, **places).split()
-    assert (speed, Path(file)) == ("-2.0", tmp_path / "jackbox_env" / "__init__.py")
+    before, file = run(first + gap, **places).split()
+    assert Path(file) == tmp_path / "jackbox_env" / "__init__.py"
+    assert run(first + gap, **places).split()[0] == before
     law = tmp_path / "jackbox_env" / "compiled" / "impacts.py"
-    law.write_text(law.read_text().replace("impulse = -2.0 * rate / yielding", "impulse = -1.5 * rate / yielding"))
-    assert run(first + bounce, **places).split()[0] == "-1.0"
+    law.write_text(law.read_text() + "\n\ndef quarter(turns, x, y):\n    return 0.25, 0.5\n")
+    assert run(first + gap, **places).split()[0] == "4.75"
 
 
 def test_nowhere_to_keep_compiled_code_is_said(tmp_path: Path) -> None:

@@ -41,7 +41,6 @@ def chirp_motion(chirp: Chirp, time: float, dt: float) -> tuple[float, float]:
         (Chirp(), 0.0, 0.02),
         (Chirp(), 9.98, 0.02),
         (Chirp(), 9.0, 1.0),
-        (Chirp(), 1e4, 0.02),
         (Chirp(rate=0.0), 123.0, 0.02),
         (Chirp(rate=0.0, start_frequency=0.0), 5.0, 0.02),
         (Chirp(rate=-2.0, start_frequency=3.0), 1.49, 0.02),  # the frequency passes through zero
@@ -60,8 +59,9 @@ def test_any_chirp_at_any_time_moves_the_box_as_it_should(chirp: Chirp, time: fl
     assert run.torque == pytest.approx(14400.0 * spun / dt, abs=1e-8)
 
 
-def test_the_chirp_after_a_million_seconds() -> None:
-    chirp, time, dt = Chirp(), 1e6, 0.02
+@pytest.mark.parametrize("time", [1e4, 1e6])
+def test_the_chirp_after_a_million_seconds(time: float) -> None:
+    chirp, dt = Chirp(), 0.02
     spun, turned = chirp_motion_by_fresnel(chirp, 14400.0, time, dt)
     run = simulator(Scene(gravity=0.0, drive=chirp), np.zeros(12), time)
     run.step(dt)

@@ -139,8 +139,8 @@ def test_rattle_rewards_timed_blows() -> None:
 
 
 @pytest.mark.parametrize(("task", "skilled"), [("spin", spinner), ("rattle", slapper)])
-def test_no_constant_torque_wins(task: str, skilled: Policy) -> None:
-    best = max(mean_return(task, constant(value), episodes=12) for value in CONSTANTS)
+def test_no_constant_torque_wins(task: str, skilled: Policy, cases: Callable[[int], int]) -> None:
+    best = max(mean_return(task, constant(value), episodes=cases(12)) for value in CONSTANTS)
     assert best < 0.8 * mean_return(task, skilled)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -16,6 +17,7 @@ from tests.law.poses import PAIRS, energy_norm, momenta, momentum_scale, random_
 from tests.states import Array, inside, several_contacts
 
 Contacts = list[tuple[int, int]]
+Cases = Callable[[int], int]
 
 
 # -- several contacts --------------------------------------------------------------------------------------------------
@@ -112,10 +114,10 @@ def scene_of(name: str, kind: str) -> Scene:
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", SCENES)
-def test_simultaneous_law_holds(name: str, kind: str) -> None:
+def test_simultaneous_law_holds(name: str, kind: str, cases: Cases) -> None:
     scene = scene_of(name, kind)
     rng = np.random.default_rng(8)
-    for _ in range(100):
+    for _ in range(cases(100)):
         state, contacts = touching(scene, rng, kind)
         after = assert_law_holds(scene, state, contacts)
         if scene.restitution == 1.0:
@@ -126,10 +128,10 @@ def test_simultaneous_law_holds(name: str, kind: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", SCENES)
-def test_simultaneous_law_equals_exhaustive_search(name: str, kind: str) -> None:
+def test_simultaneous_law_equals_exhaustive_search(name: str, kind: str, cases: Cases) -> None:
     scene = scene_of(name, kind)
     rng = np.random.default_rng(9)
-    for _ in range(3 if kind == "four corners" else 30):  # eight contacts have 256 sets
+    for _ in range(cases(3 if kind == "four corners" else 30)):  # eight contacts have 256 sets
         state, contacts = touching(scene, rng, kind)
         after, _ = simultaneous_impact_map(scene, state, contacts)
         error = energy_norm(scene, after[6:] - enumerated(scene, state, contacts)) / energy_norm(scene, state[6:])
@@ -138,12 +140,12 @@ def test_simultaneous_law_equals_exhaustive_search(name: str, kind: str) -> None
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", SCENES)
-def test_impulses_of_very_different_size_come_back(name: str, kind: str) -> None:
+def test_impulses_of_very_different_size_come_back(name: str, kind: str, cases: Cases) -> None:
     # Backwards: qdot- = -M^-1 J^T lambda / (1 + e) makes any lambda >= 0 a solution, with J qdot+ = -e J qdot-.
     # Box and jack moving on as one body add nothing to the gap rates.
     scene = scene_of(name, kind)
     rng = np.random.default_rng(22)
-    for _ in range(100):
+    for _ in range(cases(100)):
         state, contacts = touching(scene, rng, kind)
         rows, lengths = unit_rows(scene, state, contacts)
         shares = 10.0 ** rng.uniform(-13.0, 0.0, len(contacts)) * rng.integers(0, 2, len(contacts))
@@ -159,9 +161,9 @@ def test_impulses_of_very_different_size_come_back(name: str, kind: str) -> None
 
 
 @pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])
-def test_one_listed_contact_is_the_impact_map(restitution: float) -> None:
+def test_one_listed_contact_is_the_impact_map(restitution: float, cases: Cases) -> None:
     rng = np.random.default_rng(10)
-    for case in range(200):
+    for case in range(cases(200)):
         scene = random_scene(rng, restitution)
         wall, foot = PAIRS[case % 16]
         state = inside(scene, rng)  # about half of them separate
@@ -172,10 +174,10 @@ def test_one_listed_contact_is_the_impact_map(restitution: float) -> None:
 
 
 @pytest.mark.parametrize("kind", ["one wall", "two walls", "corner"])
-def test_reflection_is_the_law_while_no_impulse_pulls(kind: str) -> None:
+def test_reflection_is_the_law_while_no_impulse_pulls(kind: str, cases: Cases) -> None:
     rng = np.random.default_rng(11)
     compared = 0
-    for _ in range(300):
+    for _ in range(cases(300)):
         state, contacts = several_contacts(Scene(), rng, kind)  # every contact approaches
         expected, impulses = reflection(Scene(), state, contacts)
         if impulses.min() < 0.0:
@@ -185,24 +187,24 @@ def test_reflection_is_the_law_while_no_impulse_pulls(kind: str) -> None:
         assert velocity_error(Scene(), after[6:], expected) < 1e-12
         if kind != "corner":  # four contacts of rank 3 leave the impulses open
             np.testing.assert_allclose(found, impulses, rtol=1e-11)
-    assert compared > 30
+    assert compared > cases(30)
 
 
 @pytest.mark.parametrize(
     ("kind", "pose", "difference"),
     [
-        ("one wall", several_contacts, 0.5),  # every contact approaches
-        ("two walls", several_contacts, 0.3),
+        ("one wall", several_contacts, 0.2),  # every contact approaches
+        ("two walls", several_contacts, 0.2),
         ("one wall", touching, 1.0),  # some of them separate
         ("two walls", touching, 1.0),
         ("corner", touching, 1.0),
     ],
 )
-def test_reflection_is_not_the_law_where_an_impulse_pulls(kind: str, pose: Any, difference: float) -> None:
+def test_reflection_is_not_the_law_where_an_impulse_pulls(kind: str, pose: Any, difference: float, cases: Cases) -> None:
     # Negative control: reflection keeps energy and momentum as well, and yet needs walls that pull.
     rng = np.random.default_rng(12)
     largest = 0.0
-    for _ in range(400):
+    for _ in range(cases(400)):
         state, contacts = pose(Scene(), rng, kind)
         other, impulses = reflection(Scene(), state, contacts)
         if impulses.min() < 0.0:
@@ -212,10 +214,10 @@ def test_reflection_is_not_the_law_where_an_impulse_pulls(kind: str, pose: Any, 
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_order_of_contacts_does_not_matter(kind: str) -> None:
+def test_order_of_contacts_does_not_matter(kind: str, cases: Cases) -> None:
     rng = np.random.default_rng(13)
     scene = scene_of("nominal", kind)
-    for _ in range(50):
+    for _ in range(cases(50)):
         state, contacts = touching(scene, rng, kind)
         after, impulses = simultaneous_impact_map(scene, state, contacts)
         order = rng.permutation(len(contacts))
@@ -226,10 +228,10 @@ def test_order_of_contacts_does_not_matter(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_quarter_turns_only_rename_walls_and_feet(kind: str) -> None:
+def test_quarter_turns_only_rename_walls_and_feet(kind: str, cases: Cases) -> None:
     rng = np.random.default_rng(14)
     scene = scene_of("nominal", kind)
-    for _ in range(50):
+    for _ in range(cases(50)):
         state, contacts = touching(scene, rng, kind)
         after, _ = simultaneous_impact_map(scene, state, contacts)
         box_turns, jack_turns = (int(turns) for turns in rng.integers(1, 4, 2))
@@ -298,9 +300,9 @@ MOTIONS = ["at rest", "along the diagonal", "along a wall", "in step", "turning"
 
 @pytest.mark.timeout(30)  # [s] takes less than 1; an active set that comes round again would take for ever
 @pytest.mark.parametrize("motion", MOTIONS)
-def test_ties_between_contacts_end_and_obey_the_law(motion: str) -> None:
+def test_ties_between_contacts_end_and_obey_the_law(motion: str, cases: Cases) -> None:
     rng = np.random.default_rng(17)
-    for case in range(500):
+    for case in range(cases(500)):
         scene = list(SCENES.values())[case % len(SCENES)]
         turn = rng.choice([0.0, math.pi / 2.0, math.pi / 4.0, rng.uniform(-3.0, 3.0)])
         state, contacts = corner_pose(scene, turn)
@@ -310,10 +312,10 @@ def test_ties_between_contacts_end_and_obey_the_law(motion: str) -> None:
 
 
 @pytest.mark.timeout(30)  # [s] takes 2
-def test_ties_among_any_contacts_end_and_obey_the_law() -> None:
+def test_ties_among_any_contacts_end_and_obey_the_law(cases: Cases) -> None:
     # The law is local: it may be asked about contacts that no pose closes together. Any number of them has rank 3.
     rng = np.random.default_rng(18)
-    for case in range(3000):
+    for case in range(cases(3000)):
         scene = SCENES[("nominal", "plastic", "light jack inertia")[case % 3]]
         turn = rng.choice([0.0, math.pi / 2.0, math.pi / 4.0, rng.uniform(-3.0, 3.0)])
         state, _ = corner_pose(scene, turn)

@@ -169,6 +169,7 @@ def test_a_jack_that_fits_at_45_degrees_only_rattles_in_its_corners() -> None:
     np.testing.assert_allclose(400.0 * run.state[6:8] + 4.0 * run.state[9:11], [12.0, 12.0], rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_jack_without_any_play_is_refused_rather_than_shaken_for_ever() -> None:
     scene = Scene(gravity=0.0, drive=None, jack_arm=6.0 * math.sqrt(2.0) * (1.0 - 4e-16))
     state = np.zeros(12)

@@ -6,6 +6,7 @@ import contextlib
 import copy
 import math
 import pickle
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,8 @@ from jackbox_env.simulators.pymunk import PymunkSimulator
 from jackbox_env.states import clearance
 from tests.simulators.engine import WEIGHTLESS, impact_in_an_instant, relative_error
 from tests.states import Array, inside, several_contacts
+
+Cases = Callable[[int], int]
 
 # -- restoring ---------------------------------------------------------------------------------------------------------
 
@@ -57,15 +60,17 @@ def restores(scene: Scene, substeps: int, steps: int, seed: int) -> tuple[int, i
 
 
 @pytest.mark.parametrize("scene", RESTORE_SCENES, ids=lambda scene: f"arm {scene.jack_arm:g} e {scene.restitution:g}")
-def test_the_future_follows_from_state_and_time_bitwise(scene: Scene) -> None:
-    results = [restores(scene, substeps, 1000, seed) for substeps in (1, 4) for seed in range(4)]
+def test_the_future_follows_from_state_and_time_bitwise(scene: Scene, cases: Cases) -> None:
+    results = [restores(scene, substeps, 1000, seed) for substeps in (1, 4) for seed in range(cases(4))]
     assert sum(misses for misses, _ in results) == 0
-    assert sum(impacts for _, impacts in results) > 100
+    assert sum(impacts for _, impacts in results) > cases(100)
 
 
-def test_contacts_remembered_by_the_engine_would_change_the_future(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_contacts_remembered_by_the_engine_would_change_the_future(
+    monkeypatch: pytest.MonkeyPatch, cases: Cases
+) -> None:
     monkeypatch.setattr(PymunkSimulator, "_forget_contacts", lambda self: [0.0] * 6)
-    results = [restores(scene, substeps, 1000, 0) for substeps in (1, 4) for scene in RESTORE_SCENES]
+    results = [restores(scene, substeps, cases(1000), 0) for substeps in (1, 4) for scene in RESTORE_SCENES]
     assert sum(misses for misses, _ in results) > 0
 
 
@@ -344,12 +349,12 @@ def test_substeps_must_be_whole_and_positive(substeps: Any) -> None:
         make_simulator(Scene(), substeps=substeps)
 
 
-def test_a_jack_wedged_between_opposite_walls_keeps_its_energy_or_is_refused() -> None:
+def test_a_jack_wedged_between_opposite_walls_keeps_its_energy_or_is_refused(cases: Cases) -> None:
     # An arm little longer than L, spun towards alignment: feet reach opposite walls almost at once. Where such steps
     # are not divided further up to 46 % of the energy are lost in one.
     rng = np.random.default_rng(0)
     refused, divided = [], 0
-    for _ in range(300):
+    for _ in range(cases(300)):
         scene = Scene(jack_arm=6.0 * (1.0 + 10.0 ** rng.uniform(-3.5, -0.5)), gravity=0.0, drive=None)
         simulator = PymunkSimulator(scene, substeps=4)
         state = np.zeros(12)
@@ -368,7 +373,7 @@ def test_a_jack_wedged_between_opposite_walls_keeps_its_energy_or_is_refused() -
                 break
             assert energy(scene, simulator.state) == pytest.approx(kept, rel=1e-5)
             divided += any(1e-6 < hit.time % 0.005 < 0.005 - 1e-6 for hit in simulator.impacts)
-    assert divided > 10
+    assert divided > cases(10)
     assert len(refused) < 10
     for sentence in refused:
         assert sentence.startswith("the jack is wedged between opposite walls after t = ")
