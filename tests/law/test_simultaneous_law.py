@@ -200,7 +200,9 @@ def test_reflection_is_the_law_while_no_impulse_pulls(kind: str, cases: Cases) -
         ("corner", touching, 1.0),
     ],
 )
-def test_reflection_is_not_the_law_where_an_impulse_pulls(kind: str, pose: Any, difference: float, cases: Cases) -> None:
+def test_reflection_is_not_the_law_where_an_impulse_pulls(
+    kind: str, pose: Any, difference: float, cases: Cases
+) -> None:
     # Negative control: reflection keeps energy and momentum as well, and yet needs walls that pull.
     rng = np.random.default_rng(12)
     largest = 0.0
