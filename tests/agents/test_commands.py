@@ -157,7 +157,7 @@ def test_training_survives_ctrl_c_and_resumes_from_the_command_line(tmp_path: Pa
     command = [sys.executable, str(ROOT / "scripts" / "train.py"), "--folder", "run", "--no-progress", *small.split()]
     # A shell's background jobs ignore SIGINT, and so would all that they start.
     at_work = subprocess.Popen(
-        [*command, "--total-steps", "8192"],
+        [*command, "--total-steps", "4096"],
         cwd=tmp_path,
         stderr=subprocess.PIPE,
         text=True,

@@ -37,6 +37,7 @@ def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> Uninterrupted:
     return Uninterrupted(tmp_path_factory.mktemp("uninterrupted"))
 
 
+@pytest.mark.slow
 def test_a_training_killed_at_random_moments_comes_to_its_end(tmp_path: Path, uninterrupted: Uninterrupted) -> None:
     rng = np.random.default_rng(0)
     kills, runs, seconds = 0, 0, uninterrupted.seconds

@@ -89,8 +89,8 @@ def test_the_untrained_policy_does_not_beat_zero_torque() -> None:
     # DESIGN: about 158 against 200; the demo's trained policy stands above 200 with intervals apart.
     untrained = make_ppo(TrainSettings(), make_vec_env({}, 1, 0))
     rows = [
-        evaluate("untrained", untrained, {}, 64, seed=0, deterministic=False),
-        evaluate("zero", baseline("zero", Scene()).policy, {}, 64, seed=0),
+        evaluate("untrained", untrained, {}, 32, seed=0, deterministic=False),
+        evaluate("zero", baseline("zero", Scene()).policy, {}, 32, seed=0),
     ]
     assert rows[0].interval[1] < rows[1].interval[0], table(rows)
 

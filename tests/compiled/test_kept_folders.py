@@ -95,6 +95,7 @@ def test_a_folder_removed_while_the_process_runs_is_made_again(place: Path) -> N
         assert turn(1.0) == cos_sin(1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs a process that is like another")
 def test_a_writer_killed_at_any_moment_leaves_nothing_that_is_loaded(place: Path) -> None:
     code = f"""
@@ -129,6 +130,7 @@ for Path.write_bytes, Path.replace in kills:
     assert files(place, "tmp") == [young]  # whose writer may still be at work
 
 
+@pytest.mark.slow
 def test_processes_that_compile_at_once_do_not_disturb_each_other(place: Path) -> None:
     # Two kinds of processor among them, as where the folder lies on a network.
     for process in [start(place), start(place), start(place, NUMBA_CPU_NAME="generic")]:
