@@ -228,6 +228,7 @@ class SceneNumbers(NamedTuple):
     chirp_amplitude: float  # [N m]
     chirp_start_frequency: float  # [Hz]
     chirp_rate: float  # [Hz/s]
+    restitution: float
 
 
 @dataclass(frozen=True)

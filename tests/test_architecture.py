@@ -22,7 +22,10 @@ PACKAGE = """
     compiled.compiler
     compiled.workspace compiled.trigonometry compiled.generator
     compiled.drives compiled.impacts
+    compiled.interpolation
     compiled.search
+    compiled.rest
+    compiled.advance
     compiled.step
     compiled.score
     compiled.loop

@@ -1,11 +1,11 @@
 """The impact law at the moment of impact, for the exact contact model: which feet touch, and what it does to them.
 
-Law: all contacts whose gap is within the tolerance take part in the simultaneous Newton law at restitution 1,
+Law: all contacts whose gap is within the tolerance take part in the simultaneous Newton law at restitution e,
 
-    0 <= lambda  _|_  J qdot+ + J qdot- >= 0,    M (qdot+ - qdot-) = J^T lambda,
+    0 <= lambda  _|_  J qdot+ + e J qdot- >= 0,    M (qdot+ - qdot-) = J^T lambda,
 
 the law of :func:`jackbox_env.mechanics.simultaneous_impact_map`, which tests compare this with. With w = J M^-1/2 and
-v = M^1/2 qdot it is the reflection v+ = 2 P(v-) - v- at P(v), the nearest point to v in the cone w v >= 0. Contacts of
+v = M^1/2 qdot it is v+ = (1 + e) P(v-) - e v-, where P(v) is the nearest point to v in the cone w v >= 0. Contacts of
 a jack and a square have rank 3 at most, so P is found by trying all sets of one, two and three contacts: each gives
 a point by projection, and the right one pushes nowhere backwards and violates nothing.
 """
@@ -13,6 +13,7 @@ a point by projection, and the right one pushes nowhere backwards and violates n
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,9 @@ from jackbox_env.compiled.trigonometry import cos_sin
 from jackbox_env.compiled.workspace import (
     BASE,
     BEST,
+    BIAS,
     ELAPSED,
+    GOALS,
     GRADIENTS,
     HITS,
     IMPULSE,
@@ -57,6 +60,27 @@ def quarter(cosine: float, sine: float, quarters: int) -> tuple[float, float]:
     return sine, -cosine
 
 
+class Frame(NamedTuple):
+    """The jack's place and both angles."""
+
+    x: float  # from the box's centre [m]
+    y: float
+    cosine: float  # of the box's angle
+    sine: float
+    relative_cosine: float  # of the jack's angle relative to the box
+    relative_sine: float
+
+
+def gradient(scene: SceneNumbers, frame: Frame, wall: int, foot: int, row: Array) -> float:
+    """Write the gradient J of a gap to ``row``; return the gap [m]."""
+    nx, ny = quarter(frame.cosine, frame.sine, wall)
+    depth, side = nx * frame.x + ny * frame.y, nx * frame.y - ny * frame.x  # n . r and n^perp . r
+    along, across = quarter(frame.relative_cosine, frame.relative_sine, foot - wall)  # foot over arm, on n and n^perp
+    arm = scene.jack_arm * across
+    row[0], row[1], row[2], row[3], row[4], row[5] = nx, ny, -side - arm, -nx, -ny, arm
+    return scene.box_half_width - depth - scene.jack_arm * along
+
+
 def resolve(scene: SceneNumbers, work: Workspace, tolerance: float, wall: int, foot: int) -> None:
     """Apply the law to every contact within ``tolerance`` [m], and to that of ``wall`` and ``foot`` in any case.
 
@@ -68,15 +92,9 @@ def resolve(scene: SceneNumbers, work: Workspace, tolerance: float, wall: int, f
     x, y = state[3] - state[0], state[4] - state[1]
     count = 0
     for k in range(4):
-        nx, ny = quarter(c, s, k)
-        depth, side = nx * x + ny * y, nx * y - ny * x  # n . r and n^perp . r
         for i in range(4):
-            along, across = quarter(cp, sp, i - k)  # foot over arm, on n and n^perp
-            gap = scene.box_half_width - depth - scene.jack_arm * along
+            gap = gradient(scene, Frame(x, y, c, s, cp, sp), k, i, work[GRADIENTS + count])
             if gap <= tolerance or (k == wall and i == foot):
-                arm = scene.jack_arm * across
-                row = work[GRADIENTS + count]
-                row[0], row[1], row[2], row[3], row[4], row[5] = nx, ny, -side - arm, -nx, -ny, arm
                 work[PAIRS, count], work[IMPULSES, count] = 4.0 * k + i, 0.0
                 count += 1
     if count == 1:
@@ -94,13 +112,13 @@ def resolve(scene: SceneNumbers, work: Workspace, tolerance: float, wall: int, f
 
 
 def bounce(scene: SceneNumbers, state: Array, row: Array) -> float:
-    """One contact, with the gap's gradient J in ``row``: lambda = -2 J qdot / (J M^-1 J^T) where J qdot < 0."""
+    """One contact, with the gap's gradient J in ``row``: lambda = -(1 + e) J qdot / (J M^-1 J^T) where J qdot < 0."""
     impulse = 0.0
     rate = row[0] * (state[6] - state[9]) + row[1] * (state[7] - state[10]) + row[2] * state[8] + row[5] * state[11]
     if rate < 0.0:
         yielding = 1.0 / scene.box_mass + 1.0 / scene.jack_mass
         yielding += row[2] * row[2] / scene.box_inertia + row[5] * row[5] / scene.jack_inertia
-        impulse = -2.0 * rate / yielding
+        impulse = -(1.0 + scene.restitution) * rate / yielding
         kick(scene, state, row, impulse)
     return impulse
 
@@ -117,12 +135,28 @@ def kick(scene: SceneNumbers, state: Array, row: Array, impulse: float) -> None:
 
 def bounce_together(scene: SceneNumbers, work: Workspace, count: int) -> None:
     """Several contacts: reflect the rates at their projection on the cone of rates that close no gap."""
-    weigh(scene, work, count)
+    weigh(scene, work, count, STATE, 6)
+    for i in range(count):
+        work[BIAS, i] = 0.0
+    chosen = nearest(work, count)
+    for place in range(3):
+        number = chosen[place]
+        if number >= 0:
+            impulse = (1.0 + scene.restitution) * work[BEST, place] / work[LENGTHS, number]
+            work[IMPULSES, number] = impulse
+            kick(scene, work[STATE], work[GRADIENTS + number], impulse)
+
+
+def nearest(work: Workspace, count: int) -> tuple[int, int, int]:
+    """The contacts, -1 for none, that push the weighted rates v to the nearest point with w v + bias >= 0 everywhere.
+
+    Their pushes are in ``work[BEST]``. By trying all sets of one, two and three of ``count`` contacts.
+    """
     lowest = 0.0
     for i in range(count):
-        lowest = min(lowest, _dot(work[UNIT + i], work[RATES]))
+        lowest = min(lowest, _dot(work[UNIT + i], work[RATES]) + work[BIAS, i])
     if lowest >= 0.0:
-        return  # nothing approaches
+        return -1, -1, -1  # nothing approaches
     least = math.inf
     one = two = three = -1
     for i in range(count):
@@ -131,30 +165,25 @@ def bounce_together(scene: SceneNumbers, work: Workspace, count: int) -> None:
                 if k == j and j != i:
                     continue  # sets of one (i, i, i), two (i, i, k) and three (i, j, k)
                 size = 1 if k == i else 2 if j == i else 3
-                if not project(work, size, k, i, j):
+                if not (project(work, size, k, i, j) and pushing(work, size)):
                     continue
                 violation = 0.0
                 for other in range(count):
-                    violation = max(violation, -_dot(work[UNIT + other], work[POINT]))
+                    violation = max(violation, -(_dot(work[UNIT + other], work[POINT]) + work[BIAS, other]))
                 if violation < least:
                     least = violation
                     one, two, three = k, i if size > 1 else -1, j if size > 2 else -1
                     for place in range(3):
                         work[BEST, place] = work[PUSHES, place]
-    for place in range(3):
-        chosen = one if place == 0 else two if place == 1 else three
-        if chosen >= 0:
-            impulse = 2.0 * work[BEST, place] / work[LENGTHS, chosen]
-            work[IMPULSES, chosen] = impulse
-            kick(scene, work[STATE], work[GRADIENTS + chosen], impulse)
+    return one, two, three
 
 
-def weigh(scene: SceneNumbers, work: Workspace, count: int) -> None:
-    """Fill in v = M^1/2 qdot, the rows of J M^-1/2 at length 1, and their lengths."""
+def weigh(scene: SceneNumbers, work: Workspace, count: int, row: int, first: int) -> None:
+    """Fill in v = M^1/2 qdot, qdot being in ``row`` from ``first`` on, the rows of J M^-1/2 at length 1, their lengths."""
     for place in range(6):
         mass = scene.box_mass if place < 2 else scene.box_inertia if place == 2 else scene.jack_mass
         root = math.sqrt(scene.jack_inertia if place == 5 else mass)
-        work[RATES, place] = root * work[STATE, 6 + place]
+        work[RATES, place] = root * work[row, first + place]
         for i in range(count):
             work[UNIT + i, place] = work[GRADIENTS + i, place] / root
     for i in range(count):
@@ -168,9 +197,9 @@ def _dot(a: Array, b: Array) -> float:
 
 
 def project(work: Workspace, size: int, one: int, two: int, three: int) -> bool:
-    """Project the weighted rates v on what ``size`` rows leave free, to the point v + sum of pushes times rows.
+    """Project the weighted rates v on where ``size`` rows have w v + bias = 0: the point v + sum of pushes times rows.
 
-    Returns whether the rows are independent and no push is negative. By modified Gram-Schmidt, rows = tall^T base.
+    Returns whether the rows are independent. By modified Gram-Schmidt, rows = tall^T base.
     """
     point, pushes = work[POINT], work[PUSHES]
     for place in range(6):
@@ -191,13 +220,23 @@ def project(work: Workspace, size: int, one: int, two: int, three: int) -> bool:
         work[TALL + a, a] = length
         for place in range(6):
             work[BASE + a, place] /= length
-        pushes[a] = -_dot(work[BASE + a], point)
+        goal = work[BIAS, picked]
+        for b in range(a):
+            goal += work[TALL + b, a] * work[GOALS, b]
+        work[GOALS, a] = 0.0 - goal / length
+        pushes[a] = -(_dot(work[BASE + a], point) - work[GOALS, a])
         for place in range(6):
             point[place] += pushes[a] * work[BASE + a, place]
     for a in range(size - 1, -1, -1):
         for b in range(a + 1, size):
             pushes[a] -= work[TALL + a, b] * pushes[b]
         pushes[a] /= work[TALL + a, a]
-        if pushes[a] < 0.0:
+    return True
+
+
+def pushing(work: Workspace, size: int) -> bool:
+    """Whether no push of a projection pulls."""
+    for a in range(size):
+        if work[PUSHES, a] < 0.0:
             return False
     return True

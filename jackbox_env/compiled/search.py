@@ -33,11 +33,12 @@ from jackbox_env.scene import SceneNumbers
 
 Array = NDArray[np.float64]
 
-# In place of 4 * wall + foot: no impact, or none to be found by reasonable work.
-NONE, ENDLESS = -1, -2
+# In place of 4 * wall + foot: no impact, none to be found by reasonable work, or a foot may be at rest now.
+NONE, ENDLESS, AT_REST = -1, -2, -3
+HELD_AXES = 3  # accelerations of box and jack while feet are held, counted from PIECE: six, then three forces
 MOST_WORK = 1_000_000  # gaps evaluated in one step
 _RESTLESS = 65_536  # gaps evaluated up to which no step is taken for one at rest
-_GLANCE = 2.0**-12  # of a piece: how far a step at rest looks ahead
+GLANCE = 2.0**-12  # of a piece: how far a step at rest looks ahead
 _SLACK = 1.0 + 1e-12  # on bounds, for their rounding
 STEEPEST = 1e40  # K [m/s^2] and alpha [rad/s^2] beyond which squares overflow
 
@@ -111,6 +112,7 @@ class Flight(NamedTuple):
     half: float  # half the piece's length [s]
     curved: bool  # whether the accelerations are polynomials
     pushed: bool  # whether the box's centre is accelerated too
+    held: int  # feet that walls hold, bit 4 * wall + foot of each
 
 
 class Pose(NamedTuple):
@@ -123,6 +125,7 @@ class Pose(NamedTuple):
     angle: float
     omega: float
     jack_angle: float
+    jack_omega: float
 
 
 def excursion(work: Workspace, axis: int, flight: Flight, s: float) -> tuple[float, float]:
@@ -154,12 +157,14 @@ def flight_of(scene: SceneNumbers, state: Array, piece: Piece, since: float) -> 
     """The relative motion of a state ``since`` [s] after the start of a piece."""
     return Flight(
         state[3] - state[0], state[4] - state[1], state[9] - state[6], state[10] - state[7], state[2], state[8],
-        state[5], state[11], scene.gravity, piece.alpha, since, 0.5 * piece.length, piece.curved, piece.pushed,
+        state[5], state[11], scene.gravity, piece.alpha, since, 0.5 * piece.length, piece.curved, piece.pushed, 0,
     )  # fmt: skip
 
 
 def pose_at(flight: Flight, work: Workspace, s: float) -> Pose:
     """The relative motion ``s`` [s] into the flight."""
+    if flight.held:
+        return held_pose_at(flight, work, s)
     x = flight.x + flight.vx * s
     y = flight.y + (flight.vy - 0.5 * flight.gravity * s) * s
     vx, vy = flight.vx, flight.vy - flight.gravity * s
@@ -172,12 +177,35 @@ def pose_at(flight: Flight, work: Workspace, s: float) -> Pose:
             moved, pushed = excursion(work, PUSH_Y, flight, s)
             y, vy = y - moved, vy - pushed
     angle = flight.angle + (flight.omega * s + turned)
-    return Pose(x, y, vx, vy, angle, flight.omega + spun, flight.jack_angle + flight.jack_omega * s)
+    jack_angle = flight.jack_angle + flight.jack_omega * s
+    return Pose(x, y, vx, vy, angle, flight.omega + spun, jack_angle, flight.jack_omega)
+
+
+def held_pose_at(flight: Flight, work: Workspace, s: float) -> Pose:
+    """The relative motion ``s`` [s] into a flight with held feet, on which all six accelerations are polynomials."""
+    box_x, box_vx = excursion(work, HELD_AXES, flight, s)
+    box_y, box_vy = excursion(work, HELD_AXES + 1, flight, s)
+    turned, spun = excursion(work, HELD_AXES + 2, flight, s)
+    x, vx = excursion(work, HELD_AXES + 3, flight, s)
+    y, vy = excursion(work, HELD_AXES + 4, flight, s)
+    jack_turned, jack_spun = excursion(work, HELD_AXES + 5, flight, s)
+    return Pose(
+        flight.x + (flight.vx * s + (x - box_x)), flight.y + (flight.vy * s + (y - box_y)),
+        flight.vx + (vx - box_vx), flight.vy + (vy - box_vy),
+        flight.angle + (flight.omega * s + turned), flight.omega + spun,
+        flight.jack_angle + (flight.jack_omega * s + jack_turned), flight.jack_omega + jack_spun,
+    )  # fmt: skip
 
 
 def evolve(work: Workspace, flight: Flight, s: float) -> None:
     """Fly for ``s`` [s]: move the state."""
     state = work[STATE]
+    if flight.held:
+        for place in range(6):
+            moved, rate = excursion(work, HELD_AXES + place, flight, s)
+            state[place] += state[6 + place] * s + moved
+            state[6 + place] += rate
+        return
     turned, spun = 0.5 * flight.alpha * s * s, flight.alpha * s
     if flight.curved:
         turned, spun = excursion(work, TURN, flight, s)
@@ -229,6 +257,12 @@ def bounds_of(scene: SceneNumbers, flight: Flight, left: float, spin_up: float, 
     spin = abs(flight.jack_omega - flight.omega) + spin_up * left
     bend = (pull + 2.0 * omega * speed + (omega * omega + spin_up) * far) * _SLACK
     return Bounds(far, bend, scene.jack_arm * (spin * spin + spin_up) * _SLACK)
+
+
+def curvature_of(scene: SceneNumbers, flight: Flight, left: float, piece: Piece) -> float:
+    """Bound of a gap's second derivative within ``left`` [s] [m/s^2]."""
+    bounds = bounds_of(scene, flight, left, piece.spin_up, piece.push)
+    return bounds.bend + bounds.swing
 
 
 class BoxFrame(NamedTuple):
@@ -323,11 +357,11 @@ def gap_at(scene: SceneNumbers, flight: Flight, work: Workspace, wall: int, foot
     pose = pose_at(flight, work, s)
     ahead, speed = towards(box_frame(pose.x, pose.y, pose.vx, pose.vy, pose.angle, pose.omega), wall)
     cosine, sine = cos_sin(pose.jack_angle - pose.angle)
-    return foot_gap(scene, ahead, speed, cosine, sine, flight.jack_omega - pose.omega, foot - wall)
+    return foot_gap(scene, ahead, speed, cosine, sine, pose.jack_omega - pose.omega, foot - wall)
 
 
 def first_impact(
-    scene: SceneNumbers, work: Workspace, flight: Flight, piece: Piece, left: float, tolerance: float
+    scene: SceneNumbers, work: Workspace, flight: Flight, piece: Piece, left: float, tolerance: float, rest: float
 ) -> tuple[float, int]:
     """Find the first impact of a flight within ``left`` [s], which is at most what is left of its piece.
 
@@ -338,10 +372,11 @@ def first_impact(
         piece: what acts on the box.
         left: [s].
         tolerance: gap at which a foot touches [m].
+        rest: gap within which a slow foot may be at rest [m]; -inf: nobody asks.
 
     Returns:
         Its time since the flight's start [s] and 4 * wall + foot; ``NONE`` if there is none, ``ENDLESS`` if it can not
-        be told.
+        be told, ``AT_REST`` if a foot may be at rest now.
     """
     if reach_of(scene, flight, left, piece.push) + scene.jack_arm < scene.box_half_width:
         return left, NONE
@@ -354,12 +389,13 @@ def first_impact(
     if not curvature < STEEPEST:
         return left, ENDLESS
     # Half of it, so that rounding does not part what the search has found from what touches.
-    return first_of_all(scene, work, flight, frame, walls, Limits(curvature, left, 0.5 * tolerance))
+    return first_of_all(scene, work, flight, frame, walls, Limits(curvature, left, 0.5 * tolerance), rest)
 
 
 def first_of_all(
-    scene: SceneNumbers, work: Workspace, flight: Flight, frame: BoxFrame, walls: int, limits: Limits
-) -> tuple[float, int]:
+    scene: SceneNumbers, work: Workspace, flight: Flight, frame: BoxFrame, walls: int, limits: Limits,
+    rest: float,
+) -> tuple[float, int]:  # fmt: skip
     """The first impact of any foot on any of these ``walls`` (as bits): see :func:`first_impact`."""
     best, found = limits.end, NONE
     curvature, tolerance = limits.curvature, limits.tolerance
@@ -378,10 +414,19 @@ def first_of_all(
             gap, rate = foot_gap(scene, ahead, speed, cosine, sine, spin, foot - wall)
             if gap > tolerance and gap + (rate - 0.5 * curvature * best) * best > 0.0:
                 continue
+            if flight.held & (1 << (4 * wall + foot)):
+                continue
+            if gap <= rest and rate * rate <= slowest(curvature, rest):
+                return 0.0, AT_REST
             time = search(scene, work, flight, Approach(wall, foot, gap, rate), Limits(curvature, best, tolerance))
             if time < best or (time == best and found == NONE):
                 best, found = time, 4 * wall + foot
     return best, ENDLESS if work[TALLY, WORK] > MOST_WORK else found
+
+
+def slowest(curvature: float, gap: float) -> float:
+    """Square of the rate up to which a foot that touches may be at rest [m^2/s^2]: it rises by ``gap`` [m] at most."""
+    return 2.0 * curvature * gap
 
 
 def search(scene: SceneNumbers, work: Workspace, flight: Flight, approach: Approach, limits: Limits) -> float:
@@ -413,30 +458,6 @@ def search(scene: SceneNumbers, work: Workspace, flight: Flight, approach: Appro
             after = s + 2.3e-16 * s
         s = after
         gap, rate = gap_at(scene, flight, work, approach.wall, approach.foot, s)
-
-
-def advance(scene: SceneNumbers, work: Workspace, piece: Piece, touch: Touch, since: float) -> Status:
-    """Advance the state ``work[STATE]`` from ``since`` [s] to the end of a piece; return how it ended.
-
-    The state is in a frame near the box; ``work`` holds the polynomial accelerations.
-    """
-    while since < piece.length:
-        remaining = piece.length - since
-        left = min(remaining, _GLANCE * piece.length) if rests(scene, work) else remaining
-        flight = flight_of(scene, work[STATE], piece, since)
-        time, pair = first_impact(scene, work, flight, piece, left, touch.tolerance)
-        if pair == ENDLESS:
-            return why_endless(work)
-        if pair == NONE:
-            evolve(work, flight, left)
-            work[TALLY, ELAPSED] += left
-            if left == remaining:
-                return Status.DONE
-            since += left
-            continue
-        strike(scene, work, flight, time, pair, touch.together)
-        since += time
-    return Status.DONE
 
 
 def strike(scene: SceneNumbers, work: Workspace, flight: Flight, time: float, pair: int, together: float) -> None:

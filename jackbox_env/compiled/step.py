@@ -12,12 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.compiled.drives import DEGREE, TURN, chirp_piece, chirp_pieces, horner, integrate
+from jackbox_env.compiled.advance import advance
+from jackbox_env.compiled.rest import record_rest
 from jackbox_env.compiled.search import (
+    AT_REST,
     ENDLESS,
     NONE,
     STEEPEST,
     Touch,
-    advance,
     contact_tolerance,
     curved_piece,
     first_impact,
@@ -27,7 +29,7 @@ from jackbox_env.compiled.search import (
     why_endless,
 )
 from jackbox_env.compiled.status import Status
-from jackbox_env.compiled.workspace import HITS, PIECE, STATE, TALLY, Workspace
+from jackbox_env.compiled.workspace import HITS, PIECE, RESTING, STATE, TALLY, Workspace
 from jackbox_env.scene import SceneNumbers, chirp_turns
 from jackbox_env.states import LARGEST
 
@@ -61,7 +63,7 @@ def make_numbers(values: Array) -> SceneNumbers:
     """The scene's numbers from their array."""
     return SceneNumbers(
         values[0], values[1], values[2], values[3], values[4], values[5],
-        values[6], values[7], values[8], values[9], values[10], values[11],
+        values[6], values[7], values[8], values[9], values[10], values[11], values[12],
     )  # fmt: skip
 
 
@@ -103,13 +105,13 @@ def step(
         return step_near(scene, plan, before, after, alpha, work), scene.box_inertia * alpha
     if not told_apart(scene, before):
         return Status.TOO_FAST, 0.0
-    touch = start(plan, before, work[STATE])
+    touch = start(plan, before, work)
     if plan.kind == CHIRP:
         ended, impulse = advance_chirp(scene, plan, time, touch, work)
     else:
         ended, impulse = advance_pieces(scene, plan, torque, pieces, touch, work)
     mean = torque if plan.kind == HELD_BESIDE_FORCES else impulse / plan.dt
-    return finish(ended, before, work[STATE], after), mean
+    return finish(ended, plan, before, after, work), mean
 
 
 def clear_tally(work: Workspace) -> None:
@@ -124,15 +126,19 @@ def step_near(scene: SceneNumbers, plan: Plan, before: Array, after: Array, alph
         return Status.TOO_FAST
     piece = held_piece(plan.dt, alpha)
     flight = flight_of(scene, before, piece, 0.0)
-    time, pair = first_impact(scene, work, flight, piece, plan.dt, plan.tolerance)
+    touch = touch_of(plan, before)
+    time, pair = first_impact(scene, work, flight, piece, plan.dt, plan.tolerance, touch.together)
     if pair == ENDLESS:
         return why_endless(work)
     if pair == NONE:
         glide(before, after, scene.gravity * plan.dt, plan.dt, alpha)
         return Status.DONE
-    touch = start(plan, before, work[STATE])
-    strike(scene, work, flight, time, pair, touch.together)
-    return finish(advance(scene, work, piece, touch, time), before, work[STATE], after)
+    start(plan, before, work)
+    if pair == AT_REST:
+        time = 0.0
+    else:
+        strike(scene, work, flight, time, pair, touch.together)
+    return finish(advance(scene, work, piece, touch, time), plan, before, after, work)
 
 
 def stays_clear(x: float, y: float, vx: float, vy: float, fall: float, plan: Plan) -> bool:
@@ -172,14 +178,22 @@ def glide(before: Array, after: Array, fall: float, dt: float, alpha: float) -> 
     after[11] = before[11]
 
 
-def start(plan: Plan, before: Array, state: Array) -> Touch:
+def touch_of(plan: Plan, before: Array) -> Touch:
+    """When feet touch in a step from a state."""
+    furthest = max(max(abs(before[0]), abs(before[1])), max(abs(before[3]), abs(before[4])))
+    return Touch(plan.tolerance, max(plan.tolerance, 8.9e-16 * furthest))  # 4 units in the last place
+
+
+def start(plan: Plan, before: Array, work: Workspace) -> Touch:
     """Take the state into the frame at the box's centre; return when feet touch there."""
+    state = work[STATE]
+    for pair in range(16):
+        work[RESTING, pair] = 0.0
     for place in range(12):
         state[place] = before[place]
     state[0] = state[1] = 0.0
     state[3], state[4] = before[3] - before[0], before[4] - before[1]
-    furthest = max(max(abs(before[0]), abs(before[1])), max(abs(before[3]), abs(before[4])))
-    return Touch(plan.tolerance, max(plan.tolerance, 8.9e-16 * furthest))  # 4 units in the last place
+    return touch_of(plan, before)
 
 
 def told_apart(scene: SceneNumbers, state: Array) -> bool:
@@ -190,10 +204,11 @@ def told_apart(scene: SceneNumbers, state: Array) -> bool:
     return bool(max(max(place, angle), speed) < _COARSEST)
 
 
-def finish(ended: Status, before: Array, state: Array, after: Array) -> Status:
-    """Take the state back to the world, if it is well."""
+def finish(ended: Status, plan: Plan, before: Array, after: Array, work: Workspace) -> Status:
+    """Take the state back to the world, if it is well, and record what held feet took."""
     if ended != Status.DONE:
         return ended
+    state = work[STATE]
     total = 0.0
     for place in range(12):
         total += abs(state[place])
@@ -206,6 +221,7 @@ def finish(ended: Status, before: Array, state: Array, after: Array) -> Status:
     after[2], after[5] = state[2], state[5]
     for place in range(6, 12):
         after[place] = state[place]
+    record_rest(work, plan.dt)
     return ended
 
 

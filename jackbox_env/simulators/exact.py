@@ -81,7 +81,6 @@ class ExactSimulator(ContactModel):
     """Event-driven simulation; the module's head states the law, :class:`Simulator` the methods."""
 
     name = "exact"
-    elastic_only = True
     _workspace: Workspace  # grows to what a step has recorded
 
     def __init__(self, scene: Scene) -> None:

@@ -16,7 +16,7 @@ from jackbox_env import Drive, Scene, make_simulator
 from jackbox_env.compiled.compiler import compiled
 from jackbox_env.compiled.drives import DEGREE
 from jackbox_env.simulators import functions
-from jackbox_env.simulators.functions import function_pieces, interpolate
+from jackbox_env.simulators.functions import function_pieces
 
 Array = NDArray[np.float64]
 Function = Callable[[float], float]

@@ -1,0 +1,66 @@
+"""One piece of a step of the exact contact model, cut where feet strike walls, come to rest on them and are let go.
+
+It reads detect -> evolve -> resolve in ``search.py`` and ``impacts.py``; feet at rest are held by ``rest.py``.
+"""
+
+from __future__ import annotations
+
+import math
+
+from jackbox_env.compiled.rest import hold, settle
+from jackbox_env.compiled.search import (
+    AT_REST,
+    ENDLESS,
+    GLANCE,
+    NONE,
+    Piece,
+    Touch,
+    curvature_of,
+    evolve,
+    first_impact,
+    flight_of,
+    rests,
+    slowest,
+    strike,
+    why_endless,
+)
+from jackbox_env.compiled.status import Status
+from jackbox_env.compiled.workspace import ELAPSED, STATE, TALLY, Workspace
+from jackbox_env.scene import SceneNumbers
+
+
+def advance(scene: SceneNumbers, work: Workspace, piece: Piece, touch: Touch, since: float) -> Status:
+    """Advance the state ``work[STATE]`` from ``since`` [s] to the end of a piece; return how it ended.
+
+    The state is in a frame near the box; ``work`` holds the polynomial accelerations.
+    """
+    released = 0  # feet that were let go at this moment, as bits
+    while since < piece.length:
+        remaining = piece.length - since
+        left = min(remaining, GLANCE * piece.length) if rests(scene, work) else remaining
+        flight = flight_of(scene, work[STATE], piece, since)
+        time, pair = first_impact(scene, work, flight, piece, left, touch.tolerance, touch.together)
+        if pair == AT_REST:
+            slow = math.sqrt(slowest(curvature_of(scene, flight, left, piece), touch.together))
+            held = settle(scene, work, piece, since, touch, slow, released)
+            if held:
+                ended, time, loose = hold(scene, work, piece, touch, since, held)
+                if ended != Status.DONE:
+                    return ended
+                since += time
+                released = released | loose if time == 0.0 else 0
+                continue
+            time, pair = first_impact(scene, work, flight, piece, left, touch.tolerance, -math.inf)
+        released = 0
+        if pair == ENDLESS:
+            return why_endless(work)
+        if pair == NONE:
+            evolve(work, flight, left)
+            work[TALLY, ELAPSED] += left
+            if left == remaining:
+                return Status.DONE
+            since += left
+            continue
+        strike(scene, work, flight, time, pair, touch.together)
+        since += time
+    return Status.DONE
