@@ -25,7 +25,7 @@ from jackbox_env.compiled.search import (
     why_endless,
 )
 from jackbox_env.compiled.status import Status
-from jackbox_env.compiled.workspace import ELAPSED, STATE, TALLY, Workspace
+from jackbox_env.compiled.workspace import ELAPSED, HOLDING, LOOSE, STATE, TALLY, Workspace
 from jackbox_env.scene import SceneNumbers
 
 
@@ -34,24 +34,26 @@ def advance(scene: SceneNumbers, work: Workspace, piece: Piece, touch: Touch, si
 
     The state is in a frame near the box; ``work`` holds the polynomial accelerations.
     """
-    released = 0  # feet that were let go at this moment, as bits
+    work[HOLDING, LOOSE] = 0.0
+    rest = touch.together
     while since < piece.length:
         remaining = piece.length - since
         left = min(remaining, GLANCE * piece.length) if rests(scene, work) else remaining
         flight = flight_of(scene, work[STATE], piece, since)
-        time, pair = first_impact(scene, work, flight, piece, left, touch.tolerance, touch.together)
+        time, pair = first_impact(scene, work, flight, piece, left, touch.tolerance, rest)
         if pair == AT_REST:
             slow = math.sqrt(slowest(curvature_of(scene, flight, left, piece), touch.together))
-            held = settle(scene, work, piece, since, touch, slow, released)
-            if held:
-                ended, time, loose = hold(scene, work, piece, touch, since, held)
-                if ended != Status.DONE:
-                    return ended
-                since += time
-                released = released | loose if time == 0.0 else 0
+            held = settle(scene, work, piece, since, touch, slow)
+            if held == 0:
+                rest = -math.inf  # nobody rests: look for impacts alone
                 continue
-            time, pair = first_impact(scene, work, flight, piece, left, touch.tolerance, -math.inf)
-        released = 0
+            ended, time = hold(scene, work, piece, touch, since, held)
+            if ended != Status.DONE:
+                return ended
+            since += time
+            continue
+        rest = touch.together
+        work[HOLDING, LOOSE] = 0.0
         if pair == ENDLESS:
             return why_endless(work)
         if pair == NONE:

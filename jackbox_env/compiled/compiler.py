@@ -47,23 +47,27 @@ def _compile(
     function: FunctionType, instead: tuple[tuple[str, Any], ...] = (), keep: bool = True
 ) -> Callable[..., Any]:
     with _LOCK:
-        return _compile_once(function, instead, keep)
+        return _compile_once(function, instead, keep, False)
 
 
 @cache
-def _compile_once(function: FunctionType, instead: tuple[tuple[str, Any], ...], keep: bool) -> Callable[..., Any]:
+def _compile_once(
+    function: FunctionType, instead: tuple[tuple[str, Any], ...], keep: bool, inner: bool
+) -> Callable[..., Any]:
     from numba import njit
     from numba.extending import is_jitted
 
     known = {**function.__globals__, **dict(instead)}
     for name in function.__code__.co_names:
         if isinstance(known.get(name), FunctionType) and _is_ours(known[name]):
-            known[name] = _compile(known[name], instead, keep=False)  # what is kept of a caller holds what it calls
+            known[name] = _compile_once(known[name], instead, False, True)  # what is kept of a caller holds what it calls
     twin = FunctionType(function.__code__, known, function.__name__, function.__defaults__, function.__closure__)
     twin.__qualname__, twin.__module__, twin.__doc__ = function.__qualname__, function.__module__, function.__doc__
     # Without the runtime that counts references to arrays: nothing compiled here makes any, and counting them took
     # two thirds of a step.
     settings: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False}
+    if inner:  # only compiled code calls it: a third of the time to compile goes without ways in from Python
+        settings |= {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     dispatcher = njit(**settings)(twin)
     if keep and is_jitted(dispatcher):  # it is the plain function under NUMBA_DISABLE_JIT
         _keep(dispatcher, twin)

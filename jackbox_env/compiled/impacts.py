@@ -81,22 +81,33 @@ def gradient(scene: SceneNumbers, frame: Frame, wall: int, foot: int, row: Array
     return scene.box_half_width - depth - scene.jack_arm * along
 
 
+def frame_of(state: Array) -> Frame:
+    """Place and angles of a state."""
+    c, s = cos_sin(state[2])
+    cp, sp = cos_sin(state[5] - state[2])
+    return Frame(state[3] - state[0], state[4] - state[1], c, s, cp, sp)
+
+
+def list_touching(scene: SceneNumbers, work: Workspace, tolerance: float, wall: int, foot: int) -> int:
+    """List the contacts within ``tolerance`` [m], and that of ``wall`` and ``foot``; return how many there are."""
+    frame = frame_of(work[STATE])
+    count = 0
+    for k in range(4):
+        for i in range(4):
+            gap = gradient(scene, frame, k, i, work[GRADIENTS + count])
+            if gap <= tolerance or (k == wall and i == foot):
+                work[PAIRS, count], work[IMPULSES, count] = 4.0 * k + i, 0.0
+                count += 1
+    return count
+
+
 def resolve(scene: SceneNumbers, work: Workspace, tolerance: float, wall: int, foot: int) -> None:
     """Apply the law to every contact within ``tolerance`` [m], and to that of ``wall`` and ``foot`` in any case.
 
     The rates in ``work`` change, and it takes the record of the impacts.
     """
     state = work[STATE]
-    c, s = cos_sin(state[2])
-    cp, sp = cos_sin(state[5] - state[2])
-    x, y = state[3] - state[0], state[4] - state[1]
-    count = 0
-    for k in range(4):
-        for i in range(4):
-            gap = gradient(scene, Frame(x, y, c, s, cp, sp), k, i, work[GRADIENTS + count])
-            if gap <= tolerance or (k == wall and i == foot):
-                work[PAIRS, count], work[IMPULSES, count] = 4.0 * k + i, 0.0
-                count += 1
+    count = list_touching(scene, work, tolerance, wall, foot)
     if count == 1:
         work[IMPULSES, 0] = bounce(scene, state, work[GRADIENTS])
     else:
@@ -119,23 +130,23 @@ def bounce(scene: SceneNumbers, state: Array, row: Array) -> float:
         yielding = 1.0 / scene.box_mass + 1.0 / scene.jack_mass
         yielding += row[2] * row[2] / scene.box_inertia + row[5] * row[5] / scene.jack_inertia
         impulse = -(1.0 + scene.restitution) * rate / yielding
-        kick(scene, state, row, impulse)
+        kick(scene, state[6:], row, impulse)
     return impulse
 
 
-def kick(scene: SceneNumbers, state: Array, row: Array, impulse: float) -> None:
-    """Change the rates by M^-1 J^T lambda."""
-    state[6] += row[0] * impulse / scene.box_mass
-    state[7] += row[1] * impulse / scene.box_mass
-    state[8] += row[2] * impulse / scene.box_inertia
-    state[9] += row[3] * impulse / scene.jack_mass
-    state[10] += row[4] * impulse / scene.jack_mass
-    state[11] += row[5] * impulse / scene.jack_inertia
+def kick(scene: SceneNumbers, rates: Array, row: Array, impulse: float) -> None:
+    """Change six rates, those of box and jack, by M^-1 J^T lambda."""
+    rates[0] += row[0] * impulse / scene.box_mass
+    rates[1] += row[1] * impulse / scene.box_mass
+    rates[2] += row[2] * impulse / scene.box_inertia
+    rates[3] += row[3] * impulse / scene.jack_mass
+    rates[4] += row[4] * impulse / scene.jack_mass
+    rates[5] += row[5] * impulse / scene.jack_inertia
 
 
 def bounce_together(scene: SceneNumbers, work: Workspace, count: int) -> None:
     """Several contacts: reflect the rates at their projection on the cone of rates that close no gap."""
-    weigh(scene, work, count, STATE, 6)
+    weigh(scene, work, count, work[STATE, 6:])
     for i in range(count):
         work[BIAS, i] = 0.0
     chosen = nearest(work, count)
@@ -144,7 +155,7 @@ def bounce_together(scene: SceneNumbers, work: Workspace, count: int) -> None:
         if number >= 0:
             impulse = (1.0 + scene.restitution) * work[BEST, place] / work[LENGTHS, number]
             work[IMPULSES, number] = impulse
-            kick(scene, work[STATE], work[GRADIENTS + number], impulse)
+            kick(scene, work[STATE, 6:], work[GRADIENTS + number], impulse)
 
 
 def nearest(work: Workspace, count: int) -> tuple[int, int, int]:
@@ -178,12 +189,12 @@ def nearest(work: Workspace, count: int) -> tuple[int, int, int]:
     return one, two, three
 
 
-def weigh(scene: SceneNumbers, work: Workspace, count: int, row: int, first: int) -> None:
-    """Fill in v = M^1/2 qdot, qdot being in ``row`` from ``first`` on, the rows of J M^-1/2 at length 1, their lengths."""
+def weigh(scene: SceneNumbers, work: Workspace, count: int, rates: Array) -> None:
+    """Fill in v = M^1/2 ``rates``, the rows of J M^-1/2 at length 1, and their lengths."""
     for place in range(6):
         mass = scene.box_mass if place < 2 else scene.box_inertia if place == 2 else scene.jack_mass
         root = math.sqrt(scene.jack_inertia if place == 5 else mass)
-        work[RATES, place] = root * work[row, first + place]
+        work[RATES, place] = root * rates[place]
         for i in range(count):
             work[UNIT + i, place] = work[GRADIENTS + i, place] / root
     for i in range(count):

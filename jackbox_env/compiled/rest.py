@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.compiled.drives import DEGREE, PUSH_X, PUSH_Y, TURN, horner, integrate
-from jackbox_env.compiled.impacts import Frame, gradient, kick, nearest, project, resolve, weigh
+from jackbox_env.compiled.impacts import Frame, frame_of, gradient, kick, nearest, project, resolve, weigh
 from jackbox_env.compiled.interpolation import POINTS, interpolate
 from jackbox_env.compiled.search import (
     ENDLESS,
@@ -44,17 +44,19 @@ from jackbox_env.compiled.search import (
     why_endless,
 )
 from jackbox_env.compiled.status import Status
-from jackbox_env.compiled.trigonometry import cos_sin
 from jackbox_env.compiled.workspace import (
     BEST,
     BIAS,
+    COUNT,
     ELAPSED,
     FREE,
     GAPS,
     GRADIENTS,
     HITS,
+    HOLDING,
     IMPULSE,
     LENGTHS,
+    LOOSE,
     NODE,
     PAIRS,
     PIECE,
@@ -83,14 +85,6 @@ _RESOLVED = 1e-14  # last Chebyshev coefficients of the accelerations, likewise
 _PULL = 1e-12  # of a stretch's largest force: that much a wall may pull before it lets go
 
 
-def frame_of(work: Workspace, row: int) -> Frame:
-    """Place and angles of the state in ``row``."""
-    state = work[row]
-    c, s = cos_sin(state[2])
-    cp, sp = cos_sin(state[5] - state[2])
-    return Frame(state[3] - state[0], state[4] - state[1], c, s, cp, sp)
-
-
 def bend(scene: SceneNumbers, state: Array, frame: Frame, row: Array, gap: float) -> float:
     """Jdot qdot of a gap with the gradient ``row``: its second derivative where nothing accelerates [m/s^2]."""
     omega, spin = state[8], state[11] - state[8]
@@ -113,9 +107,9 @@ def accelerations(scene: SceneNumbers, work: Workspace, piece: Piece, since: flo
         free[1] = horner(work[PIECE + 3 * PUSH_Y], DEGREE, u)
 
 
-def list_contacts(scene: SceneNumbers, work: Workspace, row: int, count: int) -> Frame:
-    """Fill in gaps and gradients of the pairs in ``work[PAIRS]`` for the state in ``row``."""
-    frame = frame_of(work, row)
+def list_contacts(scene: SceneNumbers, work: Workspace, state: Array, count: int) -> Frame:
+    """Fill in gaps and gradients of the pairs in ``work[PAIRS]`` for a state."""
+    frame = frame_of(state)
     for number in range(count):
         pair = int(work[PAIRS, number])
         work[GAPS, number] = gradient(scene, frame, pair // 4, pair % 4, work[GRADIENTS + number])
@@ -129,16 +123,28 @@ def rate_of(state: Array, row: Array) -> float:
     )
 
 
-def bend_all(scene: SceneNumbers, work: Workspace, row: int, frame: Frame, count: int) -> None:
+def bend_all(scene: SceneNumbers, work: Workspace, state: Array, frame: Frame, count: int) -> None:
     """Weigh the free accelerations and the gradients, and fill in the bias that makes J qddot + Jdot qdot of them."""
-    weigh(scene, work, count, FREE, 0)
+    weigh(scene, work, count, work[FREE])
     for number in range(count):
-        turn = bend(scene, work[row], frame, work[GRADIENTS + number], work[GAPS, number])
+        turn = bend(scene, state, frame, work[GRADIENTS + number], work[GAPS, number])
         work[BIAS, number] = turn / work[LENGTHS, number]
 
 
+def list_slow(scene: SceneNumbers, work: Workspace, frame: Frame, touch: Touch, slow: float) -> int:
+    """List the contacts that touch, at rates up to ``slow`` [m/s], but for those let go; return how many there are."""
+    count, loose = 0, int(work[HOLDING, LOOSE])
+    for pair in range(16):
+        row = work[GRADIENTS + count]
+        gap = gradient(scene, frame, pair // 4, pair % 4, row)
+        if gap <= touch.together and abs(rate_of(work[STATE], row)) <= slow and not loose & (1 << pair):
+            work[PAIRS, count] = pair
+            count += 1
+    return count
+
+
 def settle(
-    scene: SceneNumbers, work: Workspace, piece: Piece, since: float, touch: Touch, slow: float, released: int
+    scene: SceneNumbers, work: Workspace, piece: Piece, since: float, touch: Touch, slow: float
 ) -> int:
     """Find the feet at rest on walls, and bring their gaps and rates to rest.
 
@@ -149,25 +155,19 @@ def settle(
         since: [s] after the piece's start.
         touch: when feet touch.
         slow: rate above which no foot that touches is looked at [m/s].
-        released: pairs that are not to be held, as bits.
 
     Returns:
-        The pairs that are held, as bits. Their number is in ``work[PAIRS, 15]``, and they are first in that row.
+        The pairs that are held, as bits. Their number is in ``work[HOLDING, COUNT]``, and they are first in
+        ``work[PAIRS]``.
     """
     state = work[STATE]
-    frame = frame_of(work, STATE)
-    count = 0
-    for pair in range(16):
-        row = work[GRADIENTS + count]
-        gap = gradient(scene, frame, pair // 4, pair % 4, row)
-        if gap <= touch.together and abs(rate_of(state, row)) <= slow and not released & (1 << pair) and count < 15:
-            work[PAIRS, count] = pair
-            count += 1
+    frame = frame_of(state)
+    count = list_slow(scene, work, frame, touch, slow)
     accelerations(scene, work, piece, since)
     while count > 0:
         work[TALLY, WORK] += 1.0
-        list_contacts(scene, work, STATE, count)
-        bend_all(scene, work, STATE, frame, count)
+        list_contacts(scene, work, work[STATE], count)
+        bend_all(scene, work, state, frame, count)
         chosen = nearest(work, count)
         # A foot that would bounce higher than can be told from rest is not at rest.
         bouncing = -1
@@ -188,55 +188,34 @@ def settle(
 
 def hold_these(scene: SceneNumbers, work: Workspace, touch: Touch, chosen: tuple[int, int, int]) -> int:
     """List the chosen contacts as held, and bring them to rest; return them as bits."""
-    mask = count = 0
-    one = two = three = -1.0
-    for place in range(3):
-        number = chosen[place]
-        if number >= 0:
-            pair = work[PAIRS, number]
-            one, two, three = (pair, two, three) if count == 0 else (one, pair, three) if count == 1 else (one, two, pair)
-            mask |= 1 << int(pair)
+    held = count = 0
+    for number in range(16):  # in the order of the list, so that none is written over before it is read
+        if number == chosen[0] or number == chosen[1] or number == chosen[2]:
+            pair, gap = work[PAIRS, number], work[GAPS, number]
+            work[PAIRS, count], work[TARGETS, count] = pair, gap if abs(gap) > touch.together else 0.0
+            held |= 1 << int(pair)
             count += 1
-    work[PAIRS, 0], work[PAIRS, 1], work[PAIRS, 2], work[PAIRS, 15] = one, two, three, count
-    if count > 0:
-        list_contacts(scene, work, STATE, count)
-        for number in range(count):
-            gap = work[GAPS, number]
-            work[TARGETS, number] = gap if abs(gap) > touch.together else 0.0
+    work[HOLDING, COUNT] = count
+    if held:
         bring_back(scene, work)
-    return mask
+    return held
 
 
 def bring_back(scene: SceneNumbers, work: Workspace) -> None:
-    """Bring the held gaps to their targets and their rates to 0, by the nearest step in the norm of M."""
-    state, count = work[STATE], int(work[PAIRS, 15])
-    for _ in range(2):
-        list_contacts(scene, work, STATE, count)
-        weigh(scene, work, count, STATE, 0)
-        for place in range(6):
-            work[RATES, place] = 0.0
+    """Bring the held gaps to their targets, in two steps of Newton, and their rates to 0, each nearest in the norm of M."""
+    state, count = work[STATE], int(work[HOLDING, COUNT])
+    for turn in range(3):
+        list_contacts(scene, work, state, count)
+        weigh(scene, work, count, state[6:])
         for number in range(count):
-            work[BIAS, number] = (work[GAPS, number] - work[TARGETS, number]) / work[LENGTHS, number]
-        project(work, count, 0, 1, 2)
-        push(scene, work, count, 0)
-    list_contacts(scene, work, STATE, count)
-    weigh(scene, work, count, STATE, 6)
-    for number in range(count):
-        work[BIAS, number] = 0.0
-    project(work, count, 0, 1, 2)
-    for number in range(count):
-        kick(scene, state, work[GRADIENTS + number], work[PUSHES, number] / work[LENGTHS, number])
-
-
-def push(scene: SceneNumbers, work: Workspace, count: int, first: int) -> None:
-    """Change the state from place ``first`` on by the pushes of a projection."""
-    state = work[STATE]
-    for number in range(count):
-        row, share = work[GRADIENTS + number], work[PUSHES, number] / work[LENGTHS, number]
+            off = work[GAPS, number] - work[TARGETS, number] if turn < 2 else 0.0
+            work[BIAS, number] = off / work[LENGTHS, number]
         for place in range(6):
-            mass = scene.box_mass if place < 2 else scene.box_inertia if place == 2 else scene.jack_mass
-            mass = scene.jack_inertia if place == 5 else mass
-            state[first + place] += row[place] * share / mass
+            work[RATES, place] *= 0.0 if turn < 2 else 1.0
+        project(work, count, 0, 1, 2)
+        for number in range(count):
+            share = work[PUSHES, number] / work[LENGTHS, number]
+            kick(scene, state[(0 if turn < 2 else 6) :], work[GRADIENTS + number], share)
 
 
 def root_mass(scene: SceneNumbers, place: int) -> float:
@@ -250,7 +229,7 @@ def moment(scene: SceneNumbers, work: Workspace, piece: Piece, since: float, len
 
     Accelerations of angles count by what they do to a foot and a wall [m/s^2].
     """
-    count = int(work[PAIRS, 15])
+    count = int(work[HOLDING, COUNT])
     s = 0.5 * (1.0 + POINTS[number]) * length
     state, node = work[STATE], work[NODE]
     for place in range(6):
@@ -258,8 +237,8 @@ def moment(scene: SceneNumbers, work: Workspace, piece: Piece, since: float, len
         node[place] = state[place] + (state[6 + place] * s + horner(work[row + 2], DEGREE + 2, POINTS[number]))
         node[6 + place] = state[6 + place] + horner(work[row + 1], DEGREE + 1, POINTS[number])
     accelerations(scene, work, piece, since + s)
-    frame = list_contacts(scene, work, NODE, count)
-    bend_all(scene, work, NODE, frame, count)
+    frame = list_contacts(scene, work, node, count)
+    bend_all(scene, work, node, frame, count)
     if not project(work, count, 0, 1, 2):
         return math.inf
     changed = 0.0
@@ -275,7 +254,7 @@ def moment(scene: SceneNumbers, work: Workspace, piece: Piece, since: float, len
 
 def stretch(scene: SceneNumbers, work: Workspace, piece: Piece, since: float, length: float) -> bool:
     """Find the motion of box and jack with held feet over ``length`` [s]; return whether it is resolved to rounding."""
-    count, state = int(work[PAIRS, 15]), work[STATE]
+    count, state = int(work[HOLDING, COUNT]), work[STATE]
     speed = scene.speed_scale + abs(state[9] - state[6]) + abs(state[10] - state[7])
     speed += scene.box_half_width * abs(state[8]) + scene.jack_arm * abs(state[11])
     for place in range(6):  # at first, as it begins
@@ -338,7 +317,7 @@ def let_go(work: Workspace, place: int, length: float) -> float:
 
 def hold(
     scene: SceneNumbers, work: Workspace, piece: Piece, touch: Touch, since: float, held: int
-) -> tuple[Status, float, int]:
+) -> tuple[Status, float]:
     """Move with held feet to the end of a stretch, an impact, or until a wall would have to pull.
 
     Args:
@@ -350,15 +329,15 @@ def hold(
         held: the pairs that are held, as bits.
 
     Returns:
-        How it ended, how long it took [s], and the pairs that were let go at once, as bits.
+        How it ended, and how long it took [s]. Feet that were let go at once are noted in ``work[HOLDING, LOOSE]``.
     """
-    state, count, left = work[STATE], int(work[PAIRS, 15]), piece.length - since
+    state, count, left = work[STATE], int(work[HOLDING, COUNT]), piece.length - since
     turning = abs(state[8]) + abs(state[11])
     length = left if turning * left <= _TURNED else _TURNED / turning
     while not stretch(scene, work, piece, since, length):
         length *= 0.5
         if work[TALLY, WORK] > MOST_WORK or not since + length > since:
-            return Status.TOO_MUCH_WORK, 0.0, 0
+            return Status.TOO_MUCH_WORK, 0.0
     end, loose = length, -1
     for place in range(count):
         time = let_go(work, place, length)
@@ -376,7 +355,7 @@ def hold(
     bounds = Piece(length, 0.0, True, True, turn, pushed)
     time, pair = first_impact(scene, work, flight, bounds, end, touch.tolerance, -math.inf)
     if pair == ENDLESS:
-        return why_endless(work), 0.0, 0
+        return why_endless(work), 0.0
     if pair != NONE:
         end = time
     u = 2.0 * end / length - 1.0 if end < length else 1.0
@@ -390,8 +369,10 @@ def hold(
         work[TALLY, WORK] += 1.0
         resolve(scene, work, touch.together, pair // 4, pair % 4)
     elif loose >= 0 and end == 0.0:
-        return Status.DONE, 0.0, 1 << int(work[PAIRS, loose])
-    return Status.DONE, end, 0
+        work[HOLDING, LOOSE] += 1 << int(work[PAIRS, loose])
+    if end > 0.0:
+        work[HOLDING, LOOSE] = 0.0
+    return Status.DONE, end
 
 
 def record_rest(work: Workspace, dt: float) -> None:

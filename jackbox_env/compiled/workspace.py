@@ -36,10 +36,13 @@ NODE = 90  # a state on the way of a held foot; 12 used
 FREE = 91  # accelerations without contact; 6 used
 VALUES = 92  # at 13 moments, 9 rows, see rest.py
 RESTING = 101  # impulses of held feet in this step [N s], by 4 * wall + foot
-RECORD = 102  # from here on, one row per impact: time since the step's start, wall, foot, impulse
+HOLDING = 102  # which feet are held, in the places below
+RECORD = 103  # from here on, one row per impact: time since the step's start, wall, foot, impulse
 
 # Places of TALLY: impacts, their impulse [N s], gaps evaluated, time since the step's start [s].
 HITS, IMPULSE, WORK, ELAPSED = range(4)
+# Places of HOLDING: how many pairs are held, and those that were let go at this moment, as bits.
+COUNT, LOOSE = range(2)
 
 
 def new_workspace(impacts: int = 0) -> Workspace:
