@@ -34,7 +34,7 @@ STATE_NAMES = (
 # A start is inside when no foot is further out than this [m], or than 4 units in the last place of a far-off position.
 START_TOLERANCE = 1e-9
 
-# A state that a contact model has left is taken back with a foot this far outside [m], or L if that is less.
+# A state from a contact model is accepted with a foot up to this far outside [m], or up to L if that is less.
 DEEPEST = 1.0
 
 # Beyond this, squares and products of states and masses would overflow.
@@ -114,7 +114,7 @@ def as_start(scene: Scene, state: ArrayLike) -> Array:
 
 
 def deepest_held(scene: Scene) -> float:
-    """How far outside a foot of a state may be that is taken back [m]: min(1 m, L)."""
+    """How far outside the box a foot may be in a state that is put back [m]: min(1 m, L)."""
     return min(DEEPEST, scene.box_half_width)
 
 

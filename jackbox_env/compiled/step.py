@@ -1,6 +1,6 @@
 """One step of the exact contact model: its drive cut into pieces, each given to the kernel.
 
-The step happens in a frame that starts at the box's centre, so that far from the origin is as good as near it.
+The step works in a frame that starts at the box's centre, so it is as good far from the origin as near it.
 Everything here is compiled as it stands, see :mod:`jackbox_env.compiled.compiler`.
 """
 
@@ -173,7 +173,7 @@ def glide(before: Array, after: Array, fall: float, dt: float, alpha: float) -> 
 
 
 def start(plan: Plan, before: Array, state: Array) -> Touch:
-    """Take the state into the frame at the box's centre; return when feet touch there."""
+    """Take the state into the frame at the box's centre; return the gaps at which feet touch there."""
     for place in range(12):
         state[place] = before[place]
     state[0] = state[1] = 0.0
@@ -191,7 +191,7 @@ def told_apart(scene: SceneNumbers, state: Array) -> bool:
 
 
 def finish(ended: Status, before: Array, state: Array, after: Array) -> Status:
-    """Take the state back to the world, if it is well."""
+    """Take the state back to the world, unless the step failed or a number is too large."""
     if ended != Status.DONE:
         return ended
     total = 0.0
