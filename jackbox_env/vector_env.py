@@ -299,8 +299,8 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
             return None
         if self._mode is AutoresetMode.DISABLED:
             raise RuntimeError(
-                "autoreset_mode DISABLED leaves it to you to reset an episode that is over before the next step, by "
-                f"options={{'reset_mask': ...}}; over are {int(waiting.sum())} of {self.num_envs}"
+                "with autoreset_mode DISABLED, reset the episodes that are over before the next step, by "
+                f"options={{'reset_mask': ...}}; {int(waiting.sum())} of {self.num_envs} are over"
             )
         return waiting
 
