@@ -35,7 +35,7 @@ def unpacked_tensors(path: Path) -> io.BytesIO:
 
 
 def _refuse_inflation(archive: zipfile.ZipFile, size: int, name: str) -> None:
-    """Add up what the members say of themselves."""
+    """Refuse an archive whose members declare too much in sum."""
     if any(member.compress_type not in _METHODS for member in archive.infolist()):
         raise ValueError(f"{name} must be stored or deflated")
     inflated, most = sum(member.file_size for member in archive.infolist()), _MOST_TIMES * size + _SPARE
@@ -44,6 +44,6 @@ def _refuse_inflation(archive: zipfile.ZipFile, size: int, name: str) -> None:
 
 
 def _read(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
-    """Read no more than a member says of itself: reading all of it would inflate what it holds beyond that first."""
+    """Read no more than a member's declared size: a full read would first inflate all that it holds beyond that."""
     with archive.open(member) as file:
         return file.read(member.file_size)

@@ -87,7 +87,7 @@ def read_settings(folder: Path) -> TrainSettings:
 
     Raises:
         FileNotFoundError: it is no run folder.
-        ValueError: what is there is not settings, or they are unknown or out of range.
+        ValueError: the file holds no settings, or one that is unknown or out of range.
     """
     path = folder / SETTINGS
     if not path.is_file():

@@ -71,7 +71,7 @@ class EnvSettings:
 
     @property
     def setting(self) -> Setting:
-        """The contact model that is meant, whatever words say it."""
+        """The contact model and substeps that these settings mean, in one form."""
         setting = resolve(self.fidelity, self.contact, self.substeps)
         return FIDELITIES["balanced"] if setting == Setting("pymunk") else setting  # pymunk's default has that name
 
@@ -145,7 +145,7 @@ class TrainSettings(EnvSettings):
             raise ValueError("num_envs * rollout_steps must be at least 2 for PPO, got 1")
 
     def _refuse_absurd_sizes(self, counts: list[str]) -> None:
-        """Refuse what no memory holds, before anything is made of it."""
+        """Refuse sizes that no memory holds, before anything is allocated."""
         for name in counts:
             check.whole(name, getattr(self, name), at_least=1, at_most=MOST_COUNTED)
         check.whole("torch_threads", self.torch_threads, at_least=1, at_most=MOST_THREADS)

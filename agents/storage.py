@@ -119,7 +119,7 @@ def remove_partials(*folders: Path) -> None:
 
 
 def _sync(path: Path) -> None:
-    """Have a file, or the names in a folder, on the disk; Windows does not open folders."""
+    """Flush a file, or the list of names of a folder, to the disk; Windows does not open folders."""
     if path.is_dir() and os.name == "nt":
         return
     descriptor = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
@@ -134,7 +134,7 @@ def _sync(path: Path) -> None:
 
 @contextmanager
 def parsing(path: Path) -> Iterator[None]:
-    """Whatever fails in the block is the fault of what ``path`` holds.
+    """Take any failure in the block for damage of the file at ``path``.
 
     Raises:
         DamagedFileError: it failed.
@@ -158,7 +158,7 @@ def read_json(path: Path) -> Any:
 
 
 def say_skipped(error: DamagedFileError) -> None:
-    """Tell people that something is gone on without."""
+    """Say on standard error that a damaged file was skipped."""
     print(f"Skipped: {error}", file=sys.stderr)
 
 

@@ -91,7 +91,7 @@ def between(simulator: Simulator, before: Array, time: float, torque: float | No
     """Play the last step of a contact model of this package once more, see :mod:`jackbox_env.simulators.replay`.
 
     Rounding grows by about 5 per impact: a replay of a long step that does not end where the model did is worth
-    nothing, and tells NaN.
+    nothing, and gives NaN.
 
     Args:
         simulator: after the step.
@@ -111,7 +111,7 @@ def between(simulator: Simulator, before: Array, time: float, torque: float | No
 
 
 def at_ends(simulator: Simulator, before: Array, time: float, torque: float | None) -> Between:
-    """Look at steps' ends only: a Look for the exact model, which lets impacts act on the wall, and for any dt."""
+    """Look at steps' ends only, for any dt. Enough for the exact model, whose impacts act exactly on the wall."""
     return Between(-clearance(simulator.scene, simulator.state.tolist()), math.nan)
 
 

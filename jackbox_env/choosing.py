@@ -70,8 +70,8 @@ def cheapest(
         The setting with what was measured: ``gym.make("JackInBox-v0", **choice.setting._asdict())``.
 
     Raises:
-        TypeError, ValueError: an argument out of its range; no jack touches a wall; or no setting will do, the sentence
-            then says what the finest one reaches.
+        TypeError, ValueError: an argument out of its range; no jack touches a wall; or no setting will do, and the
+            message says what the finest one reaches.
         JackLostError: the exact model cannot follow a case to its first impact.
 
     >>> from jackbox_env import cheapest

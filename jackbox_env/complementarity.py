@@ -4,7 +4,7 @@ Method: the solution minimises |W^T x + c|^2 / 2 over x >= 0, found by the activ
     Solving Least Squares Problems, ch. 23).
 Exactness: rounding. W^T x is unique. Where rows depend on each other x is one of several; at most three are above 0.
 Bits: the same on every processor. The sums are written out, because those of a linear algebra library differ in their
-    last bits from one processor to the next, and where rows depend on each other such a bit decides which enter.
+    last bits from one processor to the next, and where rows depend on each other such a bit decides which rows enter.
 Fails: rows of rank 4 or more, which a jack and a box can not make.
 """
 
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _RANK = 3  # every gradient of a gap is a combination of three: (n_x, n_y, n^perp . o)
-_DEPENDENT = 1e-12  # of a row's length: where less is left of it beside others, it is one of them
+_DEPENDENT = 1e-12  # of a row's length: if less of it is left beside other rows, it depends on them
 
 
 def dot(a: Array, b: Array) -> float:
@@ -38,8 +38,8 @@ def combined(rows: Array, factors: Array) -> Array:
 def complementary(rows: Array, velocity: Array) -> Array:
     """Solve 0 <= x _|_ W (W^T x + c) >= 0.
 
-    A row within the span of the active ones has a gradient of 0, as they have. What is computed of it is rounding: it
-    is barred, and the active ones stay independent. No set of active ones is taken twice.
+    A row within the span of the active ones has a gradient of 0, as they have, and what is computed of it is only
+    rounding. So it is barred, and the active rows stay independent. No set of active rows is tried twice.
 
     Args:
         rows: W, each of length 1, shape (n, 6).

@@ -66,7 +66,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     | 8   | sine of 4 (jack's angle - box's angle)         | -1  | 1   |          |
     | 9   | angular velocity of the jack                   | -10 | 10  | v0 / l   |
 
-    (*) on the axes of the box; the box's own rotation is not taken away.
+    (*) on the axes of the box; the box's own rotation is not subtracted.
 
     ## Rewards
 

@@ -15,8 +15,10 @@ Hamiltonian is kept (Brogliato, Nonsmooth Mechanics, 3rd ed. 2016, ch. 4; Glocke
 
     M (qdot+ - qdot-) = lambda J^T,    J qdot+ = -e J qdot-    =>    lambda = -(1 + e) J qdot- / (J M^-1 J^T)
 
-No contact model calls the maps below: they are the law that the models are checked against. They give the same bits on
-every processor, because their sums are written out and not left to a linear algebra library.
+No contact model calls the maps below: they are the law that the models are checked against. Their sums are written out
+and not left to a linear algebra library, so from the same cosines and sines they give the same bits on every processor.
+The cosines and sines are numpy's. Their last place may differ between processors: with glibc it does where a processor
+lacks FMA and AVX2.
 """
 
 from __future__ import annotations
@@ -36,7 +38,7 @@ _QUARTERS = np.arange(4) * (math.pi / 2.0)
 
 
 def _directions(angle: float) -> Array:
-    """Unit vectors at ``angle`` + k pi/2, shape (4, 2)."""
+    """Unit vectors at ``angle`` + k pi/2, shape (4, 2), by numpy's cosine and sine."""
     return np.stack([np.cos(angle + _QUARTERS), np.sin(angle + _QUARTERS)], axis=1)
 
 
@@ -110,7 +112,8 @@ def simultaneous_impact_map(scene: Scene, state: ArrayLike, contacts: Sequence[t
     takes part whether it approaches or not; list those whose gap is within the tolerance of the moment. The law is the
     optimality condition of a convex problem (:mod:`jackbox_env.complementarity`), so qdot+ is unique even where the
     impulses are not (a foot in a corner has four contacts of rank 3); then the impulses are one valid choice.
-    Resolving the contacts one after the other gives other, equally energy-keeping answers: this is the convention here.
+    Resolving the contacts one after the other gives other answers that keep the energy as well. This project's
+    convention is the simultaneous law.
 
     Args:
         scene: the scene.

@@ -130,7 +130,7 @@ def _sequences(scene: Scene, states: ArrayLike, torques: ArrayLike) -> tuple[Arr
         raise ValueError(f"torques must be finite, got {held[~np.isfinite(held)][0]}")
     count = len(starts) if starts.ndim == 2 else len(held) if held.ndim == 2 else 1
     starts = np.ascontiguousarray(np.broadcast_to(starts, (count, 12)))
-    # The quick look finds what the careful one then names.
+    # The quick check finds that a state is bad, the careful one says why.
     if int(compiled(outside)(np.array(scene.numbers), starts, deepest_held(scene))) >= 0:
         for number, state in enumerate(starts):
             try:

@@ -276,7 +276,7 @@ class Renderer:
             canvas.disc(foot, radius, _RED)
 
     def _draw_ruler(self, canvas: Canvas) -> None:
-        """Draw the scale of heights; of a number too long for it the last digits stay, which show the motion."""
+        """Draw the scale of heights; a number too long for it keeps its last digits, which show the motion."""
         canvas.surface.fill(_RULER_TINT, (0, 0, _RULER, SIZE))
         canvas.surface.fill(TRACK, (_RULER, 0, 1, SIZE))
         unit, symbol = _unit(self._scene.box_half_width, "m")

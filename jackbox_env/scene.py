@@ -40,8 +40,8 @@ def _quantity(name: str, value: Any) -> float:
 def _hat_means(signal: Callable[[float], float], duration: float, panels: int = 1) -> tuple[float, float]:
     """Average ``signal(s)`` over 0 <= s <= duration under a falling and under a rising triangle.
 
-    With T the duration these are 2/T^2 int (T - s) f(s) ds and 2/T^2 int s f(s) ds. The first is the constant signal
-    that moves a coordinate as far in T as f does, the mean of both the one that changes its rate as much.
+    With T the duration these are 2/T^2 int (T - s) f(s) ds and 2/T^2 int s f(s) ds. A constant acceleration of
+    the first moves a coordinate as far in T as f does. One of the mean of both changes its rate as much as f does.
     """
     falling = rising = 0.0
     for panel in range(panels):
@@ -92,7 +92,7 @@ class Chirp:
         rate: growth of the frequency [Hz/s], from -1e9 to 1e9; 0 is a plain sine.
 
     Raises:
-        TypeError, ValueError: a parameter is no finite number in its range.
+        TypeError, ValueError: a parameter is not a finite number in its range.
     """
 
     amplitude: float = 90000.0  # [N m] gain 30000 times 3
@@ -142,7 +142,7 @@ class Chirp:
         if not turned <= MOST_TURNS:
             raise ValueError(too_many_turns(turned, time, duration))
 
-        half_rate, half = 0.5 * self.rate, middle - time  # not duration / 2: late times round the middle
+        half_rate, half = 0.5 * self.rate, middle - time  # not duration / 2: a late middle is rounded
 
         def signal(since: float) -> float:
             offset = since - half
@@ -159,9 +159,9 @@ class Drive:
     Each function takes the time as a Python float [s] and returns a finite number. The pymunk model samples it at five
     points of every substep, so it should be smooth on that scale. The exact model interpolates it to rounding and
     locates each jump within 2^-44 of the control step, or within the spacing of float64 times if that is wider. It
-    looks at 13 points of each smooth stretch, both ends included: what begins and ends between two of them, which are
-    at most 0.13 of the stretch apart, is not seen. A function left out acts as zero and costs nothing. A Drive of
-    functions has no JSON form: an environment made with one cannot write its spec as JSON.
+    looks at 13 points of each smooth stretch, both ends included. They are at most 0.13 of the stretch apart, and a
+    pulse that begins and ends between two of them is not seen. A function left out acts as zero and costs nothing. A
+    Drive of functions has no JSON form: an environment made with one cannot write its spec as JSON.
 
     Trajectories are the same to the bit on machines where the functions return the same. ``math.sin`` and its like take
     their last place from the machine's C library.
@@ -187,12 +187,12 @@ class Drive:
 
     @property
     def torque_bound(self) -> float:
-        """The torque never exceeds this [N m]: nothing is known of a function, unless there is none."""
+        """The torque never exceeds this [N m]: infinite for a function, 0 without one."""
         return 0.0 if self.torque is None else math.inf
 
     @property
     def force_bound(self) -> float:
-        """The side force never exceeds this [N]: nothing is known of functions, unless there are none."""
+        """The side force never exceeds this [N]: infinite for functions, 0 without any."""
         return 0.0 if self.force_x is None and self.force_y is None else math.inf
 
     def torque_means(self, time: float, duration: float) -> tuple[float, float]:
@@ -248,7 +248,7 @@ class Scene:
         drive: a Chirp, a Drive, a dict of Chirp's fields, or None. Its torque acts where no agent's does, its side
             forces always.
 
-    Torque limit and drive do not scale with the box: a small or light one wants less of both. Lengths, masses, inertias
+    Torque limit and drive do not scale with the box: a small or light box wants less of both. Lengths, masses, inertias
     and the torque limit are within [1e-60, 1e60]. ``dataclasses.replace`` keeps a resolved
     inertia: give ``box_inertia=None`` with a new mass or width to have it derived again.
 
@@ -324,12 +324,12 @@ class Scene:
 
     @property
     def speed_scale(self) -> float:
-        """v0 = sqrt(2 * 9.81 * L) [m/s], a unit of speed: that after falling L on Earth, whatever ``gravity`` is."""
+        """v0 = sqrt(2 * 9.81 * L) [m/s], a unit of speed: that after a fall of L on Earth, whatever ``gravity`` is."""
         return math.sqrt(2.0 * 9.81 * self.box_half_width)
 
     @property
     def numbers(self) -> SceneNumbers:
-        """The scene as plain numbers; without a Chirp for its drive the chirp's are 0."""
+        """The scene as plain numbers; those of the chirp are 0 if the drive is not a Chirp."""
         own = {name: getattr(self, name) for name in SceneNumbers._fields if hasattr(self, name)}
         chirp = self.drive if isinstance(self.drive, Chirp) else Chirp(0.0, 0.0, 0.0)
         return SceneNumbers(

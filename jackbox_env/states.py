@@ -34,7 +34,7 @@ STATE_NAMES = (
 # A start is inside when no foot is further out than this [m], or than 4 units in the last place of a far-off position.
 START_TOLERANCE = 1e-9
 
-# A state that a contact model has left is taken back with a foot this far outside [m], or L if that is less.
+# A state from a contact model is accepted with a foot up to this far outside [m], or up to L if that is less.
 DEEPEST = 1.0
 
 # Beyond this, squares and products of states and masses would overflow.
@@ -97,8 +97,8 @@ def as_start(scene: Scene, state: ArrayLike) -> Array:
     """Return ``state`` as a fresh float64 array of shape (12,) if every foot is inside, to the start's tolerance.
 
     Raises:
-        TypeError, ValueError: the state is not 12 finite numbers, a foot is outside, or the places are so far off that
-            float64 can not tell L / 1000.
+        TypeError, ValueError: the state is not 12 finite numbers, a foot is outside, or the places are so far from the
+            origin that float64 does not resolve L / 1000.
     """
     refuse_no_scene(scene)
     array = as_state(state)
@@ -114,7 +114,7 @@ def as_start(scene: Scene, state: ArrayLike) -> Array:
 
 
 def deepest_held(scene: Scene) -> float:
-    """How far outside a foot of a state may be that is taken back [m]: min(1 m, L)."""
+    """How far outside the box a foot may be in a state that is put back [m]: min(1 m, L)."""
     return min(DEEPEST, scene.box_half_width)
 
 
@@ -123,7 +123,7 @@ def as_held(scene: Scene, state: ArrayLike) -> Array:
 
     Raises:
         TypeError, ValueError: the state is not 12 finite numbers, a foot is further outside, or the places are so far
-            off that float64 can not tell L / 1000.
+            from the origin that float64 does not resolve L / 1000.
     """
     refuse_no_scene(scene)
     array = as_state(state)
@@ -138,4 +138,4 @@ def as_held(scene: Scene, state: ArrayLike) -> Array:
 def _refuse_far_off(scene: Scene, values: Sequence[float]) -> None:
     furthest = max(abs(values[place]) for place in (0, 1, 3, 4))
     if not math.ulp(furthest) <= 1e-3 * scene.box_half_width:
-        raise ValueError(f"state must be near enough for its places to be finer than L / 1000, got {furthest:g} m")
+        raise ValueError(f"state must be near enough to the origin for float64 to resolve L / 1000, got {furthest:g} m")

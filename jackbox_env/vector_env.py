@@ -57,7 +57,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
             the new start and reward 0. ``SAME_STEP``: the step that ends it returns the new start, and the last
             observation in ``infos["final_obs"]``. ``DISABLED``: you restart it, by ``reset`` with a ``reset_mask``. The
             enum or its name.
-        num_threads: threads for the exact model; None: as many as the machine has and the batch is worth. Results do
+        num_threads: threads for the exact model; None: as many as the machine has, fewer for a small batch. Results do
             not depend on it.
         with_infos: fill the step's infos with what the single environment's info holds, as arrays.
         render_mode: None or "rgb_array"; "human" for one environment.
@@ -71,12 +71,12 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
 
     ``step`` takes actions of shape (N, 1) or (N,), or None: the scene's drive turns all boxes. ``reset`` takes a seed
     (an int, or a list of ints and None) and ``options``: "state", shape (12,) or (N, 12), "time" [s], a number or shape
-    (N,), and "reset_mask", bool (N,), to restart some only. What is handed out is never written again.
+    (N,), and "reset_mask", bool (N,), to restart some only. Returned arrays are never written again.
 
     An interruption (KeyboardInterrupt, or what else a signal handler raises) of ``step``, ``reset`` or ``set_states``
     leaves all environments as they were, or all as they are after the call: states, times, episodes, their restarts and
-    random generators. ``times`` tells which of the two: a step changes them. What a call would have returned that was
-    interrupted at its very end is lost, ``observations`` is not.
+    random generators. ``times`` tells which of the two: a step changes them. If a call is interrupted at its very
+    end, what it would have returned is lost; ``observations`` still has the present ones.
 
     Raises:
         TypeError, ValueError: an argument out of its range. Calls that are refused leave all environments as they were.
@@ -166,7 +166,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
     def set_states(self, states: ArrayLike, times: ArrayLike, chosen: Flags | None = None) -> None:
         """Put environments into states, shape (12,) or (N, 12), at times [s], a number or shape (N,).
 
-        Their episodes go on, with the steps they have left; one that is over and waits starts anew there.
+        Their episodes go on, with the steps they have left; an episode that is over starts anew there.
 
         ``chosen``, bool (N,), says which; None: all. Takes what a contact model itself leaves: feet up to 1 m outside.
 
@@ -299,8 +299,8 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
             return None
         if self._mode is AutoresetMode.DISABLED:
             raise RuntimeError(
-                "autoreset_mode DISABLED leaves it to you to reset an episode that is over before the next step, by "
-                f"options={{'reset_mask': ...}}; over are {int(waiting.sum())} of {self.num_envs}"
+                "with autoreset_mode DISABLED, reset the episodes that are over before the next step, by "
+                f"options={{'reset_mask': ...}}; {int(waiting.sum())} of {self.num_envs} are over"
             )
         return waiting
 

@@ -35,7 +35,7 @@ _NO_WORDS: Words = np.zeros((0, 4), dtype=np.uint64)
 class ExactHeld:
     """See :class:`jackbox_env.batches.base.Held`.
 
-    A step's draft shares the generators and only notes where those go that it draws from.
+    A step's draft shares the generators. It only notes the new state of those that it draws from.
     """
 
     count: int
@@ -65,7 +65,7 @@ class ExactHeld:
         return self.blocks[:, place].reshape(-1)[: self.count].copy()
 
     def settled(self) -> Words:
-        """The generators with what is noted entered, for what is kept; to enter it twice is to enter it once."""
+        """The generators with the noted states written into them; writing them twice changes nothing."""
         self.generators[self.drawn] = self.words
         return self.generators
 
@@ -73,8 +73,8 @@ class ExactHeld:
 class ExactBatch:
     """See :class:`jackbox_env.batches.base.Batch`; 288 bytes per environment besides what is handed out.
 
-    Memory that threads write to is taken out of the batch for a step and comes back when they have ended: what an
-    interruption may have left to a thread is never used again.
+    Memory that threads write to is taken out of the batch for a step and comes back when they have ended: memory
+    that an interruption may have left to a thread is never used again.
     """
 
     def __init__(

@@ -3,7 +3,7 @@
 An interruption (a KeyboardInterrupt, or what else a signal handler raises) may strike the calling thread between any
 two of its instructions. So the calling thread takes no lock that it could leave locked: it starts threads, hands over
 jobs and waits for their ends by single calls of C code. A thread that an interruption leaves at work knows the job that
-it was given and nothing of later ones. It keeps no process from ending.
+it was given and nothing of later ones. No thread keeps a process from ending.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from jackbox_env import _validation as check
 R = TypeVar("R")
 
 _PIECES = 2  # for each thread
-_MOST = 256  # threads: a slip of the pen must not ask the system for a million
+_MOST = 256  # threads: a typo must not ask the system for a million
 _LAST_WAIT = 1.0  # [s] for threads at work when the process ends
 
 # Jobs with the number of the thread that is at them. Threads enter themselves, the calling thread only looks.
@@ -47,7 +47,7 @@ def thread_count(given: int | None, ranges: int) -> int:
 
 
 class Halt:
-    """Asks those who are at a job to stop early: nobody wants the rest."""
+    """Asks the threads at a job to stop early: its result is no longer wanted."""
 
     asked = False
 
@@ -55,7 +55,7 @@ class Halt:
 class Threads:
     """A few threads that share out ranges, a piece at a time; the calling thread works as well.
 
-    Whoever is ready takes the next piece: a thread that wakes late costs half of its delay and not all of it.
+    A thread that is ready takes the next piece: a thread that wakes late costs half of its delay and not all of it.
     """
 
     def __init__(self, count: int) -> None:
@@ -67,8 +67,8 @@ class Threads:
 
         ``number``, below ``count``, is different for calls at the same time. A range has ``grain`` items at least.
 
-        An error or an interruption asks ``halt``, which long work looks at, and is raised when nobody works on. Who is
-        interrupted once more meanwhile waits no longer: a thread may then still be at the range that it has begun.
+        An error or an interruption sets ``halt``, which long work looks at, and is raised when all threads have
+        stopped. A second interruption ends this wait: a thread may then still be at the range that it has begun.
         """
         if self.count == 1:
             return [work(0, 0, total)]
@@ -120,13 +120,13 @@ class _Pool:
 
 
 def _serve(queue: SimpleQueue[Any], gone: object) -> None:
-    """Be a thread of a pool: take one job after the other until the pool is gone."""
+    """What a thread of a pool does: take one job after the other until the pool is gone."""
     while (given := queue.get()) is not gone:
         job, number = given
         _AT_WORK.add(given)
         job.serve(number)
         _AT_WORK.discard(given)
-        del given, job  # who is idle holds nobody's memory
+        del given, job  # an idle thread holds no job's memory
     queue.put(gone)  # for the next thread
 
 

@@ -23,7 +23,7 @@ from typing import Any, TypeVar, cast
 PACKAGE = Path(__file__).parents[1]
 F = TypeVar("F", bound=Callable[..., Any])
 _LOCK = threading.RLock()  # a function is compiled once, whichever threads ask for it
-_KEPT = 8  # folders of compiled code, of as many states of the source
+_KEPT = 8  # folders of compiled code that are kept, one for each version of the source
 
 
 def compiled(function: F) -> F:
@@ -63,7 +63,7 @@ def _compile_once(
             known[name] = _compile_once(known[name], instead, False, True)  # what is kept of a caller holds what it calls
     twin = FunctionType(function.__code__, known, function.__name__, function.__defaults__, function.__closure__)
     twin.__qualname__, twin.__module__, twin.__doc__ = function.__qualname__, function.__module__, function.__doc__
-    # Without the runtime that counts references to arrays: nothing compiled here makes any, and counting them took
+    # Without the runtime that counts references to arrays: nothing compiled here makes an array, and counting took
     # two thirds of a step.
     settings: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False}
     if inner:  # only compiled code calls it: a third of the time to compile goes without ways in from Python
@@ -94,7 +94,7 @@ def _is_ours(function: FunctionType) -> bool:
 
 @cache
 def _digest() -> str:
-    """Of the package's whole source: what is kept of a function holds what it calls, from whatever file."""
+    """Digest of the package's whole source, because the kept code of a function includes what it calls elsewhere."""
     digest = hashlib.sha256()
     for text in _sources(files("jackbox_env")):
         digest.update(text)
@@ -119,7 +119,7 @@ def _cache_places() -> Iterator[Path]:
 
 
 def _tidy(place: Path) -> None:
-    """Remove what was compiled from states of the source that are long gone."""
+    """Remove code that was compiled from old versions of the source."""
     with contextlib.suppress(OSError):  # another process may be tidying too
         folders = sorted(place.glob("compiled-*"), key=lambda folder: folder.stat().st_mtime, reverse=True)
         for folder in folders[_KEPT:]:
@@ -127,9 +127,9 @@ def _tidy(place: Path) -> None:
 
 
 def _cache_folders() -> list[Path]:
-    """Where compiled code may be found, a folder for each state of the source: the last of them can be written.
+    """Folders to look for compiled code in, one in each place: the last of them can be written.
 
-    Before it stand those that can only be read. A warning says that none can be written, or that the place the user
+    The folders before it can only be read. A warning says that none can be written, or that the place the user
     named cannot be used.
     """
     from jackbox_env.compiled.kept import say_once

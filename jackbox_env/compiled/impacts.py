@@ -6,8 +6,8 @@ Law: all contacts whose gap is within the tolerance take part in the simultaneou
 
 the law of :func:`jackbox_env.mechanics.simultaneous_impact_map`, which tests compare this with. With w = J M^-1/2 and
 v = M^1/2 qdot it is v+ = (1 + e) P(v-) - e v-, where P(v) is the nearest point to v in the cone w v >= 0. Contacts of
-a jack and a square have rank 3 at most, so P is found by trying all sets of one, two and three contacts: each gives
-a point by projection, and the right one pushes nowhere backwards and violates nothing.
+a jack and a square have rank 3 at most, so P is found by trying all sets of one, two and three contacts. Each set
+gives a point by projection. The right point needs no negative push and closes no gap.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from jackbox_env.scene import SceneNumbers
 
 Array = NDArray[np.float64]
 
-_DEPENDENT = 1e-13  # a row that keeps less than this of its length beside the others is one of them
+_DEPENDENT = 1e-13  # a row that keeps less than this of its length beside the others depends on them
 
 
 def quarter(cosine: float, sine: float, quarters: int) -> tuple[float, float]:
@@ -104,7 +104,7 @@ def list_touching(scene: SceneNumbers, work: Workspace, tolerance: float, wall: 
 def resolve(scene: SceneNumbers, work: Workspace, tolerance: float, wall: int, foot: int) -> None:
     """Apply the law to every contact within ``tolerance`` [m], and to that of ``wall`` and ``foot`` in any case.
 
-    The rates in ``work`` change, and it takes the record of the impacts.
+    Changes the rates in ``work`` and records the impacts there.
     """
     state = work[STATE]
     count = list_touching(scene, work, tolerance, wall, foot)

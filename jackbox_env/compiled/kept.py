@@ -75,7 +75,7 @@ class CodeCache(NullCache):
                 return CompileResult._rebuild(context, *_read(folder / name))  # type: ignore[no-untyped-call]
             except FileNotFoundError:
                 continue
-            except Exception as error:  # whatever it is, compiling anew mends it
+            except Exception as error:  # whatever it is, compiling anew repairs it
                 say_once(
                     folder,
                     f"compiled code kept in {folder} cannot be used ({_reason(error)}); "
@@ -114,7 +114,7 @@ def _reason(error: Exception) -> str:
 
 
 def _checksum(path: Path, data: bytes) -> bytes:
-    """Of the name too: what stands under another function's name is not its code."""
+    """Checksum of the name and the code: a file under another function's name is then seen to be wrong."""
     return hashlib.sha256(path.name.encode() + b"\0" + data).digest()
 
 

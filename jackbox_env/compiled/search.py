@@ -13,7 +13,8 @@ quadratically. K follows from upper bounds V, Omega, A, D of relative speed, |om
 
     K = a + 2 Omega V + (Omega^2 + A) D + l (max |omega_jack - omega_box|^2 + A)
 
-with a the relative acceleration of the centres. Where |r| + l < L throughout, nothing can be hit and nothing is asked.
+with a the relative acceleration of the centres. Where |r| + l < L throughout, nothing can be hit and no gap is
+evaluated.
 """
 
 from __future__ import annotations
@@ -37,13 +38,13 @@ Array = NDArray[np.float64]
 NONE, ENDLESS, AT_REST = -1, -2, -3
 HELD_AXES = 3  # accelerations of box and jack while feet are held, counted from PIECE: six, then three forces
 MOST_WORK = 1_000_000  # gaps evaluated in one step
-_RESTLESS = 65_536  # gaps evaluated up to which no step is taken for one at rest
+_RESTLESS = 65_536  # gaps evaluated before a step may count as one at rest
 GLANCE = 2.0**-12  # of a piece: how far a step at rest looks ahead
 _SLACK = 1.0 + 1e-12  # on bounds, for their rounding
 STEEPEST = 1e40  # K [m/s^2] and alpha [rad/s^2] beyond which squares overflow
 
 
-_GROWN = 64 * 11  # work after which what a foot at rest may sink has reached its bound
+_GROWN = 64 * 11  # gaps evaluated until ``sink`` has reached its bound, see search()
 
 
 def _growth() -> list[float]:
@@ -315,10 +316,10 @@ def deepest(scene: SceneNumbers) -> float:
 
 
 def rests(scene: SceneNumbers, work: Workspace) -> bool:
-    """Whether the work of a step tells of a jack at rest: much of it, for impacts of next to no impulse.
+    """Whether the jack is at rest, judged by the step's work: many gaps evaluated, for impacts of next to no impulse.
 
-    Such a step looks ahead only as far as its next impacts are. Otherwise it would look, after each of thousands of
-    them, at what may come in all the rest of the step.
+    Such a step looks ahead only as far as its next impacts are. Otherwise it would search all the rest of the step
+    after each of thousands of impacts.
     """
     if work[TALLY, WORK] <= _RESTLESS:
         return False
@@ -432,10 +433,11 @@ def slowest(curvature: float, gap: float) -> float:
 def search(scene: SceneNumbers, work: Workspace, flight: Flight, approach: Approach, limits: Limits) -> float:
     """First time within ``limits.end`` [s] at which a foot touches a wall and approaches; infinity if there is none.
 
-    A foot that touches and does not approach stays within ``sink`` until the parabola through its present gap does:
-    without that depth a foot at rest on a wall would never leave the spot. ``sink`` is the tolerance. It doubles with
-    every 64 gaps that a step evaluates, and ends at 1e-10 m, so that a jack that rests on a wall or slides along it
-    costs thousands of looks and impacts and not millions. A step at rest grants that depth to a foot near the wall too.
+    A foot that touches and does not approach stays within ``sink`` until the parabola through its present gap does.
+    Without that depth the time would not advance while a foot rests on a wall. ``sink`` is the tolerance at first. It
+    doubles with every 64 gaps that a step evaluates, up to 1e-10 m. So a jack that rests on a wall or slides along it
+    costs thousands of gap evaluations and impacts, and not millions. A step at rest grants that depth to a foot near
+    the wall too.
     """
     still = 1e-15 * (abs(flight.vx) + abs(flight.vy) + flight.gravity * limits.end)
     still += 1e-15 * (abs(flight.omega) * scene.box_half_width + scene.jack_arm * abs(flight.jack_omega))
@@ -453,7 +455,7 @@ def search(scene: SceneNumbers, work: Workspace, flight: Flight, approach: Appro
         if not after <= limits.end or work[TALLY, WORK] > MOST_WORK:
             return math.inf
         if after == s:
-            if rate < 0.0:  # the wall is nearer than time can tell
+            if rate < 0.0:  # float64 does not resolve the time to the wall
                 return s
             after = s + 2.3e-16 * s
         s = after

@@ -1,6 +1,6 @@
 """One step of the exact contact model: its drive cut into pieces, each given to the kernel.
 
-The step happens in a frame that starts at the box's centre, so that far from the origin is as good as near it.
+The step works in a frame that starts at the box's centre, so it is as good far from the origin as near it.
 Everything here is compiled as it stands, see :mod:`jackbox_env.compiled.compiler`.
 """
 
@@ -179,13 +179,13 @@ def glide(before: Array, after: Array, fall: float, dt: float, alpha: float) -> 
 
 
 def touch_of(plan: Plan, before: Array) -> Touch:
-    """When feet touch in a step from a state."""
+    """The gaps at which feet touch in a step from a state."""
     furthest = max(max(abs(before[0]), abs(before[1])), max(abs(before[3]), abs(before[4])))
     return Touch(plan.tolerance, max(plan.tolerance, 8.9e-16 * furthest))  # 4 units in the last place
 
 
 def start(plan: Plan, before: Array, work: Workspace) -> Touch:
-    """Take the state into the frame at the box's centre; return when feet touch there."""
+    """Take the state into the frame at the box's centre; return the gaps at which feet touch there."""
     state = work[STATE]
     for pair in range(16):
         work[RESTING, pair] = 0.0
@@ -205,7 +205,7 @@ def told_apart(scene: SceneNumbers, state: Array) -> bool:
 
 
 def finish(ended: Status, plan: Plan, before: Array, after: Array, work: Workspace) -> Status:
-    """Take the state back to the world, if it is well, and record what held feet took."""
+    """Take the state back to the world, unless the step failed or a number is too large; record what held feet took."""
     if ended != Status.DONE:
         return ended
     state = work[STATE]

@@ -1,8 +1,8 @@
 """Cosine and sine together, for the compiled code: half the time of two calls, and the same bits on every machine.
 
 Method: Cody and Waite reduction by multiples of pi/2 in three parts, then the polynomials of fdlibm's k_sin.c and
-k_cos.c (Sun Microsystems 1993). Beyond 1e6 rad whole turns are first taken off, 29 at a time: so many are a float64
-but for 2.5e-18 rad. Error: below 1 unit in the last place, beyond 1e6 rad below 1.2. Fails: beyond 2^53 rad, where
+k_cos.c (Sun Microsystems 1993). Beyond 1e6 rad whole turns are first taken off, 29 at a time, because 29 turns are a
+float64 to 2.5e-18 rad. Error: below 1 unit in the last place, beyond 1e6 rad below 1.2. Fails: beyond 2^53 rad, where
 float64 no longer tells radians apart, it asks the C library, whose last place differs between machines.
 """
 
@@ -19,8 +19,8 @@ _QUARTERS_PER_RADIAN = 6.36619772367581382433e-01  # 2 / pi
 _QUARTER_HIGH = 1.57079632673412561417e00
 _QUARTER_MIDDLE = 6.07710050630396597660e-11
 _QUARTER_LOW = 2.02226624879595063154e-21
-_TURNS = 182.212373908208  # [rad] 29 turns, and
-_TURNS_OVER = 2.475922546353431e-18  # what that is more than they are
+_TURNS = 182.212373908208  # [rad] 29 turns, rounded
+_TURNS_OVER = 2.475922546353431e-18  # [rad] by which that exceeds 29 turns
 
 
 def cos_sin(angle: float) -> tuple[float, float]:

@@ -15,7 +15,7 @@ from jackbox_env.states import LATEST_TIME, Array, Numbers, as_held
 
 
 class JackLostError(RuntimeError):
-    """A contact model cannot follow the jack: it would leave the box, or moves too fast. All stays as it was."""
+    """A contact model cannot follow the jack: it would leave the box, or moves too fast. The state stays as it was."""
 
 
 class Impact(NamedTuple):
@@ -110,7 +110,7 @@ class Present(NamedTuple):
 
 
 class ContactModel(ABC):
-    """What the contact models of this package share: they hold a :class:`Present`, take states, and are pickled by it.
+    """What the contact models of this package share: each holds a :class:`Present`, takes states, is pickled by it.
 
     A contact model of your own derives from this class, says what it can do, and implements ``step``.
     """
@@ -123,7 +123,7 @@ class ContactModel(ABC):
         """Start at rest in the middle of the box, each foot facing a corner.
 
         Raises:
-            ValueError: the model cannot do the scene.
+            ValueError: the model cannot simulate the scene.
         """
         self.refuse(scene)
         self.scene = scene
@@ -131,7 +131,7 @@ class ContactModel(ABC):
 
     @classmethod
     def refuse(cls, scene: Scene) -> None:
-        """Refuse a scene that the model cannot do.
+        """Refuse a scene that the model cannot simulate.
 
         Raises:
             ValueError: the scene loses energy, and the model is elastic only.

@@ -21,7 +21,7 @@ class Recorder:
     """What the engine calls after it solved a contact, once per substep while the contact lasts.
 
     It knows nothing of the simulator, so that spaces are freed as soon as they are replaced. The engine prints and
-    forgets what is raised in here, so it is kept for :meth:`check`.
+    forgets an error raised in here, so the error is kept for :meth:`check`.
     """
 
     def __init__(self) -> None:
@@ -91,10 +91,10 @@ def _coupling(scene: Scene, x: float, y: float, cosine: float, contacts: list[tu
 
     Args:
         scene: the scene.
-        x: of the jack's centre in the box [m].
+        x: place of the jack's centre in the box [m].
         y: likewise.
         cosine: of the jack's angle, which is between 0 and 90 degrees.
-        contacts: that are closed.
+        contacts: the closed ones.
     """
     sine = math.sqrt((1.0 - cosine) * (1.0 + cosine))
     rows = []

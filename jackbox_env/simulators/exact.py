@@ -4,18 +4,19 @@ Law: flight in closed form (``search.py``); at an impact all feet that touch, wi
     place of a far-off position, take the simultaneous Newton law of
     :func:`jackbox_env.mechanics.simultaneous_impact_map`.
 Order: none; the error is rounding, whatever the control step. The system is chaotic and multiplies any error by about 5
-    per impact, so some 15 impacts are predicted before even this one is lost.
+    per impact, so even this model predicts only some 15 impacts.
 Cost: below 0.1 microseconds per control step in a batch. Work is in proportion to the impacts.
 Fails: elastic scenes only. A step that wants more than 1,000,000 gap evaluations raises JackLostError: rotation or
-    impacts far too fast for the step. A chirp that turns more than 83,333 times in a step is refused. A foot at rest
-    on a wall bounces by 1e-10 m and less, some thousand times per control step; one that comes to another wall
-    meanwhile may be as deep in it when it bounces. Angles are rounded to their unit in the last place: beyond 1e6 rad a
+    impacts far too fast for the step. A chirp that turns more than 83,333 times in a step is refused. A foot at rest on
+    a wall bounces by 1e-10 m and less, some thousand times per control step; a foot that reaches another wall meanwhile
+    may be as deep in that wall when it bounces. Angles are rounded to their unit in the last place: beyond 1e6 rad a
     foot may be outside by up to 4 L times that unit (5e-10 L at 1e6 rad, 5e-4 L at 1e12 rad). A drive's functions are
-    interpolated, see ``functions.py``: what begins and ends between two of the 13 points of a piece is not seen.
+    interpolated, see ``functions.py``: a pulse that begins and ends between two of the 13 points of a piece is not
+    seen.
 Bits: the same on every x86-64 CPU, whatever its C library, for states, impacts, observations and rewards. Compiled code
     takes every sum in the order written, fuses no product with a sum, and has its own cosines (``trigonometry.py``).
     Three things are the C library's: what a drive's own function takes from it (``math.sin``), the cosine of an angle
-    beyond 2^53 rad, and whether a state on the very edge of what is taken is refused.
+    beyond 2^53 rad, and whether a state at the very limit of what is accepted is refused.
 Reference: Lygeros et al. 2003, "Dynamical properties of hybrid automata"; the bound stands in ``compiled/search.py``.
 """
 
@@ -42,7 +43,7 @@ _NO_PIECES: Array = np.zeros((0, TABLE_WIDTH))
 
 
 def drive_kind(scene: Scene, held: bool = False) -> int:
-    """What turns the box in a step, as the compiled code is told: a torque that is ``held``, or the scene's drive."""
+    """The compiled code's number for what turns the box in a step: a ``held`` torque, or the scene's drive."""
     drive = scene.drive
     if isinstance(drive, Chirp):
         return HELD if held else CHIRP
@@ -113,7 +114,7 @@ class ExactSimulator(ContactModel):
                 raise failure(ended, self.scene, time, dt)
             if RECORD + hits <= len(self._workspace):
                 break
-            self._workspace = new_workspace(2 * hits)  # more impacts than were ever recorded: once more, with room
+            self._workspace = new_workspace(2 * hits)  # more impacts than there was room for: repeat the step with room
         self._present = Present(after, end, mean, self._recorded(time, hits) if hits else ())
 
     def _recorded(self, time: float, hits: int) -> tuple[Impact, ...]:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from jackbox_env import _validation as check
 
-DEFAULT = "pymunk"  # the contact model where nothing is said
+DEFAULT = "pymunk"  # the contact model where none is named
 
 
 class Setting(NamedTuple):
@@ -31,7 +31,7 @@ FIDELITIES = MappingProxyType(
 
 
 def resolve(fidelity: str | None, contact: str | None, substeps: int | None) -> Setting:
-    """The setting that is meant; ``contact`` and ``substeps`` override the name.
+    """The contact model and substeps that the arguments mean; ``contact`` and ``substeps`` override ``fidelity``.
 
     Raises:
         ValueError: an unknown name, or substeps for the exact model.

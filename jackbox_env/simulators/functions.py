@@ -7,9 +7,10 @@ Method: interpolation in the 13 Chebyshev points of the second kind (Trefethen 2
 Exactness: rounding, of the function's largest value in the step. A jump is located within 2^-44 of the step, or within
     the spacing of float64 times where that is wider.
 Cost: 13 calls of a function for a smooth step, some 80 more for each jump, some 1,000 more for each kink.
-Fails: what begins and ends between two of the 13 points is not seen; the widest gap is 0.13 of a piece. A residual
-    below 1e-5 of the largest value that four cuts in a row do not bring down is taken for the function's rounding, and
-    so is up to four times as much in the rest of the step. More than 4,096 pieces in a step are refused.
+Fails: a pulse that begins and ends between two of the 13 points is not seen; the widest gap is 0.13 of a piece. A
+    residual below 1e-5 of the largest value counts as the function's rounding if four cuts in a row do not reduce it.
+    In the rest of the step up to four times that residual then counts as rounding too. More than 4,096 pieces in a step
+    are refused.
 Bits: the points are literals, and compiled code takes the sums in the order written. So the pieces are the same on
     every machine where the functions return the same. ``math.sin`` does not: its last place is the C library's.
 """
@@ -38,12 +39,12 @@ _TICKS = 1 << 44  # in a step; all cuts are at whole ticks
 _TICK = 2.0**-44
 _MOST_PIECES = 4096  # of a step
 _RESIDUAL = 1e-13  # of a function's interpolation, over the function's largest value in the step
-_NOISE = 1e-5  # the same where cuts are in vain: that is the function's rounding, not its shape
-_VAIN = 4  # cuts in a row that show it
-_LEFT = 0.25  # of a residual: a cut that leaves more in each part was in vain
-_MARGIN = 4.0  # times that residual: what is rounding elsewhere in the step
-_SHORTEST = 2.0**-1000  # [s] a time to divide by; no two times are that near but equal ones
-_STEEP = 0.3  # of the change over a gap: what a jump in it keeps, however near it is looked at
+_NOISE = 1e-5  # the same where cuts do not help: there it is the function's rounding, not its shape
+_VAIN = 4  # cuts in a row without help that show this
+_LEFT = 0.25  # of a residual: a cut that leaves more than this in each part did not help
+_MARGIN = 4.0  # times that residual counts as rounding elsewhere in the step
+_SHORTEST = 2.0**-1000  # [s] instead of 0 in a division; times that differ are further apart
+_STEEP = 0.3  # of the change over a gap: a jump keeps at least this share, however small the gap becomes
 _LOWEST = 1e-8  # of a jump, over the function's largest value in the step
 
 _SHARES: list[float] = [0.5 * (1.0 + point) for point in POINTS.tolist()]  # of a piece's length
@@ -56,7 +57,7 @@ class _Rough:
     axis: int
     values: list[float]  # at the piece's 13 points
     residual: float  # over the function's largest value
-    vain: int = 0  # cuts in a row that did not bring it down
+    vain: int = 0  # cuts in a row that did not reduce the residual
 
 
 class _Piece(NamedTuple):
@@ -65,7 +66,7 @@ class _Piece(NamedTuple):
     first: int  # tick it starts at
     last: int  # tick it ends at
     row: Array  # of the table
-    rough: list[_Rough]  # empty: all is resolved
+    rough: list[_Rough]  # empty if all functions are resolved
 
 
 class _Functions:
@@ -76,7 +77,7 @@ class _Functions:
         self._functions = {axis: _sampled(name, getattr(drive, name), time, dt) for axis, name in names}
         self._dt, self._rounding = dt, math.ulp(abs(time) + dt)  # [s]
         self._largest = [1e-300] * 3
-        self._noise = [0.0] * 3  # residual that cuts do not bring down, over the largest value
+        self._noise = [0.0] * 3  # residual that cuts do not reduce, over the largest value
         self._interpolate = compiled(interpolate)
 
     def look(self, first: int, last: int) -> _Piece:

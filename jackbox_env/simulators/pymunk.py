@@ -5,22 +5,22 @@ Law: contacts that overlap at a substep's end take the simultaneous Newton law o
     exact for gravity, held torque and smooth drives alike.
 Order: first in the substep h = dt / substeps: an impact waits for the end of the substep it happens in.
 Cost: about the engine's own where a contact is possible within the step; elsewhere the flight is closed form and the
-    engine is not asked at all. A step that ends with a contact alive adds two empty engine steps.
+    engine is not called. A step that ends with a contact alive adds two empty engine steps.
 Fails: a step in which a foot could move further than min(1 m, L) within a substep, or that ends with a foot deeper than
     that in a wall (above 200 m/s at h = 5 ms), is taken with up to 64 times the substeps. If that is not enough it
     raises JackLostError.
     A foot that dips into a wall and out again within a substep is not seen. Slow bounces that rise and fall within a
     few substeps come back too fast.
-    Below restitution 1 a foot is lifted out of the wall it sank v h into, which gives back up to m_j g v h of what the
-    impact lost.
+    Below restitution 1 a foot that sank v h into a wall is lifted out again, which gives back up to m_j g v h of the
+    energy that the impact lost.
     A jack inertia far below m_j l^2 couples the feet so strongly that the contact solver needs more iterations. Their
     number is chosen by the scene; scenes that want more than 100,000 are refused.
     A jack with an arm longer than L can be wedged: feet deep in opposite walls have next to no leverage, and no number
     of iterations is enough. Where an elastic scene does not keep its energy over such a step it is divided further, and
     refused if that does not help. A scene with loss is off by some percent there.
-Bits: the same on every CPU that gives the C library's cosine, sine, exp and pow the same last place. The engine takes
-    cosines and sines of both angles from it wherever a contact is possible, the chirp its sine, the observation its
-    cosines, and restitution below 1 an exp and a pow. With one glibc that is every x86-64 CPU with FMA and AVX2 (from
+Bits: the same on every CPU on which the C library's cosine, sine, exp and pow have the same last place. The engine uses
+    cosines and sines of both angles wherever a contact is possible, the chirp uses a sine, the observation cosines and
+    sines. Restitution below 1 uses exp and pow. With one glibc that is every x86-64 CPU with FMA and AVX2 (from
     2013 or 2015 on); without them one cosine in 1,500 differs.
 Reference: Catto 2005, "Iterative dynamics with temporal coherence"; pymunk 7.3 (Munk2D).
 
@@ -30,13 +30,13 @@ How the engine is held to the law:
   exact, and v - a h/2 is the velocity at the step's end. A drive that varies enters through its averages over each
   substep under a falling and under a rising triangle, so the box goes exactly where the drive takes it.
 - Feet are circles of radius 0, walls are segments fattened by R (100 m by default) and set back by R: the engine finds
-  a foot anywhere in them, only one that passes R within a substep is lost.
-- Position correction is off at e = 1: it would add energy. A jack that loses energy comes to rest on a wall, and where
-  the wall turns under it, it would sink in: overlap then decays at the rate (1 - e) / 0.05 s.
-- Each step works in a frame that starts at the box's centre: far from the origin is as good as near it.
-- Cached contacts and the order left in the spatial index are state that (state, time) does not hold. Walls and feet
-  share the same few cells of a spatial hash, and a step that ends with a contact alive makes the engine forget it by
-  stepping with the jack far away, so the future follows from (state, time) bitwise.
+  a foot anywhere in them, only a foot that passes R within a substep is lost.
+- Position correction is off at e = 1: it would add energy. A jack that loses energy comes to rest on a wall, and
+  would sink in where the wall turns under it: below e = 1 overlap decays at the rate (1 - e) / 0.05 s.
+- Each step works in a frame that starts at the box's centre, so it is as good far from the origin as near it.
+- Cached contacts and the order left in the spatial index are state that (state, time) does not hold. So walls and feet
+  share the same few cells of a spatial hash. And a step that ends with a contact alive makes the engine forget it, by
+  stepping with the jack far away. The future then follows from (state, time) bitwise.
 """
 
 from __future__ import annotations
@@ -71,7 +71,8 @@ class _Load(NamedTuple):
     """A torque or force as the engine must see it; all in N m or N.
 
     Engine step k changes the velocity from the middle of substep k to the middle of substep k + 1: by the rising
-    average of the one and the falling average of the next. The last step goes half a substep too far: taken back.
+    average of substep k and the falling average of substep k + 1. The last step goes half a substep too far, which is
+    taken back.
     """
 
     first: float  # half a substep of it takes the rate from the step's start to the middle of the first substep

@@ -72,7 +72,7 @@ def test_without_autoreset_the_caller_restarts(contact: str) -> None:
     env.reset(options={"reset_mask": np.array([False, True])})
     _, _, _, truncations, _ = env.step(None)
     assert truncations.tolist() == [True, False]
-    with pytest.raises(RuntimeError, match="autoreset_mode DISABLED leaves it to you to reset .* over are 1 of 2"):
+    with pytest.raises(RuntimeError, match="with autoreset_mode DISABLED, reset the episodes .* 1 of 2 are over"):
         env.step(None)
     env.reset(options={"reset_mask": truncations})
     env.step(None)

@@ -245,10 +245,10 @@ def test_a_start_too_far_off_is_refused_before_anything_changes(contact: str) ->
     env = gym.make("JackInBox-v0", contact=contact)
     env.reset(seed=1)
     before = env.unwrapped.np_random.bit_generator.state
-    with pytest.raises(ValueError, match="near enough for its places to be finer than L / 1000, got 1e[+]15 m"):
+    with pytest.raises(ValueError, match="near enough to the origin for float64 to resolve L / 1000, got 1e[+]15 m"):
         env.reset(seed=2, options={"state": far})
     assert env.unwrapped.np_random.bit_generator.state == before
     envs: Any = gym.make_vec("JackInBox-v0", num_envs=2, contact=contact)
-    with pytest.raises(ValueError, match="near enough for its places to be finer than L / 1000, got 1e[+]15 m"):
+    with pytest.raises(ValueError, match="near enough to the origin for float64 to resolve L / 1000, got 1e[+]15 m"):
         envs.reset(seed=2, options={"state": far})
     assert envs.np_random_seed == (-1, -1)

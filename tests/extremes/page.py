@@ -84,16 +84,19 @@ PARTS = {
 
 HEAD = """
 *holds*: what was expected was seen; `0.22 of 1 m` is 0.22 m where at most 1 m was expected. *refused*: the library
-declines with that sentence and stays as it was. *FAILS*: neither, and so does the row's test.
+declines with that sentence and stays as it was. *FAILS*: neither; the row's test then fails too.
 
-Momentum, energy and rates (the six velocities) without a unit are errors relative to the largest of their kind, to
-what the law says: the impact map, or where feet touch together the simultaneous law, at the pose where an impact acts.
-`pymunk` lets an impact act at the end of its substep, a quarter of a step by default and less at speed: a foot may then
-be as deep in a wall as it moves in a substep, 1 m at most, and one that dips in and out again in between is not seen.
-`exact` finds impacts to rounding: also to that of the angles, whose unit in the last place is 1.2e-10 rad at 1e6 rad.
-Beyond that a foot may be outside by up to 4 L times that unit, 5e-10 L at 1e6 rad and 5e-4 L at 1e12 rad. Where a row
-says nothing else a box has the half width L = 6 m and 400 kg, a jack has arms of 1 m and 4 kg, both start at some m/s
-and rad/s, and there is neither gravity nor torque.
+Errors of momentum, energy and rates (the six velocities) without a unit are relative to the largest of their kind. They
+are differences from the law: the impact map, or where feet touch together the simultaneous law, at the pose where an
+impact acts.
+
+`pymunk` lets an impact act at the end of its substep, which is a quarter of a step by default and less at speed. A foot
+may then be as deep in a wall as it moves in a substep, 1 m at most. A foot that dips in and out again within a substep
+is not seen. `exact` finds impacts to rounding. Angles are rounded too: at 1e6 rad their unit in the last place is
+1.2e-10 rad. Beyond that a foot may be outside by up to 4 L times this unit: 5e-10 L at 1e6 rad, 5e-4 L at 1e12 rad.
+
+Unless a row says otherwise, the box has the half width L = 6 m and 400 kg, the jack has arms of 1 m and 4 kg, both
+start at some m/s and rad/s, and there is neither gravity nor torque.
 """
 
 

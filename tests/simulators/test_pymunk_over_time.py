@@ -201,7 +201,7 @@ def test_overflowing_motion_is_refused_at_once() -> None:
     simulator.step(0.02, torque=1.0)
     with pytest.raises(ValueError, match=r"state must be within \+-1e\+100, got omega_box = 1e\+101"):
         simulator.reset([0.0] * 8 + [1e101] + [0.0] * 3)
-    with pytest.raises(ValueError, match="places to be finer than L / 1000, got 1e[+]17 m"):
+    with pytest.raises(ValueError, match="float64 to resolve L / 1000, got 1e[+]17 m"):
         simulator.reset([1e17, 0.0, 0.0, 1e17, *[0.0] * 8])
 
 

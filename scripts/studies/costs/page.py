@@ -145,19 +145,21 @@ def page(results: Mapping[str, Any], picture: str) -> str:
 
 
 OFF = (
-    "Without gravity the engine is given no force; without a drive no torque, and no chirp is worked out; without side "
-    "forces none is averaged; a picture that nobody asked for is told of no step, and no renderer is loaded; another "
-    "task's reward is not worked out; a batch without `with_infos` gathers none, and one of exact has no room for "
-    "impact records. tests/studies/test_costs.py counts the calls: none without the thing, some with it."
+    "Without gravity the engine is given no force. Without a drive it is given no torque, and no chirp is computed. "
+    "Without side forces none is averaged. Without a `render_mode` no renderer is loaded, and none is told of a "
+    "step. Another task's reward is not computed. A batch without `with_infos` gathers no infos, and a batch of "
+    "exact has no room for impact records. tests/studies/test_costs.py counts the calls: none without the "
+    "thing, some with it."
 )
 HOW = (
     "`make costs` times a control step of 0.02 s with a thing and without it, on one core. Figures are medians over "
-    "rounds, each the median of passes in which all take turns; a difference is taken within a pass, and what changes "
-    "its sign between rounds is below noise. Times are the processor's: while other processes have it they stand "
-    "still. A plain step is the default scene's, with a held random torque and the task juggle, as `gymnasium.make` "
-    "makes it; of the batch, one of 1,024 environments. All step the same moments of episodes, put back before each "
-    "step, so that a thing's cost is not mixed up with where it leads the jack. Observation, info dict, checks and "
-    "wrappers always act: they were taken out to be measured."
+    "rounds. The figure of a round is the median of passes in which all take turns. A difference is taken within a "
+    "pass; one that changes its sign between rounds counts as noise. Times are processor times, which leave out "
+    "what other processes use. A plain step is the default scene's, with a held random torque and the task juggle, "
+    "as `gymnasium.make` makes it; in a batch, it is the step of one of 1,024 environments. All start from the same "
+    "states of episodes, restored before each step. So a thing's cost does not include where it leads the jack. "
+    "Observation, info dict, checks and wrappers cannot be switched off: to measure them, stand-ins took their "
+    "place."
 )
 
 

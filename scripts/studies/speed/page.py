@@ -137,11 +137,11 @@ def page(results: Results, picture: str) -> str:
 
 
 HOW = (
-    "`make speed` measures in interleaved rounds after one to warm up; ratios are taken within a round, and a table "
-    "shows the median over the rounds and the extremes. A step is a control step of 0.02 s under a random action, "
-    "another in each step; episodes have 500 steps from the environment's own starts. One core does it all by the "
-    "processor's clock, which stands still while other processes have the core; only batch size and threads are taken "
-    "by the wall's clock, and there batches start from random moments of episodes. The parts of the page, as "
+    "`make speed` measures in interleaved rounds after one to warm up. Ratios are taken within a round. A table "
+    "shows the median over the rounds and the extremes. A step is a control step of 0.02 s under a random action, a "
+    "new one in each step; episodes have 500 steps from the environment's own starts. Everything runs on one core "
+    "and is timed by the processor's clock, which leaves out what other processes use. Only batch size and threads "
+    "are timed by the wall's clock; their batches start from random moments of episodes. The parts of the page, as "
     "`make speed` last measured them:"
 )
 
