@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from jackbox_env import _validation as check
 from jackbox_env.accuracy import Case, at_ends, between, follow
 from jackbox_env.scene import Scene
-from jackbox_env.simulators import Impact, make_simulator
+from jackbox_env.simulators import CONTACT_MODELS, Impact, make_simulator
 from jackbox_env.simulators.fidelity import Setting
 from jackbox_env.states import Array, as_start
 from jackbox_env.tasks import sample_start
@@ -44,14 +44,14 @@ def cheapest(
     steps: int = 250,
     control_dt: float = 0.02,
     seed: int = 0,
+    contact: str | None = None,
 ) -> Choice:
     """Measure which setting is the cheapest that keeps both errors within bounds, for a scene.
 
     The cases are starts of the environment, under random held torques within ``scene.torque_limit`` and, every other
     time, under the scene's drive. The first impact is compared with the exact model's, whose own error is rounding.
     Restitution plays no part before it, so scenes with loss are measured too. The fewest substeps of pymunk (1, 2, 4,
-    ... 256) that keep both bounds are timed against the exact model, where the scene allows it, and the faster is
-    returned. A setting that loses a jack, or whose first impact is that of another foot or wall, is never returned.
+    ... 256) that keep both bounds are timed against the exact model, and the faster is returned. A setting that loses a jack, or whose first impact is that of another foot or wall, is never returned.
 
     It takes seconds for an ordinary scene; the first exact step on a machine compiles. The result is a measurement on
     these cases, not a guarantee.
@@ -65,6 +65,7 @@ def cheapest(
         steps: control steps of each, 1 to 1,000,000.
         control_dt: control step [s].
         seed: of the starts and the torques.
+        contact: only settings of this contact model, ``"pymunk"`` or ``"exact"``; None: of both.
 
     Returns:
         The setting with what was measured: ``gym.make("JackInBox-v0", **choice.setting._asdict())``.
@@ -75,9 +76,11 @@ def cheapest(
         JackLostError: the exact model cannot follow a case to its first impact.
 
     >>> from jackbox_env import cheapest
-    >>> cheapest({"restitution": 0.5}, first_impact_error=0.005, penetration=0.2).setting
+    >>> cheapest({"restitution": 0.5}, first_impact_error=0.005, penetration=0.2, contact="pymunk").setting
     Setting(contact='pymunk', substeps=4)
     """
+    if contact is not None:
+        check.choice("contact", contact, CONTACT_MODELS)
     bounds = _bound("first_impact_error", first_impact_error), _bound("penetration", penetration)
     scene = Scene.of(scene)
     drawn = _cases(scene, states, cases, steps, control_dt, seed)
@@ -85,14 +88,15 @@ def cheapest(
     try:
         make_simulator(scene, "pymunk")
     except ValueError:  # its solver would need too many iterations
-        if not scene.elastic:
+        if contact == "pymunk":
             raise
-    else:
+        contact = "exact"
+    if contact != "exact":
         for substeps in _CANDIDATES:
             measured = [_measured(Setting("pymunk", substeps), drawn, bounds)]
             if _within(measured[0], bounds):
                 break
-    if scene.elastic:
+    if contact != "pymunk":
         measured.append(_measured(Setting("exact"), drawn, bounds))
     found = [choice for choice in measured if _within(choice, bounds)]
     if not found:

@@ -16,7 +16,7 @@ from jackbox_env.compiled.status import Status
 from jackbox_env.compiled.workspace import new_workspace
 from jackbox_env.scene import Scene
 from jackbox_env.simulators.base import end_of_step
-from jackbox_env.simulators.exact import ExactSimulator, drive_kind, failure, pieces_for
+from jackbox_env.simulators.exact import drive_kind, failure, pieces_for
 from jackbox_env.states import LATEST_TIME, Array, as_held, deepest_held
 
 _GRAIN = 1000  # steps that are worth a call
@@ -62,7 +62,7 @@ def rollout(
     Equal bit for bit to stepping ``make_simulator(scene, contact="exact")`` from each state.
 
     Args:
-        scene: a Scene, a dict of some of its fields, or None; elastic. Its drive's side forces act, not its torque.
+        scene: a Scene, a dict of some of its fields, or None. Its drive's side forces act, not its torque.
         states: shape (N, 12), or (12,) for all sequences; a foot may be up to 1 m outside.
         torques: on the box [N m], shape (N, H), or (H,) for all states.
         dt: duration of a step [s], > 0.
@@ -79,7 +79,6 @@ def rollout(
         JackLostError: a jack moves too fast to be followed.
     """
     scene = Scene.of(scene)
-    ExactSimulator.refuse(scene)
     energy, impacts = check.flag("energy", energy), check.flag("impacts", impacts)
     dt = check.real("dt", dt, above=0.0)
     time = check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)

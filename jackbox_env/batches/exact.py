@@ -18,7 +18,7 @@ from jackbox_env.compiled.status import Status
 from jackbox_env.compiled.workspace import new_workspace
 from jackbox_env.scene import Scene
 from jackbox_env.simulators.base import end_of_step
-from jackbox_env.simulators.exact import WITH_PIECES, ExactSimulator, drive_kind, failure, pieces_for
+from jackbox_env.simulators.exact import WITH_PIECES, drive_kind, failure, pieces_for
 from jackbox_env.states import Array
 from jackbox_env.tasks import TASKS
 
@@ -87,7 +87,6 @@ class ExactBatch:
         with_infos: bool = False,
         num_threads: int | None = None,
     ) -> None:
-        ExactSimulator.refuse(scene)
         self._scene, self._task, self._dt = scene, list(TASKS).index(task), control_dt
         self._terms = [f"reward_{name}" for name in TASKS[task].terms]
         self._limit, self._with_infos = float(max_episode_steps), with_infos

@@ -165,7 +165,7 @@ def nearest(work: Workspace, count: int) -> tuple[int, int, int]:
     """
     lowest = 0.0
     for i in range(count):
-        lowest = min(lowest, _dot(work[UNIT + i], work[RATES]) + work[BIAS, i])
+        lowest = min(lowest, dot(work[UNIT + i], work[RATES]) + work[BIAS, i])
     if lowest >= 0.0:
         return -1, -1, -1  # nothing approaches
     least = math.inf
@@ -180,7 +180,7 @@ def nearest(work: Workspace, count: int) -> tuple[int, int, int]:
                     continue
                 violation = 0.0
                 for other in range(count):
-                    violation = max(violation, -(_dot(work[UNIT + other], work[POINT]) + work[BIAS, other]))
+                    violation = max(violation, -(dot(work[UNIT + other], work[POINT]) + work[BIAS, other]))
                 if violation < least:
                     least = violation
                     one, two, three = k, i if size > 1 else -1, j if size > 2 else -1
@@ -198,12 +198,13 @@ def weigh(scene: SceneNumbers, work: Workspace, count: int, rates: Array) -> Non
         for i in range(count):
             work[UNIT + i, place] = work[GRADIENTS + i, place] / root
     for i in range(count):
-        work[LENGTHS, i] = math.sqrt(_dot(work[UNIT + i], work[UNIT + i]))
+        work[LENGTHS, i] = math.sqrt(dot(work[UNIT + i], work[UNIT + i]))
         for place in range(6):
             work[UNIT + i, place] /= work[LENGTHS, i]
 
 
-def _dot(a: Array, b: Array) -> float:
+def dot(a: Array, b: Array) -> float:
+    """Scalar product of six numbers."""
     return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] + a[4] * b[4] + a[5] * b[5])
 
 
@@ -221,11 +222,11 @@ def project(work: Workspace, size: int, one: int, two: int, three: int) -> bool:
             work[BASE + a, place] = work[UNIT + picked, place]
         for turn in range(2):  # twice is enough to be orthogonal to rounding (Giraud et al. 2005)
             for b in range(a):
-                share = _dot(work[BASE + b], work[BASE + a])
+                share = dot(work[BASE + b], work[BASE + a])
                 work[TALL + b, a] = share if turn == 0 else work[TALL + b, a] + share
                 for place in range(6):
                     work[BASE + a, place] -= share * work[BASE + b, place]
-        length = math.sqrt(_dot(work[BASE + a], work[BASE + a]))
+        length = math.sqrt(dot(work[BASE + a], work[BASE + a]))
         if length < _DEPENDENT:
             return False
         work[TALL + a, a] = length
@@ -235,7 +236,7 @@ def project(work: Workspace, size: int, one: int, two: int, three: int) -> bool:
         for b in range(a):
             goal += work[TALL + b, a] * work[GOALS, b]
         work[GOALS, a] = 0.0 - goal / length
-        pushes[a] = -(_dot(work[BASE + a], point) - work[GOALS, a])
+        pushes[a] = -(dot(work[BASE + a], point) - work[GOALS, a])
         for place in range(6):
             point[place] += pushes[a] * work[BASE + a, place]
     for a in range(size - 1, -1, -1):
@@ -247,7 +248,7 @@ def project(work: Workspace, size: int, one: int, two: int, three: int) -> bool:
 
 def pushing(work: Workspace, size: int) -> bool:
     """Whether no push of a projection pulls."""
+    pulling = False
     for a in range(size):
-        if work[PUSHES, a] < 0.0:
-            return False
-    return True
+        pulling |= work[PUSHES, a] < 0.0
+    return not pulling

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.compiled.drives import DEGREE, PUSH_X, PUSH_Y, TURN, horner, integrate
-from jackbox_env.compiled.impacts import Frame, frame_of, gradient, kick, nearest, project, resolve, weigh
+from jackbox_env.compiled.impacts import Frame, dot, frame_of, gradient, kick, nearest, project, resolve, weigh
 from jackbox_env.compiled.interpolation import POINTS, interpolate
 from jackbox_env.compiled.search import (
     ENDLESS,
@@ -34,7 +34,6 @@ from jackbox_env.compiled.search import (
     MOST_WORK,
     NONE,
     Flight,
-    Limits,
     Piece,
     Touch,
     evolve,
@@ -45,6 +44,7 @@ from jackbox_env.compiled.search import (
 )
 from jackbox_env.compiled.status import Status
 from jackbox_env.compiled.workspace import (
+    BASE,
     BEST,
     BIAS,
     COUNT,
@@ -58,6 +58,7 @@ from jackbox_env.compiled.workspace import (
     LENGTHS,
     LOOSE,
     NODE,
+    ORDER,
     PAIRS,
     PIECE,
     POINT,
@@ -65,6 +66,7 @@ from jackbox_env.compiled.workspace import (
     RATES,
     RECORD,
     RESTING,
+    SPARE,
     STATE,
     TALLY,
     TARGETS,
@@ -82,7 +84,9 @@ _TURNED = 0.5  # [rad] that a stretch may turn at first
 _ROUNDS = 40  # of Picard iteration
 _SETTLED = 2e-16  # change of the accelerations in a round, over a speed by the stretch's length
 _RESOLVED = 1e-14  # last Chebyshev coefficients of the accelerations, likewise
-_PULL = 1e-12  # of a stretch's largest force: that much a wall may pull before it lets go
+_ALONG = 1e-18  # square of what a unit gradient may keep beside those of held feet, to be held along with them
+_FAINT = 1e-9  # of the strongest push at held feet: an acceleration that is none
+_PULL = 1e-12  # of the largest force in a stretch: that much a wall may pull before it lets go
 
 
 def bend(scene: SceneNumbers, state: Array, frame: Frame, row: Array, gap: float) -> float:
@@ -143,9 +147,7 @@ def list_slow(scene: SceneNumbers, work: Workspace, frame: Frame, touch: Touch, 
     return count
 
 
-def settle(
-    scene: SceneNumbers, work: Workspace, piece: Piece, since: float, touch: Touch, slow: float
-) -> int:
+def settle(scene: SceneNumbers, work: Workspace, piece: Piece, since: float, touch: Touch, slow: float) -> int:
     """Find the feet at rest on walls, and bring their gaps and rates to rest.
 
     Args:
@@ -180,29 +182,71 @@ def settle(
                 if rate * rate > 2.0 * touch.together * pressed:
                     bouncing = number
         if bouncing < 0:
-            return hold_these(scene, work, touch, chosen)
+            return hold_these(scene, work, touch, count, chosen)
         count -= 1
         work[PAIRS, bouncing] = work[PAIRS, count]
     return 0
 
 
-def hold_these(scene: SceneNumbers, work: Workspace, touch: Touch, chosen: tuple[int, int, int]) -> int:
-    """List the chosen contacts as held, and bring them to rest; return them as bits."""
-    held = count = 0
-    for number in range(16):  # in the order of the list, so that none is written over before it is read
-        if number == chosen[0] or number == chosen[1] or number == chosen[2]:
-            pair, gap = work[PAIRS, number], work[GAPS, number]
-            work[PAIRS, count], work[TARGETS, count] = pair, gap if abs(gap) > touch.together else 0.0
-            held |= 1 << int(pair)
-            count += 1
-    work[HOLDING, COUNT] = count
-    if held:
-        bring_back(scene, work)
+def hold_these(scene: SceneNumbers, work: Workspace, touch: Touch, count: int, chosen: tuple[int, int, int]) -> int:
+    """Hold the chosen of ``count`` contacts and bring them to rest; return them as bits, with those they hold along.
+
+    A contact that needs no force and does not part either is held too, so that nobody has to watch it. If its wall
+    would have to pull, it is let go at once. A contact whose gradient is a sum of held ones stays closed by itself.
+    """
+    size, strongest = 0, 0.0
+    for place in range(3):
+        number = chosen[place]
+        if number >= 0:
+            work[ORDER, size] = number
+            strongest = max(strongest, work[BEST, place])
+            size += 1
+    if size == 0:
+        return 0
+    project(work, size, chosen[0], chosen[1], chosen[2])
+    faint, held = _FAINT * strongest, 0
+    for number in range(count):
+        row = work[UNIT + number]
+        parting = dot(row, work[POINT]) + work[BIAS, number]
+        rate = rate_of(work[STATE], work[GRADIENTS + number]) / work[LENGTHS, number]
+        beside = aside(work, size, row)
+        if beside < _ALONG:
+            held |= 1 << int(work[PAIRS, number])
+        elif size < 3 and abs(parting) <= faint and rate * rate <= 2.0 * touch.together * faint:
+            beside = math.sqrt(beside)
+            for place in range(6):
+                work[BASE + size, place] = work[SPARE, place] / beside
+            work[ORDER, size] = number
+            size += 1
+            held |= 1 << int(work[PAIRS, number])
+    for place in range(size):
+        work[SPARE, place] = work[PAIRS, int(work[ORDER, place])]
+        gap = work[GAPS, int(work[ORDER, place])]
+        work[TARGETS, place] = gap if abs(gap) > touch.together else 0.0
+    for place in range(size):
+        work[PAIRS, place] = work[SPARE, place]
+    work[HOLDING, COUNT] = size
+    bring_back(scene, work)
     return held
 
 
+def aside(work: Workspace, size: int, row: Array) -> float:
+    """Square of what a unit row keeps beside the first ``size`` rows of the base; that is left in ``work[SPARE]``."""
+    spare = work[SPARE]
+    for place in range(6):
+        spare[place] = row[place]
+    for base in range(size):
+        share = dot(spare, work[BASE + base])
+        for place in range(6):
+            spare[place] -= share * work[BASE + base, place]
+    return dot(spare, spare)
+
+
 def bring_back(scene: SceneNumbers, work: Workspace) -> None:
-    """Bring the held gaps to their targets, in two steps of Newton, and their rates to 0, each nearest in the norm of M."""
+    """Bring the held gaps to their targets and their rates to 0, each by the nearest change in the norm of M.
+
+    Two steps of Newton bring a gap there to rounding.
+    """
     state, count = work[STATE], int(work[HOLDING, COUNT])
     for turn in range(3):
         list_contacts(scene, work, state, count)
@@ -292,12 +336,10 @@ def stretch(scene: SceneNumbers, work: Workspace, piece: Piece, since: float, le
     return False
 
 
-def let_go(work: Workspace, place: int, length: float) -> float:
+def let_go(work: Workspace, place: int, length: float, peak: float) -> float:
     """When a held foot's force falls to 0 and the wall would have to pull, in [s]; infinity if it never does."""
     powers = work[PIECE + 3 * (_FORCES + place)]
-    peak = curvature = 0.0
-    for number in range(DEGREE + 1):
-        peak = max(peak, abs(work[VALUES + 6 + place, number]))
+    curvature = 0.0
     for k in range(2, DEGREE + 1):
         curvature += k * (k - 1.0) * abs(powers[k])
     margin, u = _PULL * peak, -1.0
@@ -338,14 +380,18 @@ def hold(
         length *= 0.5
         if work[TALLY, WORK] > MOST_WORK or not since + length > since:
             return Status.TOO_MUCH_WORK, 0.0
-    end, loose = length, -1
+    end, loose, peak = length, -1, 0.0
     for place in range(count):
-        time = let_go(work, place, length)
+        for number in range(DEGREE + 1):
+            peak = max(peak, abs(work[VALUES + 6 + place, number]))
+    for place in range(count):
+        time = let_go(work, place, length, peak)
         if time < end:
             end, loose = time, place
     flight = Flight(
         state[3] - state[0], state[4] - state[1], state[9] - state[6], state[10] - state[7], state[2], state[8],
         state[5], state[11], 0.0, 0.0, 0.0, 0.5 * length, True, True, held,
+        1e-15 * (abs(state[6]) + abs(state[7]) + abs(state[9]) + abs(state[10])),
     )  # fmt: skip
     # Bounds of the accelerations beside gravity, which the search adds.
     turn = largest(work, HELD_AXES + 2) + largest(work, HELD_AXES + 5)

@@ -114,6 +114,7 @@ class Flight(NamedTuple):
     curved: bool  # whether the accelerations are polynomials
     pushed: bool  # whether the box's centre is accelerated too
     held: int  # feet that walls hold, bit 4 * wall + foot of each
+    noise: float  # of a gap's rate, from velocities that box and jack share [m/s]
 
 
 class Pose(NamedTuple):
@@ -158,7 +159,7 @@ def flight_of(scene: SceneNumbers, state: Array, piece: Piece, since: float) -> 
     """The relative motion of a state ``since`` [s] after the start of a piece."""
     return Flight(
         state[3] - state[0], state[4] - state[1], state[9] - state[6], state[10] - state[7], state[2], state[8],
-        state[5], state[11], scene.gravity, piece.alpha, since, 0.5 * piece.length, piece.curved, piece.pushed, 0,
+        state[5], state[11], scene.gravity, piece.alpha, since, 0.5 * piece.length, piece.curved, piece.pushed, 0, 0.0,
     )  # fmt: skip
 
 
@@ -441,6 +442,7 @@ def search(scene: SceneNumbers, work: Workspace, flight: Flight, approach: Appro
     """
     still = 1e-15 * (abs(flight.vx) + abs(flight.vy) + flight.gravity * limits.end)
     still += 1e-15 * (abs(flight.omega) * scene.box_half_width + scene.jack_arm * abs(flight.jack_omega))
+    still += flight.noise
     tolerance, gap, rate = limits.tolerance, approach.gap, approach.rate
     s = 0.0
     while True:
@@ -450,7 +452,9 @@ def search(scene: SceneNumbers, work: Workspace, flight: Flight, approach: Appro
         elif rate < -still:
             return s
         else:
-            sink = min(deepest(scene), tolerance * _GROWTH[min(int(work[TALLY, WORK]), _GROWN)])
+            sink = tolerance
+            if scene.restitution == 1.0:
+                sink = min(deepest(scene), tolerance * _GROWTH[min(int(work[TALLY, WORK]), _GROWN)])
             after = s + parabola_root(max(gap + sink, 0.1 * tolerance), max(rate, 0.0), limits.curvature)
         if not after <= limits.end or work[TALLY, WORK] > MOST_WORK:
             return math.inf

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.compiled.drives import DEGREE, TURN, chirp_piece, chirp_pieces, horner, integrate
 from jackbox_env.compiled.advance import advance
+from jackbox_env.compiled.drives import DEGREE, TURN, chirp_piece, chirp_pieces, horner, integrate
 from jackbox_env.compiled.rest import record_rest
 from jackbox_env.compiled.search import (
     AT_REST,

@@ -37,7 +37,9 @@ FREE = 91  # accelerations without contact; 6 used
 VALUES = 92  # at 13 moments, 9 rows, see rest.py
 RESTING = 101  # impulses of held feet in this step [N s], by 4 * wall + foot
 HOLDING = 102  # which feet are held, in the places below
-RECORD = 103  # from here on, one row per impact: time since the step's start, wall, foot, impulse
+ORDER = 103  # of held feet in the list of contacts
+SPARE = 104  # in passing
+RECORD = 105  # from here on, one row per impact: time since the step's start, wall, foot, impulse
 
 # Places of TALLY: impacts, their impulse [N s], gaps evaluated, time since the step's start [s].
 HITS, IMPULSE, WORK, ELAPSED = range(4)

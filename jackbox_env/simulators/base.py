@@ -116,7 +116,6 @@ class ContactModel(ABC):
     """
 
     name: ClassVar[str]  # as in contact="..."
-    elastic_only: ClassVar[bool] = False  # whether it refuses scenes that lose energy
     _settings: ClassVar[tuple[str, ...]] = ()  # its own, kept when pickled
 
     def __init__(self, scene: Scene) -> None:
@@ -125,22 +124,8 @@ class ContactModel(ABC):
         Raises:
             ValueError: the model cannot simulate the scene.
         """
-        self.refuse(scene)
         self.scene = scene
         self._present = Present(self._held(np.array([0.0] * 5 + [math.pi / 4.0] + [0.0] * 6)), 0.0)
-
-    @classmethod
-    def refuse(cls, scene: Scene) -> None:
-        """Refuse a scene that the model cannot simulate.
-
-        Raises:
-            ValueError: the scene loses energy, and the model is elastic only.
-        """
-        if cls.elastic_only and not scene.elastic:
-            raise ValueError(
-                f"contact={cls.name!r} is elastic only, restitution 1, got {scene.restitution!r}; contact='pymunk' "
-                "takes 0 to 1"
-            )
 
     @property
     def state(self) -> Array:

@@ -38,7 +38,6 @@ from tests.batches.several import EVERY_MODEL
         ({"render_mode": "ansi"}, "render_mode must be one of 'human', 'rgb_array', got 'ansi'"),
         ({"with_infos": "yes"}, "with_infos must be True or False, got 'yes'"),
         ({"substeps": 4}, "contact='exact' has no substeps or iterations, got substeps=4"),
-        ({"scene": {"restitution": 0.5}}, "contact='exact' is elastic only"),
         ({"task": "fly"}, "task must be one of"),
         ({"control_dt": 0.0}, "control_dt must be a finite number above 0"),
         ({"contact": "box2d"}, "contact must be one of 'pymunk', 'exact', got 'box2d'"),

@@ -141,7 +141,7 @@ def test_functions_of_walls_and_feet(name: str) -> None:
     assert not failures(INDICES[name], EVERYTHING | {f"pairs: {key}": value for key, value in arrays(2, 2).items()})
 
 
-BOUNDS = ("first_impact_error", "penetration", "states", "cases", "steps", "control_dt", "seed")
+BOUNDS = ("first_impact_error", "penetration", "states", "cases", "steps", "control_dt", "seed", "contact")
 
 
 @pytest.mark.parametrize("name", BOUNDS)

@@ -141,7 +141,6 @@ def test_set_state_takes_what_pymunk_may_produce(env: Env) -> None:
     ("settings", "sentence"),
     [
         ({"contact": "exact", "substeps": 4}, "contact='exact' has no substeps or iterations, got substeps=4"),
-        ({"contact": "exact", "scene": {"restitution": 0.9}}, "contact='exact' is elastic only, .* got 0.9"),
         ({"contact": "box2d"}, "contact must be one of 'pymunk', 'exact', got 'box2d'"),
         ({"contact": 1}, "contact must be one of 'pymunk', 'exact', got 1"),
         ({"fidelity": "perfect"}, "fidelity must be one of 'coarse', 'balanced', 'fine', 'exact', got 'perfect'"),

@@ -70,9 +70,9 @@ def test_different_names_give_different_futures() -> None:
 # -- the helper --------------------------------------------------------------------------------------------------------
 
 
-def test_tighter_bounds_choose_more_substeps_where_the_exact_model_is_not_allowed() -> None:
+def test_tighter_bounds_choose_more_substeps_of_pymunk() -> None:
     lossy = {"restitution": 0.5}
-    chosen = [cheapest(lossy, first_impact_error=error, cases=2) for error in (0.02, 0.003, 0.0002)]
+    chosen = [cheapest(lossy, first_impact_error=error, cases=2, contact="pymunk") for error in (0.02, 0.003, 0.0002)]
     substeps = [choice.setting.substeps or 0 for choice in chosen]
     assert substeps[0] == 1
     assert substeps[0] < substeps[1] < substeps[2]
@@ -88,13 +88,15 @@ def test_tighter_bounds_choose_more_substeps_where_the_exact_model_is_not_allowe
 
 
 def test_what_was_chosen_is_what_its_next_coarser_setting_fails() -> None:
-    chosen = cheapest({"restitution": 0.9}, penetration=0.02)
-    with_more = cheapest({"restitution": 0.9}, penetration=chosen.penetration)
+    chosen = cheapest({"restitution": 0.9}, penetration=0.02, contact="pymunk")
+    with_more = cheapest({"restitution": 0.9}, penetration=chosen.penetration, contact="pymunk")
     assert with_more.setting == chosen.setting
-    assert cheapest({"restitution": 0.9}, penetration=0.9 * chosen.penetration).setting != chosen.setting
+    finer = cheapest({"restitution": 0.9}, penetration=0.9 * chosen.penetration, contact="pymunk")
+    assert finer.setting != chosen.setting
 
 
 def test_the_exact_model_is_chosen_where_nothing_else_will_do() -> None:
+    assert cheapest({"restitution": 0.5}, first_impact_error=1e-9, cases=2).setting == Setting("exact", None)
     assert cheapest(first_impact_error=1e-9).setting == Setting("exact", None)
     assert cheapest(penetration=1e-9).setting == Setting("exact", None)
 
@@ -109,7 +111,7 @@ def test_of_two_that_will_do_the_one_that_takes_less_time_is_chosen(monkeypatch:
 def test_a_jack_that_couples_its_feet_too_strongly_for_pymunk_leaves_the_exact_model() -> None:
     assert cheapest({"jack_inertia": 1e-6}, cases=2).setting == Setting("exact", None)
     with pytest.raises(ValueError, match="iterations"):
-        cheapest({"jack_inertia": 1e-6, "restitution": 0.5}, cases=2)
+        cheapest({"jack_inertia": 1e-6}, cases=2, contact="pymunk")
 
 
 def test_scenes_with_side_forces_and_own_starts_are_measured() -> None:
@@ -126,14 +128,14 @@ def test_settings_that_lose_the_jack_or_hit_elsewhere_will_not_do_whatever_the_b
     # 1000 times the torque: coarse substeps of pymunk cannot follow
     wild = {"torque_limit": 9e7}
     assert cheapest(wild, cases=2, steps=100).setting == Setting("exact", None)
-    lossy = cheapest({**wild, "restitution": 0.5}, cases=2, steps=100)
+    lossy = cheapest({**wild, "restitution": 0.5}, cases=2, steps=100, contact="pymunk")
     assert (lossy.setting.substeps or 0) > 1
     assert math.isfinite(lossy.first_impact_error + lossy.penetration)
     # a jack that turns by a quarter in each control step: dips into walls that no step of pymunk sees
     spinner = np.zeros(12)
     spinner[[3, 5, 11]] = 0.35, math.pi / 4.0, math.pi / 2.0 / 0.02
     scene = {"gravity": 0.0, "drive": None, "box_half_width": 0.8, "jack_arm": 0.5, "torque_limit": 1e-9}
-    chosen = cheapest({**scene, "restitution": 0.99}, states=[spinner], cases=1, steps=50)
+    chosen = cheapest({**scene, "restitution": 0.99}, states=[spinner], cases=1, steps=50, contact="pymunk")
     assert (chosen.setting.substeps or 0) > 1
     assert math.isfinite(chosen.first_impact_error)
 
@@ -149,7 +151,7 @@ def test_feet_that_touch_together_are_the_first_impact_in_any_order() -> None:
     start = np.zeros(12)
     start[[5, 9, 10]] = math.pi / 4.0, 3.0, 3.0
     scene = {"gravity": 0.0, "drive": None, "torque_limit": 1e-9}
-    chosen = cheapest({**scene, "restitution": 0.9}, states=[start], cases=1, steps=200)
+    chosen = cheapest({**scene, "restitution": 0.9}, states=[start], cases=1, steps=200, contact="pymunk")
     assert chosen.setting == Setting("pymunk", 1)
     assert chosen.first_impact_error < 0.02
 
@@ -171,6 +173,7 @@ def test_the_choice_makes_an_environment() -> None:
         ({"cases": 0}, "cases must be a whole number from 1 to 10000, got 0"),
         ({"steps": 1.5}, "steps must be a whole number from 1 to 1000000, got 1.5"),
         ({"control_dt": -1.0}, "control_dt must be a finite number above 0, got -1.0"),
+        ({"contact": "box2d"}, "contact must be one of 'pymunk', 'exact', got 'box2d'"),
         ({"seed": -1}, "seed must be a whole number >= 0, got -1"),
         ({"states": []}, "states must hold at least one start, got none"),
         ({"states": [9.0 * np.eye(12)[3]]}, "a start must have every foot inside the box"),
@@ -180,7 +183,7 @@ def test_the_choice_makes_an_environment() -> None:
             "no foot reaches a wall within 1 steps",
         ),
         (
-            {"scene": {"restitution": 0.5}, "first_impact_error": 1e-9, "cases": 1},
+            {"scene": {"restitution": 0.5}, "first_impact_error": 1e-9, "cases": 1, "contact": "pymunk"},
             "no setting keeps the first impact within 1e-09 s and penetration within inf m; pymunk with 256 substeps",
         ),
     ],

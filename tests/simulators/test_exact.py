@@ -16,7 +16,6 @@ from jackbox_env.compiled.workspace import GRADIENTS, IMPULSES, STATE
 from jackbox_env.mechanics import energy, impact_map, simultaneous_impact_map
 from jackbox_env.scene import Chirp, Drive, Scene
 from jackbox_env.simulators import Impact
-from jackbox_env.simulators.exact import ExactSimulator
 from jackbox_env.states import clearance
 from jackbox_env.tasks import sample_start
 from tests.simulators.exact_runs import plain_step, simulator
@@ -250,14 +249,6 @@ def test_a_wall_far_off_and_a_foot_outside_by_rounding() -> None:
 
 
 # -- limits and refusals -----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0 - 1e-12])
-def test_scenes_that_lose_energy_are_refused(restitution: float) -> None:
-    with pytest.raises(
-        ValueError, match="contact='exact' is elastic only, restitution 1, got .*; contact='pymunk' takes"
-    ):
-        ExactSimulator(Scene(restitution=restitution))
 
 
 def test_work_is_bounded_and_says_so() -> None:

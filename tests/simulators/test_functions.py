@@ -13,8 +13,10 @@ import pytest
 from numpy.typing import NDArray
 
 from jackbox_env import Drive, Scene, make_simulator
+from jackbox_env.compiled import interpolation
 from jackbox_env.compiled.compiler import compiled
 from jackbox_env.compiled.drives import DEGREE
+from jackbox_env.compiled.interpolation import POINTS, interpolate
 from jackbox_env.simulators import functions
 from jackbox_env.simulators.functions import function_pieces
 
@@ -62,13 +64,13 @@ def integrals(table: Array) -> tuple[float, float]:
 
 def test_points_and_weights_are_rounded_right() -> None:
     with mp.workdps(40):
-        for k, cosine in enumerate(functions._COSINES[:6]):
+        for k, cosine in enumerate(interpolation._COSINES[:6]):
             assert cosine == float(mp.cos(k * mp.pi / 12))
         for j, share in enumerate(functions._SHARES):
             assert share == pytest.approx(float(mp.sin(j * mp.pi / 24) ** 2), rel=1e-16, abs=1e-16)
     assert functions._SHARES[0] == 0.0
     assert functions._SHARES[-1] == 1.0
-    for k, powers in enumerate(functions._TO_POWERS):  # T_k = cos(k arccos u)
+    for k, powers in enumerate(interpolation._TO_POWERS):  # T_k = cos(k arccos u)
         for u in np.linspace(-1.0, 1.0, 9):
             assert np.polynomial.polynomial.polyval(u, powers) == pytest.approx(math.cos(k * math.acos(u)), abs=1e-12)
 
@@ -77,7 +79,7 @@ def test_polynomials_are_interpolated_to_rounding_by_the_compiled_code_and_the_p
     rng = np.random.default_rng(0)
     for _ in range(50):
         powers = rng.normal(size=DEGREE + 1) * 10.0 ** rng.uniform(-3.0, 3.0)
-        values = np.polynomial.polynomial.polyval(functions._POINTS, powers)
+        values = np.polynomial.polynomial.polyval(POINTS, powers)
         rows = np.zeros((2, 2 + DEGREE + 1))
         found = compiled(interpolate)(values, rows[0], 2)
         assert found == interpolate(values, rows[1], 2)  # to the bit

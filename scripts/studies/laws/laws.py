@@ -223,7 +223,8 @@ class Books:
         self._enter_momentum(state, run.time - self._case.time, found)
         if torque is None and self._idle:
             torque = 0.0
-        wedged = self._case.scene.restitution < 1.0 and _opposite_walls_at_once(run)
+        lossy = self._case.scene.restitution < 1.0 and self._case.contact == "pymunk"
+        wedged = lossy and _opposite_walls_at_once(run)
         if torque is not None and not self._pushed and not wedged:
             self._enter_energy(before, run, torque, found)
 
@@ -254,7 +255,8 @@ class Books:
         self._largest_energy = max(self._largest_energy, size)
         limit = ROUNDING * self._largest_energy
         if scene.restitution < 1.0:
-            found.measure("energy", float(np.maximum(0.0, gained)), limit + self._granted(before, run))
+            granted = self._granted(before, run) if self._case.contact == "pymunk" else 0.0
+            found.measure("energy", float(np.maximum(0.0, gained)), limit + granted)
             return
         self._gained += gained
         found.measure("energy", abs(self._gained), limit)

@@ -104,7 +104,7 @@ def _scene(draw: random.Random, contact: str, dt: float) -> Scene:
         jack_mass=jack_mass,
         jack_inertia=jack_inertia,  # type: ignore[arg-type]
         gravity=draw.choice((0.0, 9.81, draw.uniform(0.0, 0.02) * half / dt**2)),  # the last falls 16 L in a case
-        restitution=draw.choice((1.0, 1.0, 0.0, draw.uniform(0.0, 1.0))) if contact == "pymunk" else 1.0,
+        restitution=draw.choice((1.0, 1.0, 0.0, draw.uniform(0.0, 1.0))),
     )
     limit = scene.box_inertia * draw.uniform(1e-4, 0.01) / dt**2  # at most 8 rad in a case
     return dataclasses.replace(scene, torque_limit=limit, drive=_drive(draw, scene, limit, dt))

@@ -1,0 +1,248 @@
+"""Impacts that lose energy, and feet at rest on walls, in the exact model."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from jackbox_env import rollout
+from jackbox_env.compiled import advance as course
+from jackbox_env.compiled import rest
+from jackbox_env.mechanics import energy, gaps
+from jackbox_env.scene import Drive, Scene
+from jackbox_env.simulators import Impact
+from jackbox_env.simulators.exact import ExactSimulator
+from jackbox_env.states import Array, clearance
+from jackbox_env.tasks import sample_start
+from tests.simulators.exact_runs import plain_step, simulator
+from tests.states import load
+
+LOSS = {course["name"]: course for course in load("loss_trajectories")}
+EVERY_LOSS = pytest.mark.parametrize("e", [0.0, 0.5, 0.9, 1.0])
+HEAVY = {"box_mass": 1e9, "box_inertia": 36e9, "drive": None}  # a box that gives way by no more than 1e-8
+FLAT = 6.0 - math.sqrt(0.5)  # of the jack's centre from a wall that carries two of its feet [m]
+
+
+def lying(tilt: float = 0.0, along: float = 0.0) -> Array:
+    """A jack at rest on the floor, on two feet, in a box at an angle."""
+    state = np.zeros(12)
+    state[2], state[5] = tilt, tilt + math.pi / 4.0
+    state[3] = along * math.cos(tilt) + FLAT * math.sin(tilt)
+    state[4] = along * math.sin(tilt) - FLAT * math.cos(tilt)
+    return state
+
+
+# -- impacts ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", LOSS)
+def test_trajectories_with_loss_are_those_of_60_digits(name: str) -> None:
+    known = LOSS[name]
+    run = simulator(Scene(restitution=known["restitution"]), known["q"] + known["qdot"])
+    dt, hits = known.get("control_dt", 0.02), list[Impact]()
+    for number in range(round(known["T"] / dt)):
+        held = known["actions"][number] * run.scene.torque_limit if known["drive"] == "held" else None
+        run.step(dt, held)
+        hits += run.impacts
+    assert [(hit.wall, hit.foot) for hit in hits] == [(hit["wall"], hit["foot"]) for hit in known["impacts"]]
+    errors = [abs(hit.time - other["time"]) for hit, other in zip(hits, known["impacts"], strict=True)]
+    assert max(errors) < 1e-9
+    assert max(errors[:3]) < 1e-11
+    impulses = [hit.impulse for hit in hits]
+    np.testing.assert_allclose(impulses, [hit["impulse"] for hit in known["impacts"]], rtol=1e-8)
+
+
+@pytest.mark.parametrize("e", [0.3, 0.5, 0.9])
+def test_each_bounce_of_a_dropped_jack_keeps_its_share_of_the_speed(e: float) -> None:
+    scene = Scene(restitution=e, box_mass=1e15, box_inertia=36e15, drive=None)
+    run, speed, hits = simulator(scene, np.zeros(12)), math.sqrt(2.0 * 9.81 * 5.0), list[Impact]()
+    while len(hits) < 6:
+        run.step(0.02, 0.0)
+        hits += run.impacts
+    for number, hit in enumerate(hits[:6]):
+        assert hit.impulse == pytest.approx(4.0 * (1.0 + e) * e**number * speed, rel=1e-9)
+    waits = np.diff([hit.time for hit in hits[:6]])
+    np.testing.assert_allclose(waits, [2.0 * e ** (n + 1) * speed / 9.81 for n in range(5)], rtol=0.0, atol=1e-11)
+
+
+# -- rest -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("e", [0.0, 0.5])
+def test_bounces_that_pile_up_end_in_rest(e: float) -> None:
+    scene = Scene(restitution=e, drive=None)
+    start = np.zeros(12)
+    start[4], start[5] = -3.0, math.pi / 4.0
+    run, kept, deepest = simulator(scene, start), math.inf, 0.0
+    for _ in range(400):
+        run.step(0.02, 0.0)
+        now = energy(scene, run.state)
+        assert now <= kept + 1e-13 * abs(kept)
+        kept, deepest = now, min(deepest, clearance(scene, run.state.tolist()))
+    assert deepest > -1e-12
+    assert [hit[:3] for hit in run.impacts] == [(run.time, 3, 2), (run.time, 3, 3)]
+    weight = 4.0 * 400.0 / 404.0 * 9.81 * 0.02
+    assert sum(hit.impulse for hit in run.impacts) == pytest.approx(weight, rel=1e-12)
+
+
+@EVERY_LOSS
+@pytest.mark.parametrize("tilt", [0.1, 0.5])
+def test_a_jack_slides_down_a_tilted_floor(e: float, tilt: float) -> None:
+    run = simulator(Scene(restitution=e, **HEAVY), lying(tilt))
+    for _ in range(50):
+        run.step(0.02, 0.0)
+        assert clearance(run.scene, run.state.tolist()) > -1e-14
+    moved = run.state[3:5] - run.state[:2] - lying(tilt)[3:5]
+    slid = -(moved[0] * math.cos(tilt) + moved[1] * math.sin(tilt))
+    assert slid == pytest.approx(9.81 * math.sin(tilt) / 2.0, abs=1e-8)
+
+
+@EVERY_LOSS
+@pytest.mark.parametrize("omega", [0.5, 1.5])
+def test_a_weightless_jack_slides_outwards_along_a_turning_wall(e: float, omega: float) -> None:
+    start = lying(along=0.7)
+    start[[8, 11]], start[9], start[10] = omega, -omega * start[4], omega * start[3]
+    run = simulator(Scene(restitution=e, gravity=0.0, **HEAVY), start)
+    for _ in range(50):
+        run.step(0.02, 0.0)
+    angle, place = run.state[2], run.state[3:5] - run.state[:2]
+    along = place[0] * math.cos(angle) + place[1] * math.sin(angle)
+    assert along == pytest.approx(0.7 * math.cosh(omega), abs=1e-8)
+    assert sorted((hit.wall, hit.foot) for hit in run.impacts) == [(3, 2), (3, 3)]
+
+
+def test_a_wall_that_falls_faster_than_the_jack_lets_it_go() -> None:
+    # From t = 0.013 s on the box falls at 3 g: the feet part from the floor at 2 g, not before.
+    force = -3.0 * 9.81 * 1e9
+    scene = Scene(restitution=0.5, **{**HEAVY, "drive": Drive(force_y=lambda t: force if t >= 0.013 else 0.0)})
+    run = simulator(scene, lying())
+    run.step(0.02)
+    assert gaps(scene, run.state)[3, 2:4] == pytest.approx([9.81 * 0.007**2] * 2, rel=1e-8)
+    assert sum(hit.impulse for hit in run.impacts) == pytest.approx(4.0 * 9.81 * 0.013, rel=1e-8)
+
+
+def test_a_torque_that_turns_the_floor_away_lets_one_foot_go_and_presses_the_other() -> None:
+    scene = Scene(restitution=0.0, drive=None)
+    run = simulator(scene, lying(along=2.0))
+    run.step(0.02, -6e4)
+    after = gaps(scene, run.state)[3, 2:4]
+    assert after.max() > 1e-4
+    assert after.min() > -1e-13
+
+
+@EVERY_LOSS
+def test_a_step_at_rest_takes_less_than_two_hundred_microseconds_of_work(e: float) -> None:
+    # Not a timed test: the work is counted. Some 10 microseconds for each 13 moments and their sums.
+    for start in (lying(), lying(0.2), lying(along=1.0)):
+        run = simulator(Scene(restitution=e, drive=None), start)
+        work = []
+        for _ in range(50):
+            run.step(0.02, 0.0)
+            work.append(run._workspace[course.TALLY, rest.WORK])
+        assert statistics.median(work) < 20 * 13
+
+
+# -- any scene --------------------------------------------------------------------------------------------------------
+
+
+def any_scene(rng: np.random.Generator) -> tuple[Scene, Array]:
+    """A scene with loss and a start in motion."""
+    half, mass = 10.0 ** rng.uniform(-1.0, 1.0), 10.0 ** rng.uniform(-2.0, 2.0)
+    box = mass * 10.0 ** rng.uniform(-1.0, 4.0)
+    scene = Scene(
+        box_half_width=half,
+        jack_arm=half * rng.uniform(0.05, 1.35),
+        jack_mass=mass,
+        box_mass=box,
+        gravity=rng.choice([0.0, 9.81, 1.0]),
+        restitution=rng.choice([0.0, 0.3, 0.8, 0.95, rng.uniform()]),
+        torque_limit=box * half * half * rng.uniform(0.0, 10.0),
+        drive=None,
+    )
+    state = np.array(sample_start(scene, rng))
+    speeds = rng.standard_normal(6) * scene.speed_scale * rng.uniform()
+    state[6:] = speeds * np.array([0.1, 0.1, 0.3 / half, 1.0, 1.0, 1.0 / half])
+    return scene, state
+
+
+def test_in_any_scene_with_loss_feet_stay_inside_energy_falls_and_states_can_be_put_back(
+    cases: Callable[[int], int],
+) -> None:
+    rested = 0
+    for seed in range(cases(120)):
+        rng = np.random.default_rng(seed)
+        scene, start = any_scene(rng)
+        run, twin = simulator(scene, start), ExactSimulator(scene)
+        torqued = rng.uniform() < 0.3
+        kept, size = (
+            energy(scene, run.state),
+            abs(energy(scene, run.state)) + scene.jack_mass * 9.81 * scene.box_half_width,
+        )
+        for _ in range(250):
+            torque = rng.uniform(-1.0, 1.0) * scene.torque_limit if torqued else 0.0
+            before, then = run.state, run.time
+            run.step(0.02, torque)
+            assert clearance(scene, run.state.tolist()) > -1e-9 * min(1.0, scene.box_half_width)
+            now = energy(scene, run.state)
+            assert torqued or now <= kept + 1e-12 * size
+            kept = now
+            rested += any(hit.time == run.time for hit in run.impacts)
+            if rng.uniform() < 0.1:
+                twin.reset(before, then)
+                twin.step(0.02, torque)
+                assert np.array_equal(twin.state, run.state)
+                assert twin.impacts == run.impacts
+    assert rested > cases(1000)
+
+
+@pytest.mark.parametrize("e", [0.0, 0.6])
+def test_batches_and_rollouts_are_the_single_simulator(e: float) -> None:
+    scene = Scene(restitution=e, box_mass=40.0, torque_limit=4000.0, drive=None)
+    many: Any = gym.make_vec("JackInBox-v0", num_envs=3, contact="exact", scene=scene, with_infos=True)
+    many.reset(seed=4)
+    runs = [simulator(scene, state) for state in many.unwrapped.states]
+    rng = np.random.default_rng(0)
+    actions = rng.uniform(-1.0, 1.0, (300, 3, 1)) * (np.arange(300) % 100 < 30)[:, None, None]
+    starts, rested = many.unwrapped.states, 0
+    for row in actions:
+        _, _, _, _, infos = many.step(row)
+        for number, run in enumerate(runs):
+            run.step(0.02, float(row[number, 0]) * scene.torque_limit)
+            assert np.array_equal(many.unwrapped.states[number], run.state)
+            assert infos["impacts"][number] == len(run.impacts)
+            assert infos["impulse"][number] == pytest.approx(sum(hit.impulse for hit in run.impacts), rel=1e-14)
+            rested += any(hit.time == run.time for hit in run.impacts)
+    assert rested > 50
+    played = rollout(scene, starts, actions[:, :, 0].T * scene.torque_limit, 0.02)
+    assert np.array_equal(played[:, -1], [run.state for run in runs])
+
+
+# -- negative controls ------------------------------------------------------------------------------------------------
+
+
+def test_without_rest_a_step_never_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = Scene(restitution=0.5, drive=None)
+    assert plain_step(scene, lying(), 1e-3, 0.0)[0] == 0
+    monkeypatch.setattr(course, "settle", lambda *given: 0)
+    monkeypatch.setattr(rest, "MOST_WORK", 2000)
+    monkeypatch.setattr("jackbox_env.compiled.search.MOST_WORK", 2000)
+    assert plain_step(scene, lying(), 1e-3, 0.0)[0] != 0
+
+
+def test_a_wall_that_held_on_would_carry_the_jack_along(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = Scene(restitution=0.0, drive=None)
+    start = lying(along=2.0)
+    freed = plain_step(scene, start, 0.02, -6e4)[1]
+    monkeypatch.setattr(rest, "let_go", lambda *given: math.inf)
+    monkeypatch.setattr(rest, "nearest", lambda work, count: (0, 1, -1))
+    assert (
+        gaps(scene, freed)[3, 2:4].max()
+        > 1e-4
+        > np.abs(gaps(scene, plain_step(scene, start, 0.02, -6e4)[1])[3, 2:4]).max()
+    )
