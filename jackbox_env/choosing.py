@@ -51,7 +51,8 @@ def cheapest(
     The cases are starts of the environment, under random held torques within ``scene.torque_limit`` and, every other
     time, under the scene's drive. The first impact is compared with the exact model's, whose own error is rounding.
     Restitution plays no part before it, so scenes with loss are measured too. The fewest substeps of pymunk (1, 2, 4,
-    ... 256) that keep both bounds are timed against the exact model, and the faster is returned. A setting that loses a jack, or whose first impact is that of another foot or wall, is never returned.
+    ... 256) that keep both bounds are timed against the exact model, and the faster is returned. A setting that loses
+    a jack, or whose first impact is that of another foot or wall, is never returned.
 
     It takes seconds for an ordinary scene; the first exact step on a machine compiles. The result is a measurement on
     these cases, not a guarantee.

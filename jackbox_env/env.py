@@ -98,7 +98,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
 
     | Parameter     | Default    | Meaning                                                                           |
     |---------------|------------|-----------------------------------------------------------------------------------|
-    | `contact`     | `None`     | contact model: `"pymunk"` (time stepping, the default) or `"exact"` (from impact to impact, compiled) |
+    | `contact`     | `None`     | contact model: `"pymunk"` (time stepping, the default) or `"exact"` (compiled)    |
     | `substeps`    | `None`     | engine steps of pymunk per control step, >= 1; None: 4                            |
     | `fidelity`    | `None`     | a name for `contact` and `substeps`, see below; these two override it             |
     | `scene`       | `None`     | a `Scene`, or a dict of some of its fields                                        |

@@ -13,6 +13,7 @@ from jackbox_env.compiled.search import (
     ENDLESS,
     GLANCE,
     NONE,
+    Limits,
     Piece,
     Touch,
     curvature_of,
@@ -42,7 +43,8 @@ def advance(scene: SceneNumbers, work: Workspace, piece: Piece, touch: Touch, si
         flight = flight_of(scene, work[STATE], piece, since)
         time, pair = first_impact(scene, work, flight, piece, left, touch.tolerance, rest)
         if pair == AT_REST:
-            slow = math.sqrt(slowest(curvature_of(scene, flight, left, piece), touch.together))
+            limits = Limits(curvature_of(scene, flight, left, piece), left, touch.tolerance)
+            slow = slowest(scene, flight, limits, touch.together)
             held = settle(scene, work, piece, since, touch, slow)
             if held == 0:
                 rest = -math.inf  # nobody rests: look for impacts alone

@@ -47,12 +47,12 @@ def _compile(
     function: FunctionType, instead: tuple[tuple[str, Any], ...] = (), keep: bool = True
 ) -> Callable[..., Any]:
     with _LOCK:
-        return _compile_once(function, instead, keep, False)
+        return _compile_once(function, instead, keep)
 
 
 @cache
 def _compile_once(
-    function: FunctionType, instead: tuple[tuple[str, Any], ...], keep: bool, inner: bool
+    function: FunctionType, instead: tuple[tuple[str, Any], ...], keep: bool, inner: bool = False
 ) -> Callable[..., Any]:
     from numba import njit
     from numba.extending import is_jitted
@@ -60,9 +60,8 @@ def _compile_once(
     known = {**function.__globals__, **dict(instead)}
     for name in function.__code__.co_names:
         if isinstance(known.get(name), FunctionType) and _is_ours(known[name]):
-            known[name] = _compile_once(
-                known[name], instead, False, True
-            )  # what is kept of a caller holds what it calls
+            # What is kept of a caller holds what it calls.
+            known[name] = _compile_once(known[name], instead, keep=False, inner=True)
     twin = FunctionType(function.__code__, known, function.__name__, function.__defaults__, function.__closure__)
     twin.__qualname__, twin.__module__, twin.__doc__ = function.__qualname__, function.__module__, function.__doc__
     # Without the runtime that counts references to arrays: nothing compiled here makes an array, and counting took

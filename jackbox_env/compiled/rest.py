@@ -391,7 +391,7 @@ def hold(
     flight = Flight(
         state[3] - state[0], state[4] - state[1], state[9] - state[6], state[10] - state[7], state[2], state[8],
         state[5], state[11], 0.0, 0.0, 0.0, 0.5 * length, True, True, held,
-        1e-15 * (abs(state[6]) + abs(state[7]) + abs(state[9]) + abs(state[10])),
+        abs(state[6]) + abs(state[7]) + abs(state[9]) + abs(state[10]),
     )  # fmt: skip
     # Bounds of the accelerations beside gravity, which the search adds.
     turn = largest(work, HELD_AXES + 2) + largest(work, HELD_AXES + 5)

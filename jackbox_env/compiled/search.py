@@ -114,7 +114,7 @@ class Flight(NamedTuple):
     curved: bool  # whether the accelerations are polynomials
     pushed: bool  # whether the box's centre is accelerated too
     held: int  # feet that walls hold, bit 4 * wall + foot of each
-    noise: float  # of a gap's rate, from velocities that box and jack share [m/s]
+    speeds: float  # of box and jack, all together, whose rounding a gap's rate has [m/s]
 
 
 class Pose(NamedTuple):
@@ -159,7 +159,8 @@ def flight_of(scene: SceneNumbers, state: Array, piece: Piece, since: float) -> 
     """The relative motion of a state ``since`` [s] after the start of a piece."""
     return Flight(
         state[3] - state[0], state[4] - state[1], state[9] - state[6], state[10] - state[7], state[2], state[8],
-        state[5], state[11], scene.gravity, piece.alpha, since, 0.5 * piece.length, piece.curved, piece.pushed, 0, 0.0,
+        state[5], state[11], scene.gravity, piece.alpha, since, 0.5 * piece.length, piece.curved, piece.pushed, 0,
+        abs(state[6]) + abs(state[7]) + abs(state[9]) + abs(state[10]),
     )  # fmt: skip
 
 
@@ -418,7 +419,7 @@ def first_of_all(
                 continue
             if flight.held & (1 << (4 * wall + foot)):
                 continue
-            if gap <= rest and rate * rate <= slowest(curvature, rest):
+            if gap <= rest and abs(rate) <= slowest(scene, flight, limits, rest):
                 return 0.0, AT_REST
             time = search(scene, work, flight, Approach(wall, foot, gap, rate), Limits(curvature, best, tolerance))
             if time < best or (time == best and found == NONE):
@@ -426,9 +427,21 @@ def first_of_all(
     return best, ENDLESS if work[TALLY, WORK] > MOST_WORK else found
 
 
-def slowest(curvature: float, gap: float) -> float:
-    """Square of the rate up to which a foot that touches may be at rest [m^2/s^2]: it rises by ``gap`` [m] at most."""
-    return 2.0 * curvature * gap
+def rounding(scene: SceneNumbers, flight: Flight, left: float) -> float:
+    """Rounding of a gap's rate within ``left`` [s] [m/s]."""
+    bound = 1e-15 * (abs(flight.vx) + abs(flight.vy) + flight.gravity * left)
+    return bound + 1e-15 * (abs(flight.omega) * scene.box_half_width + scene.jack_arm * abs(flight.jack_omega))
+
+
+def slowest(scene: SceneNumbers, flight: Flight, limits: Limits, rest: float) -> float:
+    """The rate up to which a foot that touches may be at rest [m/s].
+
+    With loss a foot rests that would rise by ``rest`` [m] at most. Without loss nothing comes to rest, but a foot whose
+    rate is rounding does not bounce.
+    """
+    if scene.restitution < 1.0:
+        return math.sqrt(2.0 * limits.curvature * rest)
+    return rounding(scene, flight, limits.end) + 1e-15 * flight.speeds
 
 
 def search(scene: SceneNumbers, work: Workspace, flight: Flight, approach: Approach, limits: Limits) -> float:
@@ -440,9 +453,9 @@ def search(scene: SceneNumbers, work: Workspace, flight: Flight, approach: Appro
     costs thousands of gap evaluations and impacts, and not millions. A step at rest grants that depth to a foot near
     the wall too.
     """
-    still = 1e-15 * (abs(flight.vx) + abs(flight.vy) + flight.gravity * limits.end)
-    still += 1e-15 * (abs(flight.omega) * scene.box_half_width + scene.jack_arm * abs(flight.jack_omega))
-    still += flight.noise
+    still = rounding(scene, flight, limits.end)
+    if flight.held:
+        still += 1e-15 * flight.speeds
     tolerance, gap, rate = limits.tolerance, approach.gap, approach.rate
     s = 0.0
     while True:

@@ -401,7 +401,7 @@ env.step(None)
 if sys.argv[1] == "busy":
     states = env.states
     states[5000:] = 0.0
-    states[5000:, 4] = -5.0  # at rest on a wall: a step of each takes milliseconds
+    states[5000:, 9] = 1e6  # from wall to wall: a step of each takes milliseconds
     env.set_states(states, 0.0)
 
     def interrupt(*_):

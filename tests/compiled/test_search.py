@@ -81,7 +81,22 @@ def test_the_gap_stays_above_its_parabola() -> None:
         (x, y), (vx, vy) = (state[3:5] - state[0:2]).tolist(), (state[9:11] - state[6:8]).tolist()
         angle, omega, jack_angle, jack_omega = state[[2, 8, 5, 11]].tolist()
         flight = kernel.Flight(
-            x, y, vx, vy, angle, omega, jack_angle, jack_omega, scene.gravity, alpha, 0.0, 0.5 * left, False, False
+            x,
+            y,
+            vx,
+            vy,
+            angle,
+            omega,
+            jack_angle,
+            jack_omega,
+            scene.gravity,
+            alpha,
+            0.0,
+            0.5 * left,
+            False,
+            False,
+            0,
+            0.0,
         )
         bounds = kernel.bounds_of(n, flight, left, abs(alpha), 0.0)
         curvature = bounds.bend + bounds.swing
@@ -106,7 +121,22 @@ def test_each_bound_holds_over_the_whole_flight() -> None:
         omega = 0.0 if number % 2 else float(rng.uniform(-5.0, 5.0))
         vy = 0.5 * scene.gravity * left  # thrown up and back again: both ends say nothing of the way between
         flight = kernel.Flight(
-            x, y, vx, vy, angle, omega, jack_angle, jack_omega, scene.gravity, alpha, 0.0, 0.5 * left, False, False
+            x,
+            y,
+            vx,
+            vy,
+            angle,
+            omega,
+            jack_angle,
+            jack_omega,
+            scene.gravity,
+            alpha,
+            0.0,
+            0.5 * left,
+            False,
+            False,
+            0,
+            0.0,
         )
         bounds = kernel.bounds_of(n, flight, left, abs(alpha), 0.0)
         for s in np.linspace(0.0, left, 9).tolist():

@@ -15,7 +15,7 @@ _MOST_ITERATIONS = 50
 
 
 def first_of_all(
-    scene: SceneNumbers, work: Workspace, flight: Flight, frame: BoxFrame, walls: int, limits: Limits
+    scene: SceneNumbers, work: Workspace, flight: Flight, frame: BoxFrame, walls: int, limits: Limits, rest: float
 ) -> tuple[float, int]:
     """The earliest root of the gaps that are closed at the end; like the certified search in what it returns."""
     left = limits.end
