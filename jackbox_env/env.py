@@ -30,9 +30,9 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     ## Description
 
     A square box of half width L = 6 m and a jack, a cross with a point mass at each of its four feet, move in a
-    vertical plane. The feet bounce off the inside of the walls without friction or loss. A lift carries the box's
-    weight, nothing carries the jack's. So the jack falls, the walls hit it, and the box slowly sinks because the
-    impacts push it down. The agent sets the torque that turns the box.
+    vertical plane. The feet bounce off the inside of the walls without friction, and without loss unless the scene's
+    `restitution` is below 1. A lift carries the box's weight, nothing carries the jack's. So the jack falls, the walls
+    hit it, and the box slowly sinks because the impacts push it down. The agent sets the torque that turns the box.
 
     The law is stated in `jackbox_env.mechanics`. How well a contact model keeps it is stated at the head of its file in
     `jackbox_env.simulators`.

@@ -95,7 +95,7 @@ def bend(scene: SceneNumbers, state: Array, frame: Frame, row: Array, gap: float
     depth = row[0] * frame.x + row[1] * frame.y  # n . r
     sideways = row[0] * (state[10] - state[7]) - row[1] * (state[9] - state[6])  # n^perp . v
     along = scene.box_half_width - depth - gap  # of the foot from the jack's centre, on n
-    return -2.0 * omega * sideways + omega * omega * depth + spin * spin * along
+    return float(-2.0 * omega * sideways + omega * omega * depth + spin * spin * along)
 
 
 def accelerations(scene: SceneNumbers, work: Workspace, piece: Piece, since: float) -> None:

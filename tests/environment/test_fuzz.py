@@ -147,7 +147,7 @@ BOUNDS = ("first_impact_error", "penetration", "states", "cases", "steps", "cont
 @pytest.mark.parametrize("name", BOUNDS)
 def test_arguments_of_the_helper_that_chooses_a_setting(name: str) -> None:
     assert [*inspect.signature(cheapest).parameters] == ["scene", *BOUNDS]
-    short = {"cases": 1, "steps": 60}
+    short: dict[str, Any] = {"cases": 1, "steps": 60}
     large = ("cases", "steps")  # as large as they are, these take their time
     values = {key: value for key, value in EVERYTHING.items() if name not in large or not key.startswith("1")}
     assert not failures(lambda value: cheapest(SCENE, **{**short, name: value}), values)

@@ -14,6 +14,7 @@ import pytest
 from jackbox_env import rollout
 from jackbox_env.compiled import advance as course
 from jackbox_env.compiled import rest
+from jackbox_env.compiled.workspace import TALLY, WORK
 from jackbox_env.mechanics import energy, gaps
 from jackbox_env.scene import Drive, Scene
 from jackbox_env.simulators import Impact
@@ -25,7 +26,11 @@ from tests.states import load
 
 LOSS = {course["name"]: course for course in load("loss_trajectories")}
 EVERY_LOSS = pytest.mark.parametrize("e", [0.0, 0.5, 0.9, 1.0])
-HEAVY = {"box_mass": 1e9, "box_inertia": 36e9, "drive": None}  # a box that gives way by no more than 1e-8
+HEAVY: dict[str, Any] = {
+    "box_mass": 1e9,
+    "box_inertia": 36e9,
+    "drive": None,
+}  # a box that gives way by no more than 1e-8
 FLAT = 6.0 - math.sqrt(0.5)  # of the jack's centre from a wall that carries two of its feet [m]
 
 
@@ -144,7 +149,7 @@ def test_a_step_at_rest_takes_less_than_two_hundred_microseconds_of_work(e: floa
         work = []
         for _ in range(50):
             run.step(0.02, 0.0)
-            work.append(run._workspace[course.TALLY, rest.WORK])
+            work.append(float(run._workspace[TALLY, WORK]))
         assert statistics.median(work) < 20 * 13
 
 
