@@ -67,6 +67,7 @@ TABLE = (
     "NaN and infinity in actions",
     "NaN and infinity in the options of a reset",
     "restitution 0 and 0.5: comes to rest",
+    "restitution 0, 0.5 and 0.9: lies on a level, a tilted and a turning floor for 1000 s",
 )
 
 # The tables of the page, by the row that each begins with.
