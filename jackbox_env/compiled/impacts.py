@@ -189,11 +189,16 @@ def nearest(work: Workspace, count: int) -> tuple[int, int, int]:
     return one, two, three
 
 
+def root_mass(scene: SceneNumbers, place: int) -> float:
+    """Square root of a diagonal element of M."""
+    mass = scene.box_mass if place < 2 else scene.box_inertia if place == 2 else scene.jack_mass
+    return math.sqrt(scene.jack_inertia if place == 5 else mass)
+
+
 def weigh(scene: SceneNumbers, work: Workspace, count: int, rates: Array) -> None:
     """Fill in v = M^1/2 ``rates``, the rows of J M^-1/2 at length 1, and their lengths."""
     for place in range(6):
-        mass = scene.box_mass if place < 2 else scene.box_inertia if place == 2 else scene.jack_mass
-        root = math.sqrt(scene.jack_inertia if place == 5 else mass)
+        root = root_mass(scene, place)
         work[RATES, place] = root * rates[place]
         for i in range(count):
             work[UNIT + i, place] = work[GRADIENTS + i, place] / root

@@ -26,7 +26,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.compiled.drives import DEGREE, PUSH_X, PUSH_Y, TURN, horner, integrate
-from jackbox_env.compiled.impacts import Frame, dot, frame_of, gradient, kick, nearest, project, resolve, weigh
+from jackbox_env.compiled.impacts import (
+    Frame,
+    dot,
+    frame_of,
+    gradient,
+    kick,
+    nearest,
+    project,
+    resolve,
+    root_mass,
+    weigh,
+)
 from jackbox_env.compiled.interpolation import POINTS, interpolate
 from jackbox_env.compiled.search import (
     ENDLESS,
@@ -260,12 +271,6 @@ def bring_back(scene: SceneNumbers, work: Workspace) -> None:
         for number in range(count):
             share = work[PUSHES, number] / work[LENGTHS, number]
             kick(scene, state[(0 if turn < 2 else 6) :], work[GRADIENTS + number], share)
-
-
-def root_mass(scene: SceneNumbers, place: int) -> float:
-    """Square root of a diagonal element of M."""
-    mass = scene.box_mass if place < 2 else scene.box_inertia if place == 2 else scene.jack_mass
-    return math.sqrt(scene.jack_inertia if place == 5 else mass)
 
 
 def moment(scene: SceneNumbers, work: Workspace, piece: Piece, since: float, length: float, number: int) -> float:

@@ -112,18 +112,15 @@ class Present(NamedTuple):
 class ContactModel(ABC):
     """What the contact models of this package share: each holds a :class:`Present`, takes states, is pickled by it.
 
-    A contact model of your own derives from this class, says what it can do, and implements ``step``.
+    A contact model of your own derives from this class and implements ``step``. Its own
+    ``__init__`` refuses with a ValueError a scene that it cannot simulate.
     """
 
     name: ClassVar[str]  # as in contact="..."
     _settings: ClassVar[tuple[str, ...]] = ()  # its own, kept when pickled
 
     def __init__(self, scene: Scene) -> None:
-        """Start at rest in the middle of the box, each foot facing a corner.
-
-        Raises:
-            ValueError: the model cannot simulate the scene.
-        """
+        """Start at rest in the middle of the box, each foot facing a corner."""
         self.scene = scene
         self._present = Present(self._held(np.array([0.0] * 5 + [math.pi / 4.0] + [0.0] * 6)), 0.0)
 
