@@ -23,7 +23,10 @@ PACKAGE = """
     compiled.workspace compiled.trigonometry compiled.generator
     compiled.drives compiled.impacts
     compiled.interpolation
+    compiled.motion
+    compiled.bounds
     compiled.search
+    compiled.collocation
     compiled.rest
     compiled.advance
     compiled.step

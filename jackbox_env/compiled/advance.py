@@ -1,12 +1,15 @@
 """One piece of a step of the exact contact model, cut where feet strike walls, come to rest on them and are let go.
 
-It reads detect -> evolve -> resolve in ``search.py`` and ``impacts.py``; feet at rest are held by ``rest.py``.
+It reads detect -> evolve -> resolve in ``search.py``, ``motion.py`` and ``impacts.py``. ``rest.py`` holds feet at
+rest.
 """
 
 from __future__ import annotations
 
 import math
 
+from jackbox_env.compiled.bounds import curvature_of
+from jackbox_env.compiled.motion import Piece, evolve, flight_of
 from jackbox_env.compiled.rest import hold, settle
 from jackbox_env.compiled.search import (
     AT_REST,
@@ -14,12 +17,8 @@ from jackbox_env.compiled.search import (
     GLANCE,
     NONE,
     Limits,
-    Piece,
     Touch,
-    curvature_of,
-    evolve,
     first_impact,
-    flight_of,
     rests,
     slowest,
     strike,

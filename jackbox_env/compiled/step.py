@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from jackbox_env.compiled.advance import advance
 from jackbox_env.compiled.drives import DEGREE, TURN, chirp_piece, chirp_pieces, horner, integrate
+from jackbox_env.compiled.motion import curved_piece, flight_of, held_piece
 from jackbox_env.compiled.rest import record_rest
 from jackbox_env.compiled.search import (
     AT_REST,
@@ -21,10 +22,7 @@ from jackbox_env.compiled.search import (
     STEEPEST,
     Touch,
     contact_tolerance,
-    curved_piece,
     first_impact,
-    flight_of,
-    held_piece,
     strike,
     why_endless,
 )

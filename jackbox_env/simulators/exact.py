@@ -1,6 +1,6 @@
 """``contact="exact"``: from impact to impact, each found with a guarantee, in compiled code.
 
-Law: flight in closed form (``search.py``); at an impact all feet that touch, within 1e-13 m or 4 units in the last
+Law: flight in closed form (``motion.py``); at an impact all feet that touch, within 1e-13 m or 4 units in the last
     place of a far-off position, take the simultaneous Newton law of
     :func:`jackbox_env.mechanics.simultaneous_impact_map`. With loss a foot that would rise by 1e-13 m at most comes to
     rest. Its wall then holds it, until the wall would have to pull (``compiled/rest.py``). A held foot is one impact
@@ -20,7 +20,7 @@ Bits: the same on every x86-64 CPU, whatever its C library, for states, impacts,
     takes every sum in the order written, fuses no product with a sum, and has its own cosines (``trigonometry.py``).
     Three things are the C library's: what a drive's own function takes from it (``math.sin``), the cosine of an angle
     beyond 2^53 rad, and whether a state at the very limit of what is accepted is refused.
-Reference: Lygeros et al. 2003, "Dynamical properties of hybrid automata"; the bound stands in ``compiled/search.py``.
+Reference: Lygeros et al. 2003, "Dynamical properties of hybrid automata"; the bound stands in ``compiled/bounds.py``.
 """
 
 from __future__ import annotations

@@ -51,7 +51,7 @@ def test_a_change_in_any_file_is_seen(tmp_path: Path) -> None:
     # Numba itself looks only at the file of the function that is kept; here the turn of a wall is in another one.
     shutil.copytree(PACKAGE, tmp_path / "jackbox_env", ignore=shutil.ignore_patterns("__pycache__"))
     gap = (
-        "from jackbox_env.compiled.compiler import compiled; from jackbox_env.compiled.search import foot_gap;"
+        "from jackbox_env.compiled.compiler import compiled; from jackbox_env.compiled.motion import foot_gap;"
         "gap, *_ = compiled(foot_gap)(jackbox_env.Scene().numbers, 1.0, 0.0, 0.8, 0.6, 0.0, 1);"
         "print(round(gap, 3), jackbox_env.__file__)"
     )
@@ -82,7 +82,7 @@ def test_nowhere_to_keep_compiled_code_is_said(tmp_path: Path) -> None:
 def test_another_function_can_take_a_functions_place() -> None:
     # A turn that compiled code counts in quarters, by another rule.
     from jackbox_env.compiled.impacts import quarter
-    from jackbox_env.compiled.search import foot_gap
+    from jackbox_env.compiled.motion import foot_gap
 
     numbers = jackbox_env.Scene().numbers
     given = numbers, 1.0, 0.0, 0.8, 0.6, 0.0, 1

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from jackbox_env.compiled import bounds, motion
 from jackbox_env.compiled import search as kernel
 from jackbox_env.compiled.status import Status
 from jackbox_env.compiled.workspace import new_workspace
@@ -80,7 +81,7 @@ def test_the_gap_stays_above_its_parabola() -> None:
         alpha, left = rng.uniform(-6.0, 6.0), rng.choice([0.02, 0.2])
         (x, y), (vx, vy) = (state[3:5] - state[0:2]).tolist(), (state[9:11] - state[6:8]).tolist()
         angle, omega, jack_angle, jack_omega = state[[2, 8, 5, 11]].tolist()
-        flight = kernel.Flight(
+        flight = motion.Flight(
             x,
             y,
             vx,
@@ -98,12 +99,12 @@ def test_the_gap_stays_above_its_parabola() -> None:
             0,
             0.0,
         )
-        bounds = kernel.bounds_of(n, flight, left, abs(alpha), 0.0)
-        curvature = bounds.bend + bounds.swing
+        bound = bounds.bounds_of(n, flight, left, abs(alpha), 0.0)
+        curvature = bound.bend + bound.swing
         for wall, foot in rng.integers(0, 4, (4, 2)).tolist():
-            gap, rate = kernel.gap_at(n, flight, w, wall, foot, 0.0)
+            gap, rate = motion.gap_at(n, flight, w, wall, foot, 0.0)
             for s in np.linspace(0.0, left, 9)[1:]:
-                later, _ = kernel.gap_at(n, flight, w, wall, foot, float(s))
+                later, _ = motion.gap_at(n, flight, w, wall, foot, float(s))
                 assert later >= gap + rate * s - 0.5 * curvature * s * s - 1e-12
                 broken += later < gap + rate * s - 0.25 * curvature * s * s - 1e-12
     assert broken > 0
@@ -120,7 +121,7 @@ def test_each_bound_holds_over_the_whole_flight() -> None:
         x, y, vx, angle, jack_angle, jack_omega = rng.uniform(-3.0, 3.0, 6).tolist()
         omega = 0.0 if number % 2 else float(rng.uniform(-5.0, 5.0))
         vy = 0.5 * scene.gravity * left  # thrown up and back again: both ends say nothing of the way between
-        flight = kernel.Flight(
+        flight = motion.Flight(
             x,
             y,
             vx,
@@ -138,20 +139,20 @@ def test_each_bound_holds_over_the_whole_flight() -> None:
             0,
             0.0,
         )
-        bounds = kernel.bounds_of(n, flight, left, abs(alpha), 0.0)
+        bound = bounds.bounds_of(n, flight, left, abs(alpha), 0.0)
         for s in np.linspace(0.0, left, 9).tolist():
-            pose = kernel.pose_at(flight, w, s)
+            pose = motion.pose_at(flight, w, s)
             distance = math.hypot(pose.x, pose.y)
-            assert distance <= bounds.far
-            assert distance <= kernel.reach_of(n, flight, left, 0.0)
+            assert distance <= bound.far
+            assert distance <= bounds.reach_of(n, flight, left, 0.0)
             cosine, sine = math.cos(pose.angle), math.sin(pose.angle)
             ahead, aside = cosine * pose.x + sine * pose.y, cosine * pose.y - sine * pose.x
             rate_aside = cosine * pose.vy - sine * pose.vx
             bent = -sine * scene.gravity + 2.0 * pose.omega * rate_aside + alpha * aside - pose.omega**2 * ahead
-            assert abs(bent) <= bounds.bend
+            assert abs(bent) <= bound.bend
             spin = jack_omega - pose.omega
-            assert scene.jack_arm * math.hypot(spin * spin, alpha) <= bounds.swing
-            tightest = min(tightest, bounds.far - distance, bounds.bend / max(abs(bent), 1e-9) - 1.0)
+            assert scene.jack_arm * math.hypot(spin * spin, alpha) <= bound.swing
+            tightest = min(tightest, bound.far - distance, bound.bend / max(abs(bent), 1e-9) - 1.0)
     assert tightest < 0.5  # the bounds are no wild exaggeration
 
 
@@ -159,12 +160,13 @@ def test_an_uncertified_step_would_let_feet_through(monkeypatch: pytest.MonkeyPa
     # With a hundredth of K the walk to the parabola's root passes impacts of a foot that turns away and comes back.
     scene, state, dt = MISSED["fast spin, whole turns in a step"]()
     first = plain_step(scene, state, dt, 0.0)[2][0]
-    honest = kernel.bounds_of
+    honest = bounds.bounds_of
 
-    def brazen(*given: Any) -> kernel.Bounds:
+    def brazen(*given: Any) -> bounds.Bounds:
         far, bend, swing = honest(*given)
-        return kernel.Bounds(far, 0.01 * bend, 0.01 * swing)
+        return bounds.Bounds(far, 0.01 * bend, 0.01 * swing)
 
-    monkeypatch.setattr(kernel, "bounds_of", brazen)
+    for module in (bounds, kernel):
+        monkeypatch.setattr(module, "bounds_of", brazen)
     hasty = plain_step(scene, state, dt, 0.0)[2]
     assert not hasty or hasty[0] != first

@@ -13,7 +13,7 @@ import pytest
 
 from jackbox_env import rollout
 from jackbox_env.compiled import advance as course
-from jackbox_env.compiled import rest
+from jackbox_env.compiled import collocation, rest, search
 from jackbox_env.compiled.workspace import TALLY, WORK
 from jackbox_env.mechanics import energy, gaps
 from jackbox_env.scene import Drive, Scene
@@ -235,8 +235,8 @@ def test_without_rest_a_step_never_ends(monkeypatch: pytest.MonkeyPatch) -> None
     scene = Scene(restitution=0.5, drive=None)
     assert plain_step(scene, lying(), 1e-3, 0.0)[0] == 0
     monkeypatch.setattr(course, "settle", lambda *given: 0)
-    monkeypatch.setattr(rest, "MOST_WORK", 2000)
-    monkeypatch.setattr("jackbox_env.compiled.search.MOST_WORK", 2000)
+    for module in (search, collocation, rest):
+        monkeypatch.setattr(module, "MOST_WORK", 2000)
     assert plain_step(scene, lying(), 1e-3, 0.0)[0] != 0
 
 

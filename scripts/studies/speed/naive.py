@@ -6,7 +6,8 @@ It stands in for the certified search of ``jackbox_env.compiled.search`` where t
 
 from __future__ import annotations
 
-from jackbox_env.compiled.search import NONE, BoxFrame, Flight, Limits, box_frame, foot_gap, gap_at, pose_at, towards
+from jackbox_env.compiled.motion import BoxFrame, Flight, box_frame, foot_gap, gap_at, pose_at, towards
+from jackbox_env.compiled.search import NONE, Limits
 from jackbox_env.compiled.trigonometry import cos_sin
 from jackbox_env.compiled.workspace import Workspace
 from jackbox_env.scene import SceneNumbers

@@ -1,0 +1,227 @@
+"""The motion of box and jack between impacts, in one piece of a step, and the gaps between feet and walls meanwhile.
+
+Law of flight: the jack falls with g and keeps its spin, the box keeps its velocity but for side forces, and its angle
+is the double integral of torque / J_b. While feet are held, all six accelerations are polynomials
+(``collocation.py``).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jackbox_env.compiled.drives import DEGREE, PUSH_X, PUSH_Y, TURN, horner
+from jackbox_env.compiled.impacts import quarter
+from jackbox_env.compiled.trigonometry import cos_sin
+from jackbox_env.compiled.workspace import PIECE, STATE, TALLY, WORK, Workspace
+from jackbox_env.scene import SceneNumbers
+
+Array = NDArray[np.float64]
+
+HELD_AXES = 3  # accelerations of box and jack while feet are held, counted from PIECE: six, then three forces
+
+
+class Piece(NamedTuple):
+    """What acts on the box during one piece of a step."""
+
+    length: float  # [s]
+    alpha: float  # angular acceleration, where it is constant [rad/s^2]
+    curved: bool  # whether the accelerations are polynomials
+    pushed: bool  # whether the box's centre is accelerated too
+    spin_up: float  # bound of the angular acceleration [rad/s^2]
+    push: float  # bound of the centre's acceleration [m/s^2]
+
+
+class Flight(NamedTuple):
+    """Relative motion from a moment on: the jack's centre as seen from the box's, and both angles."""
+
+    x: float  # [m]
+    y: float
+    vx: float  # [m/s]
+    vy: float
+    angle: float  # of the box [rad]
+    omega: float  # [rad/s]
+    jack_angle: float
+    jack_omega: float
+    gravity: float  # [m/s^2]
+    alpha: float  # of the box, where it is constant [rad/s^2]
+    since: float  # the moment, since the piece's start [s]
+    half: float  # half the piece's length [s]
+    curved: bool  # whether the accelerations are polynomials
+    pushed: bool  # whether the box's centre is accelerated too
+    held: int  # feet that walls hold, bit 4 * wall + foot of each
+    speeds: float  # of box and jack, all together, whose rounding a gap's rate has [m/s]
+
+
+class Pose(NamedTuple):
+    """Relative motion at one moment."""
+
+    x: float
+    y: float
+    vx: float
+    vy: float
+    angle: float
+    omega: float
+    jack_angle: float
+    jack_omega: float
+
+
+def held_piece(length: float, alpha: float) -> Piece:
+    """A piece of ``length`` [s] under a constant angular acceleration [rad/s^2]."""
+    return Piece(length, alpha, False, False, abs(alpha), 0.0)
+
+
+def curved_piece(work: Workspace, length: float, pushed: bool) -> Piece:
+    """A piece of ``length`` [s] under the polynomial accelerations in ``work``."""
+    push = largest(work, PUSH_X) + largest(work, PUSH_Y) if pushed else 0.0
+    return Piece(length, 0.0, True, pushed, largest(work, TURN), push)
+
+
+def largest(work: Workspace, axis: int) -> float:
+    """Bound of a polynomial acceleration over its piece."""
+    bound = 0.0
+    for k in range(DEGREE + 1):
+        bound += abs(work[PIECE + 3 * axis, k])
+    return bound
+
+
+def flight_of(scene: SceneNumbers, state: Array, piece: Piece, since: float) -> Flight:
+    """The relative motion of a state ``since`` [s] after the start of a piece."""
+    return Flight(
+        state[3] - state[0], state[4] - state[1], state[9] - state[6], state[10] - state[7], state[2], state[8],
+        state[5], state[11], scene.gravity, piece.alpha, since, 0.5 * piece.length, piece.curved, piece.pushed, 0,
+        abs(state[6]) + abs(state[7]) + abs(state[9]) + abs(state[10]),
+    )  # fmt: skip
+
+
+def excursion(work: Workspace, axis: int, flight: Flight, s: float) -> tuple[float, float]:
+    """Change of a coordinate and of its rate in ``s`` [s] that the polynomial acceleration brings."""
+    end = (flight.since + s) / flight.half - 1.0
+    moved, rate = (
+        horner(work[PIECE + 3 * axis + 2], DEGREE + 2, end),
+        horner(work[PIECE + 3 * axis + 1], DEGREE + 1, end),
+    )
+    if flight.since == 0.0:
+        return moved, rate
+    start = flight.since / flight.half - 1.0
+    before = horner(work[PIECE + 3 * axis + 1], DEGREE + 1, start)
+    return moved - horner(work[PIECE + 3 * axis + 2], DEGREE + 2, start) - before * s, rate - before
+
+
+def pose_at(flight: Flight, work: Workspace, s: float) -> Pose:
+    """The relative motion ``s`` [s] into the flight."""
+    if flight.held:
+        return held_pose_at(flight, work, s)
+    x = flight.x + flight.vx * s
+    y = flight.y + (flight.vy - 0.5 * flight.gravity * s) * s
+    vx, vy = flight.vx, flight.vy - flight.gravity * s
+    turned, spun = 0.5 * flight.alpha * s * s, flight.alpha * s
+    if flight.curved:
+        turned, spun = excursion(work, TURN, flight, s)
+        if flight.pushed:
+            moved, pushed = excursion(work, PUSH_X, flight, s)
+            x, vx = x - moved, vx - pushed
+            moved, pushed = excursion(work, PUSH_Y, flight, s)
+            y, vy = y - moved, vy - pushed
+    angle = flight.angle + (flight.omega * s + turned)
+    jack_angle = flight.jack_angle + flight.jack_omega * s
+    return Pose(x, y, vx, vy, angle, flight.omega + spun, jack_angle, flight.jack_omega)
+
+
+def held_pose_at(flight: Flight, work: Workspace, s: float) -> Pose:
+    """The relative motion ``s`` [s] into a flight with held feet, on which all six accelerations are polynomials."""
+    box_x, box_vx = excursion(work, HELD_AXES, flight, s)
+    box_y, box_vy = excursion(work, HELD_AXES + 1, flight, s)
+    turned, spun = excursion(work, HELD_AXES + 2, flight, s)
+    x, vx = excursion(work, HELD_AXES + 3, flight, s)
+    y, vy = excursion(work, HELD_AXES + 4, flight, s)
+    jack_turned, jack_spun = excursion(work, HELD_AXES + 5, flight, s)
+    return Pose(
+        flight.x + (flight.vx * s + (x - box_x)), flight.y + (flight.vy * s + (y - box_y)),
+        flight.vx + (vx - box_vx), flight.vy + (vy - box_vy),
+        flight.angle + (flight.omega * s + turned), flight.omega + spun,
+        flight.jack_angle + (flight.jack_omega * s + jack_turned), flight.jack_omega + jack_spun,
+    )  # fmt: skip
+
+
+def evolve(work: Workspace, flight: Flight, s: float) -> None:
+    """Fly for ``s`` [s]: move the state."""
+    state = work[STATE]
+    if flight.held:
+        for place in range(6):
+            moved, rate = excursion(work, HELD_AXES + place, flight, s)
+            state[place] += state[6 + place] * s + moved
+            state[6 + place] += rate
+        return
+    turned, spun = 0.5 * flight.alpha * s * s, flight.alpha * s
+    if flight.curved:
+        turned, spun = excursion(work, TURN, flight, s)
+    state[0] += state[6] * s
+    state[1] += state[7] * s
+    if flight.pushed:
+        moved, pushed = excursion(work, PUSH_X, flight, s)
+        state[0], state[6] = state[0] + moved, state[6] + pushed
+        moved, pushed = excursion(work, PUSH_Y, flight, s)
+        state[1], state[7] = state[1] + moved, state[7] + pushed
+    state[2] += state[8] * s + turned
+    state[8] += spun
+    state[3] += state[9] * s
+    state[4] += (state[10] - 0.5 * flight.gravity * s) * s
+    state[10] -= flight.gravity * s
+    state[5] += state[11] * s
+
+
+class BoxFrame(NamedTuple):
+    """The jack's centre on the box's axes, as it is seen turning with the box."""
+
+    x: float  # [m]
+    y: float
+    vx: float  # [m/s]
+    vy: float
+
+
+def box_frame(x: float, y: float, vx: float, vy: float, angle: float, omega: float) -> BoxFrame:
+    """Take relative place and velocity to the axes of a box at ``angle`` that turns with ``omega``."""
+    c, s = cos_sin(angle)
+    ahead, aside = c * x + s * y, c * y - s * x
+    return BoxFrame(ahead, aside, c * vx + s * vy + omega * aside, c * vy - s * vx - omega * ahead)
+
+
+def towards(frame: BoxFrame, wall: int) -> tuple[float, float]:
+    """How far the centre is on the way to a wall [m], and its rate [m/s]."""
+    if wall == 0:
+        return frame.x, frame.vx
+    if wall == 1:
+        return frame.y, frame.vy
+    if wall == 2:
+        return -frame.x, -frame.vx
+    return -frame.y, -frame.vy
+
+
+def foot_gap(
+    scene: SceneNumbers, ahead: float, speed: float, cosine: float, sine: float, spin: float, turn: int
+) -> tuple[float, float]:
+    """Gap between a wall and a foot [m], and its rate [m/s].
+
+    Args:
+        scene: the scene.
+        ahead: how far the jack's centre is on the way to the wall [m].
+        speed: the rate of that [m/s].
+        cosine: of the jack's angle relative to the box.
+        sine: of the same.
+        spin: rate of that angle [rad/s].
+        turn: number of the foot less that of the wall.
+    """
+    along, across = quarter(cosine, sine, turn)
+    return scene.box_half_width - ahead - scene.jack_arm * along, scene.jack_arm * across * spin - speed
+
+
+def gap_at(scene: SceneNumbers, flight: Flight, work: Workspace, wall: int, foot: int, s: float) -> tuple[float, float]:
+    """Gap between a wall and a foot ``s`` [s] into the flight [m], and its rate [m/s]."""
+    work[TALLY, WORK] += 1.0
+    pose = pose_at(flight, work, s)
+    ahead, speed = towards(box_frame(pose.x, pose.y, pose.vx, pose.vy, pose.angle, pose.omega), wall)
+    cosine, sine = cos_sin(pose.jack_angle - pose.angle)
+    return foot_gap(scene, ahead, speed, cosine, sine, pose.jack_omega - pose.omega, foot - wall)
