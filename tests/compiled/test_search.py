@@ -1,4 +1,4 @@
-"""Impacts are isolated with a guarantee: the bound, and what a search without it misses."""
+"""The search for impacts is guaranteed: the bound, and the impacts that a search without it misses."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_what_sampling_at_the_steps_end_misses_is_found(name: str, monkeypatch: 
     run = simulator(scene, state)  # and compiled it finds the same
     run.step(dt, 0.0)
     np.testing.assert_array_equal(run.state, after)
-    # In small steps the foot is seen outside: the impact is real.
+    # Without impacts, small steps show the foot outside: the impact is real.
     monkeypatch.setattr(kernel, "walls_in_reach", lambda *_: 0)
     times = found[0][0] + np.linspace(0.0, 0.1 * dt, 2001)[1:]
     lows = [clearance(scene, plain_step(scene, state, float(time), 0.0)[1].tolist()) for time in times]
@@ -79,26 +79,7 @@ def test_the_gap_stays_above_its_parabola() -> None:
         state = inside(scene, rng, speed=rng.choice([1.0, 5.0]))
         n, w = scene.numbers, new_workspace()
         alpha, left = rng.uniform(-6.0, 6.0), rng.choice([0.02, 0.2])
-        (x, y), (vx, vy) = (state[3:5] - state[0:2]).tolist(), (state[9:11] - state[6:8]).tolist()
-        angle, omega, jack_angle, jack_omega = state[[2, 8, 5, 11]].tolist()
-        flight = motion.Flight(
-            x,
-            y,
-            vx,
-            vy,
-            angle,
-            omega,
-            jack_angle,
-            jack_omega,
-            scene.gravity,
-            alpha,
-            0.0,
-            0.5 * left,
-            False,
-            False,
-            0,
-            0.0,
-        )
+        flight = motion.flight_of(n, state, motion.held_piece(left, alpha), 0.0)
         bound = bounds.bounds_of(n, flight, left, abs(alpha), 0.0)
         curvature = bound.bend + bound.swing
         for wall, foot in rng.integers(0, 4, (4, 2)).tolist():
@@ -121,24 +102,8 @@ def test_each_bound_holds_over_the_whole_flight() -> None:
         x, y, vx, angle, jack_angle, jack_omega = rng.uniform(-3.0, 3.0, 6).tolist()
         omega = 0.0 if number % 2 else float(rng.uniform(-5.0, 5.0))
         vy = 0.5 * scene.gravity * left  # thrown up and back again: both ends say nothing of the way between
-        flight = motion.Flight(
-            x,
-            y,
-            vx,
-            vy,
-            angle,
-            omega,
-            jack_angle,
-            jack_omega,
-            scene.gravity,
-            alpha,
-            0.0,
-            0.5 * left,
-            False,
-            False,
-            0,
-            0.0,
-        )
+        state = np.array([0.0, 0.0, angle, x, y, jack_angle, 0.0, 0.0, omega, vx, vy, jack_omega])
+        flight = motion.flight_of(n, state, motion.held_piece(left, alpha), 0.0)
         bound = bounds.bounds_of(n, flight, left, abs(alpha), 0.0)
         for s in np.linspace(0.0, left, 9).tolist():
             pose = motion.pose_at(flight, w, s)
