@@ -84,12 +84,12 @@ PARTS = {
 }
 
 HEAD = """
-*holds*: what was expected was seen; `0.22 of 1 m` is 0.22 m where at most 1 m was expected. *refused*: the library
-declines with that sentence and stays as it was. *FAILS*: neither; the row's test then fails too.
+*holds*: the result is within its bound. `0.22 of 1 m` means 0.22 m with a bound of 1 m. *refused*: the call raises an
+error with that sentence and changes nothing. *FAILS*: neither; the row's test then fails too.
 
 Errors of momentum, energy and rates (the six velocities) without a unit are relative to the largest of their kind. They
-are differences from the law: the impact map, or where feet touch together the simultaneous law, at the pose where an
-impact acts.
+are differences from the law at the pose where an impact acts: the impact map, or the simultaneous law where feet touch
+together.
 
 `pymunk` lets an impact act at the end of its substep, which is a quarter of a step by default and less at speed. A foot
 may then be as deep in a wall as it moves in a substep, 1 m at most. A foot that dips in and out again within a substep

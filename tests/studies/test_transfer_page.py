@@ -63,10 +63,10 @@ def test_one_sentence_decides() -> None:
 @pytest.mark.parametrize(
     ("known", "words"),
     [
-        ({"trainings": [1.0] * 5, "needed": 12}, "5 trainings are too few to tell, about 12 would be needed."),
-        ({"trainings": [1.0] * 5, "needed": 4}, "5 trainings are too few to tell, about 6 would be needed."),
-        ({"trainings": [1.0] * 5}, "5 trainings are too few to tell, more than 1,000 would be needed."),
-        ({"starts": 5.1}, "more episodes are needed first, as the starts alone leave more than the margin."),
+        ({"trainings": [1.0] * 5, "needed": 12}, "5 trainings are too few to tell; about 12 would be needed."),
+        ({"trainings": [1.0] * 5, "needed": 4}, "5 trainings are too few to tell; about 6 would be needed."),
+        ({"trainings": [1.0] * 5}, "5 trainings are too few to tell; more than 1,000 would be needed."),
+        ({"starts": 5.1}, "more episodes are needed first: the starts alone make the interval wider than the margin."),
         ({"trainings": [1.0]}, "one training shows no spread."),
     ],
 )

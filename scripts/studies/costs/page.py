@@ -113,9 +113,9 @@ def answer(results: Mapping[str, Any], plain: Mapping[str, float]) -> str:
     frame, function = (rough(statistics.median(results["on_top"][what][PYMUNK])) for what in (FRAME, FUNCTION))
     return (
         f"A control step takes {each[PYMUNK]} ns with pymunk, {each[EXACT]} ns with exact, and {each[BATCH]} ns for "
-        f"each environment of an exact batch. Dearest on top of it are a frame, {frame} ns, and a drive written as a "
-        f"Python function, {function} ns more than the chirp. What is off costs nothing: its code does not run, and "
-        "tests count that."
+        f"each environment of an exact batch. The most expensive additions are a frame ({frame} ns) and a drive "
+        f"written as a Python function ({function} ns more than the chirp). What is off costs nothing: its code does "
+        "not run, and tests count that."
     )
 
 
@@ -127,9 +127,10 @@ def page(results: Mapping[str, Any], picture: str) -> str:
     each = [f"{figure(statistics.median(values) / more)} ns ({model})" for model, values in on_top[ARM].items()]
     asked = [f"{count:.0f} times per step by {model}" for model, count in results["asked"].items()]
     notes = [
-        f"- An arm of 8 m makes {impacts['long arm']:.2f} impacts per step of {impacts['usual']:.3f}: an impact, and "
-        f"being near a wall for it, costs {', '.join(each)}.",
-        f"- A drive's Python function is asked {', '.join(asked)}; in a batch once for all at the same time.",
+        f"- An arm of 8 m makes {impacts['long arm']:.2f} impacts per step instead of {impacts['usual']:.3f}. "
+        f"One impact, with the steps near a wall that it takes, costs {', '.join(each)}.",
+        f"- A drive's Python function is called {', '.join(asked)}; a batch calls it once for all environments that "
+        "share a time.",
         "- A batch with a `render_mode` is stepped one by one. A batch of pymunk builds its infos with `with_infos` "
         "and without.",
     ]
@@ -138,7 +139,7 @@ def page(results: Mapping[str, Any], picture: str) -> str:
             "# What each thing costs": [answer(results, plain), "", f"![Where the time of a step goes]({picture})"],
             "## On top of a plain step": [*glance(on_top, plain), "", *notes],
             "## Where the time of a step goes": layer_table(results["layers"], plain),
-            "## What is off is not there": [OFF],
+            "## What is off does not run": [OFF],
             "## How it was measured": [HOW, "", results["made"]],
         }
     )
@@ -157,9 +158,9 @@ HOW = (
     "pass; one that changes its sign between rounds counts as noise. Times are processor times, which leave out "
     "what other processes use. A plain step is the default scene's, with a held random torque and the task juggle, "
     "as `gymnasium.make` makes it; in a batch, it is the step of one of 1,024 environments. All start from the same "
-    "states of episodes, restored before each step. So a thing's cost does not include where it leads the jack. "
-    "Observation, info dict, checks and wrappers cannot be switched off: to measure them, stand-ins took their "
-    "place."
+    "states of episodes, restored before each step. So a thing's cost does not include its effect on the "
+    "motion. Observation, info dict, checks and wrappers cannot be switched off: to measure them, stand-ins took "
+    "their place."
 )
 
 

@@ -110,9 +110,9 @@ def answer(results: Results) -> str:
 def guarantee(lost: Mapping[str, int]) -> str:
     """What the certified search is worth, beside its price in the table above."""
     return (
-        f"What certifying buys: of {lost['of']:,} episodes a search that looks at a step's end only misses an impact "
-        f"in {lost['missed']} and puts a foot outside the box in {lost['escaped']}; the certified one in "
-        f"{lost['certified']}."
+        f"What certifying buys: of {lost['of']:,} episodes, a search that looks only at a step's end misses an impact "
+        f"in {lost['missed']} and puts a foot outside the box in {lost['escaped']}. The certified search puts one "
+        f"outside in {lost['certified']}."
     )
 
 
@@ -140,8 +140,8 @@ HOW = (
     "`make speed` measures in interleaved rounds after one to warm up. Ratios are taken within a round. A table "
     "shows the median over the rounds and the extremes. A step is a control step of 0.02 s under a random action, a "
     "new one in each step; episodes have 500 steps from the environment's own starts. Everything runs on one core "
-    "and is timed by the processor's clock, which leaves out what other processes use. Only batch size and threads "
-    "are timed by the wall's clock; their batches start from random moments of episodes. The parts of the page, as "
+    "and is timed by processor time, which leaves out other processes. Only batch size and threads are timed by the "
+    "wall clock; their batches start from random moments of episodes. The parts of the page, as "
     "`make speed` last measured them:"
 )
 

@@ -36,7 +36,7 @@ KEYS = ("settings", "fidelities", "training", "trained", "run", "returns", "comp
 def gather(
     folder: Path, settings: StudySettings, returns: Mapping[Any, Returns], runs: Mapping[str, Mapping[str, Episodes]]
 ) -> dict[str, Any]:
-    """Everything that the page is written from, each return included, as it is kept in learning.json."""
+    """All data that the page is written from, every return included, in the form of learning.json."""
     samples = {condition: {name: one.values for name, one in each.items()} for condition, each in runs.items()}
     return {
         "settings": asdict(settings),
@@ -52,7 +52,7 @@ def gather(
 
 
 def read_data(path: Path) -> dict[str, Any]:
-    """Read what :func:`gather` left; a ValueError where the file holds something else."""
+    """Read what :func:`gather` wrote; ValueError if the file holds something else."""
     data: dict[str, Any] = read_json(path)
     if missing := [key for key in KEYS if key not in data]:
         raise ValueError(f"{path} holds no data of a study: {missing[0]!r} is missing")
@@ -106,7 +106,7 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
 
 
 def decision(task: str, findings: Sequence[Finding]) -> str:
-    """What to train on for a task, in one sentence; what is open is in its footnote."""
+    """What to train on for a task, in one sentence; a footnote says what is undecided."""
     safe = ", ".join(f"`{found.fidelity}`" for found in findings if found.learning == "safe")
     costly = ", ".join(f"`{found.fidelity}`" for found in findings if found.learning in ("harmful", "worse"))
     what = f"learning on {safe} is safe too" if safe else f"stay with `{EXACT}`: no other fidelity is shown to be safe"
@@ -115,7 +115,7 @@ def decision(task: str, findings: Sequence[Finding]) -> str:
 
 
 def footnote(task: str, findings: Sequence[Finding]) -> list[str]:
-    """What is undecided about a task and what would settle it; no line where nothing is."""
+    """What is undecided about a task and what would settle it; no line if nothing is."""
     reasons: dict[str, list[str]] = {}
     for found in findings:
         if found.learning == "undecided":
@@ -129,9 +129,9 @@ def _missing(found: Finding) -> str:
     if trainings < 2:
         return "one training shows no spread"
     if found.starts >= found.margin:
-        return "more episodes are needed first, as the starts alone leave more than the margin"
+        return "more episodes are needed first: the starts alone make the interval wider than the margin"
     needed = f"more than {MOST_TRAININGS:,}" if found.needed is None else f"about {max(found.needed, trainings + 1)}"
-    return f"{trainings} trainings are too few to tell, {needed} would be needed"
+    return f"{trainings} trainings are too few to tell; {needed} would be needed"
 
 
 def verdict_table(findings: Mapping[str, Sequence[Finding]]) -> list[str]:
@@ -172,7 +172,7 @@ def long_table(data: Mapping[str, Any]) -> list[str]:
 
 
 def _differences(comparisons: Sequence[Comparison]) -> tuple[str, str, str]:
-    """How often a setting differs, in which statistics and by how much, or what would have been seen."""
+    """How often a setting differs, in which statistics and by how much, or the smallest difference detectable."""
     present = [row for row in comparisons if not math.isnan(row.difference.mean)]
     differing = [row for row in present if row.differs]
     count, statistics = f"{len(differing)} of {len(present)}", dict.fromkeys(row.statistic for row in differing)
