@@ -40,7 +40,7 @@ def describe_env(settings: EnvSettings) -> str:
 
 
 def warn_of_other_training(name: str, here: EnvSettings) -> None:
-    """Say so where a run was trained in another environment than this one."""
+    """Note which runs were trained in another environment."""
     if (Path(name) / "settings.json").is_file():
         from agents.runs import read_settings
 
@@ -48,7 +48,7 @@ def warn_of_other_training(name: str, here: EnvSettings) -> None:
             **{part.name: getattr(read_settings(Path(name)), part.name) for part in fields(EnvSettings)}
         )
         same = replace(trained, contact=here.contact, substeps=here.substeps, fidelity=here.fidelity) == here
-        if trained.setting != here.setting or not same:  # several words say the same setting
+        if trained.setting != here.setting or not same:  # one setting can be written in several ways
             print(f"Note: {name} was trained in another environment ({describe_env(trained)})", file=sys.stderr)
 
 

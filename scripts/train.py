@@ -22,7 +22,7 @@ class Arguments:
     folder: Path | None = None
     """Run folder to make; None: runs/<task>-<date>-<time>."""
     resume: Path | None = None
-    """Run folder to go on with, by its own settings, from its newest whole checkpoint."""
+    """Run folder to resume, with its own settings, from its newest whole checkpoint."""
     progress: bool = True
     """Show a progress bar."""
 

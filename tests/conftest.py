@@ -45,6 +45,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture
 def cases(request: pytest.FixtureRequest) -> Callable[[int], int]:
-    """How many of so many random cases to draw."""
+    """How many cases of a sweep to draw: all or a quarter."""
     whole = request.config.getoption("--whole")
     return lambda number: number if whole else (number + 3) // 4

@@ -1,6 +1,6 @@
-"""Digests of what simulators, environments, batches and rollouts bring: ``python -m tests.fingerprints exact pymunk``.
+"""Digests of results of simulators, environments, batches and rollouts: ``python -m tests.fingerprints exact pymunk``.
 
-Two machines agree to the last bit where their digests do. The drives' functions are arithmetic without a C library.
+Equal digests mean results that are equal to the last bit. The drives' functions use no C library.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ TURNED = [0.0, 0.0, 3e6, 0.0, 1.0, 2.3e9, 0.0, 0.0, 1.0, 1.0, 1.0, 20.0]
 
 
 def digest(parts: Iterable[Any]) -> str:
-    """Of numbers and arrays, bit for bit."""
+    """Digest of the bits of numbers and arrays."""
     hashed = hashlib.sha256()
     for part in parts:
         hashed.update(np.ascontiguousarray(part).tobytes())
@@ -107,7 +107,7 @@ def rolled(scene: Scene) -> str:
 
 
 def of_contact_model(contact: str, steps: int) -> Digests:
-    """Everything a contact model has, for every kind of drive."""
+    """Digests of a contact model under every kind of drive."""
     found: Digests = {}
     for (name, drive), task in zip(DRIVES.items(), ("juggle", "spin", "rattle", "juggle", "rattle"), strict=True):
         scene = Scene(drive=drive)
@@ -126,7 +126,7 @@ def of_contact_model(contact: str, steps: int) -> Digests:
 
 
 def of_scenes() -> Digests:
-    """What is derived from scenes, and cosines of many turns."""
+    """Digests of quantities derived from scenes, and of cosines of large angles."""
     rng = np.random.default_rng(0)
     sizes = rng.uniform([1.0, 0.1], [9.0, 1.4], (10_000, 2)).tolist()
     scenes = [Scene(box_half_width=width, jack_arm=arm) for width, arm in sizes]
@@ -144,7 +144,7 @@ def of_scenes() -> Digests:
 
 
 def of_libraries() -> Digests:
-    """What other libraries work out, which may differ between machines: it shows that a setting took hold."""
+    """Digests of other libraries' results. They may differ between machines: this shows that a setting took effect."""
     rng = np.random.default_rng(0)
     angles, matrix = rng.uniform(-30.0, 30.0, 100_000), rng.normal(size=(13, 13))
     return {

@@ -1,4 +1,4 @@
-"""Values that people and programs pass by mistake, and what a call may answer."""
+"""Values that people and programs pass by mistake, and how a call may answer."""
 
 from __future__ import annotations
 
@@ -182,7 +182,7 @@ def answer(call: Callable[[], Any]) -> Exception | None:
     """What a call raised, None if it worked.
 
     Raises:
-        AssertionError: it raised what no call may raise, or said it badly.
+        AssertionError: no call may raise this kind of error, or its message is bad.
     """
     try:
         call()

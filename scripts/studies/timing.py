@@ -21,9 +21,9 @@ def repeat(
     prepare: Callable[[], None] | None = None,
     clock: Callable[[], float] = time.perf_counter,
 ) -> Timed:
-    """Operations per second of ``block``, which returns how many it did, over ``seconds`` [s] or the block under way.
+    """Operations per second of ``block``, repeated until ``seconds`` [s] have passed.
 
-    What ``prepare`` does before each block is not timed.
+    ``block`` returns how many operations it did. What ``prepare`` does before each block is not timed.
     """
 
     def run() -> float:
@@ -61,13 +61,13 @@ def ratios(rates: Mapping[str, Sequence[float]], one: str, other: str) -> list[f
 
 
 def on_cores(cores: Iterable[int]) -> None:
-    """Keep all threads of this process, and those to come, on these cores, where the system can."""
+    """Pin all threads of this process, and those that they start later, to these cores, if the system can."""
     for thread in os.listdir("/proc/self/task") if PINNED else ():
         os.sched_setaffinity(int(thread), cores)
 
 
 def others() -> tuple[float, float]:
-    """Core-seconds that other processes have used since the machine started, and that there were; zeros if untold."""
+    """Core-seconds since the machine started: those that other processes used, and all; zeros if unknown."""
     if not Path("/proc/stat").exists():
         return 0.0, 0.0
     ticks = [int(number) for number in Path("/proc/stat").read_text().split("\n", 1)[0].split()[1:9]]
@@ -77,7 +77,7 @@ def others() -> tuple[float, float]:
 
 
 def meanwhile(before: tuple[float, float]) -> str:
-    """How much of the machine others had since ``before``: what makes figures unsteady."""
+    """The share of the machine that other processes used since ``before``: it makes figures unsteady."""
     taken, there = others()
     share = (taken - before[0]) / max(there - before[1], 1e-9)
     return f"Other processes took {max(0.0, share):.0%} of the machine's time meanwhile." if there else ""

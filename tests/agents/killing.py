@@ -61,10 +61,10 @@ def short_episodes(env_settings: dict[str, Any], num_envs: int, seed: int) -> Ve
 
 
 def train(folder: Path, output: Path, kill_at: int | None = None, file_size: int | None = None) -> None:
-    """In a forked process: the command line, its words in ``output``.
+    """Run the command line in a forked process, with its output in ``output``.
 
     Args:
-        folder: to make, or to go on in.
+        run folder to make or to resume.
         output: what the command line says.
         kill_at: number of the operation on the disk before which the process kills itself; 0: none, but ``output`` says
             how many there were.
@@ -142,7 +142,7 @@ def check_whole(folder: Path) -> None:
 
 
 def check_finished(folder: Path) -> None:
-    """A run that was killed and resumed has come to what an uninterrupted one comes to."""
+    """A run that was killed and resumed ends like an uninterrupted one."""
     check_whole(folder)
     read_model_file(folder / MODEL)
     with zipfile.ZipFile(folder / MODEL) as archive:

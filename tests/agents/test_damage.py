@@ -1,4 +1,4 @@
-"""Run folders with damaged files: what is damaged is skipped and named, and the run comes to its end all the same."""
+"""Run folders with damaged files: a damaged file is skipped and named, and the run still finishes."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def cut_to(share: float) -> Callable[[bytes], bytes]:
 
 
 def flipped(content: bytes, place: int | None = None) -> bytes:
-    """A bit changed, of the first tensor's bytes if it is not said where."""
+    """The content with one bit changed, by default in the first tensor."""
     place = content.index(b"policy.pth") + 2000 if place is None else place
     return content[:place] + bytes([content[place] ^ 16]) + content[place + 1 :]
 

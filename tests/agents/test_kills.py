@@ -1,6 +1,6 @@
-"""Trainings that are killed at random moments and before every operation on the disk come to their end all the same.
+"""Trainings that are killed at random moments, or before any operation on the disk, finish when they are resumed.
 
-JACKBOX_KILLS=200 kills as often instead of three times, and before each operation there is.
+``JACKBOX_KILLS=200`` kills 200 times instead of three, and before each operation.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ KILLED = -9
 
 
 class Uninterrupted:
-    """How long a training takes that is left alone, and how many operations on the disk."""
+    """Time of an undisturbed training [s], and its number of operations on the disk."""
 
     def __init__(self, folder: Path) -> None:
         began = time.monotonic()

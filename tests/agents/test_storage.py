@@ -75,7 +75,7 @@ def test_folders_are_on_the_disk_too(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 def fail(path: Path, error: BaseException, left: str | None = None) -> None:
-    """Fail while a file is written, or be killed then and leave it under a name."""
+    """Fail while a file is written. With ``left`` leave the unfinished file under this name, as a kill does."""
     with replacing(path) as partial:
         assert storage._PARTIAL.fullmatch(partial.name)
         partial.write_text("ne")
@@ -164,7 +164,7 @@ def test_json_that_is_damaged_is_told_by_its_name(content: bytes, tmp_path: Path
 
 
 def hold(folder: Path, ready: Path, child: Path | None = None) -> None:
-    """In a process of its own: hold a folder for ever, beside a forked child that wants it once and lives on."""
+    """In a separate process: hold a folder for ever. A forked child tries to hold it once and lives on."""
     with held(folder):
         if child is not None and os.fork() == 0:
             try:

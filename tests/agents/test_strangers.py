@@ -129,7 +129,7 @@ ZEROS = bytes(40_000_000)
 
 
 def bomb(kind: str, contents: dict[str, bytes]) -> bytes:
-    """A model file of less than 1 MB that inflates to 40: the tensors' file itself, or a member of that."""
+    """A model file below 1 MB that inflates to 40 MB: the tensors' file itself, or a member of it."""
     if kind == "a tensor":
         tensors = {**{f"archive/{number}": bytes(8) for number in range(3)}, "archive/data/0": ZEROS}
         return zipped({**contents, "policy.pth": zipped(tensors)}, zipfile.ZIP_STORED)

@@ -10,7 +10,7 @@ import pytest
 EVERY_MODEL = pytest.mark.parametrize("contact", ["exact", "pymunk"])
 
 
-# One environment alone, of which a copy is easily none; two; more than two blocks.
+# 1: NumPy easily makes a view where a copy is meant. 300: more than two blocks.
 SIZES = [("exact", 1), ("exact", 2), ("exact", 300), ("pymunk", 1), ("pymunk", 3)]
 
 

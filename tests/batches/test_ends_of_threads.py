@@ -42,7 +42,7 @@ def test_threads_end_with_their_owner_and_with_an_interruption() -> None:
         assert count() == before + 8
         with pytest.raises(KeyboardInterrupt) as raised:
             owner.run(interrupted, 100)
-        kept.append(raised)  # its traceback holds frames, and what they know
+        kept.append(raised)  # its traceback holds frames and their variables
         until(lambda: count() == before)
     owner.run(work, 100)
     copied = copy.deepcopy(owner)
@@ -75,7 +75,7 @@ def test_a_fork_forgets_threads_that_it_does_not_have() -> None:
             until(lambda: threads._AT_WORK)
             process = os.fork()
             if process == 0:
-                # Not at work in the child: nothing there is to be waited for, and its own threads start.
+                # In the child no thread is at work, so it waits for none and starts threads of its own.
                 owner_works = Threads(2).run(lambda *given: time.sleep(0.001) or given[0], 50)  # type: ignore[func-returns-value]
                 os._exit(0 if not threads._AT_WORK and 1 in owner_works else 1)
             assert os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]) == 0

@@ -1,4 +1,4 @@
-"""Vector environments: episodes, restarts, states put back."""
+"""Vector environments: episodes, restarts, restored states."""
 
 from __future__ import annotations
 

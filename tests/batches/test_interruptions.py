@@ -1,4 +1,4 @@
-"""Interruptions at any moment: all before or all after, nothing hangs, no thread writes where it no longer should."""
+"""Interruptions at any moment: a call is done entirely or not at all, nothing hangs, no thread writes afterwards."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ ROOT = Path(__file__).parents[2]
 
 
 def struck(call: Callable[[], Any], at: int) -> bool:
-    """Make a call and raise KeyboardInterrupt before the ``at``-th instruction of this package; whether it came to it.
+    """Make a call and raise KeyboardInterrupt before the ``at``-th instruction of this package; return whether it did.
 
-    Python itself looks for signals after fewer of them: never between the end of a ``with`` and the release of its
-    lock. So the one lock on the way, that of the compiler, is left out.
+    Python itself checks for signals at fewer instructions: never between the end of a ``with`` and the release of its
+    lock. So the one lock on the way, the compiler's, is left out.
     """
     left = at
 
@@ -62,7 +62,7 @@ def struck(call: Callable[[], Any], at: int) -> bool:
 
 
 def told(env: Any) -> list[Any]:
-    """All that decides the future."""
+    """Everything that determines the future."""
     vector = getattr(env, "vector_env", env)
     held = vector._batch.held
     if hasattr(held, "blocks"):
@@ -75,7 +75,7 @@ def told(env: Any) -> list[Any]:
 
 
 def staggered(make: Callable[[], Any]) -> tuple[Any, Any]:
-    """An environment whose episodes end one after the other, so that every step restarts one, and its twin."""
+    """An environment and its twin. Their episodes end one after another, so every step restarts one."""
     pair = make(), make()
     for env in pair:
         if not isinstance(env, JackInBoxVectorEnv):
@@ -110,7 +110,7 @@ def start_some(env: Any, seed: int) -> Any:
 
 
 def assert_all_or_nothing(pair: tuple[Any, Any], call: Callable[[Any, int], Any], stride: int) -> int:
-    """Interrupt a call at one instruction after the other until it comes to its end; count how often it was done."""
+    """Interrupt a call at every ``stride``-th instruction in turn; return how often it was done nevertheless."""
     env, twin = pair
     done = 0
     for at in itertools.count(1, stride):
@@ -170,10 +170,10 @@ CALLS: dict[str, tuple[Callable[[], Any], Callable[[Any, int], Any], int]] = {
 def test_an_interruption_before_any_instruction_leaves_all_or_nothing_done(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(exact, "_GRAIN", 1)  # few environments are work for two threads
+    monkeypatch.setattr(exact, "_GRAIN", 1)  # so that two threads share even few environments
     make, call, stride = CALLS[name]
     done = assert_all_or_nothing(staggered(make), call, stride)
-    assert done > (stride == 1)  # where each instruction had its turn, also one that came after the last assignment
+    assert done > (stride == 1)  # with stride 1 one interruption comes after the last assignment
 
 
 @pytest.mark.parametrize(("contact", "stride"), [("exact", 1), ("pymunk", 13)])
@@ -242,7 +242,7 @@ def test_a_thread_left_at_work_never_writes_to_the_memory_of_a_later_step(monkey
             if threading.get_ident() != main and whose == "interrupted":
                 begun.set()
                 gate.wait(20.0)
-            # Where it goes, what it returns, what it works in.
+            # Its destination, its results and its workspace.
             touched = (given[2][1], *given[5], *given[6])
             written[whose].update(id(array) for array in touched if array.size)
             kept.append(given)
@@ -268,7 +268,7 @@ def test_a_thread_left_at_work_never_writes_to_the_memory_of_a_later_step(monkey
     before = told(env)
     with monkeypatch.context() as patch:
         patch.setattr(threads, "SimpleQueue", Queue)
-        patch.setattr(threads, "time", SimpleNamespace(sleep=interrupt))  # once more, while it waits for those at work
+        patch.setattr(threads, "time", SimpleNamespace(sleep=interrupt))  # again, while it waits for threads at work
         env._batch._threads._pool = None  # type: ignore[attr-defined]
         with pytest.raises(KeyboardInterrupt):
             step(env, 1)

@@ -1,4 +1,4 @@
-"""Vector environments: what they refuse, and that all stays as it was."""
+"""Vector environments: what they refuse. A refused call changes nothing."""
 
 from __future__ import annotations
 
@@ -190,7 +190,7 @@ def test_nothing_is_left_out_of_the_public_names() -> None:
 
 @EVERY_MODEL
 def test_more_environments_than_there_is_room_for_are_refused_at_once(contact: str) -> None:
-    # A child process, because the limit on its address space stands for a machine that is full.
+    # A child process with little address space stands for a machine without free memory.
     code = (
         "import resource, jackbox_env, gymnasium\n"
         "resource.setrlimit(resource.RLIMIT_AS, (6 * 2**30, 6 * 2**30))\n"

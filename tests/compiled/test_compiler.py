@@ -1,4 +1,4 @@
-"""What the compiled code stands on: its cache, its cosines, its random numbers, its threads."""
+"""What the compiled code relies on: its cache, its cosines, its random numbers, its threads."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_nowhere_to_keep_compiled_code_is_said(tmp_path: Path) -> None:
 
 
 def test_another_function_can_take_a_functions_place() -> None:
-    # A turn that compiled code counts in quarters, by another rule.
+    # Compiled code turns by quarters with ``quarter``; here another rule takes its place.
     from jackbox_env.compiled.impacts import quarter
     from jackbox_env.compiled.motion import foot_gap
 
@@ -157,7 +157,7 @@ def test_angles_beyond_the_reduction_are_handed_on() -> None:
         assert fast(angle) == (math.cos(angle), math.sin(angle))
     for angle in (math.inf, -math.inf, math.nan):
         assert all(math.isnan(value) for value in fast(angle))
-    assert abs(cos_sin_within(1e15)[0] - math.cos(1e15)) > 1e-3  # which is why
+    assert abs(cos_sin_within(1e15)[0] - math.cos(1e15)) > 1e-3  # so they go to ``math``
 
 
 # -- random numbers ---------------------------------------------------------------------------------------------------

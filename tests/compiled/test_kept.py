@@ -39,8 +39,8 @@ def test_numba_asks_the_cache_once_for_each_signature_and_never_for_a_call(
 
         monkeypatch.setattr(kept.CodeCache, name, noted)
     turn = fresh(quarter)
-    assert isinstance(turn, Dispatcher)  # numba's own, called as directly as any
-    assert isinstance(vars(numba.njit(cache=True)(_on_disk))["_cache"], FunctionCache)  # stands where ours does
+    assert isinstance(turn, Dispatcher)  # numba's own class, so calls cost the same
+    assert isinstance(vars(numba.njit(cache=True)(_on_disk))["_cache"], FunctionCache)  # the attribute that we replace
     for number in range(100):
         turn(0.8, 0.6, number)
     assert asked == ["load_overload", "save_overload"]

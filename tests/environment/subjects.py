@@ -60,7 +60,7 @@ def flat(seen: Any) -> list[Any]:
 
 
 def hurt(subject: Subject, call: Callable[[Any, Any], Any], values: Values) -> list[str]:
-    """Which values are not answered as they should be, or change what refused them."""
+    """The values that get a wrong answer, or that change the object that refuses them."""
     found = []
     one, twin = subject.make(), subject.make()
     for name, make in values.items():

@@ -34,7 +34,7 @@ from tests.hostile import EVERYTHING, NUMBERS, answer, arrays
 
 
 def failures(call: Callable[[Any], Any], values: Values) -> list[str]:
-    """Which values are not answered as they should be."""
+    """The values that get a wrong answer."""
     found = []
     for name, make in values.items():
         try:
@@ -61,7 +61,7 @@ def of_drive(**fields: Any) -> None:
     kind = Chirp if set(fields) <= {field.name for field in dataclasses.fields(Chirp)} else Drive
     for contact in CONTACT_MODELS:
         simulator = make_simulator(Scene(drive=kind(**fields)), contact=contact)
-        with contextlib.suppress(ZeroDivisionError):  # raised by the user's own function: his, as it is
+        with contextlib.suppress(ZeroDivisionError):  # raised by the user's own function: passed on unchanged
             simulator.step(0.02)
 
 
@@ -118,7 +118,7 @@ INDICES: dict[str, Callable[[Any], Any]] = {
 }
 
 
-# Taken as they are, for speed: the caller has checked what they get; and records of results.
+# These check nothing, for speed: their caller has checked the arguments. And records of results.
 UNCHECKED = {
     "mechanics.clearance", "mechanics.start_tolerance", "mechanics.deepest_held", "mechanics.energy_of",
     "tasks.juggle", "tasks.spin", "tasks.rattle", "tasks.sample_start", "tasks.start_pose", "tasks.Task",
@@ -148,7 +148,7 @@ BOUNDS = ("first_impact_error", "penetration", "states", "cases", "steps", "cont
 def test_arguments_of_the_helper_that_chooses_a_setting(name: str) -> None:
     assert [*inspect.signature(cheapest).parameters] == ["scene", *BOUNDS]
     short: dict[str, Any] = {"cases": 1, "steps": 60}
-    large = ("cases", "steps")  # as large as they are, these take their time
+    large = ("cases", "steps")  # valid, but so large that the call takes long
     values = {key: value for key, value in EVERYTHING.items() if name not in large or not key.startswith("1")}
     assert not failures(lambda value: cheapest(SCENE, **{**short, name: value}), values)
     assert not failures(lambda value: cheapest(SCENE, states=[value], **short), arrays(12) if name == "states" else {})
@@ -195,7 +195,7 @@ def test_settings_of_an_environment(name: str, contact: str, monkeypatch: pytest
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     assert not failures(lambda value: of_env(JackInBoxEnv, **{"contact": contact, name: value}), EVERYTHING)
     if name == "render_mode":
-        return  # gym.make looks at it before we do
+        return  # gym.make checks it first
     made = partial(gym.make, "JackInBox-v0")
     assert not failures(lambda value: of_env(made, **{"contact": contact, name: value}), SHOWN_BY_GYMNASIUM)
 

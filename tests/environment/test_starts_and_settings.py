@@ -1,4 +1,4 @@
-"""The environment: starts, states put back, and what it is made with."""
+"""The environment: starts, restored states, settings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the cases measure: how far a course is from the laws that hold whatever the contact model."""
+"""What the cases measure: how far a trajectory is from the laws that every contact model must obey."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def started(scene: Scene, contact: str, state: Array | list[float], time: float 
 
 
 def deepest_allowed(contact: str) -> float:
-    """How far a foot may be outside at the end of a step [m]: a substep of pymunk may end 1 m deep, exact rounds."""
+    """How far a foot may be outside at a step's end [m]: 1 m after a substep of pymunk, rounding for exact."""
     return 1.0 if contact == "pymunk" else 1e-9
 
 
@@ -95,7 +95,7 @@ def follow(simulator: Simulator, steps: int, dt: float, course: Course | None = 
 
 
 def replayed(scene: Scene, state: Array, begun: float, end: float, impacts: Iterable[Impact]) -> Array:
-    """Fly without forces from impact to impact as recorded, each by the law at the pose it finds; the state at the end.
+    """Fly without forces between the recorded impacts, apply the law at each, and return the final state.
 
     Impacts at the same moment are taken by the simultaneous law.
     """

@@ -27,7 +27,7 @@ TOO_FAST_FOR_SUBSTEPS = "the jack would leave the box: .* use more substeps, a s
 
 
 def kept(courses: list[Course], contact: str, hits: int, *more: Bound) -> Finding:
-    """Momentum, energy and containment over courses with at least so many impacts each, after what else is bounded."""
+    """The bounds ``more``, then momentum, energy and containment; each course has at least ``hits`` impacts."""
     fewest = min(course.hits for course in courses)
     assert fewest >= hits
     return within(
@@ -147,7 +147,7 @@ def test_an_impact_amid_steps_of_any_length(contact: str) -> Finding:
 def amid(dt: float, torque: float, rng: np.random.Generator) -> tuple[Array, Array]:
     """A state 2.5 steps before an impact, and the state 2.5 steps after it by the impact map; slow for long steps.
 
-    Not one in which a foot would dip into the wall and out again within pymunk's substep: that it does not see.
+    States are left out in which a foot dips into the wall and out again within a substep: pymunk does not see that.
     """
     alpha, half = torque / WEIGHTLESS.box_inertia, 2.5 * dt
     while True:
@@ -266,7 +266,7 @@ def test_a_torque_of_a_giga_newton_metre_in_an_ordinary_step(contact: str) -> Fi
 
 @extreme("the chirp at t = 1e6 s")
 def test_the_chirp_after_a_million_seconds(contact: str) -> Finding:
-    # Within 12 turns, which tell the phase best, and 18,000, which tell how well they cancel.
+    # 12 turns show the phase best, 18,000 turns how well they cancel.
     chirp, rates, angles = Chirp(), [], []
     for dt in (1.3e-5, 0.02):
         simulator = started(Scene(gravity=0.0, drive=chirp), contact, np.zeros(12), 1e6)

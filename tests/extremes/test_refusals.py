@@ -1,4 +1,4 @@
-"""Numbers that are too small, not numbers or not finite, and what loses energy."""
+"""Numbers that are too small or not finite, and scenes that lose energy."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_subnormal_numbers_change_no_more_than_they_are(contact: str) -> Finding
         assert simulator.time == dt
         changed = max(changed, float(np.abs(simulator.state - free).max()))
         law = max(law, off_the_law(started(WEIGHTLESS, contact, touching), dt))
-    for scene in (WEIGHTLESS, Scene()):  # half of the smallest number is 0, and a model that needs it refuses
+    for scene in (WEIGHTLESS, Scene()):  # half of the smallest number is 0: a model that needs half a step refuses it
         simulator = started(scene, contact, touching)
         taken = sentence_of(partial(simulator.step, SMALLEST)) is None
         assert taken == (contact == "exact" and scene is WEIGHTLESS)

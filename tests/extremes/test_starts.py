@@ -83,7 +83,7 @@ def test_a_jack_at_rest_on_the_floor_stays_there(contact: str) -> Finding:
         _, _, _, _, info = env.step(0.0)
         impulse += info["impulse"]
         off = max(off, abs(clearance(scene, env.state.tolist())))
-    # The floor carries the jack: m_j g t for the reduced mass, for the box gives way.
+    # The floor carries the jack. The box gives way, so the impulse is m_r g t with the reduced mass m_r.
     carried = abs(impulse / (4.0 * 400.0 / 404.0 * 9.81) - 1.0)
     gained = abs(energy(scene, env.state) - energy(scene, state))
     return within(

@@ -1,4 +1,4 @@
-"""Several contacts at once where some depend on others: one answer, whatever the processor."""
+"""Several dependent contacts at once: the same answer on every processor."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def wedged(count: int) -> Iterator[tuple[Scene, Array]]:
 
 
 def digest(count: int) -> str:
-    """Of every bit that the law says of such states."""
+    """Digest of every bit of the law's results for such states."""
     words = []
     for scene, state in wedged(count):
         after, impulses = simultaneous_impact_map(scene, state, FOUR)
@@ -90,7 +90,8 @@ def test_a_wedged_jack_gets_the_velocities_of_the_exact_model_and_keeps_its_ener
 
 
 def test_contacts_that_depend_on_those_that_push_stay_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    # Let in on a gradient that is rounding they share the impulse at will, or divide by what is left of them: nothing.
+    # Beside the contacts that push only rounding is left of their gradients. Let in, they share the impulse arbitrarily
+    # or divide by 0.
     def most_pushing() -> int:
         rng, most = np.random.default_rng(18), 0
         for _ in range(60):

@@ -1,4 +1,4 @@
-"""Scene, Chirp and Drive: what they accept, what they resolve, and the chirp's averages against 40 digits."""
+"""Scene, Chirp and Drive: what they accept, what they derive, and the chirp's averages against 40 digits."""
 
 from __future__ import annotations
 

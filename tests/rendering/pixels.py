@@ -60,7 +60,7 @@ def blue(colour: NDArray[np.uint8] | tuple[int, int, int]) -> Mask:
 
 @pytest.fixture
 def words(monkeypatch: pytest.MonkeyPatch) -> Words:
-    """Every string written, and the last place where."""
+    """Every string drawn, and the last place where it was drawn."""
     written: Words = {}
     write = Canvas.text
 

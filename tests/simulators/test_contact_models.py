@@ -1,6 +1,6 @@
-"""What every contact model owes: the laws that hold over long runs, restoring, and what is refused.
+"""What every contact model must do: keep the laws over long runs, restore a state, refuse what it cannot follow.
 
-One body for all models; where a model is granted less, it is named with the reason.
+Each test has one body for all models. A weaker tolerance is granted to a model by name, with the reason.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ def test_far_from_the_origin_is_as_good_as_near_it(contact: str) -> None:
 def test_full_torque_for_a_whole_episode_stays_in_the_box(contact: str) -> None:
     simulator = make_simulator(Scene(), contact)
     simulator.reset(np.array([0, 0, 0, 0.5, 0.2, 0.3, 0, 0, 0, 0, 0, 0]))
-    deepest = 1.0 if contact == "pymunk" else 1e-9  # what a substep may end at, and what rounding leaves
+    deepest = 1.0 if contact == "pymunk" else 1e-9  # the depth at which a substep may end, and rounding
     for _ in range(500):
         simulator.step(0.02, torque=90000.0)
         assert clearance(simulator.scene, simulator.state.tolist()) >= -deepest

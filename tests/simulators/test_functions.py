@@ -1,4 +1,4 @@
-"""A drive's functions as the exact contact model takes them: where it cuts them, and how near it comes."""
+"""A drive's functions in the exact contact model: where it cuts them, and how accurate it is."""
 
 from __future__ import annotations
 

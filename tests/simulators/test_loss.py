@@ -30,7 +30,7 @@ HEAVY: dict[str, Any] = {
     "box_mass": 1e9,
     "box_inertia": 36e9,
     "drive": None,
-}  # a box that gives way by no more than 1e-8
+}  # so heavy that it gives way by 1e-8 at most
 FLAT = 6.0 - math.sqrt(0.5)  # of the jack's centre from a wall that carries two of its feet [m]
 
 

@@ -31,7 +31,7 @@ x86 = pytest.mark.skipif(platform.machine().lower() not in ("x86_64", "amd64"), 
 
 
 def numpy_features() -> str:
-    """What NumPy chooses by the CPU, and this CPU has."""
+    """CPU features that NumPy chooses its code by, and that this CPU has."""
     older = np.lib.NumpyVersion(np.__version__) < "2.0.0"
     core = importlib.import_module(f"numpy.{'core' if older else '_core'}._multiarray_umath")
     return " ".join(name for name in core.__cpu_dispatch__ if core.__cpu_features__[name])
@@ -137,7 +137,7 @@ def test_inertias_are_rounded_products() -> None:
 def test_what_a_foot_at_rest_may_sink_grows_by_powers_rounded_right() -> None:
     with mp.workdps(40):
         assert kernel._GROWTH.tolist() == [float(mp.mpf(2) ** (mp.mpf(k) / 64)) for k in range(len(kernel._GROWTH))]
-    smallest = 0.5 * kernel.contact_tolerance(Scene().numbers)  # which next_impact searches with
+    smallest = 0.5 * kernel.contact_tolerance(Scene().numbers)  # the tolerance of the search
     assert smallest * kernel._GROWTH[-1] >= 1e-10  # growth beyond the table would change nothing
 
 

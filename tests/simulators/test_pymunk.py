@@ -225,7 +225,7 @@ def closed_form(scene: Scene, start: Array, time: float, torque: float) -> Array
 
 @pytest.mark.usefixtures("always_the_engine")
 def test_the_engine_is_told_of_no_torque_where_there_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    # It forgets a torque after each of its steps, so that none need not be written; bit for bit as if it were.
+    # The engine clears the torque after each of its steps. So no torque need be set where none acts.
     given: list[float] = []
 
     def note(body: pymunk.Body, torque: float) -> None:

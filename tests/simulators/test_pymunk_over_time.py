@@ -1,4 +1,4 @@
-"""The pymunk model: states put back, long runs, extremes, refusals."""
+"""The pymunk model: restored states, long runs, extremes, refusals."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def restores(scene: Scene, substeps: int, steps: int, seed: int) -> tuple[int, i
         torque = rng.uniform(-1.0, 1.0) * 0.5 * scene.torque_limit
         state, time = run.state, run.time
         run.step(0.02, torque)
-        if rng.uniform() < 0.1 or fresh.impacts:  # else the last one, used before
+        if rng.uniform() < 0.1 or fresh.impacts:  # else the last one, already used
             fresh = pickle.loads(pristine)
         fresh.reset(state, time)
         np.testing.assert_array_equal(fresh.state, state)
@@ -291,7 +291,7 @@ def test_an_error_while_recording_is_not_lost(monkeypatch: pytest.MonkeyPatch) -
 
 @pytest.mark.parametrize("moment", ["_forget_contacts", "_read"])
 def test_interruptions_leave_the_state_and_its_future(moment: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    # Every step is cut short once before it is taken, in a scene whose feet stay on the walls for long.
+    # Each step is interrupted once before it is taken, in a scene whose feet stay on the walls for long.
     scene = Scene(jack_arm=2.0, restitution=0.3)
     rng = np.random.default_rng(4)
     simulator, twin = PymunkSimulator(scene), PymunkSimulator(scene)
@@ -350,8 +350,8 @@ def test_substeps_must_be_whole_and_positive(substeps: Any) -> None:
 
 
 def test_a_jack_wedged_between_opposite_walls_keeps_its_energy_or_is_refused(cases: Cases) -> None:
-    # An arm little longer than L, spun towards alignment: feet reach opposite walls almost at once. Where such steps
-    # are not divided further up to 46 % of the energy are lost in one.
+    # An arm little longer than L, spun towards alignment: feet reach opposite walls almost at once. Unless such
+    # a step is divided further, it loses up to 46 % of the energy.
     rng = np.random.default_rng(0)
     refused, divided = [], 0
     for _ in range(cases(300)):

@@ -1,4 +1,4 @@
-"""A jack at rest in the exact contact model: in corners, in small boxes, and told from one that rattles."""
+"""A jack at rest in the exact contact model: in corners, in small boxes, and distinguished from one that rattles."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_a_long_step_at_rest_under_ten_times_the_weight_is_followed(angle: float
 
 
 def test_a_rattle_is_not_taken_for_rest(monkeypatch: pytest.MonkeyPatch) -> None:
-    # Feet in all four corners with 1e-4 m of play: as many looks as rest takes, but impulses of m v.
+    # Feet in all four corners with 1e-4 m of play: as many gaps evaluated as at rest, but impulses of m v.
     scene = Scene(gravity=0.0, drive=None, jack_arm=6.0 * math.sqrt(2.0) - 1e-4)
     state = np.zeros(12)
     state[[5, 9, 11]] = math.pi / 4.0, 10.0, 0.3

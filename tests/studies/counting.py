@@ -1,7 +1,7 @@
 """Count what control steps execute. Counts, unlike times, are the same on every machine: what is off must not run.
 
-Each of ``PROOFS`` is a function that is not called without a thing, and is called with it. The exact model's code is
-plain Python that is compiled, so it is counted as it stands, uncompiled.
+Each of ``PROOFS`` names a function that is called with a feature and is not called without it. The exact model's code
+is plain Python that is compiled, so it is counted uncompiled.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def most_bytes(run: Callable[[], object]) -> int:
 
 @contextmanager
 def uncompiled() -> Iterator[None]:
-    """Let what is compiled run as the plain Python it is written in, for what is made and stepped within."""
+    """Run compiled functions as plain Python, in all that is made and stepped within the block."""
     before = _compiled._compile
     _compiled._compile = lambda function, *_, **__: function
     try:
@@ -98,7 +98,7 @@ def uncompiled() -> Iterator[None]:
 
 
 def times_called(counts: Calls, function: str, caller: str = "") -> int:
-    """How often a function was called, by ``caller`` or by anybody; names may leave out their beginning."""
+    """How often a function was called, by ``caller`` or by anybody; the front of a name may be left out."""
     return sum(
         count
         for (by, name), count in counts.items()

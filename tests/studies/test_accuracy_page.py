@@ -1,4 +1,4 @@
-"""What becomes of a sweep: its statistics, its claims, its page, and what README and the docstring show of it."""
+"""The results of a sweep: statistics, claims, page, and the table in README and the docstring."""
 
 from __future__ import annotations
 

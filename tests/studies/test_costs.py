@@ -1,6 +1,6 @@
-"""What a scene does not have is not executed: counted, so that no clock is asked. The times are in docs/costs.md.
+"""What a scene does not have is not executed. Calls and lines are counted; the times are in docs/costs.md.
 
-Each count comes with its negative control: with the thing, what was not executed is.
+Each count comes with its negative control: with the feature, the same code runs.
 """
 
 from __future__ import annotations

@@ -132,7 +132,7 @@ def test_a_page_without_any_figure_of_a_peer_is_written_without_it() -> None:
 
 
 def test_the_bare_pymunk_loop_steps_the_scene_of_the_default(monkeypatch: pytest.MonkeyPatch) -> None:
-    # Its block from rest at the origin under its torques leads where the simulator leads, until the first impact.
+    # From rest at the origin and under the same torques both reach the same state, before the first impact.
     space = pymunk.Space()
     monkeypatch.setattr(pymunk, "Space", lambda: space)
     monkeypatch.setattr(measured, "EPISODE", 40)

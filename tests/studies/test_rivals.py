@@ -35,7 +35,7 @@ def rival(name: str, scene: Scene, substeps: int) -> Rival:
 
 
 def started(name: str, scene: Scene, substeps: int, numbers: dict[int, float], time: float = 0.0) -> Rival:
-    """At a state that is 0 but for these numbers."""
+    """A rival in a state that is 0 except for these numbers."""
     simulator = rival(name, scene, substeps)
     simulator.reset([numbers.get(place, 0.0) for place in range(12)], time)
     return simulator

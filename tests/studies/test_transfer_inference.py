@@ -59,7 +59,7 @@ def test_samples_without_spread_differ_surely_or_not_at_all() -> None:
 def drawn(
     rng: np.random.Generator, starts: NDArray[np.float64], trainings: int, mean: float = 0.0
 ) -> NDArray[np.float64]:
-    """Returns (trainings, starts): of a training, of a start, and of chance."""
+    """Returns, shape (trainings, starts): effects of the training, of the start and of chance."""
     trained = rng.normal(size=(trainings, 1))
     return mean + trained + starts + 3.0 * rng.normal(size=(trainings, starts.shape[-1]))
 

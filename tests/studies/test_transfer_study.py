@@ -187,7 +187,7 @@ SMALL = "--tasks juggle --fidelities coarse exact --seeds 1 --total-steps 4096 -
 
 
 def check_small_study(folder: Path) -> str:
-    """What the files of such a study say; returns its page."""
+    """Check the files of such a study; return its page."""
     own, data = (folder / "learning.md").read_text(), read_data(folder / "learning.json")
     assert f"Made by `python scripts/studies/transfer/transfer.py --no-progress {SMALL} --folder study`" in own
     assert "[^juggle]: Undecided. `coarse`: one training shows no spread." in own

@@ -69,7 +69,7 @@ def write(results: Results, folder: Path) -> None:
 
 
 def _circumstances(before: tuple[float, float]) -> dict[str, Any]:
-    """What the figures come from; ``before``: what others had used of the machine at the start."""
+    """Where the figures come from; ``before``: the machine's time that others had used at the start."""
     taken, there = others()
     return {
         "command": " ".join(["python scripts/studies/accuracy/benchmark.py", *sys.argv[1:]]),
@@ -112,7 +112,7 @@ def _finished(run: Path) -> bool:
 
 
 def _kept(path: Path) -> Any:
-    """What a JSON file holds; None where there is none, or a damaged one, which is said."""
+    """Contents of a JSON file; None if it is missing, or damaged, which is printed."""
     try:
         return read_json(path)
     except FileNotFoundError:
@@ -151,7 +151,7 @@ def measured(setting: Setting, kind: str, case: Case, reference: Reference) -> R
 
 
 def cost_of(setting: Setting, seconds: float) -> Timed:
-    """Simulated seconds per second of this thread's own time, which stands still while others have the processor."""
+    """Simulated seconds per second of this thread's own time, which stops while others use the processor."""
     block = _stepped(setting.make) if setting.make else _together()
     timed = repeat(block, seconds, clock=time.thread_time)
     return lambda: cases.DT * timed()

@@ -1,9 +1,9 @@
 """What ``costs.py`` times: the same control steps with a thing and without it.
 
-What a thing costs must not be mixed up with where it leads: without gravity the jack hardly meets a wall. So all step
-the same moments, states of episodes of the default scene, each put back before it is stepped. What can not be switched
-off is taken out: a stand-in does as little as possible in its place. One thread does it all, and its own clock is read,
-which stands still while other processes have the core.
+The cost of a thing must not be mixed up with its effect on the motion: without gravity the jack hardly meets a wall. So
+all variants step the same states, taken from episodes of the default scene and restored before each step. What cannot
+be switched off is replaced by a stand-in that does as little as possible. One thread does everything. Its own clock is
+read, which stops while other processes use the core.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _NEVER = 10**9  # steps to truncation
 
 
 def _chirped(time: float) -> float:
-    """The default chirp as a function of one's own [N m]."""
+    """The default chirp written as a Python function [N m]."""
     return 90000.0 * math.sin(2.0 * math.pi * (0.5 + 0.45 * time) * time)
 
 
@@ -61,7 +61,7 @@ TAKEN_OUT = ("contact", "_score", "_info", "checks", "bare")  # of one environme
 
 
 class Moments(NamedTuple):
-    """States of episodes and what acts from there on."""
+    """States of episodes, and the action that follows each."""
 
     states: Array  # (episodes, moments, 12)
     times: list[float]  # [s], of each moment
@@ -70,7 +70,7 @@ class Moments(NamedTuple):
 
 
 def moments(episodes: int, every: int, scene: Scene | None = None) -> Moments:
-    """Each so many steps a moment of episodes under random actions, played by the exact model."""
+    """Every ``every`` steps a moment of episodes under random actions, played by the exact model."""
     scene, rng = scene or Scene(), np.random.default_rng(0)
     starts = np.array([sample_start(scene, rng) for _ in range(episodes)])
     actions = rng.uniform(-1.0, 1.0, (episodes, EPISODE, 1)).astype(np.float32)
@@ -91,7 +91,7 @@ def stepped(contact: str, given: Moments, seconds: float, kind: str) -> Timed:
     simulator: Any = core._simulator
     env.reset(seed=0)
     for _ in range(2):
-        env.step(given.actions[0, 0])  # Gymnasium's checker looks at the first ones closely
+        env.step(given.actions[0, 0])  # Gymnasium's checker examines only the first steps
     games: list[list[tuple[Any, Any]]] = []
     for states, actions in zip(given.states, given.actions, strict=True):
         games.append([])

@@ -27,7 +27,7 @@ Kind = Literal["steps", "sb3", "rollouts"]
 
 _HANGS = 120.0  # [s] after which a call that does not return is a hang
 _EPISODE = 40  # steps
-_WARM = 20  # calls that tell how long one takes
+_WARM = 20  # calls timed to learn how long one takes
 _TASKS = Path("/proc/self/task")
 
 
@@ -50,7 +50,7 @@ class Arguments:
 
 
 class Timer:
-    """Interrupts a call after a random time, half of the calls again and again until they are left."""
+    """Interrupts a call after a random time. Half of the calls are interrupted again and again until they end."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self.calls = self.strikes = 0  # calls interrupted, and how often
@@ -58,7 +58,7 @@ class Timer:
         signal.signal(signal.SIGALRM, self._strike)
 
     def call(self, call: Callable[[], Any], typical: float) -> tuple[Any, bool]:
-        """What the call returns, None if it was interrupted, and whether it was; it takes ``typical`` [s] otherwise."""
+        """Return the call's result, or None, and whether it was interrupted; uninterrupted it takes ``typical`` [s]."""
         first = self._rng.uniform(1e-6, 1.2 * typical)
         self._again = 10.0 ** self._rng.uniform(-6.0, -3.0) if self._rng.uniform() < 0.5 else 0.0
         try:
@@ -71,12 +71,12 @@ class Timer:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
 
     def _strike(self, _: int, frame: FrameType | None) -> None:
-        if self._striking:  # so soon again that it strikes itself
+        if self._striking:  # a signal arrived while this method was running
             return
         self._striking = True
         while frame is not None and frame.f_code is not _exposed.__code__:
             frame = frame.f_back
-        if frame is not None:  # else the call is not yet begun, or left
+        if frame is not None:  # else the call has not begun yet, or has ended
             self.strikes += 1
             if self._again:
                 signal.setitimer(signal.ITIMER_REAL, self._again)
@@ -122,7 +122,7 @@ class Steps:
         return env  # type: ignore[no-any-return]
 
     def step(self, env: Any, rng: np.random.Generator) -> Callable[[], Any]:
-        """A step under random actions, not yet made."""
+        """A call that makes a step under random actions."""
         actions = rng.uniform(-1.0, 1.0, (self.vector(env).num_envs, 1))
         return lambda: env.step(actions)
 
@@ -132,7 +132,7 @@ class Steps:
         return [vector.states, vector.times, vector.observations]
 
     def trial(self, timer: Timer, typical: float, seed: int) -> str:
-        """Interrupt a step, and take the next in peace; return what happened, in a word."""
+        """Interrupt a step, make the next one undisturbed, and return in one word what happened."""
         made, twin = (self.step(env, np.random.default_rng(seed)) for env in (self.made, self.twin))
         before = self.told(self.made)
         found, struck = timer.call(made, typical)
@@ -149,7 +149,7 @@ class Steps:
         return happened if right else "wrong"
 
     def typical(self) -> float:
-        """How long a step takes that is not interrupted [s]; the twin follows."""
+        """Time of an uninterrupted step [s]; the twin makes the same steps."""
         steps = [[self.step(env, np.random.default_rng(k)) for k in range(_WARM)] for env in (self.twin, self.made)]
         for step in steps[0]:
             step()
@@ -194,19 +194,19 @@ class Rollouts:
         return played
 
     def trial(self, timer: Timer, typical: float, seed: int) -> str:
-        """Interrupt a rollout, and make the next in peace; return what happened, in a word."""
+        """Interrupt a rollout, make the next one undisturbed, and return in one word what happened."""
         found, struck = timer.call(lambda: self.play(self._threads), typical)
         right = struck or same(found, self._expected)
         right = right and same(self.play(self._threads), self._expected)
         return "wrong" if not right else "before" if struck else "missed"
 
     def typical(self) -> float:
-        """How long a rollout takes that is not interrupted [s]."""
+        """Time of an uninterrupted rollout [s]."""
         return _seconds([lambda: self.play(self._threads)] * _WARM)
 
 
 def _seconds(calls: Sequence[Callable[[], Any]]) -> float:
-    """Median of how long calls take [s]."""
+    """Median time of the calls [s]."""
     clock = [time.perf_counter()]
     for call in calls:
         call()
@@ -215,7 +215,7 @@ def _seconds(calls: Sequence[Callable[[], Any]]) -> float:
 
 
 def same(found: Any, expected: Any) -> bool:
-    """Whether two answers are the same in every bit, but for how long an episode took on the clock."""
+    """Whether two answers agree in every bit; an episode's time on the clock is not compared."""
     if isinstance(expected, dict):
         names = [name for name in expected if name != "t"]
         return set(found) == set(expected) and all(same(found[name], expected[name]) for name in names)
@@ -232,7 +232,7 @@ KINDS: dict[str, Callable[[int, int], Any]] = {"steps": Steps, "sb3": Sb3Steps, 
 
 
 def torment(kind: str, count: int, threads: int, interrupts: int, seed: int, progress: bool = True) -> Counter[str]:
-    """Interrupt so often; return how often each thing happened."""
+    """Interrupt ``interrupts`` calls of a kind; return how often each outcome happened."""
     rng = np.random.default_rng(seed)
     timer, given = Timer(rng), KINDS[kind](count, threads)
     typical = given.typical()
@@ -241,7 +241,7 @@ def torment(kind: str, count: int, threads: int, interrupts: int, seed: int, pro
     with tqdm(total=interrupts, unit=" interrupts", disable=not progress, leave=False) as bar:
         while timer.calls < interrupts:
             if time.monotonic() > armed + 1.0:
-                faulthandler.dump_traceback_later(_HANGS, exit=True)  # a hang ends the process, and shows where
+                faulthandler.dump_traceback_later(_HANGS, exit=True)  # a hang ends the process with a traceback
                 armed = time.monotonic()
             happened[given.trial(timer, typical, int(rng.integers(2**32)))] += 1
             bar.update(timer.calls - bar.n)
@@ -251,7 +251,7 @@ def torment(kind: str, count: int, threads: int, interrupts: int, seed: int, pro
 
 
 def threads_left(expected: int) -> int:
-    """Threads of this process beyond those expected, after a while to end in; 0 where the system does not say."""
+    """Threads of this process beyond those expected, after up to 5 s to end in; 0 if the system does not say."""
     latest = time.monotonic() + 5.0
     while _TASKS.exists():
         left = len(os.listdir(_TASKS)) - expected
@@ -278,7 +278,7 @@ def main() -> None:
         check.whole(name, getattr(arguments, name), at_least=1, at_most=10**9)
     tqdm.monitor_interval = 0  # without a thread of its own: threads are counted
     for needed in arguments.kinds:
-        KINDS[needed](1, 1)  # what is imported starts its threads now
+        KINDS[needed](1, 1)  # imported libraries start their threads now
     bad, before = 0, len(os.listdir(_TASKS)) if _TASKS.exists() else 0
     for name, threads, happened in _runs(arguments):
         left = threads_left(before)

@@ -1,13 +1,13 @@
-"""The laws that every simulation owes, measured on one case; property tests and ``soak.py`` share them.
+"""The laws that every simulation must obey, measured on one case. Property tests and ``soak.py`` share them.
 
 containment  no foot outside: ``exact`` by 1e-9 m or 4 units in the last place, ``pymunk`` by min(1 m, L) [m]
-momentum     total momentum = at first + impulse of the side forces - m_j g t [N s]
+momentum     total momentum = that at the start + impulse of the side forces - m_j g t [N s]
 centre       the common centre of mass goes where that momentum takes it [m]
 energy       gained in steps of held torque without side forces = torque times the box's turn; with losses, no more [J]
-record       impacts are in time order, within their step, of walls and feet there are, with impulse > 0; their count
-restore      a new simulator put into (state, time) goes on bit for bit, and one that has gone elsewhere; numbers apart
-batch        the vector environment is bit for bit the single one, across restarts; numbers apart
-refusal      nothing is raised but what is documented; a refused step leaves the simulator as it was; exceptions
+record       impacts are in time order and within their step, at existing walls and feet, with impulse > 0; violations
+restore      a new or used simulator, reset to (state, time), continues bit for bit; numbers that differ
+batch        the vector environment equals the single one bit for bit, across restarts; numbers that differ
+refusal      only documented errors are raised; a refused step leaves the simulator as it was; violations
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Worst:
 
     @property
     def share(self) -> float:
-        """Of the limit; beyond 1 the law is broken."""
+        """The value over its limit; above 1 the law is broken."""
         if math.isnan(self.value):
             return math.inf
         return self.value / self.limit if self.limit > 0.0 else math.inf if self.value > 0.0 else 0.0
@@ -86,7 +86,7 @@ class Examination:
 
 @dataclass
 class Tally:
-    """What was found with one contact model; its size does not grow with the time."""
+    """Summary of all cases of one contact model. Its size does not grow with their number."""
 
     cases: int = 0
     impacts: int = 0
@@ -264,10 +264,10 @@ class Books:
     def _granted(self, before: Array, run: Simulator) -> float:
         """Energy that ``pymunk`` may add in a step of a scene with losses [J], where feet overlap with walls.
 
-        It moves them apart without velocity, by no more than the overlap: that lifts the jack, and turns the box
-        against its torque. The overlap is that at the step's start, and for each contact what a foot moves in a
-        substep. A contact that does (1 / m_j + a^2 / J_b) of gap per impulse turns the box by a / J_b, which is at most
-        sqrt(m_j / J_b) / 2 of turn per gap.
+        The engine moves them apart by at most the overlap, without changing velocities. That lifts the jack and turns
+        the box against its torque. The overlap is that at the step's start plus, for each contact, the way of a foot
+        in a substep. At a contact an impulse of 1 opens the gap by 1 / m_j + a^2 / J_b and turns the box by a / J_b:
+        at most sqrt(m_j / J_b) / 2 of turn per gap.
         """
         scene, numbers = self._case.scene, before.tolist()
         h = self._case.control_dt / (self._case.substeps or 1)
@@ -280,9 +280,9 @@ class Books:
 def _opposite_walls_at_once(run: Simulator) -> bool:
     """Whether feet overlapped with opposite walls in one substep.
 
-    They have next to no leverage on one another, and pymunk's contact solver stops far from rounding level. In a scene
-    with losses it takes such steps as they are, as the head of ``simulators/pymunk.py`` says: they stay out of the
-    balance of energy.
+    Such contacts have almost no leverage on one another, and pymunk's solver stops far from rounding level. In a scene
+    with losses pymunk accepts these steps (see the head of ``simulators/pymunk.py``), so the balance of energy leaves
+    them out.
     """
     return any(
         one.time == other.time and one.wall + 2 == other.wall for one, other in itertools.permutations(run.impacts, 2)
@@ -297,7 +297,7 @@ def _energy(scene: Scene, state: Array) -> float:
 
 
 def _examine_batch(case: Case, found: Examination) -> None:
-    """Environments side by side: the case's own start, the same with the actions turned round, and a drawn start."""
+    """Compare a batch with single environments: the case's start, the same under reversed actions, a random start."""
     limit = max(2, 2 * len(case.actions) // 3)
     batch = JackInBoxVectorEnv(SIDE_BY_SIDE, max_episode_steps=limit, with_infos=True, **case.settings)
     singles = [JackInBoxEnv(**case.settings) for _ in range(SIDE_BY_SIDE)]
@@ -345,7 +345,7 @@ def _apart(ones: list[Any], others: list[Any]) -> float:
 
 
 def _refused_alike(singles: list[JackInBoxEnv], actions: Array | None, found: Examination, error: Exception) -> None:
-    """A batch refuses where one of its environments does, in the same words."""
+    """A batch raises the same error as its environment alone."""
     told = []
     for number, single in enumerate(singles):
         try:

@@ -34,7 +34,7 @@ class Arguments:
 
 
 def soak(arguments: Arguments, tallies: dict[str, Tally]) -> None:
-    """Examine case after case and enter what is found; tell the first broken ones at once."""
+    """Examine case after case and add it to the tally; print the first broken ones at once."""
     end = time.monotonic() + 3600.0 * arguments.hours
     numbers = range(arguments.first, arguments.first + arguments.cases)
     for number in tqdm(numbers, unit=" cases", disable=not arguments.progress, leave=False):

@@ -19,19 +19,19 @@ from jackbox_env.states import LATEST_TIME, Array, as_held, as_state, clearance,
 DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))  # of walls 0 to 3 and of feet 0 to 3
 Pair = tuple[int, int]  # wall, foot
 Loads = tuple[float, float, float]  # on the box over a substep: mean torque [N m] and mean side forces [N]
-Waiting = tuple[tuple[Impact, bool], ...]  # impacts not told yet, and whether each is under way
+Waiting = tuple[tuple[Impact, bool], ...]  # impacts not reported yet, and whether each is under way
 Trace = list[tuple[list[float], list[float]]]  # states before and after each substep, without the jump at its end
 
 
 class Record:
     """What happens in a step: a foot that pushes on a wall in consecutive substeps makes one impact.
 
-    Its time is that of the first push, its impulse is the sum. It is told when it is over and all that began before it
-    are told: impacts come in the order of their times.
+    Its time is that of the first push, its impulse is the sum. An impact is reported once it is over and all earlier
+    ones are reported. So impacts come in time order.
     """
 
     def __init__(self, waiting: Waiting = (), trace: Trace | None = None) -> None:
-        """Continue from what an earlier record had not told; models add each substep to a ``trace``."""
+        """Continue from the impacts that an earlier record did not report; models add each substep to a ``trace``."""
         self.waiting, self.trace = waiting, trace
 
     def add(self, time: float, pushes: dict[Pair, float]) -> None:
@@ -51,14 +51,14 @@ class Record:
         self.waiting = tuple((hit, going and not is_over(hit.wall, hit.foot)) for hit, going in self.waiting)
 
     def take(self) -> list[Impact]:
-        """Remove and return what can be told now."""
+        """Remove and return the impacts that can be reported now."""
         told = [hit for hit, _ in itertools.takewhile(lambda entry: not entry[1], self.waiting)]
         self.waiting = self.waiting[len(told) :]
         return told
 
 
 class _Present(NamedTuple):
-    """All that changes. It is replaced as one, so an error leaves it whole."""
+    """Everything that a step changes. It is replaced at once, so an error leaves it intact."""
 
     state: list[float]
     time: float
@@ -71,8 +71,8 @@ class _Present(NamedTuple):
 class Rival(ABC):
     """A contact model that takes equal substeps of h = dt / substeps; see :class:`Simulator` for the methods.
 
-    (state, time) determines the motion, but not the record of impacts: one under way at the end of a step is told by a
-    later step, and after a reset it counts from there on.
+    (state, time) determines the motion but not the record of impacts. A later step reports an impact that is under way
+    at the end of a step. After a reset such an impact counts from the reset on.
     """
 
     def __init__(self, scene: Scene, substeps: int) -> None:
@@ -89,7 +89,7 @@ class Rival(ABC):
     def _simulate(
         self, state: list[float], time: float, h: float, torque: float | None, record: Record
     ) -> tuple[list[float], float]:
-        """Take the substeps, whatever came before; return the final state and the mean torque [N m]."""
+        """Take the substeps, independent of earlier calls; return the final state and the mean torque [N m]."""
 
     @property
     def state(self) -> Array:
@@ -108,7 +108,7 @@ class Rival(ABC):
 
     @property
     def impacts(self) -> list[Impact]:
-        """The impacts that the last step told, in time order; a fresh list."""
+        """The impacts that the last step reported, in time order; a fresh list."""
         return list(self._present.impacts)
 
     def reset(self, state: ArrayLike, time: float = 0.0) -> None:

@@ -14,8 +14,8 @@ How it is tuned: metres, kilograms, seconds; 8 velocity and 3 position iteration
 the default chirp); both restitutions e (the larger counts), no friction, no damping, no sleeping. Walls are boxes as
 thick as L on the box's body, so bullets are not needed. Every polygon has a skin of 0.01 m, and the walls are set back
 by it: a foot, a circle of radius 0, touches at gap 0. Each control step starts with the box at the origin and angles
-within half a turn, where float32 is finest. It starts without contacts: the engine solves them in the order of their
-beginning and from their last impulses, so the past would act.
+within half a turn, where float32 is finest. It starts without contacts. The engine
+solves contacts in the order in which they began, from their last impulses. Kept contacts would let the past act.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ class Box2DSimulator(EngineRival):
         return self._listener.pushes
 
     def _is_over(self, state: list[float], wall: int, foot: int) -> bool:
-        """True when the foot moves away: one that sticks has no rate but float32's rounding."""
+        """True when the foot moves away. The rate of a foot that sticks is only float32's rounding."""
         return bool(gap_jacobian(self.scene, state, wall, foot) @ np.array(state[6:]) > _LEAVING)
 
     def _read(self) -> list[float]:
@@ -115,11 +115,11 @@ class Box2DSimulator(EngineRival):
         return state
 
     def _refuse_cuts(self, state: list[float]) -> None:
-        """Refuse a speed that the engine has cut: it comes out at the bound."""
+        """Refuse a speed that the engine has clipped to its bound."""
         travel = self._h * max(math.hypot(*state[6:8]), math.hypot(*state[9:11]))
         turn = self._h * max(abs(state[8]), abs(state[11]))
         if not (travel < _SLACK * _FARTHEST and turn < _SLACK * _FURTHEST_TURN):
             raise JackLostError(
-                f"box2d cannot follow the jack: {travel:.3g} m and {turn:.3g} rad per substep, at most "
-                f"{_FARTHEST:g} m and {_FURTHEST_TURN:.3g} rad are; use more substeps"
+                f"box2d cannot follow the jack: {travel:.3g} m and {turn:.3g} rad per substep, its limits "
+                f"are {_FARTHEST:g} m and {_FURTHEST_TURN:.3g} rad; use more substeps"
             )

@@ -40,7 +40,7 @@ from jackbox_env.simulators.base import JackLostError
 from scripts.studies.rivals.base import DIRECTIONS, EngineRival, Loads, Pair
 
 _STIFFNESS = 2.0  # k h^2
-_LARGEST = 1e9  # places, rates and accelerations that the engine takes; it gives up at 1e10
+_LARGEST = 1e9  # of positions, rates and accelerations; the engine itself gives up at 1e10
 _JOINTS = '<joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/><joint type="hinge" axis="0 0 1"/>'
 
 

@@ -30,7 +30,7 @@ from jackbox_env.states import Array, clearance
 from scripts.studies.rivals.base import Record, Rival
 
 Averages = tuple[float, float]  # over a step, weighted by a falling and by a rising triangle
-BAND = 0.1  # a foot this near a wall, on either side, is taken to hit it [m]
+BAND = 0.1  # [m] a foot this near a wall, on either side, counts as hitting it
 
 
 def reflect(scene: Scene, state: Array, wall: int, foot: int) -> tuple[Array, float]:

@@ -162,7 +162,7 @@ def many(
 ) -> Timed:  # fmt: skip
     """Environment steps per second of a batch, restarts included, in blocks of ``steps``.
 
-    Each step takes another stretch of one long array of actions: a few in turn would spin a box up by their mean.
+    Each step takes another part of one long array of actions. A few actions in turn would spin a box up by their mean.
     """
     count = getattr(env, "num_envs", TOGETHER)  # EnvPool's does not say
     env.reset()
@@ -208,7 +208,7 @@ def together(seconds: float) -> dict[str, Timed]:
 
 
 def threads(cores: int, seconds: float) -> dict[str, Timed]:
-    """Batches of any size and a rollout, by the wall's clock: two threads are to take half the time."""
+    """Batches of any size and a rollout, timed by the wall clock: two threads should take half the time."""
 
     def of(size: int, threads: int) -> Timed:
         settings: dict[str, Any] = {"contact": "exact", "num_threads": threads, "max_episode_steps": 10**9}
@@ -268,7 +268,7 @@ def unguarded(run: Callable[[], T]) -> Callable[[], T]:
 
 
 def lost() -> dict[str, int]:
-    """How many of the same episodes each search gets wrong: compared as long as chaos has not parted them."""
+    """How many of the same episodes each search gets wrong. They are compared until chaos parts them."""
     (certified, hits), (other, found) = play(), unguarded(play)()
     difference = np.abs(certified - other).max(axis=2)[:, :-1]  # before each step
     level = np.logical_and.accumulate(difference <= _WRONG, axis=1)
@@ -304,7 +304,7 @@ print(1024 * used().ru_maxrss - before)
 
 
 def printed(code: str, cache: str | None = None) -> float:
-    """What a process of its own prints, its compiled code kept in ``cache``.
+    """What a separate process prints, with its compiled code kept in ``cache``.
 
     Raises:
         RuntimeError: it fails.

@@ -34,7 +34,7 @@ class Arguments:
 
 
 def measured(part: Part, rounds: int, seconds: float, stored: dict[str, Any]) -> dict[str, Any]:
-    """Measure a part of the page; of what was ``stored`` of it, peers that are not installed now are kept."""
+    """Measure a part of the page. Keep the ``stored`` figures of peers that are not installed now."""
     from scripts.studies.speed import measured as these
     from scripts.studies.speed.page import kept_of, ratios_of
 

@@ -70,8 +70,8 @@ def welch(one: ArrayLike, other: ArrayLike) -> tuple[Estimate, float]:
 def crossed_estimate(values: ArrayLike) -> Estimate:
     """Mean over trainings and starts, shape (trainings, starts), each training run from the same starts.
 
-    The intervals over the trainings' means and over the starts' means are added by their squares. What is neither
-    counts in both, so the interval is rather too wide than too narrow.
+    The intervals over the trainings' means and over the starts' means are added by their squares. The
+    remaining variance counts in both, so the interval is rather too wide than too narrow.
     """
     table = np.asarray(values, dtype=np.float64)
     halves = t_estimate(table.mean(axis=1)).half_width, t_estimate(table.mean(axis=0)).half_width
@@ -79,7 +79,7 @@ def crossed_estimate(values: ArrayLike) -> Estimate:
 
 
 def crossed_difference(one: Floats, other: Floats) -> Estimate:
-    """Mean of ``one`` less that of ``other``, both shape (trainings, starts), other trainings run from the same starts.
+    """Mean of ``one`` less that of ``other``, both of shape (trainings, starts): other trainings, the same starts.
 
     The trainings are independent (Welch's interval), the starts are paired; combined as in :func:`crossed_estimate`.
     """
@@ -88,17 +88,17 @@ def crossed_difference(one: Floats, other: Floats) -> Estimate:
 
 
 def starts_half_width(one: Floats, other: Floats) -> float:
-    """The starts' part of :func:`crossed_difference`: more trainings leave it, more episodes make it smaller."""
+    """The starts' part of :func:`crossed_difference`: more episodes shrink it, more trainings do not."""
     return t_estimate(one.mean(axis=0) - other.mean(axis=0)).half_width
 
 
 def trainings_needed(one: ArrayLike, other: ArrayLike, margin: float, starts: float = 0.0) -> int | None:
-    """How many trainings of each kind show with ``POWER`` that no more than ``margin`` is lost, if nothing is.
+    """Trainings of each kind needed to show, with probability ``POWER``, a loss of at most ``margin`` if there is none.
 
-    With n of each, (t + z) s sqrt(2 / n) + ``starts`` is at most the margin. s is the pooled spread of the trainings
-    there are, t the interval's quantile, ``starts`` the half width that the starts leave. Without z, the normal
-    quantile of ``POWER``, chance would push the interval over the margin every other time. None where
-    ``MOST_TRAININGS`` do not suffice, or where a single one of each tells no spread.
+    With n of each, (t + z) s sqrt(2 / n) + ``starts`` is at most the margin. s is the pooled spread of the
+    present trainings, t the interval's quantile, ``starts`` the half width that comes from the starts, and z the normal
+    quantile of ``POWER``. Without z, chance would push the interval over the margin every other time. None if
+    ``MOST_TRAININGS`` are not enough, or if there is one training of each kind, which shows no spread.
     """
     a, b = (np.asarray(sample, dtype=np.float64) for sample in (one, other))
     degrees = len(a) + len(b) - 2
@@ -120,5 +120,5 @@ def holm(probabilities: Sequence[float]) -> list[float]:
 
 
 def would_have_been_seen(error: float, tests: int) -> float:
-    """The difference of means, of this standard error, that so many tests on Holm's strictest step find with POWER."""
+    """The difference of means that Holm's strictest step of so many tests detects with probability POWER."""
     return error * float(stats.norm.ppf(1.0 - LEVEL / (2.0 * tests)) + stats.norm.ppf(POWER))

@@ -29,9 +29,9 @@ from jackbox_env.tasks import sample_start
 
 STEPS = 500
 DT = 0.02  # [s]
-_TOGETHER = 64  # simulators, so that a network is asked for many at once
+_TOGETHER = 64  # simulators side by side, so that a network is evaluated for many at once
 
-# Keywords of make_simulator. The last is the negative control: it differs from exact in nothing but its seeds.
+# Keywords of make_simulator. The last is the negative control: it differs from exact only in its seeds.
 SETTINGS: dict[str, dict[str, Any]] = {
     **{name: FIDELITIES[name]._asdict() for name in ("exact", "coarse", "balanced", "fine")},
     "one iteration": {**FIDELITIES["coarse"]._asdict(), "iterations": 1},
@@ -114,7 +114,7 @@ def run_episodes(
 
 
 class _Episode:
-    """One simulator and what it went through."""
+    """One simulator and the record of its episode."""
 
     def __init__(self, scene: Scene, setting: dict[str, Any], rng: np.random.Generator) -> None:
         self._scene, self._simulator = scene, make_simulator(scene, **setting)
@@ -144,7 +144,7 @@ class _Episode:
 
 
 def stored(path: Path, make: Callable[[], Episodes]) -> Episodes:
-    """What ``make`` measures, from the file if it is there and whole."""
+    """Return what ``make`` measures. Read it from the file if that exists and is whole."""
     if path.is_file():
         content = path.read_bytes()
         try:
@@ -167,7 +167,7 @@ def run_long(
 ) -> dict[str, dict[str, Episodes]]:
     """Episodes under random torques, under the chirp and under each policy: condition -> setting -> episodes.
 
-    They are kept in ``folder``: what is there is not run again.
+    They are kept in ``folder``. Episodes found there are not run again.
 
     Raises:
         ValueError: ``folder`` holds another number of episodes.

@@ -1,7 +1,7 @@
 """What a contact model does to a learner: the same PPO trained on each named fidelity, every policy run on all of them.
 
 A study is a folder that holds a run folder for each task, fidelity and seed; :func:`train_all` fills what is missing,
-:func:`run_all` runs what is finished. Interrupted, either goes on where it was.
+:func:`run_all` runs what is finished. Either can be interrupted and continued.
 
 study.json                      settings of the study, and what the fidelities stood for
 study_run.json                  command line, versions, date
@@ -100,7 +100,7 @@ class StudySettings:
         )  # fmt: skip
 
     def runs(self) -> list[tuple[str, str, int]]:
-        """Task, fidelity and seed of every run; seeds outermost, so that what is done first is a whole."""
+        """Task, fidelity and seed of every run. Seeds are outermost, so an interrupted study has complete seeds."""
         return [(task, name, seed) for seed in range(self.seeds) for task in self.tasks for name in self.fidelities]
 
 
@@ -165,7 +165,7 @@ def train_all(folder: Path, settings: StudySettings, processes: int = 2, progres
     """Train what is not finished, ``processes`` at a time, each in a process of its own.
 
     Raises:
-        FolderInUseError: a training goes on from before, because the study's process was killed.
+        FolderInUseError: a training of an earlier, killed study still runs.
         RuntimeError: a training failed; the others under way are interrupted at a checkpoint.
         ValueError: a run in the folder was made by other settings.
     """
@@ -250,7 +250,7 @@ def _start(run: Path, settings: TrainSettings) -> subprocess.Popen[bytes]:
 
 
 def _interrupt(processes: list[subprocess.Popen[bytes]]) -> None:
-    """Let trainings leave a checkpoint and end. One that is just starting may miss an interrupt: it gets another."""
+    """Let trainings write a checkpoint and end. One that is just starting may miss an interrupt and gets another."""
     while processes:
         for process in processes:
             process.send_signal(signal.SIGINT)
@@ -261,7 +261,7 @@ def _interrupt(processes: list[subprocess.Popen[bytes]]) -> None:
 
 
 def _heed_interrupts() -> None:
-    """In a new process: a shell that starts commands in the background lets them ignore interrupts, and theirs too."""
+    """Heed interrupts in a new process. A shell makes background commands and their children ignore them."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 

@@ -21,13 +21,13 @@ Samples = Mapping[str, Mapping[str, Floats]]  # setting -> statistic -> one numb
 
 
 class Finding(NamedTuple):
-    """What training on a fidelity came to."""
+    """The result of training on a fidelity."""
 
     fidelity: str  # trained on
     exact: float  # mean return trained and run on exact
     trainings: Sequence[float]  # mean return of each, run on exact
     loss: Estimate  # run on exact: trained on the fidelity less trained on exact
-    shift: Estimate  # trained on the fidelity: run on it less run on exact, what its own evaluation promises too much
+    shift: Estimate  # trained on the fidelity: run on it less run on exact, so how far its own evaluation overstates
     starts: float = 0.0  # half width of the loss that the starts leave, however many trainings there are
     needed: int | None = None  # trainings of each kind that would show it safe, see inference.trainings_needed
 
@@ -58,7 +58,7 @@ class Finding(NamedTuple):
 
 
 def finding(trained: Mapping[str, Mapping[str, ArrayLike]], fidelity: str) -> Finding:
-    """What training on ``fidelity`` came to; ``trained`` maps trained on -> run on -> returns (seeds, starts)."""
+    """The result of training on ``fidelity``; ``trained`` maps trained on -> run on -> returns (seeds, starts)."""
     cells = trained[fidelity][fidelity], trained[fidelity][EXACT], trained[EXACT][EXACT]
     own, on_exact, best = (np.asarray(returns, dtype=np.float64) for returns in cells)
     exact, starts = float(best.mean()), inference.starts_half_width(on_exact, best)
@@ -94,7 +94,7 @@ class Comparison(NamedTuple):
 
 
 def compare(runs: Mapping[str, Samples]) -> list[Comparison]:
-    """Hold every setting against exact in every statistic under every condition; all are one family for Holm."""
+    """Compare every setting with exact in every statistic and condition; all tests are one family for Holm."""
     tests = 2 * sum(len(samples[EXACT]) * (len(samples) - 1) for samples in runs.values())
     found = [
         _row((condition, setting, statistic), values[statistic], reference, tests)
@@ -113,8 +113,8 @@ def compare(runs: Mapping[str, Samples]) -> list[Comparison]:
 def _row(names: tuple[str, str, str], measured: Floats, reference: Floats, tests: int) -> Comparison:
     """One comparison before Holm. Jacks that were lost are not among the values; without an impact some are NaN.
 
-    ``ks_2samp`` and no permutation test, though counts of impacts have ties: with ties its probability is too large,
-    never too small, so it raises no more false alarms. What it may miss in counts, Welch's test finds beside it.
+    Counts of impacts have ties. Ties make the probability of ``ks_2samp`` too large, never too small, so they add no
+    false alarms. Welch's test finds differences of counts that it may miss.
     """
     one, other = (part[~np.isnan(part)] for part in (measured, reference))
     episodes, exact = (len(other), len(one)), float(other.mean()) if len(other) else math.nan
