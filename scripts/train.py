@@ -37,7 +37,7 @@ def main() -> None:
 
     if arguments.resume is not None:
         if arguments.settings != TrainSettings() or arguments.folder is not None:
-            raise ValueError("--resume goes on by the settings of its run folder: give no other setting beside it")
+            raise ValueError("--resume uses the settings of its run folder: give no other settings")
         folder, settings = arguments.resume, read_settings(arguments.resume)
         if not kept_steps(folder):
             print("No checkpoint yet: starting from the beginning")

@@ -113,7 +113,7 @@ Findings = Mapping[tuple[str, str], Finding]  # by case and contact model
 
 
 class Bound(NamedTuple):
-    """One measured number and what it may be at most."""
+    """One measured number and its upper bound."""
 
     what: str
     seen: float
@@ -168,7 +168,7 @@ def refuses(call: Callable[[], object], match: str) -> Finding:
 
 
 def refuses_each(calls: dict[str, tuple[Callable[[], object], str]]) -> Finding:
-    """The finding of several calls, each to be refused with a sentence that has its ``match`` in it."""
+    """The finding of several calls. Each must be refused with a sentence that contains its ``match``."""
     sentences = {name: sentence_of(call) for name, (call, _) in calls.items()}
     wrong = [name for name, (_, match) in calls.items() if not matches(sentences[name], match)]
     name = wrong[0] if wrong else next(iter(calls))
@@ -191,7 +191,7 @@ def placed(what: str, table: tuple[str, ...]) -> str:
 
 
 def noted(what: str, contact: str, measure: Callable[[str], Finding]) -> None:
-    """Measure, record what was found if that is asked for, and fail if it is not what was expected."""
+    """Measure, record the finding if asked to, and fail if it is not the expected one."""
     finding = Finding("an answer", "cut short", FAILS)
     try:
         finding = measure(contact)
@@ -255,7 +255,7 @@ Test = Callable[[str], None]
 
 
 def extreme(what: str, timeout: float = 120.0) -> Callable[[Measure], Test]:
-    """Make a measurement, given a contact model, the test of that row of the table for every contact model."""
+    """Turn a measurement of a contact model into the test of this row of the table, for every contact model."""
     placed(what, TABLE)
 
     def decorate(measure: Measure) -> Test:

@@ -53,7 +53,7 @@ def test_flight_and_impacts_at_any_ratio_of_the_masses(contact: str) -> Finding:
 
 
 def courses(scenes: list[Scene], contact: str) -> Finding:
-    """Several scenes from random states: so many impacts each on average, contained, momentum and energy kept."""
+    """Run several scenes from random states; check the number of impacts, containment, momentum and energy."""
     rng = np.random.default_rng(2)
     followed = [follow(started(scene, contact, inside(scene, rng)), 200, 0.02) for scene in scenes for _ in range(2)]
     assert sum(course.hits for course in followed) > 2 * len(followed)

@@ -71,7 +71,7 @@ def test_a_box_that_spins_fast_in_short_steps(contact: str) -> Finding:
 
 
 def spun(place: int, dt: float, steps: int, contact: str) -> Finding:
-    """A fifth of a second of it; in ordinary steps the feet pass pymunk's walls within a substep."""
+    """Follow the spin for 0.2 s. In ordinary steps feet pass pymunk's walls within a substep, so it refuses."""
     simulator = started(WEIGHTLESS, contact, spinning(place))
     if contact == "pymunk" and dt == 0.02:
         before = simulator.state

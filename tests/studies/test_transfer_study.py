@@ -296,10 +296,10 @@ def test_refusals_of_the_command_line(
     monkeypatch.chdir(tmp_path)
     before = sorted(tmp_path.rglob("*"))
     for arguments, refusal in (
-        ("--resume study --episodes 7", "--resume and --page-from go on by the settings of what they name"),
-        ("--page-from other.json --seeds 2", "--resume and --page-from go on by the settings of what they name"),
-        ("--page-from other.json --resume docs", "--resume and --page-from go on by the settings of what they name"),
-        ("--resume study --folder new", "--resume and --page-from go on by the settings of what they name"),
+        ("--resume study --episodes 7", "--resume and --page-from use the settings of the study named"),
+        ("--page-from other.json --seeds 2", "--resume and --page-from use the settings of the study named"),
+        ("--page-from other.json --resume docs", "--resume and --page-from use the settings of the study named"),
+        ("--resume study --folder new", "--resume and --page-from use the settings of the study named"),
         ("--resume docs", "docs is no study: it has no study.json"),
         ("--page-from no.json", "No such file or directory: 'no.json'"),
         ("--page-from broken.json", "broken.json is damaged (JSONDecodeError: Expecting property name"),

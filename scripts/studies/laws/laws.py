@@ -42,7 +42,7 @@ _CAN_NOT_SOLVE = "couple the feet so strongly"
 
 @dataclass(frozen=True)
 class Worst:
-    """The furthest that a law was from holding."""
+    """The largest deviation from a law."""
 
     value: float
     limit: float
@@ -297,7 +297,7 @@ def _energy(scene: Scene, state: Array) -> float:
 
 
 def _examine_batch(case: Case, found: Examination) -> None:
-    """Compare a batch with single environments: the case's start, the same under reversed actions, a random start."""
+    """Compare a batch with single environments: the case's start, the same under opposite actions, a random start."""
     limit = max(2, 2 * len(case.actions) // 3)
     batch = JackInBoxVectorEnv(SIDE_BY_SIDE, max_episode_steps=limit, with_infos=True, **case.settings)
     singles = [JackInBoxEnv(**case.settings) for _ in range(SIDE_BY_SIDE)]

@@ -57,7 +57,7 @@ class StudySettings:
     tasks: tuple[Literal["juggle", "spin", "rattle"], ...] = ("juggle", "rattle")
     """What is rewarded."""
     fidelities: tuple[str, ...] = tuple(FIDELITIES)
-    """Trained on, and run on; exact, which the others are held against, among them."""
+    """Trained on and run on; exact, the reference of the others, is among them."""
     seeds: int = 3
     """Trainings of each task and fidelity."""
     total_steps: tuple[int, ...] = (TrainSettings.total_steps,)
@@ -79,7 +79,7 @@ class StudySettings:
         for name in self.fidelities:
             check.choice("fidelities", name, FIDELITIES)
         if "exact" not in self.fidelities:
-            raise ValueError(f"fidelities must hold 'exact', which the others are held against, got {self.fidelities}")
+            raise ValueError(f"fidelities must hold 'exact', the reference of the others, got {self.fidelities}")
         for name, chosen in (("tasks", self.tasks), ("fidelities", self.fidelities)):
             if len(set(chosen)) != len(chosen) or not chosen:
                 raise ValueError(f"{name} must be different ones, at least one, got {chosen}")
@@ -140,7 +140,7 @@ def read_study(folder: Path) -> StudySettings:
     if made != today:
         raise ValueError(
             f"{path} was made with the fidelities {json.dumps(made)}, which are {json.dumps(today)} today, so it "
-            "cannot be gone on with: make another study"
+            "cannot be continued: make another study"
         )
     return settings_from(values)
 

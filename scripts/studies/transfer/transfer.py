@@ -46,7 +46,7 @@ def main() -> None:
         raise FileNotFoundError(f"{arguments.out} is no folder to write a page in")
     given = [arguments.resume, arguments.page_from, arguments.folder]
     if len(given) - given.count(None) > 1 or (given[:2] != [None, None] and arguments.settings != StudySettings()):
-        raise ValueError("--resume and --page-from go on by the settings of what they name: give no other beside them")
+        raise ValueError("--resume and --page-from use the settings of the study named: give no other settings")
     if arguments.page_from is not None:
         print(write(read_data(arguments.page_from), arguments.out or arguments.page_from.parent))
         return
