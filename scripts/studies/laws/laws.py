@@ -33,7 +33,7 @@ from scripts.studies.laws.random_cases import Case, Wave
 LAWS = ("containment", "momentum", "centre", "energy", "record", "restore", "batch", "refusal")
 ROUNDING = 1e-11  # of the largest number in a balance, over a case
 SIDE_BY_SIDE = 3  # environments of the batch law
-KEPT = 10  # broken cases told in full, and refusals counted apart
+KEPT = 10  # broken cases printed in full, and kinds of refusals counted
 
 # What a contact model may say where it can not follow, and to a scene that it can not solve.
 _CAN_NOT_FOLLOW = ("would leave the box", "moves too fast to be followed", "needs more than 1,000,000 gap evaluations")

@@ -1,7 +1,7 @@
 """How impacts are usually found: look at the step's end, then Newton's method. What happens in between is lost.
 
-It stands in for the certified search of ``jackbox_env.compiled.search`` where the two are compared: by
-``scripts/studies/speed/speed.py`` for what the guarantee costs, by the tests for what it finds and this one misses.
+It replaces the certified search of ``jackbox_env.compiled.search`` for comparisons: ``scripts/studies/speed/speed.py``
+measures the price of the guarantee, the tests show what this search misses.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _MOST_ITERATIONS = 50
 def first_of_all(
     scene: SceneNumbers, work: Workspace, flight: Flight, frame: BoxFrame, walls: int, limits: Limits, rest: float
 ) -> tuple[float, int]:
-    """The earliest root of the gaps that are closed at the end; like the certified search in what it returns."""
+    """The earliest root of the gaps that are closed at the end; returns values like the certified search."""
     left = limits.end
     best, found = left, NONE
     end = pose_at(flight, work, left)

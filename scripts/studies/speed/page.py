@@ -52,12 +52,12 @@ PICTURE = {
 
 
 def ratios_of(part: str, rates: Rates) -> Rates:
-    """The ratios of a part in each round; those of what is not installed are left out."""
+    """The ratios of a part in each round. Ratios to peers that are not installed are left out."""
     return {what: timing.ratios(rates, *two) for what, two in RATIOS[part].items() if set(two) <= set(rates)}
 
 
 def kept_of(stored: Mapping[str, Any], ratios: Rates) -> dict[str, Any]:
-    """What a part that was stored knows and one that was measured now does not."""
+    """The ratios of a stored part that are not among those measured now."""
     known = {what: {"values": values, "made": stored["made"]} for what, values in stored.get("ratios", {}).items()}
     return {what: found for what, found in (known | stored.get("kept", {})).items() if what not in ratios}
 

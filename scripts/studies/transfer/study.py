@@ -91,7 +91,7 @@ class StudySettings:
         return dict(zip(self.tasks, self.total_steps * len(self.tasks), strict=False))[task]  # type: ignore[index]
 
     def run_settings(self, task: Any, fidelity: str, seed: int) -> TrainSettings:
-        """Settings of one training: the defaults but for what is varied."""
+        """Settings of one training: the defaults, except for what the study varies."""
         steps = self.steps_of(task)
         every = min(TrainSettings.eval_steps, steps)  # a short training is evaluated too
         return TrainSettings(
@@ -130,7 +130,7 @@ def read_study(folder: Path) -> StudySettings:
     Raises:
         FileNotFoundError: it is no study.
         TypeError, ValueError: the settings are unknown or out of range; or the names of the fidelities stood for
-            something else, so that what is in the folder and what would be added do not belong together.
+            something else, so that old and new results do not belong together.
     """
     path = folder / STUDY
     if not path.is_file():

@@ -16,13 +16,13 @@ from scripts.studies.transfer.study import StudySettings
 
 @dataclass(frozen=True)
 class Arguments:
-    """Train on each named fidelity, run every policy on all of them, and write what it comes to."""
+    """Train on each named fidelity, run every policy on all of them, and write the page."""
 
     settings: Annotated[StudySettings, tyro.conf.arg(name="")]
     folder: Path | None = None
     """Folder to make for the trainings; None: runs/transfer-<date>-<time>."""
     resume: Path | None = None
-    """Folder of an earlier study to go on with, by its own settings; what is finished in it is not done again."""
+    """Folder of an earlier study to continue with its own settings; finished parts are not repeated."""
     page_from: Path | None = None
     """learning.json of a finished study: write its page again, train and run nothing."""
     processes: int = 2
