@@ -34,7 +34,7 @@ def resting(num_threads: int) -> JackInBoxVectorEnv:
 def told(env: JackInBoxVectorEnv) -> list[Any]:
     """All that decides the future of a batch in which no episode ends."""
     held = env._batch.held
-    return [held.states, held.times, held.column(loop.STEPS), held.over, env.observations]  # type: ignore[attr-defined]
+    return [held.states, held.times, held.column(loop.STEPS), held.over, env.observations]
 
 
 @pytest.mark.parametrize("num_threads", [1, 2])
