@@ -61,11 +61,13 @@ def read_data(path: Path) -> dict[str, Any]:
 
 
 def write(data: Mapping[str, Any], place: Path) -> str:
-    """Write page, data and picture into a folder; return the page."""
-    text = page(data)
-    picture(findings_of(data), place / "learning.png")
-    write_text(place / "learning.json", json.dumps(data) + "\n")
-    write_text(place / "learning.md", text)
+    """Write page, data and picture into a folder; return the page. A study with loss has files of its own."""
+    lossy = data["settings"].get("restitution", 1.0) < 1.0
+    name = "learning_loss" if lossy else "learning"
+    text = page_with_loss(data, f"{name}.png") if lossy else page(data)
+    picture(findings_of(data), place / f"{name}.png")
+    write_text(place / f"{name}.json", json.dumps(data) + "\n")
+    write_text(place / f"{name}.md", text)
     return text
 
 
@@ -91,6 +93,20 @@ def page(data: Mapping[str, Any]) -> str:
     for mark, lines in blocks.items():
         text = fill(text, mark, "\n".join(lines).strip())
     return text
+
+
+def page_with_loss(data: Mapping[str, Any], name: str) -> str:
+    """A short page on a scene with loss; docs/learning.md says what its words mean."""
+    findings, restitution = findings_of(data), data["settings"]["restitution"]
+    lines = [f"# What a fidelity does to a learner, at restitution {restitution:g}", ""]
+    lines += [decision(task, found) for task, found in findings.items()]
+    lines += ["", f"![What training on each fidelity earns on exact]({name})", ""]
+    lines += ["[The elastic study](learning.md) says what the words mean.", "", *verdict_table(findings), ""]
+    for task, of in data["returns"].items():
+        lines += [*returns_table(task, of), ""]
+    lines += [*measured(data), ""]
+    lines += [line for task, found in findings.items() for line in footnote(task, found)]
+    return "\n".join(lines).rstrip() + "\n"
 
 
 def percent(estimate: Estimate, of: float) -> str:
