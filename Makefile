@@ -8,7 +8,7 @@ WORKERS := -n 2 --dist loadfile
 UNDER_OLD_GYMNASIUM := $(addprefix tests/,environment/test_env.py environment/test_starts_and_settings.py \
 	environment/test_tools.py batches/test_vector_env.py batches/test_episodes.py batches/test_refusals.py)
 
-.PHONY: demo test test-all test-slow benchmark benchmark-quick throughput speed costs costs-loss soak extremes machines kills interruptions transfer readme clean
+.PHONY: demo test test-all test-slow benchmark benchmark-loss benchmark-quick throughput speed costs costs-loss soak extremes machines kills interruptions transfer readme clean
 .DELETE_ON_ERROR:
 
 demo: .venv/ready
@@ -31,6 +31,10 @@ test-slow: .venv/ready $(OLD_GYMNASIUM)/ready
 # Speed against accuracy: the full sweep writes docs/accuracy.md, the quick one (2 minutes) only its run folder.
 benchmark: .venv/ready
 	@$(BIN)/python scripts/studies/accuracy/benchmark.py --out docs
+
+# Only the trajectories with loss, a minute; the rest of docs/accuracy.md stays.
+benchmark-loss: .venv/ready
+	@$(BIN)/python scripts/studies/accuracy/benchmark.py --page-from docs/accuracy/results.json --loss
 
 benchmark-quick: .venv/ready
 	@$(BIN)/python scripts/studies/accuracy/benchmark.py --quick --no-progress
