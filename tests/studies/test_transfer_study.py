@@ -190,7 +190,7 @@ SMALL = "--tasks juggle --fidelities coarse exact --seeds 1 --total-steps 4096 -
 def check_small_study(folder: Path) -> str:
     """What the files of such a study say; returns its page."""
     own, data = (folder / "learning.md").read_text(), read_data(folder / "learning.json")
-    assert f"Made by `python scripts/studies/transfer/transfer.py --no-progress {SMALL} --folder study`" in own
+    assert f"Made by `python scripts/studies/transfer/transfer.py --no-progress {SMALL}`" in own  # wherever
     assert "[^juggle]: Undecided. `coarse`: one training shows no spread." in own
     assert "Even if none of 1 trainings fails, up to 95.0 % of all may." in own
     assert page(data) == own  # the file holds all that is on the page
