@@ -8,7 +8,7 @@ WORKERS := -n 2 --dist loadfile
 UNDER_OLD_GYMNASIUM := $(addprefix tests/,environment/test_env.py environment/test_starts_and_settings.py \
 	environment/test_tools.py batches/test_vector_env.py batches/test_episodes.py batches/test_refusals.py)
 
-.PHONY: demo test test-all test-slow benchmark benchmark-quick throughput speed costs soak extremes machines kills interruptions transfer readme clean
+.PHONY: demo test test-all test-slow benchmark benchmark-loss benchmark-quick throughput speed costs costs-loss soak extremes machines kills interruptions transfer readme clean
 .DELETE_ON_ERROR:
 
 demo: .venv/ready
@@ -32,6 +32,10 @@ test-slow: .venv/ready $(OLD_GYMNASIUM)/ready
 benchmark: .venv/ready
 	@$(BIN)/python scripts/studies/accuracy/benchmark.py --out docs
 
+# Only the trajectories with loss, a minute; the rest of docs/accuracy.md stays.
+benchmark-loss: .venv/ready
+	@$(BIN)/python scripts/studies/accuracy/benchmark.py --page-from docs/accuracy/results.json --loss
+
 benchmark-quick: .venv/ready
 	@$(BIN)/python scripts/studies/accuracy/benchmark.py --quick --no-progress
 
@@ -44,6 +48,10 @@ speed: .venv/ready
 
 costs: .venv/ready
 	@$(BIN)/python scripts/studies/costs/costs.py
+
+# Only the steps with loss, a few minutes; the rest of docs/costs.md stays.
+costs-loss: .venv/ready
+	@$(BIN)/python scripts/studies/costs/costs.py --loss
 
 soak: .venv/ready
 	@$(BIN)/python scripts/studies/laws/soak.py --hours 8

@@ -67,6 +67,11 @@ def test_rows_hold_every_kind_and_all_seeds_without_the_60_digits() -> None:
     assert rows[cases.DIGITS, "local"][6:9] == (2, 9.0, 9.0)
     assert rows["held", "missed"].total == 1.0
     assert rows["chirp", "wrong"].total == 0.0
+    lossy = results.rows_of_kinds(settings.pymunk(4), [{**made[0], "kind": cases.LOSS}])
+    assert {row.kind for row in lossy} == {cases.LOSS}  # not among the seeds
+    assert {row.quantity for row in lossy} == {row.quantity for row in rows.values() if row.kind == "held"} - {
+        "imbalance"
+    }
 
 
 def test_what_is_stored_comes_back(stored: results.Results, tmp_path: Path) -> None:
@@ -91,6 +96,9 @@ def test_claims_hold_in_the_stored_results_and_each_fails_where_it_is_broken(sto
         (exact, digits, "first_5", {"worst": math.nan, "n": 0}),
         (exact, digits, "lacking", {"worst": 1.0}),
         (exact, digits, "flight", {"worst": 1e-9}),
+        (exact, cases.LOSS, "first_1", {"worst": 1e-10}),
+        (exact, cases.LOSS, "first_1", {"n": 9}),
+        (exact, cases.LOSS, "lacking", {"worst": 1.0}),
         (exact, seeds, "depth", {"worst": 1e-6}),
         (coarse, seeds, "first_1", {"worst": 0.011}),
         (coarse, seeds, "wrong", {"total": 1.0}),
@@ -121,7 +129,8 @@ def test_the_page_is_written_again_from_the_stored_results(
     assert "holds: exact and pymunk lose no jack: 0 lost" in capsys.readouterr().out
     again = "python scripts/studies/accuracy/benchmark.py --page-from docs/accuracy/results.json"
     assert (tmp_path / sweep.PAGE).read_text() == (ROOT / "docs" / sweep.PAGE).read_text(), again
-    assert (tmp_path / sweep.BESIDE / pictures.PICTURE).read_bytes().startswith(b"\x89PNG")
+    for picture in (pictures.PICTURE, pictures.WITH_LOSS):
+        assert (tmp_path / sweep.BESIDE / picture).read_bytes().startswith(b"\x89PNG")
     interactive = (tmp_path / sweep.BESIDE / pictures.INTERACTIVE).read_text()
     assert all(name in interactive for name in stored.settings)
     assert not re.search(r"<(script|link)[^>]+(src|href)=", interactive)  # it needs nothing from elsewhere
@@ -142,7 +151,7 @@ def test_the_page_opens_with_the_answer_and_its_tables_are_short() -> None:
         f"![Error of the first impact's time against computing time](accuracy/{pictures.PICTURE})"
     )
     tables = re.findall(r"(?:^\|.*\n)+", text, re.MULTILINE)
-    assert len(tables) == 5
+    assert len(tables) == 6
     assert max(table.count("\n") for table in tables) <= 12  # heads, line, ten rows
 
 

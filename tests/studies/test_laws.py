@@ -22,7 +22,7 @@ from jackbox_env.simulators import CONTACT_MODELS, make_simulator
 from jackbox_env.simulators.exact import ExactSimulator
 from jackbox_env.simulators.pymunk import PymunkSimulator
 from jackbox_env.states import clearance, deepest_held, start_tolerance
-from scripts.studies.laws.laws import LAWS, examine
+from scripts.studies.laws.laws import LAWS, Tally, examine
 from scripts.studies.laws.random_cases import Case, Wave, draw_case
 from tests.studies.strategies import HypothesisDraw, cases
 
@@ -48,6 +48,7 @@ def test_every_law_holds_in_scenes_and_under_actions_of_any_kind(contact: str) -
         seen["cases"] += 1
         seen["with impacts"] += found.impacts > 0
         seen["refused"] += bool(found.refused)
+        seen["at rest"] += found.held > 0
         seen["balanced"] += "energy" in found.worst
         seen["beside others"] += "batch" in found.worst
         for kind in kinds(case):
@@ -62,7 +63,7 @@ def test_every_law_holds_in_scenes_and_under_actions_of_any_kind(contact: str) -
     assert seen["beside others"] >= 0.8 * seen["cases"], seen
     assert seen["refused"] <= 0.2 * seen["cases"], seen
     wanted = {"chirp", "chirp of rate 0", "falling chirp", "side forces", "no drive", "weightless", "heavy", "long arm"}
-    wanted |= {"short arm", "limit", "drive", "zero torque"} | ({"lossy"} if contact == "pymunk" else set())
+    wanted |= {"short arm", "limit", "drive", "zero torque", "lossy"} | ({"at rest"} if contact == "exact" else set())
     assert wanted <= {kind for kind, count in seen.items() if count}, seen
 
 
@@ -97,7 +98,12 @@ def test_a_jack_of_any_speed_stays_in_the_box_or_is_refused(contact: str) -> Non
     def stays_or_is_refused(data: st.DataObject) -> None:
         draw = HypothesisDraw(data.draw)
         case = draw_case(draw, contact, steps=1)
-        simulator = make_simulator(case.scene, contact, substeps=case.substeps)
+        try:
+            simulator = make_simulator(case.scene, contact, substeps=case.substeps)
+        except ValueError as error:  # a scene that pymunk does not solve
+            if contact != "pymunk" or "couple the feet so strongly" not in str(error):
+                raise
+            return
         state = np.array(case.state)
         # Up to 1e8 crossings of the box in a step, and as fast a spin.
         state[[9, 10, 11]] *= 10.0 ** draw.uniform(0.0, 9.0)
@@ -216,12 +222,34 @@ def test_impacts_out_of_order_and_exceptions_break_their_laws(contact: str, monk
         assert "RuntimeError: nobody knows why" in str(found)
 
 
-def test_a_gain_at_an_impact_with_losses_breaks_the_law_of_energy(monkeypatch: pytest.MonkeyPatch) -> None:
-    case = with_impacts("pymunk")
+@EVERY_MODEL
+def test_a_gain_at_an_impact_with_losses_breaks_the_law_of_energy(
+    contact: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    case = with_impacts(contact)
     lossy = dataclasses.replace(case, scene=dataclasses.replace(case.scene, restitution=0.5))
     assert not examine(lossy).broken
-    monkeypatch.setattr(PymunkSimulator, "step", disturbed(PymunkSimulator.step, 11, 0.5, at=5))
+    simulator = ExactSimulator if contact == "exact" else PymunkSimulator
+    monkeypatch.setattr(simulator, "step", disturbed(simulator.step, 11, 0.5, at=5))
     assert "energy" in examine(lossy).broken
+
+
+def test_with_loss_some_jacks_lie_at_first_and_steps_at_rest_are_counted() -> None:
+    drawn = [draw_case(random.Random(number), "exact", steps=5) for number in range(60)]
+    lossy = [case for case in drawn if not case.scene.elastic]
+    lying = [case for case in lossy if abs(clearance(case.scene, list(case.state))) < 1e-13 * (100.0 + case.state[3])]
+    assert 5 < len(lying) < len(lossy) - 5
+    still = next(case for case in lying if case.state[2] == 0.0 and case.scene.gravity > 0.0)
+    scene = dataclasses.replace(still.scene, drive=None)
+    still = dataclasses.replace(still, scene=scene, actions=(0.0,) * 5)
+    found, tally = examine(still), Tally()
+    assert (found.held, found.broken) == (5, [])
+    for number, one in enumerate((found, examine(still))):
+        tally.enter(number, one)
+    assert str(tally).startswith("2 cases, ")
+    assert " impacts, rest in 2 cases, for 10 steps" in str(tally)
+    for other in (with_impacts("exact"), dataclasses.replace(still, contact="pymunk", substeps=4)):
+        assert examine(other).held == 0
 
 
 @EVERY_MODEL

@@ -15,6 +15,7 @@ import pymunk
 import pytest
 
 from jackbox_env import Scene, make_simulator
+from jackbox_env.simulators import exact
 from scripts.studies import timing
 from scripts.studies.costs import cost_steps
 from scripts.studies.costs import page as costs
@@ -216,3 +217,34 @@ def test_each_kind_of_step_is_timed(contact: str, monkeypatch: pytest.MonkeyPatc
     for kind in cost_steps.KINDS:
         assert cost_steps.stepped(contact, far if kind == "long arm" else usual, 0.0, kind)() > 0.0
     assert cost_steps.asked(contact) > 3.0
+
+
+@pytest.mark.parametrize("kind", cost_steps.LOSS)
+def test_each_step_with_loss_is_what_its_row_says(kind: str) -> None:
+    given = cost_steps.with_loss(kind, courses=24)
+    few, most = {cost_steps.FLIGHT: (0, 0), cost_steps.BOUNCE: (1, 1), cost_steps.PILE: (10, 20)}.get(kind, (1, 4))
+    assert few <= given.hits.min()
+    assert given.hits.max() <= most
+    scene, rests = cost_steps.LOSS[kind], kind.startswith("rest")
+    simulator = make_simulator(scene, "exact")
+    for state, hits in zip(given.states[:20, 0], given.hits[:20, 0], strict=True):
+        simulator.reset(state)
+        simulator.step(cost_steps.DT, 0.0)
+        assert len(simulator.impacts) == hits
+        held = {hit.foot for hit in simulator.impacts if hit.time == simulator.time}
+        assert len(held) == (2 if rests else 0) or kind == cost_steps.PILE
+    for timed in (cost_steps.alone(scene, given, 0.0), cost_steps.batched("exact", given, 0.0, scene=scene)):
+        assert timed() > 0.0
+
+
+def test_a_table_of_loss_is_in_microseconds_and_against_a_flight() -> None:
+    ns = dict.fromkeys(cost_steps.LOSS, 1000.0) | {cost_steps.LEVEL: 31000.0, cost_steps.TURNING: 59000.0}
+    loss = {kind: {costs.EXACT: [value, 2.0 * value], costs.BATCH: [value / 10.0] * 2} for kind, value in ns.items()}
+    lines = costs.loss_table(loss, dict.fromkeys(ns, 2.0))
+    assert lines[2] == f"| {cost_steps.FLIGHT} | 2 | 1.5 µs | 1 | 0.1 µs | 1 |"
+    assert lines[-1] == f"| {cost_steps.TURNING} | 2 | 88.5 µs | 59 | 5.9 µs | 59 |"
+    assert costs.held_cost(loss) == "40 to 90 microseconds"
+
+
+def test_the_exact_models_head_says_what_a_step_with_held_feet_was_measured_to_take() -> None:
+    assert f"takes some {costs.held_cost(stored('costs')['loss']['steps'])}" in " ".join((exact.__doc__ or "").split())

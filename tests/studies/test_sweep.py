@@ -32,6 +32,7 @@ def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Command:
     monkeypatch.setattr(cases, "STEPS", 150)
     monkeypatch.setattr(sweep, "TOGETHER", 2)
     monkeypatch.setattr(pictures, "draw", lambda results, path: None)  # test_accuracy_page draws
+    monkeypatch.setattr(pictures, "draw_loss", lambda results, path: None)
     monkeypatch.setattr(pictures, "interactive", lambda results, path: None)
     monkeypatch.chdir(tmp_path)
 
@@ -62,6 +63,15 @@ def test_the_trajectories_known_to_60_digits_are_all_there() -> None:
     assert sum(reference.sure for _, reference in known) == 73
     default = next(reference for case, reference in known if case.steps == 500)
     assert default.impacts[0].time == pytest.approx(1.0205739846186, abs=1e-13)
+
+
+def test_the_trajectories_with_loss_are_all_there_for_those_that_take_loss() -> None:
+    known = cases.with_references(cases.LOSS, 0)
+    assert len(known) == 10
+    assert sum(reference.sure for _, reference in known) == 41
+    assert {case.scene.restitution for case, _ in known} == {0.95, 0.9, 0.8, 0.7, 0.6}
+    taken = {one.family.split(",")[0] for one in settings.settings(quick=False) if one.takes_loss}
+    assert {"exact", "pymunk"} <= taken <= {"exact", "pymunk", "box2d"}
 
 
 def test_the_full_sweep_covers_substeps_iterations_and_both_models() -> None:
@@ -174,7 +184,7 @@ def test_an_interrupted_sweep_continues_to_the_results_of_an_uninterrupted_one(
     (folder,) = (tmp_path / "runs").iterdir()
     assert len(list((folder / sweep.RECORDS).iterdir())) == 9  # of two cases; the tenth is lost
     command(*FEW)
-    assert len(taken) == 20 + 4 * 6 * 2 - 2 * 9
+    assert len(taken) == 20 + (4 * 6 + 5) * 2 - 2 * 9  # the usual way takes no loss
     cut = results.Results.load(folder / sweep.BESIDE)
     folder.rename(tmp_path / "cut")
     command(*FEW)
@@ -185,6 +195,31 @@ def test_an_interrupted_sweep_continues_to_the_results_of_an_uninterrupted_one(
         if not row.quantity.startswith("cost"):
             assert repr(cut.rows[key]) == repr(row)  # NaN equals NaN
     assert page.fidelity_table(whole) in (folder / sweep.PAGE).read_text()
+
+
+def test_trajectories_with_loss_are_measured_alone_and_all_else_is_kept(
+    command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measured, taken = sweep.measured, set[str]()
+
+    def counted(*given: Any) -> Any:
+        taken.add(given[1])
+        return measured(*given)
+
+    monkeypatch.setattr(sweep, "measured", counted)
+    monkeypatch.setattr(claims, "claims", lambda found: [])
+    shutil.copytree(DOCS / sweep.BESIDE, tmp_path / "run" / sweep.BESIDE)
+    before = results.Results.load(tmp_path / "run" / sweep.BESIDE)
+    command("--page-from", f"run/{sweep.BESIDE}/{results.ABOUT}", "--loss", "--no-progress")
+    after = results.Results.load(tmp_path / "run" / sweep.BESIDE)
+    assert taken == {cases.LOSS}
+    for key, row in before.rows.items():
+        if row.kind != cases.LOSS:
+            assert repr(after.rows[key]) == repr(row)  # NaN equals NaN
+    assert after.rows[settings.EXACT, cases.LOSS, "depth"].n == 2  # the fixture's cases
+    assert (settings.EXACT, cases.LOSS, "imbalance") not in after.rows
+    assert after.about["loss"]["command"].endswith("--loss --no-progress")
+    assert after.about["versions"] == before.about["versions"]
 
 
 def test_claims_that_do_not_hold_fail_the_command_and_show_on_the_page(
@@ -209,6 +244,7 @@ def test_claims_that_do_not_hold_fail_the_command_and_show_on_the_page(
         (["--cases", "1"], "cases must be a whole number >= 2, got 1"),
         (["--rounds", "0"], "rounds must be a whole number >= 1, got 0"),
         (["--seconds", "0"], "seconds must be a finite number above 0, got 0.0"),
+        (["--loss"], "--loss adds to stored results: give --page-from too"),
         (["--out", "nowhere"], "nowhere is no folder to write a page in"),
         (["--page-from", "nowhere/results.json"], "No such file or directory: 'nowhere/results.csv'"),
     ],

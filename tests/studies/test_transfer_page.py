@@ -21,14 +21,16 @@ from scripts.studies.transfer.page import (
     footnote,
     long_table,
     page,
+    page_with_loss,
     percent,
     picture,
     read_data,
     returns_table,
+    too_short,
     verdict_table,
     write,
 )
-from scripts.studies.transfer.study import StudySettings, resolved_fidelities, settings_from
+from scripts.studies.transfer.study import Returns, StudySettings, resolved_fidelities, settings_from
 from scripts.studies.transfer.transfer import Arguments
 from scripts.studies.transfer.verdict import EXACT, MARGIN, Comparison, Finding
 
@@ -208,8 +210,27 @@ def test_the_committed_page_opens_with_the_answer_and_has_short_tables() -> None
 
 def test_pictures_and_links_of_the_committed_page_are_there() -> None:
     links = re.findall(r"\]\(([\w./]+)\)", (DOCS / "learning.md").read_text())
-    assert set(links) == {"learning.png", "learning.json"}
+    assert set(links) == {"learning.png", "learning.json", "learning_loss.md"}
     assert all((DOCS / link).is_file() for link in links)
+
+
+def test_trainings_that_earn_less_than_a_script_are_called_short() -> None:
+    for earned, short in ((100.0, True), (200.0, False)):
+        returns: Returns = {
+            "trained": {"exact": {"exact": [[earned, earned]]}},
+            "baselines": {"level": {"exact": [149.0, 151.0]}},
+        }
+        assert ("the scripted `level` earns 150.0" in too_short("juggle", returns)) is short
+
+
+def test_the_page_with_loss_is_written_from_its_data_and_names_its_size() -> None:
+    data, text = read_data(DOCS / "learning_loss.json"), (DOCS / "learning_loss.md").read_text()
+    assert page_with_loss(data, "learning_loss.png") == text
+    settings = settings_from(data["settings"])
+    assert f"- Trainings: {settings.seeds} of each task and fidelity, {settings.total_steps[0]:,} steps on" in text
+    assert f"at restitution {settings.restitution:g}" in text.splitlines()[0]
+    assert "--folder" not in text
+    assert (DOCS / "learning_loss.png").is_file()
 
 
 def test_the_command_on_the_page_makes_the_study_and_is_that_of_make() -> None:

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from agents.checkpoints import model_file
+from agents.evaluation import evaluate
 from agents.models import make_ppo, make_vec_env
 from agents.policies import baseline
 from agents.settings import TrainSettings
@@ -22,7 +23,7 @@ from agents.storage import FolderInUseError, held
 from jackbox_env import FIDELITIES, Scene
 from scripts.studies.transfer import study as transfer
 from scripts.studies.transfer.longrun import SETTINGS, STATISTICS, Episodes
-from scripts.studies.transfer.page import page, read_data
+from scripts.studies.transfer.page import page, read_data, write
 from scripts.studies.transfer.study import StudySettings, cell, new_study, read_study, run_all, train_all
 from scripts.studies.transfer.transfer import main
 
@@ -189,7 +190,7 @@ SMALL = "--tasks juggle --fidelities coarse exact --seeds 1 --total-steps 4096 -
 def check_small_study(folder: Path) -> str:
     """Check the files of such a study; return its page."""
     own, data = (folder / "learning.md").read_text(), read_data(folder / "learning.json")
-    assert f"Made by `python scripts/studies/transfer/transfer.py --no-progress {SMALL} --folder study`" in own
+    assert f"Made by `python scripts/studies/transfer/transfer.py --no-progress {SMALL}`" in own  # wherever
     assert "[^juggle]: Undecided. `coarse`: one training shows no spread." in own
     assert "Even if none of 1 trainings fails, up to 95.0 % of all may." in own
     assert page(data) == own  # the file holds all that is on the page
@@ -312,3 +313,52 @@ def test_refusals_of_the_command_line(
         command(monkeypatch, *arguments.split(), status=2)
         assert refusal in capsys.readouterr().err
         assert sorted(tmp_path.rglob("*")) == before  # nothing was made
+
+
+# -- with loss ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_study_with_loss_trains_and_runs_everything_in_its_scene(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = StudySettings(("juggle",), ("balanced", "exact"), restitution=0.9)
+    run = settings.run_settings("juggle", "exact", 0)
+    assert run.scene_fields == {"restitution": 0.9}
+    assert settings.scene == Scene(restitution=0.9)
+    assert read_study(new_study(tmp_path / "study", settings)) == settings
+    assert StudySettings().run_settings("juggle", "exact", 0).scene == TrainSettings.scene
+    asked: list[Any] = []
+
+    def evaluated(name: str, actor: Any, env_settings: dict[str, Any], episodes: int, seed: int) -> Any:
+        asked.append(env_settings["scene"])
+        return evaluate(name, actor, env_settings, episodes, seed=seed)
+
+    def runs(folder: Path, policies: Any, episodes: int, progress: bool, scene: Scene) -> Any:
+        asked.append(scene)
+
+    monkeypatch.setattr(transfer, "evaluate", evaluated)
+    few = replace(settings, episodes=2)
+    lossy = cell(tmp_path / "lossy", few, "juggle", "zero", "exact")
+    elastic = cell(tmp_path / "elastic", replace(few, restitution=1.0), "juggle", "zero", "exact")
+    assert asked == [{"restitution": 0.9}, {}]
+    assert lossy != elastic
+    monkeypatch.setattr(transfer, "run_long", runs)
+    monkeypatch.setattr(transfer, "load_model", lambda path: None)
+    transfer.run_statistics(tmp_path, settings, False)
+    assert asked[2] == Scene(restitution=0.9)
+
+
+@pytest.mark.parametrize("restitution", [-0.1, 1.1, float("nan")])
+def test_a_study_of_no_restitution_is_refused(restitution: float) -> None:
+    with pytest.raises(ValueError, match="restitution must be"):
+        StudySettings(restitution=restitution)
+
+
+def test_a_study_with_loss_leaves_the_elastic_page_alone(tmp_path: Path) -> None:
+    data = read_data(DATA)
+    data["settings"]["restitution"] = 0.9
+    text = write(data, tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == [f"learning_loss.{end}" for end in ("json", "md", "png")]
+    assert text.startswith("# What a fidelity does to a learner, at restitution 0.9\n")
+    assert "| juggle | balanced | safe |" in text
+    assert "(learning_loss.png)" in text

@@ -24,6 +24,8 @@ class Arguments:
     """Run folder to make or to continue in; None: an unfinished one of the same sweep in runs/, or a new one."""
     page_from: Path | None = None
     """Do not sweep: write page and pictures again from this results.json and the results.csv beside it."""
+    loss: bool = False
+    """With --page-from: measure the trajectories with loss anew, and nothing else."""
     out: Path | None = None
     """Folder for one more copy of the page, with its files beside it in accuracy/, e.g. docs."""
     progress: bool = True
@@ -51,8 +53,11 @@ def main() -> None:
     seconds = check.real("seconds", arguments.seconds, above=0.0)
     if arguments.out is not None and not arguments.out.is_dir():
         raise FileNotFoundError(f"{arguments.out} is no folder to write a page in")
+    if arguments.loss and arguments.page_from is None:
+        raise ValueError("--loss adds to stored results: give --page-from too")
     if arguments.page_from is not None:
         results, folder = Results.load(arguments.page_from.parent), arguments.page_from.resolve().parents[1]
+        results = sweep.with_loss(results, arguments.progress) if arguments.loss else results
     else:
         results, folder = sweep.run(few, cases, rounds, seconds, arguments.folder, arguments.progress)
     for place in filter(None, (arguments.out, folder)):

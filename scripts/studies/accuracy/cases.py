@@ -15,10 +15,11 @@ from jackbox_env.states import Array
 from jackbox_env.tasks import sample_start
 
 KINDS = ("chirp", "held", "weightless")  # of seeded cases
-DIGITS = "60 digits"  # the kind of those with an independent reference
+DIGITS, LOSS = "60 digits", "60 digits, with loss"  # kinds of those with an independent reference
 DT = 0.02  # control step [s]
 STEPS = 500  # control steps of a seeded case: 10 s
 WEIGHTLESS = Scene(gravity=0.0, drive=None)
+_FILES = {DIGITS: ("exact_trajectories.json", "seed_scene.json"), LOSS: ("loss_trajectories.json",)}
 _DATA = Path(__file__).parents[3] / "tests" / "data"
 
 
@@ -41,16 +42,16 @@ def seeded(kind: str, seed: int) -> Case:
 
 def with_references(kind: str, count: int) -> list[tuple[Case, Reference]]:
     """The cases of a kind: all that are known to 60 digits, or ``count`` seeded ones with the exact model's courses."""
-    if kind == DIGITS:
-        files = [_DATA / "exact_trajectories.json", _DATA / "seed_scene.json"]
-        return [_from_record(record) for file in files for record in json.loads(file.read_text())]
+    if kind in _FILES:
+        return [_from_record(record) for file in _FILES[kind] for record in json.loads((_DATA / file).read_text())]
     cases = [seeded(kind, seed) for seed in range(count)]
     return [(case, reference_of(case)) for case in cases]
 
 
 def _from_record(record: dict[str, Any]) -> tuple[Case, Reference]:
-    """A trajectory of 5 or 10 s that was computed with 60 digits, independently of this project."""
-    scene = Scene(gravity=record["gravity"]) if record["drive"] != "none" else WEIGHTLESS
+    """A trajectory of 3 to 10 s that was computed with 60 digits, independently of this project."""
+    driven = record["drive"] != "none"
+    scene = Scene(gravity=record["gravity"], restitution=record.get("restitution", 1.0)) if driven else WEIGHTLESS
     start = np.array(record["q"] + record["qdot"], dtype=np.float64)
     torques = None
     if record["drive"] == "held":

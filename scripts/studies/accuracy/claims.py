@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from scripts.studies.accuracy.cases import DIGITS, DT
+from scripts.studies.accuracy.cases import DIGITS, DT, LOSS
 from scripts.studies.accuracy.results import ALL, PREDICTABLE, Results, Row
 from scripts.studies.accuracy.settings import EXACT, PYMUNK
 
@@ -22,6 +22,9 @@ def claims(results: Results) -> list[Claim]:
     first, fifth, flight, right, lacking, depth = (
         results.of(EXACT, name, DIGITS) for name in ("first_1", "first_5", "flight", "prefix", "lacking", "depth")
     )
+    lossy_first, lossy_right, lossy_lacking = (
+        results.of(EXACT, name, LOSS) for name in ("first_1", "prefix", "lacking")
+    )
     deep = max(depth.worst, results.of(EXACT, "depth", ALL).worst)
     swept = {key[0]: row.substeps or 1 for key, row in results.rows.items() if row.family == PYMUNK}
     late = max(results.of(name, "first_1").worst * substeps / DT for name, substeps in swept.items())
@@ -37,6 +40,16 @@ def claims(results: Results) -> list[Claim]:
             f"exact: the first {PREDICTABLE} impacts of each, or all it has, have the right wall and foot",
             f"{lacking.worst:g} lacking, n = {lacking.n}",
             lacking.worst <= 0,
+        ),
+        Claim(
+            "exact: with loss the first impact of every 60-digit trajectory is right to 1e-12 s",
+            _worst(lossy_first, "s"),
+            lossy_first.worst <= 1e-12 and lossy_first.n == lossy_right.n,
+        ),
+        Claim(
+            "exact: with loss every impact has the right wall and foot",
+            f"{lossy_lacking.worst:g} lacking, n = {lossy_lacking.n}",
+            lossy_lacking.worst <= 0,
         ),
         Claim("exact: flight is right to 1e-13 m", _worst(flight, "m"), flight.worst <= 1e-13),
         Claim("exact: no foot is deeper in a wall than 1e-9 m", f"{deep:.1e} m", deep <= 1e-9),

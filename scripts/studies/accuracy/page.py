@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from jackbox_env.simulators.fidelity import FIDELITIES
-from scripts.studies.accuracy.cases import KINDS
+from scripts.studies.accuracy.cases import KINDS, LOSS
 from scripts.studies.accuracy.claims import claims
 from scripts.studies.accuracy.results import Results, Row
 from scripts.studies.accuracy.settings import BATCH, EXACT, SUBSTEPS, USUAL, named, of_fidelity, pymunk
@@ -24,6 +24,10 @@ COLUMNS = {
     "motion": {
         "flight [m]": "flight", "restart [m]": "local", "energy": "imbalance", "deepest [m]": "depth",
         "lost": "escaped", "missed": "missed", "extra": "extra",
+    },
+    "loss": {
+        "first impact [s]": "first_1", "first 3 [s]": "first_3", "restart [m]": "local", "right impacts": "prefix",
+        "deepest [m]": "depth", "missed": "missed", "extra": "extra",
     },
     "long_run": {
         "impacts per s": "rate", "mean speed [m/s]": "speed", "90 % of the time below [m/s]": "fast",
@@ -98,6 +102,9 @@ def _words(results: Results) -> dict[str, Any]:
         "expected": [f"{results.of(name, 'expected').total:,.0f}" for name in (DEFAULT, EXACT)],
         "known": results.of(EXACT, "flight").n,
         "kinds": ", ".join(KINDS),
+        "lossy": results.of(EXACT, "depth", LOSS).n,
+        "lossy_sure": f"{results.of(EXACT, 'expected', LOSS).total:g}",
+        "loss_from": _loss_from(about),
         "about": about,
         "busy": _percent(about["busy"]),
         "versions": ", ".join(f"{name} {version}" for name, version in about["versions"].items()),
@@ -122,6 +129,17 @@ def _percent(value: float) -> str:
     return f"{100.0 * value:.0f} %"
 
 
+def _loss_from(about: dict[str, Any]) -> str:
+    """Where the figures with loss are from, if not from the sweep itself."""
+    if "loss" not in about:
+        return ""
+    own = about["loss"]
+    return (
+        f" These trajectories were measured later, at commit {own['versions']['commit']}, by `{own['command']}`; the "
+        "rest of this page is older."
+    )
+
+
 def _times(value: float) -> str:
     """How many times faster or slower, in two digits at most."""
     return f"{float(f'{value:.2g}'):.{0 if value > 5.0 else 1}f}"
@@ -143,10 +161,14 @@ def _within(results: Results) -> str:
 def _tables(results: Results) -> dict[str, str]:
     seen = ((claim.what, claim.seen, "holds" if claim.holds else "FAILS") for claim in claims(results))
     runs = results.of(DEFAULT, "depth").n
+    lossy = results.of(EXACT, "depth", LOSS).n
     tables = {"claims": table(("claim", "seen", ""), seen)}
     for field, columns in COLUMNS.items():
-        shown = [name for name in TABLED if name in results.settings]
-        rows = ((name, *(_cell(row, runs) for row in results.some(name, *columns.values()))) for name in shown)
+        kind, of = (LOSS, lossy) if field == "loss" else (None, runs)
+        shown = [name for name in TABLED if (name, kind or "", "cost" if kind is None else "first_1") in results.rows]
+        rows = (
+            (name, *(_cell(results.of(name, quantity, kind), of) for quantity in columns.values())) for name in shown
+        )
         tables[field] = table(("setting", *columns), rows)
     return tables
 

@@ -6,15 +6,20 @@ from pathlib import Path
 from typing import Any
 
 from agents.storage import replacing, write_text
+from scripts.studies.accuracy.cases import LOSS
 from scripts.studies.accuracy.results import Results
 from scripts.studies.accuracy.settings import BATCH, EXACT, NAIVE, PYMUNK, of_fidelity, pymunk
 
-PICTURE, INTERACTIVE = "work_precision.png", "work_precision.html"
+PICTURE, WITH_LOSS, INTERACTIVE = "work_precision.png", "work_precision_loss.png", "work_precision.html"
 TABS = {
     "first_1": "time error of the first impact [s]",
     "local": "pose error 0.1 s after a restart, over an impact [m]",
     "depth": "deepest that a foot was in a wall [m]",
     "prefix": "right impacts before the first wrong one",
+}
+LOSS_TABS = {
+    "first_3": "with loss: time error, first 3 [s]",
+    "local": "with loss: pose error, restart [m]",
 }
 _COLOURS = {EXACT: "C0", BATCH: "C0", PYMUNK: "C2", NAIVE: "C3", "box2d": "0.5", "mujoco": "0.5"}
 _LABELS = {  # at the points: text, offset [points], alignment
@@ -31,11 +36,13 @@ _LABELS = {  # at the points: text, offset [points], alignment
 _LEAST = 1e-16  # where a logarithmic axis shows zero
 
 
-def points(results: Results, quantity: str) -> dict[str, dict[str, list[Any]]]:
+def points(results: Results, quantity: str, kind: str | None = None) -> dict[str, dict[str, list[Any]]]:
     """Settings, their costs and a quantity of theirs: columns by family, in the order of the sweep."""
     lines: dict[str, dict[str, list[Any]]] = {}
     for name in results.settings:
-        cost, row = results.of(name, "cost"), results.of(name, quantity)
+        if kind and (name, kind, quantity) not in results.rows:
+            continue
+        cost, row = results.of(name, "cost"), results.of(name, quantity, kind)
         if row.n:
             line = lines.setdefault(cost.family, {"setting": [], "cost": [], "median": [], "worst": [], "n": []})
             for column, value in zip(
@@ -67,6 +74,34 @@ def draw(results: Results, path: Path) -> None:
         figure.savefig(partial)
 
 
+def draw_loss(results: Results, path: Path) -> None:
+    """The pose error over an impact against cost: elastic filled, with loss hollow."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(4.0, 4.8), dpi=200, layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3.0, 1.4))
+    for axis in (upper, lower):
+        axis.set(xscale="log", yscale="log")
+        axis.grid(alpha=0.3)
+        for kind, face in ((None, None), (LOSS, "white")):
+            for family, line in points(results, "local", kind).items():
+                colour = _COLOURS.get(family)
+                if colour and family in (EXACT, PYMUNK, "box2d"):
+                    style = "-" if kind is None else "--"
+                    axis.plot("cost", "median", f"o{style}", data=line, markersize=4, color=colour, mfc=face or colour)
+    upper.set(ylim=(1e-5, 1.0), title="Pose error 0.1 s after a restart,\nover an impact. Points: medians.")
+    upper.set_ylabel("filled: elastic; hollow: with loss")
+    upper.set_yticks([1e-4, 1e-3, 1e-2, 1e-1], ["0.1 mm", "1 mm", "1 cm", "10 cm"])
+    for family, place in ((PYMUNK, (0.12, 0.6)), ("box2d", (0.72, 0.75))):
+        upper.annotate(family.replace("box2d", "Box2D"), place, xycoords="axes fraction", color=_COLOURS[family])
+    lower.annotate(EXACT, (0.1, 0.5), xycoords="axes fraction", color=_COLOURS[EXACT])
+    lower.set(ylim=(_LEAST, 1e-12), xlabel="computing time per simulated second")
+    lower.set_yticks([1e-15, 1e-13], ["$10^{-15}$ m", "$10^{-13}$ m"])
+    lower.set_xticks([1e1, 1e2, 1e3, 1e4], ["10 µs", "0.1 ms", "1 ms", "10 ms"])
+    with replacing(path) as partial:
+        figure.savefig(partial)
+
+
 def _plot(axis: Any, lines: dict[str, dict[str, list[Any]]]) -> None:
     """Lines of the families, labelled where they are."""
     for family, line in lines.items():
@@ -88,12 +123,13 @@ def interactive(results: Results, path: Path) -> None:
     from bokeh.resources import INLINE
 
     tabs = []
-    for quantity, title in TABS.items():
+    of_loss = [(quantity, title, LOSS) for quantity, title in LOSS_TABS.items()]
+    for quantity, title, kind in [*((*tab, None) for tab in TABS.items()), *of_loss]:
         scale: Any = "linear" if quantity == "prefix" else "log"
         axes: Any = {"x_axis_type": "log", "y_axis_type": scale, "x_axis_label": "cost [µs per simulated second]"}
         plot = figure(**axes, y_axis_label=title, width=1000, height=620, tools="pan,wheel_zoom,box_zoom,reset,save")
         dots: list[Any] = []
-        for colour, (family, line) in zip(Category10[10], points(results, quantity).items(), strict=False):
+        for colour, (family, line) in zip(Category10[10], points(results, quantity, kind).items(), strict=False):
             plot.line("cost", "median", source=line, color=colour, legend_label=family)
             plot.segment("cost", "median", "cost", "worst", source=line, color=colour, alpha=0.4)
             dots.append(plot.scatter("cost", "median", source=line, size=9, color=colour, legend_label=family))

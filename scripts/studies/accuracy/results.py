@@ -12,7 +12,7 @@ import numpy as np
 from scipy import stats
 
 from agents.storage import read_json, replacing, write_json
-from scripts.studies.accuracy.cases import DIGITS, DT
+from scripts.studies.accuracy.cases import DIGITS, DT, KINDS, LOSS
 from scripts.studies.accuracy.settings import BATCH, EXACT, PYMUNK, Setting
 
 ALL = "all seeds"
@@ -20,6 +20,7 @@ PREDICTABLE = 14  # impacts that float64 can predict
 SPREAD, LEAST, MEAN, TOTAL = "median and worst", "median and least", "mean with interval", "total"
 TABLE, ABOUT = "results.csv", "results.json"
 _TOLD_BY_SEEDS = ("prefix", "sure", "depth", "imbalance", "escaped", "rate", "speed", "fast", "impulse")
+_ELASTIC = ("imbalance",)  # what loss takes is no error
 
 Record = dict[str, Any]  # of one setting on one case
 
@@ -95,12 +96,21 @@ def rows_of(setting: Setting, records: list[Record], cost: list[float], over_def
     head = setting[:3]
     rows = [Row(*head, "", "cost", "us/s", **summed_up(cost))]
     rows.append(Row(*head, "", "cost_over_default", "1", **summed_up(over_default)))
-    for kind in dict.fromkeys(kind for record in records for kind in (record["kind"], ALL)):
-        part = [record for record in records if kind == record["kind"] or (kind == ALL and record["kind"] != DIGITS)]
-        for quantity in QUANTITIES:
-            found = summed_up(quantity.values(part), quantity.summed)
-            rows.append(Row(*head, kind, quantity.name, quantity.unit, **found))
-    return rows
+    return rows + rows_of_kinds(setting, records)
+
+
+def rows_of_kinds(setting: Setting, records: list[Record]) -> list[Row]:
+    """Every quantity of a setting over each kind of cases, and over all seeded ones if there are any."""
+    parts: dict[str, list[Record]] = {}
+    for record in records:
+        for kind in (record["kind"], *([ALL] if record["kind"] in KINDS else [])):
+            parts.setdefault(kind, []).append(record)
+    return [
+        Row(*setting[:3], kind, quantity.name, quantity.unit, **summed_up(quantity.values(part), quantity.summed))
+        for kind, part in parts.items()
+        for quantity in QUANTITIES
+        if kind != LOSS or quantity.name not in _ELASTIC
+    ]
 
 
 def order_of(steps: list[float], errors: list[float]) -> tuple[float, float, float]:

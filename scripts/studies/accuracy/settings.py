@@ -26,6 +26,11 @@ class Setting(NamedTuple):
     substeps: int | None = None
     make: Callable[[Scene], Simulator] | None = None  # None: a batch, which only costs less
 
+    @property
+    def takes_loss(self) -> bool:
+        """Whether it is measured in scenes with loss: MuJoCo is tuned for elastic ones, the usual way has no loss."""
+        return self.make is not None and self.family.split(",")[0] in (EXACT, PYMUNK, "box2d")
+
 
 def named(family: str, substeps: int, iterations: int | None = None) -> str:
     """Name of a setting."""

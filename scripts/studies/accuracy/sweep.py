@@ -27,7 +27,7 @@ from jackbox_env.simulators import Simulator
 from scripts.studies import rivals
 from scripts.studies.accuracy import cases, pictures
 from scripts.studies.accuracy.page import DEFAULT, page
-from scripts.studies.accuracy.results import ABOUT, Record, Results, rows_of
+from scripts.studies.accuracy.results import ABOUT, Record, Results, rows_of, rows_of_kinds
 from scripts.studies.accuracy.settings import TOGETHER, Setting, settings
 from scripts.studies.timing import Timed, measure, others, ratios, repeat
 
@@ -58,11 +58,22 @@ def run(quick: bool, count: int, rounds: int, seconds: float, folder: Path | Non
     return Results(rows, asked | {"rounds": rounds, "seconds": seconds} | _circumstances(before)), folder
 
 
+def with_loss(stored: Results, bars: bool) -> Results:
+    """A stored sweep with its trajectories with loss measured anew; all else stays, costs included."""
+    before, known = others(), cases.with_references(cases.LOSS, 0)
+    rows = [row for row in stored.rows.values() if row.kind != cases.LOSS]
+    chosen = [setting for setting in settings(quick=False) if setting.takes_loss and setting.name in stored.settings]
+    for setting in tqdm(chosen, desc=cases.LOSS, unit="setting", disable=not bars, leave=False):
+        rows += rows_of_kinds(setting, [measured(setting, cases.LOSS, *case) for case in known])
+    return Results(rows, stored.about | {"loss": _circumstances(before)})
+
+
 def write(results: Results, folder: Path) -> None:
     """The page, and beside it the pictures and the numbers."""
     beside = folder / BESIDE
     beside.mkdir(exist_ok=True)
     pictures.draw(results, beside / pictures.PICTURE)
+    pictures.draw_loss(results, beside / pictures.WITH_LOSS)
     pictures.interactive(results, beside / pictures.INTERACTIVE)
     write_text(folder / PAGE, page(results))
     results.save(beside)
@@ -129,9 +140,9 @@ def measured_all(folder: Path, chosen: list[Setting], count: int, bars: bool) ->
     """Measure what is not measured yet, and return all records by setting."""
     records = {setting.name: list[Record]() for setting in chosen}
     (folder / RECORDS).mkdir(exist_ok=True)
-    for kind in (cases.DIGITS, *cases.KINDS):
+    for kind in (cases.DIGITS, cases.LOSS, *cases.KINDS):
         known = cases.with_references(kind, count)
-        models = [setting for setting in chosen if setting.make]
+        models = [setting for setting in chosen if (setting.takes_loss if kind == cases.LOSS else setting.make)]
         for setting in tqdm(models, desc=kind, unit="setting", disable=not bars, leave=False):
             path = folder / RECORDS / f"{setting.name}; {kind}.json"
             if _kept(path) is None:

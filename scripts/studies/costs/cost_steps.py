@@ -19,7 +19,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env import Drive, Scene, _validation
+from jackbox_env import Drive, Scene, _validation, make_simulator
 from jackbox_env.env import JackInBoxEnv
 from jackbox_env.planning import rollout
 from jackbox_env.tasks import sample_start
@@ -57,6 +57,11 @@ KINDS: dict[str, dict[str, Any]] = {
     "picture": {"render_mode": "rgb_array"},
     "drawn": {"render_mode": "rgb_array"},
 }
+FLIGHT, BOUNCE, PILE = "free flight", "a bounce, e = 0.8", "bounces pile up before rest, e = 0.8"
+LEVEL, TURNING = "rest on a level floor, e = 0.5", "rest on a floor that turns by 0.2 rad/s, e = 0.5"
+_LOSSY = {kind: Scene(restitution=0.8 if "0.8" in kind else 0.5, drive=None) for kind in (BOUNCE, PILE, LEVEL, TURNING)}
+LOSS = {FLIGHT: _LOSSY[BOUNCE]} | _LOSSY  # kinds of steps with loss, and their scenes
+_PILED = 10, 20  # impacts in a step where bounces pile up
 TAKEN_OUT = ("contact", "_score", "_info", "checks", "bare")  # of one environment
 
 
@@ -81,6 +86,47 @@ def moments(episodes: int, every: int, scene: Scene | None = None) -> Moments:
         played.trajectories[:, :-1][:, chosen].copy(), [DT * k for k in range(EPISODE)[chosen]],
         actions[:, chosen].copy(), played.impacts[:, chosen],
     )  # fmt: skip
+
+
+def with_loss(kind: str, courses: int = 256) -> Moments:
+    """Moments of one kind of ``LOSS`` under no torque, two for each environment of a batch, from courses of 14 s.
+
+    The box is level and still at first, but for the floor that turns. A jack that rests lies on two feet.
+    """
+    scene, rng = LOSS[kind], np.random.default_rng(0)
+    lies, omega = kind in (LEVEL, TURNING), 0.2 if kind == TURNING else 0.0
+    starts = np.array([_lying(rng, omega) if lies else sample_start(scene, rng) for _ in range(courses)])
+    steps = 50 if lies else 700
+    played: Any = rollout(scene, starts, np.zeros((courses, steps)), DT, impacts=True, num_threads=1)
+    hits: NDArray[np.int64] = played.impacts
+    early = np.arange(steps) < 300  # nothing rests yet
+    piled = (hits >= _PILED[0]) & (hits <= _PILED[1])
+    wanted = {FLIGHT: (hits == 0) & early, BOUNCE: (hits == 1) & early, PILE: piled}.get(kind, hits > 0)
+    some = rng.choice(np.flatnonzero(wanted), (TOGETHER, 2))
+    states = played.trajectories[:, :-1].reshape(-1, 12)[some]
+    return Moments(states, [0.0, 0.0], np.zeros((TOGETHER, 2, 1), dtype=np.float32), hits.ravel()[some])
+
+
+def _lying(rng: np.random.Generator, omega: float) -> Array:
+    """A jack on two feet on the floor of the default box, which turns by ``omega`` [rad/s], and the jack with it."""
+    x, y = rng.uniform(-4.0, 4.0), math.sqrt(0.5) - 6.0
+    return np.array([0.0, 0.0, 0.0, x, y, math.pi / 4.0, 0.0, 0.0, omega, -omega * y, omega * x, omega])
+
+
+def alone(scene: Scene, given: Moments, seconds: float) -> Timed:
+    """Steps per second of the exact contact model, without an environment, under no torque."""
+    simulator: Any = make_simulator(scene, "exact")
+    presents = []
+    for state in given.states[:64].reshape(-1, 12):
+        simulator.reset(state)
+        presents.append(simulator._present)
+
+    def block() -> int:
+        for simulator._present in presents:
+            simulator.step(DT, 0.0)
+        return len(presents)
+
+    return repeat(block, seconds, clock=time.thread_time)
 
 
 def stepped(contact: str, given: Moments, seconds: float, kind: str) -> Timed:

@@ -25,6 +25,8 @@ class Arguments:
     """Time per measurement [s], or once through the moments."""
     out: Path = Path("docs")
     """Folder of the page costs.md, its picture costs.png and its results costs.json."""
+    loss: bool = False
+    """Measure only the steps with loss, and keep the rest of what is stored."""
     render: bool = False
     """Measure nothing: write the page from the results that are stored."""
 
@@ -48,10 +50,29 @@ def measured(rounds: int, seconds: float) -> dict[str, Any]:
             timed[f"{BATCH}: {kind}"] = these.batched(EXACT, given, seconds, **settings)
     timed[f"{PYMUNK}: together"] = these.batched(PYMUNK, usual, seconds)
     rates = timing.measure(timed, rounds * PASSES)
-    made = f"{timing.measured_with(PACKAGES)}; {rounds} rounds of {PASSES} passes. {timing.meanwhile(before)}"
     impacts = {"usual": float(usual.hits.mean()), "long arm": float(far.hits.mean())}
     asked = {contact: these.asked(contact) for contact in (PYMUNK, EXACT)}
-    return figures(rates, PASSES) | {"impacts": impacts, "asked": asked, "made": made}
+    return figures(rates, PASSES) | {"impacts": impacts, "asked": asked, "made": made(rounds, before)}
+
+
+def measured_with_loss(rounds: int, seconds: float) -> dict[str, Any]:
+    """What the page shows of steps with loss and at rest."""
+    from scripts.studies.costs import cost_steps as these
+    from scripts.studies.costs.page import BATCH, EXACT, loss_figures
+
+    before, timed, impacts = timing.others(), dict[str, timing.Timed](), dict[str, float]()
+    for kind, scene in these.LOSS.items():
+        given = these.with_loss(kind)
+        impacts[kind] = float(given.hits.mean())
+        timed[f"{EXACT}: {kind}"] = these.alone(scene, given, seconds)
+        timed[f"{BATCH}: {kind}"] = these.batched(EXACT, given, seconds, scene=scene)
+    steps = loss_figures(timing.measure(timed, rounds * PASSES), PASSES)
+    return {"steps": steps, "impacts": impacts, "made": made(rounds, before)}
+
+
+def made(rounds: int, before: tuple[float, float]) -> str:
+    """What the figures come from."""
+    return f"{timing.measured_with(PACKAGES)}; {rounds} rounds of {PASSES} passes. {timing.meanwhile(before)}"
 
 
 @command_line
@@ -71,7 +92,8 @@ def main() -> None:
     path, picture = arguments.out / "costs.json", arguments.out / "costs.png"
     if not arguments.render:
         timing.on_cores({max(os.sched_getaffinity(0))} if timing.PINNED else ())
-        write_json(path, measured(rounds, seconds))
+        kept = json.loads(path.read_text()) if arguments.loss else measured(rounds, seconds)
+        write_json(path, kept | {"loss": measured_with_loss(rounds, seconds)})
     results = json.loads(path.read_text())
     timing.bars(picture, "ns of a control step of one environment", pictured(results))
     write_text(arguments.out / "costs.md", page(results, picture.name))

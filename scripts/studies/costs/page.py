@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import statistics
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from scripts.studies.costs.cost_steps import FLIGHT, LEVEL, LOSS, TURNING
 from scripts.studies.timing import Rates, cells, figure, joined, rough
 
 MODELS = PYMUNK, EXACT, BATCH = "pymunk", "exact", "exact, batch"
@@ -65,6 +67,13 @@ def figures(rates: Rates, passes: int) -> dict[str, Figures]:
     }
 
 
+def loss_figures(rates: Rates, passes: int) -> Figures:
+    """The times of steps with loss."""
+    return {
+        kind: {model: in_rounds(rates, passes, {f"{model}: {kind}": 1.0}) for model in (EXACT, BATCH)} for kind in LOSS
+    }
+
+
 def seen(values: Sequence[float]) -> bool:
     """Whether a difference is above the noise: of one sign in all rounds."""
     return min(values) > 0.0 or max(values) < 0.0
@@ -107,6 +116,28 @@ def layer_table(layers: Figures, plain: Mapping[str, float]) -> list[str]:
     return [*lines, f"| **a plain step** | **{figure(plain[PYMUNK])}** | | **{figure(plain[EXACT])}** | |"]
 
 
+def loss_table(loss: Figures, impacts: Mapping[str, float]) -> list[str]:
+    """What a step costs that flies, bounces with loss, or rests; each against the one that flies."""
+    lines = ["| a step of exact | impacts in it | contact model alone | of a flight | in a batch | of a flight |"]
+    lines.append("|---|---:|---:|---:|---:|---:|")
+    for kind, found in loss.items():
+        pairs = [_against_flight(found[model], loss[FLIGHT][model]) for model in (EXACT, BATCH)]
+        lines.append(f"| {kind} | {figure(impacts[kind])} | " + " | ".join(pairs) + " |")
+    return lines
+
+
+def _against_flight(values: Sequence[float], flight: Sequence[float]) -> str:
+    """Microseconds, and the ratio, taken within rounds."""
+    ratio = statistics.median(one / other for one, other in zip(values, flight, strict=True))
+    return f"{figure(statistics.median(values) / 1000.0)} µs | {figure(ratio)}"
+
+
+def held_cost(loss: Figures) -> str:
+    """What a step with held feet takes, for the head of the exact model: the tens around both kinds of rest."""
+    middles = [statistics.median(loss[kind][EXACT]) / 1e4 for kind in (LEVEL, TURNING)]
+    return f"{10 * math.floor(min(middles))} to {10 * math.ceil(max(middles))} microseconds"
+
+
 def answer(results: Mapping[str, Any], plain: Mapping[str, float]) -> str:
     """The page in three sentences."""
     each = {model: rough(value) for model, value in plain.items()}
@@ -121,7 +152,7 @@ def answer(results: Mapping[str, Any], plain: Mapping[str, float]) -> str:
 
 def page(results: Mapping[str, Any], picture: str) -> str:
     """docs/costs.md."""
-    on_top, impacts = results["on_top"], results["impacts"]
+    on_top, impacts, loss = results["on_top"], results["impacts"], results["loss"]
     plain = {model: statistics.median(values) for model, values in results["plain"]["a plain step"].items()}
     more = impacts["long arm"] - impacts["usual"]
     each = [f"{figure(statistics.median(values) / more)} ns ({model})" for model, values in on_top[ARM].items()]
@@ -138,6 +169,15 @@ def page(results: Mapping[str, Any], picture: str) -> str:
         {
             "# What each thing costs": [answer(results, plain), "", f"![Where the time of a step goes]({picture})"],
             "## On top of a plain step": [*glance(on_top, plain), "", *notes],
+            "## With loss, and at rest": [
+                f"A step with held feet takes some {held_cost(loss['steps'])}.",
+                "",
+                *loss_table(loss["steps"], loss["impacts"]),
+                "",
+                REST,
+                "",
+                loss["made"],
+            ],
             "## Where the time of a step goes": layer_table(results["layers"], plain),
             "## What is off does not run": [OFF],
             "## How it was measured": [HOW, "", results["made"]],
@@ -151,6 +191,12 @@ OFF = (
     "step. Another task's reward is not computed. A batch without `with_infos` gathers no infos, and a batch of "
     "exact has no room for impact records. tests/studies/test_costs.py counts the calls: none without the "
     "thing, some with it."
+)
+REST = (
+    "All under no torque. A flight is without impacts, though it may be near a wall. Bounces pile up in "
+    "steps of 10 to 20 impacts. A jack that rests lies on two feet. A held foot counts as one impact. In a batch, a "
+    "figure is the step of one of 1,024 environments that all do the same, with observation and reward. "
+    "`make costs-loss` measures only these steps: not on the day and the machine of the rest of the page."
 )
 HOW = (
     "`make costs` times a control step of 0.02 s with a thing and without it, on one core. Figures are medians over "

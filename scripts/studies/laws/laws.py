@@ -67,6 +67,7 @@ class Examination:
     worst: dict[str, Worst] = field(default_factory=dict)
     steps: int = 0
     impacts: int = 0
+    held: int = 0  # steps at whose end a wall held a foot; told of ``exact`` only
     refused: str = ""  # why the case ended early, or never began
 
     def measure(self, law: str, value: float, limit: float, words: str = "") -> None:
@@ -90,6 +91,8 @@ class Tally:
 
     cases: int = 0
     impacts: int = 0
+    resting: int = 0  # cases in which a foot came to rest
+    held: int = 0  # steps, see Examination
     broken: int = 0
     refused: Counter[str] = field(default_factory=Counter)  # cases that ended early
     worst: dict[str, tuple[Worst, int]] = field(default_factory=dict)  # by law, with the case's number
@@ -98,6 +101,8 @@ class Tally:
         """Add what was found in a case."""
         self.cases += 1
         self.impacts += found.impacts
+        self.resting += found.held > 0
+        self.held += found.held
         self.broken += bool(found.broken)
         if found.refused:
             begun = re.split(r"\d", found.refused)[0][:80]
@@ -107,7 +112,8 @@ class Tally:
                 self.worst[law] = worst, number
 
     def __str__(self) -> str:
-        lines = [f"{self.cases:,} cases, {self.impacts:,} impacts"]
+        rest = f", rest in {self.resting:,} cases, for {self.held:,} steps" if self.held else ""
+        lines = [f"{self.cases:,} cases, {self.impacts:,} impacts{rest}"]
         lines += [f"{law:12s} worst {worst} of case {number}" for law, (worst, number) in self.worst.items()]
         lines += [f"{law:12s} nothing to measure" for law in LAWS if law not in self.worst]
         lines += [f"ended early, {count:,}: {sentence}" for sentence, count in self.refused.items()]
@@ -155,6 +161,7 @@ def _examine_simulator(case: Case, found: Examination) -> None:
         _recorded(case, run, found)
         books.enter(before, run, torque, found)
         found.impacts += len(run.impacts)
+        found.held += case.contact == "exact" and _holds(run)
     found.steps = len(case.actions)
 
 
@@ -195,6 +202,11 @@ def _recorded(case: Case, run: Simulator, found: Examination) -> None:
     wrong = sum(later < earlier for earlier, later in itertools.pairwise(times))
     wrong += sum(not (0 <= hit.wall < 4 and 0 <= hit.foot < 4 and 0.0 < hit.impulse < math.inf) for hit in impacts)
     found.measure("record", float(wrong), 0.0)
+
+
+def _holds(run: Simulator) -> bool:
+    """Whether a wall held a foot at the end of the last step of ``exact``, which enters that as an impact there."""
+    return any(hit.time >= run.time - 4.0 * math.ulp(abs(run.time)) for hit in run.impacts)
 
 
 class Books:

@@ -1,7 +1,8 @@
 """Random cases for the laws: a scene, a start, and actions to play.
 
 Lengths are drawn first, speeds and torques in proportion: within the steps of a case the jack crosses the box some
-times and the box turns by some radians, whatever its size, so that most cases have impacts.
+times and the box turns by some radians, whatever its size, so that most cases have impacts. With loss the jack lies on
+the lowest wall in half of the cases at first.
 """
 
 from __future__ import annotations
@@ -75,7 +76,7 @@ def draw_case(draw: random.Random, contact: str, steps: int = STEPS) -> Case:
     """A case for a contact model, by a generator that a seed was given, or hypothesis."""
     dt = _power(draw, -2.5, -1.0)
     scene = _scene(draw, contact, dt)
-    return Case(
+    case = Case(
         scene=scene,
         contact=contact,
         substeps=draw.randint(1, 8) if contact == "pymunk" else None,
@@ -87,6 +88,9 @@ def draw_case(draw: random.Random, contact: str, steps: int = STEPS) -> Case:
         restored_at=draw.randint(0, steps - 1),
         seed=draw.randint(0, 2**31 - 1),
     )
+    if scene.elastic or draw.choice((False, True)):
+        return case
+    return dataclasses.replace(case, state=_lying(draw, scene, case.state))
 
 
 def _scene(draw: random.Random, contact: str, dt: float) -> Scene:
@@ -148,6 +152,18 @@ def _start(draw: random.Random, scene: Scene, dt: float) -> tuple[float, ...]:
     turning = 0.3 * spin * draw.uniform(-1.0, 1.0), spin * draw.uniform(-1.0, 1.0)
     angle = turn + relative + draw.randint(-4, 4) * math.pi / 2.0
     return (place, -place, turn, *jack, angle, *box_rates, turning[0], *jack_rates, turning[1])
+
+
+def _lying(draw: random.Random, scene: Scene, start: tuple[float, ...]) -> tuple[float, ...]:
+    """The box of a start, and in it the jack on two feet on the lowest wall, turning with it."""
+    x_box, y_box, turn, *_ = start
+    vx, vy, omega = start[6:9]
+    tilt = math.remainder(turn, math.pi / 2.0)  # of the lowest wall
+    away = scene.box_half_width - scene.jack_arm * math.sqrt(0.5)  # the most that lets the jack in
+    along, cosine, sine = away * draw.uniform(-1.0, 1.0), math.cos(tilt), math.sin(tilt)
+    x, y = cosine * along + sine * away, sine * along - cosine * away
+    jack = x_box + x, y_box + y, tilt + math.pi / 4.0
+    return (x_box, y_box, turn, *jack, vx, vy, omega, vx - omega * y, vy + omega * x, omega)
 
 
 def _actions(draw: random.Random, steps: int) -> tuple[float | None, ...]:

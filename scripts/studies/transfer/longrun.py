@@ -163,7 +163,7 @@ def stored(path: Path, make: Callable[[], Episodes]) -> Episodes:
 
 
 def run_long(
-    folder: Path, policies: dict[str, Policy], episodes: int, progress: bool = True
+    folder: Path, policies: dict[str, Policy], episodes: int, progress: bool = True, scene: Scene | None = None
 ) -> dict[str, dict[str, Episodes]]:
     """Episodes under random torques, under the chirp and under each policy: condition -> setting -> episodes.
 
@@ -172,7 +172,7 @@ def run_long(
     Raises:
         ValueError: ``folder`` holds another number of episodes.
     """
-    scene = Scene()
+    scene = scene or Scene()
     conditions = ["random torques", "the chirp", *policies]
     found: dict[str, dict[str, Episodes]] = {condition: {} for condition in conditions}
     pairs = list(itertools.product(enumerate(conditions), enumerate(SETTINGS)))

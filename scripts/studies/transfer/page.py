@@ -42,13 +42,35 @@ def gather(
         "settings": asdict(settings),
         "fidelities": resolved_fidelities(),
         "training": asdict(read_settings(run_folder(folder, settings.tasks[0], settings.fidelities[0], 0))),
-        "trained": read_json(folder / "study_run.json"),
+        "trained": _anywhere(read_json(folder / "study_run.json")),
         "run": {"versions": versions(), "machine": machine()},
         "returns": returns,
         "comparisons": [row._asdict() for row in compare(samples)],
         "depth": {condition: {name: one.depth for name, one in each.items()} for condition, each in runs.items()},
         "lost": {condition: {name: one.lost for name, one in each.items()} for condition, each in runs.items()},
     }
+
+
+def too_short(task: str, returns: Returns) -> str:
+    """A warning where a scripted policy earns more on exact than the trained ones do; else nothing."""
+    trained = np.mean(returns["trained"][EXACT][EXACT])
+    earned = {name: float(np.mean(of[EXACT])) for name, of in returns["baselines"].items()}
+    best = max(earned, key=lambda name: earned[name])
+    if trained >= earned[best]:
+        return ""
+    return (
+        f"The trainings were short. On `{task}` they earn {trained:.1f} on `{EXACT}`, and the scripted `{best}` earns "
+        f"{earned[best]:.1f}: this says little about learning."
+    )
+
+
+def _anywhere(run: dict[str, Any]) -> dict[str, Any]:
+    """What a study was made by, without the folder that it was made in."""
+    command = list(run["command"])
+    if "--folder" in command:
+        place = command.index("--folder")
+        del command[place : place + 2]
+    return {**run, "command": command}
 
 
 def read_data(path: Path) -> dict[str, Any]:
@@ -61,11 +83,13 @@ def read_data(path: Path) -> dict[str, Any]:
 
 
 def write(data: Mapping[str, Any], place: Path) -> str:
-    """Write page, data and picture into a folder; return the page."""
-    text = page(data)
-    picture(findings_of(data), place / "learning.png")
-    write_text(place / "learning.json", json.dumps(data) + "\n")
-    write_text(place / "learning.md", text)
+    """Write page, data and picture into a folder; return the page. A study with loss has files of its own."""
+    lossy = data["settings"].get("restitution", 1.0) < 1.0
+    name = "learning_loss" if lossy else "learning"
+    text = page_with_loss(data, f"{name}.png") if lossy else page(data)
+    picture(findings_of(data), place / f"{name}.png")
+    write_text(place / f"{name}.json", json.dumps(data) + "\n")
+    write_text(place / f"{name}.md", text)
     return text
 
 
@@ -91,6 +115,21 @@ def page(data: Mapping[str, Any]) -> str:
     for mark, lines in blocks.items():
         text = fill(text, mark, "\n".join(lines).strip())
     return text
+
+
+def page_with_loss(data: Mapping[str, Any], name: str) -> str:
+    """A short page on a scene with loss; docs/learning.md says what its words mean."""
+    findings, restitution = findings_of(data), data["settings"]["restitution"]
+    lines = [f"# What a fidelity does to a learner, at restitution {restitution:g}", ""]
+    short = {task: too_short(task, of) for task, of in data["returns"].items()}
+    lines += [short[task] or decision(task, found) for task, found in findings.items()]
+    lines += ["", f"![What training on each fidelity earns on exact]({name})", ""]
+    lines += ["[The elastic study](learning.md) says what the words mean.", "", *verdict_table(findings), ""]
+    for task, of in data["returns"].items():
+        lines += [*returns_table(task, of), ""]
+    lines += [line for line in measured(data) if not line.startswith("- Long run")] + [""]
+    lines += [line for task, found in findings.items() if not short[task] for line in footnote(task, found)]
+    return "\n".join(lines).rstrip() + "\n"
 
 
 def percent(estimate: Estimate, of: float) -> str:

@@ -66,6 +66,8 @@ class StudySettings:
     """Episodes of each policy on each fidelity, from the same starts everywhere."""
     long_episodes: int = 1024
     """Episodes of the long-run statistics, for each contact setting and each kind of torque."""
+    restitution: float = 1.0
+    """Of the scene in which everything is trained and run; below 1 with loss."""
 
     def __post_init__(self) -> None:
         """Refuse a study that cannot be made, by a TypeError or ValueError."""
@@ -76,6 +78,7 @@ class StudySettings:
             raise ValueError(f"total_steps must be one number or {len(self.tasks)}, got {self.total_steps}")
         check.whole("episodes", self.episodes, at_least=2)
         check.whole("long_episodes", self.long_episodes, at_least=4)
+        check.real("restitution", self.restitution, at_least=0.0, at_most=1.0)
         for name in self.fidelities:
             check.choice("fidelities", name, FIDELITIES)
         if "exact" not in self.fidelities:
@@ -86,6 +89,16 @@ class StudySettings:
         for task in self.tasks:
             self.run_settings(task, self.fidelities[0], 0)
 
+    @property
+    def scene_fields(self) -> dict[str, float]:
+        """What the scene has different from the default."""
+        return {} if self.restitution == 1.0 else {"restitution": self.restitution}
+
+    @property
+    def scene(self) -> Scene:
+        """The scene of the study."""
+        return Scene(restitution=self.restitution)
+
     def steps_of(self, task: str) -> int:
         """Environment steps of each training on a task."""
         return dict(zip(self.tasks, self.total_steps * len(self.tasks), strict=False))[task]  # type: ignore[index]
@@ -95,8 +108,8 @@ class StudySettings:
         steps = self.steps_of(task)
         every = min(TrainSettings.eval_steps, steps)  # a short training is evaluated too
         return TrainSettings(
-            task=task, fidelity=fidelity, seed=seed, total_steps=steps, eval_steps=every,
-            checkpoint_steps=min(TrainSettings.checkpoint_steps, every),
+            task=task, fidelity=fidelity, scene=json.dumps(self.scene_fields), seed=seed, total_steps=steps,
+            eval_steps=every, checkpoint_steps=min(TrainSettings.checkpoint_steps, every),
         )  # fmt: skip
 
     def runs(self) -> list[tuple[str, str, int]]:
@@ -220,10 +233,10 @@ def cell(folder: Path, settings: StudySettings, task: str, policy: str, fidelity
         more: dict[str, Any] = {}
         actor: Policy
         if policy in BASELINES:
-            actor, more = baseline(policy, Scene())
+            actor, more = baseline(policy, settings.scene)
         else:
             actor = load_model(folder / f"{task}-{policy}" / BEST)
-        env_settings = {"task": task, "fidelity": fidelity, **more}
+        env_settings = {"task": task, "fidelity": fidelity, "scene": settings.scene_fields, **more}
         returns = list(evaluate(policy, actor, env_settings, settings.episodes, seed=0).returns)
         make_folder(path.parent)
         write_json(path, returns)
@@ -236,7 +249,7 @@ def run_statistics(folder: Path, settings: StudySettings, progress: bool = True)
     """Long-run statistics, also under the first policy that was trained on exact for the first task."""
     task = settings.tasks[0]
     policies: dict[str, Policy] = {f"PPO on {task}": load_model(run_folder(folder, task, "exact", 0) / BEST)}
-    return run_long(folder / "longrun", policies, settings.long_episodes, progress)
+    return run_long(folder / "longrun", policies, settings.long_episodes, progress, settings.scene)
 
 
 def _start(run: Path, settings: TrainSettings) -> subprocess.Popen[bytes]:
