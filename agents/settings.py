@@ -5,12 +5,18 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, fields
 from itertools import pairwise
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from jackbox_env import Scene
 from jackbox_env import _validation as check
 from jackbox_env.observation import BOUNDS
 from jackbox_env.simulators.fidelity import FIDELITIES, Setting, resolve
+from jackbox_env.tasks import TASKS
+
+if TYPE_CHECKING:
+    TaskName = str
+else:
+    TaskName = Literal[tuple(TASKS)]  # command lines show and check the names
 
 # Beyond these a run folder from a stranger could take all memory.
 MOST_COUNTED = 10**12  # of steps, episodes and samples
@@ -24,7 +30,7 @@ MOST_THREADS = 1024
 class EnvSettings:
     """The environment, in words that are also JSON."""
 
-    task: Literal["juggle", "spin", "rattle"] = "juggle"
+    task: TaskName = "juggle"
     """What is rewarded."""
     contact: str | None = None
     """Contact model: pymunk or exact; None: the fidelity's, or pymunk."""

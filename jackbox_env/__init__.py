@@ -27,6 +27,7 @@ _LAZY = {
     "Simulator": "simulators",
     "make_simulator": "simulators",
     "Rollout": "planning",
+    "Task": "tasks",
     "cheapest": "choosing",
     "rollout": "planning",
 }
@@ -41,6 +42,7 @@ __all__ = [
     "Rollout",
     "Scene",
     "Simulator",
+    "Task",
     "cheapest",
     "make_simulator",
     "rollout",

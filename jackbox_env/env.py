@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
+import copy
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.utils.seeding import np_random
 from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import _validation as check
 from jackbox_env import tasks
 from jackbox_env.observation import BOUNDS
+from jackbox_env.randomization import Randomization
 from jackbox_env.scene import Scene
-from jackbox_env.scoring import make_score
-from jackbox_env.simulators import Impact, make_simulator
+from jackbox_env.scoring import Score, make_score
+from jackbox_env.simulators import Impact, Simulator, make_simulator
 from jackbox_env.simulators.base import total_impulse
 from jackbox_env.simulators.fidelity import resolve
 from jackbox_env.states import LATEST_TIME, Array, as_start
 
 Observation = NDArray[np.float32]
 Action = NDArray[np.float32] | float | None
+Randomize = Mapping[str, tuple[float, float]] | Callable[[np.random.Generator], Mapping[str, Any]] | None
 
 
 class JackInBoxEnv(gym.Env[Observation, Action]):
@@ -102,14 +106,26 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     | `substeps`    | `None`     | engine steps of pymunk per control step, >= 1; None: 4                            |
     | `fidelity`    | `None`     | a name for `contact` and `substeps`, see below; these two override it             |
     | `scene`       | `None`     | a `Scene`, or a dict of some of its fields                                        |
-    | `task`        | `"juggle"` | `"juggle"`, `"spin"` or `"rattle"`                                                |
+    | `task`        | `"juggle"` | `"juggle"`, `"spin"`, `"rattle"`, or a `jackbox_env.Task` of your own             |
     | `control_dt`  | `0.02`     | duration of a step [s], > 0                                                       |
     | `torque`      | `"agent"`  | `"agent"`: the action, or the drive where it is None; `"chirp"`: always the drive |
     | `render_mode` | `None`     | `"human"` or `"rgb_array"` (512 x 512); needs the `render` extra                  |
+    | `randomize`   | `None`     | what of the scene is drawn anew at each reset, see below                          |
 
     `reset` takes `options={"state": numbers, "time": seconds}`: exactly that state, shape (12,), every foot inside to
     1e-9 m (4 units in the last place of a far-off position), and that time. `env.unwrapped.set_state(state, time)` goes
     on from any state that `info` ever held, also one in contact. `env.unwrapped.observation` is its observation.
+
+    ## Other Scenes
+
+    `reset(options={"scene": {"gravity": 1.62}})` gives fields of the scene that the environment was made with other
+    values. They hold until the next reset with that option. An inertia that was not given follows mass and size.
+    `env.unwrapped.scene` is the scene that holds.
+
+    `randomize={"jack_mass": (2.0, 6.0), "restitution": (0.8, 1.0)}` draws these fields at each reset, uniformly, in the
+    order of `Scene`'s fields and before the start. Ranges that could draw a scene which is refused are refused at once.
+    `randomize` may also be a function that takes the environment's `numpy.random.Generator` and returns a dict of
+    fields. The option `"scene"` then wins over what is drawn, for that one episode.
 
     ## Fidelity
 
@@ -152,21 +168,26 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         contact: str | None = None,
         substeps: int | None = None,
         scene: Scene | Mapping[str, Any] | None = None,
-        task: str = "juggle",
+        task: str | tasks.Task = "juggle",
         control_dt: float = 0.02,
         torque: str = "agent",
         render_mode: str | None = None,
         fidelity: str | None = None,
+        randomize: Randomize = None,
     ) -> None:
-        self.contact, substeps = resolve(fidelity, contact, substeps)
+        self.contact, self._substeps = resolve(fidelity, contact, substeps)
         self._control_dt = check.real("control_dt", control_dt, above=0.0)
         self._torque_source = check.choice("torque", torque, ("agent", "chirp"))
         if render_mode is not None:
             check.choice("render_mode", render_mode, self.metadata["render_modes"])
-        self.task = check.choice("task", task, tasks.TASKS)
-        self._simulator = make_simulator(Scene.of(scene), contact=self.contact, substeps=substeps)
-        self._score = make_score(self._simulator.scene, task, self.contact)
-        self._terms = [f"reward_{name}" for name in tasks.TASKS[task].terms]
+        self.task, self._task = task, tasks.task_of(task)
+        self._own = Scene.of(scene)
+        self._parts = self._made(self._own)
+        self._parts[1](self.state, 0.0, 0.0)  # an unfit task is refused now
+        self._randomize = None
+        if randomize is not None:
+            self._randomize = Randomization(randomize, [self._own], self._simulator_of)
+        self._terms = [f"reward_{name}" for name in self._task.terms]
         self.observation_space = gym.spaces.Box(-BOUNDS, BOUNDS, dtype=np.float32)
         self.action_space = gym.spaces.Box(-1.0, 1.0, shape=(1,), dtype=np.float32)
         self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / max(self._control_dt, 1e-4)))}
@@ -180,9 +201,20 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
 
     # -- the simulated system -----------------------------------------------------------------------------------------
 
+    def _simulator_of(self, scene: Scene) -> Simulator:
+        return make_simulator(scene, contact=self.contact, substeps=self._substeps)
+
+    def _made(self, scene: Scene) -> tuple[Simulator, Score]:
+        """What depends on the scene; replaced as one, so that no interruption parts them."""
+        return self._simulator_of(scene), make_score(scene, self._task, self.contact)
+
+    @property
+    def _simulator(self) -> Simulator:
+        return self._parts[0]
+
     @property
     def scene(self) -> Scene:
-        """The scene, every field resolved."""
+        """The scene as it holds now, every field resolved."""
         return self._simulator.scene
 
     @property
@@ -203,7 +235,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     @property
     def observation(self) -> Observation:
         """What the agent sees of the present state: a fresh float32 array, shape (10,)."""
-        return self._score(self.state, 0.0, 0.0)[0]
+        return self._parts[1](self.state, 0.0, 0.0)[0]
 
     def set_state(self, state: ArrayLike, time: float = 0.0) -> None:
         """Put the system into ``state``, shape (12,), at ``time`` [s], exactly; the episode goes on.
@@ -227,19 +259,49 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
             TypeError, ValueError: an unusable option; the environment stays as it was.
         """
         if not isinstance(options, Mapping | None):
-            raise TypeError(f"options must be a dict of 'state' and 'time' or None, got {check.shown(options)}")
+            raise TypeError(
+                f"options must be a dict of 'state', 'time' and 'scene' or None, got {check.shown(options)}"
+            )
         given = dict(options or {})
-        check.known_keys("options", given, ("state", "time"))
+        check.known_keys("options", given, ("state", "time", "scene"))
         time = check.real("options['time']", given.get("time", 0.0), at_least=-LATEST_TIME, at_most=LATEST_TIME)
-        state = None if given.get("state") is None else as_start(self.scene, given["state"])
+        scene, generator = self._next_scene(seed, given.get("scene"))
+        state = None if given.get("state") is None else as_start(scene, given["state"])
+        parts = self._parts if scene == self.scene else self._made(scene)
         super().reset(seed=seed)
+        if generator is not None:
+            self._np_random = generator
         if state is None:
-            state = tasks.sample_start(self.scene, self.np_random)
-        self.set_state(state, time)
+            state = tasks.sample_start(scene, self.np_random)
+        parts[0].reset(state, time)
+        self._take(parts)
         if self.render_mode == "human":
             self.render()
-        observation, terms = self._score(state, 0.0, 0.0)
+        observation, terms = parts[1](state, 0.0, 0.0)
         return observation, self._info(state, 0, 0.0, [0.0] * len(terms))  # nothing is earned yet
+
+    def _next_scene(self, seed: int | None, changes: Any) -> tuple[Scene, np.random.Generator | None]:
+        """The scene of the next episode, and the generator after it was drawn; None if nothing is drawn."""
+        if changes is not None and not isinstance(changes, Mapping):
+            raise TypeError(f"options['scene'] must be a dict of the scene's fields, got {check.shown(changes)}")
+        if self._randomize is None:
+            return (self.scene if changes is None else self._own.changed(**changes)), None
+        generator = copy.deepcopy(self.np_random) if seed is None else np_random(seed)[0]
+        drawn = self._randomize.draw(self._own, generator)
+        return self._own.changed(**{**drawn, **(changes or {})}), generator
+
+    def _take(self, parts: tuple[Simulator, Score]) -> None:
+        """Go on with a simulator that is in its state, and show it."""
+        if self._renderer is not None and parts[0].scene != self.scene:
+            self._renderer.show(parts[0].scene)
+        self._parts = parts
+        self._start_picture()
+
+    def _put(self, scene: Scene, state: Array, time: float) -> None:
+        """Go on in a scene and a state that are known to be fit."""
+        parts = self._parts if scene == self.scene else self._made(scene)
+        parts[0].reset(state, time)
+        self._take(parts)
 
     def step(self, action: Action) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Advance by one control step under ``action``, or under the scene's drive where it is None.
@@ -252,16 +314,21 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         torque = None
         if action is not None and self._torque_source == "agent":
             torque = self._torque_of(action)
-        simulator = self._simulator
+        simulator, score = self._parts
+        before, time = simulator.state, simulator.time
         simulator.step(self._control_dt, torque)
         impacts, state = simulator.impacts, simulator.state
         impulse = total_impulse(impacts)
-        observation, terms = self._score(state, simulator.torque, impulse)
+        try:
+            observation, terms = score(state, simulator.torque, impulse)
+        except Exception:  # of a user's task
+            simulator.reset(before, time)
+            raise
         if self._renderer is not None:
             self._renderer.record(state, simulator.time, simulator.torque, impacts)
             if self.render_mode == "human":
                 self.render()
-        return observation, sum(terms), False, False, self._info(state, len(impacts), impulse, terms)
+        return observation, tasks.reward_of(terms), False, False, self._info(state, len(impacts), impulse, terms)
 
     def render(self) -> NDArray[np.uint8] | None:
         """Return a fresh frame, uint8, shape (512, 512, 3), or show it in a window ("human")."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal, NamedTuple, overload
 
 import numpy as np
@@ -14,10 +14,12 @@ from jackbox_env.compiled.compiler import compiled
 from jackbox_env.compiled.rollouts import outside, roll
 from jackbox_env.compiled.status import Status
 from jackbox_env.compiled.workspace import new_workspace
-from jackbox_env.scene import Scene
+from jackbox_env.scene import Scene, scenes_of
 from jackbox_env.simulators.base import end_of_step
 from jackbox_env.simulators.exact import drive_kind, failure, pieces_for
 from jackbox_env.states import LATEST_TIME, Array, as_held, deepest_held
+
+OneOrMore = Scene | Mapping[str, Any] | None | Sequence[Scene | Mapping[str, Any] | None]
 
 _GRAIN = 1000  # steps that are worth a call
 _FEWEST_PER_THREAD = 5000  # steps that are worth waking a thread
@@ -34,20 +36,20 @@ class Rollout(NamedTuple):
 
 @overload
 def rollout(
-    scene: Scene | Mapping[str, Any] | None, states: ArrayLike, torques: ArrayLike, dt: float, time: float = 0.0,
+    scene: OneOrMore, states: ArrayLike, torques: ArrayLike, dt: float, time: float = 0.0,
     *, energy: Literal[False] = False, impacts: Literal[False] = False, num_threads: int | None = None,
 ) -> Array: ...  # fmt: skip
 
 
 @overload
 def rollout(
-    scene: Scene | Mapping[str, Any] | None, states: ArrayLike, torques: ArrayLike, dt: float, time: float = 0.0,
+    scene: OneOrMore, states: ArrayLike, torques: ArrayLike, dt: float, time: float = 0.0,
     *, energy: bool = False, impacts: bool = False, num_threads: int | None = None,
 ) -> Array | Rollout: ...  # fmt: skip
 
 
 def rollout(
-    scene: Scene | Mapping[str, Any] | None,
+    scene: OneOrMore,
     states: ArrayLike,
     torques: ArrayLike,
     dt: float,
@@ -62,7 +64,8 @@ def rollout(
     Equal bit for bit to stepping ``make_simulator(scene, contact="exact")`` from each state.
 
     Args:
-        scene: a Scene, a dict of some of its fields, or None. Its drive's side forces act, not its torque.
+        scene: a Scene, a dict of some of its fields, or None; or a list of N, one for each row. A drive's side forces
+            act, not its torque.
         states: shape (N, 12), or (12,) for all sequences; a foot may be up to 1 m outside.
         torques: on the box [N m], shape (N, H), or (H,) for all states.
         dt: duration of a step [s], > 0.
@@ -78,17 +81,20 @@ def rollout(
         TypeError, ValueError: unusable values.
         JackLostError: a jack moves too fast to be followed.
     """
-    scene = Scene.of(scene)
+    scenes, several = scenes_of(scene)
     energy, impacts = check.flag("energy", energy), check.flag("impacts", impacts)
     dt = check.real("dt", dt, above=0.0)
     time = check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
-    starts, held = _sequences(scene, states, torques)
+    starts, held = _sequences(scenes, several, states, torques)
     count, steps = held.shape
     times = [time]
     for _ in range(steps):
         times.append(end_of_step(times[-1], dt))
-    tables = [pieces_for(scene, start, dt, 0.0) for start in times[:-1]] or [pieces_for(scene, time, dt, 0.0)]
+    drives = {id(one.drive): one.drive for one in scenes}  # the functions of each are cut into pieces once
+    starting = times[:-1] or [time]
+    tables = [pieces_for(drive, start, dt, 0.0) for drive in drives.values() for start in starting]
     table, ends = np.concatenate(tables), np.cumsum([0, *map(len, tables)])
+    firsts = np.array([list(drives).index(id(one.drive)) * len(starting) for one in scenes])
     trajectories = np.empty((count, steps + 1, 12))
     trajectories[:, 0] = starts
     hits = np.zeros((count, steps) if impacts else (0, steps), dtype=np.int64)
@@ -96,28 +102,29 @@ def rollout(
     ranges = count if num_threads is not None else min(count, count * steps // _FEWEST_PER_THREAD)
     threads = Threads(thread_count(num_threads, ranges))
     workspaces = [new_workspace() for _ in range(threads.count)]
-    numbers, kind, play = np.array(scene.numbers), drive_kind(scene, held=True), compiled(roll)
+    values, kinds = np.array([one.numbers for one in scenes]), [drive_kind(one.drive, held=True) for one in scenes]
+    given, play = (values, np.array(kinds), firsts), compiled(roll)
     drive, results = (np.array(times), table, ends), (trajectories, hits, impulses, energies)
     halt = Halt()
 
     def work(thread: int, low: int, high: int) -> tuple[int, int, int]:
         first = 0
         while True:
-            ended, who, when = play(numbers, dt, kind, held, drive, (low, high, first), results, workspaces[thread])
+            ended, who, when = play(given, dt, held, drive, (low, high, first), results, workspaces[thread])
             if ended != Status.PAUSED or halt.asked:
                 return ended, who, when
             low, first = who, when  # after a while, so that an interruption is heard
 
     for ended, who, when in threads.run(work, count, grain=-(-_GRAIN // max(1, steps)), halt=halt):
         if ended:
-            raise failure(ended, scene, times[when], dt, f"the jack of states[{who}]")
+            raise failure(ended, scenes[who if len(scenes) > 1 else 0], times[when], dt, f"the jack of states[{who}]")
     if not (energy or impacts):
         return trajectories
     return Rollout(trajectories, energies if energy else None, hits if impacts else None, impulses if impacts else None)
 
 
-def _sequences(scene: Scene, states: ArrayLike, torques: ArrayLike) -> tuple[Array, Array]:
-    """States, shape (N, 12), and torques, shape (N, H), checked."""
+def _sequences(scenes: list[Scene], several: bool, states: ArrayLike, torques: ArrayLike) -> tuple[Array, Array]:
+    """States, shape (N, 12), and torques, shape (N, H), checked against one scene, or ``several``: one for each row."""
     starts, held = _numbers("states", states), _numbers("torques", torques)
     if starts.ndim not in (1, 2) or starts.shape[-1] != 12:
         raise ValueError(f"states must have shape (N, 12) or (12,), got {starts.shape}")
@@ -127,13 +134,17 @@ def _sequences(scene: Scene, states: ArrayLike, torques: ArrayLike) -> tuple[Arr
         raise ValueError(f"states and torques must be as many, got {len(starts)} and {len(held)}")
     if not np.isfinite(held).all():
         raise ValueError(f"torques must be finite, got {held[~np.isfinite(held)][0]}")
-    count = len(starts) if starts.ndim == 2 else len(held) if held.ndim == 2 else 1
+    counts = [len(rows) for rows in (starts, held) if rows.ndim == 2] or ([len(scenes)] if several else [1])
+    count = counts[0]
+    if several and len(scenes) != count:
+        raise ValueError(f"scene must be one scene or a list of {count}, as many as rows, got {len(scenes)} of them")
     starts = np.ascontiguousarray(np.broadcast_to(starts, (count, 12)))
     # The quick check finds that a state is bad, the careful one says why.
-    if int(compiled(outside)(np.array(scene.numbers), starts, deepest_held(scene))) >= 0:
+    deepest = np.array([deepest_held(one) for one in scenes])
+    if int(compiled(outside)(np.array([one.numbers for one in scenes]), starts, deepest)) >= 0:
         for number, state in enumerate(starts):
             try:
-                as_held(scene, state)
+                as_held(scenes[number if len(scenes) > 1 else 0], state)
             except (TypeError, ValueError) as error:
                 raise type(error)(f"states[{number}]: {error}") from error
     return starts, np.ascontiguousarray(np.broadcast_to(held, (count, held.shape[-1])))

@@ -93,21 +93,25 @@ class Renderer:
     """
 
     def __init__(self, scene: Scene, render_mode: str, fps: float) -> None:
-        self._scene = scene
         self._human = render_mode == "human"
         self._fps = fps
-        self._scale = _HALF_WIDTH / scene.box_half_width  # [px/m]
-        self._time_scale = scene.box_half_width / scene.speed_scale  # [s]
-        self._decimals = min(max(2, math.ceil(-math.log10(self._time_scale / 50.0))), 6)  # of the time
-        self._spacing = _round_step(scene.box_half_width / 3.5)  # [m] of the ruled lines
         self._trail: deque[tuple[float, float, float]] = deque(maxlen=_TRAIL_POINTS)  # x, y of the jack [m], time [s]
         self._flashes: deque[tuple[Impact, float, list[float]]] = deque(maxlen=_MOST_FLASHES)  # time [s], state after
         self._canvas: Canvas | None = Canvas()
         self._clock: pygame.time.Clock | None = None
+        self.show(scene)
         self.reset([0.0] * 12, 0.0)
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_canvas": None, "_clock": None}
+
+    def show(self, scene: Scene) -> None:
+        """Take the sizes from another scene; :meth:`reset` comes next."""
+        self._scene = scene
+        self._scale = _HALF_WIDTH / scene.box_half_width  # [px/m]
+        self._time_scale = scene.box_half_width / scene.speed_scale  # [s]
+        self._decimals = min(max(2, math.ceil(-math.log10(self._time_scale / 50.0))), 6)  # of the time
+        self._spacing = _round_step(scene.box_half_width / 3.5)  # [m] of the ruled lines
 
     def reset(self, state: Sequence[float] | Array, time: float) -> None:
         """Start anew from ``state``, shape (12,), SI units, at ``time`` [s]: no trail, no flashes, no impacts yet."""

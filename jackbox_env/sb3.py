@@ -22,20 +22,23 @@ from jackbox_env.scene import Scene
 from jackbox_env.states import Array
 from jackbox_env.vector_env import JackInBoxVectorEnv, ResetPlan
 
-_KNOWN = set(inspect.signature(JackInBoxVectorEnv).parameters) - {"num_envs", "autoreset_mode", "with_infos"}
+_KNOWN = set(inspect.signature(JackInBoxVectorEnv).parameters) - {"num_envs", "autoreset_mode"}
 
 
 def make_sb3_vec_env(num_envs: int, **env_kwargs: Any) -> JackInBoxVecEnv:
     """Make ``num_envs`` environments for Stable-Baselines3.
 
     Step by step they give what ``DummyVecEnv`` gives over ``Monitor(gymnasium.make("JackInBox-v0", **env_kwargs))``,
-    with the same seeds: observations, rewards, dones and infos. With ``contact="exact"`` they are one compiled loop.
+    with the same seeds: observations, rewards and dones. An info holds what Stable-Baselines3 reads, at the end of an
+    episode: ``episode``, ``terminal_observation`` and ``TimeLimit.truncated``. With ``with_infos=True`` it holds all
+    that ``DummyVecEnv`` gives, which takes longer. With ``contact="exact"`` the environments are one compiled loop.
     Seed them by ``.seed(0)`` or by the model's ``seed``; single environments by ``get_attr("state")`` and
     ``env_method("set_state", state, time, indices=[i])``: see :class:`EnvView`.
 
     Args:
         num_envs: number of environments.
-        **env_kwargs: of the single environment, ``max_episode_steps`` (500), and ``num_threads`` of the vector one.
+        **env_kwargs: of the single environment, ``max_episode_steps`` (500), and of the vector one ``num_threads``,
+            ``with_infos`` and a list of scenes.
 
     Raises:
         TypeError, ValueError: an argument out of its range.
@@ -61,9 +64,8 @@ class JackInBoxVecEnv(VecEnv):
 
     def __init__(self, num_envs: int, **env_kwargs: Any) -> None:
         check.known_keys("make_sb3_vec_env", env_kwargs, _KNOWN)
-        self.vector_env = JackInBoxVectorEnv(
-            num_envs, autoreset_mode=AutoresetMode.SAME_STEP, with_infos=True, **env_kwargs
-        )
+        self.vector_env = JackInBoxVectorEnv(num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **env_kwargs)
+        self._with_infos = self.vector_env._with_infos
         self._views = [EnvView(self.vector_env, number) for number in range(self.vector_env.num_envs)]
         self._began = time.time()
         self._actions: NDArray[Any] | None = None
@@ -98,9 +100,9 @@ class JackInBoxVecEnv(VecEnv):
         draft = vector_env._batch.draft()
         for plan in plans:
             vector_env._carry_out(plan, draft)
-            rows = _rows(vector_env._fresh_infos(draft, plan.chosen))
+            rows = _rows(vector_env._fresh_infos(draft, plan.chosen)) if self._with_infos else None
             for number in np.flatnonzero(plan.chosen).tolist():
-                reset_infos[number] = rows[number]
+                reset_infos[number] = rows[number] if rows else {}
         entered = Entered(
             np.zeros(self.num_envs), np.zeros(self.num_envs, dtype=np.int64), reset_infos, (self._seeds, self._options)
         )
@@ -123,7 +125,7 @@ class JackInBoxVecEnv(VecEnv):
         plain = np.array([not options for options in self._options])
         groups: list[tuple[NDArray[np.bool_], dict[str, Any]]] = [(plain, {})] if plain.any() else []
         for number in np.flatnonzero(~plain):
-            check.known_keys("options", self._options[number], ("state", "time"))
+            check.known_keys("options", self._options[number], ("state", "time", "scene"))
             groups.append((np.arange(self.num_envs) == number, self._options[number]))
         return [self.vector_env._plan_reset(self._seeds, {**options, "reset_mask": mask}) for mask, options in groups]
 
@@ -137,6 +139,31 @@ class JackInBoxVecEnv(VecEnv):
         before = self._entered
         returns, lengths, reset_infos = before.returns + rewards, before.lengths + 1, before.reset_infos
         ended = np.flatnonzero(dones).tolist()
+        rows: list[dict[str, Any]]
+        if self._with_infos:
+            rows, reset_infos = self._full_rows(infos, ended, reset_infos)
+        else:
+            rows = [{} for _ in range(self.num_envs)]
+        for number in ended:
+            rows[number]["episode"] = {
+                "r": round(float(returns[number]), 6),
+                "l": int(lengths[number]),
+                "t": round(time.time() - self._began, 6),
+            }
+        for number in range(self.num_envs) if self._with_infos else ended:
+            rows[number]["TimeLimit.truncated"] = bool(dones[number])
+        for number in ended:
+            rows[number]["terminal_observation"] = infos["final_obs"][number]
+        returns[ended], lengths[ended] = 0.0, 0
+        returned = observations, rewards.astype(np.float32), dones, rows
+        draft.book = draft.book._replace(entered=Entered(returns, lengths, reset_infos, before.used))
+        self.vector_env._batch.keep(draft)
+        return returned
+
+    def _full_rows(
+        self, infos: dict[str, Any], ended: list[int], reset_infos: list[dict[str, Any]]
+    ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+        """Each environment's own info of the step, and of its start."""
         if ended:
             reset_infos = list(reset_infos)
             started = _rows({name: values[ended] for name, values in infos.items() if not name.startswith("final_")})
@@ -145,22 +172,7 @@ class JackInBoxVecEnv(VecEnv):
             for name, values in infos["final_info"].items():
                 if not name.startswith("_"):
                     infos[name][ended] = values[ended]
-        rows = _rows(infos)
-        for number in ended:
-            rows[number]["episode"] = {
-                "r": round(float(returns[number]), 6),
-                "l": int(lengths[number]),
-                "t": round(time.time() - self._began, 6),
-            }
-        for row, truncated in zip(rows, dones.tolist(), strict=True):
-            row["TimeLimit.truncated"] = truncated
-        for number in ended:
-            rows[number]["terminal_observation"] = infos["final_obs"][number]
-        returns[ended], lengths[ended] = 0.0, 0
-        returned = observations, rewards.astype(np.float32), dones, rows
-        draft.book = draft.book._replace(entered=Entered(returns, lengths, reset_infos, before.used))
-        self.vector_env._batch.keep(draft)
-        return returned
+        return _rows(infos), reset_infos
 
     def close(self) -> None:
         """Release what the renderers hold."""
@@ -215,7 +227,7 @@ class EnvView:
     @property
     def scene(self) -> Scene:
         """The scene, every field resolved."""
-        return self._vector_env.scene
+        return self._vector_env._batch.scene(self._number)
 
     @property
     def state(self) -> Array:

@@ -6,7 +6,7 @@ Nothing here simulates. Lengths are in m, masses in kg, inertias in kg m^2, torq
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import partial
 from typing import Any, NamedTuple
@@ -214,7 +214,11 @@ class Drive:
 
 
 class SceneNumbers(NamedTuple):
-    """A scene and its chirp as plain numbers, under the scene's own names: what compiled code takes for a Scene."""
+    """A scene and its chirp as plain numbers, under the scene's own names.
+
+    Compiled code takes it for a Scene, and so does a task's function under every contact model. The chirp's numbers are
+    0 if the drive is not a Chirp.
+    """
 
     box_half_width: float  # [m]
     box_mass: float  # [kg]
@@ -229,6 +233,24 @@ class SceneNumbers(NamedTuple):
     chirp_start_frequency: float  # [Hz]
     chirp_rate: float  # [Hz/s]
     restitution: float
+
+
+def square_inertia(mass: float, length: float) -> float:
+    """Inertia [kg m^2] of a mass [kg] all of which is ``length`` [m] from the axis.
+
+    A product, because the last place of a power is the C library's.
+    """
+    return mass * (length * length)
+
+
+def fall_speed(height: float) -> float:
+    """Speed after a fall from a height [m] on Earth [m/s]."""
+    return math.sqrt(2.0 * 9.81 * height)
+
+
+def between(low: float, high: float, share: float) -> float:
+    """The number that is ``share`` (0 to 1) of the way from ``low`` to ``high``, never beyond by rounding."""
+    return min(high, low + (high - low) * share)
 
 
 @dataclass(frozen=True)
@@ -249,8 +271,8 @@ class Scene:
             forces always.
 
     Torque limit and drive do not scale with the box: a small or light box wants less of both. Lengths, masses, inertias
-    and the torque limit are within [1e-60, 1e60]. ``dataclasses.replace`` keeps a resolved
-    inertia: give ``box_inertia=None`` with a new mass or width to have it derived again.
+    and the torque limit are within [1e-60, 1e60]. :meth:`changed` derives an inertia anew that was not given;
+    ``dataclasses.replace`` keeps it.
 
     Raises:
         TypeError, ValueError: a field is of the wrong type or out of its range.
@@ -273,11 +295,11 @@ class Scene:
 
         for name in ("box_half_width", "box_mass", "jack_arm", "jack_mass", "torque_limit"):
             keep(name, _quantity(name, getattr(self, name)))
-        # Products, because the last place of a power is the C library's.
+        keep("_derived", tuple(name for name in ("box_inertia", "jack_inertia") if getattr(self, name) is None))
         if self.box_inertia is None:
-            keep("box_inertia", self.box_mass * (self.box_half_width * self.box_half_width))
+            keep("box_inertia", square_inertia(self.box_mass, self.box_half_width))
         if self.jack_inertia is None:
-            keep("jack_inertia", self.jack_mass * (self.jack_arm * self.jack_arm))
+            keep("jack_inertia", square_inertia(self.jack_mass, self.jack_arm))
         for name in ("box_inertia", "jack_inertia"):
             keep(name, _quantity(name, getattr(self, name)))
         keep("gravity", check.real("gravity", self.gravity, at_least=0.0, at_most=_LARGEST))
@@ -312,6 +334,26 @@ class Scene:
         check.known_keys("scene", given, (part.name for part in fields(cls)))
         return cls(**given)
 
+    def changed(self, **values: Any) -> Scene:
+        """This scene with other values of some fields; an inertia that was not given follows mass and size.
+
+        >>> Scene().changed(jack_mass=8.0).jack_inertia
+        8.0
+
+        Raises:
+            TypeError, ValueError: an unknown field, or a value out of its range.
+        """
+        names = [part.name for part in fields(self)]
+        check.known_keys("scene", values, names)
+        kept = {name: getattr(self, name) for name in names if name not in self.derived}
+        return Scene(**{**kept, **values})
+
+    @property
+    def derived(self) -> tuple[str, ...]:
+        """The inertias that were not given: names of "box_inertia" and "jack_inertia"."""
+        names: tuple[str, ...] = self._derived  # type: ignore[attr-defined]
+        return names
+
     @property
     def elastic(self) -> bool:
         """Whether impacts keep the energy: restitution 1."""
@@ -325,7 +367,7 @@ class Scene:
     @property
     def speed_scale(self) -> float:
         """v0 = sqrt(2 * 9.81 * L) [m/s], a unit of speed: that after a fall of L on Earth, whatever ``gravity`` is."""
-        return math.sqrt(2.0 * 9.81 * self.box_half_width)
+        return fall_speed(self.box_half_width)
 
     @property
     def numbers(self) -> SceneNumbers:
@@ -338,3 +380,22 @@ class Scene:
             chirp_start_frequency=chirp.start_frequency,
             chirp_rate=chirp.rate,
         )
+
+
+def scenes_of(given: Any) -> tuple[list[Scene], bool]:
+    """The scenes given as one scene, or as a list with one for each environment or row; whether it was a list.
+
+    Raises:
+        TypeError, ValueError: what :meth:`Scene.of` refuses.
+    """
+    if isinstance(given, str) or not isinstance(given, Sequence):
+        return [Scene.of(given)], False  # type: ignore[arg-type]  # it refuses what is no scene
+    if not len(given):
+        raise ValueError("scene must be one scene or a list of at least one, got an empty list")
+    scenes = list[Scene]()
+    for number, one in enumerate(given):
+        try:
+            scenes.append(Scene.of(one))
+        except (TypeError, ValueError) as error:
+            raise type(error)(f"scene[{number}]: {error}") from error
+    return scenes, True

@@ -1,18 +1,21 @@
 """What is asked of the agent: starts, and rewards as small pure functions of the state.
 
 A task's function takes (scene, state after the step, mean torque over the step [N m], impulse of the step's impacts
-[N s]) and returns the values of the task's named terms; the reward is their sum. Every reward lies in [-1, 1]. The
-functions are plain arithmetic: the vector environment compiles them as they stand.
+[N s]) and returns the values of the task's named terms. The reward is their sum. Every reward of the tasks here lies in
+[-1, 1]. The functions are plain arithmetic: with ``contact="exact"`` they are compiled as they stand.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from numbers import Real
+from types import FunctionType
 from typing import NamedTuple
 
 import numpy as np
 
+from jackbox_env import _validation as check
 from jackbox_env.scene import Scene, SceneNumbers
 from jackbox_env.states import Array, Numbers
 
@@ -20,10 +23,30 @@ AnyScene = Scene | SceneNumbers
 
 
 class Task(NamedTuple):
-    """What is rewarded: the names of the reward's terms, and the function that gives their values."""
+    """What is rewarded: the names of the reward's terms, and the function that gives their values.
+
+    A task of your own goes wherever the name of one does::
+
+        def lift(scene, state, torque, impulse):
+            return ((state[4] - state[1]) / scene.box_half_width,)
+
+
+        env = gym.make("JackInBox-v0", contact="exact", task=jackbox_env.Task(("lift",), lift))
+
+    Under ``contact="exact"`` the function is compiled, together with the plain functions that it calls, once in each
+    process. So it must be plain arithmetic on numbers, ``math`` included. What it reads from its module keeps the value
+    of that moment. A division by zero gives an infinity or NaN there, where Python raises ZeroDivisionError.
+
+    Attributes:
+        terms: names of the terms; ``info`` holds each as ``reward_<name>``.
+        values: function of (scene, state, torque, impulse) that returns a tuple of as many floats. ``scene`` has the
+            fields of :class:`jackbox_env.scene.SceneNumbers`, ``state`` 12 numbers in SI units (see
+            :mod:`jackbox_env.states`), after the step. ``torque`` is the mean over the step [N m], ``impulse`` the sum
+            over its impacts [N s].
+    """
 
     terms: tuple[str, ...]
-    values: Callable[[AnyScene, Numbers, float, float], tuple[float, ...]]
+    values: Callable[[SceneNumbers, Numbers, float, float], tuple[float, ...]]
 
 
 EFFORT_COST = 0.01  # of a step at the torque limit, in knocks
@@ -88,3 +111,45 @@ TASKS = {
     "spin": Task(("spin",), spin),
     "rattle": Task(("knock", "effort"), rattle),
 }
+
+
+def task_of(given: str | Task) -> Task:
+    """The task of that name, or one of the user's own, checked.
+
+    Raises:
+        TypeError, ValueError: an unknown name; terms that are not different words; values that are not a function.
+    """
+    if isinstance(given, str):
+        return TASKS[check.choice("task", given, TASKS)]
+    if not isinstance(given, Task):
+        listed = ", ".join(repr(name) for name in TASKS)
+        raise TypeError(f"task must be one of {listed}, or a jackbox_env.Task, got {check.shown(given)}")
+    terms, values = given
+    listed = list(terms) if isinstance(terms, Sequence) and not isinstance(terms, str) else []
+    if not listed or not all(isinstance(name, str) and name for name in listed) or len({*listed}) < len(listed):
+        raise ValueError(f"a task's terms must be a tuple of different names, got {check.shown(terms)}")
+    if not isinstance(values, FunctionType):
+        raise TypeError(f"a task's values must be a plain Python function, got {check.shown(values)}")
+    return Task(tuple(listed), values)
+
+
+def checked_terms(task: Task, values: object) -> tuple[float, ...]:
+    """What a task's function has returned, if it is a tuple of as many numbers as the task has terms.
+
+    Raises:
+        TypeError: it is not.
+    """
+    if isinstance(values, tuple) and len(values) == len(task.terms) and all(isinstance(one, Real) for one in values):
+        return values
+    count = len(task.terms)
+    raise TypeError(
+        f"a task's values must return a tuple of {count} numbers, one for each term, got {check.shown(values)}"
+    )
+
+
+def reward_of(terms: Sequence[float]) -> float:
+    """The reward: the terms summed in their order, as the compiled code does; Python's own sum rounds otherwise."""
+    total = 0.0
+    for term in terms:
+        total += term
+    return total

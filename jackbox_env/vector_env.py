@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -12,10 +13,12 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import _validation as check
-from jackbox_env.batches.base import Batch, Flags, Floats, Held, Outcome
-from jackbox_env.env import JackInBoxEnv
-from jackbox_env.scene import Scene
+from jackbox_env.batches.base import Batch, Change, Flags, Floats, Held, Outcome
+from jackbox_env.env import JackInBoxEnv, Randomize
+from jackbox_env.randomization import Randomization
+from jackbox_env.scene import Scene, scenes_of
 from jackbox_env.states import LATEST_TIME, Array, as_held, as_start
+from jackbox_env.tasks import Task, task_of
 
 Infos = dict[str, Any]
 Step = tuple[Floats, Array, Flags, Flags, Infos]
@@ -30,7 +33,8 @@ class ResetPlan(NamedTuple):
 
     chosen: Flags  # (N,) which environments
     seeds: list[int | None]
-    states: Array | None  # (N, 12) where they start; None: at drawn starts
+    changes: list[Change] | None  # of the scenes of those chosen; None: they stay, or are drawn as always
+    states: Callable[[Callable[[int], Scene]], Array] | None  # (N, 12) where they start, checked against the scenes
     times: Array  # (N,) [s]
 
 
@@ -63,15 +67,17 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         render_mode: None or "rgb_array"; "human" for one environment.
         contact: with the rest as in the single environment, :class:`jackbox_env.JackInBoxEnv`, same defaults.
         substeps: as there.
-        scene: as there.
+        scene: as there, or a list of N scenes, one for each environment.
         task: as there.
         control_dt: as there.
         torque: as there.
         fidelity: as there.
+        randomize: as there; each environment draws from its own generator.
 
     ``step`` takes actions of shape (N, 1) or (N,), or None: the scene's drive turns all boxes. ``reset`` takes a seed
     (an int, or a list of ints and None) and ``options``: "state", shape (12,) or (N, 12), "time" [s], a number or shape
-    (N,), and "reset_mask", bool (N,), to restart some only. Returned arrays are never written again.
+    (N,), "scene", a dict of fields for all or a list of N, and "reset_mask", bool (N,), to restart some only. Returned
+    arrays are never written again.
 
     An interruption (KeyboardInterrupt, or what else a signal handler raises) of ``step``, ``reset`` or ``set_states``
     leaves all environments as they were, or all as they are after the call: states, times, episodes, their restarts and
@@ -95,11 +101,12 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         render_mode: str | None = None,
         contact: str | None = None,
         substeps: int | None = None,
-        scene: Scene | Mapping[str, Any] | None = None,
-        task: str = "juggle",
+        scene: Scene | Mapping[str, Any] | Sequence[Scene | Mapping[str, Any] | None] | None = None,
+        task: str | Task = "juggle",
         control_dt: float = 0.02,
         torque: str = "agent",
         fidelity: str | None = None,
+        randomize: Randomize = None,
     ) -> None:
         self.num_envs = check.whole("num_envs", num_envs, at_least=1, at_most=_MOST_ENVS)
         limit = _NO_LIMIT
@@ -113,14 +120,17 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
             raise ValueError(f'render_mode must be None or "rgb_array" for several environments, got {render_mode!r}')
         self._mode = _autoreset_mode(autoreset_mode)
         self._with_infos = check.flag("with_infos", with_infos)
+        scenes = self._scene_list(scene)
         settings: dict[str, Any] = {
-            "contact": contact, "substeps": substeps, "scene": scene, "task": task, "control_dt": control_dt,
-            "torque": torque, "fidelity": fidelity,
+            "contact": contact, "substeps": substeps, "task": task, "control_dt": control_dt, "torque": torque,
+            "fidelity": fidelity,
         }  # fmt: skip
-        single = JackInBoxEnv(**settings, render_mode=render_mode if self.num_envs == 1 else None)  # checks them all
+        shown = render_mode if self.num_envs == 1 else None
+        single = JackInBoxEnv(scene=scenes[0], **settings, render_mode=shown)  # checks them all
         single.close()
+        drawn = None if randomize is None else Randomization(randomize, scenes, single._simulator_of)
         np.empty(self.num_envs * _ROOM[single.contact], dtype=np.uint8)  # MemoryError now, not after hours of making
-        self.scene, self.task, self.render_mode = single.scene, task, render_mode
+        self.task, self.render_mode = task, render_mode
         self._driven = torque == "chirp"
         self.metadata = {**self.metadata, "render_fps": single.metadata["render_fps"], "autoreset_mode": self._mode}
         self.single_observation_space, self.single_action_space = single.observation_space, single.action_space
@@ -131,15 +141,34 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
             from jackbox_env.batches.exact import ExactBatch
 
             self._batch = ExactBatch(
-                self.scene, self.num_envs, task, float(control_dt), limit, self._with_infos, num_threads
-            )  # fmt: skip
+                scenes, self.num_envs, task_of(task), float(control_dt), limit, self._with_infos, num_threads, drawn
+            )
         else:
             from jackbox_env.batches.single import SingleBatch
 
-            self._batch = SingleBatch(self.num_envs, limit, self._with_infos, render_mode=render_mode, **settings)
+            self._batch = SingleBatch(
+                scenes, self.num_envs, limit, self._with_infos, drawn, render_mode=render_mode, **settings
+            )
         self._batch.held.book = Book([-1] * self.num_envs, started=False, waiting=False, entered=None)
 
     # -- the simulated systems ----------------------------------------------------------------------------------------
+
+    @property
+    def scenes(self) -> list[Scene]:
+        """The scene of each environment as it holds now, every field resolved."""
+        return [self._batch.scene(number) for number in range(self.num_envs)]
+
+    @property
+    def scene(self) -> Scene:
+        """The scene of all environments.
+
+        Raises:
+            ValueError: they have different ones; read ``scenes``.
+        """
+        scenes = self.scenes
+        if any(scene != scenes[0] for scene in scenes):
+            raise ValueError("the environments have different scenes: read scenes, a list of them")
+        return scenes[0]
 
     @property
     def states(self) -> Array:
@@ -174,7 +203,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
             TypeError, ValueError: unusable values; all environments stay as they were.
         """
         chosen = np.ones(self.num_envs, dtype=np.bool_) if chosen is None else self._mask("chosen", chosen)
-        placed = self._states("states", states, chosen, as_held)
+        placed = self._states("states", states, chosen, as_held)(self._batch.scene)
         self._place(chosen, placed, self._times("times", times, chosen))
 
     def _place(self, chosen: Flags, states: Array, times: Array, anew: bool = False) -> None:
@@ -212,10 +241,11 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         """
         if not isinstance(options, Mapping | None):
             raise TypeError(
-                f"options must be a dict of 'state', 'time' and 'reset_mask' or None, got {check.shown(options)}"
+                "options must be a dict of 'state', 'time', 'scene' and 'reset_mask' or None, "
+                f"got {check.shown(options)}"
             )
         given = dict(options or {})
-        check.known_keys("options", given, ("state", "time", "reset_mask"))
+        check.known_keys("options", given, ("state", "time", "scene", "reset_mask"))
         chosen = np.ones(self.num_envs, dtype=np.bool_)
         if given.get("reset_mask") is not None:
             chosen = self._mask("options['reset_mask']", given["reset_mask"])
@@ -225,7 +255,8 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         states = None
         if given.get("state") is not None:
             states = self._states("options['state']", given["state"], chosen, as_start)
-        return ResetPlan(chosen, self._seed_list(seed), states, times)
+        changes = None if given.get("scene") is None else self._changes(given["scene"], chosen)
+        return ResetPlan(chosen, self._seed_list(seed), changes, states, times)
 
     def _carry_out(self, plan: ResetPlan, draft: Any) -> None:
         """Reset a draft as planned."""
@@ -236,10 +267,12 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
             if seed is not None:
                 self._batch.seed(draft, number, seed)
                 seeds[number] = seed
+        self._batch.redraw(draft, plan.chosen, plan.changes)
         if plan.states is None:
             self._batch.restart(draft, plan.chosen)
         if plan.states is not None or plan.times.any():
-            states = draft.states if plan.states is None else plan.states
+            scene_of = partial(self._batch.scene, held=draft)
+            states = draft.states if plan.states is None else plan.states(scene_of)
             self._batch.place(draft, plan.chosen, states, plan.times, anew=True)
         draft.book = book._replace(seeds=seeds, started=book.started or bool(plan.chosen.all()))
 
@@ -306,6 +339,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
 
     def _restart(self, chosen: Flags, outcome: Outcome) -> None:
         """Start an episode where one is over, and let ``outcome`` show the start."""
+        self._batch.redraw(outcome.draft, chosen)
         self._batch.restart(outcome.draft, chosen)
         self._batch.observe(outcome.draft, chosen, outcome.observations)
         for name, values in self._fresh_infos(outcome.draft, chosen).items() if self._with_infos else ():
@@ -376,20 +410,56 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
             check.real(name, time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
         return np.where(chosen, all_times, 0.0)
 
-    def _states(self, name: str, given: ArrayLike, chosen: Flags, checked: Callable[[Scene, Any], Array]) -> Array:
-        """Rows of states, shape (N, 12), those ``chosen`` checked."""
+    def _states(
+        self, name: str, given: ArrayLike, chosen: Flags, checked: Callable[[Scene, Any], Array]
+    ) -> Callable[[Callable[[int], Scene]], Array]:
+        """Rows of states, shape (N, 12): a function that checks those ``chosen`` against the scenes.
+
+        Raises:
+            TypeError, ValueError: numbers in another shape; the function raises it for an unusable state.
+        """
         states = check.array(name, given, "hold numbers")
-        if states.shape == (12,):
-            return np.tile(checked(self.scene, states), (self.num_envs, 1))
-        if states.shape != (self.num_envs, 12):
+        if states.shape not in ((12,), (self.num_envs, 12)):
             raise ValueError(f"{name} must have shape (12,) or ({self.num_envs}, 12), got shape {states.shape}")
-        rows = np.zeros((self.num_envs, 12))
-        for number in np.flatnonzero(chosen):
-            try:
-                rows[number] = checked(self.scene, states[number])
-            except (TypeError, ValueError) as error:
-                raise type(error)(f"{name}[{number}]: {error}") from error
+
+        def rows(scene_of: Callable[[int], Scene]) -> Array:
+            found = np.zeros((self.num_envs, 12))
+            fitting = dict[int, Array]()  # by scene
+            for number in np.flatnonzero(chosen).tolist():
+                scene = scene_of(number)
+                if states.ndim == 1 and id(scene) in fitting:
+                    found[number] = fitting[id(scene)]
+                    continue
+                try:
+                    found[number] = checked(scene, states if states.ndim == 1 else states[number])
+                except (TypeError, ValueError) as error:
+                    if states.ndim == 1 and not fitting:
+                        raise
+                    place = f"{name}[{number}]" if states.ndim > 1 else f"{name} in environment {number}"
+                    raise type(error)(f"{place}: {error}") from error
+                fitting[id(scene)] = found[number]
+            return found
+
         return rows
+
+    def _scene_list(self, given: Any) -> list[Scene]:
+        """One scene for all environments, or one for each."""
+        scenes, several = scenes_of(given)
+        if several and len(scenes) != self.num_envs:
+            raise ValueError(f"scene must be one scene or a list of {self.num_envs}, got {len(scenes)} of them")
+        return scenes if any(scene != scenes[0] for scene in scenes) else scenes[:1]
+
+    def _changes(self, given: Any, chosen: Flags) -> list[Change]:
+        """Fields of the scene that change, for each of the ``chosen`` environments."""
+        if isinstance(given, Mapping):
+            return [given] * int(chosen.sum())
+        several = isinstance(given, Sequence) and not isinstance(given, str)
+        if not several or len(given) != self.num_envs or not all(isinstance(one, Mapping | None) for one in given):
+            raise TypeError(
+                f"options['scene'] must be a dict of the scene's fields or a list of {self.num_envs}, "
+                f"got {check.shown(given)}"
+            )
+        return [given[number] or {} for number in np.flatnonzero(chosen).tolist()]
 
 
 def _marked(infos: Infos, mask: Flags) -> Infos:

@@ -15,10 +15,11 @@ PACKAGE = """
     _validation
     scene
     states
+    randomization
     complementarity
     mechanics
     tasks observation
-    compiled.kept compiled.status
+    compiled.kept compiled.status compiled.address
     compiled.compiler
     compiled.workspace compiled.trigonometry compiled.generator
     compiled.drives compiled.impacts
@@ -31,7 +32,9 @@ PACKAGE = """
     compiled.advance
     compiled.step
     compiled.score
+    compiled.glide
     compiled.loop
+    compiled.restart
     compiled.rollouts
     simulators.base simulators.fidelity simulators.flight
     simulators.replay simulators.contacts simulators.functions
@@ -42,6 +45,7 @@ PACKAGE = """
     rendering
     env
     batches.base batches.threads
+    batches.scenes
     batches.exact batches.single
     vector_env
     sb3 planning

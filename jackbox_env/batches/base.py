@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from jackbox_env.scene import Scene
 from jackbox_env.states import Array
 
+Change = Mapping[str, Any]  # fields of a scene that change
 Flags = NDArray[np.bool_]
 Floats = NDArray[np.float32]
 
@@ -50,7 +53,7 @@ def bad_action(action: float, number: int) -> ValueError:
 
 
 class Batch(Protocol):
-    """N environments of one scene. An episode that is over waits for its restart; steps pass it by.
+    """N environments, of one scene or each of its own. An episode that is over waits for its restart; steps pass it by.
 
     What is held never changes. A step, or :meth:`draft`, makes a draft, restarts and placements change it, and
     :meth:`keep` puts it in place of what is held, by one assignment. So an interruption at any moment leaves all
@@ -64,11 +67,27 @@ class Batch(Protocol):
     def info_names(self) -> list[str]:
         """Names of the infos, those of the single environment."""
 
+    def scene(self, number: int, held: Any = None) -> Scene:
+        """The scene that an environment has in a draft that is a copy, or now."""
+
     def draft(self) -> Any:
         """A copy of what is held, to be changed."""
 
     def seed(self, draft: Any, number: int, seed: int) -> None:
         """Seed one environment's random starts, in a draft that is a copy."""
+
+    def redraw(self, draft: Any, chosen: Flags, changes: Sequence[Change] | None = None) -> None:
+        """Draw a scene for each of the ``chosen`` environments; before the start, if that is drawn too.
+
+        Args:
+            draft: to be changed.
+            chosen: bool, shape (N,).
+            changes: what an option changes beside, for each of the chosen ones: fields of the scene that it was made
+                with. None: nothing; then the scene stays, unless scenes are drawn at each reset.
+
+        Raises:
+            TypeError, ValueError: a scene that is refused.
+        """
 
     def restart(self, draft: Any, chosen: Flags) -> None:
         """Start an episode in the ``chosen`` environments, each at a drawn start and time 0; once in a step's draft."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,8 +11,10 @@ import numpy as np
 from gymnasium.utils.seeding import np_random
 from numpy.typing import NDArray
 
-from jackbox_env.batches.base import Flags, Floats, Outcome, bad_action
+from jackbox_env.batches.base import Change, Flags, Floats, Outcome, bad_action
 from jackbox_env.env import JackInBoxEnv
+from jackbox_env.randomization import Randomization
+from jackbox_env.scene import Scene
 from jackbox_env.states import Array
 from jackbox_env.tasks import sample_start
 
@@ -25,6 +28,7 @@ class SingleHeld:
     steps: NDArray[np.int64]  # in the episode, (N,)
     limit: int  # of them
     generators: list[np.random.Generator]  # never drawn from, but copied
+    scenes: list[Scene]  # of each
     book: Any = None
 
     @property
@@ -43,10 +47,11 @@ class SingleHeld:
         return self.steps >= self.limit
 
     def copied(self) -> SingleHeld:
-        """A draft; it shares the generators."""
+        """A draft; it shares the generators and the scenes."""
         return SingleHeld(
-            self.rows.copy(), self.moments.copy(), self.steps.copy(), self.limit, self.generators, self.book
-        )
+            self.rows.copy(), self.moments.copy(), self.steps.copy(), self.limit, self.generators, self.scenes,
+            self.book,
+        )  # fmt: skip
 
 
 class SingleBatch:
@@ -55,19 +60,33 @@ class SingleBatch:
     The environments move while a draft is made. Where it is not kept they are put back before they are used again.
     """
 
-    def __init__(self, num_envs: int, max_episode_steps: int, with_infos: bool, **settings: Any) -> None:
-        self._envs = [JackInBoxEnv(**settings) for _ in range(num_envs)]
-        self._with_infos = with_infos
+    def __init__(
+        self,
+        scenes: Sequence[Scene],
+        num_envs: int,
+        max_episode_steps: int,
+        with_infos: bool,
+        randomize: Randomization | None = None,
+        **settings: Any,
+    ) -> None:
+        """Make environments of one scene, or with a scene each, and other settings of the single one."""
+        self._own = list(scenes) if len(scenes) > 1 else list(scenes) * num_envs
+        self._envs = [JackInBoxEnv(scene=scene, **settings) for scene in self._own]
+        self._with_infos, self._randomize = with_infos, randomize
         self._names = list(self._envs[0].reset()[1])
         states = np.array([env.state for env in self._envs])
         steps, generators = np.zeros(num_envs, dtype=np.int64), [np_random()[0] for _ in range(num_envs)]
-        self.held = SingleHeld(states, np.zeros(num_envs), steps, max_episode_steps, generators)
+        self.held = SingleHeld(states, np.zeros(num_envs), steps, max_episode_steps, generators, list(self._own))
         self._at: SingleHeld | None = self.held  # where the environments are, or on their way to
 
     @property
     def info_names(self) -> list[str]:
         """Names of the infos, those of the single environment."""
         return list(self._names)
+
+    def scene(self, number: int, held: SingleHeld | None = None) -> Scene:
+        """See :meth:`jackbox_env.batches.base.Batch.scene`."""
+        return (held or self.held).scenes[number]
 
     def draft(self) -> SingleHeld:
         """See :meth:`jackbox_env.batches.base.Batch.draft`."""
@@ -82,30 +101,49 @@ class SingleBatch:
         if self._at is held:
             return
         self._at = None
-        for env, state, time in zip(self._envs, held.rows, held.moments.tolist(), strict=True):
-            if env.time != time or env.state.tobytes() != state.tobytes():
-                env.set_state(state, time)
+        for env, scene, state, time in zip(self._envs, held.scenes, held.rows, held.moments.tolist(), strict=True):
+            if env.time != time or env.scene is not scene or env.state.tobytes() != state.tobytes():
+                env._put(scene, state, time)
         self._at = held
 
     def seed(self, draft: SingleHeld, number: int, seed: int) -> None:
         """See :meth:`jackbox_env.batches.base.Batch.seed`."""
         draft.generators[number] = np_random(seed)[0]
 
+    def redraw(self, draft: SingleHeld, chosen: Flags, changes: Sequence[Change] | None = None) -> None:
+        """See :meth:`jackbox_env.batches.base.Batch.redraw`."""
+        if self._randomize is None and changes is None:
+            return
+        numbers = np.flatnonzero(chosen).tolist()
+        draft.generators, draft.scenes = list(draft.generators), list(draft.scenes)
+        for number, change in zip(numbers, changes or [{}] * len(numbers), strict=True):
+            own, drawn = self._own[number], dict[str, Any]()
+            if self._randomize is not None:
+                draft.generators[number] = copy.deepcopy(draft.generators[number])
+                drawn = self._randomize.draw(own, draft.generators[number])
+            draft.scenes[number] = own.changed(**{**drawn, **change})  # to be put where a start is known
+
+    def _put(self, draft: SingleHeld, numbers: list[int]) -> None:
+        """Put some environments where a draft has them."""
+        for number in numbers:
+            self._envs[number]._put(draft.scenes[number], draft.rows[number], float(draft.moments[number]))
+
     def restart(self, draft: SingleHeld, chosen: Flags) -> None:
         """See :meth:`jackbox_env.batches.base.Batch.restart`."""
         draft.generators = list(draft.generators)
         for number in np.flatnonzero(chosen).tolist():
-            env, generator = self._envs[number], copy.deepcopy(draft.generators[number])
+            generator = copy.deepcopy(draft.generators[number])
             draft.generators[number] = generator
-            draft.rows[number] = sample_start(env.scene, generator)
+            draft.rows[number] = sample_start(draft.scenes[number], generator)
             draft.moments[number], draft.steps[number] = 0.0, 0
-            env.reset(options={"state": draft.rows[number]})
+        self._put(draft, np.flatnonzero(chosen).tolist())
+        for env in self._envs if self._envs[0].render_mode == "human" else ():
+            env.render()
 
     def place(self, draft: SingleHeld, chosen: Flags, states: Array, times: Array, anew: bool) -> None:
         """See :meth:`jackbox_env.batches.base.Batch.place`."""
-        for number in np.flatnonzero(chosen).tolist():
-            self._envs[number].set_state(states[number], float(times[number]))
         draft.rows[chosen], draft.moments[chosen] = states[chosen], times[chosen]
+        self._put(draft, np.flatnonzero(chosen).tolist())
         draft.steps[chosen if anew else chosen & draft.over] = 0
 
     def observe(self, held: SingleHeld, chosen: Flags, observations: Floats) -> None:

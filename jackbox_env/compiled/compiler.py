@@ -17,22 +17,33 @@ from functools import cache
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from types import FunctionType
+from types import CellType, FunctionType, ModuleType
 from typing import Any, TypeVar, cast
+
+from jackbox_env.compiled import address
+from jackbox_env.scene import Scene
 
 PACKAGE = Path(__file__).parents[1]
 F = TypeVar("F", bound=Callable[..., Any])
 _LOCK = threading.RLock()  # a function is compiled once, whichever threads ask for it
+_OWN = "jackbox_env"
+_NUMBAS_OWN = ("numba", "numpy")  # numba knows what these do
 _KEPT = 8  # folders of compiled code that are kept, one for each version of the source
 
 
-def compiled(function: F) -> F:
+def compiled(function: F, **instead: Callable[..., Any]) -> F:
     """Return ``function`` compiled, without the global interpreter lock, kept on disk for later processes.
 
     Arithmetic is IEEE float64 in the order written, so every caller gets the same bits; a division by zero gives an
     infinity.
+
+    Args:
+        function: a plain function of this package.
+        **instead: functions to call in place of those of these names. With a user's own function the result is not kept
+            on disk: its name does not tell its code, nor that of what it calls.
     """
-    return cast(F, _compile(cast(FunctionType, function)))
+    keep = all(_root(other) == _OWN for other in instead.values())
+    return cast(F, _compile(cast(FunctionType, function), tuple(instead.items()), keep))
 
 
 def compiled_with(function: F, **instead: Any) -> F:
@@ -43,9 +54,23 @@ def compiled_with(function: F, **instead: Any) -> F:
     return cast(F, _compile(cast(FunctionType, function), tuple(instead.items()), keep=False))
 
 
-def _compile(
-    function: FunctionType, instead: tuple[tuple[str, Any], ...] = (), keep: bool = True
-) -> Callable[..., Any]:
+def returned_by(function: Callable[..., Any], name: str) -> Any:
+    """Numba's type of what a user's function returns, where it is compiled in place of ``name``, a task's function.
+
+    Raises:
+        Exception: numba cannot compile it.
+    """
+    from numba import typeof, types
+
+    with _LOCK:
+        dispatcher: Any = _compile_once(cast(FunctionType, function), ((name, function),), keep=False, inner=True)
+        scene = typeof(Scene().numbers)  # type: ignore[no-untyped-call]
+        given = scene, types.Array(types.float64, 1, "C"), types.float64, types.float64
+        dispatcher.compile(given)
+        return dispatcher.overloads[given].signature.return_type
+
+
+def _compile(function: FunctionType, instead: tuple[tuple[str, Any], ...], keep: bool) -> Callable[..., Any]:
     with _LOCK:
         return _compile_once(function, instead, keep)
 
@@ -57,12 +82,20 @@ def _compile_once(
     from numba import njit
     from numba.extending import is_jitted
 
+    def ready(value: Any) -> Any:
+        """What stands in compiled code for something that the function reads."""
+        if value is address.block_score:
+            return address.block_score_compiled()
+        if isinstance(value, FunctionType) and (_followed(function, value) or value in dict(instead).values()):
+            return _compile_once(value, instead, keep=False, inner=True)  # what is kept of a caller holds what it calls
+        return _Module(value, ready) if isinstance(value, ModuleType) and _followed(function, value) else value
+
     known = {**function.__globals__, **dict(instead)}
     for name in function.__code__.co_names:
-        if isinstance(known.get(name), FunctionType) and _is_ours(known[name]):
-            # What is kept of a caller holds what it calls.
-            known[name] = _compile_once(known[name], instead, keep=False, inner=True)
-    twin = FunctionType(function.__code__, known, function.__name__, function.__defaults__, function.__closure__)
+        if name in known:
+            known[name] = ready(known[name])
+    cells = tuple(CellType(ready(cell.cell_contents)) for cell in function.__closure__ or ())
+    twin = FunctionType(function.__code__, known, function.__name__, function.__defaults__, cells)
     twin.__qualname__, twin.__module__, twin.__doc__ = function.__qualname__, function.__module__, function.__doc__
     # Without the runtime that counts references to arrays: nothing compiled here makes an array, and counting took
     # two thirds of a step.
@@ -71,11 +104,35 @@ def _compile_once(
         settings |= {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     dispatcher = njit(**settings)(twin)
     if keep and is_jitted(dispatcher):  # it is the plain function under NUMBA_DISABLE_JIT
-        _keep(dispatcher, twin)
+        _keep(dispatcher, twin, ", ".join(f"{name}={other.__module__}.{other.__qualname__}" for name, other in instead))
     return cast(Callable[..., Any], dispatcher)
 
 
-def _keep(dispatcher: Any, function: FunctionType) -> None:
+class _Module(ModuleType):
+    """A module of the user's whose functions are compiled where compiled code calls them."""
+
+    def __init__(self, module: ModuleType, ready: Callable[[Any], Any]) -> None:
+        super().__init__(module.__name__)
+        self._given, self._ready = module, ready
+
+    def __getattr__(self, name: str) -> Any:
+        return self._ready(getattr(self._given, name))
+
+
+def _root(thing: FunctionType | ModuleType | Callable[..., Any]) -> str:
+    """The package or module that something is from."""
+    name = thing.__name__ if isinstance(thing, ModuleType) else thing.__module__
+    return str(name).split(".")[0]
+
+
+def _followed(caller: FunctionType, called: FunctionType | ModuleType) -> bool:
+    """Whether something that a function reads is compiled with it: all of ours, and what a user's function reads."""
+    if _root(caller) in (_OWN, "scripts"):
+        return isinstance(called, FunctionType) and _root(called) in (_OWN, "scripts")
+    return _root(called) not in _NUMBAS_OWN and _root(called) not in sys.stdlib_module_names
+
+
+def _keep(dispatcher: Any, function: FunctionType, instead: str) -> None:
     """Let numba look for compiled code on disk before it compiles, and save there what it compiles."""
     from jackbox_env.compiled.kept import CodeCache, say_once
 
@@ -86,11 +143,7 @@ def _keep(dispatcher: Any, function: FunctionType) -> None:
     if not source:  # then a changed function could not be told from the one whose code is kept
         say_once(name, f"the source of {name} cannot be read, so what is compiled of it is not kept")
     elif folders := _cache_folders():
-        dispatcher._cache = CodeCache(function, source, folders)  # where njit(cache=True) puts numba's own
-
-
-def _is_ours(function: FunctionType) -> bool:
-    return function.__module__.split(".")[0] in (__name__.split(".")[0], "scripts")
+        dispatcher._cache = CodeCache(function, source, folders, instead)  # where njit(cache=True) puts numba's own
 
 
 @cache

@@ -6,13 +6,17 @@ Reference: O'Neill 2014, "PCG: A family of simple fast space-efficient statistic
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 Words = NDArray[np.uint64]
 
-# Of the generator's 32 bytes: state and increment, each a high and a low word.
-STATE_HIGH, STATE_LOW, INCREMENT_HIGH, INCREMENT_LOW = range(4)
+# Of the generator's words: state and increment, each a high and a low word. Then what numpy keeps of a word of which a
+# draw of 32 bits has used one half: whether there is one, and which. Compiled code draws whole words and needs neither.
+STATE_HIGH, STATE_LOW, INCREMENT_HIGH, INCREMENT_LOW, HALF_KEPT, HALF = range(6)
+WHOLE, WITH_HALVES = 4, 6  # words that are kept of a generator
 _LOW = np.uint64(0xFFFFFFFF)
 _HALF = np.uint64(32)
 _MULTIPLIER_HIGH = np.uint64(2549297995355413924)
@@ -29,7 +33,7 @@ def high_product(a: np.uint64, b: np.uint64) -> np.uint64:
 
 
 def uniform(words: Words) -> float:
-    """Draw a number in [0, 1) and move the generator, shape (4,), on."""
+    """Draw a number in [0, 1) and move the generator, shape (4,) or (6,), on."""
     high, low = words[STATE_HIGH], words[STATE_LOW]
     next_low = low * _MULTIPLIER_LOW
     next_high = high_product(low, _MULTIPLIER_LOW) + high * _MULTIPLIER_LOW + low * _MULTIPLIER_HIGH
@@ -44,20 +48,35 @@ def uniform(words: Words) -> float:
 
 
 def seeded(seed: int) -> Words:
-    """The 32 bytes of ``numpy.random.PCG64(seed)``, shape (4,)."""
-    return packed(np.random.PCG64(seed))
+    """The words of ``numpy.random.PCG64(seed)``, shape (6,)."""
+    return packed(np.random.Generator(np.random.PCG64(seed)))
 
 
-def packed(generator: np.random.PCG64) -> Words:
-    """The 32 bytes of a generator, shape (4,)."""
-    numbers = generator.state["state"]
-    state, increment = int(numbers["state"]), int(numbers["inc"])
+def packed(generator: np.random.Generator) -> Words:
+    """The words of a PCG64 generator, shape (6,)."""
+    kept: Any = generator.bit_generator.state
+    state, increment = int(kept["state"]["state"]), int(kept["state"]["inc"])
     low = (1 << 64) - 1
-    return np.array([state >> 64, state & low, increment >> 64, increment & low], dtype=np.uint64)
+    words = [state >> 64, state & low, increment >> 64, increment & low, kept["has_uint32"], kept["uinteger"]]
+    return np.array(words, dtype=np.uint64)
 
 
-def fresh(count: int) -> Words:
-    """Independent generators from the system's entropy, shape (count, 4)."""
-    words: Words = np.random.SeedSequence().generate_state(4 * count, np.uint64).astype(np.uint64).reshape(count, 4)
+def unpacked(words: Words) -> np.random.Generator:
+    """numpy's generator of these words, shape (6,), or (4,) where no half of a word is kept."""
+    high, low, increment_high, increment_low, kept, half = [*map(int, words), 0, 0][:WITH_HALVES]
+    generator = np.random.PCG64(0)
+    generator.state = {
+        "bit_generator": "PCG64",
+        "state": {"state": high << 64 | low, "inc": increment_high << 64 | increment_low},
+        "has_uint32": kept,
+        "uinteger": half,
+    }
+    return np.random.Generator(generator)
+
+
+def fresh(count: int, width: int = WHOLE) -> Words:
+    """Independent generators from the system's entropy, shape (count, width)."""
+    words: Words = np.zeros((count, width), dtype=np.uint64)
+    words[:, :HALF_KEPT] = np.random.SeedSequence().generate_state(4 * count, np.uint64).reshape(count, 4)
     words[:, INCREMENT_LOW] |= _ONE  # increments are odd
     return words

@@ -49,15 +49,16 @@ class CodeCache(NullCache):
         function: the plain function.
         source: the text it was read from, which tells its versions apart.
         folders: where to look, in this order; the last is where code is saved.
+        instead: which functions it calls in place of those of its source.
     """
 
-    def __init__(self, function: FunctionType, source: str, folders: Sequence[Path]) -> None:
+    def __init__(self, function: FunctionType, source: str, folders: Sequence[Path], instead: str = "") -> None:
         closed = tuple(cell.cell_contents for cell in function.__closure__ or ())
         known: bytes = dumps(closed) if closed else b""  # type: ignore[no-untyped-call]
         self._name = f"{Path(function.__code__.co_filename).stem}.{function.__name__.strip('<>')}"
         self._version = (
             sys.version, numba.__version__, function.__qualname__, function.__code__.co_code.hex(),
-            known.hex(), source,
+            known.hex(), source, instead,
         )  # fmt: skip
         self._folders = folders
 

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from jackbox_env.compiled.loop import PATIENCE
 from jackbox_env.compiled.status import Status
-from jackbox_env.compiled.step import Pieces, make_numbers, make_plan, step
-from jackbox_env.compiled.workspace import HITS, IMPULSE, TALLY, WORK, Workspace
+from jackbox_env.compiled.step import Pieces, effort, make_numbers, make_plan, step
+from jackbox_env.compiled.workspace import HITS, IMPULSE, TALLY, Workspace
 from jackbox_env.mechanics import energy_of
 from jackbox_env.states import clearance
 
@@ -20,14 +20,15 @@ Counts = NDArray[np.int64]
 _ORDINARY = 1e9  # over L: below it a state's numbers need no closer look
 
 
-def outside(values: Array, states: Array, deepest: float) -> int:
-    """The first state, of shape (N, 12), that a closer look may refuse, or -1."""
-    scene = make_numbers(values)
+def outside(values: Array, states: Array, deepest: Array) -> int:
+    """The first state, of shape (N, 12), that a closer look may refuse, or -1; in one scene or a row for each state."""
     for i in range(states.shape[0]):
+        row = i if values.shape[0] > 1 else 0
+        scene = make_numbers(values[row])
         for place in range(12):
             if not abs(states[i, place]) < _ORDINARY * scene.box_half_width:
                 return i
-        if not -clearance(scene, states[i]) <= deepest:
+        if not -clearance(scene, states[i]) <= deepest[row]:
             return i
     return -1
 
@@ -42,18 +43,18 @@ class Played(NamedTuple):
 
 
 def roll(
-    values: Array, dt: float, kind: int, torques: Array, drive: tuple[Array, Array, Counts],
+    scenes: tuple[Array, Counts, Counts], dt: float, torques: Array, drive: tuple[Array, Array, Counts],
     span: tuple[int, int, int], results: tuple[Array, Counts, Array, Array], work: Workspace,
 ) -> tuple[int, int, int]:  # fmt: skip
     """Fill in trajectories from their first states.
 
     Args:
-        values: the scene's numbers.
+        scenes: one row for all trajectories or one for each: numbers, shape (1 or N, numbers of a scene); what turns
+            the box besides the torques; where the pieces of its drive begin in the list of first pieces.
         dt: [s].
-        kind: what turns the box, besides the torques.
         torques: [N m], shape (N, H).
-        drive: times [s], shape (H + 1,); pieces of a drive of functions, shape (pieces, TABLE_WIDTH); the first piece
-            of each step and past the last one's, shape (H + 1,).
+        drive: times [s], shape (H + 1,); pieces of the drives' functions, shape (pieces, TABLE_WIDTH); the first piece
+            of each step of the first drive, of the next drive and so on, and past the last one's.
         span: first trajectory, past the last, and the step of the first one to begin with.
         results: the fields of :class:`Played`.
         work: memory to work in.
@@ -62,24 +63,29 @@ def roll(
         How it ended: DONE, how a step that failed ended, or PAUSED after long work; the trajectory and step that failed
         or is next.
     """
-    scene = make_numbers(values)
-    plan = make_plan(scene, dt, kind)
+    values, kinds, begins = scenes
+    scene = make_numbers(values[0])
+    plan = make_plan(scene, dt, kinds[0])
     times, table, ends = drive
     low, high, first = span
     played = Played(results[0], results[1], results[2], results[3])
     worked = 0.0
+    begin = begins[0]
     for i in range(low, high):
+        if values.shape[0] > 1:
+            scene = make_numbers(values[i])
+            plan, begin = make_plan(scene, dt, kinds[i]), begins[i]
         if played.energies.shape[0]:
             played.energies[i, 0] = energy_of(scene, played.trajectories[i, 0])
         for k in range(first if i == low else 0, torques.shape[1]):
             if worked > PATIENCE:
                 return Status.PAUSED.value, i, k
             before, after = played.trajectories[i, k], played.trajectories[i, k + 1]
-            pieces = Pieces(table, ends[k], ends[k + 1])
+            pieces = Pieces(table, ends[begin + k], ends[begin + k + 1])
             ended, _ = step(scene, plan, before, after, times[k], torques[i, k], pieces, work)
             if ended != Status.DONE:
                 return ended.value, i, k
-            worked += 1.0 + work[TALLY, WORK]
+            worked += 1.0 + effort(work)
             if played.hits.shape[0]:
                 played.hits[i, k], played.impulses[i, k] = int(work[TALLY, HITS]), work[TALLY, IMPULSE]
             if played.energies.shape[0]:

@@ -1,6 +1,8 @@
 """What an agent sees and earns, in compiled code: the observation and the task's terms, of one state or of a block.
 
-The arithmetic is that of :mod:`jackbox_env.observation` and :mod:`jackbox_env.tasks`, compiled as it stands there.
+The arithmetic is that of :mod:`jackbox_env.observation` and of the task's own function, compiled as it stands there. A
+task's function takes the place of :func:`task_terms`. ``score_one`` and ``score_block`` are compiled for each task; the
+batch's loop is not. It calls ``score_block`` by its address, see :mod:`jackbox_env.compiled.address`.
 """
 
 from __future__ import annotations
@@ -13,11 +15,15 @@ from jackbox_env.compiled.trigonometry import LARGEST, cos_sin, cos_sin_within
 from jackbox_env.observation import seen
 from jackbox_env.scene import SceneNumbers
 from jackbox_env.states import Array
-from jackbox_env.tasks import TASKS, juggle, rattle, spin
+from jackbox_env.tasks import reward_of
 
 Floats = NDArray[np.float32]
 
-SPIN, RATTLE = (list(TASKS).index(name) for name in ("spin", "rattle"))
+# Columns of a report: what a step's info holds beside state and time.
+REPORTED_TORQUE, REPORTED_HITS, REPORTED_IMPULSE, TERMS = range(4)
+# Rows of a thread's memory for a block; 0 to 3 are for what is needed in passing.
+TORQUE, TURNING, NEAR, HIT, IMPULSES = range(4, 9)  # TURNING: the box's angular acceleration [rad/s^2]
+LANES = 9
 
 
 def look(scene: SceneNumbers, state: Array, observation: Floats) -> None:
@@ -27,8 +33,11 @@ def look(scene: SceneNumbers, state: Array, observation: Floats) -> None:
     write(scene, state, cosine, sine, cosine_4, sine_4, observation)
 
 
-def look_block(scene: SceneNumbers, block: Array, count: int, lanes: Array, low: int, observations: Floats) -> None:
-    """Write the observations of a block's first ``count`` environments: the same as :func:`look`, many at a time."""
+def look_block(values: Array, block: Array, count: int, lanes: Array, low: int, observations: Floats) -> None:
+    """Write the observations of a block's first ``count`` environments: the same as :func:`look`, many at a time.
+
+    ``values`` are the scenes' numbers, one row for all environments or one for each.
+    """
     angle, jack_angle = block[2], block[5]
     cosine, sine, cosine_4, sine_4 = lanes[0], lanes[1], lanes[2], lanes[3]
     largest = 0.0
@@ -45,8 +54,14 @@ def look_block(scene: SceneNumbers, block: Array, count: int, lanes: Array, low:
         for k in range(count):
             cosine[k], sine[k] = cos_sin(cosine[k])
             cosine_4[k], sine_4[k] = cos_sin(cosine_4[k])
-    for k in range(count):
-        write(scene, block[:, k], cosine[k], sine[k], cosine_4[k], sine_4[k], observations[low + k])
+    if values.shape[0] == 1:
+        scene = make_numbers(values[0])
+        for k in range(count):
+            write(scene, block[:, k], cosine[k], sine[k], cosine_4[k], sine_4[k], observations[low + k])
+    else:
+        for k in range(count):
+            own = make_numbers(values[low + k])
+            write(own, block[:, k], cosine[k], sine[k], cosine_4[k], sine_4[k], observations[low + k])
 
 
 def write(
@@ -58,19 +73,48 @@ def write(
     observation[5], observation[6], observation[7], observation[8], observation[9] = f, g, h, i, j
 
 
-def reward_terms(scene: SceneNumbers, task: int, state: Array, torque: float, impulse: float) -> tuple[float, float]:
-    """The values of a task's terms, 0 for a second one it does not have."""
-    if task == RATTLE:
-        return rattle(scene, state, torque, impulse)
-    if task == SPIN:
-        return spin(scene, state, torque, impulse)[0], 0.0
-    return juggle(scene, state, torque, impulse)[0], 0.0
+def task_terms(scene: SceneNumbers, state: Array, torque: float, impulse: float) -> tuple[float, ...]:
+    """The task's function stands here in compiled code."""
+    raise NotImplementedError
 
 
-def score_one(
-    values: Array, task: int, state: Array, torque: float, impulse: float, observation: Floats
-) -> tuple[float, float]:
-    """Observe one state; return the values of its reward's terms."""
+def score_one(values: Array, state: Array, torque: float, impulse: float, observation: Floats, terms: Array) -> None:
+    """Observe one state; fill in the values of its reward's terms."""
     scene = make_numbers(values)
     look(scene, state, observation)
-    return reward_terms(scene, task, state, torque, impulse)
+    earned = task_terms(scene, state, torque, impulse)
+    for place in range(len(earned)):
+        terms[place] = earned[place]
+
+
+def score_block(
+    values: Array, after: Array, lanes: Array, first: int, count: int, rewards: Array, reports: Array
+) -> None:
+    """Reward a step of a block, and report it if asked.
+
+    Args:
+        values: the scenes' numbers, one row for all environments or one for each.
+        after: the block after the step.
+        lanes: what the step noted, shape (LANES, width).
+        first: number of the block's first environment.
+        count: number of its environments.
+        rewards: of all environments, shape (N,).
+        reports: of all environments, shape (N, TERMS + number of terms), or (0, ...) if nobody asks.
+    """
+    torque, hits, impulses = lanes[TORQUE], lanes[HIT], lanes[IMPULSES]
+    if values.shape[0] == 1:
+        scene = make_numbers(values[0])
+        for k in range(count):
+            rewards[first + k] = reward_of(task_terms(scene, after[:, k], torque[k], impulses[k]))
+    else:
+        for k in range(count):
+            own = make_numbers(values[first + k])
+            rewards[first + k] = reward_of(task_terms(own, after[:, k], torque[k], impulses[k]))
+    if reports.shape[0]:
+        for k in range(count):
+            report = reports[first + k]
+            report[REPORTED_TORQUE], report[REPORTED_HITS], report[REPORTED_IMPULSE] = torque[k], hits[k], impulses[k]
+            own = make_numbers(values[first + k if values.shape[0] > 1 else 0])
+            earned = task_terms(own, after[:, k], torque[k], impulses[k])
+            for place in range(len(earned)):
+                report[TERMS + place] = earned[place]

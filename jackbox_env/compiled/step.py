@@ -27,12 +27,13 @@ from jackbox_env.compiled.search import (
     why_endless,
 )
 from jackbox_env.compiled.status import Status
-from jackbox_env.compiled.workspace import HITS, PIECE, RESTING, STATE, TALLY, Workspace
+from jackbox_env.compiled.workspace import HITS, PIECE, RESTING, STATE, TALLY, WORK, Workspace
 from jackbox_env.scene import SceneNumbers, chirp_turns
 from jackbox_env.states import LARGEST
 
 Array = NDArray[np.float64]
 
+_HOLDING = 1000.0  # gaps that take as long as holding feet through a step
 _COARSEST = 4.5e12  # whose unit in the last place is 1e-3
 
 # What turns the box in a step: a torque held throughout (0 where nothing acts), the scene's chirp, the functions of its
@@ -97,7 +98,7 @@ def step(
         x, y = before[3] - before[0], before[4] - before[1]
         vx, vy = before[9] - before[6], before[10] - before[7]
         fall = scene.gravity * plan.dt
-        if stays_clear(x, y, vx, vy, fall, plan) and abs(alpha) < STEEPEST:
+        if stays_clear(x, y, vx, vy, fall, plan.dt, plan.clear) and abs(alpha) < STEEPEST:
             glide(before, after, fall, plan.dt, alpha)
             return Status.DONE, scene.box_inertia * alpha
         return step_near(scene, plan, before, after, alpha, work), scene.box_inertia * alpha
@@ -116,6 +117,16 @@ def clear_tally(work: Workspace) -> None:
     """Forget what the last step did."""
     for place in range(4):
         work[TALLY, place] = 0.0
+
+
+def effort(work: Workspace) -> float:
+    """What a step has cost, in gaps evaluated; a step with held feet takes as long as some hundred of them."""
+    cost = work[TALLY, WORK]
+    if work[TALLY, HITS] > 0.0:
+        for pair in range(16):
+            if work[RESTING, pair] > 0.0:
+                return float(cost + _HOLDING)
+    return float(cost)
 
 
 def step_near(scene: SceneNumbers, plan: Plan, before: Array, after: Array, alpha: float, work: Workspace) -> Status:
@@ -139,10 +150,13 @@ def step_near(scene: SceneNumbers, plan: Plan, before: Array, after: Array, alph
     return finish(advance(scene, work, piece, touch, time), plan, before, after, work)
 
 
-def stays_clear(x: float, y: float, vx: float, vy: float, fall: float, plan: Plan) -> bool:
-    """Whether both ends of the jack's path are so near the box's centre that no foot can touch a wall on the way."""
-    end_x, end_y = moved(x, vx, plan.dt), fallen(y, vy, fall, plan.dt)
-    return bool((x * x + y * y < plan.clear) & (end_x * end_x + end_y * end_y < plan.clear))
+def stays_clear(x: float, y: float, vx: float, vy: float, fall: float, dt: float, clear: float) -> bool:
+    """Whether both ends of the jack's path are so near the box's centre that no foot can touch a wall on the way.
+
+    ``clear`` is that distance's square, see :class:`Plan`.
+    """
+    end_x, end_y = moved(x, vx, dt), fallen(y, vy, fall, dt)
+    return bool((x * x + y * y < clear) & (end_x * end_x + end_y * end_y < clear))
 
 
 def moved(place: float, rate: float, dt: float) -> float:

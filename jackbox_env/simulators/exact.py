@@ -45,9 +45,8 @@ WITH_PIECES = (FUNCTIONS, HELD_BESIDE_FORCES)  # kinds whose functions are cut i
 _NO_PIECES: Array = np.zeros((0, TABLE_WIDTH))
 
 
-def drive_kind(scene: Scene, held: bool = False) -> int:
+def drive_kind(drive: Chirp | Drive | None, held: bool = False) -> int:
     """The compiled code's number for what turns the box in a step: a ``held`` torque, or the scene's drive."""
-    drive = scene.drive
     if isinstance(drive, Chirp):
         return HELD if held else CHIRP
     forced = drive is not None and drive.force_bound > 0.0
@@ -56,10 +55,9 @@ def drive_kind(scene: Scene, held: bool = False) -> int:
     return FUNCTIONS if forced or (drive is not None and drive.torque_bound > 0.0) else HELD
 
 
-def pieces_for(scene: Scene, time: float, dt: float, torque: float | None) -> Array:
+def pieces_for(drive: Chirp | Drive | None, time: float, dt: float, torque: float | None) -> Array:
     """The pieces of a drive of functions over a step; none for any other drive, or where no function acts."""
-    drive = scene.drive
-    if not isinstance(drive, Drive) or drive_kind(scene, torque is not None) not in WITH_PIECES:
+    if not isinstance(drive, Drive) or drive_kind(drive, torque is not None) not in WITH_PIECES:
         return _NO_PIECES
     if torque is not None:
         drive = Drive(force_x=drive.force_x, force_y=drive.force_y)
@@ -102,7 +100,7 @@ class ExactSimulator(ContactModel):
         before, time = cast(Array, self._present.state), self.time
         end = end_of_step(time, dt)
         kind = self._kinds[torque is not None]
-        pieces = pieces_for(self.scene, time, dt, torque) if kind in WITH_PIECES else _NO_PIECES
+        pieces = pieces_for(self.scene.drive, time, dt, torque) if kind in WITH_PIECES else _NO_PIECES
         after = np.empty(12)
         held = 0.0 if torque is None else torque
         while True:
@@ -123,5 +121,5 @@ class ExactSimulator(ContactModel):
     def _prepare(self) -> None:
         self._step = compiled(step_one)
         self._numbers = np.array(self.scene.numbers)
-        self._kinds = drive_kind(self.scene), drive_kind(self.scene, held=True)
+        self._kinds = drive_kind(self.scene.drive), drive_kind(self.scene.drive, held=True)
         self._workspace = new_workspace(64)

@@ -18,7 +18,7 @@ import pytest
 
 from jackbox_env import JackInBoxVectorEnv, Scene, make_simulator, planning, rollout
 from jackbox_env.batches import exact, threads
-from jackbox_env.compiled import compiler, loop
+from jackbox_env.compiled import compiler, glide, loop
 from jackbox_env.compiled.compiler import PACKAGE
 from jackbox_env.compiled.rollouts import roll
 from jackbox_env.compiled.status import Status
@@ -66,12 +66,14 @@ def told(env: Any) -> list[Any]:
     vector = getattr(env, "vector_env", env)
     held = vector._batch.held
     if hasattr(held, "blocks"):
-        generators = held.settled().copy()
+        held.settle()
+        generators = held.generators.copy()
     else:
         generators = [generator.bit_generator.state for generator in held.generators]
     entered = held.book.entered and [*held.book.entered[:2], env.reset_infos]
-    episodes = held.over, held.column(loop.STEPS) if hasattr(held, "column") else held.steps.copy()
-    return [held.states, held.times, *episodes, generators, *held.book[:3], entered, vector.observations]
+    episodes = held.over, held.column(glide.STEPS) if hasattr(held, "column") else held.steps.copy()
+    scenes = [repr(scene) for scene in vector.scenes]
+    return [held.states, held.times, *episodes, generators, *held.book[:3], entered, vector.observations, scenes]
 
 
 def staggered(make: Callable[[], Any]) -> tuple[Any, Any]:
@@ -142,7 +144,7 @@ def sb3_of(contact: str) -> Callable[[], Any]:
         pytest.importorskip("stable_baselines3")
         from jackbox_env.sb3 import make_sb3_vec_env
 
-        return make_sb3_vec_env(2, contact=contact, max_episode_steps=2)
+        return make_sb3_vec_env(2, contact=contact, max_episode_steps=2, with_infos=True)
 
     return make
 
@@ -151,12 +153,28 @@ def engine() -> Any:
     return JackInBoxVectorEnv(3, contact="pymunk", max_episode_steps=2, with_infos=True)
 
 
+def drawn(contact: str, randomize: Any) -> Callable[[], Any]:
+    return lambda: JackInBoxVectorEnv(2, contact=contact, max_episode_steps=2, randomize=randomize)
+
+
+def choose(rng: np.random.Generator) -> dict[str, Any]:
+    return {"gravity": float(rng.choice([1.0, 2.0, 3.0]))}
+
+
+def change(env: Any, seed: int) -> Any:
+    return env.reset(options={"scene": {"jack_mass": 1.0 + seed % 7}, "reset_mask": np.array([False, True])})
+
+
 CALLS: dict[str, tuple[Callable[[], Any], Callable[[Any, int], Any], int]] = {
     "step": (exact_of("NEXT_STEP"), step, 1),
     "step, restarts at once": (exact_of("SAME_STEP"), step, 3),
     "set_states": (exact_of("NEXT_STEP"), put, 3),
     "reset": (exact_of("NEXT_STEP"), start, 3),
     "reset of some": (exact_of("NEXT_STEP"), start_some, 3),
+    "step, scenes drawn": (drawn("exact", {"gravity": (1.0, 9.0)}), step, 5),
+    "step, scenes chosen": (drawn("exact", choose), step, 17),
+    "step, scenes drawn, pymunk": (drawn("pymunk", {"gravity": (1.0, 9.0)}), step, 101),
+    "reset, another scene": (drawn("exact", {"gravity": (1.0, 9.0)}), change, 11),
     "sb3 step": (sb3_of("exact"), step, 7),
     "sb3 reset": (sb3_of("exact"), start, 7),
     "sb3 step, pymunk": (sb3_of("pymunk"), step, 53),

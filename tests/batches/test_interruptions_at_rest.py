@@ -12,11 +12,11 @@ import pytest
 
 from jackbox_env import JackInBoxVectorEnv, Scene
 from jackbox_env.batches import exact, threads
-from jackbox_env.compiled import compiler, loop
+from jackbox_env.compiled import compiler, glide, loop
 from jackbox_env.compiled.status import Status
 from scripts.studies.laws.interruptions import same
 
-COUNT = 300 * loop.WIDEST  # environments: more than one thread takes without a pause
+COUNT = 300 * glide.WIDEST  # environments: more than one thread takes without a pause
 
 
 def resting(num_threads: int) -> JackInBoxVectorEnv:
@@ -34,7 +34,7 @@ def resting(num_threads: int) -> JackInBoxVectorEnv:
 def told(env: JackInBoxVectorEnv) -> list[Any]:
     """All that decides the future of a batch in which no episode ends."""
     held = env._batch.held
-    return [held.states, held.times, held.column(loop.STEPS), held.over, env.observations]
+    return [held.states, held.times, held.column(glide.STEPS), held.over, env.observations]
 
 
 @pytest.mark.parametrize("num_threads", [1, 2])

@@ -17,6 +17,11 @@ from jackbox_env import JackInBoxVectorEnv
 from tests.batches.several import EVERY_MODEL
 
 
+def generators_of(env: JackInBoxVectorEnv) -> Any:
+    env._batch.held.settle()
+    return env._batch.held.generators.copy()
+
+
 @pytest.mark.parametrize(
     ("settings", "sentence"),
     [
@@ -102,7 +107,7 @@ def test_an_unusable_action_is_ignored_only_where_an_episode_waits(contact: str)
         ({"seed": "ab"}, "seed must be a whole number >= 0, got 'ab'"),
         ({"seed": [1]}, "seed must be a whole number or a list of 2, got 1 of them"),
         ({"seed": [1, "2"]}, "seed must be a whole number >= 0, got '2'"),
-        ({"options": {"speed": 1}}, "options takes only 'state', 'time', 'reset_mask', got 'speed'"),
+        ({"options": {"speed": 1}}, "options takes only 'state', 'time', 'scene', 'reset_mask', got 'speed'"),
         ({"options": [1]}, "options must be a dict"),
         (
             {"options": {"state": np.zeros(11)}},
@@ -125,11 +130,11 @@ def test_unusable_resets_leave_all_environments_as_they_were(given: dict[str, An
     env = JackInBoxVectorEnv(2, contact="exact")
     env.reset(seed=0)
     env.step(None)
-    states, words = env.states, env._batch.held.settled().copy()
+    states, words = env.states, generators_of(env)
     with pytest.raises((TypeError, ValueError), match=sentence):
         env.reset(**given)
     np.testing.assert_array_equal(env.states, states)
-    np.testing.assert_array_equal(env._batch.held.settled(), words)
+    np.testing.assert_array_equal(generators_of(env), words)
 
 
 @EVERY_MODEL

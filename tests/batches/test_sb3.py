@@ -50,7 +50,7 @@ def assert_same_infos(found: list[dict[str, Any]], expected: list[dict[str, Any]
 @pytest.mark.parametrize("settings", [{}, {"task": "rattle", "control_dt": 0.05, "scene": {"jack_arm": 5.0}}], ids=str)
 def test_each_step_is_that_of_dummy_vec_env(contact: str, settings: dict[str, Any]) -> None:
     given = {"contact": contact, "max_episode_steps": 70, **settings}
-    native, plain = make_sb3_vec_env(3, **given), dummy(3, **given)
+    native, plain = make_sb3_vec_env(3, with_infos=True, **given), dummy(3, **given)
     assert native.observation_space == plain.observation_space
     assert native.action_space == plain.action_space
     assert native.seed(9) == plain.seed(9) == [9, 10, 11]
@@ -73,6 +73,31 @@ def test_each_step_is_that_of_dummy_vec_env(contact: str, settings: dict[str, An
             np.testing.assert_array_equal(one, other)
         assert_same_infos(found[3], copied[3])
     np.testing.assert_array_equal(native.reset(), plain.reset())  # unseeded: the generators went the same way
+
+
+@EVERY_MODEL
+def test_an_info_holds_what_stable_baselines_reads_and_no_more_unless_asked(contact: str) -> None:
+    given: dict[str, Any] = {"contact": contact, "max_episode_steps": 7}
+    slim, full = make_sb3_vec_env(2, **given), make_sb3_vec_env(2, with_infos=True, **given)
+    for env in (slim, full):
+        env.seed(3)
+        env.reset()
+    ends, handed_out = 0, []
+    for step in range(30):
+        found, expected = slim.step(actions_at(step, 2)), full.step(actions_at(step, 2))
+        for one, other in zip(found[:3], expected[:3], strict=True):
+            np.testing.assert_array_equal(one, other)
+        read = ("episode", "TimeLimit.truncated", "terminal_observation")
+        wanted = [{name: info[name] for name in read if name in info} for info in expected[3]]
+        for info, whole in zip(found[3], wanted, strict=True):
+            assert info.get("TimeLimit.truncated", False) == whole["TimeLimit.truncated"]
+            assert set(info) == (set(read) if whole["TimeLimit.truncated"] else set())
+        ended = [(one, other) for one, other in zip(found[3], wanted, strict=True) if one]
+        assert_same_infos([one for one, _ in ended], [other for _, other in ended])
+        ends += len(ended)
+        handed_out += found[3]
+    assert ends == 8
+    assert len({id(info) for info in handed_out}) == len(handed_out)  # wrappers write into them
 
 
 def test_options_are_used_once_and_by_environment() -> None:

@@ -168,7 +168,7 @@ def test_draws_are_those_of_numpys_generator(seed: int) -> None:
     bits = np.random.PCG64(seed)
     draw, words, generator = compiled(uniform), seeded(seed), np.random.Generator(bits)
     assert [draw(words) for _ in range(1000)] == generator.uniform(size=1000).tolist()
-    np.testing.assert_array_equal(words, packed(bits))
+    np.testing.assert_array_equal(words, packed(generator))
 
 
 def test_unseeded_generators_differ_and_are_sound() -> None:

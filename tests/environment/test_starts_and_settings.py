@@ -97,9 +97,9 @@ def state_with(**places: float) -> list[float]:
         ({"time": math.nan}, r"options\['time'\] must be a finite number at least -1e\+09 and at most 1e\+09, got nan"),
         ({"time": 2e9}, r"options\['time'\] must be a finite number .* got 2000000000.0"),
         ({"time": "noon"}, r"options\['time'\] must be a finite number"),
-        ([("time", 1.0)], "options must be a dict of 'state' and 'time' or None, got"),
-        ("rest", "options must be a dict of 'state' and 'time' or None, got 'rest'"),
-        ({"stat": np.zeros(12)}, "options takes only 'state', 'time', got 'stat'"),
+        ([("time", 1.0)], "options must be a dict of 'state', 'time' and 'scene' or None, got"),
+        ("rest", "options must be a dict of 'state', 'time' and 'scene' or None, got 'rest'"),
+        ({"stat": np.zeros(12)}, "options takes only 'state', 'time', 'scene', got 'stat'"),
     ],
 )
 def test_bad_starts_are_refused_and_change_nothing(env: Env, options: Any, sentence: str) -> None:

@@ -22,9 +22,9 @@ def plain_step(scene: Scene, state: Any, dt: float, torque: float | None = None,
     """One step of the same code uncompiled: how it ended, the state after, and the impacts (time, wall, foot)."""
     n, w = scene.numbers, new_workspace(64)
     before, after = np.array(state, dtype=float), np.empty(12)
-    pieces = pieces_for(scene, time, dt, torque)
+    pieces = pieces_for(scene.drive, time, dt, torque)
     held = 0.0 if torque is None else torque
-    plan = step.make_plan(n, dt, drive_kind(scene, torque is not None))
+    plan = step.make_plan(n, dt, drive_kind(scene.drive, torque is not None))
     with np.errstate(divide="ignore", invalid="ignore"):
         ended, _ = step.step(n, plan, before, after, time, held, step.Pieces(pieces, 0, len(pieces)), w)
     rows = w[RECORD : RECORD + int(w[TALLY, HITS]), :3]

@@ -12,7 +12,7 @@ import tracemalloc
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from types import FrameType
+from types import FrameType, FunctionType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -88,8 +88,12 @@ def most_bytes(run: Callable[[], object]) -> int:
 @contextmanager
 def uncompiled() -> Iterator[None]:
     """Run compiled functions as plain Python, in all that is made and stepped within the block."""
+
+    def plain(function: FunctionType, instead: tuple[tuple[str, Any], ...], keep: bool) -> FunctionType:
+        return FunctionType(function.__code__, {**function.__globals__, **dict(instead)}) if instead else function
+
     before = _compiled._compile
-    _compiled._compile = lambda function, *_, **__: function
+    _compiled._compile = plain
     try:
         with np.errstate(divide="ignore", invalid="ignore"):
             yield

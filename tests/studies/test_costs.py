@@ -126,7 +126,7 @@ def test_a_held_torque_does_without_the_chirp(monkeypatch: pytest.MonkeyPatch) -
 
 def test_a_batch_works_its_reward_out_once_and_again_for_infos() -> None:
     for settings, times in (({}, 1), ({"with_infos": True}, 2)):
-        assert times_called(count_steps(BATCH, **settings), "reward_terms") == times * STEPS * SIDE_BY_SIDE
+        assert times_called(count_steps(BATCH, **settings), "juggle") == times * STEPS * SIDE_BY_SIDE
 
 
 # -- lines ------------------------------------------------------------------------------------------------------------

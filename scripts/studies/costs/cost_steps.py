@@ -163,7 +163,7 @@ def stepped(contact: str, given: Moments, seconds: float, kind: str) -> Timed:
 def _without(env: Any, kind: str) -> Any:
     """What is called with each action."""
     core = env.unwrapped
-    observation, terms = core._score(core.state, 0.0, 0.0)
+    observation, terms = core._parts[1](core.state, 0.0, 0.0)
 
     def drawn(action: Any) -> None:
         env.step(action)
@@ -175,7 +175,7 @@ def _without(env: Any, kind: str) -> Any:
     if kind == "_info":
         core._info = lambda *_: {}
     elif kind == "_score":
-        core._score = lambda *_: (observation, terms)
+        core._parts = core._simulator, lambda *_: (observation, terms)
     elif kind == "checks":
         core._torque_of = lambda action: max(-1.0, min(1.0, float(action[0]))) * 90000.0
     return {"bare": core.step, "drawn": drawn, "contact": contact}.get(kind, env.step)

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from jackbox_env.scene import Chirp, Drive, Scene
+from jackbox_env.tasks import TASKS
 
 STEPS = 40  # control steps of a long case
 
@@ -80,7 +81,7 @@ def draw_case(draw: random.Random, contact: str, steps: int = STEPS) -> Case:
         scene=scene,
         contact=contact,
         substeps=draw.randint(1, 8) if contact == "pymunk" else None,
-        task=draw.choice(("juggle", "spin", "rattle")),
+        task=draw.choice(tuple(TASKS)),
         control_dt=dt,
         state=_start(draw, scene, dt),
         time=draw.choice((0.0, 0.0, draw.uniform(-100.0, 100.0))),

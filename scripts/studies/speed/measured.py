@@ -25,7 +25,7 @@ import pymunk
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from jackbox_env import Scene, planning
+from jackbox_env import Scene, Task, planning
 from jackbox_env.compiled.compiler import compiled, compiled_with
 from jackbox_env.compiled.rollouts import outside
 from jackbox_env.tasks import sample_start
@@ -39,9 +39,12 @@ FRAMES, LANDER_FRAMES = "JackInBox-v0, frames", "LunarLander-v3, frames"
 
 ROLLOUT, UNGUARDED = "`rollout`: physics alone", "the same, unguarded search"
 BATCH, BATCH_CHIRP = "JackInBox-v0, exact, 1,024", "the same under the chirp"
+BATCH_SCENES, BATCH_DRAWN = "the same, a scene for each", "the same, jacks drawn at each reset"
+BATCH_TASK = "the same, a task of one's own"
 POLES, POOL = "CartPole-v1, 1,024, Gymnasium's own", "CartPole-v1, 1,024, EnvPool"
 FEW = "JackInBox-v0, pymunk, 16"
 SB3, DUMMY = "`make_sb3_vec_env`, exact, 16", "`DummyVecEnv`, exact, 16"
+BATCH_256, SB3_256 = "JackInBox-v0, exact, 256", "`make_sb3_vec_env`, exact, 256"
 TOGETHER = 1024  # environments in a batch
 
 LONG = "`rollout` of 4,096 states, 100 steps"
@@ -147,6 +150,16 @@ def made(env_id: str, count: int, **settings: Any) -> Any:
     return env
 
 
+def jacks(count: int) -> list[Scene]:
+    """Scenes that differ in the jack's mass."""
+    return [Scene(jack_mass=2.0 + 4.0 * number / count) for number in range(count)]
+
+
+def lift(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float]:
+    """A task of one's own: the jack's height in the box, over L."""
+    return ((state[4] - state[1]) / scene.box_half_width,)
+
+
 def envpool() -> dict[str, Any]:
     """EnvPool's CartPole-v1 in the one thread that it needs, where EnvPool is installed."""
     try:
@@ -190,13 +203,18 @@ def together(seconds: float) -> dict[str, Timed]:
     batches: dict[str, Any] = {
         BATCH: made("JackInBox-v0", TOGETHER, **exact),
         BATCH_CHIRP: made("JackInBox-v0", TOGETHER, torque="chirp", **exact),
+        BATCH_SCENES: made("JackInBox-v0", TOGETHER, scene=jacks(TOGETHER), **exact),
+        BATCH_DRAWN: made("JackInBox-v0", TOGETHER, randomize={"jack_mass": (2.0, 6.0)}, **exact),
+        BATCH_TASK: made("JackInBox-v0", TOGETHER, task=Task(("lift",), lift), **exact),
+        BATCH_256: made("JackInBox-v0", 256, **exact),
+        SB3_256: make_sb3_vec_env(256, contact="exact"),
         POLES: made("CartPole-v1", TOGETHER),
         **envpool(),
         FEW: made("JackInBox-v0", 16, contact="pymunk"),
         SB3: make_sb3_vec_env(16, contact="exact"),
         DUMMY: DummyVecEnv([lambda: Monitor(gym.make("JackInBox-v0", contact="exact"))] * 16),
     }
-    for name in (SB3, DUMMY):
+    for name in (SB3, SB3_256, DUMMY):
         batches[name].seed(0)
     physics = rolled(TOGETHER, SOME, seconds)
     return {
@@ -272,10 +290,10 @@ def lost() -> dict[str, int]:
     (certified, hits), (other, found) = play(), unguarded(play)()
     difference = np.abs(certified - other).max(axis=2)[:, :-1]  # before each step
     level = np.logical_and.accumulate(difference <= _WRONG, axis=1)
-    look, numbers = compiled(outside), np.array(Scene().numbers)
+    look, numbers, wrong = compiled(outside), np.array([Scene().numbers]), np.array([_WRONG])
 
     def escaped(trajectories: Array) -> int:
-        return sum(int(look(numbers, states, _WRONG)) >= 0 for states in trajectories)
+        return sum(int(look(numbers, states, wrong)) >= 0 for states in trajectories)
 
     missed = int((level & (found < hits)).any(axis=1).sum())
     return {"of": len(hits), "missed": missed, "escaped": escaped(other), "certified": escaped(certified)}

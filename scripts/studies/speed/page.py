@@ -31,10 +31,14 @@ RATIOS = {
         "unguarded search over the certified one: what certifying costs": (names.UNGUARDED, names.ROLLOUT),
         "batch over `rollout`: what observation, reward and restarts leave": (names.BATCH, names.ROLLOUT),
         "batch under the chirp over the same under actions": (names.BATCH_CHIRP, names.BATCH),
+        "batch with a scene for each environment over one scene for all": (names.BATCH_SCENES, names.BATCH),
+        "batch with jacks drawn at each reset over one scene for all": (names.BATCH_DRAWN, names.BATCH),
+        "batch with a task of one's own over the built-in one": (names.BATCH_TASK, names.BATCH),
         "batch over Gymnasium's own CartPole-v1": (names.BATCH, names.POLES),
         "batch over EnvPool's CartPole-v1": (names.BATCH, names.POOL),
         "batch over a batch of the pymunk model": (names.BATCH, names.FEW),
         "`make_sb3_vec_env` over `DummyVecEnv`": (names.SB3, names.DUMMY),
+        "`make_sb3_vec_env` over the batch, 256 environments": (names.SB3_256, names.BATCH_256),
     },
     "threads": {
         f"{name}, two threads over one": (names.by_two(name), name)

@@ -22,7 +22,7 @@ import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
@@ -33,7 +33,7 @@ from agents.evaluation import evaluate
 from agents.models import load_model
 from agents.policies import Policy, baseline
 from agents.runs import SETTINGS, describe, new_folder, read_settings, versions
-from agents.settings import TrainSettings
+from agents.settings import TaskName, TrainSettings
 from agents.storage import DamagedFileError, held, make_folder, read_json, say_skipped, write_json
 from agents.training import MODEL
 from jackbox_env import FIDELITIES, Scene
@@ -54,7 +54,7 @@ _PATIENCE = 10.0  # for an interrupted training to leave its checkpoint [s]
 class StudySettings:
     """What is trained and how often it is run."""
 
-    tasks: tuple[Literal["juggle", "spin", "rattle"], ...] = ("juggle", "rattle")
+    tasks: tuple[TaskName, ...] = ("juggle", "rattle")
     """What is rewarded."""
     fidelities: tuple[str, ...] = tuple(FIDELITIES)
     """Trained on and run on; exact, the reference of the others, is among them."""
@@ -101,7 +101,7 @@ class StudySettings:
 
     def steps_of(self, task: str) -> int:
         """Environment steps of each training on a task."""
-        return dict(zip(self.tasks, self.total_steps * len(self.tasks), strict=False))[task]  # type: ignore[index]
+        return dict(zip(self.tasks, self.total_steps * len(self.tasks), strict=False))[task]
 
     def run_settings(self, task: Any, fidelity: str, seed: int) -> TrainSettings:
         """Settings of one training: the defaults, except for what the study varies."""

@@ -1,0 +1,133 @@
+"""The scenes that a batch of the exact contact model holds: one for all environments, or one for each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jackbox_env.batches.base import Flags
+from jackbox_env.compiled.compiler import compiled
+from jackbox_env.compiled.glide import SCENE_LANES
+from jackbox_env.compiled.restart import spread
+from jackbox_env.compiled.step import HELD
+from jackbox_env.scene import Chirp, Drive, Scene, SceneNumbers
+from jackbox_env.simulators.exact import WITH_PIECES, drive_kind
+from jackbox_env.states import Array
+
+AnyDrive = Chirp | Drive | None
+Counts = NDArray[np.int64]
+
+_FIELDS = tuple(part.name for part in fields(Scene) if part.name in SceneNumbers._fields)
+_PLACES = [SceneNumbers._fields.index(name) for name in _FIELDS]
+
+
+class SceneTable:
+    """Scenes as numbers. Rows change in place; whoever needs the old ones as well takes a copy first.
+
+    Args:
+        own: the scenes that environments were made with, one for all or one each.
+        several: whether each environment gets a row of its own.
+        shape: blocks, 16, width of the environments.
+        count: environments.
+        dt: control step [s].
+    """
+
+    def __init__(self, own: Sequence[Scene], several: bool, shape: tuple[int, ...], count: int, dt: float) -> None:
+        self.own, self.dt, self.count = own, dt, count
+        self._scenes: dict[int, Scene] = {}  # those that were asked for
+        rows = np.array([scene.numbers for scene in own])
+        self.drives: list[AnyDrive] = [scene.drive for scene in own]
+        if several and len(own) < count:
+            rows, self.drives = np.repeat(rows, count, axis=0), self.drives * count
+        self.values: Array = rows  # (1 or N, numbers of a scene)
+        self.lanes: Array = np.zeros((shape[0] if several else 1, SCENE_LANES, shape[2]))
+        numbers = np.arange(count if several else shape[2])
+        compiled(spread)(self.values, dt, self.lanes, numbers)
+        self._find_kinds()
+
+    def _find_kinds(self) -> None:
+        kinds = [(drive_kind(drive), drive_kind(drive, held=True)) for drive in self.drives]
+        columns = np.array(kinds, dtype=np.int64).T
+        # Of each environment, or of all: what turns the box under the drive, and under a held torque; whether a drive's
+        # functions are cut into pieces then. Of all together: whether any is, whether any is turned by a held torque.
+        self.kinds: tuple[Counts, Counts] = columns[0].copy(), columns[1].copy()
+        self.cut: tuple[Flags, Flags] = np.isin(columns[0], WITH_PIECES), np.isin(columns[1], WITH_PIECES)
+        self.cutting: tuple[bool, bool] = bool(self.cut[0].any()), bool(self.cut[1].any())
+        self.gliding: tuple[bool, bool] = bool((columns[0] == HELD).any()), bool((columns[1] == HELD).any())
+
+    def copy(self) -> SceneTable:
+        """A copy whose rows may be changed."""
+        twin = object.__new__(SceneTable)
+        twin.__dict__.update(self.__dict__)
+        twin.values, twin.lanes, twin.drives = self.values.copy(), self.lanes.copy(), list(self.drives)
+        twin._scenes = dict(self._scenes)
+        return twin
+
+    def spread_out(self, shape: tuple[int, ...]) -> SceneTable:
+        """A copy that has a row for each environment."""
+        if self.several or self.count == 1:
+            return self.copy()
+        twin = SceneTable(self.own, True, shape, self.count, self.dt)
+        twin.values[:] = self.values
+        twin.lanes[:] = self.lanes
+        twin.drives = self.drives * self.count
+        twin._find_kinds()
+        return twin
+
+    @property
+    def several(self) -> bool:
+        """Whether each environment has a row of its own."""
+        return len(self.values) > 1
+
+    def own_of(self, number: int) -> Scene:
+        """The scene that an environment was made with."""
+        return self.own[number if len(self.own) > 1 else 0]
+
+    def rows(self, numbers: Counts) -> Array:
+        """A copy of the rows of some environments; the only one where they have one scene."""
+        return self.values[numbers] if self.several else self.values.copy()
+
+    def put(self, numbers: Counts, rows: Array) -> None:
+        """Set the numbers of some environments' scenes, or of all where they have one; twice changes nothing."""
+        self._forget(numbers)
+        if self.several:
+            self.values[numbers] = rows
+        else:
+            self.values[0], numbers = rows[0], np.arange(self.lanes.shape[2])
+        compiled(spread)(rows, self.dt, self.lanes, numbers)
+
+    def put_drives(self, numbers: Counts, drives: Sequence[AnyDrive]) -> None:
+        """Set the drives of some environments' scenes, or of all where they have one."""
+        self._forget(numbers)
+        if not self.several:
+            self.drives = [drives[0]]
+        for number, drive in zip(numbers.tolist(), drives, strict=True) if self.several else ():
+            self.drives[number] = drive
+        self._find_kinds()
+
+    def _forget(self, numbers: Counts) -> None:
+        for number in numbers.tolist() if self._scenes else ():
+            self._scenes.pop(number if self.several else 0, None)
+
+    def scene(self, number: int) -> Scene:
+        """The scene that an environment has."""
+        place = number if self.several else 0
+        if place not in self._scenes:
+            self._scenes[place] = self._scene(number, place)
+        return self._scenes[place]
+
+    def _scene(self, number: int, place: int) -> Scene:
+        own = self.own_of(number)
+        found: dict[str, Any] = dict(zip(_FIELDS, self.values[place, _PLACES].tolist(), strict=True))
+        changed = {name: value for name, value in found.items() if value != getattr(own, name)}
+        if self.drives[place] is not own.drive:
+            changed["drive"] = self.drives[place]
+        if not changed:
+            return own
+        follows = own.changed(**{name: value for name, value in changed.items() if name not in own.derived})
+        given = {name: found[name] for name in own.derived if found[name] != getattr(follows, name)}
+        return follows.changed(**given) if given else follows

@@ -1,0 +1,65 @@
+"""Compiled functions called by their address, so that a caller need not be compiled anew for each of them.
+
+Numba can hand a compiled function to another one, but looks its address up in Python at each call, which takes longer
+than a step of a small batch. Here the address is looked up once and handed on as a number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from types import FunctionType
+from typing import Any, cast
+
+
+def block_score(address: Any) -> Callable[..., None]:
+    """The function at an address, with the arguments of ``score.score_block``.
+
+    Compiled code takes a number here. Uncompiled, the function itself is handed in.
+    """
+    return cast(Callable[..., None], address)
+
+
+@cache
+def signature() -> Any:
+    """The types of ``score.score_block``: what it takes and that it returns nothing."""
+    from numba import types
+
+    table, row = types.Array(types.float64, 2, "C"), types.Array(types.float64, 1, "C")
+    return types.void(table, table, table, types.int64, types.int64, row, table)
+
+
+@cache
+def block_score_compiled() -> Any:
+    """What :func:`block_score` is in compiled code."""
+    from numba import types
+    from numba.core import cgutils
+    from numba.extending import intrinsic
+
+    kind = types.FunctionType(signature())
+
+    @intrinsic
+    def at_address(typing: Any, address: Any) -> Any:
+        def generate(context: Any, builder: Any, _: Any, arguments: Any) -> Any:
+            function = cgutils.create_struct_proxy(kind)(context, builder)  # type: ignore[no-untyped-call]
+            place = builder.inttoptr(arguments[0], cgutils.voidptr_t)
+            function.c_addr = function.py_addr = cgutils.get_null_value(cgutils.voidptr_t)  # type: ignore[no-untyped-call]
+            function.jit_addr = place  # numba's own way to call, in which errors come back
+            return function._getvalue()
+
+        return kind(types.int64), generate
+
+    return at_address
+
+
+def address_of(dispatcher: Any) -> int:
+    """Where the compiled ``score.score_block`` of a task lies; it lies there as long as the dispatcher lives.
+
+    Uncompiled, the function itself is handed on.
+    """
+    if isinstance(dispatcher, FunctionType):
+        return cast(int, dispatcher)
+    wanted = signature()
+    dispatcher.compile(wanted)
+    result = dispatcher.overloads[wanted.args]
+    return cast(int, result.library.get_pointer_to_function(result.fndesc.llvm_func_name))

@@ -1,0 +1,182 @@
+"""Environments in free flight, moved many at a time: one coordinate per loop is what the compiler makes wide.
+
+The law is that of ``compiled.step``: under a held torque that of ``glide``, under the chirp that of
+``motion.evolve``. Sums have the same order, so every environment gets the bits that it would get alone.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jackbox_env.compiled.drives import DEGREE, TURN, chirp_piece, chirp_pieces, horner
+from jackbox_env.compiled.score import HIT, IMPULSES, NEAR, TORQUE, TURNING
+from jackbox_env.compiled.search import STEEPEST
+from jackbox_env.compiled.step import Plan, fallen, moved, stays_clear, turned
+from jackbox_env.compiled.workspace import PIECE, Workspace
+from jackbox_env.scene import SceneNumbers, chirp_turns
+
+Array = NDArray[np.float64]
+
+WIDTH = 16
+TIME, STEPS, OVER = 12, 13, 14  # [s], steps in the episode, 1 where it has ended
+WIDEST = 128  # environments in a block
+# Rows of a block's scenes: what environments that are moved together need of their scenes.
+LIMIT, INERTIA, FALL, CLEAR = range(4)  # [N m], [kg m^2], speed gained in a step [m/s], as in Plan
+SCENE_LANES = 4
+_ORDINARY = 1e9  # over L or v0: below it float64 resolves places and speeds
+
+
+class Block(NamedTuple):
+    """Environments that are stepped together."""
+
+    before: Array  # (16, width)
+    after: Array  # (16, width), where they go
+    lanes: Array  # (LANES, width), memory to work in
+    scenes: Array  # (SCENE_LANES, width)
+    first: int  # number of its first environment
+    size: int  # number of its environments
+
+
+def glide_block(dt: float, block: Block) -> None:
+    """Fly all lanes of a block for ``dt`` [s], many at a time, and mark those where a foot may touch a wall.
+
+    The law is that of ``compiled.step.glide``; one coordinate per loop is what the compiler makes wide.
+    """
+    before, after, lanes, count = block.before, block.after, block.lanes, block.size
+    inertia, fall, clear = block.scenes[INERTIA], block.scenes[FALL], block.scenes[CLEAR]
+    torque, near = lanes[TORQUE], lanes[NEAR]
+    alpha, hits, impulses = lanes[TURNING], lanes[HIT], lanes[IMPULSES]
+    for k in range(count):
+        alpha[k] = torque[k] / inertia[k]
+    for k in range(count):
+        torque[k] = inertia[k] * alpha[k]
+        hits[k] = impulses[k] = 0.0
+    x, y, vx, vy = lanes[0], lanes[1], lanes[2], lanes[3]
+    for place in range(2):
+        own, other, difference = before[place], before[3 + place], lanes[place]
+        rate, other_rate, rates = before[6 + place], before[9 + place], lanes[2 + place]
+        for k in range(count):
+            difference[k] = other[k] - own[k]
+        for k in range(count):
+            rates[k] = other_rate[k] - rate[k]
+    for k in range(count):
+        free = stays_clear(x[k], y[k], vx[k], vy[k], fall[k], dt, clear[k]) & (abs(alpha[k]) < STEEPEST)
+        near[k] = 0.0 if free else 1.0
+    for place in (0, 1, 3, 5):
+        here, rate, there = before[place], before[6 + place], after[place]
+        for k in range(count):
+            there[k] = moved(here[k], rate[k], dt)
+    angle, omega, new_angle, new_omega = before[2], before[8], after[2], after[8]
+    for k in range(count):
+        new_angle[k] = turned(angle[k], omega[k], alpha[k], dt)
+    for k in range(count):
+        new_omega[k] = omega[k] + alpha[k] * dt
+    height, climb, new_height, new_climb = before[4], before[10], after[4], after[10]
+    for k in range(count):
+        new_height[k] = fallen(height[k], climb[k], fall[k], dt)
+    for k in range(count):
+        new_climb[k] = climb[k] - fall[k]
+    for place in (6, 7, 9, 11):
+        here, there = before[place], after[place]
+        for k in range(count):
+            there[k] = here[k]
+
+
+def glide_under_chirp(scene: SceneNumbers, plan: Plan, block: Block, work: Workspace) -> bool:
+    """Fly the lanes that are at the time of the first one under the chirp, and mark all others.
+
+    The chirp's integrals are worked out once for all of them. Returns False, with nothing done, where that is not
+    possible.
+    """
+    before, after, lanes, count, dt = block.before, block.after, block.lanes, block.size, plan.dt
+    first = 0
+    while first < count and before[OVER, first] != 0.0:
+        first += 1
+    if first == count:
+        return False
+    time = before[TIME, first]
+    pieces = chirp_pieces(scene, time, dt)
+    if pieces == 0:
+        return False
+    mark_under_chirp(scene, plan, block, time)
+    torque, hits, impulses = lanes[TORQUE], lanes[HIT], lanes[IMPULSES]
+    x, y = lanes[0], lanes[1]
+    for k in range(count):
+        hits[k] = impulses[k] = 0.0
+        after[0, k] = after[1, k] = 0.0
+    for k in range(count):
+        x[k] = before[3, k] - before[0, k]
+        y[k] = before[4, k] - before[1, k]
+    for place in (2, 5, 6, 7, 8, 9, 10, 11):
+        here, there = before[place], after[place]
+        for k in range(count):
+            there[k] = here[k]
+    turns = chirp_turns(scene.chirp_start_frequency, scene.chirp_rate, time)
+    frequency = scene.chirp_start_frequency + scene.chirp_rate * time
+    length, impulse = dt / pieces, 0.0
+    for number in range(pieces):
+        chirp_piece(scene, turns, frequency, number * length, length, work)
+        angle = horner(work[PIECE + 3 * TURN + 2], DEGREE + 2, 1.0)
+        rate = horner(work[PIECE + 3 * TURN + 1], DEGREE + 1, 1.0)
+        impulse += rate
+        drift(block, scene.gravity, length, angle, rate)
+    mean = scene.box_inertia * impulse / dt
+    for k in range(count):
+        torque[k] = mean
+    for k in range(count):
+        x[k] = before[3, k] + (x[k] - (before[3, k] - before[0, k]))
+        y[k] = before[4, k] + (y[k] - (before[4, k] - before[1, k]))
+    for place in (0, 1):
+        here, there, jack = before[place], after[place], lanes[place]
+        for k in range(count):
+            there[k] = here[k] + there[k]
+        there = after[3 + place]
+        for k in range(count):
+            there[k] = jack[k]
+    return True
+
+
+def mark_under_chirp(scene: SceneNumbers, plan: Plan, block: Block, time: float) -> None:
+    """Mark the lanes that are at another time, near a wall, or where float64 runs out of places."""
+    before, lanes, dt, fall = block.before, block.lanes, plan.dt, scene.gravity * plan.dt
+    near, x, y, vx, vy = lanes[NEAR], lanes[0], lanes[1], lanes[2], lanes[3]
+    for k in range(block.size):
+        x[k] = before[3, k] - before[0, k]
+        y[k] = before[4, k] - before[1, k]
+        vx[k] = before[9, k] - before[6, k]
+        vy[k] = before[10, k] - before[7, k]
+    for k in range(block.size):
+        free = stays_clear(x[k], y[k], vx[k], vy[k], fall, dt, plan.clear) & (before[TIME, k] == time)
+        near[k] = 0.0 if free else 1.0
+    ordinary = _ORDINARY * min(1.0, min(scene.box_half_width, scene.speed_scale))
+    for place in range(12):
+        here = before[place]
+        for k in range(block.size):
+            near[k] = near[k] if abs(here[k]) < ordinary else 1.0
+
+
+def drift(block: Block, gravity: float, length: float, angle: float, rate: float) -> None:
+    """Fly all lanes for ``length`` [s], in which the chirp adds to the box's angle and rate: see ``motion.evolve``."""
+    after, lanes, count = block.after, block.lanes, block.size
+    for place in (0, 1):
+        there, speed = after[place], after[6 + place]
+        for k in range(count):
+            there[k] += speed[k] * length
+    box_angle, omega = after[2], after[8]
+    for k in range(count):
+        box_angle[k] += omega[k] * length + angle
+    for k in range(count):
+        omega[k] += rate
+    x, y, vx, vy = lanes[0], lanes[1], after[9], after[10]
+    for k in range(count):
+        x[k] += vx[k] * length
+    for k in range(count):
+        y[k] += (vy[k] - 0.5 * gravity * length) * length
+    for k in range(count):
+        vy[k] -= gravity * length
+    jack_angle, spin = after[5], after[11]
+    for k in range(count):
+        jack_angle[k] += spin[k] * length

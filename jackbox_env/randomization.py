@@ -1,0 +1,87 @@
+"""Scenes drawn anew at each reset: fields within ranges, or by a function of the environment's random generator."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from jackbox_env import _validation as check
+from jackbox_env.scene import Scene, SceneNumbers, between
+from jackbox_env.states import Array
+
+NUMBERS = tuple(part.name for part in fields(Scene) if part.name in SceneNumbers._fields)  # that have a range
+_INERTIAS = ("box_inertia", "jack_inertia")
+
+
+class Randomization:
+    """What ``randomize`` asks for, checked.
+
+    Args:
+        given: {field of the scene: (least, largest)}, drawn uniformly, one after the other in the order of Scene's
+            fields; or a function that takes a ``numpy.random.Generator`` and returns a dict of fields.
+        scenes: those that are changed.
+        try_scene: called with scenes at the ends of all ranges; raises where a contact model cannot simulate one.
+
+    Raises:
+        TypeError, ValueError: neither of both; an unknown field; a range that could draw a scene which is refused.
+    """
+
+    def __init__(self, given: Any, scenes: Sequence[Scene], try_scene: Callable[[Scene], Any]) -> None:
+        self.ranges: dict[str, tuple[float, float]] = {}
+        self.function: Callable[[np.random.Generator], Mapping[str, Any]] | None = None
+        if isinstance(given, Mapping):
+            check.known_keys("randomize", given, NUMBERS)
+            self.ranges = {name: _range(name, given[name]) for name in NUMBERS if name in given}
+        elif callable(given):
+            self.function = given
+        else:
+            raise TypeError(
+                "randomize must be a dict of the scene's fields with their ranges, or a function of a generator that "
+                f"returns a dict of fields, got {check.shown(given)}"
+            )
+        for scene in dict.fromkeys(scenes) if self.ranges else ():
+            for ends in product(*self.ranges.values()):
+                self._try(scene, dict(zip(self.ranges, ends, strict=True)), try_scene)
+
+    def _try(self, scene: Scene, ends: dict[str, float], try_scene: Callable[[Scene], Any]) -> None:
+        try:
+            try_scene(scene.changed(**ends))
+        except (TypeError, ValueError) as error:
+            drawn = ", ".join(f"{name}={value:g}" for name, value in ends.items())
+            raise ValueError(f"randomize could draw a scene with {drawn}, which is refused: {error}") from error
+
+    def draw(self, scene: Scene, rng: np.random.Generator) -> dict[str, Any]:
+        """Draw the fields that change; the generator moves on.
+
+        Raises:
+            TypeError: the function does not return a dict.
+        """
+        if self.function is None:
+            return {name: between(low, high, rng.random()) for name, (low, high) in self.ranges.items()}
+        drawn = self.function(rng)
+        if not isinstance(drawn, Mapping):
+            raise TypeError(f"randomize must return a dict of the scene's fields, got {check.shown(drawn)}")
+        return dict(drawn)
+
+    @property
+    def table(self) -> Array:
+        """The ranges as rows of place in SceneNumbers, least, largest, in the order in which they are drawn."""
+        rows = [[SceneNumbers._fields.index(name), *ends] for name, ends in self.ranges.items()]
+        return np.array(rows, dtype=np.float64).reshape(-1, 3)
+
+    def derived(self, scene: Scene) -> list[bool]:
+        """Whether the inertia of box and jack follows mass and size in what is drawn."""
+        return [name in scene.derived and name not in self.ranges for name in _INERTIAS]
+
+
+def _range(name: str, given: Any) -> tuple[float, float]:
+    if not isinstance(given, Sequence | np.ndarray) or isinstance(given, str) or len(given) != 2:
+        raise TypeError(f"randomize[{name!r}] must be (least, largest), got {check.shown(given)}")
+    low, high = (check.real(f"randomize[{name!r}]", value) for value in given)
+    if low > high:
+        raise ValueError(f"randomize[{name!r}] must be (least, largest), got {check.shown(given)}")
+    return low, high

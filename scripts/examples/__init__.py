@@ -1,0 +1,1 @@
+"""Worked examples with Stable-Baselines3, each a file to copy."""

@@ -1,0 +1,61 @@
+"""Train PPO on jacks of any mass and bounce, and see what it earns on light and heavy, lively and dull ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from scripts.common import command_line
+
+RANGES = {"jack_mass": (1.0, 40.0), "restitution": (0.8, 1.0)}
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Train twice, on the default scene and on randomised ones; compare both on the same starts."""
+
+    total_steps: int = 400_000
+    """Environment steps of each training."""
+    episodes: int = 64
+    """Episodes of each policy in each scene, run side by side."""
+    seed: int = 0
+    """Of the network and of the training's starts; evaluation starts from others."""
+
+
+@command_line
+def main() -> None:
+    """Train, evaluate, print."""
+    import numpy as np
+    import tyro
+    from stable_baselines3 import PPO
+
+    from jackbox_env.sb3 import make_sb3_vec_env
+
+    arguments = tyro.cli(Arguments, description=__doc__)
+    settings: dict[str, Any] = {"contact": "exact", "control_dt": 0.05, "max_episode_steps": 200}  # 10 s
+
+    def trained(**more: Any) -> PPO:
+        envs = make_sb3_vec_env(64, **settings, **more)
+        model = PPO("MlpPolicy", envs, n_steps=128, batch_size=1024, seed=arguments.seed, device="cpu")
+        return model.learn(arguments.total_steps)
+
+    def mean_return(model: PPO, scene: dict[str, float]) -> float:
+        envs = make_sb3_vec_env(arguments.episodes, scene=scene, **settings)
+        envs.seed(1_000_000)
+        seen: Any = envs.reset()
+        total = np.zeros(arguments.episodes)
+        for _ in range(200):
+            seen, rewards, _, _ = envs.step(model.predict(seen, deterministic=True)[0])
+            total += rewards
+        return float(total.mean())
+
+    models = {"trained on the default scene": trained(), "trained on randomised scenes": trained(randomize=RANGES)}
+    for mass in (1.0, 4.0, 40.0):
+        for restitution in (1.0, 0.8):
+            scene = {"jack_mass": mass, "restitution": restitution}
+            earned = ", ".join(f"{name} {mean_return(model, scene):6.1f}" for name, model in models.items())
+            print(f"jack of {mass:4.0f} kg, restitution {restitution:.1f}: {earned}")
+
+
+if __name__ == "__main__":
+    main()
