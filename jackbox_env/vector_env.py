@@ -14,10 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import _validation as check
 from jackbox_env.batches.base import Batch, Change, Flags, Floats, Held, Outcome
+from jackbox_env.batches.given import Given
 from jackbox_env.env import JackInBoxEnv, Randomize
 from jackbox_env.randomization import Randomization
-from jackbox_env.scene import Scene, scenes_of
-from jackbox_env.states import LATEST_TIME, Array, as_held, as_start
+from jackbox_env.scene import Scene
+from jackbox_env.states import Array, as_held, as_start
 from jackbox_env.tasks import Task, task_of
 
 Infos = dict[str, Any]
@@ -120,7 +121,8 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
             raise ValueError(f'render_mode must be None or "rgb_array" for several environments, got {render_mode!r}')
         self._mode = _autoreset_mode(autoreset_mode)
         self._with_infos = check.flag("with_infos", with_infos)
-        scenes = self._scene_list(scene)
+        self._given = Given(self.num_envs)
+        scenes = self._given.scenes(scene)
         settings: dict[str, Any] = {
             "contact": contact, "substeps": substeps, "task": task, "control_dt": control_dt, "torque": torque,
             "fidelity": fidelity,
@@ -202,9 +204,9 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         Raises:
             TypeError, ValueError: unusable values; all environments stay as they were.
         """
-        chosen = np.ones(self.num_envs, dtype=np.bool_) if chosen is None else self._mask("chosen", chosen)
-        placed = self._states("states", states, chosen, as_held)(self._batch.scene)
-        self._place(chosen, placed, self._times("times", times, chosen))
+        chosen = np.ones(self.num_envs, dtype=np.bool_) if chosen is None else self._given.mask("chosen", chosen)
+        placed = self._given.states("states", states, chosen, as_held)(self._batch.scene)
+        self._place(chosen, placed, self._given.times("times", times, chosen))
 
     def _place(self, chosen: Flags, states: Array, times: Array, anew: bool = False) -> None:
         """Put the ``chosen`` environments into states and at times that are checked; ``anew``: an episode starts."""
@@ -248,15 +250,15 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         check.known_keys("options", given, ("state", "time", "scene", "reset_mask"))
         chosen = np.ones(self.num_envs, dtype=np.bool_)
         if given.get("reset_mask") is not None:
-            chosen = self._mask("options['reset_mask']", given["reset_mask"])
+            chosen = self._given.mask("options['reset_mask']", given["reset_mask"])
             if not chosen.any():
                 raise ValueError("options['reset_mask'] must choose at least one environment, got none")
-        times = self._times("options['time']", given.get("time", 0.0), chosen)
+        times = self._given.times("options['time']", given.get("time", 0.0), chosen)
         states = None
         if given.get("state") is not None:
-            states = self._states("options['state']", given["state"], chosen, as_start)
-        changes = None if given.get("scene") is None else self._changes(given["scene"], chosen)
-        return ResetPlan(chosen, self._seed_list(seed), changes, states, times)
+            states = self._given.states("options['state']", given["state"], chosen, as_start)
+        changes = None if given.get("scene") is None else self._given.changes(given["scene"], chosen)
+        return ResetPlan(chosen, self._given.seeds(seed), changes, states, times)
 
     def _carry_out(self, plan: ResetPlan, draft: Any) -> None:
         """Reset a draft as planned."""
@@ -294,7 +296,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         book = self._batch.held.book
         if not book.started:
             raise RuntimeError("step must come after a reset of all environments, got none yet")
-        given = None if actions is None else self._actions(actions)
+        given = None if actions is None else self._given.actions(actions)
         waiting = self._waiting() if book.waiting else None
         outcome = self._batch.step(None if self._driven else given)
         infos: Infos = {}
@@ -365,101 +367,6 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
             final[name] = np.zeros_like(values)
             final[name][ended] = values[ended]
         return _marked({"final_obs": last, "final_info": _marked(final, ended)}, ended)
-
-    # -- what is given ------------------------------------------------------------------------------------------------
-
-    def _actions(self, actions: ArrayLike) -> Array:
-        given = check.array("actions", actions, "hold numbers (clipped to [-1, 1])")
-        if given.shape not in ((self.num_envs, 1), (self.num_envs,)):
-            raise ValueError(
-                f"actions must have shape ({self.num_envs}, 1) or ({self.num_envs},), got shape {given.shape}"
-            )
-        return given.reshape(self.num_envs).astype(np.float64)
-
-    def _seed_list(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
-        if seed is None:
-            return [None] * self.num_envs
-        several = isinstance(seed, Sequence | np.ndarray) and not isinstance(seed, str | bytes)
-        if not several or getattr(seed, "ndim", 1) == 0:
-            first = check.whole("seed", seed, at_least=0)
-            return [first + number for number in range(self.num_envs)]
-        listed = list(seed)  # type: ignore[arg-type]
-        if len(listed) != self.num_envs:
-            raise ValueError(f"seed must be a whole number or a list of {self.num_envs}, got {len(listed)} of them")
-        return [None if one is None else check.whole("seed", one, at_least=0) for one in listed]
-
-    def _mask(self, name: str, given: Any) -> Flags:
-        if check.masked(given):
-            raise ValueError(f"{name} must be an array of bool, none of them masked, got {check.shown(given)}")
-        try:
-            mask = np.asarray(given)
-        except Exception as error:
-            raise TypeError(f"{name} must be an array of bool, got {check.shown(given)}") from error
-        if mask.dtype != np.bool_:
-            raise TypeError(f"{name} must be an array of bool, got {check.shown(given)}")
-        if mask.shape != (self.num_envs,):
-            raise ValueError(f"{name} must have shape ({self.num_envs},), got {mask.shape}")
-        return mask.copy()
-
-    def _times(self, name: str, given: ArrayLike, chosen: Flags) -> Array:
-        times = check.array(name, given, "hold numbers")
-        if times.shape not in ((), (self.num_envs,)):
-            raise ValueError(f"{name} must be a number or have shape ({self.num_envs},), got shape {times.shape}")
-        all_times = np.broadcast_to(times.astype(np.float64), (self.num_envs,))
-        for time in np.unique(all_times[chosen]).tolist():
-            check.real(name, time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
-        return np.where(chosen, all_times, 0.0)
-
-    def _states(
-        self, name: str, given: ArrayLike, chosen: Flags, checked: Callable[[Scene, Any], Array]
-    ) -> Callable[[Callable[[int], Scene]], Array]:
-        """Rows of states, shape (N, 12): a function that checks those ``chosen`` against the scenes.
-
-        Raises:
-            TypeError, ValueError: numbers in another shape; the function raises it for an unusable state.
-        """
-        states = check.array(name, given, "hold numbers")
-        if states.shape not in ((12,), (self.num_envs, 12)):
-            raise ValueError(f"{name} must have shape (12,) or ({self.num_envs}, 12), got shape {states.shape}")
-
-        def rows(scene_of: Callable[[int], Scene]) -> Array:
-            found = np.zeros((self.num_envs, 12))
-            fitting = dict[int, Array]()  # by scene
-            for number in np.flatnonzero(chosen).tolist():
-                scene = scene_of(number)
-                if states.ndim == 1 and id(scene) in fitting:
-                    found[number] = fitting[id(scene)]
-                    continue
-                try:
-                    found[number] = checked(scene, states if states.ndim == 1 else states[number])
-                except (TypeError, ValueError) as error:
-                    if states.ndim == 1 and not fitting:
-                        raise
-                    place = f"{name}[{number}]" if states.ndim > 1 else f"{name} in environment {number}"
-                    raise type(error)(f"{place}: {error}") from error
-                fitting[id(scene)] = found[number]
-            return found
-
-        return rows
-
-    def _scene_list(self, given: Any) -> list[Scene]:
-        """One scene for all environments, or one for each."""
-        scenes, several = scenes_of(given)
-        if several and len(scenes) != self.num_envs:
-            raise ValueError(f"scene must be one scene or a list of {self.num_envs}, got {len(scenes)} of them")
-        return scenes if any(scene != scenes[0] for scene in scenes) else scenes[:1]
-
-    def _changes(self, given: Any, chosen: Flags) -> list[Change]:
-        """Fields of the scene that change, for each of the ``chosen`` environments."""
-        if isinstance(given, Mapping):
-            return [given] * int(chosen.sum())
-        several = isinstance(given, Sequence) and not isinstance(given, str)
-        if not several or len(given) != self.num_envs or not all(isinstance(one, Mapping | None) for one in given):
-            raise TypeError(
-                f"options['scene'] must be a dict of the scene's fields or a list of {self.num_envs}, "
-                f"got {check.shown(given)}"
-            )
-        return [given[number] or {} for number in np.flatnonzero(chosen).tolist()]
 
 
 def _marked(infos: Infos, mask: Flags) -> Infos:

@@ -45,7 +45,7 @@ PACKAGE = """
     rendering
     env
     batches.base batches.threads
-    batches.scenes
+    batches.scenes batches.given
     batches.exact batches.single
     vector_env
     sb3 planning
