@@ -60,10 +60,14 @@ def test_an_interruption_among_jacks_at_rest_is_heard_soon_and_changes_nothing(
         return call
 
     before = told(env)
-    with monkeypatch.context() as patch:
-        patch.setattr(exact, "compiled", watched)
-        with pytest.raises(KeyboardInterrupt):
-            env.step(np.zeros(COUNT))
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores the signal
+    try:
+        with monkeypatch.context() as patch:
+            patch.setattr(exact, "compiled", watched)
+            with pytest.raises(KeyboardInterrupt):
+                env.step(np.zeros(COUNT))
+    finally:
+        signal.signal(signal.SIGINT, handler)
     if num_threads == 1:
         assert calls == [Status.PAUSED]
     assert not threads._AT_WORK
