@@ -181,6 +181,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         if render_mode is not None:
             check.choice("render_mode", render_mode, self.metadata["render_modes"])
         self.task, self._task = task, tasks.task_of(task)
+        self._fails_never = self._task in tasks.TASKS.values()  # a task of the user's own may
         self._own = Scene.of(scene)
         self._parts = self._made(self._own)
         self._parts[1](self.state, 0.0, 0.0)  # an unfit task is refused now
@@ -315,14 +316,15 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         if action is not None and self._torque_source == "agent":
             torque = self._torque_of(action)
         simulator, score = self._parts
-        before, time = simulator.state, simulator.time
+        before = None if self._fails_never else (simulator.state, simulator.time)
         simulator.step(self._control_dt, torque)
         impacts, state = simulator.impacts, simulator.state
         impulse = total_impulse(impacts)
         try:
             observation, terms = score(state, simulator.torque, impulse)
-        except Exception:  # of a user's task
-            simulator.reset(before, time)
+        except Exception:
+            if before is not None:
+                simulator.reset(*before)
             raise
         if self._renderer is not None:
             self._renderer.record(state, simulator.time, simulator.torque, impacts)
