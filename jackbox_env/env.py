@@ -366,7 +366,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         value = float(values.item())
         if not math.isfinite(value):
             raise ValueError(f"action must be a finite number (clipped to [-1, 1]), got {value}")
-        return max(-1.0, min(1.0, value)) * self.scene.torque_limit
+        return max(-1.0, min(1.0, value)) * self._parts[0].scene.torque_limit
 
     def _info(self, state: Array, impacts: int, impulse: float, terms: Sequence[float]) -> dict[str, Any]:
         simulator = self._simulator

@@ -56,15 +56,16 @@ class CompiledScore:
 
         self._given = scene, task
         self._call, self._numbers = compiled_for(task, score_one), np.array(scene.numbers)
+        self._terms = np.empty(len(task.terms))  # written by each call
 
     def __reduce__(self) -> tuple[Any, ...]:
         return CompiledScore, self._given
 
     def __call__(self, state: Array, torque: float, impulse: float) -> tuple[NDArray[np.float32], Sequence[float]]:
         """See :class:`Score`."""
-        observation, terms = np.empty(10, dtype=np.float32), np.empty(len(self._given[1].terms))
-        self._call(self._numbers, state, torque, impulse, observation, terms)
-        return observation, terms.tolist()
+        observation = np.empty(10, dtype=np.float32)
+        self._call(self._numbers, state, torque, impulse, observation, self._terms)
+        return observation, self._terms.tolist()
 
 
 def compiled_for(task: Task, function: Callable[..., Any]) -> Callable[..., Any]:
