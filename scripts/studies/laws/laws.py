@@ -232,7 +232,9 @@ class Books:
     def enter(self, before: Array, run: Simulator, torque: float | None, found: Examination) -> None:
         """Measure the balances after a step."""
         state = run.state
-        self._enter_momentum(state, run.time - self._case.time, found)
+        # What walls give and take in a step rounds too, also where a wedged jack hardly moves.
+        exchanged = sum(hit.impulse for hit in run.impacts)
+        self._enter_momentum(state, run.time - self._case.time, exchanged, found)
         if torque is None and self._idle:
             torque = 0.0
         lossy = self._case.scene.restitution < 1.0 and self._case.contact == "pymunk"
@@ -240,7 +242,7 @@ class Books:
         if torque is not None and not self._pushed and not wedged:
             self._enter_energy(before, run, torque, found)
 
-    def _enter_momentum(self, state: Array, since: float, found: Examination) -> None:
+    def _enter_momentum(self, state: Array, since: float, exchanged: float, found: Examination) -> None:
         weight = self._case.scene.jack_mass * self._case.scene.gravity
         impulse, moment = np.array([0.0, -weight * since]), np.array([0.0, -0.5 * weight * since**2])
         for axis, force in enumerate(self._forces):
@@ -252,7 +254,7 @@ class Books:
         total = self._masses.sum()
         path = (self._momentum * since + moment) / total
         sizes = self._masses @ np.abs(state[[6, 7, 9, 10]]).reshape(2, 2) + np.abs(impulse) + np.abs(self._momentum)
-        self._largest_momentum = np.maximum(self._largest_momentum, sizes)
+        self._largest_momentum = np.maximum(self._largest_momentum, sizes + exchanged)
         reach = np.abs(state[[0, 1, 3, 4]]).max() + np.abs(path).max() + self._largest_momentum.max() / total * since
         self._largest_place = max(self._largest_place, float(reach))
         off = float(np.abs(momentum - self._momentum - impulse).max())
