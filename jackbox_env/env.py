@@ -184,7 +184,8 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         self._fails_never = self._task in tasks.TASKS.values()  # a task of the user's own may
         self._own = Scene.of(scene)
         self._parts = self._made(self._own)
-        self._parts[1](self.state, 0.0, 0.0)  # an unfit task is refused now
+        if not self._fails_never:
+            self._parts[1](self.state, 0.0, 0.0)  # an unfit task is refused now
         self._randomize = None
         if randomize is not None:
             self._randomize = Randomization(randomize, [self._own], self._simulator_of)

@@ -351,8 +351,7 @@ class Scene:
     @property
     def derived(self) -> tuple[str, ...]:
         """The inertias that were not given: names of "box_inertia" and "jack_inertia"."""
-        names: tuple[str, ...] = self._derived  # type: ignore[attr-defined]
-        return names
+        return self._derived  # type: ignore[attr-defined, no-any-return]
 
     @property
     def elastic(self) -> bool:

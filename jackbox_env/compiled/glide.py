@@ -43,7 +43,7 @@ class Block(NamedTuple):
 def glide_block(dt: float, block: Block) -> None:
     """Fly all lanes of a block for ``dt`` [s], many at a time, and mark those where a foot may touch a wall.
 
-    The law is that of ``compiled.step.glide``; one coordinate per loop is what the compiler makes wide.
+    The law is that of ``compiled.step.glide``.
     """
     before, after, lanes, count = block.before, block.after, block.lanes, block.size
     inertia, fall, clear = block.scenes[INERTIA], block.scenes[FALL], block.scenes[CLEAR]

@@ -388,21 +388,3 @@ def test_a_rollout_takes_a_scene_for_each_row() -> None:
     shifted[2, 3] = 4.0  # outside of a box of 3 m only
     with pytest.raises(ValueError, match=r"states\[2\]"):
         rollout(list(SCENES), shifted, torques, 0.05)
-
-
-# -- pictures ---------------------------------------------------------------------------------------------------------
-
-
-def test_a_picture_shows_the_scene_that_holds() -> None:
-    pytest.importorskip("pygame")
-    env = JackInBoxEnv(render_mode="rgb_array")
-    state = np.zeros(12)
-    state[5] = math.pi / 4.0
-    env.reset(options={"state": state})
-    default = env.render()
-    env.reset(options={"state": state, "scene": {"jack_arm": 3.0}})
-    other = env.render()
-    alone = JackInBoxEnv(render_mode="rgb_array", scene={"jack_arm": 3.0})
-    alone.reset(options={"state": state})
-    np.testing.assert_array_equal(other, alone.render())
-    assert not np.array_equal(other, default)  # type: ignore[arg-type]

@@ -128,6 +128,20 @@ def test_importing_does_not_import_pygame() -> None:
     assert python("import sys, jackbox_env.rendering; print('pygame' in sys.modules)") == "False"
 
 
+def test_a_picture_shows_the_scene_that_holds() -> None:
+    env = gym.make("JackInBox-v0", render_mode="rgb_array")
+    start = np.zeros(12)
+    start[5] = math.pi / 4.0
+    env.reset(options={"state": start})
+    default = env.render()
+    env.reset(options={"state": start, "scene": {"jack_arm": 3.0}})
+    other = env.render()
+    alone = gym.make("JackInBox-v0", render_mode="rgb_array", scene={"jack_arm": 3.0})
+    alone.reset(options={"state": start})
+    np.testing.assert_array_equal(other, alone.render())
+    assert not np.array_equal(other, default)  # type: ignore[arg-type]
+
+
 def test_arrays_need_no_display() -> None:
     code = (
         "from jackbox_env.rendering import Renderer; from jackbox_env.scene import Scene; import pygame\n"
