@@ -96,7 +96,8 @@ def _compile_once(
             known[name] = ready(known[name])
     cells = tuple(CellType(ready(cell.cell_contents)) for cell in function.__closure__ or ())
     twin = FunctionType(function.__code__, known, function.__name__, function.__defaults__, cells)
-    twin.__qualname__, twin.__module__, twin.__doc__ = function.__qualname__, function.__module__, function.__doc__
+    twin.__qualname__ = _full_name(function, instead)
+    twin.__module__, twin.__doc__ = function.__module__, function.__doc__
     # Without the runtime that counts references to arrays: nothing compiled here makes an array, and counting took
     # two thirds of a step.
     settings: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False}
@@ -104,8 +105,19 @@ def _compile_once(
         settings |= {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     dispatcher = njit(**settings)(twin)
     if keep and is_jitted(dispatcher):  # it is the plain function under NUMBA_DISABLE_JIT
-        _keep(dispatcher, twin, ", ".join(f"{name}={other.__module__}.{other.__qualname__}" for name, other in instead))
+        _keep(dispatcher, twin)
     return cast(Callable[..., Any], dispatcher)
+
+
+def _full_name(function: FunctionType, instead: tuple[tuple[str, Any], ...]) -> str:
+    """The name that numba makes a symbol of, with what the function calls in place of those of its source.
+
+    Machine code is found by its symbol: a name, argument types, and a count of the functions that a process has
+    compiled. Two processes may have counted alike, so in a third one, which loads what both have kept, the name alone
+    tells one task's reward from another's.
+    """
+    changes = (f"{name}={getattr(to, '__module__', '')}.{getattr(to, '__qualname__', to)}" for name, to in instead)
+    return f"{function.__qualname__}[{', '.join(changes)}]" if instead else function.__qualname__
 
 
 class _Module(ModuleType):
@@ -132,7 +144,7 @@ def _followed(caller: FunctionType, called: FunctionType | ModuleType) -> bool:
     return _root(called) not in _NUMBAS_OWN and _root(called) not in sys.stdlib_module_names
 
 
-def _keep(dispatcher: Any, function: FunctionType, instead: str) -> None:
+def _keep(dispatcher: Any, function: FunctionType) -> None:
     """Let numba look for compiled code on disk before it compiles, and save there what it compiles."""
     from jackbox_env.compiled.kept import CodeCache, say_once
 
@@ -143,7 +155,7 @@ def _keep(dispatcher: Any, function: FunctionType, instead: str) -> None:
     if not source:  # then a changed function could not be told from the one whose code is kept
         say_once(name, f"the source of {name} cannot be read, so what is compiled of it is not kept")
     elif folders := _cache_folders():
-        dispatcher._cache = CodeCache(function, source, folders, instead)  # where njit(cache=True) puts numba's own
+        dispatcher._cache = CodeCache(function, source, folders)  # where njit(cache=True) puts numba's own
 
 
 @cache

@@ -46,19 +46,18 @@ class CodeCache(NullCache):
     One file for each signature, kind of processor, and version of Python and numba.
 
     Args:
-        function: the plain function.
+        function: the plain function, with a qualified name that no other code kept here has.
         source: the text it was read from, which tells its versions apart.
         folders: where to look, in this order; the last is where code is saved.
-        instead: which functions it calls in place of those of its source.
     """
 
-    def __init__(self, function: FunctionType, source: str, folders: Sequence[Path], instead: str = "") -> None:
+    def __init__(self, function: FunctionType, source: str, folders: Sequence[Path]) -> None:
         closed = tuple(cell.cell_contents for cell in function.__closure__ or ())
         known: bytes = dumps(closed) if closed else b""  # type: ignore[no-untyped-call]
         self._name = f"{Path(function.__code__.co_filename).stem}.{function.__name__.strip('<>')}"
         self._version = (
             sys.version, numba.__version__, function.__qualname__, function.__code__.co_code.hex(),
-            known.hex(), source, instead,
+            known.hex(), source,
         )  # fmt: skip
         self._folders = folders
 

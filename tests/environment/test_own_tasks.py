@@ -239,6 +239,37 @@ def test_two_processes_with_different_tasks_never_get_each_others_code(tmp_path:
     assert found == [1.0, 2.0, 10.0]
 
 
+_SCORES = """
+import sys
+import numpy as np
+from jackbox_env.compiled.address import address_of
+from jackbox_env.compiled.score import score_block, score_one
+from jackbox_env.scene import Scene
+from jackbox_env.scoring import compiled_for
+from jackbox_env.tasks import TASKS
+numbers, state, found = np.array(Scene().numbers), np.linspace(0.1, 0.5, 12), []
+for name in sys.argv[1:]:
+    terms = np.zeros(len(TASKS[name].terms))
+    compiled_for(TASKS[name], score_one)(numbers, state, 5.0, 2.0, np.empty(10, np.float32), terms)
+    assert terms.tolist() == list(TASKS[name].values(Scene().numbers, state, 5.0, 2.0)), name
+    found.append(address_of(compiled_for(TASKS[name], score_block)))
+again = [address_of(compiled_for(TASKS[name], score_block)) for name in sys.argv[1:]]
+assert found == again and len(set(found)) == len(found), (found, again)
+"""
+
+
+def test_a_process_that_loads_what_others_have_kept_tells_their_tasks_apart(tmp_path: Path) -> None:
+    """Each of the first processes compiles one task, so numba counts them alike; the last loads them all."""
+    environment = {
+        **os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(Path(jackbox_env.__file__).parents[1])
+    }  # fmt: skip
+    for names in (["juggle"], ["rattle"], ["spin"], ["juggle", "rattle", "spin"]):
+        done = subprocess.run(
+            [sys.executable, "-c", _SCORES, *names], env=environment, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, (names, done.stderr)
+
+
 def test_nothing_of_a_users_task_is_kept_on_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from jackbox_env.compiled import kept
 
