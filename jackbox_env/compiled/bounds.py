@@ -46,6 +46,40 @@ def bounds_of(scene: SceneNumbers, flight: Flight, left: float, spin_up: float, 
     return Bounds(far, bend, scene.jack_arm * (spin * spin + spin_up) * _SLACK)
 
 
+def bounds_to_impact(scene: SceneNumbers, flight: Flight, left: float, spin_up: float, push: float) -> float:
+    """Bound of a gap's second derivative within ``left`` [s], until a foot first touches a wall [m/s^2].
+
+    Until then a foot is in the box, sqrt(2) L from its centre at most, however far the bounds let the jack get.
+    With p the foot's place from the box's centre and n the wall's normal, gap = L - n . p, so K = |p''| + 2 |n'| |p'| +
+    |n''| |p|; the box's rotation has no part in p.
+    """
+    arm, spin = scene.jack_arm, abs(flight.jack_omega)
+    pull = scene.gravity + push
+    omega = abs(flight.omega) + spin_up * left
+    speed = math.sqrt(flight.vx * flight.vx + flight.vy * flight.vy) + pull * left + arm * spin
+    away = 1.4142136 * scene.box_half_width
+    return (pull + arm * spin * spin + 2.0 * omega * speed + (omega * omega + spin_up) * away) * _SLACK
+
+
+def inside(scene: SceneNumbers, flight: Flight, left: float, push: float) -> tuple[float, float]:
+    """Times within ``left`` [s] between which no foot can touch, however fast the box turns: both 0 if there are none.
+
+    A foot touches a wall only where its distance from the box's centre is L or more. With r and v the jack's centre and
+    its velocity, as seen from the box's, and a bound a of its acceleration, |r + v s| + a s^2 / 2 < L - l holds where
+    |r + v s| < R = L - l - a left^2 / 2.
+    """
+    pull = scene.gravity + push
+    room = (scene.box_half_width - scene.jack_arm - 0.5 * pull * left * left) * (1.0 - 1e-12)
+    square = flight.vx * flight.vx + flight.vy * flight.vy
+    linear = flight.x * flight.vx + flight.y * flight.vy
+    beyond = flight.x * flight.x + flight.y * flight.y - room * room
+    root = linear * linear - square * beyond
+    if not (room > 0.0 and root > 0.0 and square > 0.0):
+        return 0.0, 0.0
+    root = math.sqrt(root) * (1.0 - 1e-9)
+    return (-linear - root) / square, (root - linear) / square
+
+
 def curvature_of(scene: SceneNumbers, flight: Flight, left: float, piece: Piece) -> float:
     """Bound of a gap's second derivative within ``left`` [s] [m/s^2]."""
     bounds = bounds_of(scene, flight, left, piece.spin_up, piece.push)

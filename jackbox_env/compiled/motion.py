@@ -189,6 +189,22 @@ def box_frame(x: float, y: float, vx: float, vy: float, angle: float, omega: flo
     return BoxFrame(ahead, aside, c * vx + s * vy + omega * aside, c * vy - s * vx - omega * ahead)
 
 
+class View(NamedTuple):
+    """The jack as it is seen from the box at one moment."""
+
+    frame: BoxFrame
+    cosine: float  # of the jack's angle relative to the box
+    sine: float
+    spin: float  # rate of that angle [rad/s]
+    time: float  # the moment, since the flight's start [s]
+
+
+def view_of(frame: BoxFrame, angle: float, spin: float, time: float) -> View:
+    """The jack at an ``angle`` and ``spin`` relative to the box, at a ``time`` [s]."""
+    cosine, sine = cos_sin(angle)
+    return View(frame, cosine, sine, spin, time)
+
+
 def towards(frame: BoxFrame, wall: int) -> tuple[float, float]:
     """How far the centre is on the way to a wall [m], and its rate [m/s]."""
     if wall == 0:

@@ -6,7 +6,8 @@ compiled as it stands (:mod:`jackbox_env.compiled.compiler`). The head of ``exac
 
 Guarantee: with |d2 gap / dt2| <= K over what is left of the piece (``bounds.py``), gap(t + s) >= gap + gap' s -
 K s^2 / 2. So walking to the first positive root of that parabola never passes an impact. Where a foot arrives at speed
-the walk converges quadratically. Where |r| + l < L throughout, nothing can be hit and no gap is evaluated.
+the walk converges quadratically. Where |r| + l < L throughout, nothing can be hit and no gap is evaluated. In a box
+that turns far, K is large and many feet may reach many walls: :func:`first_in_a_turn` then follows all at once.
 """
 
 from __future__ import annotations
@@ -16,11 +17,29 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jackbox_env.compiled.bounds import bounds_of, parabola_root, reach_of, rounding, walls_in_reach
+from jackbox_env.compiled.bounds import (
+    bounds_of,
+    bounds_to_impact,
+    inside,
+    parabola_root,
+    reach_of,
+    rounding,
+    walls_in_reach,
+)
 from jackbox_env.compiled.impacts import resolve
-from jackbox_env.compiled.motion import BoxFrame, Flight, Piece, box_frame, evolve, foot_gap, gap_at, towards
+from jackbox_env.compiled.motion import (
+    Flight,
+    Piece,
+    View,
+    box_frame,
+    evolve,
+    foot_gap,
+    gap_at,
+    pose_at,
+    towards,
+    view_of,
+)
 from jackbox_env.compiled.status import Status
-from jackbox_env.compiled.trigonometry import cos_sin
 from jackbox_env.compiled.workspace import ELAPSED, HITS, IMPULSE, TALLY, WORK, Workspace
 from jackbox_env.scene import SceneNumbers
 
@@ -30,6 +49,10 @@ MOST_WORK = 1_000_000  # gaps evaluated in one step
 _RESTLESS = 65_536  # gaps evaluated before a step may count as one at rest
 GLANCE = 2.0**-12  # of a piece: how far a step at rest looks ahead
 STEEPEST = 1e40  # K [m/s^2] and alpha [rad/s^2] beyond which squares overflow
+_ALL = 15  # walls, as bits
+_TURNED = 0.25  # [rad] of the box's turn in what is left of a piece, beyond which all feet are followed together
+_CLOSING = 4.0  # rate^2 / (K gap) beyond which a foot is about to arrive
+_SHORT = 2.0**-12  # of what is left of a piece: steps shorter than that are left to each pair's own search
 _GROWN = 64 * 11  # gaps evaluated until ``sink`` has reached its bound, see search()
 
 
@@ -59,7 +82,8 @@ class Approach(NamedTuple):
 
     wall: int
     foot: int
-    gap: float  # [m] now
+    since: float  # from when on the foot is followed, since the flight's start [s]
+    gap: float  # [m] then
     rate: float  # [m/s]
 
 
@@ -121,39 +145,96 @@ def first_impact(
     if not curvature < STEEPEST:
         return left, ENDLESS
     # Half of it, so that rounding does not part what the search has found from what touches.
-    return first_of_all(scene, work, flight, frame, walls, Limits(curvature, left, 0.5 * tolerance), rest)
+    limits = Limits(curvature, left, 0.5 * tolerance)
+    view = view_of(frame, flight.jack_angle - flight.angle, flight.jack_omega - flight.omega, 0.0)
+    if flight.held == 0 and (abs(flight.omega) + piece.spin_up * left) * left > _TURNED:
+        return first_in_a_turn(scene, work, flight, view, limits, rest, piece)
+    return first_of_all(scene, work, flight, view, walls, NONE, limits, rest)
 
 
 def first_of_all(
-    scene: SceneNumbers, work: Workspace, flight: Flight, frame: BoxFrame, walls: int, limits: Limits,
+    scene: SceneNumbers, work: Workspace, flight: Flight, view: View, walls: int, likely: int, limits: Limits,
     rest: float,
 ) -> tuple[float, int]:  # fmt: skip
-    """The first impact of any foot on any of these ``walls`` (as bits): see :func:`first_impact`."""
+    """The first impact of any foot on any of these ``walls`` (as bits): see :func:`first_impact`.
+
+    There is none before the moment of the ``view``. The pair ``likely``, if there is one, is looked at first.
+    """
     best, found = limits.end, NONE
     curvature, tolerance = limits.curvature, limits.tolerance
-    cosine, sine = cos_sin(flight.jack_angle - flight.angle)
-    spin = flight.jack_omega - flight.omega
+    frame, cosine, sine, spin, since = view
     longest = scene.jack_arm * max(abs(cosine), abs(sine))
+    if likely != NONE:
+        wall, foot = likely // 4, likely % 4
+        ahead, speed = towards(frame, wall)
+        gap, rate = foot_gap(scene, ahead, speed, cosine, sine, spin, foot - wall)
+        time = search(scene, work, flight, Approach(wall, foot, since, gap, rate), limits)
+        if time <= best:
+            best, found = time, likely
     for wall in range(4):
         if not walls & (1 << wall):
             continue
         ahead, speed = towards(frame, wall)
         nearest = scene.box_half_width - ahead - longest  # of the feet, now; none comes nearer faster than this
-        fall = max(speed, 0.0) + scene.jack_arm * abs(spin) + 0.5 * curvature * best
-        if nearest > tolerance and nearest - fall * best > 0.0:
+        left = best - since
+        fall = max(speed, 0.0) + scene.jack_arm * abs(spin) + 0.5 * curvature * left
+        if nearest > tolerance and nearest - fall * left > 0.0:
             continue
         for foot in range(4):
             gap, rate = foot_gap(scene, ahead, speed, cosine, sine, spin, foot - wall)
-            if gap > tolerance and gap + (rate - 0.5 * curvature * best) * best > 0.0:
+            left = best - since
+            if gap > tolerance and gap + (rate - 0.5 * curvature * left) * left > 0.0:
                 continue
-            if flight.held & (1 << (4 * wall + foot)):
+            if flight.held & (1 << (4 * wall + foot)) or 4 * wall + foot == likely:
                 continue
             if gap <= rest and abs(rate) <= slowest(scene, flight, limits, rest):
                 return 0.0, AT_REST
-            time = search(scene, work, flight, Approach(wall, foot, gap, rate), Limits(curvature, best, tolerance))
+            shorter = Limits(curvature, best, tolerance)
+            time = search(scene, work, flight, Approach(wall, foot, since, gap, rate), shorter)
             if time < best or (time == best and found == NONE):
                 best, found = time, 4 * wall + foot
     return best, ENDLESS if work[TALLY, WORK] > MOST_WORK else found
+
+
+def first_in_a_turn(
+    scene: SceneNumbers, work: Workspace, flight: Flight, view: View, limits: Limits, rest: float, piece: Piece
+) -> tuple[float, int]:
+    """The first impact in a box that turns far: see :func:`first_impact`.
+
+    The bound K grows with the square of the box's rate, and many feet may reach many walls. So all of them are followed
+    together, from pose to pose, until one is about to arrive.
+    """
+    tolerance, end = limits.tolerance, limits.end
+    curvature = min(limits.curvature, bounds_to_impact(scene, flight, end, piece.spin_up, piece.push))
+    slow = slowest(scene, flight, limits, rest)
+    away, back = inside(scene, flight, end, piece.push)
+    while True:
+        frame, cosine, sine, spin, s = view
+        step, likely, closing, arrived = end - s, NONE, False, False
+        for wall in range(4):
+            ahead, speed = towards(frame, wall)
+            for foot in range(4):
+                gap, rate = foot_gap(scene, ahead, speed, cosine, sine, spin, foot - wall)
+                if (gap <= tolerance and rate < 0.0) or (s == 0.0 and gap <= rest and abs(rate) <= slow):
+                    arrived = True
+                gap = max(gap, 0.1 * tolerance)
+                if gap + (rate - 0.5 * curvature * step) * step <= 0.0:
+                    step, likely = parabola_root(gap, rate, curvature), 4 * wall + foot
+                    closing = rate < 0.0 and rate * rate > _CLOSING * curvature * gap
+        if arrived or closing or step < _SHORT * end:
+            break
+        s += step
+        if away < s < back:
+            s = back
+        if likely == NONE or s >= end:
+            return end, NONE
+        work[TALLY, WORK] += 1.0
+        pose = pose_at(flight, work, s)
+        frame = box_frame(pose.x, pose.y, pose.vx, pose.vy, pose.angle, pose.omega)
+        view = view_of(frame, pose.jack_angle - pose.angle, pose.jack_omega - pose.omega, s)
+    if view.time == 0.0:
+        return first_of_all(scene, work, flight, view, _ALL, NONE, limits, rest)
+    return first_of_all(scene, work, flight, view, _ALL, likely, Limits(curvature, end, tolerance), -math.inf)
 
 
 def slowest(scene: SceneNumbers, flight: Flight, limits: Limits, rest: float) -> float:
@@ -179,8 +260,7 @@ def search(scene: SceneNumbers, work: Workspace, flight: Flight, approach: Appro
     still = rounding(scene, flight, limits.end)
     if flight.held:
         still += 1e-15 * flight.speeds
-    tolerance, gap, rate = limits.tolerance, approach.gap, approach.rate
-    s = 0.0
+    tolerance, s, gap, rate = limits.tolerance, approach.since, approach.gap, approach.rate
     while True:
         if gap > tolerance:
             granted = deepest(scene) if rests(scene, work) else 0.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ import pytest
 from jackbox_env.compiled import bounds, motion
 from jackbox_env.compiled import search as kernel
 from jackbox_env.compiled.status import Status
-from jackbox_env.compiled.workspace import new_workspace
+from jackbox_env.compiled.workspace import TALLY, WORK, new_workspace
 from jackbox_env.scene import Scene
 from jackbox_env.states import clearance
 from scripts.studies.speed import naive
@@ -135,3 +135,65 @@ def test_an_uncertified_step_would_let_feet_through(monkeypatch: pytest.MonkeyPa
         monkeypatch.setattr(module, "bounds_of", brazen)
     hasty = plain_step(scene, state, dt, 0.0)[2]
     assert not hasty or hasty[0] != first
+
+
+def fast_flights(count: int) -> Iterator[tuple[Scene, motion.Flight, motion.Piece, float]]:
+    """Flights in boxes that turn by half a radian to ten within the time: scene, flight, piece and time."""
+    rng = np.random.default_rng(7)
+    for _ in range(count):
+        scene = Scene(jack_arm=rng.choice([0.1, 1.0, 5.5]), gravity=rng.choice([0.0, 9.81, 100.0]), drive=None)
+        left, alpha = 10.0 ** rng.uniform(-3.0, -1.0), rng.uniform(-100.0, 100.0)
+        state = inside(scene, rng, speed=rng.uniform(0.1, 4.0) / left)
+        state[8] = rng.choice([-1.0, 1.0]) * rng.uniform(0.5, 10.0) / left
+        piece = motion.held_piece(left, alpha)
+        yield scene, motion.flight_of(scene.numbers, state, piece, 0.0), piece, left
+
+
+def test_feet_followed_together_find_the_impact_that_each_of_its_own_finds(monkeypatch: pytest.MonkeyPatch) -> None:
+    evaluated, hits = [], 0
+    for scene, flight, piece, left in fast_flights(150):
+        found = []
+        for turned in (0.25, math.inf):
+            monkeypatch.setattr(kernel, "_TURNED", turned)
+            work = new_workspace()
+            found.append(kernel.first_impact(scene.numbers, work, flight, piece, left, 1e-13, 1e-13))
+            evaluated.append(work[TALLY, WORK])
+        (time, pair), (expected, expected_pair) = found
+        assert pair == expected_pair
+        assert abs(time - expected) <= 1e-12 * left
+        hits += pair >= 0
+    assert hits > 60
+    assert 3.0 * sum(evaluated[::2]) < sum(evaluated[1::2])
+
+
+def test_the_bounds_of_a_fast_box_hold_until_the_first_impact() -> None:
+    tightest, quiet = math.inf, 0
+    for scene, flight, piece, left in fast_flights(150):
+        n, work = scene.numbers, new_workspace()
+        until, _ = kernel.first_impact(n, work, flight, piece, left, 1e-13, 1e-13)
+        curvature = bounds.bounds_to_impact(n, flight, left, piece.spin_up, 0.0)
+        away, back = bounds.inside(n, flight, left, 0.0)
+        for wall, foot in ((0, 0), (1, 3), (2, 1)):
+            h, gaps = until / 60.0, []
+            for k in range(61):
+                gap, _ = motion.gap_at(n, flight, work, wall, foot, k * h)
+                if away < k * h < back:
+                    quiet += 1
+                    assert gap > 0.0
+                gaps.append(gap)
+            bent = np.abs(np.diff(gaps, 2)) / h**2
+            assert bent.max() <= curvature + 1e-13 * scene.box_half_width / h**2
+            tightest = min(tightest, curvature / bent.max())
+    assert tightest < 2.0
+    assert quiet > 500
+
+
+def test_followed_by_too_large_steps_feet_are_let_through(monkeypatch: pytest.MonkeyPatch) -> None:
+    honest, wrong = bounds.bounds_to_impact, 0
+    for scene, flight, piece, left in fast_flights(150):
+        found = []
+        for share in (1.0, 0.01):
+            monkeypatch.setattr(kernel, "bounds_to_impact", lambda *given, share=share: share * honest(*given))
+            found.append(kernel.first_impact(scene.numbers, new_workspace(), flight, piece, left, 1e-13, 1e-13))
+        wrong += found[0][1] != found[1][1] or abs(found[0][0] - found[1][0]) > 1e-9 * left
+    assert wrong > 3

@@ -6,7 +6,7 @@ measures the price of the guarantee, the tests show what this search misses.
 
 from __future__ import annotations
 
-from jackbox_env.compiled.motion import BoxFrame, Flight, box_frame, foot_gap, gap_at, pose_at, towards
+from jackbox_env.compiled.motion import Flight, View, box_frame, foot_gap, gap_at, pose_at, towards
 from jackbox_env.compiled.search import NONE, Limits
 from jackbox_env.compiled.trigonometry import cos_sin
 from jackbox_env.compiled.workspace import Workspace
@@ -16,8 +16,9 @@ _MOST_ITERATIONS = 50
 
 
 def first_of_all(
-    scene: SceneNumbers, work: Workspace, flight: Flight, frame: BoxFrame, walls: int, limits: Limits, rest: float
-) -> tuple[float, int]:
+    scene: SceneNumbers, work: Workspace, flight: Flight, view: View, walls: int, likely: int, limits: Limits,
+    rest: float,
+) -> tuple[float, int]:  # fmt: skip
     """The earliest root of the gaps that are closed at the end; returns values like the certified search."""
     left = limits.end
     best, found = left, NONE
