@@ -45,11 +45,12 @@ POLES, POOL = "CartPole-v1, 1,024, Gymnasium's own", "CartPole-v1, 1,024, EnvPoo
 FEW = "JackInBox-v0, pymunk, 16"
 SB3, DUMMY = "`make_sb3_vec_env`, exact, 16", "`DummyVecEnv`, exact, 16"
 BATCH_256, SB3_256 = "JackInBox-v0, exact, 256", "`make_sb3_vec_env`, exact, 256"
+RATES = (5, 80, 300)  # [rad/s] of boxes whose impacts are timed
 TOGETHER = 1024  # environments in a batch
 
 LONG = "`rollout` of 4,096 states, 100 steps"
 SIZES = (256, 4096, 16384, 65536, 262144)
-THREADED = (16384, 65536)  # the sizes that two threads are tried on
+THREADED = (4096, 16384, 65536)  # the sizes that two threads are tried on
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
@@ -64,6 +65,11 @@ _WRONG = 1e-6  # difference, or depth outside the box [m], that is no rounding
 def of_size(count: int) -> str:
     """Name of a batch's measurement."""
     return f"{count:,} environments"
+
+
+def at_rate(rate: int) -> str:
+    """Name of the measurement of impacts in a box that turns at ``rate`` [rad/s]."""
+    return f"impacts in a box at {rate} rad/s, flights apart"
 
 
 def by_two(name: str) -> str:
@@ -222,6 +228,7 @@ def together(seconds: float) -> dict[str, Timed]:
         ROLLOUT: physics,
         UNGUARDED: unguarded(physics),
         **{name: many(env, seconds) for name, env in batches.items()},
+        **{at_rate(rate): struck(rate, seconds) for rate in RATES},
     }
 
 
@@ -273,6 +280,29 @@ def rolled(
         return torques.size
 
     return repeat(block, seconds, clock=clock)
+
+
+def struck(rate: int, seconds: float, steps: int = 25) -> Timed:
+    """Impacts per second in a heavy box that turns at ``rate`` [rad/s].
+
+    The time of the same flights in a box too wide to strike is taken off. It counts with what a rollout takes beside.
+    """
+    heavy: dict[str, Any] = {"box_mass": 1e9, "box_inertia": 1e9}
+    rng, scene, wide = np.random.default_rng(0), Scene(**heavy), Scene(box_half_width=1e6, **heavy)
+    states = np.array([sample_start(scene, rng) for _ in range(400)])
+    states[:, 8], states[:, 9:11] = rate, 30.0 * rng.normal(size=(400, 2))
+
+    def run() -> float:
+        impacts, passed, whole = 0, 0.0, 0.0
+        while whole <= seconds:
+            for box, sign in ((scene, 1.0), (wide, -1.0)):
+                began = time.process_time()
+                played: Any = planning.rollout(box, states, np.zeros(steps), DT, impacts=True, num_threads=1)
+                took = time.process_time() - began
+                impacts, passed, whole = impacts + int(played.impacts.sum()), passed + sign * took, whole + took
+        return impacts / passed
+
+    return run
 
 
 def unguarded(run: Callable[[], T]) -> Callable[[], T]:

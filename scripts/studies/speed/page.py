@@ -39,6 +39,13 @@ RATIOS = {
         "batch over a batch of the pymunk model": (names.BATCH, names.FEW),
         "`make_sb3_vec_env` over `DummyVecEnv`": (names.SB3, names.DUMMY),
         "`make_sb3_vec_env` over the batch, 256 environments": (names.SB3_256, names.BATCH_256),
+        **{
+            f"time of an impact at {rate} rad/s over one at {names.RATES[0]} rad/s": (
+                names.at_rate(names.RATES[0]),
+                names.at_rate(rate),
+            )
+            for rate in names.RATES[1:]
+        },
     },
     "threads": {
         f"{name}, two threads over one": (names.by_two(name), name)
