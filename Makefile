@@ -8,7 +8,7 @@ WORKERS := -n 2 --dist loadfile
 UNDER_OLD_GYMNASIUM := $(addprefix tests/,environment/test_env.py environment/test_starts_and_settings.py \
 	environment/test_tools.py batches/test_vector_env.py batches/test_episodes.py batches/test_refusals.py)
 
-.PHONY: demo test test-all test-slow benchmark benchmark-loss benchmark-quick throughput speed costs costs-loss soak extremes machines kills interruptions transfer readme clean
+.PHONY: demo test test-all test-slow benchmark benchmark-loss benchmark-quick throughput speed costs costs-loss soak extremes machines kills interruptions transfer transfer-loss readme clean
 .DELETE_ON_ERROR:
 
 demo: .venv/ready
@@ -71,6 +71,11 @@ interruptions: .venv/ready
 
 transfer: .venv/ready
 	@$(BIN)/python scripts/studies/transfer/transfer.py --seeds 5 --total-steps 1000000 500000 --out docs
+
+# The same at restitution 0.9, two fidelities, 40 minutes: docs/learning_loss.md.
+transfer-loss: .venv/ready
+	@$(BIN)/python scripts/studies/transfer/transfer.py --tasks juggle --fidelities balanced exact --seeds 5 \
+		--long-episodes 64 --restitution 0.9 --out docs
 
 readme: .venv/ready
 	@$(BIN)/python scripts/studies/readme.py
