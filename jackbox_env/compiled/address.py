@@ -20,23 +20,33 @@ def block_score(address: Any) -> Callable[..., None]:
     return cast(Callable[..., None], address)
 
 
+def step_score(address: Any) -> Callable[..., None]:
+    """The function at an address, with the arguments of ``score.score_step``; see :func:`block_score`."""
+    return cast(Callable[..., None], address)
+
+
 @cache
-def signature() -> Any:
-    """The types of ``score.score_block``: what it takes and that it returns nothing."""
+def signature(name: str) -> Any:
+    """The types of ``score.score_block`` or ``score.score_step``: what it takes and that it returns nothing."""
     from numba import types
 
     table, row = types.Array(types.float64, 2, "C"), types.Array(types.float64, 1, "C")
+    if name == "score_step":
+        return types.void(row, row, types.float64, types.float64, row, types.int64)
     return types.void(table, table, table, types.int64, types.int64, row, table)
 
 
+CALLED = {block_score: "score_block", step_score: "score_step"}
+
+
 @cache
-def block_score_compiled() -> Any:
-    """What :func:`block_score` is in compiled code."""
+def compiled_call(name: str) -> Any:
+    """What :func:`block_score` or :func:`step_score` is in compiled code."""
     from numba import types
     from numba.core import cgutils
     from numba.extending import intrinsic
 
-    kind = types.FunctionType(signature())
+    kind = types.FunctionType(signature(name))
 
     @intrinsic
     def at_address(typing: Any, address: Any) -> Any:
@@ -53,13 +63,15 @@ def block_score_compiled() -> Any:
 
 
 def address_of(dispatcher: Any) -> int:
-    """Where the compiled ``score.score_block`` of a task lies; it lies there as long as the dispatcher lives.
+    """Where a task's compiled ``score_block`` or ``score_step`` lies; it lies there as long as the dispatcher lives.
 
-    Uncompiled, the function itself is handed on.
+    Uncompiled, the function itself is handed on. None lies at 0 and is never called.
     """
+    if dispatcher is None:
+        return 0
     if isinstance(dispatcher, FunctionType):
         return cast(int, dispatcher)
-    wanted = signature()
+    wanted = signature(dispatcher.__name__)
     dispatcher.compile(wanted)
     result = dispatcher.overloads[wanted.args]
     return cast(int, result.library.get_pointer_to_function(result.fndesc.llvm_func_name))

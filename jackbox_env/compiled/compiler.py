@@ -84,8 +84,8 @@ def _compile_once(
 
     def ready(value: Any) -> Any:
         """What stands in compiled code for something that the function reads."""
-        if value is address.block_score:
-            return address.block_score_compiled()
+        if isinstance(value, FunctionType) and value in address.CALLED:
+            return address.compiled_call(address.CALLED[value])
         if isinstance(value, FunctionType) and (_followed(function, value) or value in dict(instead).values()):
             return _compile_once(value, instead, keep=False, inner=True)  # what is kept of a caller holds what it calls
         return _Module(value, ready) if isinstance(value, ModuleType) and _followed(function, value) else value

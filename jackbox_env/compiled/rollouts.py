@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from jackbox_env.compiled.address import step_score
 from jackbox_env.compiled.loop import PATIENCE
 from jackbox_env.compiled.status import Status
 from jackbox_env.compiled.step import Pieces, effort, make_numbers, make_plan, step
@@ -36,15 +37,16 @@ def outside(values: Array, states: Array, deepest: Array) -> int:
 class Played(NamedTuple):
     """Where a rollout is written; arrays of length 0 where nobody asks."""
 
-    trajectories: Array  # (N, H + 1, 12), the first states given
+    trajectories: Array  # (N, H + 1, 12), the first states given; (N, 2, 12): states of even and of odd steps, in turn
     hits: Counts  # (N, H) impacts in each step, or (0, H)
     impulses: Array  # (N, H) their sum [N s], or (0, H)
     energies: Array  # (N, H + 1) [J], or (0, H + 1)
+    rewards: Array  # (N, H), or (0, H)
 
 
 def roll(
     scenes: tuple[Array, Counts, Counts], dt: float, torques: Array, drive: tuple[Array, Array, Counts],
-    span: tuple[int, int, int], results: tuple[Array, Counts, Array, Array], work: Workspace,
+    span: tuple[int, int, int], results: tuple[Array, Counts, Array, Array, Array], score: int, work: Workspace,
 ) -> tuple[int, int, int]:  # fmt: skip
     """Fill in trajectories from their first states.
 
@@ -52,11 +54,12 @@ def roll(
         scenes: one row for all trajectories or one for each: numbers, shape (1 or N, numbers of a scene); what turns
             the box besides the torques; where the pieces of its drive begin in the list of first pieces.
         dt: [s].
-        torques: [N m], shape (N, H).
+        torques: [N m], shape (N, whole part of H), each held for as many steps as H has of them.
         drive: times [s], shape (H + 1,); pieces of the drives' functions, shape (pieces, TABLE_WIDTH); the first piece
             of each step of the first drive, of the next drive and so on, and past the last one's.
         span: first trajectory, past the last, and the step of the first one to begin with.
         results: the fields of :class:`Played`.
+        score: address of the task's ``score_step``; called only where rewards are asked for.
         work: memory to work in.
 
     Returns:
@@ -68,8 +71,9 @@ def roll(
     plan = make_plan(scene, dt, kinds[0])
     times, table, ends = drive
     low, high, first = span
-    played = Played(results[0], results[1], results[2], results[3])
-    worked = 0.0
+    played, pay = Played(results[0], results[1], results[2], results[3], results[4]), step_score(score)
+    worked, steps = 0.0, times.shape[0] - 1
+    whole, repeat = played.trajectories.shape[1] > steps, max(1, steps // max(1, torques.shape[1]))
     begin = begins[0]
     for i in range(low, high):
         if values.shape[0] > 1:
@@ -77,12 +81,14 @@ def roll(
             plan, begin = make_plan(scene, dt, kinds[i]), begins[i]
         if played.energies.shape[0]:
             played.energies[i, 0] = energy_of(scene, played.trajectories[i, 0])
-        for k in range(first if i == low else 0, torques.shape[1]):
+        for k in range(first if i == low else 0, steps):
             if worked > PATIENCE:
                 return Status.PAUSED.value, i, k
-            before, after = played.trajectories[i, k], played.trajectories[i, k + 1]
+            torque = torques[i, k if repeat == 1 else k // repeat]
+            before = played.trajectories[i, k if whole else k & 1]
+            after = played.trajectories[i, k + 1 if whole else (k + 1) & 1]
             pieces = Pieces(table, ends[begin + k], ends[begin + k + 1])
-            ended, _ = step(scene, plan, before, after, times[k], torques[i, k], pieces, work)
+            ended, _ = step(scene, plan, before, after, times[k], torque, pieces, work)
             if ended != Status.DONE:
                 return ended.value, i, k
             worked += 1.0 + effort(work)
@@ -90,4 +96,7 @@ def roll(
                 played.hits[i, k], played.impulses[i, k] = int(work[TALLY, HITS]), work[TALLY, IMPULSE]
             if played.energies.shape[0]:
                 played.energies[i, k + 1] = energy_of(scene, after)
+            if played.rewards.shape[0]:
+                row = values[i if values.shape[0] > 1 else 0]
+                pay(row, after, torque, work[TALLY, IMPULSE], played.rewards[i], k)
     return Status.DONE.value, -1, -1

@@ -1,8 +1,9 @@
 """What an agent sees and earns, in compiled code: the observation and the task's terms, of one state or of a block.
 
 The arithmetic is that of :mod:`jackbox_env.observation` and of the task's own function, compiled as it stands there. A
-task's function takes the place of :func:`task_terms`. ``score_one`` and ``score_block`` are compiled for each task; the
-batch's loop is not. It calls ``score_block`` by its address, see :mod:`jackbox_env.compiled.address`.
+task's function takes the place of :func:`task_terms`. ``score_one``, ``score_step`` and ``score_block`` are compiled
+for each task; the loops of batches and rollouts are not. They call the latter two by their addresses, see
+:mod:`jackbox_env.compiled.address`.
 """
 
 from __future__ import annotations
@@ -85,6 +86,11 @@ def score_one(values: Array, state: Array, torque: float, impulse: float, observ
     earned = task_terms(scene, state, torque, impulse)
     for place in range(len(earned)):
         terms[place] = earned[place]
+
+
+def score_step(values: Array, state: Array, torque: float, impulse: float, rewards: Array, place: int) -> None:
+    """Write the reward of one step into its place."""
+    rewards[place] = reward_of(task_terms(make_numbers(values), state, torque, impulse))
 
 
 def score_block(

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jackbox_env import Chirp, Drive, Rollout, Scene, make_simulator, rollout
+from jackbox_env import Chirp, Drive, JackInBoxEnv, Rollout, Scene, Task, make_simulator, rollout
 from jackbox_env.mechanics import energy
 from tests.states import inside
 
@@ -103,6 +103,9 @@ BAD[1, 3] = 7.5
         ({"time": 1e9}, "dt must move the time and end by 1e[+]09 s"),
         ({"num_threads": 0}, "num_threads must be a whole number >= 1, got 0"),
         ({"scene": "box"}, "scene must be a Scene"),
+        ({"rewards": "climb"}, "task must be one of 'juggle', 'spin', 'rattle', got 'climb'"),
+        ({"repeat": 0}, "repeat must be a whole number >= 1 and <= 1,000,000, got 0"),
+        ({"trajectories": 1.5}, "trajectories must be True or False, got 1.5"),
     ],
 )
 def test_unusable_values_are_refused_in_one_sentence(given: dict[str, Any], sentence: str) -> None:
@@ -119,3 +122,43 @@ def test_a_jack_too_fast_is_named() -> None:
         match=r"the jack of states\[2\] (moves too fast|needs more than 1,000,000 gap)",
     ):
         rollout(Scene(), states, np.zeros((3, 5)), 0.02)
+
+
+def lifted(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float, float]:
+    return state[4] - state[1], impulse + 1e-4 * torque
+
+
+@pytest.mark.parametrize("task", ["juggle", "rattle", Task(("height", "effort"), lifted)])
+def test_rewards_are_those_of_the_environment(task: str | Task) -> None:
+    scenes = [Scene(jack_mass=2.0 + number, gravity=5.0) for number in range(4)]
+    states, _ = cases(scenes[0], 4, 30)
+    shares = np.random.default_rng(2).integers(-64, 65, (4, 30)) / 64.0
+    torques = shares * scenes[0].torque_limit
+    found = rollout(scenes, states, torques, 0.02, rewards=task, repeat=2)
+    assert found.rewards is not None
+    assert found.rewards.shape == (4, 60)
+    for number, scene in enumerate(scenes):
+        env = JackInBoxEnv(contact="exact", scene=scene, task=task)
+        env.reset(options={"state": states[number]})
+        for step in range(60):
+            _, reward, _, _, info = env.step(shares[number, step // 2])
+            assert found.rewards[number, step] == reward
+            np.testing.assert_array_equal(found.trajectories[number, step + 1], info["state"])
+    assert np.ptp(found.rewards) > 0.05
+
+
+@pytest.mark.parametrize("steps", [0, 1, 2, 7])
+def test_first_and_last_states_are_those_of_the_trajectories(steps: int) -> None:
+    states, torques = cases(Scene(), 5, steps)
+    whole = rollout(Scene(), states, np.repeat(torques, 3, axis=1), 0.02, rewards="juggle", impacts=True)
+    ends = rollout(Scene(), states, torques, 0.02, repeat=3, rewards="juggle", impacts=True, trajectories=False)
+    assert ends.trajectories.shape == (5, 2, 12)
+    np.testing.assert_array_equal(ends.trajectories, whole.trajectories[:, [0, -1]])
+    assert ends.rewards is not None
+    np.testing.assert_array_equal(ends.rewards, whole.rewards)
+    np.testing.assert_array_equal(ends.impulse, whole.impulse)
+    only = rollout(Scene(), states, torques, 0.02, repeat=3, trajectories=False)
+    assert isinstance(only, Rollout)
+    assert only.rewards is None
+    assert only.impacts is None
+    np.testing.assert_array_equal(only.trajectories, ends.trajectories)
