@@ -55,6 +55,11 @@ def single(given: dict[str, Any], number: int) -> JackInBoxEnv:
     return JackInBoxEnv(**{**given, "scene": scene if isinstance(scene, Scene) else scene[number]})
 
 
+def each_alone(singles: list[JackInBoxEnv], actions: list[Any], step: int) -> list[tuple[Any, float, Any]]:
+    """A step of every single environment."""
+    return [alone(env, action, step) for env, action in zip(singles, actions, strict=True)]
+
+
 def alone(env: JackInBoxEnv, action: float | None, step: int) -> tuple[Any, float, Any]:
     """A step of a single environment, which restarts in the step after its last."""
     if step % (LIMIT + 1) == LIMIT:
@@ -72,10 +77,9 @@ def assert_the_same(batch: JackInBoxVectorEnv, singles: list[JackInBoxEnv], step
         seen, rewards, _, _, infos = batch.step(actions)
     except JackLostError:
         with pytest.raises(JackLostError):
-            for env, own in zip(singles, each, strict=True):
-                alone(env, own, step)
+            each_alone(singles, each, step)
         return -1
-    rows = [alone(env, own, step) for env, own in zip(singles, each, strict=True)]
+    rows = each_alone(singles, each, step)
     np.testing.assert_array_equal(seen, [row[0] for row in rows])
     np.testing.assert_array_equal(rewards, [row[1] for row in rows])
     for name in rows[0][2]:
