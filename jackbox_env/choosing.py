@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import statistics
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -14,8 +15,8 @@ from numpy.typing import ArrayLike
 
 from jackbox_env import _validation as check
 from jackbox_env.accuracy import Case, at_ends, between, follow
-from jackbox_env.scene import Scene
-from jackbox_env.simulators import CONTACT_MODELS, Impact, make_simulator
+from jackbox_env.scene import Scene, scenes_of
+from jackbox_env.simulators import CONTACT_MODELS, Impact, Simulator, make_simulator
 from jackbox_env.simulators.fidelity import Setting
 from jackbox_env.states import Array, as_start
 from jackbox_env.tasks import sample_start
@@ -35,7 +36,7 @@ class Choice(NamedTuple):
 
 
 def cheapest(
-    scene: Scene | Mapping[str, Any] | None = None,
+    scene: Scene | Mapping[str, Any] | Sequence[Scene | Mapping[str, Any] | None] | None = None,
     *,
     first_impact_error: float = math.inf,
     penetration: float = math.inf,
@@ -46,7 +47,7 @@ def cheapest(
     seed: int = 0,
     contact: str | None = None,
 ) -> Choice:
-    """Measure which setting is the cheapest that keeps both errors within bounds, for a scene.
+    """Measure which setting is the cheapest that keeps both errors within bounds, for one scene or for several.
 
     The cases are starts of the environment, under random held torques within ``scene.torque_limit`` and, every other
     time, under the scene's drive. The first impact is compared with the exact model's, whose own error is rounding.
@@ -54,15 +55,19 @@ def cheapest(
     ... 256) that keep both bounds are timed against the exact model, and the faster is returned. A setting that loses
     a jack, or whose first impact is that of another foot or wall, is never returned.
 
+    If your scenes are drawn at random, give a list of some of them. They take turns, and one setting keeps the bounds
+    in all cases.
+
     It takes seconds for an ordinary scene; the first exact step on a machine compiles. The result is a measurement on
     these cases, not a guarantee.
 
     Args:
-        scene: a Scene, a dict of some of its fields, or None for the default scene.
+        scene: a Scene, a dict of some of its fields, or None for the default scene; or a list of these.
         first_impact_error: largest error of the time of the first impact [s], > 0.
         penetration: deepest that a foot may be in a wall, at an impact or at the end of a control step [m], > 0.
-        states: starts, each of shape (12,), taken in turn; None: the environment's own.
-        cases: how many courses to simulate, 1 to 10,000.
+        states: starts, each of shape (12,), taken in turn by each scene; None: the environment's own.
+        cases: how many courses to simulate, 1 to 10,000, at least one for each scene. Those without an impact are left
+            out.
         steps: control steps of each, 1 to 1,000,000.
         control_dt: control step [s].
         seed: of the starts and the torques.
@@ -83,11 +88,13 @@ def cheapest(
     if contact is not None:
         check.choice("contact", contact, CONTACT_MODELS)
     bounds = _bound("first_impact_error", first_impact_error), _bound("penetration", penetration)
-    scene = Scene.of(scene)
-    drawn = _cases(scene, states, cases, steps, control_dt, seed)
+    scenes = scenes_of(scene)[0]
+    drawn = _cases(scenes, states, cases, steps, control_dt, seed)
     measured: list[Choice] = []
     try:
-        make_simulator(scene, "pymunk")
+        for number, one in enumerate(scenes):
+            with _naming(number, scenes):
+                make_simulator(one, "pymunk")
     except ValueError:  # its solver would need too many iterations
         if contact == "pymunk":
             raise
@@ -128,20 +135,24 @@ def _within(choice: Choice, bounds: tuple[float, float]) -> bool:
 
 
 def _cases(
-    scene: Scene, states: Sequence[ArrayLike] | None, cases: int, steps: int, control_dt: float, seed: int
+    scenes: list[Scene], states: Sequence[ArrayLike] | None, cases: int, steps: int, control_dt: float, seed: int
 ) -> list[tuple[Case, list[Impact]]]:
-    """Cases with the impacts that come first in them, those without an impact left out."""
+    """Cases with the impacts that come first in them, those without an impact left out; the scenes take turns."""
     check.whole("cases", cases, at_least=1, at_most=10_000)
+    if cases < len(scenes):
+        raise ValueError(f"cases must be at least {len(scenes)}, one for each scene, got {cases}")
     check.whole("steps", steps, at_least=1, at_most=1_000_000)
     check.whole("seed", seed, at_least=0)
     dt = check.real("control_dt", control_dt, above=0.0)
-    starts = _starts(scene, states)
+    starts = _starts(scenes, states)
     rng = np.random.default_rng(seed)
     drawn = []
     for number in range(cases):
-        start = sample_start(scene, rng) if starts is None else starts[number % len(starts)]
+        turn, place = divmod(number, len(scenes))
+        scene = scenes[place]
+        start = sample_start(scene, rng) if starts is None else starts[turn % len(starts)]
         held = rng.uniform(-scene.torque_limit, scene.torque_limit, steps).tolist()
-        driven = scene.drive is not None and number % 2 == 1
+        driven = scene.drive is not None and turn % 2 == 1
         case = Case(f"case {number}", scene, start, steps, None if driven else held, dt)
         first = _first_impacts(case)
         if first:
@@ -154,8 +165,8 @@ def _cases(
     return drawn
 
 
-def _starts(scene: Scene, states: Sequence[ArrayLike] | None) -> list[Array] | None:
-    """The starts given, checked; None for the environment's own."""
+def _starts(scenes: list[Scene], states: Sequence[ArrayLike] | None) -> list[Array] | None:
+    """The starts given, checked against each scene; None for the environment's own."""
     if states is None:
         return None
     try:
@@ -164,7 +175,21 @@ def _starts(scene: Scene, states: Sequence[ArrayLike] | None) -> list[Array] | N
         raise TypeError(f"states must be a list of starts, got {check.shown(states)}") from error
     if not listed:
         raise ValueError("states must hold at least one start, got none")
-    return [as_start(scene, state) for state in listed]
+    for number, scene in enumerate(scenes):
+        with _naming(number, scenes):
+            starts = [as_start(scene, state) for state in listed]
+    return starts
+
+
+@contextmanager
+def _naming(number: int, scenes: list[Scene]) -> Iterator[None]:
+    """Name the scene in what is refused within the block, where there are several."""
+    try:
+        yield
+    except (TypeError, ValueError) as error:
+        if len(scenes) == 1:
+            raise
+        raise type(error)(f"scene[{number}]: {error}") from error
 
 
 def _first_impacts(case: Case) -> list[Impact]:
@@ -195,9 +220,9 @@ def _measured(setting: Setting, drawn: list[tuple[Case, list[Impact]]], bounds: 
     Infinite for a case that the contact model cannot follow, or whose steps are too long to look into.
     """
     look = at_ends if setting.contact == "exact" else between
-    simulator = make_simulator(drawn[0][0].scene, setting.contact, substeps=setting.substeps)
+    simulators = _simulators(setting, [case for case, _ in drawn])
     choice = Choice(setting, 0.0, 0.0, math.nan, len(drawn))
-    for case, first in drawn:
+    for simulator, (case, first) in zip(simulators, drawn, strict=True):
         course = follow(simulator, case, look)
         error = max(choice.first_impact_error, _first_error(course.impacts, first))
         depth = math.inf if course.escaped or math.isnan(course.depth) else max(choice.penetration, course.depth)
@@ -207,13 +232,23 @@ def _measured(setting: Setting, drawn: list[tuple[Case, list[Impact]]], bounds: 
     return choice
 
 
+def _simulators(setting: Setting, cases: list[Case]) -> list[Simulator]:
+    """A simulator for each case, the same one for all cases of a scene."""
+    made: dict[int, Simulator] = {}
+    for case in cases:
+        if id(case.scene) not in made:
+            made[id(case.scene)] = make_simulator(case.scene, setting.contact, substeps=setting.substeps)
+    return [made[id(case.scene)] for case in cases]
+
+
 def _costs(settings: list[Setting], cases: list[Case]) -> list[float]:
     """Microseconds per control step of each, medians over rounds in which they take turns."""
     passed: list[list[float]] = [[] for _ in settings]
-    simulators = [make_simulator(cases[0].scene, setting.contact, substeps=setting.substeps) for setting in settings]
+    simulators = [_simulators(setting, cases) for setting in settings]
     for _ in range(_ROUNDS if len(settings) > 1 else 1):
-        for simulator, record in zip(simulators, passed, strict=True):
+        for own, record in zip(simulators, passed, strict=True):
             began = time.perf_counter()
-            taken = sum(len(follow(simulator, case, look=None).states) - 1 for case in cases)
+            courses = (follow(simulator, case, look=None) for simulator, case in zip(own, cases, strict=True))
+            taken = sum(len(course.states) - 1 for course in courses)
             record.append(1e6 * (time.perf_counter() - began) / max(taken, 1))
     return [statistics.median(record) for record in passed]

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 import jackbox_env
-from jackbox_env import FIDELITIES, cheapest, choosing
+from jackbox_env import FIDELITIES, Scene, cheapest, choosing
 from jackbox_env.choosing import Choice
 from jackbox_env.simulators.fidelity import Setting, resolve
+from jackbox_env.tasks import sample_start
 
 WEIGHTLESS = {"gravity": 0.0, "drive": None}
 
@@ -164,9 +165,63 @@ def test_the_choice_makes_an_environment() -> None:
     env.step(None)
 
 
+# -- several scenes ----------------------------------------------------------------------------------------------------
+
+
+def test_the_cases_of_one_scene_are_drawn_as_ever() -> None:
+    scene, rng = Scene(torque_limit=2e4), np.random.default_rng(3)
+    drawn = [case for case, _ in choosing._cases([scene], None, 5, 250, 0.02, seed=3)]
+    assert [case.name for case in drawn] == [f"case {number}" for number in range(5)]
+    for number, case in enumerate(drawn):
+        np.testing.assert_array_equal(case.state, sample_start(scene, rng))
+        torques = rng.uniform(-2e4, 2e4, 250).tolist()
+        assert case.torques == (None if number % 2 else torques)
+
+
+def test_scenes_take_turns_and_each_is_under_its_drive_every_other_time() -> None:
+    scenes = [Scene(gravity=5.0), Scene(box_half_width=4.0), Scene(drive=None)]
+    starts = np.zeros((2, 12))
+    starts[:, 5] = math.pi / 4.0, 0.3
+    drawn = [case for case, _ in choosing._cases(scenes, list(starts), 12, 250, 0.02, seed=0)]
+    assert [case.scene for case in drawn] == scenes * 4
+    assert [case.state[5] for case in drawn] == [math.pi / 4.0] * 3 + [0.3] * 3 + [math.pi / 4.0] * 3 + [0.3] * 3
+    assert [case.torques is None for case in drawn] == ([False] * 3 + [True, True, False]) * 2
+
+
+def test_one_setting_keeps_the_bounds_in_every_scene() -> None:
+    """The torques are negligible, so the cases of both scenes together are those of each alone."""
+    free: dict[str, Any] = {"drive": None, "torque_limit": 1e-9, "restitution": 0.5}
+    slow, fast = {**free, "gravity": 0.5}, {**free, "gravity": 9.81}
+    starts = [np.array([0.0] * 4 + [height] + [0.3] + [0.0] * 6) for height in (-1.0, 0.5)]
+    settings: dict[str, Any] = {"states": starts, "penetration": 0.03, "contact": "pymunk", "seed": 0}
+    alone = [cheapest(scene, cases=2, **settings) for scene in (slow, fast)]
+    assert alone[0].setting != alone[1].setting
+    finest = max(alone, key=lambda choice: choice.setting.substeps or 0)
+    for scenes in ([slow, fast], [fast, slow]):
+        both = cheapest(scenes, cases=4, **settings)
+        assert both.setting == finest.setting
+        assert both.cases == 4
+        assert both.penetration == pytest.approx(finest.penetration, rel=1e-6)
+
+
+def test_a_scene_that_pymunk_does_not_solve_leaves_the_exact_model_for_all() -> None:
+    scenes = [{}, {"jack_inertia": 1e-6}]
+    assert cheapest(scenes, cases=2).setting == Setting("exact", None)
+    with pytest.raises(ValueError, match=r"scene\[1\]: jack_inertia = .* iterations"):
+        cheapest(scenes, cases=2, contact="pymunk")
+
+
+# -- refusals ----------------------------------------------------------------------------------------------------------
+
+
 @pytest.mark.parametrize(
     ("given", "sentence"),
     [
+        ({"scene": []}, "scene must be one scene or a list of at least one, got an empty list"),
+        ({"scene": [{}, 3.0]}, r"scene\[1\]: scene must be a Scene, a dict of its fields or None, got 3.0"),
+        ({"scene": [{}, {}, {"mass": 1}]}, r"scene\[2\]: scene takes only"),
+        ({"scene": [{}] * 3, "cases": 2}, "cases must be at least 3, one for each scene, got 2"),
+        ({"scene": [{}, {"box_half_width": 4.0}], "states": [4.5 * np.eye(12)[3]]}, r"scene\[1\]: a start must have"),
         ({"first_impact_error": 0.0}, "first_impact_error must be a finite number above 0, got 0.0"),
         ({"penetration": math.nan}, "penetration must be a finite number above 0, got nan"),
         ({"penetration": "1"}, "penetration must be a finite number above 0, got '1'"),

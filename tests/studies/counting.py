@@ -20,6 +20,7 @@ import numpy as np
 from jackbox_env.compiled import compiler as _compiled
 from jackbox_env.env import JackInBoxEnv
 from jackbox_env.scene import Drive, Scene
+from jackbox_env.tasks import Task
 from jackbox_env.vector_env import JackInBoxVectorEnv
 
 PYMUNK, EXACT, BATCH = "pymunk", "exact", "exact, batch"
@@ -95,7 +96,7 @@ def uncompiled() -> Iterator[None]:
     before = _compiled._compile
     _compiled._compile = plain
     try:
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # compiled generators wrap around
             yield
     finally:
         _compiled._compile = before
@@ -110,23 +111,31 @@ def times_called(counts: Calls, function: str, caller: str = "") -> int:
     )
 
 
-def count_steps(model: str, driven: bool = False, frames: bool = False, **settings: Any) -> Calls:
+def count_steps(model: str, driven: bool = False, frames: bool = False, made: bool = False, **settings: Any) -> Calls:
     """Count ``STEPS`` control steps from a moving start under random actions, or under the drive.
 
     Args:
         model: ``PYMUNK``, ``EXACT`` or ``BATCH``.
         driven: whether the scene's drive acts in place of the actions.
         frames: whether a frame is drawn after each step.
+        made: whether the making of another such environment is counted too.
         **settings: of the environment.
     """
     contact = "pymunk" if model == PYMUNK else "exact"
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (STEPS, SIDE_BY_SIDE))
+
+    def make() -> Any:
+        if model != BATCH:
+            return JackInBoxEnv(contact=contact, **settings)
+        return JackInBoxVectorEnv(SIDE_BY_SIDE, contact=contact, **settings)
+
     with uncompiled():
-        env: Any = JackInBoxEnv(contact=contact, **settings) if model != BATCH else None
-        env = env or JackInBoxVectorEnv(SIDE_BY_SIDE, contact=contact, **settings)
+        env = make()
         env.reset(options={"state": np.array(_START)})
 
         def run() -> None:
+            if made:
+                make()
             for action in actions:
                 env.step(None if driven else action if model == BATCH else action[:1])
                 if frames:
@@ -160,12 +169,25 @@ def _wave(time: float) -> float:
     return 4000.0 * math.sin(3.0 * time)
 
 
+def height(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float]:
+    """A reward of one's own: how high the jack is in the box [m]."""
+    return (state[4] - state[1],)
+
+
+OWN_TASK = Task(("height",), height)
+
+
 _WEIGHTLESS: dict[str, Any] = {"scene": Scene(gravity=0.0)}
 _UNDRIVEN: dict[str, Any] = {"scene": Scene(drive=None), "driven": True}
 _PUSHED: dict[str, Any] = {"scene": Scene(drive=Drive(force_x=_wave, force_y=_wave))}
 _TURNED: dict[str, Any] = {"scene": Scene(drive=Drive(torque=_wave))}
 _CHIRP: dict[str, Any] = {"driven": True}
 _PICTURE: dict[str, Any] = {"render_mode": "rgb_array"}
+_RESTARTS: dict[str, Any] = {"max_episode_steps": 50}
+_RANDOM: dict[str, Any] = {**_RESTARTS, "randomize": {"jack_mass": (3.0, 5.0)}}
+_CHOSEN: dict[str, Any] = {**_RESTARTS, "randomize": lambda rng: {"jack_mass": rng.uniform(3.0, 5.0)}}
+_MADE: dict[str, Any] = {"made": True}
+_OWN: dict[str, Any] = {**_MADE, "task": OWN_TASK}
 
 PROOFS = (
     Proof("gravity", PYMUNK, "the engine is given a force", "Body.force", _WEIGHTLESS, {}, "_advance"),
@@ -186,4 +208,9 @@ PROOFS = (
     Proof("a frame", PYMUNK, "a frame is drawn", "Renderer.render", _PICTURE, {**_PICTURE, "frames": True}),
     Proof("another task", PYMUNK, "its reward is worked out", "rattle", {}, {"task": "rattle"}),
     Proof("another task", EXACT, "its reward is worked out", "rattle", {}, {"task": "rattle"}),
+    Proof("drawn scenes", BATCH, "scenes are drawn", "draw_scenes", _RESTARTS, _RANDOM),
+    Proof("drawn scenes", BATCH, "scenes are drawn by a function", "Randomization.draw", _RESTARTS, _CHOSEN),
+    Proof("drawn scenes", BATCH, "new scenes are written", "SceneTable.put", _RESTARTS, _RANDOM),
+    Proof("a task of one's own", EXACT, "a user's function is compiled", "returned_by", _MADE, _OWN),
+    Proof("a task of one's own", BATCH, "a user's function is compiled", "returned_by", _MADE, _OWN),
 )

@@ -21,10 +21,12 @@ from jackbox_env.compiled import step
 from jackbox_env.compiled.workspace import RECORD, new_workspace
 from jackbox_env.scene import Chirp, Drive, Scene
 from jackbox_env.simulators import CONTACT_MODELS, make_simulator
+from jackbox_env.tasks import Task
 from jackbox_env.vector_env import JackInBoxVectorEnv
 from tests.studies.counting import (
     BATCH,
     EXACT,
+    OWN_TASK,
     PROOFS,
     PYMUNK,
     SIDE_BY_SIDE,
@@ -127,6 +129,18 @@ def test_a_held_torque_does_without_the_chirp(monkeypatch: pytest.MonkeyPatch) -
 def test_a_batch_works_its_reward_out_once_and_again_for_infos() -> None:
     for settings, times in (({}, 1), ({"with_infos": True}, 2)):
         assert times_called(count_steps(BATCH, **settings), "juggle") == times * STEPS * SIDE_BY_SIDE
+
+
+def test_pymunk_compiles_no_task_and_steps_compile_none_of_ones_own() -> None:
+    assert times_called(count_steps(PYMUNK, made=True, task=OWN_TASK), "returned_by") == 0
+    plain, actions = batch_of(2), np.zeros(2)
+    plain.step(actions)  # compiles what all tasks share
+    task = Task(("height",), lambda scene, state, torque, impulse: (state[4],))
+    batches = list[JackInBoxVectorEnv]()
+    assert times_called(calls_of(lambda: batches.append(batch_of(2, task=task))), "compile_extra") > 0
+    assert times_called(calls_of(lambda: batch_of(2)), "compile_extra") == 0
+    assert times_called(calls_of(lambda: batches[0].step(actions)), "compile_extra") == 0
+    assert times_called(calls_of(lambda: batches[0].step(None)), "compile_extra") == 0
 
 
 # -- lines ------------------------------------------------------------------------------------------------------------

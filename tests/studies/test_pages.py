@@ -219,6 +219,32 @@ def test_each_kind_of_step_is_timed(contact: str, monkeypatch: pytest.MonkeyPatc
     assert cost_steps.asked(contact) > 3.0
 
 
+@pytest.mark.parametrize(
+    ("kind", "restarts", "draws"), [("own scenes", 0, 0), ("restarted", 2, 0), ("redrawn", 2, 2), ("own task", 0, 0)]
+)
+def test_each_kind_of_step_of_a_batch_is_what_its_row_says(
+    kind: str, restarts: int, draws: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, make_vec = list[Any](), gym.make_vec
+
+    def kept(*given: Any, **settings: Any) -> Any:
+        made.append(make_vec(*given, **settings))
+        return made[-1]
+
+    monkeypatch.setattr(gym, "make_vec", kept)
+    given = cost_steps.moments(cost_steps.TOGETHER, 250)  # two moments of each
+    plain, this = (cost_steps.batched("exact", given, 0.0, **cost_steps.IN_BATCHES.get(one, {})) for one in ("", kind))
+    plain()
+    calls = calls_of(this)
+    assert times_called(calls, "ExactBatch.restart") == restarts
+    assert times_called(calls, "Randomization.table") == draws
+    without, having = (env.unwrapped for env in made)
+    assert len(set(having.scenes)) > 1 or kind == "own task"
+    assert (having.task is cost_steps.IN_BATCHES["own task"]["task"]) == (kind == "own task")
+    if not restarts:
+        np.testing.assert_allclose(having.states, without.states, rtol=0.0, atol=1e-6)
+
+
 @pytest.mark.parametrize("kind", cost_steps.LOSS)
 def test_each_step_with_loss_is_what_its_row_says(kind: str) -> None:
     given = cost_steps.with_loss(kind, courses=24)

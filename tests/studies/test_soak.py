@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import random
 import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
+from jackbox_env.batches.base import Outcome
+from jackbox_env.batches.exact import ExactBatch
 from jackbox_env.simulators.exact import ExactSimulator
 from scripts.studies.laws import soak
 from scripts.studies.laws.laws import KEPT, Examination, Tally, examine
-from scripts.studies.laws.random_cases import Case
+from scripts.studies.laws.random_cases import Case, draw_case
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
@@ -73,6 +78,31 @@ def test_a_broken_law_is_told_with_its_case_which_can_be_examined_again(
     monkeypatch.setattr(ExactSimulator, "step", step)
     assert run(monkeypatch, *command.split()) == 0
     assert "cases that broke a law: 0" in capsys.readouterr().out
+
+
+def test_a_case_that_is_not_the_same_in_a_batch_of_several_scenes_is_told(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    exact = [draw_case(random.Random(number), "exact") for number in range(20)]
+    first = next(number for number, case in enumerate(exact) if case.neighbours)
+    assert first > 0  # those before it have none
+    command = ["--cases", str(first + 1), "--contact", "exact"]
+    assert run(monkeypatch, *command) == 0
+    told = capsys.readouterr().out
+    assert f"scenes       worst 0, at most 0, by step 0 reset of case {first}\n" in told
+    step = ExactBatch.step
+
+    def swapped(self: ExactBatch, actions: Any) -> Outcome:
+        outcome = step(self, actions)
+        if self.held.scenes.several:  # each gets the reward of its neighbour
+            outcome.rewards[:] = np.roll(outcome.rewards, 1)
+        return outcome
+
+    monkeypatch.setattr(ExactBatch, "step", swapped)
+    assert run(monkeypatch, *command) == 1
+    told = capsys.readouterr().out
+    assert "cases that broke a law: 1" in told
+    assert told.startswith(f"--first {first} --cases 1 --contact exact: scenes: ")
 
 
 def test_a_soak_by_time_ends_in_time(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

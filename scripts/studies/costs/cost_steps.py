@@ -19,10 +19,10 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env import Drive, Scene, _validation, make_simulator
+from jackbox_env import Drive, Scene, Task, _validation, make_simulator
 from jackbox_env.env import JackInBoxEnv
 from jackbox_env.planning import rollout
-from jackbox_env.tasks import sample_start
+from jackbox_env.tasks import TASKS, juggle, sample_start
 from scripts.studies.timing import Timed, repeat
 
 Array = NDArray[np.float64]
@@ -44,6 +44,11 @@ def _shaken(time: float) -> float:
     return 4000.0 * math.sin(3.0 * time)
 
 
+def _juggled(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float]:
+    """The built-in task's reward by a function of one's own."""
+    return juggle(scene, state, torque, impulse)
+
+
 LONG = Scene(jack_arm=8.0)
 PLAIN = "plain"
 KINDS: dict[str, dict[str, Any]] = {
@@ -56,6 +61,17 @@ KINDS: dict[str, dict[str, Any]] = {
     "rattle": {"task": "rattle"},
     "picture": {"render_mode": "rgb_array"},
     "drawn": {"render_mode": "rgb_array"},
+}
+# Scenes of their own differ by so little that the motion is that of the default scene.
+OWN_SCENES = [Scene(gravity=9.81 + 1e-9 * number) for number in range(TOGETHER)]
+_RANGES = {"jack_mass": (4.0, 4.0 + 1e-6), "gravity": (9.81, 9.81 + 1e-6)}
+_RESTARTING: dict[str, Any] = {"max_episode_steps": 1, "autoreset_mode": "SAME_STEP"}
+IN_BATCHES: dict[str, dict[str, Any]] = {  # kinds of steps that only batches are timed with
+    "infos": {"with_infos": True},
+    "own scenes": {"scene": OWN_SCENES},
+    "restarted": {**_RESTARTING, "scene": OWN_SCENES},
+    "redrawn": {**_RESTARTING, "randomize": _RANGES},
+    "own task": {"task": Task(TASKS["juggle"].terms, _juggled)},
 }
 FLIGHT, BOUNCE, PILE = "free flight", "a bounce, e = 0.8", "bounces pile up before rest, e = 0.8"
 LEVEL, TURNING = "rest on a level floor, e = 0.5", "rest on a floor that turns by 0.2 rad/s, e = 0.5"
@@ -198,7 +214,7 @@ def batched(contact: str, given: Moments, seconds: float, **settings: Any) -> Ti
     count = FEW if contact == "pymunk" or "render_mode" in settings else TOGETHER
     env: Any = gym.make_vec(
         "JackInBox-v0", count, vectorization_mode="vector_entry_point", contact=contact, num_threads=1,
-        max_episode_steps=_NEVER, **settings,
+        **{"max_episode_steps": _NEVER, **settings},
     )  # fmt: skip
     env.reset(seed=0)
     everyone, place = np.ones(count, dtype=np.bool_), env.unwrapped._place

@@ -44,7 +44,7 @@ def measured(rounds: int, seconds: float) -> dict[str, Any]:
         for contact in (PYMUNK, EXACT)
         for kind in (*these.KINDS, *these.TAKEN_OUT)
     }
-    for kind, settings in (these.KINDS | {"infos": {"with_infos": True}}).items():
+    for kind, settings in (these.KINDS | these.IN_BATCHES).items():
         if kind != "drawn":
             given = many_far if kind == "long arm" else many
             timed[f"{BATCH}: {kind}"] = these.batched(EXACT, given, seconds, **settings)

@@ -20,10 +20,13 @@ THINGS = {
     FUNCTION: ("function", "chirp"),
     "side forces that are Python functions": ("pushed", "plain"),
     ARM: ("long arm", "plain"),
-    "`with_infos` of a batch": ("infos", "plain"),
     "a `render_mode`, nothing drawn": ("picture", "plain"),
     FRAME: ("drawn", "picture"),
     "stepped in a batch of 16": ("together", "plain"),
+    "`with_infos` of a batch": ("infos", "plain"),
+    "a scene for each environment": ("own scenes", "plain"),
+    "scenes drawn at each reset, two fields each: only in a step that resets": ("redrawn", "restarted"),
+    "a task of one's own, in place of a built-in one that does the same": ("own task", "plain"),
 }
 LAYERS: dict[str, dict[str, float]] = {
     "contact model": {"contact": 1.0},
@@ -97,15 +100,23 @@ def glance(on_top: Figures, plain: Mapping[str, float]) -> list[str]:
     """One line per thing that costs something, one column per model; then what hardly costs."""
     lines = ["| on top of a plain step | " + " | ".join(MODELS) + " |", "|---|" + "---:|" * len(MODELS)]
     lines.append("| **a plain step** | " + " | ".join(f"**{figure(plain[model])} ns**" for model in MODELS) + " |")
+    single = {what: found for what, found in on_top.items() if set(found) != {BATCH}}
     small = [
         what
-        for what, found in on_top.items()
+        for what, found in single.items()
         if all(abs(statistics.median(values)) < 0.1 * plain[model] for model, values in found.items())
     ]
-    for what, found in on_top.items():
+    for what, found in single.items():
         if what not in small:
             lines.append(f"| {what} | " + " | ".join(cell(found.get(m), plain[m]) for m in MODELS) + " |")
     return [*lines, "", f"Less than a tenth of a plain step with every model: {'; '.join(small)}."]
+
+
+def batch_table(on_top: Figures, plain: float) -> list[str]:
+    """What only batches have."""
+    lines = ["| on top of a plain step, in a batch only | " + BATCH + " |", "|---|---:|"]
+    only = {what: found[BATCH] for what, found in on_top.items() if set(found) == {BATCH}}
+    return lines + [f"| {what} | {cell(values, plain)} |" for what, values in only.items()]
 
 
 def layer_table(layers: Figures, plain: Mapping[str, float]) -> list[str]:
@@ -168,7 +179,13 @@ def page(results: Mapping[str, Any], picture: str) -> str:
     return joined(
         {
             "# What each thing costs": [answer(results, plain), "", f"![Where the time of a step goes]({picture})"],
-            "## On top of a plain step": [*glance(on_top, plain), "", *notes],
+            "## On top of a plain step": [
+                *glance(on_top, plain),
+                "",
+                *notes,
+                "",
+                *batch_table(on_top, plain[BATCH]),
+            ],
             "## With loss, and at rest": [
                 f"A step with held feet takes some {held_cost(loss['steps'])}.",
                 "",
@@ -189,8 +206,9 @@ OFF = (
     "Without gravity the engine is given no force. Without a drive it is given no torque, and no chirp is computed. "
     "Without side forces none is averaged. Without a `render_mode` no renderer is loaded, and none is told of a "
     "step. Another task's reward is not computed. A batch without `with_infos` gathers no infos, and a batch of "
-    "exact has no room for impact records. tests/studies/test_costs.py counts the calls: none without the "
-    "thing, some with it."
+    "exact has no room for impact records. Without `randomize` no scene is drawn. Without a task of one's own no "
+    "function of a user is compiled, and steps never compile one. tests/studies/test_costs.py counts the calls: none "
+    "without the thing, some with it."
 )
 REST = (
     "All under no torque. A flight is without impacts, though it may be near a wall. Bounces pile up in "
@@ -205,8 +223,9 @@ HOW = (
     "what other processes use. A plain step is the default scene's, with a held random torque and the task juggle, "
     "as `gymnasium.make` makes it; in a batch, it is the step of one of 1,024 environments. All start from the same "
     "states of episodes, restored before each step. So a thing's cost does not include its effect on the "
-    "motion. Observation, info dict, checks and wrappers cannot be switched off: to measure them, stand-ins took "
-    "their place."
+    "motion. For the same reason a scene of its own differs from the default one by 1e-6 at most. A reset is timed in "
+    "episodes of one step. Observation, info dict, checks and wrappers cannot be switched off: to measure them, "
+    "stand-ins took their place."
 )
 
 

@@ -7,6 +7,7 @@ energy       gained in steps of held torque without side forces = torque times t
 record       impacts are in time order and within their step, at existing walls and feet, with impulse > 0; violations
 restore      a new or used simulator, reset to (state, time), continues bit for bit; numbers that differ
 batch        the vector environment equals the single one bit for bit, across restarts; numbers that differ
+scenes       so do environments in a batch with a scene each, where a case has neighbours; numbers that differ
 refusal      only documented errors are raised; a refused step leaves the simulator as it was; violations
 """
 
@@ -30,7 +31,7 @@ from jackbox_env.states import Array, clearance, deepest_held, start_tolerance
 from jackbox_env.vector_env import JackInBoxVectorEnv
 from scripts.studies.laws.random_cases import Case, Wave
 
-LAWS = ("containment", "momentum", "centre", "energy", "record", "restore", "batch", "refusal")
+LAWS = ("containment", "momentum", "centre", "energy", "record", "restore", "batch", "scenes", "refusal")
 ROUNDING = 1e-11  # of the largest number in a balance, over a case
 SIDE_BY_SIDE = 3  # environments of the batch law
 KEPT = 10  # broken cases printed in full, and kinds of refusals counted
@@ -126,7 +127,10 @@ def examine(case: Case) -> Examination:
     try:
         _examine_simulator(case, found)
         if not found.refused:
-            _examine_batch(case, found)
+            _examine_batch(case, "batch", [case.scene] * SIDE_BY_SIDE, [True, True, False], found)
+        if case.neighbours and not found.refused:
+            alone = [False] * len(case.neighbours)
+            _examine_batch(case, "scenes", [case.scene, *case.neighbours], [True, *alone], found)
     except Exception as error:
         found.measure("refusal", 1.0, 0.0, f"{type(error).__name__}: {error}"[:300])
     return found
@@ -310,29 +314,33 @@ def _energy(scene: Scene, state: Array) -> float:
 # -- the batch ---------------------------------------------------------------------------------------------------------
 
 
-def _examine_batch(case: Case, found: Examination) -> None:
-    """Compare a batch with single environments: the case's start, the same under opposite actions, a random start."""
-    limit = max(2, 2 * len(case.actions) // 3)
-    batch = JackInBoxVectorEnv(SIDE_BY_SIDE, max_episode_steps=limit, with_infos=True, **case.settings)
-    singles = [JackInBoxEnv(**case.settings) for _ in range(SIDE_BY_SIDE)]
+def _examine_batch(case: Case, law: str, scenes: list[Scene], at_start: list[bool], found: Examination) -> None:
+    """Compare a batch with single environments, a scene for each.
+
+    Some begin ``at_start``, the case's own, the others at random starts. Every other one is under opposite actions.
+    """
+    found.steps, limit = 0, max(2, 2 * len(case.actions) // 3)
+    together = {"max_episode_steps": limit, "with_infos": True, **case.settings, "scene": scenes}
+    batch = JackInBoxVectorEnv(len(scenes), **together)
+    singles = [JackInBoxEnv(**{**case.settings, "scene": scene}) for scene in scenes]
     seen = [batch.reset(seed=case.seed)[0]]
     alone = [[single.reset(seed=case.seed + number)[0] for number, single in enumerate(singles)]]
-    found.measure("batch", _apart(seen, alone), 0.0, "reset")
-    placed = np.array([True, True, False])
+    found.measure(law, _apart(seen, alone), 0.0, "reset")
+    placed = np.array(at_start)
     batch.set_states(np.array(case.state), case.time, placed)
     for number in np.flatnonzero(placed):
         singles[number].set_state(case.state, case.time)
+    signs = np.where(np.arange(len(scenes)) % 2, -1.0, 1.0)
     for step, action in enumerate(case.actions):
         found.steps = step
-        signs = np.array([1.0, -1.0, 1.0])
         actions = None if action is None else action * signs
         try:
             outcome = batch.step(actions)
         except RuntimeError as error:
-            _refused_alike(singles, actions, found, error)
+            _refused_alike(law, singles, actions, found, error)
             return
         rows = [_alone(single, actions, number, step == limit) for number, single in enumerate(singles)]
-        _compare(outcome, rows, found, truncated=step == limit - 1)
+        _compare(law, outcome, rows, found, truncated=step == limit - 1)
     found.steps = len(case.actions)
 
 
@@ -345,20 +353,22 @@ def _alone(single: JackInBoxEnv, actions: Array | None, number: int, restarts: b
     return observation, reward, info
 
 
-def _compare(outcome: Any, rows: list[tuple[Any, float, Any]], found: Examination, truncated: bool) -> None:
+def _compare(law: str, outcome: Any, rows: list[tuple[Any, float, Any]], found: Examination, truncated: bool) -> None:
     observations, rewards, terminations, truncations, infos = outcome
     apart = _apart([observations, rewards], [[row[0] for row in rows], [row[1] for row in rows]])
     apart += float(np.sum(terminations) + np.sum(truncations != truncated))
     for name in rows[0][2]:
         apart += _apart([infos[name]], [[row[2][name] for row in rows]])
-    found.measure("batch", apart, 0.0)
+    found.measure(law, apart, 0.0)
 
 
 def _apart(ones: list[Any], others: list[Any]) -> float:
     return float(sum(np.sum(np.asarray(one) != np.asarray(other)) for one, other in zip(ones, others, strict=True)))
 
 
-def _refused_alike(singles: list[JackInBoxEnv], actions: Array | None, found: Examination, error: Exception) -> None:
+def _refused_alike(
+    law: str, singles: list[JackInBoxEnv], actions: Array | None, found: Examination, error: Exception
+) -> None:
     """A batch raises the same error as its environment alone."""
     told = []
     for number, single in enumerate(singles):
@@ -368,5 +378,5 @@ def _refused_alike(singles: list[JackInBoxEnv], actions: Array | None, found: Ex
             told.append(str(own).replace("the jack", f"the jack of environment {number}", 1))
     same = any(str(error) in (one, one.replace(f" of environment {number}", "", 1)) for number, one in enumerate(told))
     known = any(words in str(error) for words in _CAN_NOT_FOLLOW)
-    found.measure("batch", 0.0 if told and known else 1.0, 0.0, f"refused, alone {told or 'not'}: {error}"[:300])
+    found.measure(law, 0.0 if told and known else 1.0, 0.0, f"refused, alone {told or 'not'}: {error}"[:300])
     found.refused = str(error) if same or told else found.refused

@@ -2,7 +2,8 @@
 
 Lengths are drawn first, speeds and torques in proportion: within the steps of a case the jack crosses the box some
 times and the box turns by some radians, whatever its size, so that most cases have impacts. With loss the jack lies on
-the lowest wall in half of the cases at first.
+the lowest wall in half of the cases at first. A quarter of the cases of ``exact`` have neighbours: scenes of other
+environments in the same batch.
 """
 
 from __future__ import annotations
@@ -56,6 +57,7 @@ class Case:
     actions: tuple[float | None, ...]  # one for each control step, in [-1, 1]; None: the scene's drive
     restored_at: int  # the step before which a new simulator takes over the state
     seed: int  # of the environments' starts
+    neighbours: tuple[Scene, ...] = ()  # of environments beside the case's own in a batch with a scene each
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -76,7 +78,7 @@ def _power(draw: random.Random, low: float, high: float) -> float:
 def draw_case(draw: random.Random, contact: str, steps: int = STEPS) -> Case:
     """A case for a contact model, by a generator that a seed was given, or hypothesis."""
     dt = _power(draw, -2.5, -1.0)
-    scene = _scene(draw, contact, dt)
+    scene = draw_scene(draw, dt)
     case = Case(
         scene=scene,
         contact=contact,
@@ -89,12 +91,16 @@ def draw_case(draw: random.Random, contact: str, steps: int = STEPS) -> Case:
         restored_at=draw.randint(0, steps - 1),
         seed=draw.randint(0, 2**31 - 1),
     )
-    if scene.elastic or draw.choice((False, True)):
-        return case
-    return dataclasses.replace(case, state=_lying(draw, scene, case.state))
+    if not scene.elastic and draw.choice((True, False)):
+        case = dataclasses.replace(case, state=_lying(draw, scene, case.state))
+    if contact == "exact" and draw.choice((False, False, False, True)):
+        neighbours = tuple(draw_scene(draw, dt) for _ in range(draw.randint(1, 3)))
+        case = dataclasses.replace(case, neighbours=neighbours)
+    return case
 
 
-def _scene(draw: random.Random, contact: str, dt: float) -> Scene:
+def draw_scene(draw: random.Random, dt: float) -> Scene:
+    """A scene whose jack crosses the box some times within the steps of a case."""
     half, box_mass = _power(draw, -0.5, 1.5), _power(draw, 0.0, 3.0)
     # From nearly a point, by arms that turn freely, to those that fit near 45 degrees only.
     arm = half * draw.choice((draw.uniform(0.02, 0.4), draw.uniform(0.4, 0.99), draw.uniform(1.0, 1.4)))

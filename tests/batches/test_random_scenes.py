@@ -1,0 +1,121 @@
+"""Batches of scenes and tasks that hypothesis chooses are, to the bit, the single environments of the same."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from jackbox_env import JackInBoxEnv, JackInBoxVectorEnv, Scene, Task
+from jackbox_env.simulators import CONTACT_MODELS, JackLostError
+from scripts.studies.laws.random_cases import draw_scene
+from tests.studies.strategies import HypothesisDraw
+
+STEPS, LIMIT = 15, 7  # control steps, and those of an episode
+
+
+def height(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float, ...]:
+    """How high the jack is, and what the torque costs."""
+    return (state[4] - state[1]) / scene.box_half_width, -abs(torque) / scene.torque_limit
+
+
+def knocks(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float, ...]:
+    """Impacts, and the jack's energy of rotation."""
+    turning = 0.5 * scene.jack_inertia * state[11] * state[11]
+    return impulse / scene.jack_mass, math.sqrt(turning), scene.restitution if impulse > 0.0 else 0.0
+
+
+TASKS = (Task(("height", "effort"), height), Task(("knock", "turning", "lossy"), knocks))
+
+
+def scenes_of(draw: HypothesisDraw, dt: float, count: int) -> dict[str, Any]:
+    """A scene for each environment, or one for all with ranges of some of its fields."""
+    if draw.choice((True, False)):
+        return {"scene": [draw_scene(draw, dt) for _ in range(count)]}
+    scene = draw_scene(draw, dt)
+    ranges = {name: getattr(scene, name) for name in ("box_mass", "jack_mass", "gravity", "torque_limit")}
+    drawn = {
+        name: (value * draw.uniform(0.5, 1.0), value * draw.uniform(1.0, 2.0))
+        for name, value in ranges.items()
+        if draw.choice((True, False))
+    }
+    drawn |= {"restitution": (draw.uniform(0.0, 0.5), draw.uniform(0.5, 1.0))} if draw.choice((True, False)) else {}
+    length = scene.box_half_width
+    return {"scene": scene, "randomize": drawn | {"box_half_width": (length, length * draw.uniform(1.0, 2.0))}}
+
+
+def single(given: dict[str, Any], number: int) -> JackInBoxEnv:
+    """The environment of that number alone."""
+    scene = given["scene"]
+    return JackInBoxEnv(**{**given, "scene": scene if isinstance(scene, Scene) else scene[number]})
+
+
+def each_alone(singles: list[JackInBoxEnv], actions: list[Any], step: int) -> list[tuple[Any, float, Any]]:
+    """A step of every single environment."""
+    return [alone(env, action, step) for env, action in zip(singles, actions, strict=True)]
+
+
+def alone(env: JackInBoxEnv, action: float | None, step: int) -> tuple[Any, float, Any]:
+    """A step of a single environment, which restarts in the step after its last."""
+    if step % (LIMIT + 1) == LIMIT:
+        seen, info = env.reset()
+        return seen, 0.0, info
+    seen, reward, _, _, info = env.step(action)
+    return seen, reward, info
+
+
+def assert_the_same(batch: JackInBoxVectorEnv, singles: list[JackInBoxEnv], step: int, action: float | None) -> int:
+    """Take a step of both and compare all that they tell; the impacts, -1 if both have lost a jack."""
+    actions = None if action is None else action * np.linspace(-1.0, 1.0, len(singles))
+    each = [None] * len(singles) if actions is None else actions.tolist()
+    try:
+        seen, rewards, _, _, infos = batch.step(actions)
+    except JackLostError:
+        with pytest.raises(JackLostError):
+            each_alone(singles, each, step)
+        return -1
+    rows = each_alone(singles, each, step)
+    np.testing.assert_array_equal(seen, [row[0] for row in rows])
+    np.testing.assert_array_equal(rewards, [row[1] for row in rows])
+    for name in rows[0][2]:
+        np.testing.assert_array_equal(infos[name], [row[2][name] for row in rows], err_msg=name)
+    np.testing.assert_array_equal(batch.states, [env.state for env in singles])
+    assert batch.scenes == [env.scene for env in singles]
+    return int(infos["impacts"].sum())
+
+
+@pytest.mark.parametrize("contact", CONTACT_MODELS)
+def test_a_batch_of_random_scenes_and_a_task_of_ones_own_is_its_single_environments(contact: str) -> None:
+    counted: Counter[str] = Counter()
+
+    @settings(max_examples=settings.default.max_examples // 4)  # type: ignore[union-attr]
+    @given(st.data())
+    def is_the_same(data: st.DataObject) -> None:
+        draw = HypothesisDraw(data.draw)
+        dt, count = 10.0 ** draw.uniform(-2.0, -1.0), draw.randint(1, 4)
+        asked = {"contact": contact, "task": draw.choice(TASKS), "control_dt": dt, **scenes_of(draw, dt, count)}
+        try:
+            batch = JackInBoxVectorEnv(count, LIMIT, with_infos=True, **asked)
+            singles = [single(asked, number) for number in range(count)]
+        except ValueError as error:  # a scene that pymunk does not solve
+            assume("couple the feet so strongly" not in str(error))
+            raise
+        seed = draw.randint(0, 1000)
+        seen, _ = batch.reset(seed=seed)
+        np.testing.assert_array_equal(seen, [env.reset(seed=seed + i)[0] for i, env in enumerate(singles)])
+        for step in range(STEPS):
+            hits = assert_the_same(batch, singles, step, draw.choice((None, draw.uniform(-1.0, 1.0))))
+            if hits < 0:
+                counted["lost"] += 1
+                return
+            counted["impacts"] += hits
+        counted["drawn" if "randomize" in asked else "listed"] += 1
+
+    is_the_same()
+    assert counted["lost"] <= 0.2 * (counted["drawn"] + counted["listed"]), counted
+    assert min(counted[name] for name in ("drawn", "listed", "impacts")) > 5, counted
