@@ -9,9 +9,12 @@ from typing import Any
 
 import numpy as np
 from stable_baselines3.common.evaluation import evaluate_policy
+from tqdm import tqdm
 
 from agents.models import derived_seed, load_model, make_vec_env
+from agents.planner import DECISION, Planner
 from agents.policies import BASELINES, Baseline, Policy, baseline
+from agents.settings import EnvSettings
 from jackbox_env import Scene
 
 
@@ -50,35 +53,47 @@ class Returns:
 
 
 def evaluate(
-    name: str, policy: Policy, env_settings: dict[str, Any], episodes: int, seed: int, deterministic: bool = True
+    name: str,
+    policy: Policy,
+    env_settings: dict[str, Any],
+    episodes: int,
+    seed: int,
+    deterministic: bool = True,
+    progress: bool = False,
 ) -> Returns:
     """Run whole episodes, up to 16 side by side, from starts that ``seed`` decides; training has not seen them."""
     starts = derived_seed("evaluation", seed)
     environments = make_vec_env(env_settings, min(16, episodes), starts)
     environments.seed(starts)
-    rewards, _ = evaluate_policy(
-        policy,
-        environments,
-        n_eval_episodes=episodes,
-        deterministic=deterministic,
-        return_episode_rewards=True,
-    )
+    with tqdm(total=episodes, desc=name, unit="episode", disable=not progress, leave=False) as bar:
+        rewards, _ = evaluate_policy(
+            policy,
+            environments,
+            n_eval_episodes=episodes,
+            deterministic=deterministic,
+            callback=lambda known, _: bar.update(bool(known["done"])),
+            return_episode_rewards=True,
+        )
     environments.close()
     assert isinstance(rewards, list)
     return Returns(name, tuple(float(reward) for reward in rewards))
 
 
-def find_policy(name: str, scene: Scene, seed: int, trust: bool = False) -> Baseline:
-    """A baseline by its name, or a trained model by its run folder or file.
+def find_policy(name: str, settings: EnvSettings, seed: int, trust: bool = False) -> Baseline:
+    """A baseline or the planner by its name, or a trained model by its run folder or file.
 
     Raises:
         FileNotFoundError: it is neither.
     """
+    scene = Scene.of(settings.scene_fields)
     if name in BASELINES:
         return baseline(name, scene, seed)
+    if name == "planner":
+        piece = max(1, round(DECISION / settings.control_dt))
+        return Baseline(Planner(scene, settings.task, settings.control_dt, piece=piece, seed=seed), {})
     if not Path(name).exists():
         raise FileNotFoundError(
-            f"a policy must be one of {', '.join(BASELINES)}, or a run folder or model file, got {name!r}"
+            f"a policy must be one of {', '.join(BASELINES)}, planner, or a run folder or model file, got {name!r}"
         )
     return Baseline(load_model(Path(name), trust), {})
 

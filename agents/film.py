@@ -50,7 +50,7 @@ def film(
         for caption, act in acts.items()
     }
     observations = {caption: environment.reset(seed=seed)[0] for caption, environment in environments.items()}
-    earned = dict.fromkeys(acts, 0.0)
+    earned, states = dict.fromkeys(acts, 0.0), dict[str, Any].fromkeys(acts)
     control_dt = float(env_settings.get("control_dt", 0.02))
     every = max(1, round(0.04 / control_dt))  # 25 frames per second
     frames = []
@@ -62,7 +62,9 @@ def film(
             ]
             frames.append(np.concatenate(pictures, axis=1))
         for caption, act in acts.items():
-            action, _ = act.policy.predict(observations[caption], deterministic=True)
+            action, states[caption] = act.policy.predict(
+                observations[caption], states[caption], np.array([step == 0]), deterministic=True
+            )
             observations[caption], reward, *_ = environments[caption].step(action)
             earned[caption] += float(reward)
     for environment in environments.values():

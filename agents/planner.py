@@ -17,6 +17,7 @@ from jackbox_env import _validation as check
 
 Array = NDArray[np.float64]
 
+DECISION = 0.1  # [s] between decisions, as the settings here were tried
 _COLOUR = 2.0  # the noise's power falls with this power of the frequency
 _SPREAD = 0.5  # standard deviation of the first candidates, in torque limits
 _KEPT = 0.3  # share of the best that are tried again

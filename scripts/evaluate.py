@@ -1,4 +1,4 @@
-"""Evaluate policies on JackInBox-v0: baselines by name, trained models by run folder or file."""
+"""Evaluate policies on JackInBox-v0: baselines and the planner by name, trained models by run folder or file."""
 
 from __future__ import annotations
 
@@ -19,8 +19,9 @@ class Arguments:
 
     settings: Annotated[EnvSettings, tyro.conf.arg(name="")]
     policy: tuple[str, ...] = ("random", "chirp", "zero", "level")
-    """random: uniform torques; chirp: the scene's drive; zero: no torque; level: a PD law that holds the box level; or
-    run folders or model files. All act in the environment given here, whatever they were trained in."""
+    """random: uniform torques; chirp: the scene's drive; zero: no torque; level: a PD law that holds the box level;
+    planner: plays many torques ahead by the exact model, some 2 s of computing for each episode; or run folders or
+    model files. All act in the environment given here, whatever they were trained in."""
     episodes: int = 128
     """Episodes of each policy."""
     seed: int = 0
@@ -59,7 +60,6 @@ def main() -> None:
     from agents.evaluation import evaluate, find_policy, table
     from agents.runs import versions
     from agents.storage import write_json
-    from jackbox_env import Scene
     from jackbox_env import _validation as check
 
     check.whole("episodes", arguments.episodes, at_least=1)
@@ -69,13 +69,15 @@ def main() -> None:
     if arguments.json is not None and arguments.json.exists():
         raise FileExistsError(f"{arguments.json} exists, and results are never overwritten: choose another file")
     env_settings = arguments.settings.env_settings
-    scene = Scene.of(env_settings["scene"])
-    found = [(name, find_policy(name, scene, arguments.seed, arguments.trust)) for name in arguments.policy]
+    found = [
+        (name, find_policy(name, arguments.settings, arguments.seed, arguments.trust)) for name in arguments.policy
+    ]
     print(f"{arguments.episodes} episodes each, seed {arguments.seed}, {describe_env(arguments.settings)}")
     rows = []
     for name, (policy, more) in found:
         warn_of_other_training(name, arguments.settings)
-        rows.append(evaluate(name, policy, {**env_settings, **more}, arguments.episodes, arguments.seed))
+        act_in = {**env_settings, **more}
+        rows.append(evaluate(name, policy, act_in, arguments.episodes, arguments.seed, progress=True))
     print(table(rows))
     if arguments.json is not None:
         record = {"env": env_settings, "seed": arguments.seed, "versions": versions()}

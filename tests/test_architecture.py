@@ -54,6 +54,7 @@ PACKAGE = """
 """
 AGENTS = """
     policies settings storage archives
+    planner
     trajectory runs film checkpoints
     models
     best evaluation

@@ -15,7 +15,7 @@ from agents.film import film
 from agents.models import make_ppo, make_vec_env
 from agents.policies import BASELINES, baseline
 from agents.runs import new_folder
-from agents.settings import TrainSettings
+from agents.settings import EnvSettings, TrainSettings
 from agents.trajectory import simulate, write_npz
 from jackbox_env import Scene, make_simulator
 
@@ -62,7 +62,7 @@ def test_an_unknown_policy_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="a baseline must be one of 'random', 'chirp', 'zero', 'level', got 'pid'"):
         baseline("pid", Scene())
     with pytest.raises(FileNotFoundError, match="a policy must be one of .* or a run folder or model file, got 'pid'"):
-        find_policy("pid", Scene(), 0)
+        find_policy("pid", EnvSettings(), 0)
 
 
 # -- evaluation --------------------------------------------------------------------------------------------------------

@@ -104,7 +104,7 @@ BAD[1, 3] = 7.5
         ({"num_threads": 0}, "num_threads must be a whole number >= 1, got 0"),
         ({"scene": "box"}, "scene must be a Scene"),
         ({"rewards": "climb"}, "task must be one of 'juggle', 'spin', 'rattle', got 'climb'"),
-        ({"repeat": 0}, "repeat must be a whole number >= 1 and <= 1,000,000, got 0"),
+        ({"repeat": 0}, "repeat must be a whole number from 1 to 1000000, got 0"),
         ({"trajectories": 1.5}, "trajectories must be True or False, got 1.5"),
     ],
 )

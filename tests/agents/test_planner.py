@@ -1,0 +1,119 @@
+"""The planner: what it reads, that its plans help, and that nothing but the seed decides them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from agents.evaluation import evaluate, find_policy
+from agents.planner import Planner, coloured_noise, state_of
+from agents.settings import EnvSettings
+from jackbox_env import Drive, Scene, Task
+from jackbox_env.observation import observe
+from tests.states import inside
+
+SMALL: dict[str, Any] = {"samples": 24, "elites": 4, "iterations": 2, "pieces": 16}
+
+
+@pytest.mark.parametrize("scene", [Scene(), Scene(box_half_width=2.0, jack_arm=0.5, gravity=1.62)])
+def test_the_state_is_read_off_the_observation(scene: Scene) -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        seen = observe(scene, inside(scene, rng).tolist())
+        state = state_of(scene, seen.astype(np.float64))
+        np.testing.assert_allclose(observe(scene, state.tolist()), seen, atol=2e-6)
+        assert state[[0, 1, 6, 7]].tolist() == [0.0] * 4
+
+
+def test_a_plan_earns_what_the_environment_pays() -> None:
+    planner, scene = Planner(Scene(), "spin", **SMALL), Scene()
+    env = gym.make("JackInBox-v0", contact="exact", task="spin")
+    observation, info = env.reset(seed=3)
+    plan = np.round(np.random.default_rng(1).uniform(-1.0, 1.0, 16) * 64.0) / 64.0
+    (expected,) = planner.returns(info["state"], plan[None])
+    earned = sum(float(env.step(np.array([plan[step // 5]]))[1]) for step in range(80))
+    assert earned == pytest.approx(expected, abs=1e-9)
+    from_what_is_seen = state_of(scene, observation.astype(np.float64))
+    assert planner.returns(from_what_is_seen, plan[None])[0] == pytest.approx(expected, abs=0.05)
+
+
+def test_plans_are_carried_on_and_held() -> None:
+    env = gym.make("JackInBox-v0", contact="exact")
+    planner, observation = Planner(Scene(), **SMALL), env.reset(seed=0)[0]
+    state, actions, plans = None, [], []
+    for step in range(15):
+        action, state = planner.predict(observation, state, np.array([step == 0]))
+        assert action in env.action_space
+        actions.append(float(action[0]))
+        plans.append(state[0])
+        observation = env.step(action)[0]
+    assert [len(set(actions[first : first + 5])) for first in (0, 5, 10)] == [1, 1, 1]
+    assert len(set(actions)) == 3
+    assert [plan.step for plan in plans] == list(range(1, 16))
+    fresh, _ = planner.predict(observation, state, np.array([True]))
+    assert fresh == planner.predict(observation)[0] != planner.predict(observation, state, np.array([False]))[0]
+
+
+def test_each_environment_is_planned_for_alone() -> None:
+    rng, planner = np.random.default_rng(0), Planner(Scene(), **SMALL)
+    seen = np.stack([observe(Scene(), inside(Scene(), rng).tolist()) for _ in range(3)])
+    together, plans = planner.predict(seen)
+    again, _ = planner.predict(seen, plans, np.array([False, True, False]))
+    for number in range(3):
+        alone, plan = planner.predict(seen[number])
+        assert together[number] == alone
+        later, _ = planner.predict(seen[number], plan, np.array([number == 1]))
+        assert again[number] == later
+    assert not np.array_equal(Planner(Scene(), seed=1, **SMALL).predict(seen)[0], together)
+    np.testing.assert_array_equal(Planner(Scene(), num_threads=2, **SMALL).predict(seen)[0], together)
+
+
+def test_noise_has_its_variance_and_colour() -> None:
+    rng = np.random.default_rng(0)
+    for length in (2, 7, 32):
+        noise = coloured_noise(rng, 20000, length, 2.0)
+        assert noise.shape == (20000, length)
+        assert np.var(noise, axis=0) == pytest.approx(np.ones(length), rel=0.06)
+    white, red = (coloured_noise(rng, 5000, 32, colour) for colour in (0.0, 2.0))
+    assert np.mean(white[:, 1:] * white[:, :-1]) == pytest.approx(0.0, abs=0.05)
+    assert np.mean(red[:, 1:] * red[:, :-1]) > 0.8
+
+
+@pytest.mark.parametrize("contact", ["exact", "pymunk"])
+def test_it_juggles_better_than_the_level_box(contact: str) -> None:
+    settings = EnvSettings(contact=contact)
+    level = evaluate("level", find_policy("level", settings, 0).policy, settings.env_settings, 3, 0)
+    planner = evaluate("planner", Planner(Scene(), **{**SMALL, "pieces": 32}), settings.env_settings, 3, 0)
+    assert planner.mean > level.mean + 15.0
+
+
+def test_it_is_found_by_its_name_and_plans_in_the_environment_given() -> None:
+    settings = EnvSettings(task="spin", control_dt=0.05, scene='{"gravity": 3.0}')
+    planner = find_policy("planner", settings, 7).policy
+    assert isinstance(planner, Planner)
+    assert (planner._scene.gravity, planner._task, planner._piece, planner._seed) == (3.0, "spin", 2, 7)
+    assert Planner(Scene(drive=Drive(force_x=lambda t: t)))._scene.drive is None
+
+
+def test_a_task_of_ones_own_is_planned_for() -> None:
+    planner = Planner(Scene(), Task(("turned",), lambda scene, state, torque, impulse: (state[8],)), **SMALL)
+    action, _ = planner.predict(observe(Scene(), np.zeros(12).tolist()))
+    assert action[0] > 0.2
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        ({"samples": 1}, "samples must be a whole number >= 2, got 1"),
+        ({"elites": 300}, "elites must be a whole number from 1 to 256, got 300"),
+        ({"pieces": 1}, "pieces must be a whole number >= 2, got 1"),
+        ({"piece": 0}, "piece must be a whole number >= 1, got 0"),
+        ({"control_dt": 0.0}, "control_dt must be a finite number above 0, got 0.0"),
+    ],
+)
+def test_unusable_settings_are_refused(given: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        Planner(Scene(), **given)
