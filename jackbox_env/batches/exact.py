@@ -194,8 +194,7 @@ class ExactBatch:
             self._change(draft, numbers, [{}] * len(numbers))
         elif self._randomize is not None:
             words, _ = self._noted(draft, numbers)
-            scenes, derived = draft.scenes, self._derived
-            rows = np.array([scenes.own_of(number).numbers for number in numbers.tolist()])
+            rows, derived = draft.scenes.own_rows(numbers), self._derived
             follows = derived[numbers] if len(derived) > 1 else np.repeat(derived, len(numbers), axis=0)
             compiled(restart.draw_scenes)(rows, self._randomize.table, follows, words)
             draft.note(numbers, words, rows)

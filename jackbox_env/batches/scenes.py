@@ -39,7 +39,8 @@ class SceneTable:
     def __init__(self, own: Sequence[Scene], several: bool, shape: tuple[int, ...], count: int, dt: float) -> None:
         self.own, self.dt, self.count = own, dt, count
         self._scenes: dict[int, Scene] = {}  # those that were asked for
-        rows = np.array([scene.numbers for scene in own])
+        self._made_with: Array = np.array([scene.numbers for scene in own])  # never changed
+        rows = self._made_with.copy()
         self.drives: list[AnyDrive] = [scene.drive for scene in own]
         if several and len(own) < count:
             rows, self.drives = np.repeat(rows, count, axis=0), self.drives * count
@@ -86,6 +87,10 @@ class SceneTable:
     def own_of(self, number: int) -> Scene:
         """The scene that an environment was made with."""
         return self.own[number if len(self.own) > 1 else 0]
+
+    def own_rows(self, numbers: Counts) -> Array:
+        """The numbers of the scenes that some environments were made with, a row each, to be changed."""
+        return self._made_with[numbers if len(self.own) > 1 else np.zeros(len(numbers), dtype=np.int64)]
 
     def rows(self, numbers: Counts) -> Array:
         """A copy of the rows of some environments; the only one where they have one scene."""
