@@ -17,6 +17,8 @@ from agents.policies import BASELINES, Baseline, Policy, baseline
 from agents.settings import EnvSettings
 from jackbox_env import Scene
 
+EPISODE = 500  # steps of one, the environment's time limit
+
 
 @dataclass(frozen=True)
 class Returns:
@@ -65,13 +67,14 @@ def evaluate(
     starts = derived_seed("evaluation", seed)
     environments = make_vec_env(env_settings, min(16, episodes), starts)
     environments.seed(starts)
-    with tqdm(total=episodes, desc=name, unit="episode", disable=not progress, leave=False) as bar:
+    steps = episodes * EPISODE
+    with tqdm(total=steps, desc=name, unit="step", unit_scale=True, disable=not progress, leave=False) as bar:
         rewards, _ = evaluate_policy(
             policy,
             environments,
             n_eval_episodes=episodes,
             deterministic=deterministic,
-            callback=lambda known, _: bar.update(bool(known["done"])),
+            callback=lambda *_: bar.update(),
             return_episode_rewards=True,
         )
     environments.close()

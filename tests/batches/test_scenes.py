@@ -376,9 +376,9 @@ def test_a_rollout_takes_a_scene_for_each_row() -> None:
     torques = rng.uniform(-5e3, 5e3, (len(SCENES), 80))
     states = np.zeros((len(SCENES), 12))
     states[:, 5] = math.pi / 4.0
-    played = rollout(list(SCENES), states, torques, 0.05, energy=True, impacts=True)
+    played = rollout(list(SCENES), states, torques, 0.05, energy=True, impacts=True, rewards="juggle")
     for row, scene in enumerate(SCENES):
-        alone = rollout(scene, states[row], torques[row : row + 1], 0.05, energy=True, impacts=True)
+        alone = rollout(scene, states[row], torques[row : row + 1], 0.05, energy=True, impacts=True, rewards="juggle")
         for found, wanted in zip(played, alone, strict=True):
             assert found is not None
             assert wanted is not None
