@@ -115,7 +115,7 @@ def test_a_ratio_to_a_peer_that_is_not_installed_is_kept_from_the_run_that_had_i
         ratios = speed.ratios_of("together", rates)
         first = {"ratios": ratios, "kept": speed.kept_of(first, ratios), "made": "today"}
         assert first["kept"] == {pool: {"values": [5.0], "made": "that day"}}
-    assert f"| {pool} | 5 |  |" in speed.ratio_table(first)
+    assert f"| {pool} | 5 |  |  |" in speed.ratio_table(first)
     assert f"Not installed here, and kept from an earlier run: {pool}. that day" in speed.ratio_table(first)
 
 

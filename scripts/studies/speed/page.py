@@ -81,10 +81,20 @@ def rate_table(rates: Rates) -> list[str]:
     ]
 
 
+def before_of(stored: Mapping[str, Any]) -> dict[str, Any]:
+    """The ratios that a part is held against: those it already was, or its own as stored."""
+    if not stored or "before" in stored:
+        return dict(stored.get("before", {}))
+    return {"ratios": {what: statistics.median(values) for what, values in stored.get("ratios", {}).items()},
+            "made": stored["made"]}  # fmt: skip
+
+
 def ratio_table(found: Mapping[str, Any]) -> list[str]:
-    """Ratios with their extremes, those of an earlier run last."""
-    lines = ["| ratio | median | smallest to largest |", "|---|---:|---:|"]
-    lines += [f"| {what} | {cells(values)} |" for what, values in all_ratios(found).items()]
+    """Ratios with their extremes, those of an earlier run last, beside what they were before."""
+    earlier = found.get("before", {}).get("ratios", {})
+    lines = ["| ratio | median | smallest to largest | before |", "|---|---:|---:|---:|"]
+    for what, values in all_ratios(found).items():
+        lines.append(f"| {what} | {cells(values)} | {figure(earlier[what]) if what in earlier else ''} |")
     for what, kept in found["kept"].items():
         lines += ["", f"Not installed here, and kept from an earlier run: {what}. {kept['made']}"]
     return lines
@@ -142,7 +152,16 @@ def page(results: Results, picture: str) -> str:
             "## One environment": section(results["alone"]),
             "## Batches on one core": [*section(results["together"]), *certifying],
             "## Size of the batch, and threads": [*section(results["threads"]), "", memory],
-            "## How it was measured": [HOW, "", *(f"- `{part}`: {found['made']}" for part, found in results.items())],
+            "## How it was measured": [
+                HOW,
+                "",
+                *(f"- `{part}`: {found['made']}" for part, found in results.items()),
+                *(
+                    f"- `{part}`, before: {found['before']['made']}"
+                    for part, found in results.items()
+                    if found.get("before")
+                ),
+            ],
         }
     )
 

@@ -36,7 +36,7 @@ class Arguments:
 def measured(part: Part, rounds: int, seconds: float, stored: dict[str, Any]) -> dict[str, Any]:
     """Measure a part of the page. Keep the ``stored`` figures of peers that are not installed now."""
     from scripts.studies.speed import measured as these
-    from scripts.studies.speed.page import kept_of, ratios_of
+    from scripts.studies.speed.page import before_of, kept_of, ratios_of
 
     before, cores = timing.others(), os.sched_getaffinity(0) if timing.PINNED else {0}
     timing.on_cores(cores if part == "threads" else {max(cores)})
@@ -49,7 +49,7 @@ def measured(part: Part, rounds: int, seconds: float, stored: dict[str, Any]) ->
         }  # fmt: skip
         found["rates"] = timing.measure(makes[part](seconds), rounds)
         found["ratios"] = ratios_of(part, found["rates"])
-        found["kept"] = kept_of(stored, found["ratios"])
+        found["kept"], found["before"] = kept_of(stored, found["ratios"]), before_of(stored)
     if part == "together":
         found["lost"] = these.lost()
     timing.on_cores(cores)
