@@ -52,6 +52,10 @@ RATIOS = {
         for name in (*map(names.of_size, names.THREADED), names.LONG)
     },
 }
+VARIED = (  # batches that vary one thing, in tables of their own
+    names.BATCH_CHIRP, names.BATCH_SCENES, names.BATCH_DRAWN, names.BATCH_TASK, names.BATCH_256, names.SB3_256,
+    *map(names.at_rate, names.RATES),
+)  # fmt: skip
 PICTURE = {
     "exact, batch of 1,024": ("together", names.BATCH),
     "CartPole, Gymnasium's batch of 1,024": ("together", names.POLES),
@@ -142,15 +146,33 @@ def section(found: Mapping[str, Any]) -> list[str]:
     return [*rate_table(found["rates"]), "", *ratio_table(found)]
 
 
+def halves(part: str, found: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """A part without and with what is ``VARIED`` in it."""
+    rates = found["rates"]
+    varied = {what for what, two in RATIOS[part].items() if set(two) & set(VARIED)}
+
+    def half(chosen: bool) -> dict[str, Any]:
+        return {
+            **found,
+            "rates": {name: values for name, values in rates.items() if (name in VARIED) is chosen},
+            "ratios": {what: values for what, values in found["ratios"].items() if (what in varied) is chosen},
+            "kept": {what: kept for what, kept in found["kept"].items() if (what in varied) is chosen},
+        }
+
+    return half(False), half(True)
+
+
 def page(results: Results, picture: str) -> str:
     """docs/speed.md."""
     start, certifying = results["start"], ["", guarantee(results["together"]["lost"])]
+    usual, varied = halves("together", results["together"])
     memory = f"A process grows by at most {start['bytes']:.0f} bytes for each of {start['of']:,} environments."
     return joined(
         {
             "# How fast it is": [answer(results), "", f"![Control steps per second on one core]({picture})"],
             "## One environment": section(results["alone"]),
-            "## Batches on one core": [*section(results["together"]), *certifying],
+            "## Batches on one core": [*section(usual), *certifying],
+            "## Scenes, tasks and drives of one's own, and fast boxes": [VARYING, "", *section(varied)],
             "## Size of the batch, and threads": [*section(results["threads"]), "", memory],
             "## How it was measured": [
                 HOW,
@@ -166,6 +188,7 @@ def page(results: Results, picture: str) -> str:
     )
 
 
+VARYING = "The same batch of 1,024 with one thing varied; the last three are `rollout`'s impacts in a heavy box."
 HOW = (
     "`make speed` measures in interleaved rounds after one to warm up. Ratios are taken within a round. A table "
     "shows the median over the rounds and the extremes. A step is a control step of 0.02 s under a random action, a "
