@@ -45,7 +45,7 @@ def learning_figure(folder: Path, rows: list[Returns], task: str) -> Path:
         left.axhline(row.mean, color=ACCENT, linewidth=0.8, linestyle=":")
         at = (0.02 + 0.16 * place, row.mean)  # side by side, or equal baselines would hide each other
         left.annotate(row.policy, at, xycoords=("axes fraction", "data"), va="bottom", color=ACCENT)
-    left.set(xlabel="environment steps [million]", ylabel=f"return on {task}", title="while learning (95 % interval)")
+    left.set(xlabel="steps [million]", ylabel=f"return on {task}", title="while learning (95 % interval)")
     left.set_xlim(left=0.0)
     names = [row.policy for row in rows]
     colors = [JACK if name.startswith("PPO") else "#b8b8b8" for name in names]

@@ -6,14 +6,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecEnv
 
 from agents.archives import unpacked_tensors
 from agents.checkpoints import read_model_file
+from agents.holding import HoldingPPO, HoldingVecEnv
+from agents.preview import WithPreview, flight_of
 from agents.runs import SETTINGS, read_settings
 from agents.settings import TrainSettings
 from agents.storage import DamagedFileError, say_skipped
+from jackbox_env import Scene
 from jackbox_env.sb3 import make_sb3_vec_env
 
 
@@ -30,9 +32,24 @@ def make_vec_env(env_settings: dict[str, Any], num_envs: int, seed: int) -> VecE
     return environments
 
 
-def make_ppo(settings: TrainSettings, environments: VecEnv, **more: Any) -> PPO:
-    """An untrained PPO model of these settings."""
-    return PPO(
+def holding(environments: VecEnv, hold: int) -> VecEnv:
+    """The environments as training steps them: one action for ``hold`` control steps."""
+    return environments if hold == 1 else HoldingVecEnv(environments, hold)
+
+
+def make_ppo(settings: TrainSettings, environments: VecEnv, **more: Any) -> HoldingPPO:
+    """An untrained PPO model of these settings.
+
+    Its ``predict`` plays in environments that ask at every control step; it learns in those of :func:`holding`.
+    """
+    policy_kwargs: dict[str, Any] = {
+        "net_arch": list(settings.hidden_units),
+        "log_std_init": settings.initial_log_std,
+    }
+    if settings.preview:
+        flight = flight_of(Scene.of(settings.scene_fields))
+        policy_kwargs |= {"features_extractor_class": WithPreview, "features_extractor_kwargs": {"flight": flight}}
+    model = HoldingPPO(
         "MlpPolicy",
         environments,
         learning_rate=lambda remaining: settings.learning_rate * remaining,
@@ -43,11 +60,13 @@ def make_ppo(settings: TrainSettings, environments: VecEnv, **more: Any) -> PPO:
         gae_lambda=settings.gae_lambda,
         clip_range=settings.clip_range,
         ent_coef=settings.entropy_coefficient,
-        policy_kwargs={"net_arch": list(settings.hidden_units), "log_std_init": settings.initial_log_std},
+        policy_kwargs=policy_kwargs,
         seed=settings.seed,
         device="cpu",
         **more,
     )
+    model.hold = settings.hold
+    return model
 
 
 def _best_or_last(folder: Path) -> Path:
@@ -63,16 +82,17 @@ def _best_or_last(folder: Path) -> Path:
     return there[-1] if there else folder
 
 
-def load_model(path: Path, trust: bool = False) -> PPO:
+def load_model(path: Path, trust: bool = False) -> HoldingPPO:
     """Load a run folder's best model (else its last), or the model file in a run folder.
 
     The model is built from the run's settings.json and takes only tensors from the zip: nothing is unpickled, so a
-    model from a stranger cannot run code.
+    model from a stranger cannot run code. It plays in environments that ask at every control step: ``predict`` holds
+    each action as long as in training, if it is given the state that it returned last.
 
     Args:
         path: run folder, or a .zip in it (or in a folder below it). A damaged best model in a run folder is skipped,
             and standard error says so.
-        trust: unpickle a model that has no settings.json, as ``PPO.load`` does: only from people you trust.
+        trust: unpickle a model that has no settings.json, as ``HoldingPPO.load`` does: only from people you trust.
 
     Raises:
         FileNotFoundError: there is no model, or no settings.json above it and ``trust`` is off.
@@ -85,7 +105,7 @@ def load_model(path: Path, trust: bool = False) -> PPO:
         raise FileNotFoundError(f"{path} holds no model: best_model.zip or model.zip was looked for")
     folder = next((parent for parent in file.parents[:2] if (parent / SETTINGS).is_file()), None)
     if folder is None and trust:
-        return PPO.load(file, device="cpu")
+        return HoldingPPO.load(file, device="cpu")
     if folder is None:
         raise FileNotFoundError(
             f"{file} has no {SETTINGS} beside it to rebuild the model from; if you trust its author, use --trust"

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 else:
     TaskName = Literal[tuple(TASKS)]  # command lines show and check the names
 
+EPISODE_STEPS = 500  # control steps of an episode, the environments' default
+PREVIEWED = 11  # numbers of a preview
+
 # Beyond these a run folder from a stranger could take all memory.
 MOST_COUNTED = 10**12  # of steps, episodes and samples
 MOST_TOGETHER = 5_000_000  # samples that are kept between updates
@@ -89,7 +92,7 @@ class TrainSettings(EnvSettings):
     seed: int = 0
     """Seed of the network, the environments and the noise."""
     total_steps: int = 1_000_000
-    """Environment steps to train for."""
+    """Steps to train for. Here and below a step is one action: `hold` control steps of one environment."""
     max_minutes: float | None = None
     """Stop earlier when this much time has passed [min]."""
     num_envs: int = 16
@@ -103,7 +106,7 @@ class TrainSettings(EnvSettings):
     learning_rate: float = 5e-4
     """Of Adam, falling linearly to 0 at total_steps."""
     gamma: float = 0.99
-    """Discount per control step."""
+    """Discount per step."""
     gae_lambda: float = 0.95
     """Bias against variance of the advantage estimate."""
     clip_range: float = 0.2
@@ -114,6 +117,10 @@ class TrainSettings(EnvSettings):
     """Width of each hidden layer, of the policy and of the value alike."""
     initial_log_std: float = 0.0
     """Logarithm of the actions' first standard deviation."""
+    hold: int = 1
+    """Control steps that each action is held for; divides the 500 of an episode."""
+    preview: bool = False
+    """Show the networks, beside the observation, where and how the jack will land."""
     checkpoint_steps: int = 100_000
     """Steps between checkpoints, from which an interrupted run resumes."""
     eval_steps: int = 100_000
@@ -134,6 +141,10 @@ class TrainSettings(EnvSettings):
         counts = "total_steps num_envs rollout_steps batch_size epochs checkpoint_steps eval_steps eval_episodes"
         for name in [*counts.split(), "torch_threads"]:
             check.whole(name, getattr(self, name), at_least=2 if name == "batch_size" else 1)
+        check.whole("hold", self.hold, at_least=1, at_most=EPISODE_STEPS)
+        if EPISODE_STEPS % self.hold:
+            raise ValueError(f"hold must divide the {EPISODE_STEPS} control steps of an episode, got {self.hold}")
+        check.flag("preview", self.preview)
         check.real("learning_rate", self.learning_rate, above=0.0)
         check.real("clip_range", self.clip_range, above=0.0)
         check.real("gamma", self.gamma, at_least=0.0, at_most=1.0)
@@ -160,7 +171,8 @@ class TrainSettings(EnvSettings):
             raise ValueError(f"num_envs * rollout_steps must be at most {MOST_TOGETHER:,}, got {together:,}")
         if len(self.hidden_units) > MOST_LAYERS:
             raise ValueError(f"hidden_units must be at most {MOST_LAYERS} layers, got {len(self.hidden_units):,}")
-        weights = sum(before * after for before, after in pairwise((len(BOUNDS), *self.hidden_units, 1)))
+        seen = len(BOUNDS) + PREVIEWED * self.preview
+        weights = sum(before * after for before, after in pairwise((seen, *self.hidden_units, 1)))
         if weights > MOST_WEIGHTS:
             raise ValueError(
                 f"hidden_units must make a network of at most {MOST_WEIGHTS:,} weights, got "

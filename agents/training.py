@@ -21,7 +21,7 @@ from agents.checkpoints import (
     latest_checkpoint,
     model_file,
 )
-from agents.models import derived_seed, make_ppo, make_vec_env
+from agents.models import derived_seed, holding, make_ppo, make_vec_env
 from agents.settings import TrainSettings
 from agents.storage import held, remove_partials, write_bytes
 
@@ -96,7 +96,7 @@ def _model(settings: TrainSettings, resumed: Saved | None) -> PPO:
     torch.set_num_threads(settings.torch_threads)
     done = resumed.steps if resumed else 0
     starts = derived_seed("training", settings.seed, done)
-    environments = make_vec_env(settings.env_settings, settings.num_envs, starts)
+    environments = holding(make_vec_env(settings.env_settings, settings.num_envs, starts), settings.hold)
     model = make_ppo(settings, environments)
     environments.seed(starts)  # PPO has seeded them by its own seed
     if resumed is not None:

@@ -1,0 +1,105 @@
+"""Where and how the jack will land, in closed form from what the agent sees: features beside the ten numbers.
+
+Between impacts the jack flies freely, and the box turns at its own rate where no torque acts. So the moment at which
+the jack's centre comes to the height -(L - l) under the box's centre, where a foot pointing down touches the floor of a
+level box, follows from the present observation, and with it place, speed and angles at that moment.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import torch
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+
+from jackbox_env import Scene
+from jackbox_env.observation import BOUNDS
+
+
+class Flight(NamedTuple):
+    """What the preview needs of a scene, in units of L, v0 = sqrt(2 * 9.81 * L) and L / v0."""
+
+    gravity: float  # g L / v0^2, 1/2 on Earth
+    floor: float  # (L - l) / L, depth of the landing under the box's centre
+    spin: float  # L / l, by which omega_jack in units of v0 / l becomes one in units of v0 / L
+
+
+# Beyond these float32 would overflow on the way.
+_STRONGEST, _FINEST = 1e20, 1e6
+
+LONGEST = 8.0  # [L / v0] a time to the landing is cut there: twice the flight from the floor at v0 up and back on Earth
+FEATURES = (
+    "time",  # to the landing, in units of a fall of L on Earth, 2 L / v0
+    "cosine_4",  # of 4 (theta_jack - theta_box) at the landing
+    "sine_4",
+    "cosine_8",  # of twice that
+    "sine_8",
+    "cosine_world",  # of 4 theta_jack at the landing
+    "sine_world",
+    "place",  # x of the jack's centre from the box's centre, along the world's x [L], within +-2
+    "speed",  # downwards [v0], at most 10
+    "spin",  # angle that the jack turns by until then, in quarter turns, within +-10
+    "box_angle",  # theta_box then, from its present value within half a turn [rad], within +-10
+)
+
+
+def flight_of(scene: Scene) -> Flight:
+    """The numbers of a scene that the preview needs; those too large for float32 are cut."""
+    length = scene.box_half_width
+    return Flight(
+        gravity=min(_STRONGEST, scene.gravity / (2.0 * 9.81)),
+        floor=(length - scene.jack_arm) / length,
+        spin=min(_FINEST, length / scene.jack_arm),
+    )
+
+
+def preview(flight: Flight, observations: torch.Tensor) -> torch.Tensor:
+    """The features of ``FEATURES``, shape (n, 11), for observations of shape (n, 10), which are float32.
+
+    The landing is that of a jack whose box does not move but turns at its present rate. Walls on the way do not count.
+    Without gravity a jack that does not fall lands after ``LONGEST``.
+    """
+    x, y, vx, vy, cosine, sine, omega_box, cosine_4, sine_4, omega_jack = observations.unbind(1)
+    height = (sine * x + cosine * y + flight.floor).clamp(min=0.0)
+    rise = sine * vx + cosine * vy
+    impact = (rise * rise + 2.0 * flight.gravity * height).sqrt()
+    tiny = torch.finfo(observations.dtype).tiny
+    # of the two forms of the root, the one without cancellation
+    down = 2.0 * height / (impact - rise).clamp(min=tiny)
+    up = (impact + rise) / max(flight.gravity, tiny)
+    time = torch.where(rise > 0.0, up, down).clamp(max=LONGEST)
+    place = cosine * x - sine * y + (cosine * vx - sine * vy) * time
+    theta = torch.atan2(sine, cosine)
+    turned, spun = omega_box * time, flight.spin * omega_jack * time
+    relative = torch.atan2(sine_4, cosine_4) + 4.0 * (spun - turned)
+    world = relative + 4.0 * (theta + turned)
+    return torch.stack(
+        (
+            0.5 * time,
+            relative.cos(),
+            relative.sin(),
+            (2.0 * relative).cos(),
+            (2.0 * relative).sin(),
+            world.cos(),
+            world.sin(),
+            place.clamp(-2.0, 2.0),
+            (flight.gravity * time - rise).clamp(-10.0, 10.0),
+            (spun / (0.5 * math.pi)).clamp(-10.0, 10.0),
+            (theta + turned).clamp(-10.0, 10.0),
+        ),
+        dim=1,
+    )
+
+
+class WithPreview(BaseFeaturesExtractor):
+    """The ten numbers of an observation, then the preview of the landing. It has nothing to learn."""
+
+    def __init__(self, observation_space: gym.Space[Any], flight: Flight) -> None:
+        super().__init__(observation_space, features_dim=len(BOUNDS) + len(FEATURES))
+        self._flight = Flight(*flight)
+
+    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+        """Features, shape (n, 21), of observations of shape (n, 10)."""
+        return torch.cat((observations, preview(self._flight, observations)), dim=1)

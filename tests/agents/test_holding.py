@@ -1,0 +1,202 @@
+"""Actions that are held: in training, and by a trained model in the ordinary environment."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from stable_baselines3.common.evaluation import evaluate_policy
+
+import jackbox_env  # noqa: F401
+from agents import training
+from agents.evaluation import evaluate
+from agents.film import film
+from agents.holding import HoldingPPO, HoldingVecEnv
+from agents.models import holding, load_model, make_ppo, make_vec_env
+from agents.policies import Baseline
+from agents.runs import describe, new_folder
+from agents.settings import TrainSettings
+from tests.agents.small_run import TINY
+
+HOLD = 5
+HELD = replace(TINY, contact="exact", hold=HOLD, preview=True)
+
+
+@pytest.fixture(scope="module")
+def model() -> HoldingPPO:
+    """An untrained policy that moves much: its standard deviation is 1."""
+    return make_ppo(HELD, make_vec_env(HELD.env_settings, 1, 0))
+
+
+@pytest.mark.parametrize(
+    ("hold", "sentence"),
+    [
+        (3, "hold must divide the 500 control steps of an episode, got 3"),
+        (0, "hold must be a whole number from 1 to 500, got 0"),
+        (1000, "hold must be a whole number from 1 to 500, got 1000"),
+        (2.0, "hold must be a whole number from 1 to 500, got 2.0"),
+    ],
+)
+def test_a_hold_that_does_not_divide_an_episode_is_refused(hold: Any, sentence: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=sentence):
+        TrainSettings(hold=hold)
+
+
+def test_a_preview_is_on_or_off() -> None:
+    with pytest.raises(TypeError, match="preview must be"):
+        TrainSettings(preview="yes")  # type: ignore[arg-type]
+
+
+# -- training ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("contact", ["exact", "pymunk"])
+def test_held_environments_are_the_environments_stepped_by_hand(contact: str) -> None:
+    count, settings = 3, {"contact": contact}
+    held, plain = holding(make_vec_env(settings, count, 7), HOLD), make_vec_env(settings, count, 7)
+    np.testing.assert_array_equal(held.reset(), plain.reset())
+    rng = np.random.default_rng(0)
+    ended = 0
+    for _ in range(2 * 500 // HOLD):
+        actions = rng.uniform(-1.0, 1.0, (count, 1)).astype(np.float32)
+        observations, rewards, dones, infos = held.step(actions)
+        by_hand = [plain.step(actions) for _ in range(HOLD)]
+        total = np.sum([step[1] for step in by_hand], axis=0)
+        np.testing.assert_allclose(rewards, total, rtol=1e-6)
+        assert rewards.dtype == np.float32
+        np.testing.assert_array_equal(observations, by_hand[-1][0])
+        np.testing.assert_array_equal(dones, by_hand[-1][2])
+        for mine, other in zip(infos, by_hand[-1][3], strict=True):
+            assert set(mine) == set(other)
+            if "episode" in mine:
+                ended += 1
+                assert mine["episode"]["l"] == other["episode"]["l"] == 500
+                assert mine["episode"]["r"] == other["episode"]["r"]
+                assert mine["TimeLimit.truncated"] is other["TimeLimit.truncated"] is True
+                np.testing.assert_array_equal(mine["terminal_observation"], other["terminal_observation"])
+    assert ended == 2 * count
+
+
+def test_an_episode_that_ends_while_an_action_is_held_is_refused() -> None:
+    environments = HoldingVecEnv(make_vec_env({"contact": "exact", "max_episode_steps": 7}, 2, 0), HOLD)
+    environments.reset()
+    environments.step(np.zeros((2, 1), dtype=np.float32))
+    with pytest.raises(RuntimeError, match="multiple of hold = 5 steps, got one that ended 2 steps after"):
+        environments.step(np.zeros((2, 1), dtype=np.float32))
+
+
+def test_one_step_is_not_wrapped() -> None:
+    environments = make_vec_env({}, 1, 0)
+    assert holding(environments, 1) is environments
+
+
+# -- playing -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("contact", ["exact", "pymunk"])
+def test_a_held_policy_plays_as_by_hand_in_one_environment(model: HoldingPPO, contact: str) -> None:
+    played, by_hand = (gym.make("JackInBox-v0", contact=contact) for _ in range(2))
+    seen, _ = played.reset(seed=3)
+    other, _ = by_hand.reset(seed=3)
+    state = None
+    for _ in range(20):
+        chosen = model.policy.predict(other, deterministic=True)[0]
+        for _ in range(HOLD):
+            action, state = model.predict(seen, state, deterministic=True)
+            np.testing.assert_array_equal(action, chosen)
+            seen, *_ = played.step(action)
+            other, *_ = by_hand.step(chosen)
+            np.testing.assert_array_equal(seen, other)
+
+
+def test_each_environment_chooses_where_its_own_episode_starts(model: HoldingPPO) -> None:
+    rng = np.random.default_rng(1)
+    observations = rng.uniform(-1.0, 1.0, (23, 3, 10)).astype(np.float32)
+    starts = np.zeros((23, 3), dtype=bool)
+    starts[0] = True
+    starts[7, 1] = starts[9, 1] = starts[10, 2] = True
+    state: Any = None
+    age, held = np.zeros(3, dtype=int), np.zeros((3, 1), dtype=np.float32)
+    for seen, start in zip(observations, starts, strict=True):
+        actions, state = model.predict(seen, state, start, deterministic=True)
+        for number in range(3):
+            age[number] = 0 if start[number] else age[number]
+            if age[number] % HOLD == 0:
+                held[number] = model.policy.predict(seen[number], deterministic=True)[0]
+            age[number] += 1
+        np.testing.assert_allclose(actions, held, atol=1e-6)
+
+
+def test_what_predict_returned_is_not_written_again(model: HoldingPPO) -> None:
+    seen = np.zeros((2, 10), dtype=np.float32)
+    actions, state = model.predict(seen, deterministic=True)
+    kept = actions.copy(), [part.copy() for part in state or ()]
+    actions += 1.0
+    model.predict(seen + 0.5, state, np.array([True, False]), deterministic=True)
+    for part, before in zip(state or (), kept[1], strict=True):
+        np.testing.assert_array_equal(part, before)
+
+
+def test_a_state_of_other_environments_is_refused(model: HoldingPPO) -> None:
+    _, state = model.predict(np.zeros((2, 10), dtype=np.float32))
+    with pytest.raises(ValueError, match="state must be that of 3 environments, as observation is, got 2"):
+        model.predict(np.zeros((3, 10), dtype=np.float32), state)
+
+
+@pytest.mark.parametrize("contact", ["exact", "pymunk"])
+def test_evaluation_in_the_ordinary_environment_is_that_of_the_held_ones(model: HoldingPPO, contact: str) -> None:
+    """``evaluate_policy`` asks at every control step, and gets what stepping with held actions gives."""
+    environments = make_vec_env({"contact": contact}, 2, 5)
+    environments.seed(5)
+    returns, lengths = evaluate_policy(model, environments, n_eval_episodes=4, return_episode_rewards=True)
+    assert lengths == [500] * 4
+    held = holding(make_vec_env({"contact": contact}, 2, 5), HOLD)
+    seen, expected = held.reset(), list[float]()
+    while len(expected) < 4:
+        seen, _, _, infos = held.step(model.policy.predict(seen, deterministic=True)[0])  # type: ignore[arg-type]
+        expected += [info["episode"]["r"] for info in infos if "episode" in info]
+    np.testing.assert_allclose(returns, expected, atol=1e-3)
+
+
+# -- run folders -------------------------------------------------------------------------------------------------------
+
+
+def test_training_with_hold_and_preview_saves_loads_and_resumes(tmp_path: Path) -> None:
+    folder = new_folder(tmp_path / "run", "test")
+    describe(folder, HELD)
+    half = replace(HELD, total_steps=1024)
+    training.train(half, folder, progress=False)
+    (folder / "model.zip").unlink()
+    model = training.train(HELD, folder, progress=False)
+    assert model.num_timesteps == HELD.total_steps
+    stored = np.load(folder / "evaluations.npz")
+    assert stored["timesteps"].tolist() == [1024, 2048]
+    assert np.all(stored["ep_lengths"] == 500)
+    loaded = load_model(folder / "model.zip")
+    assert loaded.hold == HOLD
+    for name, value in model.get_parameters()["policy"].items():
+        np.testing.assert_array_equal(value.numpy(), loaded.get_parameters()["policy"][name].numpy())
+    returns = [evaluate("PPO", one, HELD.env_settings, 2, seed=0).returns for one in (model, loaded)]
+    assert returns[0] == returns[1]
+    trusted = tmp_path / "alone.zip"
+    trusted.write_bytes((folder / "model.zip").read_bytes())
+    (tmp_path / "run" / "settings.json").unlink()
+    again = load_model(trusted, trust=True)
+    assert again.hold == HOLD
+    assert evaluate("PPO", again, HELD.env_settings, 2, seed=0).returns == returns[0]
+
+
+def test_films_hold_actions_too(model: HoldingPPO, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    chosen, choose = [], model.policy.predict
+
+    def watched(*given: Any, **more: Any) -> Any:
+        chosen.append(choose(*given, **more))
+        return chosen[-1]
+
+    monkeypatch.setattr(model.policy, "predict", watched)
+    film({"PPO": Baseline(model, {})}, {}, tmp_path / "film.gif", seed=0, seconds=0.6, width=64, progress=False)
+    assert len(chosen) == 30 // HOLD

@@ -1,0 +1,119 @@
+"""The preview of the landing against flights of the exact model."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from agents.models import make_ppo, make_vec_env
+from agents.preview import FEATURES, LONGEST, flight_of, preview
+from agents.settings import PREVIEWED
+from jackbox_env import Scene, make_simulator
+from jackbox_env.observation import BOUNDS, observe
+from jackbox_env.tasks import sample_start
+from tests.agents.small_run import TINY
+
+SCENES = [Scene(), Scene(gravity=1.62), Scene(box_half_width=3.0, jack_arm=0.5), Scene(gravity=30.0, jack_arm=2.0)]
+
+
+def features(scene: Scene, state: np.ndarray) -> dict[str, float]:
+    values = preview(flight_of(scene), torch.from_numpy(observe(scene, state.tolist()))[None])
+    return dict(zip(FEATURES, values[0].tolist(), strict=True))
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_the_preview_is_the_flight_of_the_exact_model(scene: Scene) -> None:
+    rng = np.random.default_rng(0)
+    length, v0 = scene.box_half_width, scene.speed_scale
+    flown = 0
+    for _ in range(60):
+        state = sample_start(scene, rng)
+        state[9:12] = rng.uniform(-0.15, 0.15) * v0, rng.uniform(-0.5, 0.3) * v0, rng.uniform(-0.4, 0.4) * v0
+        seen = features(scene, state)
+        time = 2.0 * seen["time"] * length / v0  # [s]
+        simulator = make_simulator(scene, contact="exact")
+        simulator.reset(state)
+        simulator.step(time, 0.0)
+        if simulator.impacts or seen["time"] == 0.5 * LONGEST:  # a wall came first, or the flight is cut
+            continue
+        flown += 1
+        landed = simulator.state
+        assert landed[4] - landed[1] == pytest.approx(-(length - scene.jack_arm), abs=1e-4 * length)
+        assert seen["place"] == pytest.approx((landed[3] - landed[0]) / length, abs=1e-4)
+        assert seen["speed"] == pytest.approx(-landed[10] / v0, abs=1e-4)
+        turned = (landed[5] - state[5]) / (0.5 * math.pi)
+        assert seen["spin"] == pytest.approx(max(-10.0, min(10.0, turned)), abs=1e-4)
+        assert seen["box_angle"] == pytest.approx(0.0, abs=1e-6)
+        angle = landed[5] - landed[2]
+        for name, factor in (("4", 4.0), ("8", 8.0), ("world", 4.0)):
+            assert seen[f"cosine_{name}"] == pytest.approx(math.cos(factor * angle), abs=2e-3)
+            assert seen[f"sine_{name}"] == pytest.approx(math.sin(factor * angle), abs=2e-3)
+    assert flown >= 20
+
+
+def test_a_turned_box_that_turns_is_previewed_in_the_frame_of_the_world() -> None:
+    scene = Scene()
+    state = np.array([1.0, 2.0, 0.3, 1.5, 2.5, 0.4, 0.2, -0.1, 0.7, 1.2, -3.1, -0.5])
+    seen = features(scene, state)
+    fall, depth = state[10] - state[7], state[4] - state[1] + 5.0
+    time = (fall + math.sqrt(fall**2 + 2.0 * 9.81 * depth)) / 9.81
+    assert 2.0 * seen["time"] * 6.0 / scene.speed_scale == pytest.approx(time, rel=1e-5)
+    assert seen["place"] == pytest.approx((0.5 + 1.0 * time) / 6.0, rel=1e-4)
+    box, jack = 0.3 + 0.7 * time, 0.4 - 0.5 * time
+    assert seen["box_angle"] == pytest.approx(box, rel=1e-5)
+    assert seen["cosine_4"] == pytest.approx(math.cos(4.0 * (jack - box)), abs=1e-4)
+    assert seen["sine_8"] == pytest.approx(math.sin(8.0 * (jack - box)), abs=1e-4)
+    assert seen["cosine_world"] == pytest.approx(math.cos(4.0 * jack), abs=1e-4)
+    assert seen["sine_world"] == pytest.approx(math.sin(4.0 * jack), abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        *SCENES,
+        Scene(gravity=0.0),
+        Scene(gravity=1e-50),
+        Scene(gravity=1e60),
+        Scene(jack_arm=1e-20),
+        Scene(box_half_width=1e25),
+        Scene(jack_arm=8.0),
+    ],
+)
+def test_every_observation_has_a_finite_preview(scene: Scene) -> None:
+    rng = np.random.default_rng(0)
+    corners = rng.choice([-1.0, 0.0, 1.0], (4000, 10)) * BOUNDS
+    inside = rng.uniform(-1.0, 1.0, (1000, 10)) * BOUNDS
+    tiny = rng.choice([-1e-45, 0.0, 1e-45], (200, 10))
+    rows = torch.from_numpy(np.concatenate([corners, inside, tiny]).astype(np.float32))
+    values = preview(flight_of(scene), rows)
+    assert values.shape == (len(rows), len(FEATURES))
+    assert torch.isfinite(values).all()
+    assert values.abs().max() <= 10.0
+    assert values[:, 0].min() >= 0.0
+    assert values[:, 0].max() <= 0.5 * LONGEST
+
+
+def test_without_gravity_a_jack_lands_only_if_it_falls() -> None:
+    scene = Scene(gravity=0.0)
+    state = np.zeros(12)
+    state[10] = -5.0
+    assert 2.0 * features(scene, state)["time"] * 6.0 / scene.speed_scale == pytest.approx(1.0, rel=1e-5)
+    for rate in (0.0, 5.0):
+        state[10] = rate
+        assert features(scene, state)["time"] == 0.5 * LONGEST
+
+
+def test_the_networks_see_the_observation_and_the_preview_of_their_scene() -> None:
+    environments = make_vec_env({}, 1, 0)
+    settings = replace(TINY, preview=True, scene='{"gravity": 1.62}')
+    model = make_ppo(settings, environments)
+    rows = torch.from_numpy(np.random.default_rng(0).uniform(-1.0, 1.0, (5, 10)).astype(np.float32))
+    seen = model.policy.extract_features(rows)
+    expected = torch.cat((rows, preview(flight_of(Scene(gravity=1.62)), rows)), dim=1)
+    torch.testing.assert_close(seen, expected)
+    assert len(FEATURES) == PREVIEWED
+    assert model.observation_space == make_ppo(TINY, environments).observation_space
