@@ -68,7 +68,7 @@ def preview(flight: Flight, observations: torch.Tensor) -> torch.Tensor:
     tiny = torch.finfo(observations.dtype).tiny
     # of the two forms of the root, the one without cancellation
     down = 2.0 * height / (impact - rise).clamp(min=tiny)
-    up = (impact + rise) / max(flight.gravity, tiny)
+    up = (impact + rise) / flight.gravity  # without gravity infinite
     time = torch.where(rise > 0.0, up, down).clamp(max=LONGEST)
     place = cosine * x - sine * y + (cosine * vx - sine * vy) * time
     theta = torch.atan2(sine, cosine)
