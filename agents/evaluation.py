@@ -111,3 +111,14 @@ def table(rows: list[Returns]) -> str:
         interval = f"{low:.1f} to {high:.1f}" if len(row.returns) > 1 else "unknown"
         lines.append(f"| {row.policy:<{width}} | {row.mean:11.1f} | {interval:^16} | {len(row.returns):8d} |")
     return "\n".join(lines)
+
+
+def above(rows: list[Returns], upper: str, lower: str) -> str:
+    """In words: whether the whole interval of one policy's mean is above that of another's."""
+    found = {row.policy: row for row in rows}
+    high, low = found[upper], found[lower]
+    is_above = high.interval[0] > low.interval[1]
+    return (
+        f"{upper}'s interval ({high.interval[0]:.1f} to {high.interval[1]:.1f}) is {'' if is_above else 'not '}above "
+        f"{lower}'s ({low.interval[0]:.1f} to {low.interval[1]:.1f})"
+    )

@@ -1,4 +1,7 @@
-"""Train a PPO agent on JackInBox-v0, compare it with the scripted baselines, and film it beside the chirp."""
+"""Train a PPO agent on JackInBox-v0, compare it with the scripted baselines, and film it beside the chirp.
+
+It trains on the exact contact model, and plays on that one and on pymunk, the default.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from agents.settings import TrainSettings
+from agents.settings import DEMO
 from scripts.common import command_line
 
 
@@ -16,10 +19,10 @@ class Arguments:
 
     folder: Path | None = None
     """Run folder to make; None: runs/demo-<date>-<time>."""
-    total_steps: int = TrainSettings.total_steps
-    """Environment steps to train for."""
-    max_minutes: float = 3.5
-    """Stop training after this time at the latest [min]."""
+    total_steps: int = DEMO.total_steps
+    """Steps to train for, each an action held for `hold` control steps."""
+    max_minutes: float | None = None
+    """Stop training after this time at the latest [min]; None: after all steps."""
     episodes: int = 128
     """Episodes of each policy."""
     seed: int = 0
@@ -33,7 +36,7 @@ def main() -> None:
 
     arguments = tyro.cli(Arguments, description=__doc__)
     began = time.monotonic()
-    from agents.evaluation import evaluate, table
+    from agents.evaluation import Returns, above, evaluate, table
     from agents.figures import learning_figure
     from agents.film import film
     from agents.models import derived_seed, load_model
@@ -46,38 +49,44 @@ def main() -> None:
 
     check.whole("episodes", arguments.episodes, at_least=2)
     settings = replace(
-        TrainSettings(),
+        DEMO,
         total_steps=arguments.total_steps,
         max_minutes=arguments.max_minutes,
         seed=arguments.seed,
     )
     folder = new_folder(arguments.folder, "demo", lambda made: describe(made, settings))
-    print(f"Training PPO for {settings.total_steps:,} steps (at most {settings.max_minutes:g} min)")
+    limit = "" if settings.max_minutes is None else f" (at most {settings.max_minutes:g} min)"
+    print(f"Training PPO for {settings.total_steps:,} steps of {settings.hold} control steps each{limit}")
     train(settings, folder)
 
-    print(f"Evaluating {arguments.episodes} episodes of each policy")
+    print(f"Evaluating {arguments.episodes} episodes of each policy on each contact model")
     acts = {name: baseline(name, Scene(), arguments.seed) for name in BASELINES}
     acts["PPO"] = Baseline(load_model(folder), {})
-    rows = [
-        evaluate(name, act.policy, {**settings.env_settings, **act.env_settings}, arguments.episodes, arguments.seed)
-        for name, act in acts.items()
-    ]
+    on = {contact: {**settings.env_settings, "contact": contact} for contact in ("exact", "pymunk")}
+    rows: dict[str, list[Returns]] = {
+        contact: [
+            evaluate(name, act.policy, {**env_settings, **act.env_settings}, arguments.episodes, arguments.seed)
+            for name, act in acts.items()
+        ]
+        for contact, env_settings in on.items()
+    }
     results = {
         "seed": arguments.seed,
         "machine": machine(),
         "versions": versions(),
-        "results": [row.as_json() for row in rows],
+        "results": {contact: [row.as_json() for row in found] for contact, found in rows.items()},
     }
     write_json(folder / "results.json", results)
-    learning_figure(folder, rows, settings.task)
+    learning_figure(folder, rows["exact"], settings.task)
 
     print("Filming PPO beside the chirp")
     pair = {"PPO": acts["PPO"], "chirp": acts["chirp"]}
-    film(pair, settings.env_settings, folder / "film.gif", seed=derived_seed("evaluation", arguments.seed), width=384)
-    print()
-    print(table(rows))
+    film(pair, on["pymunk"], folder / "film.gif", seed=derived_seed("evaluation", arguments.seed), width=384)
+    for contact, found in rows.items():
+        print(f"\nOn contact model {contact}:\n\n{table(found)}")
     print(f"\nModel, settings, results.json, results.png and film.gif: {folder}")
     print(f"Took {time.monotonic() - began:.0f} s")
+    print("; ".join(f"on {contact}, {above(found, 'PPO', 'level')}" for contact, found in rows.items()) + ".")
 
 
 if __name__ == "__main__":

@@ -51,12 +51,15 @@ def fill(page: str, mark: str, text: str) -> str:
 
 
 def results_table(results: dict[str, Any]) -> str:
-    """The demo's table and what it was made with."""
+    """The demo's tables, one for each contact model, and what they were made with."""
     from agents.evaluation import Returns, table
 
-    rows = [Returns(row["policy"], tuple(row["returns"])) for row in results["results"]]
+    tables = [
+        f'With `contact="{contact}"`:\n\n' + table([Returns(row["policy"], tuple(row["returns"])) for row in rows])
+        for contact, rows in results["results"].items()
+    ]
     made = ", ".join(f"{name} {results['versions'][name]}" for name in ("gymnasium", "pymunk", "stable-baselines3"))
-    return f"{table(rows)}\n\nWritten by `make demo` and `make readme` ({made})."
+    return "\n\n".join(tables) + f"\n\nWritten by `make demo` and `make readme` ({made})."
 
 
 def take_picture(run: Path) -> None:
@@ -70,7 +73,8 @@ def take_picture(run: Path) -> None:
     partial = PICTURE.with_name("new.gif")
     partial.unlink(missing_ok=True)
     acts = {"PPO": Baseline(load_model(run), {}), "chirp": baseline("chirp", Scene())}
-    film(acts, read_settings(run).env_settings, partial, seed=derived_seed("evaluation", 0), seconds=8.0, width=256)
+    env_settings = {**read_settings(run).env_settings, "contact": "pymunk"}
+    film(acts, env_settings, partial, seed=derived_seed("evaluation", 0), seconds=8.0, width=256)
     partial.replace(PICTURE)
 
 

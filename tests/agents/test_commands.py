@@ -188,7 +188,10 @@ def test_the_demo_runs_end_to_end_when_made_small(tmp_path: Path) -> None:
     for name in ("model.zip", "settings.json", "run.json", "results.json", "results.png", "film.gif"):
         assert (tmp_path / "demo" / name).stat().st_size > 100, name
     stored = json.loads((tmp_path / "demo" / "results.json").read_text())
-    assert [row["policy"] for row in stored["results"]] == [*BASELINES, "PPO"]
+    for contact in ("exact", "pymunk"):
+        assert [row["policy"] for row in stored["results"][contact]] == [*BASELINES, "PPO"]
+    verdict = done.stdout.strip().splitlines()[-1]
+    assert verdict.count("PPO's interval") == verdict.count("above level's") == 2
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from stable_baselines3.common.evaluation import evaluate_policy
 
-from agents.evaluation import Returns, evaluate, find_policy, table
+from agents.evaluation import Returns, above, evaluate, find_policy, table
 from agents.film import film
 from agents.models import make_ppo, make_vec_env
 from agents.policies import BASELINES, baseline
@@ -75,6 +75,13 @@ def test_returns_carry_their_interval() -> None:
     assert row.interval == pytest.approx((2.5 - half_width, 2.5 + half_width))
     assert "| x      |         2.5 |    1.2 to 3.8    |        4 |" in table([row]).splitlines()
     assert Returns("x", (1.0,)).half_width == np.inf
+
+
+def test_one_policy_is_above_another_where_their_intervals_are_apart() -> None:
+    rows = [Returns("level", (1.0, 2.0, 3.0)), Returns("PPO", (3.0, 4.0, 5.0)), Returns("best", (6.0, 7.0, 8.0))]
+    assert above(rows, "best", "level") == "best's interval (5.9 to 8.1) is above level's (0.9 to 3.1)"
+    assert above(rows, "PPO", "level") == "PPO's interval (2.9 to 5.1) is not above level's (0.9 to 3.1)"
+    assert "is not above" in above(rows, "level", "best")
 
 
 def test_evaluation_is_repeatable_and_seeded() -> None:
