@@ -173,7 +173,7 @@ def test_training_with_hold_and_preview_saves_loads_and_resumes(tmp_path: Path) 
     (folder / "model.zip").unlink()
     model = training.train(HELD, folder, progress=False)
     assert model.num_timesteps == HELD.total_steps
-    assert [episode["l"] for episode in model.ep_info_buffer or ()] == [500] * 8  # 4 environments, 256 actions each
+    assert [episode["l"] for episode in model.ep_info_buffer or ()] == [500] * 12  # from 768 on: 320 actions each
     stored = np.load(folder / "evaluations.npz")
     assert stored["timesteps"].tolist() == [1024, 2048]
     assert np.all(stored["ep_lengths"] == 500)
