@@ -14,10 +14,8 @@ from tqdm import tqdm
 from agents.models import derived_seed, load_model, make_vec_env
 from agents.planner import DECISION, Planner
 from agents.policies import BASELINES, Baseline, Policy, baseline
-from agents.settings import EnvSettings
+from agents.settings import EPISODE_STEPS, EnvSettings
 from jackbox_env import Scene
-
-EPISODE = 500  # steps of one, the environment's time limit
 
 
 @dataclass(frozen=True)
@@ -67,7 +65,7 @@ def evaluate(
     starts = derived_seed("evaluation", seed)
     environments = make_vec_env(env_settings, min(16, episodes), starts)
     environments.seed(starts)
-    steps = episodes * EPISODE
+    steps = episodes * EPISODE_STEPS
     with tqdm(total=steps, desc=name, unit="step", unit_scale=True, disable=not progress, leave=False) as bar:
         rewards, _ = evaluate_policy(
             policy,

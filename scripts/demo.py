@@ -1,4 +1,4 @@
-"""Train a PPO agent on JackInBox-v0, compare it with the scripted baselines, and film it beside the chirp.
+"""Train a PPO agent on JackInBox-v0, compare it with the scripted baselines, and film it beside them and a planner.
 
 It trains on the exact contact model, and plays on that one and on pymunk, the default.
 """
@@ -36,7 +36,7 @@ def main() -> None:
 
     arguments = tyro.cli(Arguments, description=__doc__)
     began = time.monotonic()
-    from agents.evaluation import Returns, above, evaluate, table
+    from agents.evaluation import Returns, above, evaluate, find_policy, table
     from agents.figures import learning_figure
     from agents.film import film
     from agents.models import derived_seed, load_model
@@ -79,9 +79,10 @@ def main() -> None:
     write_json(folder / "results.json", results)
     learning_figure(folder, rows["exact"], settings.task)
 
-    print("Filming PPO beside the chirp")
-    pair = {"PPO": acts["PPO"], "chirp": acts["chirp"]}
-    film(pair, on["pymunk"], folder / "film.gif", seed=derived_seed("evaluation", arguments.seed), width=384)
+    print("Filming chirp, level, PPO and the planner side by side")
+    acts["planner"] = find_policy("planner", settings, arguments.seed)
+    shown = {name: acts[name] for name in ("chirp", "level", "PPO", "planner")}
+    film(shown, on["exact"], folder / "film.gif", seed=derived_seed("evaluation", arguments.seed), width=288)
     for contact, found in rows.items():
         print(f"\nOn contact model {contact}:\n\n{table(found)}")
     print(f"\nModel, settings, results.json, results.png and film.gif: {folder}")

@@ -53,8 +53,9 @@ PACKAGE = """
     choosing
 """
 AGENTS = """
-    policies settings storage archives
-    planner
+    policies preview storage archives
+    planner settings
+    holding
     trajectory runs film checkpoints
     models
     best evaluation
