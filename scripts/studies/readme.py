@@ -63,18 +63,18 @@ def results_table(results: dict[str, Any]) -> str:
 
 
 def take_picture(run: Path) -> None:
-    """Film the trained agent beside the chirp, small enough for a page."""
+    """Film chirp, trained agent and planner side by side, small enough for a page."""
+    from agents.evaluation import find_policy
     from agents.film import film
-    from agents.models import derived_seed, load_model
-    from agents.policies import Baseline, baseline
+    from agents.models import derived_seed
     from agents.runs import read_settings
-    from jackbox_env import Scene
 
     partial = PICTURE.with_name("new.gif")
     partial.unlink(missing_ok=True)
-    acts = {"PPO": Baseline(load_model(run), {}), "chirp": baseline("chirp", Scene())}
-    env_settings = {**read_settings(run).env_settings, "contact": "pymunk"}
-    film(acts, env_settings, partial, seed=derived_seed("evaluation", 0), seconds=8.0, width=256)
+    settings = read_settings(run)
+    named = {"chirp": "chirp", "PPO": str(run), "planner": "planner"}
+    acts = {caption: find_policy(name, settings, 0) for caption, name in named.items()}
+    film(acts, settings.env_settings, partial, seed=derived_seed("evaluation", 0), seconds=8.0, width=256)
     partial.replace(PICTURE)
 
 
