@@ -76,8 +76,13 @@ class Planner:
         """Return the actions, shape (n, 1) or (1,), and the plans, which the next call takes as ``state``.
 
         Without ``state`` each call plans from nothing. Where ``episode_start`` is set, a plan is begun anew.
+
+        Raises:
+            ValueError: a state of another number of environments.
         """
         rows = np.atleast_2d(np.asarray(observation, dtype=np.float64))
+        if state is not None and len(state) != len(rows):
+            raise ValueError(f"state must be that of {len(rows)} environments, as observation is, got {len(state)}")
         starts = [True] * len(rows) if state is None else np.broadcast_to(episode_start, len(rows)).tolist()
         plans = []
         for number, start in enumerate(starts):

@@ -69,6 +69,8 @@ def test_each_environment_is_planned_for_alone() -> None:
         assert again[number] == later
     assert not np.array_equal(Planner(Scene(), seed=1, **SMALL).predict(seen)[0], together)
     np.testing.assert_array_equal(Planner(Scene(), num_threads=2, **SMALL).predict(seen)[0], together)
+    with pytest.raises(ValueError, match="state must be that of 2 environments, as observation is, got 3"):
+        planner.predict(seen[:2], plans, np.zeros(2, dtype=bool))
 
 
 def test_noise_has_its_variance_and_colour() -> None:
