@@ -46,18 +46,21 @@ def bounds_of(scene: SceneNumbers, flight: Flight, left: float, spin_up: float, 
     return Bounds(far, bend, scene.jack_arm * (spin * spin + spin_up) * _SLACK)
 
 
-def bounds_to_impact(scene: SceneNumbers, flight: Flight, left: float, spin_up: float, push: float) -> float:
+def bounds_to_impact(
+    scene: SceneNumbers, flight: Flight, left: float, spin_up: float, push: float, outermost: float
+) -> float:
     """Bound of a gap's second derivative within ``left`` [s], until a foot first touches a wall [m/s^2].
 
-    Until then a foot is in the box, sqrt(2) L from its centre at most, however far the bounds let the jack get.
-    With p the foot's place from the box's centre and n the wall's normal, gap = L - n . p, so K = |p''| + 2 |n'| |p'| +
-    |n''| |p|; the box's rotation has no part in p.
+    Until then a foot is in the box, sqrt(2) L from its centre at most, however far the bounds let the jack get. Feet
+    that are in a wall now get no deeper without touching: ``outermost`` [m] is the largest coordinate of a foot on the
+    box's axes now, and stands for L where it is larger. With p the foot's place from the box's centre and n the wall's
+    normal, gap = L - n . p, so K = |p''| + 2 |n'| |p'| + |n''| |p|; the box's rotation has no part in p.
     """
     arm, spin = scene.jack_arm, abs(flight.jack_omega)
     pull = scene.gravity + push
     omega = abs(flight.omega) + spin_up * left
     speed = math.sqrt(flight.vx * flight.vx + flight.vy * flight.vy) + pull * left + arm * spin
-    away = 1.4142136 * scene.box_half_width
+    away = 1.4142136 * max(scene.box_half_width, outermost)
     return (pull + arm * spin * spin + 2.0 * omega * speed + (omega * omega + spin_up) * away) * _SLACK
 
 

@@ -205,7 +205,10 @@ def first_in_a_turn(
     together, from pose to pose, until one is about to arrive.
     """
     tolerance, end = limits.tolerance, limits.end
-    curvature = min(limits.curvature, bounds_to_impact(scene, flight, end, piece.spin_up, piece.push))
+    frame, cosine, sine = view.frame, view.cosine, view.sine
+    outermost = max(abs(frame.x), abs(frame.y)) + scene.jack_arm * max(abs(cosine), abs(sine))
+    bend = bounds_to_impact(scene, flight, end, piece.spin_up, piece.push, outermost)
+    curvature = min(limits.curvature, bend)
     slow = slowest(scene, flight, limits, rest)
     away, back = inside(scene, flight, end, piece.push)
     while True:

@@ -137,21 +137,32 @@ def test_an_uncertified_step_would_let_feet_through(monkeypatch: pytest.MonkeyPa
     assert not hasty or hasty[0] != first
 
 
-def fast_flights(count: int) -> Iterator[tuple[Scene, motion.Flight, motion.Piece, float]]:
-    """Flights in boxes that turn by half a radian to ten within the time: scene, flight, piece and time."""
+def fast_flights(count: int, deep: bool = False) -> Iterator[tuple[Scene, motion.Flight, motion.Piece, float]]:
+    """Flights in boxes that turn by half a radian to ten within the time: scene, flight, piece and time.
+
+    If ``deep``, the box is small and feet may be in walls at first, up to 1 m, as other contact models leave them.
+    """
     rng = np.random.default_rng(7)
     for _ in range(count):
         scene = Scene(jack_arm=rng.choice([0.1, 1.0, 5.5]), gravity=rng.choice([0.0, 9.81, 100.0]), drive=None)
+        if deep:
+            scene = scene.changed(box_half_width=0.5, jack_arm=0.1)
         left, alpha = 10.0 ** rng.uniform(-3.0, -1.0), rng.uniform(-100.0, 100.0)
         state = inside(scene, rng, speed=rng.uniform(0.1, 4.0) / left)
+        if deep:
+            state[3:5] += rng.uniform(-0.9, 0.9, 2)
+            state[9:11] *= 0.2
         state[8] = rng.choice([-1.0, 1.0]) * rng.uniform(0.5, 10.0) / left
         piece = motion.held_piece(left, alpha)
         yield scene, motion.flight_of(scene.numbers, state, piece, 0.0), piece, left
 
 
-def test_feet_followed_together_find_the_impact_that_each_of_its_own_finds(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("deep", [False, True])
+def test_feet_followed_together_find_the_impact_that_each_of_its_own_finds(
+    deep: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     evaluated, hits = [], 0
-    for scene, flight, piece, left in fast_flights(150):
+    for scene, flight, piece, left in fast_flights(150, deep):
         found = []
         for turned in (0.25, math.inf):
             monkeypatch.setattr(kernel, "_TURNED", turned)
@@ -160,18 +171,25 @@ def test_feet_followed_together_find_the_impact_that_each_of_its_own_finds(monke
             evaluated.append(work[TALLY, WORK])
         (time, pair), (expected, expected_pair) = found
         assert pair == expected_pair
-        assert abs(time - expected) <= 1e-12 * left
+        # Of a foot in a wall only the next look tells that it has turned back.
+        assert abs(time - expected) <= (1e-3 if deep else 1e-12) * left
         hits += pair >= 0
     assert hits > 60
-    assert 3.0 * sum(evaluated[::2]) < sum(evaluated[1::2])
+    assert (1.0 if deep else 3.0) * sum(evaluated[::2]) < sum(evaluated[1::2])
 
 
-def test_the_bounds_of_a_fast_box_hold_until_the_first_impact() -> None:
+@pytest.mark.parametrize("deep", [False, True])
+def test_the_bounds_of_a_fast_box_hold_until_the_first_impact(deep: bool) -> None:
     tightest, quiet = math.inf, 0
-    for scene, flight, piece, left in fast_flights(150):
+    for scene, flight, piece, left in fast_flights(150, deep):
         n, work = scene.numbers, new_workspace()
         until, _ = kernel.first_impact(n, work, flight, piece, left, 1e-13, 1e-13)
-        curvature = bounds.bounds_to_impact(n, flight, left, piece.spin_up, 0.0)
+        if until == 0.0:
+            continue
+        outermost = scene.box_half_width - min(
+            motion.gap_at(n, flight, work, wall, foot, 0.0)[0] for wall in range(4) for foot in range(4)
+        )
+        curvature = bounds.bounds_to_impact(n, flight, left, piece.spin_up, 0.0, outermost)
         away, back = bounds.inside(n, flight, left, 0.0)
         for wall, foot in ((0, 0), (1, 3), (2, 1)):
             h, gaps = until / 60.0, []
@@ -182,10 +200,10 @@ def test_the_bounds_of_a_fast_box_hold_until_the_first_impact() -> None:
                     assert gap > 0.0
                 gaps.append(gap)
             bent = np.abs(np.diff(gaps, 2)) / h**2
-            assert bent.max() <= curvature + 1e-13 * scene.box_half_width / h**2
+            assert bent.max() <= curvature + 1e-12 * scene.box_half_width / h**2
             tightest = min(tightest, curvature / bent.max())
     assert tightest < 2.0
-    assert quiet > 500
+    assert quiet > (0 if deep else 500)
 
 
 def test_followed_by_too_large_steps_feet_are_let_through(monkeypatch: pytest.MonkeyPatch) -> None:
