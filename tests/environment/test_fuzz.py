@@ -231,6 +231,9 @@ ROLLOUTS: dict[str, Values] = {
     "time": EVERYTHING,
     "energy": EVERYTHING,
     "impacts": EVERYTHING,
+    "rewards": EVERYTHING,
+    "repeat": EVERYTHING,
+    "trajectories": EVERYTHING,
     "num_threads": EVERYTHING,
 }
 
