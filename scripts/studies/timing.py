@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import statistics
 import time
@@ -63,7 +64,8 @@ def ratios(rates: Mapping[str, Sequence[float]], one: str, other: str) -> list[f
 def on_cores(cores: Iterable[int]) -> None:
     """Pin all threads of this process, and those that they start later, to these cores, if the system can."""
     for thread in os.listdir("/proc/self/task") if PINNED else ():
-        os.sched_setaffinity(int(thread), cores)
+        with contextlib.suppress(ProcessLookupError):  # a thread that has ended meanwhile
+            os.sched_setaffinity(int(thread), cores)
 
 
 def others() -> tuple[float, float]:
