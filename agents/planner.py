@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from agents.policies import Actions
 from jackbox_env import Scene, Task, rollout
 from jackbox_env import _validation as check
+from jackbox_env.observation import state_of
 
 Array = NDArray[np.float64]
 
@@ -88,7 +89,7 @@ class Planner:
         for number, start in enumerate(starts):
             plan = self._fresh() if start else state[number]
             if plan.step % self._piece == 0:
-                plan = self._decide(state_of(self._scene, rows[number]), plan)
+                plan = self._decide(state_of(self._scene, rows[number].tolist()), plan)
             plans.append(plan._replace(step=plan.step + 1))
         actions = np.array([[plan.action] for plan in plans], dtype=np.float32)
         return (actions if np.ndim(observation) == 2 else actions[0]), plans
@@ -123,23 +124,6 @@ class Planner:
         assert found.rewards is not None
         earned: Array = found.rewards.sum(axis=1)
         return earned
-
-
-def state_of(scene: Scene, observation: Array) -> Array:
-    """A state with this observation, shape (10,): the box at the origin with its centre at rest, shape (12,).
-
-    Only the motion relative to the box's centre is observed, and it does not depend on more while no side force acts.
-    """
-    x, y, vx, vy, cosine, sine, omega, cosine_4, sine_4, jack_omega = observation.tolist()
-    speed = scene.speed_scale
-    angle = float(np.arctan2(sine, cosine))
-    state = np.zeros(12)
-    state[2], state[8] = angle, omega * speed / scene.box_half_width
-    c, s = np.cos(angle), np.sin(angle)
-    state[3:5] = scene.box_half_width * (c * x - s * y), scene.box_half_width * (s * x + c * y)
-    state[9:11] = speed * (c * vx - s * vy), speed * (s * vx + c * vy)
-    state[5], state[11] = angle + 0.25 * float(np.arctan2(sine_4, cosine_4)), jack_omega * speed / scene.jack_arm
-    return state
 
 
 def coloured_noise(rng: np.random.Generator, count: int, length: int, colour: float) -> Array:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, fields
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, cast
+
+import gymnasium as gym
 
 from jackbox_env import Scene
 from jackbox_env import _validation as check
@@ -18,7 +20,7 @@ if TYPE_CHECKING:
 else:
     TaskName = Literal[tuple(TASKS)]  # command lines show and check the names
 
-EPISODE_STEPS = 500  # control steps of an episode, the environments' default
+EPISODE_STEPS = cast(int, gym.spec("JackInBox-v0").max_episode_steps)  # control steps of an episode
 PREVIEWED = 11  # numbers of a preview
 
 # Beyond these a run folder from a stranger could take all memory.

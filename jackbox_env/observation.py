@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.scene import Scene, SceneNumbers
-from jackbox_env.states import Numbers
+from jackbox_env.states import Array, Numbers
 
 BOUNDS = np.array([1, 1, 10, 10, 1, 1, 10, 1, 1, 10], dtype=np.float32)
 
@@ -59,6 +59,22 @@ def seen(
         sine_4,
         _clip(state[11] * scene.jack_arm * per_speed, 10.0),
     )
+
+
+def state_of(scene: Scene, observation: Sequence[float]) -> Array:
+    """Return a state, shape (12,), that is observed as these ten numbers: the box at the origin, its centre at rest.
+
+    Only the motion relative to the box's centre is observed. It does not depend on more while no side force acts.
+    """
+    x, y, vx, vy, cosine, sine, omega, cosine_4, sine_4, jack_omega = observation
+    length, speed, angle = scene.box_half_width, scene.speed_scale, math.atan2(sine, cosine)
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([
+        0.0, 0.0, angle,
+        length * (c * x - s * y), length * (s * x + c * y), angle + 0.25 * math.atan2(sine_4, cosine_4),
+        0.0, 0.0, omega * speed / length,
+        speed * (c * vx - s * vy), speed * (s * vx + c * vy), jack_omega * speed / scene.jack_arm,
+    ])  # fmt: skip
 
 
 def _clip(value: float, bound: float) -> float:

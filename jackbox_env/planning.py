@@ -116,7 +116,7 @@ def rollout(
         check.flag("energy", energy), check.flag("impacts", impacts), check.flag("trajectories", trajectories)
     )  # fmt: skip
     repeat = check.whole("repeat", repeat, at_least=1, at_most=1_000_000)
-    task = None if rewards is None else task_of(rewards)
+    task = None if rewards is None else task_of(rewards, "rewards")
     dt = check.real("dt", dt, above=0.0)
     time = check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
     starts, held = _sequences(scenes, several, states, torques)

@@ -113,17 +113,17 @@ TASKS = {
 }
 
 
-def task_of(given: str | Task) -> Task:
-    """The task of that name, or one of the user's own, checked.
+def task_of(given: str | Task, argument: str = "task") -> Task:
+    """The task of that name, or one of the user's own, checked; ``argument`` is what errors call it.
 
     Raises:
         TypeError, ValueError: an unknown name; terms that are not different words; values that are not a function.
     """
     if isinstance(given, str):
-        return TASKS[check.choice("task", given, TASKS)]
+        return TASKS[check.choice(argument, given, TASKS)]
     if not isinstance(given, Task):
         listed = ", ".join(repr(name) for name in TASKS)
-        raise TypeError(f"task must be one of {listed}, or a jackbox_env.Task, got {check.shown(given)}")
+        raise TypeError(f"{argument} must be one of {listed}, or a jackbox_env.Task, got {check.shown(given)}")
     terms, values = given
     listed = list(terms) if isinstance(terms, Sequence) and not isinstance(terms, str) else []
     if not listed or not all(isinstance(name, str) and name for name in listed) or len({*listed}) < len(listed):

@@ -187,7 +187,7 @@ def first_of_all(
                 continue
             if flight.held & (1 << (4 * wall + foot)) or 4 * wall + foot == likely:
                 continue
-            if gap <= rest and abs(rate) <= slowest(scene, flight, limits, rest):
+            if may_rest(scene, flight, limits, gap, rate, rest):
                 return 0.0, AT_REST
             shorter = Limits(curvature, best, tolerance)
             time = search(scene, work, flight, Approach(wall, foot, since, gap, rate), shorter)
@@ -209,7 +209,6 @@ def first_in_a_turn(
     outermost = max(abs(frame.x), abs(frame.y)) + scene.jack_arm * max(abs(cosine), abs(sine))
     bend = bounds_to_impact(scene, flight, end, piece.spin_up, piece.push, outermost)
     curvature = min(limits.curvature, bend)
-    slow = slowest(scene, flight, limits, rest)
     away, back = inside(scene, flight, end, piece.push)
     while True:
         frame, cosine, sine, spin, s = view
@@ -218,7 +217,7 @@ def first_in_a_turn(
             ahead, speed = towards(frame, wall)
             for foot in range(4):
                 gap, rate = foot_gap(scene, ahead, speed, cosine, sine, spin, foot - wall)
-                if (gap <= tolerance and rate < 0.0) or (s == 0.0 and gap <= rest and abs(rate) <= slow):
+                if (gap <= tolerance and rate < 0.0) or (s == 0.0 and may_rest(scene, flight, limits, gap, rate, rest)):
                     arrived = True
                 gap = max(gap, 0.1 * tolerance)
                 if gap + (rate - 0.5 * curvature * step) * step <= 0.0:
@@ -238,6 +237,11 @@ def first_in_a_turn(
     if view.time == 0.0:
         return first_of_all(scene, work, flight, view, _ALL, NONE, limits, rest)
     return first_of_all(scene, work, flight, view, _ALL, likely, Limits(curvature, end, tolerance), -math.inf)
+
+
+def may_rest(scene: SceneNumbers, flight: Flight, limits: Limits, gap: float, rate: float, rest: float) -> bool:
+    """Whether a foot with this gap [m] and rate [m/s] may be at rest, within ``rest`` [m]; -inf: nobody asks."""
+    return gap <= rest and abs(rate) <= slowest(scene, flight, limits, rest)
 
 
 def slowest(scene: SceneNumbers, flight: Flight, limits: Limits, rest: float) -> float:

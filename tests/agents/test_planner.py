@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from agents.evaluation import evaluate, find_policy
-from agents.planner import Planner, coloured_noise, state_of
+from agents.planner import Planner, coloured_noise
 from agents.settings import EnvSettings
 from jackbox_env import Drive, Scene, Task
-from jackbox_env.observation import observe
+from jackbox_env.observation import observe, state_of
 from tests.states import inside
 
 SMALL: dict[str, Any] = {"samples": 24, "elites": 4, "iterations": 2, "pieces": 16}
@@ -23,7 +23,7 @@ def test_the_state_is_read_off_the_observation(scene: Scene) -> None:
     rng = np.random.default_rng(0)
     for _ in range(50):
         seen = observe(scene, inside(scene, rng).tolist())
-        state = state_of(scene, seen.astype(np.float64))
+        state = state_of(scene, seen.tolist())
         np.testing.assert_allclose(observe(scene, state.tolist()), seen, atol=2e-6)
         assert state[[0, 1, 6, 7]].tolist() == [0.0] * 4
 
@@ -36,7 +36,7 @@ def test_a_plan_earns_what_the_environment_pays() -> None:
     (expected,) = planner.returns(info["state"], plan[None])
     earned = sum(float(env.step(np.array([plan[step // 5]]))[1]) for step in range(80))
     assert earned == pytest.approx(expected, abs=1e-9)
-    from_what_is_seen = state_of(scene, observation.astype(np.float64))
+    from_what_is_seen = state_of(scene, observation.tolist())
     assert planner.returns(from_what_is_seen, plan[None])[0] == pytest.approx(expected, abs=0.05)
 
 

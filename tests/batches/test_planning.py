@@ -103,7 +103,7 @@ BAD[1, 3] = 7.5
         ({"time": 1e9}, "dt must move the time and end by 1e[+]09 s"),
         ({"num_threads": 0}, "num_threads must be a whole number >= 1, got 0"),
         ({"scene": "box"}, "scene must be a Scene"),
-        ({"rewards": "climb"}, "task must be one of 'juggle', 'spin', 'rattle', got 'climb'"),
+        ({"rewards": "climb"}, "rewards must be one of 'juggle', 'spin', 'rattle', got 'climb'"),
         ({"repeat": 0}, "repeat must be a whole number from 1 to 1000000, got 0"),
         ({"trajectories": 1.5}, "trajectories must be True or False, got 1.5"),
     ],
@@ -145,6 +145,19 @@ def test_rewards_are_those_of_the_environment(task: str | Task) -> None:
             assert found.rewards[number, step] == reward
             np.testing.assert_array_equal(found.trajectories[number, step + 1], info["state"])
     assert np.ptp(found.rewards) > 0.05
+
+
+def low(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float]:
+    if state[4] < -0.5:
+        raise ValueError("the jack is too low")
+    return (1.0,)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_an_error_in_a_task_of_ones_own_comes_back(threads: int) -> None:
+    states, torques = cases(Scene(), 300, 60)
+    with pytest.raises(ValueError, match="the jack is too low"):
+        rollout(Scene(), states, torques, 0.02, rewards=Task(("one",), low), num_threads=threads)
 
 
 @pytest.mark.parametrize("steps", [0, 1, 2, 7])

@@ -206,6 +206,17 @@ def test_the_bounds_of_a_fast_box_hold_until_the_first_impact(deep: bool) -> Non
     assert quiet > (0 if deep else 500)
 
 
+def test_feet_are_followed_together_with_loss_where_nobody_asks_for_rest() -> None:
+    hits = 0
+    for scene, flight, piece, left in fast_flights(40):
+        lossy = scene.changed(restitution=0.5).numbers
+        found = kernel.first_impact(lossy, new_workspace(), flight, piece, left, 1e-13, -math.inf)
+        expected = kernel.first_impact(scene.numbers, new_workspace(), flight, piece, left, 1e-13, 1e-13)
+        assert found == expected
+        hits += found[1] >= 0
+    assert hits > 10
+
+
 def test_followed_by_too_large_steps_feet_are_let_through(monkeypatch: pytest.MonkeyPatch) -> None:
     honest, wrong = bounds.bounds_to_impact, 0
     for scene, flight, piece, left in fast_flights(150):

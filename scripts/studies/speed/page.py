@@ -188,7 +188,7 @@ def page(results: Results, picture: str) -> str:
     )
 
 
-VARYING = "The same batch of 1,024 with one thing varied; the last three are `rollout`'s impacts in a heavy box."
+VARYING = "The batch of 1,024 above varied, batches of 256, and impacts of `rollout` in a heavy box that turns."
 HOW = (
     "`make speed` measures in interleaved rounds after one to warm up. Ratios are taken within a round. A table "
     "shows the median over the rounds and the extremes. A step is a control step of 0.02 s under a random action, a "
