@@ -98,7 +98,7 @@ class ExactHeld:
 class ExactBatch:
     """See :class:`jackbox_env.batches.base.Batch`; 288 bytes per environment besides what is handed out.
 
-    Scenes of their own take 136 bytes more for each environment.
+    Scenes of their own take 152 bytes more for each environment.
 
     Memory that threads write to is taken out of the batch for a step and comes back when they have ended: memory
     that an interruption may have left to a thread is never used again.

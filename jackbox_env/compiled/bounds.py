@@ -29,21 +29,33 @@ class Bounds(NamedTuple):
 
 def reach_of(scene: SceneNumbers, flight: Flight, left: float, push: float) -> float:
     """Bound of the distance of the centres within ``left`` [s] [m]."""
-    x, y = flight.x + flight.vx * left, flight.y + (flight.vy - 0.5 * scene.gravity * left) * left
+    return farthest(flight.x, flight.y, flight.vx, flight.vy, scene.gravity, push, left)
+
+
+def farthest(x: float, y: float, vx: float, vy: float, gravity: float, push: float, left: float) -> float:
+    """Bound of the distance of the centres within ``left`` [s] [m], from their relative place and velocity."""
+    end_x, end_y = x + vx * left, y + (vy - 0.5 * gravity * left) * left
     # A chord's ends, and a bent path's distance from it.
-    far = math.sqrt(max(flight.x * flight.x + flight.y * flight.y, x * x + y * y))
-    return (far + (0.125 * scene.gravity + 0.5 * push) * left * left) * _SLACK
+    far = math.sqrt(max(x * x + y * y, end_x * end_x + end_y * end_y))
+    return (far + (0.125 * gravity + 0.5 * push) * left * left) * _SLACK
 
 
 def bounds_of(scene: SceneNumbers, flight: Flight, left: float, spin_up: float, push: float) -> Bounds:
     """Bounds within ``left`` [s]; the box's angular and linear acceleration stay below ``spin_up`` and ``push``."""
     far = reach_of(scene, flight, left, push)
-    pull = scene.gravity + push
-    speed = math.sqrt(flight.vx * flight.vx + flight.vy * flight.vy) + pull * left
-    omega = abs(flight.omega) + spin_up * left
     spin = abs(flight.jack_omega - flight.omega) + spin_up * left
-    bend = (pull + 2.0 * omega * speed + (omega * omega + spin_up) * far) * _SLACK
+    bend = bend_of(flight.vx, flight.vy, flight.omega, far, scene.gravity + push, spin_up, left)
     return Bounds(far, bend, scene.jack_arm * (spin * spin + spin_up) * _SLACK)
+
+
+def bend_of(vx: float, vy: float, omega: float, far: float, pull: float, spin_up: float, left: float) -> float:
+    """Bound of the second derivative of a centre's distance from a wall within ``left`` [s] [m/s^2].
+
+    The centres are at most ``far`` [m] apart, and accelerate relative to each other by ``pull`` [m/s^2] at most.
+    """
+    speed = math.sqrt(vx * vx + vy * vy) + pull * left
+    fastest = abs(omega) + spin_up * left
+    return (pull + 2.0 * fastest * speed + (fastest * fastest + spin_up) * far) * _SLACK
 
 
 def bounds_to_impact(
@@ -95,10 +107,17 @@ def walls_in_reach(scene: SceneNumbers, frame: BoxFrame, left: float, bend: floa
     walls = 0
     for wall in range(4):
         ahead, speed = towards(frame, wall)
-        room = scene.box_half_width - scene.jack_arm - ahead
-        if not (room > 0.0 and room - speed * left - reach > 0.0):
+        if not stays_off(scene.box_half_width - scene.jack_arm - ahead, speed, left, reach):
             walls |= 1 << wall
     return walls
+
+
+def stays_off(room: float, speed: float, left: float, reach: float) -> bool:
+    """Whether the circle through the jack's feet, ``room`` [m] from a wall, stays off it for ``left`` [s].
+
+    It approaches at ``speed`` [m/s] now, and comes nearer by ``reach`` [m] at most because its path bends.
+    """
+    return bool((room > 0.0) & (room - speed * left - reach > 0.0))
 
 
 def parabola_root(gap: float, rate: float, curvature: float) -> float:

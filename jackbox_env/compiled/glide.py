@@ -11,10 +11,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from jackbox_env.compiled.bounds import bend_of, farthest, stays_off
 from jackbox_env.compiled.drives import DEGREE, TURN, chirp_piece, chirp_pieces, horner
-from jackbox_env.compiled.score import HIT, IMPULSES, NEAR, TORQUE, TURNING
+from jackbox_env.compiled.motion import on_axes
+from jackbox_env.compiled.score import HIT, IMPULSES, LANES, NEAR, TORQUE, TURNING
 from jackbox_env.compiled.search import STEEPEST
 from jackbox_env.compiled.step import Plan, fallen, moved, stays_clear, turned
+from jackbox_env.compiled.trigonometry import LARGEST, cos_sin_within
 from jackbox_env.compiled.workspace import PIECE, Workspace
 from jackbox_env.scene import SceneNumbers, chirp_turns
 
@@ -24,8 +27,11 @@ WIDTH = 16
 TIME, STEPS, OVER = 12, 13, 14  # [s], steps in the episode, 1 where it has ended
 WIDEST = 128  # environments in a block
 # Rows of a block's scenes: what environments that are moved together need of their scenes.
-LIMIT, INERTIA, FALL, CLEAR = range(4)  # [N m], [kg m^2], speed gained in a step [m/s], as in Plan
-SCENE_LANES = 4
+LIMIT, INERTIA, FALL, CLEAR, ROOM, ORDINARY = range(6)  # [N m], [kg m^2], speed gained in a step [m/s], as in Plan,
+# distance of the centres at which the jack's feet reach a wall [m], see ``ordinary``
+SCENE_LANES = 6
+# Rows of a thread's memory where lanes near a wall are brought together.
+AT_MOST, COSINE, SINE, AHEAD, ASIDE, OMEGA, BEND, LANE, APART, PULL, OFF = range(LANES - 11, LANES)
 _ORDINARY = 1e9  # over L or v0: below it float64 resolves places and speeds
 
 
@@ -46,25 +52,14 @@ def glide_block(dt: float, block: Block) -> None:
     The law is that of ``compiled.step.glide``.
     """
     before, after, lanes, count = block.before, block.after, block.lanes, block.size
-    inertia, fall, clear = block.scenes[INERTIA], block.scenes[FALL], block.scenes[CLEAR]
-    torque, near = lanes[TORQUE], lanes[NEAR]
+    inertia, fall, torque = block.scenes[INERTIA], block.scenes[FALL], lanes[TORQUE]
     alpha, hits, impulses = lanes[TURNING], lanes[HIT], lanes[IMPULSES]
     for k in range(count):
         alpha[k] = torque[k] / inertia[k]
     for k in range(count):
         torque[k] = inertia[k] * alpha[k]
         hits[k] = impulses[k] = 0.0
-    x, y, vx, vy = lanes[0], lanes[1], lanes[2], lanes[3]
-    for place in range(2):
-        own, other, difference = before[place], before[3 + place], lanes[place]
-        rate, other_rate, rates = before[6 + place], before[9 + place], lanes[2 + place]
-        for k in range(count):
-            difference[k] = other[k] - own[k]
-        for k in range(count):
-            rates[k] = other_rate[k] - rate[k]
-    for k in range(count):
-        free = stays_clear(x[k], y[k], vx[k], vy[k], fall[k], dt, clear[k]) & (abs(alpha[k]) < STEEPEST)
-        near[k] = 0.0 if free else 1.0
+    mark_near(dt, block)
     for place in (0, 1, 3, 5):
         here, rate, there = before[place], before[6 + place], after[place]
         for k in range(count):
@@ -83,6 +78,82 @@ def glide_block(dt: float, block: Block) -> None:
         here, there = before[place], after[place]
         for k in range(count):
             there[k] = here[k]
+
+
+def mark_near(dt: float, block: Block) -> None:
+    """Mark the lanes where a foot may touch a wall within ``dt`` [s], or where float64 runs out of places.
+
+    Looked at first is how far the jack is from the box's centre, then how far from each wall, as ``bounds.py`` has it.
+    The box's angular acceleration [rad/s^2] is what ``lanes[TURNING]`` holds, at most.
+    """
+    before, lanes, count = block.before, block.lanes, block.size
+    fall, clear, alpha, near = block.scenes[FALL], block.scenes[CLEAR], lanes[TURNING], lanes[NEAR]
+    x, y, vx, vy = lanes[0], lanes[1], lanes[2], lanes[3]
+    for place in range(2):
+        own, other, difference = before[place], before[3 + place], lanes[place]
+        rate, other_rate, rates = before[6 + place], before[9 + place], lanes[2 + place]
+        for k in range(count):
+            difference[k] = other[k] - own[k]
+        for k in range(count):
+            rates[k] = other_rate[k] - rate[k]
+    for k in range(count):
+        free = stays_clear(x[k], y[k], vx[k], vy[k], fall[k], dt, clear[k]) & (abs(alpha[k]) < STEEPEST)
+        near[k] = 0.0 if free else 1.0
+    look_at_walls(dt, block)
+
+
+def look_at_walls(dt: float, block: Block) -> None:
+    """Take the mark off lanes whose feet stay off every wall: what ``bounds.walls_in_reach`` finds, many at a time.
+
+    The marked lanes are first brought together at the front of the memory, which never writes where it still reads.
+    """
+    before, lanes, near, scenes = block.before, block.lanes, block.lanes[NEAR], block.scenes
+    x, y, vx, vy, alpha = lanes[0], lanes[1], lanes[2], lanes[3], lanes[AT_MOST]
+    cosine, sine, ahead, aside, omega = lanes[COSINE], lanes[SINE], lanes[AHEAD], lanes[ASIDE], lanes[OMEGA]
+    bend, lane, room, pull, off = lanes[BEND], lanes[LANE], lanes[APART], lanes[PULL], lanes[OFF]
+    count = 0
+    for k in range(block.size):
+        lane[count] = k
+        count += 1 if near[k] != 0.0 else 0
+    for j in range(count):
+        k = int(lane[j])
+        x[j], y[j], vx[j], vy[j] = x[k], y[k], vx[k], vy[k]
+        cosine[j], omega[j], alpha[j] = before[2, k], before[8, k], abs(lanes[TURNING, k])
+        room[j], pull[j] = scenes[ROOM, k], scenes[FALL, k] / dt
+        off[j] = 1.0 if is_ordinary(before[:, k], scenes[ORDINARY, k]) else 0.0
+    for j in range(count):
+        cosine[j], sine[j] = cos_sin_within(cosine[j])
+    for j in range(count):
+        far = farthest(x[j], y[j], vx[j], vy[j], pull[j], 0.0, dt)
+        bend[j] = bend_of(vx[j], vy[j], omega[j], far, pull[j], alpha[j], dt)
+    for j in range(count):
+        ahead[j], aside[j] = on_axes(cosine[j], sine[j], x[j], y[j])
+    for j in range(count):
+        x[j] = on_axes(cosine[j], sine[j], vx[j], vy[j])[0] + omega[j] * aside[j]
+    for j in range(count):
+        y[j] = on_axes(cosine[j], sine[j], vx[j], vy[j])[1] - omega[j] * ahead[j]
+    for place, rate in ((ahead, x), (aside, y)):
+        for j in range(count):
+            reach = 0.5 * bend[j] * dt * dt
+            ahead_off = stays_off(room[j] - place[j], rate[j], dt, reach)
+            behind_off = stays_off(room[j] + place[j], -rate[j], dt, reach)
+            off[j] = off[j] if ahead_off & behind_off else 0.0
+    for j in range(count):
+        if off[j] != 0.0:
+            near[int(lane[j])] = 0.0
+
+
+def is_ordinary(state: Array, most: float) -> bool:
+    """Whether all 12 numbers are below ``most``, and the angles in one reduction's reach."""
+    largest = 0.0
+    for place in range(12):
+        largest = max(largest, abs(state[place]))
+    return bool((largest < most) & (max(abs(state[2]), abs(state[5])) < LARGEST))
+
+
+def ordinary(scene: SceneNumbers) -> float:
+    """Places [m], angles [rad] and rates [m/s, rad/s] below which float64 certainly resolves what matters here."""
+    return _ORDINARY * min(1.0, min(scene.box_half_width, scene.speed_scale))
 
 
 def glide_under_chirp(scene: SceneNumbers, plan: Plan, block: Block, work: Workspace) -> bool:
@@ -141,21 +212,18 @@ def glide_under_chirp(scene: SceneNumbers, plan: Plan, block: Block, work: Works
 
 def mark_under_chirp(scene: SceneNumbers, plan: Plan, block: Block, time: float) -> None:
     """Mark the lanes that are at another time, near a wall, or where float64 runs out of places."""
-    before, lanes, dt, fall = block.before, block.lanes, plan.dt, scene.gravity * plan.dt
-    near, x, y, vx, vy = lanes[NEAR], lanes[0], lanes[1], lanes[2], lanes[3]
+    before, near, alpha = block.before, block.lanes[NEAR], block.lanes[TURNING]
+    steepest = abs(scene.chirp_amplitude) / scene.box_inertia * (1.0 + 1e-9)
     for k in range(block.size):
-        x[k] = before[3, k] - before[0, k]
-        y[k] = before[4, k] - before[1, k]
-        vx[k] = before[9, k] - before[6, k]
-        vy[k] = before[10, k] - before[7, k]
+        alpha[k] = steepest
+    mark_near(plan.dt, block)
+    most = ordinary(scene)
     for k in range(block.size):
-        free = stays_clear(x[k], y[k], vx[k], vy[k], fall, dt, plan.clear) & (before[TIME, k] == time)
-        near[k] = 0.0 if free else 1.0
-    ordinary = _ORDINARY * min(1.0, min(scene.box_half_width, scene.speed_scale))
+        near[k] = near[k] if before[TIME, k] == time else 1.0
     for place in range(12):
         here = before[place]
         for k in range(block.size):
-            near[k] = near[k] if abs(here[k]) < ordinary else 1.0
+            near[k] = near[k] if abs(here[k]) < most else 1.0
 
 
 def drift(block: Block, gravity: float, length: float, angle: float, rate: float) -> None:

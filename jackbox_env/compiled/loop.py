@@ -179,13 +179,17 @@ def take_actions(actions: Array, block: Block) -> int:
     An action for an episode that is over and waits is not looked at.
     """
     torque, over, limit = block.lanes[TORQUE], block.before[OVER], block.scenes[LIMIT]
-    bad = -1
     for k in range(block.size):
         torque[k] = asked_torque(actions, block.first + k, limit[k])
-    for k in range(block.size if actions.shape[0] else 0):
+    if not actions.shape[0]:
+        return -1
+    unusable = 0
+    for k in range(block.size):
+        unusable += 0 if abs(actions[block.first + k]) < math.inf else 1
+    for k in range(block.size if unusable else 0):
         if not abs(actions[block.first + k]) < math.inf and over[k] == 0.0:
-            bad = k if bad < 0 else bad
-    return bad
+            return k
+    return -1
 
 
 def asked_torque(actions: Array, number: int, limit: float) -> float:
@@ -199,19 +203,20 @@ def close_block(rules: Rules, block: Block, results: Results) -> int:
     rewards, truncations, reports = results.rewards, results.truncations, results.reports
     time, steps, over = before[TIME], before[STEPS], before[OVER]
     new_time, new_steps, new_over = after[TIME], after[STEPS], after[OVER]
-    waiting = 0.0
+    waiting = ended = 0
     for k in range(count):
         new_time[k] = time[k] + rules.dt
     for k in range(count):
         new_steps[k] = steps[k] + 1.0
-        waiting += over[k]
-    ended = 0
     for k in range(count):
-        truncated = new_steps[k] >= rules.limit
-        truncations[first + k] = truncated
-        new_over[k] = 1.0 if truncated else 0.0
-        ended += 1 if truncated else 0
-    if waiting > 0.0:
+        new_over[k] = 1.0 if new_steps[k] >= rules.limit else 0.0
+    for k in range(count):
+        waiting += 1 if over[k] != 0.0 else 0
+    for k in range(count):
+        ended += 1 if new_over[k] != 0.0 else 0
+    for k in range(count):
+        truncations[first + k] = new_over[k] != 0.0
+    if waiting:
         for k in range(count):
             if over[k] != 0.0:
                 ended -= 1 if truncations[first + k] else 0

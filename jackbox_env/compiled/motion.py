@@ -185,8 +185,14 @@ class BoxFrame(NamedTuple):
 def box_frame(x: float, y: float, vx: float, vy: float, angle: float, omega: float) -> BoxFrame:
     """Take relative place and velocity to the axes of a box at ``angle`` that turns with ``omega``."""
     c, s = cos_sin(angle)
-    ahead, aside = c * x + s * y, c * y - s * x
-    return BoxFrame(ahead, aside, c * vx + s * vy + omega * aside, c * vy - s * vx - omega * ahead)
+    ahead, aside = on_axes(c, s, x, y)
+    forward, sideways = on_axes(c, s, vx, vy)
+    return BoxFrame(ahead, aside, forward + omega * aside, sideways - omega * ahead)
+
+
+def on_axes(cosine: float, sine: float, x: float, y: float) -> tuple[float, float]:
+    """A vector on the axes of a box whose angle has this cosine and sine."""
+    return cosine * x + sine * y, cosine * y - sine * x
 
 
 class View(NamedTuple):

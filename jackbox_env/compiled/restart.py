@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.compiled.generator import Words, uniform
-from jackbox_env.compiled.glide import CLEAR, FALL, INERTIA, LIMIT, WIDTH
+from jackbox_env.compiled.glide import CLEAR, FALL, INERTIA, LIMIT, ORDINARY, ROOM, WIDTH, ordinary
 from jackbox_env.compiled.score import look
 from jackbox_env.compiled.step import HELD, make_numbers, make_plan
 from jackbox_env.scene import SceneNumbers, between, fall_speed, square_inertia
@@ -48,7 +48,7 @@ def draw_scenes(values: Array, ranges: Array, derived: NDArray[np.bool_], words:
 
 
 def spread(values: Array, dt: float, lanes: Array, numbers: Counts) -> None:
-    """Write what environments that are moved together need of their scenes, see ``loop.SCENE_LANES``.
+    """Write what environments that are moved together need of their scenes, see ``glide.SCENE_LANES``.
 
     Args:
         values: the scenes' numbers, a row for each of ``numbers`` or one for all.
@@ -61,6 +61,7 @@ def spread(values: Array, dt: float, lanes: Array, numbers: Counts) -> None:
         lane = lanes[numbers[i] // lanes.shape[2], :, numbers[i] % lanes.shape[2]]
         lane[LIMIT], lane[INERTIA], lane[FALL] = scene.torque_limit, scene.box_inertia, scene.gravity * dt
         lane[CLEAR] = make_plan(scene, dt, HELD).clear
+        lane[ROOM], lane[ORDINARY] = scene.box_half_width * (1.0 - 1e-12) - scene.jack_arm, ordinary(scene)
 
 
 def restart_blocks(values: Array, blocks: Array, numbers: Counts, words: Words) -> None:

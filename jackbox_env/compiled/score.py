@@ -23,8 +23,9 @@ Floats = NDArray[np.float32]
 # Columns of a report: what a step's info holds beside state and time.
 REPORTED_TORQUE, REPORTED_HITS, REPORTED_IMPULSE, TERMS = range(4)
 # Rows of a thread's memory for a block; 0 to 3 are for what is needed in passing.
-TORQUE, TURNING, NEAR, HIT, IMPULSES = range(4, 9)  # TURNING: the box's angular acceleration [rad/s^2]
-LANES = 9
+# TURNING: the box's angular acceleration [rad/s^2], or a bound of it. Rows beyond are ``glide.look_at_walls``'s.
+TORQUE, TURNING, NEAR, HIT, IMPULSES = range(4, 9)
+LANES = 20
 
 
 def look(scene: SceneNumbers, state: Array, observation: Floats) -> None:
@@ -41,12 +42,14 @@ def look_block(values: Array, block: Array, count: int, lanes: Array, low: int, 
     """
     angle, jack_angle = block[2], block[5]
     cosine, sine, cosine_4, sine_4 = lanes[0], lanes[1], lanes[2], lanes[3]
-    largest = 0.0
+    beyond = 0
     for k in range(count):
         cosine[k] = angle[k]
+    for k in range(count):
         cosine_4[k] = 4.0 * (jack_angle[k] - angle[k])
-        largest = max(largest, max(abs(cosine[k]), abs(cosine_4[k])))
-    if largest < LARGEST:
+    for k in range(count):
+        beyond += 0 if max(abs(cosine[k]), abs(cosine_4[k])) < LARGEST else 1
+    if not beyond:
         for k in range(count):
             cosine[k], sine[k] = cos_sin_within(cosine[k])
         for k in range(count):
