@@ -49,6 +49,7 @@ PACKAGE = """
     batches.exact batches.single
     vector_env
     sb3 planning
+    plans
     accuracy
     choosing
 """

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from agents.evaluation import evaluate, find_policy
-from agents.planner import Planner, coloured_noise
+from agents.planner import Planner
 from agents.settings import EnvSettings
 from jackbox_env import Drive, Scene, Task
 from jackbox_env.observation import observe, state_of
+from jackbox_env.plans import coloured_noise
 from tests.states import inside
 
 SMALL: dict[str, Any] = {"samples": 24, "elites": 4, "iterations": 2, "pieces": 16}
@@ -29,30 +30,31 @@ def test_the_state_is_read_off_the_observation(scene: Scene) -> None:
 
 
 def test_a_plan_earns_what_the_environment_pays() -> None:
-    planner, scene = Planner(Scene(), "spin", **SMALL), Scene()
+    search, scene = Planner(Scene(), "spin", **SMALL)._search, Scene()
     env = gym.make("JackInBox-v0", contact="exact", task="spin")
     observation, info = env.reset(seed=3)
     plan = np.round(np.random.default_rng(1).uniform(-1.0, 1.0, 16) * 64.0) / 64.0
-    (expected,) = planner.returns(info["state"], plan[None])
+    seen = state_of(scene, observation.tolist())
+    returns, ends = search.play(scene, np.array([info["state"], seen]), np.array([[plan]] * 2))
     earned = sum(float(env.step(np.array([plan[step // 5]]))[1]) for step in range(80))
-    assert earned == pytest.approx(expected, abs=1e-9)
-    from_what_is_seen = state_of(scene, observation.tolist())
-    assert planner.returns(from_what_is_seen, plan[None])[0] == pytest.approx(expected, abs=0.05)
+    assert earned == pytest.approx(returns[0, 0], abs=1e-9)
+    np.testing.assert_allclose(ends[0, 0], env.unwrapped.state, atol=1e-9)  # type: ignore[attr-defined]
+    assert returns[1, 0] == pytest.approx(earned, abs=0.05)
 
 
 def test_plans_are_carried_on_and_held() -> None:
     env = gym.make("JackInBox-v0", contact="exact")
     planner, observation = Planner(Scene(), **SMALL), env.reset(seed=0)[0]
-    state, actions, plans = None, [], []
+    state, actions, steps = None, [], []
     for step in range(15):
         action, state = planner.predict(observation, state, np.array([step == 0]))
         assert action in env.action_space
         actions.append(float(action[0]))
-        plans.append(state[0])
+        steps += state.steps.tolist()
         observation = env.step(action)[0]
     assert [len(set(actions[first : first + 5])) for first in (0, 5, 10)] == [1, 1, 1]
     assert len(set(actions)) == 3
-    assert [plan.step for plan in plans] == list(range(1, 16))
+    assert steps == list(range(1, 16))
     fresh, _ = planner.predict(observation, state, np.array([True]))
     assert fresh == planner.predict(observation)[0] != planner.predict(observation, state, np.array([False]))[0]
 
@@ -96,7 +98,8 @@ def test_it_is_found_by_its_name_and_plans_in_the_environment_given() -> None:
     settings = EnvSettings(task="spin", control_dt=0.05, scene='{"gravity": 3.0}')
     planner = find_policy("planner", settings, 7).policy
     assert isinstance(planner, Planner)
-    assert (planner._scene.gravity, planner._task, planner._piece, planner._seed) == (3.0, "spin", 2, 7)
+    search = planner._search
+    assert (planner._scene.gravity, search.task, search.piece, search.seed) == (3.0, "spin", 2, 7)
     assert Planner(Scene(drive=Drive(force_x=lambda t: t)))._scene.drive is None
 
 

@@ -1,0 +1,164 @@
+"""Plans of torques that are carried on from decision to decision, improved by playing many variations of each.
+
+iCEM, the improved cross-entropy method (Pinneri et al. 2020, arXiv:2008.06389): coloured noise around the last plan,
+the best candidates make the next mean, some of them are kept. All that are due are played in one
+:func:`jackbox_env.rollout`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jackbox_env import _validation as check
+from jackbox_env.planning import rollout
+from jackbox_env.scene import Scene
+from jackbox_env.states import Array
+from jackbox_env.tasks import Task
+
+_COLOUR = 2.0  # the noise's power falls with this power of the frequency
+_SPREAD = 0.5  # standard deviation of the first candidates, in torque limits
+_KEPT = 0.3  # share of the best that are tried again
+_SMOOTHING = 0.1  # share of the old mean and deviation in the new ones
+
+
+class Plans(NamedTuple):
+    """What is carried on, of N jacks."""
+
+    means: Array  # (N, pieces) torques in units of the limit
+    kept: Array  # (N, kept, pieces) good candidates
+    decisions: NDArray[np.int64]  # (N,) made since the plan was begun
+
+
+def begun_anew(old: Plans, fresh: Plans, chosen: NDArray[np.bool_]) -> Plans:
+    """The fresh plans where ``chosen``, shape (N,), the old ones elsewhere."""
+    rows = chosen[:, None]
+    return Plans(
+        np.where(rows, fresh.means, old.means),
+        np.where(rows[:, None], fresh.kept, old.kept),
+        np.where(chosen, fresh.decisions, old.decisions),
+    )
+
+
+class Found(NamedTuple):
+    """What a decision found, for n jacks."""
+
+    plans: Array  # (n, pieces) the best torques in units of the limit
+    returns: Array  # (n,) the sum of rewards that they bring
+    scripted: Array  # (n, k) those of the scripted candidates
+    ends: Array  # (n, 12) states at the end of the best
+
+
+class Search:
+    """How plans are improved.
+
+    Args:
+        task: whose rewards are summed, a name or a :class:`jackbox_env.Task`.
+        control_dt: control step [s].
+        piece: control steps that each torque of a plan is held for; a decision is made as often.
+        pieces: of a plan, 2 or more.
+        samples: candidates in each iteration, 2 or more.
+        elites: best candidates that make the next mean, 1 to ``samples``.
+        iterations: of each decision.
+        seed: of the candidates. A plan depends on it and on its own states, not on what is planned beside it.
+        num_threads: that play them; the plans do not depend on it.
+
+    Raises:
+        TypeError, ValueError: an argument out of its range.
+    """
+
+    def __init__(
+        self, task: str | Task, control_dt: float, *, piece: int, pieces: int, samples: int, elites: int,
+        iterations: int, seed: int = 0, num_threads: int | None = None,
+    ) -> None:  # fmt: skip
+        self.task, self.control_dt = task, check.real("control_dt", control_dt, above=0.0)
+        self.piece = check.whole("piece", piece, at_least=1)
+        self.pieces = check.whole("pieces", pieces, at_least=2)
+        self.samples = check.whole("samples", samples, at_least=2)
+        self.elites = check.whole("elites", elites, at_least=1, at_most=samples)
+        self.iterations = check.whole("iterations", iterations, at_least=1)
+        self.seed = check.whole("seed", seed, at_least=0)
+        self.num_threads = num_threads
+        self.again = min(max(1, round(_KEPT * elites)), samples - 1)
+
+    def begin(self, count: int) -> Plans:
+        """Plans of no torque, for ``count`` jacks."""
+        kept = np.zeros((count, self.again, self.pieces))
+        return Plans(np.zeros((count, self.pieces)), kept, np.zeros(count, dtype=np.int64))
+
+    def decide(
+        self, scene: Scene | list[Scene], states: Array, plans: Plans, scripted: Array | None = None
+    ) -> tuple[Found, Plans]:
+        """Improve plans from states, shape (n, 12); return what was found, and the plans a piece later.
+
+        Args:
+            scene: of all, or a list of n.
+            states: from which they are played, shape (n, 12).
+            plans: the last ones, of n jacks.
+            scripted: further candidates of the first iteration, shape (n, k, pieces).
+        """
+        count, fixed = len(states), 1 + self.again + (0 if scripted is None else scripted.shape[1])
+        means, kept, spreads = plans.means, plans.kept, np.full((count, self.pieces), _SPREAD)
+        returns_scripted = np.zeros((count, 0))
+        for iteration in range(self.iterations):
+            tried = means[:, None] + self._noise(plans.decisions, iteration) * spreads[:, None]
+            tried[:, 0], tried[:, 1 : 1 + self.again] = means, kept
+            if scripted is not None and iteration == 0:
+                tried[:, 1 + self.again : fixed] = scripted
+            tried = np.clip(tried, -1.0, 1.0)
+            returns, ends = self.play(scene, states, tried)
+            if scripted is not None and iteration == 0:
+                returns_scripted = returns[:, 1 + self.again : fixed]
+            order = np.argsort(-returns, axis=1, kind="stable")[:, : self.elites]
+            best = np.take_along_axis(tried, order[:, :, None], axis=1)
+            kept = best[:, : self.again]
+            means = (1.0 - _SMOOTHING) * best.mean(axis=1) + _SMOOTHING * means
+            spreads = (1.0 - _SMOOTHING) * best.std(axis=1) + _SMOOTHING * spreads
+        first, rows = order[:, 0], np.arange(count)
+        found = Found(best[:, 0], returns[rows, first], returns_scripted, ends[rows, first])
+        last = np.zeros((count, 1))
+        new = self._noise(plans.decisions, self.iterations)[:, : self.again, :1] * 0.5 * _SPREAD
+        carried_on = Plans(
+            np.concatenate([means[:, 1:], last], axis=1),
+            np.clip(np.concatenate([kept[:, :, 1:], new], axis=2), -1.0, 1.0),
+            plans.decisions + 1,
+        )
+        return found, carried_on
+
+    def _noise(self, decisions: NDArray[np.int64], iteration: int) -> Array:
+        """Noise of the candidates, shape (n, samples, pieces): alike where as many decisions were made."""
+        numbers, place = np.unique(decisions, return_inverse=True)
+        drawn = [
+            coloured_noise(np.random.default_rng([self.seed, number, iteration]), self.samples, self.pieces, _COLOUR)
+            for number in numbers.tolist()
+        ]
+        noise: Array = np.array(drawn).reshape(-1, self.samples, self.pieces)[place]
+        return noise
+
+    def play(self, scene: Scene | list[Scene], states: Array, tried: Array) -> tuple[Array, Array]:
+        """Play candidates, shape (n, k, pieces), from states, (n, 12): sums of rewards (n, k), and ends (n, k, 12)."""
+        count, many = tried.shape[:2]
+        scenes = scene if isinstance(scene, Scene) else [one for one in scene for _ in range(many)]
+        limits = scene.torque_limit if isinstance(scene, Scene) else np.array([[one.torque_limit] for one in scenes])
+        found = rollout(
+            scenes, np.repeat(states, many, axis=0), tried.reshape(count * many, -1) * limits, self.control_dt,
+            rewards=self.task, repeat=self.piece, trajectories=False, num_threads=self.num_threads,
+        )  # fmt: skip
+        assert found.rewards is not None
+        return found.rewards.sum(axis=1).reshape(count, many), found.trajectories[:, 1].reshape(count, many, 12)
+
+
+def coloured_noise(rng: np.random.Generator, count: int, length: int, colour: float) -> Array:
+    """Noise of mean 0 and variance 1 whose power falls with frequency^-colour, shape (count, length)."""
+    frequencies = np.fft.rfftfreq(length)
+    frequencies[0] = frequencies[1]
+    scale = frequencies ** (-0.5 * colour)
+    waves = scale * (rng.normal(size=(count, len(scale))) + 1j * rng.normal(size=(count, len(scale))))
+    power = 4.0 * scale**2
+    power[0] *= 0.25
+    if length % 2 == 0:
+        power[-1] *= 0.25
+    noise: Array = np.fft.irfft(waves, length, axis=1) * (length / np.sqrt(power.sum()))
+    return noise
