@@ -10,13 +10,15 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from agents.archives import unpacked_tensors
 from agents.checkpoints import read_model_file
-from agents.holding import HoldingPPO, HoldingVecEnv
+from agents.holding import HoldingPPO
 from agents.preview import WithPreview, flight_of
 from agents.runs import SETTINGS, read_settings
 from agents.settings import TrainSettings
 from agents.storage import DamagedFileError, say_skipped
 from jackbox_env import Scene
+from jackbox_env.lookahead import make_futures
 from jackbox_env.sb3 import make_sb3_vec_env
+from jackbox_env.sb3_wrappers import HoldingVecEnv, LookaheadVecEnv
 
 
 def derived_seed(purpose: str, *numbers: int) -> int:
@@ -32,15 +34,17 @@ def make_vec_env(env_settings: dict[str, Any], num_envs: int, seed: int) -> VecE
     return environments
 
 
-def holding(environments: VecEnv, hold: int) -> VecEnv:
-    """The environments as training steps them: one action for ``hold`` control steps."""
+def holding(environments: VecEnv, hold: int, lookahead: int = 0, num_threads: int | None = None) -> VecEnv:
+    """The environments as training steps them: one action for ``hold`` control steps, with ``lookahead``."""
+    if lookahead:
+        return LookaheadVecEnv(environments, hold=hold, samples=lookahead, follow=True, num_threads=num_threads)
     return environments if hold == 1 else HoldingVecEnv(environments, hold)
 
 
 def make_ppo(settings: TrainSettings, environments: VecEnv, **more: Any) -> HoldingPPO:
-    """An untrained PPO model of these settings.
+    """An untrained PPO model of these settings, for environments as :func:`holding` makes them.
 
-    Its ``predict`` plays in environments that ask at every control step; it learns in those of :func:`holding`.
+    Its ``predict`` plays in environments that ask at every control step.
     """
     policy_kwargs: dict[str, Any] = {
         "net_arch": list(settings.hidden_units),
@@ -65,7 +69,16 @@ def make_ppo(settings: TrainSettings, environments: VecEnv, **more: Any) -> Hold
         device="cpu",
         **more,
     )
-    model.hold = settings.hold
+    model.hold, model.scene = settings.hold, Scene.of(settings.scene_fields)
+    if settings.lookahead:
+        model.futures = make_futures(
+            settings.task,
+            settings.control_dt,
+            hold=settings.hold,
+            samples=settings.lookahead,
+            follow=True,
+            num_threads=1,
+        )
     return model
 
 
@@ -112,7 +125,8 @@ def load_model(path: Path, trust: bool = False) -> HoldingPPO:
         )
     settings = read_settings(folder)
     try:
-        model = make_ppo(settings, make_vec_env(settings.env_settings, 1, settings.seed))
+        environments = make_vec_env(settings.env_settings, 1, settings.seed)
+        model = make_ppo(settings, holding(environments, settings.hold, settings.lookahead))
     except (TypeError, ValueError) as error:
         raise ValueError(f"{folder / SETTINGS} makes no model: {error}") from error
     try:

@@ -70,28 +70,16 @@ class Planner:
         count = len(rows)
         if state is not None and len(state.steps) != count:
             raise ValueError(f"state must be that of {count} environments, as observation is, got {len(state.steps)}")
-        fresh = Planning(np.zeros(count, dtype=np.int64), self._search.begin(count), np.zeros(count))
         if state is None:
-            state = fresh
-        elif episode_start is not None:
-            state = _where(np.broadcast_to(np.asarray(episode_start, dtype=np.bool_), count), fresh, state)
-        due = np.flatnonzero(state.steps % self._search.piece == 0)
-        actions, plans = state.actions.copy(), Plans(*(part.copy() for part in state.plans))
+            state = Planning(np.zeros(count, dtype=np.int64), self._search.begin(count), np.zeros(count))
+        steps, plans, actions = state.steps.copy(), state.plans, state.actions.copy()
+        if episode_start is not None:
+            new = np.flatnonzero(np.broadcast_to(episode_start, count))
+            steps[new], plans = 0, plans.replaced(new, self._search.begin(len(new)))
+        due = np.flatnonzero(steps % self._search.piece == 0)
         if len(due):
             states = np.array([state_of(self._scene, rows[number].tolist()) for number in due.tolist()])
-            found, carried_on = self._search.decide(self._scene, states, Plans(*(part[due] for part in plans)))
-            actions[due] = found.plans[:, 0]
-            for part, new in zip(plans, carried_on, strict=True):
-                part[due] = new
+            found, carried_on = self._search.decide(self._scene, states, plans.of(due))
+            actions[due], plans = found.plans[:, 0], plans.replaced(due, carried_on)
         held = actions.astype(np.float32)[:, None]
-        return (held if np.ndim(observation) == 2 else held[0]), Planning(state.steps + 1, plans, actions)
-
-
-def _where(chosen: NDArray[np.bool_], fresh: Planning, old: Planning) -> Planning:
-    """The fresh plans where ``chosen``, the old ones elsewhere."""
-    steps, actions = np.where(chosen, fresh.steps, old.steps), np.where(chosen, fresh.actions, old.actions)
-    plans = (
-        np.where(chosen.reshape(-1, *[1] * (new.ndim - 1)), new, kept)
-        for new, kept in zip(fresh.plans, old.plans, strict=True)
-    )
-    return Planning(steps, Plans(*plans), actions)
+        return (held if np.ndim(observation) == 2 else held[0]), Planning(steps + 1, plans, actions)

@@ -94,12 +94,12 @@ def preview(flight: Flight, observations: torch.Tensor) -> torch.Tensor:
 
 
 class WithPreview(BaseFeaturesExtractor):
-    """The ten numbers of an observation, then the preview of the landing. It has nothing to learn."""
+    """An observation, of ten numbers and perhaps more, then the preview of the landing. It has nothing to learn."""
 
     def __init__(self, observation_space: gym.Space[Any], flight: Flight) -> None:
-        super().__init__(observation_space, features_dim=len(BOUNDS) + len(FEATURES))
+        super().__init__(observation_space, features_dim=gym.spaces.utils.flatdim(observation_space) + len(FEATURES))
         self._flight = Flight(*flight)
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
-        """Features, shape (n, 21), of observations of shape (n, 10)."""
-        return torch.cat((observations, preview(self._flight, observations)), dim=1)
+        """Features, shape (n, k + 11), of observations of shape (n, k), k at least 10."""
+        return torch.cat((observations, preview(self._flight, observations[:, : len(BOUNDS)])), dim=1)

@@ -21,12 +21,13 @@ else:
     TaskName = Literal[tuple(TASKS)]  # command lines show and check the names
 
 EPISODE_STEPS = cast(int, gym.spec("JackInBox-v0").max_episode_steps)  # control steps of an episode
-PREVIEWED = 11  # numbers of a preview
+PREVIEWED, FORESEEN = 11, 26  # numbers of a preview, and of looking ahead
 
 # Beyond these a run folder from a stranger could take all memory.
 MOST_COUNTED = 10**12  # of steps, episodes and samples
 MOST_TOGETHER = 5_000_000  # samples that are kept between updates
 MOST_LAYERS = 32
+MOST_FUTURES = 4096
 MOST_WEIGHTS = 20_000_000  # of one network; there are two
 MOST_THREADS = 1024
 
@@ -123,6 +124,8 @@ class TrainSettings(EnvSettings):
     """Control steps that each action is held for; divides the 500 of an episode."""
     preview: bool = False
     """Show the networks, beside the observation, where and how the jack will land."""
+    lookahead: int = 0
+    """Futures by which a plan is improved before each action; the networks see what it and 9 scripted ones bring."""
     checkpoint_steps: int = 100_000
     """Steps between checkpoints, from which an interrupted run resumes."""
     eval_steps: int = 100_000
@@ -147,6 +150,10 @@ class TrainSettings(EnvSettings):
         if EPISODE_STEPS % self.hold:
             raise ValueError(f"hold must divide the {EPISODE_STEPS} control steps of an episode, got {self.hold}")
         check.flag("preview", self.preview)
+        if self.lookahead:
+            check.whole("lookahead", self.lookahead, at_least=8, at_most=MOST_FUTURES)
+        else:
+            check.whole("lookahead", self.lookahead, at_least=0)
         check.real("learning_rate", self.learning_rate, above=0.0)
         check.real("clip_range", self.clip_range, above=0.0)
         check.real("gamma", self.gamma, at_least=0.0, at_most=1.0)
@@ -173,7 +180,7 @@ class TrainSettings(EnvSettings):
             raise ValueError(f"num_envs * rollout_steps must be at most {MOST_TOGETHER:,}, got {together:,}")
         if len(self.hidden_units) > MOST_LAYERS:
             raise ValueError(f"hidden_units must be at most {MOST_LAYERS} layers, got {len(self.hidden_units):,}")
-        seen = len(BOUNDS) + PREVIEWED * self.preview
+        seen = len(BOUNDS) + PREVIEWED * self.preview + FORESEEN * bool(self.lookahead)
         weights = sum(before * after for before, after in pairwise((seen, *self.hidden_units, 1)))
         if weights > MOST_WEIGHTS:
             raise ValueError(

@@ -96,7 +96,8 @@ def _model(settings: TrainSettings, resumed: Saved | None) -> PPO:
     torch.set_num_threads(settings.torch_threads)
     done = resumed.steps if resumed else 0
     starts = derived_seed("training", settings.seed, done)
-    environments = holding(make_vec_env(settings.env_settings, settings.num_envs, starts), settings.hold)
+    environments = make_vec_env(settings.env_settings, settings.num_envs, starts)
+    environments = holding(environments, settings.hold, settings.lookahead)
     model = make_ppo(settings, environments)
     environments.seed(starts)  # PPO has seeded them by its own seed
     if resumed is not None:

@@ -12,6 +12,7 @@ from jackbox_env.scene import Chirp, Drive, Scene
 if TYPE_CHECKING:
     from jackbox_env.choosing import cheapest
     from jackbox_env.env import JackInBoxEnv
+    from jackbox_env.lookahead import Lookahead, LookaheadVector
     from jackbox_env.planning import Rollout, rollout
     from jackbox_env.simulators import Impact, JackLostError, Simulator, make_simulator
     from jackbox_env.simulators.fidelity import FIDELITIES
@@ -24,6 +25,8 @@ _LAZY = {
     "JackInBoxVectorEnv": "vector_env",
     "Impact": "simulators",
     "JackLostError": "simulators",
+    "Lookahead": "lookahead",
+    "LookaheadVector": "lookahead",
     "Simulator": "simulators",
     "make_simulator": "simulators",
     "Rollout": "planning",
@@ -39,6 +42,8 @@ __all__ = [
     "JackInBoxEnv",
     "JackInBoxVectorEnv",
     "JackLostError",
+    "Lookahead",
+    "LookaheadVector",
     "Rollout",
     "Scene",
     "Simulator",

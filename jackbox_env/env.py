@@ -176,7 +176,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         randomize: Randomize = None,
     ) -> None:
         self.contact, self._substeps = resolve(fidelity, contact, substeps)
-        self._control_dt = check.real("control_dt", control_dt, above=0.0)
+        self.control_dt = check.real("control_dt", control_dt, above=0.0)
         self._torque_source = check.choice("torque", torque, ("agent", "chirp"))
         if render_mode is not None:
             check.choice("render_mode", render_mode, self.metadata["render_modes"])
@@ -192,7 +192,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         self._terms = [f"reward_{name}" for name in self._task.terms]
         self.observation_space = gym.spaces.Box(-BOUNDS, BOUNDS, dtype=np.float32)
         self.action_space = gym.spaces.Box(-1.0, 1.0, shape=(1,), dtype=np.float32)
-        self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / max(self._control_dt, 1e-4)))}
+        self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / max(self.control_dt, 1e-4)))}
         self.render_mode = render_mode
         self._renderer = None
         if render_mode is not None:
@@ -318,7 +318,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
             torque = self._torque_of(action)
         simulator, score = self._parts
         before = None if self._fails_never else (simulator.state, simulator.time)
-        simulator.step(self._control_dt, torque)
+        simulator.step(self.control_dt, torque)
         impacts, state = simulator.impacts, simulator.state
         impulse = total_impulse(impacts)
         try:

@@ -31,15 +31,16 @@ class Plans(NamedTuple):
     kept: Array  # (N, kept, pieces) good candidates
     decisions: NDArray[np.int64]  # (N,) made since the plan was begun
 
+    def of(self, numbers: NDArray[np.int64]) -> Plans:
+        """Those of some jacks."""
+        return Plans(self.means[numbers], self.kept[numbers], self.decisions[numbers])
 
-def begun_anew(old: Plans, fresh: Plans, chosen: NDArray[np.bool_]) -> Plans:
-    """The fresh plans where ``chosen``, shape (N,), the old ones elsewhere."""
-    rows = chosen[:, None]
-    return Plans(
-        np.where(rows, fresh.means, old.means),
-        np.where(rows[:, None], fresh.kept, old.kept),
-        np.where(chosen, fresh.decisions, old.decisions),
-    )
+    def replaced(self, numbers: NDArray[np.int64], plans: Plans) -> Plans:
+        """All, with those of some jacks replaced."""
+        parts = self.means.copy(), self.kept.copy(), self.decisions.copy()
+        for part, new in zip(parts, plans, strict=True):
+            part[numbers] = new
+        return Plans(*parts)
 
 
 class Found(NamedTuple):
@@ -140,8 +141,12 @@ class Search:
     def play(self, scene: Scene | list[Scene], states: Array, tried: Array) -> tuple[Array, Array]:
         """Play candidates, shape (n, k, pieces), from states, (n, 12): sums of rewards (n, k), and ends (n, k, 12)."""
         count, many = tried.shape[:2]
-        scenes = scene if isinstance(scene, Scene) else [one for one in scene for _ in range(many)]
-        limits = scene.torque_limit if isinstance(scene, Scene) else np.array([[one.torque_limit] for one in scenes])
+        scenes: Scene | list[Scene]
+        if isinstance(scene, Scene):
+            scenes, limits = scene, np.array([[scene.torque_limit]])
+        else:
+            scenes = [one for one in scene for _ in range(many)]
+            limits = np.array([[one.torque_limit] for one in scenes])
         found = rollout(
             scenes, np.repeat(states, many, axis=0), tried.reshape(count * many, -1) * limits, self.control_dt,
             rewards=self.task, repeat=self.piece, trajectories=False, num_threads=self.num_threads,

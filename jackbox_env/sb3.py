@@ -217,7 +217,7 @@ class EnvView:
         self._vector_env, self._number = vector_env, number
         self.observation_space, self.action_space = vector_env.single_observation_space, vector_env.single_action_space
         self.render_mode, self.metadata = vector_env.render_mode, vector_env.metadata
-        self.task = vector_env.task
+        self.task, self.control_dt = vector_env.task, vector_env.control_dt
 
     @property
     def unwrapped(self) -> EnvView:

@@ -132,7 +132,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         single.close()
         drawn = None if randomize is None else Randomization(randomize, scenes, single._simulator_of)
         np.empty(self.num_envs * _ROOM[single.contact], dtype=np.uint8)  # MemoryError now, not after hours of making
-        self.task, self.render_mode = task, render_mode
+        self.task, self.render_mode, self.control_dt = task, render_mode, single.control_dt
         self._driven = torque == "chirp"
         self.metadata = {**self.metadata, "render_fps": single.metadata["render_fps"], "autoreset_mode": self._mode}
         self.single_observation_space, self.single_action_space = single.observation_space, single.action_space

@@ -50,6 +50,8 @@ PACKAGE = """
     vector_env
     sb3 planning
     plans
+    lookahead
+    sb3_wrappers
     accuracy
     choosing
 """

@@ -15,11 +15,12 @@ import jackbox_env  # noqa: F401
 from agents import training
 from agents.evaluation import evaluate
 from agents.film import film
-from agents.holding import HoldingPPO, HoldingVecEnv
+from agents.holding import HoldingPPO
 from agents.models import holding, load_model, make_ppo, make_vec_env
 from agents.policies import Baseline
 from agents.runs import describe, new_folder
 from agents.settings import TrainSettings
+from jackbox_env.sb3_wrappers import HoldingVecEnv
 from tests.agents.small_run import TINY
 
 HOLD = 5
@@ -134,11 +135,46 @@ def test_each_environment_chooses_where_its_own_episode_starts(model: HoldingPPO
 def test_what_predict_returned_is_not_written_again(model: HoldingPPO) -> None:
     seen = np.zeros((2, 10), dtype=np.float32)
     actions, state = model.predict(seen, deterministic=True)
-    kept = actions.copy(), [part.copy() for part in state or ()]
+    kept = actions.copy(), state.left.copy()
     actions += 1.0
     model.predict(seen + 0.5, state, np.array([True, False]), deterministic=True)
-    for part, before in zip(state or (), kept[1], strict=True):
-        np.testing.assert_array_equal(part, before)
+    np.testing.assert_array_equal(state.actions, kept[0])
+    np.testing.assert_array_equal(state.left, kept[1])
+
+
+def test_a_model_that_looks_ahead_sees_in_the_ordinary_environment_what_it_was_trained_on() -> None:
+    settings = replace(HELD, lookahead=8, preview=True)
+    trained_in = holding(make_vec_env(settings.env_settings, 2, 0), HOLD, 8)
+    looking, plain = make_ppo(settings, trained_in), make_vec_env(settings.env_settings, 2, 0)
+    trained_in.seed(3)
+    plain.seed(3)
+    wide: Any = trained_in.reset()
+    seen: Any = plain.reset()
+    state, moved = None, 0.0
+    for _ in range(12):
+        wanted = looking.policy.predict(wide, deterministic=True)[0]
+        for step in range(HOLD):
+            actions, state = looking.predict(seen, state, None, deterministic=True)
+            if step == 0:
+                expected = np.clip(wanted + wide[:, -3:-2], -1.0, 1.0)
+                np.testing.assert_allclose(actions, expected, atol=1e-6)
+                moved += float(np.abs(actions).sum())
+            seen, *_ = plain.step(actions)
+        wide, *_ = trained_in.step(wanted)
+        np.testing.assert_array_equal(wide[:, :10], seen)
+    assert moved > 1.0
+
+
+def test_a_model_that_looks_ahead_is_trained_and_loaded(tmp_path: Path) -> None:
+    settings = replace(HELD, lookahead=8)
+    folder = new_folder(tmp_path / "run", "run", lambda made: describe(made, settings))
+    training.train(settings, folder, progress=False)
+    loaded = load_model(folder)
+    assert loaded.futures is not None
+    (earned,) = evaluate("PPO", loaded, settings.env_settings, 1, 0).returns
+    assert earned > 0.0
+    with pytest.raises(ValueError, match="lookahead must be a whole number from 8 to 4096, got 3"):
+        replace(HELD, lookahead=3)
 
 
 def test_a_state_of_other_environments_is_refused(model: HoldingPPO) -> None:

@@ -19,6 +19,8 @@ from jackbox_env import (
     Drive,
     JackInBoxEnv,
     JackInBoxVectorEnv,
+    Lookahead,
+    LookaheadVector,
     Scene,
     cheapest,
     make_simulator,
@@ -28,6 +30,7 @@ from jackbox_env import (
     tasks,
 )
 from jackbox_env.sb3 import EnvView, JackInBoxVecEnv, make_sb3_vec_env
+from jackbox_env.sb3_wrappers import LookaheadVecEnv
 from jackbox_env.simulators import CONTACT_MODELS, Simulator
 from tests.environment.subjects import CALLS, EVERY_MODEL, SHOWN_BY_GYMNASIUM, START, Values, hurt, simulator_of
 from tests.hostile import EVERYTHING, NUMBERS, answer, arrays
@@ -245,6 +248,20 @@ def test_arguments_of_rollout(name: str, drive: Any) -> None:
     assert not failures(lambda value: rollout(**{**given, name: value}), ROLLOUTS[name])
 
 
+LOOKING = sorted(set(inspect.signature(Lookahead.__init__).parameters) - {"self"})
+
+
+@pytest.mark.parametrize("name", LOOKING)
+def test_settings_of_looking_ahead(name: str) -> None:
+    env, vector = gym.make("JackInBox-v0"), JackInBoxVectorEnv(2, autoreset_mode="SAME_STEP")
+    several = make_sb3_vec_env(2)
+    given: dict[str, Any] = {"samples": 8, "turns": 3, "pieces": 8}
+    assert not failures(lambda value: Lookahead(**{"env": env, **given, name: value}), EVERYTHING)
+    assert not failures(lambda value: LookaheadVector(**{"env": vector, **given, name: value}), EVERYTHING)
+    own = "venv" if name == "env" else name
+    assert not failures(lambda value: LookaheadVecEnv(**{"venv": several, **given, own: value}), EVERYTHING)
+
+
 # -- that nothing is left out, and that the fuzz can fail --------------------------------------------------------------
 
 
@@ -259,7 +276,7 @@ def own_methods(kind: type) -> set[str]:
 
 def test_every_public_name_has_a_case() -> None:
     covered = {*FUNCTIONS, *SCENES, *UNCHECKED, "Scene", "Chirp", "Drive", "Simulator", "JackLostError"}
-    covered |= {method for _, method, _, _ in CALLS.values()}
+    covered |= {method for _, method, _, _ in CALLS.values()} | {"Lookahead", "LookaheadVector"}
     assert set(jackbox_env.__all__) <= covered
     for module in (mechanics, tasks):
         short = module.__name__.rsplit(".", 1)[1]

@@ -1,0 +1,395 @@
+"""Looking ahead as an observation: what futures of the present state bring, by the exact contact model.
+
+:class:`Lookahead` wraps a single environment, :class:`LookaheadVector` a vector one, and
+:class:`jackbox_env.sb3_wrappers.LookaheadVecEnv` one of Stable-Baselines3. All append the same numbers.
+
+The futures start from the state that the ten numbers of the observation tell (:func:`observation.state_of`). So looking
+ahead works on both contact models. Where pymunk is the environment's, the exact model is only near to what will happen.
+Neither the scene's chirp nor the side forces of a ``Drive`` are foreseen.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from jackbox_env import _validation as check
+from jackbox_env.observation import BOUNDS, observe, state_of
+from jackbox_env.planning import Rollout, rollout
+from jackbox_env.plans import Plans, Search
+from jackbox_env.scene import Scene
+from jackbox_env.states import Array
+from jackbox_env.tasks import Task
+
+Floats = NDArray[np.float32]
+Flags = NDArray[np.bool_]
+
+_AHEAD = 3  # torques of the plan that are shown
+_MOST_REWARD = 10.0  # mean rewards are clipped there
+_MOST_DEVIATION = 5.0
+_LEAST = 1e-9  # deviation of returns that counts as none
+_MOST_TURNS, _MOST_SAMPLES, _MOST_PIECES = 999, 100_000, 10_000
+_HALF_TURN = 2  # pieces of a scripted turn that speed the box up, and as many that stop it
+
+
+class Futures:
+    """What N jacks see when they look ahead. It holds no plans: a look takes the old ones and gives the next.
+
+    Args:
+        task: whose rewards are summed, a name or a :class:`jackbox_env.Task`.
+        control_dt: control step [s].
+        hold: control steps between looks, 1 or more; each torque of a future is held as long.
+        turns: scripted futures, an odd number, or 0 for none.
+        samples: futures that the plan is improved by in each look, or 0 for no plan.
+        pieces: torques of a future, so it lasts ``pieces * hold`` control steps; 8 or more.
+        follow: whether actions are added to the plan's next torque.
+        seed: of the plan's variations.
+        num_threads: that play the futures; nothing else depends on it.
+
+    Raises:
+        TypeError, ValueError: an argument out of its range.
+    """
+
+    def __init__(
+        self, task: str | Task, control_dt: float, *, hold: int, turns: int, samples: int, pieces: int,
+        follow: bool, seed: int = 0, num_threads: int | None = None,
+    ) -> None:  # fmt: skip
+        self.hold = check.whole("hold", hold, at_least=1)
+        self.turns = check.whole("turns", turns, at_least=0, at_most=_MOST_TURNS)
+        if self.turns % 2 == 0 and self.turns:
+            raise ValueError(f"turns must be odd, for the middle one is no turn, or 0, got {self.turns}")
+        pieces = check.whole("pieces", pieces, at_least=8, at_most=_MOST_PIECES)
+        self.planned = check.whole("samples", samples, at_least=0, at_most=_MOST_SAMPLES) > 0
+        if self.planned and samples < 8:
+            raise ValueError(f"samples must be at least 8, or 0 for no plan, got {samples}")
+        self.follow = check.flag("follow", follow)
+        if follow and not self.planned:
+            raise ValueError("follow needs a plan to follow, got samples = 0")
+        self._search = Search(
+            task, control_dt, piece=self.hold, pieces=pieces, samples=max(2, samples + self.turns),
+            elites=max(1, samples // 6), iterations=1, seed=seed, num_threads=num_threads,
+        )  # fmt: skip
+        self._steps = pieces * self.hold  # control steps of a future
+
+    @property
+    def high(self) -> Floats:
+        """Upper bounds of what is appended, shape (F,)."""
+        planned = [_MOST_REWARD] + [1.0] * _AHEAD if self.planned else []
+        turned = [_MOST_REWARD, _MOST_REWARD] + [_MOST_DEVIATION] * self.turns if self.turns else []
+        return np.array([1.0, *BOUNDS, *turned, *planned], dtype=np.float32)
+
+    @property
+    def low(self) -> Floats:
+        """Lower bounds of it, shape (F,)."""
+        low = -self.high
+        low[0] = 0.0
+        return low
+
+    def space(self, seen: gym.Space[Any]) -> gym.spaces.Box:
+        """The space of an observation with what is appended to it.
+
+        Raises:
+            TypeError: it is not the observation of ``JackInBox-v0``.
+        """
+        if not isinstance(seen, gym.spaces.Box) or seen.shape != BOUNDS.shape:
+            raise TypeError(f"looking ahead needs the ten numbers of JackInBox-v0, got observations in {seen}")
+        low, high = np.concatenate([seen.low, self.low]), np.concatenate([seen.high, self.high])
+        return gym.spaces.Box(low, high, dtype=np.float32)
+
+    def begin(self, count: int) -> Plans:
+        """Plans of no torque, for ``count`` jacks."""
+        return self._search.begin(count)
+
+    def torques(self, actions: Any, seen: Floats) -> Any:
+        """The actions that an environment is given, for those of an agent that has ``seen`` what was appended.
+
+        Shapes (n, 1) and (n, 10 + F), or (1,) and (10 + F,).
+        """
+        if not self.follow:
+            return actions
+        planned = seen[..., -_AHEAD : seen.shape[-1] - _AHEAD + 1]
+        return np.clip(np.asarray(actions, dtype=np.float32).reshape(planned.shape) + planned, -1.0, 1.0)
+
+    def look(self, scenes: list[Scene], observations: Floats, plans: Plans) -> tuple[Floats, Plans]:
+        """Return what is appended to observations, shape (n, 10): float32, (n, F); and the plans of the next look.
+
+        Args:
+            scenes: one for all, or n of them.
+            observations: that the states are read off; each as if its time were 0.
+            plans: those of the last look.
+        """
+        one_for_all = all(one is scenes[0] or one == scenes[0] for one in scenes)
+        undriven = [one.changed(drive=None) for one in (scenes[:1] if one_for_all else scenes)]
+        each, scene = (undriven * len(observations), undriven[0]) if one_for_all else (undriven, undriven)
+        states = np.array([state_of(one, row) for one, row in zip(each, observations.tolist(), strict=True)])
+        parts = [self._next_impact(scene, each, states)]
+        turned, turns = None, self._turns(each, states)
+        if self.planned:
+            found, plans = self._search.decide(scene, states, plans, turns)
+            turned = found.scripted
+        elif self.turns:
+            turned, _ = self._search.play(scene, states, turns)
+        if turned is not None and self.turns:
+            mean, deviation = turned.mean(axis=1) / self._steps, turned.std(axis=1) / self._steps
+            apart = (turned / self._steps - mean[:, None]) / np.maximum(deviation, _LEAST)[:, None]
+            parts += [mean[:, None], deviation[:, None], apart]
+        if self.planned:
+            parts += [found.returns[:, None] / self._steps, found.plans[:, :_AHEAD]]
+        appended = np.concatenate(parts, axis=1)
+        return np.clip(appended, self.low, self.high).astype(np.float32), plans
+
+    def _next_impact(self, scene: Scene | list[Scene], each: list[Scene], states: Array) -> Array:
+        """When the next impact comes without torque, in shares of a future, 1 for none; what is seen after it."""
+        search, count = self._search, len(states)
+        found = rollout(
+            scene, states, np.zeros((count, search.pieces)), search.control_dt, impacts=True, repeat=search.piece,
+            num_threads=search.num_threads,
+        )  # fmt: skip
+        assert isinstance(found, Rollout)
+        assert found.impacts is not None
+        struck = found.impacts > 0
+        first = np.where(struck.any(axis=1), struck.argmax(axis=1) + 1, self._steps)
+        after = found.trajectories[np.arange(count), first]
+        seen = [observe(one, state) for one, state in zip(each, after.tolist(), strict=True)]
+        return np.concatenate([first[:, None] / self._steps, seen], axis=1)
+
+    def _turns(self, each: list[Scene], states: Array) -> Array:
+        """Torques that turn each box by so much and stop it, in units of the limit, shape (n, turns, pieces).
+
+        The box is sped up for ``_HALF_TURN`` pieces and stopped in as many. The furthest turns are those that the
+        torque's limit can make of a box at rest.
+        """
+        search = self._search
+        half = _HALF_TURN * search.piece * search.control_dt  # [s]
+        strongest = np.array([one.torque_limit / one.box_inertia for one in each])[:, None]  # [rad/s^2]
+        share = np.linspace(-1.0, 1.0, self.turns) if self.turns > 1 else np.zeros(self.turns)
+        omega = states[:, 8:9]
+        first = share * strongest - 1.5 * omega / half  # so that the box has turned by share * strongest * half^2
+        last = -omega / half - first
+        torques = np.zeros((len(states), self.turns, search.pieces))
+        torques[:, :, :_HALF_TURN] = (first / strongest)[:, :, None]
+        torques[:, :, _HALF_TURN : 2 * _HALF_TURN] = (last / strongest)[:, :, None]
+        return np.clip(torques, -1.0, 1.0)
+
+
+def make_futures(
+    task: str | Task, control_dt: float, *, hold: int = 5, turns: int = 9, samples: int = 32, pieces: int = 32,
+    follow: bool = False, seed: int = 0, num_threads: int | None = None,
+) -> Futures:  # fmt: skip
+    """The futures that :class:`Lookahead` plays, with its defaults."""
+    return Futures(
+        task,
+        control_dt,
+        hold=hold,
+        turns=turns,
+        samples=samples,
+        pieces=pieces,
+        follow=follow,
+        seed=seed,
+        num_threads=num_threads,
+    )
+
+
+class Lookahead(gym.Wrapper[Any, Any, Any, Any]):
+    """Observe ``JackInBox-v0`` together with what futures of its present state bring.
+
+    A step takes one action for ``hold`` control steps and returns the sum of their rewards. Beside the ten numbers an
+    observation holds (float32)
+
+    ======  ==============================================================================  ==============
+    count   quantity                                                                        bound
+    ======  ==============================================================================  ==============
+    1       time of the next impact if no torque acts, in shares of a future; 1 for none    0 to 1
+    10      what is observed at the end of the control step in which it comes               as observed
+    2       mean reward of a step over all ``turns``, and the deviation of these means      10
+    turns   what each turn of the box brings, less that mean, over that deviation           5
+    1       mean reward of a step under the plan                                            10
+    3       the plan's next torques over their limit                                        1
+    ======  ==============================================================================  ==============
+
+    Scripted turns speed the box up for two pieces of ``hold`` control steps and stop it in two more. The furthest are
+    those that the torque's limit allows. The plan is carried on from step to step and improved in each by ``samples``
+    variations (:mod:`jackbox_env.plans`); an episode starts with none. An agent need not follow it.
+
+    Args:
+        env: the environment, of either contact model.
+        hold: control steps of a step here, 1 or more.
+        turns: scripted futures, an odd number, or 0 for none.
+        samples: variations of the plan that are tried in each step, 8 or more, or 0 for no plan.
+        pieces: torques of a future, each held for ``hold`` control steps; 8 or more. 32 times 5 steps are 3.2 s.
+        follow: True: an action is added to the plan's next torque, so an agent that says 0 follows the plan.
+        seed: of the variations.
+        num_threads: that play the futures; None: as many as the machine has. Nothing else depends on it.
+
+    Raises:
+        TypeError, ValueError: an argument out of its range, or ``env`` is no ``JackInBox-v0``.
+    """
+
+    def __init__(
+        self, env: gym.Env[Any, Any], *, hold: int = 5, turns: int = 9, samples: int = 32, pieces: int = 32,
+        follow: bool = False, seed: int = 0, num_threads: int | None = 1,
+    ) -> None:  # fmt: skip
+        super().__init__(env)
+        inner: Any = env.unwrapped
+        if not hasattr(inner, "scene"):
+            raise TypeError(f"looking ahead needs JackInBox-v0, got {check.shown(env)}")
+        self.futures = Futures(
+            inner.task, inner.control_dt, hold=hold, turns=turns, samples=samples, pieces=pieces, follow=follow,
+            seed=seed, num_threads=num_threads,
+        )  # fmt: skip
+        self.observation_space = self.futures.space(env.observation_space)
+        self._plans = self.futures.begin(1)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
+        """Start an episode, with a plan of no torque that is then improved."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        return self._seen(observation, self.futures.begin(1)), info
+
+    def step(self, action: Any) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
+        """Take an action for ``hold`` control steps, fewer where the episode ends; the info is that of the last."""
+        total, torque = 0.0, self.futures.torques(action, self._last)
+        for _ in range(self.futures.hold):
+            observation, reward, terminated, truncated, info = self.env.step(torque)
+            total += float(reward)
+            if terminated or truncated:
+                break
+        return self._seen(observation, self._plans), total, terminated, truncated, info
+
+    def _seen(self, observation: Floats, plans: Plans) -> Floats:
+        inner: Any = self.env.unwrapped
+        appended, self._plans = self.futures.look([inner.scene], observation[None], plans)
+        self._last: Floats = np.concatenate([observation, appended[0]])
+        return self._last.copy()
+
+
+class Carried:
+    """The plans of N environments side by side, and what those see who carry them on."""
+
+    def __init__(self, futures: Futures, count: int) -> None:
+        self.futures = futures
+        self._plans, self._anew = futures.begin(count), np.ones(count, dtype=np.bool_)
+        self._last: Floats = np.zeros((count, 0), dtype=np.float32)
+
+    def start(self, chosen: Flags) -> None:
+        """The next observations of the ``chosen`` environments, shape (N,), are of an episode's start."""
+        self._anew = self._anew | chosen
+
+    def seen(self, scenes: list[Scene], observations: Floats) -> Floats:
+        """Observations, shape (N, 10), with what is appended; the plans are carried on."""
+        new = np.flatnonzero(self._anew)
+        plans = self._plans.replaced(new, self.futures.begin(len(new)))
+        appended, self._plans = self.futures.look(scenes, observations, plans)
+        self._anew = np.zeros(len(observations), dtype=np.bool_)
+        self._last = np.concatenate([observations, appended], axis=1)
+        return self._last.copy()
+
+    def torques(self, actions: Any) -> Any:
+        """What the environments are given for actions, shape (N, 1)."""
+        return self.futures.torques(actions, self._last)
+
+    def last_seen(self, scenes: list[Scene], observations: Floats, numbers: NDArray[np.int64]) -> Floats:
+        """The last observations of some environments' episodes, shape (k, 10), with what is appended."""
+        own = [scenes[number] for number in numbers.tolist()] if len(scenes) > 1 else scenes
+        appended, _ = self.futures.look(own, observations, self._plans.of(numbers))
+        return np.concatenate([observations, appended], axis=1)
+
+
+class LookaheadVector(VectorWrapper):
+    """:class:`Lookahead` of a vector environment: the same numbers for each of its environments.
+
+    All futures of a step are played in one compiled loop. Where ``hold`` is above 1 an episode must restart in the step
+    that ends it (``autoreset_mode="SAME_STEP"``), and last a multiple of ``hold`` steps.
+
+    Args:
+        env: the vector environment of ``JackInBox-v0``, native or of single ones.
+        hold: as in :class:`Lookahead`, with the rest.
+        turns: as there.
+        samples: as there.
+        pieces: as there.
+        follow: as there.
+        seed: as there.
+        num_threads: as there.
+
+    Raises:
+        TypeError, ValueError: an argument out of its range, or ``env`` is no ``JackInBox-v0``.
+    """
+
+    def __init__(
+        self, env: VectorEnv[Any, Any, Any], *, hold: int = 5, turns: int = 9, samples: int = 32, pieces: int = 32,
+        follow: bool = False, seed: int = 0, num_threads: int | None = None,
+    ) -> None:  # fmt: skip
+        super().__init__(env)
+        mode = env.metadata.get("autoreset_mode")
+        self._same_step = mode is AutoresetMode.SAME_STEP
+        if not self._same_step and hold != 1:
+            raise ValueError(f"hold must be 1 where autoreset_mode is not SAME_STEP, got {check.shown(hold)}")
+        futures = Futures(
+            self._of_each("task")[0], self._of_each("control_dt")[0], hold=hold, turns=turns, samples=samples,
+            pieces=pieces, follow=follow, seed=seed, num_threads=num_threads,
+        )  # fmt: skip
+        self.single_observation_space = futures.space(env.single_observation_space)
+        self.observation_space = batch_space(self.single_observation_space, env.num_envs)
+        self._carried = Carried(futures, env.num_envs)
+
+    def _of_each(self, name: str) -> list[Any]:
+        """An attribute of each environment, or of all."""
+        inner: Any = self.env.unwrapped
+        if hasattr(inner, "scenes"):
+            return inner.scenes if name == "scene" else [getattr(inner, name)]
+        try:
+            return list(inner.get_attr(name))
+        except AttributeError as error:
+            raise TypeError(f"looking ahead needs JackInBox-v0, got {check.shown(self.env)}") from error
+
+    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
+        """Start an episode in each environment, or in those of ``options["reset_mask"]``."""
+        mask = (options or {}).get("reset_mask")
+        observations, infos = self.env.reset(seed=seed, options=options)
+        self._carried.start(np.ones(self.num_envs, dtype=np.bool_) if mask is None else np.asarray(mask))
+        return self._carried.seen(self._of_each("scene"), observations), infos
+
+    def step(self, actions: Any) -> tuple[Floats, Array, Flags, Flags, dict[str, Any]]:
+        """Take actions, shape (N, 1), for ``hold`` control steps and sum up the rewards; infos are of the last one.
+
+        Raises:
+            RuntimeError: an episode ended before the last of these steps.
+        """
+        total, hold = np.zeros(self.num_envs), self._carried.futures.hold
+        torques = self._carried.torques(actions)
+        for taken in range(1, hold + 1):
+            observations, rewards, terminations, truncations, infos = self.env.step(torques)
+            total += rewards
+            over = terminations | truncations
+            refuse_early_end(over, taken, hold)
+        scenes = self._of_each("scene")
+        if self._same_step and over.any():
+            numbers = np.flatnonzero(over)
+            final = infos["final_obs"].copy()
+            for number, row in zip(
+                numbers, self._carried.last_seen(scenes, np.stack(list(final[numbers])), numbers), strict=True
+            ):
+                final[number] = row
+            infos = {**infos, "final_obs": final}
+            self._carried.start(over)
+        seen = self._carried.seen(scenes, observations)
+        if not self._same_step:
+            self._carried.start(over)  # the next step shows the start
+        return seen, total, terminations, truncations, infos
+
+
+def refuse_early_end(over: Flags, taken: int, hold: int) -> None:
+    """Refuse episodes that are ``over``, shape (N,), before the last of the steps that an action is held for.
+
+    Raises:
+        RuntimeError: one is.
+    """
+    if taken < hold and over.any():
+        raise RuntimeError(
+            f"episodes must last a multiple of hold = {hold} steps, got one that ended {taken} steps after an action "
+            "was chosen"
+        )
