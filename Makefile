@@ -8,7 +8,7 @@ WORKERS := -n 2 --dist loadfile
 UNDER_OLD_GYMNASIUM := $(addprefix tests/,environment/test_env.py environment/test_starts_and_settings.py \
 	environment/test_tools.py batches/test_vector_env.py batches/test_episodes.py batches/test_refusals.py)
 
-.PHONY: demo test test-all test-slow benchmark benchmark-loss benchmark-quick throughput speed costs costs-loss soak extremes machines kills interruptions transfer transfer-loss readme clean
+.PHONY: demo test test-all test-slow benchmark benchmark-loss benchmark-quick throughput speed costs costs-loss soak extremes machines kills interruptions transfer transfer-loss results readme clean
 .DELETE_ON_ERROR:
 
 demo: .venv/ready
@@ -76,6 +76,10 @@ transfer: .venv/ready
 transfer-loss: .venv/ready
 	@$(BIN)/python scripts/studies/transfer/transfer.py --tasks juggle --fidelities balanced exact --seeds 5 \
 		--long-episodes 64 --restitution 0.9 --out docs
+
+# What every policy earns, docs/results.md; goes on where it was interrupted. The planner takes most of its 20 minutes.
+results: .venv/ready
+	@$(BIN)/python scripts/studies/results.py
 
 readme: .venv/ready
 	@$(BIN)/python scripts/studies/readme.py

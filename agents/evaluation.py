@@ -12,6 +12,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from tqdm import tqdm
 
 from agents.models import derived_seed, load_model, make_vec_env
+from agents.network import SHIPPED, WEIGHTS, read_policy
 from agents.planner import DECISION, Planner
 from agents.policies import BASELINES, Baseline, Policy, baseline
 from agents.settings import EPISODE_STEPS, EnvSettings
@@ -81,10 +82,10 @@ def evaluate(
 
 
 def find_policy(name: str, settings: EnvSettings, seed: int, trust: bool = False) -> Baseline:
-    """A baseline or the planner by its name, or a trained model by its run folder or file.
+    """A baseline, the planner or a policy that is shipped by its name, or a trained one by its run folder or file.
 
     Raises:
-        FileNotFoundError: it is neither.
+        FileNotFoundError: it is none of these.
     """
     scene = Scene.of(settings.scene_fields)
     if name in BASELINES:
@@ -92,11 +93,22 @@ def find_policy(name: str, settings: EnvSettings, seed: int, trust: bool = False
     if name == "planner":
         piece = max(1, round(DECISION / settings.control_dt))
         return Baseline(Planner(scene, settings.task, settings.control_dt, piece=piece, seed=seed), {})
+    shipped = SHIPPED / f"{settings.task}-{name}"
+    if Path(name).name == name and shipped.is_dir():
+        return Baseline(read_policy(shipped), {})
     if not Path(name).exists():
+        known = ", ".join((*BASELINES, "planner", *shipped_names(settings.task)))
         raise FileNotFoundError(
-            f"a policy must be one of {', '.join(BASELINES)}, planner, or a run folder or model file, got {name!r}"
+            f"a policy for {settings.task} must be one of {known}, or a run folder or model file, got {name!r}"
         )
+    if (Path(name) / WEIGHTS).is_file():
+        return Baseline(read_policy(Path(name)), {})
     return Baseline(load_model(Path(name), trust), {})
+
+
+def shipped_names(task: str) -> list[str]:
+    """Names of the trained policies for a task that come with the repository."""
+    return sorted(path.name.removeprefix(f"{task}-") for path in SHIPPED.glob(f"{task}-*"))
 
 
 def table(rows: list[Returns]) -> str:

@@ -10,13 +10,14 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from agents.archives import unpacked_tensors
 from agents.checkpoints import read_model_file
+from agents.extractor import WithPreview
 from agents.holding import HoldingPPO
-from agents.preview import WithPreview, flight_of
+from agents.playing import manner_of
+from agents.preview import flight_of
 from agents.runs import SETTINGS, read_settings
 from agents.settings import TrainSettings
 from agents.storage import DamagedFileError, say_skipped
 from jackbox_env import Scene
-from jackbox_env.lookahead import make_futures
 from jackbox_env.sb3 import make_sb3_vec_env
 from jackbox_env.sb3_wrappers import HoldingVecEnv, LookaheadVecEnv
 
@@ -69,16 +70,7 @@ def make_ppo(settings: TrainSettings, environments: VecEnv, **more: Any) -> Hold
         device="cpu",
         **more,
     )
-    model.hold, model.scene = settings.hold, Scene.of(settings.scene_fields)
-    if settings.lookahead:
-        model.futures = make_futures(
-            settings.task,
-            settings.control_dt,
-            hold=settings.hold,
-            samples=settings.lookahead,
-            follow=True,
-            num_threads=1,
-        )
+    model.manner = manner_of(settings)
     return model
 
 

@@ -10,12 +10,12 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-import gymnasium as gym
-import torch
-from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+import numpy as np
+from numpy.typing import NDArray
 
 from jackbox_env import Scene
-from jackbox_env.observation import BOUNDS
+
+_TINY = float(np.finfo(np.float32).tiny)
 
 
 class Flight(NamedTuple):
@@ -55,51 +55,42 @@ def flight_of(scene: Scene) -> Flight:
     )
 
 
-def preview(flight: Flight, observations: torch.Tensor) -> torch.Tensor:
-    """The features of ``FEATURES``, shape (n, 11), for observations of shape (n, 10), which are float32.
+def preview(flight: Flight, observations: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The features of ``FEATURES``, float32, shape (n, 11), for observations, float32, shape (n, 10).
 
     The landing is that of a jack whose box does not move but turns at its present rate. Walls on the way do not count.
     Without gravity a jack that does not fall lands after ``LONGEST``.
     """
-    x, y, vx, vy, cosine, sine, omega_box, cosine_4, sine_4, omega_jack = observations.unbind(1)
-    height = (sine * x + cosine * y + flight.floor).clamp(min=0.0)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # cut or not taken, see ``columns``
+        return np.stack(columns(flight, observations.T, np), axis=1)
+
+
+def columns(flight: Flight, seen: Any, library: Any) -> tuple[Any, ...]:
+    """The features, an array each, from the ten numbers of observations, an array each: by numpy or torch."""
+    sqrt, where, clip, atan2 = library.sqrt, library.where, library.clip, library.arctan2
+    x, y, vx, vy, cosine, sine, omega_box, cosine_4, sine_4, omega_jack = seen
+    height = clip(sine * x + cosine * y + flight.floor, 0.0, None)
     rise = sine * vx + cosine * vy
-    impact = (rise * rise + 2.0 * flight.gravity * height).sqrt()
-    tiny = torch.finfo(observations.dtype).tiny
+    impact = sqrt(rise * rise + 2.0 * flight.gravity * height)
     # of the two forms of the root, the one without cancellation
-    down = 2.0 * height / (impact - rise).clamp(min=tiny)
-    up = (impact + rise) / flight.gravity  # without gravity infinite
-    time = torch.where(rise > 0.0, up, down).clamp(max=LONGEST)
+    down = 2.0 * height / clip(impact - rise, _TINY, None)
+    up = (impact + rise) / flight.gravity if flight.gravity else LONGEST + 0.0 * rise
+    time = clip(where(rise > 0.0, up, down), None, LONGEST)
     place = cosine * x - sine * y + (cosine * vx - sine * vy) * time
-    theta = torch.atan2(sine, cosine)
+    theta = atan2(sine, cosine)
     turned, spun = omega_box * time, flight.spin * omega_jack * time
-    relative = torch.atan2(sine_4, cosine_4) + 4.0 * (spun - turned)
+    relative = atan2(sine_4, cosine_4) + 4.0 * (spun - turned)
     world = relative + 4.0 * (theta + turned)
-    return torch.stack(
-        (
-            0.5 * time,
-            relative.cos(),
-            relative.sin(),
-            (2.0 * relative).cos(),
-            (2.0 * relative).sin(),
-            world.cos(),
-            world.sin(),
-            place.clamp(-2.0, 2.0),
-            (flight.gravity * time - rise).clamp(-10.0, 10.0),
-            (spun / (0.5 * math.pi)).clamp(-10.0, 10.0),
-            (theta + turned).clamp(-10.0, 10.0),
-        ),
-        dim=1,
+    return (
+        0.5 * time,
+        library.cos(relative),
+        library.sin(relative),
+        library.cos(2.0 * relative),
+        library.sin(2.0 * relative),
+        library.cos(world),
+        library.sin(world),
+        clip(place, -2.0, 2.0),
+        clip(flight.gravity * time - rise, -10.0, 10.0),
+        clip(spun / (0.5 * math.pi), -10.0, 10.0),
+        clip(theta + turned, -10.0, 10.0),
     )
-
-
-class WithPreview(BaseFeaturesExtractor):
-    """An observation, of ten numbers and perhaps more, then the preview of the landing. It has nothing to learn."""
-
-    def __init__(self, observation_space: gym.Space[Any], flight: Flight) -> None:
-        super().__init__(observation_space, features_dim=gym.spaces.utils.flatdim(observation_space) + len(FEATURES))
-        self._flight = Flight(*flight)
-
-    def forward(self, observations: torch.Tensor) -> torch.Tensor:
-        """Features, shape (n, k + 11), of observations of shape (n, k), k at least 10."""
-        return torch.cat((observations, preview(self._flight, observations[:, : len(BOUNDS)])), dim=1)

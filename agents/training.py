@@ -24,6 +24,7 @@ from agents.checkpoints import (
 from agents.models import derived_seed, holding, make_ppo, make_vec_env
 from agents.settings import TrainSettings
 from agents.storage import held, remove_partials, write_bytes
+from agents.timing import Spent, TimedVecEnv
 
 MODEL = "model.zip"
 
@@ -58,11 +59,12 @@ def train(settings: TrainSettings, folder: Path, progress: bool = True) -> PPO:
             raise FileExistsError(f"{folder} is finished: it has a {MODEL}, and runs are never overwritten")
         resumed = _where_it_was(folder)
         done = resumed.steps if resumed else 0
-        model = _model(settings, resumed)
+        model, spent = _model(settings, resumed)
         model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
         checkpoint = Checkpoint(folder, settings.checkpoint_steps)
         callbacks: list[BaseCallback] = [checkpoint]
         callbacks.append(KeepBest(folder, settings, checkpoint, evaluations.until(done), best))
+        callbacks.append(spent)
         if settings.max_minutes is not None:
             callbacks.append(Deadline(settings.max_minutes))
         try:
@@ -76,6 +78,7 @@ def train(settings: TrainSettings, folder: Path, progress: bool = True) -> PPO:
             checkpoint.keep()
             raise
         write_bytes(folder / MODEL, model_file(model))
+        print(spent.told())
         return model
 
 
@@ -91,13 +94,13 @@ def _where_it_was(folder: Path) -> Saved | None:
     return resumed
 
 
-def _model(settings: TrainSettings, resumed: Saved | None) -> PPO:
-    """The model as it was at a checkpoint, with environments whose starts it has not learnt from."""
+def _model(settings: TrainSettings, resumed: Saved | None) -> tuple[PPO, Spent]:
+    """The model as it was at a checkpoint, with environments whose starts it has not learnt from, and its times."""
     torch.set_num_threads(settings.torch_threads)
     done = resumed.steps if resumed else 0
     starts = derived_seed("training", settings.seed, done)
-    environments = make_vec_env(settings.env_settings, settings.num_envs, starts)
-    environments = holding(environments, settings.hold, settings.lookahead)
+    inner = TimedVecEnv(make_vec_env(settings.env_settings, settings.num_envs, starts))
+    environments = TimedVecEnv(holding(inner, settings.hold, settings.lookahead))
     model = make_ppo(settings, environments)
     environments.seed(starts)  # PPO has seeded them by its own seed
     if resumed is not None:
@@ -107,4 +110,4 @@ def _model(settings: TrainSettings, resumed: Saved | None) -> PPO:
             reason = next(iter(str(error).splitlines()), "")
             raise ValueError(f"{resumed.path} was made by other settings than its run's: {reason}") from error
         model.num_timesteps = done
-    return model
+    return model, Spent(inner, environments)

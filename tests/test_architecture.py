@@ -56,11 +56,12 @@ PACKAGE = """
     choosing
 """
 AGENTS = """
-    policies preview storage archives
-    planner settings
+    policies preview storage archives timing
+    planner settings extractor
+    playing
     holding
     trajectory runs film checkpoints
-    models
+    models network
     best evaluation
     training
     figures

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -165,12 +166,19 @@ def test_a_model_that_looks_ahead_sees_in_the_ordinary_environment_what_it_was_t
     assert moved > 1.0
 
 
-def test_a_model_that_looks_ahead_is_trained_and_loaded(tmp_path: Path) -> None:
+def test_a_model_that_looks_ahead_is_trained_and_loaded(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     settings = replace(HELD, lookahead=8)
     folder = new_folder(tmp_path / "run", "run", lambda made: describe(made, settings))
     training.train(settings, folder, progress=False)
+    told = capsys.readouterr().out.strip().splitlines()[-1]  # what the time went to
+    found = re.fullmatch(r"([0-9,]+) steps in [0-9]+ s, [0-9,]+ per second: (.*)", told)
+    assert found, told
+    assert int(found[1].replace(",", "")) >= settings.total_steps
+    shares = {name: float(share) for name, share in re.findall(r"([a-z ,]+) ([0-9.]+)%", found[2])}
+    assert sum(shares.values()) == pytest.approx(100.0, abs=0.5)
+    assert shares[", looking ahead"] > shares["environment"] > 0.0
     loaded = load_model(folder)
-    assert loaded.futures is not None
+    assert loaded.manner.futures is not None
     (earned,) = evaluate("PPO", loaded, settings.env_settings, 1, 0).returns
     assert earned > 0.0
     with pytest.raises(ValueError, match="lookahead must be a whole number from 8 to 4096, got 3"):
@@ -214,7 +222,7 @@ def test_training_with_hold_and_preview_saves_loads_and_resumes(tmp_path: Path) 
     assert stored["timesteps"].tolist() == [1024, 2048]
     assert np.all(stored["ep_lengths"] == 500)
     loaded = load_model(folder / "model.zip")
-    assert loaded.hold == HOLD
+    assert loaded.manner.hold == HOLD
     for name, value in model.get_parameters()["policy"].items():
         np.testing.assert_array_equal(value.numpy(), loaded.get_parameters()["policy"][name].numpy())
     returns = [evaluate("PPO", one, HELD.env_settings, 2, seed=0).returns for one in (model, loaded)]
@@ -223,7 +231,7 @@ def test_training_with_hold_and_preview_saves_loads_and_resumes(tmp_path: Path) 
     trusted.write_bytes((folder / "model.zip").read_bytes())
     (tmp_path / "run" / "settings.json").unlink()
     again = load_model(trusted, trust=True)
-    assert again.hold == HOLD
+    assert again.manner.hold == HOLD
     assert evaluate("PPO", again, HELD.env_settings, 2, seed=0).returns == returns[0]
 
 

@@ -1,0 +1,129 @@
+"""A trained policy as plain arrays: it plays with numpy alone, without torch and Stable-Baselines3.
+
+A folder of such a policy holds
+
+settings.json   what it was trained by
+weights.npz     weight_0, bias_0 of the first layer, and so on; float32, weights of shape (outputs, inputs)
+
+Between the layers stands tanh. The last layer's output is the mean of the actions, which is what the policy does.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.playing import Playing, manner_of, play
+from agents.policies import Actions
+from agents.preview import FEATURES, flight_of, preview
+from agents.runs import SETTINGS, read_settings
+from agents.settings import FORESEEN, MOST_LAYERS, MOST_WEIGHTS, TrainSettings
+from agents.storage import write_bytes, write_json
+from jackbox_env import Scene
+from jackbox_env.observation import BOUNDS
+
+if TYPE_CHECKING:
+    from stable_baselines3 import PPO
+
+WEIGHTS = "weights.npz"
+SHIPPED = Path(__file__).parent / "trained"  # a folder <task>-<name> of each policy that comes with the repository
+Layer = tuple[NDArray[np.float32], NDArray[np.float32]]  # weight and bias
+_SPARE = 65_536  # [bytes] of a file beside its numbers
+
+
+class NetworkPolicy:
+    """A trained policy with Stable-Baselines3's ``predict``.
+
+    Args:
+        settings: what it was trained by; they say what it sees and how long it holds its actions.
+        layers: weight, shape (outputs, inputs), and bias, shape (outputs,), of each layer.
+
+    Raises:
+        ValueError: the layers do not fit the settings.
+    """
+
+    def __init__(self, settings: TrainSettings, layers: list[Layer]) -> None:
+        self.settings, self._layers = settings, layers
+        self._flight = flight_of(Scene.of(settings.scene_fields)) if settings.preview else None
+        self._manner = manner_of(settings)
+        sizes = [len(BOUNDS) + FORESEEN * bool(settings.lookahead) + len(FEATURES) * settings.preview]
+        sizes += [*settings.hidden_units, 1]
+        wanted = [((after, before), (after,)) for before, after in pairwise(sizes)]
+        found = [(weight.shape, bias.shape) for weight, bias in layers]
+        if found != wanted:
+            raise ValueError(f"the layers of these settings have shapes {wanted}, got {found}")
+        if not all(np.isfinite(part).all() for layer in layers for part in layer):
+            raise ValueError("weights must be finite")
+
+    def predict(
+        self, observation: Any, state: Playing | None = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[Actions, Playing]:
+        """Return actions and the state for the next call, see :func:`agents.playing.play`; always the mean's."""
+        return play(self._manner, self.act, observation, state, episode_start)
+
+    def act(self, seen: NDArray[Any]) -> Actions:
+        """Actions, shape (n, 1), for observations as in training, shape (n, k)."""
+        values = np.asarray(seen, dtype=np.float32)
+        if self._flight:
+            values = np.concatenate([values, preview(self._flight, values[:, : len(BOUNDS)])], axis=1)
+        for number, (weight, bias) in enumerate(self._layers):
+            values = np.tanh(values) if number else values
+            values = values @ weight.T + bias
+        actions: Actions = np.clip(values, -1.0, 1.0)
+        return actions
+
+
+def layers_of(model: PPO) -> list[Layer]:
+    """The layers of a model's policy: copies."""
+    numbers = model.policy.state_dict()
+    inner = [name[: -len(".weight")] for name in numbers if name.startswith("mlp_extractor.policy_net.")]
+    names = [*sorted({name for name in inner if f"{name}.weight" in numbers}, key=_place), "action_net"]
+    return [(_copy(numbers[f"{name}.weight"]), _copy(numbers[f"{name}.bias"])) for name in names]
+
+
+def _place(name: str) -> int:
+    return int(name.rsplit(".", 1)[1])
+
+
+def _copy(tensor: Any) -> NDArray[np.float32]:
+    values: NDArray[np.float32] = tensor.detach().cpu().numpy().astype(np.float32)
+    return values
+
+
+def write_policy(folder: Path, settings: TrainSettings, layers: list[Layer]) -> None:
+    """Write a policy into a new folder's files."""
+    file = io.BytesIO()
+    named: dict[str, Any] = {}
+    for number, (weight, bias) in enumerate(layers):
+        named |= {f"weight_{number}": weight, f"bias_{number}": bias}
+    np.savez(file, **named)
+    write_bytes(folder / WEIGHTS, file.getvalue())
+    write_json(folder / SETTINGS, dataclasses.asdict(settings))
+
+
+def read_policy(folder: Path) -> NetworkPolicy:
+    """Read a policy from its folder; nothing is unpickled.
+
+    Raises:
+        FileNotFoundError: it holds none.
+        ValueError: its files are damaged, or do not fit each other.
+    """
+    path, settings = folder / WEIGHTS, read_settings(folder)
+    if not path.is_file():
+        raise FileNotFoundError(f"{folder} holds no {WEIGHTS}")
+    most = 4 * MOST_WEIGHTS + _SPARE
+    if path.stat().st_size > most:
+        raise ValueError(f"{path} must be at most {most:,} bytes, got {path.stat().st_size:,}")
+    try:
+        with np.load(io.BytesIO(path.read_bytes())) as stored:
+            count = min(MOST_LAYERS + 1, len(stored.files) // 2)
+            layers = [(stored[f"weight_{number}"], stored[f"bias_{number}"]) for number in range(count)]
+        return NetworkPolicy(settings, layers)
+    except Exception as error:
+        raise ValueError(f"{path} holds no weights of the settings beside it: {error}") from error

@@ -1,0 +1,88 @@
+"""How a policy plays in the ordinary environment: it holds its actions, and looks ahead if it was trained so.
+
+A policy that decides every control step can hardly tell what one of its actions did. One that holds each action for a
+few steps explores further and looks further ahead. The environment that it plays in still asks it at every control
+step, and shows it ten numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.settings import TrainSettings
+from jackbox_env import Scene
+from jackbox_env.lookahead import Futures, make_futures
+from jackbox_env.plans import Plans
+
+
+class Playing(NamedTuple):
+    """What a policy carries from call to call, for n environments."""
+
+    actions: NDArray[np.float32]  # (n, 1)
+    left: NDArray[np.int64]  # (n,) for how many more calls each action holds
+    plans: Plans | None  # of a policy that looks ahead
+
+
+class Manner(NamedTuple):
+    """How a policy plays."""
+
+    hold: int = 1  # calls that each action is held for
+    futures: Futures | None = None  # by which it looks ahead
+    scene: Scene = Scene()  # that the futures are played in
+
+
+def manner_of(settings: TrainSettings) -> Manner:
+    """How a policy plays that was trained by these settings."""
+    futures = None
+    if settings.lookahead:
+        futures = make_futures(
+            settings.task, settings.control_dt, hold=settings.hold, samples=settings.lookahead, follow=True,
+            num_threads=1,
+        )  # fmt: skip
+    return Manner(settings.hold, futures, Scene.of(settings.scene_fields))
+
+
+def play(
+    manner: Manner, choose: Callable[[NDArray[Any]], NDArray[Any]], observation: Any, state: Playing | None,
+    episode_start: Any,
+) -> tuple[NDArray[Any], Playing]:  # fmt: skip
+    """Return actions, shape (n, 1) for observations (n, 10) or (1,) for (10,), and the state for the next call.
+
+    Args:
+        manner: how the policy plays.
+        choose: its actions, shape (k, 1), for k observations as in training.
+        observation: of one environment or of several; it counts where an action is chosen.
+        state: what the last call returned; None: every environment chooses.
+        episode_start: shape (n,), where an episode starts; an action is chosen there, with a plan begun anew; None:
+            nowhere.
+
+    Raises:
+        ValueError: a state of another number of environments.
+    """
+    rows, futures = np.atleast_2d(observation), manner.futures
+    count = len(rows)
+    if state is None:
+        plans = futures.begin(count) if futures else None
+        state = Playing(np.zeros((count, 1), np.float32), np.zeros(count, np.int64), plans)
+    if len(state.left) != count:
+        raise ValueError(f"state must be that of {count} environments, as observation is, got {len(state.left)}")
+    actions, left, plans = state.actions.copy(), state.left.copy(), state.plans
+    if episode_start is not None:
+        new = np.flatnonzero(np.broadcast_to(episode_start, left.shape))
+        left[new] = 0
+        if futures and plans:
+            plans = plans.replaced(new, futures.begin(len(new)))
+    due = np.flatnonzero(left == 0)
+    if len(due):
+        seen = rows[due]
+        if futures and plans:
+            appended, carried_on = futures.look([manner.scene], seen, plans.of(due))
+            seen, plans = np.concatenate([seen, appended], axis=1), plans.replaced(due, carried_on)
+        chosen = choose(seen)
+        actions[due] = futures.torques(chosen, seen) if futures else chosen
+        left[due] = manner.hold
+    return (actions.copy() if np.ndim(observation) == 2 else actions[0].copy()), Playing(actions, left - 1, plans)

@@ -1,0 +1,72 @@
+"""What a training spends its time on."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
+
+
+class TimedVecEnv(VecEnvWrapper):
+    """Environments that add up how long their steps take: ``seconds``."""
+
+    def __init__(self, venv: VecEnv) -> None:
+        super().__init__(venv)
+        self.seconds = 0.0
+
+    def reset(self) -> Any:
+        """Start an episode in each environment."""
+        return self.venv.reset()
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Step."""
+        began = time.perf_counter()
+        returned = self.venv.step_wait()
+        self.seconds += time.perf_counter() - began
+        return returned
+
+
+class Spent(BaseCallback):
+    """Adds up where the time of a training goes.
+
+    Args:
+        inner: the environments alone.
+        outer: the same with their wrappers, as the training steps them.
+    """
+
+    def __init__(self, inner: TimedVecEnv, outer: TimedVecEnv) -> None:
+        super().__init__()
+        self._inner, self._outer = inner, outer
+        self._collecting = 0.0
+        self._began = self._rollout = time.perf_counter()
+        self._first = 0
+
+    def _on_training_start(self) -> None:
+        self._began, self._first = time.perf_counter(), self.num_timesteps
+
+    def _on_rollout_start(self) -> None:
+        self._rollout = time.perf_counter()
+
+    def _on_rollout_end(self) -> None:
+        self._collecting += time.perf_counter() - self._rollout
+
+    def _on_step(self) -> bool:
+        return True
+
+    def told(self) -> str:
+        """One line: steps per second, and the shares of environment, looking ahead, acting and updates."""
+        total = time.perf_counter() - self._began
+        steps = self.num_timesteps - self._first
+        parts = {
+            "environment": self._inner.seconds,
+            "looking ahead": self._outer.seconds - self._inner.seconds,
+            "choosing actions, evaluations and files": self._collecting - self._outer.seconds,
+            "learning": total - self._collecting,
+        }
+        shares = ", ".join(
+            f"{name} {seconds / total:.1%}" for name, seconds in parts.items() if seconds > 0.001 * total
+        )
+        return f"{steps:,} steps in {total:.0f} s, {steps / total:,.0f} per second: {shares}"

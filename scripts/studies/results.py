@@ -1,0 +1,164 @@
+"""What every policy earns on every task and both contact models: docs/results.md.
+
+Each row is evaluated by itself and kept in a file, so an interrupted run goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tyro
+from numpy.typing import NDArray
+
+from agents.settings import EnvSettings
+from jackbox_env.tasks import TASKS
+from scripts.common import command_line
+
+POLICIES = ("zero", "level", "chirp", "ppo", "planner")
+CONTACTS = ("exact", "pymunk")
+SEED = 1
+RESAMPLES = 2000
+ATTAINABLE = {
+    "juggle": "A jack that bounces upright without spin, its highest point h above the box's middle, earns "
+    "500 (1 - (4 h / 3 sqrt(h / D) - h + D / 3) / 5) with D = h + 5: 333 at h = 0, 347 at best.",
+    "spin": "The reward is at most 1 in each of the 500 steps, so 500 is a bound. It is not attainable: a jack that "
+    "starts at rest has to be hit to turn, and the box has to turn to hit it.",
+    "rattle": "The knock of a step is at most 1, so 500 is a bound. It is far off: a jack that flies at v0 crosses the "
+    "box in about a second.",
+}
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Evaluate all policies and write the page."""
+
+    episodes: int = 256
+    """Episodes of each policy."""
+    planner_episodes: int = 64
+    """Episodes of the planner, which takes some seconds for each."""
+    kept: Path = Path("runs/results")
+    """Folder of the rows that are evaluated already; made if there is none."""
+    out: Path = Path("docs")
+    """Folder for results.md and results.json."""
+
+
+def interquartile_mean(returns: NDArray[np.float64], axis: int = -1) -> Any:
+    """Mean of the middle half."""
+    from scipy.stats import trim_mean
+
+    return trim_mean(returns, 0.25, axis=axis)
+
+
+def measured(task: str, contact: str, name: str, episodes: int) -> dict[str, Any]:
+    """One row: returns, the interquartile mean with its bootstrap interval, seconds for an episode."""
+    from scipy.stats import bootstrap
+
+    from agents.evaluation import evaluate, find_policy
+
+    settings = EnvSettings(task=task, contact=contact)
+    policy, more = find_policy(name, settings, SEED)
+    began = time.perf_counter()
+    row = evaluate(name, policy, {**settings.env_settings, **more}, episodes, SEED, progress=True)
+    taken = time.perf_counter() - began
+    returns = np.array(row.returns)
+    found = bootstrap(
+        (returns,), interquartile_mean, n_resamples=RESAMPLES, method="percentile", rng=np.random.default_rng(0)
+    )
+    return {
+        "task": task,
+        "contact": contact,
+        **row.as_json(),
+        "iqm": float(interquartile_mean(returns)),
+        "iqm_interval_95": [float(end) for end in found.confidence_interval],
+        "seconds_per_episode": taken / episodes,
+    }
+
+
+def page(record: dict[str, Any]) -> str:
+    """The page, from what was measured."""
+    rows = record["rows"]
+    best = {row["policy"]: row for row in rows if row["task"] == "juggle" and row["contact"] == "exact"}
+    lines = [
+        "# What the policies earn",
+        "",
+        f"On juggle the planner earns {best['planner']['mean']:.0f} of at most 347, the trained network "
+        f"{best['ppo']['mean']:.0f}, a law that holds the box level {best['level']['mean']:.0f}.",
+        "",
+        "`ppo` is the network in `agents/trained`, which needs no training first. `planner` plays many torques ahead "
+        "by the exact model. `chirp` is the scene's own drive. `zero` is no torque.",
+    ]
+    for task in TASKS:
+        lines += ["", f"## {task}", "", ATTAINABLE[task], ""]
+        lines += [
+            "| policy | contact | mean return | 95 % interval | interquartile mean | 95 % interval | episodes |",
+            "|---|---|---:|:---:|---:|:---:|---:|",
+        ]
+        for row in (row for row in rows if row["task"] == task):
+            (low, high), (iqm_low, iqm_high) = row["interval_95"], row["iqm_interval_95"]
+            lines.append(
+                f"| {row['policy']} | {row['contact']} | {row['mean']:.1f} | {low:.1f} to {high:.1f} "
+                f"| {row['iqm']:.1f} | {iqm_low:.1f} to {iqm_high:.1f} | {row['episodes']} |"
+            )
+    lines += ["", "## How it was measured", ""]
+    lines += [
+        f"`make results` evaluates whole episodes of 10 s from starts that no training has seen (seed {SEED}). The "
+        "first interval is that of the mean, 1.96 standard errors to each side. The interquartile mean leaves out the "
+        f"best and the worst quarter; its interval is scipy's percentile bootstrap with {RESAMPLES} resamples. One row "
+        "again:",
+        "",
+        "```sh",
+        f"python scripts/evaluate.py --task juggle --contact exact --policy ppo --episodes 256 --seed {SEED}",
+        "```",
+        "",
+        f"Measured on {record['machine']}, commit {record['versions']['commit']}.",
+        "",
+        "The networks are from these runs, one seed each:",
+        "",
+        "| task | steps, each an action held for 4 control steps | network |",
+        "|---|---:|---|",
+    ]
+    for task, settings in record["trained"].items():
+        units = " x ".join(map(str, settings["hidden_units"]))
+        lines.append(f"| {task} | {settings['total_steps']:,} | {units} |")
+    lines += ["", "`agents/trained/<task>-ppo/settings.json` holds all settings of a run, for `scripts/train.py`.", ""]
+    return "\n".join(lines)
+
+
+@command_line
+def main() -> None:
+    """Parse, evaluate what is missing, write the page."""
+    arguments = tyro.cli(Arguments, description=__doc__)
+    from agents.network import SHIPPED
+    from agents.runs import machine, versions
+    from agents.storage import write_bytes, write_json
+    from jackbox_env import _validation as check
+
+    for name in ("episodes", "planner_episodes"):
+        check.whole(name, getattr(arguments, name), at_least=4)
+    arguments.kept.mkdir(parents=True, exist_ok=True)
+    rows = []
+    for task in TASKS:
+        for contact in CONTACTS:
+            for name in POLICIES:
+                episodes = arguments.planner_episodes if name == "planner" else arguments.episodes
+                file = arguments.kept / f"{task}-{contact}-{name}-{episodes}.json"
+                if not file.exists():
+                    write_json(file, measured(task, contact, name, episodes))
+                rows.append(json.loads(file.read_text()))
+                print(f"{task}, {contact}, {name}: {rows[-1]['mean']:.1f}", flush=True)
+    trained = {task: json.loads((SHIPPED / f"{task}-ppo" / "settings.json").read_text()) for task in TASKS}
+    record = {"rows": rows, "machine": machine(), "versions": versions(), "trained": trained}
+    write_bytes(arguments.out / "results.md", page(record).encode())
+    for row in rows:
+        del row["returns"]
+    write_bytes(arguments.out / "results.json", (json.dumps(record, indent=1) + "\n").encode())
+    print(f"Written: {arguments.out / 'results.md'}")
+
+
+if __name__ == "__main__":
+    main()
