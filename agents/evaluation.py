@@ -98,9 +98,7 @@ def find_policy(name: str, settings: EnvSettings, seed: int, trust: bool = False
         return Baseline(read_policy(shipped), {})
     if not Path(name).exists():
         known = ", ".join((*BASELINES, "planner", *shipped_names(settings.task)))
-        raise FileNotFoundError(
-            f"a policy for {settings.task} must be one of {known}, or a run folder or model file, got {name!r}"
-        )
+        raise FileNotFoundError(f"a policy must be one of {known}, or a run folder or model file, got {name!r}")
     if (Path(name) / WEIGHTS).is_file():
         return Baseline(read_policy(Path(name)), {})
     return Baseline(load_model(Path(name), trust), {})

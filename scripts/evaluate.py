@@ -1,4 +1,4 @@
-"""Evaluate policies on JackInBox-v0: baselines and the planner by name, trained models by run folder or file."""
+"""Evaluate policies on JackInBox-v0: baselines, the planner and shipped networks by name, others by run folder."""
 
 from __future__ import annotations
 
@@ -20,8 +20,9 @@ class Arguments:
     settings: Annotated[EnvSettings, tyro.conf.arg(name="")]
     policy: tuple[str, ...] = ("random", "chirp", "zero", "level")
     """random: uniform torques; chirp: the scene's drive; zero: no torque; level: a PD law that holds the box level;
-    planner: plays many torques ahead by the exact model, some 2 s of computing for each episode; or run folders or
-    model files. All act in the environment given here, whatever they were trained in."""
+    planner: plays many torques ahead by the exact model, some 2 s of computing for each episode; ppo: the network of
+    the task in agents/trained; or run folders, exported policies or model files. All act in the environment given here,
+    whatever they were trained in."""
     episodes: int = 128
     """Episodes of each policy."""
     seed: int = 0
