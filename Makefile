@@ -77,7 +77,7 @@ transfer-loss: .venv/ready
 	@$(BIN)/python scripts/studies/transfer/transfer.py --tasks juggle --fidelities balanced exact --seeds 5 \
 		--long-episodes 64 --restitution 0.9 --out docs
 
-# What every policy earns, docs/results.md; goes on where it was interrupted. The planner takes most of its 20 minutes.
+# What every policy earns, docs/results.md; goes on where it was interrupted. The planner takes most of its 15 minutes.
 results: .venv/ready
 	@$(BIN)/python scripts/studies/results.py
 

@@ -87,6 +87,12 @@ def _best_or_last(folder: Path) -> Path:
     return there[-1] if there else folder
 
 
+def run_folder(file: Path) -> Path | None:
+    """The run folder that a model file is in, or that it is; None if there is none."""
+    folders = (file, *file.parents[:2])
+    return next((folder for folder in folders if (folder / SETTINGS).is_file()), None)
+
+
 def load_model(path: Path, trust: bool = False) -> HoldingPPO:
     """Load a run folder's best model (else its last), or the model file in a run folder.
 
@@ -108,7 +114,7 @@ def load_model(path: Path, trust: bool = False) -> HoldingPPO:
         file = _best_or_last(path)
     if not file.is_file():
         raise FileNotFoundError(f"{path} holds no model: best_model.zip or model.zip was looked for")
-    folder = next((parent for parent in file.parents[:2] if (parent / SETTINGS).is_file()), None)
+    folder = run_folder(file)
     if folder is None and trust:
         return HoldingPPO.load(file, device="cpu")
     if folder is None:

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.playing import starting, ten_numbers
 from agents.policies import Actions
 from jackbox_env import Scene, Task
 from jackbox_env.observation import state_of
@@ -66,7 +67,7 @@ class Planner:
         Raises:
             ValueError: a state of another number of environments.
         """
-        rows = np.atleast_2d(np.asarray(observation, dtype=np.float64))
+        rows = ten_numbers(observation).astype(np.float64)
         count = len(rows)
         if state is not None and len(state.steps) != count:
             raise ValueError(f"state must be that of {count} environments, as observation is, got {len(state.steps)}")
@@ -74,7 +75,7 @@ class Planner:
             state = Planning(np.zeros(count, dtype=np.int64), self._search.begin(count), np.zeros(count))
         steps, plans, actions = state.steps.copy(), state.plans, state.actions.copy()
         if episode_start is not None:
-            new = np.flatnonzero(np.broadcast_to(episode_start, count))
+            new = starting(episode_start, count)
             steps[new], plans = 0, plans.replaced(new, self._search.begin(len(new)))
         due = np.flatnonzero(steps % self._search.piece == 0)
         if len(due):

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from agents.settings import TrainSettings
 from jackbox_env import Scene
 from jackbox_env.lookahead import Futures, make_futures
+from jackbox_env.observation import BOUNDS
 from jackbox_env.plans import Plans
 
 
@@ -46,6 +47,30 @@ def manner_of(settings: TrainSettings) -> Manner:
     return Manner(settings.hold, futures, Scene.of(settings.scene_fields))
 
 
+def ten_numbers(observation: Any) -> NDArray[Any]:
+    """Observations of JackInBox-v0 as rows, shape (n, 10).
+
+    Raises:
+        ValueError: another shape.
+    """
+    rows = np.atleast_2d(np.asarray(observation))
+    if rows.ndim != 2 or rows.shape[1:] != BOUNDS.shape:
+        raise ValueError(f"observation must have shape (n, 10) or (10,), got {np.shape(observation)}")
+    return rows
+
+
+def starting(episode_start: Any, count: int) -> NDArray[np.int64]:
+    """Where an episode starts, as numbers of environments.
+
+    Raises:
+        ValueError: ``episode_start`` is not of so many environments.
+    """
+    starts = np.asarray(episode_start, dtype=np.bool_)
+    if starts.shape not in ((), (1,), (count,)):
+        raise ValueError(f"episode_start must have shape ({count},), as there are observations, got {starts.shape}")
+    return np.flatnonzero(np.broadcast_to(starts, count))
+
+
 def play(
     manner: Manner, choose: Callable[[NDArray[Any]], NDArray[Any]], observation: Any, state: Playing | None,
     episode_start: Any,
@@ -63,7 +88,7 @@ def play(
     Raises:
         ValueError: a state of another number of environments.
     """
-    rows, futures = np.atleast_2d(observation), manner.futures
+    rows, futures = ten_numbers(observation), manner.futures
     count = len(rows)
     if state is None:
         plans = futures.begin(count) if futures else None
@@ -72,7 +97,7 @@ def play(
         raise ValueError(f"state must be that of {count} environments, as observation is, got {len(state.left)}")
     actions, left, plans = state.actions.copy(), state.left.copy(), state.plans
     if episode_start is not None:
-        new = np.flatnonzero(np.broadcast_to(episode_start, left.shape))
+        new = starting(episode_start, count)
         left[new] = 0
         if futures and plans:
             plans = plans.replaced(new, futures.begin(len(new)))

@@ -33,7 +33,7 @@ _AHEAD = 3  # torques of the plan that are shown
 _MOST_REWARD = 10.0  # mean rewards are clipped there
 _MOST_DEVIATION = 5.0
 _LEAST = 1e-9  # deviation of returns that counts as none
-_MOST_TURNS, _MOST_SAMPLES, _MOST_PIECES = 999, 100_000, 10_000
+_MOST_HELD, _MOST_TURNS, _MOST_SAMPLES, _MOST_PIECES = 1000, 999, 100_000, 10_000
 _HALF_TURN = 2  # pieces of a scripted turn that speed the box up, and as many that stop it
 
 
@@ -59,7 +59,7 @@ class Futures:
         self, task: str | Task, control_dt: float, *, hold: int, turns: int, samples: int, pieces: int,
         follow: bool, seed: int = 0, num_threads: int | None = None,
     ) -> None:  # fmt: skip
-        self.hold = check.whole("hold", hold, at_least=1)
+        self.hold = check.whole("hold", hold, at_least=1, at_most=_MOST_HELD)
         self.turns = check.whole("turns", turns, at_least=0, at_most=_MOST_TURNS)
         if self.turns % 2 == 0 and self.turns:
             raise ValueError(f"turns must be odd, for the middle one is no turn, or 0, got {self.turns}")
@@ -96,7 +96,7 @@ class Futures:
         Raises:
             TypeError: it is not the observation of ``JackInBox-v0``.
         """
-        if not isinstance(seen, gym.spaces.Box) or seen.shape != BOUNDS.shape:
+        if not isinstance(seen, gym.spaces.Box) or seen != gym.spaces.Box(-BOUNDS, BOUNDS):
             raise TypeError(f"looking ahead needs the ten numbers of JackInBox-v0, got observations in {seen}")
         low, high = np.concatenate([seen.low, self.low]), np.concatenate([seen.high, self.high])
         return gym.spaces.Box(low, high, dtype=np.float32)
@@ -109,11 +109,18 @@ class Futures:
         """The actions that an environment is given, for those of an agent that has ``seen`` what was appended.
 
         Shapes (n, 1) and (n, 10 + F), or (1,) and (10 + F,).
+
+        Raises:
+            TypeError, ValueError: actions that are no numbers, or of another shape.
         """
         if not self.follow:
             return actions
         planned = seen[..., -_AHEAD : seen.shape[-1] - _AHEAD + 1]
-        return np.clip(np.asarray(actions, dtype=np.float32).reshape(planned.shape) + planned, -1.0, 1.0)
+        given = check.array("actions", actions, "hold numbers (clipped to [-1, 1])")
+        if given.shape not in (planned.shape, planned.shape[:-1]):
+            raise ValueError(f"actions must have shape {planned.shape} or {planned.shape[:-1]}, got {given.shape}")
+        corrections = np.clip(given.astype(np.float32).reshape(planned.shape), -1.0, 1.0)
+        return np.clip(corrections + planned, -1.0, 1.0)
 
     def look(self, scenes: list[Scene], observations: Floats, plans: Plans) -> tuple[Floats, Plans]:
         """Return what is appended to observations, shape (n, 10): float32, (n, F); and the plans of the next look.
@@ -243,60 +250,86 @@ class Lookahead(gym.Wrapper[Any, Any, Any, Any]):
             seed=seed, num_threads=num_threads,
         )  # fmt: skip
         self.observation_space = self.futures.space(env.observation_space)
-        self._plans = self.futures.begin(1)
+        self._carried = Carried(self.futures, 1)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
         """Start an episode, with a plan of no torque that is then improved."""
         observation, info = self.env.reset(seed=seed, options=options)
-        return self._seen(observation, self.futures.begin(1)), info
+        self._carried.start(np.ones(1, dtype=np.bool_))
+        return self._seen(observation), info
 
     def step(self, action: Any) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
-        """Take an action for ``hold`` control steps, fewer where the episode ends; the info is that of the last."""
-        total, torque = 0.0, self.futures.torques(action, self._last)
+        """Take an action for ``hold`` control steps, fewer where the episode ends; the info is that of the last.
+
+        Raises:
+            JackLostError: the jack, or one in a future, cannot be followed. Reset before the next step.
+        """
+        total, torque = 0.0, self._carried.torques(action, alone=True)
         for _ in range(self.futures.hold):
             observation, reward, terminated, truncated, info = self.env.step(torque)
             total += float(reward)
             if terminated or truncated:
                 break
-        return self._seen(observation, self._plans), total, terminated, truncated, info
+        return self._seen(observation), total, terminated, truncated, info
 
-    def _seen(self, observation: Floats, plans: Plans) -> Floats:
+    def _seen(self, observation: Floats) -> Floats:
         inner: Any = self.env.unwrapped
-        appended, self._plans = self.futures.look([inner.scene], observation[None], plans)
-        self._last: Floats = np.concatenate([observation, appended[0]])
-        return self._last.copy()
+        seen: Floats = self._carried.seen([inner.scene], observation[None])[0]
+        return seen
 
 
 class Carried:
-    """The plans of N environments side by side, and what those see who carry them on."""
+    """The plans of N environments side by side, and what those see who carry them on.
+
+    After :meth:`torques` the next call must be :meth:`seen`. If a step fails in between, only a reset leads on.
+    """
 
     def __init__(self, futures: Futures, count: int) -> None:
         self.futures = futures
         self._plans, self._anew = futures.begin(count), np.ones(count, dtype=np.bool_)
-        self._last: Floats = np.zeros((count, 0), dtype=np.float32)
+        self._last: Floats | None = None  # what was seen last, (N, 10 + F)
 
     def start(self, chosen: Flags) -> None:
         """The next observations of the ``chosen`` environments, shape (N,), are of an episode's start."""
         self._anew = self._anew | chosen
 
-    def seen(self, scenes: list[Scene], observations: Floats) -> Floats:
-        """Observations, shape (N, 10), with what is appended; the plans are carried on."""
-        new = np.flatnonzero(self._anew)
-        plans = self._plans.replaced(new, self.futures.begin(len(new)))
-        appended, self._plans = self.futures.look(scenes, observations, plans)
-        self._anew = np.zeros(len(observations), dtype=np.bool_)
-        self._last = np.concatenate([observations, appended], axis=1)
-        return self._last.copy()
+    def seen(self, scenes: list[Scene], observations: Floats, chosen: Flags | None = None) -> Floats:
+        """Observations, shape (N, 10), with what is appended; the plans are carried on.
 
-    def torques(self, actions: Any) -> Any:
-        """What the environments are given for actions, shape (N, 1)."""
-        return self.futures.torques(actions, self._last)
+        Only those of the ``chosen`` environments, shape (N,), if it is given; the others show what they showed.
+        """
+        count = len(observations)
+        if chosen is None or self._last is None:
+            chosen = np.ones(count, dtype=np.bool_)
+            self._last = np.zeros((count, observations.shape[1] + len(self.futures.high)), dtype=np.float32)
+        new, numbers = np.flatnonzero(self._anew), np.flatnonzero(chosen)
+        plans = self._plans.replaced(new, self.futures.begin(len(new)))
+        own = [scenes[number] for number in numbers.tolist()] if len(scenes) > 1 else scenes
+        last, self._last = self._last, None
+        appended, carried_on = self.futures.look(own, observations[numbers], plans.of(numbers))
+        self._plans, self._anew = plans.replaced(numbers, carried_on), np.zeros(count, dtype=np.bool_)
+        last[numbers] = np.concatenate([observations[numbers], appended], axis=1)
+        self._last = last
+        return last.copy()
 
     def last_seen(self, scenes: list[Scene], observations: Floats, numbers: NDArray[np.int64]) -> Floats:
         """The last observations of some environments' episodes, shape (k, 10), with what is appended."""
         own = [scenes[number] for number in numbers.tolist()] if len(scenes) > 1 else scenes
         appended, _ = self.futures.look(own, observations, self._plans.of(numbers))
         return np.concatenate([observations, appended], axis=1)
+
+    def torques(self, actions: Any, alone: bool = False) -> Any:
+        """What the environments are given for actions, shape (N, 1), or (1,) for one that is ``alone``.
+
+        Raises:
+            RuntimeError: there was no reset yet, or none since a step failed.
+            TypeError, ValueError: unusable actions.
+        """
+        if self._last is None:
+            raise RuntimeError("step must come after a reset, got none yet or none since a step failed")
+        torques = self.futures.torques(actions, self._last[0] if alone else self._last)
+        self._last = None
+        return torques
 
 
 class LookaheadVector(VectorWrapper):
@@ -328,8 +361,9 @@ class LookaheadVector(VectorWrapper):
         self._same_step = mode is AutoresetMode.SAME_STEP
         if not self._same_step and hold != 1:
             raise ValueError(f"hold must be 1 where autoreset_mode is not SAME_STEP, got {check.shown(hold)}")
+        task, control_dt = only_one("task", self._of_each("task")), only_one("control_dt", self._of_each("control_dt"))
         futures = Futures(
-            self._of_each("task")[0], self._of_each("control_dt")[0], hold=hold, turns=turns, samples=samples,
+            task, control_dt, hold=hold, turns=turns, samples=samples,
             pieces=pieces, follow=follow, seed=seed, num_threads=num_threads,
         )  # fmt: skip
         self.single_observation_space = futures.space(env.single_observation_space)
@@ -350,23 +384,24 @@ class LookaheadVector(VectorWrapper):
         """Start an episode in each environment, or in those of ``options["reset_mask"]``."""
         mask = (options or {}).get("reset_mask")
         observations, infos = self.env.reset(seed=seed, options=options)
-        self._carried.start(np.ones(self.num_envs, dtype=np.bool_) if mask is None else np.asarray(mask))
-        return self._carried.seen(self._of_each("scene"), observations), infos
+        chosen = np.ones(self.num_envs, dtype=np.bool_) if mask is None else np.asarray(mask)
+        self._carried.start(chosen)
+        return self._carried.seen(self._of_each("scene"), observations, chosen), infos
 
     def step(self, actions: Any) -> tuple[Floats, Array, Flags, Flags, dict[str, Any]]:
         """Take actions, shape (N, 1), for ``hold`` control steps and sum up the rewards; infos are of the last one.
 
         Raises:
             RuntimeError: an episode ended before the last of these steps.
+            JackLostError: a jack, or one in a future, cannot be followed. After either, reset before the next step.
         """
         total, hold = np.zeros(self.num_envs), self._carried.futures.hold
-        torques = self._carried.torques(actions)
+        torques, scenes = self._carried.torques(actions), self._of_each("scene")
         for taken in range(1, hold + 1):
             observations, rewards, terminations, truncations, infos = self.env.step(torques)
             total += rewards
             over = terminations | truncations
             refuse_early_end(over, taken, hold)
-        scenes = self._of_each("scene")
         if self._same_step and over.any():
             numbers = np.flatnonzero(over)
             final = infos["final_obs"].copy()
@@ -376,10 +411,21 @@ class LookaheadVector(VectorWrapper):
                 final[number] = row
             infos = {**infos, "final_obs": final}
             self._carried.start(over)
-        seen = self._carried.seen(scenes, observations)
+        seen = self._carried.seen(self._of_each("scene"), observations)
         if not self._same_step:
             self._carried.start(over)  # the next step shows the start
         return seen, total, terminations, truncations, infos
+
+
+def only_one(name: str, found: list[Any]) -> Any:
+    """The value that all environments have.
+
+    Raises:
+        ValueError: they have several.
+    """
+    if any(value is not found[0] and value != found[0] for value in found):
+        raise ValueError(f"all environments must have one {name}, got {check.shown(found)}")
+    return found[0]
 
 
 def refuse_early_end(over: Flags, taken: int, hold: int) -> None:

@@ -2,7 +2,7 @@
 
 iCEM, the improved cross-entropy method (Pinneri et al. 2020, arXiv:2008.06389): coloured noise around the last plan,
 the best candidates make the next mean, some of them are kept. All that are due are played in one
-:func:`jackbox_env.rollout`.
+:func:`jackbox_env.rollout`. A candidate that cannot be followed raises JackLostError.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from jackbox_env import _validation as check
 from jackbox_env.planning import rollout
 from jackbox_env.scene import Scene
 from jackbox_env.states import Array
-from jackbox_env.tasks import Task
+from jackbox_env.tasks import Task, task_of
 
 _COLOUR = 2.0  # the noise's power falls with this power of the frequency
 _SPREAD = 0.5  # standard deviation of the first candidates, in torque limits
@@ -74,14 +74,14 @@ class Search:
         self, task: str | Task, control_dt: float, *, piece: int, pieces: int, samples: int, elites: int,
         iterations: int, seed: int = 0, num_threads: int | None = None,
     ) -> None:  # fmt: skip
-        self.task, self.control_dt = task, check.real("control_dt", control_dt, above=0.0)
+        self.task, self.control_dt = task_of(task, "task"), check.real("control_dt", control_dt, above=0.0)
         self.piece = check.whole("piece", piece, at_least=1)
         self.pieces = check.whole("pieces", pieces, at_least=2)
         self.samples = check.whole("samples", samples, at_least=2)
         self.elites = check.whole("elites", elites, at_least=1, at_most=samples)
         self.iterations = check.whole("iterations", iterations, at_least=1)
         self.seed = check.whole("seed", seed, at_least=0)
-        self.num_threads = num_threads
+        self.num_threads = None if num_threads is None else check.whole("num_threads", num_threads, at_least=1)
         self.again = min(max(1, round(_KEPT * elites)), samples - 1)
 
     def begin(self, count: int) -> Plans:

@@ -10,7 +10,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from jackbox_env import _validation as check
-from jackbox_env.lookahead import Carried, Futures, refuse_early_end
+from jackbox_env.lookahead import Carried, Futures, only_one, refuse_early_end
 
 
 class HoldingVecEnv(VecEnvWrapper):
@@ -26,7 +26,7 @@ class HoldingVecEnv(VecEnvWrapper):
 
     def __init__(self, venv: VecEnv, hold: int) -> None:
         super().__init__(venv)
-        self.hold = hold
+        self.hold = check.whole("hold", hold, at_least=1)
         self._actions: NDArray[Any] = np.zeros((self.num_envs, 1), dtype=np.float32)
 
     def reset(self) -> Any:
@@ -74,7 +74,7 @@ class LookaheadVecEnv(HoldingVecEnv):
         follow: bool = False, seed: int = 0, num_threads: int | None = None,
     ) -> None:  # fmt: skip
         try:
-            task, control_dt = (venv.get_attr(name, [0])[0] for name in ("task", "control_dt"))
+            task, control_dt = (only_one(name, venv.get_attr(name)) for name in ("task", "control_dt"))
         except AttributeError as error:
             raise TypeError(f"looking ahead needs JackInBox-v0, got {check.shown(venv)}") from error
         super().__init__(venv, hold)
@@ -100,12 +100,14 @@ class LookaheadVecEnv(HoldingVecEnv):
 
         Raises:
             RuntimeError: an episode ended before the last of these steps.
+            JackLostError: a jack, or one in a future, cannot be followed. After either, reset before the next step.
         """
+        scenes = self.venv.get_attr("scene")  # those of the episodes that may end now
         observations, rewards, dones, infos = super().step_wait()
-        scenes, ended = self.venv.get_attr("scene"), np.flatnonzero(dones)
+        ended = np.flatnonzero(dones)
         if len(ended):
             last = np.stack([infos[number]["terminal_observation"] for number in ended.tolist()])
             for number, row in zip(ended.tolist(), self._carried.last_seen(scenes, last, ended), strict=True):
                 infos[number] = {**infos[number], "terminal_observation": row}
             self._carried.start(dones)
-        return self._carried.seen(scenes, observations), rewards, dones, infos  # type: ignore[arg-type]
+        return self._carried.seen(self.venv.get_attr("scene"), observations), rewards, dones, infos  # type: ignore[arg-type]

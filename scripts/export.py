@@ -24,12 +24,12 @@ class Arguments:
 def main() -> None:
     """Parse, convert, write."""
     arguments = tyro.cli(Arguments, description=__doc__)
-    from agents.models import load_model
+    from agents.models import load_model, run_folder
     from agents.network import WEIGHTS, layers_of, write_policy
     from agents.runs import new_folder, read_settings
 
-    settings = read_settings(arguments.run if arguments.run.is_dir() else arguments.run.parent)
     layers = layers_of(load_model(arguments.run))
+    settings = read_settings(run_folder(arguments.run) or arguments.run)
     folder = new_folder(arguments.folder, "export", lambda made: write_policy(made, settings, layers))
     size = (folder / WEIGHTS).stat().st_size
     print(f"Written: {folder} ({size / 1000:.0f} kB of weights)")

@@ -57,9 +57,9 @@ PACKAGE = """
 """
 AGENTS = """
     policies preview storage archives timing
-    planner settings extractor
+    settings extractor
     playing
-    holding
+    planner holding
     trajectory runs film checkpoints
     models network
     best evaluation

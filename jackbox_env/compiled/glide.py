@@ -120,7 +120,7 @@ def look_at_walls(dt: float, block: Block) -> None:
         x[j], y[j], vx[j], vy[j] = x[k], y[k], vx[k], vy[k]
         cosine[j], omega[j], alpha[j] = before[2, k], before[8, k], abs(lanes[TURNING, k])
         room[j], pull[j] = scenes[ROOM, k], scenes[FALL, k] / dt
-        off[j] = 1.0 if is_ordinary(before[:, k], scenes[ORDINARY, k]) else 0.0
+        off[j] = 1.0 if is_ordinary(before[:, k], scenes[ORDINARY, k]) and alpha[j] < STEEPEST else 0.0
     for j in range(count):
         cosine[j], sine[j] = cos_sin_within(cosine[j])
     for j in range(count):

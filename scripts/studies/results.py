@@ -39,10 +39,10 @@ class Arguments:
 
     episodes: int = 256
     """Episodes of each policy."""
-    planner_episodes: int = 64
+    planner_episodes: int = 32
     """Episodes of the planner, which takes some seconds for each."""
     kept: Path = Path("runs/results")
-    """Folder of the rows that are evaluated already; made if there is none."""
+    """Folder of the rows that are evaluated already, which are not evaluated again; made if there is none."""
     out: Path = Path("docs")
     """Folder for results.md and results.json."""
 
@@ -59,6 +59,7 @@ def measured(task: str, contact: str, name: str, episodes: int) -> dict[str, Any
     from scipy.stats import bootstrap
 
     from agents.evaluation import evaluate, find_policy
+    from agents.runs import machine, versions
 
     settings = EnvSettings(task=task, contact=contact)
     policy, more = find_policy(name, settings, SEED)
@@ -76,6 +77,8 @@ def measured(task: str, contact: str, name: str, episodes: int) -> dict[str, Any
         "iqm": float(interquartile_mean(returns)),
         "iqm_interval_95": [float(end) for end in found.confidence_interval],
         "seconds_per_episode": taken / episodes,
+        "commit": versions()["commit"],
+        "machine": machine(),
     }
 
 
@@ -115,16 +118,17 @@ def page(record: dict[str, Any]) -> str:
         f"python scripts/evaluate.py --task juggle --contact exact --policy ppo --episodes 256 --seed {SEED}",
         "```",
         "",
-        f"Measured on {record['machine']}, commit {record['versions']['commit']}.",
+        f"Measured at {', '.join(sorted({row['commit'] for row in rows}))} on "
+        f"{'; '.join(sorted({row['machine'] for row in rows}))}.",
         "",
         "The networks are from these runs, one seed each:",
         "",
-        "| task | steps, each an action held for 4 control steps | network |",
-        "|---|---:|---|",
+        "| task | steps | control steps of each | network |",
+        "|---|---:|---:|---|",
     ]
     for task, settings in record["trained"].items():
         units = " x ".join(map(str, settings["hidden_units"]))
-        lines.append(f"| {task} | {settings['total_steps']:,} | {units} |")
+        lines.append(f"| {task} | {settings['total_steps']:,} | {settings['hold']} | {units} |")
     lines += ["", "`agents/trained/<task>-ppo/settings.json` holds all settings of a run, for `scripts/train.py`.", ""]
     return "\n".join(lines)
 
@@ -134,12 +138,13 @@ def main() -> None:
     """Parse, evaluate what is missing, write the page."""
     arguments = tyro.cli(Arguments, description=__doc__)
     from agents.network import SHIPPED
-    from agents.runs import machine, versions
     from agents.storage import write_bytes, write_json
     from jackbox_env import _validation as check
 
     for name in ("episodes", "planner_episodes"):
         check.whole(name, getattr(arguments, name), at_least=4)
+    if not arguments.out.is_dir():
+        raise FileNotFoundError(f"{arguments.out} is no folder to write results.md to")
     arguments.kept.mkdir(parents=True, exist_ok=True)
     rows = []
     for task in TASKS:
@@ -152,7 +157,7 @@ def main() -> None:
                 rows.append(json.loads(file.read_text()))
                 print(f"{task}, {contact}, {name}: {rows[-1]['mean']:.1f}", flush=True)
     trained = {task: json.loads((SHIPPED / f"{task}-ppo" / "settings.json").read_text()) for task in TASKS}
-    record = {"rows": rows, "machine": machine(), "versions": versions(), "trained": trained}
+    record = {"rows": rows, "trained": trained}
     write_bytes(arguments.out / "results.md", page(record).encode())
     for row in rows:
         del row["returns"]

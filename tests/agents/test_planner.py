@@ -99,7 +99,8 @@ def test_it_is_found_by_its_name_and_plans_in_the_environment_given() -> None:
     planner = find_policy("planner", settings, 7).policy
     assert isinstance(planner, Planner)
     search = planner._search
-    assert (planner._scene.gravity, search.task, search.piece, search.seed) == (3.0, "spin", 2, 7)
+    assert (planner._scene.gravity, search.piece, search.seed) == (3.0, 2, 7)
+    assert search.task.terms == ("spin",)
     assert Planner(Scene(drive=Drive(force_x=lambda t: t)))._scene.drive is None
 
 
@@ -116,6 +117,8 @@ def test_a_task_of_ones_own_is_planned_for() -> None:
         ({"elites": 300}, "elites must be a whole number from 1 to 256, got 300"),
         ({"pieces": 1}, "pieces must be a whole number >= 2, got 1"),
         ({"piece": 0}, "piece must be a whole number >= 1, got 0"),
+        ({"task": "fly"}, "task must be one of"),
+        ({"num_threads": 0}, "num_threads must be a whole number >= 1, got 0"),
         ({"control_dt": 0.0}, "control_dt must be a finite number above 0, got 0.0"),
     ],
 )

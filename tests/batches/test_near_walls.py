@@ -62,3 +62,16 @@ def test_where_float64_runs_out_of_places_it_says_what_a_single_one_says(place: 
         single.step(0.02, 0.0)
     with pytest.raises(JackLostError):
         env.step(np.zeros(3))
+
+
+def test_a_torque_that_is_too_steep_is_refused_as_by_a_single_one() -> None:
+    scene = Scene(gravity=0.0, torque_limit=1e50)
+    single = make_simulator(scene, "exact")
+    single.reset(np.zeros(12))
+    with pytest.raises(JackLostError):
+        single.step(0.02, 1e50)
+    env = JackInBoxVectorEnv(1, contact="exact", scene=scene)
+    env.reset(seed=0)
+    env.set_states(np.zeros(12), 0.0)
+    with pytest.raises(JackLostError):
+        env.step(np.ones(1))

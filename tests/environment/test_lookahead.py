@@ -172,14 +172,88 @@ def test_pymunk_and_single_environments_side_by_side_work_too() -> None:
         np.testing.assert_array_equal(env.step(np.zeros((2, 1)))[0], native.step(np.zeros((2, 1)))[0])
 
 
+def test_the_end_of_an_episode_is_seen_in_its_own_scene() -> None:
+    settings: dict[str, Any] = {"contact": "exact", "randomize": {"gravity": (1.0, 20.0), "box_half_width": (3.0, 9.0)}}
+    one = Lookahead(gym.make("JackInBox-v0", max_episode_steps=10, **settings), **SMALL)
+    made = {"max_episode_steps": 10, **settings}
+    vector = LookaheadVector(JackInBoxVectorEnv(1, autoreset_mode="SAME_STEP", **made), **SMALL)
+    several = LookaheadVecEnv(make_sb3_vec_env(1, **made), **SMALL)
+    one.reset(seed=3)
+    vector.reset(seed=3)
+    several.seed(3)
+    several.reset()
+    for _ in range(2):
+        seen = one.step(np.zeros(1))[0]
+        infos, infos_too = vector.step(np.zeros((1, 1)))[4], several.step(np.zeros((1, 1)))[3]
+    np.testing.assert_array_equal(infos["final_obs"][0], seen)
+    np.testing.assert_array_equal(infos_too[0]["terminal_observation"], seen)
+
+
+def test_a_reset_of_some_leaves_the_plans_of_the_others() -> None:
+    pair = [
+        LookaheadVector(JackInBoxVectorEnv(2, contact="exact", autoreset_mode="DISABLED"), hold=1, follow=True, **SMALL)
+        for _ in range(2)
+    ]
+    for env in pair:
+        env.reset(seed=[1, 2])
+        for _ in range(5):
+            last = env.step(np.zeros((2, 1)))[0]
+    shown = pair[0].reset(options={"reset_mask": np.array([True, False])})[0]
+    np.testing.assert_array_equal(shown[1], last[1])
+    assert not np.array_equal(shown[0], last[0])
+    for _ in range(3):
+        seen, plain = (env.step(np.zeros((2, 1)))[0] for env in pair)
+        np.testing.assert_array_equal(seen[1], plain[1])
+
+
+def test_after_a_step_that_failed_only_a_reset_leads_on() -> None:
+    early = LookaheadVecEnv(make_sb3_vec_env(2, contact="exact", max_episode_steps=7), **SMALL)
+    wild = single()
+    wild.reset(seed=0)
+    wild.env.unwrapped.set_state(np.array([0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1e30, 0]))  # type: ignore[attr-defined]
+    early.reset()
+    early.step(np.zeros((2, 1)))
+    with pytest.raises(RuntimeError, match="episodes must last a multiple"):
+        early.step(np.zeros((2, 1)))
+    with pytest.raises(RuntimeError):
+        wild.step(np.zeros(1))
+    for env, action in ((early, np.zeros((2, 1))), (wild, np.zeros(1)), (single(), np.zeros(1))):
+        with pytest.raises(RuntimeError, match="step must come after a reset, got none yet or none"):
+            env.step(action)
+        env.reset()
+        env.step(action)
+
+
+def test_actions_that_correct_a_plan_are_checked_and_clipped() -> None:
+    env = LookaheadVector(JackInBoxVectorEnv(3, contact="exact", autoreset_mode="SAME_STEP"), follow=True, **SMALL)
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=r"actions must have shape \(3, 1\) or \(3,\), got \(1, 3\)"):
+        env.step(np.zeros((1, 3)))
+    with pytest.raises(TypeError, match=r"actions must hold numbers \(clipped to \[-1, 1\]\), got None"):
+        env.step(None)
+    seen = env.step(np.full(3, 5.0))[0]
+    env.reset(seed=0)
+    np.testing.assert_array_equal(env.step(np.ones((3, 1)))[0], seen)
+
+
+def test_environments_of_several_tasks_are_refused() -> None:
+    made = [lambda task=task: gym.make("JackInBox-v0", task=task) for task in ("juggle", "spin")]
+    with pytest.raises(ValueError, match=r"all environments must have one task, got \['juggle', 'spin'\]"):
+        LookaheadVector(gym.vector.SyncVectorEnv(made), hold=1)
+    rescaled = gym.wrappers.RescaleObservation(gym.make("JackInBox-v0"), np.float32(0), np.float32(1))
+    with pytest.raises(TypeError, match="looking ahead needs the ten numbers of JackInBox-v0, got observations in"):
+        Lookahead(rescaled)
+
+
 @pytest.mark.parametrize(
     ("given", "sentence"),
     [
-        ({"hold": 0}, "hold must be a whole number >= 1, got 0"),
+        ({"hold": 0}, "hold must be a whole number from 1 to 1000, got 0"),
         ({"turns": 4}, "turns must be odd, for the middle one is no turn, or 0, got 4"),
         ({"turns": -1}, "turns must be a whole number from 0 to 999, got -1"),
         ({"samples": 3}, "samples must be at least 8, or 0 for no plan, got 3"),
         ({"pieces": 7}, "pieces must be a whole number from 8 to 10000, got 7"),
+        ({"num_threads": 0}, "num_threads must be a whole number >= 1, got 0"),
         ({"follow": True, "samples": 0}, "follow needs a plan to follow, got samples = 0"),
     ],
 )
