@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import time
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +16,20 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from agents.settings import EnvSettings
+from agents.settings import EPISODE_STEPS, EnvSettings
+from jackbox_env import Chirp, JackInBoxVectorEnv, Scene
 from jackbox_env.tasks import TASKS
 from scripts.common import command_line
 
-POLICIES = ("zero", "level", "chirp", "ppo", "planner")
+POLICIES = ("zero", "level", "chirp", "best chirp", "ppo", "planner")
 CONTACTS = ("exact", "pymunk")
 SEED = 1
 RESAMPLES = 2000
+# The chirps that the best one of a task is chosen from: amplitudes over the torque's limit, Hz, Hz/s.
+AMPLITUDES = tuple(sign * share for share in (0.1, 0.2, 0.4, 0.7, 1.0) for sign in (1.0, -1.0))
+FREQUENCIES = (0.05, 0.1, 0.2, 0.3, 0.5, 0.8, 1.2, 2.0)
+RATES = (0.0, 0.03, 0.1, 0.3, 0.9)
+STARTS = 32  # of each chirp, the same for all, others than those of the evaluation
 ATTAINABLE = {
     "juggle": "A jack that bounces upright without spin, its highest point h above the box's middle, earns "
     "500 (1 - (4 h / 3 sqrt(h / D) - h + D / 3) / 5) with D = h + 5: 333 at h = 0, 347 at best.",
@@ -31,6 +38,15 @@ ATTAINABLE = {
     "rattle": "The knock of a step is at most 1, so 500 is a bound. It is far off: a jack that flies at v0 crosses the "
     "box in about a second.",
 }
+
+
+BEST = "exact", "best chirp"
+CHIRPS = (
+    f"Amplitudes of {', '.join(f'{share:g}' for share in AMPLITUDES if share > 0)} of the torque's limit, of either "
+    f"sign, first frequencies from {FREQUENCIES[0]:g} to {FREQUENCIES[-1]:g} Hz and rates from {RATES[0]:g} to "
+    f"{RATES[-1]:g} Hz/s are tried on the exact model, from {STARTS} starts each. The best of them is then evaluated "
+    "as all others are."
+)
 
 
 @dataclass(frozen=True)
@@ -54,6 +70,34 @@ def interquartile_mean(returns: NDArray[np.float64], axis: int = -1) -> Any:
     return trim_mean(returns, 0.25, axis=axis)
 
 
+def chirps() -> list[dict[str, float]]:
+    """The fields of all chirps that are tried."""
+    limit = Scene().torque_limit
+    return [
+        {"amplitude": share * limit, "start_frequency": frequency, "rate": rate}
+        for share, frequency, rate in product(AMPLITUDES, FREQUENCIES, RATES)
+    ]
+
+
+def returns_of(task: str, tried: list[dict[str, float]], starts: int, seed: int) -> NDArray[np.float64]:
+    """What chirps earn on the exact model, shape (chirps, starts), all from the same starts."""
+    scenes = [Scene(drive=Chirp(**fields)) for fields in tried for _ in range(starts)]
+    env = JackInBoxVectorEnv(len(scenes), scene=scenes, contact="exact", task=task, torque="chirp")
+    env.reset(seed=[seed + start for _ in tried for start in range(starts)])
+    total = np.zeros(len(scenes))
+    for _ in range(EPISODE_STEPS):
+        total += env.step(None)[1]
+    return total.reshape(len(tried), starts)
+
+
+def best_chirp(task: str) -> dict[str, float]:
+    """The chirp of the sweep that earns most on a task."""
+    from agents.models import derived_seed
+
+    tried = chirps()
+    return tried[int(returns_of(task, tried, STARTS, derived_seed("chirps", SEED)).mean(axis=1).argmax())]
+
+
 def measured(task: str, contact: str, name: str, episodes: int) -> dict[str, Any]:
     """One row: returns, the interquartile mean with its bootstrap interval, seconds for an episode."""
     from scipy.stats import bootstrap
@@ -62,7 +106,10 @@ def measured(task: str, contact: str, name: str, episodes: int) -> dict[str, Any
     from agents.runs import machine, versions
 
     settings = EnvSettings(task=task, contact=contact)
-    policy, more = find_policy(name, settings, SEED)
+    policy, more = find_policy("chirp" if name == "best chirp" else name, settings, SEED)
+    drive = best_chirp(task) if name == "best chirp" else None
+    if drive is not None:
+        more = {**more, "scene": {"drive": drive}}
     began = time.perf_counter()
     row = evaluate(name, policy, {**settings.env_settings, **more}, episodes, SEED, progress=True)
     taken = time.perf_counter() - began
@@ -76,6 +123,7 @@ def measured(task: str, contact: str, name: str, episodes: int) -> dict[str, Any
         **row.as_json(),
         "iqm": float(interquartile_mean(returns)),
         "iqm_interval_95": [float(end) for end in found.confidence_interval],
+        "drive": drive,
         "seconds_per_episode": taken / episodes,
         "commit": versions()["commit"],
         "machine": machine(),
@@ -93,7 +141,8 @@ def page(record: dict[str, Any]) -> str:
         f"{best['ppo']['mean']:.0f}, a law that holds the box level {best['level']['mean']:.0f}.",
         "",
         "`ppo` is the network in `agents/trained`, which needs no training first. `planner` plays many torques ahead "
-        "by the exact model. `chirp` is the scene's own drive. `zero` is no torque.",
+        "by the exact model. `chirp` is the scene's own drive, `best chirp` the best of "
+        f"{len(AMPLITUDES) * len(FREQUENCIES) * len(RATES)} others. `zero` is no torque.",
     ]
     for task in TASKS:
         lines += ["", f"## {task}", "", ATTAINABLE[task], ""]
@@ -107,6 +156,18 @@ def page(record: dict[str, Any]) -> str:
                 f"| {row['policy']} | {row['contact']} | {row['mean']:.1f} | {low:.1f} to {high:.1f} "
                 f"| {row['iqm']:.1f} | {iqm_low:.1f} to {iqm_high:.1f} | {row['episodes']} |"
             )
+    lines += [
+        "",
+        "## The best chirps",
+        "",
+        CHIRPS,
+        "",
+        "| task | amplitude [N m] | first frequency [Hz] | rate [Hz/s] |",
+    ]
+    lines.append("|---|---:|---:|---:|")
+    for task in TASKS:
+        (drive,) = (row["drive"] for row in rows if (row["task"], row["contact"], row["policy"]) == (task, *BEST))
+        lines.append(f"| {task} | {drive['amplitude']:,.0f} | {drive['start_frequency']:g} | {drive['rate']:g} |")
     lines += ["", "## How it was measured", ""]
     lines += [
         f"`make results` evaluates whole episodes of 10 s from starts that no training has seen (seed {SEED}). The "
@@ -151,7 +212,7 @@ def main() -> None:
         for contact in CONTACTS:
             for name in POLICIES:
                 episodes = arguments.planner_episodes if name == "planner" else arguments.episodes
-                file = arguments.kept / f"{task}-{contact}-{name}-{episodes}.json"
+                file = arguments.kept / f"{task}-{contact}-{name.replace(' ', '-')}-{episodes}.json"
                 if not file.exists():
                     write_json(file, measured(task, contact, name, episodes))
                 rows.append(json.loads(file.read_text()))

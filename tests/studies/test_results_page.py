@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -45,3 +46,15 @@ def test_a_row_holds_what_evaluating_gives() -> None:
     assert row["iqm"] == pytest.approx(np.mean(np.sort(returns)[2:6]))
     low, high = row["iqm_interval_95"]
     assert low < row["iqm"] < high
+
+
+def test_chirps_are_swept_from_the_same_starts_and_earn_what_the_environment_pays() -> None:
+    tried = [results.chirps()[0], results.chirps()[-1]]
+    found = results.returns_of("rattle", tried, 2, 5)
+    for number, fields in enumerate(tried):
+        scene = {"drive": fields}
+        env = gym.make("JackInBox-v0", contact="exact", task="rattle", torque="chirp", scene=scene)
+        env.reset(seed=6)
+        earned = sum(float(env.step(0.0)[1]) for _ in range(500))
+        assert found[number, 1] == pytest.approx(earned, abs=1e-9)
+    assert len(results.chirps()) == 400
