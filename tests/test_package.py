@@ -109,6 +109,6 @@ def test_the_readmes_python_runs() -> None:
     pytest.importorskip("pygame")
     pytest.importorskip("stable_baselines3")
     blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
-    assert len(blocks) == 3
+    assert len(blocks) == 4
     assert run("\n".join(blocks)).startswith("t = 1.00 s: 1 impact(s)")
     assert len(blocks[0].strip().splitlines()) <= 11  # ten lines and a blank one
