@@ -35,10 +35,12 @@ class Spent(BaseCallback):
     Args:
         inner: the environments alone.
         outer: the same with their wrappers, as the training steps them.
+        between: what these wrappers do, in words.
     """
 
-    def __init__(self, inner: TimedVecEnv, outer: TimedVecEnv) -> None:
+    def __init__(self, inner: TimedVecEnv, outer: TimedVecEnv, between: str) -> None:
         super().__init__()
+        self._between = between
         self._inner, self._outer = inner, outer
         self._collecting = 0.0
         self._began = self._rollout = time.perf_counter()
@@ -57,12 +59,12 @@ class Spent(BaseCallback):
         return True
 
     def told(self) -> str:
-        """One line: steps per second, and the shares of environment, looking ahead, acting and updates."""
+        """One line: steps per second, and the shares of environment, wrappers, acting and updates."""
         total = time.perf_counter() - self._began
         steps = self.num_timesteps - self._first
         parts = {
             "environment": self._inner.seconds,
-            "looking ahead": self._outer.seconds - self._inner.seconds,
+            self._between: self._outer.seconds - self._inner.seconds,
             "choosing actions, evaluations and files": self._collecting - self._outer.seconds,
             "learning": total - self._collecting,
         }

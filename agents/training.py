@@ -110,4 +110,4 @@ def _model(settings: TrainSettings, resumed: Saved | None) -> tuple[PPO, Spent]:
             reason = next(iter(str(error).splitlines()), "")
             raise ValueError(f"{resumed.path} was made by other settings than its run's: {reason}") from error
         model.num_timesteps = done
-    return model, Spent(inner, environments)
+    return model, Spent(inner, environments, "looking ahead" if settings.lookahead else "holding actions")
