@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from agents.settings import TrainSettings
 from jackbox_env import Scene
-from jackbox_env.lookahead import Futures, make_futures
+from jackbox_env.futures import Futures
 from jackbox_env.observation import BOUNDS
 from jackbox_env.plans import Plans
 
@@ -40,7 +40,7 @@ def manner_of(settings: TrainSettings) -> Manner:
     """How a policy plays that was trained by these settings."""
     futures = None
     if settings.lookahead:
-        futures = make_futures(
+        futures = Futures(
             settings.task, settings.control_dt, hold=settings.hold, samples=settings.lookahead, follow=True,
             num_threads=1,
         )  # fmt: skip

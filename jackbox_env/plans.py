@@ -49,7 +49,6 @@ class Found(NamedTuple):
     plans: Array  # (n, pieces) the best torques in units of the limit
     returns: Array  # (n,) the sum of rewards that they bring
     scripted: Array  # (n, k) those of the scripted candidates
-    ends: Array  # (n, 12) states at the end of the best
 
 
 class Search:
@@ -109,7 +108,7 @@ class Search:
             if scripted is not None and iteration == 0:
                 tried[:, 1 + self.again : fixed] = scripted
             tried = np.clip(tried, -1.0, 1.0)
-            returns, ends = self.play(scene, states, tried)
+            returns, _ = self.play(scene, states, tried)
             if scripted is not None and iteration == 0:
                 returns_scripted = returns[:, 1 + self.again : fixed]
             order = np.argsort(-returns, axis=1, kind="stable")[:, : self.elites]
@@ -118,7 +117,7 @@ class Search:
             means = (1.0 - _SMOOTHING) * best.mean(axis=1) + _SMOOTHING * means
             spreads = (1.0 - _SMOOTHING) * best.std(axis=1) + _SMOOTHING * spreads
         first, rows = order[:, 0], np.arange(count)
-        found = Found(best[:, 0], returns[rows, first], returns_scripted, ends[rows, first])
+        found = Found(best[:, 0], returns[rows, first], returns_scripted)
         last = np.zeros((count, 1))
         new = self._noise(plans.decisions, self.iterations)[:, : self.again, :1] * 0.5 * _SPREAD
         carried_on = Plans(

@@ -10,7 +10,8 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from jackbox_env import _validation as check
-from jackbox_env.lookahead import Carried, Futures, only_one, refuse_early_end
+from jackbox_env.futures import Carried, Futures
+from jackbox_env.lookahead import only_one, refuse_early_end
 
 
 class HoldingVecEnv(VecEnvWrapper):

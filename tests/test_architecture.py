@@ -50,6 +50,7 @@ PACKAGE = """
     vector_env
     sb3 planning
     plans
+    futures
     lookahead
     sb3_wrappers
     accuracy
