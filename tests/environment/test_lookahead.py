@@ -10,7 +10,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.env_checker import check_env
 
-from jackbox_env import JackInBoxVectorEnv, Lookahead, LookaheadVector, Rollout, Scene, rollout
+from jackbox_env import JackInBoxVectorEnv, Lookahead, LookaheadVector, Rollout, Scene, Task, rollout
 from jackbox_env.futures import Futures
 from jackbox_env.observation import observe, state_of
 from jackbox_env.sb3 import make_sb3_vec_env
@@ -19,6 +19,10 @@ from tests.states import inside
 
 SMALL: dict[str, Any] = {"samples": 8, "turns": 3, "pieces": 8, "num_threads": 1}
 PLANNED = slice(-4, None)  # what the plan brings, and its next torques
+
+
+# Torque counts at once, so a plan is more than no torque: the box shall turn clockwise.
+STEERED = Task(("steered",), lambda scene, state, torque, impulse: (-0.1 * state[8],))
 
 
 def single(max_episode_steps: int = 500, **settings: Any) -> Lookahead:
@@ -191,7 +195,12 @@ def test_the_end_of_an_episode_is_seen_in_its_own_scene() -> None:
 
 def test_a_reset_of_some_leaves_the_plans_of_the_others() -> None:
     pair = [
-        LookaheadVector(JackInBoxVectorEnv(2, contact="exact", autoreset_mode="DISABLED"), hold=1, follow=True, **SMALL)
+        LookaheadVector(
+            JackInBoxVectorEnv(2, contact="exact", task=STEERED, autoreset_mode="DISABLED"),
+            hold=1,
+            follow=True,
+            **SMALL,
+        )
         for _ in range(2)
     ]
     for env in pair:
@@ -225,8 +234,9 @@ def test_after_a_step_that_failed_only_a_reset_leads_on() -> None:
 
 
 def test_actions_that_correct_a_plan_are_checked_and_clipped() -> None:
-    env = LookaheadVector(JackInBoxVectorEnv(3, contact="exact", autoreset_mode="SAME_STEP"), follow=True, **SMALL)
-    env.reset(seed=0)
+    plain = JackInBoxVectorEnv(3, contact="exact", task=STEERED, autoreset_mode="SAME_STEP")
+    env = LookaheadVector(plain, follow=True, **SMALL)
+    assert (env.reset(seed=0)[0][:, -3] < -0.1).all()
     with pytest.raises(ValueError, match=r"actions must have shape \(3, 1\) or \(3,\), got \(1, 3\)"):
         env.step(np.zeros((1, 3)))
     with pytest.raises(TypeError, match=r"actions must hold numbers \(clipped to \[-1, 1\]\), got None"):
