@@ -8,7 +8,7 @@ WORKERS := -n 2 --dist loadfile
 UNDER_OLD_GYMNASIUM := $(addprefix tests/,environment/test_env.py environment/test_starts_and_settings.py \
 	environment/test_tools.py batches/test_vector_env.py batches/test_episodes.py batches/test_refusals.py)
 
-.PHONY: demo test test-all test-slow benchmark benchmark-loss benchmark-quick throughput speed costs costs-loss soak extremes machines kills interruptions transfer transfer-loss results readme clean
+.PHONY: demo test test-all test-slow benchmark benchmark-loss benchmark-quick throughput speed costs costs-loss soak extremes machines kills interruptions transfer transfer-loss results networks readme clean
 .DELETE_ON_ERROR:
 
 demo: .venv/ready
@@ -79,7 +79,11 @@ transfer-loss: .venv/ready
 
 # What every policy earns, docs/results.md; goes on where it was interrupted. The planner takes most of its 15 minutes.
 results: .venv/ready
-	@$(BIN)/python scripts/studies/results.py
+	@$(BIN)/python scripts/studies/results/results.py
+
+# The networks in agents/trained again, 8 million steps each, some 8 minutes of one core each.
+networks: .venv/ready
+	@$(BIN)/python scripts/studies/results/networks.py
 
 readme: .venv/ready
 	@$(BIN)/python scripts/studies/readme.py

@@ -4,6 +4,7 @@ A folder of such a policy holds
 
 settings.json   what it was trained by
 weights.npz     weight_0, bias_0 of the first layer, and so on; float32, weights of shape (outputs, inputs)
+evaluations.npz, time.json   its learning curve and its times, if they are known
 
 Between the layers stands tanh. The last layer's output is the mean of the actions, which is what the policy does.
 """

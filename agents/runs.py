@@ -6,6 +6,7 @@ checkpoints/ppo_N.zip    weights and optimiser after N steps
 best_model.zip           the best by the separate evaluation, and its mean return
 model.zip                the last
 evaluations.npz          the separate evaluations
+time.json                how long the process that finished the run took for its steps, and for what
 tensorboard/             curves
 lock                     held, with its number in it, by the process that works here
 """
@@ -26,7 +27,7 @@ from pathlib import Path
 from agents.settings import TrainSettings
 from agents.storage import make_filled_folder, write_json
 
-SETTINGS = "settings.json"
+SETTINGS, EVALUATIONS, TIME = "settings.json", "evaluations.npz", "time.json"
 _LARGEST_SETTINGS = 1_000_000  # [bytes]
 PACKAGES = ("jackbox", "gymnasium", "numpy", "pymunk", "stable-baselines3", "torch")
 

@@ -12,6 +12,7 @@ import gymnasium as gym
 from jackbox_env import Scene
 from jackbox_env import _validation as check
 from jackbox_env.observation import BOUNDS
+from jackbox_env.randomization import NUMBERS
 from jackbox_env.simulators.fidelity import FIDELITIES, Setting, resolve
 from jackbox_env.tasks import TASKS
 
@@ -22,6 +23,7 @@ else:
 
 EPISODE_STEPS = cast(int, gym.spec("JackInBox-v0").max_episode_steps)  # control steps of an episode
 PREVIEWED, FORESEEN = 11, 26  # numbers of a preview, and of looking ahead
+PREVIEW_READS = ("box_half_width", "jack_arm", "gravity")  # fields of the scene
 
 # Beyond these a run folder from a stranger could take all memory.
 MOST_COUNTED = 10**12  # of steps, episodes and samples
@@ -30,6 +32,16 @@ MOST_LAYERS = 32
 MOST_FUTURES = 4096
 MOST_WEIGHTS = 20_000_000  # of one network; there are two
 MOST_THREADS = 1024
+
+
+def _json_object(name: str, given: Any) -> dict[str, Any]:
+    try:
+        values = json.loads(given)
+    except (RecursionError, TypeError, ValueError) as error:
+        raise ValueError(f"{name} must be a JSON object, got {check.shown(given)}") from error
+    if not isinstance(values, dict):
+        raise ValueError(f"{name} must be a JSON object, got {check.shown(given)}")
+    return values
 
 
 @dataclass(frozen=True)
@@ -48,11 +60,14 @@ class EnvSettings:
     """Fields of the scene that differ from the default, as JSON, e.g. '{"gravity": 1.62}'."""
     fidelity: str | None = None
     """A name for contact and substeps: coarse, balanced, fine or exact; contact and substeps override it."""
+    randomize: str = "{}"
+    """Ranges of the scene's fields, drawn anew in each episode, as JSON, e.g. '{"jack_mass": [2, 6]}'."""
 
     def __post_init__(self) -> None:
         """Raises ValueError for an unknown fidelity or an invalid scene; the environment checks the rest."""
         Scene.of(self.scene_fields)
         resolve(self.fidelity, self.contact, self.substeps)
+        check.known_keys("randomize", self.randomized, NUMBERS)
 
     @property
     def scene_fields(self) -> dict[str, Any]:
@@ -61,13 +76,16 @@ class EnvSettings:
         Raises:
             ValueError: it is not a JSON object.
         """
-        try:
-            fields = json.loads(self.scene)
-        except (RecursionError, TypeError, ValueError) as error:
-            raise ValueError(f"scene must be a JSON object, got {check.shown(self.scene)}") from error
-        if not isinstance(fields, dict):
-            raise ValueError(f"scene must be a JSON object, got {check.shown(self.scene)}")
-        return fields
+        return _json_object("scene", self.scene)
+
+    @property
+    def randomized(self) -> dict[str, Any]:
+        """The ranges of the fields that vary, as a dict.
+
+        Raises:
+            ValueError: it is not a JSON object.
+        """
+        return _json_object("randomize", self.randomize)
 
     @property
     def env_settings(self) -> dict[str, Any]:
@@ -79,6 +97,7 @@ class EnvSettings:
             "control_dt": self.control_dt,
             "scene": self.scene_fields,
             "fidelity": self.fidelity,
+            "randomize": self.randomized or None,
         }
 
     @property
@@ -150,6 +169,11 @@ class TrainSettings(EnvSettings):
         if EPISODE_STEPS % self.hold:
             raise ValueError(f"hold must divide the {EPISODE_STEPS} control steps of an episode, got {self.hold}")
         check.flag("preview", self.preview)
+        if self.lookahead and self.randomized:
+            raise ValueError("lookahead must be 0 where scenes vary: a trained model plays its futures in one scene")
+        shown = [name for name in PREVIEW_READS if name in self.randomized]
+        if self.preview and shown:
+            raise ValueError(f"preview must be off where {' and '.join(shown)} varies: it is computed for one scene")
         if self.lookahead:
             check.whole("lookahead", self.lookahead, at_least=8, at_most=MOST_FUTURES)
         else:

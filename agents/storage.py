@@ -16,6 +16,7 @@ import os
 import re
 import shutil
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -127,6 +128,27 @@ def _sync(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def check_writable(folder: Path, room: int = 0) -> None:
+    """Try whether files can be written to a folder, and look whether its disk has ``room`` bytes free.
+
+    Raises:
+        FileNotFoundError: it is no folder.
+        OSError: nothing can be written to it, or its disk is too full.
+    """
+    if not folder.is_dir():
+        raise FileNotFoundError(f"{folder} is no folder to write to")
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise OSError(f"{folder} cannot be written to: {error.strerror}") from error
+    free = shutil.disk_usage(folder).free
+    if free < room:
+        raise OSError(
+            f"{folder} must have {room / 1e6:,.0f} MB free for what will be written, got {free / 1e6:,.0f} MB"
+        )
 
 
 # -- reading ----------------------------------------------------------------------------------------------------------

@@ -58,17 +58,25 @@ class Spent(BaseCallback):
     def _on_step(self) -> bool:
         return True
 
-    def told(self) -> str:
-        """One line: steps per second, and the shares of environment, wrappers, acting and updates."""
+    def record(self) -> dict[str, Any]:
+        """Steps, seconds, and the seconds of environment, wrappers, acting and updates, of this process."""
         total = time.perf_counter() - self._began
-        steps = self.num_timesteps - self._first
-        parts = {
-            "environment": self._inner.seconds,
-            self._between: self._outer.seconds - self._inner.seconds,
-            "choosing actions, evaluations and files": self._collecting - self._outer.seconds,
-            "learning": total - self._collecting,
+        return {
+            "steps": self.num_timesteps - self._first,
+            "seconds": total,
+            "parts": {
+                "environment": self._inner.seconds,
+                self._between: self._outer.seconds - self._inner.seconds,
+                "choosing actions, evaluations and files": self._collecting - self._outer.seconds,
+                "learning": total - self._collecting,
+            },
         }
-        shares = ", ".join(
-            f"{name} {seconds / total:.1%}" for name, seconds in parts.items() if seconds > 0.001 * total
-        )
-        return f"{steps:,} steps in {total:.0f} s, {steps / total:,.0f} per second: {shares}"
+
+
+def told(record: dict[str, Any]) -> str:
+    """One line: steps per second, and the shares of what :meth:`Spent.record` lists."""
+    steps, total = record["steps"], record["seconds"]
+    shares = ", ".join(
+        f"{name} {seconds / total:.1%}" for name, seconds in record["parts"].items() if seconds > 0.001 * total
+    )
+    return f"{steps:,} steps in {total:.0f} s, {steps / total:,.0f} per second: {shares}"

@@ -22,9 +22,10 @@ from agents.checkpoints import (
     model_file,
 )
 from agents.models import derived_seed, holding, make_ppo, make_vec_env
+from agents.runs import TIME, describe, new_folder, read_settings
 from agents.settings import TrainSettings
-from agents.storage import held, remove_partials, write_bytes
-from agents.timing import Spent, TimedVecEnv
+from agents.storage import check_writable, held, remove_partials, write_bytes, write_json
+from agents.timing import Spent, TimedVecEnv, told
 
 MODEL = "model.zip"
 
@@ -49,6 +50,7 @@ def train(settings: TrainSettings, folder: Path, progress: bool = True) -> PPO:
     Raises:
         FileExistsError: the run is finished.
         FolderInUseError: another process trains in the folder.
+        OSError: the folder cannot be written to, or its disk has no room for the checkpoints.
         ValueError: the checkpoint was made by other settings.
     """
     with held(folder):
@@ -60,6 +62,7 @@ def train(settings: TrainSettings, folder: Path, progress: bool = True) -> PPO:
         resumed = _where_it_was(folder)
         done = resumed.steps if resumed else 0
         model, spent = _model(settings, resumed)
+        check_writable(folder, room(settings, done, len(model_file(model))))
         model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
         checkpoint = Checkpoint(folder, settings.checkpoint_steps)
         callbacks: list[BaseCallback] = [checkpoint]
@@ -77,9 +80,31 @@ def train(settings: TrainSettings, folder: Path, progress: bool = True) -> PPO:
         except KeyboardInterrupt:
             checkpoint.keep()
             raise
-        write_bytes(folder / MODEL, model_file(model))
-        print(spent.told())
+        record = spent.record()
+        write_json(folder / TIME, record)
+        write_bytes(folder / MODEL, model_file(model))  # last: what has it is finished
+        print(told(record))
         return model
+
+
+def trained_in(folder: Path, settings: TrainSettings, progress: bool = True) -> None:
+    """Train in a folder of that name, go on there, or leave it as it is if it is finished.
+
+    Raises:
+        ValueError: the folder is a run of other settings.
+    """
+    if not folder.exists():
+        new_folder(folder, settings.task, lambda made: describe(made, settings))
+    if read_settings(folder) != settings:
+        raise ValueError(f"{folder} is a run of other settings: move it away, or choose another folder")
+    if not is_whole(folder / MODEL):
+        train(settings, folder, progress)
+
+
+def room(settings: TrainSettings, done: int, size: int) -> int:
+    """Bytes that the model files of a run will take from here on, ``size`` each."""
+    left = max(0, settings.total_steps - done)
+    return size * (left // settings.checkpoint_steps + left // settings.eval_steps + 2)  # a checkpoint at each
 
 
 def _where_it_was(folder: Path) -> Saved | None:

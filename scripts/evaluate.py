@@ -60,13 +60,13 @@ def main() -> None:
     arguments = tyro.cli(Arguments, description=__doc__)
     from agents.evaluation import evaluate, find_policy, table
     from agents.runs import versions
-    from agents.storage import write_json
+    from agents.storage import check_writable, write_json
     from jackbox_env import _validation as check
 
     check.whole("episodes", arguments.episodes, at_least=1)
     check.whole("seed", arguments.seed, at_least=0, at_most=2**32 - 1)
-    if arguments.json is not None and not arguments.json.parent.is_dir():
-        raise FileNotFoundError(f"{arguments.json.parent} is no folder to write {arguments.json.name} to")
+    if arguments.json is not None:
+        check_writable(arguments.json.parent)
     if arguments.json is not None and arguments.json.exists():
         raise FileExistsError(f"{arguments.json} exists, and results are never overwritten: choose another file")
     env_settings = arguments.settings.env_settings

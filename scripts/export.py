@@ -24,16 +24,14 @@ class Arguments:
 def main() -> None:
     """Parse, convert, write."""
     arguments = tyro.cli(Arguments, description=__doc__)
-    from agents.models import load_model, run_folder
-    from agents.network import WEIGHTS, layers_of, write_policy
+    from agents.exporting import export_policy
+    from agents.network import WEIGHTS
     from agents.runs import new_folder, read_settings
 
-    layers = layers_of(load_model(arguments.run))
-    settings = read_settings(run_folder(arguments.run) or arguments.run)
-    folder = new_folder(arguments.folder, "export", lambda made: write_policy(made, settings, layers))
+    folder = new_folder(arguments.folder, "export", lambda made: export_policy(arguments.run, made))
     size = (folder / WEIGHTS).stat().st_size
     print(f"Written: {folder} ({size / 1000:.0f} kB of weights)")
-    print(f"  python scripts/evaluate.py --task {settings.task} --policy level {folder}")
+    print(f"  python scripts/evaluate.py --task {read_settings(folder).task} --policy level {folder}")
 
 
 if __name__ == "__main__":

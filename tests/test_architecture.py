@@ -63,7 +63,7 @@ AGENTS = """
     planner holding
     trajectory runs film checkpoints
     models network
-    best evaluation
+    best evaluation exporting
     training
     figures
 """

@@ -20,9 +20,10 @@ import torch._dynamo  # noqa: F401  # Adam does so at its first use, which takes
 from stable_baselines3.common.vec_env import VecEnv
 
 from agents import best
-from agents.best import BEST, EVALUATIONS, read_evaluations
+from agents.best import BEST, read_evaluations
 from agents.checkpoints import checkpoint_path, kept_steps, read_model_file
 from agents.models import make_vec_env
+from agents.runs import EVALUATIONS
 from agents.settings import TrainSettings
 from agents.storage import read_json
 from agents.training import MODEL

@@ -198,7 +198,12 @@ def test_the_demo_runs_end_to_end_when_made_small(tmp_path: Path) -> None:
     "name",
     ["train", "evaluate", "export", "simulate", "play", "demo"]
     + [f"studies/{name}" for name in ("accuracy/benchmark", "readme", "speed/speed", "costs/costs", "laws/soak")]
-    + ["studies/laws/interruptions", "studies/transfer/transfer", "studies/results"],
+    + [
+        "studies/laws/interruptions",
+        "studies/transfer/transfer",
+        "studies/results/results",
+        "studies/results/networks",
+    ],
 )
 def test_every_command_line_explains_itself(name: str, tmp_path: Path) -> None:
     assert "show this help message" in process(name, "--help", cwd=tmp_path).stdout
@@ -227,3 +232,19 @@ def test_env_settings_are_keyword_arguments_of_make() -> None:
     settings = EnvSettings(task="spin", substeps=3, scene='{"gravity": 1.62}')
     env: Any = gym.make("JackInBox-v0", **settings.env_settings).unwrapped
     assert (env.task, env.scene.gravity) == ("spin", 1.62)
+
+
+def test_scenes_that_vary_are_settings_too(tmp_path: Path) -> None:
+    settings = EnvSettings(randomize='{"jack_mass": [2, 6]}')
+    env: Any = gym.make("JackInBox-v0", **settings.env_settings).unwrapped
+    masses = {env.scene.jack_mass for _ in range(5) if env.reset() is not None}
+    assert len(masses) == 5
+    assert all(2.0 <= mass <= 6.0 for mass in masses)
+    assert EnvSettings().env_settings["randomize"] is None
+    for given, said in (("[1]", "randomize must be a JSON object"), ('{"mass": [1, 2]}', "randomize takes only")):
+        done = script("evaluate", "--randomize", given, cwd=tmp_path, status=2)
+        assert said in done.stderr, done.stderr
+    with pytest.raises(ValueError, match="lookahead must be 0 where scenes vary"):
+        dataclasses.replace(TINY, lookahead=8, hold=5, randomize='{"jack_mass": [2, 6]}')
+    with pytest.raises(ValueError, match="preview must be off where gravity varies"):
+        dataclasses.replace(TINY, preview=True, randomize='{"gravity": [1, 9]}')

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from agents import best, training
-from agents.best import BEST, EVALUATIONS, read_evaluations
+from agents.best import BEST, read_evaluations
 from agents.checkpoints import CHECKPOINTS, Checkpoint, checkpoint_path, kept_steps, read_model_file, with_note
 from agents.models import load_model
-from agents.runs import describe, new_folder, read_settings
+from agents.runs import EVALUATIONS, describe, new_folder, read_settings
 from agents.storage import DamagedFileError
 from agents.training import MODEL
 from scripts import train as command

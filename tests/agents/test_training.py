@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import json
+import shutil
 import subprocess
 import sys
+import tempfile
 import zipfile
 from dataclasses import asdict, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -37,6 +40,10 @@ def test_a_run_folder_holds_what_the_run_was_made_from(run: Path) -> None:
     assert stored["timesteps"].tolist() == [1024, 2048]
     assert stored["results"].shape == (2, 4)
     assert not list(run.rglob("*.partial*"))
+    spent = json.loads((run / "time.json").read_text())
+    assert spent["steps"] == TINY.total_steps
+    assert sum(spent["parts"].values()) == pytest.approx(spent["seconds"])
+    assert all(seconds > 0.0 for name, seconds in spent["parts"].items() if name != "holding actions")
 
 
 def test_training_learns_from_its_rollouts(run: Path) -> None:
@@ -154,3 +161,49 @@ def test_models_that_are_not_there_or_do_not_fit_are_refused(run: Path, tmp_path
     lonely.write_bytes(b"nonsense")
     with pytest.raises(ValueError, match="is no model of the settings beside it"):
         load_model(lonely)
+
+
+# -- what is known before the first step ------------------------------------------------------------------------------
+
+
+def test_a_disk_without_room_for_the_checkpoints_is_said_before_the_first_step(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = new_folder(tmp_path / "run", "test", lambda made: describe(made, TINY))
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=1000))
+    with pytest.raises(OSError, match=r"run must have \d+ MB free for what will be written, got 0 MB"):
+        training.train(TINY, folder, progress=False)
+    assert not (folder / "checkpoints").exists()
+
+
+def test_a_folder_that_cannot_be_written_to_is_said_before_the_first_step(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = new_folder(tmp_path / "run", "test", lambda made: describe(made, TINY))
+
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", refuse)  # tests may run as root, who may write anywhere
+    with pytest.raises(OSError, match="run cannot be written to: Permission denied"):
+        training.train(TINY, folder, progress=False)
+    assert not (folder / "checkpoints").exists()
+
+
+def test_the_room_asked_for_is_at_least_what_a_run_takes(run: Path) -> None:
+    model = (run / "model.zip").stat().st_size
+    taken = sum(path.stat().st_size for path in run.rglob("*.zip"))
+    assert taken <= training.room(TINY, 0, model) <= 2 * taken
+
+
+def test_a_training_is_gone_on_with_or_left_as_it_is(run: Path, tmp_path: Path) -> None:
+    before = (run / "model.zip").stat().st_mtime_ns
+    training.trained_in(run, TINY, progress=False)
+    assert (run / "model.zip").stat().st_mtime_ns == before
+    with pytest.raises(ValueError, match="is a run of other settings: move it away, or choose another folder"):
+        training.trained_in(run, replace(TINY, seed=5), progress=False)
+    training.trained_in(tmp_path / "new", TINY, progress=False)
+    assert (tmp_path / "new" / "model.zip").is_file()
+    (tmp_path / "new" / "model.zip").unlink()  # as if it had been interrupted
+    training.trained_in(tmp_path / "new", TINY, progress=False)
+    assert (tmp_path / "new" / "model.zip").is_file()

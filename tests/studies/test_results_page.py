@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -11,15 +12,16 @@ import pytest
 
 from agents.evaluation import evaluate, find_policy
 from agents.settings import EnvSettings
+from jackbox_env import JackInBoxVectorEnv, Scene
 from jackbox_env.tasks import TASKS
-from scripts.studies import results
+from scripts.studies.results import across, attainable, chirps, page, results
 
 DOCS = Path(__file__).parents[2] / "docs"
 
 
 def test_the_page_is_what_was_measured() -> None:
     record = json.loads((DOCS / "results.json").read_text())
-    assert (DOCS / "results.md").read_text() == results.page(record)
+    assert (DOCS / "results.md").read_text() == page.page(record)
     found = {(row["task"], row["contact"], row["policy"]) for row in record["rows"]}
     assert found == {
         (task, contact, name) for task in TASKS for contact in results.CONTACTS for name in results.POLICIES
@@ -49,12 +51,47 @@ def test_a_row_holds_what_evaluating_gives() -> None:
 
 
 def test_chirps_are_swept_from_the_same_starts_and_earn_what_the_environment_pays() -> None:
-    tried = [results.chirps()[0], results.chirps()[-1]]
-    found = results.returns_of("rattle", tried, 2, 5)
+    tried = [chirps.chirps()[0], chirps.chirps()[-1]]
+    found = chirps.returns_of("rattle", tried, 2, 5)
     for number, fields in enumerate(tried):
         scene = {"drive": fields}
         env = gym.make("JackInBox-v0", contact="exact", task="rattle", torque="chirp", scene=scene)
         env.reset(seed=6)
         earned = sum(float(env.step(0.0)[1]) for _ in range(500))
         assert found[number, 1] == pytest.approx(earned, abs=1e-9)
-    assert len(results.chirps()) == 400
+    assert len(chirps.chirps()) == 400
+
+
+def test_spin_pays_nothing_before_a_jack_can_have_fallen_to_a_wall() -> None:
+    env = JackInBoxVectorEnv(64, contact="exact", task="spin")
+    env.reset(seed=3)
+    unpaid = attainable.unpaid_steps(env.states)
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (500, 64, 1)).astype(np.float32)
+    rewards = np.array([env.step(action)[1] for action in actions])
+    for number, count in enumerate(unpaid.astype(int).tolist()):
+        assert not rewards[:count, number].any()
+    paid = (rewards != 0.0).argmax(axis=0)
+    assert (paid - unpaid).min() <= 2  # the bound is close for some
+
+
+@pytest.mark.parametrize("speed", [5.0, 10.85, 30.0, 50.0])
+def test_rattle_pays_a_jack_that_flies_to_and_fro_what_the_page_says(speed: float) -> None:
+    scene = Scene(box_mass=1e12, gravity=0.0)  # weightless, in a box that does not give way
+    env: Any = gym.make("JackInBox-v0", contact="exact", task="rattle", scene=scene)
+    env.reset(options={"state": [0.0] * 9 + [speed, 0.0, 0.0]})
+    earned = sum(float(env.step([0.0])[1]) for _ in range(500))
+    assert earned == pytest.approx(attainable.rattle_at(speed), abs=1.01)  # of a knock
+
+
+def test_the_speed_of_a_return_is_that_which_earns_it() -> None:
+    for speed in (3.0, 40.0):
+        assert attainable.speed_of(attainable.rattle_at(speed)) == pytest.approx(speed)
+
+
+def test_scenes_across_hold_the_default_and_the_ends_of_what_varies() -> None:
+    fields = across.grid()
+    assert sum(map(across.is_default, fields)) == 1
+    for name, ends in across.RANGES.items():
+        found = [one[name] for one in fields]
+        assert [min(found), max(found)] == ends
+    assert across.TRAININGS["varied scenes"].randomized == across.RANGES

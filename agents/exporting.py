@@ -1,0 +1,28 @@
+"""Training runs as plain arrays."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from agents.models import load_model, run_folder
+from agents.network import layers_of, write_policy
+from agents.runs import EVALUATIONS, TIME, read_settings
+from agents.storage import write_bytes
+
+
+def export_policy(run: Path, folder: Path) -> None:
+    """Write the policy of a run, its settings, its learning curve and its times into a folder, as plain arrays.
+
+    Args:
+        run: run folder, or a model file in one.
+        folder: that the files are written to, see :mod:`agents.network`.
+
+    Raises:
+        FileNotFoundError, ValueError: as :func:`load_model`.
+    """
+    layers = layers_of(load_model(run))
+    source = run_folder(run) or run
+    write_policy(folder, read_settings(source), layers)
+    for name in (EVALUATIONS, TIME):
+        if (source / name).is_file():
+            write_bytes(folder / name, (source / name).read_bytes())

@@ -1,0 +1,1 @@
+"""What policies earn: docs/results.md, and the networks in agents/trained."""

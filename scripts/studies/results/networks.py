@@ -1,0 +1,46 @@
+"""Train the networks of agents/trained again, by the settings that lie beside them.
+
+An interrupted training goes on where it stopped. A finished one is only exported.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from jackbox_env.tasks import TASKS
+from scripts.common import command_line
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Train and export the networks that come with the repository."""
+
+    runs: Path = Path("runs/networks")
+    """Folder of the trainings; made if there is none."""
+    out: Path = Path("agents/trained")
+    """Folder with a folder <task>-ppo for each task, which holds its settings; its other files are replaced."""
+    progress: bool = True
+    """Show a progress bar."""
+
+
+@command_line
+def main() -> None:
+    """Parse, train what is not finished, export."""
+    arguments = tyro.cli(Arguments, description=__doc__)
+    from agents.exporting import export_policy
+    from agents.runs import read_settings
+    from agents.training import trained_in
+
+    for task in TASKS:
+        folder = arguments.out / f"{task}-ppo"
+        run = arguments.runs / task
+        trained_in(run, read_settings(folder), arguments.progress)
+        export_policy(run, folder)
+        print(f"Written: {folder}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
