@@ -59,7 +59,7 @@ PACKAGE = """
 AGENTS = """
     policies preview storage archives timing
     settings extractor
-    playing
+    playing zoo
     planner holding
     trajectory runs film checkpoints
     models network

@@ -1,0 +1,42 @@
+"""The same training by RL Baselines3 Zoo."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+from stable_baselines3 import PPO
+
+from agents.models import holding, make_ppo, make_vec_env
+from agents.settings import DEMO
+from agents.zoo import hyperparams, zoo_settings
+
+SMALL = replace(DEMO, num_envs=2, rollout_steps=64, batch_size=128)
+OF_THE_ZOO = {"env_kwargs", "env_wrapper", "n_envs", "n_timesteps", "policy", "learning_rate"}
+
+
+def test_the_zoo_makes_the_same_model() -> None:
+    environments = holding(make_vec_env(SMALL.env_settings, 2, 0), SMALL.hold)
+    given: dict[str, Any] = {name: value for name, value in zoo_settings(SMALL).items() if name not in OF_THE_ZOO}
+    ours, zoos = make_ppo(SMALL, environments), PPO("MlpPolicy", environments, seed=SMALL.seed, device="cpu", **given)
+    for name in ("n_steps", "batch_size", "n_epochs", "gamma", "gae_lambda", "ent_coef"):
+        assert getattr(ours, name) == getattr(zoos, name), name
+    assert ours.clip_range(1.0) == zoos.clip_range(1.0)  # type: ignore[operator]
+    found, wanted = zoos.policy.state_dict(), ours.policy.state_dict()
+    assert found.keys() == wanted.keys()
+    assert all(torch.equal(found[name], wanted[name]) for name in wanted)
+
+
+def test_the_zoo_trains_as_long_in_the_same_environment() -> None:
+    zoo = hyperparams["JackInBox-v0"]
+    assert (zoo["n_timesteps"], zoo["n_envs"]) == (DEMO.total_steps, DEMO.num_envs)
+    assert zoo["learning_rate"] == "lin_0.001"  # falls linearly to 0, as ours
+    assert zoo["env_kwargs"] == DEMO.env_settings
+    assert zoo["env_wrapper"] == [{"rl_zoo3.wrappers.FrameSkip": {"skip": DEMO.hold}}]
+
+
+def test_the_zoo_does_not_look_ahead() -> None:
+    with pytest.raises(ValueError, match="lookahead must be 0"):
+        zoo_settings(replace(DEMO, preview=False, hold=5, lookahead=8))
