@@ -8,7 +8,7 @@ WORKERS := -n 2 --dist loadfile
 UNDER_OLD_GYMNASIUM := $(addprefix tests/,environment/test_env.py environment/test_starts_and_settings.py \
 	environment/test_tools.py batches/test_vector_env.py batches/test_episodes.py batches/test_refusals.py)
 
-.PHONY: demo test test-all test-slow benchmark benchmark-loss benchmark-quick throughput speed costs costs-loss soak extremes machines kills interruptions transfer transfer-loss results networks readme clean
+.PHONY: demo test test-all test-slow benchmark benchmark-loss benchmark-quick throughput speed costs costs-loss soak extremes machines kills interruptions transfer transfer-loss results networks readme docs recipes clean
 .DELETE_ON_ERROR:
 
 demo: .venv/ready
@@ -84,6 +84,15 @@ results: .venv/ready
 # The networks in agents/trained again, 8 million steps each, some 8 minutes of one core each.
 networks: .venv/ready
 	@$(BIN)/python scripts/studies/results/networks.py
+
+# The site in docs/_build/html; both notebooks run, some two minutes. A warning, and so a broken link, is an error.
+docs: .venv/ready
+	@MPLBACKEND=Agg SDL_VIDEODRIVER=dummy $(BIN)/python -m sphinx -q -W --keep-going docs docs/_build/html
+	@echo "Open docs/_build/html/index.html"
+
+# Each recipe of docs/recipes.md, shortened; those of other libraries in environments of their own in runs/recipes.
+recipes: .venv/ready
+	@$(BIN)/python scripts/recipes/run.py
 
 readme: .venv/ready
 	@$(BIN)/python scripts/studies/readme.py

@@ -13,6 +13,7 @@ import pytest
 
 import jackbox_env
 from jackbox_env import env
+from scripts.studies import readme
 
 ROOT = Path(__file__).parents[1]
 HEAVY = ("pymunk", "pygame", "numba", "torch", "stable_baselines3", "matplotlib", "scipy")
@@ -105,10 +106,40 @@ def test_every_shipped_line_is_the_projects_own() -> None:
             assert not re.search(r"/(?:home|work|root|Users)/\w|https?://[\w.]*pypi", text), name
 
 
-def test_the_readmes_python_runs() -> None:
-    pytest.importorskip("pygame")
+def blocks(path: Path) -> list[str]:
+    """The Python of a page."""
+    return re.findall(r"```python\n(.*?)```", path.read_text(), re.DOTALL)
+
+
+@pytest.mark.parametrize("number", range(2))
+def test_each_block_of_the_readme_runs_on_its_own(number: int) -> None:
     pytest.importorskip("stable_baselines3")
-    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
-    assert len(blocks) == 4
-    assert run("\n".join(blocks)).startswith("t = 1.00 s: 1 impact(s)")
-    assert len(blocks[0].strip().splitlines()) <= 11  # ten lines and a blank one
+    found = blocks(ROOT / "README.md")
+    assert len(found) == 2
+    assert len([line for line in found[number].splitlines() if line]) <= 6
+    run(found[number])
+
+
+def test_the_readme_is_short_and_its_tables_are_what_was_measured() -> None:
+    page = (ROOT / "README.md").read_text()
+    assert len(page.splitlines()) <= 120
+    assert readme.filled(page) == page, "make readme"
+    for link in re.findall(r"\]\(([^)#]+)", page):
+        assert "://" in link or (ROOT / link).exists(), link
+
+
+PAGES = sorted(path.name for path in (ROOT / "docs").glob("*.md") if blocks(path))
+
+
+def test_pages_have_python() -> None:
+    assert {"start.md", "tasks.md", "physics.md", "settings.md", "many.md", "scenes.md"} <= set(PAGES)
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_each_block_of_a_page_runs_on_its_own(page: str, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("stable_baselines3")
+    for block in blocks(ROOT / "docs" / page):
+        exec(compile(block, page, "exec"), {"__name__": "__main__"})
+        printed = capsys.readouterr().out
+        for line, wanted in re.findall(r"^print\((.*)\)  # ([-\d.]+)", block, re.MULTILINE):
+            assert wanted in printed, line

@@ -165,7 +165,7 @@ def test_the_environments_docstring_and_the_readme_hold_the_measured_table(store
     readme, docstring = (ROOT / "README.md").read_text(), JackInBoxEnv.__doc__ or ""
     for line in page.fidelity_table(stored).splitlines():
         assert line in docstring, "copy the table of docs/accuracy.md into JackInBoxEnv's docstring"
-    assert page.for_the_readme(stored) in readme, "make readme"
+    assert page.fidelity_table(stored) in readme, "make readme"
     count = stored.of(page.DEFAULT, "depth").n
     for text in (readme, docstring):
         assert f"over {count} seeded scenes of 10 s" in " ".join(text.split())

@@ -60,11 +60,6 @@ def page(results: Results) -> str:
     return (_HERE / "page.md").read_text().format(**fields)
 
 
-def for_the_readme(results: Results) -> str:
-    """The fidelities, and which to use."""
-    return f"{fidelity_table(results)}\n\n{_which(results)}"
-
-
 def _which(results: Results) -> str:
     return (_HERE / "which.md").read_text().rstrip().format(**_words(results))
 

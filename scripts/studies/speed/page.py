@@ -200,7 +200,17 @@ HOW = (
 
 
 def for_the_readme(results: Results) -> str:
-    """The README's table: single environments, and ratios beneath."""
+    """The README's table: what the picture shows."""
+    lines = ["| control steps per second on one core | |", "|---|---:|"]
+    for name, values in pictured(results).items():
+        (rate,) = values.values()
+        lines.append(f"| {name} | {rough(rate)} |")
+    machine = results["alone"]["made"].split(";")[0]
+    return "\n".join([*lines, "", f"Measured by `make speed` on {machine}."])
+
+
+def told(results: Results) -> str:
+    """What `make throughput` prints: single environments, and ratios beneath."""
     found = results["alone"]
     lines = ["| what | per second | microseconds |", "|------|-----------:|-------------:|"]
     each = {name: statistics.median(values) for name, values in found["rates"].items()}

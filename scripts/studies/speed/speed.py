@@ -64,7 +64,7 @@ def main() -> None:
 
     from agents.storage import write_json, write_text
     from jackbox_env import _validation as check
-    from scripts.studies.speed.page import for_the_readme, page, pictured
+    from scripts.studies.speed.page import page, pictured, told
 
     arguments = tyro.cli(Arguments, description=__doc__)
     check.whole("rounds", arguments.rounds, at_least=1)
@@ -78,7 +78,7 @@ def main() -> None:
         write_json(path, results)
     timing.bars(picture, "control steps per second on one core", pictured(results), log=True)
     write_text(arguments.out / "speed.md", page(results, picture.name))
-    print(for_the_readme(results))
+    print(told(results))
 
 
 if __name__ == "__main__":

@@ -1,0 +1,92 @@
+"""Run the recipes of docs/recipes.md, shortened. Those of other libraries run in environments of their own."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import tyro
+
+from scripts.common import command_line
+
+HERE, ROOT = Path(__file__).parent, Path(__file__).parents[2]
+TORCH = "torch==2.13.0"  # else the newest build comes, of several GB
+
+
+class Recipe(NamedTuple):
+    """A program, and what it needs beside the checkout; with needs it runs in an environment of its own."""
+
+    arguments: tuple[str, ...]
+    needs: tuple[str, ...] = ()
+
+
+def _script(name: str, *arguments: str) -> tuple[str, ...]:
+    return (str(HERE / f"with_{name}.py"), *arguments)
+
+
+_ZOO = "-m rl_zoo3.train --algo ppo --env JackInBox-v0 --gym-packages jackbox_env --conf-file agents.zoo"
+RECIPES = {
+    "sb3": Recipe(_script("sb3", "--steps", "16384")),
+    "sb3_contrib": Recipe(_script("sb3_contrib", "--steps", "1600")),
+    "cleanrl": Recipe(_script("cleanrl", "--steps", "80000")),
+    "pixels": Recipe(_script("pixels", "--steps", "600")),
+    "rl_zoo3": Recipe((*_ZOO.split(), "-n", "32768", "--eval-freq", "-1", "-f", "runs/recipes/zoo-logs"),
+                      ("rl_zoo3", "stable-baselines3", TORCH)),
+    "torchrl": Recipe(_script("torchrl"), ("torchrl", TORCH)),
+    "tianshou": Recipe(_script("tianshou"), ("tianshou", TORCH)),
+    "minari": Recipe(_script("minari"), ("minari[create,hdf5]",)),
+    "rllib": Recipe(_script("rllib", "--iterations", "1"), ("ray[rllib]", "gymnasium==1.2.2", TORCH)),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Run recipes."""
+
+    names: tyro.conf.Positional[tuple[str, ...]] = tuple(RECIPES)
+    """Which."""
+    folder: Path = Path("runs/recipes")
+    """Folder of the environments that are made; one that is ready is used again."""
+
+
+def python_for(recipe: Recipe, folder: Path) -> str:
+    """The interpreter to run a recipe with; makes its environment where it needs one."""
+    if not recipe.needs:
+        return sys.executable
+    python, ready = folder / "bin" / "python", folder / "ready"
+    if not ready.exists() or ready.read_text() != "\n".join(recipe.needs):
+        subprocess.run([sys.executable, "-m", "venv", "--clear", str(folder)], check=True)
+        subprocess.run([str(python), "-m", "pip", "install", "-q", "-e", str(ROOT), *recipe.needs], check=True)
+        ready.write_text("\n".join(recipe.needs))
+    return str(python)
+
+
+@command_line
+def main() -> None:
+    """Parse, run, say which failed."""
+    arguments = tyro.cli(Arguments, description=__doc__)
+    unknown = [name for name in arguments.names if name not in RECIPES]
+    if unknown:
+        raise ValueError(f"a recipe must be one of {', '.join(RECIPES)}, got {unknown[0]!r}")
+    failed = []
+    for name in arguments.names:
+        recipe, began = RECIPES[name], time.monotonic()
+        print(f"== {name}", flush=True)
+        try:
+            python = python_for(recipe, arguments.folder.absolute() / name)
+            without = {key: value for key, value in os.environ.items() if not recipe.needs or key != "PYTHONPATH"}
+            subprocess.run([python, *recipe.arguments], cwd=ROOT, env=without, check=True)
+        except subprocess.CalledProcessError:
+            failed.append(name)
+        print(f"{'FAILED' if name in failed else 'done'} after {time.monotonic() - began:.0f} s", flush=True)
+    if failed:
+        raise RuntimeError(f"{len(failed)} of {len(arguments.names)} recipes failed: {', '.join(failed)}")
+
+
+if __name__ == "__main__":
+    main()
