@@ -16,7 +16,8 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from agents.checkpoints import Checkpoint, checkpoint_path, is_whole, model_file, read_model_file, with_note
 from agents.models import derived_seed, make_vec_env
 from agents.settings import TrainSettings
-from agents.storage import DamagedFileError, parsing, say_skipped, write_bytes
+from agents.storage import DamagedFileError, parsing, say_skipped
+from jackbox_env.storage import write_bytes
 
 BEST, EVALUATIONS = "best_model.zip", "evaluations.npz"
 _MEAN = "mean_return"  # key of a best model's note

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, fields
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Literal, cast
@@ -11,8 +10,9 @@ import gymnasium as gym
 
 from jackbox_env import Scene
 from jackbox_env import _validation as check
+from jackbox_env.commands.common import scene_fields
 from jackbox_env.observation import BOUNDS
-from jackbox_env.simulators.fidelity import FIDELITIES, Setting, resolve
+from jackbox_env.simulators.fidelity import Setting, explicit, resolve
 from jackbox_env.tasks import TASKS
 
 if TYPE_CHECKING:
@@ -61,13 +61,7 @@ class EnvSettings:
         Raises:
             ValueError: it is not a JSON object.
         """
-        try:
-            fields = json.loads(self.scene)
-        except (RecursionError, TypeError, ValueError) as error:
-            raise ValueError(f"scene must be a JSON object, got {check.shown(self.scene)}") from error
-        if not isinstance(fields, dict):
-            raise ValueError(f"scene must be a JSON object, got {check.shown(self.scene)}")
-        return fields
+        return scene_fields(self.scene)
 
     @property
     def env_settings(self) -> dict[str, Any]:
@@ -82,10 +76,17 @@ class EnvSettings:
         }
 
     @property
+    def options(self) -> list[str]:
+        """Options of a command line that mean this environment: the task, and what differs from the default."""
+        others = [part.name for part in fields(EnvSettings) if part.name != "task"]
+        given = [name for name in others if getattr(self, name) != getattr(EnvSettings, name)]
+        named = [(f"--{name.replace('_', '-')}", str(getattr(self, name))) for name in given]
+        return ["--task", self.task, *(word for pair in named for word in pair)]
+
+    @property
     def setting(self) -> Setting:
         """The contact model and substeps that these settings mean, in one form."""
-        setting = resolve(self.fidelity, self.contact, self.substeps)
-        return FIDELITIES["balanced"] if setting == Setting("pymunk") else setting  # pymunk's default has that name
+        return explicit(resolve(self.fidelity, self.contact, self.substeps))
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,9 @@ from agents.checkpoints import (
 )
 from agents.models import derived_seed, holding, make_ppo, make_vec_env
 from agents.settings import TrainSettings
-from agents.storage import held, remove_partials, write_bytes
+from agents.storage import held
 from agents.timing import Spent, TimedVecEnv
+from jackbox_env.storage import remove_partials, write_bytes
 
 MODEL = "model.zip"
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
 
-from scripts.common import command_line
+from jackbox_env.commands.common import command_line
 
 
 @dataclass(frozen=True)
@@ -26,14 +27,15 @@ def main() -> None:
     arguments = tyro.cli(Arguments, description=__doc__)
     from agents.models import load_model, run_folder
     from agents.network import WEIGHTS, layers_of, write_policy
-    from agents.runs import new_folder, read_settings
+    from agents.runs import read_settings
+    from jackbox_env.storage import new_folder
 
     layers = layers_of(load_model(arguments.run))
     settings = read_settings(run_folder(arguments.run) or arguments.run)
     folder = new_folder(arguments.folder, "export", lambda made: write_policy(made, settings, layers))
     size = (folder / WEIGHTS).stat().st_size
     print(f"Written: {folder} ({size / 1000:.0f} kB of weights)")
-    print(f"  python scripts/evaluate.py --task {settings.task} --policy level {folder}")
+    print("  " + shlex.join(["python", "scripts/evaluate.py", *settings.options, "--policy", "level", str(folder)]))
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from scripts.common import command_line
+from jackbox_env.commands.common import command_line
 
 ROOT = Path(__file__).parents[2]
 SWEEP = ROOT / "docs" / "accuracy"

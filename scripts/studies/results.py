@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from agents.settings import EPISODE_STEPS, EnvSettings
 from jackbox_env import Chirp, JackInBoxVectorEnv, Scene
+from jackbox_env.commands.common import command_line
 from jackbox_env.tasks import TASKS
-from scripts.common import command_line
 
 POLICIES = ("zero", "level", "chirp", "best chirp", "ppo", "planner")
 CONTACTS = ("exact", "pymunk")
@@ -199,8 +199,8 @@ def main() -> None:
     """Parse, evaluate what is missing, write the page."""
     arguments = tyro.cli(Arguments, description=__doc__)
     from agents.network import SHIPPED
-    from agents.storage import write_bytes, write_json
     from jackbox_env import _validation as check
+    from jackbox_env.storage import write_bytes, write_json
 
     for name in ("episodes", "planner_episodes"):
         check.whole(name, getattr(arguments, name), at_least=4)
