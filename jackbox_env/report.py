@@ -101,8 +101,7 @@ def _timing(trajectory: Trajectory) -> Facts:
 def _scene_facts(scene: Scene) -> Facts:
     drive = scene.drive
     if isinstance(drive, Chirp):
-        sine = f"{drive.amplitude:g} N m, {drive.start_frequency:g} Hz {drive.rate:+g} Hz/s".replace("-", "\u2212")
-        moved = f"chirp of {sine}"
+        moved = f"chirp, {drive.amplitude:g} N m, from {drive.start_frequency:g} Hz by {drive.rate:g} Hz/s"
     else:
         moved = "none" if drive is None else "functions of time"
     return [

@@ -21,8 +21,9 @@ function makeStage() {
   function draw(time) {
     sampleAt(time, state);
     pen.clearRect(0, 0, width, height);
-    drawBox();
+    drawInside();
     drawRules();
+    drawWalls();
     drawTrail(time, FOOT_TRAIL, 1.6, colours.foot, (one) => footOf(one, 0));
     drawTrail(time, TRAIL, 2.6, colours.jack, () => [0, 0]);
     drawFlashes(time);
@@ -37,12 +38,18 @@ function makeStage() {
     pen.restore();
   }
 
-  function drawBox() {
+  function drawInside() {
     const half = data.halfWidth * scale;
-    const wall = Math.max(5, 0.03 * half);
     inBoxFrame(() => {
       pen.fillStyle = colours.inside;
       pen.fillRect(-half, -half, 2 * half, 2 * half);
+    });
+  }
+
+  function drawWalls() {
+    const half = data.halfWidth * scale;
+    const wall = Math.max(5, 0.03 * half);
+    inBoxFrame(() => {
       pen.strokeStyle = colours.box;
       pen.lineWidth = wall;
       pen.lineJoin = "round";

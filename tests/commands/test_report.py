@@ -53,7 +53,7 @@ def test_the_page_holds_every_stored_state_to_the_last_bit(tmp_path: Path) -> No
     facts = dict(data["facts"])
     assert (facts["contact model"], facts["time"], facts["time step"]) == ("exact", "0 s to 2 s", "0.02 s")
     assert (facts["box half width L"], facts["jack mass"], facts["restitution"]) == ("6 m", "4 kg", "1")
-    assert facts["drive"] == "chirp of 90000 N m, 0.5 Hz +0.9 Hz/s"
+    assert facts["drive"] == "chirp, 90000 N m, from 0.5 Hz by 0.9 Hz/s"
 
 
 def test_a_page_of_very_many_impacts_or_steps_stays_small_and_says_so(tmp_path: Path) -> None:
@@ -78,4 +78,4 @@ def test_a_page_of_very_many_impacts_or_steps_stays_small_and_says_so(tmp_path: 
 def test_other_scenes_have_pages_too(tmp_path: Path, scene: Scene) -> None:
     data = data_of(write_page(tmp_path / "page.html", scene, run(scene, 1.0), "a test", []))
     assert data["halfWidth"] == scene.box_half_width
-    assert dict(data["facts"])["drive"] in ("functions of time", "none", "chirp of 90000 N m, 0.5 Hz +0.9 Hz/s")
+    assert dict(data["facts"])["drive"] in ("functions of time", "none", "chirp, 90000 N m, from 0.5 Hz by 0.9 Hz/s")
