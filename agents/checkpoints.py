@@ -15,7 +15,8 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.save_util import load_from_zip_file
 
 from agents.archives import unpacked_tensors
-from agents.storage import DamagedFileError, make_folder, parsing, say_skipped, write_bytes
+from agents.storage import DamagedFileError, parsing, say_skipped
+from jackbox_env.storage import make_folder, write_bytes
 
 CHECKPOINTS = "checkpoints"
 _GROUPS = {"policy", "policy.optimizer"}  # of parameters

@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 import jackbox_env  # noqa: F401
 from agents.policies import Baseline
-from agents.storage import replacing
+from jackbox_env.storage import replacing
 
 Frame = NDArray[np.uint8]
 _CAPTION_HEIGHT = 36  # [pixels]

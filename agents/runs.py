@@ -20,35 +20,15 @@ import os
 import platform
 import subprocess
 import sys
-from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
 
 from agents.settings import TrainSettings
-from agents.storage import make_filled_folder, write_json
+from jackbox_env.storage import write_json
 
 SETTINGS, EVALUATIONS, TIME = "settings.json", "evaluations.npz", "time.json"
 _LARGEST_SETTINGS = 1_000_000  # [bytes]
 PACKAGES = ("jackbox", "gymnasium", "numpy", "pymunk", "stable-baselines3", "torch")
-
-
-def _nothing(folder: Path) -> None:
-    """Leave a folder empty."""
-
-
-def new_folder(path: Path | None, kind: str, fill: Callable[[Path], None] = _nothing) -> Path:
-    """Make a run folder together with what ``fill`` writes into it; None: ``runs/<kind>-<date>-<time>``.
-
-    Raises:
-        FileExistsError: there is something at ``path`` already.
-    """
-    if path is None:
-        stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
-        path = Path("runs") / f"{kind}-{stamp}"
-    if path.exists():
-        raise FileExistsError(f"{path} exists, and runs are never overwritten: choose another folder")
-    make_filled_folder(path, fill)
-    return path
 
 
 def versions(packages: tuple[str, ...] = PACKAGES) -> dict[str, str]:

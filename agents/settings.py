@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, fields
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Literal, cast
@@ -11,9 +10,10 @@ import gymnasium as gym
 
 from jackbox_env import Scene
 from jackbox_env import _validation as check
+from jackbox_env.commands.common import json_object, scene_fields
 from jackbox_env.observation import BOUNDS
 from jackbox_env.randomization import NUMBERS
-from jackbox_env.simulators.fidelity import FIDELITIES, Setting, resolve
+from jackbox_env.simulators.fidelity import Setting, explicit, resolve
 from jackbox_env.tasks import TASKS
 
 if TYPE_CHECKING:
@@ -32,16 +32,6 @@ MOST_LAYERS = 32
 MOST_FUTURES = 4096
 MOST_WEIGHTS = 20_000_000  # of one network; there are two
 MOST_THREADS = 1024
-
-
-def _json_object(name: str, given: Any) -> dict[str, Any]:
-    try:
-        values = json.loads(given)
-    except (RecursionError, TypeError, ValueError) as error:
-        raise ValueError(f"{name} must be a JSON object, got {check.shown(given)}") from error
-    if not isinstance(values, dict):
-        raise ValueError(f"{name} must be a JSON object, got {check.shown(given)}")
-    return values
 
 
 @dataclass(frozen=True)
@@ -76,7 +66,7 @@ class EnvSettings:
         Raises:
             ValueError: it is not a JSON object.
         """
-        return _json_object("scene", self.scene)
+        return scene_fields(self.scene)
 
     @property
     def randomized(self) -> dict[str, Any]:
@@ -85,7 +75,7 @@ class EnvSettings:
         Raises:
             ValueError: it is not a JSON object.
         """
-        return _json_object("randomize", self.randomize)
+        return json_object("randomize", self.randomize)
 
     @property
     def env_settings(self) -> dict[str, Any]:
@@ -101,10 +91,17 @@ class EnvSettings:
         }
 
     @property
+    def options(self) -> list[str]:
+        """Options of a command line that mean this environment: the task, and what differs from the default."""
+        others = [part.name for part in fields(EnvSettings) if part.name != "task"]
+        given = [name for name in others if getattr(self, name) != getattr(EnvSettings, name)]
+        named = [(f"--{name.replace('_', '-')}", str(getattr(self, name))) for name in given]
+        return ["--task", self.task, *(word for pair in named for word in pair)]
+
+    @property
     def setting(self) -> Setting:
         """The contact model and substeps that these settings mean, in one form."""
-        setting = resolve(self.fidelity, self.contact, self.substeps)
-        return FIDELITIES["balanced"] if setting == Setting("pymunk") else setting  # pymunk's default has that name
+        return explicit(resolve(self.fidelity, self.contact, self.substeps))
 
 
 @dataclass(frozen=True)

@@ -22,10 +22,11 @@ from agents.checkpoints import (
     model_file,
 )
 from agents.models import derived_seed, holding, make_ppo, make_vec_env
-from agents.runs import TIME, describe, new_folder, read_settings
+from agents.runs import TIME, describe, read_settings
 from agents.settings import TrainSettings
-from agents.storage import check_writable, held, remove_partials, write_bytes, write_json
+from agents.storage import held
 from agents.timing import Spent, TimedVecEnv, told
+from jackbox_env.storage import check_writable, new_folder, remove_partials, write_bytes, write_json
 
 MODEL = "model.zip"
 

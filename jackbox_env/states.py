@@ -31,6 +31,8 @@ STATE_NAMES = (
     "omega_jack",
 )
 
+STATE_UNITS = ("m", "m", "rad") * 2 + ("m/s", "m/s", "rad/s") * 2
+
 # A start is inside when no foot is further out than this [m], or than 4 units in the last place of a far-off position.
 START_TOLERANCE = 1e-9
 

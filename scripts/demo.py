@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from agents.settings import DEMO
-from scripts.common import command_line
+from jackbox_env.commands.common import command_line
 
 
 @dataclass(frozen=True)
@@ -41,11 +41,11 @@ def main() -> None:
     from agents.film import film
     from agents.models import derived_seed, load_model
     from agents.policies import BASELINES, Baseline, baseline
-    from agents.runs import describe, machine, new_folder, versions
-    from agents.storage import write_json
+    from agents.runs import describe, machine, versions
     from agents.training import train
     from jackbox_env import Scene
     from jackbox_env import _validation as check
+    from jackbox_env.storage import new_folder, write_json
 
     check.whole("episodes", arguments.episodes, at_least=2)
     settings = replace(

@@ -10,7 +10,7 @@ from typing import Annotated
 import tyro
 
 from agents.settings import EnvSettings
-from scripts.common import command_line
+from jackbox_env.commands.common import command_line
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,8 @@ class Arguments:
     """Decides the starts."""
     json: Path | None = None
     """Also write the results, every return included, to this new file."""
+    html: Path | None = None
+    """Also write an animated page of each policy's first start to this new folder."""
     trust: bool = False
     """Unpickle models that have no settings.json beside them: only those of people you trust."""
 
@@ -58,10 +60,11 @@ def warn_of_other_training(name: str, here: EnvSettings) -> None:
 def main() -> None:
     """Parse, evaluate, print the table."""
     arguments = tyro.cli(Arguments, description=__doc__)
+    from agents.episodes import write_pages
     from agents.evaluation import evaluate, find_policy, table
     from agents.runs import versions
-    from agents.storage import check_writable, write_json
     from jackbox_env import _validation as check
+    from jackbox_env.storage import check_writable, new_folder, write_json
 
     check.whole("episodes", arguments.episodes, at_least=1)
     check.whole("seed", arguments.seed, at_least=0, at_most=2**32 - 1)
@@ -69,6 +72,8 @@ def main() -> None:
         check_writable(arguments.json.parent)
     if arguments.json is not None and arguments.json.exists():
         raise FileExistsError(f"{arguments.json} exists, and results are never overwritten: choose another file")
+    if arguments.html is not None and arguments.html.exists():
+        raise FileExistsError(f"{arguments.html} exists, and pages are never overwritten: choose another folder")
     env_settings = arguments.settings.env_settings
     found = [
         (name, find_policy(name, arguments.settings, arguments.seed, arguments.trust)) for name in arguments.policy
@@ -83,6 +88,11 @@ def main() -> None:
     if arguments.json is not None:
         record = {"env": env_settings, "seed": arguments.seed, "versions": versions()}
         write_json(arguments.json, {**record, "results": [row.as_json() for row in rows]})
+    if arguments.html is not None:
+        print("One episode of each, as a page that any browser opens:")
+        pages = write_pages(new_folder(arguments.html, "evaluate"), dict(found), arguments.settings, arguments.seed)
+        for page, earned in pages.items():
+            print(f"  {page}: return {earned:.1f}")
 
 
 if __name__ == "__main__":

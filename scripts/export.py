@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
 
-from scripts.common import command_line
+from jackbox_env.commands.common import command_line
 
 
 @dataclass(frozen=True)
@@ -26,12 +27,14 @@ def main() -> None:
     arguments = tyro.cli(Arguments, description=__doc__)
     from agents.exporting import export_policy
     from agents.network import WEIGHTS
-    from agents.runs import new_folder, read_settings
+    from agents.runs import read_settings
+    from jackbox_env.storage import new_folder
 
     folder = new_folder(arguments.folder, "export", lambda made: export_policy(arguments.run, made))
     size = (folder / WEIGHTS).stat().st_size
     print(f"Written: {folder} ({size / 1000:.0f} kB of weights)")
-    print(f"  python scripts/evaluate.py --task {read_settings(folder).task} --policy level {folder}")
+    options = read_settings(folder).options
+    print("  " + shlex.join(["python", "scripts/evaluate.py", *options, "--policy", "level", str(folder)]))
 
 
 if __name__ == "__main__":

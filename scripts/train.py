@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,9 +10,10 @@ from typing import Annotated
 
 import tyro
 
-from agents.runs import describe, new_folder, read_settings
+from agents.runs import describe, read_settings
 from agents.settings import TrainSettings
-from scripts.common import command_line
+from jackbox_env.commands.common import command_line
+from jackbox_env.storage import new_folder
 
 
 @dataclass(frozen=True)
@@ -48,11 +50,12 @@ def main() -> None:
     try:
         train(settings, folder, progress=arguments.progress)
     except KeyboardInterrupt:
-        print(f"\nInterrupted. Go on with: python scripts/train.py --resume {folder}", file=sys.stderr)
+        command = shlex.join(["python", "scripts/train.py", "--resume", str(folder)])
+        print(f"\nInterrupted. Go on with: {command}", file=sys.stderr)
         raise
     print(f"Trained. Models, settings and evaluations: {folder}")
-    print(f"  python scripts/evaluate.py --task {settings.task} --policy zero {folder}")
-    print(f"  tensorboard --logdir {folder}")
+    print("  " + shlex.join(["python", "scripts/evaluate.py", *settings.options, "--policy", "zero", str(folder)]))
+    print("  " + shlex.join(["tensorboard", "--logdir", str(folder)]))
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[1]
 
 # From the ground up. A module may import what stands above it in this list, which is below it in the house.
 PACKAGE = """
-    _validation
+    _validation storage
     scene
     states
     randomization
@@ -40,6 +40,9 @@ PACKAGE = """
     simulators.replay simulators.contacts simulators.functions
     simulators.pymunk simulators.exact
     simulators
+    trajectory
+    samples
+    report
     scoring
     canvas
     rendering
@@ -55,15 +58,19 @@ PACKAGE = """
     sb3_wrappers
     accuracy
     choosing
+    commands.common commands.plots
+    commands.simulate commands.play commands.check
+    commands.main
+    __main__
 """
 AGENTS = """
     policies preview storage archives timing
     settings extractor
     playing zoo
     planner holding
-    trajectory runs film checkpoints
+    runs film checkpoints
     models network
-    best evaluation exporting
+    best evaluation exporting episodes
     training
     figures
 """
@@ -76,7 +83,8 @@ def _floors(listed: str, package: str) -> dict[str, int]:
 
 
 FLOORS = _floors(PACKAGE, "jackbox_env") | {name: floor + 100 for name, floor in _floors(AGENTS, "agents").items()}
-EMPTY = {"jackbox_env.compiled", "jackbox_env.batches", "agents", "scripts", "scripts.studies"}  # a docstring at most
+EMPTY = {f"jackbox_env.{name}" for name in ("compiled", "batches", "commands")}  # a docstring at most
+EMPTY |= {"agents", "scripts", "scripts.studies"}
 
 
 def _name(path: Path) -> str:

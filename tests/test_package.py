@@ -14,6 +14,7 @@ import pytest
 import jackbox_env
 from jackbox_env import env
 from scripts.studies import readme
+from tests.commands.core_site import build_wheel
 
 ROOT = Path(__file__).parents[1]
 HEAVY = ("pymunk", "pygame", "numba", "torch", "stable_baselines3", "matplotlib", "scipy")
@@ -64,19 +65,13 @@ def test_the_docstrings_example_runs() -> None:
 
 
 def test_a_wheel_holds_the_package_alone(tmp_path: Path) -> None:
-    # The build runs in this environment: hatchling is among its packages.
-    subprocess.run(
-        [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(tmp_path), str(ROOT)],
-        capture_output=True,
-        check=True,
-    )
-    (wheel,) = tmp_path.glob("*.whl")
-    with zipfile.ZipFile(wheel) as archive:
+    with zipfile.ZipFile(build_wheel(tmp_path)) as archive:
         names = archive.namelist()
         (metadata,) = (name for name in names if name.endswith("METADATA"))
         described = archive.read(metadata).decode()
     assert {name.split("/")[0] for name in names} == {"jackbox_env", metadata.split("/")[0]}
     assert "jackbox_env/py.typed" in names
+    assert {f"jackbox_env/page/{path.name}" for path in (ROOT / "jackbox_env" / "page").iterdir()} < set(names)
     assert any(name.endswith("LICENSE") for name in names)
     required = set(re.findall(r"^Requires-Dist: ([\w-]+)[^;\n]*$", described, re.MULTILINE))
     assert required == {"gymnasium", "numba", "numpy", "pymunk"}

@@ -30,6 +30,11 @@ FIDELITIES = MappingProxyType(
 )
 
 
+def explicit(setting: Setting) -> Setting:
+    """The same setting in one form: pymunk with its substeps by default is "balanced"."""
+    return FIDELITIES["balanced"] if setting == Setting(DEFAULT) else setting
+
+
 def resolve(fidelity: str | None, contact: str | None, substeps: int | None) -> Setting:
     """The contact model and substeps that the arguments mean; ``contact`` and ``substeps`` override ``fidelity``.
 

@@ -19,12 +19,21 @@ from jackbox_env.simulators.flight import fly
 from jackbox_env.states import clearance
 
 
+class Moment(NamedTuple):
+    """An impact, or several at one time."""
+
+    time: float  # [s]
+    before: list[float]  # the state just before, 12 numbers
+    after: list[float]  # the state just after, 12 numbers
+
+
 class Replay(NamedTuple):
     """What happened inside a step."""
 
     state: list[float]  # at its end, 12 numbers
     depth: float  # deepest that a foot was in a wall at an impact [m]; -inf: there was none
     work: float  # of torque and side forces on the box [J]
+    moments: list[Moment]  # in time order
 
 
 def flown(scene: Scene, state: Sequence[float], time: float, duration: float, torque: float | None) -> list[float]:
@@ -40,18 +49,23 @@ def replayed(
     scene: Scene, state: Sequence[float], time: float, impacts: Sequence[Impact], end: float, torque: float | None
 ) -> Replay:
     """Play a step from ``time`` to ``end`` [s] once more; ``state`` is that before it."""
-    now, depth, work = list(state), -math.inf, 0.0
+    now, depth, work, moments = list(state), -math.inf, 0.0, list[Moment]()
     for impact in impacts:
-        after = flown(scene, now, time, impact.time - time, torque)
-        work += _box_energy(scene, after) - _box_energy(scene, now)  # in flight nothing else changes it
-        now, time = after, max(time, impact.time)
-        depth = max(depth, -clearance(scene, now))
-        kick = impact.impulse * gap_jacobian(scene, now, impact.wall, impact.foot) / np.array(scene.mass_diagonal)
-        now[6:] = (np.array(now[6:]) + kick).tolist()
+        before = flown(scene, now, time, impact.time - time, torque)
+        work += box_energy(scene, before) - box_energy(scene, now)  # in flight nothing else changes it
+        time = max(time, impact.time)
+        depth = max(depth, -clearance(scene, before))
+        kick = impact.impulse * gap_jacobian(scene, before, impact.wall, impact.foot) / np.array(scene.mass_diagonal)
+        now = before[:6] + (np.array(before[6:]) + kick).tolist()
+        if moments and moments[-1].time == time:
+            moments[-1] = moments[-1]._replace(after=now)
+        else:
+            moments.append(Moment(time, before, now))
     after = flown(scene, now, time, end - time, torque)
-    return Replay(after, depth, work + _box_energy(scene, after) - _box_energy(scene, now))
+    return Replay(after, depth, work + box_energy(scene, after) - box_energy(scene, now), moments)
 
 
-def _box_energy(scene: Scene, state: Sequence[float]) -> float:
+def box_energy(scene: Scene, state: Sequence[float]) -> float:
+    """Kinetic energy of the box [J]."""
     moving = scene.box_mass * (state[6] * state[6] + state[7] * state[7])
     return 0.5 * (moving + scene.box_inertia * state[8] * state[8])

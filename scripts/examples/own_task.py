@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from scripts.common import command_line
+from jackbox_env.commands.common import command_line
 
 
 def stay_left(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float, float]:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import tyro
 
-from scripts.common import command_line
+from jackbox_env.commands.common import command_line
 
 HERE, ROOT = Path(__file__).parent, Path(__file__).parents[2]
 TORCH = "torch==2.13.0"  # else the newest build comes, of several GB
@@ -39,7 +39,7 @@ RECIPES = {
                       ("rl_zoo3", "stable-baselines3", TORCH)),
     "torchrl": Recipe(_script("torchrl"), ("torchrl", TORCH)),
     "tianshou": Recipe(_script("tianshou"), ("tianshou", TORCH)),
-    "minari": Recipe(_script("minari"), ("minari[create,hdf5]",)),
+    "minari": Recipe(_script("minari"), ("minari[create,hdf5]", "pillow")),
     "rllib": Recipe(_script("rllib", "--iterations", "1"), ("ray[rllib]", "gymnasium==1.2.2", TORCH)),
 }  # fmt: skip
 

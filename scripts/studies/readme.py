@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from jackbox_env.commands.common import command_line
 from jackbox_env.tasks import TASKS
-from scripts.common import command_line
 
 ROOT = Path(__file__).parents[2]
 SWEEP = ROOT / "docs" / "accuracy"

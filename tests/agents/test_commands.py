@@ -7,6 +7,7 @@ import dataclasses
 import io
 import json
 import runpy
+import shlex
 import signal
 import subprocess
 import sys
@@ -23,10 +24,11 @@ import pytest
 from agents import training
 from agents.models import load_model
 from agents.policies import BASELINES
-from agents.runs import describe, new_folder, read_settings
+from agents.runs import describe, read_settings
 from agents.settings import EnvSettings
 from jackbox_env import Scene, make_simulator
 from jackbox_env.simulators.fidelity import Setting
+from jackbox_env.storage import new_folder
 from tests.agents.small_run import TINY
 from tests.states import load
 
@@ -71,11 +73,14 @@ def test_simulate_writes_states_impacts_and_four_plots(tmp_path: Path) -> None:
     with (folder / "states.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 151
+    assert list(rows[0])[:4] == ["time [s]", "x_box [m]", "y_box [m]", "theta_box [rad]"]
+    assert list(rows[0])[-2:] == ["vy_jack [m/s]", "omega_jack [rad/s]"]
     reference = load("seed_scene")[0]
-    at_one_second = [float(value) for name, value in rows[50].items() if name != "time"]
+    at_one_second = [float(value) for name, value in rows[50].items() if name != "time [s]"]
     np.testing.assert_allclose(at_one_second, reference["states"][9]["state"], atol=1e-12)
     with (folder / "impacts.csv").open() as file:
         impacts = list(csv.DictReader(file))
+    assert list(impacts[0]) == ["time [s]", "wall", "foot", "impulse [N s]"]
     known = reference["impacts"][:3]
     assert [(int(row["wall"]), int(row["foot"])) for row in impacts] == [(hit["wall"], hit["foot"]) for hit in known]
     assert "3 impacts by t = 3 s" in done.stdout
@@ -88,7 +93,7 @@ def test_simulate_writes_states_impacts_and_four_plots(tmp_path: Path) -> None:
 def test_simulate_by_the_exact_model_gives_the_reference(tmp_path: Path) -> None:
     script("simulate", "--fidelity", "exact", "--seconds", "3", "--no-plots", "--folder", "out", cwd=tmp_path)
     with (tmp_path / "out" / "impacts.csv").open() as file:
-        times = [float(row["time"]) for row in csv.DictReader(file)]
+        times = [float(row["time [s]"]) for row in csv.DictReader(file)]
     known = [hit["time"] for hit in load("seed_scene")[0]["impacts"] if hit["time"] < 3.0]
     np.testing.assert_allclose(times, known, rtol=0.0, atol=1e-9)
 
@@ -152,6 +157,34 @@ def test_evaluate_compares_policies_and_writes_json(tmp_path: Path, run: Path) -
     assert "never overwritten" in script("evaluate", *arguments, cwd=tmp_path, status=2).stderr
 
 
+def test_evaluate_writes_an_episode_of_each_policy_as_a_page(tmp_path: Path, run: Path) -> None:
+    arguments = ["--policy", "level", "chirp", str(run), "--episodes", "1", "--task", "spin", "--fidelity", "exact"]
+    done = script("evaluate", *arguments, "--json", "out.json", "--html", "pages", cwd=tmp_path)
+    stored = json.loads((tmp_path / "out.json").read_text())
+    pages = sorted((tmp_path / "pages").iterdir())
+    assert [page.suffix for page in pages] == [".html"] * 3
+    assert {"chirp.html", "level.html"} < {page.name for page in pages}
+    for row in stored["results"][:2]:  # the episode shown is the first that was counted
+        assert f"{row['policy']}.html: return {row['mean']:.1f}" in done.stdout
+    text = (tmp_path / "pages" / "level.html").read_text()
+    data = json.loads(text.split('id="data">')[1].split("</script>")[0])
+    assert data["held"]
+    assert ["task", "spin"] in data["facts"]
+    assert "never overwritten" in script("evaluate", *arguments, "--html", "pages", cwd=tmp_path, status=2).stderr
+
+
+def test_train_prints_a_command_that_evaluates_in_the_same_environment(tmp_path: Path) -> None:
+    small = "--num-envs 4 --rollout-steps 64 --batch-size 64 --eval-episodes 2 --total-steps 256 --no-progress"
+    own = ["--task", "spin", "--contact", "exact", "--scene", '{"jack_mass": 5.0}', "--control-dt", "0.025"]
+    done = script("train", *own, *small.split(), "--folder", "a run's", cwd=tmp_path)
+    (line,) = (line for line in done.stdout.splitlines() if "evaluate.py" in line)
+    _, _, *options = shlex.split(line)
+    again = script("evaluate", *options, "--episodes", "1", cwd=tmp_path)
+    assert "Note:" not in again.stderr  # of a run that was trained elsewhere
+    assert "task spin, contact exact, control_dt 0.025, scene {" in again.stdout
+    assert "| a run's" in again.stdout
+
+
 def test_training_survives_ctrl_c_and_resumes_from_the_command_line(tmp_path: Path) -> None:
     small = "--num-envs 4 --rollout-steps 64 --batch-size 64 --checkpoint-steps 256 --eval-steps 8192 --eval-episodes 2"
     command = [sys.executable, str(ROOT / "scripts" / "train.py"), "--folder", "run", "--no-progress", *small.split()]
@@ -203,10 +236,18 @@ def test_the_demo_runs_end_to_end_when_made_small(tmp_path: Path) -> None:
         "studies/transfer/transfer",
         "studies/results/results",
         "studies/results/networks",
+        "recipes/run",
     ],
 )
 def test_every_command_line_explains_itself(name: str, tmp_path: Path) -> None:
     assert "show this help message" in process(name, "--help", cwd=tmp_path).stdout
+
+
+@pytest.mark.parametrize("name", ["", "simulate", "play", "check", "demo", "train", "evaluate"])
+def test_every_command_of_jackbox_explains_itself(name: str, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "jackbox_env", *name.split(), "--help"]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=250, check=True)
+    assert "show this help message" in done.stdout
 
 
 def test_the_words_for_a_contact_setting_mean_one_setting() -> None:

@@ -16,9 +16,10 @@ from agents import best, training
 from agents.best import BEST, read_evaluations
 from agents.checkpoints import CHECKPOINTS, Checkpoint, checkpoint_path, kept_steps, read_model_file, with_note
 from agents.models import load_model
-from agents.runs import EVALUATIONS, describe, new_folder, read_settings
+from agents.runs import EVALUATIONS, describe, read_settings
 from agents.storage import DamagedFileError
 from agents.training import MODEL
+from jackbox_env.storage import new_folder
 from scripts import train as command
 from tests.agents.killing import KILLS, SMALL, expected_steps, short_episodes
 

@@ -19,9 +19,10 @@ from agents.film import film
 from agents.holding import HoldingPPO
 from agents.models import holding, load_model, make_ppo, make_vec_env
 from agents.policies import Baseline
-from agents.runs import describe, new_folder
+from agents.runs import describe
 from agents.settings import TrainSettings
 from jackbox_env.sb3_wrappers import HoldingVecEnv
+from jackbox_env.storage import new_folder
 from tests.agents.small_run import TINY
 
 HOLD = 5

@@ -15,9 +15,8 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from agents.evaluation import evaluate, find_policy, shipped_names
 from agents.models import holding, make_ppo, make_vec_env
 from agents.network import SHIPPED, NetworkPolicy, layers_of, read_policy, write_policy
-from agents.runs import new_folder
 from agents.settings import EnvSettings, TrainSettings
-from agents.storage import write_json
+from jackbox_env.storage import new_folder, write_json
 from jackbox_env.tasks import TASKS
 from tests.agents.small_run import TINY
 

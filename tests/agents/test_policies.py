@@ -14,10 +14,10 @@ from agents.evaluation import Returns, above, evaluate, find_policy, table
 from agents.film import film
 from agents.models import make_ppo, make_vec_env
 from agents.policies import BASELINES, baseline
-from agents.runs import new_folder
 from agents.settings import EnvSettings, TrainSettings
-from agents.trajectory import simulate, write_npz
 from jackbox_env import Scene, make_simulator
+from jackbox_env.storage import new_folder
+from jackbox_env.trajectory import simulate, write_npz
 
 # -- scripted policies -------------------------------------------------------------------------------------------------
 

@@ -15,16 +15,13 @@ from typing import Any
 import pytest
 
 from agents import storage
-from agents.runs import new_folder
-from agents.storage import (
-    LOCK,
-    DamagedFileError,
-    FolderInUseError,
-    held,
+from agents.storage import LOCK, DamagedFileError, FolderInUseError, held, read_json
+from jackbox_env import storage as writing
+from jackbox_env.storage import (
     make_filled_folder,
     make_folder,
     new_file,
-    read_json,
+    new_folder,
     remove_partials,
     replacing,
     write_bytes,
@@ -77,7 +74,7 @@ def test_folders_are_on_the_disk_too(tmp_path: Path, monkeypatch: pytest.MonkeyP
 def fail(path: Path, error: BaseException, left: str | None = None) -> None:
     """Fail while a file is written. With ``left`` leave the unfinished file under this name, as a kill does."""
     with replacing(path) as partial:
-        assert storage._PARTIAL.fullmatch(partial.name)
+        assert writing._PARTIAL.fullmatch(partial.name)
         partial.write_text("ne")
         if left is not None:
             partial.rename(path.with_name(left))

@@ -21,7 +21,8 @@ from agents import training
 from agents.best import choosing_seed
 from agents.checkpoints import Checkpoint, kept_steps
 from agents.models import load_model, make_ppo, make_vec_env
-from agents.runs import describe, new_folder, read_settings
+from agents.runs import describe, read_settings
+from jackbox_env.storage import new_folder
 from tests.agents.small_run import TINY
 
 # -- training ----------------------------------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from scripts.common import command_line
+from jackbox_env.commands.common import command_line
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import stats
 
-from agents.storage import read_json, replacing, write_json
+from agents.storage import read_json
+from jackbox_env.storage import replacing, write_json
 from scripts.studies.accuracy.cases import DIGITS, DT, KINDS, LOSS
 from scripts.studies.accuracy.settings import BATCH, EXACT, PYMUNK, Setting
 

@@ -19,11 +19,12 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from agents.runs import PACKAGES, machine, new_folder, versions
-from agents.storage import DamagedFileError, held, read_json, remove_partials, say_skipped, write_json, write_text
+from agents.runs import PACKAGES, machine, versions
+from agents.storage import DamagedFileError, held, read_json, say_skipped
 from jackbox_env import Scene, rollout
 from jackbox_env.accuracy import Case, Reference, between, compare, follow, quantities, restarts
 from jackbox_env.simulators import Simulator
+from jackbox_env.storage import new_folder, remove_partials, write_json, write_text
 from scripts.studies import rivals
 from scripts.studies.accuracy import cases, pictures
 from scripts.studies.accuracy.page import DEFAULT, page

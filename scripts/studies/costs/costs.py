@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from scripts.common import command_line
+from jackbox_env.commands.common import command_line
 from scripts.studies import timing
 
 PACKAGES = ("jackbox", "gymnasium", "numpy", "pymunk", "numba")
@@ -80,8 +80,8 @@ def main() -> None:
     """Parse, measure, count, write, print."""
     import tyro
 
-    from agents.storage import write_json, write_text
     from jackbox_env import _validation as check
+    from jackbox_env.storage import write_json, write_text
     from scripts.studies.costs.page import page, pictured
 
     arguments = tyro.cli(Arguments, description=__doc__)

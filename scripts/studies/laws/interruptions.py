@@ -20,7 +20,7 @@ from tqdm import tqdm
 
 from jackbox_env import JackInBoxVectorEnv, rollout
 from jackbox_env import _validation as check
-from scripts.common import command_line
+from jackbox_env.commands.common import command_line
 
 Array = NDArray[np.float64]
 Kind = Literal["steps", "sb3", "rollouts"]

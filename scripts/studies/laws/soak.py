@@ -11,8 +11,8 @@ from typing import Literal
 from tqdm import tqdm
 
 from jackbox_env import _validation as check
+from jackbox_env.commands.common import command_line
 from jackbox_env.simulators import CONTACT_MODELS
-from scripts.common import command_line
 from scripts.studies.laws.laws import KEPT, Tally, examine
 from scripts.studies.laws.random_cases import draw_case
 

@@ -12,9 +12,9 @@ from agents.evaluation import evaluate, find_policy
 from agents.models import load_model
 from agents.policies import LevelPolicy, Policy
 from agents.settings import DEMO, TrainSettings
-from agents.storage import write_json
 from agents.training import trained_in
 from jackbox_env import Scene
+from jackbox_env.storage import write_json
 
 RESTITUTIONS = (1.0, 0.9, 0.8, 0.7)
 MASSES = (2.0, 4.0, 8.0, 16.0)  # of the jack [kg]

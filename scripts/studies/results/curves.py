@@ -12,10 +12,11 @@ matplotlib.use("Agg")
 
 from matplotlib import pyplot as plt
 
-from agents.figures import ACCENT, JACK
+from agents.figures import ACCENT
 from agents.network import SHIPPED
 from agents.runs import EVALUATIONS
-from agents.storage import replacing
+from jackbox_env.commands.plots import JACK
+from jackbox_env.storage import replacing
 from jackbox_env.tasks import TASKS
 
 LINES = ("planner", "level", "best chirp")

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import tyro
 
+from jackbox_env.commands.common import command_line
 from jackbox_env.tasks import TASKS
-from scripts.common import command_line
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,8 @@ import tyro
 from numpy.typing import NDArray
 
 from agents.settings import EnvSettings
+from jackbox_env.commands.common import command_line
 from jackbox_env.tasks import TASKS
-from scripts.common import command_line
 
 POLICIES = ("zero", "level", "chirp", "best chirp", "ppo", "planner")
 CONTACTS = ("exact", "pymunk")
@@ -83,7 +83,7 @@ def measured(task: str, contact: str, name: str, episodes: int) -> dict[str, Any
 
 def rows_of(arguments: Arguments) -> list[dict[str, Any]]:
     """A row for each task, contact model and policy; those in files already are read."""
-    from agents.storage import write_json
+    from jackbox_env.storage import write_json
 
     rows = []
     for task in TASKS:
@@ -114,8 +114,8 @@ def trained() -> dict[str, Any]:
 def main() -> None:
     """Parse, evaluate what is missing, write the page."""
     arguments = tyro.cli(Arguments, description=__doc__)
-    from agents.storage import check_writable, write_bytes
     from jackbox_env import _validation as check
+    from jackbox_env.storage import check_writable, write_bytes
     from scripts.studies.results.across import across
     from scripts.studies.results.attainable import spin_bound
     from scripts.studies.results.curves import draw

@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
-from scripts.common import command_line
+from jackbox_env.commands.common import command_line
 from scripts.studies import timing
 from scripts.studies.timing import meanwhile
 
@@ -62,8 +62,8 @@ def main() -> None:
     """Parse, measure, write, print."""
     import tyro
 
-    from agents.storage import write_json, write_text
     from jackbox_env import _validation as check
+    from jackbox_env.storage import write_json, write_text
     from scripts.studies.speed.page import page, pictured, told
 
     arguments = tyro.cli(Arguments, description=__doc__)

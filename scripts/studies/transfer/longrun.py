@@ -21,10 +21,11 @@ from tqdm import tqdm
 
 from agents.models import derived_seed
 from agents.policies import Policy
-from agents.storage import DamagedFileError, make_folder, parsing, say_skipped, write_bytes
+from agents.storage import DamagedFileError, parsing, say_skipped
 from jackbox_env import FIDELITIES, Impact, Scene, make_simulator
 from jackbox_env.observation import observe
 from jackbox_env.states import clearance
+from jackbox_env.storage import make_folder, write_bytes
 from jackbox_env.tasks import sample_start
 
 STEPS = 500

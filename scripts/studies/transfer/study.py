@@ -32,12 +32,13 @@ from agents.checkpoints import is_whole, kept_steps
 from agents.evaluation import evaluate
 from agents.models import load_model
 from agents.policies import Policy, baseline
-from agents.runs import SETTINGS, describe, new_folder, read_settings, versions
+from agents.runs import SETTINGS, describe, read_settings, versions
 from agents.settings import TaskName, TrainSettings
-from agents.storage import DamagedFileError, held, make_folder, read_json, say_skipped, write_json
+from agents.storage import DamagedFileError, held, read_json, say_skipped
 from agents.training import MODEL
 from jackbox_env import FIDELITIES, Scene
 from jackbox_env import _validation as check
+from jackbox_env.storage import make_folder, new_folder, write_json
 from scripts.studies.transfer.longrun import Episodes, run_long
 
 TRAIN = Path(__file__).parents[3] / "scripts" / "train.py"

@@ -10,7 +10,7 @@ from typing import Annotated
 import tyro
 
 from jackbox_env import _validation as check
-from scripts.common import command_line
+from jackbox_env.commands.common import command_line
 from scripts.studies.transfer.study import StudySettings
 
 
@@ -37,7 +37,8 @@ class Arguments:
 def main() -> None:
     """Parse, train, run, write."""
     arguments = tyro.cli(Arguments, description=__doc__)
-    from agents.storage import held, remove_partials
+    from agents.storage import held
+    from jackbox_env.storage import remove_partials
     from scripts.studies.transfer import study
     from scripts.studies.transfer.page import SCRIPT, gather, read_data, write
 

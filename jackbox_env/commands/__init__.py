@@ -1,0 +1,1 @@
+"""What an installed wheel offers on the command line: simulate, play, check."""

@@ -1,0 +1,106 @@
+"""What the command lines share."""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import json
+import re
+import sys
+from collections.abc import Callable
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from gymnasium.error import DependencyNotInstalled
+from gymnasium.error import Error as GymnasiumError
+
+from jackbox_env import _validation as check
+
+ROOT = Path(__file__).parents[2]  # of a checkout; above an installed package there is none
+
+
+def command_line(main: Callable[[], None]) -> Callable[[], None]:
+    """Turn refusals into one sentence on standard error and exit status 2; Ctrl-C exits with 130."""
+
+    @functools.wraps(main)
+    def wrapped() -> None:
+        try:
+            main()
+        except (ImportError, DependencyNotInstalled) as error:
+            print(f"{error}; this command needs more packages: {_how_to_get_all()}", file=sys.stderr)
+            sys.exit(2)
+        except (ValueError, TypeError, OSError, RuntimeError, GymnasiumError) as error:
+            print(error, file=sys.stderr)
+            sys.exit(2)
+        except KeyboardInterrupt:
+            sys.exit(130)
+
+    return wrapped
+
+
+def in_checkout() -> bool:
+    """Whether this package is that of a checkout, with the scripts beside it."""
+    return (ROOT / "scripts" / "train.py").is_file() and (ROOT / "pyproject.toml").is_file()
+
+
+def _how_to_get_all() -> str:
+    if in_checkout():
+        return "pip install -e '.[all,dev]' in a checkout"
+    return "`jackbox check` lists them, and how to install them"
+
+
+def extras() -> dict[str, list[str]]:
+    """What each extra asks for, e.g. {"render": ["pygame-ce>=2.5"]}, by the installed package's own record."""
+    asked = dict[str, list[str]]()
+    for line in metadata.requires("jackbox") or []:
+        requirement, _, condition = line.partition(";")
+        named = re.search(r"extra == ['\"](\w+)['\"]", condition)
+        if named and not requirement.startswith("jackbox["):
+            asked.setdefault(named[1], []).append(requirement.strip())
+    return asked
+
+
+def package_of(requirement: str) -> str:
+    """The name in a requirement: "torch" of "torch<3,>=2.3"."""
+    found = re.match(r"[\w.-]+", requirement)
+    return found[0] if found else requirement
+
+
+def json_object(name: str, text: str) -> dict[str, Any]:
+    """What an option called ``name`` holds that is given as JSON.
+
+    Raises:
+        ValueError: it is not a JSON object.
+    """
+    try:
+        values = json.loads(text)
+    except (RecursionError, TypeError, ValueError) as error:
+        raise ValueError(f"{name} must be a JSON object, got {check.shown(text)}") from error
+    if not isinstance(values, dict):
+        raise ValueError(f"{name} must be a JSON object, got {check.shown(text)}")
+    return values
+
+
+def scene_fields(text: str) -> dict[str, Any]:
+    """Fields of a scene that are given as JSON.
+
+    Raises:
+        ValueError: it is not a JSON object.
+    """
+    return json_object("scene", text)
+
+
+def parser_of(program: str | None, text: str | None) -> argparse.ArgumentParser:
+    """A parser that shows defaults and takes whole names only."""
+    return argparse.ArgumentParser(program, description=text, allow_abbrev=False)
+
+
+def add_model_options(parser: argparse.ArgumentParser) -> None:
+    """Add what chooses the scene and the contact model: scene, contact, substeps, fidelity."""
+    model = parser.add_argument_group("scene and contact model")
+    model.add_argument("--contact", metavar="NAME", help="pymunk or exact; default: the fidelity's, or pymunk")
+    model.add_argument("--substeps", type=int, metavar="N", help="engine steps of pymunk per step; default: 4")
+    model.add_argument("--fidelity", metavar="NAME", help="coarse, balanced, fine or exact: a name for both")
+    text = """fields that differ from the default, as JSON, e.g. '{"gravity": 1.62}'"""
+    model.add_argument("--scene", default="{}", metavar="JSON", help=text)

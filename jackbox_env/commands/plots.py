@@ -1,0 +1,57 @@
+"""Plots of a trajectory by matplotlib, which is not among what the package asks for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+from matplotlib import pyplot as plt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from jackbox_env.storage import new_file
+from jackbox_env.trajectory import Trajectory
+
+BOX, JACK = "#c23b3b", "#2f5fb3"
+
+# columns of the state, and what to call them
+_PLOTS = {
+    "box_positions": (BOX, "Box: position and angle", ((0, "x [m]"), (1, "y [m]"), (2, "angle [rad]"))),
+    "box_velocities": (BOX, "Box: velocity and rate", ((6, "vx [m/s]"), (7, "vy [m/s]"), (8, "omega [rad/s]"))),
+    "jack_positions": (JACK, "Jack: position and angle", ((3, "x [m]"), (4, "y [m]"), (5, "angle [rad]"))),
+    "jack_velocities": (JACK, "Jack: velocity and rate", ((9, "vx [m/s]"), (10, "vy [m/s]"), (11, "omega [rad/s]"))),
+}
+
+
+def write_figure(figure: Figure, path: Path) -> Path:
+    """Write a figure to a new file, and close it."""
+    with new_file(path) as partial:
+        figure.savefig(partial, dpi=150)
+    plt.close(figure)
+    return path
+
+
+def trajectory_figures(trajectory: Trajectory, folder: Path) -> list[Path]:
+    """Write the four plots: positions and velocities of the box and of the jack, impacts marked by thin lines."""
+    paths = []
+    for name, (color, title, columns) in _PLOTS.items():
+        figure, rows = plt.subplots(len(columns), 1, figsize=(8.0, 6.0), sharex=True, layout="constrained")
+        for axes, (column, label) in zip(rows, columns, strict=True):
+            _draw_column(axes, trajectory, column, color)
+            axes.set_ylabel(label)
+        rows[0].set_title(f"{title}; thin lines: {len(trajectory.impacts)} impacts")
+        rows[-1].set_xlabel("time [s]")
+        figure.align_ylabels(rows)
+        paths.append(write_figure(figure, folder / f"{name}.png"))
+    return paths
+
+
+def _draw_column(axes: Axes, trajectory: Trajectory, column: int, color: str) -> None:
+    for impact in trajectory.impacts[:1000]:  # more would be one grey block
+        axes.axvline(impact.time, color="#cccccc", linewidth=0.6, zorder=0)
+    axes.plot(trajectory.times, trajectory.states[:, column], color=color, linewidth=1.2)
+    axes.margins(x=0.0)
+    axes.spines[["top", "right"]].set_visible(False)

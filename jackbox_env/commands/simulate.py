@@ -1,0 +1,101 @@
+"""Simulate the scene under its own drive: states and impacts as CSV or npz, plots, and an animated page."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import json
+import sys
+from pathlib import Path
+
+from jackbox_env.commands.common import add_model_options, command_line, parser_of, scene_fields
+
+_MOST_ON_PAGE = 200_000  # steps: a minute of writing
+
+
+def _arguments() -> argparse.Namespace:
+    parser = parser_of(None, __doc__)
+    parser.add_argument("--seconds", type=float, default=10.0, metavar="S", help="simulated time [s]; default: 10")
+    parser.add_argument("--dt", type=float, default=0.02, metavar="S", help="between stored states [s]; default: 0.02")
+    add_model_options(parser)
+    start = parser.add_argument_group("start")
+    text = "the 12 numbers to start from, as a JSON list; default: box and jack at rest at the origin"
+    start.add_argument("--state", metavar="JSON", help=text)
+    text = "time at the start [s], which the drive sees; default: 0"
+    start.add_argument("--time", type=float, default=0.0, metavar="S", help=text)
+    files = parser.add_argument_group("files")
+    text = "new folder for the files; default: runs/simulate-<date>-<time>"
+    files.add_argument("--folder", type=Path, help=text)
+    files.add_argument("--format", choices=("csv", "npz"), default="csv", help="of states and impacts; default: csv")
+    text = "draw positions and velocities of the box and of the jack; default: where matplotlib is installed"
+    files.add_argument("--plots", action=argparse.BooleanOptionalAction, help=text)
+    text = "also write trajectory.html: animation, impacts and plots in one page that any browser opens"
+    files.add_argument("--html", action="store_true", help=text)
+    return parser.parse_args()
+
+
+def _refuse_nonsense(arguments: argparse.Namespace) -> None:
+    """Raise ValueError for a duration that cannot be simulated, and for files that cannot be written."""
+    from jackbox_env import _validation as check
+
+    check.real("seconds", arguments.seconds, above=0.0, at_most=1e6)
+    check.real("dt", arguments.dt, above=0.0)
+    if arguments.dt > arguments.seconds:
+        raise ValueError(f"dt must be at most seconds = {arguments.seconds:g}, got {arguments.dt:g}")
+    steps = arguments.seconds / arguments.dt
+    if steps > 1e8:
+        raise ValueError(f"seconds / dt must be at most 1e8 steps, got {steps:g}")
+    if arguments.html and steps > _MOST_ON_PAGE:
+        raise ValueError(f"html takes at most {_MOST_ON_PAGE:,} steps, got seconds / dt = {steps:g}")
+    if arguments.plots and importlib.util.find_spec("matplotlib") is None:
+        raise ValueError("plots need matplotlib: pip install matplotlib, or leave --plots out")
+
+
+def _start(text: str | None) -> object:
+    if text is None:
+        return [0.0] * 12
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError as error:
+        raise ValueError(f"state must be a JSON list of 12 numbers, got {text!r}") from error
+
+
+@command_line
+def main() -> None:
+    """Parse, simulate, write."""
+    arguments = _arguments()
+    from jackbox_env import Scene, make_simulator
+    from jackbox_env.simulators.fidelity import resolve
+    from jackbox_env.states import as_start
+    from jackbox_env.storage import new_folder
+    from jackbox_env.trajectory import simulate, write_csv, write_npz
+
+    _refuse_nonsense(arguments)
+    setting = resolve(arguments.fidelity, arguments.contact, arguments.substeps)
+    scene = Scene.of(scene_fields(arguments.scene))
+    simulator = make_simulator(scene, **setting._asdict())
+    simulator.reset(as_start(scene, _start(arguments.state)), arguments.time)  # type: ignore[arg-type]
+    folder = new_folder(arguments.folder, "simulate")
+    trajectory = simulate(simulator, arguments.seconds, arguments.dt)
+    paths = write_csv(trajectory, folder) if arguments.format == "csv" else write_npz(trajectory, folder)
+    if arguments.html:
+        from jackbox_env.report import model_facts, write_page
+
+        paths.append(
+            write_page(folder / "trajectory.html", scene, trajectory, "The scene's drive", model_facts(setting))
+        )
+    if arguments.plots is not False and importlib.util.find_spec("matplotlib"):
+        from jackbox_env.commands.plots import trajectory_figures
+
+        paths += trajectory_figures(trajectory, folder)
+    elif arguments.plots is None:
+        print("No plots: matplotlib is not installed (pip install matplotlib)", file=sys.stderr)
+    print(f"{len(trajectory.impacts)} impacts by t = {simulator.time:g} s; wrote")
+    for path in paths:
+        print(f"  {path}")
+    if trajectory.failure:
+        raise RuntimeError(trajectory.failure)
+
+
+if __name__ == "__main__":
+    main()

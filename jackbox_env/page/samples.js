@@ -1,0 +1,76 @@
+// -- the samples: decoded, and interpolated in time -------------------------------------------------------------------
+// A row is [time, 6 places, 6 rates, torque, energy, work]. Two rows have one time where there is an impact.
+
+const data = JSON.parse(document.getElementById("data").textContent);
+const WIDTH = data.columns.length;
+const COLUMN = Object.fromEntries(data.columns.map((name, number) => [name, number]));
+const rows = (() => {
+  const text = atob(data.samples);
+  const bytes = new Uint8Array(text.length);
+  for (let place = 0; place < text.length; place++) bytes[place] = text.charCodeAt(place);
+  return new Float64Array(bytes.buffer);
+})();
+const COUNT = rows.length / WIDTH;
+const START = rows[0];
+const END = rows[(COUNT - 1) * WIDTH];
+const LASTS = END - START;
+const at = (row, column) => rows[row * WIDTH + column];
+
+// The last row at or before a time: just after an impact at that very time.
+function rowAt(time) {
+  let low = 0;
+  let high = COUNT;
+  while (high - low > 1) {
+    const middle = (low + high) >> 1;
+    if (at(middle, 0) <= time) low = middle;
+    else high = middle;
+  }
+  return low;
+}
+
+// The row's numbers at a time, into `into`: places by the cubic through both places and rates, the rest by a line.
+function sampleAt(time, into) {
+  const row = rowAt(time);
+  const next = Math.min(row + 1, COUNT - 1);
+  const step = at(next, 0) - at(row, 0);
+  const share = step > 0 ? Math.min(Math.max((time - at(row, 0)) / step, 0), 1) : 0;
+  const rest = 1 - share;
+  into[0] = time;
+  for (let column = 1; column <= 6; column++) {
+    into[column] =
+      rest * rest * ((1 + 2 * share) * at(row, column) + share * step * at(row, column + 6)) +
+      share * share * ((1 + 2 * rest) * at(next, column) - rest * step * at(next, column + 6));
+  }
+  for (let column = 7; column < WIDTH; column++) into[column] = rest * at(row, column) + share * at(next, column);
+  into[COLUMN.torque] = at(next, COLUMN.torque); // a mean since the row before
+  return into;
+}
+
+// Where a foot is: [x, y] from the jack's centre.
+function footOf(state, foot) {
+  const angle = state[COLUMN.theta_jack] + (foot * Math.PI) / 2;
+  return [data.arm * Math.cos(angle), data.arm * Math.sin(angle)];
+}
+
+// Impacts, each with the place of its foot in the box's own frame.
+const impacts = data.impacts.map(([time, wall, foot, impulse]) => {
+  const state = sampleAt(time, new Float64Array(WIDTH));
+  const [ox, oy] = footOf(state, foot);
+  const x = state[COLUMN.x_jack] - state[COLUMN.x_box] + ox;
+  const y = state[COLUMN.y_jack] - state[COLUMN.y_box] + oy;
+  const cosine = Math.cos(state[COLUMN.theta_box]);
+  const sine = Math.sin(state[COLUMN.theta_box]);
+  return { time, wall, foot, impulse, x: cosine * x + sine * y, y: cosine * y - sine * x };
+});
+
+// Number of impacts at or before a time.
+function impactsBy(time) {
+  let low = 0;
+  let high = impacts.length;
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (impacts[middle].time <= time) low = middle + 1;
+    else high = middle;
+  }
+  return low;
+}

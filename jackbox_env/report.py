@@ -1,0 +1,130 @@
+"""A trajectory as one page of HTML: an animation, its impacts, and plots that follow its time.
+
+The page is one file that any browser opens, without a network. Its parts lie in ``jackbox_env/page``: ``page.html``
+names the others, which are put in its place. The page interpolates between the samples that are written into it
+(:mod:`jackbox_env.samples`), by cubics through place and velocity; all physics is computed here.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from collections.abc import Iterable
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jackbox_env.samples import Samples, samples_of
+from jackbox_env.scene import Chirp, Scene
+from jackbox_env.simulators.fidelity import Setting, explicit
+from jackbox_env.states import STATE_NAMES
+from jackbox_env.storage import new_file
+from jackbox_env.trajectory import Trajectory
+
+WALLS = ("right", "top", "left", "bottom")  # of the box, while it is level
+_MOST_IMPACTS = 2000  # in the page's list: more would make a heavy page that nobody reads
+
+Facts = list[tuple[str, str]]  # what to call a fact, and its value with its unit
+
+
+def model_facts(setting: Setting) -> Facts:
+    """The contact model and its substeps, in words."""
+    contact, substeps = explicit(setting)
+    return [("contact model", contact), *([] if substeps is None else [("substeps", str(substeps))])]
+
+
+def write_page(path: Path, scene: Scene, trajectory: Trajectory, title: str, facts: Iterable[tuple[str, str]]) -> Path:
+    """Write a trajectory as a page.
+
+    Args:
+        path: of the new file.
+        scene: that the trajectory is of.
+        trajectory: what to show.
+        title: what moved the box, in a few words.
+        facts: what to list before the scene's numbers.
+
+    Raises:
+        FileExistsError: there is something at ``path``.
+    """
+    shown = samples_of(scene, trajectory)
+    data = _described(scene, trajectory, shown, title, [*facts, *_timing(trajectory), *_scene_facts(scene)])
+    with new_file(path) as partial:
+        partial.write_text(_assembled(data), encoding="utf-8")
+    return path
+
+
+def _described(scene: Scene, trajectory: Trajectory, shown: Samples, title: str, facts: Facts) -> dict[str, Any]:
+    """What the page is given, as JSON."""
+    columns = np.column_stack([shown.times, shown.states, shown.torques, shown.energies, shown.work])
+    return {
+        "title": title,
+        "facts": facts,
+        "notes": _notes(trajectory, shown),
+        "halfWidth": scene.box_half_width,
+        "arm": scene.jack_arm,
+        "knock": 2.0 * scene.jack_mass * scene.speed_scale,  # the impulse of a hard impact [N s]
+        "timeScale": scene.box_half_width / scene.speed_scale,  # of a fall across the box [s]
+        "held": not trajectory.driven,
+        "walls": WALLS,
+        "columns": ["time", *STATE_NAMES, "torque", "energy", "work"],
+        "samples": base64.b64encode(columns.astype("<f8").tobytes()).decode(),
+        "impacts": trajectory.impacts[:_MOST_IMPACTS],
+        "impactCount": len(trajectory.impacts),
+    }
+
+
+def _notes(trajectory: Trajectory, shown: Samples) -> list[str]:
+    """What a reader must know about this trajectory in particular."""
+    notes = []
+    if shown.every > 1:
+        notes.append(f"One of {shown.every} stored states is shown, and each impact.")
+    if len(trajectory.impacts) > _MOST_IMPACTS:
+        notes.append(f"The first {_MOST_IMPACTS:,} of {len(trajectory.impacts):,} impacts are listed.")
+    if trajectory.failure:
+        notes.append(f"It ended early: {trajectory.failure}.")
+    return notes
+
+
+def _timing(trajectory: Trajectory) -> Facts:
+    times = trajectory.times
+    steps = max(1, len(times) - 1)
+    return [
+        ("time", f"{times[0]:g} s to {times[-1]:g} s"),
+        ("time step", f"{(times[-1] - times[0]) / steps:.4g} s"),
+        ("impacts", f"{len(trajectory.impacts):,}"),
+    ]
+
+
+def _scene_facts(scene: Scene) -> Facts:
+    drive = scene.drive
+    if isinstance(drive, Chirp):
+        moved = f"chirp, {drive.amplitude:g} N m, from {drive.start_frequency:g} Hz by {drive.rate:g} Hz/s"
+    else:
+        moved = "none" if drive is None else "functions of time"
+    return [
+        ("box half width L", f"{scene.box_half_width:g} m"),
+        ("box mass", f"{scene.box_mass:g} kg"),
+        ("box inertia", f"{scene.box_inertia:g} kg m\u00b2"),
+        ("jack arm l", f"{scene.jack_arm:g} m"),
+        ("jack mass", f"{scene.jack_mass:g} kg"),
+        ("jack inertia", f"{scene.jack_inertia:g} kg m\u00b2"),
+        ("gravity", f"{scene.gravity:g} m/s\u00b2"),
+        ("restitution", f"{scene.restitution:g}"),
+        ("torque limit", f"{scene.torque_limit:g} N m"),
+        ("drive", moved),
+    ]
+
+
+def _assembled(data: dict[str, Any]) -> str:
+    """The page's text: ``page.html`` with the files that it names, and the data."""
+    folder = files("jackbox_env") / "page"
+    # "<" would let a title end the script that the data stands in.
+    text = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+
+    def part(named: re.Match[str]) -> str:
+        return text if named[1] == "data" else (folder / named[1]).read_text(encoding="utf-8").strip()
+
+    return re.sub(r"\{\{([\w.]+)\}\}", part, (folder / "page.html").read_text(encoding="utf-8"))

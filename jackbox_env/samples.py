@@ -1,0 +1,141 @@
+"""What a trajectory passes between its stored states: the moments of its impacts, and points in flight.
+
+A stored state is a control step's end, and impacts happen inside of steps. Lines from one stored state to the next cut
+the corner of the path at an impact. Here each step is played once more (:mod:`jackbox_env.simulators.replay`): flight
+in closed form, and the impulses that the contact model recorded. So a sample stands just before and just after each
+impact, and whoever draws the samples needs no law of contact.
+
+Exactness: rounding with ``contact="exact"``. With pymunk an impact stands where the engine resolved it, at the end of a
+substep, with the foot inside the wall. A step in which a foot rests on a wall has no samples of its own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from jackbox_env.mechanics import energy_of
+from jackbox_env.scene import Drive, Scene
+from jackbox_env.simulators import Impact
+from jackbox_env.simulators.replay import Moment, box_energy, flown, replayed
+from jackbox_env.states import Array
+from jackbox_env.trajectory import Trajectory
+
+SPACING = 0.005  # between samples in flight, at most [s]
+MOST = 8000  # stored states that are taken; of more, every second, third, ...
+_ELSEWHERE = 1e-6  # over L: a replay that ends this far off has met a foot at rest
+
+
+class Samples(NamedTuple):
+    """A trajectory between its stored states, in time order; two samples have one time where there is an impact."""
+
+    times: Array  # [s], (n,)
+    states: Array  # SI units, (n, 12)
+    torques: Array  # mean torque on the box since the sample before [N m], (n,)
+    energies: Array  # kinetic energy and m_j g y_jack [J], (n,)
+    work: Array  # of torque and side forces on the box since the start [J], (n,)
+    every: int  # how many stored states there are to each one taken
+
+
+class _Sample(NamedTuple):
+    time: float
+    state: list[float]
+    work: float
+
+
+class _Step(NamedTuple):
+    """One step of a trajectory."""
+
+    start: float  # [s]
+    end: float  # [s]
+    before: list[float]
+    after: list[float]
+    impacts: list[Impact]
+    torque: float | None  # held [N m]; None: the drive's
+
+    def flight(self, scene: Scene, points: int) -> Iterator[_Sample]:
+        """Points of a step without impacts, its end included, with the work since its start."""
+        at_first = box_energy(scene, self.before)
+        for number in range(1, points):
+            since = (self.end - self.start) * number / points
+            state = flown(scene, self.before, self.start, since, self.torque)
+            yield _Sample(self.start + since, state, box_energy(scene, state) - at_first)
+        yield _Sample(self.end, self.after, box_energy(scene, self.after) - at_first)
+
+    def contact(self, scene: Scene) -> Iterator[_Sample]:
+        """The moments of a step with impacts, and its end, with the work since its start.
+
+        In flight the box's kinetic energy changes by the work alone, so the work is its change between the impacts.
+        """
+        replay = replayed(scene, self.before, self.start, self.impacts, self.end, self.torque)
+        work, flying = 0.0, box_energy(scene, self.before)
+        for moment in replay.moments:
+            work += box_energy(scene, moment.before) - flying
+            flying = box_energy(scene, moment.after)
+            if self._rests(scene, moment):
+                break
+            yield _Sample(min(moment.time, self.end), moment.before, work)
+            if moment.time < self.end:
+                yield _Sample(moment.time, moment.after, work)
+        yield _Sample(self.end, self.after, replay.work)
+
+    def _rests(self, scene: Scene, moment: Moment) -> bool:
+        """Whether it is the one record of a foot at rest, at the step's end: the replay has let that foot fall."""
+        off = max(abs(a - b) for a, b in zip(moment.before[3:5], self.after[3:5], strict=True))
+        return moment.time >= self.end and off > _ELSEWHERE * scene.box_half_width
+
+
+def _steps(trajectory: Trajectory) -> Iterator[_Step]:
+    times, states = trajectory.times.tolist(), trajectory.states.tolist()
+    first = 0
+    torques = [None] * len(trajectory.torques) if trajectory.driven else trajectory.torques.tolist()
+    for number, count in enumerate(trajectory.counts.tolist()):
+        impacts = trajectory.impacts[first : first + count]
+        first += count
+        before, after = states[number : number + 2]
+        yield _Step(times[number], times[number + 1], before, after, impacts, torques[number])
+
+
+def samples_of(scene: Scene, trajectory: Trajectory) -> Samples:
+    """The samples of a trajectory in a scene.
+
+    In a step without impacts they are at most 0.005 s apart. A trajectory of more than 8000 steps gets no points in
+    flight, and only every second (third, ...) of its stored states. The impacts all stay.
+    """
+    steps = len(trajectory.counts)
+    every = max(1, math.ceil(steps / MOST))
+    found = [_Sample(float(trajectory.times[0]), trajectory.states[0].tolist(), 0.0)]
+    done = 0.0
+    for number, step in enumerate(_steps(trajectory), start=1):
+        points = min(math.ceil((step.end - step.start) / SPACING - 1e-6), max(1, MOST // steps))
+        new = list(step.contact(scene) if step.impacts else step.flight(scene, points))
+        found += [one._replace(work=done + one.work) for one in new[:-1]]
+        done += new[-1].work
+        if number % every == 0 or number == steps:
+            found.append(new[-1]._replace(work=done))
+    return Samples(
+        np.array([one.time for one in found]),
+        np.array([one.state for one in found]),
+        np.array(_torques(scene, trajectory, found)),
+        np.array([energy_of(scene, one.state) for one in found]),
+        np.array([one.work for one in found]),
+        every,
+    )
+
+
+def _torques(scene: Scene, trajectory: Trajectory, found: list[_Sample]) -> list[float]:
+    """Mean torque since the sample before, for each sample [N m]."""
+    if not len(trajectory.torques):
+        return [0.0]
+    if not trajectory.driven:
+        ends = np.searchsorted(trajectory.times[1:], [one.time for one in found[1:]])
+        return [float(trajectory.torques[0]), *trajectory.torques[ends].tolist()]
+    drive, torques = scene.drive or Drive(), list[float]()
+    for last, one in pairwise(found):
+        still = one.time <= last.time and torques
+        torques.append(torques[-1] if still else sum(drive.torque_means(last.time, one.time - last.time)) / 2.0)
+    return [torques[0], *torques]

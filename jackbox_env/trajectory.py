@@ -1,0 +1,135 @@
+"""A trajectory: the states of a simulation or of an episode, step by step, its impacts, and files of them."""
+
+from __future__ import annotations
+
+import csv
+import importlib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jackbox_env.simulators import Impact, JackLostError, Simulator
+from jackbox_env.states import STATE_NAMES, STATE_UNITS, Array
+from jackbox_env.storage import new_file
+
+_IMPACT_UNITS = {"time": " [s]", "impulse": " [N s]"}  # wall and foot are numbers
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """What a simulation or an episode went through in n - 1 steps.
+
+    Attributes:
+        times: [s], shape (n,).
+        states: SI units, shape (n, 12).
+        torques: mean torque on the box over each step [N m], shape (n - 1,).
+        counts: number of impacts of each step, shape (n - 1,).
+        impacts: in time order.
+        driven: whether the scene's drive gave the torques; otherwise each was held for its step.
+        failure: what ended it early, if anything.
+    """
+
+    times: NDArray[np.float64]
+    states: NDArray[np.float64]
+    torques: NDArray[np.float64]
+    counts: NDArray[np.int64]
+    impacts: list[Impact]
+    driven: bool = True
+    failure: str | None = None
+
+
+class Recording:
+    """A trajectory while it is made.
+
+    Args:
+        state: at the start, shape (12,), SI units.
+        time: at the start [s].
+        driven: whether the scene's drive gives the torques.
+    """
+
+    def __init__(self, state: Array, time: float, driven: bool = True) -> None:
+        self._times, self._states, self._driven = [time], [state], driven
+        self._torques, self._counts, self._impacts = list[float](), list[int](), list[Impact]()
+
+    def add(self, state: Array, time: float, torque: float, impacts: Sequence[Impact]) -> None:
+        """Note a step: state and time [s] at its end, its mean torque [N m], its impacts."""
+        self._times.append(time)
+        self._states.append(state)
+        self._torques.append(torque)
+        self._counts.append(len(impacts))
+        self._impacts += impacts
+
+    def trajectory(self, failure: str | None = None) -> Trajectory:
+        """What was noted so far."""
+        return Trajectory(
+            np.array(self._times),
+            np.array(self._states),
+            np.array(self._torques),
+            np.array(self._counts, dtype=np.int64),
+            list(self._impacts),
+            self._driven,
+            failure,
+        )
+
+
+def simulate(simulator: Simulator, seconds: float, dt: float, progress: bool = True) -> Trajectory:
+    """Step under the scene's drive for ``seconds`` in steps of ``dt`` [s]; a jack that leaves the box ends it early."""
+    recording = Recording(simulator.state, simulator.time)
+    steps: Iterable[int] = range(max(1, round(seconds / dt)))
+    for _ in _with_bar(steps) if progress else steps:
+        try:
+            simulator.step(dt)
+        except JackLostError as error:
+            return recording.trajectory(str(error))
+        recording.add(simulator.state, simulator.time, simulator.torque, simulator.impacts)
+    return recording.trajectory()
+
+
+def _with_bar(steps: Iterable[int]) -> Iterable[int]:
+    """The steps, with a progress bar where tqdm is installed."""
+    try:
+        tqdm: Any = importlib.import_module("tqdm").tqdm
+    except ImportError:
+        return steps
+    bar: Iterable[int] = tqdm(steps, unit="step", leave=False)
+    return bar
+
+
+def write_csv(trajectory: Trajectory, folder: Path) -> list[Path]:
+    """Write states.csv (time and the 12 numbers) and impacts.csv (time, wall, foot, impulse), digits in full.
+
+    The first line names each column with its unit.
+
+    Raises:
+        FileExistsError: a file is there already.
+    """
+    paths = [folder / "states.csv", folder / "impacts.csv"]
+    with new_file(paths[0]) as partial, partial.open("w", newline="") as file:
+        writer = csv.writer(file)
+        units = zip(STATE_NAMES, STATE_UNITS, strict=True)
+        writer.writerow(["time [s]", *(f"{name} [{unit}]" for name, unit in units)])
+        for time, state in zip(trajectory.times.tolist(), trajectory.states.tolist(), strict=True):
+            writer.writerow([repr(time), *map(repr, state)])
+    with new_file(paths[1]) as partial, partial.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(name + _IMPACT_UNITS.get(name, "") for name in Impact._fields)
+        writer.writerows(trajectory.impacts)
+    return paths
+
+
+def write_npz(trajectory: Trajectory, folder: Path) -> list[Path]:
+    """Write trajectory.npz: time (n,), state (n, 12), impact_time, impact_wall, impact_foot, impact_impulse (m,).
+
+    Raises:
+        FileExistsError: the file is there already.
+    """
+    path = folder / "trajectory.npz"
+    columns = list(zip(*trajectory.impacts, strict=True)) or [()] * len(Impact._fields)
+    named = {f"impact_{name}": np.array(column) for name, column in zip(Impact._fields, columns, strict=True)}
+    with new_file(path) as partial:
+        np.savez(partial, time=trajectory.times, state=trajectory.states, **named)  # type: ignore[arg-type]
+    return [path]

@@ -1,0 +1,98 @@
+"""The command ``jackbox`` in a checkout."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from jackbox_env import Scene, make_simulator
+from jackbox_env.commands import check
+from jackbox_env.mechanics import impact_map
+from jackbox_env.states import Array
+
+ROOT = Path(__file__).parents[2]
+
+
+def jackbox(*arguments: str, cwd: Path, status: int = 0) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "jackbox_env", *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=250, check=False)
+    assert done.returncode == status, done.stderr
+    return done
+
+
+def test_it_names_its_commands(tmp_path: Path) -> None:
+    for arguments in ([], ["--help"]):
+        out = jackbox(*arguments, cwd=tmp_path).stdout
+        for name in ("simulate", "play", "check", "demo", "train", "evaluate"):
+            assert f"\n  {name} " in out
+    refused = jackbox("juggle", cwd=tmp_path, status=2).stderr
+    expected = "the command must be one of simulate, play, check, demo, train, evaluate, got 'juggle'\n"
+    assert refused == expected
+
+
+def test_it_runs_the_scripts_of_the_checkout(tmp_path: Path) -> None:
+    out = jackbox("evaluate", "--policy", "zero", "--episodes", "1", cwd=tmp_path).stdout
+    assert "| zero" in out
+
+
+@pytest.fixture
+def checked(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> pytest.CaptureFixture[str]:
+    monkeypatch.setattr(sys, "argv", ["jackbox check"])
+    return capsys
+
+
+def test_check_passes_here(checked: pytest.CaptureFixture[str]) -> None:
+    check.main()
+    out = checked.readouterr().out
+    assert out.count("ok      ") == 4
+    assert "extra render: installed" in out
+    assert "3 impacts agree with the impact map" in out
+
+
+def test_check_sees_another_law(checked: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    def other(*arguments: object) -> tuple[Array, float]:
+        after, impulse = impact_map(*arguments)  # type: ignore[arg-type]
+        return after, impulse * (1.0 + 1e-6)
+
+    monkeypatch.setattr(check, "impact_map", other)
+    with pytest.raises(SystemExit) as ended:
+        check.main()
+    assert ended.value.code == 1
+    out = checked.readouterr().out
+    assert "FAILED  exact model, law: RuntimeError: 3 impacts differ from the impact map by up to 1.0e-06" in out
+    assert out.count("ok      ") == 3
+    assert out.endswith("This installation does not work.\n")
+
+
+def test_check_sees_a_state_that_does_not_come_back(
+    checked: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def forgetful(contact: str) -> object:
+        simulator = make_simulator(contact=contact)
+        reset = simulator.reset
+        monkeypatch.setattr(simulator, "reset", lambda state, time=0.0: reset(state * (1.0 + 2**-52), time))
+        return simulator
+
+    monkeypatch.setattr(check, "make_simulator", forgetful)
+    with pytest.raises(RuntimeError, match="leads elsewhere"):
+        check.restores("pymunk")
+
+
+def test_check_goes_on_where_the_exact_model_does_not_compile(
+    checked: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(scene: Scene | None = None, *, contact: str) -> object:
+        if contact == "exact":
+            raise ImportError("numba is broken")
+        return make_simulator(scene, contact=contact)
+
+    monkeypatch.setattr(check, "make_simulator", broken)
+    with pytest.raises(SystemExit):
+        check.main()
+    out = checked.readouterr().out
+    assert out.count("FAILED") == 3
+    assert "FAILED  exact model: ImportError: numba is broken" in out
+    assert "ok      pymunk, states" in out

@@ -1,0 +1,81 @@
+"""The page as a file: small, written fast, complete."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jackbox_env import Drive, Scene, make_simulator
+from jackbox_env.report import write_page
+from jackbox_env.trajectory import Trajectory, simulate
+
+
+def run(scene: Scene, seconds: float, dt: float = 0.02) -> Trajectory:
+    simulator = make_simulator(scene, contact="exact")
+    simulator.reset([0.0] * 12)
+    return simulate(simulator, seconds, dt, progress=False)
+
+
+def data_of(page: Path) -> dict[str, Any]:
+    found = re.search(r'id="data">(.*?)</script>', page.read_text(), re.DOTALL)
+    assert found is not None
+    data: dict[str, Any] = json.loads(found[1])
+    return data
+
+
+def test_ten_seconds_are_written_in_less_than_two_into_less_than_two_megabytes(tmp_path: Path) -> None:
+    trajectory = run(Scene(), 10.0)
+    began = time.perf_counter()
+    page = write_page(tmp_path / "page.html", Scene(), trajectory, "a test", [])
+    assert time.perf_counter() - began < 2.0
+    assert page.stat().st_size < 2_000_000
+    text = page.read_text()
+    assert "{{" not in text
+    assert not re.search(r"https?:|//\w+\.\w", text)  # nothing is fetched from elsewhere
+    with pytest.raises(FileExistsError, match="never overwritten"):
+        write_page(page, Scene(), trajectory, "a test", [])
+
+
+def test_the_page_holds_every_stored_state_to_the_last_bit(tmp_path: Path) -> None:
+    trajectory = run(Scene(), 2.0)
+    data = data_of(write_page(tmp_path / "page.html", Scene(), trajectory, "a test", [("contact model", "exact")]))
+    columns = np.frombuffer(base64.b64decode(data["samples"]), "<f8").reshape(-1, len(data["columns"]))
+    for time_, state in zip(trajectory.times, trajectory.states, strict=True):
+        assert (columns[columns[:, 0] == time_][-1, 1:13] == state).all()
+    assert [tuple(hit) for hit in data["impacts"]] == trajectory.impacts
+    facts = dict(data["facts"])
+    assert (facts["contact model"], facts["time"], facts["time step"]) == ("exact", "0 s to 2 s", "0.02 s")
+    assert (facts["box half width L"], facts["jack mass"], facts["restitution"]) == ("6 m", "4 kg", "1")
+    assert facts["drive"] == "chirp, 90000 N m, from 0.5 Hz by 0.9 Hz/s"
+
+
+def test_a_page_of_very_many_impacts_or_steps_stays_small_and_says_so(tmp_path: Path) -> None:
+    scene = Scene(restitution=0.2, drive=None)
+    trajectory = run(scene, 60.0, 0.005)
+    assert len(trajectory.impacts) > 2000
+    page = write_page(tmp_path / "page.html", scene, trajectory, "a test", [])
+    assert page.stat().st_size < 2_000_000
+    first, second = data_of(page)["notes"]
+    assert first == "One of 2 stored states is shown, and each impact."
+    assert re.fullmatch(r"The first 2,000 of [\d,]+ impacts are listed.", second)
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        Scene(gravity=0.0, jack_arm=2.0, drive=Drive(force_x=lambda t: 240000.0 * np.cos(2.0 * np.pi * t))),
+        Scene(box_half_width=0.1, box_mass=1.0, jack_arm=0.02, jack_mass=0.01, drive=None),
+        Scene(restitution=0.0),
+    ],
+)
+def test_other_scenes_have_pages_too(tmp_path: Path, scene: Scene) -> None:
+    data = data_of(write_page(tmp_path / "page.html", scene, run(scene, 1.0), "a test", []))
+    assert data["halfWidth"] == scene.box_half_width
+    assert dict(data["facts"])["drive"] in ("functions of time", "none", "chirp, 90000 N m, from 0.5 Hz by 0.9 Hz/s")

@@ -1,0 +1,133 @@
+"""Samples between the stored states: on the way that the model went, with a corner at each impact."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jackbox_env import Drive, Scene, make_simulator
+from jackbox_env.mechanics import gaps, impact_map
+from jackbox_env.samples import MOST, SPACING, Samples, samples_of
+from jackbox_env.trajectory import Recording, Trajectory, simulate, write_csv
+from tests.states import load
+
+
+def run(scene: Scene, seconds: float = 3.0, dt: float = 0.02, **model: Any) -> Trajectory:
+    simulator = make_simulator(scene, **model)
+    simulator.reset([0.0] * 12)
+    return simulate(simulator, seconds, dt, progress=False)
+
+
+def at_impacts(samples: Samples) -> list[int]:
+    """Numbers of the samples just before an impact."""
+    return np.flatnonzero(np.diff(samples.times) == 0.0).tolist()
+
+
+def test_points_in_flight_are_where_the_exact_model_goes() -> None:
+    trajectory = run(Scene(), contact="exact")
+    samples = samples_of(Scene(), trajectory)
+    wide = np.diff(samples.times) > SPACING + 1e-12
+    assert wide.sum() <= 2 * len(trajectory.impacts)  # before and after the impact of a step
+    finer = make_simulator(Scene(), contact="exact")
+    finer.reset([0.0] * 12)
+    now = 0.0
+    for time, state in zip(samples.times[1:], samples.states[1:], strict=True):
+        if time > now + 1e-9 and not np.any(np.abs(time - np.array([hit.time for hit in trajectory.impacts])) < 1e-9):
+            finer.step(time - now)
+            now = time
+            np.testing.assert_allclose(state, finer.state, rtol=0.0, atol=1e-9)
+    assert now == pytest.approx(3.0)
+
+
+def test_an_impact_has_the_states_before_and_after_it() -> None:
+    trajectory = run(Scene(), contact="exact")
+    samples = samples_of(Scene(), trajectory)
+    before = at_impacts(samples)
+    known = [hit for hit in load("seed_scene")[0]["impacts"] if hit["time"] < 3.0]
+    assert len(before) == len(known) == len(trajectory.impacts)
+    for place, hit in zip(before, known, strict=True):
+        assert samples.times[place] == pytest.approx(hit["time"], abs=1e-9)
+        assert abs(gaps(Scene(), samples.states[place])[hit["wall"], hit["foot"]]) < 1e-9
+        after, impulse = impact_map(Scene(), samples.states[place], hit["wall"], hit["foot"])
+        assert impulse == pytest.approx(hit["impulse"], rel=1e-9)
+        np.testing.assert_allclose(samples.states[place + 1], after, rtol=0.0, atol=1e-9)
+
+
+def test_pymunks_impacts_are_where_its_substeps_end() -> None:
+    trajectory = run(Scene(), contact="pymunk")
+    samples = samples_of(Scene(), trajectory)
+    for hit in trajectory.impacts:
+        (place, *_) = np.flatnonzero(np.abs(samples.times - hit.time) < 1e-12)
+        depth = -gaps(Scene(), samples.states[place])[hit.wall, hit.foot]
+        assert 0.0 < depth < 0.12  # as deep as docs/accuracy.md has it
+        np.testing.assert_allclose(samples.states[place][:6], samples.states[place + 1][:6], rtol=0.0, atol=1e-14)
+    assert set(trajectory.times.tolist()) <= set(samples.times.tolist())
+
+
+@pytest.mark.parametrize(("contact", "close"), [("exact", 1e-12), ("pymunk", 1e-4)])
+def test_the_work_of_the_torque_is_the_energy_gained(contact: str, close: float) -> None:
+    samples = samples_of(Scene(), run(Scene(), 10.0, contact=contact))
+    gained = samples.energies - samples.energies[0]
+    assert np.ptp(samples.work) > 1e4
+    assert np.abs(gained - samples.work).max() < close * np.ptp(samples.work)
+
+
+def test_with_loss_the_energy_falls_behind_the_work_at_impacts_alone() -> None:
+    scene = Scene(restitution=0.8)
+    samples = samples_of(scene, run(scene, 5.0, contact="exact"))
+    behind = np.diff(samples.work - (samples.energies - samples.energies[0]))
+    hits = at_impacts(samples)
+    assert len(hits) >= 3
+    assert (behind[hits] > 1.0).all()
+    assert np.abs(np.delete(behind, hits)).max() < 1e-7
+
+
+def test_the_work_is_the_integral_of_torque_times_rate() -> None:
+    scene = Scene(drive=Drive(torque=lambda t: 20000.0 * np.cos(3.0 * t)), gravity=1.0)
+    samples = samples_of(scene, run(scene, 2.0, contact="exact"))
+    turned = np.diff(samples.states[:, 2])
+    assert float(np.sum(samples.torques[1:] * turned)) == pytest.approx(samples.work[-1], rel=1e-3)
+
+
+def test_a_foot_at_rest_is_not_let_fall_between_the_stored_states() -> None:
+    scene = Scene(restitution=0.2, drive=None)
+    trajectory = run(scene, 6.0, contact="exact")
+    samples = samples_of(scene, trajectory)
+    assert trajectory.counts[-50:].min() >= 1  # held
+    late = samples.times > 5.5
+    apart = samples.states[late, 9:] - samples.states[late, 6:9]  # the box sinks under the weight
+    assert np.abs(apart).max() < 1e-3  # no sawtooth of g dt
+    assert abs(samples.work[-1]) < 1e-9
+
+
+def test_held_torques_are_shown_as_they_were_held() -> None:
+    simulator = make_simulator(Scene(), contact="exact")
+    simulator.reset([0.0] * 12)
+    recording = Recording(simulator.state, 0.0, driven=False)
+    torques = [50000.0, -30000.0, 10000.0]
+    for torque in torques:
+        simulator.step(0.02, torque)
+        recording.add(simulator.state, simulator.time, simulator.torque, simulator.impacts)
+    samples = samples_of(Scene(), recording.trajectory())
+    np.testing.assert_allclose(samples.torques[1:], np.repeat(torques, 4), rtol=1e-15)
+    np.testing.assert_allclose(samples.energies, samples.work, atol=1e-9)
+
+
+def test_a_long_trajectory_is_thinned_and_keeps_its_impacts() -> None:
+    scene = Scene()
+    trajectory = run(scene, 2.0, 1e-4, contact="exact")
+    samples = samples_of(scene, trajectory)
+    assert samples.every == 3
+    assert len(samples.times) < MOST + 10
+    assert len(at_impacts(samples)) == len(trajectory.impacts)
+    assert samples.work[-1] == pytest.approx(samples.energies[-1] - samples.energies[0], abs=1e-6)
+
+
+def test_an_early_end_without_a_step_is_one_sample(tmp_path: Path) -> None:
+    trajectory = Recording(np.zeros(12), 2.0).trajectory("why")
+    samples = samples_of(Scene(), trajectory)
+    assert samples.times.tolist() == [2.0]
+    assert write_csv(trajectory, tmp_path)[0].read_text().count("\n") == 2
