@@ -62,7 +62,7 @@ def _described(scene: Scene, trajectory: Trajectory, shown: Samples, title: str,
     return {
         "title": title,
         "facts": facts,
-        "notes": _notes(trajectory, shown),
+        "notes": _notes(scene, trajectory, shown),
         "halfWidth": scene.box_half_width,
         "arm": scene.jack_arm,
         "knock": 2.0 * scene.jack_mass * scene.speed_scale,  # the impulse of a hard impact [N s]
@@ -76,13 +76,15 @@ def _described(scene: Scene, trajectory: Trajectory, shown: Samples, title: str,
     }
 
 
-def _notes(trajectory: Trajectory, shown: Samples) -> list[str]:
+def _notes(scene: Scene, trajectory: Trajectory, shown: Samples) -> list[str]:
     """What a reader must know about this trajectory in particular."""
     notes = []
     if shown.every > 1:
         notes.append(f"One of {shown.every} stored states is shown, and each impact.")
     if len(trajectory.impacts) > _MOST_IMPACTS:
         notes.append(f"The first {_MOST_IMPACTS:,} of {len(trajectory.impacts):,} impacts are listed.")
+    if not scene.elastic and trajectory.impacts:
+        notes.append("A foot that rests on a wall is recorded as an impact in each step.")
     if trajectory.failure:
         notes.append(f"It ended early: {trajectory.failure}.")
     return notes

@@ -34,7 +34,7 @@ function energyPanels() {
   const work = series("work of the torque", "ink", COLUMN.work, true, 1 / joule.value);
   gained.wide = 5;
   const left = (state) => state[COLUMN.energy] - before - state[COLUMN.work];
-  const text = (state) => `gained \u2212 work ${left(state).toExponential(1).replace(/-/g, MINUS)} J`;
+  const text = (state) => `gained \u2212 work ${general(left(state), 2)} J`;
   return [{ title: "energy", unit: joule.symbol, tall: 150, series: [gained, work], extra: text }];
 }
 

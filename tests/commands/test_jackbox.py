@@ -48,7 +48,8 @@ def test_check_passes_here(checked: pytest.CaptureFixture[str]) -> None:
     check.main()
     out = checked.readouterr().out
     assert out.count("ok      ") == 4
-    assert "extra render: installed" in out
+    extras = [line.split()[1] for line in out.splitlines() if line.startswith("  extra")]
+    assert extras == ["render:", "train:", "video:"]
     assert "3 impacts agree with the impact map" in out
 
 

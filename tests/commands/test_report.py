@@ -62,8 +62,9 @@ def test_a_page_of_very_many_impacts_or_steps_stays_small_and_says_so(tmp_path: 
     assert len(trajectory.impacts) > 2000
     page = write_page(tmp_path / "page.html", scene, trajectory, "a test", [])
     assert page.stat().st_size < 2_000_000
-    first, second = data_of(page)["notes"]
+    first, second, third = data_of(page)["notes"]
     assert first == "One of 2 stored states is shown, and each impact."
+    assert third == "A foot that rests on a wall is recorded as an impact in each step."
     assert re.fullmatch(r"The first 2,000 of [\d,]+ impacts are listed.", second)
 
 

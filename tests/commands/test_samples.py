@@ -56,6 +56,16 @@ def test_an_impact_has_the_states_before_and_after_it() -> None:
         np.testing.assert_allclose(samples.states[place + 1], after, rtol=0.0, atol=1e-9)
 
 
+def test_a_line_between_stored_states_cuts_the_corner_that_the_samples_keep() -> None:
+    trajectory = run(Scene(), contact="exact")
+    samples = samples_of(Scene(), trajectory)
+    off = []
+    for place in at_impacts(samples):
+        line = [np.interp(samples.times[place], trajectory.times, trajectory.states[:, axis]) for axis in (3, 4)]
+        off.append(np.hypot(*(line - samples.states[place, 3:5])))
+    assert max(off) > 0.03  # [m]
+
+
 def test_pymunks_impacts_are_where_its_substeps_end() -> None:
     trajectory = run(Scene(), contact="pymunk")
     samples = samples_of(Scene(), trajectory)
