@@ -14,6 +14,7 @@ HERE = Path(__file__).parent
 
 project = "jackbox"
 author = "The jackbox developers"
+copyright = author
 version = release = jackbox_env.__version__
 extensions = [
     "myst_nb",
@@ -22,18 +23,17 @@ extensions = [
     "sphinx_copybutton",
     "sphinx-mathjax-offline",
 ]
-exclude_patterns = ["_build", "generated/.keep"]
+exclude_patterns = ["_build"]
 html_theme = "furo"
 html_title = "jackbox"
 html_static_path = ["_static"]
+html_css_files = ["site.css"]
 html_extra_path = ["accuracy/work_precision.html"]
 html_show_sourcelink = False
 html_theme_options = {"source_directory": "docs/"}
-nitpicky = False
 
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
-suppress_warnings: list[str] = []
 
 nb_execution_mode = "cache"
 nb_execution_cache_path = str(HERE / "_build" / "notebooks")
@@ -42,10 +42,11 @@ nb_execution_raise_on_error = True
 nb_merge_streams = True
 
 autodoc_member_order = "bysource"
-autodoc_typehints = "description"
+autodoc_typehints = "signature"
 autodoc_class_signature = "mixed"
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
+napoleon_use_ivar = True
 
 
 def environment_page() -> str:
