@@ -11,11 +11,13 @@ import numpy as np
 from stable_baselines3.common.evaluation import evaluate_policy
 from tqdm import tqdm
 
+from agents.landing import LANDING, read_landing
 from agents.models import derived_seed, load_model, make_vec_env
 from agents.network import SHIPPED, WEIGHTS, read_policy
-from agents.planner import DECISION, Planner
+from agents.planner import DECISION, VALUED_PIECES, Planner
 from agents.policies import BASELINES, Baseline, Policy, baseline
 from agents.settings import EPISODE_STEPS, EnvSettings
+from agents.value import VALUE, read_value
 from jackbox_env import Scene
 
 
@@ -91,22 +93,39 @@ def find_policy(name: str, settings: EnvSettings, seed: int, trust: bool = False
     if name in BASELINES:
         return baseline(name, scene, seed)
     if name == "planner":
-        piece = max(1, round(DECISION / settings.control_dt))
-        return Baseline(Planner(scene, settings.task, settings.control_dt, piece=piece, seed=seed), {})
-    shipped = SHIPPED / f"{settings.task}-{name}"
-    if Path(name).name == name and shipped.is_dir():
-        return Baseline(read_policy(shipped), {})
+        return Baseline(_planner(settings, scene, seed), {})
+    if name in shipped_names(settings.task):
+        return Baseline(_read(SHIPPED / f"{settings.task}-{name}"), {})
     if not Path(name).exists():
         known = ", ".join((*BASELINES, "planner", *shipped_names(settings.task)))
         raise FileNotFoundError(f"a policy must be one of {known}, or a run folder or model file, got {name!r}")
     if (Path(name) / WEIGHTS).is_file():
-        return Baseline(read_policy(Path(name)), {})
+        return Baseline(_read(Path(name)), {})
     return Baseline(load_model(Path(name), trust), {})
+
+
+def _planner(settings: EnvSettings, scene: Scene, seed: int) -> Planner:
+    """The planner of an environment; its plans are shorter where a value was made for this very scene and task."""
+    piece = max(1, round(DECISION / settings.control_dt))
+    given: dict[str, Any] = {"piece": piece, "seed": seed}
+    folder = SHIPPED / f"{settings.task}-value"
+    if (folder / VALUE).is_file():
+        value = read_value(folder)
+        made = Scene.of(value.settings.scene_fields).changed(drive=None)
+        if (made, value.settings.control_dt) == (scene.changed(drive=None), settings.control_dt):
+            given |= {"pieces": VALUED_PIECES, "value": value}
+    return Planner(scene, settings.task, settings.control_dt, **given)
+
+
+def _read(folder: Path) -> Policy:
+    """The policy of plain arrays that a folder holds."""
+    return read_landing(folder) if (folder / LANDING).is_file() else read_policy(folder)
 
 
 def shipped_names(task: str) -> list[str]:
     """Names of the trained policies for a task that come with the repository."""
-    return sorted(path.name.removeprefix(f"{task}-") for path in SHIPPED.glob(f"{task}-*"))
+    folders = [path for path in SHIPPED.glob(f"{task}-*") if not (path / VALUE).is_file()]
+    return sorted(path.name.removeprefix(f"{task}-") for path in folders)
 
 
 def table(rows: list[Returns]) -> str:

@@ -57,12 +57,14 @@ PACKAGE = """
     choosing
 """
 AGENTS = """
-    policies preview storage archives timing
+    policies preview storage archives timing observing
     settings extractor
     playing
-    planner holding
+    holding
     trajectory runs film checkpoints
     models network
+    landing value
+    planner
     best evaluation
     training
     figures
