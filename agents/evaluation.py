@@ -11,7 +11,6 @@ import numpy as np
 from stable_baselines3.common.evaluation import evaluate_policy
 from tqdm import tqdm
 
-from agents.landing import LANDING, read_landing
 from agents.models import derived_seed, load_model, make_vec_env
 from agents.network import SHIPPED, WEIGHTS, read_policy
 from agents.planner import DECISION, VALUED_PIECES, Planner
@@ -95,12 +94,12 @@ def find_policy(name: str, settings: EnvSettings, seed: int, trust: bool = False
     if name == "planner":
         return Baseline(_planner(settings, scene, seed), {})
     if name in shipped_names(settings.task):
-        return Baseline(_read(SHIPPED / f"{settings.task}-{name}"), {})
+        return Baseline(read_policy(SHIPPED / f"{settings.task}-{name}"), {})
     if not Path(name).exists():
         known = ", ".join((*BASELINES, "planner", *shipped_names(settings.task)))
         raise FileNotFoundError(f"a policy must be one of {known}, or a run folder or model file, got {name!r}")
     if (Path(name) / WEIGHTS).is_file():
-        return Baseline(_read(Path(name)), {})
+        return Baseline(read_policy(Path(name)), {})
     return Baseline(load_model(Path(name), trust), {})
 
 
@@ -115,11 +114,6 @@ def _planner(settings: EnvSettings, scene: Scene, seed: int) -> Planner:
         if (made, value.settings.control_dt) == (scene.changed(drive=None), settings.control_dt):
             given |= {"pieces": VALUED_PIECES, "value": value}
     return Planner(scene, settings.task, settings.control_dt, **given)
-
-
-def _read(folder: Path) -> Policy:
-    """The policy of plain arrays that a folder holds."""
-    return read_landing(folder) if (folder / LANDING).is_file() else read_policy(folder)
 
 
 def shipped_names(task: str) -> list[str]:

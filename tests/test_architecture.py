@@ -63,7 +63,7 @@ AGENTS = """
     holding
     trajectory runs film checkpoints
     models network
-    landing value
+    value
     planner
     best evaluation
     training

@@ -198,7 +198,7 @@ def test_the_demo_runs_end_to_end_when_made_small(tmp_path: Path) -> None:
     "name",
     ["train", "evaluate", "export", "simulate", "play", "demo"]
     + [f"studies/{name}" for name in ("accuracy/benchmark", "readme", "speed/speed", "costs/costs", "laws/soak")]
-    + ["studies/laws/interruptions", "studies/transfer/transfer", "studies/results"],
+    + ["studies/laws/interruptions", "studies/transfer/transfer", "studies/results", "studies/value"],
 )
 def test_every_command_line_explains_itself(name: str, tmp_path: Path) -> None:
     assert "show this help message" in process(name, "--help", cwd=tmp_path).stdout
