@@ -33,7 +33,8 @@ def observations(scene: Scene, states: Array) -> NDArray[np.float32]:
         np.sin(relative),
         omega_jack * scene.jack_arm / speed,
     ]
-    return np.clip(np.stack(seen, axis=1), -BOUNDS, BOUNDS).astype(np.float32)
+    found: NDArray[np.float32] = np.clip(np.stack(seen, axis=1), -BOUNDS, BOUNDS).astype(np.float32)
+    return found
 
 
 def mirrored(states: Array) -> Array:

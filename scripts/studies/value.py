@@ -96,7 +96,9 @@ def fitted(settings: EnvSettings, states: Array, worth: Array) -> list[Layer]:
     import torch
     from torch import nn
 
-    net = nn.Sequential(nn.Linear(INPUTS, WIDTH), nn.Tanh(), nn.Linear(WIDTH, WIDTH), nn.Tanh(), nn.Linear(WIDTH, 1))
+    net: Any = nn.Sequential(
+        nn.Linear(INPUTS, WIDTH), nn.Tanh(), nn.Linear(WIDTH, WIDTH), nn.Tanh(), nn.Linear(WIDTH, 1)
+    )
     see = Value(settings, NOTHING).inputs
     order, few = torch.randperm(len(states)).numpy(), len(states) // 10
     apart, rest = order[:few], order[few:]
@@ -108,7 +110,8 @@ def fitted(settings: EnvSettings, states: Array, worth: Array) -> list[Layer]:
     for _ in trange(EPOCHS, desc="fit", leave=False):
         for batch in torch.randperm(len(seen))[: batches * BATCH].reshape(batches, BATCH):
             optimiser.zero_grad()
-            nn.functional.mse_loss(net(seen[batch]), goal[batch]).backward()
+            loss: Any = nn.functional.mse_loss(net(seen[batch]), goal[batch])
+            loss.backward()
             optimiser.step()
             rates.step()
     layers = [(net[n].weight.detach().numpy().copy(), net[n].bias.detach().numpy().copy()) for n in (0, 2, 4)]

@@ -103,7 +103,8 @@ def test_it_is_written_and_read_and_damage_is_told(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"holds no value: "):
         read_value(tmp_path)
     write_value(tmp_path, EXACT, layers_for())
-    for given in ({"gravity": 3.0}, {"scene": 3}, []):
+    damaged: list[Any] = [{"gravity": 3.0}, {"scene": 3}, []]
+    for given in damaged:
         write_json(tmp_path / "value.json", given)
         with pytest.raises(ValueError, match=r"holds no value: "):
             read_value(tmp_path)
@@ -137,7 +138,6 @@ def test_short_plans_juggle_better_with_the_value() -> None:
     given: dict[str, Any] = {**SMALL, "samples": 64, "iterations": 1, "pieces": 20}
     value = read_value(SHIPPED / "juggle-value")
     with_it, without = (
-        evaluate("planner", Planner(Scene(), **given, **more), EXACT.env_settings, 8, 0)
-        for more in ({"value": value}, {})
+        evaluate("planner", Planner(Scene(), **given, value=end), EXACT.env_settings, 8, 0) for end in (value, None)
     )
     assert with_it.mean > without.mean
