@@ -13,9 +13,10 @@ from tqdm import tqdm
 
 from agents.models import derived_seed, load_model, make_vec_env
 from agents.network import SHIPPED, WEIGHTS, read_policy
-from agents.planner import DECISION, Planner
+from agents.planner import DECISION, VALUED_PIECES, Planner
 from agents.policies import BASELINES, Baseline, Policy, baseline
 from agents.settings import EPISODE_STEPS, EnvSettings
+from agents.value import VALUE, read_value
 from jackbox_env import Scene
 
 
@@ -91,11 +92,9 @@ def find_policy(name: str, settings: EnvSettings, seed: int, trust: bool = False
     if name in BASELINES:
         return baseline(name, scene, seed)
     if name == "planner":
-        piece = max(1, round(DECISION / settings.control_dt))
-        return Baseline(Planner(scene, settings.task, settings.control_dt, piece=piece, seed=seed), {})
-    shipped = SHIPPED / f"{settings.task}-{name}"
-    if Path(name).name == name and shipped.is_dir():
-        return Baseline(read_policy(shipped), {})
+        return Baseline(_planner(settings, scene, seed), {})
+    if name in shipped_names(settings.task):
+        return Baseline(read_policy(SHIPPED / f"{settings.task}-{name}"), {})
     if not Path(name).exists():
         known = ", ".join((*BASELINES, "planner", *shipped_names(settings.task)))
         raise FileNotFoundError(f"a policy must be one of {known}, or a run folder or model file, got {name!r}")
@@ -104,9 +103,23 @@ def find_policy(name: str, settings: EnvSettings, seed: int, trust: bool = False
     return Baseline(load_model(Path(name), trust), {})
 
 
+def _planner(settings: EnvSettings, scene: Scene, seed: int) -> Planner:
+    """The planner of an environment; its plans are shorter where a value was made for this very scene and task."""
+    piece = max(1, round(DECISION / settings.control_dt))
+    given: dict[str, Any] = {"piece": piece, "seed": seed}
+    folder = SHIPPED / f"{settings.task}-value"
+    if (folder / VALUE).is_file():
+        value = read_value(folder)
+        made = Scene.of(value.settings.scene_fields).changed(drive=None)
+        if (made, value.settings.control_dt) == (scene.changed(drive=None), settings.control_dt):
+            given |= {"pieces": VALUED_PIECES, "value": value}
+    return Planner(scene, settings.task, settings.control_dt, **given)
+
+
 def shipped_names(task: str) -> list[str]:
     """Names of the trained policies for a task that come with the repository."""
-    return sorted(path.name.removeprefix(f"{task}-") for path in SHIPPED.glob(f"{task}-*"))
+    folders = [path for path in SHIPPED.glob(f"{task}-*") if not (path / VALUE).is_file()]
+    return sorted(path.name.removeprefix(f"{task}-") for path in folders)
 
 
 def table(rows: list[Returns]) -> str:

@@ -97,14 +97,37 @@ def _copy(tensor: Any) -> NDArray[np.float32]:
     return values
 
 
-def write_policy(folder: Path, settings: TrainSettings, layers: list[Layer]) -> None:
-    """Write a policy into a new folder's files."""
+def write_layers(folder: Path, layers: list[Layer]) -> None:
+    """Write the layers of a network into a folder."""
     file = io.BytesIO()
     named: dict[str, Any] = {}
     for number, (weight, bias) in enumerate(layers):
         named |= {f"weight_{number}": weight, f"bias_{number}": bias}
     np.savez(file, **named)
     write_bytes(folder / WEIGHTS, file.getvalue())
+
+
+def read_layers(folder: Path) -> list[Layer]:
+    """Read the layers of a network; nothing is unpickled.
+
+    Raises:
+        FileNotFoundError: the folder holds none.
+        ValueError: the file is far larger than any network here. Damage raises whatever numpy raises.
+    """
+    path = folder / WEIGHTS
+    if not path.is_file():
+        raise FileNotFoundError(f"{folder} holds no {WEIGHTS}")
+    most = 4 * MOST_WEIGHTS + _SPARE
+    if path.stat().st_size > most:
+        raise ValueError(f"{path} must be at most {most:,} bytes, got {path.stat().st_size:,}")
+    with np.load(io.BytesIO(path.read_bytes())) as stored:
+        count = min(MOST_LAYERS + 1, len(stored.files) // 2)
+        return [(stored[f"weight_{number}"], stored[f"bias_{number}"]) for number in range(count)]
+
+
+def write_policy(folder: Path, settings: TrainSettings, layers: list[Layer]) -> None:
+    """Write a policy into a new folder's files."""
+    write_layers(folder, layers)
     write_json(folder / SETTINGS, dataclasses.asdict(settings))
 
 
@@ -115,16 +138,10 @@ def read_policy(folder: Path) -> NetworkPolicy:
         FileNotFoundError: it holds none.
         ValueError: its files are damaged, or do not fit each other.
     """
-    path, settings = folder / WEIGHTS, read_settings(folder)
-    if not path.is_file():
-        raise FileNotFoundError(f"{folder} holds no {WEIGHTS}")
-    most = 4 * MOST_WEIGHTS + _SPARE
-    if path.stat().st_size > most:
-        raise ValueError(f"{path} must be at most {most:,} bytes, got {path.stat().st_size:,}")
+    settings = read_settings(folder)
     try:
-        with np.load(io.BytesIO(path.read_bytes())) as stored:
-            count = min(MOST_LAYERS + 1, len(stored.files) // 2)
-            layers = [(stored[f"weight_{number}"], stored[f"bias_{number}"]) for number in range(count)]
-        return NetworkPolicy(settings, layers)
+        return NetworkPolicy(settings, read_layers(folder))
+    except FileNotFoundError:
+        raise
     except Exception as error:
-        raise ValueError(f"{path} holds no weights of the settings beside it: {error}") from error
+        raise ValueError(f"{folder / WEIGHTS} holds no weights of the settings beside it: {error}") from error

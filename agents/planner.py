@@ -9,12 +9,15 @@ from numpy.typing import NDArray
 
 from agents.playing import starting, ten_numbers
 from agents.policies import Actions
+from agents.value import Value, ValuedSearch
 from jackbox_env import Scene, Task
+from jackbox_env import _validation as check
 from jackbox_env.observation import state_of
 from jackbox_env.plans import Plans, Search
 from jackbox_env.states import Array
 
 DECISION = 0.1  # [s] between decisions, as the settings here were tried
+VALUED_PIECES = 20  # of a plan whose end has a value
 
 
 class Planning(NamedTuple):
@@ -42,6 +45,7 @@ class Planner:
         iterations: of each decision.
         seed: of the candidates. An environment's plan does not depend on those beside it.
         num_threads: that play them; the plans do not depend on it.
+        value: what the last state of a plan is worth, added to its rewards; None: nothing.
 
     Raises:
         TypeError, ValueError: an argument out of its range.
@@ -50,12 +54,18 @@ class Planner:
     def __init__(
         self, scene: Scene, task: str | Task = "juggle", control_dt: float = 0.02, *, piece: int = 5, pieces: int = 32,
         samples: int = 256, elites: int = 20, iterations: int = 3, seed: int = 0, num_threads: int | None = 1,
+        value: Value | None = None,
     ) -> None:  # fmt: skip
         self._scene = scene.changed(drive=None)
-        self._search = Search(
-            task, control_dt, piece=piece, pieces=pieces, samples=samples, elites=elites, iterations=iterations,
-            seed=seed, num_threads=num_threads,
-        )  # fmt: skip
+        settings: dict[str, Any] = {
+            "piece": piece, "pieces": pieces, "samples": samples, "elites": elites, "iterations": iterations,
+            "seed": seed, "num_threads": num_threads,
+        }  # fmt: skip
+        if value is not None and not isinstance(value, Value):
+            raise TypeError(f"value must be a Value or None, got {check.shown(value)}")
+        self._search = (
+            ValuedSearch(value, task, control_dt, **settings) if value else Search(task, control_dt, **settings)
+        )
 
     def predict(
         self, observation: Any, state: Planning | None = None, episode_start: Any = None, deterministic: bool = False

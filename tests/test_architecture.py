@@ -64,12 +64,14 @@ PACKAGE = """
     __main__
 """
 AGENTS = """
-    policies preview storage archives timing
+    policies preview storage archives timing observing
     settings extractor
     playing zoo
-    planner holding
+    holding
     runs film checkpoints
     models network
+    value
+    planner
     best evaluation exporting episodes
     training
     figures

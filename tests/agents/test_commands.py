@@ -236,6 +236,7 @@ def test_the_demo_runs_end_to_end_when_made_small(tmp_path: Path) -> None:
         "studies/transfer/transfer",
         "studies/results/results",
         "studies/results/networks",
+        "studies/value",
         "recipes/run",
     ],
 )

@@ -1,0 +1,44 @@
+"""Observations of many states at once, as the environments show them to the agent up to rounding."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jackbox_env import Scene
+from jackbox_env.observation import BOUNDS
+from jackbox_env.states import Array
+
+_TURNED = np.array([0, 2, 3, 5, 6, 8, 9, 11])  # what changes its sign where left and right are exchanged
+
+
+def observations(scene: Scene, states: Array) -> NDArray[np.float32]:
+    """What is seen of states, shape (n, 12): float32, shape (n, 10), see :mod:`jackbox_env.observation`.
+
+    Cosines are numpy's, so a number may differ in its last place from what the environments show.
+    """
+    x_box, y_box, theta, x_jack, y_jack, theta_jack, vx_box, vy_box, omega, vx_jack, vy_jack, omega_jack = states.T
+    cosine, sine, relative = np.cos(theta), np.sin(theta), 4.0 * (theta_jack - theta)
+    x, y, vx, vy = x_jack - x_box, y_jack - y_box, vx_jack - vx_box, vy_jack - vy_box
+    length, speed = scene.box_half_width, scene.speed_scale
+    seen = [
+        (cosine * x + sine * y) / length,
+        (cosine * y - sine * x) / length,
+        (cosine * vx + sine * vy) / speed,
+        (cosine * vy - sine * vx) / speed,
+        cosine,
+        sine,
+        omega * length / speed,
+        np.cos(relative),
+        np.sin(relative),
+        omega_jack * scene.jack_arm / speed,
+    ]
+    found: NDArray[np.float32] = np.clip(np.stack(seen, axis=1), -BOUNDS, BOUNDS).astype(np.float32)
+    return found
+
+
+def mirrored(states: Array) -> Array:
+    """The states with left and right exchanged, shape (n, 12): what follows is mirrored too, under opposite torques."""
+    other = states.copy()
+    other[:, _TURNED] *= -1.0
+    return other

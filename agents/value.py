@@ -1,0 +1,118 @@
+"""A learnt value: what a good planner earns in the next seconds from a state, and plans that count it at their end.
+
+A plan of a few seconds does not see what it leaves behind. With the value of its last state a shorter plan does as well
+as a longer one.
+
+A folder of a value holds
+
+value.json      the environment that it was made in
+weights.npz     as in :mod:`agents.network`; tanh stands between the layers, the last gives rewards in units of ``UNIT``
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.network import WEIGHTS, Layer, read_layers, write_layers
+from agents.observing import observations
+from agents.preview import FEATURES, flight_of, preview
+from agents.settings import EnvSettings
+from jackbox_env import Scene
+from jackbox_env import _validation as check
+from jackbox_env.observation import BOUNDS
+from jackbox_env.plans import Search
+from jackbox_env.states import Array
+from jackbox_env.storage import write_json
+
+VALUE = "value.json"
+INPUTS = len(BOUNDS) + len(FEATURES)
+UNIT = 20.0  # rewards, so that the network's output is of order one
+_LARGEST = 100_000  # [bytes] of value.json
+
+
+class Value:
+    """The value of states, by a network.
+
+    Args:
+        settings: the environment that it was made in.
+        layers: weight, shape (outputs, inputs), and bias, shape (outputs,), of each; from ``INPUTS`` numbers to 1.
+
+    Raises:
+        ValueError: layers of other shapes, or that are not finite.
+    """
+
+    def __init__(self, settings: EnvSettings, layers: list[Layer]) -> None:
+        self.settings, self._layers, self._scene = settings, layers, Scene.of(settings.scene_fields)
+        self._flight = flight_of(self._scene)
+        size = INPUTS
+        for weight, bias in layers:
+            if weight.shape != (len(bias), size) or bias.ndim != 1:
+                raise ValueError(f"a layer must take {size} numbers, got shapes {weight.shape} and {bias.shape}")
+            if not (np.isfinite(weight).all() and np.isfinite(bias).all()):
+                raise ValueError("weights must be finite")
+            size = len(bias)
+        if not layers or size != 1:
+            raise ValueError(f"the last layer must give 1 number, got {size if layers else 'no layer'}")
+
+    def inputs(self, states: Array) -> NDArray[np.float32]:
+        """What the network sees of states, shape (n, 12): (n, ``INPUTS``)."""
+        seen = observations(self._scene, states)
+        return np.concatenate([seen, preview(self._flight, seen)], axis=1)
+
+    def of(self, states: Array) -> Array:
+        """The sum of rewards that is to come, shape (n,), for states, shape (n, 12)."""
+        values = self.inputs(states)
+        for number, (weight, bias) in enumerate(self._layers):
+            values = np.tanh(values) if number else values
+            values = values @ weight.T + bias
+        return UNIT * values[:, 0].astype(np.float64)
+
+
+class ValuedSearch(Search):
+    """A search that counts the value of each candidate's last state.
+
+    The candidates of each jack are valued apart from the others', always as many together. So a plan does not depend on
+    what is planned beside it, although a product of matrices may on how many rows it has.
+    """
+
+    def __init__(self, value: Value, *given: Any, **more: Any) -> None:
+        super().__init__(*given, **more)
+        self.value = value
+
+    def play(self, scene: Scene | list[Scene], states: Array, tried: Array) -> tuple[Array, Array]:
+        """As :meth:`Search.play`, the values of the ends added to the sums of rewards."""
+        returns, ends = super().play(scene, states, tried)
+        return returns + np.array([self.value.of(own) for own in ends]).reshape(returns.shape), ends
+
+
+def write_value(folder: Path, settings: EnvSettings, layers: list[Layer]) -> None:
+    """Write a value's files into a folder."""
+    write_layers(folder, layers)
+    write_json(folder / VALUE, dataclasses.asdict(settings))
+
+
+def read_value(folder: Path) -> Value:
+    """Read a value from its folder; nothing is unpickled.
+
+    Raises:
+        FileNotFoundError: it holds none.
+        ValueError: its files are damaged, or do not fit each other.
+    """
+    path = folder / VALUE
+    if not path.is_file() or not (folder / WEIGHTS).is_file():
+        raise FileNotFoundError(f"{folder} holds no {VALUE if not path.is_file() else WEIGHTS}")
+    try:
+        if path.stat().st_size > _LARGEST:
+            raise ValueError(f"{VALUE} must be at most {_LARGEST:,} bytes, got {path.stat().st_size:,}")
+        given = json.loads(path.read_bytes())
+        check.known_keys("settings", given, [part.name for part in fields(EnvSettings)])
+        return Value(EnvSettings(**given), read_layers(folder))
+    except Exception as error:
+        raise ValueError(f"{folder} holds no value: {error}") from error
