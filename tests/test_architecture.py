@@ -43,6 +43,7 @@ PACKAGE = """
     scoring
     canvas
     rendering
+    tiles
     env
     batches.base batches.threads
     batches.scenes batches.given
