@@ -7,10 +7,8 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated
 
-import tyro
-
 from agents.settings import EnvSettings
-from scripts.common import command_line
+from scripts.common import command_line, tyro
 
 
 @dataclass(frozen=True)
@@ -29,6 +27,8 @@ class Arguments:
     """Decides the starts."""
     json: Path | None = None
     """Also write the results, every return included, to this new file."""
+    film: Path | None = None
+    """Also film an episode of all policies side by side, in this new .mp4 or .gif file."""
     trust: bool = False
     """Unpickle models that have no settings.json beside them: only those of people you trust."""
 
@@ -69,6 +69,11 @@ def main() -> None:
         raise FileNotFoundError(f"{arguments.json.parent} is no folder to write {arguments.json.name} to")
     if arguments.json is not None and arguments.json.exists():
         raise FileExistsError(f"{arguments.json} exists, and results are never overwritten: choose another file")
+    if arguments.film is not None:
+        from agents.film import check_film, film_episode
+        from agents.models import derived_seed
+
+        check_film(arguments.film)
     env_settings = arguments.settings.env_settings
     found = [
         (name, find_policy(name, arguments.settings, arguments.seed, arguments.trust)) for name in arguments.policy
@@ -80,6 +85,8 @@ def main() -> None:
         act_in = {**env_settings, **more}
         rows.append(evaluate(name, policy, act_in, arguments.episodes, arguments.seed, progress=True))
     print(table(rows))
+    if arguments.film is not None:
+        film_episode(dict(found), env_settings, arguments.film, derived_seed("evaluation", arguments.seed))
     if arguments.json is not None:
         record = {"env": env_settings, "seed": arguments.seed, "versions": versions()}
         write_json(arguments.json, {**record, "results": [row.as_json() for row in rows]})

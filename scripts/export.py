@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import tyro
-
-from scripts.common import command_line
+from scripts.common import command_line, tyro
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Play JackInBox-v0 with the keyboard: left and right arrows push, and while no key is pressed the chirp drives."""
+"""Play JackInBox-v0 with the keyboard; the window shows the keys."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import gymnasium as gym
-import tyro
 
 from agents.settings import EnvSettings
-from scripts.common import command_line
+from scripts.common import command_line, tyro
 
 
 @dataclass(frozen=True)
@@ -20,20 +19,19 @@ class Arguments:
     quiet: bool = False
     """Let the box coast instead of the chirp while no key is pressed."""
     seed: int | None = None
-    """Of the start."""
+    """Of the first start."""
 
 
 @command_line
 def main() -> None:
     """Parse and play."""
     arguments = tyro.cli(Arguments, description=__doc__)
-    import numpy as np
-    from gymnasium.utils.play import play
-
-    import jackbox_env  # noqa: F401
+    from agents.network import SHIPPED, read_policy
+    from jackbox_env.playing_window import play
 
     env = gym.make("JackInBox-v0", render_mode="rgb_array", **arguments.settings.env_settings)
-    play(env, noop=np.zeros(1, dtype=np.float32) if arguments.quiet else None, seed=arguments.seed)
+    agent = SHIPPED / f"{arguments.settings.task}-ppo"
+    play(env, arguments.seed, not arguments.quiet, lambda: read_policy(agent))
 
 
 if __name__ == "__main__":

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import tyro
-
 from agents.runs import describe, new_folder, read_settings
 from agents.settings import TrainSettings
-from scripts.common import command_line
+from scripts.common import command_line, tyro
 
 
 @dataclass(frozen=True)

@@ -54,6 +54,7 @@ PACKAGE = """
     futures
     lookahead
     sb3_wrappers
+    playing_window
     accuracy
     choosing
 """
