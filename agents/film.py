@@ -14,10 +14,44 @@ from tqdm import tqdm
 
 import jackbox_env  # noqa: F401
 from agents.policies import Baseline
+from agents.settings import EPISODE_STEPS
+from jackbox_env.canvas import import_pygame
 from jackbox_env.storage import replacing
 
 Frame = NDArray[np.uint8]
+SUFFIXES = (".gif", ".mp4")
+WIDTH = 512  # of each picture [pixels]
 _CAPTION_HEIGHT = 36  # [pixels]
+
+
+def check_film(path: Path) -> None:
+    """Refuse a file that no film can be written to, before anything is computed.
+
+    Raises:
+        ValueError: another suffix than .gif and .mp4.
+        FileNotFoundError: there is no such folder.
+        FileExistsError: there is something at ``path``.
+        gymnasium.error.DependencyNotInstalled: pygame is missing.
+    """
+    if path.suffix not in SUFFIXES:
+        raise ValueError(f"a film must be a .gif or .mp4 file, got {str(path)!r}")
+    if not path.parent.is_dir():
+        raise FileNotFoundError(f"{path.parent} is no folder to write {path.name} to")
+    if path.exists():
+        raise FileExistsError(f"{path} exists, and films are never overwritten: choose another file")
+    import_pygame()
+
+
+def film_episode(acts: dict[str, Baseline], env_settings: dict[str, Any], path: Path, seed: int) -> None:
+    """Film one whole episode of these policies, whose start ``seed`` decides; says where the film is.
+
+    Raises:
+        FileExistsError: there is something at ``path``.
+    """
+    seconds = EPISODE_STEPS * float(env_settings.get("control_dt", 0.02))
+    named = {Path(name).name: act for name, act in acts.items()}
+    film(named if len(named) == len(acts) else acts, env_settings, path, seed, seconds, WIDTH)
+    print(f"Film of {', '.join(acts)}: {path}")
 
 
 def film(
@@ -26,7 +60,7 @@ def film(
     path: Path,
     seed: int,
     seconds: float = 10.0,
-    width: int = 512,
+    width: int = WIDTH,
     progress: bool = True,
 ) -> Path:
     """Let each policy act from the same start and write their frames side by side.
@@ -41,12 +75,12 @@ def film(
         progress: show a progress bar.
 
     Raises:
-        FileExistsError: there is something at ``path``.
+        OSError, ValueError: no film can be written to ``path``.
     """
-    if path.exists():
-        raise FileExistsError(f"{path} exists, and films are never overwritten")
+    check_film(path)
+    picture: dict[str, Any] = {"render_mode": "rgb_array", "render_size": (width, width)}
     environments = {
-        caption: gym.make("JackInBox-v0", render_mode="rgb_array", **{**env_settings, **act.env_settings})
+        caption: gym.make("JackInBox-v0", **picture, **{**env_settings, **act.env_settings})
         for caption, act in acts.items()
     }
     observations = {caption: environment.reset(seed=seed)[0] for caption, environment in environments.items()}
@@ -54,7 +88,8 @@ def film(
     control_dt = float(env_settings.get("control_dt", 0.02))
     every = max(1, round(0.04 / control_dt))  # 25 frames per second
     frames = []
-    for step in tqdm(range(max(1, round(seconds / control_dt))), disable=not progress, unit="step", leave=False):
+    steps = range(max(1, round(seconds / control_dt)))
+    for step in tqdm(steps, desc="film", disable=not progress, unit="step", leave=False):
         if step % every == 0:
             pictures = [
                 _captioned(environments[caption].render(), f"{caption}: {earned[caption]:.0f}", width)
@@ -74,10 +109,10 @@ def film(
 
 
 def _captioned(picture: Any, caption: str, width: int) -> Frame:
-    """Scale to ``width`` and put the caption above."""
-    height = _CAPTION_HEIGHT * width // 512
+    """Put the caption above."""
+    height = _CAPTION_HEIGHT * width // WIDTH
     page = Image.new("RGB", (width, width + height), "white")
-    page.paste(Image.fromarray(picture).resize((width, width), Image.Resampling.LANCZOS), (0, height))
+    page.paste(Image.fromarray(picture), (0, height))
     font = ImageFont.load_default(size=0.6 * height)
     ImageDraw.Draw(page).text((width / 2, height / 2), caption, fill="#222222", font=font, anchor="mm")
     return np.asarray(page)

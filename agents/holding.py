@@ -2,22 +2,43 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from stable_baselines3 import PPO
 
-from agents.playing import Manner, play
+from agents.playing import Manner, manner_of, play
+from agents.settings import TrainSettings
 
 
 class HoldingPPO(PPO):
     """PPO whose ``predict`` holds actions and looks ahead in its ``manner``.
 
     ``predict`` returns a state. Pass it back in, as ``evaluate_policy`` does. Without it every call chooses anew.
+
+    A saved model loads without this project by ``stable_baselines3.PPO.load``: it keeps its settings as plain values.
+    Only a model that was trained with the preview of the landing needs ``agents.extractor``, so a checkout.
     """
 
     manner: Manner = Manner()
+    trained_by: dict[str, Any] | None = None  # fields of TrainSettings
+
+    def train_by(self, settings: TrainSettings) -> None:
+        """Play as models of these settings play."""
+        self.trained_by, self.manner = dataclasses.asdict(settings), manner_of(settings)
+
+    def _excluded_save_params(self) -> list[str]:
+        return [*super()._excluded_save_params(), "manner"]
+
+    @classmethod
+    def load(cls, *args: Any, **more: Any) -> HoldingPPO:
+        """Load as Stable-Baselines3 does, which unpickles; the model plays as it did when it was saved."""
+        model: HoldingPPO = super().load(*args, **more)
+        if model.trained_by is not None:
+            model.train_by(TrainSettings.of(model.trained_by))
+        return model
 
     def predict(
         self,

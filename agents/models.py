@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv
 
 from agents.archives import unpacked_tensors
 from agents.checkpoints import read_model_file
 from agents.extractor import WithPreview
 from agents.holding import HoldingPPO
-from agents.playing import manner_of
 from agents.preview import flight_of
 from agents.runs import SETTINGS, read_settings
 from agents.settings import TrainSettings
@@ -45,7 +45,8 @@ def holding(environments: VecEnv, hold: int, lookahead: int = 0, num_threads: in
 def make_ppo(settings: TrainSettings, environments: VecEnv, **more: Any) -> HoldingPPO:
     """An untrained PPO model of these settings, for environments as :func:`holding` makes them.
 
-    Its ``predict`` plays in environments that ask at every control step.
+    Its ``predict`` plays in environments that ask at every control step. What it saves loads without this project,
+    except where ``settings.preview`` is on: then ``agents.extractor`` must be importable, as it is in a checkout.
     """
     policy_kwargs: dict[str, Any] = {
         "net_arch": list(settings.hidden_units),
@@ -57,7 +58,7 @@ def make_ppo(settings: TrainSettings, environments: VecEnv, **more: Any) -> Hold
     model = HoldingPPO(
         "MlpPolicy",
         environments,
-        learning_rate=lambda remaining: settings.learning_rate * remaining,
+        learning_rate=LinearSchedule(settings.learning_rate, 0.0, 1.0),  # not ours, so that the model loads anywhere
         n_steps=settings.rollout_steps,
         batch_size=min(settings.batch_size, settings.rollout_steps * environments.num_envs),
         n_epochs=settings.epochs,
@@ -70,7 +71,7 @@ def make_ppo(settings: TrainSettings, environments: VecEnv, **more: Any) -> Hold
         device="cpu",
         **more,
     )
-    model.manner = manner_of(settings)
+    model.train_by(settings)
     return model
 
 

@@ -139,7 +139,8 @@ class TrainSettings(EnvSettings):
     hold: int = 1
     """Control steps that each action is held for; divides the 500 of an episode."""
     preview: bool = False
-    """Show the networks, beside the observation, where and how the jack will land."""
+    """Show the networks, beside the observation, where and how the jack will land. Such a model.zip loads only where
+    a checkout of this project can be imported; scripts/export.py makes a policy of it that needs numpy alone."""
     lookahead: int = 0
     """Futures by which a plan is improved before each action; the networks see what it and 9 scripted ones bring."""
     checkpoint_steps: int = 100_000

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 import numbers
 import operator
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Callable, Iterable, Mapping
+from functools import wraps
+from inspect import signature
+from typing import Any, ParamSpec
 
 import numpy as np
 from numpy.typing import NDArray
+
+_Arguments = ParamSpec("_Arguments")
 
 
 def real(
@@ -84,6 +89,26 @@ def flag(name: str, value: Any) -> bool:
     return value
 
 
+def size(name: str, value: Any, *, at_least: int, at_most: int) -> tuple[int, int]:
+    """Return ``value`` as width and height, two Python ints within the given bounds.
+
+    Raises:
+        TypeError: it is no pair of whole numbers.
+        ValueError: one of them is out of bounds.
+    """
+    wanted = f"(width, height), two whole numbers from {at_least} to {at_most}"
+    try:
+        width, height = (operator.index(side) for side in value if not isinstance(side, bool))
+        fits = type(value) in (list, tuple) or (isinstance(value, np.ndarray) and not masked(value))
+    except Exception:  # no pair, or of something else, or a value that fails when it is looked at
+        fits = False
+    if not fits:
+        raise TypeError(f"{name} must be {wanted}, got {shown(value)}")
+    if not (at_least <= width <= at_most and at_least <= height <= at_most):
+        raise ValueError(f"{name} must be {wanted}, got {shown(value)}")
+    return width, height
+
+
 def array(name: str, value: Any, wanted: str) -> NDArray[Any]:
     """Return ``value`` as an array of real numbers, those of extended precision as float64.
 
@@ -93,6 +118,8 @@ def array(name: str, value: Any, wanted: str) -> NDArray[Any]:
     """
     if masked(value):
         raise ValueError(f"{name} must {wanted}, none of them masked, got {shown(value)}")
+    if getattr(value, "requires_grad", None) is True:
+        raise TypeError(f"{name} must {wanted}, got a tensor that requires grad: pass its detach()")
     try:
         given = np.asarray(value)
     except MemoryError:
@@ -148,4 +175,43 @@ def known_keys(name: str, given: Iterable[Any], allowed: Iterable[str]) -> None:
     for key in given:
         if key not in names:
             listed = ", ".join(repr(known) for known in names)
-            raise ValueError(f"{name} takes only {listed}, got {shown(key)}")
+            raise ValueError(f"{name} takes only {listed}, got {shown(key)}{closest(key, names)}")
+
+
+def closest(key: Any, names: Iterable[str]) -> str:
+    """`` (did you mean ...?)`` where one of the names resembles the key."""
+    found = difflib.get_close_matches(key, list(names), n=1) if isinstance(key, str) and len(key) < 80 else []
+    return f" (did you mean {found[0]!r}?)" if found else ""
+
+
+def extra_needed(what: str, package: str, extra: str) -> str:
+    """The sentence for a missing package: which extra brings it, and how to install that."""
+    return f'{what} needs {package}, the extra {extra!r}: in a checkout of jackbox, pip install -e ".[{extra}]"'
+
+
+def refuse_unknown(
+    owner: str, elsewhere: Mapping[str, str]
+) -> Callable[[Callable[_Arguments, None]], Callable[_Arguments, None]]:
+    """Let an ``__init__`` refuse unknown keywords in a sentence that lists the known ones.
+
+    Args:
+        owner: whose arguments they are.
+        elsewhere: keywords of others, and what the sentence says of them.
+    """
+
+    def refusing(init: Callable[_Arguments, None]) -> Callable[_Arguments, None]:
+        names = [*signature(init).parameters][1:]
+
+        @wraps(init)
+        def checked(*args: _Arguments.args, **given: _Arguments.kwargs) -> None:
+            for name in given:
+                if name in elsewhere:
+                    raise TypeError(f"{owner} has no argument {name!r}: it {elsewhere[name]}")
+                if name not in names:
+                    listed = ", ".join(names)
+                    raise TypeError(f"{owner} has no argument {name!r}{closest(name, names)}: it takes {listed}")
+            init(*args, **given)
+
+        return checked
+
+    return refusing

@@ -25,6 +25,11 @@ from jackbox_env.states import LATEST_TIME, Array, as_start
 
 Observation = NDArray[np.float32]
 Action = NDArray[np.float32] | float | None
+# Arguments of the vector environment alone, and what to do where a single one is given them.
+VECTOR_ONLY = dict.fromkeys(
+    ("num_envs", "autoreset_mode", "num_threads", "with_infos"),
+    'belongs to the native vector environment: gymnasium.make_vec with vectorization_mode="vector_entry_point"',
+)
 Randomize = Mapping[str, tuple[float, float]] | Callable[[np.random.Generator], Mapping[str, Any]] | None
 
 
@@ -100,17 +105,19 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
 
     ## Arguments
 
-    | Parameter     | Default    | Meaning                                                                           |
-    |---------------|------------|-----------------------------------------------------------------------------------|
-    | `contact`     | `None`     | contact model: `"pymunk"` (time stepping, the default) or `"exact"` (compiled)    |
-    | `substeps`    | `None`     | engine steps of pymunk per control step, >= 1; None: 4                            |
-    | `fidelity`    | `None`     | a name for `contact` and `substeps`, see below; these two override it             |
-    | `scene`       | `None`     | a `Scene`, or a dict of some of its fields                                        |
-    | `task`        | `"juggle"` | `"juggle"`, `"spin"`, `"rattle"`, or a `jackbox_env.Task` of your own             |
-    | `control_dt`  | `0.02`     | duration of a step [s], > 0                                                       |
-    | `torque`      | `"agent"`  | `"agent"`: the action, or the drive where it is None; `"chirp"`: always the drive |
-    | `render_mode` | `None`     | `"human"` or `"rgb_array"` (512 x 512); needs the `render` extra                  |
-    | `randomize`   | `None`     | what of the scene is drawn anew at each reset, see below                          |
+    | Parameter        | Default      | Meaning                                                                        |
+    |------------------|--------------|--------------------------------------------------------------------------------|
+    | `contact`        | `None`       | contact model: `"pymunk"` (time stepping, the default) or `"exact"` (compiled) |
+    | `substeps`       | `None`       | engine steps of pymunk per control step, >= 1; None: 4                         |
+    | `fidelity`       | `None`       | a name for `contact` and `substeps`, see below; these two override it          |
+    | `scene`          | `None`       | a `Scene`, or a dict of some of its fields                                     |
+    | `task`           | `"juggle"`   | `"juggle"`, `"spin"`, `"rattle"`, or a `jackbox_env.Task` of your own          |
+    | `control_dt`     | `0.02`       | duration of a step [s], > 0                                                    |
+    | `torque`         | `"agent"`    | `"agent"`: the action, or the drive if it is None; `"chirp"`: always the drive |
+    | `render_mode`    | `None`       | `"human"` or `"rgb_array"`; needs the `render` extra                           |
+    | `randomize`      | `None`       | what of the scene is drawn anew at each reset, see below                       |
+    | `render_size`    | `(512, 512)` | width and height of a frame [pixels], each from 16 to 4096                     |
+    | `render_overlay` | `True`       | False: a frame shows box, jack and ruled lines alone, for learning from pixels |
 
     `reset` takes `options={"state": numbers, "time": seconds}`: exactly that state, shape (12,), every foot inside to
     1e-9 m (4 units in the last place of a far-off position), and that time. `env.unwrapped.set_state(state, time)` goes
@@ -161,8 +168,11 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
             refused call leaves the environment as it was.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 50}  # noqa: RUF012
+    metadata: dict[str, Any] = {  # noqa: RUF012
+        "render_modes": ["human", "rgb_array"], "render_fps": 50, "render_size": (512, 512),
+    }  # fmt: skip
 
+    @check.refuse_unknown("JackInBox-v0", VECTOR_ONLY)
     def __init__(
         self,
         contact: str | None = None,
@@ -174,12 +184,16 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         render_mode: str | None = None,
         fidelity: str | None = None,
         randomize: Randomize = None,
+        render_size: tuple[int, int] = (512, 512),
+        render_overlay: bool = True,
     ) -> None:
         self.contact, self._substeps = resolve(fidelity, contact, substeps)
         self.control_dt = check.real("control_dt", control_dt, above=0.0)
         self._torque_source = check.choice("torque", torque, ("agent", "chirp"))
         if render_mode is not None:
             check.choice("render_mode", render_mode, self.metadata["render_modes"])
+        size = check.size("render_size", render_size, at_least=16, at_most=4096)
+        overlay = check.flag("render_overlay", render_overlay)
         self.task, self._task = task, tasks.task_of(task)
         self._fails_never = self._task in tasks.TASKS.values()  # a task of the user's own may
         self._own = Scene.of(scene)
@@ -192,13 +206,15 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         self._terms = [f"reward_{name}" for name in self._task.terms]
         self.observation_space = gym.spaces.Box(-BOUNDS, BOUNDS, dtype=np.float32)
         self.action_space = gym.spaces.Box(-1.0, 1.0, shape=(1,), dtype=np.float32)
-        self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / max(self.control_dt, 1e-4)))}
+        fps = max(1, round(1.0 / max(self.control_dt, 1e-4)))
+        self.metadata = {**self.metadata, "render_fps": fps, "render_size": size}
         self.render_mode = render_mode
         self._renderer = None
         if render_mode is not None:
             from jackbox_env.rendering import Renderer
 
-            self._renderer = Renderer(self.scene, render_mode, self.metadata["render_fps"])
+            name = task if isinstance(task, str) else ", ".join(self._task.terms)
+            self._renderer = Renderer(self.scene, render_mode, fps, name, size, overlay)
             self._start_picture()
 
     # -- the simulated system -----------------------------------------------------------------------------------------
@@ -327,14 +343,15 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
             if before is not None:
                 simulator.reset(*before)
             raise
+        reward = tasks.reward_of(terms)
         if self._renderer is not None:
-            self._renderer.record(state, simulator.time, simulator.torque, impacts)
+            self._renderer.record(state, simulator.time, simulator.torque, impacts, reward)
             if self.render_mode == "human":
                 self.render()
-        return observation, tasks.reward_of(terms), False, False, self._info(state, len(impacts), impulse, terms)
+        return observation, reward, False, False, self._info(state, len(impacts), impulse, terms)
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Return a fresh frame, uint8, shape (512, 512, 3), or show it in a window ("human")."""
+        """Return a fresh frame, uint8, shape (height, width, 3), or show it in a window ("human")."""
         if self._renderer is None:
             cause = "comes after close" if self.render_mode else 'needs a render_mode, e.g. render_mode="rgb_array"'
             gym.logger.warn(f"render {cause}: there is no picture")

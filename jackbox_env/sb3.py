@@ -2,27 +2,36 @@
 
 from __future__ import annotations
 
+import copy
 import inspect
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import OrderEnforcing, TimeLimit
 from numpy.typing import ArrayLike, NDArray
-from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import VecEnv
-from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
 from jackbox_env import _validation as check
 from jackbox_env.scene import Scene
 from jackbox_env.states import Array
 from jackbox_env.vector_env import JackInBoxVectorEnv, ResetPlan
 
-_KNOWN = set(inspect.signature(JackInBoxVectorEnv).parameters) - {"num_envs", "autoreset_mode"}
+try:
+    from stable_baselines3.common.monitor import Monitor
+    from stable_baselines3.common.vec_env import VecEnv
+    from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
+except ModuleNotFoundError as error:
+    raise ModuleNotFoundError(check.extra_needed("jackbox_env.sb3", "Stable-Baselines3", "train")) from error
+
+_KNOWN = [
+    name for name in inspect.signature(JackInBoxVectorEnv).parameters if name not in ("num_envs", "autoreset_mode")
+]
+_SHARED = {"num_threads", "with_infos", "max_episode_steps"}  # no arguments of the single environment
 
 
 def make_sb3_vec_env(num_envs: int, **env_kwargs: Any) -> JackInBoxVecEnv:
@@ -66,7 +75,7 @@ class JackInBoxVecEnv(VecEnv):
         check.known_keys("make_sb3_vec_env", env_kwargs, _KNOWN)
         self.vector_env = JackInBoxVectorEnv(num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **env_kwargs)
         self._with_infos = self.vector_env._with_infos
-        self._views = [EnvView(self.vector_env, number) for number in range(self.vector_env.num_envs)]
+        self._views = [EnvView(self.vector_env, number, env_kwargs) for number in range(self.vector_env.num_envs)]
         self._began = time.time()
         self._actions: NDArray[Any] | None = None
         space, actions = self.vector_env.single_observation_space, self.vector_env.single_action_space
@@ -179,7 +188,7 @@ class JackInBoxVecEnv(VecEnv):
         self.vector_env.close()
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        """A frame of each environment, uint8, shape (512, 512, 3); None each without ``render_mode="rgb_array"``."""
+        """A frame of each environment, uint8, shape (height, width, 3); without ``render_mode="rgb_array"`` None."""
         if self.render_mode != "rgb_array":
             warnings.warn(f"render_mode must be 'rgb_array' for images, got {self.render_mode!r}", stacklevel=2)
             return [None] * self.num_envs
@@ -213,8 +222,8 @@ class JackInBoxVecEnv(VecEnv):
 class EnvView:
     """One environment of a vector environment, with the attributes and methods of the single one."""
 
-    def __init__(self, vector_env: JackInBoxVectorEnv, number: int) -> None:
-        self._vector_env, self._number = vector_env, number
+    def __init__(self, vector_env: JackInBoxVectorEnv, number: int, made_with: Mapping[str, Any]) -> None:
+        self._vector_env, self._number, self._made_with = vector_env, number, made_with
         self.observation_space, self.action_space = vector_env.single_observation_space, vector_env.single_action_space
         self.render_mode, self.metadata = vector_env.render_mode, vector_env.metadata
         self.task, self.control_dt = vector_env.task, vector_env.control_dt
@@ -223,6 +232,17 @@ class EnvView:
     def unwrapped(self) -> EnvView:
         """Itself."""
         return self
+
+    @property
+    def spec(self) -> EnvSpec:
+        """What ``gymnasium.make`` makes the same single environment from."""
+        spec = copy.deepcopy(gym.spec("JackInBox-v0"))
+        limit = self._made_with.get("max_episode_steps", spec.max_episode_steps)
+        spec.max_episode_steps = None if limit == -1 else limit
+        spec.kwargs = {name: value for name, value in self._made_with.items() if name not in _SHARED}
+        if isinstance(spec.kwargs.get("scene"), Sequence):
+            spec.kwargs["scene"] = spec.kwargs["scene"][self._number]
+        return spec
 
     @property
     def scene(self) -> Scene:
@@ -260,7 +280,7 @@ class EnvView:
         self._vector_env.set_states(state, time, np.arange(self._vector_env.num_envs) == self._number)
 
     def render(self) -> NDArray[np.uint8] | None:
-        """A frame, uint8, shape (512, 512, 3); None without a render mode."""
+        """A frame, uint8, shape (height, width, 3); None without a render mode."""
         frames = self._vector_env.render()
         return frames[self._number] if frames else None
 

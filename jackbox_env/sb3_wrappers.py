@@ -6,12 +6,16 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
-from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from jackbox_env import _validation as check
 from jackbox_env.futures import Carried, Futures
 from jackbox_env.lookahead import only_one, refuse_early_end
+
+try:
+    from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
+    from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
+except ModuleNotFoundError as error:
+    raise ModuleNotFoundError(check.extra_needed("jackbox_env.sb3_wrappers", "Stable-Baselines3", "train")) from error
 
 
 class HoldingVecEnv(VecEnvWrapper):

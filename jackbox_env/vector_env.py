@@ -74,6 +74,8 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         torque: as there.
         fidelity: as there.
         randomize: as there; each environment draws from its own generator.
+        render_size: as there; of each environment's frame.
+        render_overlay: as there.
 
     ``step`` takes actions of shape (N, 1) or (N,), or None: the scene's drive turns all boxes. ``reset`` takes a seed
     (an int, or a list of ints and None) and ``options``: "state", shape (12,) or (N, 12), "time" [s], a number or shape
@@ -92,6 +94,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
 
     metadata: dict[str, Any] = {**JackInBoxEnv.metadata, "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
 
+    @check.refuse_unknown("the vector environment of JackInBox-v0", {})
     def __init__(
         self,
         num_envs: int = 1,
@@ -108,6 +111,8 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         torque: str = "agent",
         fidelity: str | None = None,
         randomize: Randomize = None,
+        render_size: tuple[int, int] = (512, 512),
+        render_overlay: bool = True,
     ) -> None:
         self.num_envs = check.whole("num_envs", num_envs, at_least=1, at_most=_MOST_ENVS)
         limit = _NO_LIMIT
@@ -119,13 +124,13 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
             check.choice("render_mode", render_mode, JackInBoxEnv.metadata["render_modes"])
         if render_mode == "human" and self.num_envs > 1:
             raise ValueError(f'render_mode must be None or "rgb_array" for several environments, got {render_mode!r}')
-        self._mode = _autoreset_mode(autoreset_mode)
+        self.autoreset_mode = _autoreset_mode(autoreset_mode)  # TorchRL reads it here, Gymnasium in the metadata
         self._with_infos = check.flag("with_infos", with_infos)
         self._given = Given(self.num_envs)
         scenes = self._given.scenes(scene)
         settings: dict[str, Any] = {
             "contact": contact, "substeps": substeps, "task": task, "control_dt": control_dt, "torque": torque,
-            "fidelity": fidelity,
+            "fidelity": fidelity, "render_size": render_size, "render_overlay": render_overlay,
         }  # fmt: skip
         shown = render_mode if self.num_envs == 1 else None
         single = JackInBoxEnv(scene=scenes[0], **settings, render_mode=shown)  # checks them all
@@ -134,7 +139,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         np.empty(self.num_envs * _ROOM[single.contact], dtype=np.uint8)  # MemoryError now, not after hours of making
         self.task, self.render_mode, self.control_dt = task, render_mode, single.control_dt
         self._driven = torque == "chirp"
-        self.metadata = {**self.metadata, "render_fps": single.metadata["render_fps"], "autoreset_mode": self._mode}
+        self.metadata = {**single.metadata, "autoreset_mode": self.autoreset_mode}
         self.single_observation_space, self.single_action_space = single.observation_space, single.action_space
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
@@ -302,10 +307,10 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         infos: Infos = {}
         if waiting is not None:
             self._restart(waiting, outcome)
-        elif outcome.finished and self._mode is AutoresetMode.SAME_STEP:
+        elif outcome.finished and self.autoreset_mode is AutoresetMode.SAME_STEP:
             infos = self._final_infos(outcome)
             self._restart(outcome.truncations, outcome)
-        still = outcome.finished > 0 and self._mode is not AutoresetMode.SAME_STEP
+        still = outcome.finished > 0 and self.autoreset_mode is not AutoresetMode.SAME_STEP
         if still is not book.waiting:
             outcome.draft.book = book._replace(waiting=still)
         if self._with_infos:
@@ -314,11 +319,28 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         return outcome.draft, (outcome.observations, outcome.rewards, terminations, outcome.truncations, infos)
 
     def render(self) -> tuple[Any, ...] | None:
-        """A frame of each environment, uint8, shape (512, 512, 3)."""
+        """A frame of each environment, uint8, shape (height, width, 3)."""
         if self.render_mode is None:
             gym.logger.warn('render needs a render_mode, e.g. render_mode="rgb_array": there is no picture')
             return None
         return self._batch.render()
+
+    def tiled(self, first: int = 16, size: tuple[int, int] = (128, 128)) -> NDArray[np.uint8]:
+        """One picture of the ``first`` environments as they are now, row by row in a grid, uint8, shape (H, W, 3).
+
+        It needs no ``render_mode``, so a compiled batch is shown too. Each tile is box, jack and ruled lines, drawn
+        from the state. ``size`` is width and height of a tile [pixels], from 16 to 1024. Needs the ``render`` extra.
+
+        Raises:
+            TypeError, ValueError: an argument out of its range.
+            gymnasium.error.DependencyNotInstalled: pygame is missing.
+        """
+        count = min(check.whole("first", first, at_least=1, at_most=1024), self.num_envs)
+        size = check.size("size", size, at_least=16, at_most=1024)
+        from jackbox_env.tiles import tiled
+
+        held = self._batch.held
+        return tiled([self._batch.scene(number) for number in range(count)], held.states, held.times, size)
 
     def close_extras(self, **kwargs: Any) -> None:
         """Release what the renderers hold."""
@@ -332,7 +354,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         waiting: Flags = self._batch.held.over
         if not waiting.any():
             return None
-        if self._mode is AutoresetMode.DISABLED:
+        if self.autoreset_mode is AutoresetMode.DISABLED:
             raise RuntimeError(
                 "with autoreset_mode DISABLED, reset the episodes that are over before the next step, by "
                 f"options={{'reset_mask': ...}}; {int(waiting.sum())} of {self.num_envs} are over"

@@ -7,10 +7,8 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated
 
-import tyro
-
 from agents.settings import EnvSettings
-from jackbox_env.commands.common import command_line
+from jackbox_env.commands.common import command_line, tyro
 
 
 @dataclass(frozen=True)
@@ -31,6 +29,8 @@ class Arguments:
     """Also write the results, every return included, to this new file."""
     html: Path | None = None
     """Also write an animated page of each policy's first start to this new folder."""
+    film: Path | None = None
+    """Also film an episode of all policies side by side, in this new .mp4 or .gif file."""
     trust: bool = False
     """Unpickle models that have no settings.json beside them: only those of people you trust."""
 
@@ -74,6 +74,11 @@ def main() -> None:
         raise FileExistsError(f"{arguments.json} exists, and results are never overwritten: choose another file")
     if arguments.html is not None and arguments.html.exists():
         raise FileExistsError(f"{arguments.html} exists, and pages are never overwritten: choose another folder")
+    if arguments.film is not None:
+        from agents.film import check_film, film_episode
+        from agents.models import derived_seed
+
+        check_film(arguments.film)
     env_settings = arguments.settings.env_settings
     found = [
         (name, find_policy(name, arguments.settings, arguments.seed, arguments.trust)) for name in arguments.policy
@@ -85,6 +90,8 @@ def main() -> None:
         act_in = {**env_settings, **more}
         rows.append(evaluate(name, policy, act_in, arguments.episodes, arguments.seed, progress=True))
     print(table(rows))
+    if arguments.film is not None:
+        film_episode(dict(found), env_settings, arguments.film, derived_seed("evaluation", arguments.seed))
     if arguments.json is not None:
         record = {"env": env_settings, "seed": arguments.seed, "versions": versions()}
         write_json(arguments.json, {**record, "results": [row.as_json() for row in rows]})

@@ -6,9 +6,7 @@ import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
-import tyro
-
-from jackbox_env.commands.common import command_line
+from jackbox_env.commands.common import command_line, tyro
 
 
 @dataclass(frozen=True)

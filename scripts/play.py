@@ -1,8 +1,22 @@
-"""Play JackInBox-v0 with the keyboard: the command `jackbox play`."""
+"""Play JackInBox-v0 with the keyboard: the command `jackbox play`, with the trained networks of the checkout."""
 
 from __future__ import annotations
 
-from jackbox_env.commands.play import main
+from agents.network import SHIPPED, NetworkPolicy, read_policy
+from jackbox_env.commands.common import command_line
+from jackbox_env.commands.play import play_with
+
+
+def trained(task: str) -> NetworkPolicy:
+    """The network that comes with the repository."""
+    return read_policy(SHIPPED / f"{task}-ppo")
+
+
+@command_line
+def main() -> None:
+    """Parse and play."""
+    play_with(trained)
+
 
 if __name__ == "__main__":
     main()

@@ -8,11 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import tyro
-
 from agents.runs import describe, read_settings
 from agents.settings import TrainSettings
-from jackbox_env.commands.common import command_line
+from jackbox_env.commands.common import command_line, tyro
 from jackbox_env.storage import new_folder
 
 

@@ -46,6 +46,7 @@ PACKAGE = """
     scoring
     canvas
     rendering
+    tiles
     env
     batches.base batches.threads
     batches.scenes batches.given
@@ -56,6 +57,7 @@ PACKAGE = """
     futures
     lookahead
     sb3_wrappers
+    playing_window
     accuracy
     choosing
     commands.common commands.plots

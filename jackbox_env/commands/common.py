@@ -10,14 +10,29 @@ import sys
 from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gymnasium.error import DependencyNotInstalled
 from gymnasium.error import Error as GymnasiumError
 
 from jackbox_env import _validation as check
 
+if TYPE_CHECKING:
+    import tyro as tyro
+
 ROOT = Path(__file__).parents[2]  # of a checkout; above an installed package there is none
+
+
+def __getattr__(name: str) -> Any:
+    """Give ``tyro`` to the scripts that read it here; where it is missing, say how to get it, and exit with 2."""
+    if name != "tyro":
+        raise AttributeError(name)
+    try:
+        import tyro
+    except ImportError:
+        print(check.extra_needed("this command", "tyro", "train"), file=sys.stderr)
+        sys.exit(2)
+    return tyro
 
 
 def command_line(main: Callable[[], None]) -> Callable[[], None]:
@@ -28,7 +43,8 @@ def command_line(main: Callable[[], None]) -> Callable[[], None]:
         try:
             main()
         except (ImportError, DependencyNotInstalled) as error:
-            print(f"{error}; this command needs more packages: {_how_to_get_all()}", file=sys.stderr)
+            more = f"; this command needs more packages: {_how_to_get_all()}"
+            print(f"{error}{'' if 'pip install' in str(error) else more}", file=sys.stderr)
             sys.exit(2)
         except (ValueError, TypeError, OSError, RuntimeError, GymnasiumError) as error:
             print(error, file=sys.stderr)

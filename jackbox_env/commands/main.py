@@ -54,13 +54,13 @@ def main() -> None:
         from jackbox_env import __version__
 
         print(f"jackbox {__version__}")
+    elif name in _OF_A_CHECKOUT or (name == "play" and in_checkout()):  # which brings the trained agents
+        del sys.argv[1]
+        _run_script(name)
     elif name in _OWN:
         del sys.argv[1]
         sys.argv[0] = f"jackbox {name}"
         importlib.import_module(f"jackbox_env.commands.{name}").main()
-    elif name in _OF_A_CHECKOUT:
-        del sys.argv[1]
-        _run_script(name)
     else:
         known = ", ".join((*_OWN, *_OF_A_CHECKOUT))
         raise ValueError(f"the command must be one of {known}, got {name!r}")

@@ -1,12 +1,18 @@
-"""Play JackInBox-v0 with the keyboard: left and right arrows push, and while no key is pressed the chirp drives."""
+"""Play JackInBox-v0 with the keyboard; the window shows the keys."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING
 
 import gymnasium as gym
 
-from jackbox_env.commands.common import add_model_options, command_line, extras, parser_of, scene_fields
+from jackbox_env.commands.common import add_model_options, command_line, parser_of, scene_fields
+
+if TYPE_CHECKING:
+    from jackbox_env.playing_window import Predicts
 
 
 def _arguments() -> argparse.Namespace:
@@ -23,18 +29,10 @@ def _arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-@command_line
-def main() -> None:
-    """Parse and play."""
+def play_with(trained: Callable[[str], Predicts] | None = None) -> None:
+    """Parse and play; ``trained`` loads the agent of a task, of which there is none without a checkout."""
     arguments = _arguments()
-    import numpy as np
-
-    try:
-        import pygame  # noqa: F401
-    except ImportError as error:
-        wanted = " ".join(f"'{requirement}'" for requirement in extras().get("render", ["pygame-ce"]))
-        raise RuntimeError(f"play needs the render extra, which is not installed: pip install {wanted}") from error
-    from gymnasium.utils.play import play
+    from jackbox_env.playing_window import play
 
     env = gym.make(
         "jackbox_env:JackInBox-v0",
@@ -46,7 +44,13 @@ def main() -> None:
         scene=scene_fields(arguments.scene),
         fidelity=arguments.fidelity,
     )
-    play(env, noop=np.zeros(1, dtype=np.float32) if arguments.quiet else None, seed=arguments.seed)
+    play(env, arguments.seed, not arguments.quiet, None if trained is None else partial(trained, arguments.task))
+
+
+@command_line
+def main() -> None:
+    """Parse and play."""
+    play_with()
 
 
 if __name__ == "__main__":

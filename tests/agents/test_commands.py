@@ -21,7 +21,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from agents import training
+from agents import evaluation, training
 from agents.models import load_model
 from agents.policies import BASELINES
 from agents.runs import describe, read_settings
@@ -183,6 +183,41 @@ def test_train_prints_a_command_that_evaluates_in_the_same_environment(tmp_path:
     assert "Note:" not in again.stderr  # of a run that was trained elsewhere
     assert "task spin, contact exact, control_dt 0.025, scene {" in again.stdout
     assert "| a run's" in again.stdout
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+def test_evaluate_films_the_policies(tmp_path: Path, run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import imageio.v3 as imageio
+
+    from agents import film
+
+    monkeypatch.setattr(film, "WIDTH", 96)
+    done = script("evaluate", "--policy", "zero", str(run), "--episodes", "2", "--film", "f.gif", cwd=tmp_path)
+    assert f"Film of zero, {run}: f.gif" in done.stdout
+    frames = imageio.imread(tmp_path / "f.gif")
+    assert frames.shape == (250, 96 + 36, 2 * 96, 3)  # a whole episode of 10 s, 25 frames a second
+    assert "film:" in done.stderr  # the progress
+    before = (tmp_path / "f.gif").read_bytes()
+    again = script("evaluate", "--episodes", "2", "--film", "f.gif", cwd=tmp_path, status=2)
+    assert again.stderr == "f.gif exists, and films are never overwritten: choose another file\n"
+    assert (tmp_path / "f.gif").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("file", "sentence"),
+    [
+        ("f.avi", "a film must be a .gif or .mp4 file, got 'f.avi'"),
+        ("film", "a film must be a .gif or .mp4 file, got 'film'"),
+        ("no/f.mp4", "no is no folder to write f.mp4 to"),
+    ],
+)
+def test_evaluate_refuses_a_film_before_it_computes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, file: str, sentence: str
+) -> None:
+    monkeypatch.setattr(evaluation, "evaluate", None)  # it is not reached
+    done = script("evaluate", "--film", file, cwd=tmp_path, status=2)
+    assert done.stderr == f"{sentence}\n"
+    assert not list(tmp_path.iterdir())
 
 
 def test_training_survives_ctrl_c_and_resumes_from_the_command_line(tmp_path: Path) -> None:

@@ -184,6 +184,8 @@ CALLS: dict[str, tuple[Callable[[str], Subject], str, Callable[[Any, Any], Any],
     "vector set_states chosen": (
         vector_of, "JackInBoxVectorEnv.set_states", lambda e, x: e.set_states(START, 0.0, x), arrays(3) | MASKS,
     ),
+    "vector tiled": (vector_of, "JackInBoxVectorEnv.tiled", lambda e, x: e.tiled(x, (16, 16)), {}),
+    "vector tiled size": (vector_of, "JackInBoxVectorEnv.tiled", lambda e, x: e.tiled(1, x), arrays(2)),
     "sb3 step": (sb3_of, "JackInBoxVecEnv.step", lambda e, x: e.step(x), arrays(3, 1)),
     "sb3 options": (
         sb3_of, "JackInBoxVecEnv.reset", lambda e, x: [e.set_options([{"state": x}, {}, {}]), e.reset()], arrays(12),

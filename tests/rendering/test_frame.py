@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from jackbox_env import JackInBoxEnv, Task
+from jackbox_env.rendering import Renderer
 from jackbox_env.scene import Scene
 from jackbox_env.simulators import Impact, make_simulator
 from tests.rendering.pixels import ARM, Frame, L, Mask, Words, blue, draw, pixel, red, renderer_at, state
@@ -84,8 +86,9 @@ def test_inside_face_is_exact_to_a_fraction_of_a_pixel() -> None:
 def test_box_fits_beside_the_text_at_any_angle() -> None:
     """Neither the ruler nor the texts change as the box turns a full turn, and no wall touches the frame's edge."""
     reference = draw(renderer_at(state()))
-    areas = [(slice(0, 512), slice(0, 54)), (slice(0, 30), slice(54, 140)), (slice(0, 30), slice(420, 512))]
-    areas += [(slice(455, 512), slice(54, 120)), (slice(466, 512), slice(120, 195))]
+    areas = [(slice(0, 512), slice(0, 54)), (slice(0, 30), slice(54, 140)), (slice(0, 30), slice(400, 512))]
+    areas += [(slice(30, 42), slice(54, 150)), (slice(30, 42), slice(410, 512)), (slice(491, 512), slice(0, 512))]
+    areas += [(slice(442, 491), slice(54, 120)), (slice(464, 491), slice(120, 195))]
     for angle in np.linspace(0.0, math.pi / 2.0, 19):
         frame = draw(renderer_at(state(box=(0.0, 0.0, float(angle)))))
         for area in areas:
@@ -96,18 +99,20 @@ def test_box_fits_beside_the_text_at_any_angle() -> None:
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.4, math.pi / 4, 3.0, -1e5])
-def test_jack_has_blue_arms_and_red_feet(angle: float) -> None:
+def test_jack_has_blue_arms_and_red_feet_but_one(angle: float) -> None:
+    """The first foot is amber: a quarter turn of the cross is seen."""
     renderer = renderer_at(state(box=(0.0, 0.0, 0.1), jack=(-2.0, 1.5, angle)))
     frame = draw(renderer)
     for foot in range(4):
         direction = angle + foot * math.pi / 2.0
-        for share, is_blue, is_red in ((0.0, True, False), (0.3, True, False), (0.6, True, False), (1.0, False, True)):
+        for share, is_blue in ((0.0, True), (0.3, True), (0.6, True), (1.0, False)):
             place = renderer.to_pixels(
                 -2.0 + share * ARM * math.cos(direction), 1.5 + share * ARM * math.sin(direction)
             )
             colour = pixel(frame, place)
             assert bool(blue(colour)) == is_blue
-            assert bool(red(colour)) == is_red
+            assert bool(red(colour)) == (foot > 0 and share == 1.0)
+            assert (colour == (255, 176, 0)) == (foot == 0 and share == 1.0)
         beyond = renderer.to_pixels(-2.0 + 1.5 * math.cos(direction), 1.5 + 1.5 * math.sin(direction))
         assert not red(pixel(frame, beyond))
 
@@ -164,6 +169,15 @@ def test_height_labels_stand_at_their_heights(words: Words) -> None:
         assert place[1] == pytest.approx(renderer.to_pixels(0.0, -height)[1])
 
 
+def test_labels_of_x_stand_at_their_places(words: Words) -> None:
+    renderer = renderer_at(state(box=(31.3, -0.4, 0.0), jack=(31.3, 0.0, 0.0)))
+    draw(renderer)
+    for x in (24, 26, 28, 30, 32, 34, 36, 38):
+        place = words[f"{x} m"]
+        assert place[0] == pytest.approx(renderer.to_pixels(x, 0.0)[0])
+        assert 492 < place[1] < 512
+
+
 @pytest.mark.parametrize(
     ("half_width", "height", "label"), [(1e-3, 0.0, "0.5 mm"), (1e6, 0.0, "0.5 Mm"), (6.0, 1e9, "…0002 m")]
 )
@@ -199,6 +213,32 @@ def test_readings_of_a_simulation(words: Words) -> None:
     renderer.record(simulator.state, simulator.time, 0.0, [Impact(simulator.time, 0, 0, 1.0)] * 3)
     draw(renderer)
     assert f"{count + 3} impacts" in words
+
+
+def test_task_and_return_are_shown(words: Words) -> None:
+    renderer = Renderer(Scene(), "rgb_array", 50, task="rattle")
+    draw(renderer)
+    assert {"rattle", "return 0.0"} <= set(words)
+    for reward in (0.25, -1.5, 0.11):
+        renderer.record(state(), 0.02, 0.0, [], reward)
+    draw(renderer)
+    assert "return \N{MINUS SIGN}1.1" in words
+    renderer.reset(state(), 0.0)
+    words.clear()
+    draw(renderer)
+    assert "return 0.0" in words
+
+
+def test_an_environments_picture_shows_its_own_return(words: Words) -> None:
+    env = JackInBoxEnv(render_mode="rgb_array", task="spin")
+    env.reset(seed=0, options={"state": [*state(jack=(0.0, 0.0, 0.2))[:11], 6.0]})
+    total = sum(env.step(0.0)[1] for _ in range(30))
+    env.render()
+    assert total > 1.0
+    assert {"spin", f"return {total:.1f}"} <= set(words)
+    lift = Task(terms=("height", "haste", "a very long third one"), values=lambda *_: (1.0, 0.0, 0.0))
+    JackInBoxEnv(render_mode="rgb_array", task=lift).render()
+    assert "height, haste, a …" in words
 
 
 def gauge(torque: float) -> Mask:

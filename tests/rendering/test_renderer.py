@@ -153,7 +153,7 @@ def test_arrays_need_no_display() -> None:
 
 def test_missing_pygame_is_named_in_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pygame", None)
-    with pytest.raises(gym.error.DependencyNotInstalled, match=r'pip install "jackbox\[render\]"'):
+    with pytest.raises(gym.error.DependencyNotInstalled, match=r'in a checkout .*pip install -e "\.\[render\]"'):
         Renderer(Scene(), "rgb_array", 50)
 
 

@@ -1,0 +1,308 @@
+"""A window in which a person plays JackInBox-v0 with the keyboard."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Protocol
+
+import gymnasium as gym
+import numpy as np
+
+from jackbox_env.canvas import INK, SIZE, TRACK, Colour, import_pygame
+from jackbox_env.simulators import JackLostError
+
+if TYPE_CHECKING:
+    import pygame
+
+SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0)  # simulated seconds in a second
+FRAMES = 50  # in a second
+_LONGEST = 0.1  # [s] of the clock that a frame makes up for: a slow machine plays slower
+PANEL = 248  # [px] width beside the picture
+_EDGE = 20  # [px] of the panel
+_PAPER: Colour = (250, 251, 253)
+_PALE: Colour = (112, 122, 138)
+_BLUE: Colour = (31, 90, 180)
+_RED: Colour = (190, 30, 36)
+_WHITE: Colour = (255, 255, 255)
+NO_AGENT = "P needs a checkout of the project"
+LOADING = "loading the trained agent ..."
+
+
+class Predicts(Protocol):
+    """A policy as those of Stable-Baselines3."""
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
+    ) -> tuple[Any, Any]:
+        """Return an action, and the state for the next call."""
+
+
+class Game:
+    """One environment, its episodes, and who acts in it; it knows nothing of windows and keys.
+
+    Args:
+        env: ``JackInBox-v0`` made with ``render_mode="rgb_array"``.
+        seed: of the first start; None: drawn.
+        chirp: whether the scene's drive acts where nobody else does.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any], seed: int | None = None, chirp: bool = True) -> None:
+        self.env, self.chirp = env, chirp
+        self.control_dt: float = env.unwrapped.control_dt  # type: ignore[attr-defined]
+        task = env.unwrapped.task  # type: ignore[attr-defined]
+        self.task: str = task if isinstance(task, str) else ", ".join(task.terms)
+        self.best: float | None = None  # return of a whole episode
+        self.paused = False
+        self.push = 0.0  # of the player, from -1 to 1
+        self.agent: Predicts | None = None
+        self._speed = SPEEDS.index(1.0)
+        self.restart(seed)
+
+    @property
+    def speed(self) -> float:
+        """Simulated seconds in a second."""
+        return SPEEDS[self._speed]
+
+    def faster(self, by: int) -> None:
+        """Go ``by`` speeds up, or down if negative."""
+        self._speed = min(max(self._speed + by, 0), len(SPEEDS) - 1)
+
+    def restart(self, seed: int | None = None) -> None:
+        """Start the next episode."""
+        self._observation, _ = self.env.reset(seed=seed)
+        self.earned, self.steps, self.over, self._owed = 0.0, 0, "", 0.0
+        self._memory: Any = None  # what the agent carries on
+
+    def acting(self) -> str:
+        """Who acts now."""
+        if self.push:
+            return "you"
+        if self.agent is not None:
+            return "trained agent"
+        return "chirp" if self.chirp else "nobody"
+
+    def advance(self, seconds: float) -> None:
+        """Let so much time of the clock pass."""
+        if self.paused or self.over:
+            return
+        self._owed += min(seconds, _LONGEST) * self.speed / self.control_dt
+        while self._owed >= 1.0 and not self.over:
+            self._owed -= 1.0
+            self.step()
+
+    def step(self) -> None:
+        """Take one control step, unless the episode is over."""
+        if self.over:
+            return
+        try:
+            self._observation, reward, terminated, truncated, _ = self.env.step(self._action())
+        except JackLostError:
+            self.over = "The jack left the box"
+            return
+        self.earned += float(reward)
+        self.steps += 1
+        if terminated or truncated:
+            is_best = self.best is None or self.earned > self.best
+            self.over = "Episode over: the best so far" if is_best else "Episode over"
+            self.best = self.earned if is_best else self.best
+
+    def _action(self) -> Any:
+        if self.push:
+            self._memory = None  # the agent decides anew where it takes over
+            return np.array([self.push], dtype=np.float32)
+        if self.agent is not None:
+            begins = np.array([self._memory is None])
+            action, self._memory = self.agent.predict(self._observation, self._memory, begins, deterministic=True)
+            return action
+        return None if self.chirp else np.zeros(1, dtype=np.float32)
+
+
+class Window:
+    """Shows a game and obeys the keys.
+
+    Args:
+        game: to be played.
+        trained: loads the trained agent; None: there is none.
+
+    Raises:
+        gymnasium.error.DependencyNotInstalled: pygame is missing.
+    """
+
+    def __init__(self, game: Game, trained: Callable[[], Predicts] | None = None) -> None:
+        self.pygame = import_pygame()
+        self.game, self.open, self.note = game, True, ""
+        self._trained, self._held = trained, set[int]()
+        self.pygame.display.init()
+        self.pygame.font.init()
+        self._screen = self.pygame.display.set_mode((SIZE + PANEL, SIZE))
+        self.pygame.display.set_caption("Jack in a box")
+        self._fonts = {size: self.pygame.font.Font(None, size) for size in (18, 20, 24, 30, 46)}
+
+    def frame(self, seconds: float) -> None:
+        """Obey the keys, let so much time of the clock pass, and show the game."""
+        for event in self.pygame.event.get():
+            self._obey(event)
+        self.game.advance(seconds)
+        self._draw()
+
+    def close(self) -> None:
+        """Close the window and the environment."""
+        self.open = False
+        self.game.env.close()
+        self.pygame.display.quit()
+
+    # -- keys ---------------------------------------------------------------------------------------------------------
+
+    def _obey(self, event: pygame.event.Event) -> None:
+        pygame = self.pygame
+        if event.type == pygame.QUIT:
+            self.open = False
+        elif event.type == pygame.KEYDOWN:
+            self._held.add(event.key)
+            self._press(event.key, getattr(event, "unicode", ""))
+        elif event.type == pygame.KEYUP:
+            self._held.discard(event.key)
+        elif event.type == pygame.WINDOWFOCUSLOST:
+            self._held.clear()  # the keys are let go elsewhere
+        self.game.push = float(pygame.K_LEFT in self._held) - float(pygame.K_RIGHT in self._held)
+
+    def _press(self, key: int, letter: str) -> None:
+        pygame, game = self.pygame, self.game
+        if key in (pygame.K_ESCAPE, pygame.K_q):
+            self.open = False
+        elif key == pygame.K_r:
+            game.restart()
+        elif key == pygame.K_SPACE:
+            game.paused = not game.paused
+        elif key == pygame.K_PERIOD or letter == ".":
+            game.paused = True
+            game.step()
+        elif key in (pygame.K_PLUS, pygame.K_EQUALS, pygame.K_KP_PLUS) or letter == "+":
+            game.faster(1)
+        elif key in (pygame.K_MINUS, pygame.K_KP_MINUS) or letter == "-":
+            game.faster(-1)
+        elif key == pygame.K_c:
+            game.chirp = not game.chirp
+        elif key == pygame.K_p:
+            self._hand_over()
+
+    def _hand_over(self) -> None:
+        """Let the trained agent act, or no longer."""
+        if self.game.agent is not None:
+            self.game.agent = None
+        elif self._trained is None:
+            self.note = NO_AGENT
+        else:
+            self.note = LOADING
+            self._draw()
+            try:
+                self.game.agent, self.note = self._trained(), ""
+            except (OSError, ValueError, ImportError):
+                self.note = "there is no trained agent for this"
+
+    # -- the picture --------------------------------------------------------------------------------------------------
+
+    def _draw(self) -> None:
+        frame: Any = self.game.env.render()
+        self._screen.fill(_PAPER)
+        height, width = frame.shape[:2]
+        self._screen.blit(self.pygame.image.frombuffer(frame.tobytes(), (width, height), "RGB"), (0, 0))
+        self._screen.fill(TRACK, (SIZE, 0, 1, SIZE))
+        self._draw_numbers()
+        self._draw_keys()
+        if self.game.over:
+            self._banner(self.game.over, f"return {self.game.earned:.1f}   -   R starts the next")
+        elif self.game.paused:
+            self._pill("Paused: the dot takes one step")
+        self.pygame.display.flip()
+
+    def _write(
+        self, text: str, place: tuple[float, float], size: int, colour: Colour = INK, align: float = 0.0
+    ) -> None:
+        """Write with the left end (align 0), the middle (0.5) or the right end (1) at ``place``, half way down."""
+        image = self._fonts[size].render(text.replace("-", "\N{EN DASH}"), True, colour)
+        self._screen.blit(image, (place[0] - align * image.get_width(), place[1] - 0.5 * image.get_height()))
+
+    def _draw_numbers(self) -> None:
+        game, left, right = self.game, SIZE + _EDGE, SIZE + PANEL - _EDGE
+        self._write("task", (left, 26), 18, _PALE)
+        self._write(game.task[:16], (right, 26), 24, align=1.0)
+        self._write("return", (left, 62), 18, _PALE)
+        self._write(f"{game.earned:.1f}", (right, 62), 46, align=1.0)
+        self._write("best", (left, 98), 18, _PALE)
+        self._write("-" if game.best is None else f"{game.best:.1f}", (right, 98), 30, align=1.0)
+        self._write("acting", (left, 128), 18, _PALE)
+        self._write(game.acting(), (right, 128), 24, _BLUE, align=1.0)
+        self._write("speed", (left, 156), 18, _PALE)
+        self._write(f"{game.speed:g} \N{MULTIPLICATION SIGN}", (right, 156), 24, align=1.0)
+        self._screen.fill(TRACK, (left, 178, PANEL - 2 * _EDGE, 1))
+
+    def _draw_keys(self) -> None:
+        game = self.game
+        rows = (
+            ("left", "turn left", False),
+            ("right", "turn right", False),
+            ("R", "next episode", False),
+            ("space", "pause", game.paused),
+            (".", "one step", False),
+            ("+  -", "speed", False),
+            ("P", "trained agent", game.agent is not None),
+            ("C", "chirp without a key", game.chirp),
+            ("Esc", "quit", False),
+        )
+        for number, (key, meaning, is_on) in enumerate(rows):
+            y = 200 + 30 * number
+            self._cap(key, y, is_on)
+            self._write(meaning, (SIZE + _EDGE + 66, y), 20, _BLUE if is_on else INK)
+        self._write(self.note, (SIZE + 0.5 * PANEL, 484), 18, _RED, align=0.5)
+
+    def _cap(self, key: str, y: int, is_on: bool) -> None:
+        """Draw a key's cap, filled where what it switches is on."""
+        area = (SIZE + _EDGE, y - 11, 54, 23)
+        self.pygame.draw.rect(self._screen, _BLUE if is_on else _WHITE, area, border_radius=5)
+        self.pygame.draw.rect(self._screen, _BLUE if is_on else TRACK, area, width=1, border_radius=5)
+        x = SIZE + _EDGE + 27
+        if key in ("left", "right"):
+            tip = -6 if key == "left" else 6
+            self.pygame.draw.polygon(self._screen, INK, [(x + tip, y), (x - tip, y - 5), (x - tip, y + 5)])
+        else:
+            size, raised = (30, 4) if key == "." else (18, 0)
+            self._write(key, (x, y - raised), size, _WHITE if is_on else INK, align=0.5)
+
+    def _pill(self, text: str) -> None:
+        """Write at the top, where it hides nothing of the box."""
+        area = self.pygame.Rect(156, 4, 254, 26)
+        self.pygame.draw.rect(self._screen, _BLUE, area, border_radius=13)
+        self._write(text, area.center, 20, _WHITE, align=0.5)
+
+    def _banner(self, title: str, below: str) -> None:
+        """Write over the middle of the picture."""
+        area = self.pygame.Rect(0, 0, 330, 74)
+        area.center = (283, 150)
+        self.pygame.draw.rect(self._screen, _WHITE, area, border_radius=8)
+        self.pygame.draw.rect(self._screen, _BLUE, area, width=2, border_radius=8)
+        self._write(title, (area.centerx, area.centery - 13), 30, align=0.5)
+        self._write(below, (area.centerx, area.centery + 17), 20, _PALE, align=0.5)
+
+
+def play(
+    env: gym.Env[Any, Any], seed: int | None = None, chirp: bool = True, trained: Callable[[], Predicts] | None = None
+) -> None:
+    """Play until the window is closed.
+
+    Args:
+        env: ``JackInBox-v0`` made with ``render_mode="rgb_array"``.
+        seed: of the first start; None: drawn.
+        chirp: whether the scene's drive acts while no key is pressed.
+        trained: loads the agent that P hands over to; None: there is none, and P says so.
+
+    Raises:
+        gymnasium.error.DependencyNotInstalled: pygame is missing.
+    """
+    window = Window(Game(env, seed, chirp), trained)
+    clock = window.pygame.time.Clock()
+    try:
+        while window.open:
+            window.frame(clock.tick(FRAMES) / 1000.0)
+    finally:
+        window.close()
