@@ -31,7 +31,7 @@ class Arguments:
 
     episodes: int = 256
     """Episodes of each policy."""
-    planner_episodes: int = 32
+    planner_episodes: int = 64
     """Episodes of the planner, which takes some seconds for each."""
     across_episodes: int = 128
     """Episodes of each policy in each of the scenes that vary."""
