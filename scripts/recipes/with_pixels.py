@@ -4,7 +4,7 @@ import argparse
 from typing import Any
 
 import gymnasium as gym
-from gymnasium.wrappers import AddRenderObservation, GrayscaleObservation, ResizeObservation
+from gymnasium.wrappers import AddRenderObservation, GrayscaleObservation
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import VecFrameStack
@@ -17,10 +17,10 @@ steps = parser.parse_args().steps
 
 
 def make() -> gym.Env[Any, Any]:
-    """One environment that shows its picture."""
-    env = gym.make("JackInBox-v0", contact="exact", render_mode="rgb_array", control_dt=0.08, max_episode_steps=125)
-    pictures: Any = AddRenderObservation(env, render_only=True)
-    return GrayscaleObservation(ResizeObservation(pictures, (84, 84)), keep_dim=True)
+    """One environment that shows its picture: box and jack alone, without ruler and readings."""
+    picture: dict[str, Any] = {"render_mode": "rgb_array", "render_size": (84, 84), "render_overlay": False}
+    env = gym.make("JackInBox-v0", contact="exact", control_dt=0.08, max_episode_steps=125, **picture)
+    return GrayscaleObservation(AddRenderObservation(env, render_only=True), keep_dim=True)
 
 
 envs = VecFrameStack(make_vec_env(make, n_envs=4), n_stack=4)
