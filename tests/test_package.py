@@ -130,6 +130,7 @@ def test_pages_have_python() -> None:
     assert {"start.md", "tasks.md", "physics.md", "settings.md", "many.md", "scenes.md"} <= set(PAGES)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", PAGES)
 def test_each_block_of_a_page_runs_on_its_own(page: str, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("stable_baselines3")
