@@ -271,7 +271,7 @@ class Window:
 
     def _pill(self, text: str) -> None:
         """Write at the top, where it hides nothing of the box."""
-        area = self.pygame.Rect(156, 4, 254, 26)
+        area = self.pygame.Rect(152, 4, 238, 26)
         self.pygame.draw.rect(self._screen, _BLUE, area, border_radius=13)
         self._write(text, area.center, 20, _WHITE, align=0.5)
 

@@ -24,7 +24,9 @@ DT = 0.02
 class Constant:
     """A policy that remembers how often it was asked."""
 
-    def predict(self, observation: Any, state: Any, episode_start: Any, deterministic: bool) -> tuple[Any, Any]:
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
+    ) -> tuple[Any, Any]:
         assert observation.shape == (10,)
         assert deterministic
         assert episode_start.tolist() == [state is None]
