@@ -87,7 +87,7 @@ networks: .venv/ready
 
 # The site in docs/_build/html; both notebooks run, some two minutes. A warning, and so a broken link, is an error.
 docs: .venv/ready
-	@MPLBACKEND=Agg SDL_VIDEODRIVER=dummy $(BIN)/python -m sphinx -q -W --keep-going docs docs/_build/html
+	@SDL_VIDEODRIVER=dummy $(BIN)/python -m sphinx -q -W --keep-going docs docs/_build/html
 	@echo "Open docs/_build/html/index.html"
 
 # Each recipe of docs/recipes.md, shortened; those of other libraries in environments of their own in runs/recipes.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,8 @@ import jackbox_env
 from jackbox_env.env import JackInBoxEnv
 
 HERE = Path(__file__).parent
+os.environ.pop("MPLBACKEND", None)  # the notebooks draw inline
+os.environ["PYTHONPATH"] = str(HERE.parent)  # they read agents/ too
 
 project = "jackbox"
 author = "The jackbox developers"

@@ -12,7 +12,8 @@ parser.add_argument("--steps", type=int, default=4_000)
 steps = parser.parse_args().steps
 
 envs = DummyVectorEnv([lambda: gym.make("JackInBox-v0", contact="exact") for _ in range(8)])
-envs.reset(seed=list(range(8)))
+envs.seed(list(range(8)))
+envs.reset()
 total = 0.0
 for _ in range(max(1, steps // 8)):
     _, rewards, _, truncated, _ = envs.step([space.sample() for space in envs.action_space])
