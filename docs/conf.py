@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import inspect
 import os
-import re
 from pathlib import Path
-from typing import Any
 
 import jackbox_env
-from jackbox_env.env import JackInBoxEnv
 
 HERE = Path(__file__).parent
 os.environ.pop("MPLBACKEND", None)  # the notebooks draw inline
@@ -50,27 +46,3 @@ autodoc_class_signature = "mixed"
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
 napoleon_use_ivar = True
-
-
-def environment_page() -> str:
-    """The environment's page: its docstring, which is Markdown in the order of Gymnasium's own pages."""
-    text = inspect.cleandoc(JackInBoxEnv.__doc__ or "").split("\nRaises:")[0]
-    first, rest = text.split("\n", 1)
-    example = re.compile(r"((?:^(?:>>>|\.\.\.) .*\n)+)(^\(\(.*\n)?", re.MULTILINE)
-    rest = example.sub(lambda found: f"```pycon\n{found[0]}```\n", rest)
-    picture = "![The chirp, a trained agent and a planner, from the same start](../jackbox.gif)"
-    sketch = "![Box, jack, angles and signs](../sketch.svg)"
-    return f"# JackInBox-v0\n\n{picture}\n\n{first}\n\n{sketch}\n{rest}"
-
-
-def write_environment(app: Any) -> None:
-    """Write the page where it has changed."""
-    path = HERE / "generated" / "environment.md"
-    path.parent.mkdir(exist_ok=True)
-    if not path.exists() or path.read_text() != environment_page():
-        path.write_text(environment_page())
-
-
-def setup(app: Any) -> None:
-    """Called by Sphinx."""
-    app.connect("builder-inited", write_environment)

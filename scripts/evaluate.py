@@ -36,11 +36,12 @@ class Arguments:
 
 
 def describe_env(settings: EnvSettings) -> str:
-    """The environment in one line: what differs from the default."""
-    given = {part.name: getattr(settings, part.name) for part in fields(EnvSettings)}
-    default = EnvSettings()
-    others = [f"{name} {value}" for name, value in given.items() if name != "task" and value != getattr(default, name)]
-    return ", ".join([f"task {settings.task}", *(others or ["default scene"])])
+    """The environment in one line: task, contact model, and what differs from the default."""
+    contact, substeps = settings.setting
+    told = [f"task {settings.task}", f"contact {contact}", *([f"substeps {substeps}"] * bool(substeps))]
+    others = [part.name for part in fields(EnvSettings) if part.name not in ("task", "contact", "substeps", "fidelity")]
+    differing = [name for name in others if getattr(settings, name) != getattr(EnvSettings, name)]
+    return ", ".join([*told, *(f"{name} {getattr(settings, name)}" for name in differing)])
 
 
 def warn_of_other_training(name: str, here: EnvSettings) -> None:

@@ -16,7 +16,7 @@ class Arguments:
     run: tyro.conf.Positional[Path]
     """Run folder, or a model file in it."""
     folder: tyro.conf.Positional[Path]
-    """New folder to write settings.json and weights.npz to."""
+    """New folder to write settings.json, weights.npz and what is known of the training to."""
 
 
 @command_line

@@ -33,13 +33,13 @@ def main() -> None:
     arguments = tyro.cli(Arguments, description=__doc__)
     from agents.checkpoints import kept_steps
     from agents.models import make_vec_env
-    from agents.training import train
+    from agents.training import MODEL, train
 
     if arguments.resume is not None:
         if arguments.settings != TrainSettings() or arguments.folder is not None:
             raise ValueError("--resume uses the settings of its run folder: give no other settings")
         folder, settings = arguments.resume, read_settings(arguments.resume)
-        if not kept_steps(folder):
+        if not kept_steps(folder) and not (folder / MODEL).exists():
             print("No checkpoint yet: starting from the beginning")
     else:
         settings = arguments.settings

@@ -119,6 +119,7 @@ def test_the_readme_is_short_and_its_tables_are_what_was_measured() -> None:
     page = (ROOT / "README.md").read_text()
     assert len(page.splitlines()) <= 120
     assert readme.filled(page) == page, "make readme"
+    assert readme.ENVIRONMENT.read_text() == readme.environment_page(), "make readme"
     for link in re.findall(r"\]\(([^)#]+)", page):
         assert "://" in link or (ROOT / link).exists(), link
 

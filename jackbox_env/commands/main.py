@@ -40,7 +40,7 @@ def _run_script(name: str) -> None:
         )
     sys.path.insert(0, str(ROOT))  # scripts and agents are beside the package
     path = str(ROOT / "scripts" / f"{name}.py")
-    sys.argv[0] = path
+    sys.argv[0] = f"jackbox {name}"
     runpy.run_path(path, run_name="__main__")
 
 

@@ -1,7 +1,8 @@
-"""Write the README's tables from what was measured, and its moving picture."""
+"""Write the README's tables from what was measured, its moving picture, and the environment's page in docs/."""
 
 from __future__ import annotations
 
+import inspect
 import json
 import re
 from dataclasses import dataclass
@@ -9,12 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from jackbox_env.commands.common import command_line
+from jackbox_env.env import JackInBoxEnv
 from jackbox_env.tasks import TASKS
 
 ROOT = Path(__file__).parents[2]
 SWEEP = ROOT / "docs" / "accuracy"
 SPEED = ROOT / "docs" / "speed.json"
 RESULTS = ROOT / "docs" / "results.json"
+ENVIRONMENT = ROOT / "docs" / "environment.md"
 PICTURE = ROOT / "docs" / "jackbox.gif"
 
 
@@ -78,6 +81,17 @@ def filled(page: str) -> str:
     return fill(page, "speed", speed.for_the_readme(json.loads(SPEED.read_text())))
 
 
+def environment_page() -> str:
+    """The environment's page: its docstring, which is Markdown in the order of Gymnasium's own pages."""
+    text = inspect.cleandoc(JackInBoxEnv.__doc__ or "").split("\nRaises:")[0]
+    first, rest = text.split("\n", 1)
+    example = re.compile(r"((?:^(?:>>>|\.\.\.) .*\n)+)(^\(\(.*\n)?", re.MULTILINE)
+    rest = example.sub(lambda found: f"```pycon\n{found[0]}```\n", rest)
+    picture = "![The chirp, a trained agent and a planner, from the same start](jackbox.gif)"
+    sketch = "![Box, jack, angles and signs](sketch.svg)"
+    return f"# JackInBox-v0\n\n{picture}\n\n{first}\n\n{sketch}\n{rest}"
+
+
 @command_line
 def main() -> None:
     """Parse, collect, write."""
@@ -87,7 +101,8 @@ def main() -> None:
     if arguments.picture:
         take_picture()
     (ROOT / "README.md").write_text(filled((ROOT / "README.md").read_text()))
-    print("Wrote README.md")
+    ENVIRONMENT.write_text(environment_page())
+    print("Wrote README.md and docs/environment.md")
 
 
 if __name__ == "__main__":

@@ -53,8 +53,8 @@ def texts(bound: float, planner: dict[str, float]) -> dict[str, str]:
     """
     fast = 2.0 * Scene().speed_scale
     return {
-        "juggle": "A jack that bounces upright without spin, its highest point h above the box's middle, earns "
-        "500 (1 - (4 h / 3 sqrt(h / D) - h + D / 3) / 5) with D = h + 5: 333 at h = 0, 347 at best.",
+        "juggle": "A jack that bounces upright without spin, its highest point h above the box's middle, earns on "
+        "average 500 (1 - (4 h / 3 sqrt(h / D) - h + D / 3) / 5) with D = h + 5: 333 at h = 0, 347 at best.",
         "spin": "At most 1 is paid in each of the 500 steps, and nothing before the first impact, for the jack starts "
         "at rest. It has to fall until its centre is L - l from the box's centre. From these starts that leaves at "
         f"most {bound:.0f} in the mean, of which the planner earns {planner['spin'] / bound:.0%}.",
