@@ -38,7 +38,7 @@ def extra_lines() -> list[str]:
     """A line for each extra: installed, or how to get what is missing."""
     lines = []
     for name, asked in extras().items():
-        if name in ("all", "dev", "peers"):  # the others together; for work on the project itself
+        if name in ("all", "dev", "docs", "peers"):  # the others together; for work on the project itself
             continue
         missing = [requirement for requirement in asked if not _installed(requirement)]
         state = "installed"

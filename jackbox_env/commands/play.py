@@ -5,11 +5,19 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from functools import partial
+from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 import gymnasium as gym
 
-from jackbox_env.commands.common import add_model_options, command_line, parser_of, scene_fields
+from jackbox_env.commands.common import (
+    add_model_options,
+    command_line,
+    extras,
+    in_checkout,
+    parser_of,
+    scene_fields,
+)
 
 if TYPE_CHECKING:
     from jackbox_env.playing_window import Predicts
@@ -34,6 +42,9 @@ def play_with(trained: Callable[[str], Predicts] | None = None) -> None:
     arguments = _arguments()
     from jackbox_env.playing_window import play
 
+    if find_spec("pygame") is None and not in_checkout():
+        wanted = " ".join(f"'{requirement}'" for requirement in extras().get("render", ["pygame-ce"]))
+        raise RuntimeError(f"play needs the render extra, which is not installed: pip install {wanted}")
     env = gym.make(
         "jackbox_env:JackInBox-v0",
         render_mode="rgb_array",

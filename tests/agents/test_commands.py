@@ -149,7 +149,7 @@ def test_evaluate_compares_policies_and_writes_json(tmp_path: Path, run: Path) -
     assert [row["policy"] for row in stored["results"]] == ["zero", "chirp", str(run)]
     assert all(len(row["returns"]) == row["episodes"] == 4 for row in stored["results"])
     assert f"{stored['results'][0]['mean']:.1f}" in done.stdout
-    assert "4 episodes each, seed 0, task spin, substeps 2" in done.stdout
+    assert "4 episodes each, seed 0, task spin, contact pymunk, substeps 2" in done.stdout
     assert f"Note: {run} was trained in another environment (task juggle, contact pymunk, substeps 4)" in done.stderr
     same = script("evaluate", "--policy", str(run), "--episodes", "2", "--fidelity", "balanced", cwd=tmp_path)
     assert "Note:" not in same.stderr  # another word for the same

@@ -118,7 +118,6 @@ def test_single_environments_of_stable_baselines_have_a_spec() -> None:
         ("pygame", "from jackbox_env import JackInBoxVectorEnv; JackInBoxVectorEnv(2).tiled()", 'e ".[render]"'),
         ("pygame", "from jackbox_env.playing_window import Window; Window(None)", 'pip install -e ".[render]"'),
         ("tyro", "import scripts.train", "this command needs tyro, the extra 'train': in a checkout of jackbox, pip"),
-        ("tyro", "import scripts.play", 'pip install -e ".[train]"'),
         ("tyro", "import scripts.evaluate", 'pip install -e ".[train]"'),
         ("pygame", "import scripts.play; sys.argv[1:] = []; scripts.play.main()", 'pip install -e ".[render]"'),
     ],

@@ -31,8 +31,8 @@ def page(record: dict[str, Any]) -> str:
     lines = [
         "# What the policies earn",
         "",
-        f"On juggle the planner earns {juggle['planner']:.0f}, the trained network {juggle['ppo']:.0f}, a law that holds "
-        f"the box level {juggle['level']:.0f}. A jack that bounces upright earns up to 347 on average.",
+        f"On juggle the planner earns {juggle['planner']:.0f}, the trained network {juggle['ppo']:.0f}, a law that "
+        f"holds the box level {juggle['level']:.0f}. A jack that bounces upright earns up to 347 on average.",
         "",
         "![Learning curves of the shipped networks](results.png)",
         "",
