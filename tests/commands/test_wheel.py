@@ -41,6 +41,7 @@ def test_simulate_writes_files_and_says_why_there_are_no_plots(site: Path, tmp_p
     assert [path.name for path in (tmp_path / "arrays").iterdir()] == ["trajectory.npz"]
 
 
+@pytest.mark.slow  # compiles anew
 def test_check_finds_that_it_works_and_which_extras_are_missing(site: Path, tmp_path: Path) -> None:
     out = jackbox(site, tmp_path, "check").stdout
     assert out.count("ok      ") == 4

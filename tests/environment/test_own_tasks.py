@@ -213,6 +213,7 @@ print(env.step(None)[1][0])
 """
 
 
+@pytest.mark.slow  # compiles anew
 def test_two_processes_with_different_tasks_never_get_each_others_code(tmp_path: Path) -> None:
     """The same file, name and bytecode: only a global, or a helper in another file, differs."""
     found = []

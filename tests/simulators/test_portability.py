@@ -81,6 +81,7 @@ def differing(kinds: list[str], settings: dict[str, str]) -> tuple[list[str], Di
 
 
 @x86
+@pytest.mark.slow  # compiles anew
 def test_the_exact_model_gives_the_same_bits_on_the_oldest_machine() -> None:
     differ, compared = differing(["exact"], OLDEST)
     assert differ == []
