@@ -42,19 +42,21 @@ def holding(environments: VecEnv, hold: int, lookahead: int = 0, num_threads: in
     return environments if hold == 1 else HoldingVecEnv(environments, hold)
 
 
+def policy_kwargs(settings: TrainSettings) -> dict[str, Any]:
+    """What Stable-Baselines3's policy is made with: its layers, the first deviation, the preview."""
+    found: dict[str, Any] = {"net_arch": list(settings.hidden_units), "log_std_init": settings.initial_log_std}
+    if settings.preview:
+        flight = flight_of(Scene.of(settings.scene_fields))
+        found |= {"features_extractor_class": WithPreview, "features_extractor_kwargs": {"flight": flight}}
+    return found
+
+
 def make_ppo(settings: TrainSettings, environments: VecEnv, **more: Any) -> HoldingPPO:
     """An untrained PPO model of these settings, for environments as :func:`holding` makes them.
 
     Its ``predict`` plays in environments that ask at every control step. What it saves loads without this project,
     except where ``settings.preview`` is on: then ``agents.extractor`` must be importable, as it is in a checkout.
     """
-    policy_kwargs: dict[str, Any] = {
-        "net_arch": list(settings.hidden_units),
-        "log_std_init": settings.initial_log_std,
-    }
-    if settings.preview:
-        flight = flight_of(Scene.of(settings.scene_fields))
-        policy_kwargs |= {"features_extractor_class": WithPreview, "features_extractor_kwargs": {"flight": flight}}
     model = HoldingPPO(
         "MlpPolicy",
         environments,
@@ -66,7 +68,7 @@ def make_ppo(settings: TrainSettings, environments: VecEnv, **more: Any) -> Hold
         gae_lambda=settings.gae_lambda,
         clip_range=settings.clip_range,
         ent_coef=settings.entropy_coefficient,
-        policy_kwargs=policy_kwargs,
+        policy_kwargs=policy_kwargs(settings),
         seed=settings.seed,
         device="cpu",
         **more,

@@ -7,23 +7,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from agents.extractor import WithPreview
-from agents.preview import flight_of
+from agents.models import policy_kwargs
 from agents.settings import DEMO, TrainSettings
-from jackbox_env import Scene
 
 
 def zoo_settings(settings: TrainSettings) -> dict[str, Any]:
     """The same training in the zoo's words; it makes single environments and steps them in turn."""
     if settings.lookahead:
         raise ValueError("lookahead must be 0: the zoo's environments do not look ahead")
-    policy_kwargs: dict[str, Any] = {
-        "net_arch": list(settings.hidden_units),
-        "log_std_init": settings.initial_log_std,
-    }
-    if settings.preview:
-        flight = flight_of(Scene.of(settings.scene_fields))
-        policy_kwargs |= {"features_extractor_class": WithPreview, "features_extractor_kwargs": {"flight": flight}}
     return {
         "env_kwargs": settings.env_settings,
         "env_wrapper": [{"rl_zoo3.wrappers.FrameSkip": {"skip": settings.hold}}],
@@ -38,7 +29,7 @@ def zoo_settings(settings: TrainSettings) -> dict[str, Any]:
         "gae_lambda": settings.gae_lambda,
         "clip_range": settings.clip_range,
         "ent_coef": settings.entropy_coefficient,
-        "policy_kwargs": policy_kwargs,
+        "policy_kwargs": policy_kwargs(settings),
     }
 
 

@@ -68,13 +68,13 @@ PACKAGE = """
 AGENTS = """
     policies preview storage archives timing observing
     settings extractor
-    playing zoo
+    playing
     holding
     runs film checkpoints
     models network
     value
     planner
-    best evaluation exporting episodes
+    best evaluation exporting episodes zoo
     training
     figures
 """
