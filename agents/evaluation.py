@@ -11,6 +11,7 @@ import numpy as np
 from stable_baselines3.common.evaluation import evaluate_policy
 from tqdm import tqdm
 
+from agents.landing import LANDING, read_landing
 from agents.models import derived_seed, load_model, make_vec_env
 from agents.network import SHIPPED, WEIGHTS, read_policy
 from agents.planner import DECISION, VALUED_PIECES, Planner
@@ -94,13 +95,17 @@ def find_policy(name: str, settings: EnvSettings, seed: int, trust: bool = False
     if name == "planner":
         return Baseline(_planner(settings, scene, seed), {})
     if name in shipped_names(settings.task):
-        return Baseline(read_policy(SHIPPED / f"{settings.task}-{name}"), {})
+        return Baseline(_read(SHIPPED / f"{settings.task}-{name}"), {})
     if not Path(name).exists():
         known = ", ".join((*BASELINES, "planner", *shipped_names(settings.task)))
         raise FileNotFoundError(f"a policy must be one of {known}, or a run folder or model file, got {name!r}")
     if (Path(name) / WEIGHTS).is_file():
-        return Baseline(read_policy(Path(name)), {})
+        return Baseline(_read(Path(name)), {})
     return Baseline(load_model(Path(name), trust), {})
+
+
+def _read(folder: Path) -> Policy:
+    return read_landing(folder) if (folder / LANDING).is_file() else read_policy(folder)
 
 
 def _planner(settings: EnvSettings, scene: Scene, seed: int) -> Planner:

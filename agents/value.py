@@ -49,7 +49,7 @@ class Value:
     """
 
     def __init__(self, settings: EnvSettings, layers: list[Layer]) -> None:
-        self.settings, self._layers, self._scene = settings, layers, Scene.of(settings.scene_fields)
+        self.settings, self.layers, self._scene = settings, layers, Scene.of(settings.scene_fields)
         self._flight = flight_of(self._scene)
         size = INPUTS
         for weight, bias in layers:
@@ -69,7 +69,7 @@ class Value:
     def of(self, states: Array) -> Array:
         """The sum of rewards that is to come, shape (n,), for states, shape (n, 12)."""
         values = self.inputs(states)
-        for number, (weight, bias) in enumerate(self._layers):
+        for number, (weight, bias) in enumerate(self.layers):
             values = np.tanh(values) if number else values
             values = values @ weight.T + bias
         return UNIT * values[:, 0].astype(np.float64)

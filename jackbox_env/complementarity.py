@@ -30,6 +30,14 @@ def dot(a: Array, b: Array) -> float:
     return total
 
 
+def dots(a: Array, b: Array) -> Array:
+    """:func:`dot` of each row of two arrays, shape (n,)."""
+    total = np.zeros(len(a))
+    for products in (a * b).T:
+        total += products
+    return total
+
+
 def combined(rows: Array, factors: Array) -> Array:
     """Sum of the rows times their factors, shape (6,)."""
     return np.array([dot(column, factors) for column in rows.T])

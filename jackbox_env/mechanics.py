@@ -27,19 +27,21 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import _validation as check
-from jackbox_env.complementarity import combined, complementary, dot
+from jackbox_env.complementarity import combined, complementary, dot, dots
 from jackbox_env.scene import Scene, SceneNumbers
 from jackbox_env.states import Array, Numbers, as_state, refuse_no_scene
 
+Indices = NDArray[np.int64]
 _QUARTERS = np.arange(4) * (math.pi / 2.0)
 
 
-def _directions(angle: float) -> Array:
-    """Unit vectors at ``angle`` + k pi/2, shape (4, 2), by numpy's cosine and sine."""
-    return np.stack([np.cos(angle + _QUARTERS), np.sin(angle + _QUARTERS)], axis=1)
+def _directions(angle: float | Array) -> Array:
+    """Unit vectors at ``angle`` + k pi/2, shape (..., 4, 2), by numpy's cosine and sine."""
+    turned = np.asarray(angle)[..., None] + _QUARTERS
+    return np.stack([np.cos(turned), np.sin(turned)], axis=-1)
 
 
 def gaps(scene: Scene, state: ArrayLike) -> Array:
@@ -72,12 +74,29 @@ def gap_jacobian(scene: Scene, state: ArrayLike, wall: int, foot: int) -> Array:
 
 
 def _gap_jacobian(scene: Scene, q: Array, wall: int, foot: int) -> Array:
-    normal = _directions(q[2])[wall]
-    offset = scene.jack_arm * _directions(q[5])[foot]
-    contact = q[3:5] - q[0:2] + offset
-    box_turns = normal[1] * contact[0] - normal[0] * contact[1]  # -n^perp . (r + o)
-    jack_turns = normal[0] * offset[1] - normal[1] * offset[0]  # -n . o^perp
-    return np.array([*normal, box_turns, *-normal, jack_turns])
+    jacobian: Array = contacts_of(scene, q[None], np.array([wall]), np.array([foot]))[1][0]
+    return jacobian
+
+
+def contacts_of(scene: Scene, states: Array, walls: Indices, feet: Indices) -> tuple[Array, Array]:
+    """The gap [m] of one wall and one foot in each state, shape (n,), and its derivative, shape (n, 6).
+
+    :func:`gaps` and :func:`gap_jacobian` for many states, taken as they are.
+
+    Args:
+        scene: the scene.
+        states: shape (n, 12).
+        walls: shape (n,), each from 0 to 3.
+        feet: shape (n,), each from 0 to 3.
+    """
+    every, q = np.arange(len(states)), states.T
+    nx, ny = _directions(q[2])[every, walls].T
+    ox, oy = (scene.jack_arm * _directions(q[5])[every, feet]).T
+    x, y = q[3] - q[0] + ox, q[4] - q[1] + oy  # of the foot, from the box's centre
+    box_turns = ny * x - nx * y  # -n^perp . (r + o)
+    jack_turns = nx * oy - ny * ox  # -n . o^perp
+    jacobians = np.stack([nx, ny, box_turns, -nx, -ny, jack_turns], axis=1)
+    return scene.box_half_width - (nx * x + ny * y), jacobians
 
 
 def impact_map(scene: Scene, state: ArrayLike, wall: int, foot: int) -> tuple[Array, float]:
@@ -92,15 +111,30 @@ def impact_map(scene: Scene, state: ArrayLike, wall: int, foot: int) -> tuple[Ar
         TypeError, ValueError: the state is not 12 finite numbers, scene is no Scene, or wall or foot is no whole number
             from 0 to 3.
     """
-    jacobian = gap_jacobian(scene, state, wall, foot)
-    after = as_state(state)
-    gap_rate = dot(jacobian, after[6:])
-    if gap_rate >= 0.0:
-        return after, 0.0
-    kick = jacobian / np.array(scene.mass_diagonal)  # change of qdot per impulse
-    impulse = -(1.0 + scene.restitution) * gap_rate / dot(jacobian, kick)
-    after[6:] += impulse * kick
-    return after, impulse
+    refuse_no_scene(scene)
+    q = as_state(state)
+    wall = check.whole("wall", wall, at_least=0, at_most=3)
+    foot = check.whole("foot", foot, at_least=0, at_most=3)
+    after, impulses = impact_maps(scene, q[None], np.array([wall]), np.array([foot]))
+    return after[0], float(impulses[0])
+
+
+def impact_maps(scene: Scene, states: Array, walls: Indices, feet: Indices) -> tuple[Array, Array]:
+    """:func:`impact_map` for many states, taken as they are: the states after, (n, 12), and the impulses [N s], (n,).
+
+    Args:
+        scene: the scene.
+        states: shape (n, 12).
+        walls: shape (n,), each from 0 to 3.
+        feet: shape (n,), each from 0 to 3.
+    """
+    _, jacobians = contacts_of(scene, states, walls, feet)
+    kicks = jacobians / np.array(scene.mass_diagonal)  # change of qdot per impulse
+    gap_rates = dots(jacobians, states[:, 6:])
+    struck, after, impulses = gap_rates < 0.0, states.copy(), np.zeros(len(states))
+    impulses[struck] = -(1.0 + scene.restitution) * gap_rates[struck] / dots(jacobians, kicks)[struck]
+    after[struck, 6:] += (impulses[:, None] * kicks)[struck]
+    return after, impulses
 
 
 def simultaneous_impact_map(scene: Scene, state: ArrayLike, contacts: Sequence[tuple[int, int]]) -> tuple[Array, Array]:

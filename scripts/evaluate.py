@@ -19,8 +19,8 @@ class Arguments:
     policy: tuple[str, ...] = ("random", "chirp", "zero", "level")
     """random: uniform torques; chirp: the scene's drive; zero: no torque; level: a PD law that holds the box level;
     planner: plays many torques ahead by the exact model, 1 to 2 s of computing for each episode; ppo: the network of
-    the task in agents/trained; or run folders, exported policies or model files. All act in the environment given here,
-    whatever they were trained in."""
+    the task in agents/trained; distilled, on juggle: judges by a network there what one bounce leads to; or run
+    folders, exported policies or model files. All act in the environment given here, whatever they were trained in."""
     episodes: int = 128
     """Episodes of each policy."""
     seed: int = 0

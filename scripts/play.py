@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from agents.landing import LandingPolicy, read_landing
 from agents.network import SHIPPED, NetworkPolicy, read_policy
 from jackbox_env.commands.common import command_line
 from jackbox_env.commands.play import play_with
 
 
-def trained(task: str) -> NetworkPolicy:
-    """The network that comes with the repository."""
+def trained(task: str) -> NetworkPolicy | LandingPolicy:
+    """The best policy without a planner that comes with the repository."""
+    if (SHIPPED / f"{task}-distilled").is_dir():
+        return read_landing(SHIPPED / f"{task}-distilled")
     return read_policy(SHIPPED / f"{task}-ppo")
 
 

@@ -73,7 +73,7 @@ AGENTS = """
     runs film checkpoints
     models network
     value
-    planner
+    planner landing
     best evaluation exporting episodes zoo
     training
     figures

@@ -48,6 +48,9 @@ def returns_table(record: dict[str, Any]) -> str:
     for policy in dict.fromkeys(name for name, _ in rows):
         cells = []
         for task in TASKS:
+            if (policy, task) not in rows:
+                cells.append("")
+                continue
             mean, (low, high) = rows[policy, task]["mean"], rows[policy, task]["interval_95"]
             digits = 1 if task == "rattle" else 0  # whose returns are small
             cells.append(f"{mean:.{digits}f} ± {0.5 * (high - low):.{digits}f}")

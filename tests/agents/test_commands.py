@@ -272,6 +272,7 @@ def test_the_demo_runs_end_to_end_when_made_small(tmp_path: Path) -> None:
         "studies/results/results",
         "studies/results/networks",
         "studies/value",
+        "studies/distil",
         "recipes/run",
     ],
 )

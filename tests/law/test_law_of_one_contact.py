@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 import sympy as sp
 
-from jackbox_env.mechanics import energy, gap_jacobian, gaps, impact_map
+from jackbox_env.mechanics import contacts_of, energy, gap_jacobian, gaps, impact_map, impact_maps
 from jackbox_env.scene import Scene
 from jackbox_env.states import STATE_NAMES, clearance, start_tolerance
 from tests.law.poses import PAIRS, approaching, energy_norm, momenta, momentum_scale, random_scene, velocity_error
@@ -287,3 +288,21 @@ def test_only_the_height_of_the_jack_has_potential_energy(place: int) -> None:
     moved[place] += 2.0  # [m, rad]
     rise = 4.0 * 9.81 * 2.0 if STATE_NAMES[place] == "y_jack" else 0.0  # [J]
     assert energy(Scene(), moved) - energy(Scene(), state) == pytest.approx(rise, abs=1e-9)
+
+
+def test_many_states_at_once_are_each_alone(cases: Callable[[int], int]) -> None:
+    rng, count = np.random.default_rng(5), cases(400)
+    scene = Scene(restitution=0.9, jack_mass=7.0)
+    states = np.array([inside(scene, rng) for _ in range(count)])
+    walls, feet = rng.integers(0, 4, count), rng.integers(0, 4, count)
+    found, jacobians = contacts_of(scene, states, walls, feet)
+    after, impulses = impact_maps(scene, states, walls, feet)
+    for row in range(count):
+        wall, foot = int(walls[row]), int(feet[row])
+        expected, impulse = impact_map(scene, states[row], wall, foot)
+        assert np.array_equal(after[row], expected)
+        assert impulses[row] == impulse
+        assert np.array_equal(jacobians[row], gap_jacobian(scene, states[row], wall, foot))
+        assert found[row] == pytest.approx(gaps(scene, states[row])[wall, foot], abs=1e-14)
+    assert (impulses > 0.0).any()
+    assert (impulses == 0.0).any()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from agents.evaluation import evaluate, find_policy
 from agents.settings import EnvSettings
 from jackbox_env import JackInBoxVectorEnv, Scene
 from jackbox_env.tasks import TASKS
-from scripts.studies.results import across, attainable, chirps, page, results
+from scripts.studies.results import across, ahead, attainable, chirps, page, results
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -24,8 +25,37 @@ def test_the_page_is_what_was_measured() -> None:
     assert (DOCS / "results.md").read_text() == page.page(record)
     found = {(row["task"], row["contact"], row["policy"]) for row in record["rows"]}
     assert found == {
-        (task, contact, name) for task in TASKS for contact in results.CONTACTS for name in results.POLICIES
+        (task, contact, name) for task in TASKS for contact in results.CONTACTS for name in results.policies_on(task)
     }
+
+
+def test_the_distilled_policy_is_between_ppo_and_the_planner_and_looking_ahead_earns_300() -> None:
+    record = json.loads((DOCS / "results.json").read_text())
+    rows = {(row["task"], row["contact"], row["policy"]): row["interval_95"] for row in record["rows"]}
+    for contact in results.CONTACTS:
+        ppo, distilled, planner = (rows["juggle", contact, name] for name in ("ppo", "distilled", "planner"))
+        assert ppo[1] < distilled[0]
+        assert distilled[0] > 300.0
+        assert distilled[0] < planner[1]
+    assert [row["seed"] for row in record["ahead"]] == list(ahead.SEEDS)
+    assert sum(row["interval_95"][0] > 300.0 for row in record["ahead"]) >= 4
+
+
+def test_the_command_beside_the_trainings_makes_them() -> None:
+    import tyro
+
+    from agents.settings import TrainSettings
+
+    given = shlex.split(ahead.COMMAND)[2:]
+    assert tyro.cli(TrainSettings, args=given) == ahead.SETTINGS
+
+
+def test_the_table_of_trainings_says_shares_and_minutes() -> None:
+    parts = {"environment": 6.0, "looking ahead": 90.0, "learning": 12.0, "choosing actions, evaluations and files": 12}
+    row = {"seed": 3, "mean": 311.24, "interval_95": [309.0, 313.0], "time": {"seconds": 120.0, "parts": parts}}
+    lines = ahead.text([row, {**row, "interval_95": [299.0, 301.0]}])
+    assert "in 1 of 2 trainings" in lines[4]
+    assert lines[8] == "| 3 | 311.2 | 309.0 to 313.0 | 2.0 | 75 % | 5 % | 10 % |"
 
 
 def test_the_shipped_network_and_the_planner_are_above_the_level_box() -> None:

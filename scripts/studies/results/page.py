@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from jackbox_env.tasks import TASKS
-from scripts.studies.results import across
+from scripts.studies.results import across, ahead
 from scripts.studies.results.attainable import texts
 from scripts.studies.results.chirps import AMPLITUDES, FREQUENCIES, RATES, STARTS
 
@@ -31,19 +31,23 @@ def page(record: dict[str, Any]) -> str:
     lines = [
         "# What the policies earn",
         "",
-        f"On juggle the planner earns {juggle['planner']:.0f}, the trained network {juggle['ppo']:.0f}, a law that "
-        f"holds the box level {juggle['level']:.0f}. A jack that bounces upright earns up to 347 on average.",
+        f"On juggle the planner earns {juggle['planner']:.0f}, the distilled policy {juggle['distilled']:.0f}, PPO "
+        f"{juggle['ppo']:.0f}, a law that holds the box level {juggle['level']:.0f}. A jack that bounces upright earns "
+        "up to 347 on average.",
         "",
         "![Learning curves of the shipped networks](results.png)",
         "",
         "`ppo` is the network in `agents/trained`, which needs no training first. `planner` plays many torques ahead "
-        f"by the exact model. `chirp` is the scene's own drive, `best chirp` the best of {count} others. `zero` is no "
-        "torque.",
+        "by the exact model. `distilled`, on juggle, judges by a network what one bounce would lead to, for 155 ways "
+        "to meet the jack. It tries no sequences of torques; `scripts/studies/distil.py` makes it. "
+        f"`chirp` is the scene's own drive, `best chirp` the best of {count} others. `zero` is no torque.",
     ]
     attainable = texts(record["spin_bound"], {task: earned["planner"] for task, earned in best.items()})
     for task in TASKS:
         lines += ["", f"## {task}", "", attainable[task], "", *_table(record["rows"], task)]
-    return "\n".join([*lines, *_best_chirps(record), *_across(record["across"]), *_method(record), ""])
+    return "\n".join(
+        [*lines, *_best_chirps(record), *ahead.text(record["ahead"]), *_across(record["across"]), *_method(record), ""]
+    )
 
 
 def _table(rows: list[dict[str, Any]], task: str) -> list[str]:

@@ -20,6 +20,7 @@ from jackbox_env.commands.common import command_line
 from jackbox_env.tasks import TASKS
 
 POLICIES = ("zero", "level", "chirp", "best chirp", "ppo", "planner")
+ON_JUGGLE = ("distilled",)
 CONTACTS = ("exact", "pymunk")
 SEED = 1
 RESAMPLES = 2000
@@ -32,13 +33,18 @@ class Arguments:
     episodes: int = 256
     """Episodes of each policy."""
     planner_episodes: int = 64
-    """Episodes of the planner, which takes some seconds for each."""
+    """Episodes of the planner on each task and contact model, a second or two of computing for each."""
     across_episodes: int = 128
     """Episodes of each policy in each of the scenes that vary."""
     kept: Path = Path("runs/results")
     """Folder of the rows that are evaluated already, which are not evaluated again; made if there is none."""
     out: Path = Path("docs")
     """Folder for results.md, results.json and results.png."""
+
+
+def policies_on(task: str) -> tuple[str, ...]:
+    """Names of the policies that are evaluated on a task."""
+    return POLICIES[:-1] + (ON_JUGGLE if task == "juggle" else ()) + POLICIES[-1:]
 
 
 def interquartile_mean(returns: NDArray[np.float64], axis: int = -1) -> Any:
@@ -88,7 +94,7 @@ def rows_of(arguments: Arguments) -> list[dict[str, Any]]:
     rows = []
     for task in TASKS:
         for contact in CONTACTS:
-            for name in POLICIES:
+            for name in policies_on(task):
                 episodes = arguments.planner_episodes if name == "planner" else arguments.episodes
                 file = arguments.kept / f"{task}-{contact}-{name.replace(' ', '-')}-{episodes}.json"
                 if not file.exists():
@@ -117,6 +123,7 @@ def main() -> None:
     from jackbox_env import _validation as check
     from jackbox_env.storage import check_writable, write_bytes
     from scripts.studies.results.across import across
+    from scripts.studies.results.ahead import ahead
     from scripts.studies.results.attainable import spin_bound
     from scripts.studies.results.curves import draw
     from scripts.studies.results.page import page
@@ -130,12 +137,17 @@ def main() -> None:
         "resamples": RESAMPLES,
         "rows": rows_of(arguments),
         "across": across(arguments.kept, arguments.across_episodes, SEED),
+        "ahead": ahead(arguments.kept, arguments.episodes, SEED),
         "spin_bound": spin_bound(arguments.episodes, SEED),
         "trained": trained(),
     }
     write_bytes(arguments.out / "results.md", page(record).encode())
     draw(record["rows"], arguments.out / "results.png")
-    for row in [*record["rows"], *(earned for scene in record["across"] for earned in scene["earned"].values())]:
+    for row in [
+        *record["rows"],
+        *record["ahead"],
+        *(earned for scene in record["across"] for earned in scene["earned"].values()),
+    ]:
         del row["returns"]
     write_bytes(arguments.out / "results.json", (json.dumps(record, indent=1) + "\n").encode())
     print(f"Written: {arguments.out / 'results.md'}")

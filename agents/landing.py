@@ -1,0 +1,217 @@
+"""A policy without a planner: it chooses how the box shall meet the jack, at the landing that it foresees.
+
+From the ten numbers it knows when the jack lands. For every pair of a box angle and a box rate from two lists it works
+out, in closed form, what one bounce on such a floor makes of the jack, and a network says what that is worth. Then it
+turns the box to the best pair, by the cubic in time that ends there at the landing. It tries no sequences of torques.
+
+The network is a value as the planner's (:mod:`agents.value`), improved on what this policy itself goes through
+(``scripts/studies/distil.py``).
+
+A folder of such a policy holds
+
+landing.json    what it was made for, and the lists
+weights.npz     as in :mod:`agents.value`
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.network import WEIGHTS, Layer, read_layers, write_layers
+from agents.observing import observations
+from agents.playing import Manner, Playing, play
+from agents.policies import Actions
+from agents.preview import flight_of, preview
+from agents.settings import EPISODE_STEPS, EnvSettings
+from agents.value import Value
+from jackbox_env import Scene
+from jackbox_env import _validation as check
+from jackbox_env.complementarity import dots
+from jackbox_env.mechanics import contacts_of, impact_maps
+from jackbox_env.observation import state_of
+from jackbox_env.states import Array
+from jackbox_env.storage import write_json
+
+LANDING = "landing.json"
+FLOOR = 3  # the wall under the jack while the box is turned by less than an eighth of a turn
+AFTER = 0.25  # [s] after the landing of a level box a bounce is judged
+_LARGEST = 1_000_000  # [bytes] of landing.json
+_QUARTER = 0.5 * math.pi
+_SEARCHES = 3  # Newton steps to the moment of the contact
+_STEP = 0.25  # [s] the longest of them
+_SLOWEST = 0.5  # [m/s] a gap that closes more slowly counts as closing so fast in them
+
+
+@dataclass(frozen=True)
+class LandingSettings(EnvSettings):
+    """What a policy was made for, and what it chooses from."""
+
+    contact: str | None = "exact"
+    """Contact model that it was made on."""
+    hold: int = 5
+    """Control steps that each torque is held for."""
+    angles: tuple[float, ...] = (0.0,)
+    """Angles of the box at the landing that are judged [rad]."""
+    rates: tuple[float, ...] = (0.0,)
+    """Rates of the box there that are judged [rad/s]."""
+
+    def __post_init__(self) -> None:
+        """Raises TypeError or ValueError for settings that make no policy."""
+        super().__post_init__()
+        check.whole("hold", self.hold, at_least=1, at_most=EPISODE_STEPS)
+        for name, most in (("angles", _QUARTER), ("rates", 100.0)):
+            given = getattr(self, name)
+            if not isinstance(given, list | tuple) or not 0 < len(given) <= 1000:
+                raise ValueError(f"{name} must be a list of 1 to 1000 numbers, got {check.shown(given)}")
+            for number in given:
+                check.real(name, number, at_least=-most, at_most=most)
+            object.__setattr__(self, name, tuple(given))
+
+    @property
+    def pairs(self) -> Array:
+        """All pairs of an angle and a rate, shape (angles * rates, 2)."""
+        angles, rates = np.meshgrid(self.angles, self.rates, indexing="ij")
+        return np.stack([angles.ravel(), rates.ravel()], axis=1)
+
+
+def upright(states: Array) -> Array:
+    """The states with the box turned back by whole quarter turns, to within an eighth: it looks and acts the same."""
+    found = states.copy()
+    found[:, 2] -= _QUARTER * np.round(found[:, 2] / _QUARTER)
+    return found
+
+
+def landing_times(scene: Scene, states: Array) -> Array:
+    """When the jack's centre comes so low that a foot pointing down touches a level box's floor [s], shape (n,)."""
+    unit = scene.box_half_width / scene.speed_scale
+    with np.errstate(over="ignore"):
+        return 2.0 * unit * preview(flight_of(scene), observations(scene, states))[:, 0].astype(np.float64)
+
+
+def flown(scene: Scene, states: Array, times: Array) -> Array:
+    """States, shape (n, 12), after times [s], shape (n,), in which nothing is struck and no torque acts."""
+    found, left = states.copy(), times[:, None]
+    found[:, :6] += found[:, 6:] * left
+    found[:, 4] -= 0.5 * scene.gravity * times * times
+    found[:, 10] -= scene.gravity * times
+    return found
+
+
+def bounced(scene: Scene, states: Array, times: Array, targets: Array) -> Array:
+    """States ``AFTER`` the landings, had the box met the jack so: one contact of one foot with the floor.
+
+    The moment of the contact is found by Newton's method on the gap, the bounce is :func:`impact_map`'s.
+
+    Args:
+        scene: in which the jack flies; the box's angle is within an eighth of a turn.
+        states: now, shape (n, 12).
+        times: of the landings in a level box [s], shape (n,).
+        targets: the box's angle [rad] and rate [rad/s] at those times, shape (n, 2).
+    """
+    at = flown(scene, states, times)
+    at[:, 2], at[:, 8] = targets.T
+    floors, since = np.full(len(at), FLOOR), np.zeros(len(at))
+    for search in range(_SEARCHES + 1):
+        moved = flown(scene, at, since)
+        feet = np.round((moved[:, 2] - _QUARTER - moved[:, 5]) / _QUARTER).astype(np.int64) % 4  # nearest to the floor
+        if search < _SEARCHES:
+            gap, jacobians = contacts_of(scene, moved, floors, feet)
+            closing = np.maximum(-dots(jacobians, moved[:, 6:]), _SLOWEST)
+            since = since + np.clip(gap / closing, -_STEP, _STEP)
+    return flown(scene, impact_maps(scene, moved, floors, feet)[0], AFTER - since)
+
+
+def torques(scene: Scene, states: Array, times: Array, targets: Array, held: float) -> Array:
+    """Torques, in units of the limit, that move boxes to targets in the times to the landing, shape (n,).
+
+    Args:
+        scene: its torque limit and its box's inertia.
+        states: shape (n, 12).
+        times: to the landing [s], shape (n,); at least ``held`` is taken.
+        targets: angle [rad] and rate [rad/s] there, shape (n, 2).
+        held: how long each torque is held [s]; it is the cubic's mean over that time.
+    """
+    left, rate, wanted = np.maximum(times, held), states[:, 8], targets[:, 1]
+    missing = targets[:, 0] - states[:, 2]
+    first = 6.0 * missing / left**2 - (4.0 * rate + 2.0 * wanted) / left  # [rad/s^2]
+    growth = -12.0 * missing / left**3 + 6.0 * (rate + wanted) / left**2  # [rad/s^3]
+    found: Array = (first + 0.5 * held * growth) * scene.box_inertia / scene.torque_limit
+    return np.clip(found, -1.0, 1.0)
+
+
+class LandingPolicy:
+    """A policy with Stable-Baselines3's ``predict``.
+
+    Args:
+        settings: what it was made for.
+        layers: of the value, see :class:`agents.value.Value`.
+
+    Raises:
+        ValueError: the layers make no value.
+    """
+
+    def __init__(self, settings: LandingSettings, layers: list[Layer]) -> None:
+        self.settings, self.value = settings, Value(settings, layers)
+        self._scene, self._pairs = Scene.of(settings.scene_fields).changed(drive=None), settings.pairs
+        self._manner, self._held = Manner(settings.hold), settings.hold * settings.control_dt
+
+    def predict(
+        self, observation: Any, state: Playing | None = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[Actions, Playing]:
+        """Return actions and the state for the next call, see :func:`agents.playing.play`."""
+        return play(self._manner, self.act, observation, state, episode_start)
+
+    def act(self, rows: NDArray[Any]) -> Actions:
+        """Actions, shape (n, 1), for observations, shape (n, 10)."""
+        states = np.array([state_of(self._scene, row) for row in np.asarray(rows, dtype=np.float64).tolist()])
+        return self.torques(states).astype(np.float32)[:, None]
+
+    def torques(self, states: Array) -> Array:
+        """Torques in units of the limit, shape (n,), for states, shape (n, 12)."""
+        states = upright(states)
+        times = landing_times(self._scene, states)
+        chosen = self._pairs[self.worth(states, times).argmax(axis=1)]
+        return torques(self._scene, states, times, chosen, self._held)
+
+    def worth(self, states: Array, times: Array) -> Array:
+        """What each pair is worth, shape (n, pairs), for states, shape (n, 12), and times to the landing, (n,)."""
+        many, count = len(self._pairs), len(states)
+        after = bounced(
+            self._scene, np.repeat(states, many, axis=0), np.repeat(times, many), np.tile(self._pairs, (count, 1))
+        )
+        # each jack's pairs apart, always as many together: a product of matrices may depend on how many rows it has
+        return np.array([self.value.of(own) for own in after.reshape(count, many, 12)]).reshape(count, many)
+
+
+def write_landing(folder: Path, settings: LandingSettings, layers: list[Layer]) -> None:
+    """Write a policy's files into a folder."""
+    write_layers(folder, layers)
+    write_json(folder / LANDING, dataclasses.asdict(settings))
+
+
+def read_landing(folder: Path) -> LandingPolicy:
+    """Read a policy from its folder; nothing is unpickled.
+
+    Raises:
+        FileNotFoundError: it holds none.
+        ValueError: its files are damaged, or do not fit each other.
+    """
+    path = folder / LANDING
+    if not path.is_file() or not (folder / WEIGHTS).is_file():
+        raise FileNotFoundError(f"{folder} holds no {LANDING if not path.is_file() else WEIGHTS}")
+    try:
+        if path.stat().st_size > _LARGEST:
+            raise ValueError(f"{LANDING} must be at most {_LARGEST:,} bytes, got {path.stat().st_size:,}")
+        given = json.loads(path.read_bytes())
+        check.known_keys("settings", given, [part.name for part in fields(LandingSettings)])
+        return LandingPolicy(LandingSettings(**given), read_layers(folder))
+    except Exception as error:
+        raise ValueError(f"{folder} holds no policy of landings: {error}") from error
