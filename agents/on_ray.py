@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
+import socket
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from itertools import islice
@@ -16,16 +17,26 @@ from pathlib import Path
 from typing import Any
 
 from agents.journal import differing, made_with
-from agents.sweeping import LOOK_AGAIN, Finished, Trial, Work, attempt, nothing
+from agents.sweeping import LOOK_AGAIN, Finished, InTurn, Runner, Trial, Work, attempt, nothing
 from jackbox_env import _validation as check
 from jackbox_env.compiled import compiler
 
 RETRIES = 4  # of a trial whose worker has died; then it has failed
 AHEAD = 2  # trials given to the cluster for each of its cores, so that none waits for this process
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+_ANSWERS = 10.0  # [s] that a cluster's head has to answer
 _ROOT = Path(__file__).parents[1]
 _SENT = ("jackbox_env", "agents", "scripts", "tests/data")  # of the checkout; what is not there is left out
 _CODE = "compiled"  # folder of compiled code, beside them
+
+
+def runner_for(workers: int | None, address: str | None) -> Runner:
+    """What runs trials as a command line asks: in this process, or on Ray where one of the two is given.
+
+    Raises:
+        ImportError, TypeError, ValueError: as :class:`OnRay` does.
+    """
+    return InTurn() if workers is None and address is None else OnRay(workers, address)
 
 
 class OnRay:
@@ -92,6 +103,9 @@ class OnRay:
         """What a task returned, or that its worker died once too often."""
         try:
             found = self._ray.get(reference)
+        except self._ray.exceptions.RayTaskError as error:  # the work could not be loaded there
+            said = f"{type(error.cause).__name__}: {next(iter(str(error.cause).splitlines()), '')}"
+            return Finished(trial, None, said, str(error), 0.0, "", "")
         except self._ray.exceptions.RayError as error:
             said = f"{type(error).__name__}: its worker ended {RETRIES + 1} times, or could not start"
             return Finished(trial, None, said, str(error), 0.0, "", "")
@@ -114,8 +128,10 @@ class OnRay:
                 # no dashboard, no reports of use: a machine without a network runs sweeps too
                 os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
                 environment: dict[str, Any] = {"env_vars": ONE_THREAD}
-                self._ray.init(num_cpus=self._workers, include_dashboard=False, runtime_env=environment, **quiet)
+                own = {"address": "local", "num_cpus": self._workers, "include_dashboard": False}
+                self._ray.init(**own, runtime_env=environment, **quiet)
             else:
+                _check_answers(self._address)
                 sent = str(_sent(Path(scratch)))
                 environment = {"working_dir": sent, "env_vars": {**ONE_THREAD, "NUMBA_CACHE_DIR": _CODE}}
                 self._ray.init(address=self._address, runtime_env=environment, **quiet)
@@ -123,6 +139,21 @@ class OnRay:
                 yield
             finally:
                 self._ray.shutdown()
+
+
+def _check_answers(address: str) -> None:
+    """Refuse now an address that Ray would try for minutes.
+
+    Raises:
+        ConnectionError: nothing answers there.
+    """
+    host, _, port = address.rpartition(":")
+    if not (host and port.isdecimal()):
+        return  # "auto", or a form that Ray reads by itself
+    try:
+        socket.create_connection((host, int(port)), timeout=_ANSWERS).close()
+    except OSError as error:
+        raise ConnectionError(f"no cluster answers at {address}: {error.strerror or error}") from error
 
 
 _here: dict[str, str] = {}

@@ -93,9 +93,9 @@ class InThreads:
         self._workers = check.whole("workers", workers, at_least=1, at_most=1000)
 
     def run(self, trials: Iterable[Trial], work: Work, look: Callable[[], None] = nothing) -> Iterator[Finished]:
-        """See :class:`Runner`. Where this is closed early no other trial starts, and those under way are waited for."""
-        waiting, under_way = iter(trials), set[Future[Finished]]()
-        with ThreadPoolExecutor(self._workers) as pool:
+        """See :class:`Runner`. Left early, it starts no other trial and does not wait for those under way."""
+        waiting, under_way, pool = iter(trials), set[Future[Finished]](), ThreadPoolExecutor(self._workers)
+        try:
             while True:
                 free = self._workers - len(under_way)
                 under_way |= {pool.submit(attempt, work, trial) for trial in islice(waiting, free)}
@@ -106,3 +106,5 @@ class InThreads:
                 done = {future for future in under_way if future.done()}
                 under_way -= done
                 yield from (future.result() for future in done)
+        finally:
+            pool.shutdown(wait=False)

@@ -7,7 +7,6 @@ import dataclasses
 import io
 import json
 import shutil
-from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from agents.models import load_model, make_vec_env
 from agents.runs import read_settings
 from agents.settings import EnvSettings, TrainSettings
 from agents.storage import held
-from agents.sweeping import Trial, Work
+from agents.sweeping import Trial
 from agents.training import MODEL, trained_in
 from jackbox_env import FIDELITIES
 from jackbox_env import _validation as check
@@ -52,9 +51,9 @@ def grid_trials(
     return training_trials(json_object("train", train), grid, seeds, episodes)
 
 
-def work_of(trial: Trial, folder: Path) -> Work:
-    """What runs such trials: :func:`evaluated`, or :func:`trained` below a sweep's folder."""
-    return evaluated if "policy" in trial.settings else partial(trained, folder.resolve())
+def run_trial(folder: Path, settings: dict[str, Any]) -> dict[str, Any]:
+    """What a trial's row holds beside its settings; a training has its run folder below ``folder``, the sweep's."""
+    return evaluated(settings) if "policy" in settings else trained(folder, settings)
 
 
 def environments(tasks: tuple[str, ...], settings: tuple[str, ...], scenes: tuple[str, ...]) -> list[EnvSettings]:

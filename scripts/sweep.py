@@ -9,6 +9,7 @@ import os
 import shlex
 import sys
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -62,11 +63,9 @@ def main() -> None:
     arguments = tyro.cli(Arguments, description=__doc__)
     from agents import trials as kinds
     from agents.journal import JOURNAL, TABLE, carry_out, new_sweep, read_sweep
-    from agents.on_ray import OnRay
-    from agents.sweeping import InTurn, Runner
+    from agents.on_ray import runner_for
 
-    alone = arguments.workers is None and arguments.address is None
-    runner: Runner = InTurn() if alone else OnRay(arguments.workers, arguments.address)
+    runner = runner_for(arguments.workers, arguments.address)
     if arguments.grid.train is not None and arguments.grid.policy != Grid.policy:
         raise ValueError("--train runs trainings in place of policies: give no --policy")
     if arguments.resume is None:
@@ -77,7 +76,7 @@ def main() -> None:
             raise ValueError("--resume runs the sweep of its folder: give no other grid")
         folder = arguments.resume
         _, trials = read_sweep(folder)
-    work = kinds.work_of(trials[0], folder)
+    work = partial(kinds.run_trial, folder.resolve())
     command = shlex.join(["python", "scripts/sweep.py", "--resume", str(folder)])
     try:
         outcome = carry_out(folder, trials, work, runner, arguments.progress)

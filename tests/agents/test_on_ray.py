@@ -1,4 +1,4 @@
-"""Sweeps on Ray: on this machine's cores and on a cluster of two nodes, with workers and a node killed in the middle."""
+"""Sweeps on Ray: on this machine's cores, and on a cluster with workers and a node killed in the middle."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ import threading
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from agents import on_ray, trials
-from agents.journal import TABLE, TIMES, Outcome, carry_out, new_sweep
+from agents.journal import TABLE, TIMES, Outcome, carry_out, made_with, new_sweep
 from agents.on_ray import OnRay
 from agents.settings import EnvSettings
 from agents.sweeping import InTurn, Runner, Trial
@@ -53,31 +54,22 @@ def swept(folder: Path, grid: list[Trial], work: Any, runner: Runner) -> tuple[b
 def test_policies_and_trainings_give_the_same_table_in_process_on_cores_and_on_a_cluster(
     tmp_path: Path, cluster: Any
 ) -> None:
-    both = [EnvSettings(contact="exact"), EnvSettings(contact="pymunk", scene='{"gravity": 5.0}')]
-    played = trials.policy_trials(("level", "ppo", "random"), both, 2, 2)
+    environments = [EnvSettings(contact="exact"), EnvSettings(contact="pymunk", scene='{"gravity": 5.0}')]
     small = asdict(replace(TINY, total_steps=512, eval_steps=256, checkpoint_steps=256, contact="exact"))
-    learnt = [Trial({**small, "seed": seed, "episodes": 2}) for seed in (0, 1)]
-    runners = {"alone": InTurn(), "cores": OnRay(workers=2), "cluster": OnRay(address=cluster.address)}
-    tables = {}
+    grid = [*trials.policy_trials(("ppo", "random"), environments, 2, 2), Trial({**small, "episodes": 2})]
+    runners: dict[str, Runner] = {
+        "alone": InTurn(),
+        "cores": OnRay(workers=2),
+        "cluster": OnRay(address=cluster.address),
+    }
+    tables = set[bytes]()
     for name, runner in runners.items():
-        both_tables = []
-        for kind, grid in (("played", played), ("learnt", learnt)):
-            if name == "cores" and kind == "learnt":
-                continue  # seconds of starting Ray once more
-            table, outcome = swept(tmp_path / f"{kind} {name}", grid, _work(tmp_path, kind, name), runner)
-            assert not outcome.failed, table
-            assert len(outcome.processors) == 1
-            both_tables.append(table)
-        tables[name] = both_tables
-    assert tables["cores"] == tables["alone"][:1]
-    assert tables["cluster"] == tables["alone"]
-    places = {row["place"] for row in rows_of(tmp_path / "played cluster", TIMES)}
-    assert len(places) == NODES
-    assert all(str(os.getpid()) not in place for place in places)
-
-
-def _work(folder: Path, kind: str, name: str) -> Any:
-    return trials.evaluated if kind == "played" else trials.work_of(Trial({}), folder / f"{kind} {name}")
+        table, outcome = swept(tmp_path / name, grid, partial(trials.run_trial, tmp_path / name), runner)
+        assert not outcome.failed, table
+        assert len(outcome.processors) == 1
+        tables.add(table)
+        assert len({row["place"] for row in rows_of(tmp_path / name, TIMES)}) == (1 if name == "alone" else NODES)
+    assert len(tables) == 1
 
 
 def test_a_worker_and_a_node_killed_in_the_middle_lose_nothing(tmp_path: Path, cluster: Any) -> None:
@@ -141,18 +133,15 @@ def test_a_trial_that_fails_or_kills_its_worker_every_time_is_reported_and_the_o
 def test_a_machine_with_other_versions_ends_the_sweep(
     tmp_path: Path, cluster: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    known = on_ray.made_with()
+    def unwanted(settings: dict[str, Any]) -> dict[str, Any]:
+        return {}
+
+    known = made_with()
     monkeypatch.setattr(on_ray, "made_with", lambda: {**known, "numpy": "1.0"})
-    with pytest.raises(
-        RuntimeError, match=rf"same code and versions, got numpy 1.0 there and {known['numpy']} here on"
-    ):
-        swept(tmp_path / "sweep", GRID, _nothing, OnRay(address=cluster.address))
-
-
-def _nothing(settings: dict[str, Any]) -> dict[str, Any]:
-    raise AssertionError("it is not run")
+    with pytest.raises(RuntimeError, match=f"got numpy 1.0 there and {known['numpy']} here on "):
+        swept(tmp_path / "sweep", GRID, unwanted, OnRay(address=cluster.address))
 
 
 def test_no_cluster_at_the_address(tmp_path: Path) -> None:
     with pytest.raises(ConnectionError, match="127.0.0.1:1"):
-        swept(tmp_path / "sweep", GRID, _nothing, OnRay(address="127.0.0.1:1"))
+        swept(tmp_path / "sweep", GRID, dict, OnRay(address="127.0.0.1:1"))

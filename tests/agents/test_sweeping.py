@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -295,7 +296,7 @@ def test_a_training_that_was_cut_short_starts_over_to_the_same_row(
     grid = trials.training_trials(varied, [EnvSettings(contact="exact")], 1, 2)
     assert [trial.settings["learning_rate"] for trial in grid] == [1e-3, 5e-4]
     folder = new_sweep(tmp_path / "sweep", {}, grid)
-    carry_out(folder, grid, trials.work_of(grid[0], folder), InTurn(), progress=False)
+    carry_out(folder, grid, partial(trials.run_trial, folder), InTurn(), progress=False)
     rows = rows_of(folder)
     assert rows[0]["mean"] != rows[1]["mean"]
     run = folder / trials.RUNS / grid[0].key
