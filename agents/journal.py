@@ -19,7 +19,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -33,8 +33,11 @@ from jackbox_env.storage import check_writable, new_folder, remove_partials, wri
 
 SWEEP, JOURNAL, TABLE, TIMES = "sweep.json", "trials.jsonl", "table.csv", "times.csv"
 ENGINES = ("numpy", "numba", "pymunk", *PACKAGES[-2:])
+_TIMED = ("seconds", "place", "processor")
+_TOLD = ("result", "error", "details", *_TIMED)
 _ROOT = Path(__file__).parents[1]
 _TABLE_EVERY = 10.0  # [s] between two versions of the table
+_SHARE = 20.0  # times as long as writing one takes
 
 
 class Outcome(NamedTuple):
@@ -122,31 +125,46 @@ def carry_out(folder: Path, trials: list[Trial], work: Work, runner: Runner, pro
         remove_partials(folder)
         kept = _kept(folder, trials)
         left = [trial for trial in trials if trial.key not in kept or kept[trial.key]["error"] is not None]
-        written = time.monotonic()
         try:
-            with (
-                (folder / JOURNAL).open("ab") as journal,
-                tqdm(total=len(trials), initial=len(trials) - len(left), unit="trial", disable=not progress) as bar,
-            ):
-                for done in runner.run(left, work, bar.refresh):
-                    kept[done.trial.key] = line = _line(done)
-                    journal.write(json.dumps(line).encode() + b"\n")
-                    journal.flush()
-                    os.fsync(journal.fileno())
-                    bar.update()
-                    bar.set_postfix(failed=sum(line["error"] is not None for line in kept.values()), refresh=False)
-                    if time.monotonic() - written > _TABLE_EVERY:
-                        _write_tables(folder, trials, kept)
-                        written = time.monotonic()
+            _run(folder, trials, left, kept, runner.run, work, progress)
         finally:
             _write_tables(folder, trials, kept)
     failed = [trial for trial in trials if trial.key in kept and kept[trial.key]["error"] is not None]
-    return Outcome(len(kept), failed, sorted({line["processor"] for line in kept.values()}))
+    return Outcome(len(kept), failed, sorted({line["processor"] for line in kept.values()} - {""}))
+
+
+def _run(
+    folder: Path,
+    trials: list[Trial],
+    left: list[Trial],
+    kept: dict[str, dict[str, Any]],
+    run: Callable[..., Iterator[Finished]],
+    work: Work,
+    progress: bool,
+) -> None:
+    """Run what is left, and add it to the journal, to ``kept`` and now and then to the tables."""
+    failed, next_table = 0, time.monotonic() + _TABLE_EVERY
+    with (
+        (folder / JOURNAL).open("ab") as journal,
+        tqdm(total=len(trials), initial=len(trials) - len(left), unit="trial", disable=not progress) as bar,
+    ):
+        for done in run(left, work, bar.refresh):
+            kept[done.trial.key] = line = _line(done)
+            journal.write(json.dumps(line).encode() + b"\n")
+            journal.flush()
+            os.fsync(journal.fileno())
+            failed += done.error is not None
+            bar.set_postfix(failed=failed, refresh=False)
+            bar.update()
+            if (began := time.monotonic()) >= next_table:
+                _write_tables(folder, trials, kept)
+                ended = time.monotonic()
+                next_table = ended + max(_TABLE_EVERY, _SHARE * (ended - began))
 
 
 def _line(done: Finished) -> dict[str, Any]:
     """What the journal keeps of a finished trial."""
-    return {"key": done.trial.key, "settings": done.trial.settings, **done._asdict(), "trial": done.trial.key}
+    return {"key": done.trial.key, "settings": done.trial.settings} | {name: getattr(done, name) for name in _TOLD}
 
 
 def _kept(folder: Path, trials: Iterable[Trial]) -> dict[str, dict[str, Any]]:
@@ -162,7 +180,7 @@ def _kept(folder: Path, trials: Iterable[Trial]) -> dict[str, dict[str, Any]]:
         try:
             with parsing(Path(f"{path}, line {number},")):
                 line = json.loads(text)
-                kept |= {line["key"]: line} if {"result", "error", "seconds", "place", "processor"} <= set(line) else {}
+                kept |= {line["key"]: line} if set(_TOLD) <= set(line) else {}
         except DamagedFileError as error:
             say_skipped(error)
     return {key: line for key, line in kept.items() if key in known}
@@ -175,9 +193,6 @@ def _write_tables(folder: Path, trials: list[Trial], kept: dict[str, dict[str, A
     times = [{"trial": trial.key} | {name: line[name] for name in _TIMED} for trial, line in there]
     write_text(folder / TABLE, _csv(rows, last="error"))
     write_text(folder / TIMES, _csv(times))
-
-
-_TIMED = ("seconds", "place", "processor")
 
 
 def _csv(rows: list[dict[str, Any]], last: str | None = None) -> str:

@@ -22,7 +22,7 @@ from jackbox_env import _validation as check
 from jackbox_env.compiled import compiler
 
 RETRIES = 4  # of a trial whose worker has died; then it has failed
-AHEAD = 2  # trials given to the cluster for each of its cores, so that none waits for this process
+AHEAD = 8  # trials given to the cluster for each of its cores: short ones do not wait for this process
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 _ANSWERS = 10.0  # [s] that a cluster's head has to answer
 _ROOT = Path(__file__).parents[1]
@@ -132,7 +132,7 @@ class OnRay:
                 self._ray.init(**own, runtime_env=environment, **quiet)
             else:
                 _check_answers(self._address)
-                sent = str(_sent(Path(scratch)))
+                sent = str(sent_to_machines(Path(scratch)))
                 environment = {"working_dir": sent, "env_vars": {**ONE_THREAD, "NUMBA_CACHE_DIR": _CODE}}
                 self._ray.init(address=self._address, runtime_env=environment, **quiet)
             try:
@@ -166,7 +166,7 @@ def _made_with_once() -> dict[str, str]:
     return _here
 
 
-def _sent(scratch: Path) -> Path:
+def sent_to_machines(scratch: Path) -> Path:
     """A folder with what a cluster's machines get: the checkout's code, and what this machine has compiled.
 
     Compiled code is for one kind of processor; a machine of another kind does not load it, and compiles for itself.

@@ -16,7 +16,7 @@ import traceback
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import islice
 from typing import Any, NamedTuple, Protocol
 
@@ -68,7 +68,12 @@ def attempt(work: Work, trial: Trial) -> Finished:
         said = next(iter(str(raised).splitlines()), "")
         error, details = f"{type(raised).__name__}{': ' * bool(said)}{said}", traceback.format_exc()
     seconds = time.perf_counter() - began
-    return Finished(trial, result, error, details, seconds, f"{platform.node()} {os.getpid()}", machine())
+    return Finished(trial, result, error, details, seconds, f"{platform.node()} {os.getpid()}", _processor())
+
+
+@cache
+def _processor() -> str:
+    return machine()
 
 
 def nothing() -> None:

@@ -271,6 +271,7 @@ def test_the_demo_runs_end_to_end_when_made_small(tmp_path: Path) -> None:
         "studies/transfer/transfer",
         "studies/results/results",
         "studies/results/networks",
+        "studies/scaling/scaling",
         "studies/value",
         "recipes/run",
     ],

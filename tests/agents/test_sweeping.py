@@ -75,6 +75,7 @@ def test_the_table_does_not_depend_on_the_order_in_which_trials_finish(
 
 def test_the_table_is_there_while_trials_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(journal, "_TABLE_EVERY", 0.0)
+    monkeypatch.setattr(journal, "_SHARE", 0.0)
     counts = []
 
     def counting(settings: dict[str, Any]) -> dict[str, Any]:
