@@ -12,7 +12,7 @@ parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--iterations", type=int, default=5)
 iterations = parser.parse_args().iterations
 
-ray.init(num_cpus=3, include_dashboard=False)
+ray.init("local", num_cpus=3, include_dashboard=False)  # whatever cluster this machine is in
 config = (
     PPOConfig()
     .environment("jackbox_env:JackInBox-v0", env_config={"contact": "exact"})
@@ -24,5 +24,6 @@ runners = algorithm.env_runner_group
 print("Stepping", *runners.foreach_env_runner(lambda one: type(one.env.unwrapped).__name__, local_env_runner=False))
 for _ in range(iterations):
     found = algorithm.train()
-    print(found["num_env_steps_sampled_lifetime"], found["env_runners"].get("episode_return_mean"))
+    mean = found["env_runners"].get("episode_return_mean")
+    print(f"{found['num_env_steps_sampled_lifetime']:.0f} steps, mean return {mean}", flush=True)
 algorithm.stop()

@@ -19,6 +19,7 @@ from agents.journal import TABLE, TIMES, Outcome, carry_out, made_with, new_swee
 from agents.on_ray import OnRay
 from agents.settings import EnvSettings
 from agents.sweeping import InTurn, Runner, Trial
+from jackbox_env.compiled import compiler
 from tests.agents.small_run import TINY
 from tests.agents.test_sweeping import GRID, rows_of
 
@@ -70,6 +71,23 @@ def test_policies_and_trainings_give_the_same_table_in_process_on_cores_and_on_a
         tables.add(table)
         assert len({row["place"] for row in rows_of(tmp_path / name, TIMES)}) == (1 if name == "alone" else NODES)
     assert len(tables) == 1
+
+
+def test_machines_load_the_compiled_code_that_they_are_sent(tmp_path: Path, cluster: Any) -> None:
+    def compiled(settings: dict[str, Any]) -> dict[str, Any]:
+        import jackbox_env
+
+        folder = compiler._cache_folders()[-1]
+        before = {path.name for path in folder.iterdir()}
+        jackbox_env.make_simulator(contact="exact").step(0.02)
+        return {"folder": str(folder), "there": len(before), "new": len(list(folder.iterdir())) - len(before)}
+
+    compiled({})  # here, so that there is something to send
+    swept(tmp_path / "sweep", GRID[:1], compiled, OnRay(address=cluster.address))
+    (row,) = rows_of(tmp_path / "sweep")
+    assert row["folder"] not in map(str, compiler._cache_folders())
+    assert int(row["there"]) > 0
+    assert row["new"] == "0"
 
 
 def test_a_worker_and_a_node_killed_in_the_middle_lose_nothing(tmp_path: Path, cluster: Any) -> None:

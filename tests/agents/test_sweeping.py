@@ -286,7 +286,7 @@ def test_the_command_is_interrupted_fails_and_goes_on(tmp_path: Path, monkeypatc
 
 # -- trainings ---------------------------------------------------------------------------------------------------------
 
-SMALL = replace(TINY, contact="exact", total_steps=512, eval_steps=256, checkpoint_steps=256)
+SMALL = replace(TINY, contact="exact", total_steps=768, eval_steps=256, checkpoint_steps=256)
 
 
 def test_a_training_that_was_cut_short_starts_over_to_the_same_row(
@@ -301,8 +301,10 @@ def test_a_training_that_was_cut_short_starts_over_to_the_same_row(
     rows = rows_of(folder)
     assert rows[0]["mean"] != rows[1]["mean"]
     run = folder / trials.RUNS / grid[0].key
-    assert (run / "checkpoints").is_dir()
-    (run / "model.zip").unlink()  # as a kill before its end leaves it
+    checkpoints = sorted((run / "checkpoints").iterdir(), key=lambda path: path.stat().st_mtime_ns)
+    assert len(checkpoints) > 1
+    for path in (run / "model.zip", run / "best_model.zip", run / "evaluations.npz", *checkpoints[1:]):
+        path.unlink()  # as a kill soon after its start leaves it
     again = trials.trained(folder, grid[0].settings)
     assert repr(again["mean"]) == rows[0]["mean"]
     with pytest.raises(FileNotFoundError, match="must be on a disk that all machines share"):

@@ -8,6 +8,7 @@ from typing import Any
 from scripts.studies.timing import rough
 
 MACHINES, CORES = 100, 2  # that the table asks about
+_UNSTEADY = 0.1  # share of the machine that others use, above which rates are not compared
 NETWORK = 125e6  # of the head [bytes/s]: 1 Gbit/s
 PLANNED, TRAINED = 24.0, 180.0  # 16 episodes of the planner, a training as `make demo`'s: one core each [s]
 
@@ -77,18 +78,15 @@ def at_once(stored: dict[str, Any], seconds: float, cores: int) -> float:
 def page(stored: dict[str, Any]) -> str:
     """The page of what was measured."""
     runs, short = stored["runs"], stored["runs"]["in this process"]["own"]
-    many, gain = runs["2 nodes, many"], runs["2 workers"]["rate"] / runs["1 worker"]["rate"]
+    many = runs["2 nodes, many"]
     cores = rough(float(f"{most_cores(stored, 1.0):.2g}"))
-    others = " and ".join(f"{share:.0%}" for share in stored["busy"])
     parts = [
         "# When one machine is not enough",
-        f"A sweep gives the same table wherever it runs. It keeps up to {cores} cores busy if each trial takes a second, "
-        "and more in proportion if it takes longer. The one process that hands the trials out is the limit.",
+        f"A sweep gives the same table wherever it runs. It keeps up to {cores} cores busy if each trial takes a "
+        "second, and more in proportion if it takes longer. The one process that hands the trials out is the limit.",
         HOW.rstrip(),
         "## Measured",
-        "Trials of four episodes of `level` and `ppo` on `exact`. Trials per second are counted without the start. Two "
-        f"workers finished {gain:.2f} times as many as one. Other processes used {others} of the machine just before and "
-        "after. Times of one core are the processor's, which others do not change.",
+        _circumstances(stored),
         _table(
             ("where", "trials", "workers", "trials per second", "first trial after [s]"),
             [
@@ -125,6 +123,19 @@ def page(stored: dict[str, Any]) -> str:
     return "\n\n".join(parts) + "\n"
 
 
+def _circumstances(stored: dict[str, Any]) -> str:
+    runs, others = stored["runs"], " and ".join(f"{share:.0%}" for share in stored["busy"])
+    if max(stored["busy"]) > _UNSTEADY:
+        gain = "So these rates are low, and too unsteady to compare with each other."
+    else:
+        gain = f"Two workers finished {runs['2 workers']['rate'] / runs['1 worker']['rate']:.2f} times as many as one."
+    return (
+        "Trials of four episodes of `level` and `ppo` on `exact`. Trials per second are counted without the start. "
+        f"Other processes used {others} of the machine just before and after. {gain} Times of one core below are the "
+        "processor's, which others change less."
+    )
+
+
 def _row(stored: dict[str, Any], name: str, seconds: float) -> tuple[Any, ...]:
     one, many = at_once(stored, seconds, CORES), at_once(stored, seconds, MACHINES * CORES)
     busy = float(f"{most_cores(stored, seconds):.2g}")
@@ -139,6 +150,7 @@ def _assumptions(stored: dict[str, Any]) -> str:
 
 - **Machines**: {MACHINES} of {CORES} cores like this one. Trials do not wait for each other, and nothing of a trial
   travels but its settings and its row. Machines that join later are used; one that leaves costs what it had under way.
+  Ray's own limits, of some hundreds of machines and more, are not measured here.
 - **Handing out** is done by one process, which takes {_ms(per_trial(stored))} for a trial: its own processor time and
   the line on the disk. This limits short trials first. Give each trial more episodes then: ten times the episodes keep
   ten times the cores busy.
