@@ -1,6 +1,7 @@
 """RLlib: PPO on two env runners, each with one compiled batch of eight environments.
 
-The module in front of the name registers the environment on every worker.
+The module in front of the name registers the environment on every worker. An iteration takes 250 steps of each
+environment and an episode 500, so every second iteration sees no episode end and has no mean return.
 """
 
 import argparse
@@ -9,7 +10,7 @@ import ray
 from ray.rllib.algorithms.ppo import PPOConfig
 
 parser = argparse.ArgumentParser(description=__doc__)
-parser.add_argument("--iterations", type=int, default=5)
+parser.add_argument("--iterations", type=int, default=4)
 iterations = parser.parse_args().iterations
 
 ray.init("local", num_cpus=3, include_dashboard=False)  # whatever cluster this machine is in
