@@ -8,7 +8,7 @@ WORKERS := -n 2 --dist loadfile
 UNDER_OLD_GYMNASIUM := $(addprefix tests/,environment/test_env.py environment/test_starts_and_settings.py \
 	environment/test_tools.py batches/test_vector_env.py batches/test_episodes.py batches/test_refusals.py)
 
-.PHONY: demo test test-all test-slow benchmark benchmark-loss benchmark-quick throughput speed costs costs-loss soak extremes machines kills interruptions transfer transfer-loss results networks readme docs recipes clean
+.PHONY: demo test test-all test-slow benchmark benchmark-loss benchmark-quick throughput speed costs costs-loss soak extremes machines kills interruptions transfer transfer-loss results networks scaling readme docs recipes clean
 .DELETE_ON_ERROR:
 
 demo: .venv/ready
@@ -93,6 +93,10 @@ docs: .venv/ready
 # Each recipe of docs/recipes.md, shortened; those of other libraries in environments of their own in runs/recipes.
 recipes: .venv/ready
 	@$(BIN)/python scripts/recipes/run.py
+
+# What sweeps gain from more workers and machines, docs/scaling.md; some 5 minutes.
+scaling: .venv/ready
+	@$(BIN)/python scripts/studies/scaling/scaling.py
 
 readme: .venv/ready
 	@$(BIN)/python scripts/studies/readme.py

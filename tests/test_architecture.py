@@ -71,11 +71,15 @@ AGENTS = """
     playing
     holding
     runs film checkpoints
+    sweeping
+    journal
+    on_ray
     models network
     value
     planner landing
     best evaluation exporting episodes zoo
     training
+    trials
     figures
 """
 

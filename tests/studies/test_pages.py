@@ -19,6 +19,7 @@ from jackbox_env.simulators import exact
 from scripts.studies import timing
 from scripts.studies.costs import cost_steps
 from scripts.studies.costs import page as costs
+from scripts.studies.scaling import page as scaling
 from scripts.studies.speed import measured
 from scripts.studies.speed import page as speed
 from tests.studies.counting import calls_of, times_called
@@ -275,3 +276,18 @@ def test_a_table_of_loss_is_in_microseconds_and_against_a_flight() -> None:
 
 def test_the_exact_models_head_says_what_a_step_with_held_feet_was_measured_to_take() -> None:
     assert f"takes some {costs.held_cost(stored('costs')['loss']['steps'])}" in " ".join((exact.__doc__ or "").split())
+
+
+# -- scaling -----------------------------------------------------------------------------------------------------------
+
+
+def test_the_page_of_sweeps_shows_what_is_stored() -> None:
+    assert scaling.page(stored("scaling")) == (DOCS / "scaling.md").read_text()
+
+
+def test_short_trials_are_limited_by_handing_out_and_long_ones_by_cores() -> None:
+    found = {"empty": {"2 workers": {"own": 0.003}}, "journal": 0.002}
+    assert scaling.most_cores(found, 1.0) == pytest.approx(200.0)
+    assert scaling.at_once(found, 0.1, 10) == pytest.approx(100.0)
+    assert scaling.at_once(found, 0.1, 2000) == pytest.approx(200.0)
+    assert scaling.at_once(found, 100.0, 200) == pytest.approx(2.0)

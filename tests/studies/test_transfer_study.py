@@ -255,7 +255,8 @@ def test_an_interrupted_study_interrupts_its_trainings_and_says_how_to_go_on(
 
     def interrupt(seconds: float) -> None:
         deadline = time.monotonic() + 60.0
-        while not (stand_in / "began.txt").exists() and time.monotonic() < deadline:
+        began = stand_in / "began.txt"
+        while not (began.exists() and began.read_text().count("\n") == 2) and time.monotonic() < deadline:
             pass
         raise KeyboardInterrupt
 
@@ -265,6 +266,8 @@ def test_an_interrupted_study_interrupts_its_trainings_and_says_how_to_go_on(
         command(patched, "--resume", str(stand_in), status=130)
     assert f"Go on with: python scripts/studies/transfer/transfer.py --resume {stand_in}" in capsys.readouterr().err
     assert len(started) == 2
+    for process in started:
+        process.wait(30.0)
     assert all(process.returncode != 0 for process in started)
     assert not list(stand_in.rglob("model.zip"))
 
@@ -333,7 +336,7 @@ def test_a_study_with_loss_trains_and_runs_everything_in_its_scene(
         asked.append(env_settings["scene"])
         return evaluate(name, actor, env_settings, episodes, seed=seed)
 
-    def runs(folder: Path, policies: Any, episodes: int, progress: bool, scene: Scene) -> Any:
+    def runs(folder: Path, policies: Any, episodes: int, progress: bool, scene: Scene, runner: Any) -> Any:
         asked.append(scene)
 
     monkeypatch.setattr(transfer, "evaluate", evaluated)

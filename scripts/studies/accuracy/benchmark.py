@@ -26,6 +26,10 @@ class Arguments:
     """Do not sweep: write page and pictures again from this results.json and the results.csv beside it."""
     loss: bool = False
     """With --page-from: measure the trajectories with loss anew, and nothing else."""
+    workers: int | None = None
+    """Settings measured side by side with Ray on this machine; None: one after the other. Costs are measured alone."""
+    address: str | None = None
+    """With Ray on a cluster: the address of its head, or auto on one of its machines."""
     out: Path | None = None
     """Folder for one more copy of the page, with its files beside it in accuracy/, e.g. docs."""
     progress: bool = True
@@ -41,6 +45,7 @@ def main() -> None:
     import bokeh  # noqa: F401  # refused now rather than after the sweep
     import matplotlib  # noqa: F401
 
+    from agents.on_ray import runner_for
     from jackbox_env import _validation as check
     from scripts.studies.accuracy import sweep
     from scripts.studies.accuracy.claims import claims
@@ -53,13 +58,14 @@ def main() -> None:
     seconds = check.real("seconds", arguments.seconds, above=0.0)
     if arguments.out is not None and not arguments.out.is_dir():
         raise FileNotFoundError(f"{arguments.out} is no folder to write a page in")
+    runner = runner_for(arguments.workers, arguments.address)
     if arguments.loss and arguments.page_from is None:
         raise ValueError("--loss adds to stored results: give --page-from too")
     if arguments.page_from is not None:
         results, folder = Results.load(arguments.page_from.parent), arguments.page_from.resolve().parents[1]
         results = sweep.with_loss(results, arguments.progress) if arguments.loss else results
     else:
-        results, folder = sweep.run(few, cases, rounds, seconds, arguments.folder, arguments.progress)
+        results, folder = sweep.run(few, cases, rounds, seconds, arguments.folder, arguments.progress, runner)
     for place in filter(None, (arguments.out, folder)):
         sweep.write(results, place)
     found = claims(results)

@@ -13,6 +13,7 @@ import json
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from tqdm import tqdm
 
 from agents.runs import PACKAGES, machine, versions
 from agents.storage import DamagedFileError, held, read_json, say_skipped
+from agents.sweeping import InTurn, Runner, Trial
 from jackbox_env import Scene, rollout
 from jackbox_env.accuracy import Case, Reference, between, compare, follow, quantities, restarts
 from jackbox_env.simulators import Simulator
@@ -39,15 +41,20 @@ CODE = ("jackbox_env/**/*.py", "scripts/studies/rivals/*.py", "tests/data/*.json
 ENGINES = ("numpy", "numba", "pymunk", "mujoco", "box2d")
 
 
-def run(quick: bool, count: int, rounds: int, seconds: float, folder: Path | None, bars: bool) -> tuple[Results, Path]:
-    """Sweep, or continue an interrupted sweep of the same code; return the results and the run folder."""
+def run(
+    quick: bool, count: int, rounds: int, seconds: float, folder: Path | None, bars: bool, runner: Runner | None = None
+) -> tuple[Results, Path]:
+    """Sweep, or continue an interrupted sweep of the same code; return the results and the run folder.
+
+    ``runner`` runs what is measured of errors; costs are measured here, where nothing else runs.
+    """
     before, chosen = others(), settings(quick)
     asked = {"quick": quick, "cases": count}
     folder = open_folder("benchmark-quick" if quick else "benchmark", asked, folder)
     with held(folder):
         remove_partials(folder, folder / RECORDS)
         try:
-            records = measured_all(folder, chosen, count, bars)
+            records = measured_all(folder, chosen, count, bars, runner)
             rates = measure({setting.name: cost_of(setting, seconds) for setting in chosen}, rounds, bars)
         except KeyboardInterrupt:
             print(f"\nInterrupted; the same command continues in {folder}", file=sys.stderr)
@@ -137,19 +144,46 @@ def _kept(path: Path) -> Any:
 # -- measuring ---------------------------------------------------------------------------------------------------------
 
 
-def measured_all(folder: Path, chosen: list[Setting], count: int, bars: bool) -> dict[str, list[Record]]:
-    """Measure what is not measured yet, and return all records by setting."""
-    records = {setting.name: list[Record]() for setting in chosen}
+def measured_all(
+    folder: Path, chosen: list[Setting], count: int, bars: bool, runner: Runner | None = None
+) -> dict[str, list[Record]]:
+    """Measure what is not measured yet, and return all records by setting.
+
+    Raises:
+        RuntimeError: a setting failed; the records of the others are kept.
+    """
+    paths = dict[Path, Trial]()  # in the order of the records
     (folder / RECORDS).mkdir(exist_ok=True)
     for kind in (cases.DIGITS, cases.LOSS, *cases.KINDS):
-        known = cases.with_references(kind, count)
-        models = [setting for setting in chosen if (setting.takes_loss if kind == cases.LOSS else setting.make)]
-        for setting in tqdm(models, desc=kind, unit="setting", disable=not bars, leave=False):
-            path = folder / RECORDS / f"{setting.name}; {kind}.json"
-            if _kept(path) is None:
-                write_json(path, [measured(setting, kind, *case) for case in known])
-            records[setting.name] += read_json(path)
+        for setting in chosen:
+            if setting.takes_loss if kind == cases.LOSS else setting.make:
+                trial = Trial({"setting": setting.name, "kind": kind, "count": count})
+                paths[folder / RECORDS / f"{setting.name}; {kind}.json"] = trial
+    left = {trial.key: path for path, trial in paths.items() if _kept(path) is None}
+    work, failed = partial(_measured_kind, {setting.name: setting for setting in chosen}, {}), list[str]()
+    with tqdm(total=len(paths), initial=len(paths) - len(left), unit="setting", disable=not bars, leave=False) as bar:
+        for done in (runner or InTurn()).run([paths[path] for path in left.values()], work, bar.refresh):
+            if done.error is None:
+                write_json(left[done.trial.key], done.result)
+            else:
+                failed.append(f"{left[done.trial.key].stem}: {done.error}")
+            bar.update()
+    if failed:
+        raise RuntimeError(f"{len(failed)} of {len(paths)} settings could not be measured: {'; '.join(failed)}")
+    records = {setting.name: list[Record]() for setting in chosen}
+    for path, trial in paths.items():
+        records[trial.settings["setting"]] += read_json(path)
     return records
+
+
+def _measured_kind(
+    chosen: dict[str, Setting], known: dict[str, list[tuple[Case, Reference]]], asked: dict[str, Any]
+) -> list[Record]:
+    """All errors of one setting on the cases of a kind; ``known`` keeps the references from one call to the next."""
+    kind = asked["kind"]
+    if kind not in known:
+        known[kind] = cases.with_references(kind, asked["count"])
+    return [measured(chosen[asked["setting"]], kind, *case) for case in known[kind]]
 
 
 def measured(setting: Setting, kind: str, case: Case, reference: Reference) -> Record:

@@ -22,6 +22,7 @@ from tqdm import tqdm
 from agents.models import derived_seed
 from agents.policies import Policy
 from agents.storage import DamagedFileError, parsing, say_skipped
+from agents.sweeping import InTurn, Runner, Trial
 from jackbox_env import FIDELITIES, Impact, Scene, make_simulator
 from jackbox_env.observation import observe
 from jackbox_env.states import clearance
@@ -164,26 +165,53 @@ def stored(path: Path, make: Callable[[], Episodes]) -> Episodes:
 
 
 def run_long(
-    folder: Path, policies: dict[str, Policy], episodes: int, progress: bool = True, scene: Scene | None = None
+    folder: Path,
+    policies: dict[str, Policy],
+    episodes: int,
+    progress: bool = True,
+    scene: Scene | None = None,
+    runner: Runner | None = None,
 ) -> dict[str, dict[str, Episodes]]:
     """Episodes under random torques, under the chirp and under each policy: condition -> setting -> episodes.
 
     They are kept in ``folder``. Episodes found there are not run again.
 
     Raises:
+        RuntimeError: some could not be run.
         ValueError: ``folder`` holds another number of episodes.
     """
-    scene = scene or Scene()
     conditions = ["random torques", "the chirp", *policies]
-    found: dict[str, dict[str, Episodes]] = {condition: {} for condition in conditions}
-    pairs = list(itertools.product(enumerate(conditions), enumerate(SETTINGS)))
-    for (number, condition), (place, setting) in tqdm(pairs, disable=not progress, desc="long run"):
-        rng = np.random.default_rng(derived_seed("long run", number, place))
-        named: dict[str, Torques] = {"random torques": random_torques(scene, rng), "the chirp": chirp}
-        torques = named[condition] if condition in named else acting(scene, policies[condition])
-        make = partial(run_episodes, SETTINGS[setting], torques, rng, episodes, scene)
-        kept = stored(folder / f"{condition}-{setting}.npz".replace(" ", "_"), make)
-        if len(next(iter(kept.values.values()))) + kept.lost != episodes:
-            raise ValueError(f"{folder} holds other than {episodes} episodes for {setting} under {condition}")
-        found[condition][setting] = kept
-    return found
+    pairs = list(itertools.product(conditions, SETTINGS))
+    left = [pair for pair in pairs if not _place(folder, *pair).is_file()]
+    trials = [Trial({"condition": condition, "setting": setting}) for condition, setting in left]
+    work = partial(_run_pair, folder.resolve(), policies, episodes, scene or Scene())
+    with tqdm(total=len(pairs), initial=len(pairs) - len(left), disable=not progress, desc="long run") as bar:
+        for done in (runner or InTurn()).run(trials, work, bar.refresh):
+            if done.error is not None:
+                raise RuntimeError(done.error)
+            bar.update()
+    again = partial(_pair, folder, policies, episodes, scene or Scene())
+    return {condition: {setting: again(condition, setting) for setting in SETTINGS} for condition in conditions}
+
+
+def _place(folder: Path, condition: str, setting: str) -> Path:
+    return folder / f"{condition}-{setting}.npz".replace(" ", "_")
+
+
+def _run_pair(folder: Path, policies: dict[str, Policy], episodes: int, scene: Scene, asked: dict[str, Any]) -> None:
+    _pair(folder, policies, episodes, scene, asked["condition"], asked["setting"])
+
+
+def _pair(
+    folder: Path, policies: dict[str, Policy], episodes: int, scene: Scene, condition: str, setting: str
+) -> Episodes:
+    """The episodes of a setting under a condition, run here or read."""
+    number, place = ["random torques", "the chirp", *policies].index(condition), list(SETTINGS).index(setting)
+    rng = np.random.default_rng(derived_seed("long run", number, place))
+    named: dict[str, Torques] = {"random torques": random_torques(scene, rng), "the chirp": chirp}
+    torques = named[condition] if condition in named else acting(scene, policies[condition])
+    make = partial(run_episodes, SETTINGS[setting], torques, rng, episodes, scene)
+    kept = stored(_place(folder, condition, setting), make)
+    if len(next(iter(kept.values.values()))) + kept.lost != episodes:
+        raise ValueError(f"{folder} holds other than {episodes} episodes for {setting} under {condition}")
+    return kept

@@ -21,6 +21,7 @@ import sys
 import threading
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,8 @@ from agents.policies import Policy, baseline
 from agents.runs import SETTINGS, describe, read_settings, versions
 from agents.settings import TaskName, TrainSettings
 from agents.storage import DamagedFileError, held, read_json, say_skipped
-from agents.training import MODEL
+from agents.sweeping import InThreads, InTurn, Runner, Trial
+from agents.training import MODEL, trained_in
 from jackbox_env import FIDELITIES, Scene
 from jackbox_env import _validation as check
 from jackbox_env.storage import make_folder, new_folder, write_json
@@ -47,7 +49,6 @@ _RESOLVED = "settings"  # key in it: fidelity -> [contact, substeps]
 BASELINES = ("zero", "level", "chirp")  # without chance: the same policy on every fidelity
 # "trained" or "baselines" -> policy -> fidelity run on -> returns, (seeds, episodes) of trained ones, else (episodes,)
 Returns = dict[str, dict[str, dict[str, Any]]]
-_LOOK_AGAIN = 0.5  # [s]
 _PATIENCE = 10.0  # for an interrupted training to leave its checkpoint [s]
 
 
@@ -175,15 +176,16 @@ def finished(run: Path) -> bool:
     return is_whole(run / MODEL) and (is_whole(run / BEST) or not (run / BEST).exists())
 
 
-def train_all(folder: Path, settings: StudySettings, processes: int = 2, progress: bool = True) -> None:
-    """Train what is not finished, ``processes`` at a time, each in a process of its own.
+def train_all(
+    folder: Path, settings: StudySettings, processes: int = 2, progress: bool = True, runner: Runner | None = None
+) -> None:
+    """Train what is not finished, ``processes`` at a time, each in a process of its own, or as ``runner`` runs it.
 
     Raises:
         FolderInUseError: a training of an earlier, killed study still runs.
         RuntimeError: a training failed; the others under way are interrupted at a checkpoint.
         ValueError: a run in the folder was made by other settings.
     """
-    check.whole("processes", processes, at_least=1, at_most=1000)
     planned = [(run_folder(folder, *run), settings.run_settings(*run)) for run in settings.runs()]
     for run, wanted in planned:
         if (run / SETTINGS).is_file() and read_settings(run) != wanted:
@@ -193,32 +195,88 @@ def train_all(folder: Path, settings: StudySettings, processes: int = 2, progres
         if run.is_dir():
             with held(run):  # refused now rather than in its log
                 pass
-    under_way: dict[Path, subprocess.Popen[bytes]] = {}
-    total = sum(wanted.total_steps for _, wanted in planned)
-    try:
-        with tqdm(total=total, unit="steps", unit_scale=True, disable=not progress, desc="training") as bar:
-            while waiting or under_way:
-                while waiting and len(under_way) < processes:
-                    run, wanted = waiting.pop(0)
-                    under_way[run] = _start(run, wanted)
-                time.sleep(_LOOK_AGAIN)
-                under_way = {run: process for run, process in under_way.items() if not _ended(run, process)}
-                bar.update(sum(_done(run, wanted.total_steps) for run, wanted in planned) - bar.n)
-    finally:
-        _interrupt(list(under_way.values()))
+    trials = [Trial({"run": str(run.resolve()), "settings": dataclasses.asdict(wanted)}) for run, wanted in waiting]
+    total, apart = sum(wanted.total_steps for _, wanted in planned), _Apart()
+    side_by_side, work = (runner, train_here) if runner else (InThreads(processes), apart)
+    with tqdm(total=total, unit="steps", unit_scale=True, disable=not progress, desc="training") as bar:
+
+        def look() -> None:
+            bar.update(sum(_done(run, wanted.total_steps) for run, wanted in planned) - bar.n)
+
+        try:
+            for done in side_by_side.run(trials, work, look):
+                if done.error is not None:
+                    raise RuntimeError(done.error)
+        finally:
+            apart.interrupt()
 
 
-def run_all(folder: Path, settings: StudySettings, task: str, progress: bool = True) -> Returns:
-    """Run every policy of a task on every fidelity from the same starts, or read what was run before."""
-    kinds = {"trained": settings.fidelities, "baselines": BASELINES}
-    found: Returns = {kind: {name: {} for name in names} for kind, names in kinds.items()}
-    for on in tqdm(settings.fidelities, unit="fidelities", disable=not progress, desc=f"running on {task}"):
-        for name, returns in found["trained"].items():
-            policies = [f"{name}-{seed}" for seed in range(settings.seeds)]
-            returns[on] = np.round([cell(folder, settings, task, policy, on) for policy in policies], 2).tolist()
-        for name, returns in found["baselines"].items():
-            returns[on] = np.round(cell(folder, settings, task, name, on), 2).tolist()
-    return found
+def train_here(asked: dict[str, Any]) -> None:
+    """Train in this process, from the newest checkpoint in its run folder: how a machine of a cluster does it."""
+    run = Path(asked["run"])
+    if not run.parent.is_dir():
+        raise FileNotFoundError(f"{run.parent} must be on a disk that all machines share: it is not on this one")
+    trained_in(run, TrainSettings.of(asked["settings"]), progress=False)
+
+
+class _Apart:
+    """Trains in processes of their own, which can be interrupted at a checkpoint."""
+
+    def __init__(self) -> None:
+        self._under_way: list[subprocess.Popen[bytes]] = []
+        self._lock, self._ended = threading.Lock(), False
+
+    def __call__(self, asked: dict[str, Any]) -> None:
+        """Train to the end."""
+        run = Path(asked["run"])
+        make_folder(run)
+        if not (run / SETTINGS).is_file():
+            describe(run, TrainSettings.of(asked["settings"]))
+        with self._lock:
+            if self._ended:
+                return
+            process = _start(run)
+            self._under_way.append(process)
+        status = process.wait()
+        if not finished(run):
+            raise RuntimeError(f"training in {run} ended with status {status}; {run / 'log.txt'} says why")
+
+    def interrupt(self) -> None:
+        """Interrupt what is under way, and start no other."""
+        with self._lock:
+            self._ended = True
+        _interrupt([process for process in self._under_way if process.poll() is None])
+
+
+def run_all(
+    folder: Path, settings: StudySettings, task: str, progress: bool = True, runner: Runner | None = None
+) -> Returns:
+    """Run every policy of a task on every fidelity from the same starts, or read what was run before.
+
+    Raises:
+        RuntimeError: one of them could not be run; what others returned is kept.
+    """
+    trained = {name: [f"{name}-{seed}" for seed in range(settings.seeds)] for name in settings.fidelities}
+    policies = [*(policy for names in trained.values() for policy in names), *BASELINES]
+    trials = [Trial({"policy": policy, "on": on}) for on in settings.fidelities for policy in policies]
+    found, work = dict[tuple[str, str], Any](), partial(_cell_of, folder.resolve(), settings, task)
+    with tqdm(total=len(trials), unit="policies", disable=not progress, desc=f"running on {task}") as bar:
+        for done in (runner or InTurn()).run(trials, work, bar.refresh):
+            if done.error is not None:
+                raise RuntimeError(f"{json.dumps(done.trial.settings)} could not be run: {done.error}")
+            found[done.trial.settings["policy"], done.trial.settings["on"]] = np.round(done.result, 2).tolist()
+            bar.update()
+    return {
+        "trained": {
+            name: {on: [found[policy, on] for policy in names] for on in settings.fidelities}
+            for name, names in trained.items()
+        },
+        "baselines": {name: {on: found[name, on] for on in settings.fidelities} for name in BASELINES},
+    }
+
+
+def _cell_of(folder: Path, settings: StudySettings, task: str, asked: dict[str, Any]) -> list[float]:
+    return cell(folder, settings, task, asked["policy"], asked["on"])
 
 
 def cell(folder: Path, settings: StudySettings, task: str, policy: str, fidelity: str) -> list[float]:
@@ -246,17 +304,16 @@ def cell(folder: Path, settings: StudySettings, task: str, policy: str, fidelity
     return returns
 
 
-def run_statistics(folder: Path, settings: StudySettings, progress: bool = True) -> dict[str, dict[str, Episodes]]:
+def run_statistics(
+    folder: Path, settings: StudySettings, progress: bool = True, runner: Runner | None = None
+) -> dict[str, dict[str, Episodes]]:
     """Long-run statistics, also under the first policy that was trained on exact for the first task."""
     task = settings.tasks[0]
     policies: dict[str, Policy] = {f"PPO on {task}": load_model(run_folder(folder, task, "exact", 0) / BEST)}
-    return run_long(folder / "longrun", policies, settings.long_episodes, progress, settings.scene)
+    return run_long(folder / "longrun", policies, settings.long_episodes, progress, settings.scene, runner)
 
 
-def _start(run: Path, settings: TrainSettings) -> subprocess.Popen[bytes]:
-    make_folder(run)
-    if not (run / SETTINGS).is_file():
-        describe(run, settings)
+def _start(run: Path) -> subprocess.Popen[bytes]:
     command = [sys.executable, str(TRAIN), "--resume", str(run), "--no-progress"]
     with (run / "log.txt").open("ab") as log:
         # in a session of its own: Ctrl-C reaches it once, from here
@@ -277,13 +334,6 @@ def _interrupt(processes: list[subprocess.Popen[bytes]]) -> None:
 def _heed_interrupts() -> None:
     """Heed interrupts in a new process. A shell makes background commands and their children ignore them."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
-
-
-def _ended(run: Path, process: subprocess.Popen[bytes]) -> bool:
-    status = process.poll()
-    if status is not None and not finished(run):
-        raise RuntimeError(f"training in {run} ended with status {status}; {run / 'log.txt'} says why")
-    return status is not None
 
 
 def _done(run: Path, total_steps: int) -> int:

@@ -27,6 +27,9 @@ class Arguments:
     """learning.json of a finished study: write its page again, train and run nothing."""
     processes: int = 2
     """Trainings side by side."""
+    address: str | None = None
+    """Train and run with Ray on a cluster: the address of its head, or auto on one of its machines. The study's folder
+    must be on a disk that all machines share. None: on this machine, without Ray."""
     out: Path | None = None
     """Folder of learning.md, learning.json and learning.png. None: the study's, or that of --page-from."""
     progress: bool = True
@@ -37,6 +40,7 @@ class Arguments:
 def main() -> None:
     """Parse, train, run, write."""
     arguments = tyro.cli(Arguments, description=__doc__)
+    from agents.on_ray import OnRay
     from agents.storage import held
     from jackbox_env.storage import remove_partials
     from scripts.studies.transfer import study
@@ -48,6 +52,7 @@ def main() -> None:
     given = [arguments.resume, arguments.page_from, arguments.folder]
     if len(given) - given.count(None) > 1 or (given[:2] != [None, None] and arguments.settings != StudySettings()):
         raise ValueError("--resume and --page-from use the settings of the study named: give no other settings")
+    runner = None if arguments.address is None else OnRay(address=arguments.address)
     if arguments.page_from is not None:
         print(write(read_data(arguments.page_from), arguments.out or arguments.page_from.parent))
         return
@@ -56,9 +61,10 @@ def main() -> None:
     with held(folder):
         remove_partials(folder, folder / "cells", folder / "longrun")
         try:
-            study.train_all(folder, settings, arguments.processes, arguments.progress)
-            results = {task: study.run_all(folder, settings, task, arguments.progress) for task in settings.tasks}
-            runs = study.run_statistics(folder, settings, arguments.progress)
+            study.train_all(folder, settings, arguments.processes, arguments.progress, runner)
+            shown = arguments.progress, runner
+            results = {task: study.run_all(folder, settings, task, *shown) for task in settings.tasks}
+            runs = study.run_statistics(folder, settings, *shown)
         except KeyboardInterrupt:
             print(f"\nInterrupted. Go on with: {SCRIPT} --resume {folder}", file=sys.stderr)
             raise

@@ -1,0 +1,1 @@
+"""What sweeps gain from more workers and machines: docs/scaling.md."""

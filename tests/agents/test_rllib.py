@@ -1,0 +1,35 @@
+"""RLlib on the native batch. It needs an environment of its own, because RLlib pins Gymnasium 1.2.2.
+
+``python scripts/recipes/run.py rllib`` makes that in ``runs/recipes/rllib``: 5 minutes, a package index, 2 GB. Then
+this takes a minute and three processes.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+ENVIRONMENT = Path(os.environ.get("JACKBOX_RLLIB", ROOT / "runs" / "recipes" / "rllib"))
+MISSING = f"RLLIB IS NOT TESTED: python scripts/recipes/run.py rllib makes {ENVIRONMENT}"
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.skipif(not (ENVIRONMENT / "ready").exists(), reason=MISSING)
+def test_rllib_trains_on_two_runners_that_each_step_one_native_batch() -> None:
+    command = [str(ENVIRONMENT / "bin" / "python"), "scripts/recipes/with_rllib.py", "--iterations", "4"]
+    env = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert "Stepping JackInBoxVectorEnv JackInBoxVectorEnv\n" in done.stdout
+    trained = re.findall(r"(\d+) steps, mean return (\S+)", done.stdout)
+    assert len(trained) == 4, done.stdout
+    assert int(trained[-1][0]) >= 16_000
+    returns = [float(mean) for _, mean in trained if mean not in ("None", "nan")]  # where an episode ended
+    assert len(returns) >= 2
+    assert all(0.0 < mean < 500.0 for mean in returns)
