@@ -118,13 +118,20 @@ def test_a_policy_is_written_read_and_held(tmp_path: Path) -> None:
     assert actions.shape == (6, 1)
     assert actions.dtype == np.float32
     np.testing.assert_array_equal(actions, LandingPolicy(SMALL, layers_for()).act(seen))
-    for number in range(6):
-        np.testing.assert_array_equal(policy.predict(seen[number])[0], actions[number])  # alone as beside others
     for _ in range(4):
         held, state = policy.predict(seen[::-1], state)
         np.testing.assert_array_equal(held, actions)
     np.testing.assert_array_equal(policy.predict(seen[::-1], state)[0], policy.act(seen[::-1].copy()))
     assert isinstance(find_policy(str(tmp_path), EnvSettings(), 0).policy, LandingPolicy)
+
+
+def test_what_pairs_are_worth_does_not_depend_on_the_jacks_beside() -> None:
+    policy, states = LandingPolicy(SMALL, layers_for(96)), starts(9)
+    times = landing_times(FREE, states)
+    together = policy.worth(states, times)
+    for number in range(9):
+        one = slice(number, number + 1)
+        np.testing.assert_array_equal(policy.worth(states[one], times[one])[0], together[number])
 
 
 def test_damage_and_misfits_are_told(tmp_path: Path) -> None:
