@@ -98,7 +98,7 @@ function drawFrame(pen, width, height, [low, high]) {
     pen.stroke();
     pen.globalAlpha = 1;
     pen.fillStyle = colours.soft;
-    if (place > 6 && place < height - 5) pen.fillText(labelOf(line, step, decimals), LEFT - 6, place);
+    pen.fillText(labelOf(line, step, decimals), LEFT - 6, Math.min(Math.max(place, 6), height - 6)); // none is cut
   }
   return y;
 }
