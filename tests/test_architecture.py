@@ -75,7 +75,7 @@ AGENTS = """
     value
     planner
     best evaluation exporting episodes zoo
-    training
+    training notes
     figures
 """
 
