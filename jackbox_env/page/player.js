@@ -174,7 +174,10 @@ function listen() {
   byId("before").addEventListener("click", () => jump(-1));
   byId("after").addEventListener("click", () => jump(1));
   slider.addEventListener("pointerdown", seek.begin);
-  slider.addEventListener("input", () => seek(Number(slider.value)));
+  slider.addEventListener("input", () => {
+    const value = Number(slider.value); // rounded by the browser
+    seek(value > END - 1e-9 * LASTS ? END : value);
+  });
   slider.addEventListener("change", seek.end);
   slider.addEventListener("pointerup", seek.end);
   document.addEventListener("keydown", (event) => {
