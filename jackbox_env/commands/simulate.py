@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from jackbox_env.simulators.fidelity import Setting
     from jackbox_env.trajectory import Trajectory
 
-_MOST_ON_PAGE = 200_000  # steps: some minutes of writing
-_PAGE_STEPS = 2_000  # of which a page is written in a second
+_MOST_ON_PAGE = 200_000  # steps: minutes of writing
+_PAGE_STEPS = 1_000  # written to a page in a second, some
 _SAID = 10.0  # [s] of writing a page that are announced
 
 

@@ -217,4 +217,4 @@ def test_options_of_one_time_none_and_scenes_without_names() -> None:
         with pytest.raises(TypeError, match=r"options\['scene'\] must have names of fields as its keys, got 1"):
             envs.reset(options={"scene": scene})
     with pytest.raises(TypeError, match="randomize must have names of fields as its keys, got 1"):
-        JackInBoxVectorEnv(2, randomize=lambda rng: {1: 2.0}).reset()
+        JackInBoxVectorEnv(2, randomize=lambda rng: {1: 2.0}).reset()  # type: ignore[dict-item]

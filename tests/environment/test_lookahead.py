@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium as gym
@@ -250,7 +251,9 @@ def test_actions_that_correct_a_plan_are_checked_and_clipped() -> None:
 
 def test_a_plan_is_not_followed_where_actions_are_no_torques() -> None:
     halved = gym.wrappers.RescaleAction(gym.make("JackInBox-v0"), np.float32(-2), np.float32(2))
-    made = [lambda: gym.wrappers.RescaleAction(gym.make("JackInBox-v0"), np.float32(-2), np.float32(2))]
+    made: list[Callable[[], gym.Env[Any, Any]]] = [
+        lambda: gym.wrappers.RescaleAction(gym.make("JackInBox-v0"), np.float32(-2), np.float32(2))
+    ]
     sentence = "follow needs actions that are torques, without an action wrapper inside, got"
     sync = gym.vector.SyncVectorEnv(made)
     outside = gym.wrappers.vector.ClipAction(JackInBoxVectorEnv(2))
