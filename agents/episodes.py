@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
+from itertools import chain, count
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -16,9 +18,19 @@ from jackbox_env import Scene
 from jackbox_env.report import model_facts, write_page
 from jackbox_env.trajectory import Recording, Trajectory
 
+_LONGEST = 80  # letters of a file's name
 
-def record_episode(act: Baseline, env_settings: dict[str, Any], seed: int) -> tuple[Trajectory, float]:
-    """Let a policy act from a start until the time limit; return what happened, and what it earned.
+
+class Episode(NamedTuple):
+    """What happened in an episode, in which scene, and what was earned."""
+
+    trajectory: Trajectory
+    scene: Scene
+    earned: float
+
+
+def record_episode(act: Baseline, env_settings: dict[str, Any], seed: int) -> Episode:
+    """Let a policy act from a start until the time limit.
 
     Args:
         act: the policy and what it needs of the environment.
@@ -31,6 +43,7 @@ def record_episode(act: Baseline, env_settings: dict[str, Any], seed: int) -> tu
     env = gym.make("JackInBox-v0", **{**env_settings, **act.env_settings})
     inner: Any = env.unwrapped
     observation, info = env.reset(seed=seed)
+    scene = inner.scene  # as it was drawn
     recording = Recording(info["state"], info["time"], driven=act.env_settings.get("torque") == "chirp")
     earned, memory, first, done = 0.0, None, True, False
     while not done:
@@ -39,23 +52,33 @@ def record_episode(act: Baseline, env_settings: dict[str, Any], seed: int) -> tu
         recording.add(info["state"], info["time"], info["torque"], inner.impacts)
         earned, first, done = earned + float(reward), False, terminated or truncated
     env.close()
-    return recording.trajectory(), earned
+    return Episode(recording.trajectory(), scene, earned)
 
 
 def page_of_episode(path: Path, name: str, act: Baseline, settings: EnvSettings, seed: int) -> float:
     """Write an episode of the policy of this name as a page to a new file, and return what it earned."""
-    trajectory, earned = record_episode(act, settings.env_settings, seed)
+    trajectory, scene, earned = record_episode(act, settings.env_settings, seed)
     facts = [*model_facts(settings.setting), ("policy", name), ("task", settings.task), ("return", f"{earned:.1f}")]
     title = f"{name} on {settings.task}, return {earned:.1f}"
-    scene = Scene.of(settings.scene_fields)
     write_page(path, scene, trajectory, title, facts)
     return earned
 
 
-def write_pages(folder: Path, acts: dict[str, Baseline], settings: EnvSettings, seed: int) -> dict[Path, float]:
+def page_names(names: Iterable[str]) -> dict[str, str]:
+    """A file's name for each of several policies: the end of a path, short, and no two alike in any file system."""
+    found = dict[str, str]()
+    for name in names:
+        stem = re.sub(r"[^A-Za-z0-9_.-]+", "_", Path(name).name)[:_LONGEST].strip("._-") or "policy"
+        tried = chain([stem], (f"{stem}-{number}" for number in count(2)))
+        taken = {other.lower() for other in found.values()}
+        found[name] = next(f"{one}.html" for one in tried if f"{one}.html".lower() not in taken)
+    return found
+
+
+def write_pages(folder: Path, acts: dict[str, Baseline], settings: EnvSettings, seed: int) -> dict[str, float]:
     """Write a page of an episode of each policy, from the first start that ``seed`` decides; say what each earned."""
-    start, earned = derived_seed("evaluation", seed), {}
-    for name, act in acts.items():
-        page = folder / (re.sub(r"[^\w.-]+", "_", name) + ".html")
-        earned[page] = page_of_episode(page, name, act, settings, start)
-    return earned
+    start = derived_seed("evaluation", seed)
+    return {
+        file: page_of_episode(folder / file, name, acts[name], settings, start)
+        for name, file in page_names(acts).items()
+    }

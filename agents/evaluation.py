@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy import stats
 from stable_baselines3.common.evaluation import evaluate_policy
 from tqdm import tqdm
 
@@ -35,9 +36,9 @@ class Returns:
 
     @property
     def half_width(self) -> float:
-        """Half width of the 95 % interval of the mean, 1.96 standard errors; infinite for a single episode."""
+        """Half width of Student's 95 % interval of the mean; infinite for a single episode."""
         count = len(self.returns)
-        return 1.96 * float(np.std(self.returns, ddof=1)) / math.sqrt(count) if count > 1 else math.inf
+        return float(stats.t.ppf(0.975, count - 1) * stats.sem(self.returns)) if count > 1 else math.inf
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -109,14 +110,19 @@ def _read(folder: Path) -> Policy:
 
 
 def _planner(settings: EnvSettings, scene: Scene, seed: int) -> Planner:
-    """The planner of an environment; its plans are shorter where a value was made for this very scene and task."""
+    """The planner of an environment; its plans are shorter where a value was made for this very scene and task.
+
+    Raises:
+        FileNotFoundError, ValueError: the value that comes with the repository is damaged.
+    """
     piece = max(1, round(DECISION / settings.control_dt))
     given: dict[str, Any] = {"piece": piece, "seed": seed}
     folder = SHIPPED / f"{settings.task}-value"
-    if (folder / VALUE).is_file():
+    if folder.is_dir():
         value = read_value(folder)
-        made = Scene.of(value.settings.scene_fields).changed(drive=None)
-        if (made, value.settings.control_dt) == (scene.changed(drive=None), settings.control_dt):
+        made = value.settings
+        made_for = made.task, made.control_dt, Scene.of(made.scene_fields).changed(drive=None)
+        if made_for == (settings.task, settings.control_dt, scene.changed(drive=None)):
             given |= {"pieces": VALUED_PIECES, "value": value}
     return Planner(scene, settings.task, settings.control_dt, **given)
 

@@ -16,7 +16,7 @@ import jackbox_env  # noqa: F401
 from agents.policies import Baseline
 from agents.settings import EPISODE_STEPS
 from jackbox_env.canvas import import_pygame
-from jackbox_env.storage import replacing
+from jackbox_env.storage import check_new, replacing
 
 Frame = NDArray[np.uint8]
 SUFFIXES = (".gif", ".mp4")
@@ -31,27 +31,31 @@ def check_film(path: Path) -> None:
         ValueError: another suffix than .gif and .mp4.
         FileNotFoundError: there is no such folder.
         FileExistsError: there is something at ``path``.
+        OSError: nothing can be written there.
         gymnasium.error.DependencyNotInstalled: pygame is missing.
     """
-    if path.suffix not in SUFFIXES:
+    if path.suffix.lower() not in SUFFIXES:
         raise ValueError(f"a film must be a .gif or .mp4 file, got {str(path)!r}")
     if not path.parent.is_dir():
         raise FileNotFoundError(f"{path.parent} is no folder to write {path.name} to")
     if path.exists():
         raise FileExistsError(f"{path} exists, and films are never overwritten: choose another file")
+    check_new(path, "films", "file")
     import_pygame()
 
 
 def film_episode(acts: dict[str, Baseline], env_settings: dict[str, Any], path: Path, seed: int) -> None:
-    """Film one whole episode of these policies, whose start ``seed`` decides; says where the film is.
+    """Film one whole episode of these policies, whose start ``seed`` decides; says where it is, and what each earned.
 
     Raises:
         FileExistsError: there is something at ``path``.
     """
     seconds = EPISODE_STEPS * float(env_settings.get("control_dt", 0.02))
     named = {Path(name).name: act for name, act in acts.items()}
-    film(named if len(named) == len(acts) else acts, env_settings, path, seed, seconds, WIDTH)
-    print(f"Film of {', '.join(acts)}: {path}")
+    earned = film(named if len(named) == len(acts) else acts, env_settings, path, seed, seconds, WIDTH)
+    print(f"Film of {', '.join(acts)}: {path}, one episode from the start of environment seed {seed}")
+    for name, one in zip(acts, earned.values(), strict=True):
+        print(f"  {name}: return {one:.1f}")
 
 
 def film(
@@ -62,8 +66,8 @@ def film(
     seconds: float = 10.0,
     width: int = WIDTH,
     progress: bool = True,
-) -> Path:
-    """Let each policy act from the same start and write their frames side by side.
+) -> dict[str, float]:
+    """Let each policy act from the same start and write their frames side by side; return what each earned.
 
     Args:
         acts: caption -> policy and what it needs of the environment.
@@ -89,23 +93,24 @@ def film(
     every = max(1, round(0.04 / control_dt))  # 25 frames per second
     frames = []
     steps = range(max(1, round(seconds / control_dt)))
-    for step in tqdm(steps, desc="film", disable=not progress, unit="step", leave=False):
-        if step % every == 0:
-            pictures = [
-                _captioned(environments[caption].render(), f"{caption}: {earned[caption]:.0f}", width)
-                for caption in acts
-            ]
-            frames.append(np.concatenate(pictures, axis=1))
-        for caption, act in acts.items():
-            action, states[caption] = act.policy.predict(
-                observations[caption], states[caption], np.array([step == 0]), deterministic=True
-            )
-            observations[caption], reward, *_ = environments[caption].step(action)
-            earned[caption] += float(reward)
+    with tqdm(steps, desc="film", disable=not progress, unit="step", leave=False) as bar:
+        for step in bar:
+            if step % every == 0:
+                pictures = [
+                    _captioned(environments[caption].render(), f"{caption}: {earned[caption]:.0f}", width)
+                    for caption in acts
+                ]
+                frames.append(np.concatenate(pictures, axis=1))
+            for caption, act in acts.items():
+                action, states[caption] = act.policy.predict(
+                    observations[caption], states[caption], np.array([step == 0]), deterministic=True
+                )
+                observations[caption], reward, *_ = environments[caption].step(action)
+                earned[caption] += float(reward)
     for environment in environments.values():
         environment.close()
     _write(frames, path, fps=1.0 / (every * control_dt))
-    return path
+    return earned
 
 
 def _captioned(picture: Any, caption: str, width: int) -> Frame:
@@ -119,7 +124,7 @@ def _captioned(picture: Any, caption: str, width: int) -> Frame:
 
 
 def _write(frames: list[Frame], path: Path, fps: float) -> None:
-    if path.suffix == ".gif":
+    if path.suffix.lower() == ".gif":
         # One palette for all frames keeps the background still and the file small.
         palette = _palette(np.concatenate(frames[:: max(1, len(frames) // 24)]).reshape(-1, 3))
         pages = [Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]

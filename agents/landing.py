@@ -18,7 +18,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -210,8 +210,6 @@ def read_landing(folder: Path) -> LandingPolicy:
     try:
         if path.stat().st_size > _LARGEST:
             raise ValueError(f"{LANDING} must be at most {_LARGEST:,} bytes, got {path.stat().st_size:,}")
-        given = json.loads(path.read_bytes())
-        check.known_keys("settings", given, [part.name for part in fields(LandingSettings)])
-        return LandingPolicy(LandingSettings(**given), read_layers(folder))
+        return LandingPolicy(LandingSettings.of(json.loads(path.read_bytes())), read_layers(folder))
     except Exception as error:
         raise ValueError(f"{folder} holds no policy of landings: {error}") from error

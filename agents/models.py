@@ -96,6 +96,17 @@ def run_folder(file: Path) -> Path | None:
     return next((folder for folder in folders if (folder / SETTINGS).is_file()), None)
 
 
+def _unpickled(file: Path) -> HoldingPPO:
+    try:
+        return HoldingPPO.load(file, device="cpu")
+    except Exception as error:
+        raise ValueError(f"{file} is no model of Stable-Baselines3: {_first_line(error)}") from error
+
+
+def _first_line(error: Exception) -> str:
+    return next(iter(str(error).splitlines()), type(error).__name__)
+
+
 def load_model(path: Path, trust: bool = False) -> HoldingPPO:
     """Load a run folder's best model (else its last), or the model file in a run folder.
 
@@ -117,9 +128,11 @@ def load_model(path: Path, trust: bool = False) -> HoldingPPO:
         file = _best_or_last(path)
     if not file.is_file():
         raise FileNotFoundError(f"{path} holds no model: best_model.zip or model.zip was looked for")
+    if file.suffix == ".npz":
+        raise ValueError(f"{file} holds weights alone: give its folder, {file.parent}")
     folder = run_folder(file)
     if folder is None and trust:
-        return HoldingPPO.load(file, device="cpu")
+        return _unpickled(file)
     if folder is None:
         raise FileNotFoundError(
             f"{file} has no {SETTINGS} beside it to rebuild the model from; if you trust its author, use --trust"

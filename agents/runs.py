@@ -26,7 +26,7 @@ from pathlib import Path
 from agents.settings import TrainSettings
 from jackbox_env.storage import write_json
 
-SETTINGS, EVALUATIONS, TIME = "settings.json", "evaluations.npz", "time.json"
+SETTINGS, RUN, EVALUATIONS, TIME = "settings.json", "run.json", "evaluations.npz", "time.json"
 _LARGEST_SETTINGS = 1_000_000  # [bytes]
 PACKAGES = ("jackbox", "gymnasium", "numpy", "pymunk", "stable-baselines3", "torch")
 
@@ -59,7 +59,7 @@ def describe(folder: Path, settings: TrainSettings) -> None:
     """Write down what the run is made from."""
     started = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
     record = {"command": sys.argv, "seed": settings.seed, "started": started, "machine": machine()}
-    write_json(folder / "run.json", {**record, "versions": versions()})
+    write_json(folder / RUN, {**record, "versions": versions()})
     write_json(folder / SETTINGS, dataclasses.asdict(settings))  # last: what has settings is a run folder
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal, Self, cast
 
 import gymnasium as gym
 
@@ -58,6 +58,20 @@ class EnvSettings:
         Scene.of(self.scene_fields)
         resolve(self.fidelity, self.contact, self.substeps)
         check.known_keys("randomize", self.randomized, NUMBERS)
+
+    @classmethod
+    def of(cls, values: Any) -> Self:
+        """Make settings from what a file's JSON holds.
+
+        Raises:
+            TypeError, ValueError: it is no dict, has an unknown key, or a setting is out of its range.
+        """
+        if not isinstance(values, dict):
+            raise TypeError(f"settings must be a JSON object, got {check.shown(values)}")
+        check.known_keys("settings", values, [field.name for field in fields(cls)])
+        if isinstance(values.get("hidden_units"), list):
+            values = {**values, "hidden_units": tuple(values["hidden_units"])}
+        return cls(**values)
 
     @property
     def scene_fields(self) -> dict[str, Any]:
@@ -172,10 +186,8 @@ class TrainSettings(EnvSettings):
         shown = [name for name in PREVIEW_READS if name in self.randomized]
         if self.preview and shown:
             raise ValueError(f"preview must be off where {' and '.join(shown)} varies: it is computed for one scene")
-        if self.lookahead:
-            check.whole("lookahead", self.lookahead, at_least=8, at_most=MOST_FUTURES)
-        else:
-            check.whole("lookahead", self.lookahead, at_least=0)
+        if check.whole("lookahead", self.lookahead, at_least=0, at_most=MOST_FUTURES) in range(1, 8):
+            raise ValueError(f"lookahead must be 0 or from 8 to {MOST_FUTURES}, got {self.lookahead}")
         check.real("learning_rate", self.learning_rate, above=0.0)
         check.real("clip_range", self.clip_range, above=0.0)
         check.real("gamma", self.gamma, at_least=0.0, at_most=1.0)
@@ -209,20 +221,6 @@ class TrainSettings(EnvSettings):
                 f"hidden_units must make a network of at most {MOST_WEIGHTS:,} weights, got "
                 f"{check.shown(self.hidden_units)}"
             )
-
-    @classmethod
-    def of(cls, values: Any) -> TrainSettings:
-        """Make settings from what a run folder's JSON holds.
-
-        Raises:
-            TypeError, ValueError: it is no dict, has an unknown key, or a setting is out of its range.
-        """
-        if not isinstance(values, dict):
-            raise TypeError(f"settings must be a JSON object, got {check.shown(values)}")
-        check.known_keys("settings", values, [field.name for field in fields(cls)])
-        if isinstance(values.get("hidden_units"), list):
-            values = {**values, "hidden_units": tuple(values["hidden_units"])}
-        return cls(**values)
 
 
 # What `make demo` trains by: about 3 minutes of one core, nearly all of them in the networks.

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import torch
 from stable_baselines3 import PPO
-from stable_baselines3.common.callbacks import BaseCallback, CallbackList
+from stable_baselines3.common.callbacks import BaseCallback, CallbackList, ProgressBarCallback
 from stable_baselines3.common.logger import configure
 
 from agents.best import KeepBest, best_mean, read_evaluations
@@ -22,7 +24,8 @@ from agents.checkpoints import (
     model_file,
 )
 from agents.models import derived_seed, holding, make_ppo, make_vec_env
-from agents.runs import TIME, describe, read_settings
+from agents.network import WEIGHTS
+from agents.runs import SETTINGS, TIME, describe, read_settings
 from agents.settings import TrainSettings
 from agents.storage import held
 from agents.timing import Spent, TimedVecEnv, told
@@ -49,17 +52,22 @@ def train(settings: TrainSettings, folder: Path, progress: bool = True) -> PPO:
     files. What is damaged all the same is skipped, and standard error says so.
 
     Raises:
-        FileExistsError: the run is finished.
+        FileExistsError: the run is finished, or the folder is that of an exported policy.
         FolderInUseError: another process trains in the folder.
         OSError: the folder cannot be written to, or its disk has no room for the checkpoints.
         ValueError: the checkpoint was made by other settings.
     """
+    if (folder / WEIGHTS).exists():
+        raise FileExistsError(f"{folder} holds an exported policy, which cannot be trained on: choose another folder")
     with held(folder):
         remove_partials(folder, folder / CHECKPOINTS)
         evaluations = read_evaluations(folder, settings.eval_episodes)
         best = best_mean(folder, settings, evaluations)
         if is_whole(folder / MODEL):
-            raise FileExistsError(f"{folder} is finished: it has a {MODEL}, and runs are never overwritten")
+            raise FileExistsError(
+                f"{folder} is finished: it has a {MODEL}, and runs are never overwritten. To train on from the last "
+                f"checkpoint, raise total_steps in its {SETTINGS} and move {MODEL} away"
+            )
         resumed = _where_it_was(folder)
         done = resumed.steps if resumed else 0
         model, spent = _model(settings, resumed)
@@ -71,21 +79,32 @@ def train(settings: TrainSettings, folder: Path, progress: bool = True) -> PPO:
         callbacks.append(spent)
         if settings.max_minutes is not None:
             callbacks.append(Deadline(settings.max_minutes))
-        try:
-            model.learn(
-                max(0, settings.total_steps - done),
-                callback=CallbackList(callbacks),
-                reset_num_timesteps=False,
-                progress_bar=progress,
-            )
-        except KeyboardInterrupt:
-            checkpoint.keep()
-            raise
+        with _bar(progress) as shown:
+            try:
+                model.learn(
+                    max(0, settings.total_steps - done),
+                    callback=CallbackList([*callbacks, *shown]),
+                    reset_num_timesteps=False,
+                )
+            except KeyboardInterrupt:
+                checkpoint.keep()
+                raise
         record = spent.record()
         write_json(folder / TIME, record)
         write_bytes(folder / MODEL, model_file(model))  # last: what has it is finished
         print(told(record))
         return model
+
+
+@contextmanager
+def _bar(progress: bool) -> Iterator[list[BaseCallback]]:
+    """A progress bar, if it is wanted, that ends with the block: an error too is told on a line of its own."""
+    bar = ProgressBarCallback() if progress else None
+    try:
+        yield [bar] if bar else []
+    finally:
+        if bar and hasattr(bar, "pbar"):  # it has one from the training's start on
+            bar.pbar.close()
 
 
 def trained_in(folder: Path, settings: TrainSettings, progress: bool = True) -> None:

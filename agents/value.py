@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +23,7 @@ from agents.network import WEIGHTS, Layer, read_layers, write_layers
 from agents.observing import observations
 from agents.preview import FEATURES, flight_of, preview
 from agents.settings import EnvSettings
-from jackbox_env import Scene
-from jackbox_env import _validation as check
+from jackbox_env import JackInBoxEnv, Scene
 from jackbox_env.observation import BOUNDS
 from jackbox_env.plans import Search
 from jackbox_env.states import Array
@@ -111,8 +109,8 @@ def read_value(folder: Path) -> Value:
     try:
         if path.stat().st_size > _LARGEST:
             raise ValueError(f"{VALUE} must be at most {_LARGEST:,} bytes, got {path.stat().st_size:,}")
-        given = json.loads(path.read_bytes())
-        check.known_keys("settings", given, [part.name for part in fields(EnvSettings)])
-        return Value(EnvSettings(**given), read_layers(folder))
+        settings = EnvSettings.of(json.loads(path.read_bytes()))
+        JackInBoxEnv(**settings.env_settings).close()  # refuses what settings leave to the environment
+        return Value(settings, read_layers(folder))
     except Exception as error:
         raise ValueError(f"{folder} holds no value: {error}") from error

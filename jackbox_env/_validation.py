@@ -178,6 +178,17 @@ def known_keys(name: str, given: Iterable[Any], allowed: Iterable[str]) -> None:
             raise ValueError(f"{name} takes only {listed}, got {shown(key)}{closest(key, names)}")
 
 
+def names(name: str, given: Iterable[Any]) -> None:
+    """Refuse keys that are no names, which Python cannot pass on as keywords.
+
+    Raises:
+        TypeError: there is such a key.
+    """
+    for key in given:
+        if not isinstance(key, str):
+            raise TypeError(f"{name} must have names of fields as its keys, got {shown(key)}")
+
+
 def closest(key: Any, names: Iterable[str]) -> str:
     """`` (did you mean ...?)`` where one of the names resembles the key."""
     found = difflib.get_close_matches(key, list(names), n=1) if isinstance(key, str) and len(key) < 80 else []

@@ -55,7 +55,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     `step(None)` applies the scene's own drive instead. By default that is a chirp: a sine of 90000 N m whose frequency
     grows from 0.5 Hz by 0.9 Hz per second, continuous in time. Action wrappers, Gymnasium's vector environments and
     Stable-Baselines3 cannot pass None: make the environment with `torque="chirp"` there, and the drive acts whatever
-    the action. An action replaces the drive's torque only; the side forces of a `Drive` always act.
+    the action. An action replaces the drive's torque. The drive's side forces act in any case.
 
     ## Observation Space
 
@@ -119,9 +119,10 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     | `render_size`    | `(512, 512)` | width and height of a frame [pixels], each from 16 to 4096                     |
     | `render_overlay` | `True`       | False: a frame shows box, jack and ruled lines alone, for learning from pixels |
 
-    `reset` takes `options={"state": numbers, "time": seconds}`: exactly that state, shape (12,), every foot inside to
-    1e-9 m (4 units in the last place of a far-off position), and that time. `env.unwrapped.set_state(state, time)` goes
-    on from any state that `info` ever held, also one in contact. `env.unwrapped.observation` is its observation.
+    `reset(options={"state": ..., "time": ...})` starts from exactly these 12 numbers at that time. Every foot must be
+    inside, up to 1e-9 m. (Far from the origin, where float64 is coarser, up to 4 units in the last place.)
+    `env.unwrapped.set_state(state, time)` goes on from any state that `info` ever held, also one in contact.
+    `env.unwrapped.observation` is its observation.
 
     ## Other Scenes
 
@@ -189,7 +190,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     ) -> None:
         self.contact, self._substeps = resolve(fidelity, contact, substeps)
         self.control_dt = check.real("control_dt", control_dt, above=0.0)
-        self._torque_source = check.choice("torque", torque, ("agent", "chirp"))
+        self.torque_source = check.choice("torque", torque, ("agent", "chirp"))
         if render_mode is not None:
             check.choice("render_mode", render_mode, self.metadata["render_modes"])
         size = check.size("render_size", render_size, at_least=16, at_most=4096)
@@ -282,7 +283,8 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
             )
         given = dict(options or {})
         check.known_keys("options", given, ("state", "time", "scene"))
-        time = check.real("options['time']", given.get("time", 0.0), at_least=-LATEST_TIME, at_most=LATEST_TIME)
+        time = 0.0 if given.get("time") is None else given["time"]
+        time = check.real("options['time']", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
         scene, generator = self._next_scene(seed, given.get("scene"))
         state = None if given.get("state") is None else as_start(scene, given["state"])
         parts = self._parts if scene == self.scene else self._made(scene)
@@ -302,6 +304,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         """The scene of the next episode, and the generator after it was drawn; None if nothing is drawn."""
         if changes is not None and not isinstance(changes, Mapping):
             raise TypeError(f"options['scene'] must be a dict of the scene's fields, got {check.shown(changes)}")
+        check.names("options['scene']", changes or {})
         if self._randomize is None:
             return (self.scene if changes is None else self._own.changed(**changes)), None
         generator = copy.deepcopy(self.np_random) if seed is None else np_random(seed)[0]
@@ -330,7 +333,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
                 was.
         """
         torque = None
-        if action is not None and self._torque_source == "agent":
+        if action is not None and self.torque_source == "agent":
             torque = self._torque_of(action)
         simulator, score = self._parts
         before = None if self._fails_never else (simulator.state, simulator.time)

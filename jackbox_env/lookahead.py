@@ -10,7 +10,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
+from gymnasium.vector import AutoresetMode, VectorActionWrapper, VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
 
 from jackbox_env import _validation as check
@@ -18,7 +18,7 @@ from jackbox_env.futures import Carried, Flags, Floats, Futures
 from jackbox_env.states import Array
 
 
-class Lookahead(gym.Wrapper[Any, Any, Any, Any]):
+class Lookahead(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
     """Observe ``JackInBox-v0`` together with what futures of its present state bring.
 
     A step takes one action for ``hold`` control steps and returns the sum of their rewards. Beside the ten numbers an
@@ -45,7 +45,8 @@ class Lookahead(gym.Wrapper[Any, Any, Any, Any]):
         turns: scripted futures, an odd number, or 0 for none.
         samples: variations of the plan that are tried in each step, 8 or more, or 0 for no plan.
         pieces: torques of a future, each held for ``hold`` control steps; 8 or more. 32 times 5 steps are 3.2 s.
-        follow: True: an action is added to the plan's next torque, so an agent that says 0 follows the plan.
+        follow: True: an action is added to the plan's next torque, so an agent that says 0 follows the plan. It needs
+            an environment that takes actions as torques: no action wrapper inside, and ``torque="agent"``.
         seed: of the variations.
         num_threads: that play the futures; None: as many as the machine has. Nothing else depends on it.
 
@@ -57,10 +58,16 @@ class Lookahead(gym.Wrapper[Any, Any, Any, Any]):
         self, env: gym.Env[Any, Any], *, hold: int = 5, turns: int = 9, samples: int = 32, pieces: int = 32,
         follow: bool = False, seed: int = 0, num_threads: int | None = 1,
     ) -> None:  # fmt: skip
-        super().__init__(env)
+        gym.utils.RecordConstructorArgs.__init__(
+            self, hold=hold, turns=turns, samples=samples, pieces=pieces, follow=follow, seed=seed,
+            num_threads=num_threads,
+        )  # fmt: skip
+        gym.Wrapper.__init__(self, env)
         inner: Any = env.unwrapped
         if not hasattr(inner, "scene"):
             raise TypeError(f"looking ahead needs JackInBox-v0, got {check.shown(env)}")
+        if follow is True:
+            refuse_other_torques([inner.torque_source], changed_actions(env))
         self.futures = Futures(
             inner.task, inner.control_dt, hold=hold, turns=turns, samples=samples, pieces=pieces, follow=follow,
             seed=seed, num_threads=num_threads,
@@ -124,6 +131,8 @@ class LookaheadVector(VectorWrapper):
         if not self._same_step and hold != 1:
             raise ValueError(f"hold must be 1 where autoreset_mode is not SAME_STEP, got {check.shown(hold)}")
         task, control_dt = only_one("task", self._of_each("task")), only_one("control_dt", self._of_each("control_dt"))
+        if follow is True:
+            refuse_other_torques(self._of_each("torque_source"), _changed_actions_of_several(env))
         futures = Futures(
             task, control_dt, hold=hold, turns=turns, samples=samples,
             pieces=pieces, follow=follow, seed=seed, num_threads=num_threads,
@@ -188,6 +197,39 @@ def only_one(name: str, found: list[Any]) -> Any:
     if any(value is not found[0] and value != found[0] for value in found):
         raise ValueError(f"all environments must have one {name}, got {check.shown(found)}")
     return found[0]
+
+
+def changed_actions(env: Any) -> str:
+    """The first wrapper around an environment, single or of several, that changes actions; "" if there is none."""
+    while isinstance(env, gym.Wrapper | VectorWrapper):
+        if isinstance(env, gym.ActionWrapper | VectorActionWrapper):
+            return type(env).__name__
+        env = env.env
+    return ""
+
+
+def _changed_actions_of_several(env: VectorEnv[Any, Any, Any]) -> str:
+    inner: Any = env.unwrapped
+    found = [changed_actions(one) for one in (env, *getattr(inner, "envs", ()))]
+    if not any(found) and inner.single_action_space != gym.spaces.Box(-1.0, 1.0, (1,)):  # in other processes
+        found.append(f"one that acts in {inner.single_action_space}")
+    return next(filter(None, found), "")
+
+
+def refuse_other_torques(sources: list[str], wrapper: str) -> None:
+    """Refuse to follow plans in environments where an action is not the torque.
+
+    Args:
+        sources: of their torque.
+        wrapper: that changes actions; "": none.
+
+    Raises:
+        ValueError: one is driven by the chirp, or there is a wrapper.
+    """
+    if "chirp" in sources:
+        raise ValueError('follow needs an environment with torque="agent", for it steers, got torque="chirp"')
+    if wrapper:
+        raise ValueError(f"follow needs actions that are torques, without an action wrapper inside, got {wrapper}")
 
 
 def refuse_early_end(over: Flags, taken: int, hold: int) -> None:

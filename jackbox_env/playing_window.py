@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -24,6 +25,8 @@ _PALE: Colour = (112, 122, 138)
 _BLUE: Colour = (31, 90, 180)
 _RED: Colour = (190, 30, 36)
 _WHITE: Colour = (255, 255, 255)
+_DRIVERS = ("SDL_VIDEODRIVER", "SDL_VIDEO_DRIVER")  # variables that name SDL's driver
+_UNSEEN = ("offscreen", "dummy", "evdev")  # drivers whose windows nobody sees
 NO_AGENT = "P needs a checkout of the project"
 LOADING = "loading the trained agent ..."
 
@@ -117,6 +120,24 @@ class Game:
         return None if self.chirp else np.zeros(1, dtype=np.float32)
 
 
+def open_display(pygame: Any) -> None:
+    """Let pygame open the display.
+
+    Raises:
+        RuntimeError: there is none. SDL then shows its windows to nobody, unless its variable asks for just that.
+    """
+    asked = next(filter(None, map(os.environ.get, _DRIVERS)), None)
+    try:
+        pygame.display.init()
+        driver = pygame.display.get_driver()
+    except pygame.error as error:
+        how = f"SDL_VIDEODRIVER={asked} gives none" if asked else "start this on a desktop"
+        raise RuntimeError(f"there is no display to play on: {how} ({error})") from error
+    if driver in _UNSEEN and not asked:
+        pygame.display.quit()
+        raise RuntimeError(f"there is no display to play on: start this on a desktop (SDL offers only {driver!r})")
+
+
 class Window:
     """Shows a game and obeys the keys.
 
@@ -126,13 +147,14 @@ class Window:
 
     Raises:
         gymnasium.error.DependencyNotInstalled: pygame is missing.
+        RuntimeError: there is no display.
     """
 
     def __init__(self, game: Game, trained: Callable[[], Predicts] | None = None) -> None:
         self.pygame = import_pygame()
         self.game, self.open, self.note = game, True, ""
         self._trained, self._held = trained, set[int]()
-        self.pygame.display.init()
+        open_display(self.pygame)
         self.pygame.font.init()
         self._screen = self.pygame.display.set_mode((SIZE + PANEL, SIZE))
         self.pygame.display.set_caption("Jack in a box")
@@ -298,6 +320,7 @@ def play(
 
     Raises:
         gymnasium.error.DependencyNotInstalled: pygame is missing.
+        RuntimeError: there is no display.
     """
     window = Window(Game(env, seed, chirp), trained)
     clock = window.pygame.time.Clock()

@@ -25,7 +25,7 @@ from jackbox_env.storage import new_file
 from jackbox_env.trajectory import Trajectory
 
 WALLS = ("right", "top", "left", "bottom")  # of the box, while it is level
-_MOST_IMPACTS = 2000  # in the page's list: more would make a heavy page that nobody reads
+_MOST_LISTED = 2000  # impacts in the page's table: more would make a heavy page that nobody reads
 
 Facts = list[tuple[str, str]]  # what to call a fact, and its value with its unit
 
@@ -70,10 +70,16 @@ def _described(scene: Scene, trajectory: Trajectory, shown: Samples, title: str,
         "held": not trajectory.driven,
         "walls": WALLS,
         "columns": ["time", *STATE_NAMES, "torque", "energy", "work"],
-        "samples": base64.b64encode(columns.astype("<f8").tobytes()).decode(),
-        "impacts": trajectory.impacts[:_MOST_IMPACTS],
-        "impactCount": len(trajectory.impacts),
+        "samples": _packed(columns, "<f8"),
+        "listed": _MOST_LISTED,
+        "impacts": _packed([hit.time for hit in trajectory.impacts], "<f8"),
+        "impulses": _packed([hit.impulse for hit in trajectory.impacts], "<f8"),
+        "meetings": _packed([4 * hit.wall + hit.foot for hit in trajectory.impacts], "u1"),  # of a wall and a foot
     }
+
+
+def _packed(numbers: Any, kind: str) -> str:
+    return base64.b64encode(np.asarray(numbers).astype(kind).tobytes()).decode()
 
 
 def _notes(scene: Scene, trajectory: Trajectory, shown: Samples) -> list[str]:
@@ -81,10 +87,11 @@ def _notes(scene: Scene, trajectory: Trajectory, shown: Samples) -> list[str]:
     notes = []
     if shown.every > 1:
         notes.append(f"One of {shown.every} stored states is shown, and each impact.")
-    if len(trajectory.impacts) > _MOST_IMPACTS:
-        notes.append(f"The first {_MOST_IMPACTS:,} of {len(trajectory.impacts):,} impacts are listed.")
+    if len(trajectory.impacts) > _MOST_LISTED:
+        listed = f"{_MOST_LISTED:,} of {len(trajectory.impacts):,} impacts"
+        notes.append(f"The table lists the first {listed}; the animation and the plots show all.")
     if not scene.elastic and trajectory.impacts:
-        notes.append("A foot that rests on a wall is recorded as an impact in each step.")
+        notes.append("A foot that rests on a wall is recorded as an impact in each step, by pymunk in each substep.")
     if trajectory.failure:
         notes.append(f"It ended early: {trajectory.failure}.")
     return notes

@@ -227,6 +227,7 @@ class EnvView:
         self.observation_space, self.action_space = vector_env.single_observation_space, vector_env.single_action_space
         self.render_mode, self.metadata = vector_env.render_mode, vector_env.metadata
         self.task, self.control_dt = vector_env.task, vector_env.control_dt
+        self.torque_source = vector_env.torque_source
 
     @property
     def unwrapped(self) -> EnvView:

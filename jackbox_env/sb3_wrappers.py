@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env import _validation as check
 from jackbox_env.futures import Carried, Futures
-from jackbox_env.lookahead import only_one, refuse_early_end
+from jackbox_env.lookahead import only_one, refuse_early_end, refuse_other_torques
 
 try:
     from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
@@ -82,6 +83,9 @@ class LookaheadVecEnv(HoldingVecEnv):
             task, control_dt = (only_one(name, venv.get_attr(name)) for name in ("task", "control_dt"))
         except AttributeError as error:
             raise TypeError(f"looking ahead needs JackInBox-v0, got {check.shown(venv)}") from error
+        if follow is True:
+            wrapper = "an action wrapper" * any(venv.env_is_wrapped(gym.ActionWrapper))
+            refuse_other_torques(venv.get_attr("torque_source"), wrapper)
         super().__init__(venv, hold)
         futures = Futures(
             task, control_dt, hold=hold, turns=turns, samples=samples, pieces=pieces, follow=follow, seed=seed,

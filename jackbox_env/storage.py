@@ -75,13 +75,19 @@ def make_folder(path: Path) -> None:
 
 
 def make_filled_folder(path: Path, fill: Callable[[Path], None]) -> None:
-    """Make a folder together with what ``fill`` writes into it, in one stroke."""
+    """Make a folder together with what ``fill`` writes into it, in one stroke.
+
+    Raises:
+        FileExistsError: somebody else has made it meanwhile.
+    """
     make_folder(path.parent)
     making = path.with_name(f".{path.name}.{os.getpid()}.partial")
     shutil.rmtree(making, ignore_errors=True)  # of a killed process that had the same number
     try:
         making.mkdir()
         fill(making)
+        if path.exists():
+            raise FileExistsError(f"{path} has been made by somebody else meanwhile: choose another folder")
         making.rename(path)
     except BaseException:
         shutil.rmtree(making, ignore_errors=True)
@@ -97,15 +103,17 @@ def new_folder(path: Path | None, kind: str, fill: Callable[[Path], None] = _not
     """Make a run folder together with what ``fill`` writes into it; None: ``runs/<kind>-<date>-<time>``.
 
     Raises:
-        FileExistsError: there is something at ``path`` already.
+        OSError: as :func:`check_new`.
     """
-    if path is None:
-        stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
-        path = Path("runs") / f"{kind}-{stamp}"
-    if path.exists():
-        raise FileExistsError(f"{path} exists, and runs are never overwritten: choose another folder")
+    path = path or stamped(kind)
+    check_new(path)
     make_filled_folder(path, fill)
     return path
+
+
+def stamped(kind: str) -> Path:
+    """The folder ``runs/<kind>-<date>-<time>`` of this second."""
+    return Path("runs") / f"{kind}-{datetime.datetime.now():%Y%m%d-%H%M%S}"
 
 
 def remove_partials(*folders: Path) -> None:
@@ -146,3 +154,29 @@ def check_writable(folder: Path, room: int = 0) -> None:
         raise OSError(
             f"{folder} must have {room / 1e6:,.0f} MB free for what will be written, got {free / 1e6:,.0f} MB"
         )
+
+
+def check_new(path: Path, what: str = "runs", place: str = "folder") -> None:
+    """Try whether something new can be made at ``path``, together with the folders above it that are missing.
+
+    Args:
+        path: of the new file or folder.
+        what: is never overwritten, in the plural.
+        place: "file" or "folder": of what another one is to be chosen.
+
+    Raises:
+        FileExistsError: there is something at ``path``.
+        OSError: nothing can be made there.
+    """
+    try:
+        path.lstat()
+    except (FileNotFoundError, NotADirectoryError):
+        pass
+    except OSError as error:
+        raise OSError(f"{path} cannot be made: {error.strerror}") from error
+    else:
+        raise FileExistsError(f"{path} exists, and {what} are never overwritten: choose another {place}")
+    above = next(folder for folder in path.absolute().parents if os.path.lexists(folder))
+    if not above.is_dir():
+        raise NotADirectoryError(f"{path} cannot be made: {above} is no folder")
+    check_writable(above)

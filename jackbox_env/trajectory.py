@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import importlib
 from collections.abc import Iterable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -79,23 +80,23 @@ class Recording:
 def simulate(simulator: Simulator, seconds: float, dt: float, progress: bool = True) -> Trajectory:
     """Step under the scene's drive for ``seconds`` in steps of ``dt`` [s]; a jack that leaves the box ends it early."""
     recording = Recording(simulator.state, simulator.time)
-    steps: Iterable[int] = range(max(1, round(seconds / dt)))
-    for _ in _with_bar(steps) if progress else steps:
-        try:
-            simulator.step(dt)
-        except JackLostError as error:
-            return recording.trajectory(str(error))
-        recording.add(simulator.state, simulator.time, simulator.torque, simulator.impacts)
+    with _bar(range(max(1, round(seconds / dt))), progress) as steps:
+        for _ in steps:
+            try:
+                simulator.step(dt)
+            except JackLostError as error:
+                return recording.trajectory(str(error))
+            recording.add(simulator.state, simulator.time, simulator.torque, simulator.impacts)
     return recording.trajectory()
 
 
-def _with_bar(steps: Iterable[int]) -> Iterable[int]:
-    """The steps, with a progress bar where tqdm is installed."""
+def _bar(steps: Iterable[int], progress: bool) -> AbstractContextManager[Iterable[int]]:
+    """The steps, with a progress bar where tqdm is installed; at the block's end, by an error too, it is wiped off."""
     try:
         tqdm: Any = importlib.import_module("tqdm").tqdm
     except ImportError:
-        return steps
-    bar: Iterable[int] = tqdm(steps, unit="step", leave=False)
+        return nullcontext(steps)
+    bar: AbstractContextManager[Iterable[int]] = tqdm(steps, unit="step", leave=False, disable=not progress)
     return bar
 
 

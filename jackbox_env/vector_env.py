@@ -138,7 +138,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         drawn = None if randomize is None else Randomization(randomize, scenes, single._simulator_of)
         np.empty(self.num_envs * _ROOM[single.contact], dtype=np.uint8)  # MemoryError now, not after hours of making
         self.task, self.render_mode, self.control_dt = task, render_mode, single.control_dt
-        self._driven = torque == "chirp"
+        self.torque_source = single.torque_source
         self.metadata = {**single.metadata, "autoreset_mode": self.autoreset_mode}
         self.single_observation_space, self.single_action_space = single.observation_space, single.action_space
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
@@ -258,7 +258,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
             chosen = self._given.mask("options['reset_mask']", given["reset_mask"])
             if not chosen.any():
                 raise ValueError("options['reset_mask'] must choose at least one environment, got none")
-        times = self._given.times("options['time']", given.get("time", 0.0), chosen)
+        times = self._given.times("options['time']", 0.0 if given.get("time") is None else given["time"], chosen)
         states = None
         if given.get("state") is not None:
             states = self._given.states("options['state']", given["state"], chosen, as_start)
@@ -303,7 +303,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
             raise RuntimeError("step must come after a reset of all environments, got none yet")
         given = None if actions is None else self._given.actions(actions)
         waiting = self._waiting() if book.waiting else None
-        outcome = self._batch.step(None if self._driven else given)
+        outcome = self._batch.step(None if self.torque_source == "chirp" else given)
         infos: Infos = {}
         if waiting is not None:
             self._restart(waiting, outcome)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import sys
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from agents.settings import EnvSettings
 from jackbox_env.commands.common import command_line, tyro
+
+if TYPE_CHECKING:
+    from agents.policies import Baseline
 
 
 @dataclass(frozen=True)
@@ -18,7 +20,7 @@ class Arguments:
     settings: Annotated[EnvSettings, tyro.conf.arg(name="")]
     policy: tuple[str, ...] = ("random", "chirp", "zero", "level")
     """random: uniform torques; chirp: the scene's drive; zero: no torque; level: a PD law that holds the box level;
-    planner: plays many torques ahead by the exact model, 1 to 2 s of computing for each episode; ppo: the network of
+    planner: plays many torques ahead by the exact model, 10 to 20 ms for each decision of 0.1 s; ppo: the network of
     the task in agents/trained; distilled, on juggle: judges by a network there what one bounce leads to; or run
     folders, exported policies or model files. All act in the environment given here, whatever they were trained in."""
     episodes: int = 128
@@ -35,51 +37,37 @@ class Arguments:
     """Unpickle models that have no settings.json beside them: only those of people you trust."""
 
 
-def describe_env(settings: EnvSettings) -> str:
-    """The environment in one line: task, contact model, and what differs from the default."""
-    contact, substeps = settings.setting
-    told = [f"task {settings.task}", f"contact {contact}", *([f"substeps {substeps}"] * bool(substeps))]
-    others = [part.name for part in fields(EnvSettings) if part.name not in ("task", "contact", "substeps", "fidelity")]
-    differing = [name for name in others if getattr(settings, name) != getattr(EnvSettings, name)]
-    return ", ".join([*told, *(f"{name} {getattr(settings, name)}" for name in differing)])
+def _refuse_nonsense(arguments: Arguments) -> None:
+    """Refuse what would fail after minutes of computing."""
+    from jackbox_env import _validation as check
+    from jackbox_env.storage import check_new, check_writable
 
+    check.whole("episodes", arguments.episodes, at_least=1)
+    check.whole("seed", arguments.seed, at_least=0, at_most=2**32 - 1)
+    if not arguments.policy:
+        raise ValueError("policy must name at least one policy, got none")
+    if arguments.json is not None:
+        check_writable(arguments.json.parent)
+        check_new(arguments.json, "results", "file")
+    if arguments.html is not None:
+        check_new(arguments.html, "pages")
+    if arguments.film is not None:
+        from agents.film import check_film
 
-def warn_of_other_training(name: str, here: EnvSettings) -> None:
-    """Note which runs were trained in another environment."""
-    if (Path(name) / "settings.json").is_file():
-        from agents.runs import read_settings
-
-        trained = EnvSettings(
-            **{part.name: getattr(read_settings(Path(name)), part.name) for part in fields(EnvSettings)}
-        )
-        same = replace(trained, contact=here.contact, substeps=here.substeps, fidelity=here.fidelity) == here
-        if trained.setting != here.setting or not same:  # one setting can be written in several ways
-            print(f"Note: {name} was trained in another environment ({describe_env(trained)})", file=sys.stderr)
+        check_film(arguments.film)
 
 
 @command_line
 def main() -> None:
     """Parse, evaluate, print the table."""
     arguments = tyro.cli(Arguments, description=__doc__)
-    from agents.episodes import write_pages
+    _refuse_nonsense(arguments)
     from agents.evaluation import evaluate, find_policy, table
+    from agents.models import derived_seed
+    from agents.notes import describe_env, warn_of_other_training
     from agents.runs import versions
-    from jackbox_env import _validation as check
-    from jackbox_env.storage import check_writable, new_folder, write_json
+    from jackbox_env.storage import write_json
 
-    check.whole("episodes", arguments.episodes, at_least=1)
-    check.whole("seed", arguments.seed, at_least=0, at_most=2**32 - 1)
-    if arguments.json is not None:
-        check_writable(arguments.json.parent)
-    if arguments.json is not None and arguments.json.exists():
-        raise FileExistsError(f"{arguments.json} exists, and results are never overwritten: choose another file")
-    if arguments.html is not None and arguments.html.exists():
-        raise FileExistsError(f"{arguments.html} exists, and pages are never overwritten: choose another folder")
-    if arguments.film is not None:
-        from agents.film import check_film, film_episode
-        from agents.models import derived_seed
-
-        check_film(arguments.film)
     env_settings = arguments.settings.env_settings
     found = [
         (name, find_policy(name, arguments.settings, arguments.seed, arguments.trust)) for name in arguments.policy
@@ -92,15 +80,26 @@ def main() -> None:
         rows.append(evaluate(name, policy, act_in, arguments.episodes, arguments.seed, progress=True))
     print(table(rows))
     if arguments.film is not None:
+        from agents.film import film_episode
+
         film_episode(dict(found), env_settings, arguments.film, derived_seed("evaluation", arguments.seed))
     if arguments.json is not None:
         record = {"env": env_settings, "seed": arguments.seed, "versions": versions()}
         write_json(arguments.json, {**record, "results": [row.as_json() for row in rows]})
     if arguments.html is not None:
-        print("One episode of each, as a page that any browser opens:")
-        pages = write_pages(new_folder(arguments.html, "evaluate"), dict(found), arguments.settings, arguments.seed)
-        for page, earned in pages.items():
-            print(f"  {page}: return {earned:.1f}")
+        _write_pages(arguments.html, dict(found), arguments.settings, arguments.seed)
+
+
+def _write_pages(folder: Path, acts: dict[str, Baseline], settings: EnvSettings, seed: int) -> None:
+    """Write an animated page of each policy into a new folder, and say where."""
+    from agents.episodes import write_pages
+    from jackbox_env.storage import new_folder
+
+    earned = dict[str, float]()
+    new_folder(folder, "evaluate", lambda made: earned.update(write_pages(made, acts, settings, seed)))
+    print("One episode of each, as a page that any browser opens:")
+    for page, one in earned.items():
+        print(f"  {folder / page}: return {one:.1f}")
 
 
 if __name__ == "__main__":

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
-from jackbox_env.commands.common import command_line, tyro
+from jackbox_env.commands.common import called, command_line, tyro
 
 
 @dataclass(frozen=True)
@@ -32,7 +31,7 @@ def main() -> None:
     size = (folder / WEIGHTS).stat().st_size
     print(f"Written: {folder} ({size / 1000:.0f} kB of weights)")
     options = read_settings(folder).options
-    print("  " + shlex.join(["python", "scripts/evaluate.py", *options, "--policy", "level", str(folder)]))
+    print("  " + called("evaluate", *options, "--policy", "level", str(folder)))
 
 
 if __name__ == "__main__":

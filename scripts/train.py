@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from agents.runs import describe, read_settings
+from agents.runs import RUN, describe, read_settings
 from agents.settings import TrainSettings
-from jackbox_env.commands.common import command_line, tyro
+from jackbox_env.commands.common import called, command_line, tyro
 from jackbox_env.storage import new_folder
 
 
@@ -39,6 +39,8 @@ def main() -> None:
         if arguments.settings != TrainSettings() or arguments.folder is not None:
             raise ValueError("--resume uses the settings of its run folder: give no other settings")
         folder, settings = arguments.resume, read_settings(arguments.resume)
+        if not (folder / RUN).is_file():
+            raise FileNotFoundError(f"{folder} is no training run: it has no {RUN}, so there is nothing to resume")
         if not kept_steps(folder) and not (folder / MODEL).exists():
             print("No checkpoint yet: starting from the beginning")
     else:
@@ -48,11 +50,10 @@ def main() -> None:
     try:
         train(settings, folder, progress=arguments.progress)
     except KeyboardInterrupt:
-        command = shlex.join(["python", "scripts/train.py", "--resume", str(folder)])
-        print(f"\nInterrupted. Go on with: {command}", file=sys.stderr)
+        print(f"\nInterrupted. Go on with: {called('train', '--resume', str(folder))}", file=sys.stderr)
         raise
     print(f"Trained. Models, settings and evaluations: {folder}")
-    print("  " + shlex.join(["python", "scripts/evaluate.py", *settings.options, "--policy", "zero", str(folder)]))
+    print("  " + called("evaluate", *settings.options, "--policy", "zero", str(folder)))
     print("  " + shlex.join(["tensorboard", "--logdir", str(folder)]))
 
 

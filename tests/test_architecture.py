@@ -78,7 +78,7 @@ AGENTS = """
     value
     planner landing
     best evaluation exporting episodes zoo
-    training
+    training notes
     trials
     figures
 """

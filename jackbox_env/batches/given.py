@@ -108,6 +108,7 @@ class Given:
     def changes(self, given: Any, chosen: Flags) -> list[Change]:
         """Fields of the scene that change, for each of the ``chosen`` environments."""
         if isinstance(given, Mapping):
+            check.names("options['scene']", given)
             return [given] * int(chosen.sum())
         several = isinstance(given, Sequence) and not isinstance(given, str)
         if not several or len(given) != self.num_envs or not all(isinstance(one, Mapping | None) for one in given):
@@ -115,4 +116,7 @@ class Given:
                 f"options['scene'] must be a dict of the scene's fields or a list of {self.num_envs}, "
                 f"got {check.shown(given)}"
             )
-        return [given[number] or {} for number in np.flatnonzero(chosen).tolist()]
+        changes: list[Change] = [given[number] or {} for number in np.flatnonzero(chosen).tolist()]
+        for change in changes:
+            check.names("options['scene']", change)
+        return changes

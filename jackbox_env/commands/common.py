@@ -6,6 +6,7 @@ import argparse
 import functools
 import json
 import re
+import shlex
 import sys
 from collections.abc import Callable
 from importlib import metadata
@@ -20,6 +21,7 @@ from jackbox_env import _validation as check
 if TYPE_CHECKING:
     import tyro as tyro
 
+JACKBOX = "jackbox"  # the command, and with a command's name the first word of what it was started by
 ROOT = Path(__file__).parents[2]  # of a checkout; above an installed package there is none
 
 
@@ -47,12 +49,25 @@ def command_line(main: Callable[[], None]) -> Callable[[], None]:
             print(f"{error}{'' if 'pip install' in str(error) else more}", file=sys.stderr)
             sys.exit(2)
         except (ValueError, TypeError, OSError, RuntimeError, GymnasiumError) as error:
-            print(error, file=sys.stderr)
+            print(_sentence(error), file=sys.stderr)
             sys.exit(2)
         except KeyboardInterrupt:
             sys.exit(130)
 
     return wrapped
+
+
+def _sentence(error: Exception) -> str:
+    """What an error says; one of the system's own says which file it is about, without its number."""
+    if isinstance(error, OSError) and error.strerror and error.filename is not None:
+        return f"{error.filename} cannot be used: {error.strerror}"
+    return str(error)
+
+
+def called(name: str, *arguments: str) -> str:
+    """A command line to go on with: by ``jackbox`` where that started this process, else by the script of that name."""
+    by_jackbox = sys.argv[0].startswith(f"{JACKBOX} ")
+    return shlex.join([*((JACKBOX, name) if by_jackbox else ("python", f"scripts/{name}.py")), *arguments])
 
 
 def in_checkout() -> bool:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import importlib
-import runpy
 import sys
 
-from jackbox_env.commands.common import ROOT, command_line, in_checkout
+from jackbox_env.commands.common import JACKBOX, ROOT, command_line, in_checkout
 
 _OWN = {
     "simulate": "simulate the scene: CSV or npz, plots, an animated page",
@@ -17,6 +16,7 @@ _OF_A_CHECKOUT = {
     "demo": "train an agent, compare it with baselines, film it",
     "train": "train PPO",
     "evaluate": "evaluate policies",
+    "export": "write a trained policy as plain arrays",
 }
 
 
@@ -39,9 +39,13 @@ def _run_script(name: str) -> None:
             f"jackbox {name} needs a checkout: git clone the repository, and there pip install -e '.[all]'"
         )
     sys.path.insert(0, str(ROOT))  # scripts and agents are beside the package
-    path = str(ROOT / "scripts" / f"{name}.py")
-    sys.argv[0] = f"jackbox {name}"
-    runpy.run_path(path, run_name="__main__")
+    _run(f"scripts.{name}", name)
+
+
+def _run(module: str, name: str) -> None:
+    """Run a command whose help and messages name it as it was called."""
+    sys.argv[0] = f"{JACKBOX} {name}"
+    importlib.import_module(module).main()
 
 
 @command_line
@@ -59,8 +63,7 @@ def main() -> None:
         _run_script(name)
     elif name in _OWN:
         del sys.argv[1]
-        sys.argv[0] = f"jackbox {name}"
-        importlib.import_module(f"jackbox_env.commands.{name}").main()
+        _run(f"jackbox_env.commands.{name}", name)
     else:
         known = ", ".join((*_OWN, *_OF_A_CHECKOUT))
         raise ValueError(f"the command must be one of {known}, got {name!r}")

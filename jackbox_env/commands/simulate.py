@@ -7,10 +7,18 @@ import importlib.util
 import json
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from jackbox_env.commands.common import add_model_options, command_line, parser_of, scene_fields
 
-_MOST_ON_PAGE = 200_000  # steps: a minute of writing
+if TYPE_CHECKING:
+    from jackbox_env.scene import Scene
+    from jackbox_env.simulators.fidelity import Setting
+    from jackbox_env.trajectory import Trajectory
+
+_MOST_ON_PAGE = 200_000  # steps: minutes of writing
+_PAGE_STEPS = 1_000  # written to a page in a second, some
+_SAID = 10.0  # [s] of writing a page that are announced
 
 
 def _arguments() -> argparse.Namespace:
@@ -19,7 +27,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--dt", type=float, default=0.02, metavar="S", help="between stored states [s]; default: 0.02")
     add_model_options(parser)
     start = parser.add_argument_group("start")
-    text = "the 12 numbers to start from, as a JSON list; default: box and jack at rest at the origin"
+    text = "the 12 numbers to start from, as a JSON list, e.g. a row of states.csv; default: all 0"
     start.add_argument("--state", metavar="JSON", help=text)
     text = "time at the start [s], which the drive sees; default: 0"
     start.add_argument("--time", type=float, default=0.0, metavar="S", help=text)
@@ -37,6 +45,7 @@ def _arguments() -> argparse.Namespace:
 def _refuse_nonsense(arguments: argparse.Namespace) -> None:
     """Raise ValueError for a duration that cannot be simulated, and for files that cannot be written."""
     from jackbox_env import _validation as check
+    from jackbox_env.storage import check_new
 
     check.real("seconds", arguments.seconds, above=0.0, at_most=1e6)
     check.real("dt", arguments.dt, above=0.0)
@@ -49,15 +58,38 @@ def _refuse_nonsense(arguments: argparse.Namespace) -> None:
         raise ValueError(f"html takes at most {_MOST_ON_PAGE:,} steps, got seconds / dt = {steps:g}")
     if arguments.plots and importlib.util.find_spec("matplotlib") is None:
         raise ValueError("plots need matplotlib: pip install matplotlib, or leave --plots out")
+    check_new(arguments.folder)
 
 
 def _start(text: str | None) -> object:
+    from jackbox_env import _validation as check
+
     if text is None:
         return [0.0] * 12
     try:
         return json.loads(text)
-    except json.JSONDecodeError as error:
-        raise ValueError(f"state must be a JSON list of 12 numbers, got {text!r}") from error
+    except (RecursionError, ValueError) as error:
+        raise ValueError(f"state must be a JSON list of 12 numbers, got {check.shown(text)}") from error
+
+
+def _write(folder: Path, arguments: argparse.Namespace, scene: Scene, setting: Setting, trajectory: Trajectory) -> None:
+    """Write all files that were asked for."""
+    from jackbox_env.trajectory import write_csv, write_npz
+
+    (write_csv if arguments.format == "csv" else write_npz)(trajectory, folder)
+    if arguments.html:
+        from jackbox_env.report import model_facts, write_page
+
+        seconds = len(trajectory.times) / _PAGE_STEPS
+        if seconds > _SAID:
+            print(f"Writing the page takes some {seconds:.0f} s", file=sys.stderr)
+        write_page(folder / "trajectory.html", scene, trajectory, "The scene's drive", model_facts(setting))
+    if arguments.plots is not False and importlib.util.find_spec("matplotlib"):
+        from jackbox_env.commands.plots import trajectory_figures
+
+        trajectory_figures(trajectory, folder)
+    elif arguments.plots is None:
+        print("No plots: matplotlib is not installed (pip install matplotlib)", file=sys.stderr)
 
 
 @command_line
@@ -66,32 +98,25 @@ def main() -> None:
     arguments = _arguments()
     from jackbox_env import Scene, make_simulator
     from jackbox_env.simulators.fidelity import resolve
-    from jackbox_env.states import as_start
-    from jackbox_env.storage import new_folder
-    from jackbox_env.trajectory import simulate, write_csv, write_npz
+    from jackbox_env.storage import new_folder, stamped
+    from jackbox_env.trajectory import simulate
 
+    arguments.folder = arguments.folder or stamped("simulate")
     _refuse_nonsense(arguments)
     setting = resolve(arguments.fidelity, arguments.contact, arguments.substeps)
     scene = Scene.of(scene_fields(arguments.scene))
     simulator = make_simulator(scene, **setting._asdict())
-    simulator.reset(as_start(scene, _start(arguments.state)), arguments.time)  # type: ignore[arg-type]
-    folder = new_folder(arguments.folder, "simulate")
-    trajectory = simulate(simulator, arguments.seconds, arguments.dt)
-    paths = write_csv(trajectory, folder) if arguments.format == "csv" else write_npz(trajectory, folder)
-    if arguments.html:
-        from jackbox_env.report import model_facts, write_page
-
-        paths.append(
-            write_page(folder / "trajectory.html", scene, trajectory, "The scene's drive", model_facts(setting))
+    simulator.reset(_start(arguments.state), arguments.time)  # type: ignore[arg-type]
+    try:
+        trajectory = simulate(simulator, arguments.seconds, arguments.dt)
+        folder = new_folder(
+            arguments.folder, "simulate", lambda made: _write(made, arguments, scene, setting, trajectory)
         )
-    if arguments.plots is not False and importlib.util.find_spec("matplotlib"):
-        from jackbox_env.commands.plots import trajectory_figures
-
-        paths += trajectory_figures(trajectory, folder)
-    elif arguments.plots is None:
-        print("No plots: matplotlib is not installed (pip install matplotlib)", file=sys.stderr)
+    except KeyboardInterrupt:
+        print("\nInterrupted: nothing was written", file=sys.stderr)
+        raise
     print(f"{len(trajectory.impacts)} impacts by t = {simulator.time:g} s; wrote")
-    for path in paths:
+    for path in sorted(folder.iterdir()):
         print(f"  {path}")
     if trajectory.failure:
         raise RuntimeError(trajectory.failure)

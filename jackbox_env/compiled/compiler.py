@@ -212,15 +212,15 @@ def _cache_folders() -> list[Path]:
         found.append(folder)
         if new:
             _tidy(place)
-            print("jackbox compiles its exact contact model, once: about 25 s", file=sys.stderr)
+            print("jackbox compiles its exact contact model, once: 25 to 45 s", file=sys.stderr)
         if os.access(folder, os.W_OK):
             break
     if not found:
         tried = "; ".join(refused)
         say_once(
             "nowhere",
-            "no folder to keep compiled code in can be written, so each process compiles it anew, which takes some "
-            f"25 s; set NUMBA_CACHE_DIR to one that can (tried {tried})",
+            "no folder to keep compiled code in can be written, so each process compiles it anew, which takes "
+            f"25 to 45 s; set NUMBA_CACHE_DIR to one that can (tried {tried})",
         )
     elif refused and os.environ.get("NUMBA_CACHE_DIR"):  # it comes first
         say_once("elsewhere", f"compiled code is kept in {found[-1]}, as NUMBA_CACHE_DIR cannot be used ({refused[0]})")

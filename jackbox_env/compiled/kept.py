@@ -79,7 +79,7 @@ class CodeCache(NullCache):
                 say_once(
                     folder,
                     f"compiled code kept in {folder} cannot be used ({_reason(error)}); "
-                    "compiling it anew takes some 25 s",
+                    "compiling it anew takes 25 to 45 s",
                 )
         return None
 
@@ -95,7 +95,7 @@ class CodeCache(NullCache):
             say_once(
                 folder,
                 f"compiled code cannot be kept in {folder} ({_reason(error)}), so each process compiles it anew, "
-                "which takes some 25 s; make room there or set NUMBA_CACHE_DIR to another folder",
+                "which takes 25 to 45 s; make room there or set NUMBA_CACHE_DIR to another folder",
             )
 
     def _file_name(self, signature: Any, codegen: Any) -> str:

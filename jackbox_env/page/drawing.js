@@ -37,6 +37,16 @@ function general(value, digits) {
   return fixed(value, Math.max(0, digits - 1 - (size >= 1 ? Math.floor(Math.log10(size)) : 0)));
 }
 
+// Of rising places those that are at least so far from the one before: of a foot at rest there are many.
+function apart(places, least) {
+  let last = -Infinity;
+  return places.filter((place) => {
+    if (place - last < least) return false;
+    last = place;
+    return true;
+  });
+}
+
 // A unit for numbers up to `most`: its value and its symbol.
 function unitFor(most, symbol) {
   const prefixes = [[1e9, "G"], [1e6, "M"], [1e3, "k"], [1, ""], [1e-3, "m"], [1e-6, "\u00b5"]];

@@ -43,7 +43,7 @@ const torqueUnit = unitFor(mostTorque, "N m");
 
 function makeList() {
   const most = impacts.reduce((found, hit) => Math.max(found, hit.impulse), 0);
-  const shown = impacts.map((hit, number) => {
+  const shown = impacts.slice(0, data.listed).map((hit, number) => {
     const row = make("tr");
     row.dataset.number = number;
     const button = make("button", "", hit.time.toFixed(4));
@@ -69,8 +69,8 @@ function makeList() {
     if (shown[marked]) shown[marked].classList.remove("now");
     marked = number;
     const box = byId("rows");
-    if (!shown[number]) box.scrollTop = 0;
-    else {
+    if (number < 0) box.scrollTop = 0;
+    else if (shown[number]) {
       shown[number].classList.add("now");
       const top = shown[number].offsetTop;
       const inside = top > box.scrollTop + 30 && top < box.scrollTop + box.clientHeight - 60;
@@ -126,7 +126,7 @@ function tick(moment) {
 // To the impact before the present time, or to the next.
 function jump(direction) {
   const count = impactsBy(now + (direction > 0 ? 1e-9 * LASTS : 0));
-  const target = direction > 0 ? impacts[count] : impacts.filter((hit) => hit.time < now - 1e-9 * LASTS).pop();
+  const target = impacts[direction > 0 ? count : impactsBy(now - 1e-9 * LASTS) - 1];
   play(false);
   seek(target ? target.time : direction > 0 ? END : START);
 }
@@ -136,10 +136,8 @@ function drawTicks() {
   track = width;
   pen.fillStyle = colours.hit;
   pen.globalAlpha = impacts.length > 200 ? 0.25 : 0.8;
-  for (const hit of impacts) {
-    const share = LASTS ? (hit.time - START) / LASTS : 0;
-    pen.fillRect(KNOB + share * (width - 2 * KNOB) - 0.75, 0, 1.5, 7);
-  }
+  const places = impacts.map((hit) => KNOB + (LASTS ? (hit.time - START) / LASTS : 0) * (width - 2 * KNOB));
+  for (const place of apart(places, 1)) pen.fillRect(place - 0.75, 0, 1.5, 7);
 }
 
 function redraw() {
@@ -151,11 +149,12 @@ function redraw() {
 }
 
 function describe() {
+  const many = impacts.length.toLocaleString("en");
   const facts = data.facts.map(([name, value]) => `${name} ${value}`);
-  byId("subtitle").textContent = [data.title, ...facts.slice(0, 1), `${data.impactCount} impacts`].join(" \u00b7 ");
+  byId("subtitle").textContent = [data.title, ...facts.slice(0, 1), `${many} impacts`].join(" \u00b7 ");
   document.title = `Jack in a box: ${data.title}`;
-  byId("hits-of").textContent = `of ${data.impactCount} impacts`;
-  byId("count").textContent = data.impactCount;
+  byId("hits-of").textContent = `of ${many} impacts`;
+  byId("count").textContent = many;
   for (const [name, value] of data.facts) {
     const entry = make("div");
     entry.append(make("dt", "", name), make("dd", "", value));
@@ -175,13 +174,17 @@ function listen() {
   byId("before").addEventListener("click", () => jump(-1));
   byId("after").addEventListener("click", () => jump(1));
   slider.addEventListener("pointerdown", seek.begin);
-  slider.addEventListener("input", () => seek(Number(slider.value)));
+  slider.addEventListener("input", () => {
+    const value = Number(slider.value); // rounded by the browser
+    seek(value > END - 1e-9 * LASTS ? END : value);
+  });
   slider.addEventListener("change", seek.end);
   slider.addEventListener("pointerup", seek.end);
   document.addEventListener("keydown", (event) => {
-    if (event.target.matches("select, input[type=checkbox], button") || event.ctrlKey || event.metaKey) return;
+    if (event.target.matches("select") || event.ctrlKey || event.metaKey || event.altKey) return;
     const direction = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
-    if (event.key === " ") play(!playing);
+    const pressed = event.target.matches("input[type=checkbox], button"); // takes Space and Enter itself
+    if (event.key === " " && !pressed) play(!playing);
     else if (direction && event.shiftKey) jump(direction);
     else if (direction) {
       play(false);
@@ -189,11 +192,15 @@ function listen() {
     } else return;
     event.preventDefault();
   });
-  let width = 0;
-  new ResizeObserver(() => {
-    if (width !== window.innerWidth) requestAnimationFrame(redraw);
-    width = window.innerWidth;
-  }).observe(document.body);
+  const parts = [document.body, byId("stage"), byId("path")];
+  let sizes = "";
+  const observer = new ResizeObserver(() => {
+    const [page, ...drawings] = parts.map((part) => part.getBoundingClientRect()); // the page's height is its text's
+    const found = [page.width, ...drawings.flatMap(({ width, height }) => [width, height])].join();
+    if (found !== sizes) requestAnimationFrame(redraw);
+    sizes = found;
+  });
+  for (const part of parts) observer.observe(part);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
 }
 

@@ -98,10 +98,15 @@ function drawFrame(pen, width, height, [low, high]) {
     pen.stroke();
     pen.globalAlpha = 1;
     pen.fillStyle = colours.soft;
-    const label = step >= 1e5 || step < 1e-4 ? (line * step).toExponential(0) : fixed(line * step, decimals);
-    if (place > 4 && place < height - 3) pen.fillText(label, LEFT - 6, place);
+    pen.fillText(labelOf(line, step, decimals), LEFT - 6, Math.min(Math.max(place, 6), height - 6)); // none is cut
   }
   return y;
+}
+
+function labelOf(line, step, decimals) {
+  if (line === 0) return "0";
+  if (step < 1e5 && step >= 1e-4) return fixed(line * step, decimals);
+  return (line * step).toExponential(0).replace(/-/g, MINUS);
 }
 
 function drawImpacts(pen, x, height) {
@@ -109,9 +114,9 @@ function drawImpacts(pen, x, height) {
   pen.globalAlpha = impacts.length > 200 ? 0.12 : 0.38;
   pen.lineWidth = 1;
   pen.beginPath();
-  for (const hit of impacts) {
-    pen.moveTo(x(hit.time), 0);
-    pen.lineTo(x(hit.time), height);
+  for (const place of apart(impacts.map((hit) => x(hit.time)), 1)) {
+    pen.moveTo(place, 0);
+    pen.lineTo(place, height);
   }
   pen.stroke();
   pen.globalAlpha = 1;
@@ -148,7 +153,7 @@ function drawTimes(canvas) {
     const place = LEFT + (inner * (line * step - START)) / (LASTS || 1);
     const last = place > width - RIGHT - 12;
     pen.textAlign = last ? "right" : "center";
-    pen.fillText(fixed(line * step, decimals) + (last ? " s" : ""), last ? width - 1 : place, 4);
+    pen.fillText((line === 0 ? "0" : fixed(line * step, decimals)) + (last ? " s" : ""), last ? width - 1 : place, 4);
   }
 }
 
@@ -246,7 +251,7 @@ function makePath(seek) {
     for (const hit of impacts) {
       sampleAt(hit.time, state);
       pen.beginPath();
-      pen.arc(px(state[COLUMN.x_jack]), py(state[COLUMN.y_jack]), 2.6, 0, 2 * Math.PI);
+      pen.arc(px(state[COLUMN.x_jack]), py(state[COLUMN.y_jack]), impacts.length > 200 ? 1.4 : 2.6, 0, 2 * Math.PI);
       pen.fill();
     }
   }
@@ -306,14 +311,14 @@ function drawGrid(pen, width, height, px, py, scale) {
   for (const value of lines(inverse(LEFT, px), inverse(width, px))) {
     pen.moveTo(px(value), 0);
     pen.lineTo(px(value), height - 22);
-    if (px(value) < width - 14) pen.fillText(fixed(value, decimals), px(value), height - 4);
+    if (px(value) < width - 14) pen.fillText(value === 0 ? "0" : fixed(value, decimals), px(value), height - 4);
   }
   pen.textAlign = "right";
   pen.textBaseline = "middle";
   for (const value of lines(inverse(height - 22, py), inverse(0, py))) {
     pen.moveTo(LEFT, py(value));
     pen.lineTo(width, py(value));
-    if (py(value) > 6) pen.fillText(fixed(value, decimals), LEFT - 6, py(value));
+    if (py(value) > 7) pen.fillText(value === 0 ? "0" : fixed(value, decimals), LEFT - 6, py(value));
   }
   pen.stroke();
 }

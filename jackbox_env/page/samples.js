@@ -4,12 +4,13 @@
 const data = JSON.parse(document.getElementById("data").textContent);
 const WIDTH = data.columns.length;
 const COLUMN = Object.fromEntries(data.columns.map((name, number) => [name, number]));
-const rows = (() => {
-  const text = atob(data.samples);
+const unpacked = (packed, Kind) => {
+  const text = atob(packed);
   const bytes = new Uint8Array(text.length);
   for (let place = 0; place < text.length; place++) bytes[place] = text.charCodeAt(place);
-  return new Float64Array(bytes.buffer);
-})();
+  return new Kind(bytes.buffer);
+};
+const rows = unpacked(data.samples, Float64Array);
 const COUNT = rows.length / WIDTH;
 const START = rows[0];
 const END = rows[(COUNT - 1) * WIDTH];
@@ -52,8 +53,11 @@ function footOf(state, foot) {
   return [data.arm * Math.cos(angle), data.arm * Math.sin(angle)];
 }
 
-// Impacts, each with the place of its foot in the box's own frame.
-const impacts = data.impacts.map(([time, wall, foot, impulse]) => {
+// All impacts, each with the place of its foot in the box's own frame.
+const impulses = unpacked(data.impulses, Float64Array);
+const meetings = unpacked(data.meetings, Uint8Array); // 4 times the wall, and the foot
+const impacts = Array.from(unpacked(data.impacts, Float64Array), (time, number) => {
+  const [wall, foot, impulse] = [meetings[number] >> 2, meetings[number] & 3, impulses[number]];
   const state = sampleAt(time, new Float64Array(WIDTH));
   const [ox, oy] = footOf(state, foot);
   const x = state[COLUMN.x_jack] - state[COLUMN.x_box] + ox;

@@ -6,6 +6,7 @@ import csv
 import dataclasses
 import io
 import json
+import re
 import runpy
 import shlex
 import signal
@@ -128,7 +129,11 @@ def test_train_refuses_before_it_makes_a_folder(tmp_path: Path) -> None:
         (["--seconds", "nan"], "seconds must be a finite number above 0"),
         (["--dt", "20"], "dt must be at most seconds = 10, got 20"),
         (["--state", "[1, 2]"], r"state must have shape (12,), got shape (2,)"),
-        (["--state", "[0,0,0,5.5,0,0,0,0,0,0,0,0]"], "a start must have every foot inside the box"),
+        (["--state", "[0,0,0,6.5,0,0,0,0,0,0,0,0]"], "state must have every foot at most 1 m outside, got 1.5 m"),
+        (["--state", "[" * 100_000], "state must be a JSON list of 12 numbers, got '[[["),
+        (["--folder", "/dev/null/runs"], "/dev/null/runs cannot be made: /dev/null is no folder"),
+        (["--folder", "/proc/runs"], "/proc cannot be written to: "),
+        (["--folder", "x" * 300], "x cannot be made: File name too long"),
         (["--state", "x"], "state must be a JSON list of 12 numbers, got 'x'"),
         (["--contact", "box2d"], "contact must be one of 'pymunk', 'exact', got 'box2d'"),
         (["--scene", '{"gravity": -1}'], "gravity must be a finite number at least 0"),
@@ -193,7 +198,8 @@ def test_evaluate_films_the_policies(tmp_path: Path, run: Path, monkeypatch: pyt
 
     monkeypatch.setattr(film, "WIDTH", 96)
     done = script("evaluate", "--policy", "zero", str(run), "--episodes", "2", "--film", "f.gif", cwd=tmp_path)
-    assert f"Film of zero, {run}: f.gif" in done.stdout
+    assert f"Film of zero, {run}: f.gif, one episode from the start of environment seed " in done.stdout
+    assert re.search(rf"^  zero: return \d+\.\d\n  {run}: return \d+\.\d$", done.stdout, re.MULTILINE)
     frames = imageio.imread(tmp_path / "f.gif")
     assert frames.shape == (250, 96 + 36, 2 * 96, 3)  # a whole episode of 10 s, 25 frames a second
     assert "film:" in done.stderr  # the progress
@@ -245,7 +251,15 @@ def test_training_survives_ctrl_c_and_resumes_from_the_command_line(tmp_path: Pa
     assert "Going on after" in done.stdout
     assert "Trained. Models, settings and evaluations: run" in done.stdout
     assert (tmp_path / "run" / "model.zip").exists()
-    assert "is finished" in script("train", "--resume", "run", cwd=tmp_path, status=2).stderr
+    finished = script("train", "--resume", "run", cwd=tmp_path, status=2).stderr
+    assert "is finished" in finished
+    assert "raise total_steps in its settings.json and move model.zip away" in finished
+    (tmp_path / "run" / "model.zip").unlink()
+    stored = json.loads((tmp_path / "run" / "settings.json").read_text())
+    (tmp_path / "run" / "settings.json").write_text(json.dumps({**stored, "total_steps": 5120}))
+    done = script("train", "--resume", "run", "--no-progress", cwd=tmp_path)  # as the sentence says
+    assert "Going on after" in done.stdout
+    assert (tmp_path / "run" / "model.zip").exists()
 
 
 @pytest.mark.slow
@@ -281,11 +295,12 @@ def test_every_command_line_explains_itself(name: str, tmp_path: Path) -> None:
     assert "show this help message" in process(name, "--help", cwd=tmp_path).stdout
 
 
-@pytest.mark.parametrize("name", ["", "simulate", "play", "check", "demo", "train", "evaluate"])
+@pytest.mark.parametrize("name", ["", "simulate", "play", "check", "demo", "train", "evaluate", "export"])
 def test_every_command_of_jackbox_explains_itself(name: str, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "jackbox_env", *name.split(), "--help"]
     done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=250, check=True)
     assert "show this help message" in done.stdout
+    assert f"usage: jackbox {name or 'COMMAND'} [" in done.stdout
 
 
 def test_the_words_for_a_contact_setting_mean_one_setting() -> None:

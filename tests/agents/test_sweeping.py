@@ -211,7 +211,10 @@ def test_folders_are_not_shared_overwritten_or_continued_by_other_code(
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        ("--policy nobody", "a policy must be one of random, chirp, zero, level, planner, distilled, ppo, or a run folder"),
+        (
+            "--policy nobody",
+            "a policy must be one of random, chirp, zero, level, planner, distilled, ppo, or a run folder",
+        ),
         ("--setting fast", "setting must be a JSON object, got 'fast'"),
         ("""--setting {"mass":1}""", "setting takes only"),
         ("""--scene {"gravity":-1}""", "gravity must be a finite number at least 0"),

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from agents import evaluation
 from agents.evaluation import evaluate, find_policy, shipped_names
 from agents.network import SHIPPED, Layer
 from agents.observing import observations
@@ -103,10 +104,18 @@ def test_it_is_written_and_read_and_damage_is_told(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"holds no value: "):
         read_value(tmp_path)
     write_value(tmp_path, EXACT, layers_for())
-    damaged: list[Any] = [{"gravity": 3.0}, {"scene": 3}, []]
-    for given in damaged:
+    damaged: list[tuple[Any, str]] = [
+        ({"gravity": 3.0}, "settings takes only 'task', .* got 'gravity'"),
+        ({"scene": 3}, "scene must be a JSON object, got 3"),
+        ([], r"settings must be a JSON object, got \[\]"),
+        ({"task": "dance"}, "task must be .* got 'dance'"),
+        ({"contact": "box2d"}, "contact must be one of 'pymunk', 'exact', got 'box2d'"),
+        ({"contact": "pymunk", "substeps": -1}, "substeps must be a whole number"),
+        ({"control_dt": "soon"}, "control_dt must be a finite number above 0, got 'soon'"),
+    ]
+    for given, sentence in damaged:
         write_json(tmp_path / "value.json", given)
-        with pytest.raises(ValueError, match=r"holds no value: "):
+        with pytest.raises(ValueError, match=f"holds no value: {sentence}"):
             read_value(tmp_path)
     (tmp_path / "weights.npz").unlink()
     write_value(tmp_path, EXACT, layers_for())
@@ -132,6 +141,23 @@ def test_the_planner_counts_the_value_where_one_was_made() -> None:
         assert search.pieces == 32
     with pytest.raises(FileNotFoundError, match="a policy must be one of"):
         find_policy("value", EnvSettings(), 0)
+
+
+def test_a_value_of_another_task_is_not_used_and_a_damaged_one_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(evaluation, "SHIPPED", tmp_path)
+    (tmp_path / "juggle-value").mkdir()
+    write_value(tmp_path / "juggle-value", EnvSettings(task="spin", contact="exact"), layers_for())
+    planner = find_policy("planner", EnvSettings(), 0).policy
+    assert isinstance(planner, Planner)
+    assert not isinstance(planner._search, ValuedSearch)
+    (tmp_path / "juggle-value" / "value.json").unlink()
+    with pytest.raises(FileNotFoundError, match="holds no value.json"):
+        find_policy("planner", EnvSettings(), 0)
+    (tmp_path / "juggle-value" / "value.json").write_text("{")
+    with pytest.raises(ValueError, match="holds no value: "):
+        find_policy("planner", EnvSettings(), 0)
 
 
 def test_short_plans_juggle_better_with_the_value() -> None:

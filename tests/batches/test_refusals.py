@@ -207,3 +207,14 @@ def test_more_environments_than_there_is_room_for_are_refused_at_once(contact: s
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert ran.stdout.startswith("Unable to allocate")
     assert time.monotonic() - began < 30.0
+
+
+def test_options_of_one_time_none_and_scenes_without_names() -> None:
+    envs = JackInBoxVectorEnv(2)
+    plain, _ = envs.reset(seed=3)
+    np.testing.assert_array_equal(envs.reset(seed=3, options={"time": None})[0], plain)
+    for scene in ({1: 2}, [None, {1: 2}]):
+        with pytest.raises(TypeError, match=r"options\['scene'\] must have names of fields as its keys, got 1"):
+            envs.reset(options={"scene": scene})
+    with pytest.raises(TypeError, match="randomize must have names of fields as its keys, got 1"):
+        JackInBoxVectorEnv(2, randomize=lambda rng: {1: 2.0}).reset()  # type: ignore[dict-item]

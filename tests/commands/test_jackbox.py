@@ -26,16 +26,30 @@ def jackbox(*arguments: str, cwd: Path, status: int = 0) -> subprocess.Completed
 def test_it_names_its_commands(tmp_path: Path) -> None:
     for arguments in ([], ["--help"]):
         out = jackbox(*arguments, cwd=tmp_path).stdout
-        for name in ("simulate", "play", "check", "demo", "train", "evaluate"):
+        for name in ("simulate", "play", "check", "demo", "train", "evaluate", "export"):
             assert f"\n  {name} " in out
     refused = jackbox("juggle", cwd=tmp_path, status=2).stderr
-    expected = "the command must be one of simulate, play, check, demo, train, evaluate, got 'juggle'\n"
+    expected = "the command must be one of simulate, play, check, demo, train, evaluate, export, got 'juggle'\n"
     assert refused == expected
 
 
 def test_it_runs_the_scripts_of_the_checkout(tmp_path: Path) -> None:
     out = jackbox("evaluate", "--policy", "zero", "--episodes", "1", cwd=tmp_path).stdout
     assert "| zero" in out
+
+
+def test_it_names_itself_in_the_command_to_go_on_with(tmp_path: Path) -> None:
+    shipped = ROOT / "agents" / "trained" / "spin-ppo"
+    run = tmp_path / "run"
+    settings = "--num-envs 4 --rollout-steps 64 --batch-size 64 --total-steps 256 --eval-episodes 2 --no-progress"
+    out = jackbox("train", "--folder", "run", *settings.split(), cwd=tmp_path).stdout
+    assert "  jackbox evaluate --task juggle --policy zero run\n" in out
+    before = sorted(shipped.iterdir())
+    assert "no run.json" in jackbox("train", "--resume", str(shipped), cwd=tmp_path, status=2).stderr
+    assert sorted(shipped.iterdir()) == before
+    out = jackbox("export", "run", "arrays", cwd=tmp_path).stdout
+    assert "  jackbox evaluate --task juggle --policy level arrays\n" in out
+    assert run.is_dir()
 
 
 @pytest.fixture

@@ -119,6 +119,20 @@ def test_pause_holds_and_play_goes_on(opened: Opened) -> None:
     assert opened.time > held
 
 
+def test_keys_work_after_a_click_on_a_button_which_keeps_space_and_enter(opened: Opened) -> None:
+    opened.pause()
+    opened.seek(4.0)
+    opened.page.click("#before")
+    held = opened.time
+    opened.page.keyboard.press("ArrowRight")
+    assert opened.time == pytest.approx(held + 1 / 60, abs=0.006)
+    opened.page.click("#play")  # plays
+    opened.page.keyboard.press("Space")  # presses that button
+    assert not opened.playing
+    opened.page.keyboard.press("Enter")
+    assert opened.playing
+
+
 def test_a_speed_and_the_end(opened: Opened) -> None:
     opened.page.select_option("#speed", "4")
     opened.page.uncheck("#loop")
@@ -243,6 +257,56 @@ def test_every_width_shows_all_without_sideways_scrolling(
     background = opened.page.evaluate("getComputedStyle(document.body).backgroundColor")
     brightness = sum(int(part) for part in background[4:-1].split(","))
     assert (brightness > 600) == (scheme == "light")
+    assert opened.complaints == []
+    opened.page.close()
+
+
+def test_a_window_of_another_height_does_not_stretch_the_drawings(opened: Opened) -> None:
+    opened.pause()
+    off = """(canvas) =>
+        Math.abs(canvas.width - canvas.clientWidth) + Math.abs(canvas.height - canvas.clientHeight)"""
+    drawings = [opened.page.locator(canvas) for canvas in ("#stage canvas", "#path canvas")]
+    for height in (600, 1000):
+        opened.page.set_viewport_size({"width": 1280, "height": height})
+        opened.wait(lambda: all(drawn.evaluate(off) < 2.0 for drawn in drawings))
+
+
+def test_the_list_has_room_beside_a_scroll_bar(opened: Opened) -> None:
+    opened.page.locator("#rows").evaluate("(rows) => { rows.style.width = '275px'; }")
+    assert opened.page.locator("#rows").evaluate("(rows) => rows.scrollWidth") <= 275
+
+
+@pytest.fixture(scope="module")
+def resting(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Trajectory]:
+    """A jack that comes to rest, with more impacts than the list holds."""
+    scene = Scene(restitution=0.4, drive=None)
+    simulator = make_simulator(scene)
+    simulator.reset([0.0] * 12)
+    trajectory = simulate(simulator, 8.0, 0.005, progress=False)
+    assert len(trajectory.impacts) > 2500
+    path = tmp_path_factory.mktemp("resting") / "trajectory.html"
+    return write_page(path, scene, trajectory, "rest", []), trajectory
+
+
+def test_impacts_beyond_the_list_are_counted_marked_and_stepped_through(
+    browser: Any, resting: tuple[Path, Trajectory]
+) -> None:
+    file, trajectory = resting
+    opened = Opened(browser, file)
+    opened.pause()
+    opened.seek(8.0)
+    count = len(trajectory.impacts)
+    assert opened.page.locator("#impacts tr").count() == 2000
+    assert opened.page.locator("#hits").inner_text() == str(count)
+    assert opened.page.locator("#hits-of").inner_text() == f"of {count:,} impacts"
+    opened.page.keyboard.press("Shift+ArrowLeft")
+    assert opened.time == pytest.approx(trajectory.impacts[-2].time, abs=0.006)
+    ink = """(canvas) => {
+        const { width, height } = canvas;
+        const { data } = canvas.getContext("2d").getImageData(Math.round(0.95 * width) - 5, 0, 5, height);
+        return data.some((value, place) => place % 4 === 3 && value > 0);
+    }"""
+    assert opened.page.locator("#ticks").evaluate(ink)  # a tick near the end
     assert opened.complaints == []
     opened.page.close()
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.utils.env_checker import check_env as check_single
 from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.env_checker import check_env
+from stable_baselines3.common.vec_env import DummyVecEnv
 
 from jackbox_env import JackInBoxVectorEnv, Lookahead, LookaheadVector, Rollout, Scene, Task, rollout
 from jackbox_env.futures import Futures
@@ -244,6 +247,49 @@ def test_actions_that_correct_a_plan_are_checked_and_clipped() -> None:
     seen = env.step(np.full(3, 5.0))[0]
     env.reset(seed=0)
     np.testing.assert_array_equal(env.step(np.ones((3, 1)))[0], seen)
+
+
+def test_a_plan_is_not_followed_where_actions_are_no_torques() -> None:
+    halved = gym.wrappers.RescaleAction(gym.make("JackInBox-v0"), np.float32(-2), np.float32(2))
+    made: list[Callable[[], gym.Env[Any, Any]]] = [
+        lambda: gym.wrappers.RescaleAction(gym.make("JackInBox-v0"), np.float32(-2), np.float32(2))
+    ]
+    sentence = "follow needs actions that are torques, without an action wrapper inside, got"
+    sync = gym.vector.SyncVectorEnv(made)
+    outside = gym.wrappers.vector.ClipAction(JackInBoxVectorEnv(2))
+    apart = gym.vector.AsyncVectorEnv(made)
+    for env in (sync, outside, apart):
+        with pytest.raises(ValueError, match=sentence):
+            LookaheadVector(env, hold=1, follow=True, **SMALL)
+    apart.close()
+    with pytest.raises(ValueError, match=f"{sentence} RescaleAction"):
+        Lookahead(halved, follow=True, **SMALL)
+    Lookahead(halved, **SMALL)  # its agent says what it wants
+    with pytest.raises(ValueError, match=f"{sentence} an action wrapper"):
+        LookaheadVecEnv(DummyVecEnv(made), follow=True, **SMALL)
+
+
+def test_a_plan_is_not_followed_where_the_chirp_acts() -> None:
+    sentence = 'follow needs an environment with torque="agent", for it steers, got torque="chirp"'
+    with pytest.raises(ValueError, match=sentence):
+        Lookahead(gym.make("JackInBox-v0", torque="chirp"), follow=True, **SMALL)
+    with pytest.raises(ValueError, match=sentence):
+        LookaheadVector(JackInBoxVectorEnv(2, torque="chirp"), hold=1, follow=True, **SMALL)
+    with pytest.raises(ValueError, match=sentence):
+        LookaheadVecEnv(make_sb3_vec_env(2, torque="chirp"), follow=True, **SMALL)
+
+
+@pytest.mark.filterwarnings("ignore:.*is different from the unwrapped version")
+def test_its_spec_makes_it_again() -> None:
+    env = single(follow=True, seed=3)
+    check_single(env, skip_render_check=True)
+    assert env.spec is not None
+    again = gym.make(env.spec)
+    assert isinstance(again, Lookahead)
+    first, second = env.reset(seed=1)[0], again.reset(seed=1)[0]
+    np.testing.assert_array_equal(first, second)
+    for one, two in zip(env.step(np.zeros(1)), again.step(np.zeros(1)), strict=True):
+        np.testing.assert_equal(one, two)
 
 
 def test_environments_of_several_tasks_are_refused() -> None:

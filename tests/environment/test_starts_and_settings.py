@@ -99,6 +99,7 @@ def state_with(**places: float) -> list[float]:
         ({"time": "noon"}, r"options\['time'\] must be a finite number"),
         ([("time", 1.0)], "options must be a dict of 'state', 'time' and 'scene' or None, got"),
         ("rest", "options must be a dict of 'state', 'time' and 'scene' or None, got 'rest'"),
+        ({"scene": {1: 2}}, r"options\['scene'\] must have names of fields as its keys, got 1"),
         ({"stat": np.zeros(12)}, "options takes only 'state', 'time', 'scene', got 'stat'"),
     ],
 )
@@ -112,6 +113,13 @@ def test_bad_starts_are_refused_and_change_nothing(env: Env, options: Any, sente
     np.testing.assert_array_equal(bare.state, before)
     assert bare.np_random.bit_generator.state == generator.bit_generator.state
     env.step(None)
+
+
+def test_an_option_that_is_none_is_as_one_that_is_not_given(env: Env) -> None:
+    plain, _ = env.reset(seed=3)
+    given, info = env.reset(seed=3, options={"time": None, "state": None, "scene": None})
+    np.testing.assert_array_equal(plain, given)
+    assert info["time"] == 0.0
 
 
 def test_starts_within_the_rounding_of_a_far_off_place_are_taken(env: Env) -> None:

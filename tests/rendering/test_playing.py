@@ -224,6 +224,32 @@ def test_escape_closes_the_window(window: Window, key: str) -> None:
     assert not window.open
 
 
+@pytest.mark.parametrize(
+    ("driver", "sentence"),
+    [
+        ("", "there is no display to play on: start this on a desktop \\("),
+        ("nonsense", "there is no display to play on: SDL_VIDEODRIVER=nonsense gives none \\("),
+    ],
+)
+def test_without_a_display_it_says_so(driver: str, sentence: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    pygame.display.quit()
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
+        monkeypatch.delenv(name, raising=False)
+    if driver:
+        monkeypatch.setenv("SDL_VIDEODRIVER", driver)
+    with pytest.raises(RuntimeError, match=sentence):
+        Window(game_of())
+    assert not pygame.display.get_init()
+
+
+def test_a_driver_that_nobody_sees_is_taken_where_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    pygame.display.quit()
+    monkeypatch.setenv("SDL_VIDEODRIVER", "offscreen")
+    window = Window(game_of())
+    window.frame(0.0)
+    window.close()
+
+
 def test_the_command_plays_with_the_shipped_agent(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     monkeypatch.setattr(sys, "argv", ["play.py", "--seed", "3", "--quiet", "--task", "spin"])

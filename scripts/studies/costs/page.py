@@ -222,10 +222,10 @@ HOW = (
     "pass; one that changes its sign between rounds counts as noise. Times are processor times, which leave out "
     "what other processes use. A plain step is the default scene's, with a held random torque and the task juggle, "
     "as `gymnasium.make` makes it; in a batch, it is the step of one of 1,024 environments. All start from the same "
-    "states of episodes, restored before each step. So a thing's cost does not include its effect on the "
-    "motion. For the same reason a scene of its own differs from the default one by 1e-6 at most. A reset is timed in "
-    "episodes of one step. Observation, info dict, checks and wrappers cannot be switched off: to measure them, "
-    "stand-ins took their place."
+    "states of episodes, restored before each step. Scenes that are varied differ from the default by at most 1e-6, so "
+    "that the motion stays the same. A reset is timed in episodes of one step. Observation, info dict, checks and "
+    "wrappers cannot be switched off: to measure them, stand-ins took their place. This page and [the "
+    "speeds](speed.md) were measured in different hours of a shared machine, so only the ratios within a page count."
 )
 
 

@@ -60,10 +60,9 @@ def texts(bound: float, planner: dict[str, float]) -> dict[str, str]:
         f"most {bound:.0f} in the mean, of which the planner earns {planner['spin'] / bound:.0%}.",
         "rattle": "A jack that flies to and fro at v, straight at the walls of a calm box, knocks every 2 (L - l) / v, "
         f"each time min(1, v / (2 v0)). It earns {rattle_at(0.5 * fast):.1f} at v0 = {0.5 * fast:.1f} m/s and "
-        f"{rattle_at(fast):.1f} at 2 v0. Beyond that the return is the speed in m/s. So the planner's "
-        f"{planner['rattle']:.0f} is that of a jack at {speed_of(planner['rattle']):.0f} m/s throughout; "
-        f"{fast:.0f} m/s is twice the speed of a fall through half the box. "
-        "A knock is at most 1, so 500 is the only bound we know.",
+        f"{rattle_at(fast):.1f} at 2 v0. Beyond that the return is the speed in m/s. The planner's "
+        f"{planner['rattle']:.0f} points are what a jack at a constant {speed_of(planner['rattle']):.0f} m/s would "
+        "earn. A knock is at most 1, so 500 is the only bound we know.",
     }
 
 

@@ -112,7 +112,7 @@ def _method(record: dict[str, Any]) -> list[str]:
     lines = ["", "## How it was measured", ""]
     lines += [
         "`make results` evaluates whole episodes of 10 s from starts that no training has seen (seed "
-        f"{record['seed']}). The first interval is that of the mean, 1.96 standard errors to each side. The "
+        f"{record['seed']}). The first interval is Student's, of the mean. The "
         "interquartile mean leaves out the best and the worst quarter; its interval is scipy's percentile bootstrap "
         f"with {record['resamples']} resamples. One row again:",
         "",

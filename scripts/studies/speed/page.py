@@ -128,7 +128,7 @@ def answer(results: Results) -> str:
         f'{shown("alone", names.EXACT)} with `contact="exact"`; LunarLander-v3 makes {shown("alone", names.LANDER)}, '
         f"CartPole-v1 {shown('alone', names.POLE)}. A batch of 1,024 exact environments makes "
         f"{shown('together', names.BATCH)} per second on one core, {' and '.join(over)}. The exact model is compiled "
-        f"once per machine, in {cold} s; after that a process makes its first step within {warm} s."
+        f"once per machine, here in {cold} s; after that a process makes its first step within {warm} s."
     )
 
 
@@ -194,8 +194,9 @@ HOW = (
     "shows the median over the rounds and the extremes. A step is a control step of 0.02 s under a random action, a "
     "new one in each step; episodes have 500 steps from the environment's own starts. Everything runs on one core "
     "and is timed by processor time, which leaves out other processes. Only batch size and threads are timed by the "
-    "wall clock; their batches start from random moments of episodes. The parts of the page, as "
-    "`make speed` last measured them:"
+    "wall clock; their batches start from random moments of episodes. This page and [the costs](costs.md) were "
+    "measured in different hours of a shared machine, so only the ratios within a page count. The parts of the page, "
+    "as `make speed` last measured them:"
 )
 
 

@@ -104,7 +104,10 @@ def page(data: Mapping[str, Any]) -> str:
     text, findings, trainings = PROSE.read_text(), findings_of(data), settings_from(data["settings"]).seeds
     names = ", ".join(f"`{name}` is {of[0]} with {of[1] or 'no'} substeps" for name, of in data["fidelities"].items())
     failing = 100.0 * stats.binomtest(0, trainings, alternative="less").proportion_ci().high  # Clopper and Pearson's
-    average = f"Even if none of {trainings} trainings fails, up to {failing:.1f} % of all may."
+    average = (
+        f"After {trainings} trainings without a failure, up to {failing:.0f} % of all trainings may still fail (95 % "
+        "bound)."
+    )
     blocks = {
         "answer": [decision(task, found) for task, found in findings.items()],
         "verdict": [f"{names}.", "", *verdict_table(findings), "", average],

@@ -1,0 +1,54 @@
+"""What a reader of an evaluation must know: which environment it is, and which policies come from another one."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import fields, replace
+from pathlib import Path
+
+from agents.evaluation import shipped_names
+from agents.landing import LANDING, read_landing
+from agents.models import run_folder
+from agents.network import SHIPPED
+from agents.policies import BASELINES
+from agents.runs import SETTINGS, read_settings
+from agents.settings import EnvSettings
+
+PLANNER = "planner"
+
+
+def describe_env(settings: EnvSettings) -> str:
+    """The environment in one line: task, contact model, and what differs from the default."""
+    contact, substeps = settings.setting
+    told = [f"task {settings.task}", f"contact {contact}", *([f"substeps {substeps}"] * bool(substeps))]
+    others = [part.name for part in fields(EnvSettings) if part.name not in ("task", "contact", "substeps", "fidelity")]
+    differing = [name for name in others if getattr(settings, name) != getattr(EnvSettings, name)]
+    return ", ".join([*told, *(f"{name} {getattr(settings, name)}" for name in differing)])
+
+
+def _settings_of(name: str, here: EnvSettings) -> EnvSettings | None:
+    """The environment that a policy was trained in, a shipped network's too; None if that is unknown."""
+    if name in (*BASELINES, PLANNER):
+        return None
+    shipped = name in shipped_names(here.task)
+    folder = SHIPPED / f"{here.task}-{name}" if shipped else run_folder(Path(name))
+    settings: EnvSettings
+    if folder is not None and (folder / SETTINGS).is_file():
+        settings = read_settings(folder)
+    elif ((folder or Path(name)) / LANDING).is_file():
+        settings = read_landing(folder or Path(name)).settings
+    else:
+        return None
+    return EnvSettings(**{part.name: getattr(settings, part.name) for part in fields(EnvSettings)})
+
+
+def warn_of_other_training(name: str, here: EnvSettings) -> None:
+    """Note which policies were trained in another environment, or plan in another scene than those that are drawn."""
+    if name == PLANNER and here.randomized:
+        print(f"Note: {name} plans in the scene that is given, not in those that randomize draws", file=sys.stderr)
+    trained = _settings_of(name, here)
+    if trained is None:
+        return
+    same = replace(trained, contact=here.contact, substeps=here.substeps, fidelity=here.fidelity) == here
+    if trained.setting != here.setting or not same:  # one setting can be written in several ways
+        print(f"Note: {name} was trained in another environment ({describe_env(trained)})", file=sys.stderr)

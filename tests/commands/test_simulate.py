@@ -1,0 +1,81 @@
+"""The command that simulates: no folder without files, and runs that are gone on with."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from jackbox_env.commands import simulate
+
+
+def run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, *arguments: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["jackbox simulate", "--no-plots", *arguments])
+    simulate.main()
+
+
+def test_ctrl_c_leaves_no_folder_and_says_so(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "jackbox_env", "simulate", "--seconds", "1e5"]
+    at_work = subprocess.Popen(
+        command, cwd=tmp_path, stderr=subprocess.PIPE, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)
+    )
+    assert at_work.stderr is not None
+    seen = b""
+    while b"step/s" not in seen:  # its progress
+        seen += os.read(at_work.stderr.fileno(), 4096)
+    at_work.send_signal(signal.SIGINT)
+    seen += at_work.stderr.read()
+    assert at_work.wait(timeout=60) == 130
+    at_work.stderr.close()
+    last = seen.decode().replace("\r", "\n").rstrip().splitlines()[-1]
+    assert last == "Interrupted: nothing was written"
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_error_while_files_are_written_leaves_no_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from jackbox_env import report
+
+    def full(*given: object) -> None:
+        raise OSError(28, "No space left on device", "trajectory.html")
+
+    monkeypatch.setattr(report, "write_page", full)
+    with pytest.raises(SystemExit):
+        run(monkeypatch, tmp_path, "--seconds", "1", "--html", "--folder", "out")
+    assert capsys.readouterr().err.splitlines()[-1] == "trajectory.html cannot be used: No space left on device"
+    assert not list(tmp_path.iterdir())
+
+
+def test_it_goes_on_from_its_own_last_row_with_a_foot_in_a_wall(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run(monkeypatch, tmp_path, "--seconds", "2", "--scene", '{"restitution": 0.3, "drive": null}', "--folder", "out")
+    with (tmp_path / "out" / "states.csv").open() as file:
+        rows = [[float(cell) for cell in row] for row in list(csv.reader(file))[1:]]
+    deep = next(row for row in rows if row[5] - row[2] < -5.0 - 1e-8)  # a foot is outside
+    run(monkeypatch, tmp_path, "--seconds", "1", "--state", json.dumps(deep[1:]), "--time", str(deep[0]))
+    (again,) = (tmp_path / "runs").glob("simulate-*/states.csv")
+    with again.open() as file:
+        assert [float(cell) for cell in list(csv.reader(file))[1]] == deep
+
+
+def test_a_long_page_is_announced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(simulate, "_SAID", 0.05)
+    began = time.perf_counter()
+    run(monkeypatch, tmp_path, "--seconds", "4", "--html", "--folder", "out")
+    assert time.perf_counter() - began < 60.0
+    assert "Writing the page takes some 0 s" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        run(monkeypatch, tmp_path, "--seconds", "1e4", "--html", "--folder", "more")
+    assert "html takes at most 200,000 steps, got seconds / dt = 500000" in capsys.readouterr().err
