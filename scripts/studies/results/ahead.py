@@ -50,7 +50,8 @@ def text(rows: list[dict[str, Any]], reached: float = 300.0) -> list[str]:
         "## Looking ahead",
         "",
         f"PPO that is shown a plan of 32 samples by `Lookahead` and corrects it earns more than {reached:.0f} on "
-        f"juggle in {above} of {len(rows)} trainings. Most of the time goes into looking ahead.",
+        f"juggle in {above} of {len(rows)} trainings. Most of the time goes into looking ahead. The minutes are the "
+        "wall clock's, on a machine that other work shared.",
         "",
         "| seed | mean return | 95 % interval | minutes | looking ahead | environment | learning |",
         "|---:|---:|:---:|---:|---:|---:|---:|",
