@@ -13,7 +13,7 @@ import pytest
 
 from agents.evaluation import evaluate, find_policy
 from agents.settings import EnvSettings
-from jackbox_env import JackInBoxVectorEnv, Scene
+from jackbox_env import JackInBoxVectorEnv, Lookahead, Scene
 from jackbox_env.tasks import TASKS
 from scripts.studies.results import across, ahead, attainable, chirps, page, results
 
@@ -41,6 +41,20 @@ def test_the_distilled_policy_is_between_ppo_and_the_planner_and_looking_ahead_e
     assert sum(row["interval_95"][0] > 300.0 for row in record["ahead"]) >= 4
 
 
+def test_the_plan_alone_is_what_the_wrapper_plays_to_an_agent_that_says_0() -> None:
+    policy, earned = ahead.PlanAlone(), 0.0
+    plain: Any = gym.make("JackInBox-v0", contact="exact")
+    seen, _ = plain.reset(seed=4)
+    state = None
+    for _ in range(100):
+        action, state = policy.predict(seen, state)
+        seen, reward, *_ = plain.step(action)
+        earned += float(reward)
+    env = Lookahead(gym.make("JackInBox-v0", contact="exact"), follow=True, hold=5, samples=32)
+    env.reset(seed=4)
+    assert sum(float(env.step(np.zeros(1, np.float32))[1]) for _ in range(20)) == pytest.approx(earned, abs=1e-6)
+
+
 def test_the_command_beside_the_trainings_makes_them() -> None:
     import tyro
 
@@ -53,9 +67,10 @@ def test_the_command_beside_the_trainings_makes_them() -> None:
 def test_the_table_of_trainings_says_shares_and_minutes() -> None:
     parts = {"environment": 6.0, "looking ahead": 90.0, "learning": 12.0, "choosing actions, evaluations and files": 12}
     row = {"seed": 3, "mean": 311.24, "interval_95": [309.0, 313.0], "time": {"seconds": 120.0, "parts": parts}}
-    lines = ahead.text([row, {**row, "interval_95": [299.0, 301.0]}])
+    lines = ahead.text([row, {**row, "interval_95": [299.0, 301.0]}], {"mean": 317.0, "interval_95": [315.0, 319.0]})
     assert "in 1 of 2 trainings" in lines[3]
-    assert lines[7] == "| 3 | 311.2 | 309.0 to 313.0 | 2.0 | 75 % | 5 % | 10 % |"
+    assert "earns 317.0 (315.0 to 319.0)" in lines[3]
+    assert lines[9] == "| 3 | 311.2 | 309.0 to 313.0 | 2.0 | 75 % | 5 % | 10 % |"
 
 
 def test_the_shipped_network_and_the_planner_are_above_the_level_box() -> None:

@@ -7,8 +7,12 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from agents.evaluation import evaluate
 from agents.models import load_model
+from agents.playing import manner_of, play
 from agents.runs import TIME
 from agents.settings import TrainSettings
 from agents.training import trained_in
@@ -27,6 +31,30 @@ COMMAND = (
 )
 
 
+class PlanAlone:
+    """A policy that follows the plan that `Lookahead` shows, and corrects nothing."""
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[Any, Any]:
+        """See :class:`agents.policies.Policy`."""
+        return play(manner_of(SETTINGS), _no_correction, observation, state, episode_start)
+
+
+def _no_correction(seen: NDArray[Any]) -> NDArray[Any]:
+    return np.zeros((len(seen), 1), np.float32)
+
+
+def plan_alone(kept: Path, episodes: int, seed: int) -> dict[str, Any]:
+    """What the plan earns that nobody corrects; kept in the folder."""
+    file = kept / f"lookahead-alone-{episodes}.json"
+    if not file.exists():
+        row = evaluate("plan alone", PlanAlone(), SETTINGS.env_settings, episodes, seed, progress=True)
+        write_json(file, row.as_json())
+    found: dict[str, Any] = json.loads(file.read_text())
+    return found
+
+
 def ahead(kept: Path, episodes: int, seed: int) -> list[dict[str, Any]]:
     """What each training earns on the exact model, and its times; trainings and rows are kept in a folder."""
     rows = []
@@ -42,16 +70,20 @@ def ahead(kept: Path, episodes: int, seed: int) -> list[dict[str, Any]]:
     return rows
 
 
-def text(rows: list[dict[str, Any]], reached: float = 300.0) -> list[str]:
-    """The page's lines."""
+def text(rows: list[dict[str, Any]], alone: dict[str, Any], reached: float = 300.0) -> list[str]:
+    """The page's lines, of trainings and of the plan alone."""
+    plain, (plain_low, plain_high) = alone["mean"], alone["interval_95"]
     above = sum(row["interval_95"][0] > reached for row in rows)
     lines = [
         "",
         "## Looking ahead",
         "",
         f"PPO that is shown a plan of 32 samples by `Lookahead` and corrects it earns more than {reached:.0f} on "
-        f"juggle in {above} of {len(rows)} trainings. Most of the time goes into looking ahead. The minutes are the "
-        "wall clock's, on a machine that other work shared.",
+        f"juggle in {above} of {len(rows)} trainings. The plan alone, which an agent follows that always says 0, earns "
+        f"{plain:.1f} ({plain_low:.1f} to {plain_high:.1f}). So these trainings have not improved on it.",
+        "",
+        "Most of the time goes into looking ahead. The minutes are the wall clock's, on a machine that other work "
+        "shared.",
         "",
         "| seed | mean return | 95 % interval | minutes | looking ahead | environment | learning |",
         "|---:|---:|:---:|---:|---:|---:|---:|",

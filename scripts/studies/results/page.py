@@ -46,7 +46,14 @@ def page(record: dict[str, Any]) -> str:
     for task in TASKS:
         lines += ["", f"## {task}", "", attainable[task], "", *_table(record["rows"], task)]
     return "\n".join(
-        [*lines, *_best_chirps(record), *ahead.text(record["ahead"]), *_across(record["across"]), *_method(record), ""]
+        [
+            *lines,
+            *_best_chirps(record),
+            *ahead.text(record["ahead"], record["plan_alone"]),
+            *_across(record["across"]),
+            *_method(record),
+            "",
+        ]
     )
 
 

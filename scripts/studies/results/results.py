@@ -123,7 +123,7 @@ def main() -> None:
     from jackbox_env import _validation as check
     from jackbox_env.storage import check_writable, write_bytes
     from scripts.studies.results.across import across
-    from scripts.studies.results.ahead import ahead
+    from scripts.studies.results.ahead import ahead, plan_alone
     from scripts.studies.results.attainable import spin_bound
     from scripts.studies.results.curves import draw
     from scripts.studies.results.page import page
@@ -138,6 +138,7 @@ def main() -> None:
         "rows": rows_of(arguments),
         "across": across(arguments.kept, arguments.across_episodes, SEED),
         "ahead": ahead(arguments.kept, arguments.episodes, SEED),
+        "plan_alone": plan_alone(arguments.kept, arguments.episodes, SEED),
         "spin_bound": spin_bound(arguments.episodes, SEED),
         "trained": trained(),
     }
