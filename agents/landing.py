@@ -16,7 +16,6 @@ weights.npz     as in :mod:`agents.value`
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.network import WEIGHTS, Layer, read_layers, write_layers
+from agents.network import Layer, read_with_layers, write_layers
 from agents.observing import observations
 from agents.playing import Manner, Playing, play
 from agents.policies import Actions
@@ -43,7 +42,6 @@ from jackbox_env.storage import write_json
 LANDING = "landing.json"
 FLOOR = 3  # the wall under the jack while the box is turned by less than an eighth of a turn
 AFTER = 0.25  # [s] after the landing of a level box a bounce is judged
-_LARGEST = 1_000_000  # [bytes] of landing.json
 _QUARTER = 0.5 * math.pi
 _SEARCHES = 3  # Newton steps to the moment of the contact
 _STEP = 0.25  # [s] the longest of them
@@ -204,12 +202,6 @@ def read_landing(folder: Path) -> LandingPolicy:
         FileNotFoundError: it holds none.
         ValueError: its files are damaged, or do not fit each other.
     """
-    path = folder / LANDING
-    if not path.is_file() or not (folder / WEIGHTS).is_file():
-        raise FileNotFoundError(f"{folder} holds no {LANDING if not path.is_file() else WEIGHTS}")
-    try:
-        if path.stat().st_size > _LARGEST:
-            raise ValueError(f"{LANDING} must be at most {_LARGEST:,} bytes, got {path.stat().st_size:,}")
-        return LandingPolicy(LandingSettings.of(json.loads(path.read_bytes())), read_layers(folder))
-    except Exception as error:
-        raise ValueError(f"{folder} holds no policy of landings: {error}") from error
+    return read_with_layers(
+        folder, LANDING, "policy of landings", lambda given, layers: LandingPolicy(LandingSettings.of(given), layers)
+    )

@@ -13,9 +13,11 @@ from __future__ import annotations
 
 import dataclasses
 import io
+import json
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +36,9 @@ if TYPE_CHECKING:
 
 WEIGHTS = "weights.npz"
 SHIPPED = Path(__file__).parent / "trained"  # a folder <task>-<name> of each policy that comes with the repository
+_Made = TypeVar("_Made")
 Layer = tuple[NDArray[np.float32], NDArray[np.float32]]  # weight and bias
+_MOST_SETTINGS = 100_000  # [bytes] of a JSON file
 _SPARE = 65_536  # [bytes] of a file beside its numbers
 
 
@@ -123,6 +127,31 @@ def read_layers(folder: Path) -> list[Layer]:
     with np.load(io.BytesIO(path.read_bytes())) as stored:
         count = min(MOST_LAYERS + 1, len(stored.files) // 2)
         return [(stored[f"weight_{number}"], stored[f"bias_{number}"]) for number in range(count)]
+
+
+def read_with_layers(folder: Path, name: str, kind: str, make: Callable[[Any, list[Layer]], _Made]) -> _Made:
+    """What is made of a folder's JSON file ``name`` and its layers; nothing is unpickled.
+
+    Args:
+        folder: of the two files.
+        name: of the JSON file.
+        kind: of what it holds, for errors.
+        make: it, from what the JSON holds and the layers.
+
+    Raises:
+        FileNotFoundError: a file is missing.
+        ValueError: the files are damaged, or do not fit each other.
+    """
+    for wanted in (name, WEIGHTS):
+        if not (folder / wanted).is_file():
+            raise FileNotFoundError(f"{folder} holds no {wanted}")
+    try:
+        size = (folder / name).stat().st_size
+        if size > _MOST_SETTINGS:
+            raise ValueError(f"{name} must be at most {_MOST_SETTINGS:,} bytes, got {size:,}")
+        return make(json.loads((folder / name).read_bytes()), read_layers(folder))
+    except Exception as error:
+        raise ValueError(f"{folder} holds no {kind}: {error}") from error
 
 
 def write_policy(folder: Path, settings: TrainSettings, layers: list[Layer]) -> None:

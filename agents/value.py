@@ -12,14 +12,13 @@ weights.npz     as in :mod:`agents.network`; tanh stands between the layers, the
 from __future__ import annotations
 
 import dataclasses
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.network import WEIGHTS, Layer, read_layers, write_layers
+from agents.network import Layer, read_with_layers, write_layers
 from agents.observing import observations
 from agents.preview import FEATURES, flight_of, preview
 from agents.settings import EnvSettings
@@ -32,7 +31,6 @@ from jackbox_env.storage import write_json
 VALUE = "value.json"
 INPUTS = len(BOUNDS) + len(FEATURES)
 UNIT = 20.0  # rewards, so that the network's output is of order one
-_LARGEST = 100_000  # [bytes] of value.json
 
 
 class Value:
@@ -103,14 +101,10 @@ def read_value(folder: Path) -> Value:
         FileNotFoundError: it holds none.
         ValueError: its files are damaged, or do not fit each other.
     """
-    path = folder / VALUE
-    if not path.is_file() or not (folder / WEIGHTS).is_file():
-        raise FileNotFoundError(f"{folder} holds no {VALUE if not path.is_file() else WEIGHTS}")
-    try:
-        if path.stat().st_size > _LARGEST:
-            raise ValueError(f"{VALUE} must be at most {_LARGEST:,} bytes, got {path.stat().st_size:,}")
-        settings = EnvSettings.of(json.loads(path.read_bytes()))
-        JackInBoxEnv(**settings.env_settings).close()  # refuses what settings leave to the environment
-        return Value(settings, read_layers(folder))
-    except Exception as error:
-        raise ValueError(f"{folder} holds no value: {error}") from error
+    return read_with_layers(folder, VALUE, "value", _made)
+
+
+def _made(given: Any, layers: list[Layer]) -> Value:
+    settings = EnvSettings.of(given)
+    JackInBoxEnv(**settings.env_settings).close()  # refuses what settings leave to the environment
+    return Value(settings, layers)
