@@ -63,7 +63,7 @@ def test_check_passes_here(checked: pytest.CaptureFixture[str]) -> None:
     out = checked.readouterr().out
     assert out.count("ok      ") == 4
     extras = [line.split()[1] for line in out.splitlines() if line.startswith("  extra")]
-    assert extras == ["render:", "train:", "video:"]
+    assert extras == ["render:", "scale:", "train:", "video:"]
     assert "3 impacts agree with the impact map" in out
 
 

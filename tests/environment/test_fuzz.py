@@ -124,6 +124,7 @@ INDICES: dict[str, Callable[[Any], Any]] = {
 # These check nothing, for speed: their caller has checked the arguments. And records of results.
 UNCHECKED = {
     "mechanics.clearance", "mechanics.start_tolerance", "mechanics.deepest_held", "mechanics.energy_of",
+    "mechanics.contacts_of", "mechanics.impact_maps",
     "tasks.juggle", "tasks.spin", "tasks.rattle", "tasks.sample_start", "tasks.start_pose", "tasks.Task",
     "tasks.task_of", "tasks.checked_terms", "tasks.reward_of", "Task", "Impact", "Rollout", "FIDELITIES",
 }  # fmt: skip

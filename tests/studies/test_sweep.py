@@ -246,7 +246,7 @@ def test_claims_that_do_not_hold_fail_the_command_and_show_on_the_page(
         (["--seconds", "0"], "seconds must be a finite number above 0, got 0.0"),
         (["--loss"], "--loss adds to stored results: give --page-from too"),
         (["--out", "nowhere"], "nowhere is no folder to write a page in"),
-        (["--page-from", "nowhere/results.json"], "No such file or directory: 'nowhere/results.csv'"),
+        (["--page-from", "nowhere/results.json"], "nowhere/results.csv cannot be used: No such file or directory"),
     ],
 )
 def test_bad_arguments_are_refused_before_anything_is_made(

@@ -305,7 +305,7 @@ def test_refusals_of_the_command_line(
         ("--page-from other.json --resume docs", "--resume and --page-from use the settings of the study named"),
         ("--resume study --folder new", "--resume and --page-from use the settings of the study named"),
         ("--resume docs", "docs is no study: it has no study.json"),
-        ("--page-from no.json", "No such file or directory: 'no.json'"),
+        ("--page-from no.json", "no.json cannot be used: No such file or directory"),
         ("--page-from broken.json", "broken.json is damaged (JSONDecodeError: Expecting property name"),
         ("--page-from other.json", "other.json holds no data of a study: 'fidelities' is missing"),
         ("--page-from old.json", "fidelities must be one of 'coarse', 'balanced', 'fine', 'exact', got 'fast'"),
