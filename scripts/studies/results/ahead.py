@@ -34,11 +34,14 @@ COMMAND = (
 class PlanAlone:
     """A policy that follows the plan that `Lookahead` shows, and corrects nothing."""
 
+    def __init__(self) -> None:
+        self._manner = manner_of(SETTINGS)
+
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[Any, Any]:
         """See :class:`agents.policies.Policy`."""
-        return play(manner_of(SETTINGS), _no_correction, observation, state, episode_start)
+        return play(self._manner, _no_correction, observation, state, episode_start)
 
 
 def _no_correction(seen: NDArray[Any]) -> NDArray[Any]:
