@@ -27,7 +27,7 @@ PACKAGE = """
     compiled.motion
     compiled.bounds
     compiled.search
-    compiled.collocation
+    compiled.constrained
     compiled.rest
     compiled.advance
     compiled.step

@@ -19,6 +19,7 @@ from jackbox_env.compiled.search import (
     Limits,
     Touch,
     first_impact,
+    resolution,
     rests,
     slowest,
     strike,
@@ -35,25 +36,27 @@ def advance(scene: SceneNumbers, work: Workspace, piece: Piece, touch: Touch, si
     The state is in a frame near the box; ``work`` holds the polynomial accelerations.
     """
     work[HOLDING, LOOSE] = 0.0
-    rest = touch.together
+    restless = False  # whether the state has been found to be without a foot at rest
     while since < piece.length:
         remaining = piece.length - since
+        near = resolution(scene, work, touch)
         left = min(remaining, GLANCE * piece.length) if rests(scene, work) else remaining
         flight = flight_of(scene, work[STATE], piece, since)
+        rest = -math.inf if restless else near
         time, pair = first_impact(scene, work, flight, piece, left, touch.tolerance, rest)
         if pair == AT_REST:
             limits = Limits(curvature_of(scene, flight, left, piece), left, touch.tolerance)
-            slow = slowest(scene, flight, limits, touch.together)
-            held = settle(scene, work, piece, since, touch, slow)
+            slow = slowest(scene, flight, limits, near)
+            held = settle(scene, work, piece, since, touch, near, slow)
             if held == 0:
-                rest = -math.inf  # nobody rests: look for impacts alone
+                restless = True
                 continue
-            ended, time = hold(scene, work, piece, touch, since, held)
+            ended, time = hold(scene, work, piece, touch, near, since, held)
             if ended != Status.DONE:
                 return ended
             since += time
             continue
-        rest = touch.together
+        restless = False
         work[HOLDING, LOOSE] = 0.0
         if pair == ENDLESS:
             return why_endless(work)
@@ -64,6 +67,6 @@ def advance(scene: SceneNumbers, work: Workspace, piece: Piece, touch: Touch, si
                 return Status.DONE
             since += left
             continue
-        strike(scene, work, flight, time, pair, touch.together)
+        strike(scene, work, flight, time, pair, near)
         since += time
     return Status.DONE

@@ -176,17 +176,23 @@ def nearest(work: Workspace, count: int) -> tuple[int, int, int]:
                 if k == j and j != i:
                     continue  # sets of one (i, i, i), two (i, i, k) and three (i, j, k)
                 size = 1 if k == i else 2 if j == i else 3
-                if not (project(work, size, k, i, j) and pushing(work, size)):
-                    continue
-                violation = 0.0
-                for other in range(count):
-                    violation = max(violation, -(dot(work[UNIT + other], work[POINT]) + work[BIAS, other]))
+                violation = violation_of(work, count, size, k, i, j)
                 if violation < least:
                     least = violation
                     one, two, three = k, i if size > 1 else -1, j if size > 2 else -1
                     for place in range(3):
                         work[BEST, place] = work[PUSHES, place]
     return one, two, three
+
+
+def violation_of(work: Workspace, count: int, size: int, one: int, two: int, three: int) -> float:
+    """By how much a set's projection closes gaps; infinity if its rows depend on each other or a push pulls."""
+    if not (project(work, size, one, two, three) and pushing(work, size)):
+        return math.inf
+    violation = 0.0
+    for other in range(count):
+        violation = max(violation, -(dot(work[UNIT + other], work[POINT]) + work[BIAS, other]))
+    return violation
 
 
 def root_mass(scene: SceneNumbers, place: int) -> float:

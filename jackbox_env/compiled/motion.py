@@ -1,8 +1,8 @@
 """The motion of box and jack between impacts, in one piece of a step, and the gaps between feet and walls meanwhile.
 
 Law of flight: the jack falls with g and keeps its spin, the box keeps its velocity but for side forces, and its angle
-is the double integral of torque / J_b. While feet are held, all six accelerations are polynomials
-(``collocation.py``).
+is the double integral of torque / J_b. While feet are held, powers of time describe the relative motion
+(``constrained.py``).
 """
 
 from __future__ import annotations
@@ -15,12 +15,22 @@ from numpy.typing import NDArray
 from jackbox_env.compiled.drives import DEGREE, PUSH_X, PUSH_Y, TURN, horner
 from jackbox_env.compiled.impacts import quarter
 from jackbox_env.compiled.trigonometry import cos_sin
-from jackbox_env.compiled.workspace import PIECE, STATE, TALLY, WORK, Workspace
+from jackbox_env.compiled.workspace import (
+    PIECE,
+    PLACE_X,
+    PLACE_Y,
+    PSI,
+    RATE_X,
+    RATE_Y,
+    SPIN,
+    STATE,
+    TALLY,
+    WORK,
+    Workspace,
+)
 from jackbox_env.scene import SceneNumbers
 
 Array = NDArray[np.float64]
-
-HELD_AXES = 3  # accelerations of box and jack while feet are held, counted from PIECE: six, then three forces
 
 
 class Piece(NamedTuple):
@@ -48,7 +58,7 @@ class Flight(NamedTuple):
     gravity: float  # [m/s^2]
     alpha: float  # of the box, where it is constant [rad/s^2]
     since: float  # the moment, since the piece's start [s]
-    half: float  # half the piece's length [s]
+    half: float  # half the piece's length; while feet are held, the stretch's length [s]
     curved: bool  # whether the accelerations are polynomials
     pushed: bool  # whether the box's centre is accelerated too
     held: int  # feet that walls hold, bit 4 * wall + foot of each
@@ -112,8 +122,6 @@ def excursion(work: Workspace, axis: int, flight: Flight, s: float) -> tuple[flo
 
 def pose_at(flight: Flight, work: Workspace, s: float) -> Pose:
     """The relative motion ``s`` [s] into the flight."""
-    if flight.held:
-        return held_pose_at(flight, work, s)
     x = flight.x + flight.vx * s
     y = flight.y + (flight.vy - 0.5 * flight.gravity * s) * s
     vx, vy = flight.vx, flight.vy - flight.gravity * s
@@ -130,31 +138,9 @@ def pose_at(flight: Flight, work: Workspace, s: float) -> Pose:
     return Pose(x, y, vx, vy, angle, flight.omega + spun, jack_angle, flight.jack_omega)
 
 
-def held_pose_at(flight: Flight, work: Workspace, s: float) -> Pose:
-    """The relative motion ``s`` [s] into a flight with held feet, on which all six accelerations are polynomials."""
-    box_x, box_vx = excursion(work, HELD_AXES, flight, s)
-    box_y, box_vy = excursion(work, HELD_AXES + 1, flight, s)
-    turned, spun = excursion(work, HELD_AXES + 2, flight, s)
-    x, vx = excursion(work, HELD_AXES + 3, flight, s)
-    y, vy = excursion(work, HELD_AXES + 4, flight, s)
-    jack_turned, jack_spun = excursion(work, HELD_AXES + 5, flight, s)
-    return Pose(
-        flight.x + (flight.vx * s + (x - box_x)), flight.y + (flight.vy * s + (y - box_y)),
-        flight.vx + (vx - box_vx), flight.vy + (vy - box_vy),
-        flight.angle + (flight.omega * s + turned), flight.omega + spun,
-        flight.jack_angle + (flight.jack_omega * s + jack_turned), flight.jack_omega + jack_spun,
-    )  # fmt: skip
-
-
 def evolve(work: Workspace, flight: Flight, s: float) -> None:
     """Fly for ``s`` [s]: move the state."""
     state = work[STATE]
-    if flight.held:
-        for place in range(6):
-            moved, rate = excursion(work, HELD_AXES + place, flight, s)
-            state[place] += state[6 + place] * s + moved
-            state[6 + place] += rate
-        return
     turned, spun = 0.5 * flight.alpha * s * s, flight.alpha * s
     if flight.curved:
         turned, spun = excursion(work, TURN, flight, s)
@@ -243,7 +229,23 @@ def foot_gap(
 def gap_at(scene: SceneNumbers, flight: Flight, work: Workspace, wall: int, foot: int, s: float) -> tuple[float, float]:
     """Gap between a wall and a foot ``s`` [s] into the flight [m], and its rate [m/s]."""
     work[TALLY, WORK] += 1.0
+    if flight.held:
+        view = held_view(flight, work, s)
+        ahead, speed = towards(view.frame, wall)
+        return foot_gap(scene, ahead, speed, view.cosine, view.sine, view.spin, foot - wall)
     pose = pose_at(flight, work, s)
     ahead, speed = towards(box_frame(pose.x, pose.y, pose.vx, pose.vy, pose.angle, pose.omega), wall)
     cosine, sine = cos_sin(pose.jack_angle - pose.angle)
     return foot_gap(scene, ahead, speed, cosine, sine, pose.jack_omega - pose.omega, foot - wall)
+
+
+def held_view(flight: Flight, work: Workspace, s: float) -> View:
+    """The jack as it is seen from the box ``s`` [s] into a stretch with held feet."""
+    length = flight.half
+    u = s / length
+    frame = BoxFrame(
+        horner(work[PLACE_X], DEGREE + 2, u), horner(work[PLACE_Y], DEGREE + 2, u),
+        horner(work[RATE_X], DEGREE + 1, u) / length, horner(work[RATE_Y], DEGREE + 1, u) / length,
+    )  # fmt: skip
+    spin = horner(work[SPIN], DEGREE + 1, u) / length
+    return view_of(frame, horner(work[PSI], DEGREE + 2, u), spin, s)

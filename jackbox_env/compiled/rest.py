@@ -9,12 +9,13 @@ until lambda is 0 and the wall would have to pull. Among feet that touch and nei
 are held solve 0 <= lambda _|_ J qddot + Jdot qdot >= 0: the accelerations are the nearest to the free ones, in the
 norm of M, that close no gap (Gauss's principle; Brogliato 2016, "Nonsmooth Mechanics", ch. 5).
 
-Method: over a stretch of time the motion is found by collocation (``collocation.py``). It is a flight under a known
-drive, so the search for the next impact of another foot has the same guarantee as in free flight. At the end of a
-stretch the held gaps are brought back to 0 and their rates with them, by the nearest step in the norm of M. So nothing
+Method: over a stretch of time the motion is found as a series (``constrained.py``). The gaps of the other feet follow
+from it, so the search for the next impact has the same guarantee as in free flight. At the start of a stretch the held
+gaps are brought back to where they are held and their rates to 0, by the nearest step in the norm of M. So nothing
 drifts and no energy is gained.
-Order: 13 in a stretch, which is halved until the last Chebyshev coefficients are rounding.
-Cost: some 10 iterations of 13 moments for a stretch, which is a whole control step unless something turns fast.
+Resolution: with loss, a foot is at rest that would rise by ``search.resolution`` at most. That is 1e-13 m, and grows to
+1e-10 m in a step with many impacts. Coming to rest takes at most m_j K times that from the energy, with K of
+``bounds.py``.
 """
 
 from __future__ import annotations
@@ -24,19 +25,22 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.compiled.collocation import (
-    FORCES,
-    accelerations,
-    bend_all,
-    let_go,
-    list_contacts,
-    rate_of,
-    stretch,
+from jackbox_env.compiled.constrained import carry, curvature_while_held, let_go, stretch
+from jackbox_env.compiled.drives import DEGREE, PUSH_X, PUSH_Y, SHARES, TURN, horner
+from jackbox_env.compiled.impacts import (
+    Frame,
+    dot,
+    frame_of,
+    gradient,
+    kick,
+    nearest,
+    project,
+    resolve,
+    violation_of,
+    weigh,
 )
-from jackbox_env.compiled.drives import DEGREE, horner
-from jackbox_env.compiled.impacts import Frame, dot, frame_of, gradient, kick, nearest, project, resolve, weigh
-from jackbox_env.compiled.motion import HELD_AXES, Flight, Piece, evolve, largest
-from jackbox_env.compiled.search import ENDLESS, MOST_WORK, NONE, Touch, first_impact, why_endless
+from jackbox_env.compiled.motion import Flight, Piece, box_frame, flight_of, view_of
+from jackbox_env.compiled.search import ALL, ENDLESS, NONE, Limits, Touch, first_of_all, why_endless
 from jackbox_env.compiled.status import Status
 from jackbox_env.compiled.workspace import (
     BASE,
@@ -44,6 +48,8 @@ from jackbox_env.compiled.workspace import (
     BIAS,
     COUNT,
     ELAPSED,
+    FORCE,
+    FREE,
     GAPS,
     GRADIENTS,
     HITS,
@@ -64,7 +70,6 @@ from jackbox_env.compiled.workspace import (
     TALLY,
     TARGETS,
     UNIT,
-    VALUES,
     WORK,
     Workspace,
 )
@@ -72,24 +77,72 @@ from jackbox_env.scene import SceneNumbers
 
 Array = NDArray[np.float64]
 
-_TURNED = 0.5  # [rad] that a stretch may turn at first
 _ALONG = 1e-18  # square of what a unit gradient may keep beside those of held feet, to be held along with them
 _FAINT = 1e-9  # of the strongest push at held feet: an acceleration that is none
+_ROUNDED = 4e-16  # of L: what rounding leaves of a gap
 
 
-def list_slow(scene: SceneNumbers, work: Workspace, frame: Frame, touch: Touch, slow: float) -> int:
-    """List the contacts that touch, at rates up to ``slow`` [m/s], but for those let go; return how many there are."""
+def bend(scene: SceneNumbers, state: Array, frame: Frame, row: Array, gap: float) -> float:
+    """Jdot qdot of a gap with the gradient ``row``: its second derivative where nothing accelerates [m/s^2]."""
+    omega, spin = state[8], state[11] - state[8]
+    depth = row[0] * frame.x + row[1] * frame.y  # n . r
+    sideways = row[0] * (state[10] - state[7]) - row[1] * (state[9] - state[6])  # n^perp . v
+    along = scene.box_half_width - depth - gap  # of the foot from the jack's centre, on n
+    return float(-2.0 * omega * sideways + omega * omega * depth + spin * spin * along)
+
+
+def accelerations(scene: SceneNumbers, work: Workspace, piece: Piece, since: float) -> None:
+    """Fill in the accelerations that gravity and the drive give box and jack ``since`` [s] after the piece's start."""
+    u = 2.0 * since / piece.length - 1.0
+    free = work[FREE]
+    free[0] = free[1] = free[3] = free[5] = 0.0
+    free[2], free[4] = piece.alpha, -scene.gravity
+    if piece.curved:
+        free[2] = horner(work[PIECE + 3 * TURN], DEGREE, u)
+    if piece.pushed:
+        free[0] = horner(work[PIECE + 3 * PUSH_X], DEGREE, u)
+        free[1] = horner(work[PIECE + 3 * PUSH_Y], DEGREE, u)
+
+
+def list_contacts(scene: SceneNumbers, work: Workspace, state: Array, count: int) -> Frame:
+    """Fill in gaps and gradients of the pairs in ``work[PAIRS]`` for a state."""
+    frame = frame_of(state)
+    for number in range(count):
+        pair = int(work[PAIRS, number])
+        work[GAPS, number] = gradient(scene, frame, pair // 4, pair % 4, work[GRADIENTS + number])
+    return frame
+
+
+def rate_of(state: Array, row: Array) -> float:
+    """J qdot [m/s]."""
+    return float(
+        row[0] * (state[6] - state[9]) + row[1] * (state[7] - state[10]) + row[2] * state[8] + row[5] * state[11]
+    )
+
+
+def bend_all(scene: SceneNumbers, work: Workspace, state: Array, frame: Frame, count: int) -> None:
+    """Weigh the free accelerations and the gradients, and fill in the bias that makes J qddot + Jdot qdot of them."""
+    weigh(scene, work, count, work[FREE])
+    for number in range(count):
+        turn = bend(scene, state, frame, work[GRADIENTS + number], work[GAPS, number])
+        work[BIAS, number] = turn / work[LENGTHS, number]
+
+
+def list_slow(scene: SceneNumbers, work: Workspace, frame: Frame, near: float, slow: float) -> int:
+    """List the contacts within ``near`` [m] at rates up to ``slow`` [m/s], but for those let go; return how many."""
     count, loose = 0, int(work[HOLDING, LOOSE])
     for pair in range(16):
         row = work[GRADIENTS + count]
         gap = gradient(scene, frame, pair // 4, pair % 4, row)
-        if gap <= touch.together and abs(rate_of(work[STATE], row)) <= slow and not loose & (1 << pair):
+        if gap <= near and abs(rate_of(work[STATE], row)) <= slow and not loose & (1 << pair):
             work[PAIRS, count] = pair
             count += 1
     return count
 
 
-def settle(scene: SceneNumbers, work: Workspace, piece: Piece, since: float, touch: Touch, slow: float) -> int:
+def settle(
+    scene: SceneNumbers, work: Workspace, piece: Piece, since: float, touch: Touch, near: float, slow: float
+) -> int:
     """Find the feet at rest on walls, and bring their gaps and rates to rest.
 
     Args:
@@ -98,7 +151,8 @@ def settle(scene: SceneNumbers, work: Workspace, piece: Piece, since: float, tou
         piece: what acts on the box.
         since: [s] after the piece's start.
         touch: when feet touch.
-        slow: rate above which no foot that touches is looked at [m/s].
+        near: gap within which feet may rest [m].
+        slow: rate above which no foot is looked at [m/s].
 
     Returns:
         The pairs that are held, as bits. Their number is in ``work[HOLDING, COUNT]``, and they are first in
@@ -106,13 +160,13 @@ def settle(scene: SceneNumbers, work: Workspace, piece: Piece, since: float, tou
     """
     state = work[STATE]
     frame = frame_of(state)
-    count = list_slow(scene, work, frame, touch, slow)
+    count = list_slow(scene, work, frame, near, slow)
     accelerations(scene, work, piece, since)
     while count > 0:
         work[TALLY, WORK] += 1.0
         list_contacts(scene, work, work[STATE], count)
         bend_all(scene, work, state, frame, count)
-        chosen = nearest(work, count)
+        chosen = pressed_set(work, count)
         # A foot that would bounce higher than can be told from rest is not at rest.
         bouncing = -1
         for place in range(3):
@@ -121,16 +175,31 @@ def settle(scene: SceneNumbers, work: Workspace, piece: Piece, since: float, tou
                 # The acceleration that this contact takes from the foot, were it the only one.
                 pressed = work[BEST, place] * work[LENGTHS, number]
                 rate = rate_of(state, work[GRADIENTS + number])
-                if rate * rate > 2.0 * touch.together * pressed:
+                if rate * rate > 2.0 * near * pressed:
                     bouncing = number
         if bouncing < 0:
-            return hold_these(scene, work, touch, count, chosen)
+            return hold_these(scene, work, touch, near, count, chosen)
         count -= 1
         work[PAIRS, bouncing] = work[PAIRS, count]
     return 0
 
 
-def hold_these(scene: SceneNumbers, work: Workspace, touch: Touch, count: int, chosen: tuple[int, int, int]) -> int:
+def pressed_set(work: Workspace, count: int) -> tuple[int, int, int]:
+    """What ``impacts.nearest`` returns, with large sets first: a set that closes no gap is the answer."""
+    for size in (3, 2, 1):
+        for i in range(count if size > 2 else 1):
+            for j in range(i + 1 if size > 2 else 0, count if size > 1 else 1):
+                for k in range(j + 1 if size > 1 else 0, count):
+                    if violation_of(work, count, size, k, j, i) <= _FAINT * work[PUSHES, 0]:
+                        for place in range(3):
+                            work[BEST, place] = work[PUSHES, place]
+                        return k, j if size > 1 else -1, i if size > 2 else -1
+    return nearest(work, count)
+
+
+def hold_these(
+    scene: SceneNumbers, work: Workspace, touch: Touch, near: float, count: int, chosen: tuple[int, int, int]
+) -> int:
     """Hold the chosen of ``count`` contacts and bring them to rest; return them as bits, with those they hold along.
 
     A contact that needs no force and does not part either is held too, so that nobody has to watch it. If its wall
@@ -154,7 +223,7 @@ def hold_these(scene: SceneNumbers, work: Workspace, touch: Touch, count: int, c
         beside = aside(work, size, row)
         if beside < _ALONG:
             held |= 1 << int(work[PAIRS, number])
-        elif size < 3 and abs(parting) <= faint and rate * rate <= 2.0 * touch.together * faint:
+        elif size < 3 and abs(parting) <= faint and rate * rate <= 2.0 * near * faint:
             beside = math.sqrt(beside)
             for place in range(6):
                 work[BASE + size, place] = work[SPARE, place] / beside
@@ -187,25 +256,37 @@ def aside(work: Workspace, size: int, row: Array) -> float:
 def bring_back(scene: SceneNumbers, work: Workspace) -> None:
     """Bring the held gaps to their targets and their rates to 0, each by the nearest change in the norm of M.
 
-    Two steps of Newton bring a gap there to rounding.
+    The gaps by one step of Newton, where more than rounding is left of them. Factors of the held rows stay in
+    ``work[TALL]``.
     """
     state, count = work[STATE], int(work[HOLDING, COUNT])
-    for turn in range(3):
+    list_contacts(scene, work, state, count)
+    off = 0.0
+    for number in range(count):
+        off = max(off, abs(work[GAPS, number] - work[TARGETS, number]))
+    weigh(scene, work, count, state[6:])
+    if off > _ROUNDED * scene.box_half_width:
+        for place in range(6):
+            work[RATES, place] = 0.0
+        for number in range(count):
+            work[BIAS, number] = (work[GAPS, number] - work[TARGETS, number]) / work[LENGTHS, number]
+        move_held(scene, work, count, 0)
         list_contacts(scene, work, state, count)
         weigh(scene, work, count, state[6:])
-        for number in range(count):
-            off = work[GAPS, number] - work[TARGETS, number] if turn < 2 else 0.0
-            work[BIAS, number] = off / work[LENGTHS, number]
-        for place in range(6):
-            work[RATES, place] *= 0.0 if turn < 2 else 1.0
-        project(work, count, 0, 1, 2)
-        for number in range(count):
-            share = work[PUSHES, number] / work[LENGTHS, number]
-            kick(scene, state[(0 if turn < 2 else 6) :], work[GRADIENTS + number], share)
+    for number in range(count):
+        work[BIAS, number] = 0.0
+    move_held(scene, work, count, 6)
+
+
+def move_held(scene: SceneNumbers, work: Workspace, count: int, first: int) -> None:
+    """Move the six numbers of the state from ``first`` on to where the held rows are 0 with their bias."""
+    project(work, count, 0, 1, 2)
+    for number in range(count):
+        kick(scene, work[STATE, first:], work[GRADIENTS + number], work[PUSHES, number] / work[LENGTHS, number])
 
 
 def hold(
-    scene: SceneNumbers, work: Workspace, piece: Piece, touch: Touch, since: float, held: int
+    scene: SceneNumbers, work: Workspace, piece: Piece, touch: Touch, near: float, since: float, held: int
 ) -> tuple[Status, float]:
     """Move with held feet to the end of a stretch, an impact, or until a wall would have to pull.
 
@@ -214,53 +295,49 @@ def hold(
         work: memory with the state, the drive's polynomials and the pairs that are held.
         piece: what acts on the box.
         touch: when feet touch.
+        near: gap within which feet touch together [m].
         since: [s] after the piece's start.
         held: the pairs that are held, as bits.
 
     Returns:
         How it ended, and how long it took [s]. Feet that were let go at once are noted in ``work[HOLDING, LOOSE]``.
     """
-    state, count, left = work[STATE], int(work[HOLDING, COUNT]), piece.length - since
-    turning = abs(state[8]) + abs(state[11])
-    length = left if turning * left <= _TURNED else _TURNED / turning
-    while not stretch(scene, work, piece, since, length):
-        length *= 0.5
-        if work[TALLY, WORK] > MOST_WORK or not since + length > since:
-            return Status.TOO_MUCH_WORK, 0.0
+    count, free = int(work[HOLDING, COUNT]), flight_of(scene, work[STATE], piece, since)
+    frame = box_frame(free.x, free.y, free.vx, free.vy, free.angle, free.omega)
+    view = view_of(frame, free.jack_angle - free.angle, free.jack_omega - free.omega, 0.0)
+    length = stretch(scene, work, piece, since, view)
+    if length == 0.0:
+        return Status.TOO_MUCH_WORK, 0.0
     end, loose, peak = length, -1, 0.0
     for place in range(count):
         for number in range(DEGREE + 1):
-            peak = max(peak, abs(work[VALUES + 6 + place, number]))
+            peak = max(peak, abs(work[FORCE + place, number]))
     for place in range(count):
         time = let_go(work, place, length, peak)
         if time < end:
-            end, loose = time, place
+            end, loose = (time if since + time > since else 0.0), place
     flight = Flight(
-        state[3] - state[0], state[4] - state[1], state[9] - state[6], state[10] - state[7], state[2], state[8],
-        state[5], state[11], 0.0, 0.0, 0.0, 0.5 * length, True, True, held,
-        abs(state[6]) + abs(state[7]) + abs(state[9]) + abs(state[10]),
+        free.x, free.y, free.vx, free.vy, free.angle, free.omega, free.jack_angle, free.jack_omega, 0.0, 0.0, 0.0,
+        length, True, True, held, free.speeds,
     )  # fmt: skip
-    # Bounds of the accelerations beside gravity, which the search adds.
-    turn = largest(work, HELD_AXES + 2) + largest(work, HELD_AXES + 5)
-    pushed = scene.gravity
-    for place in (0, 1, 3, 4):
-        pushed += largest(work, HELD_AXES + place)
-    bounds = Piece(length, 0.0, True, True, turn, pushed)
-    time, pair = first_impact(scene, work, flight, bounds, end, touch.tolerance, -math.inf)
+    limits = Limits(curvature_while_held(scene, work, length), end, 0.5 * touch.tolerance)
+    time, pair = end, NONE
+    if count < 3:  # else nothing moves in the box
+        time, pair = first_of_all(scene, work, flight, view, ALL, NONE, limits, -math.inf)
     if pair == ENDLESS:
         return why_endless(work), 0.0
     if pair != NONE:
         end = time
-    u = 2.0 * end / length - 1.0 if end < length else 1.0
     for place in range(count):
-        impulse = horner(work[PIECE + 3 * (FORCES + place) + 1], DEGREE + 1, u)
-        work[RESTING, int(work[PAIRS, place])] += max(impulse, 0.0)
-    evolve(work, flight, end)
-    bring_back(scene, work)
+        impulse, share = 0.0, end / length
+        for k in range(DEGREE, -1, -1):
+            impulse = SHARES[k] * work[FORCE + place, k] + impulse * share
+        work[RESTING, int(work[PAIRS, place])] += max(impulse * share / length, 0.0)
+    carry(scene, work, flight, free, end)
     work[TALLY, ELAPSED] += end
     if pair != NONE:
         work[TALLY, WORK] += 1.0
-        resolve(scene, work, touch.together, pair // 4, pair % 4)
+        resolve(scene, work, near, pair // 4, pair % 4)
     elif loose >= 0 and end == 0.0:
         work[HOLDING, LOOSE] += 1 << int(work[PAIRS, loose])
     if end > 0.0:

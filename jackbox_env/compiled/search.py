@@ -49,7 +49,7 @@ MOST_WORK = 1_000_000  # gaps evaluated in one step
 _RESTLESS = 65_536  # gaps evaluated before a step may count as one at rest
 GLANCE = 2.0**-12  # of a piece: how far a step at rest looks ahead
 STEEPEST = 1e40  # K [m/s^2] and alpha [rad/s^2] beyond which squares overflow
-_ALL = 15  # walls, as bits
+ALL = 15  # walls, as bits
 _TURNED = 0.25  # [rad] of the box's turn in what is left of a piece, beyond which all feet are followed together
 _CLOSING = 4.0  # rate^2 / (K gap) beyond which a foot is about to arrive
 _SHORT = 2.0**-12  # of what is left of a piece: steps shorter than that are left to each pair's own search
@@ -103,6 +103,16 @@ def contact_tolerance(scene: SceneNumbers) -> float:
 def deepest(scene: SceneNumbers) -> float:
     """How deep a foot at rest may be in a wall [m]: 1e-10, less in boxes below 1 m."""
     return 1e-10 * min(1.0, scene.box_half_width)
+
+
+def grown(scene: SceneNumbers, work: Workspace, gap: float) -> float:
+    """A gap [m] that doubles with every 64 gaps that a step evaluates, up to :func:`deepest`."""
+    return min(deepest(scene), gap * _GROWTH[min(int(work[TALLY, WORK]), _GROWN)])
+
+
+def resolution(scene: SceneNumbers, work: Workspace, touch: Touch) -> float:
+    """Gap within which feet rest and touch together [m]; with loss it grows with the step's work."""
+    return max(touch.together, grown(scene, work, touch.together)) if scene.restitution < 1.0 else touch.together
 
 
 def rests(scene: SceneNumbers, work: Workspace) -> bool:
@@ -235,8 +245,8 @@ def first_in_a_turn(
         frame = box_frame(pose.x, pose.y, pose.vx, pose.vy, pose.angle, pose.omega)
         view = view_of(frame, pose.jack_angle - pose.angle, pose.jack_omega - pose.omega, s)
     if view.time == 0.0:
-        return first_of_all(scene, work, flight, view, _ALL, NONE, limits, rest)
-    return first_of_all(scene, work, flight, view, _ALL, likely, Limits(curvature, end, tolerance), -math.inf)
+        return first_of_all(scene, work, flight, view, ALL, NONE, limits, rest)
+    return first_of_all(scene, work, flight, view, ALL, likely, Limits(curvature, end, tolerance), -math.inf)
 
 
 def may_rest(scene: SceneNumbers, flight: Flight, limits: Limits, gap: float, rate: float, rest: float) -> bool:
@@ -264,9 +274,7 @@ def search(scene: SceneNumbers, work: Workspace, flight: Flight, approach: Appro
     costs thousands of gap evaluations and impacts, and not millions. A step at rest grants that depth to a foot near
     the wall too.
     """
-    still = rounding(scene, flight, limits.end)
-    if flight.held:
-        still += 1e-15 * flight.speeds
+    still = rounding(scene, flight, limits.end) + 1e-15 * flight.speeds
     tolerance, s, gap, rate = limits.tolerance, approach.since, approach.gap, approach.rate
     while True:
         if gap > tolerance:
@@ -275,9 +283,7 @@ def search(scene: SceneNumbers, work: Workspace, flight: Flight, approach: Appro
         elif rate < -still:
             return s
         else:
-            sink = tolerance
-            if scene.restitution == 1.0:
-                sink = min(deepest(scene), tolerance * _GROWTH[min(int(work[TALLY, WORK]), _GROWN)])
+            sink = grown(scene, work, tolerance)
             after = s + parabola_root(max(gap + sink, 0.1 * tolerance), max(rate, 0.0), limits.curvature)
         if not after <= limits.end or work[TALLY, WORK] > MOST_WORK:
             return math.inf

@@ -27,14 +27,16 @@ from jackbox_env.compiled.search import (
     why_endless,
 )
 from jackbox_env.compiled.status import Status
+from jackbox_env.compiled.trigonometry import without_turns
 from jackbox_env.compiled.workspace import HITS, PIECE, RESTING, STATE, TALLY, WORK, Workspace
 from jackbox_env.scene import SceneNumbers, chirp_turns
 from jackbox_env.states import LARGEST
 
 Array = NDArray[np.float64]
 
-_HOLDING = 1000.0  # gaps that take as long as holding feet through a step
+_HOLDING = 40.0  # gaps that take as long as holding feet through a step
 _COARSEST = 4.5e12  # whose unit in the last place is 1e-3
+_FOUR_PLACES = 8.9e-16  # units in the last place of 1
 
 # What turns the box in a step: a torque held throughout (0 where nothing acts), the scene's chirp, the functions of its
 # drive, or a held torque beside the side forces of its drive.
@@ -48,6 +50,7 @@ class Plan(NamedTuple):
     kind: int  # what turns the box
     clear: float  # square of the distance from the box's centre within which nothing is hit [m^2]; negative: none
     tolerance: float  # gap at which a foot touches [m]
+    per_radian: float  # how much larger that is for each radian of an angle [m/rad]
 
 
 class Pieces(NamedTuple):
@@ -70,7 +73,9 @@ def make_plan(scene: SceneNumbers, dt: float, kind: int) -> Plan:
     """Work out what all steps have in common."""
     # The jack's path bends off its chord by at most g dt^2 / 8.
     distance = (scene.box_half_width - scene.jack_arm) * (1.0 - 1e-12) - 0.125 * scene.gravity * dt * dt
-    return Plan(dt, kind, distance * distance if distance > 0.0 else -1.0, contact_tolerance(scene))
+    clear = distance * distance if distance > 0.0 else -1.0
+    per_radian = _FOUR_PLACES * scene.box_half_width if scene.restitution < 1.0 else 0.0
+    return Plan(dt, kind, clear, contact_tolerance(scene), per_radian)
 
 
 def step(
@@ -120,7 +125,7 @@ def clear_tally(work: Workspace) -> None:
 
 
 def effort(work: Workspace) -> float:
-    """What a step has cost, in gaps evaluated; a step with held feet takes as long as some hundred of them."""
+    """What a step has cost, in gaps evaluated; a step with held feet takes as long as some forty of them."""
     cost = work[TALLY, WORK]
     if work[TALLY, HITS] > 0.0:
         for pair in range(16):
@@ -193,11 +198,16 @@ def glide(before: Array, after: Array, fall: float, dt: float, alpha: float) -> 
 def touch_of(plan: Plan, before: Array) -> Touch:
     """The gaps at which feet touch in a step from a state."""
     furthest = max(max(abs(before[0]), abs(before[1])), max(abs(before[3]), abs(before[4])))
-    return Touch(plan.tolerance, max(plan.tolerance, 8.9e-16 * furthest))  # 4 units in the last place
+    tolerance = max(plan.tolerance, plan.per_radian * max(abs(before[2]), abs(before[5])))
+    return Touch(tolerance, max(tolerance, _FOUR_PLACES * furthest))
 
 
 def start(plan: Plan, before: Array, work: Workspace) -> Touch:
-    """Take the state into the frame at the box's centre; return the gaps at which feet touch there."""
+    """Take the state into the frame at the box's centre; return the gaps at which feet touch there.
+
+    With loss angles are counted without whole turns, so that a foot at rest stays where it is however far the box has
+    turned.
+    """
     state = work[STATE]
     for pair in range(16):
         work[RESTING, pair] = 0.0
@@ -205,7 +215,15 @@ def start(plan: Plan, before: Array, work: Workspace) -> Touch:
         state[place] = before[place]
     state[0] = state[1] = 0.0
     state[3], state[4] = before[3] - before[0], before[4] - before[1]
+    if plan.per_radian > 0.0:
+        state[2], state[5] = angles_in_step(before)
     return touch_of(plan, before)
+
+
+def angles_in_step(before: Array) -> tuple[float, float]:
+    """The angles of box and jack without the box's whole turns, nor the jack's in it."""
+    angle = without_turns(before[2])
+    return angle, angle + without_turns(before[5] - before[2])
 
 
 def told_apart(scene: SceneNumbers, state: Array) -> bool:
@@ -231,6 +249,9 @@ def finish(ended: Status, plan: Plan, before: Array, after: Array, work: Workspa
     after[0], after[1] = before[0] + state[0], before[1] + state[1]
     after[3], after[4] = jack_x, jack_y
     after[2], after[5] = state[2], state[5]
+    if plan.per_radian > 0.0:
+        angle, jack_angle = angles_in_step(before)
+        after[2], after[5] = before[2] + (state[2] - angle), before[5] + (state[5] - jack_angle)
     for place in range(6, 12):
         after[place] = state[place]
     record_rest(work, plan.dt)

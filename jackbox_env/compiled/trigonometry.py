@@ -39,6 +39,18 @@ def cos_sin(angle: float) -> tuple[float, float]:
     return math.nan, math.nan
 
 
+def without_turns(angle: float) -> float:
+    """The angle [rad] less whole turns, to within half a turn; as it is where float64 no longer tells radians apart."""
+    if -math.pi <= angle <= math.pi or not -FARTHEST < angle < FARTHEST:
+        return angle
+    near, over = angle, 0.0
+    if not -LARGEST < angle < LARGEST:
+        near = math.copysign(abs(angle) % _TURNS, angle)  # exact
+        over = (angle - near) / _TURNS * _TURNS_OVER
+    quarters = 4.0 * np.floor(near * (0.25 * _QUARTERS_PER_RADIAN) + 0.5)
+    return float(((near - quarters * _QUARTER_HIGH) - quarters * _QUARTER_MIDDLE) - (quarters * _QUARTER_LOW - over))
+
+
 def cos_sin_within(angle: float) -> tuple[float, float]:
     """Like :func:`cos_sin` for +-``LARGEST``, without a branch: a compiled loop of it takes several angles at once."""
     quarters = np.floor(angle * _QUARTERS_PER_RADIAN + 0.5)

@@ -13,7 +13,7 @@ import pytest
 
 from jackbox_env import rollout
 from jackbox_env.compiled import advance as course
-from jackbox_env.compiled import collocation, rest, search
+from jackbox_env.compiled import constrained, rest, search
 from jackbox_env.compiled.workspace import TALLY, WORK
 from jackbox_env.mechanics import energy, gaps
 from jackbox_env.scene import Drive, Scene
@@ -235,7 +235,7 @@ def test_without_rest_a_step_never_ends(monkeypatch: pytest.MonkeyPatch) -> None
     scene = Scene(restitution=0.5, drive=None)
     assert plain_step(scene, lying(), 1e-3, 0.0)[0] == 0
     monkeypatch.setattr(course, "settle", lambda *given: 0)
-    for module in (search, collocation, rest):
+    for module in (search, constrained):
         monkeypatch.setattr(module, "MOST_WORK", 2000)
     assert plain_step(scene, lying(), 1e-3, 0.0)[0] != 0
 
@@ -245,7 +245,7 @@ def test_a_wall_that_held_on_would_carry_the_jack_along(monkeypatch: pytest.Monk
     start = lying(along=2.0)
     freed = plain_step(scene, start, 0.02, -6e4)[1]
     monkeypatch.setattr(rest, "let_go", lambda *given: math.inf)
-    monkeypatch.setattr(rest, "nearest", lambda work, count: (0, 1, -1))
+    monkeypatch.setattr(rest, "pressed_set", lambda work, count: (0, 1, -1))
     assert (
         gaps(scene, freed)[3, 2:4].max()
         > 1e-4

@@ -1,0 +1,377 @@
+"""The motion of box and jack while walls hold feet: power series in time, one power after the other.
+
+A held foot's gap is a constraint of the Lagrangian motion
+
+    M qddot = f + J^T lambda,    J qddot + Jdot qdot = 0.
+
+It is written on the box's axes. (X, Y) is the jack's centre, psi its angle relative to the box, omega and alpha are the
+box's rate and angular acceleration, n is a wall's normal, l E and l D are a foot's extent along n and across it:
+
+    X'' = 2 omega Y' + omega^2 X + alpha Y + gravity and side force - (1/m_b + 1/m_j) sum n_x lambda,
+    Y'' = -2 omega X' + omega^2 Y - alpha X + gravity and side force - (1/m_b + 1/m_j) sum n_y lambda,
+    J_b alpha = torque + sum a lambda,    J_j (psi'' + alpha) = sum b lambda,    a = -n^perp . (X, Y) - b,    b = l D,
+    gap'' = -n . (X'', Y'') + b psi'' + l E psi'^2 = 0.
+
+Method: these are sums and products, and cosines that obey c' = -s psi', so each power of time follows from those before
+it (Taylor's method; Jorba and Zou 2005, Experimental Mathematics 14, 99). Powers are of u = s / T in [0, 1] over a
+stretch of T [s], rates are per unit of u. Walls do not move the common centre of mass, which falls as if alone.
+Order: 12 in the accelerations; a stretch is halved until its last powers are rounding.
+Cost: some 2 microseconds a stretch, which is a whole control step unless something turns fast.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jackbox_env.compiled.bounds import parabola_root
+from jackbox_env.compiled.drives import DEGREE, PUSH_X, PUSH_Y, SHARES, TURN, horner
+from jackbox_env.compiled.impacts import quarter
+from jackbox_env.compiled.motion import Flight, Piece, View, excursion, held_view, on_axes
+from jackbox_env.compiled.search import MOST_WORK
+from jackbox_env.compiled.trigonometry import cos_sin
+from jackbox_env.compiled.workspace import (
+    ALPHA,
+    BOX_COSINE,
+    BOX_LEVER,
+    BOX_SINE,
+    COSINE,
+    COUNT,
+    DRIVEN,
+    EXTENT,
+    FORCE,
+    HOLDING,
+    INVERSE,
+    JACK_ALPHA,
+    JACK_LEVER,
+    LACK,
+    LENGTHS,
+    OMEGA,
+    OMEGA_SQUARED,
+    PAIRS,
+    PIECE,
+    PLACE_X,
+    PLACE_Y,
+    PSI,
+    PUSHED_X,
+    PUSHED_Y,
+    RATE_X,
+    RATE_Y,
+    SINE,
+    SPARE,
+    SPIN,
+    SPIN_SQUARED,
+    STATE,
+    TALL,
+    TALLY,
+    TURNED,
+    WORK,
+    Workspace,
+)
+from jackbox_env.scene import SceneNumbers
+
+Array = NDArray[np.float64]
+
+_RESOLVED = 1e-15  # last powers of the rates, over a speed
+_PULL = 1e-12  # of the largest force in a stretch: that much a wall may pull before it lets go
+
+
+def product(work: Workspace, one: int, other: int, k: int) -> float:
+    """Power k of the product of two series."""
+    total = 0.0
+    for j in range(k + 1):
+        total += work[one, j] * work[other, k - j]
+    return total
+
+
+def earlier(work: Workspace, one: int, other: int, k: int) -> float:
+    """Power k of the product of two series, but for what power k of the second adds to it."""
+    total = 0.0
+    for j in range(1, k + 1):
+        total += work[one, j] * work[other, k - j]
+    return total
+
+
+def drive_series(work: Workspace, piece: Piece, since: float, length: float) -> None:
+    """Fill in what the drive gives the box, from ``since`` [s] after the piece's start on."""
+    for k in range(DEGREE + 1):
+        work[DRIVEN, k] = work[PUSHED_X, k] = work[PUSHED_Y, k] = 0.0
+    work[DRIVEN, 0] = piece.alpha * length * length
+    if piece.curved:
+        shift(work, TURN, DRIVEN, piece, since, length)
+    if piece.pushed:
+        shift(work, PUSH_X, PUSHED_X, piece, since, length)
+        shift(work, PUSH_Y, PUSHED_Y, piece, since, length)
+
+
+def shift(work: Workspace, axis: int, row: int, piece: Piece, since: float, length: float) -> None:
+    """Write a piece's polynomial acceleration as powers of the time since another moment (Horner's scheme)."""
+    start, share = 2.0 * since / piece.length - 1.0, 2.0 * length / piece.length
+    for k in range(DEGREE + 1):
+        work[row, k] = work[PIECE + 3 * axis, k]
+    for i in range(DEGREE):
+        for j in range(DEGREE - 1, i - 1, -1):
+            work[row, j] += start * work[row, j + 1]
+    scale = length * length
+    for k in range(DEGREE + 1):
+        work[row, k] *= scale
+        scale *= share
+
+
+def begin(work: Workspace, view: View, angle: float, omega: float, psi: float, length: float) -> None:
+    """Fill in the lowest powers."""
+    frame = view.frame
+    work[PLACE_X, 0], work[PLACE_Y, 0], work[PSI, 0], work[TURNED, 0] = frame.x, frame.y, psi, 0.0
+    work[RATE_X, 0], work[RATE_Y, 0] = frame.vx * length, frame.vy * length
+    work[SPIN, 0], work[OMEGA, 0] = view.spin * length, omega * length
+    for place in range(4):
+        work[PLACE_X + place, 1] = work[RATE_X + place, 0]
+    work[COSINE, 0], work[SINE, 0] = view.cosine, view.sine
+    work[BOX_COSINE, 0], work[BOX_SINE, 0] = cos_sin(angle)
+
+
+def expand(scene: SceneNumbers, work: Workspace, length: float, pushed: bool) -> None:
+    """Fill in all powers, from the lowest and the drive's, for a stretch of ``length`` [s].
+
+    The inverse of J M^-1 J^T at its start is in ``work[INVERSE]``.
+    """
+    count, gravity = int(work[HOLDING, COUNT]), scene.gravity * length * length
+    pliancy = 1.0 / scene.box_mass + 1.0 / scene.jack_mass
+    for k in range(DEGREE + 1):
+        work[OMEGA_SQUARED, k] = product(work, OMEGA, OMEGA, k)
+        work[SPIN_SQUARED, k] = product(work, SPIN, SPIN, k)
+        x = 2.0 * product(work, OMEGA, RATE_Y, k) + product(work, OMEGA_SQUARED, PLACE_X, k)
+        y = -2.0 * product(work, OMEGA, RATE_X, k) + product(work, OMEGA_SQUARED, PLACE_Y, k)
+        x -= gravity * work[BOX_SINE, k]
+        y -= gravity * work[BOX_COSINE, k]
+        if pushed:
+            x -= product(work, BOX_COSINE, PUSHED_X, k) + product(work, BOX_SINE, PUSHED_Y, k)
+            y -= product(work, BOX_COSINE, PUSHED_Y, k) - product(work, BOX_SINE, PUSHED_X, k)
+        solve_forces(scene, work, count, k, x, y)
+        for place in range(count):
+            n_x, n_y = quarter(1.0, 0.0, int(work[PAIRS, place]) // 4)
+            x -= pliancy * n_x * work[FORCE + place, k]
+            y -= pliancy * n_y * work[FORCE + place, k]
+        x += product(work, ALPHA, PLACE_Y, k)
+        y -= product(work, ALPHA, PLACE_X, k)
+        share, later = SHARES[k], SHARES[k + 1]
+        work[RATE_X, k + 1], work[RATE_Y, k + 1] = share * x, share * y
+        work[SPIN, k + 1] = share * (work[JACK_ALPHA, k] - work[ALPHA, k])
+        for place in range(3):
+            work[PLACE_X + place, k + 2] = later * work[RATE_X + place, k + 1]
+        turn(work, k)
+        work[COSINE, k + 1] = -share * product(work, SINE, SPIN, k)
+        work[SINE, k + 1] = share * product(work, COSINE, SPIN, k)
+
+
+def solve_forces(scene: SceneNumbers, work: Workspace, count: int, k: int, x: float, y: float) -> None:
+    """Fill in power k of the forces at held feet, and of the angular accelerations that they leave.
+
+    ``x`` and ``y`` are power k of the relative acceleration without forces and without alpha.
+    """
+    box = jack = 0.0
+    for place in range(count):
+        write_levers(scene, work, place, k)
+        box += earlier(work, BOX_LEVER + place, FORCE + place, k)
+        jack += earlier(work, JACK_LEVER + place, FORCE + place, k)
+    work[ALPHA, k], work[JACK_ALPHA, k] = work[DRIVEN, k] + box / scene.box_inertia, jack / scene.jack_inertia
+    for place in range(count):
+        n_x, n_y = quarter(1.0, 0.0, int(work[PAIRS, place]) // 4)
+        missing = n_x * x + n_y * y - product(work, EXTENT + place, SPIN_SQUARED, k)
+        missing -= product(work, BOX_LEVER + place, ALPHA, k) + product(work, JACK_LEVER + place, JACK_ALPHA, k)
+        work[LACK, place] = missing
+    solve(scene, work, count, k)
+
+
+def write_levers(scene: SceneNumbers, work: Workspace, place: int, k: int) -> None:
+    """Fill in power k of a held foot's levers and extent."""
+    wall, foot = int(work[PAIRS, place]) // 4, int(work[PAIRS, place]) % 4
+    along, across = quarter(work[COSINE, k], work[SINE, k], foot - wall)
+    _, aside = quarter(work[PLACE_X, k], -work[PLACE_Y, k], wall)  # -n^perp . (X, Y)
+    work[EXTENT + place, k], work[JACK_LEVER + place, k] = scene.jack_arm * along, scene.jack_arm * across
+    work[BOX_LEVER + place, k] = aside - work[JACK_LEVER + place, k]
+
+
+def invert(work: Workspace, count: int) -> None:
+    """Fill in (J M^-1 J^T)^-1 = R^-1 R^-T, from R = ``work[TALL]`` times ``work[LENGTHS]``, upper triangular."""
+    for a in range(count):
+        for b in range(a + 1):
+            work[SPARE, b] = 1.0 if a == b else 0.0
+        for b in range(a, -1, -1):  # column a of R^-1
+            for c in range(b + 1, a + 1):
+                work[SPARE, b] -= work[TALL + b, c] * work[LENGTHS, c] * work[SPARE, c]
+            work[SPARE, b] /= work[TALL + b, b] * work[LENGTHS, b]
+        for b in range(a + 1):
+            for c in range(a + 1):
+                before = work[INVERSE + b, c] if b < a and c < a else 0.0
+                work[INVERSE + b, c] = before + work[SPARE, b] * work[SPARE, c]
+
+
+def solve(scene: SceneNumbers, work: Workspace, count: int, k: int) -> None:
+    """Turn power k of what J qddot lacks, in ``work[LACK]``, into forces and what they do to angular accelerations."""
+    box, jack = 0.0, 0.0
+    for place in range(count):
+        force = 0.0
+        for other in range(count):
+            force += work[INVERSE + place, other] * work[LACK, other]
+        work[FORCE + place, k] = force
+        box += work[BOX_LEVER + place, 0] * force
+        jack += work[JACK_LEVER + place, 0] * force
+    work[ALPHA, k] += box / scene.box_inertia
+    work[JACK_ALPHA, k] += jack / scene.jack_inertia
+
+
+def expand_rigid(scene: SceneNumbers, work: Workspace, length: float, pushed: bool) -> None:
+    """What :func:`expand` does where three feet are held: the jack cannot move in the box and turns with it.
+
+    Nothing but the box's angle changes: that of a rigid body on which the weight of the jack has a lever.
+    """
+    gravity, x0, y0 = scene.gravity * length * length, work[PLACE_X, 0], work[PLACE_Y, 0]
+    for row in (PLACE_X, PLACE_Y, PSI, RATE_X, RATE_Y, SPIN):
+        for k in range(0 if row >= RATE_X else 1, DEGREE + 3):
+            work[row, k] = 0.0
+    for place in range(3):
+        write_levers(scene, work, place, 0)
+    for k in range(DEGREE + 1):
+        squared = product(work, OMEGA, OMEGA, k)
+        x, y = squared * x0 - gravity * work[BOX_SINE, k], squared * y0 - gravity * work[BOX_COSINE, k]
+        if pushed:
+            x -= product(work, BOX_COSINE, PUSHED_X, k) + product(work, BOX_SINE, PUSHED_Y, k)
+            y -= product(work, BOX_COSINE, PUSHED_Y, k) - product(work, BOX_SINE, PUSHED_X, k)
+        work[ALPHA, k], work[JACK_ALPHA, k] = work[DRIVEN, k], 0.0
+        for place in range(3):
+            n_x, n_y = quarter(1.0, 0.0, int(work[PAIRS, place]) // 4)
+            work[LACK, place] = n_x * x + n_y * y - work[BOX_LEVER + place, 0] * work[DRIVEN, k]
+        solve(scene, work, 3, k)
+        turn(work, k)
+
+
+def turn(work: Workspace, k: int) -> None:
+    """Fill in what follows for the box's angle from power k of its angular acceleration."""
+    share = SHARES[k]
+    work[OMEGA, k + 1] = share * work[ALPHA, k]
+    work[TURNED, k + 2] = SHARES[k + 1] * work[OMEGA, k + 1]
+    work[BOX_COSINE, k + 1] = -share * product(work, BOX_SINE, OMEGA, k)
+    work[BOX_SINE, k + 1] = share * product(work, BOX_COSINE, OMEGA, k)
+
+
+def stretch(scene: SceneNumbers, work: Workspace, piece: Piece, since: float, view: View) -> float:
+    """Find the motion with held feet from ``since`` [s] after the piece's start; return for how long it holds [s].
+
+    That is what is left of the piece, or as long as its last powers are rounding; 0 if no time is so short.
+    """
+    state, length = work[STATE], piece.length - since
+    frame = view.frame
+    speed = scene.speed_scale + abs(frame.vx) + abs(frame.vy)
+    speed += scene.box_half_width * abs(state[8]) + scene.jack_arm * abs(view.spin)
+    turning = abs(state[8]) + abs(view.spin) + math.sqrt(piece.spin_up)
+    turning += math.sqrt((scene.gravity + piece.push) / scene.jack_arm)
+    if turning * length > 1.0:
+        length = 1.0 / turning
+    drive_series(work, piece, since, length)
+    begin(work, view, state[2], state[8], state[5] - state[2], length)
+    invert(work, int(work[HOLDING, COUNT]))
+    if int(work[HOLDING, COUNT]) == 3:
+        expand_rigid(scene, work, length, piece.pushed)
+    else:
+        expand(scene, work, length, piece.pushed)
+    work[TALLY, WORK] += DEGREE + 1.0
+    while not resolved(scene, work, speed * length):
+        length *= 0.5
+        halve(work)
+        if not since + length > since:
+            return 0.0
+    return length
+
+
+def resolved(scene: SceneNumbers, work: Workspace, way: float) -> bool:
+    """Whether the last two powers of the rates are rounding against a ``way`` [m]."""
+    tail = 0.0
+    for k in (DEGREE, DEGREE + 1):
+        tail = max(tail, abs(work[RATE_X, k]) + abs(work[RATE_Y, k]))
+        tail = max(tail, scene.box_half_width * abs(work[OMEGA, k]) + scene.jack_arm * abs(work[SPIN, k]))
+    return tail <= _RESOLVED * way
+
+
+def halve(work: Workspace) -> None:
+    """Take half the stretch: powers and rates are per stretch."""
+    share = 1.0
+    for k in range(DEGREE + 3):
+        for place in range(4):
+            work[PLACE_X + place, k] *= share
+            work[RATE_X + place, k] *= 0.5 * share
+        for place in range(3):
+            work[FORCE + place, k] *= 0.25 * share
+        share *= 0.5
+
+
+def curvature_while_held(scene: SceneNumbers, work: Workspace, length: float) -> float:
+    """Bound of a gap's second derivative over a stretch of ``length`` [s], from the powers [m/s^2]."""
+    x, y, spin, spin_up = 0.0, 0.0, abs(work[SPIN, 0]), 0.0
+    for k in range(1, DEGREE + 2):
+        x += k * abs(work[RATE_X, k])
+        y += k * abs(work[RATE_Y, k])
+        spin += abs(work[SPIN, k])
+        spin_up += k * abs(work[SPIN, k])
+    return (max(x, y) + scene.jack_arm * (spin * spin + spin_up)) * (1.0 + 1e-12) / (length * length)
+
+
+def carry(scene: SceneNumbers, work: Workspace, flight: Flight, free: Flight, s: float) -> None:
+    """Move the state ``s`` [s] along a stretch with held feet; ``free`` is the same start without them, for the drive.
+
+    The common centre of mass falls as if alone, and box and jack stand about it as the powers say.
+    """
+    state, u = work[STATE], s / flight.half
+    mass = scene.box_mass + scene.jack_mass
+    share = scene.jack_mass / mass  # of the way between the centres, from the box's to the common one
+    turned, omega = horner(work[TURNED], DEGREE + 2, u), horner(work[OMEGA], DEGREE + 1, u) / flight.half
+    state[2] += turned
+    state[5] += turned + (horner(work[PSI], DEGREE + 2, u) - work[PSI, 0])
+    view = held_view(flight, work, s)
+    cosine, sine = cos_sin(state[2])
+    x, y = on_axes(cosine, -sine, view.frame.x, view.frame.y)
+    vx, vy = view.frame.vx - omega * view.frame.y, view.frame.vy + omega * view.frame.x
+    vx, vy = on_axes(cosine, -sine, vx, vy)
+    fallen, falling = -0.5 * share * scene.gravity * s * s, -share * scene.gravity * s
+    drifted = drifting = 0.0
+    if free.pushed:
+        way, rate = excursion(work, PUSH_X, free, s)
+        drifted, drifting = (1.0 - share) * way, (1.0 - share) * rate
+        way, rate = excursion(work, PUSH_Y, free, s)
+        fallen, falling = fallen + (1.0 - share) * way, falling + (1.0 - share) * rate
+    common_x = state[6] + share * (state[9] - state[6])
+    common_y = state[7] + share * (state[10] - state[7])
+    state[0] += (common_x * s + drifted) - share * (x - (state[3] - state[0]))
+    state[1] += (common_y * s + fallen) - share * (y - (state[4] - state[1]))
+    state[3], state[4] = state[0] + x, state[1] + y
+    state[6], state[7] = common_x + drifting - share * vx, common_y + falling - share * vy
+    state[9], state[10] = state[6] + vx, state[7] + vy
+    state[8], state[11] = omega, omega + view.spin
+
+
+def let_go(work: Workspace, place: int, length: float, peak: float) -> float:
+    """When a held foot's force falls to 0 and the wall would have to pull, in [s]; infinity if it never does."""
+    powers = work[FORCE + place]
+    curvature = 0.0
+    for k in range(2, DEGREE + 1):
+        curvature += k * (k - 1.0) * abs(powers[k])
+    least = powers[0]
+    for k in range(1, DEGREE + 1):
+        least -= abs(powers[k])
+    if least > 0.0:
+        return math.inf
+    margin, u = _PULL * peak, 0.0
+    while work[TALLY, WORK] <= MOST_WORK:
+        force, slope = powers[DEGREE], 0.0
+        for k in range(DEGREE - 1, -1, -1):
+            slope = force + u * slope
+            force = powers[k] + u * force
+        if force + margin <= 0.5 * margin:
+            return u * length
+        work[TALLY, WORK] += 1.0
+        u += parabola_root(force + margin, slope, curvature)
+        if not u <= 1.0:
+            return math.inf
+    return math.inf
