@@ -185,7 +185,10 @@ def settle(
 
 
 def pressed_set(work: Workspace, count: int) -> tuple[int, int, int]:
-    """What ``impacts.nearest`` returns, with large sets first: a set that closes no gap is the answer."""
+    """What ``impacts.nearest`` returns, with large sets first: a set that closes no gap is the answer.
+
+    The last projection is that of the answer.
+    """
     for size in (3, 2, 1):
         for i in range(count if size > 2 else 1):
             for j in range(i + 1 if size > 2 else 0, count if size > 1 else 1):
@@ -194,14 +197,18 @@ def pressed_set(work: Workspace, count: int) -> tuple[int, int, int]:
                         for place in range(3):
                             work[BEST, place] = work[PUSHES, place]
                         return k, j if size > 1 else -1, i if size > 2 else -1
-    return nearest(work, count)
+    one, two, three = nearest(work, count)
+    if one >= 0:
+        project(work, 1 if two < 0 else 2 if three < 0 else 3, one, two, three)
+    return one, two, three
 
 
 def hold_these(
     scene: SceneNumbers, work: Workspace, touch: Touch, near: float, count: int, chosen: tuple[int, int, int]
 ) -> int:
-    """Hold the chosen of ``count`` contacts and bring them to rest; return them as bits, with those they hold along.
+    """Hold the chosen of ``count`` contacts, projected on last, and bring them to rest.
 
+    Returns them as bits, with those they hold along.
     A contact that needs no force and does not part either is held too, so that nobody has to watch it. If its wall
     would have to pull, it is let go at once. A contact whose gradient is a sum of held ones stays closed by itself.
     """
@@ -214,7 +221,6 @@ def hold_these(
             size += 1
     if size == 0:
         return 0
-    project(work, size, chosen[0], chosen[1], chosen[2])
     faint, held = _FAINT * strongest, 0
     for number in range(count):
         row = work[UNIT + number]

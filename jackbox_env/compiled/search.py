@@ -106,8 +106,12 @@ def deepest(scene: SceneNumbers) -> float:
 
 
 def grown(scene: SceneNumbers, work: Workspace, gap: float) -> float:
-    """A gap [m] that doubles with every 64 gaps that a step evaluates, up to :func:`deepest`."""
-    return min(deepest(scene), gap * _GROWTH[min(int(work[TALLY, WORK]), _GROWN)])
+    """A gap [m] that doubles with every 64 gaps that a step evaluates, with loss every 1,024, up to :func:`deepest`.
+
+    Loss ends most of what takes long, so it has more time before it is resolved less well.
+    """
+    looks = work[TALLY, WORK] if scene.restitution == 1.0 else 0.0625 * work[TALLY, WORK]
+    return min(deepest(scene), gap * _GROWTH[min(int(looks), _GROWN)])
 
 
 def resolution(scene: SceneNumbers, work: Workspace, touch: Touch) -> float:
@@ -270,7 +274,7 @@ def search(scene: SceneNumbers, work: Workspace, flight: Flight, approach: Appro
 
     A foot that touches and does not approach stays within ``sink`` until the parabola through its present gap does.
     Without that depth the time would not advance while a foot rests on a wall. ``sink`` is the tolerance at first. It
-    doubles with every 64 gaps that a step evaluates, up to 1e-10 m. So a jack that rests on a wall or slides along it
+    grows with the step's work, up to 1e-10 m. So a jack that rests on a wall or slides along it
     costs thousands of gap evaluations and impacts, and not millions. A step at rest grants that depth to a foot near
     the wall too.
     """
