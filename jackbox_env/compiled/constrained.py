@@ -351,6 +351,19 @@ def carry(scene: SceneNumbers, work: Workspace, flight: Flight, free: Flight, s:
     state[8], state[11] = omega, omega + view.spin
 
 
+def first_let_go(work: Workspace, count: int, length: float) -> tuple[float, int]:
+    """When the first held foot is let go [s], and its place; the stretch's ``length`` and -1 if none is."""
+    end, loose, peak = length, -1, 0.0
+    for place in range(count):
+        for k in range(DEGREE + 1):
+            peak = max(peak, abs(work[FORCE + place, k]))
+    for place in range(count):
+        time = let_go(work, place, length, peak)
+        if time < end:
+            end, loose = time, place
+    return end, loose
+
+
 def let_go(work: Workspace, place: int, length: float, peak: float) -> float:
     """When a held foot's force falls to 0 and the wall would have to pull, in [s]; infinity if it never does."""
     powers = work[FORCE + place]
@@ -375,3 +388,11 @@ def let_go(work: Workspace, place: int, length: float, peak: float) -> float:
         if not u <= 1.0:
             return math.inf
     return math.inf
+
+
+def impulse_of(work: Workspace, place: int, u: float) -> float:
+    """A held foot's impulse up to ``u``, times the stretch's length [N s^2]."""
+    impulse = 0.0
+    for k in range(DEGREE, -1, -1):
+        impulse = SHARES[k] * work[FORCE + place, k] + impulse * u
+    return impulse * u

@@ -25,8 +25,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.compiled.constrained import carry, curvature_while_held, let_go, stretch
-from jackbox_env.compiled.drives import DEGREE, PUSH_X, PUSH_Y, SHARES, TURN, horner
+from jackbox_env.compiled.constrained import carry, curvature_while_held, first_let_go, impulse_of, stretch
+from jackbox_env.compiled.drives import DEGREE, PUSH_X, PUSH_Y, TURN, horner
 from jackbox_env.compiled.impacts import (
     Frame,
     dot,
@@ -48,7 +48,6 @@ from jackbox_env.compiled.workspace import (
     BIAS,
     COUNT,
     ELAPSED,
-    FORCE,
     FREE,
     GAPS,
     GRADIENTS,
@@ -314,31 +313,21 @@ def hold(
     length = stretch(scene, work, piece, since, view)
     if length == 0.0:
         return Status.TOO_MUCH_WORK, 0.0
-    end, loose, peak = length, -1, 0.0
-    for place in range(count):
-        for number in range(DEGREE + 1):
-            peak = max(peak, abs(work[FORCE + place, number]))
-    for place in range(count):
-        time = let_go(work, place, length, peak)
-        if time < end:
-            end, loose = (time if since + time > since else 0.0), place
+    end, loose = first_let_go(work, count, length)
+    if not since + end > since:
+        end = 0.0
     flight = Flight(
         free.x, free.y, free.vx, free.vy, free.angle, free.omega, free.jack_angle, free.jack_omega, 0.0, 0.0, 0.0,
         length, True, True, held, free.speeds,
     )  # fmt: skip
-    limits = Limits(curvature_while_held(scene, work, length), end, 0.5 * touch.tolerance)
-    time, pair = end, NONE
+    pair = NONE
     if count < 3:  # else nothing moves in the box
-        time, pair = first_of_all(scene, work, flight, view, ALL, NONE, limits, -math.inf)
+        limits = Limits(curvature_while_held(scene, work, length), end, 0.5 * touch.tolerance)
+        end, pair = first_of_all(scene, work, flight, view, ALL, NONE, limits, -math.inf)
     if pair == ENDLESS:
         return why_endless(work), 0.0
-    if pair != NONE:
-        end = time
     for place in range(count):
-        impulse, share = 0.0, end / length
-        for k in range(DEGREE, -1, -1):
-            impulse = SHARES[k] * work[FORCE + place, k] + impulse * share
-        work[RESTING, int(work[PAIRS, place])] += max(impulse * share / length, 0.0)
+        work[RESTING, int(work[PAIRS, place])] += max(impulse_of(work, place, end / length) / length, 0.0)
     carry(scene, work, flight, free, end)
     work[TALLY, ELAPSED] += end
     if pair != NONE:

@@ -244,7 +244,7 @@ def test_a_wall_that_held_on_would_carry_the_jack_along(monkeypatch: pytest.Monk
     scene = Scene(restitution=0.0, drive=None)
     start = lying(along=2.0)
     freed = plain_step(scene, start, 0.02, -6e4)[1]
-    monkeypatch.setattr(rest, "let_go", lambda *given: math.inf)
+    monkeypatch.setattr(constrained, "let_go", lambda *given: math.inf)
     monkeypatch.setattr(rest, "pressed_set", lambda work, count: (0, 1, -1))
     assert (
         gaps(scene, freed)[3, 2:4].max()

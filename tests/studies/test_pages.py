@@ -260,18 +260,19 @@ def test_each_step_with_loss_is_what_its_row_says(kind: str) -> None:
         simulator.step(cost_steps.DT, 0.0)
         assert len(simulator.impacts) == hits
         held = {hit.foot for hit in simulator.impacts if hit.time == simulator.time}
-        assert len(held) == (2 if rests else 0) or kind == cost_steps.PILE
+        assert len(held) == (2 if rests else 0) or kind in (cost_steps.PILE, cost_steps.CORNER)
     for timed in (cost_steps.alone(scene, given, 0.0), cost_steps.batched("exact", given, 0.0, scene=scene)):
         assert timed() > 0.0
 
 
 def test_a_table_of_loss_is_in_microseconds_and_against_a_flight() -> None:
-    ns = dict.fromkeys(cost_steps.LOSS, 1000.0) | {cost_steps.LEVEL: 31000.0, cost_steps.TURNING: 59000.0}
+    ns = dict.fromkeys(cost_steps.LOSS, 1000.0) | {cost_steps.LEVEL: 3100.0, cost_steps.CORNER: 5900.0}
+    ns[cost_steps.TURNING] = 3300.0
     loss = {kind: {costs.EXACT: [value, 2.0 * value], costs.BATCH: [value / 10.0] * 2} for kind, value in ns.items()}
     lines = costs.loss_table(loss, dict.fromkeys(ns, 2.0))
     assert lines[2] == f"| {cost_steps.FLIGHT} | 2 | 1.5 µs | 1 | 0.1 µs | 1 |"
-    assert lines[-1] == f"| {cost_steps.TURNING} | 2 | 88.5 µs | 59 | 5.9 µs | 59 |"
-    assert costs.held_cost(loss) == "40 to 90 microseconds"
+    assert lines[-1] == f"| {cost_steps.CORNER} | 2 | 8.85 µs | 5.9 | 0.59 µs | 5.9 |"
+    assert costs.held_cost(loss) == "4 to 9 microseconds"
 
 
 def test_the_exact_models_head_says_what_a_step_with_held_feet_was_measured_to_take() -> None:

@@ -75,7 +75,9 @@ IN_BATCHES: dict[str, dict[str, Any]] = {  # kinds of steps that only batches ar
 }
 FLIGHT, BOUNCE, PILE = "free flight", "a bounce, e = 0.8", "bounces pile up before rest, e = 0.8"
 LEVEL, TURNING = "rest on a level floor, e = 0.5", "rest on a floor that turns by 0.2 rad/s, e = 0.5"
-_LOSSY = {kind: Scene(restitution=0.8 if "0.8" in kind else 0.5, drive=None) for kind in (BOUNCE, PILE, LEVEL, TURNING)}
+CORNER = "locked in a corner of a box that turns by 3 rad/s, e = 0.5"
+RESTING = (LEVEL, TURNING, CORNER)
+_LOSSY = {kind: Scene(restitution=0.8 if "0.8" in kind else 0.5, drive=None) for kind in (BOUNCE, PILE, *RESTING)}
 LOSS = {FLIGHT: _LOSSY[BOUNCE]} | _LOSSY  # kinds of steps with loss, and their scenes
 _PILED = 10, 20  # impacts in a step where bounces pile up
 TAKEN_OUT = ("contact", "_score", "_info", "checks", "bare")  # of one environment
@@ -107,11 +109,13 @@ def moments(episodes: int, every: int, scene: Scene | None = None) -> Moments:
 def with_loss(kind: str, courses: int = 256) -> Moments:
     """Moments of one kind of ``LOSS`` under no torque, two for each environment of a batch, from courses of 14 s.
 
-    The box is level and still at first, but for the floor that turns. A jack that rests lies on two feet.
+    The box is level and still at first, but for those that turn. A jack that rests lies on two feet, in a corner on
+    four.
     """
     scene, rng = LOSS[kind], np.random.default_rng(0)
-    lies, omega = kind in (LEVEL, TURNING), 0.2 if kind == TURNING else 0.0
-    starts = np.array([_lying(rng, omega) if lies else sample_start(scene, rng) for _ in range(courses)])
+    lies, omega = kind in RESTING, {TURNING: 0.2, CORNER: 3.0}.get(kind, 0.0)
+    places = np.full(courses, math.sqrt(0.5) - 6.0) if kind == CORNER else rng.uniform(-4.0, 4.0, courses)
+    starts = np.array([_lying(x, omega) if lies else sample_start(scene, rng) for x in places.tolist()])
     steps = 50 if lies else 700
     played: Any = rollout(scene, starts, np.zeros((courses, steps)), DT, impacts=True, num_threads=1)
     hits: NDArray[np.int64] = played.impacts
@@ -123,9 +127,9 @@ def with_loss(kind: str, courses: int = 256) -> Moments:
     return Moments(states, [0.0, 0.0], np.zeros((TOGETHER, 2, 1), dtype=np.float32), hits.ravel()[some])
 
 
-def _lying(rng: np.random.Generator, omega: float) -> Array:
-    """A jack on two feet on the floor of the default box, which turns by ``omega`` [rad/s], and the jack with it."""
-    x, y = rng.uniform(-4.0, 4.0), math.sqrt(0.5) - 6.0
+def _lying(x: float, omega: float) -> Array:
+    """A jack at ``x`` [m] on two feet on the floor of the default box, both turning by ``omega`` [rad/s] as one."""
+    y = math.sqrt(0.5) - 6.0
     return np.array([0.0, 0.0, 0.0, x, y, math.pi / 4.0, 0.0, 0.0, omega, -omega * y, omega * x, omega])
 
 

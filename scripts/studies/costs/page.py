@@ -7,7 +7,7 @@ import statistics
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from scripts.studies.costs.cost_steps import FLIGHT, LEVEL, LOSS, TURNING
+from scripts.studies.costs.cost_steps import FLIGHT, LOSS, RESTING
 from scripts.studies.timing import Rates, cells, figure, joined, rough
 
 MODELS = PYMUNK, EXACT, BATCH = "pymunk", "exact", "exact, batch"
@@ -144,9 +144,9 @@ def _against_flight(values: Sequence[float], flight: Sequence[float]) -> str:
 
 
 def held_cost(loss: Figures) -> str:
-    """What a step with held feet takes, for the head of the exact model: the tens around both kinds of rest."""
-    middles = [statistics.median(loss[kind][EXACT]) / 1e4 for kind in (LEVEL, TURNING)]
-    return f"{10 * math.floor(min(middles))} to {10 * math.ceil(max(middles))} microseconds"
+    """What a step with held feet takes, for the head of the exact model: whole microseconds around all kinds of rest."""
+    middles = [statistics.median(loss[kind][EXACT]) / 1e3 for kind in RESTING]
+    return f"{math.floor(min(middles))} to {math.ceil(max(middles))} microseconds"
 
 
 def answer(results: Mapping[str, Any], plain: Mapping[str, float]) -> str:
@@ -212,7 +212,7 @@ OFF = (
 )
 REST = (
     "All under no torque. A flight is without impacts, though it may be near a wall. Bounces pile up in "
-    "steps of 10 to 20 impacts. A jack that rests lies on two feet. A held foot counts as one impact. In a batch, a "
+    "steps of 10 to 20 impacts. A jack that rests lies on two feet, in a corner on four. A held foot counts as one impact. In a batch, a "
     "figure is the step of one of 1,024 environments that all do the same, with observation and reward. "
     "`make costs-loss` measures only these steps: not on the day and the machine of the rest of the page."
 )
