@@ -174,11 +174,11 @@ def test_a_zip_bomb_that_understates_its_size_is_refused_before_it_is_inflated(s
 
 
 def test_a_note_is_inflated_no_further_than_it_says(saved: Path) -> None:
-    note = b"{}" + bytes(998).replace(b"\0", b" ")
+    note = b"{}" + b" " * 998
     whole = note + ZEROS[len(note) :]
     content = understated(zipped({**members(saved / "model.zip"), "note.json": whole}))
-    sums = (zlib.crc32(part).to_bytes(4, "little") for part in (whole, note))
-    (saved / "model.zip").write_bytes(content.replace(*sums))
+    told, true = (zlib.crc32(part).to_bytes(4, "little") for part in (note, whole))
+    (saved / "model.zip").write_bytes(content.replace(true, told))
     with little_memory():
         assert read_model_file(saved / "model.zip")[1] == {}
 

@@ -159,9 +159,14 @@ def test_a_line_of_the_journal_that_is_no_result_is_named_and_run_again(
     folder = carried_out(tmp_path / "sweep")
     table, path, asked = (folder / TABLE).read_bytes(), folder / JOURNAL, list[dict[str, Any]]()
     lines = path.read_text().splitlines()
+
+    def noted(settings: dict[str, Any]) -> dict[str, Any]:
+        asked.append(settings)
+        return shares(settings)
+
     for line in (json.dumps({**json.loads(lines[3]), **harm}), json.dumps([*json.loads(lines[3])]), "{}"):
         path.write_text("\n".join([*lines[:3], line, *lines[4:], ""]))
-        carried_out(folder, lambda settings: asked.append(settings) or shares(settings))
+        carried_out(folder, noted)
         assert f"Skipped: {path}, line 4, is damaged (" in capsys.readouterr().err
         assert (folder / TABLE).read_bytes() == table
     assert asked == [GRID[3].settings] * 3
