@@ -1,10 +1,17 @@
-"""Model files are zip files of zip files: what they inflate to is bounded before any of it is inflated."""
+"""Model files are zip files of zip files: what they inflate to is bounded before any of it is inflated.
+
+So it is with the zip files that numpy makes of arrays.
+"""
 
 from __future__ import annotations
 
 import io
 import zipfile
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 # Weights do not compress, and Stable-Baselines3 and torch store them as they are.
 _MOST_TIMES = 4  # the size of a file that it may inflate to
@@ -26,12 +33,26 @@ def unpacked_tensors(path: Path) -> io.BytesIO:
         _refuse_inflation(archive, path.stat().st_size, str(path))
         for member in archive.infolist():
             if member.filename.endswith(_TENSORS):
-                content = _read(archive, member)
+                content = read_member(archive, member)
                 with zipfile.ZipFile(io.BytesIO(content)) as tensors:
                     _refuse_inflation(tensors, len(content), f"{member.filename} in {path}")
                 copy.writestr(member.filename, content)
     stored.seek(0)
     return stored
+
+
+def unpacked_arrays(content: bytes, name: str) -> dict[str, NDArray[Any]]:
+    """The arrays in an npz file called ``name``; nothing is unpickled.
+
+    Raises:
+        ValueError: it would inflate to many times its size. Damage raises whatever numpy raises.
+    """
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        _refuse_inflation(archive, len(content), name)
+        return {
+            member.filename.removesuffix(".npy"): np.lib.format.read_array(io.BytesIO(read_member(archive, member)))
+            for member in archive.infolist()
+        }
 
 
 def _refuse_inflation(archive: zipfile.ZipFile, size: int, name: str) -> None:
@@ -43,7 +64,7 @@ def _refuse_inflation(archive: zipfile.ZipFile, size: int, name: str) -> None:
         raise ValueError(f"{name} must inflate to at most {most:,} bytes, got {inflated:,}")
 
 
-def _read(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
+def read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
     """Read no more than a member's declared size: a full read would first inflate all that it holds beyond that."""
     with archive.open(member) as file:
         return file.read(member.file_size)

@@ -13,6 +13,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.evaluation import evaluate_policy
 
+from agents.archives import unpacked_arrays
 from agents.checkpoints import Checkpoint, checkpoint_path, is_whole, model_file, read_model_file, with_note
 from agents.models import derived_seed, make_vec_env
 from agents.runs import EVALUATIONS
@@ -57,11 +58,12 @@ class Evaluations:
 def read_evaluations(folder: Path, episodes: int) -> Evaluations:
     """The evaluations of a run of so many episodes each; none, and a sentence that says so, where they are damaged."""
     path = folder / EVALUATIONS
-    if not path.exists():
+    if not path.is_file():
         return Evaluations()
     content = path.read_bytes()
     try:
-        with parsing(path), np.load(io.BytesIO(content)) as stored:
+        with parsing(path):
+            stored = unpacked_arrays(content, path.name)
             timesteps, results, lengths = stored["timesteps"], stored["results"], stored["ep_lengths"]
             shape = (len(timesteps), episodes)
             if results.shape != shape or lengths.shape != shape or np.any(np.diff(timesteps) <= 0):

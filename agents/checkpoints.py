@@ -14,7 +14,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.save_util import load_from_zip_file
 
-from agents.archives import unpacked_tensors
+from agents.archives import read_member, unpacked_tensors
 from agents.storage import DamagedFileError, parsing, say_skipped
 from jackbox_env.storage import make_folder, write_bytes
 
@@ -58,17 +58,18 @@ def read_model_file(path: Path) -> tuple[Parameters, dict[str, Any]]:
         DamagedFileError: it is no whole model file.
         FileNotFoundError: it is not there.
     """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} is no file")
     content = path.read_bytes()
     with parsing(path):
-        unpacked_tensors(path)  # refuses what inflates to many times its size, before it is inflated
-        file = io.BytesIO(content)
-        with zipfile.ZipFile(file) as archive:
+        tensors = unpacked_tensors(path)  # refuses what inflates to many times its size, before it is inflated
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
             broken = archive.testzip()
             if broken is not None:
                 raise ValueError(f"{broken} in it is not what was written")
-            note = dict(json.loads(archive.read(_NOTE))) if _NOTE in archive.namelist() else {}
-        file.seek(0)
-        _, parameters, _ = load_from_zip_file(file, load_data=False, device="cpu")
+            notes = [member for member in archive.infolist() if member.filename == _NOTE]
+            note = dict(json.loads(read_member(archive, notes[-1]))) if notes else {}
+        _, parameters, _ = load_from_zip_file(tensors, load_data=False, device="cpu")
         if set(parameters) != _GROUPS:
             raise ValueError("it holds no parameters")
     return parameters, note

@@ -22,19 +22,21 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from importlib import metadata
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from tqdm import tqdm
 
 from agents.runs import PACKAGES, machine, versions
-from agents.storage import DamagedFileError, held, parsing, read_json, say_skipped
+from agents.storage import DamagedFileError, held, own_file, parsing, read_json, say_skipped
 from agents.sweeping import Finished, Runner, Trial, Work
 from jackbox_env.storage import check_writable, new_folder, remove_partials, write_json, write_text
 
 SWEEP, JOURNAL, TABLE, TIMES = "sweep.json", "trials.jsonl", "table.csv", "times.csv"
 ENGINES = ("numpy", "numba", "pymunk", *PACKAGES[-2:])
-_TIMED = ("seconds", "place", "processor")
-_TOLD = ("result", "error", "details", *_TIMED)
+_TIMED = {"seconds": float | int, "place": str, "processor": str}
+_TOLD = {"result": dict | None, "error": str | None, "details": str, **_TIMED}
+_LINE = {"key": str, "settings": dict, **_TOLD}
+_Made = TypeVar("_Made")
 _ROOT = Path(__file__).parents[1]
 _TABLE_EVERY = 10.0  # [s] between two versions of the table
 _SHARE = 20.0  # times as long as writing one takes
@@ -93,8 +95,14 @@ def new_sweep(path: Path | None, asked: dict[str, Any], trials: list[Trial]) -> 
     return new_folder(path, "sweep", lambda made: write_json(made / SWEEP, record))
 
 
-def read_sweep(folder: Path) -> tuple[dict[str, Any], list[Trial]]:
-    """What a sweep was asked for, and its trials.
+def read_sweep(
+    folder: Path, check: Callable[[dict[str, Any]], None] = lambda settings: None
+) -> tuple[dict[str, Any], list[Trial]]:
+    """What a sweep was asked for, and its trials; says which are left out because they are damaged, or listed before.
+
+    Args:
+        folder: of the sweep.
+        check: raises an error for settings that are no trial's.
 
     Raises:
         FileNotFoundError: it is no sweep.
@@ -106,11 +114,36 @@ def read_sweep(folder: Path) -> tuple[dict[str, Any], list[Trial]]:
         raise FileNotFoundError(f"{folder} is no sweep: it has no {SWEEP}")
     record = read_json(path)
     with parsing(path):
-        asked, trials = dict(record["asked"]), [Trial(dict(settings)) for settings in record["trials"]]
+        asked, listed = dict(record["asked"]), list(record["trials"])
         other = differing(record["made_with"], made_with())
     if other:
         raise ValueError(f"{folder} was begun with other code ({other}), so it cannot be continued: make another sweep")
-    return asked, trials
+    trials = dict[str, Trial]()
+
+    def read(settings: Any) -> None:
+        trial = Trial(dict(settings))
+        check(trial.settings)
+        _as_text(trial.settings)
+        if trials.setdefault(trial.key, trial) is not trial:
+            raise ValueError("it is listed before")
+
+    _each(path, "trial", listed, read)
+    return asked, list(trials.values())
+
+
+def _each(path: Path, part: str, parts: Iterable[_Made], read: Callable[[_Made], None]) -> None:
+    """Read each part of a file; say which are skipped because they are damaged."""
+    for number, one in enumerate(parts, 1):
+        try:
+            with parsing(Path(f"{path}, {part} {number},")):
+                read(one)
+        except DamagedFileError as error:
+            say_skipped(error)
+
+
+def _as_text(values: Any) -> bytes:
+    """JSON that a table can hold; raises UnicodeEncodeError for half a character."""
+    return json.dumps(values, ensure_ascii=False).encode()
 
 
 def carry_out(folder: Path, trials: list[Trial], work: Work, runner: Runner, progress: bool = True) -> Outcome:
@@ -145,7 +178,7 @@ def _run(
     """Run what is left, and add it to the journal, to ``kept`` and now and then to the tables."""
     failed, next_table = 0, time.monotonic() + _TABLE_EVERY
     with (
-        (folder / JOURNAL).open("ab") as journal,
+        os.fdopen(own_file(folder / JOURNAL), "ab") as journal,
         tqdm(total=len(trials), initial=len(trials) - len(left), unit="trial", disable=not progress) as bar,
     ):
         for done in run(left, work, bar.refresh):
@@ -170,19 +203,21 @@ def _line(done: Finished) -> dict[str, Any]:
 def _kept(folder: Path, trials: Iterable[Trial]) -> dict[str, dict[str, Any]]:
     """The journal's lines by key, the last of each; the beginning of a line at its end is cut off."""
     path, kept, known = folder / JOURNAL, dict[str, dict[str, Any]](), {trial.key for trial in trials}
-    if not path.exists():
-        return kept
-    content = path.read_bytes()
-    whole = content.rfind(b"\n") + 1
-    if whole < len(content):
-        os.truncate(path, whole)
-    for number, text in enumerate(content[:whole].splitlines(), 1):
-        try:
-            with parsing(Path(f"{path}, line {number},")):
-                line = json.loads(text)
-                kept |= {line["key"]: line} if set(_TOLD) <= set(line) else {}
-        except DamagedFileError as error:
-            say_skipped(error)
+    with os.fdopen(own_file(path), "rb+") as file:
+        content = file.read()
+        whole = content.rfind(b"\n") + 1
+        if whole < len(content):
+            file.truncate(whole)
+
+    def read(text: bytes) -> None:
+        line = json.loads(text)
+        _as_text(line)
+        for name, kind in _LINE.items():
+            if not isinstance(line[name], kind):
+                raise TypeError(f"{name} is a {type(line[name]).__name__}")
+        kept[line["key"]] = line
+
+    _each(path, "line", content[:whole].splitlines(), read)
     return {key: line for key, line in kept.items() if key in known}
 
 

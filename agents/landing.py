@@ -43,6 +43,7 @@ LANDING = "landing.json"
 FLOOR = 3  # the wall under the jack while the box is turned by less than an eighth of a turn
 AFTER = 0.25  # [s] after the landing of a level box a bounce is judged
 _QUARTER = 0.5 * math.pi
+_MOST_PAIRS = 1000  # each takes some kilobyte for each jack
 _SEARCHES = 3  # Newton steps to the moment of the contact
 _STEP = 0.25  # [s] the longest of them
 _SLOWEST = 0.5  # [m/s] a gap that closes more slowly counts as closing so fast in them
@@ -67,11 +68,14 @@ class LandingSettings(EnvSettings):
         check.whole("hold", self.hold, at_least=1, at_most=EPISODE_STEPS)
         for name, most in (("angles", _QUARTER), ("rates", 100.0)):
             given = getattr(self, name)
-            if not isinstance(given, list | tuple) or not 0 < len(given) <= 1000:
-                raise ValueError(f"{name} must be a list of 1 to 1000 numbers, got {check.shown(given)}")
+            if not isinstance(given, list | tuple) or not 0 < len(given) <= _MOST_PAIRS:
+                raise ValueError(f"{name} must be a list of 1 to {_MOST_PAIRS} numbers, got {check.shown(given)}")
             for number in given:
                 check.real(name, number, at_least=-most, at_most=most)
             object.__setattr__(self, name, tuple(given))
+        pairs = len(self.angles) * len(self.rates)
+        if pairs > _MOST_PAIRS:
+            raise ValueError(f"angles and rates must make at most {_MOST_PAIRS:,} pairs, got {pairs:,}")
 
     @property
     def pairs(self) -> Array:

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.archives import unpacked_arrays
 from agents.playing import Playing, manner_of, play
 from agents.policies import Actions
 from agents.preview import FEATURES, flight_of, preview
@@ -116,7 +117,8 @@ def read_layers(folder: Path) -> list[Layer]:
 
     Raises:
         FileNotFoundError: the folder holds none.
-        ValueError: the file is far larger than any network here. Damage raises whatever numpy raises.
+        ValueError: the file, or what it inflates to, is far larger than any network here. Damage raises whatever numpy
+            raises.
     """
     path = folder / WEIGHTS
     if not path.is_file():
@@ -124,9 +126,9 @@ def read_layers(folder: Path) -> list[Layer]:
     most = 4 * MOST_WEIGHTS + _SPARE
     if path.stat().st_size > most:
         raise ValueError(f"{path} must be at most {most:,} bytes, got {path.stat().st_size:,}")
-    with np.load(io.BytesIO(path.read_bytes())) as stored:
-        count = min(MOST_LAYERS + 1, len(stored.files) // 2)
-        return [(stored[f"weight_{number}"], stored[f"bias_{number}"]) for number in range(count)]
+    stored = unpacked_arrays(path.read_bytes(), str(path))
+    count = min(MOST_LAYERS + 1, len(stored) // 2)
+    return [(stored[f"weight_{number}"], stored[f"bias_{number}"]) for number in range(count)]
 
 
 def read_with_layers(folder: Path, name: str, kind: str, make: Callable[[Any, list[Layer]], _Made]) -> _Made:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import stat
 import sys
 import time
 from collections.abc import Iterator
@@ -21,6 +22,7 @@ if sys.platform != "win32":
 
 LOCK = "lock"
 _PATIENCE = 1.0  # for a process that has just taken a lock to write its number down [s]
+_IN_PLACE = sum(getattr(os, name, 0) for name in ("O_RDWR", "O_CREAT", "O_NOFOLLOW", "O_NONBLOCK", "O_BINARY"))
 _held: set[int] = set()  # descriptors of the locks that this process holds
 
 
@@ -45,7 +47,7 @@ def parsing(path: Path) -> Iterator[None]:
     try:
         yield
     except Exception as error:  # a damaged zip fails in dozens of ways
-        reason = next(iter(str(error).splitlines()), "")[:100]
+        reason = next(iter(str(error).splitlines()), "")[:200]
         raise DamagedFileError(f"{path} is damaged ({type(error).__name__}{': ' * bool(reason)}{reason})") from error
 
 
@@ -65,6 +67,24 @@ def say_skipped(error: DamagedFileError) -> None:
     print(f"Skipped: {error}", file=sys.stderr)
 
 
+# -- files that are written in place ----------------------------------------------------------------------------------
+
+
+def own_file(path: Path) -> int:
+    """A descriptor to read and write a file in place, which is made where it is missing.
+
+    Raises:
+        OSError: it is a link, or no plain file: what is written there would be written elsewhere.
+    """
+    if not path.is_symlink():
+        descriptor = os.open(path, _IN_PLACE, 0o666)
+        found = os.fstat(descriptor)
+        if stat.S_ISREG(found.st_mode) and found.st_nlink <= 1:
+            return descriptor
+        os.close(descriptor)
+    raise OSError(f"{path} must be a plain file of its own, no link: remove it, or put a copy in its place")
+
+
 # -- holding ----------------------------------------------------------------------------------------------------------
 
 
@@ -74,6 +94,7 @@ def held(folder: Path) -> Iterator[None]:
 
     Raises:
         FolderInUseError: another process holds it.
+        OSError: its lock is a link, or cannot be opened.
     """
     descriptor = _locked(folder)
     if descriptor is None:
@@ -97,7 +118,7 @@ def _locked(folder: Path) -> int | None:
     if sys.platform == "win32":
         return None
     deadline = time.monotonic() + _PATIENCE
-    descriptor = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o666)
+    descriptor = own_file(folder / LOCK)
     try:
         while True:
             try:

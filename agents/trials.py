@@ -56,6 +56,16 @@ def run_trial(folder: Path, settings: dict[str, Any]) -> dict[str, Any]:
     return evaluated(settings) if "policy" in settings else trained(folder, settings)
 
 
+def check_trial(settings: dict[str, Any]) -> None:
+    """Raise KeyError, TypeError or ValueError for settings that :func:`run_trial` cannot run."""
+    own = {name: value for name, value in settings.items() if name != "episodes"}
+    check.whole("episodes", settings["episodes"], at_least=2)
+    if "policy" in own:
+        EnvSettings.of({name: value for name, value in own.items() if name not in ("policy", "seed")})
+    else:
+        TrainSettings.of(own)
+
+
 def environments(tasks: tuple[str, ...], settings: tuple[str, ...], scenes: tuple[str, ...]) -> list[EnvSettings]:
     """The grid of tasks, settings and scenes; each environment is made once, so what cannot be made is refused.
 

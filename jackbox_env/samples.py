@@ -81,7 +81,18 @@ class _Step(NamedTuple):
             yield _Sample(min(moment.time, self.end), moment.before, work)
             if moment.time < self.end:
                 yield _Sample(moment.time, moment.after, work)
-        yield _Sample(self.end, self.after, replay.work)
+        yield _Sample(self.end, self.after, replay.work + self._held_up(scene, replay.state))
+
+    def _held_up(self, scene: Scene, ended: list[float]) -> float:
+        """The work that a replay misses, which ended elsewhere because it let resting feet fall.
+
+        The difference of the box's rates grows evenly from 0, and its integral is that of the angles. Held torques give
+        the work to rounding, others to third order in the step.
+        """
+        drive, length = scene.drive or Drive(), self.end - self.start
+        turning = drive.torque_means if self.torque is None else lambda *_: (self.torque, self.torque)
+        averages = ((2, turning), *enumerate(drive.force_means))
+        return sum(means(self.start, length)[1] * (self.after[axis] - ended[axis]) for axis, means in averages)
 
     def _rests(self, scene: Scene, moment: Moment) -> bool:
         """Whether it is the one record of a foot at rest, at the step's end: the replay has let that foot fall."""

@@ -121,7 +121,7 @@ def remove_partials(*folders: Path) -> None:
     for folder in folders:
         for path in folder.glob(".*"):
             if _PARTIAL.fullmatch(path.name):
-                shutil.rmtree(path) if path.is_dir() else path.unlink()
+                shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
 
 
 def _sync(path: Path) -> None:

@@ -75,7 +75,7 @@ def main() -> None:
         if arguments.grid != Grid() or arguments.folder is not None:
             raise ValueError("--resume runs the sweep of its folder: give no other grid")
         folder = arguments.resume
-        _, trials = read_sweep(folder)
+        _, trials = read_sweep(folder, kinds.check_trial)
     work = partial(kinds.run_trial, folder.resolve())
     command = shlex.join(["python", "scripts/sweep.py", "--resume", str(folder)])
     try:

@@ -62,10 +62,12 @@ def compiled_call(name: str) -> Any:
     return at_address
 
 
+@cache
 def address_of(dispatcher: Any) -> int:
     """Where a task's compiled ``score_block`` or ``score_step`` lies; it lies there as long as the dispatcher lives.
 
-    Uncompiled, the function itself is handed on. None lies at 0 and is never called.
+    Uncompiled, the function itself is handed on. None lies at 0 and is never called. The result is kept, because numba
+    finds it under a lock, for which a forked child waits for ever if another thread held it at the fork.
     """
     if dispatcher is None:
         return 0

@@ -147,7 +147,8 @@ def test_damage_and_misfits_are_told(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"holds no weights.npz"):
         read_landing(tmp_path)
     write_landing(tmp_path, SMALL, layers_for())
-    damaged: list[Any] = [{"hold": 0}, {"angles": []}, {"angles": [3.0]}, {"rates": ["fast"]}, {"speed": 1}, []]
+    many = {"angles": [0.0] * 40, "rates": [0.0] * 40}
+    damaged: list[Any] = [{"hold": 0}, {"angles": []}, many, {"angles": [3.0]}, {"rates": ["fast"]}, {"speed": 1}, []]
     for given in damaged:
         write_json(tmp_path / "landing.json", given)
         with pytest.raises(ValueError, match=r"holds no policy of landings: "):

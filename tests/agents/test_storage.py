@@ -140,6 +140,7 @@ def test_what_killed_processes_left_is_removed_and_nothing_else(tmp_path: Path) 
     kept = {".hidden", "model.partial.zip", ".model.partial", "x.12.partial"}
     for name in kept:
         (tmp_path / name).touch()
+    (tmp_path / ".link.4.partial").symlink_to(tmp_path.parent, target_is_directory=True)
     remove_partials(tmp_path, tmp_path / "not there")
     assert {path.name for path in tmp_path.iterdir()} == kept
 
@@ -155,6 +156,26 @@ def test_json_that_is_damaged_is_told_by_its_name(content: bytes, tmp_path: Path
     assert "\n" not in str(refused.value)
     write_json(path, {"a": [1.5, None]})
     assert read_json(path) == json.loads(path.read_text()) == {"a": [1.5, None]}
+
+
+LINKS: dict[str, Callable[[Path, Path], None]] = {
+    "symbolic": lambda path, target: path.symlink_to(target),
+    "hard": lambda path, target: path.hardlink_to(target),
+    "to nothing": lambda path, target: path.symlink_to(target.with_name("missing")),
+    "a pipe": lambda path, target: os.mkfifo(path),
+}
+
+
+@pytest.mark.parametrize("kind", LINKS)
+def test_a_lock_that_is_a_link_is_refused_and_what_it_leads_to_is_left(kind: str, tmp_path: Path) -> None:
+    (tmp_path / "mine").write_text("precious")
+    folder = tmp_path / "run"
+    folder.mkdir()
+    LINKS[kind](folder / LOCK, tmp_path / "mine")
+    with pytest.raises(OSError, match=f"^{folder / LOCK} must be a plain file"), held(folder):
+        pass
+    assert (tmp_path / "mine").read_text() == "precious"
+    assert not (tmp_path / "missing").exists()
 
 
 # -- holding ----------------------------------------------------------------------------------------------------------

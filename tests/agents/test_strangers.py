@@ -6,6 +6,7 @@ import io
 import json
 import tracemalloc
 import zipfile
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -15,8 +16,11 @@ from typing import Any
 import pytest
 
 from agents.archives import unpacked_tensors
+from agents.best import read_evaluations
+from agents.checkpoints import read_model_file
 from agents.models import load_model, make_ppo, make_vec_env
-from agents.runs import read_settings
+from agents.network import WEIGHTS, read_policy
+from agents.runs import EVALUATIONS, read_settings
 from agents.settings import TrainSettings
 
 TINY = TrainSettings(num_envs=1, rollout_steps=2, batch_size=2, hidden_units=(4,))
@@ -167,6 +171,30 @@ def test_a_zip_bomb_that_understates_its_size_is_refused_before_it_is_inflated(s
     with little_memory(), pytest.raises(ValueError, match="is no model of the settings beside it: ") as refusal:
         load_model(saved)
     assert kind == "a tensor" or "Bad CRC-32" in str(refusal.value)
+
+
+def test_a_note_is_inflated_no_further_than_it_says(saved: Path) -> None:
+    note = b"{}" + b" " * 998
+    whole = note + ZEROS[len(note) :]
+    content = understated(zipped({**members(saved / "model.zip"), "note.json": whole}))
+    told, true = (zlib.crc32(part).to_bytes(4, "little") for part in (note, whole))
+    (saved / "model.zip").write_bytes(content.replace(true, told))
+    with little_memory():
+        assert read_model_file(saved / "model.zip")[1] == {}
+
+
+@pytest.mark.parametrize("understate", [False, True])
+def test_arrays_are_inflated_to_no_more_than_arrays_take(
+    tmp_path: Path, understate: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, content = folder_with(tmp_path, changed()), zipped({"weight_0.npy": ZEROS, "timesteps.npy": b""})
+    for name in (WEIGHTS, EVALUATIONS):
+        (folder / name).write_bytes(understated(content) if understate else content)
+    with little_memory():
+        with pytest.raises(ValueError, match=f"{WEIGHTS} holds no weights of the settings beside it: "):
+            read_policy(folder)
+        assert read_evaluations(folder, 2).timesteps == []
+    assert f"Skipped: {folder / EVALUATIONS} is damaged" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("method", [zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2])

@@ -141,6 +141,61 @@ def test_a_line_that_a_kill_cut_short_is_run_again(
     assert (folder / TABLE).read_bytes() == table
 
 
+@pytest.mark.parametrize(
+    "harm",
+    [
+        {"result": 5},
+        {"processor": 5},
+        {"error": []},
+        {"seconds": None},
+        {"settings": "one"},
+        {"key": []},
+        {"result": {"share": "\ud800"}},
+    ],
+)
+def test_a_line_of_the_journal_that_is_no_result_is_named_and_run_again(
+    tmp_path: Path, harm: dict[str, Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = carried_out(tmp_path / "sweep")
+    table, path, asked = (folder / TABLE).read_bytes(), folder / JOURNAL, list[dict[str, Any]]()
+    lines = path.read_text().splitlines()
+
+    def noted(settings: dict[str, Any]) -> dict[str, Any]:
+        asked.append(settings)
+        return shares(settings)
+
+    for line in (json.dumps({**json.loads(lines[3]), **harm}), json.dumps([*json.loads(lines[3])]), "{}"):
+        path.write_text("\n".join([*lines[:3], line, *lines[4:], ""]))
+        carried_out(folder, noted)
+        assert f"Skipped: {path}, line 4, is damaged (" in capsys.readouterr().err
+        assert (folder / TABLE).read_bytes() == table
+    assert asked == [GRID[3].settings] * 3
+
+
+def test_a_journal_that_is_a_link_is_refused_and_what_it_leads_to_is_left(tmp_path: Path) -> None:
+    folder = new_sweep(tmp_path / "sweep", {}, GRID)
+    (tmp_path / "mine").write_text("precious")
+    (folder / JOURNAL).symlink_to(tmp_path / "mine")
+    with pytest.raises(OSError, match=f"^{folder / JOURNAL} must be a plain file"):
+        carried_out(folder)
+    assert (tmp_path / "mine").read_text() == "precious"
+
+
+@pytest.mark.parametrize(
+    "harm", [{"speed": 1}, {"episodes": "two"}, {"policy": "\ud800"}, {"scene": 5}, {"seed": 1}, None]
+)
+def test_a_trial_that_cannot_be_run_is_named_and_the_others_go_on(
+    tmp_path: Path, harm: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    grid = trials.policy_trials(("zero",), [EnvSettings(contact="exact")], 3, 2)
+    folder = new_sweep(tmp_path / "sweep", {}, grid)
+    record = json.loads((folder / SWEEP).read_text())
+    record["trials"][2] = harm and {**record["trials"][2], **harm}
+    (folder / SWEEP).write_text(json.dumps(record))
+    assert read_sweep(folder, trials.check_trial)[1] == grid[:2]
+    assert f"Skipped: {folder / SWEEP}, trial 3, is damaged (" in capsys.readouterr().err
+
+
 def test_a_failing_trial_is_reported_with_its_settings_and_tried_again(tmp_path: Path) -> None:
     broken, asked = [True], list[dict[str, Any]]()
 

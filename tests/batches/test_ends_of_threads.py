@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import gc
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -13,7 +14,9 @@ import weakref
 from pathlib import Path
 
 import pytest
+from numba.core.compiler_lock import global_compiler_lock
 
+from jackbox_env import JackInBoxVectorEnv
 from jackbox_env.batches import threads
 from jackbox_env.batches.threads import Threads
 from tests.batches.waiting import until
@@ -87,6 +90,32 @@ def test_a_fork_forgets_threads_that_it_does_not_have() -> None:
         gate.wait(20.0)
 
     owner.run(late, 2)
+
+
+def test_a_fork_makes_environments_although_a_thread_that_it_does_not_have_compiles() -> None:
+    JackInBoxVectorEnv(2, contact="exact").close()
+    compiles, gate = threading.Event(), threading.Event()
+
+    def compiling() -> None:
+        with global_compiler_lock:
+            compiles.set()
+            gate.wait(60.0)
+
+    thread = threading.Thread(target=compiling)
+    thread.start()
+    compiles.wait()
+    process = os.fork()
+    if process == 0:
+        signal.alarm(10)  # ends the child if it waits for the lock
+        try:
+            JackInBoxVectorEnv(2, contact="exact").close()
+            os._exit(0)
+        finally:
+            os._exit(1)
+    status = os.waitpid(process, 0)[1]
+    gate.set()
+    thread.join()
+    assert os.waitstatus_to_exitcode(status) == 0
 
 
 WEARY = """
