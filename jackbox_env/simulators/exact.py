@@ -2,22 +2,23 @@
 
 Law: flight in closed form (``motion.py``); at an impact all feet that touch, within 1e-13 m or 4 units in the last
     place of a far-off position, take the simultaneous Newton law of
-    :func:`jackbox_env.mechanics.simultaneous_impact_map`. With loss, bounces pile up, and a foot comes to rest that would
-    rise by 1e-13 m at most; in a step that takes more than 1,024 gap evaluations this limit grows, to 1e-10 m. The law
-    would take that bounce's energy too, at the end of the pile. The wall then holds the foot until it would have to
-    pull (``compiled/rest.py``). A held foot is one impact per wall and step: at the step's end, with the impulse of the
+    :func:`jackbox_env.mechanics.simultaneous_impact_map`. With loss, bounces pile up. A foot that would rise by 1e-13 m
+    at most comes to rest; where a step takes more than 1,024 gap evaluations this limit grows, to 1e-10 m. The law too
+    would take that bounce's energy, at the end of the pile. The wall then holds the foot until it would have to pull
+    (``compiled/rest.py``). A held foot is one impact per wall and step: at the step's end, with the impulse of the
     whole step. So ``impacts``, the environment's counts and impulses, and the task rattle see the weight that rests on
     a wall, m_j g dt in a step.
 Order: none; the error is rounding, whatever the control step. The system is chaotic and multiplies any error by about 5
     per impact, so even this model predicts only some 15 impacts.
 Cost: below 0.1 microseconds per control step in a batch. Work is in proportion to the impacts. A step with held feet
-    takes some 3 microseconds (docs/costs.md).
+    takes some 4 to 6 microseconds (docs/costs.md).
 Fails: a step that wants more than 1,000,000 gap evaluations raises JackLostError: rotation or impacts far too fast for
     the step. A chirp that turns more than 83,333 times in a step is refused. Without loss a foot that bounces by
     1e-10 m and less does so some thousand times per control step; a foot that reaches another wall meanwhile may be as
-    deep in that wall when it bounces. With loss no foot is deeper than 2.4e-10 m. Angles are rounded to their unit in the last place: beyond 1e6 rad a foot may be
-    outside by up to 4 L times that unit (5e-10 L at 1e6 rad, 5e-4 L at 1e12 rad). A drive's functions are interpolated,
-    see ``functions.py``: a pulse that begins and ends between two of the 13 points of a piece is not seen.
+    deep in that wall when it bounces. With loss no foot is deeper than 2.4e-10 m. Angles are rounded to their unit in
+    the last place: beyond 1e6 rad a foot may be outside by up to 4 L times that unit (5e-10 L at 1e6 rad, 5e-4 L at
+    1e12 rad). A drive's functions are interpolated, see ``functions.py``: a pulse that begins and ends between two of
+    the 13 points of a piece is not seen.
 Bits: the same on every x86-64 CPU, whatever its C library, for states, impacts, observations and rewards. Compiled code
     takes every sum in the order written, fuses no product with a sum, and has its own cosines (``trigonometry.py``).
     Three things are the C library's: what a drive's own function takes from it (``math.sin``), the cosine of an angle

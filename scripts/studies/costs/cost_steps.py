@@ -110,7 +110,7 @@ def with_loss(kind: str, courses: int = 256) -> Moments:
     """Moments of one kind of ``LOSS`` under no torque, two for each environment of a batch, from courses of 14 s.
 
     The box is level and still at first, but for those that turn. A jack that rests lies on two feet, in a corner on
-    four.
+    three.
     """
     scene, rng = LOSS[kind], np.random.default_rng(0)
     lies, omega = kind in RESTING, {TURNING: 0.2, CORNER: 3.0}.get(kind, 0.0)

@@ -144,7 +144,7 @@ def _against_flight(values: Sequence[float], flight: Sequence[float]) -> str:
 
 
 def held_cost(loss: Figures) -> str:
-    """What a step with held feet takes, for the head of the exact model: whole microseconds around all kinds of rest."""
+    """What a step with held feet takes, for the exact model's head: whole microseconds around all kinds."""
     middles = [statistics.median(loss[kind][EXACT]) / 1e3 for kind in RESTING]
     return f"{math.floor(min(middles))} to {math.ceil(max(middles))} microseconds"
 
@@ -212,7 +212,8 @@ OFF = (
 )
 REST = (
     "All under no torque. A flight is without impacts, though it may be near a wall. Bounces pile up in "
-    "steps of 10 to 20 impacts. A jack that rests lies on two feet, in a corner on four. A held foot counts as one impact. In a batch, a "
+    "steps of 10 to 20 impacts. A jack that rests lies on two feet, in a corner on three. A held foot counts as one "
+    "impact for each wall. In a batch, a "
     "figure is the step of one of 1,024 environments that all do the same, with observation and reward. "
     "`make costs-loss` measures only these steps: not on the day and the machine of the rest of the page."
 )
