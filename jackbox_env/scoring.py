@@ -43,7 +43,7 @@ class PlainScore:
 
     def __call__(self, state: Array, torque: float, impulse: float) -> tuple[NDArray[np.float32], Sequence[float]]:
         """See :class:`Score`."""
-        numbers = state.tolist()
+        numbers = tuple(state.tolist())
         terms = self._task.values(self._numbers, numbers, torque, impulse)
         return observe(self._scene, numbers), checked_terms(self._task, terms)
 

@@ -40,7 +40,7 @@ class Task(NamedTuple):
     Attributes:
         terms: names of the terms; ``info`` holds each as ``reward_<name>``.
         values: function of (scene, state, torque, impulse) that returns a tuple of as many floats. ``scene`` has the
-            fields of :class:`jackbox_env.scene.SceneNumbers`, ``state`` 12 numbers in SI units (see
+            fields of :class:`jackbox_env.scene.SceneNumbers`. ``state`` is a tuple of 12 numbers in SI units (see
             :mod:`jackbox_env.states`), after the step. ``torque`` is the mean over the step [N m], ``impulse`` the sum
             over its impacts [N s].
     """

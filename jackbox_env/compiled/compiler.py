@@ -65,7 +65,7 @@ def returned_by(function: Callable[..., Any], name: str) -> Any:
     with _LOCK:
         dispatcher: Any = _compile_once(cast(FunctionType, function), ((name, function),), keep=False, inner=True)
         scene = typeof(Scene().numbers)  # type: ignore[no-untyped-call]
-        given = scene, types.Array(types.float64, 1, "C"), types.float64, types.float64
+        given = scene, types.UniTuple(types.float64, 12), types.float64, types.float64
         dispatcher.compile(given)
         return dispatcher.overloads[given].signature.return_type
 

@@ -159,6 +159,75 @@ def test_an_error_in_the_function_comes_back_and_leaves_all_as_it_was() -> None:
             assert np.all(env.step(-push)[1] == 1.0)
 
 
+# -- the state --------------------------------------------------------------------------------------------------------
+
+
+def looped(state: Any) -> float:
+    total = 0.0
+    for place, value in enumerate(state):
+        total += (place + 1.0) * value
+    for place in range(len(state)):
+        total -= state[place] * state[-1 - place]
+    return total
+
+
+def unpacked(state: Any) -> float:
+    a, b, c, d, e, f, g, h, i, j, k, last = state
+    return float(a - b + 2.0 * c - d + 3.0 * e - f + 4.0 * g - h + 5.0 * i - j + 6.0 * k - last)
+
+
+def products(state: Any) -> float:
+    total = 0.0
+    for value, rate in zip(state[:6], state[6:]):  # noqa: B905
+        total += value * rate
+    return total
+
+
+WAYS: dict[str, Any] = {
+    "index": lambda state: state[-1] + 2.0 * state[-12] + state[11],
+    "slice": lambda state: state[6:][3] + state[-3:][1] + len(state[::5]),
+    "len": lambda state: float(len(state)),
+    "max": lambda state: max(state) - min(state),
+    "sum": lambda state: sum(state),
+    "loop": looped,
+    "unpack": unpacked,
+    "products": products,
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_task_sees_the_same_twelve_numbers_everywhere(way: str) -> None:
+    read = WAYS[way]
+    task = Task(("read",), lambda scene, state, torque, impulse: (read(state),))
+    batch = JackInBoxVectorEnv(3, contact="exact", task=task)
+    batch.reset(seed=0)
+    played: Any = jackbox_env.rollout(None, batch.states, np.full((3, 60), 4.5e4), 0.02, rewards=task)
+    single, plain = JackInBoxEnv(contact="exact", task=task), JackInBoxEnv(task=task)
+    single.reset(seed=2)
+    plain.reset(seed=2)
+    for earned in played.rewards.T:
+        np.testing.assert_array_equal(batch.step(np.full(3, 0.5))[1], earned)
+        for env in (single, plain):
+            _, reward, _, _, info = env.step(0.5)
+            assert reward == pytest.approx(read(info["state"].tolist()), rel=1e-14, abs=1e-13)
+            assert reward == earned[2] or env is plain
+
+
+@EVERY_MODEL
+def test_a_task_that_writes_to_the_state_is_refused(contact: str) -> None:
+    def pushing(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float]:
+        state[10] = 50.0
+        return (1.0,)
+
+    task = Task(("push",), pushing)
+    for make in (JackInBoxEnv, JackInBoxVectorEnv):
+        with pytest.raises(TypeError):
+            make(contact=contact, task=task)
+    if contact == "exact":
+        with pytest.raises(TypeError):
+            jackbox_env.rollout(None, np.zeros(12), np.zeros(3), 0.02, rewards=task)
+
+
 # -- refusals ---------------------------------------------------------------------------------------------------------
 
 
@@ -171,7 +240,7 @@ def test_an_error_in_the_function_comes_back_and_leaves_all_as_it_was() -> None:
         (lambda scene, state, torque, impulse: (1j, 2j), "a tuple of 2 floats"),
         (lambda scene, state, torque, impulse: (scene.nothing, 1.0), "cannot be compiled.*'nothing'"),
         (lambda scene, state, torque, impulse: (nowhere, 1.0), "cannot be compiled.*'nowhere'"),  # type: ignore[name-defined]  # noqa: F821
-        (lambda scene, state, torque, impulse: (np.sum(state * 2.0), 1.0), "cannot be compiled.*use single numbers"),
+        (lambda scene, state, torque, impulse: (np.sum(state * 2.0), 1.0), "cannot be compiled.*UniTuple"),
         (lambda scene, state, torque, impulse: [state[0], 1.0], "cannot be compiled.*use single numbers"),
         (lambda scene, state, torque: (1.0, 1.0), "cannot be compiled.*4 argument"),
     ],
