@@ -33,9 +33,11 @@ class Task(NamedTuple):
 
         env = gym.make("JackInBox-v0", contact="exact", task=jackbox_env.Task(("lift",), lift))
 
-    Under ``contact="exact"`` the function is compiled, together with the plain functions that it calls, once in each
-    process. So it must be plain arithmetic on numbers, ``math`` included. What it reads from its module keeps the value
-    of that moment. A division by zero gives an infinity or NaN there, where Python raises ZeroDivisionError.
+    Under ``contact="exact"`` the function is compiled, together with the plain functions that it calls. So it must be
+    plain arithmetic on numbers, ``math`` included. An environment keeps what the function reads, globals for example,
+    as it was when the environment was made; a new environment reads it anew. ``/``, ``//`` and ``%`` by zero raise
+    ZeroDivisionError with every contact model. Powers and ``math`` out of their range give NaN or an infinity under
+    ``"exact"``, where Python raises an error.
 
     Attributes:
         terms: names of the terms; ``info`` holds each as ``reward_<name>``.
