@@ -198,7 +198,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         self.task, self._task = task, tasks.task_of(task)
         self._fails_never = self._task in tasks.TASKS.values()  # a task of the user's own may
         self._own = Scene.of(scene)
-        self._parts = self._made(self._own)
+        self._parts = self._simulator_of(self._own), make_score(self._own, self._task, self.contact)
         if not self._fails_never:
             self._parts[1](self.state, 0.0, 0.0)  # an unfit task is refused now
         self._randomize = None
@@ -225,7 +225,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
 
     def _made(self, scene: Scene) -> tuple[Simulator, Score]:
         """What depends on the scene; replaced as one, so that no interruption parts them."""
-        return self._simulator_of(scene), make_score(scene, self._task, self.contact)
+        return self._simulator_of(scene), self._parts[1].of(scene)
 
     @property
     def _simulator(self) -> Simulator:

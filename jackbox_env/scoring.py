@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from types import FunctionType
+from typing import Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,9 @@ class Score(Protocol):
 
     def __call__(self, state: Array, torque: float, impulse: float) -> tuple[NDArray[np.float32], Sequence[float]]:
         """Return the observation, shape (10,), and the values of the reward's terms."""
+
+    def of(self, scene: Scene) -> Score:
+        """The same of another scene, with the task's function as it was read."""
 
 
 def make_score(scene: Scene, task: Task, contact: str) -> Score:
@@ -43,19 +47,23 @@ class PlainScore:
 
     def __call__(self, state: Array, torque: float, impulse: float) -> tuple[NDArray[np.float32], Sequence[float]]:
         """See :class:`Score`."""
-        numbers = state.tolist()
+        numbers = tuple(state.tolist())
         terms = self._task.values(self._numbers, numbers, torque, impulse)
         return observe(self._scene, numbers), checked_terms(self._task, terms)
+
+    def of(self, scene: Scene) -> PlainScore:
+        """See :class:`Score`."""
+        return PlainScore(scene, self._task)
 
 
 class CompiledScore:
     """Compiled."""
 
-    def __init__(self, scene: Scene, task: Task) -> None:
+    def __init__(self, scene: Scene, task: Task, call: Callable[..., Any] | None = None) -> None:
         from jackbox_env.compiled.score import score_one
 
         self._given = scene, task
-        self._call, self._numbers = compiled_for(task, score_one), np.array(scene.numbers)
+        self._call, self._numbers = call or compiled_for(task, score_one), np.array(scene.numbers)
         self._terms = np.empty(len(task.terms))  # written by each call
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -67,18 +75,23 @@ class CompiledScore:
         self._call(self._numbers, state, torque, impulse, observation, self._terms)
         return observation, self._terms.tolist()
 
+    def of(self, scene: Scene) -> CompiledScore:
+        """See :class:`Score`."""
+        return CompiledScore(scene, self._given[1], self._call)
+
 
 def compiled_for(task: Task, function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function of ``compiled.score``, compiled with the task's own.
+    """A function of ``compiled.score``, compiled with the task's own as that is now.
 
     Raises:
         TypeError: the task's function cannot be compiled, or does not return one number for each term.
     """
-    from jackbox_env.compiled.compiler import compiled
+    from jackbox_env.compiled.compiler import compiled, compiled_for_users
 
-    if task not in TASKS.values():
-        _refuse_unfit(task)
-    return compiled(function, task_terms=task.values)
+    if task in TASKS.values():
+        return compiled(function, task_terms=task.values)
+    _refuse_unfit(task)
+    return compiled_for_users(function, task_terms=task.values)
 
 
 def _refuse_unfit(task: Task) -> None:
@@ -89,7 +102,7 @@ def _refuse_unfit(task: Task) -> None:
 
     name = getattr(task.values, "__qualname__", "")
     try:
-        found = returned_by(task.values, "task_terms")
+        found = returned_by(cast(FunctionType, task.values))
     except Exception as error:
         raise TypeError(
             f"the task's function {name} cannot be compiled, as contact='exact' needs: {_reason(error)}"

@@ -33,14 +33,16 @@ class Task(NamedTuple):
 
         env = gym.make("JackInBox-v0", contact="exact", task=jackbox_env.Task(("lift",), lift))
 
-    Under ``contact="exact"`` the function is compiled, together with the plain functions that it calls, once in each
-    process. So it must be plain arithmetic on numbers, ``math`` included. What it reads from its module keeps the value
-    of that moment. A division by zero gives an infinity or NaN there, where Python raises ZeroDivisionError.
+    Under ``contact="exact"`` the function is compiled, together with the plain functions that it calls. So it must be
+    plain arithmetic on numbers, ``math`` included. An environment keeps what the function reads, globals for example,
+    as it was when the environment was made; a new environment reads it anew. ``/``, ``//`` and ``%`` by zero raise
+    ZeroDivisionError with every contact model. Powers and ``math`` out of their range give NaN or an infinity under
+    ``"exact"``, where Python raises an error.
 
     Attributes:
         terms: names of the terms; ``info`` holds each as ``reward_<name>``.
         values: function of (scene, state, torque, impulse) that returns a tuple of as many floats. ``scene`` has the
-            fields of :class:`jackbox_env.scene.SceneNumbers`, ``state`` 12 numbers in SI units (see
+            fields of :class:`jackbox_env.scene.SceneNumbers`. ``state`` is a tuple of 12 numbers in SI units (see
             :mod:`jackbox_env.states`), after the step. ``torque`` is the mean over the step [N m], ``impulse`` the sum
             over its impacts [N s].
     """

@@ -187,14 +187,16 @@ class ExactBatch:
 
     def redraw(self, draft: ExactHeld, chosen: Flags, changes: Sequence[Change] | None = None) -> None:
         """See :meth:`jackbox_env.batches.base.Batch.redraw`."""
-        numbers = np.flatnonzero(chosen)
+        numbers, scenes = np.flatnonzero(chosen), draft.scenes
         if changes is not None:
             self._change(draft, numbers, changes)
-        elif self._randomize is not None and self._randomize.function is not None:
+        elif self._randomize is None:
+            return
+        elif self._randomize.function is not None or scenes.driven_otherwise[numbers if scenes.several else 0].any():
             self._change(draft, numbers, [{}] * len(numbers))
-        elif self._randomize is not None:
+        else:
             words, _ = self._noted(draft, numbers)
-            rows, derived = draft.scenes.own_rows(numbers), self._derived
+            rows, derived = scenes.own_rows(numbers), self._derived
             follows = derived[numbers] if len(derived) > 1 else np.repeat(derived, len(numbers), axis=0)
             compiled(restart.draw_scenes)(rows, self._randomize.table, follows, words)
             draft.note(numbers, words, rows)

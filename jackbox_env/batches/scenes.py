@@ -53,8 +53,12 @@ class SceneTable:
     def _find_kinds(self) -> None:
         kinds = [(drive_kind(drive), drive_kind(drive, held=True)) for drive in self.drives]
         columns = np.array(kinds, dtype=np.int64).T
-        # Of each environment, or of all: what turns the box under the drive, and under a held torque; whether a drive's
-        # functions are cut into pieces then. Of all together: whether any is, whether any is turned by a held torque.
+        # Of each environment, or of all: whether its drive is another than the one it was made with; what turns the box
+        # under the drive, and under a held torque; whether a drive's functions are cut into pieces then. Of all
+        # together: whether any is, whether any is turned by a held torque.
+        self.driven_otherwise: Flags = np.array(
+            [drive is not self.own_of(number).drive for number, drive in enumerate(self.drives)]
+        )
         self.kinds: tuple[Counts, Counts] = columns[0].copy(), columns[1].copy()
         self.cut: tuple[Flags, Flags] = np.isin(columns[0], WITH_PIECES), np.isin(columns[1], WITH_PIECES)
         self.cutting: tuple[bool, bool] = bool(self.cut[0].any()), bool(self.cut[1].any())

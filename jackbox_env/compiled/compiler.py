@@ -1,34 +1,40 @@
-"""Plain functions, compiled by numba together with the plain functions of this package that they call.
+"""Plain functions, compiled by numba together with the plain functions that they call.
 
 The functions stay plain Python where they are written: readable, importable without numba, and testable without it.
+
+What is compiled is found by its content, in this process and on disk: the code, constants, defaults, closure and
+globals of a function, and those of all functions that it calls. Names, modules and files do not count.
 """
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
-import linecache
 import os
 import shutil
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from types import CellType, FunctionType, ModuleType
+from types import CellType, CodeType, FunctionType, ModuleType, NoneType
 from typing import Any, TypeVar, cast
+
+import numpy as np
 
 from jackbox_env.compiled import address
 from jackbox_env.scene import Scene
 
 PACKAGE = Path(__file__).parents[1]
+_OWN = "jackbox_env"
 F = TypeVar("F", bound=Callable[..., Any])
 _LOCK = threading.RLock()  # a function is compiled once, whichever threads ask for it
-_OWN = "jackbox_env"
-_NUMBAS_OWN = ("numba", "numpy")  # numba knows what these do
+_NOT_READ = {"numba", "numpy", *sys.stdlib_module_names}  # numba knows what these do, or refuses it
+_PLAIN = (bool, int, float, complex, str, bytes, NoneType)
 _KEPT = 8  # folders of compiled code that are kept, one for each version of the source
+_made: dict[str, Callable[..., Any]] = {}  # all that is compiled, by names that tell the content
 
 
 def compiled(function: F, **instead: Callable[..., Any]) -> F:
@@ -38,12 +44,10 @@ def compiled(function: F, **instead: Callable[..., Any]) -> F:
     infinity.
 
     Args:
-        function: a plain function of this package.
-        **instead: functions to call in place of those of these names. With a user's own function the result is not kept
-            on disk: its name does not tell its code, nor that of what it calls.
+        function: a plain function of this package. A process reads it once.
+        **instead: functions of this package to call in place of those of these names.
     """
-    keep = all(_root(other) == _OWN for other in instead.values())
-    return cast(F, _compile(cast(FunctionType, function), tuple(instead.items()), keep))
+    return cast(F, _compile(cast(FunctionType, function), tuple(instead.items()), True))
 
 
 def compiled_with(function: F, **instead: Any) -> F:
@@ -51,11 +55,19 @@ def compiled_with(function: F, **instead: Any) -> F:
 
     Not kept on disk.
     """
-    return cast(F, _compile(cast(FunctionType, function), tuple(instead.items()), keep=False))
+    return cast(F, _compile(cast(FunctionType, function), tuple(instead.items()), False))
 
 
-def returned_by(function: Callable[..., Any], name: str) -> Any:
-    """Numba's type of what a user's function returns, where it is compiled in place of ``name``, a task's function.
+def compiled_for_users(function: F, **instead: Callable[..., Any]) -> F:
+    """Return ``function`` compiled with functions of a user's in place of those of these names, read as they are now.
+
+    A division by zero raises ZeroDivisionError in them, as in Python. Not kept on disk.
+    """
+    return cast(F, _compile(cast(FunctionType, function), tuple(instead.items()), False, users=True))
+
+
+def returned_by(function: FunctionType) -> Any:
+    """Numba's type of what the function of a user's task returns.
 
     Raises:
         Exception: numba cannot compile it.
@@ -63,99 +75,163 @@ def returned_by(function: Callable[..., Any], name: str) -> Any:
     from numba import typeof, types
 
     with _LOCK:
-        dispatcher: Any = _compile_once(cast(FunctionType, function), ((name, function),), keep=False, inner=True)
+        dispatcher: Any = _Reading(False, users=True).compiled(function, None)[0]
         scene = typeof(Scene().numbers)  # type: ignore[no-untyped-call]
-        given = scene, types.Array(types.float64, 1, "C"), types.float64, types.float64
-        dispatcher.compile(given)
-        return dispatcher.overloads[given].signature.return_type
+        state = types.UniTuple(types.float64, 12)  # type: ignore[no-untyped-call]
+        given = scene, state, types.float64, types.float64
+        defaults, more = function.__defaults__ or (), function.__code__.co_argcount - len(given)
+        left_out = map(types.Omitted, defaults[len(defaults) - more :] if more > 0 else ())
+        dispatcher.compile((*given, *left_out))
+        (result,) = dispatcher.overloads.values()
+        return result.signature.return_type
 
 
-def _compile(function: FunctionType, instead: tuple[tuple[str, Any], ...], keep: bool) -> Callable[..., Any]:
-    with _LOCK:
-        return _compile_once(function, instead, keep)
-
-
-@cache
-def _compile_once(
-    function: FunctionType, instead: tuple[tuple[str, Any], ...], keep: bool, inner: bool = False
+def _compile(
+    function: FunctionType, instead: tuple[tuple[str, Any], ...], keep: bool, users: bool = False
 ) -> Callable[..., Any]:
+    with _LOCK:
+        return (_compile_now if users else _compile_once)(function, instead, keep, users)
+
+
+def _compile_now(
+    function: FunctionType, instead: tuple[tuple[str, Any], ...], keep: bool, users: bool = False
+) -> Callable[..., Any]:
+    return cast(Callable[..., Any], _Reading(keep, users).compiled(function, dict(instead), inner=False)[0])
+
+
+_compile_once = cache(_compile_now)
+
+
+class _Reading:
+    """Reads a function and all that it uses, as they are at this moment, and compiles what is new.
+
+    For each thing that is read there is what stands for it in compiled code, and a text that nothing else has. The text
+    of a function is its name there. Numba makes symbols of these names, and finds machine code by its symbol. So a
+    process that loads what several others have kept does not take one function for another.
+    """
+
+    def __init__(self, keep: bool, users: bool) -> None:
+        self._keep, self._users = keep, users
+        self._read: dict[Any, tuple[Any, str]] = {}  # also what is being read: numba refuses it where it uses itself
+
+    def compiled(
+        self, function: FunctionType, instead: Mapping[str, Any] | None, inner: bool = True
+    ) -> tuple[Any, str]:
+        """A function compiled, and its name.
+
+        Args:
+            function: to be compiled.
+            instead: what this function and those it calls use in place of their globals of these names. None: this one
+                is in another's place, and uses its own.
+            inner: whether only compiled code calls it.
+        """
+        place = function, instead is None
+        if place not in self._read:
+            self._read[place] = function, "itself"
+            code, defaults = function.__code__, function.__defaults__ or ()
+            used = self._used(_names(code), function.__globals__, instead)
+            cells = [self._taken(cell.cell_contents, (), instead) for cell in function.__closure__ or ()]
+            texts = [text for _, text in (*cells, *(self._taken(value, (), instead) for value in defaults))]
+            checked = self._users and instead is None
+            whole = repr((_told(code), [(name, used[name][1]) for name in used], len(cells), texts, inner, checked))
+            name = f"{function.__qualname__}[{hashlib.sha256(whole.encode()).hexdigest()[:32]}]"
+            if name not in _made:
+                known, closure = {name: used[name][0] for name in used}, tuple(CellType(value) for value, _ in cells)
+                twin = FunctionType(code, known, function.__name__, function.__defaults__, closure)
+                twin.__qualname__, twin.__module__, twin.__doc__ = name, function.__module__, function.__doc__
+                _made[name] = _jitted(twin, inner, checked, self._keep and not inner)
+            self._read[place] = _made[name], name
+        return self._read[place]
+
+    def _used(
+        self, names: tuple[str, ...], known: Mapping[str, Any], instead: Mapping[str, Any] | None
+    ) -> dict[str, tuple[Any, str]]:
+        """What code that uses these names finds under them."""
+        given = instead or {}
+        return {
+            name: self._taken(given[name], names, None) if name in given else self._taken(known[name], names, instead)
+            for name in names
+            if name in given or name in known
+        }
+
+    def _taken(self, value: Any, names: tuple[str, ...], instead: Mapping[str, Any] | None) -> tuple[Any, str]:
+        """What stands in compiled code for something that a function uses, and its text."""
+        if isinstance(value, FunctionType) and value in address.CALLED:
+            return address.compiled_call(address.CALLED[value]), address.CALLED[value]
+        if isinstance(value, FunctionType) and _root(value.__globals__) not in _NOT_READ:
+            return self.compiled(value, instead)
+        if isinstance(value, ModuleType):
+            return self._module(value, names, instead)
+        if isinstance(value, tuple):
+            parts = value if type(value) is tuple else (type(value), *value)
+            return value, repr([self._taken(part, names, instead)[1] for part in parts])
+        if isinstance(value, np.ndarray | np.generic) and not value.dtype.hasobject:
+            digest = hashlib.sha256(value.tobytes()).hexdigest()
+            return value.copy(), f"{type(value)} {value.dtype} {value.shape} {digest}"
+        if type(value) in _PLAIN:
+            return value, repr(value)
+        if isinstance(value, type) and _is_ours(value):
+            return value, f"{value.__module__}.{value.__qualname__}"  # the folder tells the version of the package
+        self._keep = False
+        return value, f"at {id(value)}"  # it stays there, because the compiled function holds it
+
+    def _module(self, module: ModuleType, names: tuple[str, ...], instead: Mapping[str, Any] | None) -> tuple[Any, str]:
+        """A module of the user's with what a function that uses these names may use of it; others as they are."""
+        if _root(vars(module)) in _NOT_READ:
+            return module, module.__name__
+        place = module, names, instead is None
+        if place not in self._read:
+            self._read[place] = module, "itself"
+            used = self._used(names, vars(module), instead)
+            twin = ModuleType(module.__name__)
+            vars(twin).update({name: value for name, (value, _) in used.items()})
+            self._read[place] = twin, repr([(name, text) for name, (_, text) in used.items()])
+        return self._read[place]
+
+
+def _jitted(twin: FunctionType, inner: bool, checked: bool, keep: bool) -> Callable[..., Any]:
     from numba import njit
     from numba.extending import is_jitted
 
-    def ready(value: Any) -> Any:
-        """What stands in compiled code for something that the function reads."""
-        if isinstance(value, FunctionType) and value in address.CALLED:
-            return address.compiled_call(address.CALLED[value])
-        if isinstance(value, FunctionType) and (_followed(function, value) or value in dict(instead).values()):
-            return _compile_once(value, instead, keep=False, inner=True)  # what is kept of a caller holds what it calls
-        return _Module(value, ready) if isinstance(value, ModuleType) and _followed(function, value) else value
+    from jackbox_env.compiled.kept import CodeCache
 
-    known = {**function.__globals__, **dict(instead)}
-    for name in function.__code__.co_names:
-        if name in known:
-            known[name] = ready(known[name])
-    cells = tuple(CellType(ready(cell.cell_contents)) for cell in function.__closure__ or ())
-    twin = FunctionType(function.__code__, known, function.__name__, function.__defaults__, cells)
-    twin.__qualname__ = _full_name(function, instead)
-    twin.__module__, twin.__doc__ = function.__module__, function.__doc__
     # Without the runtime that counts references to arrays: nothing compiled here makes an array, and counting took
     # two thirds of a step.
-    settings: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False}
-    if inner:  # only compiled code calls it: a third of the time to compile goes without ways in from Python
+    settings: dict[str, Any] = {"nogil": True, "error_model": "python" if checked else "numpy", "_nrt": False}
+    if inner:  # a third of the time to compile goes without ways in from Python
         settings |= {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     dispatcher = njit(**settings)(twin)
-    if keep and is_jitted(dispatcher):  # it is the plain function under NUMBA_DISABLE_JIT
-        _keep(dispatcher, twin)
+    if keep and is_jitted(dispatcher) and (folders := _cache_folders()):  # NUMBA_DISABLE_JIT leaves the plain function
+        # where njit(cache=True) puts numba's own
+        dispatcher._cache = CodeCache(twin, folders)  # type: ignore[attr-defined]
     return cast(Callable[..., Any], dispatcher)
 
 
-def _full_name(function: FunctionType, instead: tuple[tuple[str, Any], ...]) -> str:
-    """The name that numba makes a symbol of, with what the function calls in place of those of its source.
-
-    Machine code is found by its symbol: a name, argument types, and a count of the functions that a process has
-    compiled. Two processes may have counted alike, so in a third one, which loads what both have kept, the name alone
-    tells one task's reward from another's.
-    """
-    changes = (f"{name}={getattr(to, '__module__', '')}.{getattr(to, '__qualname__', to)}" for name, to in instead)
-    return f"{function.__qualname__}[{', '.join(changes)}]" if instead else function.__qualname__
+@cache
+def _names(code: CodeType) -> tuple[str, ...]:
+    """The names that code uses of globals and of attributes, that of functions within it included."""
+    inner = (_names(constant) for constant in code.co_consts if isinstance(constant, CodeType))
+    return tuple(sorted({*code.co_names, *(name for names in inner for name in names)}))
 
 
-class _Module(ModuleType):
-    """A module of the user's whose functions are compiled where compiled code calls them."""
-
-    def __init__(self, module: ModuleType, ready: Callable[[Any], Any]) -> None:
-        super().__init__(module.__name__)
-        self._given, self._ready = module, ready
-
-    def __getattr__(self, name: str) -> Any:
-        return self._ready(getattr(self._given, name))
+@cache
+def _told(code: CodeType) -> str:
+    """All of a code that counts: not its file and lines."""
+    constants = [_told(one) if isinstance(one, CodeType) else repr(one) for one in code.co_consts]
+    counts = code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags
+    variables = code.co_varnames, code.co_cellvars, code.co_freevars
+    return repr((code.co_code, code.co_exceptiontable, code.co_names, variables, counts, constants))
 
 
-def _root(thing: FunctionType | ModuleType | Callable[..., Any]) -> str:
-    """The package or module that something is from."""
-    name = thing.__name__ if isinstance(thing, ModuleType) else thing.__module__
-    return str(name).split(".")[0]
+def _is_ours(kind: type) -> bool:
+    """Whether a class is what stands under its name in this package."""
+    home = vars(sys.modules.get(kind.__module__, ModuleType("")))
+    return _root(home) == _OWN and home.get(kind.__qualname__) is kind
 
 
-def _followed(caller: FunctionType, called: FunctionType | ModuleType) -> bool:
-    """Whether something that a function reads is compiled with it: all of ours, and what a user's function reads."""
-    if _root(caller) in (_OWN, "scripts"):
-        return isinstance(called, FunctionType) and _root(called) in (_OWN, "scripts")
-    return _root(called) not in _NUMBAS_OWN and _root(called) not in sys.stdlib_module_names
-
-
-def _keep(dispatcher: Any, function: FunctionType) -> None:
-    """Let numba look for compiled code on disk before it compiles, and save there what it compiles."""
-    from jackbox_env.compiled.kept import CodeCache, say_once
-
-    name, source = (
-        function.__qualname__,
-        "".join(linecache.getlines(function.__code__.co_filename, function.__globals__)),
-    )
-    if not source:  # then a changed function could not be told from the one whose code is kept
-        say_once(name, f"the source of {name} cannot be read, so what is compiled of it is not kept")
-    elif folders := _cache_folders():
-        dispatcher._cache = CodeCache(function, source, folders)  # where njit(cache=True) puts numba's own
+def _root(named: Mapping[str, Any]) -> str:
+    """The package or module of a function's globals, or of a module's."""
+    return str(named.get("__name__")).split(".")[0]
 
 
 @cache

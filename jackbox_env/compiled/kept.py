@@ -46,19 +46,13 @@ class CodeCache(NullCache):
     One file for each signature, kind of processor, and version of Python and numba.
 
     Args:
-        function: the plain function, with a qualified name that no other code kept here has.
-        source: the text it was read from, which tells its versions apart.
+        function: the plain function, with a qualified name that tells its content.
         folders: where to look, in this order; the last is where code is saved.
     """
 
-    def __init__(self, function: FunctionType, source: str, folders: Sequence[Path]) -> None:
-        closed = tuple(cell.cell_contents for cell in function.__closure__ or ())
-        known: bytes = dumps(closed) if closed else b""  # type: ignore[no-untyped-call]
+    def __init__(self, function: FunctionType, folders: Sequence[Path]) -> None:
         self._name = f"{Path(function.__code__.co_filename).stem}.{function.__name__.strip('<>')}"
-        self._version = (
-            sys.version, numba.__version__, function.__qualname__, function.__code__.co_code.hex(),
-            known.hex(), source,
-        )  # fmt: skip
+        self._version = sys.version, numba.__version__, function.__qualname__
         self._folders = folders
 
     @property

@@ -77,23 +77,28 @@ def write(
     observation[5], observation[6], observation[7], observation[8], observation[9] = f, g, h, i, j
 
 
-def task_terms(scene: SceneNumbers, state: Array, torque: float, impulse: float) -> tuple[float, ...]:
+def task_terms(scene: SceneNumbers, state: tuple[float, ...], torque: float, impulse: float) -> tuple[float, ...]:
     """The task's function stands here in compiled code."""
     raise NotImplementedError
+
+
+def twelve(row: Array) -> tuple[float, ...]:
+    """The state, shape (12,), as a task sees it: 12 numbers that nobody can write. A row may hold more behind it."""
+    return row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9], row[10], row[11]
 
 
 def score_one(values: Array, state: Array, torque: float, impulse: float, observation: Floats, terms: Array) -> None:
     """Observe one state; fill in the values of its reward's terms."""
     scene = make_numbers(values)
     look(scene, state, observation)
-    earned = task_terms(scene, state, torque, impulse)
+    earned = task_terms(scene, twelve(state), torque, impulse)
     for place in range(len(earned)):
         terms[place] = earned[place]
 
 
 def score_step(values: Array, state: Array, torque: float, impulse: float, rewards: Array, place: int) -> None:
     """Write the reward of one step into its place."""
-    rewards[place] = reward_of(task_terms(make_numbers(values), state, torque, impulse))
+    rewards[place] = reward_of(task_terms(make_numbers(values), twelve(state), torque, impulse))
 
 
 def score_block(
@@ -114,16 +119,16 @@ def score_block(
     if values.shape[0] == 1:
         scene = make_numbers(values[0])
         for k in range(count):
-            rewards[first + k] = reward_of(task_terms(scene, after[:, k], torque[k], impulses[k]))
+            rewards[first + k] = reward_of(task_terms(scene, twelve(after[:, k]), torque[k], impulses[k]))
     else:
         for k in range(count):
             own = make_numbers(values[first + k])
-            rewards[first + k] = reward_of(task_terms(own, after[:, k], torque[k], impulses[k]))
+            rewards[first + k] = reward_of(task_terms(own, twelve(after[:, k]), torque[k], impulses[k]))
     if reports.shape[0]:
         for k in range(count):
             report = reports[first + k]
             report[REPORTED_TORQUE], report[REPORTED_HITS], report[REPORTED_IMPULSE] = torque[k], hits[k], impulses[k]
             own = make_numbers(values[first + k if values.shape[0] > 1 else 0])
-            earned = task_terms(own, after[:, k], torque[k], impulses[k])
+            earned = task_terms(own, twelve(after[:, k]), torque[k], impulses[k])
             for place in range(len(earned)):
                 report[TERMS + place] = earned[place]

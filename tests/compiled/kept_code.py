@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from types import FunctionType
 from typing import Any
+from unittest.mock import patch
 
 import pytest
 
@@ -42,7 +43,8 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def fresh(function: Callable[..., Any]) -> Any:
     """``function`` compiled as in a process that has not compiled it yet."""
     assert isinstance(function, FunctionType)
-    return _compiled._compile_once.__wrapped__(function, (), True)
+    with patch.dict(_compiled._made, clear=True):
+        return _compiled._compile_now(function, (), True)
 
 
 def found(made: Any) -> int:

@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
-import subprocess
-import sys
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -159,6 +155,85 @@ def test_an_error_in_the_function_comes_back_and_leaves_all_as_it_was() -> None:
             assert np.all(env.step(-push)[1] == 1.0)
 
 
+# -- the state --------------------------------------------------------------------------------------------------------
+
+
+def looped(state: Any) -> float:
+    total = 0.0
+    for place, value in enumerate(state):
+        total += (place + 1.0) * value
+    for place in range(len(state)):
+        total -= state[place] * state[-1 - place]
+    return total
+
+
+def unpacked(state: Any) -> float:
+    a, b, c, d, e, f, g, h, i, j, k, last = state
+    return float(a - b + 2.0 * c - d + 3.0 * e - f + 4.0 * g - h + 5.0 * i - j + 6.0 * k - last)
+
+
+def products(state: Any) -> float:
+    total = 0.0
+    for value, rate in zip(state[:6], state[6:]):  # noqa: B905
+        total += value * rate
+    return total
+
+
+WAYS: dict[str, Any] = {
+    "index": lambda state: state[-1] + 2.0 * state[-12] + state[11],
+    "slice": lambda state: state[6:][3] + state[-3:][1] + len(state[::5]),
+    "len": lambda state: float(len(state)),
+    "max": lambda state: max(state) - min(state),
+    "sum": lambda state: sum(state),
+    "loop": looped,
+    "unpack": unpacked,
+    "products": products,
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_task_sees_the_same_twelve_numbers_everywhere(way: str) -> None:
+    read = WAYS[way]
+    task = Task(("read",), lambda scene, state, torque, impulse: (read(state),))
+    batch = JackInBoxVectorEnv(3, contact="exact", task=task)
+    batch.reset(seed=0)
+    played: Any = jackbox_env.rollout(None, batch.states, np.full((3, 60), 4.5e4), 0.02, rewards=task)
+    single, plain = JackInBoxEnv(contact="exact", task=task), JackInBoxEnv(task=task)
+    single.reset(seed=2)
+    plain.reset(seed=2)
+    for earned in played.rewards.T:
+        np.testing.assert_array_equal(batch.step(np.full(3, 0.5))[1], earned)
+        for env in (single, plain):
+            _, reward, _, _, info = env.step(0.5)
+            assert reward == pytest.approx(read(info["state"].tolist()), rel=1e-14, abs=1e-13)
+            assert reward == earned[2] or env is plain
+
+
+@EVERY_MODEL
+def test_a_task_that_writes_to_the_state_is_refused(contact: str) -> None:
+    def pushing(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float]:
+        state[10] = 50.0
+        return (1.0,)
+
+    task = Task(("push",), pushing)
+    for make in (JackInBoxEnv, JackInBoxVectorEnv):
+        with pytest.raises(TypeError):
+            make(contact=contact, task=task)
+    if contact == "exact":
+        with pytest.raises(TypeError):
+            jackbox_env.rollout(None, np.zeros(12), np.zeros(3), 0.02, rewards=task)
+
+
+@EVERY_MODEL
+@pytest.mark.parametrize("divided", [lambda by: 1.0 / by, lambda by: 1.0 // by, lambda by: 1 // int(by)])
+def test_a_division_by_zero_is_an_error_in_every_model(contact: str, divided: Any) -> None:
+    task = Task(("part",), lambda scene, state, torque, impulse: (float(divided(torque + 1.0)),))
+    for env in (JackInBoxEnv(contact=contact, task=task), JackInBoxVectorEnv(1, contact=contact, task=task)):
+        env.reset(seed=0)
+        with pytest.raises(ZeroDivisionError):
+            env.step(np.full(1, -1.0 / Scene().torque_limit))
+
+
 # -- refusals ---------------------------------------------------------------------------------------------------------
 
 
@@ -171,7 +246,7 @@ def test_an_error_in_the_function_comes_back_and_leaves_all_as_it_was() -> None:
         (lambda scene, state, torque, impulse: (1j, 2j), "a tuple of 2 floats"),
         (lambda scene, state, torque, impulse: (scene.nothing, 1.0), "cannot be compiled.*'nothing'"),
         (lambda scene, state, torque, impulse: (nowhere, 1.0), "cannot be compiled.*'nowhere'"),  # type: ignore[name-defined]  # noqa: F821
-        (lambda scene, state, torque, impulse: (np.sum(state * 2.0), 1.0), "cannot be compiled.*use single numbers"),
+        (lambda scene, state, torque, impulse: (np.sum(state * 2.0), 1.0), "cannot be compiled.*UniTuple"),
         (lambda scene, state, torque, impulse: [state[0], 1.0], "cannot be compiled.*use single numbers"),
         (lambda scene, state, torque: (1.0, 1.0), "cannot be compiled.*4 argument"),
     ],
@@ -200,82 +275,3 @@ def test_unfit_tasks_are_refused(contact: str, task: Any, message: str) -> None:
     for make in (JackInBoxEnv, JackInBoxVectorEnv):
         with pytest.raises((TypeError, ValueError), match=message):
             make(contact=contact, task=task)
-
-
-# -- compiled code ----------------------------------------------------------------------------------------------------
-
-_PROCESS = """
-import jackbox_env
-from rewards import paid
-env = jackbox_env.JackInBoxVectorEnv(2, contact="exact", task=jackbox_env.Task(("paid",), paid))
-env.reset(seed=0)
-print(env.step(None)[1][0])
-"""
-
-
-@pytest.mark.slow  # compiles anew
-def test_two_processes_with_different_tasks_never_get_each_others_code(tmp_path: Path) -> None:
-    """The same file, name and bytecode: only a global, or a helper in another file, differs."""
-    found = []
-    for number, (bonus, factor) in enumerate([(1.0, 1.0), (2.0, 1.0), (2.0, 5.0)]):
-        folder = tmp_path / "work"
-        folder.mkdir(exist_ok=True)
-        (folder / "more.py").write_text(f"def more(value):\n    return {factor} * value\n")
-        (folder / "rewards.py").write_text(
-            "from more import more\n"
-            f"BONUS = {bonus}\n\n\ndef paid(scene, state, torque, impulse):\n    return (more(BONUS),)\n"
-        )
-        environment = {
-            **os.environ,
-            "NUMBA_CACHE_DIR": os.environ.get("NUMBA_CACHE_DIR", str(tmp_path / "cache")),
-            "PYTHONPATH": os.pathsep.join([str(folder), str(Path(jackbox_env.__file__).parents[1])]),
-            "PYTHONDONTWRITEBYTECODE": "1",
-        }
-        done = subprocess.run(
-            [sys.executable, "-c", _PROCESS], env=environment, capture_output=True, text=True, check=False
-        )
-        assert done.returncode == 0, done.stderr
-        found.append(float(done.stdout.split()[-1]))
-        assert number < 3
-    assert found == [1.0, 2.0, 10.0]
-
-
-_SCORES = """
-import sys
-import numpy as np
-from jackbox_env.compiled.address import address_of
-from jackbox_env.compiled.score import score_block, score_one
-from jackbox_env.scene import Scene
-from jackbox_env.scoring import compiled_for
-from jackbox_env.tasks import TASKS
-numbers, state, found = np.array(Scene().numbers), np.linspace(0.1, 0.5, 12), []
-for name in sys.argv[1:]:
-    terms = np.zeros(len(TASKS[name].terms))
-    compiled_for(TASKS[name], score_one)(numbers, state, 5.0, 2.0, np.empty(10, np.float32), terms)
-    assert terms.tolist() == list(TASKS[name].values(Scene().numbers, state, 5.0, 2.0)), name
-    found.append(address_of(compiled_for(TASKS[name], score_block)))
-again = [address_of(compiled_for(TASKS[name], score_block)) for name in sys.argv[1:]]
-assert found == again and len(set(found)) == len(found), (found, again)
-"""
-
-
-def test_a_process_that_loads_what_others_have_kept_tells_their_tasks_apart(tmp_path: Path) -> None:
-    """Each of the first processes compiles one task, so numba counts them alike; the last loads them all."""
-    environment = {
-        **os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(Path(jackbox_env.__file__).parents[1])
-    }  # fmt: skip
-    for names in (["juggle"], ["rattle"], ["spin"], ["juggle", "rattle", "spin"]):
-        done = subprocess.run(
-            [sys.executable, "-c", _SCORES, *names], env=environment, capture_output=True, text=True, check=False
-        )
-        assert done.returncode == 0, (names, done.stderr)
-
-
-def test_nothing_of_a_users_task_is_kept_on_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from jackbox_env.compiled import kept
-
-    written = []
-    monkeypatch.setattr(kept, "_write", lambda path, content: written.append(path.name))
-    task = Task(("a",), lambda scene, state, torque, impulse: (state[0],))
-    JackInBoxVectorEnv(2, contact="exact", task=task)
-    assert not [name for name in written if name.startswith("score")]

@@ -90,7 +90,7 @@ def most_bytes(run: Callable[[], object]) -> int:
 def uncompiled() -> Iterator[None]:
     """Run compiled functions as plain Python, in all that is made and stepped within the block."""
 
-    def plain(function: FunctionType, instead: tuple[tuple[str, Any], ...], keep: bool) -> FunctionType:
+    def plain(function: FunctionType, instead: tuple[tuple[str, Any], ...], *_: Any, **__: Any) -> FunctionType:
         return FunctionType(function.__code__, {**function.__globals__, **dict(instead)}) if instead else function
 
     before = _compiled._compile
