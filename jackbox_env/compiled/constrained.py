@@ -292,7 +292,7 @@ def resolved(scene: SceneNumbers, work: Workspace, way: float) -> bool:
     for k in (DEGREE, DEGREE + 1):
         tail = max(tail, abs(work[RATE_X, k]) + abs(work[RATE_Y, k]))
         tail = max(tail, scene.box_half_width * abs(work[OMEGA, k]) + scene.jack_arm * abs(work[SPIN, k]))
-    return tail <= _RESOLVED * way
+    return bool(tail <= _RESOLVED * way)
 
 
 def halve(work: Workspace) -> None:
@@ -315,7 +315,8 @@ def curvature_while_held(scene: SceneNumbers, work: Workspace, length: float) ->
         y += k * abs(work[RATE_Y, k])
         spin += abs(work[SPIN, k])
         spin_up += k * abs(work[SPIN, k])
-    return (max(x, y) + scene.jack_arm * (spin * spin + spin_up)) * (1.0 + 1e-12) / (length * length)
+    bound = max(x, y) + scene.jack_arm * (spin * spin + spin_up)
+    return float(bound * (1.0 + 1e-12) / (length * length))
 
 
 def carry(scene: SceneNumbers, work: Workspace, flight: Flight, free: Flight, s: float) -> None:

@@ -111,7 +111,7 @@ def grown(scene: SceneNumbers, work: Workspace, gap: float) -> float:
     Loss ends most of what takes long, so it has more time before it is resolved less well.
     """
     looks = work[TALLY, WORK] if scene.restitution == 1.0 else 0.0625 * work[TALLY, WORK]
-    return min(deepest(scene), gap * _GROWTH[min(int(looks), _GROWN)])
+    return float(min(deepest(scene), gap * _GROWTH[min(int(looks), _GROWN)]))
 
 
 def resolution(scene: SceneNumbers, work: Workspace, touch: Touch) -> float:

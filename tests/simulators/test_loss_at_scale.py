@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 from jackbox_env import Drive, JackLostError, Lookahead, Scene, rollout
 from jackbox_env.compiled import constrained
 from jackbox_env.compiled.trigonometry import without_turns
-from jackbox_env.compiled.workspace import TALLY, WORK
+from jackbox_env.compiled.workspace import OMEGA_SQUARED, TALLY, WORK
 from jackbox_env.mechanics import energy, gap_jacobian
 from jackbox_env.states import Array, clearance
 from jackbox_env.tasks import sample_start
@@ -44,6 +44,11 @@ def on_one_foot(omega: float = 0.3) -> Array:
     state[[8, 11]], state[9], state[10] = omega, -omega * state[4], omega * state[3]
     state[9:11] += 0.5 * math.cos(0.2), 0.5 * math.sin(0.2)
     return state
+
+
+def switching(size: float, period: float) -> Callable[[float], float]:
+    """A square wave [N] of so many seconds."""
+    return lambda t: size if t / period % 1.0 < 0.5 else -size
 
 
 def changing(rng: np.random.Generator, count: int, steps: int) -> Array:
@@ -122,8 +127,8 @@ def test_a_resting_foot_leaves_when_a_side_force_turns_round() -> None:
     for seed in range(12):
         rng = np.random.default_rng(seed)
         period, along = rng.uniform(0.3, 1.0), rng.uniform(-3.0, 3.0)
-        drive = Drive(force_y=lambda t, turns=1.0 / period: 8000.0 if t * turns % 1.0 < 0.5 else -8000.0)
-        run, left = simulator(Scene(restitution=0.5, drive=drive), lying(along)), 0
+        scene = Scene(restitution=0.5, drive=Drive(force_y=switching(8000.0, period)))
+        run, left = simulator(scene, lying(along)), 0
         for _ in range(150):
             run.step(0.02)
             left += not run.impacts
@@ -263,6 +268,6 @@ def test_without_the_turn_of_the_box_held_feet_leave_the_lagrangian_motion(monke
     monkeypatch.setattr(
         constrained,
         "product",
-        lambda work, one, other, k: 0.0 if one == constrained.OMEGA_SQUARED else product(work, one, other, k),
+        lambda work, one, other, k: 0.0 if one == OMEGA_SQUARED else product(work, one, other, k),
     )
     assert np.abs(plain_step(scene, on_one_foot(), 0.02)[1] - right).max() > 1e-6
