@@ -11,7 +11,7 @@ Law: flight in closed form (``motion.py``); at an impact all feet that touch, wi
 Order: none; the error is rounding, whatever the control step. The system is chaotic and multiplies any error by about 5
     per impact, so even this model predicts only some 15 impacts.
 Cost: below 0.1 microseconds per control step in a batch. Work is in proportion to the impacts. A step with held feet
-    takes some 4 to 6 microseconds (docs/costs.md).
+    takes some 5 to 6 microseconds (docs/costs.md).
 Fails: a step that wants more than 1,000,000 gap evaluations raises JackLostError: rotation or impacts far too fast for
     the step. A chirp that turns more than 83,333 times in a step is refused. Without loss a foot that bounces by
     1e-10 m and less does so some thousand times per control step; a foot that reaches another wall meanwhile may be as

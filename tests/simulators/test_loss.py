@@ -14,6 +14,7 @@ import pytest
 from jackbox_env import rollout
 from jackbox_env.compiled import advance as course
 from jackbox_env.compiled import constrained, rest, search
+from jackbox_env.compiled.impacts import project
 from jackbox_env.compiled.workspace import TALLY, WORK
 from jackbox_env.mechanics import energy, gaps
 from jackbox_env.scene import Drive, Scene
@@ -245,7 +246,7 @@ def test_a_wall_that_held_on_would_carry_the_jack_along(monkeypatch: pytest.Monk
     start = lying(along=2.0)
     freed = plain_step(scene, start, 0.02, -6e4)[1]
     monkeypatch.setattr(constrained, "let_go", lambda *given: math.inf)
-    monkeypatch.setattr(rest, "pressed_set", lambda work, count: (0, 1, -1))
+    monkeypatch.setattr(rest, "pressed_set", lambda work, count: (0, 1, -1) if project(work, 2, 0, 1, -1) else None)
     assert (
         gaps(scene, freed)[3, 2:4].max()
         > 1e-4
