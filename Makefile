@@ -5,22 +5,25 @@ PYTHON ?= python3
 BIN := .venv/bin
 OLD_GYMNASIUM := .venv/gymnasium-1.2.2
 WORKERS := -n 2 --dist loadfile
+TESTS := not slow
 UNDER_OLD_GYMNASIUM := $(addprefix tests/,environment/test_env.py environment/test_starts_and_settings.py \
 	environment/test_tools.py batches/test_vector_env.py batches/test_episodes.py batches/test_refusals.py)
 
 .PHONY: demo test test-all test-slow benchmark benchmark-loss benchmark-quick throughput speed costs costs-loss soak extremes machines kills interruptions transfer transfer-loss results networks scaling readme docs recipes clean
 .DELETE_ON_ERROR:
 
-demo: .venv/ready
+demo: .venv/usable
 	@$(BIN)/python scripts/demo.py
 
-# Under 4 minutes on two cores. The compiled code is made once, before the workers start (tests/conftest.py).
+# The compiled code is made once, before the workers start (tests/conftest.py).
 test: .venv/ready
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	EXPECTED_GYMNASIUM=1.4.0 $(BIN)/python -m pytest -q $(WORKERS) -m "not slow"
+	EXPECTED_GYMNASIUM=1.4.0 $(BIN)/python -m pytest -q $(WORKERS) -m "$(TESTS)"
 
+# Random sweeps in full here, so not in part again.
+test-all: TESTS := not slow and not sweep
 test-all: test-slow test
 
 # What make test leaves out: whole sweeps, kills, soaks, long runs, and the environment under the oldest Gymnasium covered.
@@ -101,11 +104,15 @@ scaling: .venv/ready
 readme: .venv/ready
 	@$(BIN)/python scripts/studies/readme.py
 
-.venv/ready: pyproject.toml constraints.txt
+# What the package's user installs; .venv/ready adds what tests and reports need.
+.venv/usable: EXTRA := all
+.venv/ready: EXTRA := dev
+.venv/ready: .venv/usable
+.venv/usable .venv/ready: pyproject.toml constraints.txt
 	@start=$$(date +%s); set -e; \
-	echo "Setting up .venv"; \
+	echo "Setting up .venv for $(EXTRA)"; \
 	$(PYTHON) -m venv .venv; \
-	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'; \
+	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[$(EXTRA)]'; \
 	echo "Set-up took $$(( $$(date +%s) - start )) s"
 	@touch $@
 
