@@ -11,7 +11,7 @@ norm of M, that close no gap (Gauss's principle; Brogliato 2016, "Nonsmooth Mech
 
 Method: over a stretch of time the motion is found as a series (``constrained.py``). The gaps of the other feet follow
 from it, so the search for the next impact has the same guarantee as in free flight. At the start of a stretch the held
-gaps are brought back to where they are held and their rates to 0, by the nearest step in the norm of M. So nothing
+gaps are brought towards 0, by 1e-13 m at most, and their rates to 0, by the nearest step in the norm of M. So nothing
 drifts and no energy is gained.
 Resolution: with loss, a foot is at rest that would rise by ``search.resolution`` at most. That is 1e-13 m, and grows to
 1e-10 m in a step with many impacts. Coming to rest takes at most m_j K times that from the energy, with K of
@@ -238,7 +238,7 @@ def hold_these(
     for place in range(size):
         work[SPARE, place] = work[PAIRS, int(work[ORDER, place])]
         gap = work[GAPS, int(work[ORDER, place])]
-        work[TARGETS, place] = gap if abs(gap) > touch.together else 0.0
+        work[TARGETS, place] = math.copysign(max(abs(gap) - touch.together, 0.0), gap)
     for place in range(size):
         work[PAIRS, place] = work[SPARE, place]
     work[HOLDING, COUNT] = size
