@@ -288,7 +288,8 @@ def search(scene: SceneNumbers, work: Workspace, flight: Flight, approach: Appro
             return s
         else:
             sink = grown(scene, work, tolerance)
-            after = s + parabola_root(max(gap + sink, 0.1 * tolerance), max(rate, 0.0), limits.curvature)
+            least = 0.0 if rate > still else 0.1 * tolerance  # a foot that leaves takes its time to come back as deep
+            after = s + parabola_root(max(gap + sink, least), max(rate, 0.0), limits.curvature)
         if not after <= limits.end or work[TALLY, WORK] > MOST_WORK:
             return math.inf
         if after == s:

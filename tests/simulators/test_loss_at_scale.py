@@ -135,6 +135,23 @@ def test_a_resting_foot_leaves_when_a_side_force_turns_round() -> None:
         assert left > 30
 
 
+def test_a_jack_that_rattles_in_the_corner_of_a_fast_box_sinks_no_deeper_with_each_of_a_thousand_bounces() -> None:
+    # Flat on the floor of a box at 55 rad/s that has turned by 3059 rad, both feet 2.6e-10 m from the next wall.
+    scene = Scene(box_mass=3.0, jack_mass=8.0, jack_arm=2.0, gravity=0.0, restitution=0.999, drive=None)
+    flat, omega, angle = 6.0 - 2.0 * math.sqrt(0.5), 55.0, 3059.0
+    x, y = -flat + 2.6e-10, -flat
+    place = np.array([x * math.cos(angle) - y * math.sin(angle), x * math.sin(angle) + y * math.cos(angle)])
+    state = np.zeros(12)
+    state[2], state[5], state[3:5] = angle, angle + math.pi / 4.0, place
+    state[[8, 11]], state[9], state[10] = omega, -omega * place[1], omega * place[0]
+    state[9:11] += 0.01 * np.array([-math.cos(angle), -math.sin(angle)])
+    run = simulator(scene, state)
+    for _ in range(3):
+        run.step(0.02, 0.0)
+        assert clearance(scene, run.state.tolist()) > -DEEPEST - 8.9e-16 * 6.0 * 3062.0
+    assert float(run._workspace[TALLY, WORK]) < 1000.0  # at rest
+
+
 def test_a_look_ahead_sees_to_the_end_of_lossy_episodes() -> None:
     env: Any = Lookahead(gym.make("JackInBox-v0", contact="exact", task="spin", scene={"restitution": 0.5}))
     for seed in range(2):
