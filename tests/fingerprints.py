@@ -123,6 +123,7 @@ def of_contact_model(contact: str, steps: int) -> Digests:
     odd = Scene(box_half_width=3.7391, jack_arm=0.61237, box_mass=211.3, jack_mass=5.31, torque_limit=2e4, drive=None)
     found[f"{contact}, an odd scene"] = simulated(contact, odd, FREE, steps, held=True)
     found[f"{contact}, at rest"] = simulated(contact, Scene(drive=None), RESTING, 10, held=False)
+    found[f"{contact}, with loss"] = simulated(contact, Scene(restitution=0.5, drive=None), FREE, steps, held=True)
     found[f"{contact}, many turns"] = simulated(contact, Scene(drive=None), TURNED, steps, held=True)
     return found
 
