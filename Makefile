@@ -9,7 +9,7 @@ TESTS := not slow
 UNDER_OLD_GYMNASIUM := $(addprefix tests/,environment/test_env.py environment/test_starts_and_settings.py \
 	environment/test_tools.py batches/test_vector_env.py batches/test_episodes.py batches/test_refusals.py)
 
-.PHONY: demo test test-all test-slow benchmark benchmark-loss benchmark-quick throughput speed costs costs-loss soak extremes machines kills interruptions transfer transfer-loss results networks scaling readme docs recipes clean
+.PHONY: demo test test-all test-slow benchmark benchmark-loss benchmark-quick throughput speed costs costs-loss soak extremes machines kills interruptions mutants transfer transfer-loss results networks scaling readme docs recipes clean
 .DELETE_ON_ERROR:
 
 demo: .venv/usable
@@ -71,6 +71,10 @@ kills: .venv/ready
 
 interruptions: .venv/ready
 	@$(BIN)/python scripts/studies/laws/interruptions.py
+
+# What the tests see: 60 small faults, one at a time, and the first test that fails of each; one to three hours.
+mutants: .venv/ready
+	@$(BIN)/python -m tests.mutants $(MUTANTS)
 
 transfer: .venv/ready
 	@$(BIN)/python scripts/studies/transfer/transfer.py --seeds 5 --total-steps 1000000 500000 --out docs
