@@ -63,7 +63,7 @@ extremes: .venv/ready
 	@$(BIN)/python -m tests.extremes
 
 machines: .venv/ready
-	@JACKBOX_MACHINES=all $(BIN)/python -m pytest -q tests/simulators/test_portability.py
+	@JACKBOX_MACHINES=all $(BIN)/python -m pytest -q tests/guarantees/test_other_machines.py
 
 # Trainings killed 200 times at random moments; 10,000 interruptions of steps and rollouts.
 kills: .venv/ready

@@ -12,7 +12,7 @@ import pytest
 from jackbox_env.mechanics import energy, gap_jacobian, gaps, impact_map, simultaneous_impact_map
 from jackbox_env.scene import Scene
 from jackbox_env.states import STATE_NAMES, as_state
-from tests.law.poses import approaching
+from tests.guarantees.poses import approaching
 
 OF_STATES = {
     "as_state": lambda state: as_state(state),

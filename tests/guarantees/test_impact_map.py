@@ -12,9 +12,9 @@ import sympy as sp
 from jackbox_env.mechanics import contacts_of, energy, gap_jacobian, gaps, impact_map, impact_maps
 from jackbox_env.scene import Scene
 from jackbox_env.states import STATE_NAMES, clearance, start_tolerance
-from tests.law.poses import PAIRS, approaching, energy_norm, momenta, momentum_scale, random_scene, velocity_error
+from tests.guarantees.poses import PAIRS, approaching, energy_norm, momenta, momentum_scale, random_scene, velocity_error
 from tests.states import Array, inside, load
-from tests.symbolic import (
+from tests.guarantees.symbolic import (
     ARM,
     BOX_INERTIA,
     BOX_MASS,

@@ -13,7 +13,7 @@ import pytest
 
 from jackbox_env.mechanics import gap_jacobian, gaps, impact_map, simultaneous_impact_map
 from jackbox_env.scene import Scene
-from tests.law.poses import PAIRS, energy_norm, momenta, momentum_scale, random_scene, velocity_error
+from tests.guarantees.poses import PAIRS, energy_norm, momenta, momentum_scale, random_scene, velocity_error
 from tests.states import Array, inside, several_contacts
 
 Contacts = list[tuple[int, int]]
