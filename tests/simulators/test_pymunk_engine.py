@@ -1,4 +1,4 @@
-"""The pymunk model: restored states, long runs, extremes, refusals."""
+"""The engine behind the pymunk model: what it would remember, iterate too little, sweep through or swallow."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jackbox_env.mechanics import energy, gaps, simultaneous_impact_map
+from jackbox_env import JackLostError
+from jackbox_env.mechanics import energy, simultaneous_impact_map
 from jackbox_env.scene import Scene
-from jackbox_env.simulators import contacts, make_simulator
+from jackbox_env.simulators import contacts
 from jackbox_env.simulators.pymunk import PymunkSimulator
 from jackbox_env.states import clearance
 from tests.simulators.engine import WEIGHTLESS, impact_in_an_instant, relative_error
-from tests.states import Array, inside, several_contacts
+from tests.states import Array, several_contacts
 
 Cases = Callable[[int], int]
 
@@ -74,24 +75,6 @@ def test_contacts_remembered_by_the_engine_would_change_the_future(
     assert sum(misses for misses, _ in results) > 0
 
 
-def test_pickle_and_deepcopy_continue_bitwise_even_in_contact() -> None:
-    rng = np.random.default_rng(7)
-    simulator = PymunkSimulator(Scene(jack_arm=5.0), substeps=3, iterations=50)
-    simulator.reset(inside(simulator.scene, rng))
-    in_contact = 0
-    for _ in range(300):
-        in_contact += bool(simulator.impacts)
-        twins = [copy.deepcopy(simulator), pickle.loads(pickle.dumps(simulator))]
-        torque = rng.uniform(-5e4, 5e4)
-        for one in [simulator, *twins]:
-            one.step(0.02, torque)
-        for twin in twins:
-            np.testing.assert_array_equal(twin.state, simulator.state)
-            assert (twin.time, twin.impacts, twin.torque) == (simulator.time, simulator.impacts, simulator.torque)
-            assert (twin.substeps, twin.iterations) == (3, 50)
-    assert in_contact > 20
-
-
 def test_a_changed_time_step_is_safe_while_a_foot_touches(monkeypatch: pytest.MonkeyPatch) -> None:
     # The engine rescales remembered impulses when h changes, which makes a persisting foot's bounce wrong.
     scene = Scene(restitution=0.0, drive=None)
@@ -112,55 +95,7 @@ def test_a_changed_time_step_is_safe_while_a_foot_touches(monkeypatch: pytest.Mo
     assert not np.array_equal(after_the_change(), kept)
 
 
-# -- laws over long runs -----------------------------------------------------------------------------------------------
-
-
-def test_the_first_impact_is_late_by_half_a_substep_on_average() -> None:
-    # First order: over many starts the impact waits h / 2 in the mean, so 8 times the substeps wait 8 times less.
-    def delay(substeps: int) -> float:
-        late = []
-        for height in np.linspace(0.5, 3.5, 60):
-            simulator = PymunkSimulator(Scene(drive=None), substeps=substeps)
-            start = np.zeros(12)
-            start[4] = height
-            simulator.reset(start)
-            while not simulator.impacts:
-                simulator.step(0.02)
-            late.append(simulator.impacts[0].time - math.sqrt(2.0 * (5.0 + height) / 9.81))
-        assert min(late) > -1e-9
-        return float(np.mean(late))
-
-    assert delay(2) == pytest.approx(0.005, rel=0.2)
-    assert delay(2) / delay(16) == pytest.approx(8.0, rel=0.25)
-
-
-def test_bounces_keep_their_speed_within_what_is_stated() -> None:
-    def restitution(speed: float, h: float) -> float:
-        # From just above the floor with this speed: the exact bounce returns to the start with the same speed.
-        simulator = PymunkSimulator(Scene(drive=None, box_mass=1e12, box_inertia=1e14), substeps=1)
-        start = np.zeros(12)
-        start[[4, 10]] = -4.9, -speed
-        simulator.reset(start)
-        impact_speed = math.sqrt(speed**2 + 2.0 * 9.81 * 0.1)
-        while not simulator.impacts:
-            simulator.step(h)
-        bottom = simulator.state
-        return math.sqrt(max(0.0, bottom[10] ** 2 + 2.0 * 9.81 * (bottom[4] + 5.0))) / impact_speed
-
-    assert restitution(10.0, 1.0 / 1000.0) == pytest.approx(1.0, abs=0.002)
-    assert restitution(10.0, 1.0 / 50.0) == pytest.approx(1.0, abs=0.05)
-
-
 # -- extremes and refusals ---------------------------------------------------------------------------------------------
-
-
-def test_full_torque_for_a_whole_episode_stays_in_the_box() -> None:
-    simulator = PymunkSimulator(Scene())
-    simulator.reset(np.array([0, 0, 0, 0.5, 0.2, 0.3, 0, 0, 0, 0, 0, 0]))
-    for _ in range(500):
-        simulator.step(0.02, torque=90000.0)
-        assert clearance(simulator.scene, simulator.state.tolist()) >= -1.0
-    assert simulator.state[8] > 50.0
 
 
 def test_a_jack_that_would_leave_the_box_raises_and_changes_nothing() -> None:
@@ -181,28 +116,19 @@ def test_a_jack_that_would_leave_the_box_raises_and_changes_nothing() -> None:
     simulator.step(0.02)
 
 
-def test_overflowing_motion_is_refused_at_once() -> None:
+@pytest.mark.parametrize("given", [{6: 1e90}, {9: 1e90}, {8: 1e90}, {6: 1e90, 9: 1e90, 3: 5.0}], ids=str)
+def test_overflowing_motion_is_refused_and_changes_nothing(given: dict[int, float]) -> None:
     simulator = PymunkSimulator(Scene())
-    for place in (6, 9, 11, 8):
-        state = np.zeros(12)
-        state[place] = 1e90
-        simulator.reset(state)
-        with pytest.raises(RuntimeError, match="the jack would leave the box: .* is followed; use"):
-            simulator.step(0.02)
-        np.testing.assert_array_equal(simulator.state, state)
-    together = np.zeros(12)
-    together[[6, 9, 3]] = 1e90, 1e90, 5.0  # no relative speed
-    simulator.reset(together)
-    with pytest.raises(RuntimeError, match="it or the box moves 2e[+]88 m within dt = 0.02 s, at most 6e[+]09 m"):
+    state = np.zeros(12)
+    state[list(given)] = list(given.values())
+    simulator.reset(state)
+    with pytest.raises(JackLostError, match="the jack would leave the box: .* is followed; use|at most 6e[+]09 m"):
         simulator.step(0.02)
+    np.testing.assert_array_equal(simulator.state, state)
     simulator.reset(np.zeros(12))
-    with pytest.raises(RuntimeError, match="or less torque"):
+    with pytest.raises(JackLostError, match="or less torque"):
         simulator.step(0.02, torque=1e300)
     simulator.step(0.02, torque=1.0)
-    with pytest.raises(ValueError, match=r"state must be within \+-1e\+100, got omega_box = 1e\+101"):
-        simulator.reset([0.0] * 8 + [1e101] + [0.0] * 3)
-    with pytest.raises(ValueError, match="float64 to resolve L / 1000, got 1e[+]17 m"):
-        simulator.reset([1e17, 0.0, 0.0, 1e17, *[0.0] * 8])
 
 
 def test_feet_do_not_sweep_through_walls_between_substeps() -> None:
@@ -216,19 +142,8 @@ def test_feet_do_not_sweep_through_walls_between_substeps() -> None:
     assert len({hit.time for hit in simulator.impacts}) > 4 or simulator.impacts[0].time < 0.005
 
 
-def test_a_foot_that_dips_into_a_wall_and_out_again_within_a_substep_is_not_seen() -> None:
-    # Foot 0 points at the wall after 10 ms and would be 1 um in it then, outside for 0.28 ms.
-    start = np.zeros(12)
-    start[[3, 5, 11]] = 5.0 + 1e-6, -0.1, 10.0
-    for substeps, hits in ((3, 0), (400, 1)):
-        simulator = PymunkSimulator(WEIGHTLESS, substeps=substeps)
-        simulator.reset(start)
-        simulator.step(0.02)
-        assert [hit[1:3] for hit in simulator.impacts] == hits * [(0, 0)]
-
-
-@pytest.mark.parametrize("share", [1.0, 0.1, 0.01, 0.001])
-@pytest.mark.parametrize("kind", ["one wall", "two walls", "corner"])
+@pytest.mark.parametrize("share", [1.0, 0.01, 0.001])
+@pytest.mark.parametrize("kind", ["one wall", "corner"])
 def test_a_light_jack_inertia_gets_the_iterations_it_needs(kind: str, share: float) -> None:
     scene = Scene(gravity=0.0, drive=None, jack_inertia=4.0 * share)
     rng = np.random.default_rng(3)
@@ -290,22 +205,19 @@ def test_an_error_while_recording_is_not_lost(monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.mark.parametrize("moment", ["_forget_contacts", "_read"])
-def test_interruptions_leave_the_state_and_its_future(moment: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupted_step_leaves_the_state_and_its_future(moment: str, monkeypatch: pytest.MonkeyPatch) -> None:
     # Each step is interrupted once before it is taken, in a scene whose feet stay on the walls for long.
-    scene = Scene(jack_arm=2.0, restitution=0.3)
     rng = np.random.default_rng(4)
-    simulator, twin = PymunkSimulator(scene), PymunkSimulator(scene)
-    start = np.zeros(12)
+    simulator, twin = (PymunkSimulator(Scene(jack_arm=2.0, restitution=0.3)) for _ in range(2))
+    start, real, cut_short = np.zeros(12), getattr(PymunkSimulator, moment), 0
     start[[5, 9, 11]] = 0.3, 6.0, 2.0
     for one in (simulator, twin):
         one.reset(start)
-    real = getattr(PymunkSimulator, moment)
-    cut_short = 0
 
     def interrupted(self: PymunkSimulator) -> Any:
         raise KeyboardInterrupt
 
-    for _ in range(600):
+    for _ in range(300):
         torque, before, time = rng.uniform(-3e4, 3e4), simulator.state, simulator.time
         monkeypatch.setattr(PymunkSimulator, moment, interrupted)
         try:
@@ -321,32 +233,7 @@ def test_interruptions_leave_the_state_and_its_future(moment: str, monkeypatch: 
             one.step(0.02, torque)
         np.testing.assert_array_equal(simulator.state, twin.state)
         assert simulator.impacts == twin.impacts
-    assert cut_short > 50
-
-
-@pytest.mark.parametrize("restitution", [0.0, 0.5])
-def test_a_jack_that_loses_energy_comes_to_rest(restitution: float) -> None:
-    scene = Scene(restitution=restitution, drive=None, box_mass=1e12, box_inertia=1e14)
-    simulator = PymunkSimulator(scene)
-    start = np.zeros(12)
-    start[5] = 0.2
-    simulator.reset(start)
-    for _ in range(1500):
-        simulator.step(0.02)
-        assert energy(scene, simulator.state) <= energy(scene, start) + 1e-9
-    resting = []
-    for _ in range(50):
-        simulator.step(0.02)
-        resting.append(simulator.state)
-    assert np.abs(np.array(resting)[:, 10]).max() <= 9.81 * 0.005  # the speed of a synchronised contact, g h
-    assert np.ptp(np.array(resting)[:, [4, 5]], axis=0).max() < 1e-3  # no jitter
-    assert np.abs(np.sort(gaps(scene, resting[-1])[3])[:2]).max() < 0.01  # on two feet, on the floor
-
-
-@pytest.mark.parametrize("substeps", [0, -1, 2.0, 1_000_001])
-def test_substeps_must_be_whole_and_positive(substeps: Any) -> None:
-    with pytest.raises((TypeError, ValueError), match="substeps must be a whole number from 1 to 1000000, got"):
-        make_simulator(Scene(), substeps=substeps)
+    assert cut_short > 20
 
 
 def test_a_jack_wedged_between_opposite_walls_keeps_its_energy_or_is_refused(cases: Cases) -> None:
