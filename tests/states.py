@@ -15,6 +15,7 @@ from jackbox_env.scene import Scene
 
 DATA = Path(__file__).parent / "data"
 Array = NDArray[np.float64]
+FLAT = 6.0 - math.sqrt(0.5)  # of the jack's centre from a wall that carries two of its feet [m]
 
 
 def load(name: str) -> list[dict[str, Any]]:
@@ -29,6 +30,16 @@ def inside(scene: Scene, rng: np.random.Generator, speed: float = 5.0) -> Array:
     room = max(scene.box_half_width - scene.jack_arm, 0.0)
     angle, radius = rng.uniform(0.0, 2.0 * math.pi), room * math.sqrt(rng.uniform())
     state[3:5] = state[0:2] + radius * np.array([math.cos(angle), math.sin(angle)])
+    return state
+
+
+def lying(along: float = 0.0, omega: float = 0.0, tilt: float = 0.0) -> Array:
+    """A jack on two feet on the floor of a box at an angle, both turning as one."""
+    state = np.zeros(12)
+    state[2], state[5] = tilt, tilt + math.pi / 4.0
+    state[3] = along * math.cos(tilt) + FLAT * math.sin(tilt)
+    state[4] = along * math.sin(tilt) - FLAT * math.cos(tilt)
+    state[[8, 11]], state[9], state[10] = omega, -omega * state[4], omega * state[3]
     return state
 
 

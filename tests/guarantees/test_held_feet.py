@@ -20,19 +20,9 @@ from jackbox_env.mechanics import energy, gap_jacobian
 from jackbox_env.states import Array, clearance
 from jackbox_env.tasks import sample_start
 from tests.simulators.exact_runs import plain_step, simulator
+from tests.states import FLAT, lying
 
-FLAT = 6.0 - math.sqrt(0.5)  # of the jack's centre from a wall that carries two of its feet [m]
 DEEPEST = 2.4e-10  # of a foot in a wall, in boxes of 1 m and more [m]
-
-
-def lying(along: float = 0.0, omega: float = 0.0, tilt: float = 0.0) -> Array:
-    """A jack on two feet on the floor of a box, both turning as one."""
-    state = np.zeros(12)
-    state[2], state[5] = tilt, tilt + math.pi / 4.0
-    state[3] = along * math.cos(tilt) + FLAT * math.sin(tilt)
-    state[4] = along * math.sin(tilt) - FLAT * math.cos(tilt)
-    state[[8, 11]], state[9], state[10] = omega, -omega * state[4], omega * state[3]
-    return state
 
 
 def on_one_foot(omega: float = 0.3) -> Array:
@@ -63,7 +53,7 @@ def changing(rng: np.random.Generator, count: int, steps: int) -> Array:
 # -- nobody is lost ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("e", "steps"), [(0.0, 100), (0.5, 250), (0.8, 250), (0.95, 350)])
+@pytest.mark.parametrize(("e", "steps"), [(0.5, 200), (0.95, 350)])
 def test_a_batch_with_loss_goes_on(e: float, steps: int) -> None:
     many = gym.make_vec("JackInBox-v0", num_envs=1024, contact="exact", scene=Scene(restitution=e), task="juggle")
     many.reset(seed=1)
@@ -154,10 +144,9 @@ def test_a_jack_that_rattles_in_the_corner_of_a_fast_box_sinks_no_deeper_with_ea
 
 def test_a_look_ahead_sees_to_the_end_of_lossy_episodes() -> None:
     env: Any = Lookahead(gym.make("JackInBox-v0", contact="exact", task="spin", scene={"restitution": 0.5}))
-    for seed in range(2):
-        env.reset(seed=seed)
-        for action in changing(np.random.default_rng(seed), 1, 150)[0]:
-            env.step(np.array([action], dtype=np.float32))
+    env.reset(seed=0)
+    for action in changing(np.random.default_rng(0), 1, 60)[0]:
+        env.step(np.array([action], dtype=np.float32))
 
 
 def test_of_a_batch_the_one_that_cannot_be_followed_is_named_and_the_others_go_on() -> None:

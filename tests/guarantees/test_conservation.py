@@ -1,0 +1,114 @@
+"""Energy and momentum over whole runs, and feet inside the box, in every contact model.
+
+A weaker tolerance is granted to a model by name, with the reason.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jackbox_env.mechanics import energy, impact_map
+from jackbox_env.scene import Chirp, Drive, Scene
+from jackbox_env.simulators import CONTACT_MODELS, make_simulator
+from jackbox_env.states import clearance
+from tests.states import one_foot_on_wall
+
+WEIGHTLESS = Scene(gravity=0.0, drive=None)
+EVERY_MODEL = pytest.mark.parametrize("contact", CONTACT_MODELS)
+
+
+@EVERY_MODEL
+def test_side_forces_push_the_box_exactly(contact: str) -> None:
+    # force_x = 4000 cos(2 t) N on 400 kg: vx = 5 sin 2t, x = 2.5 (1 - cos 2t); force_y held.
+    scene = Scene(gravity=0.0, drive=Drive(force_x=lambda t: 4000.0 * math.cos(2.0 * t), force_y=lambda t: 400.0))
+    simulator = make_simulator(scene, contact)
+    simulator.reset(np.zeros(12))
+    for _ in range(40):
+        simulator.step(0.02, torque=None)
+    x, vx = 2.5 * (1.0 - math.cos(1.6)), 5.0 * math.sin(1.6)
+    np.testing.assert_allclose(simulator.state[[0, 1, 6, 7]], [x, 0.32, vx, 0.8], atol=1e-12)
+    simulator.reset(np.zeros(12))
+    simulator.step(0.02, torque=14400.0)  # replaces the drive's torque only
+    assert simulator.state[8] == pytest.approx(0.02)
+    assert simulator.state[6] == pytest.approx(5.0 * math.sin(0.04), abs=1e-12)
+    assert simulator.torque == 14400.0
+
+
+@EVERY_MODEL
+@pytest.mark.parametrize("drive", ["chirp", "held", "none"])
+def test_momentum_and_centre_of_mass_follow_the_exact_laws(drive: str, contact: str) -> None:
+    scene = Scene(drive=Chirp() if drive == "chirp" else None)
+    rng = np.random.default_rng(8)
+    simulator = make_simulator(scene, contact)
+    start = np.zeros(12)
+    start[[3, 5]] = 0.5, 0.3
+    simulator.reset(start)
+    impacts = 0
+    for _ in range(500):
+        simulator.step(0.02, rng.uniform(-9e4, 9e4) if drive == "held" else None)
+        impacts += len(simulator.impacts)
+    state, total = simulator.state, scene.box_mass + scene.jack_mass
+    assert impacts > 5
+    momentum = scene.box_mass * state[6:8] + scene.jack_mass * state[9:11]
+    # Each contact in the last substep of a step shifts the synchronised velocity by at most g h / 2 = 0.0245 m/s.
+    assert momentum[0] == pytest.approx(0.0, abs=1e-9)
+    assert momentum[1] == pytest.approx(-scene.jack_mass * scene.gravity * simulator.time, abs=1e-9)
+    centre = (scene.box_mass * state[0:2] + scene.jack_mass * state[3:5]) / total
+    np.testing.assert_allclose(centre, [0.5 * 4.0 / 404.0, -4.0 / 404.0 * 9.81 * 10.0**2 / 2.0], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "settings", [{"substeps": 1}, {"substeps": 4}, {"substeps": 64}, {"contact": "exact"}], ids=str
+)
+def test_energy_gained_is_the_work_of_the_torque(settings: dict[str, Any]) -> None:
+    # A held torque's work is torque times the box's turn. In pymunk half-step velocities make the scheme symmetric in
+    # time, so even impacts resolved late keep the balance to rounding.
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        simulator = make_simulator(Scene(), **settings)
+        start = np.zeros(12)
+        start[3:6] = rng.uniform(-1.0, 1.0, 3)
+        simulator.reset(start)
+        work = largest = 0.0
+        impacts = 0
+        for _ in range(300):
+            torque, before = rng.uniform(-9e4, 9e4), simulator.state[2]
+            simulator.step(0.02, torque)
+            work += torque * (simulator.state[2] - before)
+            largest = max(largest, abs(work))
+            impacts += len(simulator.impacts)
+        gained = energy(simulator.scene, simulator.state) - energy(simulator.scene, start)
+        assert impacts > 3
+        assert largest > 100.0
+        assert gained == pytest.approx(work, abs=1e-11 * largest + 1e-9)
+
+
+@EVERY_MODEL
+def test_full_torque_for_a_whole_episode_stays_in_the_box(contact: str) -> None:
+    simulator = make_simulator(Scene(), contact)
+    simulator.reset(np.array([0, 0, 0, 0.5, 0.2, 0.3, 0, 0, 0, 0, 0, 0]))
+    deepest = 1.0 if contact == "pymunk" else 1e-9  # the depth at which a substep may end, and rounding
+    for _ in range(500):
+        simulator.step(0.02, torque=90000.0)
+        assert clearance(simulator.scene, simulator.state.tolist()) >= -deepest
+    assert simulator.state[8] > 50.0
+
+
+def test_an_impact_that_took_a_thousandth_too_much_would_be_seen() -> None:
+    # The sums of the tests above, over states with one impulse that is 1.001 times the law's.
+    rng = np.random.default_rng(0)
+    state, wall, foot = one_foot_on_wall(WEIGHTLESS, rng)
+    after, _ = impact_map(WEIGHTLESS, state, wall, foot)
+    wrong = after.copy()
+    wrong[6:] += 0.001 * (after[6:] - state[6:])
+    assert energy(WEIGHTLESS, after) == pytest.approx(energy(WEIGHTLESS, state), rel=1e-13)
+    assert energy(WEIGHTLESS, wrong) != pytest.approx(energy(WEIGHTLESS, state), rel=1e-8)
+    jack_alone = state.copy()
+    jack_alone[9:] = after[9:]  # a box that does not give way
+    momenta = [400.0 * one[6:8] + 4.0 * one[9:11] for one in (state, after, jack_alone)]
+    assert momenta[1] == pytest.approx(momenta[0], abs=1e-11)
+    assert momenta[2] != pytest.approx(momenta[0], abs=1e-2)

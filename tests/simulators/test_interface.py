@@ -1,0 +1,68 @@
+"""What every contact model does for its callers: restore a state, hand out copies, survive a drive that fails."""
+
+from __future__ import annotations
+
+import copy
+import math
+import pickle
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jackbox_env.scene import Drive, Scene
+from jackbox_env.simulators import CONTACT_MODELS, make_simulator
+from tests.states import inside
+
+EVERY_MODEL = pytest.mark.parametrize("contact", CONTACT_MODELS)
+
+
+@EVERY_MODEL
+@pytest.mark.parametrize("restitution", [0.5, 1.0])
+def test_state_and_time_determine_the_future_also_pickled_and_copied(contact: str, restitution: float) -> None:
+    rng = np.random.default_rng(7)
+    run = make_simulator(Scene(jack_arm=5.0, restitution=restitution), contact)
+    run.reset(inside(run.scene, rng))
+    impacts = 0
+    for _ in range(200):
+        restored = make_simulator(run.scene, contact)
+        restored.reset(run.state, run.time)
+        twins = [restored, copy.deepcopy(run), pickle.loads(pickle.dumps(run))]
+        torque = rng.uniform(-5e4, 5e4) if rng.uniform() < 0.7 else None
+        for one in [run, *twins]:
+            one.step(0.02, torque)
+        for twin in twins:
+            np.testing.assert_array_equal(twin.state, run.state)
+            assert (twin.time, twin.impacts, twin.torque) == (run.time, run.impacts, run.torque)
+        impacts += len(run.impacts)
+    assert impacts > 10
+
+
+@EVERY_MODEL
+def test_what_is_handed_out_is_never_written_again(contact: str) -> None:
+    simulator = make_simulator(Scene(jack_arm=5.0), contact)
+    kept = []
+    for _ in range(100):
+        simulator.step(0.02)
+        state, impacts = simulator.state, simulator.impacts
+        kept.append((state, state.copy(), impacts, list(impacts)))
+    assert any(impacts for _, _, impacts, _ in kept)
+    for state, copied, impacts, listed in kept:
+        np.testing.assert_array_equal(state, copied)
+        assert impacts == listed
+    simulator.state[:] = 0.0
+    assert simulator.state.any()
+
+
+@EVERY_MODEL
+def test_a_drive_that_fails_or_answers_nonsense_leaves_the_simulator_usable(contact: str) -> None:
+    answers: list[Any] = [math.nan]
+    simulator = make_simulator(Scene(drive=Drive(torque=lambda t: answers[0])), contact)
+    for nonsense in (math.nan, math.inf, "much"):
+        answers[0] = nonsense
+        with pytest.raises((TypeError, ValueError), match=r"torque\(.* s\) must be a finite number"):
+            simulator.step(0.02)
+    answers[0] = 5.0
+    simulator.step(0.02)
+    assert simulator.torque == pytest.approx(5.0, rel=1e-15)
+    assert simulator.time == 0.02
