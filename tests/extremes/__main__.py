@@ -1,36 +1,43 @@
-"""Run the extremes with all the steps of their long runs, and write docs/extremes.md from what they record.
+"""Measure the extremes with all the steps of their long runs, and write docs/extremes.md from what is found.
 
-Arguments go to pytest, such as ``-k spins``: rows that were not run stay as docs/extremes.jsonl has them.
+``python -m tests.extremes spins``: only cases with this word; the other rows stay as docs/extremes.jsonl has them.
 """
 
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
-import tempfile
 from pathlib import Path
 
-from tests.extremes.page import RECORD, missing, page, read, recorded
+os.environ["JACKBOX_EXTREMES"] = "full"  # read when the cases are imported
 
-HERE = Path(__file__).parent
-DOCS = HERE.parents[1] / "docs"
+from jackbox_env.simulators import CONTACT_MODELS
+from tests.extremes.cases import CASES
+from tests.extremes.page import FAILS, Case, Finding, page, read, recorded
+
+DOCS = Path(__file__).parents[2] / "docs"
 
 
-def main(arguments: list[str], docs: Path = DOCS) -> int:
-    """Run, add to the record, write the page; return pytest's exit status, or 1 where a row has never been run."""
-    with tempfile.TemporaryDirectory() as folder:
-        record = Path(folder) / "findings.jsonl"
-        environment = {**os.environ, "JACKBOX_EXTREMES": "full", RECORD: str(record)}
-        command = [sys.executable, "-m", "pytest", "-q", str(HERE), *arguments]
-        status = subprocess.run(command, env=environment, check=False).returncode
-        findings = read(docs / "extremes.jsonl") | read(record)
-    (docs / "extremes.jsonl").write_text(recorded(findings), encoding="utf-8")
-    (docs / "extremes.md").write_text(page(findings), encoding="utf-8")
-    for what in missing(findings):
-        print(f"never run: {what}")
-    return status or int(bool(missing(findings)))
+def found(case: Case, contact: str) -> Finding:
+    """What a case finds, or its error."""
+    try:
+        return case.measure(contact)
+    except Exception as error:
+        return Finding("no error", f"{type(error).__name__}: {error}"[:150], FAILS)
+
+
+def main(words: str = "") -> None:
+    """Measure, add to the record, write the page; exit with 1 where a row fails."""
+    findings = read(DOCS / "extremes.jsonl")
+    for case in CASES:
+        for contact in CONTACT_MODELS:
+            if words in case.what:
+                finding = findings[case.what, contact] = found(case, contact)
+                print(f"{case.what}, {contact}\n    {finding.verdict}: {finding.seen}", flush=True)
+    (DOCS / "extremes.jsonl").write_text(recorded(findings), encoding="utf-8")
+    (DOCS / "extremes.md").write_text(page(findings), encoding="utf-8")
+    sys.exit(any(finding.verdict == FAILS for finding in findings.values()))
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    main(" ".join(sys.argv[1:]))

@@ -14,6 +14,7 @@ from jackbox_env.mechanics import energy, simultaneous_impact_map
 from jackbox_env.scene import Scene
 from jackbox_env.simulators import Impact, Simulator, make_simulator
 from jackbox_env.states import clearance
+from tests.extremes.page import Bound, Finding, within
 from tests.states import Array
 
 
@@ -92,6 +93,19 @@ def follow(simulator: Simulator, steps: int, dt: float, course: Course | None = 
         course.hits += len(simulator.impacts)
         course.look(simulator.state, simulator.time - begun)
     return course
+
+
+def kept(courses: list[Course], contact: str, hits: int, *more: Bound, unit: str = "m") -> Finding:
+    """The bounds ``more``, then momentum, energy and containment; each course has at least ``hits`` impacts."""
+    fewest = min(course.hits for course in courses)
+    assert fewest >= hits
+    return within(
+        *more,
+        Bound("momentum", max(course.momentum for course in courses), 1e-12),
+        Bound("energy", max(course.energy for course in courses), 1e-11),
+        Bound("a foot outside", max(0.0, *(course.deepest for course in courses)), deepest_allowed(contact), unit),
+        note=f"; {fewest:,} impacts or more",
+    )
 
 
 def replayed(scene: Scene, state: Array, begun: float, end: float, impacts: Iterable[Impact]) -> Array:

@@ -1,8 +1,7 @@
-"""The page of extremes: what each case found, as a row of docs/extremes.md.
+"""The page of extremes: what each case finds, as a row of docs/extremes.md.
 
-A case measures and returns a :class:`Finding`; :func:`extreme` makes it a test for every contact model, records the
-finding where ``JACKBOX_EXTREMES_RECORD`` says and only then asserts, so that a row of a failing test reads FAILS.
-``python -m tests.extremes`` runs the tests so and writes the page; the tests themselves write nothing else.
+A case measures a contact model and returns a :class:`Finding`. The tests measure with few steps and assert;
+``python -m tests.extremes`` measures with all and writes the page.
 """
 
 from __future__ import annotations
@@ -14,74 +13,11 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-import pytest
-
 from jackbox_env import _validation as check
 from jackbox_env.simulators import CONTACT_MODELS
 
 HOLDS, REFUSED, FAILS = "holds", "refused", "FAILS"
-RECORD = "JACKBOX_EXTREMES_RECORD"  # names a file to which findings are added, one a line
 FULL = check.choice("JACKBOX_EXTREMES", os.environ.get("JACKBOX_EXTREMES", "quick"), ("quick", "full")) == "full"
-
-# The rows in order; each stands once for every contact model.
-TABLE = (
-    "one impact, jack 1e-9 to 1e9 times as heavy as the box",
-    "4 s of flight and impacts, jack 1e-9 to 1e9 times as heavy as the box",
-    "one foot, two feet and corners, jack inertia a thousandth of m l^2",
-    "4 s of flight and impacts, jack inertia a thousandth of m l^2",
-    "jack spins at 3e4 rad/s among the walls, steps of 0.02 s",
-    "jack spins at 3e4 rad/s among the walls, steps of 1 ms",
-    "box spins at 3e4 rad/s around the jack, steps of 0.02 s",
-    "box spins at 3e4 rad/s around the jack, steps of 0.1 ms",
-    "jack at 7000 m/s straight to and fro for 1 s",
-    "jack at 1000 to 7000 m/s in any direction for 0.2 s",
-    "an impact amid five control steps of 1e-6 to 1 s",
-    "arm from 0.001 of the half width to 1e-6 of it less than the half width, 4 s",
-    "arm from the half width to its sqrt(2)-fold less 1e-4 m, 1 s",
-    "a foot arrives at 1e-9 m/s",
-    "two feet on a wall, on two walls, in a corner: at the same moment",
-    "two feet on a wall, on two walls, in a corner: 1e-15 to 1e-3 s apart",
-    "a foot exactly on the wall at reset: approaching",
-    "a foot exactly on the wall at reset: leaving",
-    "a foot exactly on the wall at reset: at rest without gravity",
-    "two feet exactly on the floor at reset: at rest under gravity, 1 s",
-    "a start with a foot outside",
-    "a state with a foot up to 1 m outside, put back",
-    "no gravity: bodies without forces for 200 s",
-    "1000 g: 30 bounces on the floor",
-    "torque of 1e9 N m, steps of 1 ms for 0.02 s",
-    "torque of 1e9 N m for a step of 0.02 s with a foot near a wall",
-    "the chirp at t = 1e6 s",
-    "1e9 m from the origin",
-    "angles of 1e6 to 4e12 rad: 4,000 states up to 1e-6 s after an impact",
-    "episodes of 500 steps under random torque",
-    "one weightless episode",
-    "subnormal numbers in states, time steps and torques",
-    "subnormal numbers in a scene",
-    "jack of 1e-60 to 1e57 kg, half width of 1e-28 to 6 m, 10 s",
-    "half width of 1e15 and 1e25 m, jack crosses it in seconds",
-    "NaN and infinity in scenes and chirps",
-    "NaN and infinity from a drive's functions",
-    "NaN and infinity in states and times",
-    "NaN and infinity in time steps and torques",
-    "NaN and infinity in actions",
-    "NaN and infinity in the options of a reset",
-    "restitution 0 and 0.5: comes to rest",
-    "restitution 0, 0.5 and 0.9: lies on a level, a tilted and a turning floor for 1000 s",
-)
-
-# The tables of the page, by the row that each begins with.
-PARTS = {
-    "one impact, jack 1e-9 to 1e9 times as heavy as the box": "Masses and inertias",
-    "jack spins at 3e4 rad/s among the walls, steps of 0.02 s": "Spins and speeds",
-    "an impact amid five control steps of 1e-6 to 1 s": "Steps and arms",
-    "a foot arrives at 1e-9 m/s": "Slow impacts, and several at once",
-    "a foot exactly on the wall at reset: approaching": "Feet that start on a wall or behind it",
-    "no gravity: bodies without forces for 200 s": "Forces, times and places",
-    "episodes of 500 steps under random torque": "Millions of steps",
-    "subnormal numbers in states, time steps and torques": "Numbers too small, too large or not finite",
-    "restitution 0 and 0.5: comes to rest": "Loss",
-}
 
 HEAD = """
 *holds*: the result is within its bound. `0.22 of 1 m` means 0.22 m with a bound of 1 m. *refused*: the call raises an
@@ -110,6 +46,32 @@ class Finding(NamedTuple):
 
 
 Findings = Mapping[tuple[str, str], Finding]  # by case and contact model
+Measure = Callable[[str], Finding]
+
+
+class Case(NamedTuple):
+    """A row of the page: the table it is in, what it is given, its measurement, and seconds for that."""
+
+    part: str
+    what: str
+    measure: Measure
+    timeout: float
+
+
+CASES: list[Case] = []
+
+
+def part(title: str) -> Callable[..., Callable[[Measure], Measure]]:
+    """Give a decorator that makes a measurement a row of the table of this title."""
+
+    def row(what: str, timeout: float = 120.0) -> Callable[[Measure], Measure]:
+        def add(measure: Measure) -> Measure:
+            CASES.append(Case(title, what, measure, timeout))
+            return measure
+
+        return add
+
+    return row
 
 
 class Bound(NamedTuple):
@@ -141,86 +103,30 @@ def within(*bounds: Bound, note: str = "") -> Finding:
     return Finding(expected + note, seen + note, HOLDS if all(bound.kept for bound in bounds) else FAILS)
 
 
-def sentence_of(call: Callable[[], object]) -> str | None:
-    """The sentence that a call is refused with, or None."""
+def refuses(call: Callable[[], object], match: str) -> Finding:
+    """The finding of a call that must be refused with a sentence that has ``match`` in it."""
     try:
         call()
     except (TypeError, ValueError, RuntimeError) as refusal:
-        return str(refusal)
-    return None
+        seen, verdict = str(refusal), REFUSED if re.search(match, str(refusal)) else FAILS
+    else:
+        seen, verdict = "taken without a word", FAILS
+    return Finding("refused in one sentence", seen if len(seen) <= 150 else seen[:147] + "...", verdict)
 
 
-def matches(sentence: str | None, match: str) -> bool:
-    return sentence is not None and re.search(match, sentence) is not None
-
-
-def shortened(sentence: str | None, most: int = 150) -> str:
-    """A refusal's sentence as the page shows it."""
-    if sentence is None:
-        return "taken without a word"
-    return sentence if len(sentence) <= most else sentence[: most - 3] + "..."
-
-
-def refuses(call: Callable[[], object], match: str) -> Finding:
-    """The finding of a call that must be refused with a sentence that has ``match`` in it."""
-    sentence = sentence_of(call)
-    return Finding("refused in one sentence", shortened(sentence), REFUSED if matches(sentence, match) else FAILS)
-
-
-def refuses_each(calls: dict[str, tuple[Callable[[], object], str]]) -> Finding:
-    """The finding of several calls. Each must be refused with a sentence that contains its ``match``."""
-    sentences = {name: sentence_of(call) for name, (call, _) in calls.items()}
-    wrong = [name for name, (_, match) in calls.items() if not matches(sentences[name], match)]
-    name = wrong[0] if wrong else next(iter(calls))
-    seen = f"{len(calls) - len(wrong)} of {len(calls)}, e.g. {name}: {shortened(sentences[name])}"
-    return Finding("each refused in one sentence", seen, FAILS if wrong else REFUSED)
-
-
-def placed(what: str, table: tuple[str, ...]) -> str:
-    """Return ``what`` if it has a row in the table.
-
-    Raises:
-        ValueError: it has none.
-    """
-    if what not in table:
-        raise ValueError(f"{what!r} has no place in the table")
-    return what
-
-
-# -- records and the page ----------------------------------------------------------------------------------------------
-
-
-def noted(what: str, contact: str, measure: Callable[[str], Finding]) -> None:
-    """Measure, record the finding if asked to, and fail if it is not the expected one."""
-    finding = Finding("an answer", "cut short", FAILS)
-    try:
-        finding = measure(contact)
-    except Exception as error:
-        finding = Finding("no error", shortened(f"{type(error).__name__}: {error}"), FAILS)
-        raise
-    finally:
-        if RECORD in os.environ:
-            with open(os.environ[RECORD], "a", encoding="utf-8") as file:
-                file.write(json.dumps([what, contact, *finding]) + "\n")
-    assert finding.verdict != FAILS, f"{what}, {contact}: expected {finding.expected}; seen {finding.seen}"
+# -- the record and the page -------------------------------------------------------------------------------------------
 
 
 def read(path: Path) -> dict[tuple[str, str], Finding]:
     """What was recorded in a file, or nothing if there is none."""
-    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
-    rows = [json.loads(line) for line in lines]
+    rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()] if path.exists() else []
     return {(what, contact): Finding(*finding) for what, contact, *finding in rows}
 
 
-def recorded(findings: Findings, table: tuple[str, ...] = TABLE) -> str:
-    """The lines of a record in the table's order."""
-    rows = [(what, contact) for what in table for contact in CONTACT_MODELS if (what, contact) in findings]
-    return "".join(json.dumps([*row, *findings[row]]) + "\n" for row in rows)
-
-
-def missing(findings: Findings, table: tuple[str, ...] = TABLE) -> list[str]:
-    """The rows of the table that not every contact model has a finding for."""
-    return [what for what in table if any((what, contact) not in findings for contact in CONTACT_MODELS)]
+def recorded(findings: Findings) -> str:
+    """The lines of a record in the order of the page."""
+    rows = [(case.what, contact) for case in CASES for contact in CONTACT_MODELS]
+    return "".join(json.dumps([*row, *findings[row]]) + "\n" for row in rows if row in findings)
 
 
 def answer(findings: Findings) -> str:
@@ -235,36 +141,15 @@ def answer(findings: Findings) -> str:
     )
 
 
-def page(findings: Findings, table: tuple[str, ...] = TABLE) -> str:
+def page(findings: Findings) -> str:
     """docs/extremes.md, of the rows that are recorded."""
     lines, part = ["# Extremes", "", answer(findings), HEAD.rstrip()], ""
-    for what in table:
-        told = [findings.get((what, contact)) for contact in CONTACT_MODELS]
-        if PARTS.get(what, part) != part or len(lines) == 4:
-            part = PARTS.get(what, part)
+    for case in CASES:
+        found = [findings.get((case.what, contact)) for contact in CONTACT_MODELS]
+        if case.part != part:
+            part = case.part
             lines += ["", f"## {part}", "", "| what | " + " | ".join(CONTACT_MODELS) + " |"]
             lines.append("|---" * (1 + len(CONTACT_MODELS)) + "|")
-        if any(told):
-            cells = [what, *(f"{found.verdict}: {found.seen}" if found else "" for found in told)]
-            lines.append("| " + " | ".join(" ".join(cell.replace("|", "\\|").split()) for cell in cells) + " |")
+        cells = [case.what, *(f"{one.verdict}: {one.seen}" if one else "not measured" for one in found)]
+        lines.append("| " + " | ".join(" ".join(cell.replace("|", "\\|").split()) for cell in cells) + " |")
     return "\n".join(lines) + "\n"
-
-
-Measure = Callable[[str], Finding]
-Test = Callable[[str], None]
-
-
-def extreme(what: str, timeout: float = 120.0) -> Callable[[Measure], Test]:
-    """Turn a measurement of a contact model into the test of this row of the table, for every contact model."""
-    placed(what, TABLE)
-
-    def decorate(measure: Measure) -> Test:
-        @pytest.mark.timeout(timeout)
-        @pytest.mark.parametrize("contact", CONTACT_MODELS)
-        def test(contact: str) -> None:
-            noted(what, contact, measure)
-
-        test.__name__, test.__doc__, test.__module__ = measure.__name__, measure.__doc__, measure.__module__
-        return test
-
-    return decorate

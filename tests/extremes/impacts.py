@@ -7,14 +7,14 @@ import numpy as np
 from jackbox_env.mechanics import energy, gap_jacobian, gaps
 from jackbox_env.scene import Scene
 from tests.extremes.measures import (
-    deepest_allowed,
     follow,
+    kept,
     momentum,
     momentum_scale,
     off_the_law,
     started,
 )
-from tests.extremes.page import Bound, Finding, extreme, within
+from tests.extremes.page import Bound, Finding, part, within
 from tests.states import Array, inside, one_foot_on_wall, several_contacts
 
 WEIGHTLESS = Scene(gravity=0.0, drive=None)
@@ -22,6 +22,8 @@ LIGHT = Scene(gravity=0.0, drive=None, jack_inertia=0.004)
 RATIOS = tuple(10.0**power for power in range(-9, 10, 3))
 KINDS = ("one wall", "two walls", "corner")
 INSTANT = 1e-12  # [s] in which nothing but the impact happens
+masses = part("Masses and inertias")
+together = part("Slow impacts, and several at once")
 
 
 def of_mass(ratio: float) -> Scene:
@@ -32,8 +34,8 @@ def of_mass(ratio: float) -> Scene:
 # -- masses and inertias -----------------------------------------------------------------------------------------------
 
 
-@extreme("one impact, jack 1e-9 to 1e9 times as heavy as the box")
-def test_one_impact_at_any_ratio_of_the_masses(contact: str) -> Finding:
+@masses("one impact, jack 1e-9 to 1e9 times as heavy as the box")
+def one_impact_at_any_ratio_of_the_masses(contact: str) -> Finding:
     law = kept = 0.0
     for ratio in RATIOS:
         scene, rng = of_mass(ratio), np.random.default_rng(1)
@@ -47,25 +49,19 @@ def test_one_impact_at_any_ratio_of_the_masses(contact: str) -> Finding:
     return within(Bound("rates off the impact map", law, 1e-12), Bound("momentum", kept, 1e-14))
 
 
-@extreme("4 s of flight and impacts, jack 1e-9 to 1e9 times as heavy as the box")
-def test_flight_and_impacts_at_any_ratio_of_the_masses(contact: str) -> Finding:
+@masses("4 s of flight and impacts, jack 1e-9 to 1e9 times as heavy as the box")
+def flight_and_impacts_at_any_ratio_of_the_masses(contact: str) -> Finding:
     return courses([of_mass(ratio) for ratio in RATIOS], contact)
 
 
 def courses(scenes: list[Scene], contact: str) -> Finding:
-    """Run several scenes from random states; check the number of impacts, containment, momentum and energy."""
+    """Run several scenes from random states; check impacts, containment, momentum and energy."""
     rng = np.random.default_rng(2)
-    followed = [follow(started(scene, contact, inside(scene, rng)), 200, 0.02) for scene in scenes for _ in range(2)]
-    assert sum(course.hits for course in followed) > 2 * len(followed)
-    return within(
-        Bound("momentum", max(course.momentum for course in followed), 1e-12),
-        Bound("energy", max(course.energy for course in followed), 1e-12),
-        Bound("a foot outside", max(0.0, *(course.deepest for course in followed)), deepest_allowed(contact), "m"),
-    )
+    return kept([follow(started(scene, contact, inside(scene, rng)), 200, 0.02) for scene in scenes], contact, hits=1)
 
 
-@extreme("one foot, two feet and corners, jack inertia a thousandth of m l^2")
-def test_impacts_of_a_light_inertia(contact: str) -> Finding:
+@masses("one foot, two feet and corners, jack inertia a thousandth of m l^2")
+def impacts_of_a_light_inertia(contact: str) -> Finding:
     rng, law = np.random.default_rng(3), 0.0
     for number in range(80):
         if number % 4 == 3:
@@ -80,16 +76,16 @@ def test_impacts_of_a_light_inertia(contact: str) -> Finding:
     return within(Bound("rates off the law", law, 1e-11))
 
 
-@extreme("4 s of flight and impacts, jack inertia a thousandth of m l^2")
-def test_flight_and_impacts_of_a_light_inertia(contact: str) -> Finding:
+@masses("4 s of flight and impacts, jack inertia a thousandth of m l^2")
+def flight_and_impacts_of_a_light_inertia(contact: str) -> Finding:
     return courses([LIGHT], contact)
 
 
 # -- slow and simultaneous ---------------------------------------------------------------------------------------------
 
 
-@extreme("a foot arrives at 1e-9 m/s")
-def test_a_foot_arrives_hardly_moving(contact: str) -> Finding:
+@together("a foot arrives at 1e-9 m/s")
+def a_foot_arrives_hardly_moving(contact: str) -> Finding:
     law = 0.0
     # Straight at the wall with all its speed, and while both bodies turn and slide at some m/s.
     straight = np.zeros(12)
@@ -113,8 +109,8 @@ def test_a_foot_arrives_hardly_moving(contact: str) -> Finding:
     )
 
 
-@extreme("two feet on a wall, on two walls, in a corner: at the same moment")
-def test_feet_that_touch_at_the_same_moment(contact: str) -> Finding:
+@together("two feet on a wall, on two walls, in a corner: at the same moment")
+def feet_that_touch_at_the_same_moment(contact: str) -> Finding:
     rng, law, kept = np.random.default_rng(5), 0.0, 0.0
     for kind in KINDS:
         several = 0
@@ -129,8 +125,8 @@ def test_feet_that_touch_at_the_same_moment(contact: str) -> Finding:
     return within(Bound("rates off the simultaneous law", law, 1e-12), Bound("energy", kept, 1e-12))
 
 
-@extreme("two feet on a wall, on two walls, in a corner: 1e-15 to 1e-3 s apart")
-def test_feet_that_touch_almost_at_the_same_moment(contact: str) -> Finding:
+@together("two feet on a wall, on two walls, in a corner: 1e-15 to 1e-3 s apart")
+def feet_that_touch_almost_at_the_same_moment(contact: str) -> Finding:
     rng, law, kept, still, together, apart = np.random.default_rng(6), 0.0, 0.0, 0.0, 0, 0
     for delay in (1e-15, 1e-13, 1e-12, 1e-11, 1e-9, 1e-6, 1e-3):
         for kind in KINDS:

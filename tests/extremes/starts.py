@@ -13,10 +13,11 @@ from jackbox_env.mechanics import energy, gap_jacobian
 from jackbox_env.scene import Scene
 from jackbox_env.states import clearance
 from tests.extremes.measures import off_the_law, relative, replayed, started
-from tests.extremes.page import REFUSED, Bound, Finding, extreme, refuses, within
+from tests.extremes.page import REFUSED, Bound, Finding, part, refuses, within
 from tests.states import Array, one_foot_on_wall
 
 WEIGHTLESS = Scene(gravity=0.0, drive=None)
+starts = part("Feet that start on a wall or behind it")
 
 
 def with_a_foot_on_a_wall() -> Iterator[tuple[Array, int, int]]:
@@ -33,8 +34,8 @@ def environment(contact: str, control_dt: float, scene: Scene = WEIGHTLESS) -> J
     return JackInBoxEnv(contact=contact, scene=scene, control_dt=control_dt)
 
 
-@extreme("a foot exactly on the wall at reset: approaching")
-def test_a_foot_on_the_wall_that_approaches_bounces_at_once(contact: str) -> Finding:
+@starts("a foot exactly on the wall at reset: approaching")
+def a_foot_on_the_wall_that_approaches_bounces_at_once(contact: str) -> Finding:
     env, law, late = environment(contact, 1e-4), 0.0, 0.0
     for state, wall, foot in with_a_foot_on_a_wall():
         env.reset(options={"state": state})
@@ -46,8 +47,8 @@ def test_a_foot_on_the_wall_that_approaches_bounces_at_once(contact: str) -> Fin
     return within(Bound("rates off the law", law, 1e-12), Bound("its moment after the reset", late, substep, "s"))
 
 
-@extreme("a foot exactly on the wall at reset: leaving")
-def test_a_foot_on_the_wall_that_leaves_is_let_go(contact: str) -> Finding:
+@starts("a foot exactly on the wall at reset: leaving")
+def a_foot_on_the_wall_that_leaves_is_let_go(contact: str) -> Finding:
     env, error = environment(contact, 1e-5), 0.0
     for state, _, _ in with_a_foot_on_a_wall():
         state[6:] *= -1.0
@@ -59,8 +60,8 @@ def test_a_foot_on_the_wall_that_leaves_is_let_go(contact: str) -> Finding:
     return within(Bound("off free flight", error, 1e-14, "m, rad, m/s or rad/s"), note="; no impact")
 
 
-@extreme("a foot exactly on the wall at reset: at rest without gravity")
-def test_a_foot_on_the_wall_at_rest_stays(contact: str) -> Finding:
+@starts("a foot exactly on the wall at reset: at rest without gravity")
+def a_foot_on_the_wall_at_rest_stays(contact: str) -> Finding:
     state = np.zeros(12)
     state[3] = 5.0
     env = environment(contact, 0.02)
@@ -71,8 +72,8 @@ def test_a_foot_on_the_wall_at_rest_stays(contact: str) -> Finding:
     return within(Bound("moved in 1 s", float(np.abs(env.state - state).max()), 0.0, "m"), note="; no impact")
 
 
-@extreme("two feet exactly on the floor at reset: at rest under gravity, 1 s")
-def test_a_jack_at_rest_on_the_floor_stays_there(contact: str) -> Finding:
+@starts("two feet exactly on the floor at reset: at rest under gravity, 1 s")
+def a_jack_at_rest_on_the_floor_stays_there(contact: str) -> Finding:
     scene = Scene(drive=None)
     state = np.zeros(12)
     state[4], state[5] = -(6.0 - math.sqrt(0.5)), math.pi / 4.0
@@ -93,8 +94,8 @@ def test_a_jack_at_rest_on_the_floor_stays_there(contact: str) -> Finding:
     )
 
 
-@extreme("a start with a foot outside")
-def test_a_start_outside_is_refused(contact: str) -> Finding:
+@starts("a start with a foot outside")
+def a_start_outside_is_refused(contact: str) -> Finding:
     env = environment(contact, 0.02)
     env.reset(seed=0)
     before = env.state
@@ -109,8 +110,8 @@ def test_a_start_outside_is_refused(contact: str) -> Finding:
     return finding._replace(seen=f"taken up to 1e-9 m outside, beyond it: {finding.seen}")
 
 
-@extreme("a state with a foot up to 1 m outside, put back")
-def test_a_state_outside_is_put_back_up_to_1_m(contact: str) -> Finding:
+@starts("a state with a foot up to 1 m outside, put back")
+def a_state_outside_is_put_back_up_to_1_m(contact: str) -> Finding:
     law, rng = 0.0, np.random.default_rng(8)
     for depth in (1e-12, 1e-9, 1e-3, 0.3, 0.99):
         for _ in range(10):

@@ -16,27 +16,18 @@ from tests.extremes.measures import (
     angular_momentum,
     deepest_allowed,
     follow,
+    kept,
     relative,
     started,
 )
-from tests.extremes.page import Bound, Finding, extreme, refuses, within
+from tests.extremes.page import Bound, Finding, part, refuses, within
 from tests.states import Array, inside, one_foot_on_wall
 
 WEIGHTLESS = Scene(gravity=0.0, drive=None)
 TOO_FAST_FOR_SUBSTEPS = "the jack would leave the box: .* use more substeps, a smaller time step or less torque"
-
-
-def kept(courses: list[Course], contact: str, hits: int, *more: Bound) -> Finding:
-    """The bounds ``more``, then momentum, energy and containment; each course has at least ``hits`` impacts."""
-    fewest = min(course.hits for course in courses)
-    assert fewest >= hits
-    return within(
-        *more,
-        Bound("momentum", max(course.momentum for course in courses), 1e-12),
-        Bound("energy", max(course.energy for course in courses), 1e-11),
-        Bound("a foot outside", max(0.0, *(course.deepest for course in courses)), deepest_allowed(contact), "m"),
-        note=f"; {fewest:,} impacts or more",
-    )
+speeds = part("Spins and speeds")
+steps = part("Steps and arms")
+forces = part("Forces, times and places")
 
 
 # -- spins and speeds --------------------------------------------------------------------------------------------------
@@ -50,23 +41,23 @@ def spinning(place: int) -> Array:
     return state
 
 
-@extreme("jack spins at 3e4 rad/s among the walls, steps of 0.02 s")
-def test_a_jack_that_spins_fast_in_ordinary_steps(contact: str) -> Finding:
+@speeds("jack spins at 3e4 rad/s among the walls, steps of 0.02 s")
+def a_jack_that_spins_fast_in_ordinary_steps(contact: str) -> Finding:
     return spun(11, 0.02, 10, contact)
 
 
-@extreme("jack spins at 3e4 rad/s among the walls, steps of 1 ms")
-def test_a_jack_that_spins_fast_in_short_steps(contact: str) -> Finding:
+@speeds("jack spins at 3e4 rad/s among the walls, steps of 1 ms")
+def a_jack_that_spins_fast_in_short_steps(contact: str) -> Finding:
     return spun(11, 1e-3, 200, contact)
 
 
-@extreme("box spins at 3e4 rad/s around the jack, steps of 0.02 s")
-def test_a_box_that_spins_fast_in_ordinary_steps(contact: str) -> Finding:
+@speeds("box spins at 3e4 rad/s around the jack, steps of 0.02 s")
+def a_box_that_spins_fast_in_ordinary_steps(contact: str) -> Finding:
     return spun(8, 0.02, 10, contact)
 
 
-@extreme("box spins at 3e4 rad/s around the jack, steps of 0.1 ms")
-def test_a_box_that_spins_fast_in_short_steps(contact: str) -> Finding:
+@speeds("box spins at 3e4 rad/s around the jack, steps of 0.1 ms")
+def a_box_that_spins_fast_in_short_steps(contact: str) -> Finding:
     return spun(8, 1e-4, 2000, contact)
 
 
@@ -84,8 +75,8 @@ def spun(place: int, dt: float, steps: int, contact: str) -> Finding:
     return kept([course], contact, 1, Bound("angular momentum", error, 1e-11))
 
 
-@extreme("jack at 7000 m/s straight to and fro for 1 s")
-def test_a_jack_straight_to_and_fro_at_7_km_per_s(contact: str) -> Finding:
+@speeds("jack at 7000 m/s straight to and fro for 1 s")
+def a_jack_straight_to_and_fro_at_7_km_per_s(contact: str) -> Finding:
     # Relative to the box it is a point between walls at +-5 m; each impact turns the relative velocity round.
     start, speed = np.zeros(12), 7000.0
     start[9] = speed
@@ -101,8 +92,8 @@ def test_a_jack_straight_to_and_fro_at_7_km_per_s(contact: str) -> Finding:
     return kept([course], contact, 600, Bound("place off the closed form", abs(x - place), 1e-9, "m"))
 
 
-@extreme("jack at 1000 to 7000 m/s in any direction for 0.2 s")
-def test_a_jack_at_km_per_s_in_any_direction(contact: str) -> Finding:
+@speeds("jack at 1000 to 7000 m/s in any direction for 0.2 s")
+def a_jack_at_km_per_s_in_any_direction(contact: str) -> Finding:
     rng, courses = np.random.default_rng(9), []
     for speed in (1000.0, 3000.0, 7000.0):
         state, angle = inside(WEIGHTLESS, rng), rng.uniform(0.0, 2.0 * math.pi)
@@ -114,8 +105,8 @@ def test_a_jack_at_km_per_s_in_any_direction(contact: str) -> Finding:
 # -- time steps --------------------------------------------------------------------------------------------------------
 
 
-@extreme("an impact amid five control steps of 1e-6 to 1 s")
-def test_an_impact_amid_steps_of_any_length(contact: str) -> Finding:
+@steps("an impact amid five control steps of 1e-6 to 1 s")
+def an_impact_amid_steps_of_any_length(contact: str) -> Finding:
     # From a state on a wall: half way back in closed form, five steps forward, compared with the impact map's way on.
     rng, worst = np.random.default_rng(10), 0.0
     torque = 100.0
@@ -168,8 +159,8 @@ def amid(dt: float, torque: float, rng: np.random.Generator) -> tuple[Array, Arr
 # -- arms --------------------------------------------------------------------------------------------------------------
 
 
-@extreme("arm from 0.001 of the half width to 1e-6 of it less than the half width, 4 s")
-def test_arms_that_fit_at_any_angle(contact: str) -> Finding:
+@steps("arm from 0.001 of the half width to 1e-6 of it less than the half width, 4 s")
+def arms_that_fit_at_any_angle(contact: str) -> Finding:
     rng, courses = np.random.default_rng(11), []
     for share in (1e-3, 0.01, 0.5, 0.99, 0.9999, 1.0 - 1e-6):
         scene = Scene(gravity=0.0, drive=None, jack_arm=6.0 * share)
@@ -179,8 +170,8 @@ def test_arms_that_fit_at_any_angle(contact: str) -> Finding:
     return kept(courses, contact, hits=3)
 
 
-@extreme("arm from the half width to its sqrt(2)-fold less 1e-4 m, 1 s")
-def test_arms_that_fit_at_some_angles_only(contact: str) -> Finding:
+@steps("arm from the half width to its sqrt(2)-fold less 1e-4 m, 1 s")
+def arms_that_fit_at_some_angles_only(contact: str) -> Finding:
     rng, courses = np.random.default_rng(12), []
     for arm in (6.0, 6.5, 7.5, 8.4, 6.0 * math.sqrt(2.0) - 1e-4):
         scene = Scene(gravity=0.0, drive=None, jack_arm=arm)
@@ -194,8 +185,8 @@ def test_arms_that_fit_at_some_angles_only(contact: str) -> Finding:
 # -- forces ------------------------------------------------------------------------------------------------------------
 
 
-@extreme("no gravity: bodies without forces for 200 s")
-def test_without_gravity_nothing_is_lifted_or_falls(contact: str) -> Finding:
+@forces("no gravity: bodies without forces for 200 s")
+def without_gravity_nothing_is_lifted_or_falls(contact: str) -> Finding:
     # Both move on alike, so nothing touches.
     start = np.array([0.0, 0.0, 0.1, 1.0, 2.0, 0.3, 3.0, -2.0, 0.0, 3.0, -2.0, 0.5])
     simulator = started(WEIGHTLESS, contact, start)
@@ -211,8 +202,8 @@ def test_without_gravity_nothing_is_lifted_or_falls(contact: str) -> Finding:
     )
 
 
-@extreme("1000 g: 30 bounces on the floor")
-def test_a_thousandfold_gravity(contact: str) -> Finding:
+@forces("1000 g: 30 bounces on the floor")
+def a_thousandfold_gravity(contact: str) -> Finding:
     # Relative to the box it is a point that falls 5 m and comes back: the relative velocity turns round at each impact.
     scene, start = Scene(gravity=9810.0, drive=None), np.zeros(12)
     simulator = started(scene, contact, start)
@@ -240,8 +231,8 @@ def worked(simulator: Simulator, torque: float, dt: float, steps: int) -> tuple[
     return abs(gained - work) / abs(work), hits, deepest
 
 
-@extreme("torque of 1e9 N m, steps of 1 ms for 0.02 s")
-def test_a_torque_of_a_giga_newton_metre_in_short_steps(contact: str) -> Finding:
+@forces("torque of 1e9 N m, steps of 1 ms for 0.02 s")
+def a_torque_of_a_giga_newton_metre_in_short_steps(contact: str) -> Finding:
     start = np.zeros(12)
     start[[3, 5, 9]] = 4.9, 0.3, 10.0
     error, hits, deepest = worked(started(WEIGHTLESS, contact, start), 1e9, 1e-3, 20)
@@ -252,8 +243,8 @@ def test_a_torque_of_a_giga_newton_metre_in_short_steps(contact: str) -> Finding
     )
 
 
-@extreme("torque of 1e9 N m for a step of 0.02 s with a foot near a wall")
-def test_a_torque_of_a_giga_newton_metre_in_an_ordinary_step(contact: str) -> Finding:
+@forces("torque of 1e9 N m for a step of 0.02 s with a foot near a wall")
+def a_torque_of_a_giga_newton_metre_in_an_ordinary_step(contact: str) -> Finding:
     start = np.zeros(12)
     start[[3, 5, 9]] = 4.9, 0.3, 30.0
     error, hits, deepest = worked(started(WEIGHTLESS, contact, start), 1e9, 0.02, 1)
@@ -264,8 +255,8 @@ def test_a_torque_of_a_giga_newton_metre_in_an_ordinary_step(contact: str) -> Fi
     )
 
 
-@extreme("the chirp at t = 1e6 s")
-def test_the_chirp_after_a_million_seconds(contact: str) -> Finding:
+@forces("the chirp at t = 1e6 s")
+def the_chirp_after_a_million_seconds(contact: str) -> Finding:
     # 12 turns show the phase best, 18,000 turns how well they cancel.
     chirp, rates, angles = Chirp(), [], []
     for dt in (1.3e-5, 0.02):
@@ -285,8 +276,8 @@ def test_the_chirp_after_a_million_seconds(contact: str) -> Finding:
 # -- places ------------------------------------------------------------------------------------------------------------
 
 
-@extreme("1e9 m from the origin")
-def test_a_giga_metre_from_the_origin(contact: str) -> Finding:
+@forces("1e9 m from the origin")
+def a_giga_metre_from_the_origin(contact: str) -> Finding:
     rng, offset, rates, places = np.random.default_rng(13), np.array([1e9, -1e9]), 0.0, 0.0
     for _ in range(100):
         state, wall, foot = one_foot_on_wall(WEIGHTLESS, rng)
@@ -327,8 +318,8 @@ def outside_after_impacts(scene: Scene, contact: str, state: Array, steps: int) 
     return deepest, looks
 
 
-@extreme("angles of 1e6 to 4e12 rad: 4,000 states up to 1e-6 s after an impact")
-def test_angles_of_a_million_turns(contact: str) -> Finding:
+@forces("angles of 1e6 to 4e12 rad: 4,000 states up to 1e-6 s after an impact")
+def angles_of_a_million_turns(contact: str) -> Finding:
     rng, units, metres, looks = np.random.default_rng(20), 0.0, 0.0, 0
     while looks < 4_000:
         half = 10.0 ** rng.uniform(-2.0, 2.0)

@@ -25,7 +25,7 @@ from tests.extremes.measures import (
     momentum_scale,
     started,
 )
-from tests.extremes.page import FULL, Bound, Finding, extreme, within
+from tests.extremes.page import FULL, Bound, Finding, part, within
 from tests.states import inside
 
 WEIGHTLESS = Scene(gravity=0.0, drive=None)
@@ -35,6 +35,7 @@ TOGETHER = {"pymunk": 16, "exact": 4096}  # environments in a batch
 EPS = 2.0**-52
 MORE_BLOCKS, MORE_BYTES = 2_000, 16 * 2**20  # of memory that are no growth, whatever the steps
 MEMORY = f"; memory grows by less than {MORE_BLOCKS:,} Python objects and {MORE_BYTES // 2**20} MiB"
+millions = part("Millions of steps")
 
 
 class Memory:
@@ -58,8 +59,8 @@ class Memory:
         assert held - self.bytes < MORE_BYTES
 
 
-@extreme("episodes of 500 steps under random torque", timeout=3600.0)
-def test_nothing_gets_out_and_no_memory_grows_over_many_episodes(contact: str) -> Finding:
+@millions("episodes of 500 steps under random torque", timeout=3600.0)
+def nothing_gets_out_and_no_memory_grows_over_many_episodes(contact: str) -> Finding:
     count = TOGETHER[contact]
     env = JackInBoxVectorEnv(count, contact=contact, autoreset_mode="SAME_STEP")
     numbers, rng, look = np.array(env.scene.numbers), np.random.default_rng(0), compiled(least_clearance)
@@ -80,8 +81,8 @@ def test_nothing_gets_out_and_no_memory_grows_over_many_episodes(contact: str) -
     return found._replace(seen=f"over {steps:,} steps: {found.seen}")
 
 
-@extreme("one weightless episode", timeout=3600.0)
-def test_nothing_drifts_over_a_long_weightless_episode(contact: str) -> Finding:
+@millions("one weightless episode", timeout=3600.0)
+def nothing_drifts_over_a_long_weightless_episode(contact: str) -> Finding:
     # Nothing acts from outside, so momentum, angular momentum and energy stay, and the common centre of mass, here at
     # 1 mm/s, keeps its line. Rates are rounded at each impact only, k times over: a random walk of sqrt(k impacts) eps.
     # Each model does so about k = 1000 times: pymunk in its 64 iterations, with some ten operations for each of its two
