@@ -117,21 +117,7 @@ def test_smooth_functions_take_few_pieces_and_are_right_to_rounding(function: Fu
     assert worst <= 1e-12 * largest
 
 
-def test_pieces_join_and_fill_the_step() -> None:
-    for dt in (1e-4, 0.02, 0.7, 10.0):
-        table = pieces(lambda t: abs(t % 0.31 - 0.17) + (t % 0.43 < 0.2), 0.0, dt)
-        np.testing.assert_allclose(table[1:, 0], table[:-1, 0] + table[:-1, 1], rtol=1e-15, atol=0.0)
-        assert table[0, 0] == 0.0
-        assert math.fsum(table[:, 1]) == pytest.approx(dt, rel=1e-15)
-
-
 # -- jumps ------------------------------------------------------------------------------------------------------------
-
-
-def test_a_jump_at_the_very_end_of_a_step_is_seen() -> None:
-    simulator = make_simulator(Scene(drive=Drive(force_x=lambda t: 0.0 if t < 0.01994 else 1e6)), "exact")
-    simulator.step(0.02)
-    assert simulator.state[6] == pytest.approx(1e6 / 400.0 * (0.02 - 0.01994), abs=2e-11)
 
 
 def cubic(rng: np.random.Generator, time: float) -> tuple[Function, float, float]:
@@ -224,18 +210,6 @@ def test_jumps_of_several_functions_are_all_located() -> None:
         ]
         found = ends(function_pieces(Drive(*parts), 0.0, DT))
         assert max(np.abs(found - one).min() for one in at) <= 1e-12 * DT
-
-
-def test_low_jumps_are_located_where_the_function_is_steep() -> None:
-    rng = np.random.default_rng(3)
-    for height in (10.0 ** rng.uniform(-7.0, -3.0, 200)).tolist():
-        at, (smooth, _, _) = DT * rng.uniform(), cubic(rng, 0.0)
-
-        def steep(t: float, smooth: Function = smooth, at: float = at, height: float = height) -> float:
-            return 2.0 + smooth(t) + height * (t >= at)
-
-        found = ends(pieces(steep))
-        assert np.abs(found - at).min() <= 1e-12 * DT
 
 
 def test_without_points_at_the_ends_jumps_hide_there(monkeypatch: pytest.MonkeyPatch) -> None:
