@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import pymunk
 import pytest
 
 from jackbox_env.mechanics import energy, simultaneous_impact_map
-from jackbox_env.scene import Chirp, Scene
+from jackbox_env.scene import Scene
 from jackbox_env.simulators import Impact
 from jackbox_env.simulators.pymunk import PymunkSimulator
 from jackbox_env.states import clearance
@@ -210,52 +209,6 @@ def test_the_engine_flies_exactly(substeps: int) -> None:
         simulator.step(0.02, torque=2500.0)
     assert simulator.impacts == []
     np.testing.assert_allclose(simulator.state, closed_form(scene, start, 0.8, 2500.0), atol=1e-11)
-
-
-@pytest.mark.parametrize("record", load("exact_trajectories"), ids=lambda record: record["name"])
-@pytest.mark.parametrize("engine", [False, True], ids=["closed form", "engine"])
-@pytest.mark.parametrize("substeps", [1, 4])
-def test_flight_before_the_first_impact_equals_the_60_digit_reference(
-    record: dict[str, Any], engine: bool, substeps: int, request: pytest.FixtureRequest
-) -> None:
-    if engine:
-        request.getfixturevalue("always_the_engine")
-    scene = Scene(gravity=record["gravity"], drive=Chirp() if record["drive"] == "chirp" else None)
-    simulator = PymunkSimulator(scene, substeps=substeps)
-    simulator.reset(record["q"] + record["qdot"])
-    checked = 0
-    for step in range(250):
-        held = scene.torque_limit * record["actions"][step] if record["drive"] == "held" else None
-        simulator.step(0.02, held)
-        if simulator.time >= record["impacts"][0]["time"]:
-            break
-        if step % 5 == 4:
-            reference = record["states"][step // 5]
-            assert reference["time"] == pytest.approx(simulator.time)
-            np.testing.assert_allclose(simulator.state, reference["state"], rtol=0.0, atol=1e-12)
-            checked += 1
-    assert checked >= 3
-
-
-def test_a_plain_start_and_a_sampled_drive_would_not_be_exact() -> None:
-    # The same loop without half-step velocities is off by g h t / 2, and with the chirp sampled at each substep's
-    # start the box's angle is off by thousandths of a radian after 1 s.
-    h, steps = 0.005, 200
-    space = pymunk.Space()
-    box, jack = pymunk.Body(400.0, 14400.0), pymunk.Body(4.0, 4.0)
-    space.add(box, jack)
-    for step in range(steps):
-        jack.force = (0.0, -4.0 * 9.81)
-        box.torque = Chirp().torque(step * h)
-        space.step(h)
-    simulator = PymunkSimulator(Scene())
-    simulator.reset(np.zeros(12))
-    for _ in range(50):
-        simulator.step(0.02)
-    flight_error = jack.position.y + 0.5 * 9.81
-    assert flight_error == pytest.approx(9.81 * h / 2.0, rel=1e-6)
-    assert abs(box.angle - load("seed_scene")[0]["states"][9]["state"][2]) > 1e-3
-    np.testing.assert_allclose(simulator.state, load("seed_scene")[0]["states"][9]["state"], atol=1e-12)
 
 
 def test_the_engine_is_asked_wherever_a_foot_can_reach_a_wall(request: pytest.FixtureRequest) -> None:
