@@ -29,7 +29,6 @@ SIDE_BY_SIDE = 6  # environments in a batch that is counted
 _START = [0.0] * 3 + [0.5, 0.2, 0.3] + [0.0] * 3 + [6.0, -4.0, 2.0]  # the jack moves, so that it bounces also unweighed
 
 Calls = Counter[tuple[str, str]]  # of (caller, function): qualified names without the module
-Lines = Counter[tuple[str, int]]  # of (file, line)
 
 
 def calls_of(run: Callable[[], object]) -> Calls:
@@ -51,27 +50,6 @@ def calls_of(run: Callable[[], object]) -> Calls:
         run()
     finally:
         sys.setprofile(before)
-    return counts
-
-
-def lines_of(run: Callable[[], object]) -> Lines:
-    """Count the lines of this package that are executed while ``run`` runs."""
-    counts: Lines = Counter()
-    package = str(_compiled.PACKAGE)
-
-    def note(frame: FrameType, event: str, given: Any) -> Any:
-        if not frame.f_code.co_filename.startswith(package):
-            return None
-        if event == "line":
-            counts[frame.f_code.co_filename[len(package) + 1 :], frame.f_lineno] += 1
-        return note
-
-    before = sys.gettrace()
-    sys.settrace(note)
-    try:
-        run()
-    finally:
-        sys.settrace(before)
     return counts
 
 

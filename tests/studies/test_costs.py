@@ -6,20 +6,18 @@ Each count comes with its negative control: with the feature, the same code runs
 from __future__ import annotations
 
 import functools
-import linecache
 import subprocess
 import sys
 from typing import Any
 
 import numpy as np
-import pymunk
 import pytest
 
 from jackbox_env.batches import exact as batches
 from jackbox_env.compiled import compiler as _compiled
 from jackbox_env.compiled import step
 from jackbox_env.compiled.workspace import RECORD, new_workspace
-from jackbox_env.scene import Chirp, Drive, Scene
+from jackbox_env.scene import Drive, Scene
 from jackbox_env.simulators import CONTACT_MODELS, make_simulator
 from jackbox_env.tasks import Task
 from jackbox_env.vector_env import JackInBoxVectorEnv
@@ -32,11 +30,9 @@ from tests.studies.counting import (
     SIDE_BY_SIDE,
     STEPS,
     Calls,
-    Lines,
     Proof,
     calls_of,
     count_steps,
-    lines_of,
     most_bytes,
     times_called,
     uncompiled,
@@ -100,32 +96,6 @@ def test_in_mid_air_no_wall_is_looked_at() -> None:
             assert times_called(counted(calls_of, contact, Scene(), NEAR_A_WALL), function) > 0
 
 
-def test_a_held_torque_does_without_the_chirp(monkeypatch: pytest.MonkeyPatch) -> None:
-    torques = np.random.default_rng(0).uniform(-9e4, 9e4, 100).tolist()
-
-    def fail(*_: Any) -> Any:
-        raise AssertionError("the chirp was asked")
-
-    for contact in CONTACT_MODELS:
-        ends = []
-        for asked in (True, False):
-            with uncompiled(), monkeypatch.context() as patch:
-                if not asked:
-                    for name in ("advance_chirp", "chirp_piece", "chirp_pieces", "chirp_turns", "integrate", "horner"):
-                        patch.setattr(step, name, fail)
-                    patch.setattr(Chirp, "torque_means", fail)
-                simulator = make_simulator(Scene(), contact)
-                simulator.reset(NEAR_A_WALL)
-                for torque in torques:
-                    simulator.step(0.02, torque)
-                ends.append(simulator.state)
-                if not asked:
-                    simulator.reset(NEAR_A_WALL)
-                    with pytest.raises(AssertionError, match="the chirp was asked"):
-                        simulator.step(0.02)
-        np.testing.assert_array_equal(ends[0], ends[1])
-
-
 def test_a_batch_works_its_reward_out_once_and_again_for_infos() -> None:
     for settings, times in (({}, 1), ({"with_infos": True}, 2)):
         assert times_called(count_steps(BATCH, **settings), "juggle") == times * STEPS * SIDE_BY_SIDE
@@ -143,59 +113,7 @@ def test_pymunk_compiles_no_task_and_steps_compile_none_of_ones_own() -> None:
     assert times_called(calls_of(lambda: batches[0].step(None)), "compile_extra") == 0
 
 
-# -- lines ------------------------------------------------------------------------------------------------------------
-
-
-def test_gravity_is_one_line_per_engine_step() -> None:
-    with_weight, without = (counted(lines_of, "pymunk", scene, NEAR_A_WALL) for scene in (Scene(), WEIGHTLESS))
-    ((file, number),) = with_weight - without
-    assert linecache.getline(str(_compiled.PACKAGE / file), number).strip() == "jack.force = weight"
-    assert (with_weight - without).total() == 4
-    assert without - with_weight == Lines()
-
-
-@pytest.mark.parametrize(
-    ("contact", "state"),
-    [("pymunk", MID_AIR), ("exact", MID_AIR), ("exact", NEAR_A_WALL)],
-    ids=["pymunk", "exact", "near"],
-)
-def test_gravity_is_no_line_in_flight_and_none_of_the_exact_model(contact: str, state: Any) -> None:
-    lines = counted(lines_of, contact, Scene(), state)
-    assert lines == counted(lines_of, contact, WEIGHTLESS, state)
-    assert lines != counted(lines_of, contact, Scene(), state, None)  # under the chirp
-
-
-@pytest.mark.parametrize("state", [MID_AIR, NEAR_A_WALL], ids=["mid air", "near a wall"])
-def test_a_drive_that_a_held_torque_replaces_is_no_line(state: Any) -> None:
-    scenes = (Scene(), TURNED, UNDRIVEN)
-    exact = [counted(lines_of, "exact", scene, state) for scene in scenes]
-    assert exact[0] == exact[1] == exact[2]
-    engine = [counted(lines_of, "pymunk", scene, state) for scene in scenes]
-    for one in engine:
-        for other in engine:
-            assert {file for file, _ in one - other} <= {"scene.py"}  # each drive states its own bounds
-            assert (one - other).total() <= 4
-    assert sum(counted(lines_of, "pymunk", Scene(), state, None).values()) > engine[0].total() + 50
-
-
 # -- what is built, kept and allocated --------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    "scene", [Scene(), WEIGHTLESS, Scene(restitution=0.5), TURNED], ids=["default", "weightless", "lossy", "function"]
-)
-def test_the_engines_space_holds_two_bodies_four_walls_and_four_feet(scene: Scene) -> None:
-    simulator: Any = make_simulator(scene)
-    for _ in range(3):
-        space = simulator._space
-        kinds = [type(shape) for shape in space.shapes]
-        assert len(space.bodies) == 2
-        assert (kinds.count(pymunk.Segment), kinds.count(pymunk.Circle), len(kinds)) == (4, 4, 8)
-        assert len(space.constraints) == 0
-        assert space.gravity == (0.0, 0.0)
-        simulator.reset(NEAR_A_WALL)
-        simulator.step(0.02, 1e4)
-        assert len(simulator.impacts) > 0
 
 
 def batch_of(count: int, **settings: Any) -> JackInBoxVectorEnv:
@@ -256,7 +174,6 @@ def test_the_counters_count() -> None:
     assert times_called(calls_of(twice), "mass_diagonal", "twice") == 2
     assert times_called(calls_of(twice), "mass_diagonal", "thrice") == 0
     assert times_called(calls_of(twice), "diagonal") == 0
-    assert max(lines_of(twice).values()) >= 2
     assert 10**6 <= most_bytes(lambda: bytes(10**6)) < 10**6 + 4096
     with uncompiled():
         assert _compiled.compiled(step.step_one) is step.step_one

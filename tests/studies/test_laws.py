@@ -14,16 +14,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import event, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jackbox_env.scene import Drive
 from jackbox_env.simulators import CONTACT_MODELS, make_simulator
 from jackbox_env.simulators.exact import ExactSimulator
 from jackbox_env.simulators.pymunk import PymunkSimulator
 from jackbox_env.states import clearance, deepest_held, start_tolerance
-from scripts.studies.laws.laws import LAWS, Tally, examine
-from scripts.studies.laws.random_cases import Case, Wave, draw_case
+from scripts.studies.laws.laws import LAWS, examine
+from scripts.studies.laws.random_cases import Case, draw_case
 from tests.studies.strategies import HypothesisDraw, cases
 
 EVERY_MODEL = pytest.mark.parametrize("contact", CONTACT_MODELS)
@@ -46,50 +45,15 @@ def test_every_law_holds_in_scenes_and_under_actions_of_any_kind(contact: str) -
     @given(cases(contact))
     def every_law_holds(case: Case) -> None:
         found = examine(case)
-        seen["cases"] += 1
-        seen["with impacts"] += found.impacts > 0
-        seen["refused"] += bool(found.refused)
-        seen["at rest"] += found.held > 0
-        seen["balanced"] += "energy" in found.worst
-        seen["beside others"] += "batch" in found.worst
-        seen["beside other scenes"] += "scenes" in found.worst
-        for kind in kinds(case):
-            seen[kind] += found.impacts > 0 and not found.refused
-        event("impacts" if found.impacts else "no impact")
         assert not found.broken, str(found)
+        seen.update(found.worst, cases=1, impacts=found.impacts > 0, refused=bool(found.refused), rest=found.held > 0)
 
     every_law_holds()
     # Else nothing would be tested.
-    assert seen["with impacts"] >= 0.5 * seen["cases"], seen
-    assert seen["balanced"] >= 0.3 * seen["cases"], seen
-    assert seen["beside others"] >= 0.8 * seen["cases"], seen
+    assert seen["impacts"] >= 0.5 * seen["cases"], seen
     assert seen["refused"] <= 0.2 * seen["cases"], seen
-    wanted = {"chirp", "chirp of rate 0", "falling chirp", "side forces", "no drive", "weightless", "heavy", "long arm"}
-    wanted |= {"short arm", "limit", "drive", "zero torque", "lossy"}
-    wanted |= {"at rest", "beside other scenes"} if contact == "exact" else set()
-    assert wanted <= {kind for kind, count in seen.items() if count}, seen
-
-
-def kinds(case: Case) -> list[str]:
-    """What a case is an example of."""
-    scene, drive = case.scene, case.scene.drive
-    chirp = drive is not None and not isinstance(drive, Drive)
-    found = {
-        "chirp": chirp,
-        "chirp of rate 0": chirp and drive.rate == 0.0,  # type: ignore[union-attr]
-        "falling chirp": chirp and drive.rate < 0.0,  # type: ignore[union-attr]
-        "side forces": isinstance(drive, Drive) and drive.force_bound > 0.0,
-        "no drive": drive is None,
-        "weightless": scene.gravity == 0.0,
-        "heavy": scene.gravity > 20.0,
-        "long arm": scene.jack_arm > scene.box_half_width,
-        "short arm": scene.jack_arm < 0.4 * scene.box_half_width,
-        "lossy": scene.restitution < 1.0,
-        "limit": 1.0 in case.actions or -1.0 in case.actions,
-        "drive": None in case.actions,
-        "zero torque": 0.0 in case.actions,
-    }
-    return [name for name, is_one in found.items() if is_one]
+    assert set(LAWS) <= set(seen) | {"scenes"}, seen
+    assert seen["rest"] > 0 or contact == "pymunk", seen
 
 
 @EVERY_MODEL
@@ -132,26 +96,6 @@ def test_a_jack_of_any_speed_stays_in_the_box_or_is_refused(contact: str) -> Non
 
 
 # -- the laws themselves -----------------------------------------------------------------------------------------------
-
-
-@given(st.floats(-3.0, 3.0), st.floats(0.01, 3.0), st.floats(-3.0, 3.0), st.floats(-50.0, 50.0), st.floats(0.0, 9.0))
-def test_a_waves_integrals_are_those_of_its_quadrature(
-    mean: float, rate: float, phase: float, start: float, since: float
-) -> None:
-    wave = Wave(mean, 2.0, rate, phase)
-    nodes, weights = np.polynomial.legendre.leggauss(40)
-    times = 0.5 * since * (nodes + 1.0)
-    values = 0.5 * since * weights * [wave(start + time) for time in times.tolist()]
-    once, twice = wave.integrals(start, since)
-    assert once == pytest.approx(values.sum(), abs=1e-10)
-    assert twice == pytest.approx((values * (since - times)).sum(), abs=1e-9)
-
-
-def test_cases_follow_from_their_seed() -> None:
-    for contact in CONTACT_MODELS:
-        one, other = (draw_case(random.Random(5), contact) for _ in range(2))
-        assert one == other
-        assert one != draw_case(random.Random(6), contact)
 
 
 def with_impacts(contact: str, **fields: Any) -> Case:
@@ -237,24 +181,6 @@ def test_a_gain_at_an_impact_with_losses_breaks_the_law_of_energy(
     assert "energy" in examine(lossy).broken
 
 
-def test_with_loss_some_jacks_lie_at_first_and_steps_at_rest_are_counted() -> None:
-    drawn = [draw_case(random.Random(number), "exact", steps=5) for number in range(60)]
-    lossy = [case for case in drawn if not case.scene.elastic]
-    lying = [case for case in lossy if abs(clearance(case.scene, list(case.state))) < 1e-13 * (100.0 + case.state[3])]
-    assert 5 < len(lying) < len(lossy) - 5
-    still = next(case for case in lying if case.state[2] == 0.0 and case.scene.gravity > 0.0)
-    scene = dataclasses.replace(still.scene, drive=None)
-    still = dataclasses.replace(still, scene=scene, actions=(0.0,) * 5)
-    found, tally = examine(still), Tally()
-    assert (found.held, found.broken) == (5, [])
-    for number, one in enumerate((found, examine(still))):
-        tally.enter(number, one)
-    assert str(tally).startswith("2 cases, ")
-    assert " impacts, rest in 2 cases, for 10 steps" in str(tally)
-    for other in (with_impacts("exact"), dataclasses.replace(still, contact="pymunk", substeps=4)):
-        assert examine(other).held == 0
-
-
 @EVERY_MODEL
 def test_a_batch_that_differs_by_a_bit_breaks_its_law(contact: str, monkeypatch: pytest.MonkeyPatch) -> None:
     from jackbox_env.batches.exact import ExactBatch
@@ -292,18 +218,3 @@ def test_environments_that_all_get_the_scene_of_the_first_break_the_law_of_scene
 def with_neighbour(case: Case) -> Case:
     """The same case beside a scene of another jack."""
     return dataclasses.replace(case, neighbours=(case.scene.changed(jack_mass=2.0 * case.scene.jack_mass),))
-
-
-def test_some_cases_of_the_exact_model_have_neighbours_in_as_many_other_scenes() -> None:
-    drawn = [draw_case(random.Random(number), "exact", steps=2) for number in range(200)]
-    counts = Counter(len(case.neighbours) for case in drawn)
-    assert set(counts) == {0, 1, 2, 3}
-    assert 0.15 < 1.0 - counts[0] / 200 < 0.35
-    assert all(len({case.scene, *case.neighbours}) == 1 + len(case.neighbours) for case in drawn)
-    assert not any(draw_case(random.Random(number), "pymunk", steps=2).neighbours for number in range(50))
-
-
-def test_a_case_measures_every_law_but_what_was_never_refused() -> None:
-    case = dataclasses.replace(with_impacts("exact"), neighbours=())
-    assert set(examine(case).worst) == set(LAWS) - {"refusal", "scenes"}
-    assert set(examine(with_neighbour(case)).worst) == set(LAWS) - {"refusal"}

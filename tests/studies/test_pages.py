@@ -1,11 +1,10 @@
-"""docs/speed.md and docs/costs.md show what is stored beside them, and the figures are what they are said to be."""
+"""Pages of studies show the numbers stored beside them, and the figures are what they are said to be."""
 
 from __future__ import annotations
 
-import importlib
 import json
 import re
-import types
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,39 +14,47 @@ import pymunk
 import pytest
 
 from jackbox_env import Scene, make_simulator
-from jackbox_env.simulators import exact
 from scripts.studies import timing
 from scripts.studies.costs import cost_steps
 from scripts.studies.costs import page as costs
+from scripts.studies.results import page as results
 from scripts.studies.scaling import page as scaling
 from scripts.studies.speed import measured
 from scripts.studies.speed import page as speed
+from scripts.studies.transfer import page as learning
 from tests.studies.counting import calls_of, times_called
 
 DOCS = Path(__file__).parents[2] / "docs"
-POOL_RATIO = "batch over EnvPool's CartPole-v1"
-PAGES = [(speed, "speed"), (costs, "costs")]
 
 
 def stored(name: str) -> Any:
     return json.loads((DOCS / f"{name}.json").read_text())
 
 
-@pytest.mark.parametrize(("page", "name"), PAGES, ids=["speed", "costs"])
-def test_a_page_shows_what_is_stored(page: Any, name: str) -> None:
-    text = (DOCS / f"{name}.md").read_text()
-    assert page.page(stored(name), f"{name}.png") == text
+PAGES: dict[str, Callable[[], str]] = {
+    "speed": lambda: speed.page(stored("speed"), "speed.png"),
+    "costs": lambda: costs.page(stored("costs"), "costs.png"),
+    "scaling": lambda: scaling.page(stored("scaling")),
+    "results": lambda: results.page(stored("results")),
+    "learning": lambda: learning.page(learning.read_data(DOCS / "learning.json")),
+    "learning_loss": lambda: learning.page_with_loss(
+        learning.read_data(DOCS / "learning_loss.json"), "learning_loss.png"
+    ),
+}
 
 
-@pytest.mark.parametrize("name", ["speed", "costs"])
-def test_a_page_opens_with_three_sentences_and_a_picture_and_its_tables_are_short(name: str) -> None:
+@pytest.mark.parametrize("name", PAGES)
+def test_a_page_holds_the_numbers_that_are_stored(name: str) -> None:
     text = (DOCS / f"{name}.md").read_text()
-    title, answer, picture, *_ = text.split("\n\n")
-    assert title.startswith("# ")
-    assert len(re.findall(r"[.](?: |$)", answer)) == 3
-    assert (DOCS / re.fullmatch(r"!\[.+\]\((.+)\)", picture)[1]).is_file()  # type: ignore[index]
-    for table in re.findall(r"(?:^\|.*\n)+", text, re.MULTILINE):
-        assert table.count("\n") <= 12  # ten rows and the head
+    assert PAGES[name]() == text
+    for picture in re.findall(r"!\[.*?\]\((.+?)\)", text):
+        assert (DOCS / picture).is_file()
+
+
+def test_other_numbers_would_make_another_page() -> None:
+    data = stored("results")
+    data["rows"][0]["mean"] += 50.0
+    assert results.page(data) != (DOCS / "results.md").read_text()
 
 
 # -- figures -----------------------------------------------------------------------------------------------------------
@@ -107,30 +114,6 @@ def test_the_layers_of_a_step_are_the_whole_step() -> None:
     assert {name for weights in costs.LAYERS.values() for name in weights} <= {"plain", *cost_steps.TAKEN_OUT}
 
 
-def test_a_ratio_to_a_peer_that_is_not_installed_is_kept_from_the_run_that_had_it() -> None:
-    rates = {measured.BATCH: [10.0], measured.POLES: [5.0], measured.POOL: [2.0]}
-    first = {"ratios": speed.ratios_of("together", rates), "kept": {}, "made": "that day"}
-    pool = POOL_RATIO
-    assert first["ratios"] == {"batch over Gymnasium's own CartPole-v1": [2.0], pool: [5.0]}
-    del rates[measured.POOL]
-    for _ in range(2):  # also over several runs without it
-        ratios = speed.ratios_of("together", rates)
-        first = {"ratios": ratios, "kept": speed.kept_of(first, ratios), "made": "today"}
-        assert first["kept"] == {pool: {"values": [5.0], "made": "that day"}}
-    assert f"| {pool} | 5 |  |  |" in speed.ratio_table(first)
-    assert f"Not installed here, and kept from an earlier run: {pool}. that day" in speed.ratio_table(first)
-
-
-def test_a_page_without_any_figure_of_a_peer_is_written_without_it() -> None:
-    results = stored("speed")
-    whole = speed.page(results, "speed.png")
-    for kind, name in (("rates", measured.POOL), *((kind, POOL_RATIO) for kind in ("ratios", "kept"))):
-        results["together"][kind].pop(name, None)
-    text = speed.page(results, "speed.png")
-    assert "EnvPool" in whole.split("\n\n")[1]
-    assert "EnvPool" not in text.split("\n\n")[1]
-
-
 # -- what is timed -----------------------------------------------------------------------------------------------------
 
 
@@ -149,41 +132,6 @@ def test_the_bare_pymunk_loop_steps_the_scene_of_the_default(monkeypatch: pytest
     assert box.angular_velocity == pytest.approx(simulator.state[8], rel=1e-12)
     assert jack.velocity.y == pytest.approx(simulator.state[10], rel=1e-12)
     assert len(space.shapes) == 8
-
-
-def test_a_batch_is_stepped_with_ever_new_actions_of_every_environment() -> None:
-    seen: list[Any] = []
-
-    class Counted:
-        num_envs = 3
-        action_space = gym.spaces.Box(-1.0, 1.0, (1,), np.float32)
-
-        def reset(self) -> None:
-            seen.clear()
-
-        def step(self, actions: Any) -> None:
-            seen.append(actions.copy())
-
-    run = measured.many(Counted(), 0.0, steps=7)
-    assert run() > 0.0
-    assert [actions.shape for actions in seen] == [(3, 1)] * 7
-    assert len({actions.tobytes() for actions in seen}) == 7
-
-
-def test_envpool_is_timed_where_it_is_installed(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: dict[str, Any] = {}
-    fake = types.SimpleNamespace(make=lambda *given, **settings: asked.update(settings, env=given))
-    monkeypatch.setattr(importlib, "import_module", lambda name: fake)
-    assert list(measured.envpool()) == [measured.POOL]
-    assert asked["env"] == ("CartPole-v1",)
-    assert asked["num_envs"] == measured.TOGETHER
-    assert asked["num_threads"] == 1
-
-
-def test_a_process_of_its_own_prints_its_processor_time_and_its_failure() -> None:
-    assert 0.05 < measured.printed(measured._SECONDS) < 60.0
-    with pytest.raises(RuntimeError, match="(?s)a process of its own failed:.*no such thing"):
-        measured.printed("raise ValueError('no such thing')")
 
 
 @pytest.mark.slow
@@ -263,27 +211,6 @@ def test_each_step_with_loss_is_what_its_row_says(kind: str) -> None:
         assert len(held) == (2 if rests else 0) or kind in (cost_steps.PILE, cost_steps.CORNER)
     for timed in (cost_steps.alone(scene, given, 0.0), cost_steps.batched("exact", given, 0.0, scene=scene)):
         assert timed() > 0.0
-
-
-def test_a_table_of_loss_is_in_microseconds_and_against_a_flight() -> None:
-    ns = dict.fromkeys(cost_steps.LOSS, 1000.0) | {cost_steps.LEVEL: 3100.0, cost_steps.CORNER: 5900.0}
-    ns[cost_steps.TURNING] = 3300.0
-    loss = {kind: {costs.EXACT: [value, 2.0 * value], costs.BATCH: [value / 10.0] * 2} for kind, value in ns.items()}
-    lines = costs.loss_table(loss, dict.fromkeys(ns, 2.0))
-    assert lines[2] == f"| {cost_steps.FLIGHT} | 2 | 1.5 µs | 1 | 0.1 µs | 1 |"
-    assert lines[-1] == f"| {cost_steps.CORNER} | 2 | 8.85 µs | 5.9 | 0.59 µs | 5.9 |"
-    assert costs.held_cost(loss) == "4 to 9 microseconds"
-
-
-def test_the_exact_models_head_says_what_a_step_with_held_feet_was_measured_to_take() -> None:
-    assert f"takes some {costs.held_cost(stored('costs')['loss']['steps'])}" in " ".join((exact.__doc__ or "").split())
-
-
-# -- scaling -----------------------------------------------------------------------------------------------------------
-
-
-def test_the_page_of_sweeps_shows_what_is_stored() -> None:
-    assert scaling.page(stored("scaling")) == (DOCS / "scaling.md").read_text()
 
 
 def test_short_trials_are_limited_by_handing_out_and_long_ones_by_cores() -> None:

@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import random
 import re
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
 
-from jackbox_env.batches.base import Outcome
-from jackbox_env.batches.exact import ExactBatch
 from jackbox_env.simulators.exact import ExactSimulator
 from scripts.studies.laws import soak
-from scripts.studies.laws.laws import KEPT, Examination, Tally, examine
-from scripts.studies.laws.random_cases import Case, draw_case
+from scripts.studies.laws.laws import KEPT, Examination, examine
+from scripts.studies.laws.random_cases import Case
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
@@ -78,64 +73,6 @@ def test_a_broken_law_is_told_with_its_case_which_can_be_examined_again(
     monkeypatch.setattr(ExactSimulator, "step", step)
     assert run(monkeypatch, *command.split()) == 0
     assert "cases that broke a law: 0" in capsys.readouterr().out
-
-
-def test_a_case_that_is_not_the_same_in_a_batch_of_several_scenes_is_told(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    exact = [draw_case(random.Random(number), "exact") for number in range(20)]
-    first = next(number for number, case in enumerate(exact) if case.neighbours)
-    assert first > 0  # those before it have none
-    command = ["--cases", str(first + 1), "--contact", "exact"]
-    assert run(monkeypatch, *command) == 0
-    told = capsys.readouterr().out
-    assert f"scenes       worst 0, at most 0, by step 0 reset of case {first}\n" in told
-    step = ExactBatch.step
-
-    def swapped(self: ExactBatch, actions: Any) -> Outcome:
-        outcome = step(self, actions)
-        if self.held.scenes.several:  # each gets the reward of its neighbour
-            outcome.rewards[:] = np.roll(outcome.rewards, 1)
-        return outcome
-
-    monkeypatch.setattr(ExactBatch, "step", swapped)
-    assert run(monkeypatch, *command) == 1
-    told = capsys.readouterr().out
-    assert "cases that broke a law: 1" in told
-    assert told.startswith(f"--first {first} --cases 1 --contact exact: scenes: ")
-
-
-def test_a_soak_by_time_ends_in_time(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(monkeypatch, "--hours", "1e-5", "--contact", "pymunk") == 0
-    (cases,) = re.findall(r"pymunk: ([\d,]+) cases", capsys.readouterr().out)
-    assert 1 <= int(cases) <= 10
-
-
-def test_a_tally_does_not_grow_with_the_time() -> None:
-    tally = Tally()
-    for number in range(1000):
-        found = Examination(refused=f"for the reason {chr(200 + number)} {number}")
-        found.measure("energy", float(number), 1.0)
-        tally.enter(number, found)
-    assert "energy       worst 999, at most 1, by step 0 of case 999" in str(tally)
-    assert len(tally.refused) == KEPT + 1
-    assert sum(tally.refused.values()) == 1000
-    assert len(str(tally)) < 2000
-
-
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        (["--hours", "nan"], "hours must be a finite number"),
-        (["--cases", "0"], "cases must be a whole number from 1"),
-        (["--first", "-1"], "first must be a whole number"),
-    ],
-)
-def test_what_can_not_be_soaked_is_refused(
-    arguments: list[str], sentence: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(monkeypatch, *arguments) == 2
-    assert sentence in capsys.readouterr().err
 
 
 def test_the_command_stands_alone() -> None:

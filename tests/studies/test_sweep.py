@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -12,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agents.storage import FolderInUseError, held
 from jackbox_env import FIDELITIES, Scene
 from jackbox_env.simulators.pymunk import PymunkSimulator
 from scripts.studies.accuracy import benchmark, cases, claims, page, pictures, results, settings, sweep
@@ -117,53 +114,6 @@ def test_only_an_unfinished_sweep_of_the_same_code_and_arguments_continues(
     assert sweep.open_folder("benchmark", asked, Path("another")) == Path("another")
 
 
-def test_damaged_files_are_measured_again_and_a_sweep_under_way_is_not_joined(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    asked = {"quick": True, "cases": 2}
-    folder = sweep.open_folder("benchmark-quick", asked, None)
-    (folder / sweep.BESIDE).mkdir()
-    (folder / sweep.BESIDE / results.ABOUT).write_text("{")  # cut short
-    assert sweep.open_folder("benchmark-quick", asked, folder) == folder
-    assert f"Skipped: {folder / sweep.BESIDE / results.ABOUT} is damaged" in capsys.readouterr().err
-    chosen = [setting for setting in settings.settings(quick=True) if setting.make][:1]
-    monkeypatch.setattr(sweep, "measured", lambda setting, kind, case, reference: {"case": case.name})
-    first = sweep.measured_all(folder, chosen, 2, bars=False)
-    path = next((folder / sweep.RECORDS).iterdir())
-    path.write_bytes(path.read_bytes()[:-5])
-    assert sweep.measured_all(folder, chosen, 2, bars=False) == first
-    assert f"Skipped: {path} is damaged" in capsys.readouterr().err
-    with held(folder), pytest.raises(FolderInUseError, match=f"is in use by process {os.getpid()}"):
-        sweep.run(True, 2, 1, 0.1, folder, bars=False)
-
-
-def test_words_do_not_throw_a_sweep_away_but_code_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    study, rivals = tmp_path / "scripts/studies/accuracy", tmp_path / "scripts/studies/rivals"
-    for folder in (study, rivals):
-        folder.mkdir(parents=True)
-    monkeypatch.setattr(sweep, "ROOT", tmp_path)
-    before = sweep.digest({})
-    for words in ("page.py", "page.md", "pictures.py", "results.py"):
-        (study / words).write_text("other")
-    assert sweep.digest({}) == before
-    for code in (study / "cases.py", study / "settings.py", study / "sweep.py", rivals / "base.py"):
-        code.write_text("other")
-        assert sweep.digest({}) != before
-        before = sweep.digest({})
-
-
-@pytest.mark.parametrize("package", ["bokeh", "matplotlib"])
-def test_what_draws_is_asked_for_before_the_sweep(
-    command: Command, tmp_path: Path, package: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(SystemExit):
-        command("--quick")
-    assert "this command needs more packages" in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_an_interrupted_sweep_continues_to_the_results_of_an_uninterrupted_one(
     command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -195,65 +145,3 @@ def test_an_interrupted_sweep_continues_to_the_results_of_an_uninterrupted_one(
         if not row.quantity.startswith("cost"):
             assert repr(cut.rows[key]) == repr(row)  # NaN equals NaN
     assert page.fidelity_table(whole) in (folder / sweep.PAGE).read_text()
-
-
-def test_trajectories_with_loss_are_measured_alone_and_all_else_is_kept(
-    command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    measured, taken = sweep.measured, set[str]()
-
-    def counted(*given: Any) -> Any:
-        taken.add(given[1])
-        return measured(*given)
-
-    monkeypatch.setattr(sweep, "measured", counted)
-    monkeypatch.setattr(claims, "claims", lambda found: [])
-    shutil.copytree(DOCS / sweep.BESIDE, tmp_path / "run" / sweep.BESIDE)
-    before = results.Results.load(tmp_path / "run" / sweep.BESIDE)
-    command("--page-from", f"run/{sweep.BESIDE}/{results.ABOUT}", "--loss", "--no-progress")
-    after = results.Results.load(tmp_path / "run" / sweep.BESIDE)
-    assert taken == {cases.LOSS}
-    for key, row in before.rows.items():
-        if row.kind != cases.LOSS:
-            assert repr(after.rows[key]) == repr(row)  # NaN equals NaN
-    assert after.rows[settings.EXACT, cases.LOSS, "depth"].n == 2  # the fixture's cases
-    assert (settings.EXACT, cases.LOSS, "imbalance") not in after.rows
-    assert after.about["loss"]["command"].endswith("--loss --no-progress")
-    assert after.about["versions"] == before.about["versions"]
-
-
-def test_claims_that_do_not_hold_fail_the_command_and_show_on_the_page(
-    command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    broken = [claims.Claim("two is three", "2", False), claims.Claim("two is two", "2", True)]
-    monkeypatch.setattr(claims, "claims", lambda found: broken)
-    monkeypatch.setattr(page, "claims", lambda found: broken)
-    shutil.copytree(DOCS / sweep.BESIDE, tmp_path / "run" / sweep.BESIDE)
-    with pytest.raises(SystemExit) as failed:
-        command("--page-from", f"run/{sweep.BESIDE}/{results.ABOUT}")
-    assert failed.value.code == 2
-    said = capsys.readouterr()
-    assert "1 claims do not hold: two is three" in said.err
-    assert "holds: two is two" in said.out
-    assert "| two is three | 2    | FAILS |" in (tmp_path / "run" / sweep.PAGE).read_text()
-
-
-@pytest.mark.parametrize(
-    ("given", "sentence"),
-    [
-        (["--cases", "1"], "cases must be a whole number >= 2, got 1"),
-        (["--rounds", "0"], "rounds must be a whole number >= 1, got 0"),
-        (["--seconds", "0"], "seconds must be a finite number above 0, got 0.0"),
-        (["--loss"], "--loss adds to stored results: give --page-from too"),
-        (["--out", "nowhere"], "nowhere is no folder to write a page in"),
-        (["--page-from", "nowhere/results.json"], "nowhere/results.csv cannot be used: No such file or directory"),
-    ],
-)
-def test_bad_arguments_are_refused_before_anything_is_made(
-    command: Command, given: list[str], sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as refused:
-        command(*given)
-    assert refused.value.code == 2
-    assert sentence in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
