@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -34,11 +33,6 @@ def test_it_names_its_commands(tmp_path: Path) -> None:
     assert refused == expected
 
 
-def test_it_runs_the_scripts_of_the_checkout(tmp_path: Path) -> None:
-    out = jackbox("evaluate", "--policy", "zero", "--episodes", "1", cwd=tmp_path).stdout
-    assert "| zero" in out
-
-
 def test_it_names_itself_in_the_command_to_go_on_with(tmp_path: Path) -> None:
     shipped = ROOT / "agents" / "trained" / "spin-ppo"
     run = tmp_path / "run"
@@ -54,12 +48,10 @@ def test_it_names_itself_in_the_command_to_go_on_with(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("leads", "status"), [("2>&-", 0), (">&-", 0), ("| true", 141), (">/dev/full", 2)])
-@pytest.mark.parametrize("unbuffered", ["", "1"])
-def test_files_are_written_wherever_the_output_leads(tmp_path: Path, leads: str, status: int, unbuffered: str) -> None:
+def test_files_are_written_wherever_the_output_leads(tmp_path: Path, leads: str, status: int) -> None:
     simulate = f"{sys.executable} -m jackbox_env simulate --seconds 0.1 --no-plots --folder run"
     command = ["bash", "-c", f"{simulate} {leads}; exit ${{PIPESTATUS[0]}}"]
-    surroundings = {**os.environ, "PYTHONUNBUFFERED": unbuffered}
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=surroundings, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
     assert done.returncode == status, done.stderr
     assert sorted(path.name for path in (tmp_path / "run").iterdir()) == ["impacts.csv", "states.csv"]
     lines = [line for line in done.stderr.splitlines() if line.strip() and "step/s" not in line]

@@ -119,20 +119,6 @@ def test_pause_holds_and_play_goes_on(opened: Opened) -> None:
     assert opened.time > held
 
 
-def test_keys_work_after_a_click_on_a_button_which_keeps_space_and_enter(opened: Opened) -> None:
-    opened.pause()
-    opened.seek(4.0)
-    opened.page.click("#before")
-    held = opened.time
-    opened.page.keyboard.press("ArrowRight")
-    assert opened.time == pytest.approx(held + 1 / 60, abs=0.006)
-    opened.page.click("#play")  # plays
-    opened.page.keyboard.press("Space")  # presses that button
-    assert not opened.playing
-    opened.page.keyboard.press("Enter")
-    assert opened.playing
-
-
 def test_a_speed_and_the_end(opened: Opened) -> None:
     opened.page.select_option("#speed", "4")
     opened.page.uncheck("#loop")
@@ -166,16 +152,6 @@ def test_the_list_names_each_impact_and_a_click_jumps_to_it(opened: Opened, traj
         assert opened.page.locator("#hits").inner_text() == str(place + 1)
 
 
-def test_the_impacts_before_and_after(opened: Opened, trajectory: Trajectory) -> None:
-    opened.pause()
-    opened.seek(3.0)
-    opened.page.click("#after")
-    later = next(hit.time for hit in trajectory.impacts if hit.time > 3.0)
-    assert opened.time == pytest.approx(later, abs=0.006)
-    opened.page.click("#before")
-    assert opened.time == pytest.approx(max(hit.time for hit in trajectory.impacts if hit.time < 3.0), abs=0.006)
-
-
 @pytest.mark.parametrize("plots", ["box-plots", "jack-plots", "torque-plots", "energy-plots"])
 def test_a_click_and_a_drag_in_a_plot_seek(opened: Opened, plots: str) -> None:
     opened.pause()
@@ -193,16 +169,7 @@ def test_a_click_and_a_drag_in_a_plot_seek(opened: Opened, plots: str) -> None:
     assert opened.time == pytest.approx(2.0, abs=0.05)
 
 
-def test_a_click_in_the_path_seeks_the_time_there(opened: Opened) -> None:
-    opened.pause()
-    opened.seek(4.0)
-    box = opened.page.locator("#path i").nth(1).bounding_box()  # where the jack is
-    opened.seek(9.0)
-    opened.page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
-    assert opened.time == pytest.approx(4.0, abs=0.1)
-
-
-@pytest.mark.parametrize("since", [-0.004, -0.0005, 0.0005, 0.004, 0.0137])
+@pytest.mark.parametrize("since", [-0.004, 0.0005, 0.0137])
 def test_between_its_samples_it_shows_where_the_model_is(opened: Opened, trajectory: Trajectory, since: float) -> None:
     """Also next to an impact, between two stored states: the corner is not cut."""
     opened.pause()
@@ -216,30 +183,9 @@ def test_between_its_samples_it_shows_where_the_model_is(opened: Opened, traject
         np.testing.assert_allclose(shown, expected, rtol=1e-3, atol=2e-3)
 
 
-def test_a_frame_takes_a_fraction_of_a_sixtieth_of_a_second(opened: Opened) -> None:
-    session = opened.page.context.new_cdp_session(opened.page)
-    session.send("Performance.enable")
-
-    def spent() -> float:
-        metrics = session.send("Performance.getMetrics")["metrics"]
-        return float(sum(one["value"] for one in metrics if one["name"] in ("ScriptDuration", "LayoutDuration")))
-
-    count = """() => new Promise(done => {
-        let frames = 0;
-        const began = performance.now();
-        const next = () => {
-            frames++;
-            performance.now() - began < 2000 ? requestAnimationFrame(next) : done(frames);
-        };
-        next();
-    })"""
-    before = spent()
-    frames = opened.page.evaluate(count)
-    assert (spent() - before) / frames < 0.010  # [s], of 0.0167; 0.003 on two slow cores that others use too
-
-
-@pytest.mark.parametrize(("width", "height"), [(390, 844), (320, 568), (768, 1024), (1920, 1080)])
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize(
+    ("width", "height", "scheme"), [(320, 568, "dark"), (390, 844, "light"), (1920, 1080, "light")]
+)
 def test_every_width_shows_all_without_sideways_scrolling(
     browser: Any, file: Path, width: int, height: int, scheme: str
 ) -> None:
@@ -259,21 +205,6 @@ def test_every_width_shows_all_without_sideways_scrolling(
     assert (brightness > 600) == (scheme == "light")
     assert opened.complaints == []
     opened.page.close()
-
-
-def test_a_window_of_another_height_does_not_stretch_the_drawings(opened: Opened) -> None:
-    opened.pause()
-    off = """(canvas) =>
-        Math.abs(canvas.width - canvas.clientWidth) + Math.abs(canvas.height - canvas.clientHeight)"""
-    drawings = [opened.page.locator(canvas) for canvas in ("#stage canvas", "#path canvas")]
-    for height in (600, 1000):
-        opened.page.set_viewport_size({"width": 1280, "height": height})
-        opened.wait(lambda: all(drawn.evaluate(off) < 2.0 for drawn in drawings))
-
-
-def test_the_list_has_room_beside_a_scroll_bar(opened: Opened) -> None:
-    opened.page.locator("#rows").evaluate("(rows) => { rows.style.width = '275px'; }")
-    assert opened.page.locator("#rows").evaluate("(rows) => rows.scrollWidth") <= 275
 
 
 @pytest.fixture(scope="module")

