@@ -67,7 +67,7 @@ machines: .venv/ready
 
 # Trainings killed 200 times at random moments; 10,000 interruptions of steps and rollouts.
 kills: .venv/ready
-	@JACKBOX_KILLS=200 $(BIN)/python -m pytest -q tests/agents/test_kills.py
+	@JACKBOX_KILLS=200 $(BIN)/python -m pytest -q tests/guarantees/test_kills.py
 
 interruptions: .venv/ready
 	@$(BIN)/python scripts/studies/laws/interruptions.py

@@ -21,7 +21,7 @@ from agents.storage import DamagedFileError
 from agents.training import MODEL
 from jackbox_env.storage import new_folder
 from scripts import train as command
-from tests.agents.killing import KILLS, SMALL, expected_steps, short_episodes
+from tests.agents.killing import SMALL, expected_steps, short_episodes
 
 STOPPED = 80  # steps done of the 96, two evaluations among them
 NEWEST = f"{CHECKPOINTS}/ppo_{STOPPED}.zip"
@@ -78,11 +78,7 @@ def flipped(content: bytes, place: int | None = None) -> bytes:
 HARMS: dict[str, Callable[[bytes], bytes]] = {
     "empty": cut_to(0.0),
     "half": cut_to(0.5),
-    "zeros from the middle": lambda content: content[: len(content) // 2] + bytes(len(content) - len(content) // 2),
 }
-if KILLS > 3:
-    HARMS |= {f"{share:.3f} of it": cut_to(share) for share in np.linspace(0.001, 0.999, min(KILLS, 40))}
-    HARMS |= {"a byte short": lambda content: content[:-1], "zeros": lambda content: bytes(len(content))}
 
 
 def harm(path: Path, how: str) -> None:
@@ -181,31 +177,12 @@ def test_a_damaged_best_model_is_made_again_from_its_checkpoint(
     assert last == ((folder / MODEL).read_bytes() if last else b"")
 
 
-def test_a_best_model_that_cannot_be_made_again_is_set_aside(stopped: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    harm(stopped / BEST, "half")
-    harm(stopped / EVALUATIONS, "half")
-    damaged = (stopped / BEST).read_bytes()
-    goes_on_to_its_end(stopped)
-    assert f"Set {stopped / BEST} aside as best_model.zip.damaged" in capsys.readouterr().err
-    assert (stopped / "best_model.zip.damaged").read_bytes() == damaged
-    assert read_model_file(stopped / BEST)[1]["timesteps"] == 96
-
-
 @pytest.mark.parametrize("how", [*HARMS, "flipped"])
 def test_a_damaged_model_is_not_the_end_of_a_run(how: str, finished: Path, capsys: pytest.CaptureFixture[str]) -> None:
     harm(finished / MODEL, how)
     goes_on_to_its_end(finished)
     assert f"Skipped: {finished / MODEL} is damaged, so the run is not finished" in capsys.readouterr().err
     assert read_evaluations(finished, SMALL.eval_episodes).timesteps == expected_steps(SMALL)
-
-
-@pytest.mark.parametrize("how", HARMS)
-def test_files_that_a_training_does_not_read_may_be_damaged(how: str, stopped: Path) -> None:
-    (events,) = (stopped / "tensorboard").iterdir()
-    for path in (stopped / "run.json", stopped / "lock", events, checkpoint_path(stopped, 48)):
-        harm(path, how)
-    goes_on_to_its_end(stopped)
-    assert read_evaluations(stopped, SMALL.eval_episodes).timesteps == expected_steps(SMALL)
 
 
 @pytest.mark.parametrize("how", HARMS)
@@ -224,14 +201,6 @@ def test_damaged_settings_are_refused_in_a_sentence(
     assert sentence.startswith(f"{path} holds no settings of a run: ")
     assert before == SMALL
     assert not (stopped / MODEL).exists()
-
-
-def test_what_a_killed_process_was_writing_is_removed(stopped: Path) -> None:
-    left = [stopped / ".evaluations.npz.1.partial.npz", stopped / CHECKPOINTS / ".ppo_96.zip.1.partial.zip"]
-    for path in left:
-        path.write_bytes(b"PK")
-    goes_on_to_its_end(stopped)
-    assert not any(path.exists() for path in left)
 
 
 def test_a_checkpoint_of_other_settings_is_refused_and_not_taken_for_a_damaged_one(stopped: Path) -> None:

@@ -15,10 +15,8 @@ from stable_baselines3.common.evaluation import evaluate_policy
 import jackbox_env  # noqa: F401
 from agents import training
 from agents.evaluation import evaluate
-from agents.film import film
 from agents.holding import HoldingPPO
 from agents.models import holding, load_model, make_ppo, make_vec_env
-from agents.policies import Baseline
 from agents.runs import describe
 from agents.settings import TrainSettings
 from jackbox_env.sb3_wrappers import HoldingVecEnv
@@ -47,11 +45,6 @@ def model() -> HoldingPPO:
 def test_a_hold_that_does_not_divide_an_episode_is_refused(hold: Any, sentence: str) -> None:
     with pytest.raises((TypeError, ValueError), match=sentence):
         TrainSettings(hold=hold)
-
-
-def test_a_preview_is_on_or_off() -> None:
-    with pytest.raises(TypeError, match="preview must be"):
-        TrainSettings(preview="yes")  # type: ignore[arg-type]
 
 
 # -- training ----------------------------------------------------------------------------------------------------------
@@ -90,11 +83,6 @@ def test_an_episode_that_ends_while_an_action_is_held_is_refused() -> None:
     environments.step(np.zeros((2, 1), dtype=np.float32))
     with pytest.raises(RuntimeError, match="multiple of hold = 5 steps, got one that ended 2 steps after"):
         environments.step(np.zeros((2, 1), dtype=np.float32))
-
-
-def test_one_step_is_not_wrapped() -> None:
-    environments = make_vec_env({}, 1, 0)
-    assert holding(environments, 1) is environments
 
 
 # -- playing -----------------------------------------------------------------------------------------------------------
@@ -234,15 +222,3 @@ def test_training_with_hold_and_preview_saves_loads_and_resumes(tmp_path: Path) 
     again = load_model(trusted, trust=True)
     assert again.manner.hold == HOLD
     assert evaluate("PPO", again, HELD.env_settings, 2, seed=0).returns == returns[0]
-
-
-def test_films_hold_actions_too(model: HoldingPPO, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    chosen, choose = [], model.policy.predict
-
-    def watched(*given: Any, **more: Any) -> Any:
-        chosen.append(choose(*given, **more))
-        return chosen[-1]
-
-    monkeypatch.setattr(model.policy, "predict", watched)
-    film({"PPO": Baseline(model, {})}, {}, tmp_path / "film.gif", seed=0, seconds=0.6, width=64, progress=False)
-    assert len(chosen) == 30 // HOLD

