@@ -10,12 +10,11 @@ from typing import Any
 import pytest
 
 from agents import evaluation, training
-from agents.episodes import page_names, record_episode
-from agents.models import derived_seed, load_model
+from agents.episodes import record_episode
+from agents.models import derived_seed
 from agents.network import SHIPPED
 from agents.policies import baseline
-from agents.runs import describe
-from agents.settings import EnvSettings, TrainSettings
+from agents.settings import EnvSettings
 from jackbox_env import Scene
 from tests.agents.small_run import TINY
 from tests.agents.test_commands import script
@@ -38,18 +37,6 @@ def test_a_page_shows_the_scene_that_was_drawn(tmp_path: Path) -> None:
     scene = record_episode(baseline("level", Scene()), settings, derived_seed("evaluation", 0)).scene
     assert data["halfWidth"] == scene.box_half_width != 6.0
     assert dict(data["facts"])["gravity"] == f"{scene.gravity:g} m/s\u00b2"
-
-
-def test_pages_have_short_names_of_their_own() -> None:
-    long = "y" * 300
-    names = page_names(["a/b/run", "a_b_run", "c/run", "c/RUN", "..", ".hidden", long, f"{long}z", "zero", "sp\u00e4t"])
-    assert list(names.values())[:4] == ["run.html", "a_b_run.html", "run-2.html", "RUN-3.html"]
-    assert names["zero"] == "zero.html"
-    assert len({name.lower() for name in names.values()}) == len(names)
-    for name in names.values():
-        assert len(name) < 100
-        assert not name.startswith(".")
-        assert name.isascii()
 
 
 def test_an_error_leaves_no_pages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -104,23 +91,6 @@ def test_shipped_networks_are_noted_that_were_trained_elsewhere(tmp_path: Path) 
     assert "Note:" not in done.stderr
 
 
-def test_a_planner_among_varied_scenes_is_noted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from agents.evaluation import Returns
-
-    monkeypatch.setattr(evaluation, "evaluate", lambda name, *rest, **more: Returns(name, (1.0, 2.0)))
-    varied = ["--policy", "planner", "level", "--contact", "exact", "--randomize", '{"jack_mass": [2, 6]}']
-    done = script("evaluate", *varied, cwd=tmp_path)
-    assert done.stderr == "Note: planner plans in the scene that is given, not in those that randomize draws\n"
-
-
-def test_lookahead_says_its_whole_range() -> None:
-    for given in (-1, 3, 5000):
-        with pytest.raises(ValueError, match=r"lookahead must be .*0.* 4096, got"):
-            TrainSettings(lookahead=given, hold=5)
-    with pytest.raises(ValueError, match="lookahead must be 0 or from 8 to 4096, got 3"):
-        TrainSettings(lookahead=3, hold=5)
-
-
 # -- training ----------------------------------------------------------------------------------------------------------
 
 
@@ -133,21 +103,3 @@ def test_an_exported_policy_is_not_trained_over(tmp_path: Path) -> None:
     with pytest.raises(FileExistsError, match="holds an exported policy, which cannot be trained on"):
         training.train(TINY, copy, progress=False)
     assert {path.name: path.read_bytes() for path in copy.iterdir()} == before
-
-
-def test_an_error_in_training_is_told_on_a_line_of_its_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    from agents import checkpoints
-
-    def full(*given: Any) -> None:
-        raise OSError("the disk is full")
-
-    (tmp_path / "run").mkdir()
-    describe(tmp_path / "run", TINY)
-    monkeypatch.setattr(checkpoints, "write_bytes", full)
-    with pytest.warns(match="rich is experimental"), pytest.raises(OSError, match="the disk is full"):
-        training.train(TINY, tmp_path / "run", progress=True)
-    assert capfd.readouterr().out.endswith("\n")
-    with pytest.raises(FileNotFoundError, match="holds no model"):
-        load_model(tmp_path / "run")

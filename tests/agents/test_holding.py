@@ -18,7 +18,6 @@ from agents.evaluation import evaluate
 from agents.holding import HoldingPPO
 from agents.models import holding, load_model, make_ppo, make_vec_env
 from agents.runs import describe
-from agents.settings import TrainSettings
 from jackbox_env.sb3_wrappers import HoldingVecEnv
 from jackbox_env.storage import new_folder
 from tests.agents.small_run import TINY
@@ -31,20 +30,6 @@ HELD = replace(TINY, contact="exact", hold=HOLD, preview=True)
 def model() -> HoldingPPO:
     """An untrained policy that moves much: its standard deviation is 1."""
     return make_ppo(HELD, make_vec_env(HELD.env_settings, 1, 0))
-
-
-@pytest.mark.parametrize(
-    ("hold", "sentence"),
-    [
-        (3, "hold must divide the 500 control steps of an episode, got 3"),
-        (0, "hold must be a whole number from 1 to 500, got 0"),
-        (1000, "hold must be a whole number from 1 to 500, got 1000"),
-        (2.0, "hold must be a whole number from 1 to 500, got 2.0"),
-    ],
-)
-def test_a_hold_that_does_not_divide_an_episode_is_refused(hold: Any, sentence: str) -> None:
-    with pytest.raises((TypeError, ValueError), match=sentence):
-        TrainSettings(hold=hold)
 
 
 # -- training ----------------------------------------------------------------------------------------------------------

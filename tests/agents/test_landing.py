@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +23,7 @@ from agents.landing import (
     write_landing,
 )
 from agents.network import Layer
-from agents.observing import mirrored, observations
+from agents.observing import observations
 from agents.settings import EnvSettings
 from agents.value import INPUTS
 from jackbox_env import Scene, make_simulator
@@ -90,13 +88,6 @@ def test_a_box_turned_by_quarters_is_the_same_box() -> None:
     np.testing.assert_allclose(policy.torques(turned), policy.torques(states), atol=1e-9)
 
 
-def test_mirrored_states_are_worth_mirrored_pairs() -> None:
-    states = starts(12)
-    times, targets = landing_times(FREE, states), np.tile([[0.2, 0.4]], (12, 1))
-    other = bounced(FREE, mirrored(states), times, -targets)
-    np.testing.assert_allclose(mirrored(other), bounced(FREE, states, times, targets), atol=1e-9)
-
-
 def test_the_box_is_turned_to_the_pair_that_is_worth_most() -> None:
     class Told(LandingPolicy):
         def worth(self, states: Array, times: Array) -> Array:
@@ -159,26 +150,7 @@ def test_the_shipped_one_juggles_better_than_ppo() -> None:
     assert "distilled" in shipped_names("juggle")
     settings = EnvSettings(contact="exact")
     distilled, ppo = (
-        evaluate(name, find_policy(name, settings, 0).policy, settings.env_settings, 32, 3)
+        evaluate(name, find_policy(name, settings, 0).policy, settings.env_settings, 16, 3)
         for name in ("distilled", "ppo")
     )
     assert distilled.interval[0] > ppo.interval[1], (distilled.interval, ppo.interval)
-
-
-def test_it_plays_without_torch() -> None:
-    code = (
-        "import sys; sys.modules['torch'] = sys.modules['stable_baselines3'] = None\n"
-        "from agents.network import SHIPPED\n"
-        "from agents.landing import read_landing\n"
-        "import gymnasium as gym, jackbox_env\n"
-        "env, policy, state = gym.make('JackInBox-v0'), read_landing(SHIPPED / 'juggle-distilled'), None\n"
-        "seen, _ = env.reset(seed=0)\n"
-        "total = 0.0\n"
-        "for _ in range(500):\n"
-        "    action, state = policy.predict(seen, state)\n"
-        "    seen, reward, *_ = env.step(action)\n"
-        "    total += reward\n"
-        "print(total)\n"
-    )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert 200.0 < float(run.stdout) < 350.0

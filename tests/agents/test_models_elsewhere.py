@@ -69,13 +69,6 @@ def actions_of(model: HoldingPPO) -> list[float]:
     return [float(action) for action in actions.ravel()]
 
 
-def test_a_model_with_the_preview_needs_a_checkout_and_its_error_names_it(tmp_path: Path) -> None:
-    saved(tmp_path, preview=True)
-    done = loaded_elsewhere(tmp_path)
-    assert done.returncode == 1
-    assert "No module named 'agents'" in done.stderr
-
-
 def test_a_model_loaded_here_plays_as_it_did(tmp_path: Path) -> None:
     model = saved(tmp_path, hold=4)
     again = HoldingPPO.load(tmp_path / "model.zip", device="cpu")

@@ -14,7 +14,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 
 from agents.evaluation import evaluate, find_policy, shipped_names
 from agents.models import holding, make_ppo, make_vec_env
-from agents.network import SHIPPED, NetworkPolicy, layers_of, read_policy, write_policy
+from agents.network import NetworkPolicy, layers_of, read_policy, write_policy
 from agents.settings import EnvSettings, TrainSettings
 from jackbox_env.storage import new_folder, write_json
 from jackbox_env.tasks import TASKS
@@ -88,10 +88,6 @@ def test_a_policy_is_shipped_for_each_task_and_does_better_than_the_level_box(ta
     assert ppo.interval[0] > level.interval[1], (ppo.interval, level.interval)
 
 
-def test_all_that_is_shipped_takes_a_megabyte_at_most() -> None:
-    assert sum(path.stat().st_size for path in SHIPPED.rglob("*") if path.is_file()) < 1_000_000
-
-
 def test_damage_and_misfits_are_told(tmp_path: Path) -> None:
     settings = KINDS["plain"]
     layers = layers_of(moving_model(settings))
@@ -112,8 +108,3 @@ def test_damage_and_misfits_are_told(tmp_path: Path) -> None:
     write_json(folder / "settings.json", {"hold": 0})
     with pytest.raises(ValueError, match="holds no settings of a run"):
         read_policy(folder)
-
-
-def test_an_unknown_name_lists_the_known_ones() -> None:
-    with pytest.raises(FileNotFoundError, match="must be one of random, chirp, zero, level, planner, ppo, or a run"):
-        find_policy("best", EnvSettings(task="spin"), 0)

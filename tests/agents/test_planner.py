@@ -108,20 +108,3 @@ def test_a_task_of_ones_own_is_planned_for() -> None:
     planner = Planner(Scene(), Task(("turned",), lambda scene, state, torque, impulse: (state[8],)), **SMALL)
     action, _ = planner.predict(observe(Scene(), np.zeros(12).tolist()))
     assert action[0] > 0.2
-
-
-@pytest.mark.parametrize(
-    ("given", "sentence"),
-    [
-        ({"samples": 1}, "samples must be a whole number >= 2, got 1"),
-        ({"elites": 300}, "elites must be a whole number from 1 to 256, got 300"),
-        ({"pieces": 1}, "pieces must be a whole number >= 2, got 1"),
-        ({"piece": 0}, "piece must be a whole number >= 1, got 0"),
-        ({"task": "fly"}, "task must be one of"),
-        ({"num_threads": 0}, "num_threads must be a whole number >= 1, got 0"),
-        ({"control_dt": 0.0}, "control_dt must be a finite number above 0, got 0.0"),
-    ],
-)
-def test_unusable_settings_are_refused(given: dict[str, Any], sentence: str) -> None:
-    with pytest.raises(ValueError, match=sentence):
-        Planner(Scene(), **given)

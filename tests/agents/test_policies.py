@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +12,13 @@ import numpy as np
 import pytest
 from stable_baselines3.common.evaluation import evaluate_policy
 
-from agents.evaluation import Returns, above, evaluate, find_policy, table
+from agents.evaluation import Returns, evaluate, find_policy, table
 from agents.film import film
 from agents.models import make_ppo, make_vec_env
+from agents.planner import Planner
 from agents.policies import BASELINES, baseline
 from agents.settings import EnvSettings, TrainSettings
 from jackbox_env import Scene, make_simulator
-from jackbox_env.storage import new_folder
 from jackbox_env.trajectory import simulate, write_npz
 
 # -- scripted policies -------------------------------------------------------------------------------------------------
@@ -50,14 +52,6 @@ def test_level_answers_angle_and_rate() -> None:
     np.testing.assert_allclose(actions, [0.0, -0.016, -14400 * 5 * 0.01 * 10.8499 / 6 / 90000, 1.0], rtol=1e-3)
 
 
-def test_the_random_policy_follows_its_seed() -> None:
-    rows = np.zeros((100, 10))
-    one, same, other = (baseline("random", Scene(), seed).policy.predict(rows)[0] for seed in (1, 1, 2))
-    np.testing.assert_array_equal(one, same)
-    assert not np.array_equal(one, other)
-    assert np.ptp(one) > 1.5
-
-
 def test_an_unknown_policy_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="a baseline must be one of 'random', 'chirp', 'zero', 'level', got 'pid'"):
         baseline("pid", Scene())
@@ -75,13 +69,6 @@ def test_returns_carry_their_interval() -> None:
     assert row.interval == pytest.approx((2.5 - half_width, 2.5 + half_width), rel=1e-4)
     assert "| x      |         2.5 |    0.4 to 4.6    |        4 |" in table([row]).splitlines()
     assert Returns("x", (1.0,)).half_width == np.inf
-
-
-def test_one_policy_is_above_another_where_their_intervals_are_apart() -> None:
-    rows = [Returns("level", (1.0, 2.0, 3.0)), Returns("PPO", (3.0, 4.0, 5.0)), Returns("best", (10.0, 11.0, 12.0))]
-    assert above(rows, "best", "level") == "best's interval (8.5 to 13.5) is above level's (-0.5 to 4.5)"
-    assert above(rows, "PPO", "level") == "PPO's interval (1.5 to 6.5) is not above level's (-0.5 to 4.5)"
-    assert "is not above" in above(rows, "level", "best")
 
 
 def test_evaluation_is_repeatable_and_seeded() -> None:
@@ -106,29 +93,37 @@ def test_the_untrained_policy_does_not_beat_zero_torque() -> None:
 
 
 @pytest.mark.parametrize(
-    ("field", "bad", "sentence"),
+    ("field", "bad"),
     [
-        ("total_steps", 0, "total_steps must be a whole number >= 1, got 0"),
-        ("batch_size", 1, "batch_size must be a whole number >= 2, got 1"),
-        ("num_envs", 1.5, "num_envs must be a whole number >= 1, got 1.5"),
-        ("seed", -1, "seed must be a whole number from 0 to 4294967295, got -1"),
-        ("learning_rate", float("nan"), "learning_rate must be a finite number above 0, got nan"),
-        ("gamma", 1.1, "gamma must be a finite number at least 0 and at most 1, got 1.1"),
-        ("hidden_units", (0,), "hidden_units must be a whole number >= 1, got 0"),
-        ("max_minutes", 0.0, "max_minutes must be a finite number above 0, got 0.0"),
-        ("scene", "[1]", r"scene must be a JSON object, got '\[1\]'"),
-        ("scene", "{", "scene must be a JSON object, got '{'"),
-        ("scene", '{"mass": 1}', "scene takes only .* got 'mass'"),
+        ("total_steps", 0),
+        ("batch_size", 1),
+        ("num_envs", 1.5),
+        ("seed", -1),
+        ("learning_rate", math.nan),
+        ("gamma", 1.1),
+        ("hidden_units", (0,)),
+        ("max_minutes", 0.0),
+        ("hold", 3),
+        ("hold", 1000),
+        ("preview", "yes"),
+        ("lookahead", 3),
+        ("lookahead", 5000),
+        ("scene", "[1]"),
+        ("scene", "{"),
     ],
 )
-def test_impossible_settings_are_refused(field: str, bad: Any, sentence: str) -> None:
-    with pytest.raises((TypeError, ValueError), match=sentence):
+def test_impossible_settings_are_refused(field: str, bad: Any) -> None:
+    with pytest.raises((TypeError, ValueError), match=f"{field} must .*{re.escape(str(bad).strip('(),'))}"):
         TrainSettings(**{field: bad})
 
 
-def test_run_folders_are_never_reused(tmp_path: Path) -> None:
-    with pytest.raises(FileExistsError, match="exists, and runs are never overwritten: choose another folder"):
-        new_folder(tmp_path, "test")
+@pytest.mark.parametrize(
+    "given", [{"samples": 1}, {"elites": 300}, {"pieces": 1}, {"piece": 0}, {"num_threads": 0}, {"control_dt": 0.0}]
+)
+def test_a_planner_of_impossible_settings_is_refused(given: dict[str, Any]) -> None:
+    ((name, bad),) = given.items()
+    with pytest.raises(ValueError, match=f"{name} must .*, got {bad}"):
+        Planner(Scene(), **given)
 
 
 # -- trajectories and films --------------------------------------------------------------------------------------------
@@ -142,7 +137,7 @@ def test_npz_of_a_weightless_scene_without_impacts(tmp_path: Path) -> None:
         assert stored["impact_time"].shape == (0,)
 
 
-@pytest.mark.parametrize("suffix", [".gif", ".mp4", ".GIF", ".MP4"])
+@pytest.mark.parametrize("suffix", [".gif", ".MP4"])
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
 def test_films_show_the_policies_side_by_side(tmp_path: Path, suffix: str) -> None:
     import imageio.v3 as imageio

@@ -56,22 +56,6 @@ def test_the_preview_is_the_flight_of_the_exact_model(scene: Scene) -> None:
     assert flown >= 20
 
 
-def test_a_turned_box_that_turns_is_previewed_in_the_frame_of_the_world() -> None:
-    scene = Scene()
-    state = np.array([1.0, 2.0, 0.3, 1.5, 2.5, 0.4, 0.2, -0.1, 0.7, 1.2, -3.1, -0.5])
-    seen = features(scene, state)
-    fall, depth = state[10] - state[7], state[4] - state[1] + 5.0
-    time = (fall + math.sqrt(fall**2 + 2.0 * 9.81 * depth)) / 9.81
-    assert 2.0 * seen["time"] * 6.0 / scene.speed_scale == pytest.approx(time, rel=1e-5)
-    assert seen["place"] == pytest.approx((0.5 + 1.0 * time) / 6.0, rel=1e-4)
-    box, jack = 0.3 + 0.7 * time, 0.4 - 0.5 * time
-    assert seen["box_angle"] == pytest.approx(box, rel=1e-5)
-    assert seen["cosine_4"] == pytest.approx(math.cos(4.0 * (jack - box)), abs=1e-4)
-    assert seen["sine_8"] == pytest.approx(math.sin(8.0 * (jack - box)), abs=1e-4)
-    assert seen["cosine_world"] == pytest.approx(math.cos(4.0 * jack), abs=1e-4)
-    assert seen["sine_world"] == pytest.approx(math.sin(4.0 * jack), abs=1e-4)
-
-
 @pytest.mark.parametrize(
     "scene",
     [

@@ -164,6 +164,6 @@ def test_short_plans_juggle_better_with_the_value() -> None:
     given: dict[str, Any] = {**SMALL, "samples": 64, "iterations": 1, "pieces": 20}
     value = read_value(SHIPPED / "juggle-value")
     with_it, without = (
-        evaluate("planner", Planner(Scene(), **given, value=end), EXACT.env_settings, 8, 0) for end in (value, None)
+        evaluate("planner", Planner(Scene(), **given, value=end), EXACT.env_settings, 4, 0) for end in (value, None)
     )
     assert with_it.mean > without.mean
