@@ -139,7 +139,8 @@ def test_height_labels_stand_at_their_heights(words: Words) -> None:
 
 
 @pytest.mark.parametrize(
-    ("half_width", "height", "label"), [(1e-3, 0.0, "0.5 mm"), (1e6, 0.0, "0.5 Mm"), (6.0, 1e9, "…0002 m")]
+    ("half_width", "height", "label"),
+    [(1e-6, 0.0, "0.5 µm"), (1e-3, 0.0, "0.5 mm"), (1e6, 0.0, "0.5 Mm"), (6.0, 1e9, "…0002 m")],
 )
 def test_height_labels_of_other_sizes(half_width: float, height: float, label: str, words: Words) -> None:
     scene = Scene(box_half_width=half_width, jack_arm=0.2 * half_width)

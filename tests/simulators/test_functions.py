@@ -88,7 +88,9 @@ def test_polynomials_are_interpolated_to_rounding_by_the_compiled_code_and_the_p
         us = np.linspace(-1.0, 1.0, 101)
         seen, expected = (np.polynomial.polynomial.polyval(us, p) for p in (rows[0, 2:], powers))
         np.testing.assert_allclose(seen, expected, rtol=0.0, atol=2e-15 * np.abs(powers).sum())
+        steepness = np.sort(np.abs(np.diff(values)) / np.diff(POINTS))
         assert found[0] == np.abs(values).max()
+        assert found[2] == steepness[-2]
 
 
 @pytest.mark.parametrize(
