@@ -4,6 +4,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 OLD_GYMNASIUM := .venv/gymnasium-1.2.2
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q
 WORKERS := -n 2 --dist loadfile
 TESTS := not slow
 UNDER_OLD_GYMNASIUM := $(addprefix tests/,environment/test_env.py environment/test_starts_and_settings.py \
@@ -20,7 +21,7 @@ test: .venv/ready
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	EXPECTED_GYMNASIUM=1.4.0 $(BIN)/python -m pytest -q $(WORKERS) -m "$(TESTS)"
+	EXPECTED_GYMNASIUM=1.4.0 $(PYTEST) $(WORKERS) -m "$(TESTS)"
 
 # Random sweeps in full here, so not in part again.
 test-all: TESTS := not slow and not sweep
@@ -28,8 +29,8 @@ test-all: test-slow test
 
 # What make test leaves out: whole sweeps, kills, soaks, long runs, and the environment under the oldest Gymnasium covered.
 test-slow: .venv/ready $(OLD_GYMNASIUM)/ready
-	EXPECTED_GYMNASIUM=1.2.2 PYTHONPATH=$(OLD_GYMNASIUM) $(BIN)/python -m pytest -q $(WORKERS) $(UNDER_OLD_GYMNASIUM)
-	EXPECTED_GYMNASIUM=1.4.0 $(BIN)/python -m pytest -q $(WORKERS) --whole -m "slow or sweep"
+	EXPECTED_GYMNASIUM=1.2.2 PYTHONPATH=$(OLD_GYMNASIUM) $(PYTEST) $(WORKERS) $(UNDER_OLD_GYMNASIUM)
+	EXPECTED_GYMNASIUM=1.4.0 $(PYTEST) $(WORKERS) --whole -m "slow or sweep"
 
 # Speed against accuracy: the full sweep writes docs/accuracy.md, the quick one (2 minutes) only its run folder.
 benchmark: .venv/ready
@@ -63,11 +64,11 @@ extremes: .venv/ready
 	@$(BIN)/python -m tests.extremes
 
 machines: .venv/ready
-	@JACKBOX_MACHINES=all $(BIN)/python -m pytest -q tests/guarantees/test_other_machines.py
+	@JACKBOX_MACHINES=all $(PYTEST) tests/guarantees/test_other_machines.py
 
 # Trainings killed 200 times at random moments; 10,000 interruptions of steps and rollouts.
 kills: .venv/ready
-	@JACKBOX_KILLS=200 $(BIN)/python -m pytest -q tests/guarantees/test_kills.py
+	@JACKBOX_KILLS=200 $(PYTEST) tests/guarantees/test_kills.py
 
 interruptions: .venv/ready
 	@$(BIN)/python scripts/studies/laws/interruptions.py

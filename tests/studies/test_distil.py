@@ -71,7 +71,7 @@ def test_fitting_comes_closer() -> None:
     states = distil.starts(600, rng)
     kept = deque([(states, value.of(states) + 20.0)])
     first = distil.fit(net, value.inputs, kept, 1e-3)
-    for _ in range(30):
+    for _ in range(15):
         last = distil.fit(net, value.inputs, kept, 1e-3)
     assert first > 10.0
     assert last < 0.5 * first
