@@ -22,7 +22,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from agents import evaluation
 from agents.policies import BASELINES
 from agents.runs import read_settings
 from agents.settings import EnvSettings
@@ -187,23 +186,6 @@ def test_evaluate_films_the_policies(tmp_path: Path, run: Path, monkeypatch: pyt
     assert (tmp_path / "f.gif").read_bytes() == before
 
 
-@pytest.mark.parametrize(
-    ("file", "sentence"),
-    [
-        ("f.avi", "a film must be a .gif or .mp4 file, got 'f.avi'"),
-        ("film", "a film must be a .gif or .mp4 file, got 'film'"),
-        ("no/f.mp4", "no is no folder to write f.mp4 to"),
-    ],
-)
-def test_evaluate_refuses_a_film_before_it_computes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, file: str, sentence: str
-) -> None:
-    monkeypatch.setattr(evaluation, "evaluate", None)  # it is not reached
-    done = script("evaluate", "--film", file, cwd=tmp_path, status=2)
-    assert done.stderr == f"{sentence}\n"
-    assert not list(tmp_path.iterdir())
-
-
 def test_training_survives_ctrl_c_and_resumes_from_the_command_line(tmp_path: Path) -> None:
     small = "--num-envs 4 --rollout-steps 64 --batch-size 64 --checkpoint-steps 256 --eval-steps 8192 --eval-episodes 2"
     command = [sys.executable, str(ROOT / "scripts" / "train.py"), "--folder", "run", "--no-progress", *small.split()]
@@ -290,12 +272,6 @@ def test_a_run_from_before_fidelities_had_names_loads(tmp_path: Path) -> None:
     del old["fidelity"]
     (tmp_path / "settings.json").write_text(json.dumps({**old, "contact": "pymunk"}))
     assert read_settings(tmp_path).setting == TINY.setting
-
-
-def test_env_settings_are_keyword_arguments_of_make() -> None:
-    settings = EnvSettings(task="spin", substeps=3, scene='{"gravity": 1.62}')
-    env: Any = gym.make("JackInBox-v0", **settings.env_settings).unwrapped
-    assert (env.task, env.scene.gravity) == ("spin", 1.62)
 
 
 def test_scenes_that_vary_are_settings_too(tmp_path: Path) -> None:

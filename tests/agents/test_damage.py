@@ -210,16 +210,6 @@ def test_a_checkpoint_of_other_settings_is_refused_and_not_taken_for_a_damaged_o
     assert not (stopped / MODEL).exists()
 
 
-def test_a_best_model_from_before_it_held_its_mean_return_stays_unless_beaten(stopped: Path) -> None:
-    evaluations = read_evaluations(stopped, SMALL.eval_episodes)
-    with zipfile.ZipFile(stopped / BEST) as new, zipfile.ZipFile(stopped / "old.zip", "w") as old:
-        for name in set(new.namelist()) - {"note.json"}:
-            old.writestr(name, new.read(name))
-    (stopped / "old.zip").rename(stopped / BEST)
-    assert best.best_mean(stopped, SMALL, evaluations) == max(evaluations.means)
-    assert best.best_mean(stopped, SMALL, best.Evaluations()) == -np.inf
-
-
 def test_a_run_with_a_damaged_best_model_loads_its_last_and_says_so(
     finished: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -107,16 +107,6 @@ def test_each_environment_chooses_where_its_own_episode_starts(model: HoldingPPO
         np.testing.assert_allclose(actions, held, atol=1e-6)
 
 
-def test_what_predict_returned_is_not_written_again(model: HoldingPPO) -> None:
-    seen = np.zeros((2, 10), dtype=np.float32)
-    actions, state = model.predict(seen, deterministic=True)
-    kept = actions.copy(), state.left.copy()
-    actions += 1.0
-    model.predict(seen + 0.5, state, np.array([True, False]), deterministic=True)
-    np.testing.assert_array_equal(state.actions, kept[0])
-    np.testing.assert_array_equal(state.left, kept[1])
-
-
 def test_a_model_that_looks_ahead_sees_in_the_ordinary_environment_what_it_was_trained_on() -> None:
     settings = replace(HELD, lookahead=8, preview=True)
     trained_in = holding(make_vec_env(settings.env_settings, 2, 0), HOLD, 8)

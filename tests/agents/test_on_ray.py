@@ -158,8 +158,3 @@ def test_a_machine_with_other_versions_ends_the_sweep(
     monkeypatch.setattr(on_ray, "made_with", lambda: {**known, "numpy": "1.0"})
     with pytest.raises(RuntimeError, match=f"got numpy 1.0 there and {known['numpy']} here on "):
         swept(tmp_path / "sweep", GRID, unwanted, OnRay(address=cluster.address))
-
-
-def test_no_cluster_at_the_address(tmp_path: Path) -> None:
-    with pytest.raises(ConnectionError, match="127.0.0.1:1"):
-        swept(tmp_path / "sweep", GRID, dict, OnRay(address="127.0.0.1:1"))

@@ -120,33 +120,6 @@ def test_a_line_that_a_kill_cut_short_is_run_again(
     assert (folder / TABLE).read_bytes() == table
 
 
-@pytest.mark.parametrize(
-    "harm",
-    [
-        {"result": 5},
-        {"seconds": None},
-        {"result": {"share": "\ud800"}},
-    ],
-)
-def test_a_line_of_the_journal_that_is_no_result_is_named_and_run_again(
-    tmp_path: Path, harm: dict[str, Any], capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = carried_out(tmp_path / "sweep")
-    table, path, asked = (folder / TABLE).read_bytes(), folder / JOURNAL, list[dict[str, Any]]()
-    lines = path.read_text().splitlines()
-
-    def noted(settings: dict[str, Any]) -> dict[str, Any]:
-        asked.append(settings)
-        return shares(settings)
-
-    for line in (json.dumps({**json.loads(lines[3]), **harm}), json.dumps([*json.loads(lines[3])]), "{}"):
-        path.write_text("\n".join([*lines[:3], line, *lines[4:], ""]))
-        carried_out(folder, noted)
-        assert f"Skipped: {path}, line 4, is damaged (" in capsys.readouterr().err
-        assert (folder / TABLE).read_bytes() == table
-    assert asked == [GRID[3].settings] * 3
-
-
 def test_a_journal_that_is_a_link_is_refused_and_what_it_leads_to_is_left(tmp_path: Path) -> None:
     folder = new_sweep(tmp_path / "sweep", {}, GRID)
     (tmp_path / "mine").write_text("precious")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 import sys
-import tempfile
 from dataclasses import asdict, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -134,20 +133,6 @@ def test_a_disk_without_room_for_the_checkpoints_is_said_before_the_first_step(
     folder = new_folder(tmp_path / "run", "test", lambda made: describe(made, TINY))
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=1000))
     with pytest.raises(OSError, match=r"run must have \d+ MB free for what will be written, got 0 MB"):
-        training.train(TINY, folder, progress=False)
-    assert not (folder / "checkpoints").exists()
-
-
-def test_a_folder_that_cannot_be_written_to_is_said_before_the_first_step(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder = new_folder(tmp_path / "run", "test", lambda made: describe(made, TINY))
-
-    def refuse(*_: object, **__: object) -> None:
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr(tempfile, "TemporaryFile", refuse)  # tests may run as root, who may write anywhere
-    with pytest.raises(OSError, match="run cannot be written to: Permission denied"):
         training.train(TINY, folder, progress=False)
     assert not (folder / "checkpoints").exists()
 

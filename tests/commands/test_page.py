@@ -119,25 +119,6 @@ def test_pause_holds_and_play_goes_on(opened: Opened) -> None:
     assert opened.time > held
 
 
-def test_a_speed_and_the_end(opened: Opened) -> None:
-    opened.page.select_option("#speed", "4")
-    opened.page.uncheck("#loop")
-    opened.seek(9.5)
-    opened.wait(lambda: not opened.playing)
-    assert opened.time == 10.0
-    opened.page.click("#play")
-    opened.page.wait_for_timeout(200)
-    assert opened.time < 9.0
-
-
-def test_the_slider_seeks(opened: Opened) -> None:
-    opened.pause()
-    box = opened.page.locator("#slider").bounding_box()
-    opened.page.mouse.click(box["x"] + 0.75 * box["width"], box["y"] + box["height"] / 2)
-    assert opened.time == pytest.approx(7.5, abs=0.15)
-    assert not opened.playing
-
-
 def test_the_list_names_each_impact_and_a_click_jumps_to_it(opened: Opened, trajectory: Trajectory) -> None:
     listed = opened.page.locator("#impacts tr")
     assert listed.count() == len(trajectory.impacts)

@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
 
-from jackbox_env import rollout
 from jackbox_env.compiled import advance as course
 from jackbox_env.compiled import constrained, rest, search
 from jackbox_env.compiled.impacts import project
@@ -127,28 +125,6 @@ def test_a_torque_that_turns_the_floor_away_lets_one_foot_go_and_presses_the_oth
 
 
 # -- any number -------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("e", [0.0, 0.6])
-def test_batches_and_rollouts_are_the_single_simulator(e: float) -> None:
-    scene = Scene(restitution=e, box_mass=40.0, torque_limit=4000.0, drive=None)
-    many: Any = gym.make_vec("JackInBox-v0", num_envs=3, contact="exact", scene=scene, with_infos=True)
-    many.reset(seed=4)
-    runs = [simulator(scene, state) for state in many.unwrapped.states]
-    rng = np.random.default_rng(0)
-    actions = rng.uniform(-1.0, 1.0, (300, 3, 1)) * (np.arange(300) % 100 < 30)[:, None, None]
-    starts, rested = many.unwrapped.states, 0
-    for row in actions:
-        _, _, _, _, infos = many.step(row)
-        for number, run in enumerate(runs):
-            run.step(0.02, float(row[number, 0]) * scene.torque_limit)
-            assert np.array_equal(many.unwrapped.states[number], run.state)
-            assert infos["impacts"][number] == len(run.impacts)
-            assert infos["impulse"][number] == pytest.approx(sum(hit.impulse for hit in run.impacts), rel=1e-14)
-            rested += any(hit.time == run.time for hit in run.impacts)
-    assert rested > 50
-    played = rollout(scene, starts, actions[:, :, 0].T * scene.torque_limit, 0.02)
-    assert np.array_equal(played[:, -1], [run.state for run in runs])
 
 
 # -- negative controls ------------------------------------------------------------------------------------------------

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import mpmath as mp
@@ -202,18 +201,6 @@ def test_late_jumps_are_located_as_finely_as_the_time() -> None:
         assert np.abs(ends(table) - (at - time)).min() <= 1.01 * math.ulp(time)
 
 
-def test_jumps_of_several_functions_are_all_located() -> None:
-    rng = np.random.default_rng(2)
-    for _ in range(200):
-        at = (DT * rng.uniform(size=3)).tolist()
-        parts = [
-            lambda t, at=at, height=height: math.cos(3.0 * t) + height * (t >= at)
-            for at, height in zip(at, 10.0 ** rng.uniform(-2.0, 5.0, 3), strict=True)
-        ]
-        found = ends(function_pieces(Drive(*parts), 0.0, DT))
-        assert max(np.abs(found - one).min() for one in at) <= 1e-12 * DT
-
-
 def test_without_points_at_the_ends_jumps_hide_there(monkeypatch: pytest.MonkeyPatch) -> None:
     # The control: these are the shares of Chebyshev points of the first kind.
     def late(t: float) -> float:
@@ -223,19 +210,6 @@ def test_without_points_at_the_ends_jumps_hide_there(monkeypatch: pytest.MonkeyP
     inner = [0.5 - 0.5 * math.cos((k + 0.5) * math.pi / 13.0) for k in range(13)]
     monkeypatch.setattr(functions, "_SHARES", inner)
     assert integrals(pieces(late))[0] == 0.0
-
-
-def test_without_bisection_a_jump_costs_ten_times_as_much(monkeypatch: pytest.MonkeyPatch) -> None:
-    costs = []
-    for bisect in (True, False):
-        if not bisect:
-            monkeypatch.setattr(functions, "_jump", lambda *_: None)
-        counted = Counted(lambda t: 1.0 + (t >= 0.0123))
-        table = pieces(counted)
-        assert np.abs(ends(table) - 0.0123).min() <= 1e-12 * DT
-        costs.append(counted.calls)
-    assert costs[0] < 110
-    assert costs[1] > 10 * costs[0]
 
 
 # -- rounding that is not shape ---------------------------------------------------------------------------------------
@@ -266,27 +240,6 @@ def test_rounding_is_not_followed(function: Function) -> None:
         for row in table:
             value = float(function(time + row[0] + 0.5 * row[1]))
             assert abs(row[2] - value) <= 1e-4 * max(1.0, abs(value))
-
-
-def test_a_kink_that_halving_brings_near_an_end_is_not_taken_for_rounding() -> None:
-    # Halved, the piece with the kink keeps its residual while it shrinks: the other half tells that the cut helped.
-    at, bend = DT * (0.5 + 1e-6), 2e-2
-    once, _ = integrals(pieces(lambda t: 1.0 + bend / DT * max(0.0, t - at)))
-    assert once == pytest.approx(DT + bend / DT * (DT - at) ** 2 / 2.0, abs=1e-14 * DT)
-
-
-def test_rounding_found_in_one_function_leaves_the_others_alone() -> None:
-    # A kink whose residual is below the other function's rounding.
-    at, bend = 0.0123, 1e-6
-    rough: Sequence[Function] = (
-        lambda t: float(np.float32(math.sin(1.0 + t))),
-        lambda t: 1.0 + bend / DT * max(0.0, t - at),
-    )
-    for torque, force in itertools.permutations(rough):
-        table = function_pieces(Drive(torque=torque, force_x=force), 0.0, DT)
-        bent = 2 + (DEGREE + 1) * (torque is rough[0])
-        once, _ = integrals(np.hstack([table[:, :2], table[:, bent : bent + DEGREE + 1]]))
-        assert once == pytest.approx(DT + bend / DT * (DT - at) ** 2 / 2.0, abs=1e-15 * DT)
 
 
 # -- the largest and the smallest --------------------------------------------------------------------------------------

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import sys
-import tracemalloc
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -51,17 +50,6 @@ def calls_of(run: Callable[[], object]) -> Calls:
     finally:
         sys.setprofile(before)
     return counts
-
-
-def most_bytes(run: Callable[[], object]) -> int:
-    """How many bytes are allocated at once while ``run`` runs, arrays among them."""
-    tracemalloc.start()
-    try:
-        before = tracemalloc.get_traced_memory()[0]
-        run()
-        return tracemalloc.get_traced_memory()[1] - before
-    finally:
-        tracemalloc.stop()
 
 
 @contextmanager

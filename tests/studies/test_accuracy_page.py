@@ -48,32 +48,6 @@ def test_a_planted_order_of_convergence_is_found_within_its_interval(order: floa
     assert high - low < 0.2
 
 
-def test_errors_over_the_first_impacts_need_so_many() -> None:
-    found = [{"errors": [1.0, 3.0, 2.0], "prefix": 3}, {"errors": [5.0], "prefix": 1}]
-    assert results.over_first(1).values(found) == [1.0, 5.0]
-    assert results.over_first(3).values(found) == [3.0]
-
-
-def test_rows_hold_every_kind_and_all_seeds_without_the_60_digits() -> None:
-    names = ("flight", "prefix", "sure", "depth", "imbalance", "escaped", "expected", "missed", "extra")
-    record = dict.fromkeys((*names, "rate", "speed", "fast", "impulse"), 1.0)
-    made = [
-        {**record, "kind": kind, "errors": [error], "local": [error, error], "prefix": 1}
-        for kind, error in ((cases.DIGITS, 9.0), ("chirp", 1.0), ("held", 2.0))
-    ]
-    rows = {(row.kind, row.quantity): row for row in results.rows_of(settings.pymunk(4), made, [7.0, 8.0], [1.0])}
-    assert rows["", "cost"][2:9] == (4, "", "cost", "us/s", 2, 7.5, 8.0)
-    assert rows[results.ALL, "first_1"][6:9] == (2, 1.5, 2.0)
-    assert rows[cases.DIGITS, "local"][6:9] == (2, 9.0, 9.0)
-    assert rows["held", "missed"].total == 1.0
-    assert rows["chirp", "wrong"].total == 0.0
-    lossy = results.rows_of_kinds(settings.pymunk(4), [{**made[0], "kind": cases.LOSS}])
-    assert {row.kind for row in lossy} == {cases.LOSS}  # not among the seeds
-    assert {row.quantity for row in lossy} == {row.quantity for row in rows.values() if row.kind == "held"} - {
-        "imbalance"
-    }
-
-
 def test_what_is_stored_comes_back(stored: results.Results, tmp_path: Path) -> None:
     stored.save(tmp_path)
     for name in (results.TABLE, results.ABOUT):

@@ -5,7 +5,6 @@ Each count comes with its negative control: with the feature, the same code runs
 
 from __future__ import annotations
 
-import functools
 import subprocess
 import sys
 from typing import Any
@@ -19,21 +18,16 @@ from jackbox_env.compiled import step
 from jackbox_env.compiled.workspace import RECORD, new_workspace
 from jackbox_env.scene import Drive, Scene
 from jackbox_env.simulators import CONTACT_MODELS, make_simulator
-from jackbox_env.tasks import Task
 from jackbox_env.vector_env import JackInBoxVectorEnv
 from tests.studies.counting import (
     BATCH,
     EXACT,
-    OWN_TASK,
     PROOFS,
     PYMUNK,
-    SIDE_BY_SIDE,
-    STEPS,
     Calls,
     Proof,
     calls_of,
     count_steps,
-    most_bytes,
     times_called,
     uncompiled,
 )
@@ -96,23 +90,6 @@ def test_in_mid_air_no_wall_is_looked_at() -> None:
             assert times_called(counted(calls_of, contact, Scene(), NEAR_A_WALL), function) > 0
 
 
-def test_a_batch_works_its_reward_out_once_and_again_for_infos() -> None:
-    for settings, times in (({}, 1), ({"with_infos": True}, 2)):
-        assert times_called(count_steps(BATCH, **settings), "juggle") == times * STEPS * SIDE_BY_SIDE
-
-
-def test_pymunk_compiles_no_task_and_steps_compile_none_of_ones_own() -> None:
-    assert times_called(count_steps(PYMUNK, made=True, task=OWN_TASK), "returned_by") == 0
-    plain, actions = batch_of(2), np.zeros(2)
-    plain.step(actions)  # compiles what all tasks share
-    task = Task(("height",), lambda scene, state, torque, impulse: (state[4],))
-    batches = list[JackInBoxVectorEnv]()
-    assert times_called(calls_of(lambda: batches.append(batch_of(2, task=task))), "compile_extra") > 0
-    assert times_called(calls_of(lambda: batch_of(2)), "compile_extra") == 0
-    assert times_called(calls_of(lambda: batches[0].step(actions)), "compile_extra") == 0
-    assert times_called(calls_of(lambda: batches[0].step(None)), "compile_extra") == 0
-
-
 # -- what is built, kept and allocated --------------------------------------------------------------------------------
 
 
@@ -134,18 +111,6 @@ def test_a_batch_records_no_impacts(monkeypatch: pytest.MonkeyPatch) -> None:
     simulator.reset(NEAR_A_WALL)
     simulator.step(0.02, 0.0)
     assert simulator._workspace[RECORD, 3] == simulator.impacts[0].impulse
-
-
-def test_a_step_of_a_batch_allocates_what_it_returns_and_its_actions() -> None:
-    count, actions = 4096, np.zeros((4096, 1), dtype=np.float32)
-    most = {}
-    for with_infos in (False, True):
-        step = functools.partial(batch_of(count, with_infos=with_infos).step, actions)
-        returned = sum(array.nbytes for array in step()[:4])
-        most[with_infos] = most_bytes(step) - returned - 8 * count
-    assert returned == count * (4 * 10 + 8 + 1 + 1)
-    assert 0 <= most[False] < 8192  # objects; an array of one number for each would be more
-    assert most[True] > 8 * 16 * count
 
 
 def test_no_renderer_is_loaded_unless_asked_for() -> None:
@@ -174,7 +139,6 @@ def test_the_counters_count() -> None:
     assert times_called(calls_of(twice), "mass_diagonal", "twice") == 2
     assert times_called(calls_of(twice), "mass_diagonal", "thrice") == 0
     assert times_called(calls_of(twice), "diagonal") == 0
-    assert 10**6 <= most_bytes(lambda: bytes(10**6)) < 10**6 + 4096
     with uncompiled():
         assert _compiled.compiled(step.step_one) is step.step_one
     assert _compiled.compiled(step.step_one) is not step.step_one

@@ -7,7 +7,7 @@ from collections import deque
 import numpy as np
 import pytest
 
-from agents.landing import LandingPolicy, landing_times
+from agents.landing import LandingPolicy
 from agents.network import SHIPPED
 from agents.value import read_value
 from jackbox_env.states import Array
@@ -16,27 +16,6 @@ from scripts.studies import distil
 
 def small_policy() -> LandingPolicy:
     return LandingPolicy(distil.FEWER, read_value(SHIPPED / "juggle-value").layers)
-
-
-def test_jacks_are_met_once_as_drawn_and_then_by_the_policy(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, number in {"FIRST": 20, "COUNTED": 3, "HORIZON": 2}.items():
-        monkeypatch.setattr(distil, name, number)
-    policy = small_policy()
-    states = distil.starts(6, np.random.default_rng(0))
-    seen, earned, landed = distil.played(policy, states, np.random.default_rng(1))
-    assert seen.shape == (26, 6, 12)
-    assert earned.shape == (25, 6)
-    assert ((earned > -1e-9) & (earned <= 5.0 + 1e-9)).all()  # five steps of at most 1
-    same = distil.played(policy, states, np.random.default_rng(1))
-    np.testing.assert_array_equal(seen, same[0])
-    number = int(np.flatnonzero(landed >= 0)[0])
-    first = int(landed[number])
-    assert seen[first, number, 10] > seen[first - 1, number, 10]  # thrown upwards between the two
-    for decision in range(first, 25):  # from there on the policy plays
-        now = seen[decision, number][None]
-        after, rewards, _ = distil.advanced(now, policy.torques(now))
-        np.testing.assert_array_equal(after[0], seen[decision + 1, number])
-        assert rewards[0] == earned[decision, number]
 
 
 def test_states_are_worth_what_was_earned_and_the_value_of_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -50,16 +29,6 @@ def test_states_are_worth_what_was_earned_and_the_value_of_the_end(monkeypatch: 
     expected = earned[1, 0] + factor * (earned[2, 0] + factor * (earned[3, 0] + factor * end[0]))
     assert worth[0] == pytest.approx(expected, rel=1e-12)
     assert worth[3] == pytest.approx(earned[3, 2] + factor * end[2], rel=1e-12)
-
-
-def test_good_pairs_are_drawn_more_often() -> None:
-    policy, rng = small_policy(), np.random.default_rng(0)
-    states = np.repeat(distil.starts(1, rng), 400, axis=0)
-    worth = policy.worth(states[:1], landing_times(distil.SCENE, states[:1]))[0]
-    pairs = distil.drawn(policy, states, rng)
-    nearest = np.abs((pairs[:, None] - distil.FEWER.pairs) / distil.BLUR).sum(axis=2).argmin(axis=1)
-    assert worth[nearest].mean() > worth.mean() + 3.0
-    assert len(np.unique(nearest)) > 10
 
 
 def test_fitting_comes_closer() -> None:

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pymunk
 import pytest
@@ -22,7 +21,6 @@ from scripts.studies.scaling import page as scaling
 from scripts.studies.speed import measured
 from scripts.studies.speed import page as speed
 from scripts.studies.transfer import page as learning
-from tests.studies.counting import calls_of, times_called
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -142,24 +140,6 @@ def test_only_the_unguarded_search_loses_impacts_and_feet() -> None:
     assert found["escaped"] > 10
 
 
-@pytest.mark.parametrize(("contact", "score"), [("pymunk", "PlainScore"), ("exact", "CompiledScore")])
-def test_what_is_taken_out_of_a_step_does_not_run(contact: str, score: str) -> None:
-    given = cost_steps.moments(1, 50)
-    plain = calls_of(cost_steps.stepped(contact, given, 0.0, "plain"))
-    assert times_called(plain, "JackInBoxEnv.step") == 10
-    for kind, function in {
-        "contact": "JackInBoxEnv.step",
-        "_score": f"{score}.__call__",
-        "_info": "JackInBoxEnv._info",
-        "checks": "real",
-        "bare": "OrderEnforcing.step",
-    }.items():
-        assert times_called(plain, function) >= 10
-        calls = calls_of(cost_steps.stepped(contact, given, 0.0, kind))
-        assert times_called(calls, function) == 0
-        assert times_called(calls, f"{contact.capitalize()}Simulator.step") == 10  # the rest does
-
-
 @pytest.mark.parametrize("contact", ["pymunk", "exact"])
 def test_each_kind_of_step_is_timed(contact: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
@@ -167,32 +147,6 @@ def test_each_kind_of_step_is_timed(contact: str, monkeypatch: pytest.MonkeyPatc
     for kind in cost_steps.KINDS:
         assert cost_steps.stepped(contact, far if kind == "long arm" else usual, 0.0, kind)() > 0.0
     assert cost_steps.asked(contact) > 3.0
-
-
-@pytest.mark.parametrize(
-    ("kind", "restarts", "draws"), [("own scenes", 0, 0), ("restarted", 2, 0), ("redrawn", 2, 2), ("own task", 0, 0)]
-)
-def test_each_kind_of_step_of_a_batch_is_what_its_row_says(
-    kind: str, restarts: int, draws: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made, make_vec = list[Any](), gym.make_vec
-
-    def kept(*given: Any, **settings: Any) -> Any:
-        made.append(make_vec(*given, **settings))
-        return made[-1]
-
-    monkeypatch.setattr(gym, "make_vec", kept)
-    given = cost_steps.moments(cost_steps.TOGETHER, 250)  # two moments of each
-    plain, this = (cost_steps.batched("exact", given, 0.0, **cost_steps.IN_BATCHES.get(one, {})) for one in ("", kind))
-    plain()
-    calls = calls_of(this)
-    assert times_called(calls, "ExactBatch.restart") == restarts
-    assert times_called(calls, "Randomization.table") == draws
-    without, having = (env.unwrapped for env in made)
-    assert len(set(having.scenes)) > 1 or kind == "own task"
-    assert (having.task is cost_steps.IN_BATCHES["own task"]["task"]) == (kind == "own task")
-    if not restarts:
-        np.testing.assert_allclose(having.states, without.states, rtol=0.0, atol=1e-6)
 
 
 @pytest.mark.parametrize("kind", cost_steps.LOSS)

@@ -15,11 +15,10 @@ from jackbox_env.accuracy import Case, compare, follow, reference_of
 from jackbox_env.mechanics import energy, impact_map
 from jackbox_env.scene import Chirp, Drive, Scene
 from jackbox_env.simulators import make_simulator
-from jackbox_env.simulators.base import Impact
 from jackbox_env.states import Array
 from jackbox_env.tasks import sample_start
 from scripts.studies import rivals
-from scripts.studies.rivals.base import Record, Rival
+from scripts.studies.rivals.base import Rival
 from scripts.studies.rivals.naive import BAND, NaiveSimulator, reflect
 from tests.states import inside, one_foot_on_wall
 
@@ -79,22 +78,6 @@ def test_a_naive_impact_is_the_impact_map_when_approaching_and_its_reflection_wh
         np.testing.assert_allclose(back, state, rtol=1e-12, atol=1e-12)
         assert pull == pytest.approx(-impulse, rel=1e-12)
         assert energy(Scene(), back) == pytest.approx(energy(Scene(), after), rel=1e-13)
-
-
-def test_naive_turns_back_the_first_pair_near_a_wall_once_whether_it_approaches_or_not() -> None:
-    for speed in (1.0, -1.0):  # of the jack towards wall 0; its feet 0 and 1 are both in the band there
-        simulator = started("naive", WEIGHTLESS, 1, {3: 4.95, 4: 4.95, 9: speed})
-        moved = simulator.state
-        moved[3] += 1e-3 * speed
-        simulator.step(1e-3)
-        wanted, impulse = reflect(WEIGHTLESS, moved, 0, 0)
-        np.testing.assert_allclose(simulator.state, wanted, rtol=1e-14, atol=1e-14)
-        assert [hit[:3] for hit in simulator.impacts] == [(1e-3, 0, 0)]
-        assert simulator.impacts[0].impulse == pytest.approx(impulse)
-        assert math.copysign(1.0, impulse) == speed
-    simulator = started("naive", WEIGHTLESS, 1, {3: 5.0 - BAND - 0.002, 9: 1.0})  # outside the band after the step
-    simulator.step(1e-3)
-    assert simulator.impacts == []
 
 
 def test_naive_loses_the_jack_through_a_wall_and_keeps_its_energy_all_the_while() -> None:
@@ -161,13 +144,6 @@ def test_the_first_impact_comes_in_time_and_the_run_stays_balanced(name: str) ->
     assert len(course.impacts) > 1
 
 
-def test_box2d_sticks_to_a_wall_below_a_metre_per_second() -> None:
-    for speed, rate in ((0.9, 0.0), (1.1, -1.1)):
-        simulator = started("box2d", WEIGHTLESS, 4, {3: 4.999, 9: speed})
-        simulator.step(0.02)
-        assert simulator.state[9] - simulator.state[6] == pytest.approx(rate, abs=1e-6)
-
-
 @NEEDS_MUJOCO
 def test_mujoco_refuses_what_it_can_not_do(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
@@ -214,23 +190,3 @@ def test_a_jack_that_would_leave_is_refused_and_the_simulator_stays_as_it_was(na
     assert simulator.time == 3.0
     case = Case("too fast", WEIGHTLESS, state, 5)
     assert follow(simulator, case, look=simulator.look).escaped
-
-
-def test_a_push_of_several_substeps_is_one_impact_told_in_the_order_of_beginnings() -> None:
-    record = Record()
-    record.add(0.0, {(0, 1): 1.0})
-    record.add(0.1, {(0, 1): 2.0, (3, 2): 4.0})
-    assert record.take() == []
-    record.add(0.2, {(0, 1): 0.5})  # (3, 2) is over, but began later
-    assert record.take() == []
-    record = Record(record.waiting)
-    record.add(0.3, {(3, 2): 7.0})
-    assert record.take() == [Impact(0.0, 0, 1, 3.5), Impact(0.1, 3, 2, 4.0)]
-    record.add(0.4, {})
-    assert record.take() == [Impact(0.3, 3, 2, 7.0)]
-    record.add(0.5, {(1, 1): 1.0, (2, 2): 3.0})
-    record.close(lambda wall, foot: (wall, foot) == (1, 1))
-    assert record.take() == [Impact(0.5, 1, 1, 1.0)]
-    record.close(lambda wall, foot: True)
-    assert record.take() == [Impact(0.5, 2, 2, 3.0)]
-    assert record.waiting == ()
