@@ -112,11 +112,9 @@ def search_in(**given: Any) -> Search:
 def test_the_planner_counts_the_value_where_one_was_made() -> None:
     assert "value" not in shipped_names("juggle")
     assert sum(path.stat().st_size for path in (SHIPPED / "juggle-value").iterdir()) < 150_000
-    for given in ({}, {"contact": "exact"}, {"scene": '{"drive": null}'}):
-        search = search_in(**given)
+    for search in (search_in(), search_in(contact="exact"), search_in(scene='{"drive": null}')):
         assert (isinstance(search, ValuedSearch), search.pieces) == (True, 20)
-    for given in ({"scene": '{"gravity": 3.0}'}, {"control_dt": 0.05}):
-        search = search_in(**given)
+    for search in (search_in(scene='{"gravity": 3.0}'), search_in(control_dt=0.05)):
         assert (isinstance(search, ValuedSearch), search.pieces) == (False, 32)
 
 
