@@ -28,17 +28,15 @@ def features(scene: Scene, state: np.ndarray) -> dict[str, float]:
 
 @pytest.mark.parametrize("scene", SCENES)
 def test_the_preview_is_the_flight_of_the_exact_model(scene: Scene) -> None:
-    rng = np.random.default_rng(0)
+    rng, flown = np.random.default_rng(0), 0
     length, v0 = scene.box_half_width, scene.speed_scale
-    flown = 0
     for _ in range(60):
         state = sample_start(scene, rng)
         state[9:12] = rng.uniform(-0.15, 0.15) * v0, rng.uniform(-0.5, 0.3) * v0, rng.uniform(-0.4, 0.4) * v0
         seen = features(scene, state)
-        time = 2.0 * seen["time"] * length / v0  # [s]
         simulator = make_simulator(scene, contact="exact")
         simulator.reset(state)
-        simulator.step(time, 0.0)
+        simulator.step(2.0 * seen["time"] * length / v0, 0.0)
         if simulator.impacts or seen["time"] == 0.5 * LONGEST:  # a wall came first, or the flight is cut
             continue
         flown += 1
@@ -46,8 +44,7 @@ def test_the_preview_is_the_flight_of_the_exact_model(scene: Scene) -> None:
         assert landed[4] - landed[1] == pytest.approx(-(length - scene.jack_arm), abs=1e-4 * length)
         assert seen["place"] == pytest.approx((landed[3] - landed[0]) / length, abs=1e-4)
         assert seen["speed"] == pytest.approx(-landed[10] / v0, abs=1e-4)
-        turned = (landed[5] - state[5]) / (0.5 * math.pi)
-        assert seen["spin"] == pytest.approx(max(-10.0, min(10.0, turned)), abs=1e-4)
+        assert seen["spin"] == pytest.approx(np.clip((landed[5] - state[5]) / (0.5 * math.pi), -10, 10), abs=1e-4)
         assert seen["box_angle"] == pytest.approx(0.0, abs=1e-6)
         angle = landed[5] - landed[2]
         for name, factor in (("4", 4.0), ("8", 8.0), ("world", 4.0)):
@@ -57,46 +54,40 @@ def test_the_preview_is_the_flight_of_the_exact_model(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize(
-    "scene",
+    "given",
     [
-        *SCENES,
-        Scene(gravity=0.0),
-        Scene(gravity=1e-50),
-        Scene(gravity=1e60),
-        Scene(jack_arm=1e-40, jack_inertia=1.0),
-        Scene(box_half_width=1e25),
-        Scene(jack_arm=8.0),
+        {},
+        {"gravity": 0.0},
+        {"gravity": 1e-50},
+        {"gravity": 1e60},
+        {"jack_arm": 1e-40, "jack_inertia": 1.0},
+        {"box_half_width": 1e25},
+        {"jack_arm": 8.0},
     ],
 )
-def test_every_observation_has_a_finite_preview(scene: Scene) -> None:
-    rng = np.random.default_rng(0)
+def test_every_observation_has_a_finite_preview(given: dict[str, float]) -> None:
+    scene, rng = Scene.of(given), np.random.default_rng(0)
     corners = rng.choice([-1.0, 0.0, 1.0], (4000, 10)) * BOUNDS
     inside = rng.uniform(-1.0, 1.0, (1000, 10)) * BOUNDS
     tiny = rng.choice([-1e-45, 0.0, 1e-45], (200, 10))
     rows = np.concatenate([corners, inside, tiny]).astype(np.float32)
     values = preview(flight_of(scene), rows)
     by_torch = torch.stack(columns(flight_of(scene), torch.from_numpy(rows).unbind(1), torch), dim=1)
-    assert values.shape == (len(rows), len(FEATURES))
     assert values.dtype == np.float32
-    assert np.isfinite(values).all()
-    assert torch.isfinite(by_torch).all()
-    assert np.abs(values).max() <= 10.0
-    assert by_torch.abs().max() <= 10.0
+    for found in (values, by_torch.numpy()):
+        assert found.shape == (len(rows), len(FEATURES))
+        assert np.abs(found).max() <= 10.0  # so none is NaN
     plain = np.abs(values[:, 9]) < 1.0  # where the last place of a long time does not turn the jack far
     np.testing.assert_allclose(values[plain], by_torch.numpy()[plain], atol=0.01)
     assert plain.sum() > 500 or scene.jack_arm < 0.1
-    assert values[:, 0].min() >= 0.0
-    assert values[:, 0].max() <= 0.5 * LONGEST
+    assert 0.0 <= values[:, 0].min() <= values[:, 0].max() <= 0.5 * LONGEST
 
 
 def test_without_gravity_a_jack_lands_only_if_it_falls() -> None:
-    scene = Scene(gravity=0.0)
-    state = np.zeros(12)
-    state[10] = -5.0
-    assert 2.0 * features(scene, state)["time"] * 6.0 / scene.speed_scale == pytest.approx(1.0, rel=1e-5)
+    scene, upwards = Scene(gravity=0.0), np.eye(12)[10]
+    assert 2.0 * features(scene, -5.0 * upwards)["time"] * 6.0 / scene.speed_scale == pytest.approx(1.0, rel=1e-5)
     for rate in (0.0, 5.0):
-        state[10] = rate
-        assert features(scene, state)["time"] == 0.5 * LONGEST
+        assert features(scene, rate * upwards)["time"] == 0.5 * LONGEST
 
 
 def test_the_networks_see_the_observation_and_the_preview_of_their_scene() -> None:

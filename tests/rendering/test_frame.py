@@ -6,34 +6,20 @@ import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from jackbox_env import JackInBoxEnv, Task
 from jackbox_env.scene import Scene
-from jackbox_env.simulators import Impact, make_simulator
-from tests.rendering.pixels import ARM, Frame, L, Mask, Words, blue, draw, pixel, red, renderer_at, state
-
-
-def teal(colour: NDArray[np.uint8] | tuple[int, int, int]) -> Mask:
-    parts = np.asarray(colour, dtype=int)
-    return (parts[..., 0] < 60) & (parts[..., 1] > 100) & (parts[..., 2] > 100) & (parts[..., 2] < 160)
-
-
-# -- the array ---------------------------------------------------------------------------------------------------------
+from jackbox_env.simulators import Impact
+from tests.rendering.pixels import ARM, L, Mask, Words, blue, draw, pixel, red, renderer_at, state
 
 
 def test_each_call_returns_a_fresh_array() -> None:
     renderer = renderer_at(state())
     first, second = draw(renderer), draw(renderer)
-    assert first.shape == second.shape == (512, 512, 3)
-    assert first.dtype == second.dtype == np.uint8
-    assert first.flags.c_contiguous
-    assert first.flags.writeable
+    assert first.dtype == np.uint8
     np.testing.assert_array_equal(first, second)
-    kept = second.copy()
     first[:] = 0
-    np.testing.assert_array_equal(second, kept)
-    np.testing.assert_array_equal(draw(renderer), kept)
+    np.testing.assert_array_equal(draw(renderer), second)
 
 
 # -- the box and the jack ----------------------------------------------------------------------------------------------
@@ -53,27 +39,25 @@ def test_scale_and_centre_match_the_walls_seen() -> None:
     assert renderer.to_pixels(3.0, -7.0 + L)[1] < y  # y points up
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.3, math.pi / 4, -5.5])
+@pytest.mark.parametrize("angle", [0.0, 0.3, -5.5])
 def test_walls_are_red_outwards_from_their_inside_faces(angle: float) -> None:
     renderer = renderer_at(state(box=(1.0, 2.0, angle), jack=(1.0, 2.0, 0.0)))
     frame = draw(renderer)
     size = renderer.to_pixels(2.0, 2.0)[0] - renderer.to_pixels(1.0, 2.0)[0]  # [px/m]
-    for wall in range(4):
-        normal = angle + wall * math.pi / 2.0
-        for sideways in (-5.0, -1.3, 2.2, 5.9):
+    for normal in angle + 0.5 * np.pi * np.arange(4):
+        for sideways in (-5.0, 2.2, 5.9):
             for distance, is_red in ((L - 1.6 / size, False), (L + 1.6 / size, True), (L + 4.4 / size, True)):
                 x = 1.0 + distance * math.cos(normal) - sideways * math.sin(normal)
                 y = 2.0 + distance * math.sin(normal) + sideways * math.cos(normal)
-                inwards_of_the_corner = distance < L and abs(sideways) > L - 2.0 / size
-                assert red(pixel(frame, renderer.to_pixels(x, y))) == is_red or inwards_of_the_corner
+                in_the_next_wall = distance < L and sideways > L - 2.0 / size
+                assert red(pixel(frame, renderer.to_pixels(x, y))) == is_red or in_the_next_wall
 
 
 def test_box_fits_beside_the_text_at_any_angle() -> None:
-    """Neither the ruler nor the texts change as the box turns a full turn, and no wall touches the frame's edge."""
+    """Neither the ruler nor the texts change as the box turns, and no wall touches the frame's edge."""
     reference = draw(renderer_at(state()))
     areas = [(slice(0, 512), slice(0, 54)), (slice(0, 30), slice(54, 140)), (slice(0, 30), slice(400, 512))]
-    areas += [(slice(30, 42), slice(54, 150)), (slice(30, 42), slice(410, 512)), (slice(491, 512), slice(0, 512))]
-    areas += [(slice(442, 491), slice(54, 120)), (slice(464, 491), slice(120, 195))]
+    areas += [(slice(30, 42), slice(54, 150)), (slice(491, 512), slice(0, 512)), (slice(442, 491), slice(54, 120))]
     for angle in np.linspace(0.0, math.pi / 2.0, 19):
         frame = draw(renderer_at(state(box=(0.0, 0.0, float(angle)))))
         for area in areas:
@@ -90,52 +74,36 @@ def test_jack_has_blue_arms_and_red_feet_but_one(angle: float) -> None:
     frame = draw(renderer)
     for foot in range(4):
         direction = angle + foot * math.pi / 2.0
-        for share, is_blue in ((0.0, True), (0.3, True), (0.6, True), (1.0, False)):
-            place = renderer.to_pixels(
-                -2.0 + share * ARM * math.cos(direction), 1.5 + share * ARM * math.sin(direction)
-            )
-            colour = pixel(frame, place)
-            assert bool(blue(colour)) == is_blue
-            assert bool(red(colour)) == (foot > 0 and share == 1.0)
-            assert (colour == (255, 176, 0)) == (foot == 0 and share == 1.0)
-        beyond = renderer.to_pixels(-2.0 + 1.5 * math.cos(direction), 1.5 + 1.5 * math.sin(direction))
-        assert not red(pixel(frame, beyond))
+        along = [
+            pixel(frame, renderer.to_pixels(-2.0 + reach * math.cos(direction), 1.5 + reach * math.sin(direction)))
+            for reach in ARM * np.array([0.0, 0.3, 0.6, 1.0, 1.5])
+        ]
+        assert [bool(blue(colour)) for colour in along] == [True, True, True, False, False]
+        assert [bool(red(colour)) for colour in along] == [False, False, False, foot > 0, False]
+        assert (along[3] == (255, 176, 0)) == (foot == 0)
 
 
 # -- the background ----------------------------------------------------------------------------------------------------
 
 
-def ruled_rows(frame: Frame) -> NDArray[np.float64]:
-    """Places of the horizontal lines, from the darkness of the rightmost columns that no vertical line touches."""
-    strip = frame[40:430, 495:511].astype(float).sum(axis=2).max(axis=1)
+@pytest.mark.parametrize("height", [0.0, -0.31, 1234.5])
+def test_ruled_lines_and_their_labels_stay_in_the_world_as_the_box_sinks(height: float, words: Words) -> None:
+    """Each line shares its darkness between the two pixels that it lies on."""
+    renderer = renderer_at(state(box=(7000.3, height, 0.0), jack=(7000.3, height, 0.0)))
+    strip = draw(renderer)[40:430, 503].astype(int).sum(axis=1)  # no vertical line is here
     dark = strip.max() - strip
-    rows = []
-    for row in range(len(dark)):
-        if dark[row] > 0 and (row == 0 or dark[row - 1] == 0):
-            run = dark[row : row + 2]
-            rows.append(40 + row + float(np.average(np.arange(len(run)), weights=run)))
-    return np.array(rows)
-
-
-@pytest.mark.parametrize("height", [0.0, -0.31, -4.856436, 1234.5])
-def test_ruled_lines_stay_in_the_world_as_the_box_sinks(height: float) -> None:
-    renderer = renderer_at(state(box=(0.0, height, 0.0), jack=(0.0, height, 0.0)))
-    rows = ruled_rows(draw(renderer))
-    heights = 2.0 * np.arange(math.ceil(height / 2.0) - 6, math.ceil(height / 2.0) + 7)
-    expected = np.array([renderer.to_pixels(0.0, float(value))[1] for value in heights])
-    expected = np.sort(expected[(expected > 41) & (expected < 428)])
-    assert len(expected) >= 7
-    assert len(rows) >= len(expected)
-    for row in expected:
-        assert np.abs(rows - row).min() < 0.1
-
-
-def test_height_labels_stand_at_their_heights(words: Words) -> None:
-    renderer = renderer_at(state(box=(0.0, -20.3, 0.0), jack=(0.0, -20.3, 0.0)))
-    draw(renderer)
-    for height in (14, 16, 18, 20, 22, 24, 26):
-        place = words[f"\N{MINUS SIGN}{height} m"]
-        assert place[1] == pytest.approx(renderer.to_pixels(0.0, -height)[1])
+    lines = 0
+    for line in 2.0 * np.arange(math.ceil(height / 2.0) - 4, math.ceil(height / 2.0) + 6):
+        place = renderer.to_pixels(0.0, float(line))[1]
+        row = math.floor(place) - 40
+        if 0 <= row < len(dark) - 1:
+            lines += 1
+            assert dark[row] + dark[row + 1] == pytest.approx(34 + 27 + 16, abs=3)
+            assert 40 + row + dark[row + 1] / 77.0 == pytest.approx(place, abs=0.06)
+            assert words[f"{line:.0f} m".replace("-", "\N{MINUS SIGN}")][1] == pytest.approx(place)
+    assert words["7002 m"][0] == pytest.approx(renderer.to_pixels(7002.0, 0.0)[0])
+    assert lines >= 7
+    assert np.count_nonzero(dark) <= 2 * lines + 1
 
 
 @pytest.mark.parametrize(
@@ -151,29 +119,16 @@ def test_height_labels_of_other_sizes(half_width: float, height: float, label: s
 # -- the readings ------------------------------------------------------------------------------------------------------
 
 
-def test_readings_of_a_simulation(words: Words) -> None:
-    simulator = make_simulator(Scene())
-    simulator.reset(state(jack=(0.5, 0.3, 0.3)))
-    renderer = renderer_at(state(jack=(0.5, 0.3, 0.3)))
+def test_a_picture_tells_time_torque_and_impacts(words: Words) -> None:
+    renderer = renderer_at(state())
     draw(renderer)
     assert {"t = 0.00 s", "0.0 kN m", "0 impacts"} <= set(words)
-    count, seen = 0, set()
-    for _ in range(250):
-        simulator.step(0.02)
-        count += len(simulator.impacts)
-        renderer.record(simulator.state, simulator.time, simulator.torque, simulator.impacts)
-        if simulator.impacts:
-            words.clear()
-            draw(renderer)
-            assert f"{count} impact{'' if count == 1 else 's'}" in words
-            assert f"t = {simulator.time:.2f} s" in words
-            assert f"{simulator.torque / 1e3:+.1f} kN m".replace("-", "\N{MINUS SIGN}") in words
-            seen.add(count)
-    assert 1 in seen
-    assert max(seen) > 3
-    renderer.record(simulator.state, simulator.time, 0.0, [Impact(simulator.time, 0, 0, 1.0)] * 3)
+    renderer.record(state(), 1.24, -44960.0, [Impact(1.23, 0, 0, 1.0)])
     draw(renderer)
-    assert f"{count + 3} impacts" in words
+    assert {"t = 1.24 s", "\N{MINUS SIGN}45.0 kN m", "1 impact"} <= set(words)
+    renderer.record(state(), 1.26, 500.0, [Impact(1.25, 0, 0, 1.0)] * 3)
+    draw(renderer)
+    assert {"t = 1.26 s", "+0.5 kN m", "4 impacts"} <= set(words)
 
 
 def test_an_environments_picture_shows_its_own_return(words: Words) -> None:
@@ -189,9 +144,11 @@ def test_an_environments_picture_shows_its_own_return(words: Words) -> None:
 
 
 def gauge(torque: float) -> Mask:
+    """Where the gauge is teal."""
     renderer = renderer_at(state())
     renderer.record(state(), 0.02, torque, [])
-    return teal(draw(renderer)[440:512, 54:123])
+    colours = draw(renderer)[440:512, 54:123].astype(int)
+    return (colours[..., 0] < 60) & (colours[..., 1] > 100) & (abs(colours[..., 2] - 130) < 30)
 
 
 def test_gauge_turns_the_way_of_the_torque_and_grows_with_it() -> None:

@@ -14,9 +14,10 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from jackbox_env import JackInBoxEnv
 from jackbox_env.rendering import Renderer
 from jackbox_env.scene import Scene
-from jackbox_env.simulators import Impact, make_simulator
+from jackbox_env.simulators import Impact
 from tests.rendering.pixels import Frame, Words, blue, draw, pixel, red, renderer_at, state
 
 pygame = pytest.importorskip("pygame")
@@ -26,29 +27,20 @@ pygame = pytest.importorskip("pygame")
 
 
 @pytest.mark.parametrize("duplicate", [lambda one: pickle.loads(pickle.dumps(one)), copy.deepcopy])
-@pytest.mark.parametrize("drawn_before", [False, True])
-def test_copies_draw_the_same_and_go_on_alike(duplicate: Callable[[Renderer], Renderer], drawn_before: bool) -> None:
-    simulator = make_simulator(Scene())
-    simulator.reset(state(jack=(0.5, 0.3, 0.3)))
-    renderer = renderer_at(simulator.state.tolist())
+def test_copies_draw_the_same_and_go_on_alike(duplicate: Callable[[Renderer], Renderer]) -> None:
+    renderer = renderer_at(state())
 
-    def go_on(*renderers: Renderer) -> None:
-        for _ in range(58):
-            simulator.step(0.02)
+    def go_on(first: int, *renderers: Renderer) -> None:
+        for step in range(first, first + 9):
             for one in renderers:
-                one.record(simulator.state, simulator.time, simulator.torque, simulator.impacts)
+                one.record(state(jack=(0.3 * step, 0.1, 0.3)), 0.02 * step, 4e4, [Impact(0.02 * step, 0, 0, 9.0)], 0.5)
 
-    go_on(renderer)
-    if drawn_before:
-        draw(renderer)
-    twin = duplicate(renderer)
-    np.testing.assert_array_equal(draw(twin), draw(renderer))
-    alone = draw(twin)
-    go_on(renderer)
-    np.testing.assert_array_equal(draw(twin), alone)  # nothing is shared
-    twin = duplicate(renderer)
-    go_on(renderer, twin)
-    np.testing.assert_array_equal(draw(twin), draw(renderer))
+    go_on(1, renderer)
+    before = draw(renderer)
+    twin, later = duplicate(renderer), duplicate(renderer)
+    go_on(10, renderer, later)
+    np.testing.assert_array_equal(draw(twin), before)  # nothing is shared
+    np.testing.assert_array_equal(draw(later), draw(renderer))
 
 
 @pytest.mark.parametrize("half_width", [1e-25, 1.0, 1e25])
@@ -68,7 +60,7 @@ def test_any_size_anywhere_is_drawn(half_width: float, arm: float, distance: flo
     assert max(map(len, words)) < 24
 
 
-@pytest.mark.parametrize("away", [20.0, 1e9, -1.7e308])
+@pytest.mark.parametrize("away", [20.0, -1.7e308])
 def test_a_jack_far_outside_is_left_out(away: float) -> None:
     renderer = renderer_at(state(jack=(away, 0.0, 0.5)))
     renderer.record(state(box=(-away, 0.0, 0.0), jack=(away, away, 0.5)), 0.02, 0.0, [Impact(0.02, 0, 0, 1.0)])
@@ -77,66 +69,42 @@ def test_a_jack_far_outside_is_left_out(away: float) -> None:
     assert not blue(frame).any()
 
 
-def test_closing_one_leaves_the_others_alive() -> None:
-    one, other = renderer_at(state()), renderer_at(state())
-    expected = draw(other)
-    draw(one)
-    one.close()
-    one.close()
-    np.testing.assert_array_equal(draw(other), expected)
-
-
-def test_another_environment_may_quit_pygame(words: Words) -> None:
-    renderer = renderer_at(state())
+def test_others_may_close_theirs_and_quit_pygame(words: Words) -> None:
+    renderer, other, fresh = (renderer_at(state()) for _ in range(3))
     draw(renderer)
+    other.close()
     pygame.quit()
     renderer.record(state(), 12.34, 0.0, [])  # a text never written before needs the font itself
     frame = draw(renderer)
     assert "t = 12.34 s" in words
-    fresh = renderer_at(state())
     fresh.record(state(), 12.34, 0.0, [])
     np.testing.assert_array_equal(frame, draw(fresh))
 
 
-def python(code: str, **environment: str) -> str:
-    """Run code in an interpreter of its own and return what it prints."""
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "PYGAME_HIDE_SUPPORT_PROMPT": "1", **environment},
-        timeout=120,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout.strip()
-
-
 def test_a_picture_shows_the_scene_that_holds() -> None:
+    start = np.eye(12)[5] * math.pi / 4.0
     env = gym.make("JackInBox-v0", render_mode="rgb_array")
-    start = np.zeros(12)
-    start[5] = math.pi / 4.0
+    alone = gym.make("JackInBox-v0", render_mode="rgb_array", scene={"jack_arm": 3.0})
     env.reset(options={"state": start})
     default = env.render()
     env.reset(options={"state": start, "scene": {"jack_arm": 3.0}})
-    other = env.render()
-    alone = gym.make("JackInBox-v0", render_mode="rgb_array", scene={"jack_arm": 3.0})
     alone.reset(options={"state": start})
-    np.testing.assert_array_equal(other, alone.render())
-    assert not np.array_equal(other, default)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(env.render(), alone.render())
+    assert not np.array_equal(alone.render(), default)  # type: ignore[arg-type]
 
 
 def test_arrays_need_no_display() -> None:
     code = (
         "from jackbox_env.rendering import Renderer; from jackbox_env.scene import Scene; import pygame\n"
         "renderer = Renderer(Scene(), 'rgb_array', 50); renderer.reset([0.0] * 12, 0.0)\n"
-        "print(renderer.render().shape, pygame.display.get_init()); renderer.close()"
+        "assert renderer.render().shape == (512, 512, 3); assert not pygame.display.get_init(); renderer.close()"
     )
-    assert python(code, SDL_VIDEODRIVER="no such driver") == "(512, 512, 3) False"
+    subprocess.run([sys.executable, "-c", code], env={**os.environ, "SDL_VIDEODRIVER": "no such driver"}, check=True)
 
 
-def test_missing_pygame_is_named_in_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_pygame_is_named_with_what_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pygame", None)
-    with pytest.raises(gym.error.DependencyNotInstalled, match=r'in a checkout .*pip install -e "\.\[render\]"'):
+    with pytest.raises(gym.error.DependencyNotInstalled, match=r'pip install -e "\.\[render\]"'):
         Renderer(Scene(), "rgb_array", 50)
 
 
@@ -144,21 +112,16 @@ def test_missing_pygame_is_named_in_a_sentence(monkeypatch: pytest.MonkeyPatch) 
 
 
 @pytest.fixture
-def windows(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], Renderer]]:
-    """Makes renderers of the human mode on a display that nobody sees."""
+def windows(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Renderer, Renderer]]:
+    """Two renderers of the human mode on a display that nobody sees."""
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     pygame.display.quit()
-    made: list[Renderer] = []
-
-    def make() -> Renderer:
-        renderer = Renderer(Scene(), "human", 1000)
+    pair = Renderer(Scene(), "human", 1000), Renderer(Scene(), "human", 1000)
+    for renderer in pair:
         renderer.reset(state(jack=(0.0, 1.0, 0.5)), 0.0)
-        made.append(renderer)
-        return renderer
-
-    yield make
-    for renderer in made:
-        renderer.close()
+    yield pair
+    pair[0].close()
+    pair[1].close()
     pygame.display.quit()
 
 
@@ -167,42 +130,29 @@ def window() -> Frame:
     return shown
 
 
-def test_window_shows_the_same_frame(windows: Callable[[], Renderer]) -> None:
-    renderer = windows()
-    assert renderer.render() is None
-    np.testing.assert_array_equal(window(), draw(renderer_at(state(jack=(0.0, 1.0, 0.5)))))
-    renderer.record(state(jack=(0.0, -1.0, 0.5)), 0.02, 0.0, [])
-    assert renderer.render() is None
-    assert pygame.display.get_surface().get_size() == (512, 512)
-    renderer.close()
-    renderer.close()
-    assert not pygame.display.get_init()
-
-
-def test_window_is_paced_and_its_events_are_pumped(
-    windows: Callable[[], Renderer], monkeypatch: pytest.MonkeyPatch
+def test_window_shows_the_frame_and_is_paced(
+    windows: tuple[Renderer, Renderer], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    paces, pumps, flips = [], [], []
+    done: list[object] = []
 
     class Clock:
-        def tick(self, pace: float) -> None:
-            paces.append(pace)
+        tick = done.append
 
     pump, flip = pygame.event.pump, pygame.display.flip
     monkeypatch.setattr(pygame.time, "Clock", Clock)
-    monkeypatch.setattr(pygame.event, "pump", lambda: pumps.append(pump()))
-    monkeypatch.setattr(pygame.display, "flip", lambda: flips.append(flip()))
-    renderer = windows()
-    for _ in range(3):
-        renderer.render()
-    assert paces == [1000] * 3
-    assert len(pumps) == len(flips) == 3
+    monkeypatch.setattr(pygame.event, "pump", lambda: done.append(("pumped", pump())))
+    monkeypatch.setattr(pygame.display, "flip", lambda: done.append(("flipped", flip())))
+    for _ in range(2):
+        assert windows[0].render() is None
+    np.testing.assert_array_equal(window(), draw(renderer_at(state(jack=(0.0, 1.0, 0.5)))))
+    assert done == [("pumped", None), ("flipped", None), 1000] * 2
 
 
-def test_closing_one_window_leaves_the_other(windows: Callable[[], Renderer]) -> None:
-    one, other = windows(), windows()
+def test_closing_one_window_leaves_the_other(windows: tuple[Renderer, Renderer]) -> None:
+    one, other = windows
     one.render()
     other.render()
+    one.close()
     one.close()
     assert pygame.display.get_init()
     other.record(state(jack=(2.0, 1.0, 0.5)), 0.02, 0.0, [])
@@ -213,19 +163,22 @@ def test_closing_one_window_leaves_the_other(windows: Callable[[], Renderer]) ->
 
 
 @pytest.mark.parametrize("disturb", [lambda: pygame.quit(), lambda: pygame.display.set_mode((600, 400))])
-def test_window_survives_others(windows: Callable[[], Renderer], disturb: Callable[[], object]) -> None:
-    renderer = windows()
-    renderer.render()
+def test_window_survives_others_and_leaves_theirs(
+    windows: tuple[Renderer, Renderer], disturb: Callable[[], object]
+) -> None:
+    windows[0].render()
     expected = window()
     disturb()
-    renderer.render()
+    windows[0].render()
     np.testing.assert_array_equal(window(), expected)
-
-
-def test_closing_leaves_a_window_that_somebody_else_has_taken(windows: Callable[[], Renderer]) -> None:
-    renderer = windows()
-    renderer.render()
     theirs = pygame.display.set_mode((600, 400))
-    renderer.close()
-    assert pygame.display.get_init()
-    theirs.fill((1, 2, 3))
+    windows[0].close()
+    assert pygame.display.get_surface() is theirs
+
+
+def test_the_window_has_the_size_asked_for(windows: tuple[Renderer, Renderer]) -> None:
+    env = JackInBoxEnv(render_mode="human", render_size=(320, 240))
+    env.reset(seed=0)
+    assert pygame.display.get_surface().get_size() == (320, 240)
+    env.close()
+    assert not pygame.display.get_init()
