@@ -135,7 +135,7 @@ def test_a_jack_that_a_single_environment_loses_a_batch_loses_too(scene: Scene, 
     batch.reset(seed=0)
     single.set_state(state)
     batch.set_states(state, 0.0)
-    for step in (lambda: single.step(np.ones(1)), lambda: batch.step(np.ones(3))):
+    for step in (lambda: single.step(1.0), lambda: batch.step(np.ones(3))):
         with pytest.raises(JackLostError):
             step()
     np.testing.assert_array_equal(batch.states, [state] * 3)

@@ -141,7 +141,7 @@ def test_the_option_wins_over_what_is_drawn_for_one_episode(contact: str) -> Non
     assert env.scene == batch.scenes[0] == plain.scene.changed(jack_mass=77.0, jack_arm=2.0)
     assert env.scene.jack_inertia == 77.0 * 4.0
     for one in (env, batch, plain):
-        one.reset()  # type: ignore[attr-defined]
+        one.reset()
     assert env.scene == batch.scenes[0] == plain.scene
 
 
