@@ -17,44 +17,17 @@ from tests.batches.several import EVERY_MODEL, EVERY_SIZE, assert_same, play
 
 
 @EVERY_SIZE
-def test_next_step_autoreset(contact: str, count: int) -> None:
-    env = JackInBoxVectorEnv(count, contact=contact, max_episode_steps=3)
-    first, _ = env.reset(seed=0)
-    env.reset(options={"reset_mask": np.arange(count) == count - 1})  # a second draw for the last environment
-    for step in range(3):
-        last, rewards, terminations, truncations, infos = env.step(np.zeros((count, 1)))
-        assert truncations.all() == truncations.any() == (step == 2)
-        assert not terminations.any()
-        assert (rewards > 0.0).all()
-    assert infos == {}
-    np.testing.assert_array_equal(last, env.observations)
-    started, rewards, _, truncations, _ = env.step(np.ones((count, 1)))  # the action is ignored
-    assert not truncations.any()
-    assert not rewards.any()
-    assert not env.times.any()
-    assert not np.array_equal(started, first)
-    assert not env.states[:, [0, 1, 2, *range(6, 12)]].any()
-    assert (env.step(np.zeros((count, 1)))[1] > 0.0).all()
-
-
-@EVERY_SIZE
-def test_same_step_autoreset(contact: str, count: int) -> None:
-    env = JackInBoxVectorEnv(count, contact=contact, max_episode_steps=2, autoreset_mode="SAME_STEP", with_infos=True)
-    twin = JackInBoxVectorEnv(count, contact=contact, max_episode_steps=100)
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+def test_episodes_restart_alike_with_and_without_infos(contact: str, count: int, mode: AutoresetMode) -> None:
+    env, twin = (JackInBoxVectorEnv(count, 3, mode, contact=contact, with_infos=asked) for asked in (False, True))
     for one in (env, twin):
         one.reset(seed=0)
-        one.step(None)
-    started, rewards, _, truncations, infos = env.step(None)
-    last, expected, *_ = twin.step(None)
-    assert truncations.all()
-    np.testing.assert_array_equal(rewards, expected)
-    np.testing.assert_array_equal(np.stack(infos["final_obs"]), last)
-    assert infos["_final_obs"].all()
-    np.testing.assert_array_equal(infos["final_info"]["state"], twin.states)
-    assert not env.times.any()
-    np.testing.assert_array_equal(started, env.observations)
-    np.testing.assert_array_equal(infos["state"], env.states)
-    assert not np.array_equal(started, last)
+        one.reset(options={"reset_mask": np.arange(count) == count - 1})  # a second draw for the last environment
+    for _ in range(9):
+        found, expected = (one.step(np.zeros((count, 1))) for one in (env, twin))
+        assert_same(found[:4], expected[:4])
+        assert found[4] == {} or (mode is AutoresetMode.SAME_STEP and found[3].all())
+        np.testing.assert_array_equal(found[0], env.observations)
 
 
 @EVERY_MODEL

@@ -17,11 +17,6 @@ from tests.batches.several import EVERY_MODEL, RANGES, SCENES, SHAKEN, assert_sa
 EVERY_DRAW = pytest.mark.parametrize("randomize", [RANGES, choosy], ids=["ranges", "a function"])
 
 
-def first_scene(env: Any) -> Scene:
-    scene: Scene = env.scenes[0] if isinstance(env, JackInBoxVectorEnv) else env.scene
-    return scene
-
-
 # -- a list of scenes -------------------------------------------------------------------------------------------------
 
 
@@ -68,7 +63,7 @@ def test_drawn_scenes_are_those_of_single_environments(contact: str, count: int,
     assert drawn[0] != drawn[1] != drawn[2]
 
 
-def test_drawn_numbers_are_uniform_and_come_before_the_start_in_the_order_of_the_fields() -> None:
+def test_numbers_are_drawn_before_the_start_in_the_order_of_the_fields() -> None:
     env = JackInBoxEnv(randomize={"restitution": (0.8, 1.0), "jack_mass": (2.0, 6.0)})
     env.reset(seed=3)
     rng = np.random.default_rng(3)
@@ -77,11 +72,6 @@ def test_drawn_numbers_are_uniform_and_come_before_the_start_in_the_order_of_the
     assert env.scene.box_mass == Scene().box_mass
     x = rng.uniform(-1.0, 1.0, 3)
     assert (env.state[3], env.state[5]) == (x[0], 0.5 * x[2])
-    masses = []
-    for _ in range(500):
-        env.reset()
-        masses.append(env.scene.jack_mass)
-    np.testing.assert_allclose(np.quantile(masses, [0.1, 0.5, 0.9]), [2.4, 4.0, 5.6], atol=0.3)
 
 
 def test_an_inertia_that_is_given_or_has_a_range_does_not_follow_the_mass() -> None:
@@ -188,7 +178,7 @@ def test_states_are_checked_against_the_scene_that_comes_with_them() -> None:
         env.reset(options={"state": state, "scene": {"box_half_width": 9.0}})
         with pytest.raises(ValueError, match="outside"):
             env.reset(options={"state": state, "scene": {"box_half_width": 6.5}})
-        assert first_scene(env).box_half_width == 9.0
+        assert env.scene.box_half_width == 9.0
 
 
 # -- refusals ---------------------------------------------------------------------------------------------------------
@@ -220,26 +210,24 @@ def test_a_contact_models_own_refusal_counts_for_ranges_too() -> None:
 
 
 @EVERY_MODEL
-@pytest.mark.parametrize("make", [JackInBoxEnv, lambda **given: JackInBoxVectorEnv(2, **given)])
-def test_a_function_that_draws_a_misfit_leaves_all_as_it_was(contact: str, make: Any) -> None:
+def test_a_function_that_draws_a_misfit_leaves_all_as_it_was(contact: str) -> None:
     bad: list[Any] = []
 
     def sometimes(rng: np.random.Generator) -> Any:
-        return bad[0] if bad else {"gravity": float(rng.uniform(1.0, 2.0))}
+        return bad.pop() if bad else {"gravity": float(rng.uniform(1.0, 2.0))}
 
-    env, twin = make(contact=contact, randomize=sometimes), JackInBoxEnv(contact=contact, randomize=sometimes)
-    env.reset(seed=0)
-    twin.reset(seed=0)
-    for wrong in ({"jack_arm": 100.0}, {"nothing": 1.0}, 3.0):
-        bad[:] = [wrong]
-        with pytest.raises((TypeError, ValueError)):
-            env.reset()
-        assert first_scene(env) == twin.scene
-    bad.clear()
-    env.step(None)
-    env.reset()
-    twin.reset()
-    assert first_scene(env) == twin.scene
+    env = JackInBoxEnv(contact=contact, randomize=sometimes)
+    batch = JackInBoxVectorEnv(1, contact=contact, randomize=sometimes)
+    for one in (env, batch):
+        one.reset(seed=0)
+        for wrong in ({"jack_arm": 100.0}, {"nothing": 1.0}, 3.0):
+            bad.append(wrong)
+            with pytest.raises((TypeError, ValueError)):
+                one.reset()
+        assert one.scene.gravity == np.random.default_rng(0).uniform(1.0, 2.0)
+        one.step(None)
+    assert env.reset()[0].tolist() == batch.reset()[0][0].tolist()
+    assert env.scene == batch.scene
 
 
 @pytest.mark.parametrize(
