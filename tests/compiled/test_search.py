@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Iterator
 from typing import Any
@@ -22,7 +23,6 @@ from tests.states import inside
 WEIGHTLESS = Scene(gravity=0.0, drive=None)
 MISSED: dict[str, tuple[Scene, list[float], float]] = {
     # Foot 0 turns at 10 rad/s on an arm of 1 m around a centre 5 m from the wall: it points at it after 10 ms.
-    "a foot swings 1 um through": (WEIGHTLESS, [0, 0, 0, 5.0 + 1e-6, 0, -0.1, 0, 0, 0, 0, 0, 10.0], 0.02),
     "a foot swings 1 nm through": (WEIGHTLESS, [0, 0, 0, 5.0 + 1e-9, 0, -0.1, 0, 0, 0, 0, 0, 10.0], 0.02),
     "fast spin, whole turns in a step": (WEIGHTLESS, [0, 0, 0, 5.2, 0, 0.785, 0, 0, 0, 0, 0, 100.0 * math.pi], 0.02),
     "the box's corner sweeps past": (WEIGHTLESS, [0, 0, -0.02, 5.001, 0, -0.02, 0, 0, 2.0, 0, 0, 2.0], 0.02),
@@ -87,12 +87,11 @@ def test_each_bound_holds_over_the_whole_flight() -> None:
         for s in np.linspace(0.0, left, 9).tolist():
             pose = motion.pose_at(flight, w, s)
             distance = math.hypot(pose.x, pose.y)
-            assert distance <= bound.far
-            assert distance <= bounds.reach_of(n, flight, left, 0.0)
-            cosine, sine = math.cos(pose.angle), math.sin(pose.angle)
-            ahead, aside = cosine * pose.x + sine * pose.y, cosine * pose.y - sine * pose.x
-            rate_aside = cosine * pose.vy - sine * pose.vx
-            bent = -sine * scene.gravity + 2.0 * pose.omega * rate_aside + alpha * aside - pose.omega**2 * ahead
+            assert distance <= min(bound.far, bounds.reach_of(n, flight, left, 0.0))
+            turn = cmath.exp(-1j * pose.angle)  # into the box's frame
+            at, rate = turn * complex(pose.x, pose.y), turn * complex(pose.vx, pose.vy)
+            pull = turn * complex(0.0, -scene.gravity)
+            bent = pull.real + 2.0 * pose.omega * rate.imag + alpha * at.imag - pose.omega**2 * at.real
             assert abs(bent) <= bound.bend
             spin = jack_omega - pose.omega
             assert scene.jack_arm * math.hypot(spin * spin, alpha) <= bound.swing

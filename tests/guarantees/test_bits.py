@@ -135,8 +135,6 @@ def test_rows_of_a_rollout_are_environments_from_any_number_of_threads(task: str
     assert found.impacts.sum() > 100
     for threads in (1, 2, 3):
         assert_same(rollout(scenes, states, torques, 0.02, num_threads=threads, **asked), found)
-    first = rollout(scenes[0], states[:3], torques[:3], 0.02, **asked)
-    assert_same(list(first), [values[:3] for values in found])
 
 
 @pytest.mark.parametrize("fastest", [0.5, 20.0, 200.0])
@@ -185,9 +183,6 @@ def test_what_is_copied_or_restored_goes_on_with_the_same_bits(contact: str, cou
     for step in range(20):
         seen, reward, *_ = single.step(actions_at(step, count)[0])
         assert_same([seen, reward], [path[step][0][0], path[step][1][0]])
-    kept, only = env.states, np.arange(count) == count // 2
-    env.set_states(states, times, only)
-    np.testing.assert_array_equal(env.states, np.where(only[:, None], states, kept))
 
 
 # -- as it would look -------------------------------------------------------------------------------------------------
@@ -195,13 +190,11 @@ def test_what_is_copied_or_restored_goes_on_with_the_same_bits(contact: str, cou
 
 @EVERY_MODEL
 def test_one_unit_in_the_last_place_of_a_start_would_be_seen(contact: str) -> None:
-    settings: Any = {"contact": contact, "scene": list(SCENES), "with_infos": True}
-    env, twin = (JackInBoxVectorEnv(5, 60, **settings) for _ in range(2))
+    env, twin = (JackInBoxVectorEnv(5, 60, contact=contact, scene=list(SCENES), with_infos=True) for _ in range(2))
     for one in (env, twin):
         one.reset(seed=4)
     states = twin.states
     states[3, 3] = np.nextafter(states[3, 3], 9.0)
     twin.set_states(states, 0.0)
-    with pytest.raises(AssertionError):
-        assert_same(play(twin, 20, 0), play(env, 20, 0))
-    assert_same(twin.states[[0, 1, 2, 4]], env.states[[0, 1, 2, 4]])
+    with pytest.raises(AssertionError, match="/0/3/state"):
+        assert_same(play(twin, 1, 0), play(env, 1, 0))
