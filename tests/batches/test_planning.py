@@ -29,13 +29,6 @@ def test_one_state_one_sequence_or_one_scene_serves_all() -> None:
     assert rollout(None, np.zeros((0, 12)), np.zeros((0, 7)), 0.02).shape == (0, 8, 12)
 
 
-def test_the_inputs_are_left_alone() -> None:
-    states, torques = given(4, 10)
-    kept = states.copy(), torques.copy()
-    rollout(Scene(), states, torques, 0.02)[:] = 0.0
-    assert_same((states, torques), kept)
-
-
 OUTSIDE = [[0.0] * 12, [0.0, 0.0, 0.0, 7.5, *[0.0] * 8]]  # of the default box, by 2.5 m
 
 

@@ -14,7 +14,6 @@ pytest.importorskip("stable_baselines3")
 
 from gymnasium.wrappers import RecordEpisodeStatistics, TimeLimit
 from stable_baselines3 import PPO
-from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
@@ -147,14 +146,6 @@ def test_ppo_trains_on_it_as_on_dummy_vec_env(contact: str) -> None:
 
     given = {"contact": contact, "max_episode_steps": 40}
     assert_same(weights(make_sb3_vec_env(2, **given)), weights(dummy(2, **given)))
-
-
-def test_evaluation_finds_the_episodes_statistics(recwarn: pytest.WarningsRecorder) -> None:
-    env = make_sb3_vec_env(2, contact="exact", max_episode_steps=20)
-    model = PPO("MlpPolicy", env, n_steps=16, batch_size=16, device="cpu")
-    _, lengths = evaluate_policy(model, env, n_eval_episodes=4, return_episode_rewards=True)
-    assert lengths == [20] * 4
-    assert not [warning for warning in recwarn if "Monitor" in str(warning.message)]
 
 
 def test_unusable_arguments_are_refused() -> None:

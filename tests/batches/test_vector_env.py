@@ -90,13 +90,12 @@ def test_memory_is_a_few_hundred_bytes_per_environment() -> None:
 @EVERY_MODEL
 def test_pictures_are_those_of_single_environments(contact: str) -> None:
     pytest.importorskip("pygame")
-    env, plain = (JackInBoxVectorEnv(2, contact=contact, render_mode=mode) for mode in ("rgb_array", None))
+    env = JackInBoxVectorEnv(2, contact=contact, render_mode="rgb_array")
     single = gym.make("JackInBox-v0", contact=contact, render_mode="rgb_array")
     env.reset(seed=4)
-    plain.reset(seed=4)
     single.reset(seed=5)
     for step in range(60):
-        assert_same(env.step(actions_at(step, 2))[0], plain.step(actions_at(step, 2))[0])
+        env.step(actions_at(step, 2))
         single.step(actions_at(step, 2)[1])
     frames = env.render()
     assert frames is not None
@@ -104,4 +103,4 @@ def test_pictures_are_those_of_single_environments(contact: str) -> None:
     np.testing.assert_array_equal(frames[1], single.render())
     env.close()
     with pytest.warns(UserWarning, match="render_mode"):
-        assert plain.render() is None
+        assert JackInBoxVectorEnv(2, contact=contact).render() is None

@@ -59,25 +59,20 @@ def test_a_chirp_that_turns_too_often_is_refused() -> None:
     run.step(0.02, torque=0.0)
 
 
-def test_functions_drive_as_the_chirp_does() -> None:
-    chirp = Chirp()
-    one, other = (simulator(Scene(drive=drive), np.zeros(12)) for drive in (chirp, Drive(torque=chirp.torque)))
-    for _ in range(140):  # five impacts
-        one.step(0.02)
-        other.step(0.02)
+@pytest.mark.parametrize(
+    ("chirp", "gravity", "dt", "steps", "error"),
+    [(Chirp(), 9.81, 0.02, 140, 1e-9), (Chirp(amplitude=2e4), 0.0, 0.7, 8, 1e-13)],
+    ids=["five impacts", "long steps"],
+)
+def test_functions_drive_as_the_chirp_does(chirp: Chirp, gravity: float, dt: float, steps: int, error: float) -> None:
+    drives = chirp, Drive(torque=chirp.torque)
+    one, other = (simulator(Scene(gravity=gravity, drive=drive), np.zeros(12)) for drive in drives)
+    for _ in range(steps):
+        one.step(dt)
+        other.step(dt)
         assert [hit[1:3] for hit in one.impacts] == [hit[1:3] for hit in other.impacts]
         assert one.torque == pytest.approx(other.torque, rel=1e-9, abs=1e-6)
-    np.testing.assert_allclose(one.state, other.state, atol=1e-9)
-
-
-def test_functions_are_followed_to_rounding_over_long_steps() -> None:
-    chirp = Chirp(amplitude=2e4)
-    drives = chirp, Drive(torque=chirp.torque)
-    one, other = (simulator(Scene(gravity=0.0, drive=drive), np.zeros(12)) for drive in drives)
-    for _ in range(8):
-        one.step(0.7)
-        other.step(0.7)
-    np.testing.assert_allclose(other.state, one.state, rtol=0.0, atol=1e-13)
+    np.testing.assert_allclose(one.state, other.state, rtol=0.0, atol=error)
 
 
 @pytest.mark.parametrize(

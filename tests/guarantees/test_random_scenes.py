@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections import Counter
 from typing import Any
@@ -101,14 +102,11 @@ def test_a_batch_of_random_scenes_and_a_task_of_ones_own_is_its_single_environme
     assert min(counted[name] for name in ("drawn", "listed", "impacts")) > 5, counted
 
 
-def test_a_scene_that_is_another_by_one_unit_in_the_last_place_would_be_seen() -> None:
-    for gravity, same in ((9.81, True), (float(np.nextafter(9.81, 10.0)), False)):
-        batch = JackInBoxVectorEnv(1, LIMIT, with_infos=True, contact="exact", scene={"gravity": gravity})
-        single = JackInBoxEnv(contact="exact")
-        batch.reset(seed=0)
-        single.reset(seed=0)
-        if same:
-            assert_the_same(batch, [single], 0, 0.5)
-        else:
-            with pytest.raises(AssertionError, match="state"):
-                assert_the_same(batch, [single], 0, 0.5)
+@pytest.mark.parametrize("gravity", [9.81, float(np.nextafter(9.81, 10.0))])
+def test_a_scene_that_is_another_by_one_unit_in_the_last_place_would_be_seen(gravity: float) -> None:
+    batch = JackInBoxVectorEnv(1, LIMIT, with_infos=True, contact="exact", scene={"gravity": gravity})
+    single = JackInBoxEnv(contact="exact")
+    batch.reset(seed=0)
+    single.reset(seed=0)
+    with contextlib.nullcontext() if gravity == 9.81 else pytest.raises(AssertionError, match="state"):
+        assert_the_same(batch, [single], 0, 0.5)
