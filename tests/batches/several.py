@@ -2,36 +2,82 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pytest
 
+from jackbox_env import Chirp, Drive, JackInBoxEnv, JackInBoxVectorEnv, Scene
+
 EVERY_MODEL = pytest.mark.parametrize("contact", ["exact", "pymunk"])
-
-
 # 1: NumPy easily makes a view where a copy is meant. 300: more than two blocks.
-SIZES = [("exact", 1), ("exact", 2), ("exact", 300), ("pymunk", 1), ("pymunk", 3)]
+EVERY_SIZE = pytest.mark.parametrize(("contact", "count"), [("exact", 1), ("exact", 300), ("pymunk", 1), ("pymunk", 3)])
+SHAKEN = Drive(force_x=lambda time: 2e4 * math.cos(5.0 * time))
+TURNED = Drive(torque=lambda time: 6e4 * math.sin(3.0 * time))
+SCENES = (
+    Scene(),
+    Scene(gravity=1.62, restitution=0.6, drive=None),
+    Scene(box_half_width=3.0, jack_mass=9.0, torque_limit=2e4, drive=Chirp(2e4, 1.0, 0.0)),
+    Scene(jack_arm=4.0, drive=SHAKEN),
+    Scene(gravity=0.0, box_mass=50.0, torque_limit=5000.0, drive=TURNED),
+)
+RANGES = {"jack_mass": (2.0, 6.0), "restitution": (0.5, 1.0), "box_half_width": (4.0, 8.0), "gravity": (0.0, 20.0)}
 
 
-EVERY_SIZE = pytest.mark.parametrize(("contact", "count"), SIZES)
+def choosy(rng: np.random.Generator) -> dict[str, Any]:
+    """Fields that depend on draws of 32 bits, of which numpy keeps a half for the next one."""
+    arm = float(rng.choice([0.5, 1.0, 1.5]))
+    chirp = Chirp(1e4 * int(rng.integers(1, 9, dtype=np.int32)), 0.5, 0.0)
+    return {"jack_arm": arm, "drive": chirp if rng.random() < 0.5 else None}
 
 
 def actions_at(step: int, count: int) -> Any:
     return np.random.default_rng(step).uniform(-1.2, 1.2, (count, 1)).astype(np.float32)
 
 
+def play(env: JackInBoxVectorEnv, steps: int, seed: int) -> list[Any]:
+    """What a batch returns: every seventh step under the drive, the others under random actions."""
+    rng, found = np.random.default_rng(seed), []
+    for step in range(steps):
+        actions = rng.uniform(-1.0, 1.0, env.num_envs)
+        seen, rewards, _, ends, infos = env.step(None if step % 7 == 0 else actions)
+        found.append((seen, rewards, ends, {name: values for name, values in infos.items() if name[0] != "_"}))
+    return found
+
+
+def play_alone(envs: Sequence[JackInBoxEnv], steps: int, seed: int, limit: int = 10**9) -> list[Any]:
+    """The same by single environments."""
+    rng, found = np.random.default_rng(seed), []
+    for step in range(steps):
+        actions = rng.uniform(-1.0, 1.0, len(envs))
+        found.append(step_alone(envs, [None] * len(envs) if step % 7 == 0 else actions, step, limit))
+    return found
+
+
+def step_alone(envs: Sequence[JackInBoxEnv], actions: Sequence[Any] | Any, step: int, limit: int) -> tuple[Any, ...]:
+    """A step of single environments, which restart in the step after their last."""
+    if step % (limit + 1) == limit:
+        rows = [(seen, 0.0, info) for seen, info in (env.reset() for env in envs)]
+    else:
+        steps = [env.step(action) for env, action in zip(envs, actions, strict=True)]
+        rows = [(seen, reward, info) for seen, reward, _, _, info in steps]
+    observations, rewards, infos = zip(*rows, strict=True)
+    columns = {name: np.array([info[name] for info in infos]) for name in infos[0]}
+    return np.array(observations), np.array(rewards), np.full(len(envs), step % (limit + 1) == limit - 1), columns
+
+
 def assert_same(found: Any, expected: Any, path: str = "") -> None:
     """Equal in kind and in every bit, dicts and arrays of arrays included."""
-    if isinstance(expected, tuple):
-        assert_same(dict(enumerate(found)), dict(enumerate(expected)), path)
+    if isinstance(expected, tuple | list) or (isinstance(expected, np.ndarray) and expected.dtype == object):
+        assert len(found) == len(expected), path
+        for place, (one, other) in enumerate(zip(found, expected, strict=True)):
+            assert_same(one, other, f"{path}/{place}")
     elif isinstance(expected, dict):
         assert set(found) == set(expected), path
         for name in expected:
             assert_same(found[name], expected[name], f"{path}/{name}")
-    elif isinstance(expected, np.ndarray) and expected.dtype == object:
-        for one, other in zip(found, expected, strict=True):
-            assert_same(one, other, path)
     elif isinstance(expected, np.ndarray):
         assert found.dtype == expected.dtype, path
         np.testing.assert_array_equal(found, expected, err_msg=path)

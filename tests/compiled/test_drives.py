@@ -16,58 +16,40 @@ from jackbox_env.states import clearance
 from jackbox_env.vector_env import JackInBoxVectorEnv
 from tests.closed_forms import chirp_motion_by_fresnel
 from tests.simulators.exact_runs import simulator
-from tests.states import Array, inside
-
-
-def chirp_motion(chirp: Chirp, time: float, dt: float) -> tuple[float, float]:
-    """Change of omega_box and of theta_box from rest over a step, by quadrature with 40 digits."""
-    with mp.workdps(40):
-        start, length = mp.mpf(time), mp.mpf(dt)
-        turns = int(chirp.fastest(time, dt) * dt * 4.0) + 2
-        pieces = [length * k / turns for k in range(turns + 1)]
-
-        def torque(since: Any) -> Any:
-            t = start + since
-            return mp.sin(2 * mp.pi * (mp.mpf(chirp.start_frequency) * t + mp.mpf(chirp.rate) * t * t / 2))
-
-        spun = mp.quad(torque, pieces)
-        turned = mp.quad(lambda since: (length - since) * torque(since), pieces)
-        return float(spun * chirp.amplitude / 14400.0), float(turned * chirp.amplitude / 14400.0)
+from tests.states import inside
 
 
 @pytest.mark.parametrize(
     ("chirp", "time", "dt"),
     [
         (Chirp(), 0.0, 0.02),
-        (Chirp(), 9.98, 0.02),
         (Chirp(), 9.0, 1.0),
-        (Chirp(rate=0.0), 123.0, 0.02),
-        (Chirp(rate=0.0, start_frequency=0.0), 5.0, 0.02),
         (Chirp(rate=-2.0, start_frequency=3.0), 1.49, 0.02),  # the frequency passes through zero
-        (Chirp(rate=-2.0), 50.0, 0.1),
-        (Chirp(rate=0.9), -50.0, 0.02),
-        (Chirp(amplitude=-1e4, rate=1e-9), 7.0, 0.3),
+        (Chirp(), -50.0, 0.02),
+        (Chirp(), 1e4, 0.02),
+        (Chirp(), 1e6, 0.02),
     ],
     ids=str,
 )
 def test_any_chirp_at_any_time_moves_the_box_as_it_should(chirp: Chirp, time: float, dt: float) -> None:
     run = simulator(Scene(gravity=0.0, drive=chirp), np.zeros(12), time)
     run.step(dt)
-    spun, turned = chirp_motion(chirp, time, dt)
-    assert run.state[8] == pytest.approx(spun, abs=1e-13, rel=1e-13)
-    assert run.state[2] == pytest.approx(turned, abs=1e-13, rel=1e-13)
-    assert run.torque == pytest.approx(14400.0 * spun / dt, abs=1e-8)
-
-
-@pytest.mark.parametrize("time", [1e4, 1e6])
-def test_the_chirp_after_a_million_seconds(time: float) -> None:
-    chirp, dt = Chirp(), 0.02
+    if chirp.rate < 0.0:  # the same torque
+        chirp = Chirp(-chirp.amplitude, -chirp.start_frequency, -chirp.rate)
     spun, turned = chirp_motion_by_fresnel(chirp, 14400.0, time, dt)
-    run = simulator(Scene(gravity=0.0, drive=chirp), np.zeros(12), time)
+    assert run.state[8] == pytest.approx(spun, abs=1e-13, rel=1e-13)
+    assert run.state[2] == pytest.approx(turned, abs=1e-15, rel=1e-13)
+    assert run.torque == pytest.approx(14400.0 * spun / dt, abs=1e-7)
+
+
+def test_a_chirp_of_one_frequency_is_a_sine() -> None:
+    time, dt, turning = 123.1, 0.3, mp.pi
+    run = simulator(Scene(gravity=0.0, drive=Chirp(start_frequency=0.5, rate=0.0)), np.zeros(12), time)
     run.step(dt)
-    assert run.state[8] == pytest.approx(spun, abs=1e-13)
-    assert run.state[2] == pytest.approx(turned, abs=1e-15)
-    assert abs(spun) > 1e-10
+    start, end = turning * mp.mpf(time), turning * (mp.mpf(time) + mp.mpf(dt))
+    spun = 6.25 / turning * (mp.cos(start) - mp.cos(end))
+    turned = 6.25 / turning * (mp.cos(start) * dt - (mp.sin(end) - mp.sin(start)) / turning)
+    np.testing.assert_allclose(run.state[[8, 2]], [float(spun), float(turned)], rtol=1e-12)
 
 
 def test_a_chirp_that_turns_too_often_is_refused() -> None:
@@ -77,57 +59,44 @@ def test_a_chirp_that_turns_too_often_is_refused() -> None:
     run.step(0.02, torque=0.0)
 
 
-def test_functions_drive_as_the_chirp_does() -> None:
-    law = Chirp()
-    one = simulator(Scene(), np.zeros(12))
-    other = simulator(Scene(drive=Drive(torque=law.torque)), np.zeros(12))
-    for _ in range(140):  # five impacts
-        one.step(0.02)
-        other.step(0.02)
+@pytest.mark.parametrize(
+    ("chirp", "gravity", "dt", "steps", "error"),
+    [(Chirp(), 9.81, 0.02, 140, 1e-9), (Chirp(amplitude=2e4), 0.0, 0.7, 8, 1e-13)],
+    ids=["five impacts", "long steps"],
+)
+def test_functions_drive_as_the_chirp_does(chirp: Chirp, gravity: float, dt: float, steps: int, error: float) -> None:
+    drives = chirp, Drive(torque=chirp.torque)
+    one, other = (simulator(Scene(gravity=gravity, drive=drive), np.zeros(12)) for drive in drives)
+    for _ in range(steps):
+        one.step(dt)
+        other.step(dt)
         assert [hit[1:3] for hit in one.impacts] == [hit[1:3] for hit in other.impacts]
         assert one.torque == pytest.approx(other.torque, rel=1e-9, abs=1e-6)
-    np.testing.assert_allclose(one.state, other.state, atol=1e-9)
-
-
-def test_functions_are_followed_to_rounding_over_long_steps() -> None:
-    law = Chirp(amplitude=2e4)
-    one = simulator(Scene(gravity=0.0, drive=law), np.zeros(12))
-    other = simulator(Scene(gravity=0.0, drive=Drive(torque=law.torque)), np.zeros(12))
-    for _ in range(8):
-        one.step(0.7)
-        other.step(0.7)
-    np.testing.assert_allclose(other.state, one.state, rtol=0.0, atol=1e-13)
-
-
-def float32_sine(time: float) -> Any:
-    return np.float32(9e4 * math.sin(time))
+    np.testing.assert_allclose(one.state, other.state, rtol=0.0, atol=error)
 
 
 @pytest.mark.parametrize(
     ("torque", "dt", "times"),
     [
-        (lambda t: 9e4 * math.sin(2.0 * math.pi * t), 0.02, [81.48, 81.98, 1e3, 1e6, 1e8]),
-        (lambda t: 9e4 * math.sin(2.0 * math.pi * t), 1e-4, [0.5, 8.0, 100.0]),
-        (lambda t: 9e4 * math.sin(20.0 * math.pi * t), 0.02, [32.64, 1e4]),
-        (Chirp().torque, 0.02, [24.28, 100.0, 1000.0]),
-        (float32_sine, 0.02, [0.0, 3.14, 50.0]),
+        (lambda t: 9e4 * math.sin(2.0 * math.pi * t), 0.02, [81.48, 1e6, 1e8]),
+        (lambda t: 9e4 * math.sin(2.0 * math.pi * t), 1e-4, [0.5, 100.0]),
+        (Chirp().torque, 0.02, [24.28, 1000.0]),
+        (lambda t: np.float32(9e4 * math.sin(t)), 0.02, [0.0, 3.14]),
     ],
-    ids=["1 Hz", "small steps", "10 Hz", "chirp", "float32"],
+    ids=["1 Hz", "small steps", "chirp", "float32"],
 )
 def test_the_rounding_of_a_function_is_not_taken_for_its_shape(torque: Any, dt: float, times: list[float]) -> None:
     # Near a zero the rounding of t * omega is large against the function's values in the step.
     for time in times:
         run = simulator(Scene(gravity=0.0, drive=Drive(torque=torque)), np.zeros(12), time)
         run.step(dt)
-        with mp.workdps(30):
-            mean = mp.quad(lambda s, time=time: mp.mpf(float(torque(float(time + s)))), [0, dt / 2, dt]) / dt
+        mean = mp.quad(lambda s, time=time: float(torque(float(time + s))), [0, dt / 2, dt]) / dt
         assert run.torque == pytest.approx(float(mean), abs=0.1 + 9e4 * 100.0 * math.ulp(time))
 
 
 def test_jumps_of_a_drive_are_found() -> None:
     # A square wave of 9e4 N m: 6.25 rad/s^2 for 0.25 s, then back: omega is a triangle, theta grows by 0.390625 rad.
-    scene = Scene(gravity=0.0, drive=Drive(torque=lambda t: 9e4 if t % 0.5 < 0.25 else -9e4))
-    run = simulator(scene, np.zeros(12))
+    run = simulator(Scene(gravity=0.0, drive=Drive(torque=lambda t: 9e4 if t % 0.5 < 0.25 else -9e4)), np.zeros(12))
     for _ in range(50):
         run.step(0.03)
     assert run.state[8] == pytest.approx(0.0, abs=1e-11)
@@ -143,10 +112,9 @@ def test_a_drive_of_noise_is_refused() -> None:
     np.testing.assert_array_equal(run.state, before)
 
 
-@pytest.mark.parametrize("drive", [Drive(), Drive(force_x=lambda t: 0.0), None], ids=["none", "zero", "no drive"])
-def test_a_drive_that_does_nothing_changes_nothing(drive: Drive | None) -> None:
-    rng = np.random.default_rng(6)
-    start = inside(Scene(), rng)
+@pytest.mark.parametrize("drive", [Drive(), Drive(force_x=lambda t: 0.0)], ids=["none", "zero"])
+def test_a_drive_that_does_nothing_changes_nothing(drive: Drive) -> None:
+    start = inside(Scene(), np.random.default_rng(6))
     one, other = simulator(Scene(drive=None), start), simulator(Scene(drive=drive), start)
     for _ in range(100):
         one.step(0.02)
@@ -157,37 +125,27 @@ def test_a_drive_that_does_nothing_changes_nothing(drive: Drive | None) -> None:
 def test_a_held_torque_costs_no_more_where_it_replaces_a_function(monkeypatch: pytest.MonkeyPatch) -> None:
     # Where no side force acts there is nothing to interpolate: the step is, bit for bit, that of a scene without drive.
     function, none = Scene(drive=Drive(torque=lambda t: 1e4 * math.sin(t))), Scene(drive=None)
-    rng = np.random.default_rng(7)
-    start, torques = inside(none, rng), rng.uniform(-9e4, 9e4, 200)
-    one, other = simulator(function, start), simulator(none, start)
-    asked: list[float] = []
+    rng, asked = np.random.default_rng(7), list[float]()
+    start, torques = inside(none, rng), rng.integers(-64, 65, 100) / 64.0 * 9e4
 
     def interpolate(drive: Drive, time: float, dt: float) -> Any:
         asked.append(time)
         return functions.function_pieces(drive, time, dt)
 
     monkeypatch.setattr(exact, "function_pieces", interpolate)
+    run, batch = simulator(function, start), JackInBoxVectorEnv(1, contact="exact", scene=function)
+    batch.reset(options={"state": start})
     for torque in torques.tolist():
-        one.step(0.02, torque)
-        other.step(0.02, torque)
-        np.testing.assert_array_equal(one.state, other.state)
-    np.testing.assert_array_equal(rollout(function, start, torques, 0.02), rollout(none, start, torques, 0.02))
-    batches = [make_vec(scene, start) for scene in (function, none)]
-    for actions in rng.uniform(-1.0, 1.0, (50, 3)):
-        seen, expected = (batch.step(actions) for batch in batches)
-        np.testing.assert_array_equal(seen[0], expected[0])
-        np.testing.assert_array_equal(seen[1], expected[1])
+        run.step(0.02, torque)
+        batch.step(np.array([torque / 9e4]))
+    expected = rollout(none, start, torques, 0.02)
+    np.testing.assert_array_equal(rollout(function, start, torques, 0.02), expected)
+    for states in ([run.state], batch.states):
+        np.testing.assert_array_equal(states, expected[:, -1])
     assert asked == []
-    one.step(0.02)
-    assert asked == pytest.approx([4.0])
-    batches[0].step(None)
-    assert asked == pytest.approx([4.0, 1.0])
-
-
-def make_vec(scene: Scene, start: Array) -> JackInBoxVectorEnv:
-    made = JackInBoxVectorEnv(3, contact="exact", scene=scene)
-    made.reset(options={"state": start})
-    return made
+    run.step(0.02)
+    batch.step(None)
+    assert asked == pytest.approx([2.0, 2.0])
 
 
 def test_impacts_under_side_forces_keep_momentum() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections import Counter
 from typing import Any
@@ -11,9 +12,10 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from jackbox_env import JackInBoxEnv, JackInBoxVectorEnv, Scene, Task
+from jackbox_env import JackInBoxEnv, JackInBoxVectorEnv, Task
 from jackbox_env.simulators import CONTACT_MODELS, JackLostError
 from scripts.studies.laws.random_cases import draw_scene
+from tests.batches.several import assert_same, step_alone
 from tests.studies.strategies import HypothesisDraw
 
 STEPS, LIMIT = 15, 7  # control steps, and those of an episode
@@ -38,35 +40,15 @@ def scenes_of(draw: HypothesisDraw, dt: float, count: int) -> dict[str, Any]:
     if draw.choice((True, False)):
         return {"scene": [draw_scene(draw, dt) for _ in range(count)]}
     scene = draw_scene(draw, dt)
-    ranges = {name: getattr(scene, name) for name in ("box_mass", "jack_mass", "gravity", "torque_limit")}
-    drawn = {
-        name: (value * draw.uniform(0.5, 1.0), value * draw.uniform(1.0, 2.0))
-        for name, value in ranges.items()
-        if draw.choice((True, False))
-    }
-    drawn |= {"restitution": (draw.uniform(0.0, 0.5), draw.uniform(0.5, 1.0))} if draw.choice((True, False)) else {}
     length = scene.box_half_width
-    return {"scene": scene, "randomize": drawn | {"box_half_width": (length, length * draw.uniform(1.0, 2.0))}}
-
-
-def single(given: dict[str, Any], number: int) -> JackInBoxEnv:
-    """The environment of that number alone."""
-    scene = given["scene"]
-    return JackInBoxEnv(**{**given, "scene": scene if isinstance(scene, Scene) else scene[number]})
-
-
-def each_alone(singles: list[JackInBoxEnv], actions: list[Any], step: int) -> list[tuple[Any, float, Any]]:
-    """A step of every single environment."""
-    return [alone(env, action, step) for env, action in zip(singles, actions, strict=True)]
-
-
-def alone(env: JackInBoxEnv, action: float | None, step: int) -> tuple[Any, float, Any]:
-    """A step of a single environment, which restarts in the step after its last."""
-    if step % (LIMIT + 1) == LIMIT:
-        seen, info = env.reset()
-        return seen, 0.0, info
-    seen, reward, _, _, info = env.step(action)
-    return seen, reward, info
+    ranges = {"box_half_width": (length, length * draw.uniform(1.0, 2.0))}
+    for name in ("box_mass", "jack_mass", "gravity", "torque_limit"):
+        if draw.choice((True, False)):
+            value = getattr(scene, name)
+            ranges[name] = value * draw.uniform(0.5, 1.0), value * draw.uniform(1.0, 2.0)
+    if draw.choice((True, False)):
+        ranges["restitution"] = draw.uniform(0.0, 0.5), draw.uniform(0.5, 1.0)
+    return {"scene": scene, "randomize": ranges}
 
 
 def assert_the_same(batch: JackInBoxVectorEnv, singles: list[JackInBoxEnv], step: int, action: float | None) -> int:
@@ -74,18 +56,16 @@ def assert_the_same(batch: JackInBoxVectorEnv, singles: list[JackInBoxEnv], step
     actions = None if action is None else action * np.linspace(-1.0, 1.0, len(singles))
     each = [None] * len(singles) if actions is None else actions.tolist()
     try:
-        seen, rewards, _, _, infos = batch.step(actions)
+        seen, rewards, _, ends, infos = batch.step(actions)
     except JackLostError:
         with pytest.raises(JackLostError):
-            each_alone(singles, each, step)
+            step_alone(singles, each, step, LIMIT)
         return -1
-    rows = each_alone(singles, each, step)
-    np.testing.assert_array_equal(seen, [row[0] for row in rows])
-    np.testing.assert_array_equal(rewards, [row[1] for row in rows])
-    for name in rows[0][2]:
-        np.testing.assert_array_equal(infos[name], [row[2][name] for row in rows], err_msg=name)
-    np.testing.assert_array_equal(batch.states, [env.state for env in singles])
-    assert batch.scenes == [env.scene for env in singles]
+    told = {name: values for name, values in infos.items() if name[0] != "_"}
+    assert_same((seen, rewards, ends, told), step_alone(singles, each, step, LIMIT))
+    assert_same(
+        (batch.states, batch.scenes), (np.array([env.state for env in singles]), [env.scene for env in singles])
+    )
     return int(infos["impacts"].sum())
 
 
@@ -101,7 +81,8 @@ def test_a_batch_of_random_scenes_and_a_task_of_ones_own_is_its_single_environme
         asked = {"contact": contact, "task": draw.choice(TASKS), "control_dt": dt, **scenes_of(draw, dt, count)}
         try:
             batch = JackInBoxVectorEnv(count, LIMIT, with_infos=True, **asked)
-            singles = [single(asked, number) for number in range(count)]
+            scenes = asked["scene"] if isinstance(asked["scene"], list) else [asked["scene"]] * count
+            singles = [JackInBoxEnv(**{**asked, "scene": scene}) for scene in scenes]
         except ValueError as error:  # a scene that pymunk does not solve
             assume("couple the feet so strongly" not in str(error))
             raise
@@ -119,3 +100,13 @@ def test_a_batch_of_random_scenes_and_a_task_of_ones_own_is_its_single_environme
     is_the_same()
     assert counted["lost"] <= 0.2 * (counted["drawn"] + counted["listed"]), counted
     assert min(counted[name] for name in ("drawn", "listed", "impacts")) > 5, counted
+
+
+@pytest.mark.parametrize("gravity", [9.81, float(np.nextafter(9.81, 10.0))])
+def test_a_scene_that_is_another_by_one_unit_in_the_last_place_would_be_seen(gravity: float) -> None:
+    batch = JackInBoxVectorEnv(1, LIMIT, with_infos=True, contact="exact", scene={"gravity": gravity})
+    single = JackInBoxEnv(contact="exact")
+    batch.reset(seed=0)
+    single.reset(seed=0)
+    with contextlib.nullcontext() if gravity == 9.81 else pytest.raises(AssertionError, match="state"):
+        assert_the_same(batch, [single], 0, 0.5)

@@ -1,0 +1,348 @@
+"""Interruptions at any moment: a call is done entirely or not at all, nothing hangs, no thread writes afterwards."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import FrameType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jackbox_env import JackInBoxVectorEnv, Scene, planning, rollout
+from jackbox_env.batches import exact, threads
+from jackbox_env.batches.single import SingleBatch
+from jackbox_env.compiled import compiler, glide, loop
+from jackbox_env.compiled.compiler import PACKAGE
+from jackbox_env.compiled.rollouts import roll
+from jackbox_env.compiled.status import Status
+from scripts.studies.laws.interruptions import same
+from tests.states import lying
+
+ROOT = Path(__file__).parents[2]
+TASKS = Path("/proc/self/task")
+
+
+def until(condition: Callable[[], object], seconds: float = 20.0) -> None:
+    """Wait for what another thread does."""
+    latest = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < latest
+        time.sleep(0.002)
+
+
+def interrupt(*_: Any) -> None:
+    raise KeyboardInterrupt
+
+
+# -- at every instruction ---------------------------------------------------------------------------------------------
+
+
+def struck(call: Callable[[], Any], at: int) -> bool:
+    """Make a call and raise KeyboardInterrupt before the ``at``-th instruction of this package; return whether it did.
+
+    Python itself checks for signals at fewer instructions: never between the end of a ``with`` and the release of its
+    lock. So the one lock on the way, the compiler's, is left out.
+    """
+    left = at
+
+    def trace(frame: FrameType, event: str, _: Any) -> Any:
+        nonlocal left
+        file = frame.f_code.co_filename
+        if not file.startswith(str(PACKAGE)) or file == compiler.__file__:
+            return None
+        frame.f_trace_opcodes = True
+        left -= event == "opcode"
+        if left <= 0:
+            raise KeyboardInterrupt
+        return trace
+
+    before = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        call()
+    except KeyboardInterrupt:
+        return True
+    finally:
+        sys.settrace(before)
+    return False
+
+
+def told(env: Any) -> list[Any]:
+    """What environments show."""
+    vector = getattr(env, "vector_env", env)
+    scenes = [repr(scene) for scene in vector.scenes]
+    return [vector.states, vector.times, vector.observations, scenes, getattr(env, "reset_infos", None)]
+
+
+def step(env: Any, seed: int) -> Any:
+    return env.step(np.random.default_rng(seed).uniform(-1.0, 1.0, (env.num_envs, 1)))
+
+
+def start(env: Any, seed: int) -> Any:
+    return env.reset(seed=seed) if isinstance(env, JackInBoxVectorEnv) else (env.seed(seed), env.reset())
+
+
+def start_some(env: Any, seed: int) -> Any:
+    return env.reset(seed=seed, options={"reset_mask": np.arange(env.num_envs) != 1, "time": 0.25})
+
+
+def change(env: Any, seed: int) -> Any:
+    return env.reset(options={"scene": {"jack_mass": 1.0 + seed % 7}, "reset_mask": np.arange(env.num_envs) == 1})
+
+
+def put(env: Any, seed: int) -> None:
+    env.set_states(np.eye(12)[9] * np.linspace(-5.0, seed % 5, env.num_envs)[:, None], 0.5)
+
+
+def staggered(make: Callable[[], Any]) -> tuple[Any, Any]:
+    """An environment and its twin. Their episodes end one after another, so every step restarts one."""
+    pair = make(), make()
+    for env in pair:
+        vector = getattr(env, "vector_env", env)
+        start(env, 0)
+        for number in range(vector.num_envs - 1):
+            vector.step(np.zeros(vector.num_envs))
+            vector.reset(options={"reset_mask": np.arange(vector.num_envs) == number})
+    return pair
+
+
+def assert_all_or_nothing(pair: tuple[Any, Any], call: Callable[[Any, int], Any], stride: int) -> None:
+    """Interrupt a call at every ``stride``-th instruction in turn. The next step tells what is not shown."""
+    env, twin = pair
+    for at in itertools.count(1, stride):
+        before = told(env)
+        interrupted = struck(lambda at=at: call(env, at), at)  # type: ignore[misc]
+        call(twin, at)
+        if interrupted and same(told(env), before):
+            call(env, at)
+        assert same(told(env), told(twin)), f"interrupted before instruction {at}"
+        assert same(step(env, at), step(twin, at)), f"after an interruption before instruction {at}"
+        if not interrupted:
+            assert at > 100
+            return
+
+
+def batch(contact: str = "exact", **settings: Any) -> Callable[[], Any]:
+    # Two threads have work in blocks of one environment each, where a single block is a piece.
+    given = {"num_threads": 2, "max_episode_steps": 2, "with_infos": True, **settings}
+    return lambda: JackInBoxVectorEnv(3, contact=contact, **given)
+
+
+def sb3() -> Any:
+    pytest.importorskip("stable_baselines3")
+    from jackbox_env.sb3 import make_sb3_vec_env
+
+    return make_sb3_vec_env(2, contact="exact", max_episode_steps=2, with_infos=True)
+
+
+DRAWN = {"gravity": (1.0, 9.0)}
+CALLS: dict[str, tuple[Callable[[], Any], Callable[[Any, int], Any], int]] = {
+    "step": (batch(), step, 2),
+    "step, restarts at once": (batch(autoreset_mode="SAME_STEP"), step, 5),
+    "step, scenes drawn": (batch(randomize=DRAWN), step, 7),
+    "set_states": (batch(), put, 5),
+    "reset of some": (batch(), start_some, 5),
+    "reset, another scene": (batch(randomize=DRAWN), change, 17),
+    "sb3 step": (sb3, step, 13),
+    "sb3 reset": (sb3, start, 11),
+    "step, pymunk": (batch("pymunk", randomize=DRAWN), step, 101),
+    "set_states, pymunk": (batch("pymunk"), put, 29),
+    "reset, pymunk": (batch("pymunk"), start_some, 53),
+}
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_an_interruption_before_any_instruction_leaves_all_or_nothing_done(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(exact, "_GRAIN", 1)  # so that two threads share even few environments
+    make, call, stride = CALLS[name]
+    assert_all_or_nothing(staggered(make), call, stride)
+
+
+def test_a_batch_left_half_stepped_would_be_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Environments that are not put back where they were held.
+    pair = staggered(batch("pymunk"))
+    monkeypatch.setattr(SingleBatch, "_move_to", lambda self, held: None)
+    with pytest.raises(AssertionError, match="interrupt"):
+        assert_all_or_nothing(pair, step, 47)
+
+
+# -- at chosen moments ------------------------------------------------------------------------------------------------
+
+
+def test_an_interruption_of_a_long_step_is_heard_soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Jacks that lie still cost most. Compiled code hears nothing: it has to come back after a part of the step.
+    count = 300 * glide.WIDEST
+    env = JackInBoxVectorEnv(count, contact="exact", scene=Scene(restitution=0.5, drive=None), num_threads=1)
+    env.reset(seed=0)
+    states = np.tile(lying(), (count, 1))
+    states[:, 3] = np.linspace(-4.0, 4.0, count)
+    env.set_states(states, 0.0)
+    step_blocks, ends = compiler.compiled(loop.step_blocks), list[int]()
+
+    def interrupted(*given: Any) -> Any:
+        ends.append(step_blocks(*given)[0])
+        raise KeyboardInterrupt  # as Ctrl-C while it worked
+
+    monkeypatch.setattr(exact, "compiled", lambda _: interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        env.step(np.zeros(count))
+    assert ends == [Status.PAUSED]
+    assert same([env.states, env.times], [states, np.zeros(count)])
+
+
+def test_threads_give_up_long_work_where_it_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
+    env = JackInBoxVectorEnv(640, contact="exact", num_threads=2)
+    env.reset(seed=0)
+    main, compiled = threading.get_ident(), compiler.compiled
+
+    def endless(*_: Any) -> tuple[int, int, int]:
+        if threading.get_ident() == main:
+            until(lambda: threads._AT_WORK)
+            raise KeyboardInterrupt
+        time.sleep(0.001)
+        return Status.PAUSED.value, 0, 0
+
+    for module in (exact, planning):
+        monkeypatch.setattr(
+            module, "compiled", lambda function: endless if function in (loop.step_blocks, roll) else compiled(function)
+        )
+    calls = (
+        lambda: env.step(None),
+        lambda: rollout(None, np.zeros((1000, 12)), np.zeros((1000, 5)), 0.02, num_threads=2),
+    )
+    for call in calls:
+        with pytest.raises(KeyboardInterrupt):
+            call()
+        assert not threads._AT_WORK
+
+
+def test_a_thread_left_at_work_changes_no_later_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    env, twin = (JackInBoxVectorEnv(640, contact="exact", num_threads=number) for number in (4, 1))
+    for one in (env, twin):
+        one.reset(seed=0)
+        step(one, 0)
+    before = told(env)
+    main, begun, gate = threading.get_ident(), threading.Event(), threading.Event()
+    step_blocks = compiler.compiled(loop.step_blocks)
+
+    def late(*given: Any) -> Any:
+        if threading.get_ident() == main:
+            assert begun.wait(20.0)
+            raise KeyboardInterrupt
+        begun.set()
+        gate.wait(20.0)
+        return step_blocks(*given)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(exact, "compiled", lambda _: late)
+        patch.setattr(threads, "time", SimpleNamespace(sleep=interrupt))  # again, while it waits for threads at work
+        with pytest.raises(KeyboardInterrupt):
+            step(env, 1)
+    assert same(told(env), before)
+    assert same(step(env, 2), step(twin, 2))
+    gate.set()
+    until(lambda: not threads._AT_WORK)
+    assert same(told(env), told(twin))
+    assert same(step(env, 3), step(twin, 3))
+
+
+# -- threads end ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(not TASKS.exists(), reason="the system does not say how many threads there are")
+def test_threads_end_with_an_interruption_and_with_their_owner() -> None:
+    begun, done = list[int](), list[int]()
+
+    def interrupted(number: int, low: int, high: int) -> None:
+        if number == 0:
+            until(lambda: len(begun) >= 3)
+            raise KeyboardInterrupt
+        begun.append(low)
+        time.sleep(0.02)
+        done.append(low)
+
+    before, owner = len(os.listdir(TASKS)), threads.Threads(4)
+    with pytest.raises(KeyboardInterrupt):
+        owner.run(interrupted, 1000)
+    assert sorted(begun) == sorted(done)  # nobody works on
+    until(lambda: len(os.listdir(TASKS)) == before)
+    owner.run(lambda number, low, high: time.sleep(0.001), 100)
+    assert len(os.listdir(TASKS)) == before + 3
+    del owner
+    until(lambda: len(os.listdir(TASKS)) == before)
+
+
+ENDS = """
+import time
+from types import SimpleNamespace
+from jackbox_env.batches import threads
+
+def interrupt(*_):
+    raise KeyboardInterrupt
+
+def work(number, low, high):
+    if number == 0:
+        while len(threads._AT_WORK) < 2:
+            time.sleep(0.001)
+        raise KeyboardInterrupt
+    time.sleep(0.3 if number == 1 else 1000.0)
+    print("worked to its end", flush=True)
+
+threads.time = SimpleNamespace(sleep=interrupt)
+try:
+    threads.Threads(3).run(work, 30)
+except KeyboardInterrupt:
+    threads.time = time
+"""
+
+
+def test_a_process_waits_a_little_for_threads_that_are_left_at_work_and_ends() -> None:
+    ran = subprocess.run([sys.executable, "-c", ENDS], capture_output=True, text=True, timeout=60, check=False)
+    assert (ran.returncode, ran.stderr) == (0, "")
+    assert "worked to its end" in ran.stdout
+
+
+def test_a_fork_works_on_without_its_parents_threads() -> None:
+    env, at_work = JackInBoxVectorEnv(64, contact="exact", num_threads=2), (object(), 1)
+    env.reset(seed=0)
+    env.step(None)
+    threads._AT_WORK.add(at_work)  # type: ignore[arg-type]
+    process = os.fork()
+    if process == 0:
+        signal.alarm(20)  # ends the child if it waits for a thread
+        env.step(None)
+        os._exit(int(env.times[0] != 0.04 or bool(threads._AT_WORK)))
+    status = os.waitpid(process, 0)[1]
+    threads._AT_WORK.discard(at_work)  # type: ignore[arg-type]
+    assert os.waitstatus_to_exitcode(status) == 0
+    env.step(None)
+
+
+# -- at random moments ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_interruptions_at_random_moments_do_no_harm() -> None:
+    # Its own process: it needs the timer, and a hang must have an end.
+    command = ["scripts/studies/laws/interruptions.py", "--no-progress", "--interrupts", "150"]
+    ran = subprocess.run(
+        [sys.executable, *command, "--kinds", "steps", "rollouts"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=250,
+    )
+    lines = ran.stdout.splitlines()
+    assert (ran.returncode, len(lines), ran.stderr) == (0, 4, "")
+    assert all("wrong 0, threads left 0" in line for line in lines)

@@ -1,0 +1,258 @@
+"""Compiled code on disk: checked before it is loaded, found by its content, and never in the way."""
+
+from __future__ import annotations
+
+import os
+import random
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import FunctionType
+from typing import Any
+from unittest.mock import patch
+
+import numba
+import pytest
+
+import jackbox_env
+from jackbox_env.compiled import compiler, kept
+from jackbox_env.compiled.impacts import quarter
+from jackbox_env.compiled.trigonometry import cos_sin
+
+TURN = (0.8, 0.6, 1), (-0.6, 0.8)  # what ``quarter`` is given and returns
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The first place for compiled code, empty; the others are beside it."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "place"))
+    monkeypatch.setattr(compiler, "PACKAGE", tmp_path / "package")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
+    monkeypatch.setattr(kept, "_said", set())
+    return tmp_path / "place"
+
+
+def fresh(function: Callable[..., Any]) -> Any:
+    """``function`` compiled as in a process that has not compiled it yet."""
+    assert isinstance(function, FunctionType)
+    with patch.dict(compiler._made, clear=True):
+        return compiler._compile_now(function, (), True)
+
+
+def turned() -> int:
+    """How often kept code is loaded in place of compiling, where ``quarter`` is called afresh. It turns right."""
+    made = fresh(quarter)
+    assert made(*TURN[0]) == TURN[1]
+    return sum(made.stats.cache_hits.values())
+
+
+def files(place: Path, kind: str = "kept") -> list[Path]:
+    return sorted(place.glob(f"compiled-*/*.{kind}"))
+
+
+def test_code_is_kept_once_for_each_signature_and_loaded_by_later_processes(place: Path) -> None:
+    made = fresh(quarter)
+    for number in range(4):
+        made(0.8, 0.6, number)
+    assert len(files(place)) == 1
+    assert made.stats.cache_path == str(files(place)[0].parent)
+    made(0.8, 0.6, True)
+    assert len(files(place)) == 2
+    assert turned() == 1
+
+
+def test_without_a_compiler_nothing_is_kept(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(numba.config, "DISABLE_JIT", 1)
+    assert isinstance(fresh(quarter), FunctionType)
+    assert not place.exists()
+
+
+def test_a_later_process_loads_the_whole_exact_model() -> None:
+    jackbox_env.make_simulator(contact="exact").step(0.02, 1.0)
+    code = (
+        "import jackbox_env; jackbox_env.make_simulator(contact='exact').step(0.02, 1.0)\n"
+        "from jackbox_env.compiled.compiler import compiled; from jackbox_env.compiled.step import step_one\n"
+        "stats = compiled(step_one).stats; print(sum(stats.cache_hits.values()), sum(stats.cache_misses.values()))"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert (ran.stdout, ran.stderr) == ("1 0\n", "")
+
+
+# -- damage -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_file_with_any_bit_flipped_or_cut_anywhere_is_not_read(place: Path, cases: Callable[[int], int]) -> None:
+    turned()
+    (path,) = files(place)
+    whole, rng = path.read_bytes(), random.Random(0)
+    assert kept._read(path)
+    damaged = [whole[:length] for length in (0, 1, 31, 32, 33, len(whole) // 2, len(whole) - 1)]
+    damaged += [whole + b"\0", bytes(len(whole))]
+    for place_of in rng.sample(range(len(whole)), cases(400)):
+        flipped = whole[place_of] ^ 1 << rng.randrange(8)
+        damaged.append(whole[:place_of] + bytes([flipped]) + whole[place_of + 1 :])
+    for content in damaged:
+        path.write_bytes(content)
+        with pytest.raises(kept._DamageError):
+            kept._read(path)
+
+
+def cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:1000])
+
+
+def fill_with_what_numba_cannot_load(path: Path) -> None:
+    (name, kind, (code, _)), *others = kept._read(path)
+    kept._write(path, ((name, kind, (code, b"no bitcode")), *others))
+
+
+@pytest.mark.parametrize("damage", [cut, fill_with_what_numba_cannot_load])
+def test_damaged_code_is_compiled_anew_and_replaced_and_one_warning_names_the_folder(
+    damage: Callable[[Path], None], place: Path
+) -> None:
+    turned()
+    (path,) = files(place)
+    damage(path)
+    with pytest.warns(UserWarning, match=f"{path.parent} cannot be used") as said:
+        assert turned() == 0
+    assert len(said) == 1
+    assert turned() == 1
+
+
+def test_another_functions_code_is_damage_and_would_run_without_the_checksum(place: Path) -> None:
+    halves, quarters = scaling(0.5), scaling(0.25)
+    assert (fresh(halves)(4.0), fresh(quarters)(4.0)) == (2.0, 1.0)
+    one, other = files(place)
+    content = kept._read(other)
+    shutil.copy(other, one)
+    with pytest.warns(UserWarning, match="damaged"):
+        assert (fresh(halves)(4.0), fresh(quarters)(4.0)) == (2.0, 1.0)
+    kept._write(one, content)
+    assert fresh(halves)(4.0) == fresh(quarters)(4.0)
+
+
+# -- writing fails ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("act", ["write_bytes", "replace"])
+def test_a_folder_that_can_no_longer_be_written_is_named_once(
+    act: str, place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(self: Path, *_: Any) -> None:
+        raise OSError(28, "No space left on device", str(self))
+
+    monkeypatch.setattr(Path, act, fail)
+    with pytest.warns(UserWarning, match=r"cannot be kept in .*compiled-.* \(No space left on device\)") as said:
+        assert turned() == turned() == 0
+    assert len(said) == 1
+    assert str(place) in str(said[0].message)
+    assert not list(place.glob("*/*"))
+
+
+def test_what_killed_writers_have_left_is_removed(place: Path) -> None:
+    fresh(quarter)
+    (folder,) = place.iterdir()
+    for name in ("old.tmp", "young.tmp"):
+        (folder / name).write_bytes(b"half of")
+    os.utime(folder / "old.tmp", (time.time() - 4000.0,) * 2)
+    turned()
+    assert files(place, "tmp") == [folder / "young.tmp"]  # whose writer may still be at work
+
+
+def test_a_folder_removed_while_the_process_runs_is_made_again(place: Path) -> None:
+    made = fresh(quarter)
+    shutil.rmtree(place)
+    assert made(*TURN[0]) == TURN[1]
+    assert turned() == 1
+
+
+@pytest.mark.slow
+def test_processes_that_compile_at_once_do_not_disturb_each_other(place: Path) -> None:
+    # Two kinds of processor among them, as where the folder lies on a network.
+    code = (
+        "from jackbox_env.compiled.compiler import compiled; from jackbox_env.compiled.impacts import quarter\n"
+        f"assert compiled(quarter)(*{TURN[0]}) == {TURN[1]}"
+    )
+    started = [
+        subprocess.Popen([sys.executable, "-W", "error", "-c", code], env={**os.environ, **more})
+        for more in ({}, {}, {"NUMBA_CPU_NAME": "generic"})
+    ]
+    assert [process.wait() for process in started] == [0, 0, 0]
+    assert (len(files(place)), files(place, "tmp")) == (2, [])
+    assert turned() == 1
+
+
+# -- which folder -----------------------------------------------------------------------------------------------------
+
+
+def test_a_folder_that_can_only_be_read_is_read(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    turned()
+    monkeypatch.setattr(os, "access", lambda where, mode: place not in Path(where).parents)
+    assert turned() == 1
+    circle = fresh(cos_sin)
+    assert circle(1.0) == cos_sin(1.0)  # is not there, and is kept in the next place
+    assert len(files(place)) == len(files(compiler.PACKAGE / "__pycache__")) == 1
+
+
+def test_a_named_place_that_cannot_be_used_is_said(place: Path) -> None:
+    place.write_text("a file")
+    with pytest.warns(UserWarning, match=f"NUMBA_CACHE_DIR cannot be used .*{place}") as said:
+        assert (turned(), turned()) == (0, 1)
+    assert len(said) == 1
+    assert len(files(compiler.PACKAGE / "__pycache__")) == 1
+
+
+def test_where_no_place_can_be_written_it_is_said(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Path, "home", lambda: (_ for _ in ()).throw(RuntimeError("no home")))
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    for file in (place, compiler.PACKAGE):
+        file.write_text("a file, not a folder")
+    with pytest.warns(UserWarning, match=f"no folder .* can be written.*{place}"):
+        assert turned() == 0
+
+
+def test_code_of_old_sources_is_tidied_away(place: Path) -> None:
+    for number in range(12):
+        folder = place / f"compiled-{number:02d}"
+        folder.mkdir(parents=True)
+        os.utime(folder, (number, number))
+    turned()
+    left = {path.name for path in place.iterdir()}
+    assert left >= {f"compiled-{number:02d}" for number in range(5, 12)}
+    assert len(left) == 8
+
+
+# -- found by content -------------------------------------------------------------------------------------------------
+
+
+def scaling(by: float) -> FunctionType:
+    def scaled(x: float) -> float:
+        return by * x
+
+    return scaled  # type: ignore[return-value]
+
+
+def test_functions_that_differ_in_anything_do_not_share_code(place: Path) -> None:
+    made = []
+    for by, more in ((2.0, 0.0), (3.0, 0.0), (3.0, 1.0)):  # another global, and another function that is called
+        read: dict[str, Any] = {"__name__": "scaling"}
+        exec(f"BY = {by}\ndef more(x):\n    return x + {more}\ndef scaled(x):\n    return more(BY * x)\n", read)
+        made.append(fresh(read["scaled"]))
+    made += [fresh(scaling(by)) for by in (5.0, 6.0, 5.0)]  # held in a closure
+    assert [scaled(1.0) for scaled in made] == [2.0, 3.0, 4.0, 5.0, 6.0, 5.0]
+    assert [sum(scaled.stats.cache_hits.values()) for scaled in made] == [0, 0, 0, 0, 0, 1]
+
+
+def test_a_change_in_any_source_of_the_package_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    package = tmp_path / "jackbox_env"
+    shutil.copytree(Path(jackbox_env.__file__).parent, package, ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.setattr(compiler, "files", lambda _: package)
+    digest = compiler._digest.__wrapped__
+    assert digest() == compiler._digest()
+    (package / "compiled" / "notes.txt").write_text("no source")
+    assert digest() == compiler._digest()
+    (package / "compiled" / "impacts.py").write_text("")
+    assert digest() != compiler._digest()
