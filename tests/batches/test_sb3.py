@@ -32,7 +32,7 @@ def assert_same_infos(found: list[dict[str, Any]], expected: list[dict[str, Any]
         assert "state" not in one or one["state"].base is None  # keeps no other environment's state alive
         assert one.get("episode", {"t": 0.0})["t"] >= 0.0
         untimed = [{**info, "episode": {**info.get("episode", {}), "t": 0.0}} for info in (one, other)]
-        assert_same(*untimed)
+        assert_same(untimed[0], untimed[1])
 
 
 @EVERY_MODEL
@@ -151,7 +151,7 @@ def test_ppo_trains_on_it_as_on_dummy_vec_env(contact: str) -> None:
 def test_unusable_arguments_are_refused() -> None:
     for name in ("autoreset_mode", "gravity"):
         with pytest.raises(ValueError, match=f"make_sb3_vec_env takes only .* got '{name}'"):
-            make_sb3_vec_env(2, **{name: 0.0})  # type: ignore[arg-type]
+            make_sb3_vec_env(2, **{name: 0.0})
     with pytest.raises(TypeError, match="num_envs .* got 1.5"):
         make_sb3_vec_env(1.5)  # type: ignore[arg-type]
     env = JackInBoxVecEnv(2, contact="exact")

@@ -157,8 +157,8 @@ def test_some_environments_get_other_scenes(contact: str) -> None:
     batch.reset(options={"scene": [None, {"gravity": 2.0}, {"restitution": 0.5, "drive": None}], "reset_mask": mask})
     assert batch.scenes == [Scene(), Scene(gravity=2.0), Scene(restitution=0.5, drive=None)]
     singles = [JackInBoxEnv(contact=contact, scene=scene) for scene in batch.scenes]
-    for env, state in zip(singles, batch.states, strict=True):
-        env.set_state(state)
+    for number, env in enumerate(singles):
+        env.set_state(batch.states[number])
     assert_same(play(batch, 60, 0), play_alone(singles, 60, 0))
 
 

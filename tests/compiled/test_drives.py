@@ -112,14 +112,13 @@ def test_a_drive_of_noise_is_refused() -> None:
     np.testing.assert_array_equal(run.state, before)
 
 
-@pytest.mark.parametrize("drive", [Drive(), Drive(force_x=lambda t: 0.0)], ids=["none", "zero"])
-def test_a_drive_that_does_nothing_changes_nothing(drive: Drive) -> None:
+def test_a_drive_of_zeros_changes_nothing() -> None:
     start = inside(Scene(), np.random.default_rng(6))
-    one, other = simulator(Scene(drive=None), start), simulator(Scene(drive=drive), start)
+    runs = [simulator(Scene(drive=drive), start) for drive in (None, Drive(force_x=lambda t: 0.0))]
     for _ in range(100):
-        one.step(0.02)
-        other.step(0.02)
-    np.testing.assert_allclose(one.state, other.state, atol=1e-9)
+        for run in runs:
+            run.step(0.02)
+    np.testing.assert_allclose(runs[0].state, runs[1].state, atol=1e-9)
 
 
 def test_a_held_torque_costs_no_more_where_it_replaces_a_function(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -169,14 +169,3 @@ def test_feet_are_followed_together_with_loss_where_nobody_asks_for_rest() -> No
         assert found == expected
         hits += found[1] >= 0
     assert hits > 10
-
-
-def test_followed_by_too_large_steps_feet_are_let_through(monkeypatch: pytest.MonkeyPatch) -> None:
-    honest, wrong = bounds.bounds_to_impact, 0
-    for scene, flight, piece, left in fast_flights(150):
-        found = []
-        for share in (1.0, 0.01):
-            monkeypatch.setattr(kernel, "bounds_to_impact", lambda *given, share=share: share * honest(*given))
-            found.append(kernel.first_impact(scene.numbers, new_workspace(), flight, piece, left, 1e-13, 1e-13))
-        wrong += found[0][1] != found[1][1] or abs(found[0][0] - found[1][0]) > 1e-9 * left
-    assert wrong > 3
