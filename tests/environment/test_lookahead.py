@@ -24,7 +24,7 @@ SMALL: dict[str, Any] = {"samples": 8, "turns": 3, "pieces": 8, "num_threads": 1
 STEERED = Task(("steered",), lambda scene, state, torque, impulse: (-0.1 * state[8],))
 
 
-def single(scene: Scene | None = None, **settings: Any) -> Lookahead:
+def single(scene: Any = None, **settings: Any) -> Lookahead:
     return Lookahead(gym.make("JackInBox-v0", contact="exact", scene=scene), **{**SMALL, **settings})
 
 

@@ -58,7 +58,7 @@ def test_environments_side_by_side_equal_single_ones_bitwise(mode: Any) -> None:
         observations, rewards, *_ = vector.step(action)
         steps = [single.step(part) for single, part in zip(singles, action, strict=True)]
         assert rows(observations, steps)
-        np.testing.assert_allclose(rewards, [step[1] for step in steps], rtol=1e-6 if mode == "spawned" else 0.0)
+        np.testing.assert_allclose(rewards, [float(step[1]) for step in steps], rtol=1e-6 if mode == "spawned" else 0.0)
     vector.close()
 
 
@@ -68,10 +68,11 @@ def test_the_chirp_passes_vector_environments_and_action_wrappers() -> None:
     vector = gym.make_vec("JackInBox-v0", num_envs=2, vectorization_mode="sync", torque="chirp")
     five = np.array([-5.0], dtype=np.float32), np.array([5.0], dtype=np.float32)
     wrapped = ClipAction(RescaleAction(gym.make("JackInBox-v0", torque="chirp"), *five))
-    for env in (vector, wrapped):
-        env.reset(options=start)  # type: ignore[attr-defined]
+    envs: list[Any] = [vector, wrapped]
+    for env in envs:
+        env.reset(options=start)
         for _ in range(50):
-            info = env.step(env.action_space.sample())[4]  # type: ignore[attr-defined]
+            info = env.step(env.action_space.sample())[4]
         for state in np.atleast_2d(info["state"]):
             np.testing.assert_allclose(state, record["states"][9]["state"], atol=1e-12)
 

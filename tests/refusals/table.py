@@ -6,16 +6,14 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
 
 import jackbox_env
-from agents.landing import LandingSettings
-from agents.planner import Planner
 from agents.settings import EPISODE_STEPS, TrainSettings
-from agents.sweeping import InThreads
 from jackbox_env import Chirp, Drive, JackInBoxEnv, JackInBoxVectorEnv, Scene, make_simulator, mechanics, states
 from jackbox_env.plans import Search
 from jackbox_env.sb3 import JackInBoxVecEnv, make_sb3_vec_env
@@ -178,28 +176,16 @@ def simulator(contact: str) -> Subject:
     return Subject(lambda: make_simulator({"gravity": 1.5}, contact=contact), start, shown)
 
 
-# What the functions of a drive return; the table changes it.
-RETURNED = {"torque": 1.0, "force_x": 0.0, "force_y": 0.0}
+def driven(contact: str) -> Callable[[Any], Callable[..., Any]]:
+    """A step under functions that return these values from the middle of the step on."""
 
+    def step(**returned: Any) -> Any:
+        late = {name: lambda time, value=value: value if time > 0.013 else 1.0 for name, value in returned.items()}
+        one = make_simulator(Scene(drive=Drive(**late)), contact=contact)
+        one.step(0.02)
+        return one.state
 
-def driven(contact: str) -> Subject:
-    functions = {name: lambda time, name=name: RETURNED[name] for name in RETURNED}
-    late = {**functions, "force_y": lambda time: RETURNED["force_y"] if time > 0.013 else 1.0}
-    scene = Scene(drive=Drive(**late))
-    return simulator(contact)._replace(
-        make=lambda: make_simulator(scene, contact=contact), start=lambda one: one.reset(START)
-    )
-
-
-def step_driven(one: Simulator) -> Callable[..., Any]:
-    def step(**returned: Any) -> None:
-        RETURNED.update(returned)
-        try:
-            one.step(0.02)
-        finally:
-            RETURNED.update(torque=1.0, force_x=0.0, force_y=0.0)
-
-    return step
+    return lambda _: step
 
 
 def single(contact: str) -> Subject:
@@ -247,11 +233,6 @@ def reset_of_sb3(env: JackInBoxVecEnv) -> Callable[..., Any]:
     return reset
 
 
-def drawing(make: Callable[..., Any], reset: Callable[[Any], Any]) -> Callable[[Any], Callable[..., Any]]:
-    """Make environments whose function of a generator returns what is given, and reset one."""
-    return lambda _: lambda randomize: reset(make(randomize=lambda rng: randomize))
-
-
 ACTION = array([0.25], none=True).but(scalar=out(np.array(math.nan), "nan"), square=out(np.zeros((1, 1)), "(1, 1)"))
 ACTIONS = array([[0.25], [0.5], [-0.25]], none=True).but(
     "action", nan_inside=out([[0.25], [0.5], [math.nan]], "nan", "environment 2"),
@@ -274,18 +255,17 @@ def methods_of(contact: str) -> Iterator[Row]:
     held, start, time = state(1.0), state(1e-9).but(nothing=None), real(1.0, at_least=-1e9, at_most=1e9)
     moves = DT.but(no_time=out(1e-300, "1e-300"), too_late=out(2e9, "2e+09", "1e+09"))
 
-    def row(name: str, called: Callable[[Any], Callable[..., Any]], arguments: Kinds, subject: Subject) -> Row:
-        return Row(name, called, arguments, subject, contact=contact)
+    def row(name: str, arguments: Kinds, subject: Subject, called: Any = None) -> Row:
+        return Row(name, called or attrgetter(name.rpartition(".")[2]), arguments, subject, contact=contact)
 
-    yield row("Simulator.reset", lambda one: one.reset, {"state": held, "time": time}, one)
-    yield row("Simulator.step", lambda one: one.step, {"dt": moves, "torque": real(1000.0, none=True)}, one)
-    returned = {name: real(0.5).but(f"{name}(") for name in RETURNED}
-    yield row("Drive returns", step_driven, returned, driven(contact))
+    yield row("Simulator.reset", {"state": held, "time": time}, one)
+    yield row("Simulator.step", {"dt": moves, "torque": real(1000.0, none=True)}, one)
+    yield row("Drive", {name: real(0.5).but(f"{name}(") for name in DRIVES}, NO_OBJECT, driven(contact))
     own = {"options": OPTIONS, FROM: start, "options.time": time.but("options['time']", nothing=None)}
     own["options.scene"] = CHANGES
-    yield row("JackInBoxEnv.reset", lambda env: env.reset, own, env)
-    yield row("JackInBoxEnv.step", lambda env: env.step, {"action": ACTION}, env)
-    yield row("JackInBoxEnv.set_state", lambda env: env.set_state, {"state": held, "time": time}, env)
+    yield row("JackInBoxEnv.reset", own, env)
+    yield row("JackInBoxEnv.step", {"action": ACTION}, env)
+    yield row("JackInBoxEnv.set_state", {"state": held, "time": time}, env)
     own = {
         **own,
         "seed": SEEDS,
@@ -295,17 +275,17 @@ def methods_of(contact: str) -> Iterator[Row]:
     own["options.reset_mask"] = mask([True, False, True]).but(
         "options['reset_mask']", nothing=None, none=out(np.zeros(3, dtype=bool), "got none")
     )
-    yield row("JackInBoxVectorEnv.reset", lambda env: env.reset, own, vector)
-    yield row("JackInBoxVectorEnv.step", lambda env: env.step, {"actions": ACTIONS}, vector)
+    yield row("JackInBoxVectorEnv.reset", own, vector)
+    yield row("JackInBoxVectorEnv.step", {"actions": ACTIONS}, vector)
     placed = {"states": rows_of(array(ROWS), 1.0), "times": TIMES, "chosen": mask([True, False, True])}
-    yield row("JackInBoxVectorEnv.set_states", lambda env: env.set_states, placed, vector)
+    yield row("JackInBoxVectorEnv.set_states", placed, vector)
     tiles = {"first": whole(2, 1, 1024), "size": size((16, 24), 16, 1024)}
-    yield row("JackInBoxVectorEnv.tiled", lambda env: env.tiled, tiles, vector)
-    yield row("JackInBoxVecEnv.step", lambda env: env.step, {"actions": ACTIONS}, sb3)
-    yield row("JackInBoxVecEnv.reset", reset_of_sb3, {FROM: start}, sb3)
+    yield row("JackInBoxVectorEnv.tiled", tiles, vector)
+    yield row("JackInBoxVecEnv.step", {"actions": ACTIONS}, sb3)
+    yield row("JackInBoxVecEnv.reset", {FROM: start}, sb3, reset_of_sb3)
     times = {name: one for name, one in TIMES.refused.items() if "inside" not in name and name != "late"}
     put = {"state": held, "time": Argument(1.0, times)}
-    yield row("EnvView.set_state", lambda env: env.get_attr("unwrapped")[1].set_state, put, sb3)
+    yield row("EnvView.set_state", put, sb3, lambda env: env.get_attr("set_state")[1])
 
 
 # -- functions and constructors ----------------------------------------------------------------------------------------
@@ -416,49 +396,56 @@ TRAINING: Kinds = {
 }
 
 
+def cheapest(**given: Any) -> Any:
+    return jackbox_env.cheapest(**given)._replace(microseconds=0.0)
+
+
+def drawn_alone(randomize: Any) -> Any:
+    """Draw the scene by a function of the generator that returns this."""
+    return JackInBoxEnv(randomize=lambda rng: randomize).reset(seed=1)
+
+
+def drawn_together(randomize: Any) -> Any:
+    return JackInBoxVectorEnv(2, randomize=lambda rng: randomize).reset(seed=1)
+
+
 def constructors() -> Iterator[Row]:
     """All that makes or computes something, and keeps nothing."""
 
-    def row(name: str, function: Callable[..., Any], arguments: Kinds, **given: Any) -> Row:
-        return Row(name, lambda _: function, arguments, given=given)
+    def row(function: Callable[..., Any], arguments: Kinds, **given: Any) -> Row:
+        return Row(function.__qualname__, lambda _: function, arguments, given=given)
 
-    yield row("states.as_state", states.as_state, {"state": state()})
-    for name, deepest in (("as_start", 1e-9), ("as_held", 1.0)):
-        yield row(f"states.{name}", getattr(states, name), {"scene": ONLY_A_SCENE, "state": state(deepest)})
-    for name in ("gaps", "energy"):
-        yield row(f"mechanics.{name}", getattr(mechanics, name), IN_A_SCENE)
-    for name in ("gap_jacobian", "impact_map"):
-        yield row(f"mechanics.{name}", getattr(mechanics, name), {**IN_A_SCENE, "wall": PLACE, "foot": PLACE})
-    at_once = {**IN_A_SCENE, "contacts": CONTACTS}
-    yield row("mechanics.simultaneous_impact_map", mechanics.simultaneous_impact_map, at_once)
-    yield row("Scene", Scene, fields_of())
-    yield row("Scene.changed", Scene().changed, fields_of())
-    yield row("Scene.of", Scene.of, {"given": ONE_SCENE.but("scene")})
-    yield row("Chirp", Chirp, CHIRP)
-    yield row("Drive", Drive, DRIVES)
-    of_pymunk = {"substeps": SUBSTEPS, "iterations": SUBSTEPS}
-    yield row(
-        "make_simulator", make_simulator, {"scene": ONE_SCENE, "contact": choice("pymunk", CONTACT_MODELS), **of_pymunk}
-    )
-    yield row("JackInBoxEnv", JackInBoxEnv, SETTINGS)
+    yield row(states.as_state, {"state": state()})
+    yield row(states.as_start, {"scene": ONLY_A_SCENE, "state": state(1e-9)})
+    yield row(states.as_held, {"scene": ONLY_A_SCENE, "state": state(1.0)})
+    yield row(mechanics.gaps, IN_A_SCENE)
+    yield row(mechanics.energy, IN_A_SCENE)
+    yield row(mechanics.gap_jacobian, {**IN_A_SCENE, "wall": PLACE, "foot": PLACE})
+    yield row(mechanics.impact_map, {**IN_A_SCENE, "wall": PLACE, "foot": PLACE})
+    yield row(mechanics.simultaneous_impact_map, {**IN_A_SCENE, "contacts": CONTACTS})
+    yield row(Scene, fields_of())
+    yield row(Scene().changed, fields_of())
+    yield row(Scene.of, {"given": ONE_SCENE.but("scene")})
+    yield row(Chirp, CHIRP)
+    yield row(Drive, DRIVES)
+    contact = choice("pymunk", CONTACT_MODELS)
+    of_pymunk = {"scene": ONE_SCENE, "contact": contact, "substeps": SUBSTEPS, "iterations": SUBSTEPS}
+    yield row(make_simulator, of_pymunk)
+    yield row(JackInBoxEnv, SETTINGS)
     modes = choice("SAME_STEP", ("NEXT_STEP", "SAME_STEP", "DISABLED"))
-    yield row("JackInBoxVectorEnv", JackInBoxVectorEnv, {**OF_VECTORS, "autoreset_mode": modes})
-    yield row("make_sb3_vec_env", make_sb3_vec_env, OF_VECTORS)
-    drawn = {"randomize": DRAWN}
-    yield Row("JackInBoxEnv draws", drawing(JackInBoxEnv, lambda env: env.reset(seed=1)), drawn)
-    yield Row("JackInBoxVectorEnv draws", drawing(partial(JackInBoxVectorEnv, 2), lambda env: env.reset(seed=1)), drawn)
-    yield row("rollout", jackbox_env.rollout, ROLLOUT)
-    yield row("cheapest", lambda **given: jackbox_env.cheapest(**given)._replace(microseconds=0.0), CHOOSING)
-    several = JackInBoxVectorEnv(2, autoreset_mode="SAME_STEP")
-    yield row("Lookahead", jackbox_env.Lookahead, LOOKING, env=gym.make("JackInBox-v0"))
-    yield row("LookaheadVector", jackbox_env.LookaheadVector, LOOKING, env=several)
-    yield row("LookaheadVecEnv", LookaheadVecEnv, {**LOOKING, "hold": whole(5, 1)}, venv=make_sb3_vec_env(2))
-    yield row("HoldingVecEnv", HoldingVecEnv, {"hold": whole(5, 1)}, venv=make_sb3_vec_env(2))
-    yield row("Search", Search, SEARCHING)
-    yield row("agents.Planner", Planner, {**SEARCHING, "value": instance(None, "nothing")}, scene=Scene())
-    yield row("agents.TrainSettings", TrainSettings, TRAINING)
-    yield row("agents.LandingSettings", LandingSettings, {"hold": whole(5, 1, EPISODE_STEPS)})
-    yield row("agents.InThreads", InThreads, {"workers": whole(5, 1, 1000)})
+    yield row(JackInBoxVectorEnv, {**OF_VECTORS, "autoreset_mode": modes})
+    yield row(make_sb3_vec_env, OF_VECTORS)
+    yield row(drawn_alone, {"randomize": DRAWN})
+    yield row(drawn_together, {"randomize": DRAWN})
+    yield row(jackbox_env.rollout, ROLLOUT)
+    yield row(cheapest, CHOOSING)
+    inner = JackInBoxVectorEnv(2, autoreset_mode="SAME_STEP")
+    yield row(jackbox_env.Lookahead, LOOKING, env=gym.make("JackInBox-v0"))
+    yield row(jackbox_env.LookaheadVector, LOOKING, env=inner)
+    yield row(LookaheadVecEnv, {**LOOKING, "hold": whole(5, 1)}, venv=make_sb3_vec_env(2))
+    yield row(HoldingVecEnv, {"hold": whole(5, 1)}, venv=make_sb3_vec_env(2))
+    yield row(Search, SEARCHING)
+    yield row(TrainSettings, TRAINING)
 
 
 TABLE = [*constructors(), *(row for contact in CONTACT_MODELS for row in methods_of(contact))]
