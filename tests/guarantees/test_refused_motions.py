@@ -43,17 +43,14 @@ def test_a_start_has_every_foot_inside_and_a_state_that_is_put_back_at_most_a_me
     np.testing.assert_array_equal(env.state, with_foot(0.999))
 
 
-def test_far_off_and_small_boxes_have_their_own_tolerance() -> None:
+def test_far_off_places_and_small_boxes_have_their_own_tolerance() -> None:
     far = np.array([1e9, -1e9, 0.0, 1e9 + 5.0 + 2.4e-7, -1e9, *[0.0] * 7])  # 2 units in the last place outside
     np.testing.assert_array_equal(as_start(Scene(), far), far)
-    far[3] = 1e9 + 5.001
+    far[3] += 1e-3
     with pytest.raises(ValueError, match="at most 4.76837e-07 m outside"):
         as_start(Scene(), far)
-    as_held(Scene(box_half_width=0.9, jack_arm=0.5), with_foot(1.39, 0.9))
     with pytest.raises(ValueError, match=r"at most 0.9 m outside, got 0.91 m"):
         as_held(Scene(box_half_width=0.9, jack_arm=0.5), with_foot(1.41, 0.9))
-    with pytest.raises(ValueError, match="for float64 to resolve L / 1000, got 1e[+]15 m"):
-        as_start(Scene(), np.array([1e15, 0.0, 0.0, 1e15, *[0.0] * 8]))
 
 
 # Motion that cannot be followed: the place in the state, its value, and the action.
