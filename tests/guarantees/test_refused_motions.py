@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jackbox_env import JackInBoxEnv, JackInBoxVectorEnv, JackLostError, Scene, make_simulator, rollout
-from jackbox_env.mechanics import simultaneous_impact_map
+from jackbox_env.mechanics import energy, simultaneous_impact_map
 from jackbox_env.simulators import CONTACT_MODELS
 from jackbox_env.simulators.pymunk import PymunkSimulator
 from jackbox_env.states import as_held, as_start, clearance
@@ -131,3 +131,33 @@ def test_with_too_few_iterations_the_feet_would_not_obey_the_law() -> None:
     expected, _ = simultaneous_impact_map(scene, state, contacts)
     assert relative_error(impact_in_an_instant(scene, state, iterations=None).state, expected) < 1e-8
     assert relative_error(impact_in_an_instant(scene, state, iterations=64).state, expected) > 1e-3
+
+
+def wedged(scenes: int = 15) -> tuple[int, float]:
+    """How many courses with feet in opposite walls are refused, and the largest share of energy lost in the others."""
+    rng, refused, lost = np.random.default_rng(0), 0, 0.0
+    for _ in range(scenes):
+        scene = Scene(jack_arm=6.0 * (1.0 + 10.0 ** rng.uniform(-2.0, -1.0)), gravity=0.0, drive=None)
+        simulator, state = PymunkSimulator(scene, substeps=1), np.zeros(12)
+        state[5], state[6:] = math.pi / 4.0, 3.0 * rng.standard_normal(6)
+        state[11] = rng.uniform(1.0, 20.0)
+        simulator.reset(state)
+        for _ in range(20):
+            try:
+                simulator.step(0.02, 0.0)
+            except JackLostError as error:
+                assert "the jack is wedged between opposite walls after t = " in str(error)
+                refused += 1
+                break
+            lost = max(lost, abs(1.0 - energy(scene, simulator.state) / energy(scene, state)))
+    return refused, lost
+
+
+def test_a_wedged_jack_keeps_its_energy_or_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    refused, lost = wedged()
+    assert refused > 0
+    assert lost < 1e-5
+    monkeypatch.setattr(PymunkSimulator, "_resolved", lambda *_: True)
+    refused, lost = wedged()
+    assert refused == 0
+    assert lost > 1e-4
