@@ -133,9 +133,9 @@ def test_with_too_few_iterations_the_feet_would_not_obey_the_law() -> None:
     assert relative_error(impact_in_an_instant(scene, state, iterations=64).state, expected) > 1e-3
 
 
-def wedged(scenes: int = 15) -> tuple[int, float]:
-    """How many courses with feet in opposite walls are refused, and the largest share of energy lost in the others."""
-    rng, refused, lost = np.random.default_rng(0), 0, 0.0
+def wedged(scenes: int = 15) -> tuple[list[str], float]:
+    """What courses with feet in opposite walls are refused with, and the largest share of energy lost in the others."""
+    rng, refused, lost = np.random.default_rng(0), list[str](), 0.0
     for _ in range(scenes):
         scene = Scene(jack_arm=6.0 * (1.0 + 10.0 ** rng.uniform(-2.0, -1.0)), gravity=0.0, drive=None)
         simulator, state = PymunkSimulator(scene, substeps=1), np.zeros(12)
@@ -146,8 +146,7 @@ def wedged(scenes: int = 15) -> tuple[int, float]:
             try:
                 simulator.step(0.02, 0.0)
             except JackLostError as error:
-                assert "the jack is wedged between opposite walls after t = " in str(error)
-                refused += 1
+                refused.append(str(error))
                 break
             lost = max(lost, abs(1.0 - energy(scene, simulator.state) / energy(scene, state)))
     return refused, lost
@@ -155,9 +154,10 @@ def wedged(scenes: int = 15) -> tuple[int, float]:
 
 def test_a_wedged_jack_keeps_its_energy_or_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     refused, lost = wedged()
-    assert refused > 0
+    assert refused
+    assert all("the jack is wedged between opposite walls after t = " in sentence for sentence in refused)
     assert lost < 1e-5
     monkeypatch.setattr(PymunkSimulator, "_resolved", lambda *_: True)
     refused, lost = wedged()
-    assert refused == 0
+    assert not refused
     assert lost > 1e-4

@@ -57,6 +57,7 @@ def refusal(row: Row, one: Any, argument: str, hostile: Hostile) -> None:
     with pytest.raises(hostile.error) as refused:
         row.call(one, **{**row.good, argument: hostile.value})
     sentence = str(refused.value)
+    assert refused.type is hostile.error
     assert 10 < len(sentence) < 300
     assert "\n" not in sentence
     named = hostile.named or row.arguments[argument].named or argument.rpartition(".")[2]
@@ -93,6 +94,24 @@ def test_the_same_value_in_another_form_gives_the_same_bits(row: int, argument: 
 @pytest.mark.parametrize(("row", "argument", "value"), cases("taken"))
 def test_the_ends_of_a_range_and_none_are_taken(row: int, argument: str, value: Any) -> None:
     result(TABLE[row], made(row), argument, value)
+
+
+ARRAYS = [
+    pytest.param(row, argument, id=f"{row.name}({argument}){row.contact}")
+    for row in TABLE
+    for argument, kind in row.arguments.items()
+    if isinstance(kind.good, np.ndarray)
+]
+
+
+@pytest.mark.parametrize(("row", "argument"), ARRAYS)
+def test_a_given_array_is_not_kept(row: Row, argument: str) -> None:
+    one, given = row.subject.make(), row.arguments[argument].good.copy()
+    row.subject.start(one)
+    returned = row.call(one, **{**row.good, argument: given})
+    before = flat([returned, row.subject.shown(one)])
+    given[...] = 0
+    assert flat([returned, row.subject.shown(one)]) == before
 
 
 # -- what is refused for another argument's sake -----------------------------------------------------------------------
