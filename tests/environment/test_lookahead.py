@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import gymnasium as gym
@@ -13,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from jackbox_env import JackInBoxVectorEnv, Lookahead, LookaheadVector, Rollout, Scene, Task, rollout
+from jackbox_env import JackInBoxVectorEnv, JackLostError, Lookahead, LookaheadVector, Rollout, Scene, Task, rollout
 from jackbox_env.futures import Futures
 from jackbox_env.observation import observe, state_of
 from jackbox_env.sb3 import make_sb3_vec_env
@@ -21,35 +20,38 @@ from jackbox_env.sb3_wrappers import LookaheadVecEnv
 from tests.states import inside
 
 SMALL: dict[str, Any] = {"samples": 8, "turns": 3, "pieces": 8, "num_threads": 1}
-PLANNED = slice(-4, None)  # what the plan brings, and its next torques
-
-
 # Torque counts at once, so a plan is more than no torque: the box shall turn clockwise.
 STEERED = Task(("steered",), lambda scene, state, torque, impulse: (-0.1 * state[8],))
 
 
-def single(max_episode_steps: int = 500, **settings: Any) -> Lookahead:
-    env = gym.make("JackInBox-v0", contact="exact", max_episode_steps=max_episode_steps)
-    return Lookahead(env, **{**SMALL, **settings})
+def single(scene: Any = None, **settings: Any) -> Lookahead:
+    return Lookahead(gym.make("JackInBox-v0", contact="exact", scene=scene), **{**SMALL, **settings})
 
 
-def test_it_is_a_gymnasium_environment() -> None:
-    env = single()
+@pytest.mark.filterwarnings("ignore:.*is different from the unwrapped version")
+def test_it_is_a_gymnasium_environment_whose_spec_makes_it_again() -> None:
+    env = single(follow=True, seed=3)
     check_env(env)
-    assert env.observation_space.shape == (10 + 11 + 2 + 3 + 4,)
-    assert single(samples=0).observation_space.shape == (10 + 11 + 2 + 3,)
-    assert single(samples=0, turns=0).observation_space.shape == (10 + 11,)
+    check_single(env, skip_render_check=True)
+    for settings, more in (({}, 2 + 3 + 4), ({"samples": 0}, 2 + 3), ({"samples": 0, "turns": 0}, 0)):
+        assert single(**settings).observation_space.shape == (10 + 11 + more,)
+    assert env.spec is not None
+    again = gym.make(env.spec)
+    np.testing.assert_array_equal(env.reset(seed=1)[0], again.reset(seed=1)[0])
+    for one, two in zip(env.step(np.zeros(1)), again.step(np.zeros(1)), strict=True):
+        np.testing.assert_equal(one, two)
 
 
 @pytest.mark.parametrize("follow", [False, True])
 def test_all_wrappers_show_and_do_the_same(follow: bool) -> None:
+    # Scenes that vary: the end of an episode is seen in its own scene.
     given = {**SMALL, "follow": follow}
-    made: dict[str, Any] = {"contact": "exact", "max_episode_steps": 20}
-    one = single(20, follow=follow)
+    made: dict[str, Any] = {"contact": "exact", "max_episode_steps": 20, "randomize": {"gravity": (1.0, 20.0)}}
+    one = Lookahead(gym.make("JackInBox-v0", **made), **given)
     vector = LookaheadVector(JackInBoxVectorEnv(3, autoreset_mode="SAME_STEP", **made), **given)
-    several = LookaheadVecEnv(make_sb3_vec_env(3, **made), **given)
-    several.seed(4)
-    seen, seen_too, seen_alone = vector.reset(seed=4)[0], several.reset(), one.reset(seed=4)[0]
+    stable = LookaheadVecEnv(make_sb3_vec_env(3, **made), **given)
+    stable.seed(4)
+    seen, seen_too, seen_alone = vector.reset(seed=4)[0], stable.reset(), one.reset(seed=4)[0]
     rng, ends = np.random.default_rng(0), 0
     for _ in range(10):
         np.testing.assert_array_equal(seen, seen_too)
@@ -57,7 +59,7 @@ def test_all_wrappers_show_and_do_the_same(follow: bool) -> None:
         assert vector.single_observation_space.contains(seen[1])
         actions = rng.uniform(-0.3, 0.3, (3, 1)).astype(np.float32)
         seen, rewards, _, over, infos = vector.step(actions)
-        seen_too, rewards_too, over_too, infos_too = several.step(actions)
+        seen_too, rewards_too, over_too, infos_too = stable.step(actions)
         seen_alone, reward, _, ended, _ = one.step(actions[0])
         np.testing.assert_allclose(rewards, rewards_too, rtol=1e-6)
         assert rewards[0] == pytest.approx(reward, abs=1e-12)
@@ -68,30 +70,25 @@ def test_all_wrappers_show_and_do_the_same(follow: bool) -> None:
             np.testing.assert_array_equal(infos["final_obs"][0], seen_alone)
             for number in range(3):
                 np.testing.assert_array_equal(infos["final_obs"][number], infos_too[number]["terminal_observation"])
-            seen, seen_too, seen_alone = vector.reset(seed=4)[0], several_again(several), one.reset(seed=4)[0]
+            seen_alone = one.reset()[0]
     assert ends == 2
 
 
-def several_again(environments: LookaheadVecEnv) -> Any:
-    environments.seed(4)
-    return environments.reset()
-
-
-def test_an_environment_sees_the_same_beside_others_and_with_threads() -> None:
-    env = LookaheadVector(
-        JackInBoxVectorEnv(4, contact="exact", autoreset_mode="SAME_STEP"), **{**SMALL, "num_threads": 2}
-    )
-    seen, alone = env.reset(seed=0)[0], single()
-    np.testing.assert_array_equal(alone.reset(seed=2)[0], seen[2])
-    seen = env.reset(options={"reset_mask": np.array([False, True, False, False])}, seed=9)[0]
-    np.testing.assert_array_equal(alone.reset(seed=9 + 1)[0], seen[1])
+def test_an_environment_sees_its_own_scene_the_same_beside_others_and_with_threads() -> None:
+    scenes = [Scene(gravity=3.0), Scene(), Scene(torque_limit=2e4)]
+    inner = JackInBoxVectorEnv(3, contact="exact", autoreset_mode="SAME_STEP", scene=scenes)
+    env = LookaheadVector(inner, **{**SMALL, "num_threads": 2})
+    seen, alone = env.reset(seed=5)[0], [single(scene=scene) for scene in scenes]
+    for number in range(3):
+        np.testing.assert_array_equal(alone[number].reset(seed=5 + number)[0], seen[number])
+    seen = env.reset(options={"reset_mask": np.array([False, True, False])}, seed=9)[0]
+    np.testing.assert_array_equal(alone[1].reset(seed=9 + 1)[0], seen[1])
 
 
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED])
 def test_a_plan_is_begun_anew_where_an_episode_starts(mode: AutoresetMode) -> None:
-    env = LookaheadVector(
-        JackInBoxVectorEnv(2, contact="exact", max_episode_steps=3, autoreset_mode=mode), hold=1, **SMALL
-    )
+    inner = JackInBoxVectorEnv(2, contact="exact", max_episode_steps=3, autoreset_mode=mode)
+    env = LookaheadVector(inner, hold=1, **SMALL)
     env.reset(seed=1)
     for _ in range(3):
         env.step(np.zeros((2, 1)))
@@ -128,14 +125,10 @@ def test_turns_stop_the_box_where_they_should(scene: Scene) -> None:
     state = np.array([0, 0, 0.3, 0, 0, 0, 0, 0, 0.4, 0, 0, 0.0])
     torques = futures._turns([scene], state[None])[0, 1:4]  # the outermost are cut by the limit
     repeated = np.repeat(torques, 5, axis=1) * scene.torque_limit
-    ends = rollout(Scene.of({**_fields(scene), "gravity": 0.0}), state, repeated, 0.02)[:, -1]
+    ends = rollout(scene.changed(gravity=0.0), state, repeated, 0.02)[:, -1]
     np.testing.assert_allclose(ends[:, 8], 0.0, atol=1e-9)
     furthest = scene.torque_limit / scene.box_inertia * 0.2**2
     np.testing.assert_allclose(ends[:, 2], 0.3 + furthest * np.array([-0.5, 0.0, 0.5]), atol=1e-9)
-
-
-def _fields(scene: Scene) -> dict[str, Any]:
-    return {"box_half_width": scene.box_half_width, "jack_arm": scene.jack_arm, "drive": None}
 
 
 def test_the_plan_earns_what_it_says() -> None:
@@ -162,15 +155,6 @@ def test_following_the_plan_juggles_better_than_no_torque() -> None:
     assert followed > np.mean([plain.step(np.zeros((8, 1)))[1].mean() for _ in range(495)]) + 0.12
 
 
-def test_scenes_of_their_own_are_foreseen() -> None:
-    scenes = [Scene(gravity=3.0), Scene(), Scene(torque_limit=2e4)]
-    env = LookaheadVector(JackInBoxVectorEnv(3, contact="exact", autoreset_mode="SAME_STEP", scene=scenes), **SMALL)
-    seen, _ = env.reset(seed=5)
-    for number, scene in enumerate(scenes):
-        one = Lookahead(gym.make("JackInBox-v0", contact="exact", scene=scene), **SMALL)
-        np.testing.assert_array_equal(one.reset(seed=5 + number)[0], seen[number])
-
-
 def test_pymunk_and_single_environments_side_by_side_work_too() -> None:
     env = LookaheadVector(gym.make_vec("JackInBox-v0", num_envs=2, vectorization_mode="sync"), hold=1, **SMALL)
     native = LookaheadVector(JackInBoxVectorEnv(2), hold=1, **SMALL)
@@ -179,33 +163,9 @@ def test_pymunk_and_single_environments_side_by_side_work_too() -> None:
         np.testing.assert_array_equal(env.step(np.zeros((2, 1)))[0], native.step(np.zeros((2, 1)))[0])
 
 
-def test_the_end_of_an_episode_is_seen_in_its_own_scene() -> None:
-    settings: dict[str, Any] = {"contact": "exact", "randomize": {"gravity": (1.0, 20.0), "box_half_width": (3.0, 9.0)}}
-    one = Lookahead(gym.make("JackInBox-v0", max_episode_steps=10, **settings), **SMALL)
-    made = {"max_episode_steps": 10, **settings}
-    vector = LookaheadVector(JackInBoxVectorEnv(1, autoreset_mode="SAME_STEP", **made), **SMALL)
-    several = LookaheadVecEnv(make_sb3_vec_env(1, **made), **SMALL)
-    one.reset(seed=3)
-    vector.reset(seed=3)
-    several.seed(3)
-    several.reset()
-    for _ in range(2):
-        seen = one.step(np.zeros(1))[0]
-        infos, infos_too = vector.step(np.zeros((1, 1)))[4], several.step(np.zeros((1, 1)))[3]
-    np.testing.assert_array_equal(infos["final_obs"][0], seen)
-    np.testing.assert_array_equal(infos_too[0]["terminal_observation"], seen)
-
-
 def test_a_reset_of_some_leaves_the_plans_of_the_others() -> None:
-    pair = [
-        LookaheadVector(
-            JackInBoxVectorEnv(2, contact="exact", task=STEERED, autoreset_mode="DISABLED"),
-            hold=1,
-            follow=True,
-            **SMALL,
-        )
-        for _ in range(2)
-    ]
+    made = [JackInBoxVectorEnv(2, contact="exact", task=STEERED, autoreset_mode="DISABLED") for _ in range(2)]
+    pair = [LookaheadVector(env, hold=1, follow=True, **SMALL) for env in made]
     for env in pair:
         env.reset(seed=[1, 2])
         for _ in range(5):
@@ -220,14 +180,14 @@ def test_a_reset_of_some_leaves_the_plans_of_the_others() -> None:
 
 def test_after_a_step_that_failed_only_a_reset_leads_on() -> None:
     early = LookaheadVecEnv(make_sb3_vec_env(2, contact="exact", max_episode_steps=7), **SMALL)
-    wild = single()
+    wild: Any = single()
     wild.reset(seed=0)
-    wild.env.unwrapped.set_state(np.array([0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1e30, 0]))  # type: ignore[attr-defined]
+    wild.unwrapped.set_state(np.where(np.arange(12) == 10, 1e30, 0.0))
     early.reset()
     early.step(np.zeros((2, 1)))
-    with pytest.raises(RuntimeError, match="episodes must last a multiple"):
+    with pytest.raises(RuntimeError, match="episodes must last a multiple of hold = 5 steps, got one that ended 2"):
         early.step(np.zeros((2, 1)))
-    with pytest.raises(RuntimeError):
+    with pytest.raises(JackLostError):
         wild.step(np.zeros(1))
     for env, action in ((early, np.zeros((2, 1))), (wild, np.zeros(1)), (single(), np.zeros(1))):
         with pytest.raises(RuntimeError, match="step must come after a reset, got none yet or none"):
@@ -249,86 +209,56 @@ def test_actions_that_correct_a_plan_are_checked_and_clipped() -> None:
     np.testing.assert_array_equal(env.step(np.ones((3, 1)))[0], seen)
 
 
+def rescaled() -> gym.Env[Any, Any]:
+    return gym.wrappers.RescaleAction(gym.make("JackInBox-v0"), np.float32(-2), np.float32(2))
+
+
+def alone(env: gym.Env[Any, Any], **settings: Any) -> Any:
+    return lambda: Lookahead(env, **SMALL, **settings)
+
+
+def together(env: Any, hold: int = 1, **settings: Any) -> Any:
+    return lambda: LookaheadVector(env, hold=hold, **SMALL, **settings)
+
+
 def test_a_plan_is_not_followed_where_actions_are_no_torques() -> None:
-    halved = gym.wrappers.RescaleAction(gym.make("JackInBox-v0"), np.float32(-2), np.float32(2))
-    made: list[Callable[[], gym.Env[Any, Any]]] = [
-        lambda: gym.wrappers.RescaleAction(gym.make("JackInBox-v0"), np.float32(-2), np.float32(2))
+    apart = gym.vector.AsyncVectorEnv([rescaled])
+    no_torques = [
+        together(gym.vector.SyncVectorEnv([rescaled]), follow=True),
+        together(gym.wrappers.vector.ClipAction(JackInBoxVectorEnv(2)), follow=True),
+        together(apart, follow=True),
+        alone(rescaled(), follow=True),
+        lambda: LookaheadVecEnv(DummyVecEnv([rescaled]), follow=True, **SMALL),
     ]
-    sentence = "follow needs actions that are torques, without an action wrapper inside, got"
-    sync = gym.vector.SyncVectorEnv(made)
-    outside = gym.wrappers.vector.ClipAction(JackInBoxVectorEnv(2))
-    apart = gym.vector.AsyncVectorEnv(made)
-    for env in (sync, outside, apart):
-        with pytest.raises(ValueError, match=sentence):
-            LookaheadVector(env, hold=1, follow=True, **SMALL)
+    for make in no_torques:
+        with pytest.raises(ValueError, match="follow needs actions that are torques, without an action wrapper"):
+            make()
     apart.close()
-    with pytest.raises(ValueError, match=f"{sentence} RescaleAction"):
-        Lookahead(halved, follow=True, **SMALL)
-    Lookahead(halved, **SMALL)  # its agent says what it wants
-    with pytest.raises(ValueError, match=f"{sentence} an action wrapper"):
-        LookaheadVecEnv(DummyVecEnv(made), follow=True, **SMALL)
+    alone(rescaled())()  # its agent says what it wants
+    driven = [
+        alone(gym.make("JackInBox-v0", torque="chirp"), follow=True),
+        together(JackInBoxVectorEnv(2, torque="chirp"), follow=True),
+        lambda: LookaheadVecEnv(make_sb3_vec_env(2, torque="chirp"), follow=True, **SMALL),
+    ]
+    for make in driven:
+        with pytest.raises(ValueError, match='follow needs an environment with torque="agent", .* got torque="chirp"'):
+            make()
+    with pytest.raises(ValueError, match="follow needs a plan to follow, got samples = 0"):
+        single(follow=True, samples=0)
 
 
-def test_a_plan_is_not_followed_where_the_chirp_acts() -> None:
-    sentence = 'follow needs an environment with torque="agent", for it steers, got torque="chirp"'
-    with pytest.raises(ValueError, match=sentence):
-        Lookahead(gym.make("JackInBox-v0", torque="chirp"), follow=True, **SMALL)
-    with pytest.raises(ValueError, match=sentence):
-        LookaheadVector(JackInBoxVectorEnv(2, torque="chirp"), hold=1, follow=True, **SMALL)
-    with pytest.raises(ValueError, match=sentence):
-        LookaheadVecEnv(make_sb3_vec_env(2, torque="chirp"), follow=True, **SMALL)
-
-
-@pytest.mark.filterwarnings("ignore:.*is different from the unwrapped version")
-def test_its_spec_makes_it_again() -> None:
-    env = single(follow=True, seed=3)
-    check_single(env, skip_render_check=True)
-    assert env.spec is not None
-    again = gym.make(env.spec)
-    assert isinstance(again, Lookahead)
-    first, second = env.reset(seed=1)[0], again.reset(seed=1)[0]
-    np.testing.assert_array_equal(first, second)
-    for one, two in zip(env.step(np.zeros(1)), again.step(np.zeros(1)), strict=True):
-        np.testing.assert_equal(one, two)
-
-
-def test_environments_of_several_tasks_are_refused() -> None:
-    made = [lambda task=task: gym.make("JackInBox-v0", task=task) for task in ("juggle", "spin")]
-    with pytest.raises(ValueError, match=r"all environments must have one task, got \['juggle', 'spin'\]"):
-        LookaheadVector(gym.vector.SyncVectorEnv(made), hold=1)
-    rescaled = gym.wrappers.RescaleObservation(gym.make("JackInBox-v0"), np.float32(0), np.float32(1))
-    with pytest.raises(TypeError, match="looking ahead needs the ten numbers of JackInBox-v0, got observations in"):
-        Lookahead(rescaled)
-
-
-@pytest.mark.parametrize(
-    ("given", "sentence"),
-    [
-        ({"hold": 0}, "hold must be a whole number from 1 to 1000, got 0"),
-        ({"turns": 4}, "turns must be odd, for the middle one is no turn, or 0, got 4"),
-        ({"turns": -1}, "turns must be a whole number from 0 to 999, got -1"),
-        ({"samples": 3}, "samples must be at least 8, or 0 for no plan, got 3"),
-        ({"pieces": 7}, "pieces must be a whole number from 8 to 10000, got 7"),
-        ({"num_threads": 0}, "num_threads must be a whole number >= 1, got 0"),
-        ({"follow": True, "samples": 0}, "follow needs a plan to follow, got samples = 0"),
-    ],
-)
-def test_unusable_settings_are_refused(given: dict[str, Any], sentence: str) -> None:
-    with pytest.raises(ValueError, match=sentence):
-        Lookahead(gym.make("JackInBox-v0"), **given)
-
-
-def test_other_environments_and_early_ends_are_refused() -> None:
-    with pytest.raises(TypeError, match="looking ahead needs JackInBox-v0, got"):
-        Lookahead(gym.make("CartPole-v1"))
-    with pytest.raises(TypeError, match="looking ahead needs JackInBox-v0, got"):
-        LookaheadVector(gym.make_vec("CartPole-v1", num_envs=2), hold=1)
-    with pytest.raises(TypeError, match="looking ahead needs the ten numbers of JackInBox-v0, got observations in"):
-        Lookahead(single())
-    with pytest.raises(ValueError, match="hold must be 1 where autoreset_mode is not SAME_STEP, got 5"):
-        LookaheadVector(JackInBoxVectorEnv(2))
-    env = LookaheadVecEnv(make_sb3_vec_env(2, contact="exact", max_episode_steps=7), **SMALL)
-    env.reset()
-    env.step(np.zeros((2, 1)))
-    with pytest.raises(RuntimeError, match="episodes must last a multiple of hold = 5 steps, got one that ended 2"):
-        env.step(np.zeros((2, 1)))
+def test_other_environments_and_several_tasks_are_refused() -> None:
+    tasks = [lambda task=task: gym.make("JackInBox-v0", task=task) for task in ("juggle", "spin")]
+    seen = gym.wrappers.RescaleObservation(gym.make("JackInBox-v0"), np.float32(0), np.float32(1))
+    refused: list[tuple[Any, type[Exception], str]] = [
+        (alone(gym.make("CartPole-v1")), TypeError, "looking ahead needs JackInBox-v0, got"),
+        (together(gym.make_vec("CartPole-v1", num_envs=2)), TypeError, "looking ahead needs JackInBox-v0, got"),
+        (lambda: LookaheadVecEnv(DummyVecEnv([lambda: gym.make("CartPole-v1")])), TypeError, "needs JackInBox-v0, got"),
+        (alone(seen), TypeError, "looking ahead needs the ten numbers of JackInBox-v0, got observations in"),
+        (alone(single()), TypeError, "looking ahead needs the ten numbers"),
+        (together(gym.vector.SyncVectorEnv(tasks)), ValueError, r"must have one task, got \['juggle', 'spin'\]"),
+        (together(JackInBoxVectorEnv(2), hold=5), ValueError, "hold must be 1 where autoreset_mode is not SAME_STEP"),
+    ]
+    for make, error, sentence in refused:
+        with pytest.raises(error, match=sentence):
+            make()

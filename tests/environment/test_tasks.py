@@ -21,7 +21,7 @@ V0 = math.sqrt(2.0 * 9.81 * 6.0)
 
 
 def hold(state: Sequence[float], target: float, stiffness: float, damping: float) -> float:
-    """Action that turns the box towards an angle [rad]: a PD law, gains in 1/s^2 and 1/s."""
+    """Action that turns the box towards an angle [rad]: a PD controller, gains in 1/s^2 and 1/s."""
     torque = 14400.0 * (stiffness * (target - state[2]) - damping * state[8])
     return max(-1.0, min(1.0, torque / 90000.0))
 
@@ -67,12 +67,11 @@ def mean_return(task: str, policy: Policy, episodes: int = 24, torque: str = "ag
     return total / episodes
 
 
-def constant(value: float) -> Policy:
-    return lambda state, rng: value
+def constant(value: float, state: Sequence[float], rng: np.random.Generator) -> float:
+    return value
 
 
-def rest(state: Sequence[float], rng: np.random.Generator) -> float:
-    return 0.0
+rest = functools.partial(constant, 0.0)
 
 
 def noise(state: Sequence[float], rng: np.random.Generator) -> float:
@@ -110,16 +109,10 @@ def test_rattle_pays_impulse_and_charges_torque() -> None:
 
 
 def test_juggle_ranks_the_baselines() -> None:
-    # random 125, chirp 131, nothing 200, level 243 over many starts; 500 is the ceiling
-    random, rested, levelled = (mean_return("juggle", policy) for policy in (noise, rest, level))
-    chirp = mean_return("juggle", rest, torque="chirp")
-    assert random == pytest.approx(125, abs=20)
-    assert chirp == pytest.approx(131, abs=20)
-    assert rested == pytest.approx(200, abs=20)
-    assert levelled == pytest.approx(243, abs=20)
-
-
-CONSTANTS = [0.0, 0.003, -0.003, 0.005, -0.005, 0.01, -0.01, 0.02, 0.03, 0.05, 0.1, 0.3, 1.0, -1.0]
+    # over many starts; 500 is the ceiling
+    earned = [mean_return("juggle", policy) for policy in (noise, rest, level)]
+    earned.append(mean_return("juggle", rest, torque="chirp"))
+    np.testing.assert_allclose(earned, [125, 200, 243, 131], atol=20)
 
 
 def test_spin_rewards_skill_and_its_sense_of_rotation() -> None:
@@ -131,16 +124,15 @@ def test_spin_rewards_skill_and_its_sense_of_rotation() -> None:
 
 def test_rattle_rewards_timed_blows() -> None:
     # timed blows earn about 5.3; nothing 2.35, levelling 2.3, noise 1
-    blows = mean_return("rattle", slapper)
-    assert blows > 4.0
-    assert mean_return("rattle", rest) < 3.0
-    assert mean_return("rattle", level) < 3.0
+    assert mean_return("rattle", slapper) > 4.0
+    assert max(mean_return("rattle", rest), mean_return("rattle", level)) < 3.0
     assert mean_return("rattle", noise) < 2.0
 
 
 @pytest.mark.parametrize(("task", "skilled"), [("spin", spinner), ("rattle", slapper)])
 def test_no_constant_torque_wins(task: str, skilled: Policy, cases: Callable[[int], int]) -> None:
-    best = max(mean_return(task, constant(value), episodes=cases(12)) for value in CONSTANTS)
+    values = [0.0, 0.003, -0.003, 0.005, -0.005, 0.01, -0.01, 0.02, 0.03, 0.05, 0.1, 0.3, 1.0, -1.0]
+    best = max(mean_return(task, functools.partial(constant, value), episodes=cases(12)) for value in values)
     assert best < 0.8 * mean_return(task, skilled)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -10,72 +12,56 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.wrappers import ClipAction, RecordEpisodeStatistics, RescaleAction
+from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers import ClipAction, RescaleAction
 
 import jackbox_env  # noqa: F401
 from jackbox_env import Scene
 from tests.states import load
 
-pytestmark = pytest.mark.usefixtures("no_display")
+
+def of_stable_baselines(**settings: Any) -> Any:
+    subproc = pytest.importorskip("stable_baselines3.common.vec_env.subproc_vec_env")
+    made = [lambda: gym.make("jackbox_env:JackInBox-v0", **settings)] * 2  # the prefix imports the package
+    return subproc.SubprocVecEnv(made, start_method="spawn")
 
 
-@pytest.fixture
-def no_display(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    monkeypatch.delenv("DISPLAY", raising=False)
-
-
-@pytest.mark.parametrize("mode", ["sync", "async"])
-def test_make_vec_equals_single_environments_bitwise(mode: Any) -> None:
-    scene = Scene(gravity=3.0)
-    vector = gym.make_vec("JackInBox-v0", num_envs=3, vectorization_mode=mode, scene=scene, task="rattle")
-    singles = [gym.make("JackInBox-v0", scene=scene, task="rattle") for _ in range(3)]
-    actions = np.random.default_rng(0).uniform(-1, 1, (80, 3, 1)).astype(np.float32)
-    observations, infos = vector.reset(seed=10)
+@pytest.mark.parametrize("mode", ["sync", "async", "spawned"])
+def test_environments_side_by_side_equal_single_ones_bitwise(mode: Any) -> None:
+    settings: dict[str, Any] = {"scene": Scene(gravity=3.0), "task": "rattle"}
+    singles = [gym.make("JackInBox-v0", **settings) for _ in range(2)]
     expected = [single.reset(seed=10 + index) for index, single in enumerate(singles)]
+    vector: Any
+    if mode == "spawned":
+        vector = of_stable_baselines(**settings)
+        vector.seed(10)
+        observations = vector.reset()
+    else:
+        vector = gym.make_vec("JackInBox-v0", num_envs=2, vectorization_mode=mode, **settings)
+        observations, infos = vector.reset(seed=10)
+        np.testing.assert_array_equal(infos["state"], [info["state"] for _, info in expected])
     np.testing.assert_array_equal(observations, [observation for observation, _ in expected])
-    np.testing.assert_array_equal(infos["state"], [info["state"] for _, info in expected])
-    for action in actions:
-        observations, rewards, _, _, infos = vector.step(action)
+    for action in np.random.default_rng(0).uniform(-1, 1, (80, 2, 1)).astype(np.float32):
+        observations, rewards, *_ = vector.step(action)
         steps = [single.step(part) for single, part in zip(singles, action, strict=True)]
         np.testing.assert_array_equal(observations, [step[0] for step in steps])
-        np.testing.assert_array_equal(rewards, [step[1] for step in steps])
-        np.testing.assert_array_equal(infos["impulse"], [step[4]["impulse"] for step in steps])
+        np.testing.assert_allclose(rewards, [float(step[1]) for step in steps], rtol=1e-6 if mode == "spawned" else 0.0)
     vector.close()
 
 
 def test_the_chirp_passes_vector_environments_and_action_wrappers() -> None:
-    start = np.array(load("seed_scene")[0]["q"] + load("seed_scene")[0]["qdot"])
-    reference = load("seed_scene")[0]["states"][9]["state"]
+    record = load("seed_scene")[0]
+    start = {"state": np.array(record["q"] + record["qdot"])}
     vector = gym.make_vec("JackInBox-v0", num_envs=2, vectorization_mode="sync", torque="chirp")
-    vector.reset(options={"state": start})
     five = np.array([-5.0], dtype=np.float32), np.array([5.0], dtype=np.float32)
     wrapped = ClipAction(RescaleAction(gym.make("JackInBox-v0", torque="chirp"), *five))
-    wrapped.reset(options={"state": start})
-    for _ in range(50):
-        infos = vector.step(vector.action_space.sample())[4]
-        info = wrapped.step(wrapped.action_space.sample())[4]
-    for state in (*infos["state"], info["state"]):
-        np.testing.assert_allclose(state, reference, atol=1e-12)
-
-
-def test_subproc_vec_env_makes_the_prefixed_id_in_fresh_processes() -> None:
-    subproc = pytest.importorskip("stable_baselines3.common.vec_env.subproc_vec_env")
-    settings: dict[str, Any] = {"task": "spin"}
-    environments = subproc.SubprocVecEnv(
-        [lambda: gym.make("jackbox_env:JackInBox-v0", **settings)] * 2, start_method="spawn"
-    )
-    environments.seed(4)
-    observations = environments.reset()
-    singles = [gym.make("JackInBox-v0", task="spin") for _ in range(2)]
-    np.testing.assert_array_equal(
-        observations, [single.reset(seed=4 + index)[0] for index, single in enumerate(singles)]
-    )
-    for _ in range(20):
-        actions = np.full((2, 1), 0.3, dtype=np.float32)
-        observations, *_ = environments.step(actions)
-        np.testing.assert_array_equal(observations, [single.step(actions[0])[0] for single in singles])
-    environments.close()
+    envs: list[Any] = [vector, wrapped]
+    for env in envs:
+        env.reset(options=start)
+        for _ in range(50):
+            info = env.step(env.action_space.sample())[4]
+        for state in np.atleast_2d(info["state"]):
+            np.testing.assert_allclose(state, record["states"][9]["state"], atol=1e-12)
 
 
 @pytest.mark.filterwarnings(
@@ -86,15 +72,11 @@ def test_record_video_writes_a_film_one_can_read(tmp_path: Path) -> None:
     imageio = pytest.importorskip("imageio.v3")
     from gymnasium.wrappers import RecordVideo
 
-    env = RecordVideo(
-        gym.make("JackInBox-v0", render_mode="rgb_array", max_episode_steps=30),
-        str(tmp_path / "films"),
-        disable_logger=True,
-    )
+    filmed = gym.make("JackInBox-v0", render_mode="rgb_array", max_episode_steps=30)
+    env = RecordVideo(filmed, str(tmp_path / "films"), disable_logger=True)
     env.reset(seed=0)
-    truncated = False
-    while not truncated:
-        *_, truncated, _ = env.step(None)
+    while not env.step(None)[3]:
+        pass
     env.close()
     (film,) = (tmp_path / "films").glob("*.mp4")
     frames = imageio.imread(film)
@@ -103,20 +85,7 @@ def test_record_video_writes_a_film_one_can_read(tmp_path: Path) -> None:
     assert np.ptp(frames.astype(int), axis=0).max() > 50  # something moves
 
 
-def test_frames_are_rendered_and_recorded_per_step() -> None:
-    env = gym.make("JackInBox-v0", render_mode="rgb_array")
-    env.reset(seed=0)
-    first: Any = env.render()
-    for _ in range(10):
-        env.step(None)
-    later: Any = env.render()
-    assert first.shape == later.shape == (512, 512, 3)
-    assert first.dtype == np.uint8
-    assert not np.array_equal(first, later)
-    env.close()
-
-
-def test_human_mode_steps_without_render_calls() -> None:
+def test_human_mode_needs_no_render_calls_and_no_mode_no_picture() -> None:
     env = gym.make("JackInBox-v0", render_mode="human", control_dt=0.005)
     env.reset(seed=0)
     for _ in range(3):
@@ -124,25 +93,51 @@ def test_human_mode_steps_without_render_calls() -> None:
     assert env.render() is None
     env.close()
     env.close()
-
-
-def test_render_without_a_mode_warns_and_returns_nothing() -> None:
-    env = gym.make("JackInBox-v0")
-    env.reset(seed=0)
     with pytest.warns(UserWarning, match="render"):
-        assert env.unwrapped.render() is None
+        assert gym.make("JackInBox-v0").unwrapped.render() is None
 
 
-def test_episode_statistics_and_truncation_pass_through_wrappers() -> None:
-    env = RecordEpisodeStatistics(gym.make("JackInBox-v0", max_episode_steps=25))
-    env.reset(seed=0)
-    total = 0.0
-    truncated = False
-    while not truncated:
-        _, reward, _, truncated, info = env.step(np.zeros(1, dtype=np.float32))
-        total += float(reward)
-    assert info["episode"]["l"] == 25
-    assert info["episode"]["r"] == pytest.approx(total, rel=1e-5)
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_the_autoreset_mode_is_where_libraries_read_it(mode: AutoresetMode) -> None:
+    """Gymnasium reads the metadata, TorchRL's wrapper the attribute."""
+    env: Any = gym.make_vec("JackInBox-v0", num_envs=2, autoreset_mode=mode.name)
+    assert env.autoreset_mode is mode is env.metadata["autoreset_mode"]
+
+
+def test_single_environments_of_stable_baselines_have_a_spec_that_makes_each_again() -> None:
+    sb3 = pytest.importorskip("jackbox_env.sb3")
+    scenes = [{"gravity": 1.0}, {"gravity": 2.0}]
+    env = sb3.make_sb3_vec_env(2, scene=scenes, task="spin", with_infos=True, num_threads=1, max_episode_steps=70)
+    for number, spec in enumerate(env.get_attr("spec")):
+        assert (spec.id, spec.max_episode_steps) == ("JackInBox-v0", 70)
+        again: Any = gym.make(spec)
+        assert (again.unwrapped.scene.gravity, again.unwrapped.task) == (1.0 + number, "spin")
+    assert sb3.make_sb3_vec_env(1, max_episode_steps=-1).get_attr("spec")[0].max_episode_steps is None
+    assert gym.spec("JackInBox-v0").kwargs == {}
+
+
+WITHOUT = [
+    "import jackbox_env.sb3",
+    "import jackbox_env.sb3_wrappers",
+    "import scripts.train",
+    "import scripts.evaluate",
+    "gymnasium.make('JackInBox-v0', render_mode='rgb_array')",
+    "jackbox_env.JackInBoxVectorEnv(2).tiled()",
+    "from jackbox_env.playing_window import Window; Window(None)",
+    "import scripts.play; scripts.play.main()",
+]
+
+
+def test_a_missing_extra_says_how_to_get_it_from_a_checkout() -> None:
+    code = "import sys, gymnasium, jackbox_env\nfor name in ('stable_baselines3', 'pygame', 'tyro'):\n"
+    code += "    sys.modules[name] = None\n"
+    for line in WITHOUT:
+        code += f"try: {line}\nexcept SystemExit as ended: assert ended.code\nexcept Exception as error: print(error)\n"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    told = [
+        line for line in (done.stdout + done.stderr).splitlines() if "in a checkout of jackbox, pip install" in line
+    ]
+    assert [sum(f'-e ".[{extra}]"' in line for line in told) for extra in ("train", "render")] == [4, 4]
 
 
 # -- play -------------------------------------------------------------------------------------------------------------
@@ -187,12 +182,5 @@ def test_play_drives_by_the_chirp_until_an_arrow_key_pushes(monkeypatch: pytest.
     assert set(pushed) == {90000.0}
     driven = [info["torque"] for action, info in seen if action is None]
     assert all(torque not in (0.0, 90000.0) for torque in driven)
-
-
-def test_the_arrow_keys_are_opposite_torques_in_the_action_space() -> None:
-    import pygame
-
-    env = gym.make("JackInBox-v0")
-    keys: Any = env.get_wrapper_attr("get_keys_to_action")()
-    assert all(action in env.action_space for action in keys.values())
+    keys: Any = gym.make("JackInBox-v0").get_wrapper_attr("get_keys_to_action")()
     assert keys[(pygame.K_LEFT,)] == -keys[(pygame.K_RIGHT,)] == 1.0

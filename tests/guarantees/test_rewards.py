@@ -1,0 +1,355 @@
+"""A task of the user's own is paid alike everywhere, changes nothing, and is never paid what another one earns."""
+
+from __future__ import annotations
+
+import functools
+import math
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+import jackbox_env
+from jackbox_env import JackInBoxEnv, JackInBoxVectorEnv, Scene, Task
+from jackbox_env.compiled import kept
+from jackbox_env.compiled.compiler import _cache_folders
+from jackbox_env.scene import SceneNumbers
+from jackbox_env.scoring import CompiledScore, PlainScore
+from jackbox_env.simulators import CONTACT_MODELS
+from jackbox_env.tasks import TASKS, reward_of
+
+EVERY_MODEL = pytest.mark.parametrize("contact", CONTACT_MODELS)
+MAKERS: list[Any] = [JackInBoxEnv, functools.partial(JackInBoxVectorEnv, 2)]
+BONUS = 0.125
+
+
+def task_terms(value: float) -> float:
+    """A helper named as one of the compiled code's own."""
+    return value * value
+
+
+# -- the same numbers everywhere ---------------------------------------------------------------------------------------
+
+
+def everything(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float, ...]:
+    """Five terms that read all there is."""
+    height = (state[4] - state[1]) / scene.box_half_width
+    return (
+        height if height > 0.0 else -2.0 * height,
+        task_terms(torque / scene.torque_limit) + BONUS,
+        0.5 * impulse / (scene.jack_mass * scene.speed_scale),
+        math.sqrt(abs(state[11])) * scene.restitution,
+        1.0 if scene.chirp_rate > 0.5 else 0.0,
+    )
+
+
+OWN = Task(("height", "effort", "knock", "turning", "chirping"), everything)
+
+
+@EVERY_MODEL
+def test_batches_and_single_environments_pay_what_the_function_says(contact: str) -> None:
+    count = 300 if contact == "exact" else 2  # more than two blocks
+    scenes = [Scene(gravity=1.0 + number % 7, jack_mass=4.0 + number % 5) for number in range(count)]
+    batch = JackInBoxVectorEnv(count, contact=contact, task=OWN, with_infos=True, scene=scenes)
+    batch.reset(seed=0)
+    numbers = (0, count - 1)
+    singles = [JackInBoxEnv(contact=contact, task=OWN, scene=scenes[number]) for number in numbers]
+    for number, env in zip(numbers, singles, strict=True):
+        env.reset(seed=number)
+    rng, knocks = np.random.default_rng(0), 0
+    for _ in range(150):
+        actions = rng.uniform(-1.0, 1.0, count)
+        _, rewards, _, _, infos = batch.step(actions)
+        for number, env in zip(numbers, singles, strict=True):
+            _, reward, _, _, info = env.step(actions[number])
+            terms = everything(env.scene.numbers, info["state"].tolist(), info["torque"], info["impulse"])
+            assert [info[f"reward_{name}"] for name in OWN.terms] == list(terms)
+            assert [infos[f"reward_{name}"][number] for name in OWN.terms] == list(terms)
+            assert rewards[number] == reward == reward_of(terms)
+            knocks += info["impacts"]
+    assert knocks > 0
+
+
+def looped(state: Any) -> float:
+    total = 0.0
+    for place, value in enumerate(state):
+        total += (place + 1.0) * value
+    for place in range(len(state)):
+        total -= state[place] * state[-1 - place]
+    return total
+
+
+def unpacked(state: Any) -> float:
+    a, b, c, d, e, f, g, h, i, j, k, last = state
+    return float(a - b + 2.0 * c - d + 3.0 * e - f + 4.0 * g - h + 5.0 * i - j + 6.0 * k - last)
+
+
+WAYS: dict[str, Any] = {
+    "index": lambda state: state[-1] + 2.0 * state[-12] + state[11],
+    "slice": lambda state: state[6:][3] + state[-3:][1] + len(state[::5]),
+    "max": lambda state: max(state) - min(state),
+    "sum": lambda state: sum(state),
+    "loop": looped,
+    "unpack": unpacked,
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_task_sees_the_same_twelve_numbers_everywhere(way: str) -> None:
+    read = WAYS[way]
+    task = Task(("read",), lambda scene, state, torque, impulse: (read(state),))
+    batch = JackInBoxVectorEnv(3, contact="exact", task=task)
+    batch.reset(seed=0)
+    played: Any = jackbox_env.rollout(None, batch.states, np.full((3, 60), 4.5e4), 0.02, rewards=task)
+    single, plain = JackInBoxEnv(contact="exact", task=task), JackInBoxEnv(task=task)
+    single.reset(seed=2)
+    plain.reset(seed=2)
+    for earned in played.rewards.T:
+        np.testing.assert_array_equal(batch.step(np.full(3, 0.5))[1], earned)
+        for env in (single, plain):
+            _, reward, _, _, info = env.step(0.5)
+            assert reward == pytest.approx(read(info["state"].tolist()), rel=1e-14, abs=1e-13)
+            assert reward == earned[2] or env is plain
+
+
+def test_a_number_that_is_another_would_be_seen() -> None:
+    state = np.linspace(0.1, 0.9, 12)
+    moved = state + 1e-12 * np.eye(12)
+    assert unpacked(state.tolist()) not in [unpacked(one.tolist()) for one in moved]
+
+
+@EVERY_MODEL
+def test_a_task_can_change_no_number(contact: str) -> None:
+    def pushing(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float]:
+        state[10] = 50.0
+        return (1.0,)
+
+    for make in (*MAKERS, lambda contact, task: jackbox_env.rollout(None, np.zeros(12), [0.0], 0.02, rewards=task)):
+        with pytest.raises(TypeError):
+            make(contact=contact, task=Task(("push",), pushing))
+    writable = [0.0] * 12  # what a list, as the state once was, would let it do
+    pushing(None, writable, 0.0, 0.0)
+    assert writable[10] == 50.0
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_every_task_pays_the_same_compiled(name: str) -> None:
+    rng, scene = np.random.default_rng(0), Scene(gravity=3.0, jack_mass=2.0)
+    plain, compiled = PlainScore(scene, TASKS[name]), CompiledScore(scene, TASKS[name])
+    paid = []
+    for _ in range(300):
+        state, torque, impulse = rng.normal(size=12) * 2.0, rng.normal() * 6e4, abs(rng.normal()) * 30.0
+        (seen, terms), others = plain(state, torque, impulse), compiled(state, torque, impulse)
+        assert list(terms) == list(others[1])
+        np.testing.assert_allclose(seen, others[0], rtol=1e-6)
+        paid.append(terms)
+    assert np.ptp(np.array(paid), axis=0).min() > 0.005
+
+
+@EVERY_MODEL
+def test_every_number_of_the_scene_is_there_by_its_name(contact: str) -> None:
+    def numbers(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float, ...]:
+        return (
+            scene.box_half_width, scene.box_mass, scene.box_inertia, scene.jack_arm, scene.jack_mass,
+            scene.jack_inertia, scene.gravity, scene.torque_limit, scene.speed_scale, scene.chirp_amplitude,
+            scene.chirp_start_frequency, scene.chirp_rate, scene.restitution,
+        )  # fmt: skip
+
+    scene = Scene(gravity=2.5)
+    env = JackInBoxEnv(contact=contact, scene=scene, task=Task(SceneNumbers._fields, numbers))
+    env.reset(seed=0)
+    info = env.step(0.0)[4]
+    assert tuple(info[f"reward_{name}"] for name in SceneNumbers._fields) == scene.numbers
+
+
+def test_terms_are_summed_in_their_order() -> None:
+    task = Task(("a", "b", "c"), lambda scene, state, torque, impulse: (1e16, 1.0 + 0.0 * state[0], -1e16))
+    assert paid_now(task) == (1e16 + 1.0) - 1e16 != math.fsum((1e16, 1.0, -1e16))
+
+
+# -- errors ------------------------------------------------------------------------------------------------------------
+
+
+@EVERY_MODEL
+@pytest.mark.parametrize("make", MAKERS)
+def test_an_error_in_the_function_comes_back_and_leaves_all_as_it_was(contact: str, make: Any) -> None:
+    def strict(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float]:
+        if torque > 0.0:
+            raise ValueError("no push to the left, please")
+        return (1.0,)
+
+    env = make(contact=contact, task=Task(("strict",), strict))
+    env.reset(seed=0)
+    push, names = np.ones(env.action_space.shape), ("state", "time") if make is JackInBoxEnv else ("states", "times")
+    before = [getattr(env, name) for name in names]
+    with pytest.raises(ValueError, match="no push to the left"):
+        env.step(push)
+    for value, name in zip(before, names, strict=True):
+        np.testing.assert_array_equal(getattr(env, name), value)
+    assert np.all(env.step(-push)[1] == 1.0)
+
+
+@EVERY_MODEL
+@pytest.mark.parametrize("divided", [lambda by: 1.0 / by, lambda by: 1.0 // by, lambda by: 1 // int(by)])
+def test_a_division_by_zero_is_an_error_in_every_model(contact: str, divided: Any) -> None:
+    task = Task(("part",), lambda scene, state, torque, impulse: (float(divided(torque + 1.0)),))
+    for make in MAKERS:
+        env = make(contact=contact, task=task)
+        env.reset(seed=0)
+        with pytest.raises(ZeroDivisionError):
+            env.step(np.full(env.action_space.shape, -1.0 / Scene().torque_limit))
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        (lambda scene, state, torque, impulse: (1.0,), "a tuple of 2 floats, one for each term, got"),
+        (lambda scene, state, torque, impulse: 1.0, "a tuple of 2 floats"),
+        (lambda scene, state, torque, impulse: (1, 2.0), "a tuple of 2 floats"),
+        (lambda scene, state, torque, impulse: (1j, 2j), "a tuple of 2 floats"),
+        (lambda scene, state, torque, impulse: (scene.nothing, 1.0), "cannot be compiled.*'nothing'"),
+        (lambda scene, state, torque, impulse: (nowhere, 1.0), "cannot be compiled.*'nowhere'"),  # type: ignore[name-defined]  # noqa: F821
+        (lambda scene, state, torque, impulse: (np.sum(state * 2.0), 1.0), "cannot be compiled.*UniTuple"),
+        (lambda scene, state, torque, impulse: [state[0], 1.0], "cannot be compiled.*use single numbers"),
+        (lambda scene, state, torque: (1.0, 1.0), "cannot be compiled.*4 argument"),
+    ],
+)
+def test_what_cannot_be_compiled_is_refused_at_once_in_one_sentence(values: Any, message: str) -> None:
+    for make in MAKERS:
+        with pytest.raises(TypeError, match=message) as caught:
+            make(contact="exact", task=Task(("a", "b"), values))
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("returned", [1.0, (1.0,), (1j, 2j), [1.0, 2.0]])
+def test_what_is_no_tuple_of_numbers_is_refused_where_nothing_is_compiled(returned: Any) -> None:
+    for make in MAKERS:
+        with pytest.raises(TypeError, match="must return a tuple of 2 numbers, one for each term, got"):
+            make(contact="pymunk", task=Task(("a", "b"), lambda scene, state, torque, impulse: returned))
+
+
+# -- nobody is paid another's ------------------------------------------------------------------------------------------
+
+
+def paid_now(task: Task) -> float:
+    """What it pays in environments that are made now, alone and in a batch, and in a rollout."""
+    env, batch = JackInBoxEnv(contact="exact", task=task), JackInBoxVectorEnv(2, contact="exact", task=task)
+    env.reset(seed=0)
+    batch.reset(seed=0)
+    played: Any = jackbox_env.rollout(None, batch.states, np.zeros((2, 1)), 0.02, rewards=task)
+    reward = env.step(0.0)[1]
+    assert reward == batch.step(np.zeros(2))[1][0] == played.rewards[0, 0]
+    return reward
+
+
+WEIGHT, TABLE, PAIR = 1.0, np.array([10.0, 20.0]), (100.0, 200.0)
+module: Any = ModuleType("module")
+module.weight = 1e5
+
+
+def helper(value: float) -> float:
+    return 1000.0 * value
+
+
+def reading(scene: Any, state: Any, torque: float, impulse: float, more: float = 10000.0) -> tuple[float]:
+    def inner(value: float) -> float:
+        return helper(value) + more
+
+    return (WEIGHT + TABLE[0] + PAIR[0] + inner(1.0) + module.weight,)
+
+
+def test_a_new_environment_sees_every_change_of_what_the_function_reads(monkeypatch: pytest.MonkeyPatch) -> None:
+    here, task = sys.modules[__name__], Task(("paid",), reading)
+    assert paid_now(task) == 111111.0
+    old = {"weight": JackInBoxEnv(contact="exact", task=task, randomize={"jack_mass": (3.0, 5.0)})}
+    changes: list[tuple[Any, str, Any]] = [
+        (here, "WEIGHT", 2.0), (here, "TABLE", np.array([20.0, 20.0])), (here, "PAIR", (200.0, 1.0)),
+        (here, "helper", lambda value: 2000.0 * value), (reading, "__defaults__", (20000.0,)), (module, "weight", 2e5),
+    ]  # fmt: skip
+    for number, change in enumerate(changes):
+        monkeypatch.setattr(*change)
+        assert paid_now(task) == float("111111"[: 5 - number] + "222222"[: number + 1])
+    TABLE[0] = 30.0  # in place
+    monkeypatch.setattr(reading, "__code__", (lambda scene, state, torque, impulse: (TABLE[0] + 7.0,)).__code__)
+    assert paid_now(task) == 37.0
+    old["weight"].reset()  # draws another scene
+    assert old["weight"].step(0.0)[1] == 111111.0
+
+
+def test_functions_that_differ_only_in_what_they_hold_are_paid_apart() -> None:
+    def holding(weight: float) -> Task:
+        return Task(("paid",), lambda scene, state, torque, impulse: (math.copysign(weight + 1.0, weight),))
+
+    assert [paid_now(holding(weight)) for weight in (0.0, -0.0, 2, True)] == [1.0, -1.0, 3.0, 2.0]
+    tasks = [Task(("paid",), lambda scene, state, torque, impulse, by=by: (by,)) for by in (1.0, 2.0)]
+    assert [paid_now(task) for task in tasks] == [1.0, 2.0]
+
+
+def test_nothing_of_a_users_task_is_kept_on_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+    written: list[str] = []
+    monkeypatch.setattr(kept, "_write", lambda path, content: written.append(path.name))
+    JackInBoxVectorEnv(2, contact="exact", task=Task(("a",), lambda scene, state, torque, impulse: (state[0],)))
+    assert not [name for name in written if name.startswith("score")]
+
+
+_PAID = """
+import functools, sys
+import numpy as np
+from jackbox_env import JackInBoxEnv, JackInBoxVectorEnv, Task, tasks
+def paid(task):
+    env, batch = JackInBoxEnv(contact="exact", task=task), JackInBoxVectorEnv(2, contact="exact", task=task)
+    env.reset(seed=0), batch.reset(seed=0)
+    reward = float(batch.step(np.ones(2))[1][0])
+    assert float(env.step(1.0)[1]) == reward
+    return reward
+def wrapped():
+    @functools.wraps(tasks.juggle)
+    def mine(scene, state, torque, impulse):
+        return (-900.0,)
+    return Task(("centre",), mine)
+def named():
+    def mine(scene, state, torque, impulse):
+        return (-5.0,)
+    mine.__name__, mine.__qualname__, mine.__module__ = "spin", "spin", "jackbox_env.tasks"
+    return Task(("spin",), mine)
+def put_in_its_place():
+    tasks.juggle = wrapped().values
+    tasks.TASKS["juggle"] = Task(("centre",), tasks.juggle)
+    return "juggle"
+def with_another_constant():
+    tasks.EFFORT_COST = 99.0
+    return "rattle"
+def with_another_helper():
+    tasks._calm = functools.wraps(tasks._calm)(lambda scene, state, limit: 1.0)
+    tasks._calm.__module__ = "jackbox_env.tasks"
+    return "rattle"
+print(*[paid(globals()[name]() if name in globals() else name) for name in sys.argv[1:]])
+"""
+
+
+def test_a_later_process_is_never_paid_what_another_process_has_made_of_a_task(tmp_path: Path) -> None:
+    paid_now(Task(("paid",), lambda scene, state, torque, impulse: (0.0,)))  # compiles the rest, which is kept
+    for folder in _cache_folders():
+        shutil.copytree(folder, tmp_path / folder.name, ignore=shutil.ignore_patterns("score*"))
+    path = str(Path(jackbox_env.__file__).parents[1])
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": path}
+
+    def paid(*names: str) -> list[float]:
+        command = [sys.executable, "-c", _PAID, *names]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        return [float(word) for word in done.stdout.split()]
+
+    assert paid("wrapped", "named") == [-900.0, -5.0]
+    assert paid("put_in_its_place", "with_another_constant") == [-900.0, -99.0]
+    assert paid("with_another_helper") == [-0.01]
+    # Each compiles one task, so numba counts them alike; the last process loads both.
+    (centre,), (knocked,) = paid("juggle"), paid("rattle")
+    assert paid("juggle", "spin", "rattle") == [centre, 0.0, knocked]
+    assert (0.8 < centre < 1.0, knocked) == (True, -0.01)
