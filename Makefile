@@ -8,7 +8,8 @@ PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q
 WORKERS := -n 2 --dist loadfile
 TESTS := not slow
 UNDER_OLD_GYMNASIUM := $(addprefix tests/,environment/test_env.py environment/test_starts_and_settings.py \
-	environment/test_tools.py batches/test_vector_env.py batches/test_episodes.py refusals/test_refusals.py)
+	environment/test_tools.py batches/test_vector_env.py batches/test_episodes.py \
+	guarantees/test_bits.py refusals/test_refusals.py)
 
 .PHONY: demo test test-all test-slow benchmark benchmark-loss benchmark-quick throughput speed costs costs-loss soak extremes machines kills interruptions mutants transfer transfer-loss results networks scaling readme docs recipes clean
 .DELETE_ON_ERROR:
