@@ -102,6 +102,20 @@ def test_a_torque_that_would_overflow_is_refused_in_mid_air_too() -> None:
     env.step([0.0, 0.0, 0.0])
 
 
+@EVERY_MODEL
+def test_a_chirp_too_fast_to_follow_and_a_spin_that_wants_too_much_work_are_refused(contact: str) -> None:
+    simulator = make_simulator(None, contact)
+    simulator.reset(np.zeros(12), 1e6)
+    with pytest.raises(ValueError, match=r"the chirp turns .* times in the .* s after t = 1e\+06 s, at most 83333"):
+        simulator.step(1.0)
+    fast = np.where(np.arange(12) == 11, 1e9, with_foot(-1e-3))
+    simulator.reset(fast, 1e6)
+    with pytest.raises(JackLostError, match=r"more than 1,000,000 gap evaluations|a foot moves"):
+        simulator.step(1e5 if contact == "exact" else 0.02, 0.0)
+    np.testing.assert_array_equal(simulator.state, fast)
+    assert simulator.time == 1e6
+
+
 def test_without_the_refusal_the_jack_would_be_out_of_the_box(monkeypatch: pytest.MonkeyPatch) -> None:
     state = with_foot(-1.0)
     state[9] = 1e5
