@@ -25,43 +25,27 @@ def test_each_call_returns_a_fresh_array() -> None:
 # -- the box and the jack ----------------------------------------------------------------------------------------------
 
 
-def test_scale_and_centre_match_the_walls_seen() -> None:
-    """At angle 0 the red along a row and a column gives L and the centre in px, whatever `to_pixels` says."""
-    renderer = renderer_at(state(box=(3.0, -7.0, 0.0), jack=(0.5, -4.5, 0.3)))
-    frame = draw(renderer)
-    x, y = renderer.to_pixels(3.0, -7.0)
-    for line, place in ((frame[round(y) + 60], x), (frame[:, round(x) + 60], y)):
-        places = np.nonzero(red(line))[0]
-        low = places[places < place].max() + 0.5  # a pixel reaches half a pixel beyond its centre
-        high = places[places > place].min() - 0.5
-        assert 0.5 * (low + high) == pytest.approx(place, abs=0.6)
-        assert 0.5 * (high - low) == pytest.approx(renderer.to_pixels(3.0 + L, 0.0)[0] - x, abs=0.6)
-    assert renderer.to_pixels(3.0, -7.0 + L)[1] < y  # y points up
-
-
 @pytest.mark.parametrize("angle", [0.0, 0.3, -5.5])
 def test_walls_are_red_outwards_from_their_inside_faces(angle: float) -> None:
-    renderer = renderer_at(state(box=(1.0, 2.0, angle), jack=(1.0, 2.0, 0.0)))
-    frame = draw(renderer)
-    size = renderer.to_pixels(2.0, 2.0)[0] - renderer.to_pixels(1.0, 2.0)[0]  # [px/m]
-    for normal in angle + 0.5 * np.pi * np.arange(4):
-        for sideways in (-5.0, 2.2, 5.9):
-            for distance, is_red in ((L - 1.6 / size, False), (L + 1.6 / size, True), (L + 4.4 / size, True)):
-                x = 1.0 + distance * math.cos(normal) - sideways * math.sin(normal)
-                y = 2.0 + distance * math.sin(normal) + sideways * math.cos(normal)
-                in_the_next_wall = distance < L and sideways > L - 2.0 / size
-                assert red(pixel(frame, renderer.to_pixels(x, y))) == is_red or in_the_next_wall
+    """Seen 6 m, here 152.4 px, around the middle beside the ruler; y points up."""
+    renderer = renderer_at(state(box=(3.0, -7.0, angle), jack=(3.0, -7.0, 0.0)))
+    frame, middle, half = draw(renderer), 283.0 + 256.0j, 224.0 / math.sqrt(2.0) - 6.0
+    assert complex(*renderer.to_pixels(3.0 + L, -7.0 + L)) == pytest.approx(middle + half * (1.0 - 1.0j))
+    for normal in np.exp(-1j * (angle + 0.5 * np.pi * np.arange(4))):
+        for sideways in (-130.0, 60.0, 146.0):
+            for beyond in (-1.6, 1.6, 4.4):
+                place = middle + normal * (half + beyond - 1j * sideways)
+                assert red(pixel(frame, (place.real, place.imag))) == (beyond > 0.0)
 
 
 def test_box_fits_beside_the_text_at_any_angle() -> None:
     """Neither the ruler nor the texts change as the box turns, and no wall touches the frame's edge."""
     reference = draw(renderer_at(state()))
-    areas = [(slice(0, 512), slice(0, 54)), (slice(0, 30), slice(54, 140)), (slice(0, 30), slice(400, 512))]
-    areas += [(slice(30, 42), slice(54, 150)), (slice(491, 512), slice(0, 512)), (slice(442, 491), slice(54, 120))]
+    corners = np.s_[:30, :140], np.s_[:30, 400:], np.s_[442:, :120], np.s_[491:]
     for angle in np.linspace(0.0, math.pi / 2.0, 19):
         frame = draw(renderer_at(state(box=(0.0, 0.0, float(angle)))))
-        for area in areas:
-            np.testing.assert_array_equal(frame[area], reference[area])
+        for corner in corners:
+            np.testing.assert_array_equal(frame[corner], reference[corner])
         rows, columns = np.nonzero(red(frame))
         assert 4 < rows.min() < rows.max() < 507
         assert 54 < columns.min() < columns.max() < 510

@@ -116,12 +116,10 @@ def windows(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Renderer, Rendere
     """Two renderers of the human mode on a display that nobody sees."""
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     pygame.display.quit()
-    pair = Renderer(Scene(), "human", 1000), Renderer(Scene(), "human", 1000)
-    for renderer in pair:
-        renderer.reset(state(jack=(0.0, 1.0, 0.5)), 0.0)
-    yield pair
-    pair[0].close()
-    pair[1].close()
+    one, other = (renderer_at(state(jack=(0.0, 1.0, 0.5)), mode="human") for _ in range(2))
+    yield one, other
+    one.close()
+    other.close()
     pygame.display.quit()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 import pickle
 
@@ -76,12 +77,11 @@ def test_memory_is_bounded_and_holds_copies() -> None:
 
 def on_wall(wall: int, foot: int, box_angle: float, sideways: float) -> tuple[list[float], tuple[float, float]]:
     """A state whose foot touches a wall, its arm 0.4 rad from the normal, and the place of that foot."""
-    normal = box_angle + wall * math.pi / 2.0
-    cosine, sine = math.cos(normal), math.sin(normal)
-    place = (2.0 + L * cosine - sideways * sine, -3.0 + L * sine + sideways * cosine)
-    arm = normal + 0.4
-    jack = (place[0] - ARM * math.cos(arm), place[1] - ARM * math.sin(arm), arm - foot * math.pi / 2.0)
-    return state(box=(2.0, -3.0, box_angle), jack=jack), place
+    angle = box_angle + wall * math.pi / 2.0
+    place = 2.0 - 3.0j + cmath.rect(1.0, angle) * complex(L, sideways)
+    jack = place - cmath.rect(ARM, angle + 0.4)
+    turned = angle + 0.4 - foot * math.pi / 2.0
+    return state(box=(2.0, -3.0, box_angle), jack=(jack.real, jack.imag, turned)), (place.real, place.imag)
 
 
 def with_and_without(start: list[float], now: list[float], *impacts: Impact) -> tuple[Renderer, Renderer]:
