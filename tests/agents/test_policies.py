@@ -142,12 +142,11 @@ def test_films_show_the_policies_side_by_side(tmp_path: Path, suffix: str) -> No
     acts = {name: baseline(name, Scene()) for name in ("zero", "chirp")}
     path = tmp_path / f"film{suffix}"
     earned = film(acts, {}, path, seed=0, seconds=1.2, width=128, progress=False)
-    assert list(earned) == ["zero", "chirp"]
+    assert earned.keys() == acts.keys()
     assert 0.0 < earned["zero"] < 60.0  # of 60 steps
     frames = imageio.imread(path)
-    assert frames.shape[0] == 30
-    assert frames.shape[2:] == (256, 3)
-    left, right = frames[-1][:, :128].astype(int), frames[-1][:, 128:].astype(int)
+    assert (len(frames), *frames.shape[2:]) == (30, 256, 3)
+    left, right = np.split(frames[-1].astype(int), 2, axis=1)
     assert np.abs(left - right).max() > 100  # the chirp turned its box
     with pytest.raises(FileExistsError, match="films are never overwritten"):
         film(acts, {}, path, seed=0)

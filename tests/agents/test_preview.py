@@ -15,14 +15,16 @@ from agents.preview import FEATURES, LONGEST, columns, flight_of, preview
 from agents.settings import PREVIEWED
 from jackbox_env import Scene, make_simulator
 from jackbox_env.observation import BOUNDS, observe
+from jackbox_env.states import Array
 from jackbox_env.tasks import sample_start
 from tests.agents.small_run import TINY
 
 SCENES = [Scene(), Scene(gravity=1.62), Scene(box_half_width=3.0, jack_arm=0.5), Scene(gravity=30.0, jack_arm=2.0)]
 
 
-def features(scene: Scene, state: np.ndarray) -> np.ndarray:
-    return preview(flight_of(scene), observe(scene, state.tolist())[None])[0]
+def features(scene: Scene, state: Array) -> list[float]:
+    values: list[float] = preview(flight_of(scene), observe(scene, state.tolist())[None])[0].tolist()
+    return values
 
 
 @pytest.mark.parametrize("scene", SCENES)
@@ -37,7 +39,7 @@ def test_the_preview_is_the_flight_of_the_exact_model(scene: Scene) -> None:
         time, *seen = features(scene, start)
         simulator = make_simulator(scene, contact="exact")
         simulator.reset(start)
-        simulator.step(2.0 * float(time) * length / v0, 0.0)
+        simulator.step(2.0 * time * length / v0, 0.0)
         if simulator.impacts or time == 0.5 * LONGEST:  # a wall came first, or the flight is cut
             continue
         flown += 1

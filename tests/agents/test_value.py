@@ -14,7 +14,7 @@ from agents.network import SHIPPED, Layer
 from agents.observing import observations
 from agents.planner import Planner
 from agents.settings import EnvSettings
-from agents.value import INPUTS, UNIT, Value, ValuedSearch, read_value, write_value
+from agents.value import UNIT, Value, ValuedSearch, read_value, write_value
 from jackbox_env import Scene
 from jackbox_env.observation import observe
 from jackbox_env.plans import Search
@@ -38,16 +38,6 @@ def test_the_ends_of_candidates_are_valued() -> None:
     np.testing.assert_allclose(value.inputs(ends[1])[:, :10], seen, atol=1e-6)
     inner = np.tanh(value.inputs(ends[1]) @ weights[0][0].T + weights[0][1])
     np.testing.assert_allclose(expected[1], UNIT * (inner @ weights[1][0].T + weights[1][1])[:, 0], rtol=1e-5)
-
-
-def test_a_value_changes_plans_and_nothing_of_nothing() -> None:
-    seen = observations(Scene(), states_in(Scene(), 3))
-    nothing = Value(EXACT, [(np.zeros((1, INPUTS), np.float32), np.ones(1, np.float32))])
-    plain, same, valued = (
-        Planner(Scene(), **SMALL, value=value).predict(seen)[0] for value in (None, nothing, Value(EXACT, layers_for()))
-    )
-    np.testing.assert_array_equal(same, plain)
-    assert not np.array_equal(valued, plain)
 
 
 def test_each_environment_is_planned_for_alone() -> None:

@@ -24,6 +24,7 @@ BARE: dict[str, Any] = {"render_mode": "rgb_array", "render_overlay": False}
 @pytest.mark.parametrize("size", [(84, 84), (301, 97), (1024, 768), (16, 16)])
 def test_the_box_fits_into_a_frame_of_any_size(size: tuple[int, int], overlay: bool) -> None:
     renderer = Renderer(Scene(), "rgb_array", 50, size=size, overlay=overlay)
+    ruler = overlay * 54 * min(size) // 512
     for angle in np.linspace(0.0, math.pi / 2.0, 7):
         renderer.reset(state(box=(5.0, -3.0, float(angle)), jack=(5.0, -3.0, 0.4)), 0.0)
         frame = draw(renderer)
@@ -31,8 +32,9 @@ def test_the_box_fits_into_a_frame_of_any_size(size: tuple[int, int], overlay: b
         if min(size) > 80:
             rows, columns = np.nonzero(red(frame))
             assert 0 < rows.min() < rows.max() < size[1] - 1
-            assert 0 < columns.min() < columns.max() < size[0] - 1
+            assert ruler < columns.min() < columns.max() < size[0] - 1
             assert np.ptp(rows) > 0.55 * min(size)
+            assert np.ptp(columns) == pytest.approx(np.ptp(rows), abs=2)  # no ruler hides a part
             assert blue(frame).any()
 
 
@@ -85,17 +87,17 @@ def test_each_environment_of_a_vector_has_a_frame_of_the_size() -> None:
 
 @pytest.mark.parametrize("contact", ["pymunk", "exact"])
 def test_tiles_are_the_environments_as_they_are(contact: str) -> None:
-    env = JackInBoxVectorEnv(7, contact=contact, scene=[{"jack_arm": 1.0 + 0.2 * number} for number in range(7)])
+    scenes = [{"jack_arm": 1.0 + 0.2 * number} for number in range(7)]
+    env = JackInBoxVectorEnv(7, contact=contact, scene=scenes, render_size=(60, 40), **BARE)
     env.reset(seed=0)
     for _ in range(30):
         env.step(np.full(7, 0.7))
     picture = env.tiled(5, size=(60, 40))
     assert picture.shape == (2 * 40 + GAP, 3 * 60 + 2 * GAP, 3)
+    frames: Any = env.render()
     for number in range(5):
-        single = JackInBoxEnv(scene=env.scenes[number], render_size=(60, 40), **BARE)
-        single.set_state(env.states[number])
         top, left = number // 3 * (40 + GAP), number % 3 * (60 + GAP)
-        np.testing.assert_array_equal(picture[top : top + 40, left : left + 60], single.render())
+        np.testing.assert_array_equal(picture[top : top + 40, left : left + 60], frames[number])
     assert (picture[40 + GAP :, 2 * (60 + GAP) :] == TRACK).all()
     assert env.tiled().shape == (3 * 128 + 2 * GAP, 3 * 128 + 2 * GAP, 3)  # all there are
 
