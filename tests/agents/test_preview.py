@@ -66,10 +66,9 @@ def test_the_preview_is_the_flight_of_the_exact_model(scene: Scene) -> None:
 )
 def test_every_observation_has_a_finite_preview(given: dict[str, float]) -> None:
     scene, rng = Scene.of(given), np.random.default_rng(0)
-    corners = rng.choice([-1.0, 0.0, 1.0], (4000, 10)) * BOUNDS
-    inside = rng.uniform(-1.0, 1.0, (1000, 10)) * BOUNDS
-    tiny = rng.choice([-1e-45, 0.0, 1e-45], (200, 10))
-    rows = np.concatenate([corners, inside, tiny]).astype(np.float32)
+    corners, tiny = rng.choice([-1.0, 0.0, 1.0], (4000, 10)), rng.choice([-1e-45, 0.0, 1e-45], (200, 10))
+    inside = rng.uniform(-1.0, 1.0, (1000, 10))
+    rows = (np.concatenate([corners, tiny, inside]) * BOUNDS).astype(np.float32)
     values = preview(flight_of(scene), rows)
     by_torch = torch.stack(columns(flight_of(scene), torch.from_numpy(rows).unbind(1), torch), dim=1)
     assert values.dtype == np.float32
