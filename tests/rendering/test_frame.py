@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 
 import numpy as np
@@ -44,11 +45,8 @@ def test_jack_has_blue_arms_and_red_feet_but_one(angle: float) -> None:
     renderer = renderer_at(state(box=(0.0, 0.0, 0.1), jack=(-2.0, 1.5, angle)))
     frame = draw(renderer)
     for foot in range(4):
-        direction = angle + foot * math.pi / 2.0
-        along = [
-            pixel(frame, renderer.to_pixels(-2.0 + reach * math.cos(direction), 1.5 + reach * math.sin(direction)))
-            for reach in ARM * np.array([0.0, 0.3, 0.6, 1.0, 1.5])
-        ]
+        places = -2.0 + 1.5j + cmath.rect(ARM, angle + 0.5 * foot * math.pi) * np.array([0.0, 0.3, 0.6, 1.0, 1.5])
+        along = [pixel(frame, renderer.to_pixels(place.real, place.imag)) for place in places]
         assert [bool(blue(colour)) for colour in along] == [True, True, True, False, False]
         assert [bool(red(colour)) for colour in along] == [False, False, False, foot > 0, False]
         assert (along[3] == (255, 176, 0)) == (foot == 0)
