@@ -34,12 +34,9 @@ def test_a_saved_model_loads_without_this_project_and_here_plays_as_it_did(tmp_p
     model = make_ppo(settings, make_vec_env(settings.env_settings, 2, 0))
     model.save(tmp_path / "model.zip")
     actions, _ = model.policy.predict(np.zeros((3, 10), np.float32), deterministic=True)
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    done = subprocess.run(
-        [sys.executable, "-W", "error::UserWarning", "-c", LOADING], stdout=subprocess.PIPE, text=True, cwd=tmp_path,
-        env=environment, check=True,
-    )  # fmt: skip
-    assert done.stdout == f"{0.5 * TINY.learning_rate} {actions.ravel().tolist()}\n"
+    command = [sys.executable, "-W", "error::UserWarning", "-c", LOADING]
+    out = subprocess.check_output(command, cwd=tmp_path, env={**os.environ, "PYTHONPATH": ""}, text=True)
+    assert out == f"{0.5 * TINY.learning_rate} {actions.ravel().tolist()}\n"
     again = HoldingPPO.load(tmp_path / "model.zip", device="cpu")
     assert again.manner == model.manner
     assert again.manner.hold == 4

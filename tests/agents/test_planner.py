@@ -12,10 +12,11 @@ from agents.evaluation import evaluate, find_policy
 from agents.observing import observations
 from agents.planner import Planner
 from agents.settings import EnvSettings
+from agents.value import Value
 from jackbox_env import Drive, Scene, Task
 from jackbox_env.observation import observe, state_of
 from jackbox_env.plans import coloured_noise
-from tests.agents.untrained import states_in
+from tests.agents.untrained import layers_for, states_in
 
 SMALL: dict[str, Any] = {"samples": 24, "elites": 4, "iterations": 2, "pieces": 16}
 
@@ -29,48 +30,49 @@ def test_the_state_is_read_off_the_observation(scene: Scene) -> None:
 
 
 def test_a_plan_earns_what_the_environment_pays() -> None:
-    search, scene = Planner(Scene(), "spin", **SMALL)._search, Scene()
+    search = Planner(Scene(), "spin", **SMALL)._search
     env = gym.make("JackInBox-v0", contact="exact", task="spin")
-    observation, info = env.reset(seed=3)
+    start = env.reset(seed=3)[1]["state"]
     plan = np.round(np.random.default_rng(1).uniform(-1.0, 1.0, 16) * 64.0) / 64.0
-    seen = state_of(scene, observation.tolist())
-    returns, ends = search.play(scene, np.array([info["state"], seen]), np.array([[plan]] * 2))
-    earned = sum(float(env.step(np.array([plan[step // 5]]))[1]) for step in range(80))
+    returns, ends = search.play(Scene(), start[None], plan[None, None])
+    earned = sum(float(env.step(np.array([torque]))[1]) for torque in plan.repeat(5))
     assert earned == pytest.approx(returns[0, 0], abs=1e-9)
     np.testing.assert_allclose(ends[0, 0], env.unwrapped.state, atol=1e-9)  # type: ignore[attr-defined]
-    assert returns[1, 0] == pytest.approx(earned, abs=0.05)
 
 
 def test_plans_are_carried_on_and_held() -> None:
     env = gym.make("JackInBox-v0", contact="exact")
     planner, observation = Planner(Scene(), **SMALL), env.reset(seed=0)[0]
-    state, actions, steps = None, [], []
+    state, actions = None, []
     for step in range(15):
         action, state = planner.predict(observation, state, np.array([step == 0]))
         assert action in env.action_space
         actions.append(float(action[0]))
-        steps.append(int(state.steps[0]))
         observation = env.step(action)[0]
     assert actions == np.repeat(actions[::5], 5).tolist()
     assert len(set(actions)) == 3
-    assert steps == list(range(1, 16))
     fresh, _ = planner.predict(observation, state, np.array([True]))
     assert fresh == planner.predict(observation)[0] != planner.predict(observation, state, np.array([False]))[0]
 
 
-def test_each_environment_is_planned_for_alone() -> None:
-    planner, seen = Planner(Scene(), **SMALL), observations(Scene(), states_in(Scene(), 3))
+@pytest.mark.parametrize("value", [None, Value(EnvSettings(contact="exact"), layers_for(96))])
+def test_each_environment_is_planned_for_alone(value: Value | None) -> None:
+    planner, seen = Planner(Scene(), **SMALL, value=value), observations(Scene(), states_in(Scene(), 9))
     together, plans = planner.predict(seen)
-    again, _ = planner.predict(seen, plans, np.array([False, True, False]))
-    for number in range(3):
+    later, _ = planner.predict(seen, plans, np.arange(9) == 1)
+    for number in range(9):
         alone, plan = planner.predict(seen[number])
         assert together[number] == alone
-        later, _ = planner.predict(seen[number], plan, np.array([number == 1]))
-        assert again[number] == later
+        assert later[number] == planner.predict(seen[number], plan, np.array([number == 1]))[0]
+
+
+def test_the_seed_decides_and_not_the_threads() -> None:
+    seen = observations(Scene(), states_in(Scene(), 3))
+    together, plans = Planner(Scene(), **SMALL).predict(seen)
     assert not np.array_equal(Planner(Scene(), seed=1, **SMALL).predict(seen)[0], together)
     np.testing.assert_array_equal(Planner(Scene(), num_threads=2, **SMALL).predict(seen)[0], together)
     with pytest.raises(ValueError, match="state must be that of 2 environments.*, got 3"):
-        planner.predict(seen[:2], plans, np.zeros(2, dtype=bool))
+        Planner(Scene(), **SMALL).predict(seen[:2], plans)
 
 
 def test_noise_has_its_variance_and_colour() -> None:

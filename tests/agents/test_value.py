@@ -14,9 +14,8 @@ from agents.network import SHIPPED, Layer
 from agents.observing import observations
 from agents.planner import Planner
 from agents.settings import EnvSettings
-from agents.value import INPUTS, UNIT, Value, ValuedSearch, read_value, write_value
+from agents.value import UNIT, Value, ValuedSearch, read_value, write_value
 from jackbox_env import Scene
-from jackbox_env.observation import observe
 from jackbox_env.plans import Search
 from jackbox_env.storage import write_json
 from tests.agents.untrained import layers_for, states_in
@@ -34,31 +33,10 @@ def test_the_ends_of_candidates_are_valued() -> None:
     np.testing.assert_array_equal(same, ends)
     expected = np.array([value.of(own) for own in ends])
     np.testing.assert_array_equal(returns, plain + expected)
-    seen = np.array([observe(scene, state.tolist()) for state in ends[1]])
-    np.testing.assert_allclose(value.inputs(ends[1])[:, :10], seen, atol=1e-6)
-    inner = np.tanh(value.inputs(ends[1]) @ weights[0][0].T + weights[0][1])
+    seen = value.inputs(ends[1])
+    np.testing.assert_array_equal(seen[:, :10], observations(scene, ends[1]))
+    inner = np.tanh(seen @ weights[0][0].T + weights[0][1])
     np.testing.assert_allclose(expected[1], UNIT * (inner @ weights[1][0].T + weights[1][1])[:, 0], rtol=1e-5)
-
-
-def test_a_value_changes_plans_and_nothing_of_nothing() -> None:
-    seen = observations(Scene(), states_in(Scene(), 3))
-    nothing = Value(EXACT, [(np.zeros((1, INPUTS), np.float32), np.ones(1, np.float32))])
-    plain, same, valued = (
-        Planner(Scene(), **SMALL, value=value).predict(seen)[0] for value in (None, nothing, Value(EXACT, layers_for()))
-    )
-    np.testing.assert_array_equal(same, plain)
-    assert not np.array_equal(valued, plain)
-
-
-def test_each_environment_is_planned_for_alone() -> None:
-    planner = Planner(Scene(), **SMALL, value=Value(EXACT, layers_for(96)))
-    seen = observations(Scene(), states_in(Scene(), 9))
-    together, plans = planner.predict(seen)
-    later, _ = planner.predict(seen, plans, np.arange(9) == 4)
-    for number in range(9):
-        alone, plan = planner.predict(seen[number])
-        assert together[number] == alone
-        assert later[number] == planner.predict(seen[number], plan, np.array([number == 4]))[0]
 
 
 @pytest.mark.parametrize(

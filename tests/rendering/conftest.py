@@ -2,6 +2,23 @@
 
 from __future__ import annotations
 
-from tests.rendering.pixels import words
+from typing import Any
 
-__all__ = ["words"]
+import pytest
+
+from jackbox_env.canvas import Canvas
+from tests.rendering.pixels import Words
+
+
+@pytest.fixture
+def words(monkeypatch: pytest.MonkeyPatch) -> Words:
+    """Every string drawn, and the last place where it was drawn."""
+    written: Words = {}
+    write = Canvas.text
+
+    def noting(self: Canvas, text: str, place: tuple[float, float], *rest: Any, **more: Any) -> None:
+        written[text] = place
+        write(self, text, place, *rest, **more)
+
+    monkeypatch.setattr(Canvas, "text", noting)
+    return written

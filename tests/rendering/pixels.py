@@ -2,28 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 
-from jackbox_env.canvas import Canvas
 from jackbox_env.rendering import Renderer
 from jackbox_env.scene import Scene
 
 Frame = NDArray[np.uint8]
-
-
 Mask = NDArray[np.bool_]
-
-
 Words = dict[str, tuple[float, float]]
 
-
 L, ARM = 6.0, 1.0  # [m] the default scene's half width and jack arm
-
-
 AT_REST = (0.0,) * 6
 
 
@@ -31,8 +20,8 @@ def state(box: tuple[float, ...] = (0.0, 0.0, 0.0), jack: tuple[float, ...] = (0
     return [*box, *jack, *AT_REST]
 
 
-def renderer_at(start: list[float], scene: Scene | None = None, time: float = 0.0) -> Renderer:
-    renderer = Renderer(scene or Scene(), "rgb_array", 50)
+def renderer_at(start: list[float], scene: Scene | None = None, time: float = 0.0, mode: str = "rgb_array") -> Renderer:
+    renderer = Renderer(scene or Scene(), mode, 1000)
     renderer.reset(start, time)
     return renderer
 
@@ -56,17 +45,3 @@ def red(colour: NDArray[np.uint8] | tuple[int, int, int]) -> Mask:
 def blue(colour: NDArray[np.uint8] | tuple[int, int, int]) -> Mask:
     parts = np.asarray(colour, dtype=int)
     return (parts[..., 0] < 80) & (parts[..., 1] < 130) & (parts[..., 2] > 150)
-
-
-@pytest.fixture
-def words(monkeypatch: pytest.MonkeyPatch) -> Words:
-    """Every string drawn, and the last place where it was drawn."""
-    written: Words = {}
-    write = Canvas.text
-
-    def noting(self: Canvas, text: str, place: tuple[float, float], *rest: Any, **more: Any) -> None:
-        written[text] = place
-        write(self, text, place, *rest, **more)
-
-    monkeypatch.setattr(Canvas, "text", noting)
-    return written

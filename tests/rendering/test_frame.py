@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 
 import numpy as np
@@ -25,46 +26,17 @@ def test_each_call_returns_a_fresh_array() -> None:
 # -- the box and the jack ----------------------------------------------------------------------------------------------
 
 
-def test_scale_and_centre_match_the_walls_seen() -> None:
-    """At angle 0 the red along a row and a column gives L and the centre in px, whatever `to_pixels` says."""
-    renderer = renderer_at(state(box=(3.0, -7.0, 0.0), jack=(0.5, -4.5, 0.3)))
-    frame = draw(renderer)
-    x, y = renderer.to_pixels(3.0, -7.0)
-    for line, place in ((frame[round(y) + 60], x), (frame[:, round(x) + 60], y)):
-        places = np.nonzero(red(line))[0]
-        low = places[places < place].max() + 0.5  # a pixel reaches half a pixel beyond its centre
-        high = places[places > place].min() - 0.5
-        assert 0.5 * (low + high) == pytest.approx(place, abs=0.6)
-        assert 0.5 * (high - low) == pytest.approx(renderer.to_pixels(3.0 + L, 0.0)[0] - x, abs=0.6)
-    assert renderer.to_pixels(3.0, -7.0 + L)[1] < y  # y points up
-
-
 @pytest.mark.parametrize("angle", [0.0, 0.3, -5.5])
 def test_walls_are_red_outwards_from_their_inside_faces(angle: float) -> None:
-    renderer = renderer_at(state(box=(1.0, 2.0, angle), jack=(1.0, 2.0, 0.0)))
-    frame = draw(renderer)
-    size = renderer.to_pixels(2.0, 2.0)[0] - renderer.to_pixels(1.0, 2.0)[0]  # [px/m]
-    for normal in angle + 0.5 * np.pi * np.arange(4):
-        for sideways in (-5.0, 2.2, 5.9):
-            for distance, is_red in ((L - 1.6 / size, False), (L + 1.6 / size, True), (L + 4.4 / size, True)):
-                x = 1.0 + distance * math.cos(normal) - sideways * math.sin(normal)
-                y = 2.0 + distance * math.sin(normal) + sideways * math.cos(normal)
-                in_the_next_wall = distance < L and sideways > L - 2.0 / size
-                assert red(pixel(frame, renderer.to_pixels(x, y))) == is_red or in_the_next_wall
-
-
-def test_box_fits_beside_the_text_at_any_angle() -> None:
-    """Neither the ruler nor the texts change as the box turns, and no wall touches the frame's edge."""
-    reference = draw(renderer_at(state()))
-    areas = [(slice(0, 512), slice(0, 54)), (slice(0, 30), slice(54, 140)), (slice(0, 30), slice(400, 512))]
-    areas += [(slice(30, 42), slice(54, 150)), (slice(491, 512), slice(0, 512)), (slice(442, 491), slice(54, 120))]
-    for angle in np.linspace(0.0, math.pi / 2.0, 19):
-        frame = draw(renderer_at(state(box=(0.0, 0.0, float(angle)))))
-        for area in areas:
-            np.testing.assert_array_equal(frame[area], reference[area])
-        rows, columns = np.nonzero(red(frame))
-        assert 4 < rows.min() < rows.max() < 507
-        assert 54 < columns.min() < columns.max() < 510
+    """Seen 6 m, here 152.4 px, around the middle beside the ruler; y points up."""
+    renderer = renderer_at(state(box=(3.0, -7.0, angle), jack=(3.0, -7.0, 0.0)))
+    frame, middle, half = draw(renderer), 283.0 + 256.0j, 224.0 / math.sqrt(2.0) - 6.0
+    assert complex(*renderer.to_pixels(3.0 + L, -7.0 + L)) == pytest.approx(middle + half * (1.0 - 1.0j))
+    for normal in np.exp(-1j * (angle + 0.5 * np.pi * np.arange(4))):
+        for sideways in (-130.0, 60.0, 146.0):
+            for beyond in (-1.6, 1.6, 4.4):
+                place = middle + normal * (half + beyond - 1j * sideways)
+                assert red(pixel(frame, (place.real, place.imag))) == (beyond > 0.0)
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.4, 3.0])
@@ -73,11 +45,8 @@ def test_jack_has_blue_arms_and_red_feet_but_one(angle: float) -> None:
     renderer = renderer_at(state(box=(0.0, 0.0, 0.1), jack=(-2.0, 1.5, angle)))
     frame = draw(renderer)
     for foot in range(4):
-        direction = angle + foot * math.pi / 2.0
-        along = [
-            pixel(frame, renderer.to_pixels(-2.0 + reach * math.cos(direction), 1.5 + reach * math.sin(direction)))
-            for reach in ARM * np.array([0.0, 0.3, 0.6, 1.0, 1.5])
-        ]
+        places = -2.0 + 1.5j + cmath.rect(ARM, angle + 0.5 * foot * math.pi) * np.array([0.0, 0.3, 0.6, 1.0, 1.5])
+        along = [pixel(frame, renderer.to_pixels(place.real, place.imag)) for place in places]
         assert [bool(blue(colour)) for colour in along] == [True, True, True, False, False]
         assert [bool(red(colour)) for colour in along] == [False, False, False, foot > 0, False]
         assert (along[3] == (255, 176, 0)) == (foot == 0)
@@ -144,7 +113,7 @@ def test_an_environments_picture_shows_its_own_return(words: Words) -> None:
 
 
 def gauge(torque: float) -> Mask:
-    """Where the gauge is teal."""
+    """Where the gauge is teal: columns from 34 px left of its middle to 34 px right."""
     renderer = renderer_at(state())
     renderer.record(state(), 0.02, torque, [])
     colours = draw(renderer)[440:512, 54:123].astype(int)
@@ -152,11 +121,9 @@ def gauge(torque: float) -> Mask:
 
 
 def test_gauge_turns_the_way_of_the_torque_and_grows_with_it() -> None:
-    marks = {share: gauge(share * 90000.0) for share in (-1.0, -0.5, 0.0, 0.5, 1.0, 7.0)}
-    assert not marks[0.0].any()
-    columns = {share: np.nonzero(mark)[1] for share, mark in marks.items()}
-    top = 34  # the gauge's middle column: counter-clockwise from the top is to the left
-    assert columns[0.5].max() <= top <= columns[-0.5].min()
-    np.testing.assert_array_equal(marks[0.5][:, : 2 * top + 1], marks[-0.5][:, 2 * top :: -1])
-    assert len(columns[1.0]) > 1.4 * len(columns[0.5])
-    np.testing.assert_array_equal(marks[7.0], marks[1.0])
+    none, left, right, full, more = map(gauge, (0.0, 45000.0, -45000.0, 90000.0, 7 * 90000.0))
+    assert not none.any()
+    assert not left[:, 35:].any()  # counter-clockwise from the top is to the left
+    np.testing.assert_array_equal(right[:, ::-1], left)
+    assert full.sum() > 1.4 * left.sum() > 0.0
+    np.testing.assert_array_equal(more, full)

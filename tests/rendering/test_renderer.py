@@ -9,6 +9,7 @@ import pickle
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 
 import gymnasium as gym
 import numpy as np
@@ -29,16 +30,11 @@ pygame = pytest.importorskip("pygame")
 @pytest.mark.parametrize("duplicate", [lambda one: pickle.loads(pickle.dumps(one)), copy.deepcopy])
 def test_copies_draw_the_same_and_go_on_alike(duplicate: Callable[[Renderer], Renderer]) -> None:
     renderer = renderer_at(state())
-
-    def go_on(first: int, *renderers: Renderer) -> None:
-        for step in range(first, first + 9):
-            for one in renderers:
-                one.record(state(jack=(0.3 * step, 0.1, 0.3)), 0.02 * step, 4e4, [Impact(0.02 * step, 0, 0, 9.0)], 0.5)
-
-    go_on(1, renderer)
+    renderer.record(state(jack=(0.3, 0.1, 0.3)), 0.02, 4e4, [Impact(0.02, 0, 0, 9.0)], 0.5)
     before = draw(renderer)
     twin, later = duplicate(renderer), duplicate(renderer)
-    go_on(10, renderer, later)
+    for one in (renderer, later):
+        one.record(state(jack=(0.9, 0.1, 0.3)), 0.04, 4e4, [Impact(0.04, 0, 1, 9.0)], 0.5)
     np.testing.assert_array_equal(draw(twin), before)  # nothing is shared
     np.testing.assert_array_equal(draw(later), draw(renderer))
 
@@ -116,12 +112,10 @@ def windows(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Renderer, Rendere
     """Two renderers of the human mode on a display that nobody sees."""
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     pygame.display.quit()
-    pair = Renderer(Scene(), "human", 1000), Renderer(Scene(), "human", 1000)
-    for renderer in pair:
-        renderer.reset(state(jack=(0.0, 1.0, 0.5)), 0.0)
-    yield pair
-    pair[0].close()
-    pair[1].close()
+    one, other = (renderer_at(state(jack=(0.0, 1.0, 0.5)), mode="human") for _ in range(2))
+    yield one, other
+    one.close()
+    other.close()
     pygame.display.quit()
 
 
@@ -134,12 +128,8 @@ def test_window_shows_the_frame_and_is_paced(
     windows: tuple[Renderer, Renderer], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     done: list[object] = []
-
-    class Clock:
-        tick = done.append
-
     pump, flip = pygame.event.pump, pygame.display.flip
-    monkeypatch.setattr(pygame.time, "Clock", Clock)
+    monkeypatch.setattr(pygame.time, "Clock", lambda: SimpleNamespace(tick=done.append))
     monkeypatch.setattr(pygame.event, "pump", lambda: done.append(("pumped", pump())))
     monkeypatch.setattr(pygame.display, "flip", lambda: done.append(("flipped", flip())))
     for _ in range(2):

@@ -24,15 +24,17 @@ BARE: dict[str, Any] = {"render_mode": "rgb_array", "render_overlay": False}
 @pytest.mark.parametrize("size", [(84, 84), (301, 97), (1024, 768), (16, 16)])
 def test_the_box_fits_into_a_frame_of_any_size(size: tuple[int, int], overlay: bool) -> None:
     renderer = Renderer(Scene(), "rgb_array", 50, size=size, overlay=overlay)
+    ruler = overlay * 54 * min(size) // 512
     for angle in np.linspace(0.0, math.pi / 2.0, 7):
         renderer.reset(state(box=(5.0, -3.0, float(angle)), jack=(5.0, -3.0, 0.4)), 0.0)
         frame = draw(renderer)
         assert frame.shape == (size[1], size[0], 3)
         if min(size) > 80:
-            rows, columns = np.nonzero(red(frame))
-            assert 0 < rows.min() < rows.max() < size[1] - 1
-            assert 0 < columns.min() < columns.max() < size[0] - 1
-            assert np.ptp(rows) > 0.55 * min(size)
+            places = np.argwhere(red(frame))[:, ::-1]  # column and row
+            low, high = places.min(axis=0), places.max(axis=0)
+            assert (low > [ruler, 0]).all()
+            assert (high + 1 < size).all()
+            assert np.ptp(high - low) <= 2 < 0.55 * min(size) < min(high - low)  # no ruler hides a part
             assert blue(frame).any()
 
 
@@ -56,9 +58,8 @@ def test_without_the_overlay_a_frame_is_a_function_of_the_state(words: Words) ->
     at = state(box=(0.3, -2.0, 0.4), jack=(1.0, -3.0, 0.2))
     still, moved, shown = (Renderer(Scene(), "rgb_array", 50, size=(84, 84), overlay=on) for on in (False, False, True))
     still.reset(at, 0.0)
-    for step in range(10):
-        moved.record(state(jack=(0.3 * step, 1.0, 0.1)), 0.02 * step, 5e4, [Impact(0.02 * step, 1, 2, 90.0)], 0.7)
-    moved.record(at, 3.7, 5e4, [Impact(3.7, 0, 1, 90.0)], 0.7)
+    moved.record(state(jack=(0.3, 1.0, 0.1)), 0.02, 5e4, [Impact(0.02, 1, 2, 90.0)], 0.7)
+    moved.record(at, 0.04, 5e4, [Impact(0.04, 0, 1, 90.0)], 0.7)
     np.testing.assert_array_equal(draw(still), draw(moved))
     assert words == {}
     shown.reset(at, 0.0)
@@ -86,17 +87,17 @@ def test_each_environment_of_a_vector_has_a_frame_of_the_size() -> None:
 
 @pytest.mark.parametrize("contact", ["pymunk", "exact"])
 def test_tiles_are_the_environments_as_they_are(contact: str) -> None:
-    env = JackInBoxVectorEnv(7, contact=contact, scene=[{"jack_arm": 1.0 + 0.2 * number} for number in range(7)])
+    scenes = [{"jack_arm": 1.0 + 0.2 * number} for number in range(7)]
+    env = JackInBoxVectorEnv(7, contact=contact, scene=scenes, render_size=(60, 40), **BARE)
     env.reset(seed=0)
     for _ in range(30):
         env.step(np.full(7, 0.7))
     picture = env.tiled(5, size=(60, 40))
     assert picture.shape == (2 * 40 + GAP, 3 * 60 + 2 * GAP, 3)
+    frames: Any = env.render()
     for number in range(5):
-        single = JackInBoxEnv(scene=env.scenes[number], render_size=(60, 40), **BARE)
-        single.set_state(env.states[number])
         top, left = number // 3 * (40 + GAP), number % 3 * (60 + GAP)
-        np.testing.assert_array_equal(picture[top : top + 40, left : left + 60], single.render())
+        np.testing.assert_array_equal(picture[top : top + 40, left : left + 60], frames[number])
     assert (picture[40 + GAP :, 2 * (60 + GAP) :] == TRACK).all()
     assert env.tiled().shape == (3 * 128 + 2 * GAP, 3 * 128 + 2 * GAP, 3)  # all there are
 
