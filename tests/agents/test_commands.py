@@ -6,7 +6,6 @@ import csv
 import dataclasses
 import io
 import json
-import re
 import runpy
 import shlex
 import signal
@@ -14,7 +13,6 @@ import subprocess
 import sys
 import time
 from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,7 +21,6 @@ import numpy as np
 import pytest
 
 from agents.policies import BASELINES
-from agents.runs import read_settings
 from agents.settings import EnvSettings
 from jackbox_env import Scene, make_simulator
 from jackbox_env.simulators.fidelity import Setting
@@ -167,25 +164,6 @@ def test_train_prints_a_command_that_evaluates_in_the_same_environment(tmp_path:
     assert "| a run's" in again.stdout
 
 
-@pytest.mark.filterwarnings("ignore::ResourceWarning")
-def test_evaluate_films_the_policies(tmp_path: Path, run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import imageio.v3 as imageio
-
-    from agents import film
-
-    monkeypatch.setattr(film, "WIDTH", 96)
-    done = script("evaluate", "--policy", "zero", str(run), "--episodes", "2", "--film", "f.gif", cwd=tmp_path)
-    assert f"Film of zero, {run}: f.gif, one episode from the start of environment seed " in done.stdout
-    assert re.search(rf"^  zero: return \d+\.\d\n  {run}: return \d+\.\d$", done.stdout, re.MULTILINE)
-    frames = imageio.imread(tmp_path / "f.gif")
-    assert frames.shape == (250, 96 + 36, 2 * 96, 3)  # a whole episode of 10 s, 25 frames a second
-    assert "film:" in done.stderr  # the progress
-    before = (tmp_path / "f.gif").read_bytes()
-    again = script("evaluate", "--episodes", "2", "--film", "f.gif", cwd=tmp_path, status=2)
-    assert again.stderr == "f.gif exists, and films are never overwritten: choose another file\n"
-    assert (tmp_path / "f.gif").read_bytes() == before
-
-
 def test_training_survives_ctrl_c_and_resumes_from_the_command_line(tmp_path: Path) -> None:
     small = "--num-envs 4 --rollout-steps 64 --batch-size 64 --checkpoint-steps 256 --eval-steps 8192 --eval-episodes 2"
     command = [sys.executable, str(ROOT / "scripts" / "train.py"), "--folder", "run", "--no-progress", *small.split()]
@@ -265,13 +243,6 @@ def test_the_words_for_a_contact_setting_mean_one_setting() -> None:
         EnvSettings(fidelity="slow")
     env: Any = gym.make("JackInBox-v0", **EnvSettings(fidelity="exact").env_settings).unwrapped
     assert env.contact == "exact"
-
-
-def test_a_run_from_before_fidelities_had_names_loads(tmp_path: Path) -> None:
-    old = asdict(TINY)
-    del old["fidelity"]
-    (tmp_path / "settings.json").write_text(json.dumps({**old, "contact": "pymunk"}))
-    assert read_settings(tmp_path).setting == TINY.setting
 
 
 def test_scenes_that_vary_are_settings_too(tmp_path: Path) -> None:

@@ -10,7 +10,6 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from stable_baselines3.common.evaluation import evaluate_policy
 
 import jackbox_env  # noqa: F401
 from agents import training
@@ -153,21 +152,6 @@ def test_a_state_of_other_environments_is_refused(model: HoldingPPO) -> None:
     _, state = model.predict(np.zeros((2, 10), dtype=np.float32))
     with pytest.raises(ValueError, match="state must be that of 3 environments, as observation is, got 2"):
         model.predict(np.zeros((3, 10), dtype=np.float32), state)
-
-
-@pytest.mark.parametrize("contact", ["exact", "pymunk"])
-def test_evaluation_in_the_ordinary_environment_is_that_of_the_held_ones(model: HoldingPPO, contact: str) -> None:
-    """``evaluate_policy`` asks at every control step, and gets what stepping with held actions gives."""
-    environments = make_vec_env({"contact": contact}, 2, 5)
-    environments.seed(5)
-    returns, lengths = evaluate_policy(model, environments, n_eval_episodes=4, return_episode_rewards=True)
-    assert lengths == [500] * 4
-    held = holding(make_vec_env({"contact": contact}, 2, 5), HOLD)
-    seen, expected = held.reset(), list[float]()
-    while len(expected) < 4:
-        seen, _, _, infos = held.step(model.policy.predict(seen, deterministic=True)[0])  # type: ignore[arg-type]
-        expected += [info["episode"]["r"] for info in infos if "episode" in info]
-    np.testing.assert_allclose(returns, expected, atol=1e-3)
 
 
 # -- run folders -------------------------------------------------------------------------------------------------------

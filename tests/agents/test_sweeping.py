@@ -129,19 +129,6 @@ def test_a_journal_that_is_a_link_is_refused_and_what_it_leads_to_is_left(tmp_pa
     assert (tmp_path / "mine").read_text() == "precious"
 
 
-@pytest.mark.parametrize("harm", [{"speed": 1}, {"policy": "\ud800"}, {"seed": 1}, None])
-def test_a_trial_that_cannot_be_run_is_named_and_the_others_go_on(
-    tmp_path: Path, harm: Any, capsys: pytest.CaptureFixture[str]
-) -> None:
-    grid = trials.policy_trials(("zero",), [EnvSettings(contact="exact")], 3, 2)
-    folder = new_sweep(tmp_path / "sweep", {}, grid)
-    record = json.loads((folder / SWEEP).read_text())
-    record["trials"][2] = harm and {**record["trials"][2], **harm}
-    (folder / SWEEP).write_text(json.dumps(record))
-    assert read_sweep(folder, trials.check_trial)[1] == grid[:2]
-    assert f"Skipped: {folder / SWEEP}, trial 3, is damaged (" in capsys.readouterr().err
-
-
 def test_a_failing_trial_is_reported_with_its_settings_and_tried_again(tmp_path: Path) -> None:
     broken, asked = [True], list[dict[str, Any]]()
 

@@ -155,30 +155,15 @@ def test_a_foot_that_slides_along_a_wall_is_let_slide(dt: float, angle: float) -
 # -- limits ------------------------------------------------------------------------------------------------------------
 
 
-FAST: dict[str, tuple[Scene, dict[int, float], float | None, str]] = {
-    "a spin of 1e9 rad/s": (WEIGHTLESS, {3: 5.0, 5: 0.7, 11: 1e9}, None, "more than 1,000,000 gap evaluations"),
-    "a speed of 1e90 m/s": (WEIGHTLESS, {9: 1e90}, None, "too fast to be followed"),
-    "a chirp of 1e60 N m": (Scene(drive=Chirp(amplitude=1e60), box_inertia=1e-60), {}, None, "too fast"),
-    "a drive of 1e300 N m": (Scene(drive=Drive(torque=lambda t: 1e300), box_inertia=1e-60), {}, None, "too fast"),
-    "a torque of 1e300 N m": (Scene(drive=None, box_inertia=1e-60), {}, 1e300, "too fast"),
-    "an angle of 1e14 rad": (WEIGHTLESS, {2: 1e14, 3: 5.2, 5: 0.785, 9: 10.0}, None, "or is too far off"),
-    "a jack's angle of 1e14 rad": (WEIGHTLESS, {3: 5.2, 5: 1e14, 9: 10.0}, None, "or is too far off"),
-    "both at 1e14 m/s": (WEIGHTLESS, {3: 5.2, 5: 0.785, 7: 1e14, 10: 1e14}, None, "or is too far off"),
-}
-
-
-@pytest.mark.parametrize("name", FAST)
-def test_motion_that_float64_can_not_follow_is_refused_and_changes_nothing(name: str) -> None:
-    scene, given, torque, sentence = FAST[name]
+@pytest.mark.parametrize("given", [{2: 1e14}, {5: 1e14}, {7: 1e14, 10: 1e14}], ids=str)
+def test_a_state_that_float64_can_not_resolve_near_a_wall_is_refused_and_stays(given: dict[int, float]) -> None:
     state = np.zeros(12)
+    state[[3, 5, 9]] = 5.2, 0.785, 10.0
     state[list(given)] = list(given.values())
-    run = simulator(scene, state)
-    with pytest.raises(JackLostError, match=f"{sentence}.* dt = 1 s after t = 0 s|dt = 1 s after t = 0 s.*{sentence}"):
-        run.step(1.0, torque)
+    run = simulator(WEIGHTLESS, state)
+    with pytest.raises(JackLostError, match="too fast to be followed .* or is too far off"):
+        run.step(0.02)
     np.testing.assert_array_equal(run.state, state)
-    assert (run.time, run.impacts) == (0.0, [])
-    run.reset(np.zeros(12))
-    run.step(0.02, 0.0)
 
 
 def test_many_impacts_of_one_step_are_all_recorded() -> None:

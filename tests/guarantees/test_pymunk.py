@@ -33,34 +33,6 @@ def test_one_iteration_is_not_enough_for_simultaneous_contacts(kind: str) -> Non
     assert max(np.abs(gains)) > 0.01
 
 
-def bare_bounce(wall_radius: float, **settings: float) -> tuple[float, int]:
-    """Drop a point on a floor in the bare engine for 2 s; return its lowest height [m] and the contacts solved."""
-    space = pymunk.Space()
-    space.gravity = (0.0, -9.81)
-    space.collision_bias = settings.get("collision_bias", 1.0)
-    space.collision_persistence = settings.get("collision_persistence", 1)
-    point = pymunk.Body(1.0, 1.0)
-    point.position = (0.0, 1.0)
-    ball = pymunk.Circle(point, 0.0)
-    floor = pymunk.Segment(space.static_body, (-300.0, -wall_radius), (300.0, -wall_radius), wall_radius)
-    ball.elasticity = floor.elasticity = 1.0
-    space.add(point, ball, floor)
-    contacts = []
-    space.on_collision(post_solve=lambda *_: contacts.append(1))
-    lowest = math.inf
-    for _ in range(400):
-        space.step(0.005)
-        lowest = min(lowest, point.position.y)
-    return lowest, len(contacts)
-
-
-def test_walls_are_fat_because_points_fall_through_lines() -> None:
-    assert bare_bounce(wall_radius=100.0)[0] > -0.05
-    lowest, contacts = bare_bounce(wall_radius=0.0)
-    assert lowest < -10.0
-    assert contacts == 0
-
-
 def test_position_correction_would_move_what_the_law_leaves_alone() -> None:
     # Foot 0 is 0.5 m outside and leaves at 0.1 m/s. The engine's default correction pushes it out of the wall.
     deep = np.zeros(12)
