@@ -218,7 +218,8 @@ def size(good: tuple[int, int], at_least: int, at_most: int) -> Argument:
     others = {"one": (at_least,), "three": (at_least,) * 3, "floats": (1.5, 16.0), "number": 16, "bools": (True, 16)}
     others |= {"masked": np.ma.array([16, 16], mask=[False, True]), **things()}
     refused = {**each(out, bad, *bounds), **each(wrong, others, *bounds)}
-    return Argument(good, refused, {"list": list(good), "array": np.array(good)}, ((at_least, at_least),))
+    forms = {"list": list(good), "array": np.array(good)}
+    return Argument(good, refused, forms, ((at_least, at_most), (at_most, at_least)))
 
 
 def instance(good: Any, *without: str, **refused: Hostile) -> Argument:
