@@ -10,9 +10,10 @@ from typing import Any
 import pytest
 
 from agents import evaluation, training
-from agents.episodes import record_episode
+from agents.episodes import page_names, record_episode
 from agents.models import derived_seed
 from agents.network import SHIPPED
+from agents.notes import warn_of_other_training
 from agents.policies import baseline
 from agents.settings import EnvSettings
 from jackbox_env import Scene
@@ -30,6 +31,12 @@ def test_a_page_shows_the_scene_that_was_drawn(tmp_path: Path) -> None:
     scene = record_episode(baseline("level", Scene()), settings, derived_seed("evaluation", 0)).scene
     assert data["halfWidth"] == scene.box_half_width != 6.0
     assert dict(data["facts"])["gravity"] == f"{scene.gravity:g} m/s\u00b2"
+
+
+def test_pages_have_names_of_their_own() -> None:
+    names = page_names(["a/b/run", "a_b_run", "c/run", "c/RUN", "..", "y" * 300, "zero"])
+    assert list(names.values())[:4] == ["run.html", "a_b_run.html", "run-2.html", "RUN-3.html"]
+    assert not any(name.startswith(".") or len(name) > 100 for name in names.values())
 
 
 def test_an_error_leaves_no_pages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -76,6 +83,11 @@ def test_shipped_networks_are_noted_that_were_trained_elsewhere(tmp_path: Path, 
     done = script("evaluate", "--policy", "ppo", "zero", "--contact", contact, "--episodes", "1", cwd=tmp_path)
     assert ("Note: ppo was trained in another environment (task juggle, contact exact)" in done.stderr) == is_noted
     assert done.stderr.count("Note: ") == is_noted
+
+
+def test_a_planner_among_varied_scenes_is_noted(capsys: pytest.CaptureFixture[str]) -> None:
+    warn_of_other_training("planner", EnvSettings(randomize='{"jack_mass": [2, 6]}'))
+    assert capsys.readouterr().err.startswith("Note: planner plans in the scene that is given")
 
 
 def test_an_exported_policy_is_not_trained_over(tmp_path: Path) -> None:

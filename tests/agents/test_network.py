@@ -58,7 +58,7 @@ def test_it_plays_as_the_model_does(settings: TrainSettings, tmp_path: Path) -> 
 def test_it_plays_without_torch() -> None:
     code = (
         "import sys; sys.modules['torch'] = sys.modules['stable_baselines3'] = None\n"
-        "from agents.network import SHIPPED, read_policy\n"
+        "from agents.network import SHIPPED, read_policy; from agents.landing import read_landing\n"
         "import gymnasium as gym, jackbox_env\n"
         "env, policy, state, total = gym.make('JackInBox-v0'), read_policy(SHIPPED / 'juggle-ppo'), None, 0.0\n"
         "seen, _ = env.reset(seed=0)\n"

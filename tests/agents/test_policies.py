@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from stable_baselines3.common.evaluation import evaluate_policy
 
-from agents.evaluation import Returns, evaluate, find_policy, table
+from agents.evaluation import Returns, above, evaluate, find_policy, table
 from agents.film import film
 from agents.models import make_ppo, make_vec_env
 from agents.planner import Planner
@@ -56,6 +56,12 @@ def test_an_unknown_policy_is_refused() -> None:
             find_policy(name, EnvSettings(), 0)
 
 
+def test_the_random_policy_follows_its_seed() -> None:
+    one, same, other = (baseline("random", Scene(), seed).policy.predict(np.zeros((100, 10)))[0] for seed in (1, 1, 2))
+    np.testing.assert_array_equal(one, same)
+    assert np.ptp(one) > 1.5 > abs(other - one).min() > 0.0
+
+
 # -- evaluation --------------------------------------------------------------------------------------------------------
 
 
@@ -66,6 +72,8 @@ def test_returns_carry_their_interval() -> None:
     assert row.interval == pytest.approx((2.5 - half_width, 2.5 + half_width), rel=1e-4)
     assert table([row]).splitlines()[-1].split() == ["|", "x", "|", "2.5", "|", "0.4", "to", "4.6", "|", "4", "|"]
     assert Returns("x", (1.0,)).half_width == np.inf
+    rows = [row, Returns("apart", (9.0, 10.0, 11.0, 12.0)), Returns("near", (2.0, 3.0, 4.0, 5.0))]
+    assert [" is above " in above(rows, name, "x") for name in ("apart", "near")] == [True, False]
 
 
 def test_evaluation_is_repeatable_and_seeded() -> None:

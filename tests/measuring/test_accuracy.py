@@ -18,6 +18,7 @@ from jackbox_env.accuracy import (
     follow,
     matched,
     pose_errors,
+    quantities,
     reference_of,
     restarts,
 )
@@ -97,8 +98,10 @@ def test_steps_played_once_more_end_where_the_model_did(drive: Any, setting: dic
         torque = rng.uniform(-9e4, 9e4) if number % 3 else None
         before, time = simulator.state, simulator.time
         simulator.step(0.02, torque)
-        after = replayed(scene, before.tolist(), time, simulator.impacts, simulator.time, torque).state
-        np.testing.assert_allclose(after, simulator.state, rtol=1e-6, atol=1e-6)
+        again = replayed(scene, before.tolist(), time, simulator.impacts, simulator.time, torque)
+        np.testing.assert_allclose(again.state, simulator.state, rtol=1e-6, atol=1e-6)
+        if torque is not None and isinstance(drive, Chirp):  # whatever happened in between
+            assert again.work == pytest.approx(torque * (simulator.state[2] - before[2]), rel=1e-6, abs=1e-6)
         impacts += len(simulator.impacts)
     assert impacts > 3
 
@@ -175,6 +178,8 @@ def test_a_reference_is_sure_of_as_many_impacts_as_rounding_allows() -> None:
     assert reference.times[-1] == pytest.approx(20.0)
     short = reference_of(CHIRPED._replace(steps=100))
     assert short.sure == len(short.impacts)
+    far = CHIRPED.state + 1e5 * (np.eye(12)[0] + np.eye(12)[3])
+    assert reference_of(CHIRPED._replace(state=far)).sure <= reference.sure
 
 
 def test_the_exact_model_has_no_error_against_itself_and_a_late_one_has_what_it_is_late_by() -> None:
@@ -206,6 +211,16 @@ def test_flight_errors_end_with_the_first_impact_of_either() -> None:
     assert flight(20, hits((0.39, 0, 0))) == 0.0
     nothing = Reference(reference.times[:1], reference.states[:1], reference.impacts, 1)
     assert math.isnan(flight(20, reference.impacts, nothing))
+
+
+def test_quantities_are_plain_numbers() -> None:
+    case = Case("straight", WEIGHTLESS, flying_at_a_wall(), 50)
+    simulator, reference = make_simulator(WEIGHTLESS, substeps=4), reference_of(case)
+    course = follow(simulator, case)
+    found = quantities(course, compare(case, course, reference), restarts(simulator, case, reference), case.dt)
+    assert (found["rate"], found["prefix"], found["sure"], found["escaped"]) == (1.0, 1, 1, False)
+    assert found["impulse"] == course.impacts[0].impulse
+    assert found["speed"] == pytest.approx(np.hypot(course.states[:, 9], course.states[:, 10]).mean())
 
 
 def test_restarts_count_what_is_missed_and_what_is_extra() -> None:

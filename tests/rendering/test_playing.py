@@ -179,9 +179,10 @@ def test_the_picture_is_the_environments_beside_the_panel_until_escape(window: W
 @pytest.mark.parametrize(("driver", "named"), [("", "desktop"), ("nonsense", "SDL_VIDEODRIVER=nonsense")])
 def test_without_a_display_it_says_so(driver: str, named: str, monkeypatch: pytest.MonkeyPatch) -> None:
     pygame.display.quit()
-    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setenv("SDL_VIDEODRIVER", driver)
+    if driver:
+        monkeypatch.setenv("SDL_VIDEODRIVER", driver)
     with pytest.raises(RuntimeError, match=f"no display .*{named}"):
         Window(a_game())
     assert not pygame.display.get_init()

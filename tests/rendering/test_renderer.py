@@ -65,6 +65,14 @@ def test_a_jack_far_outside_is_left_out(away: float) -> None:
     assert not blue(frame).any()
 
 
+def test_a_jack_across_the_edge_of_the_frame_is_cut() -> None:
+    for angle in np.linspace(0.0, 2.0 * math.pi, 41):
+        x, y = 10.0 * math.cos(angle), 10.0 * math.sin(angle)
+        renderer = renderer_at(state(jack=(x, y, 3.0 * float(angle))))
+        places = np.argwhere(blue(draw(renderer)))[:, ::-1]
+        assert (np.abs(places - renderer.to_pixels(x, y)) < 30.0).all()
+
+
 def test_others_may_close_theirs_and_quit_pygame(words: Words) -> None:
     renderer, other, fresh = (renderer_at(state()) for _ in range(3))
     draw(renderer)
@@ -142,6 +150,7 @@ def test_closing_one_window_leaves_the_other(windows: tuple[Renderer, Renderer])
     one, other = windows
     one.render()
     other.render()
+    assert copy.deepcopy(one).render() is None
     one.close()
     one.close()
     assert pygame.display.get_init()
