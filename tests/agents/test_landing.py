@@ -91,8 +91,8 @@ def test_a_policy_is_written_read_and_held(tmp_path: Path) -> None:
     np.testing.assert_array_equal(actions, LandingPolicy(SMALL, layers_for()).act(seen))
     for _ in range(4):
         held, state = policy.predict(seen[::-1], state)
-        np.testing.assert_array_equal(held, actions)
-    np.testing.assert_array_equal(policy.predict(seen[::-1], state)[0], policy.act(seen[::-1].copy()))
+    np.testing.assert_array_equal(held, actions)
+    assert not np.array_equal(policy.predict(seen[::-1], state)[0], actions)
 
 
 def test_what_pairs_are_worth_does_not_depend_on_the_jacks_beside() -> None:
