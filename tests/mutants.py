@@ -113,7 +113,12 @@ def nearest(root: Path, module: str) -> list[str]:
 
 def verdict(root: Path, module: str, limit: float) -> str:
     """The first test that fails in a copy of the project, "survived", or "timed out"."""
-    given = {"NUMBA_CACHE_DIR": str(root.parent / "kept"), "PYTHONPATH": str(root), "SDL_VIDEODRIVER": "dummy"}
+    given = {
+        "NUMBA_CACHE_DIR": str(root.parent / "kept"),
+        "PYTHONPATH": str(root),
+        "SDL_VIDEODRIVER": "dummy",
+        "OMP_NUM_THREADS": "1",
+    }
     options = ["-x", "-q", "--tb=no", "-rfE", "--timeout=200", "-p", "no:cacheprovider", "-m", "not slow"]
     command = [sys.executable, "-m", "pytest", *options, *nearest(root, module)]
     try:

@@ -17,7 +17,6 @@ from agents.evaluation import evaluate
 from agents.holding import HoldingPPO
 from agents.models import holding, load_model, make_ppo, make_vec_env
 from agents.runs import describe
-from jackbox_env.sb3_wrappers import HoldingVecEnv
 from jackbox_env.storage import new_folder
 from tests.agents.small_run import TINY
 
@@ -59,14 +58,6 @@ def test_held_environments_are_the_environments_stepped_by_hand(contact: str) ->
                 assert mine["TimeLimit.truncated"] is other["TimeLimit.truncated"] is True
                 np.testing.assert_array_equal(mine["terminal_observation"], other["terminal_observation"])
     assert ended == 2 * count
-
-
-def test_an_episode_that_ends_while_an_action_is_held_is_refused() -> None:
-    environments = HoldingVecEnv(make_vec_env({"contact": "exact", "max_episode_steps": 7}, 2, 0), HOLD)
-    environments.reset()
-    environments.step(np.zeros((2, 1), dtype=np.float32))
-    with pytest.raises(RuntimeError, match="multiple of hold = 5 steps, got one that ended 2 steps after"):
-        environments.step(np.zeros((2, 1), dtype=np.float32))
 
 
 # -- playing -----------------------------------------------------------------------------------------------------------

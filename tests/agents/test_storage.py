@@ -7,9 +7,7 @@ import fcntl
 import json
 import os
 import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -21,7 +19,6 @@ from jackbox_env.storage import (
     new_file,
     remove_partials,
     replacing,
-    write_bytes,
     write_json,
     write_text,
 )
@@ -33,28 +30,6 @@ from tests.agents.killing import ended, start
 def write_by_block(path: Path, content: str) -> None:
     with replacing(path) as partial:
         partial.write_text(content)
-
-
-@pytest.mark.parametrize(
-    "write", [write_text, write_by_block, lambda path, content: write_bytes(path, content.encode()), write_json]
-)
-def test_a_file_is_on_the_disk_before_it_takes_its_name_and_its_name_afterwards(
-    write: Callable[[Path, str], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path, done = tmp_path / "file.json", list[Any]()
-    path.write_text("before")
-    replace = os.replace
-    monkeypatch.setattr(os, "fsync", lambda descriptor: done.append((os.fstat(descriptor).st_ino, path.read_text())))
-
-    def renames(source: Path, target: Path) -> None:
-        done.append("rename")
-        replace(source, target)
-
-    monkeypatch.setattr(os, "replace", renames)
-    write(path, "after")
-    content = path.read_text()
-    assert "after" in content
-    assert done == [(path.stat().st_ino, "before"), "rename", (tmp_path.stat().st_ino, content)]
 
 
 def fail(path: Path, error: BaseException, left: str | None = None) -> None:
@@ -133,25 +108,6 @@ def test_json_that_is_damaged_is_told_by_its_name(content: bytes, tmp_path: Path
     assert "\n" not in str(refused.value)
     write_json(path, {"a": [1.5, None]})
     assert read_json(path) == json.loads(path.read_text()) == {"a": [1.5, None]}
-
-
-LINKS: dict[str, Callable[[Path, Path], None]] = {
-    "symbolic": lambda path, target: path.symlink_to(target),
-    "hard": lambda path, target: path.hardlink_to(target),
-    "a pipe": lambda path, target: os.mkfifo(path),
-}
-
-
-@pytest.mark.parametrize("kind", LINKS)
-def test_a_lock_that_is_a_link_is_refused_and_what_it_leads_to_is_left(kind: str, tmp_path: Path) -> None:
-    (tmp_path / "mine").write_text("precious")
-    folder = tmp_path / "run"
-    folder.mkdir()
-    LINKS[kind](folder / LOCK, tmp_path / "mine")
-    with pytest.raises(OSError, match=f"^{folder / LOCK} must be a plain file"), held(folder):
-        pass
-    assert (tmp_path / "mine").read_text() == "precious"
-    assert not (tmp_path / "missing").exists()
 
 
 # -- holding ----------------------------------------------------------------------------------------------------------

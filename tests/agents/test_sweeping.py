@@ -113,20 +113,6 @@ def test_a_line_that_a_kill_cut_short_is_run_again(
     assert asked == [GRID[-1].settings]
     assert (folder / TABLE).read_bytes() == table
     assert [json.loads(line)["key"] for line in path.read_bytes().splitlines()] == [trial.key for trial in GRID]
-    path.write_bytes(b"".join([*lines[:3], b"{]\n", *lines[4:]]))  # damage in the middle is said
-    carried_out(folder, noted)
-    assert asked[1:] == [GRID[3].settings]
-    assert f"Skipped: {path}, line 4, is damaged" in capsys.readouterr().err
-    assert (folder / TABLE).read_bytes() == table
-
-
-def test_a_journal_that_is_a_link_is_refused_and_what_it_leads_to_is_left(tmp_path: Path) -> None:
-    folder = new_sweep(tmp_path / "sweep", {}, GRID)
-    (tmp_path / "mine").write_text("precious")
-    (folder / JOURNAL).symlink_to(tmp_path / "mine")
-    with pytest.raises(OSError, match=f"^{folder / JOURNAL} must be a plain file"):
-        carried_out(folder)
-    assert (tmp_path / "mine").read_text() == "precious"
 
 
 def test_a_failing_trial_is_reported_with_its_settings_and_tried_again(tmp_path: Path) -> None:

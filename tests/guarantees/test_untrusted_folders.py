@@ -5,12 +5,13 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import os
 import subprocess
 import sys
 import tracemalloc
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -22,10 +23,13 @@ import pytest
 from agents.archives import unpacked_tensors
 from agents.best import read_evaluations
 from agents.checkpoints import read_model_file
+from agents.journal import JOURNAL, TABLE, carry_out, new_sweep
 from agents.models import load_model, make_ppo, make_vec_env
 from agents.network import WEIGHTS, read_policy
 from agents.runs import EVALUATIONS, read_settings
 from agents.settings import TrainSettings
+from agents.storage import LOCK
+from agents.sweeping import InTurn, Trial
 
 TINY = TrainSettings(num_envs=1, rollout_steps=2, batch_size=2, hidden_units=(4,))
 MOST_TAKEN = 10_000_000  # [bytes]
@@ -236,3 +240,50 @@ print(base64.b64encode(cloudpickle.dumps(Bomb())).decode())
     with contextlib.suppress(Exception):  # it may or may not load after what it did
         load_model(shared, trust=True)
     assert witness.exists()
+
+
+# -- links and damaged lines ------------------------------------------------------------------------------------------
+
+
+LINKS: dict[str, Callable[[Path, Path], None]] = {
+    "symbolic": lambda path, target: path.symlink_to(target),
+    "hard": lambda path, target: path.hardlink_to(target),
+    "a pipe": lambda path, target: os.mkfifo(path),
+}
+
+
+@pytest.mark.parametrize("name", [LOCK, JOURNAL])
+@pytest.mark.parametrize("kind", LINKS)
+def test_a_lock_or_results_log_that_is_a_link_is_refused_and_what_it_leads_to_is_left(
+    kind: str, name: str, tmp_path: Path
+) -> None:
+    (tmp_path / "mine").write_text("precious")
+    folder, grid = tmp_path / "run", [Trial({"number": number}) for number in range(2)]
+    new_sweep(folder, {}, grid)
+    (folder / name).unlink(missing_ok=True)
+    LINKS[kind](folder / name, tmp_path / "mine")
+    with pytest.raises(OSError, match=f"^{folder / name} must be a plain file"):
+        carry_out(folder, grid, dict, InTurn(), progress=False)
+    assert (tmp_path / "mine").read_text() == "precious"
+
+
+@pytest.mark.parametrize("harm", [{"result": 5}, {"seconds": None}, {"key": []}, {"result": {"share": "\ud800"}}, None])
+def test_a_damaged_line_of_a_results_log_is_named_and_its_trial_run_again(
+    harm: dict[str, Any] | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    grid = [Trial({"number": number}) for number in range(3)]
+    folder, asked = new_sweep(tmp_path / "sweep", {}, grid), list[int]()
+
+    def work(settings: dict[str, Any]) -> dict[str, Any]:
+        asked.append(settings["number"])
+        return {"share": settings["number"] / 7.0}
+
+    carry_out(folder, grid, work, InTurn(), progress=False)
+    table, path = (folder / TABLE).read_bytes(), folder / JOURNAL
+    lines = path.read_text().splitlines()
+    lines[1] = json.dumps({**json.loads(lines[1]), **harm}) if harm else "{]"
+    path.write_text("\n".join([*lines, ""]))
+    carry_out(folder, grid, work, InTurn(), progress=False)
+    assert asked == [0, 1, 2, 1]
+    assert f"Skipped: {path}, line 2, is damaged" in capsys.readouterr().err
+    assert (folder / TABLE).read_bytes() == table
