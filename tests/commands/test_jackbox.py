@@ -6,14 +6,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from jackbox_env import make_simulator
 from jackbox_env.commands import check
 from jackbox_env.mechanics import impact_map
+from jackbox_env.simulators.pymunk import PymunkSimulator
 from jackbox_env.states import Array
-
-ROOT = Path(__file__).parents[2]
 
 
 def jackbox(*arguments: str, cwd: Path, status: int = 0) -> subprocess.CompletedProcess[str]:
@@ -23,28 +22,22 @@ def jackbox(*arguments: str, cwd: Path, status: int = 0) -> subprocess.Completed
     return done
 
 
-def test_it_names_its_commands(tmp_path: Path) -> None:
+def test_it_names_its_commands_and_refuses_another(tmp_path: Path) -> None:
+    refused = jackbox("juggle", cwd=tmp_path, status=2).stderr
+    assert "'juggle'" in refused
     for arguments in ([], ["--help"]):
         out = jackbox(*arguments, cwd=tmp_path).stdout
         for name in ("simulate", "play", "check", "demo", "train", "evaluate", "export"):
             assert f"\n  {name} " in out
-    refused = jackbox("juggle", cwd=tmp_path, status=2).stderr
-    expected = "the command must be one of simulate, play, check, demo, train, evaluate, export, got 'juggle'\n"
-    assert refused == expected
+            assert name in refused
 
 
 def test_it_names_itself_in_the_command_to_go_on_with(tmp_path: Path) -> None:
-    shipped = ROOT / "agents" / "trained" / "spin-ppo"
-    run = tmp_path / "run"
     settings = "--num-envs 4 --rollout-steps 64 --batch-size 64 --total-steps 256 --eval-episodes 2 --no-progress"
     out = jackbox("train", "--folder", "run", *settings.split(), cwd=tmp_path).stdout
     assert "  jackbox evaluate --task juggle --policy zero run\n" in out
-    before = sorted(shipped.iterdir())
-    assert "no run.json" in jackbox("train", "--resume", str(shipped), cwd=tmp_path, status=2).stderr
-    assert sorted(shipped.iterdir()) == before
     out = jackbox("export", "run", "arrays", cwd=tmp_path).stdout
     assert "  jackbox evaluate --task juggle --policy level arrays\n" in out
-    assert run.is_dir()
 
 
 @pytest.mark.parametrize(("leads", "status"), [("2>&-", 0), (">&-", 0), ("| true", 141), (">/dev/full", 2)])
@@ -58,45 +51,37 @@ def test_files_are_written_wherever_the_output_leads(tmp_path: Path, leads: str,
     assert lines == ["standard output, or a file, cannot be used: No space left on device"] * (status == 2)
 
 
-@pytest.fixture
-def checked(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> pytest.CaptureFixture[str]:
+def test_check_passes_here(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "argv", ["jackbox check"])
-    return capsys
-
-
-def test_check_passes_here(checked: pytest.CaptureFixture[str]) -> None:
     check.main()
-    out = checked.readouterr().out
+    out = capsys.readouterr().out
     assert out.count("ok      ") == 4
     extras = [line.split()[1] for line in out.splitlines() if line.startswith("  extra")]
     assert extras == ["render:", "scale:", "train:", "video:"]
     assert "3 impacts agree with the impact map" in out
 
 
-def test_check_sees_another_law(checked: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_check_sees_another_law_of_impact(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     def other(*arguments: object) -> tuple[Array, float]:
         after, impulse = impact_map(*arguments)  # type: ignore[arg-type]
         return after, impulse * (1.0 + 1e-6)
 
     monkeypatch.setattr(check, "impact_map", other)
+    monkeypatch.setattr(sys, "argv", ["jackbox check"])
     with pytest.raises(SystemExit) as ended:
         check.main()
     assert ended.value.code == 1
-    out = checked.readouterr().out
+    out = capsys.readouterr().out
     assert "FAILED  exact model, law: RuntimeError: 3 impacts differ from the impact map by up to 1.0e-06" in out
     assert out.count("ok      ") == 3
-    assert out.endswith("This installation does not work.\n")
 
 
-def test_check_sees_a_state_that_does_not_come_back(
-    checked: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def forgetful(contact: str) -> object:
-        simulator = make_simulator(contact=contact)
-        reset = simulator.reset
-        monkeypatch.setattr(simulator, "reset", lambda state, time=0.0: reset(state * (1.0 + 2**-52), time))
-        return simulator
+def test_check_sees_a_state_that_does_not_come_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    reset = PymunkSimulator.reset
 
-    monkeypatch.setattr(check, "make_simulator", forgetful)
+    def forgetful(self: PymunkSimulator, state: Array, time: float = 0.0) -> None:
+        reset(self, np.asarray(state) * (1.0 + 2**-52), time)
+
+    monkeypatch.setattr(PymunkSimulator, "reset", forgetful)
     with pytest.raises(RuntimeError, match="leads elsewhere"):
         check.restores("pymunk")
