@@ -130,7 +130,7 @@ def verdict(root: Path, module: str, limit: float) -> str:
     failed = re.search(r"^(?:FAILED|ERROR) (\S+)", run.stdout, re.MULTILINE)
     if run.returncode == 0:
         return "survived"
-    return failed[1] if failed else "stopped: " + run.stdout[-300:]
+    return failed[1] if failed else "stopped: " + (run.stderr or run.stdout)[-200:].strip()
 
 
 def main() -> None:

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from agents import on_ray, trials
+from agents import trials
 from agents.journal import TABLE, TIMES, Outcome, carry_out, new_sweep
 from agents.on_ray import OnRay
 from agents.settings import EnvSettings
@@ -126,23 +126,3 @@ def test_a_worker_and_a_node_killed_in_the_middle_lose_nothing(tmp_path: Path, c
     assert len(list(notes.iterdir())) == 3
     assert (outcome.finished, outcome.failed) == (len(GRID), [])
     assert table == swept(tmp_path / "alone", GRID, shares, InTurn())[0]
-
-
-def test_a_trial_that_fails_or_kills_its_worker_every_time_is_reported_and_the_others_go_on(
-    tmp_path: Path, cluster: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(on_ray, "RETRIES", 1)
-
-    def failing(settings: dict[str, Any]) -> dict[str, Any]:
-        if settings["number"] == 2:
-            raise ValueError(f"number must not be 2\nin {settings['name']}")
-        if settings == {"name": "one", "number": 4}:
-            os.kill(os.getpid(), signal.SIGKILL)
-        return {"share": settings["number"] / 7.0}
-
-    _, outcome = swept(tmp_path / "sweep", GRID, failing, OnRay(address=cluster.address))
-    assert [trial.settings["number"] for trial in outcome.failed] == [2, 4, 2]
-    errors = [row["error"] for row in rows_of(tmp_path / "sweep") if row["error"]]
-    assert errors[::2] == ["ValueError: number must not be 2"] * 2
-    assert errors[1] == "WorkerCrashedError: its worker ended 2 times, or could not start"
-    assert len(rows_of(tmp_path / "sweep")) == len(GRID)

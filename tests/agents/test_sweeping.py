@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, replace
 from functools import partial
@@ -188,14 +187,6 @@ def test_the_command_refuses_in_one_sentence_before_it_makes_a_folder(
     done = script("sweep", *arguments.split(), cwd=tmp_path, status=2)
     assert sentence in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
-    assert not list(tmp_path.iterdir())
-
-
-def test_without_ray_the_command_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "ray", None)
-    for options in (["--workers", "2"], ["--address", "auto"]):
-        done = script("sweep", *options, cwd=tmp_path, status=2)
-        assert "needs ray, the extra 'scale': in a checkout of jackbox, pip install -e \".[scale]\"" in done.stderr
     assert not list(tmp_path.iterdir())
 
 

@@ -187,20 +187,6 @@ def test_kinks_are_followed_to_rounding(kind: str) -> None:
         assert abs(found[1] - twice) <= 1e-12 * DT * DT * bend
 
 
-def test_late_jumps_are_located_as_finely_as_the_time() -> None:
-    # A step of 671 float64 times: a jump's steepness is not the slope along which a rounded time moves the value.
-    rng = np.random.default_rng(4)
-    time, dt = 1e8, 1e-5
-    for _ in range(200):
-        at, smooth = time + dt * rng.uniform(), rng.uniform(-1.0, 1.0)
-
-        def function(t: float, smooth: float = smooth, at: float = at) -> float:
-            return smooth * (t - time) + (t >= at)
-
-        table = pieces(function, time, dt)
-        assert np.abs(ends(table) - (at - time)).min() <= 1.01 * math.ulp(time)
-
-
 def test_without_points_at_the_ends_jumps_hide_there(monkeypatch: pytest.MonkeyPatch) -> None:
     # The control: these are the shares of Chebyshev points of the first kind.
     def late(t: float) -> float:
