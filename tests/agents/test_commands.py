@@ -22,8 +22,6 @@ import pytest
 
 from agents.policies import BASELINES
 from agents.settings import EnvSettings
-from jackbox_env import Scene, make_simulator
-from jackbox_env.simulators.fidelity import Setting
 from tests.agents.small_run import TINY
 from tests.states import load
 
@@ -231,18 +229,6 @@ def test_the_demo_runs_end_to_end_when_made_small(tmp_path: Path) -> None:
 )
 def test_every_command_line_explains_itself(name: str, tmp_path: Path) -> None:
     assert "show this help message" in script(name, "--help", cwd=tmp_path).stdout
-
-
-def test_the_words_for_a_contact_setting_mean_one_setting() -> None:
-    default = make_simulator(Scene())
-    assert EnvSettings().setting == Setting("pymunk", default.substeps)  # type: ignore[attr-defined]
-    assert EnvSettings(fidelity="balanced").setting == EnvSettings(contact="pymunk").setting
-    assert EnvSettings(fidelity="exact").setting == EnvSettings(contact="exact").setting == Setting("exact")
-    assert EnvSettings(fidelity="coarse", substeps=8).setting == Setting("pymunk", 8)
-    with pytest.raises(ValueError, match="fidelity must be one of 'coarse', 'balanced', 'fine', 'exact', got 'slow'"):
-        EnvSettings(fidelity="slow")
-    env: Any = gym.make("JackInBox-v0", **EnvSettings(fidelity="exact").env_settings).unwrapped
-    assert env.contact == "exact"
 
 
 def test_scenes_that_vary_are_settings_too(tmp_path: Path) -> None:
