@@ -88,7 +88,7 @@ def roll(
             before = played.trajectories[i, k if whole else k & 1]
             after = played.trajectories[i, k + 1 if whole else (k + 1) & 1]
             pieces = Pieces(table, ends[begin + k], ends[begin + k + 1])
-            ended, _ = step(scene, plan, before, after, times[k], torque, pieces, work)
+            ended, mean = step(scene, plan, before, after, times[k], torque, pieces, work)
             if ended != Status.DONE:
                 return ended.value, i, k
             worked += 1.0 + effort(work)
@@ -98,5 +98,5 @@ def roll(
                 played.energies[i, k + 1] = energy_of(scene, after)
             if played.rewards.shape[0]:
                 row = values[i if values.shape[0] > 1 else 0]
-                pay(row, after, torque, work[TALLY, IMPULSE], played.rewards[i], k)
+                pay(row, after, mean, work[TALLY, IMPULSE], played.rewards[i], k)
     return Status.DONE.value, -1, -1

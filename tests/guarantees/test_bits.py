@@ -119,7 +119,7 @@ def test_rows_of_a_rollout_are_environments_from_any_number_of_threads(task: str
     states = np.array([inside(scene, rng) for scene in scenes])
     states[15:18, 5] = states[15:18, 2] + math.pi / 4.0  # a long arm fits along the diagonals only
     states[15:18, 3:5] = states[15:18, :2]
-    shares = rng.integers(-64, 65, (len(scenes), 40)) / 64.0  # their torques' means over a step are not rounded
+    shares = rng.uniform(-1.0, 1.0, (len(scenes), 40))
     torques = shares * 90000.0
     asked: Any = {"time": 3.0, "energy": True, "impacts": True, "rewards": task, "repeat": 2}
     found: Any = rollout(scenes, states, torques, 0.02, **asked)
