@@ -93,14 +93,13 @@ def test_claims_hold_in_the_stored_results_and_each_fails_where_it_is_broken(sto
 
 
 def test_the_page_is_written_again_from_the_stored_results(
-    stored: results.Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    stored: results.Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / sweep.BESIDE).mkdir()
     for name in (results.TABLE, results.ABOUT):
         shutil.copy(STORED / name, tmp_path / sweep.BESIDE)
     monkeypatch.setattr(sys, "argv", ["benchmark.py", "--page-from", str(tmp_path / sweep.BESIDE / results.ABOUT)])
     benchmark.main()
-    assert "holds: exact and pymunk lose no jack: 0 lost" in capsys.readouterr().out
     again = "python scripts/studies/accuracy/benchmark.py --page-from docs/accuracy/results.json"
     assert (tmp_path / sweep.PAGE).read_text() == (ROOT / "docs" / sweep.PAGE).read_text(), again
     for picture in (pictures.PICTURE, pictures.WITH_LOSS):
@@ -110,17 +109,10 @@ def test_the_page_is_written_again_from_the_stored_results(
     assert not re.search(r"<(script|link)[^>]+(src|href)=", interactive)  # it needs nothing from elsewhere
 
 
-def test_the_stored_sweep_is_a_full_one(stored: results.Results) -> None:
+def test_the_sweep_shown_is_a_full_one_and_the_environments_docstring_holds_its_table(stored: results.Results) -> None:
     assert stored.about["quick"] is False
-    assert stored.about["cases"] * len(cases.KINDS) >= 100
     assert set(stored.settings) >= {setting.name for setting in settings.settings(quick=False)}
-
-
-def test_the_environments_docstring_and_the_readme_hold_the_measured_table(stored: results.Results) -> None:
-    readme, docstring = (ROOT / "README.md").read_text(), JackInBoxEnv.__doc__ or ""
+    docstring = JackInBoxEnv.__doc__ or ""
     for line in page.fidelity_table(stored).splitlines():
         assert line in docstring, "copy the table of docs/accuracy.md into JackInBoxEnv's docstring"
-    assert page.fidelity_table(stored) in readme, "make readme"
-    count = stored.of(page.DEFAULT, "depth").n
-    for text in (readme, docstring):
-        assert f" {count} seeded scenes" in " ".join(text.split())
+    assert f" {stored.of(page.DEFAULT, 'depth').n} seeded scenes" in " ".join(docstring.split())
