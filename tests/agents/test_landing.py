@@ -89,10 +89,13 @@ def test_a_policy_is_written_read_and_held(tmp_path: Path) -> None:
     seen = observations(Scene(), states_in(Scene(), 6))
     actions, state = policy.predict(seen)
     np.testing.assert_array_equal(actions, LandingPolicy(SMALL, layers_for()).act(seen))
+    others = np.roll(seen, 1, axis=0)
     for _ in range(4):
-        held, state = policy.predict(seen[::-1], state)
-    np.testing.assert_array_equal(held, actions)
-    assert not np.array_equal(policy.predict(seen[::-1], state)[0], actions)
+        held, state = policy.predict(others, state)
+        np.testing.assert_array_equal(held, actions)
+    anew = policy.predict(others, state)[0]
+    np.testing.assert_array_equal(anew, policy.act(others))
+    assert not np.array_equal(anew, actions)
 
 
 def test_what_pairs_are_worth_does_not_depend_on_the_jacks_beside() -> None:
