@@ -40,6 +40,16 @@ def test_a_plan_earns_what_the_environment_pays() -> None:
     np.testing.assert_allclose(ends[0, 0], env.unwrapped.state, atol=1e-9)  # type: ignore[attr-defined]
 
 
+def test_scripted_candidates_are_played_too_and_the_best_of_all_is_found() -> None:
+    search, states = Planner(Scene(), **SMALL)._search, states_in(Scene(), 2)
+    scripted = np.random.default_rng(2).uniform(-1.0, 1.0, (2, 3, 16))
+    search.iterations = 1
+    found, _ = search.decide(Scene(), states, search.begin(2), scripted)
+    returns, _ = search.play(Scene(), states, scripted)
+    np.testing.assert_array_equal(found.scripted, returns)
+    assert (found.returns >= returns.max(axis=1)).all()
+
+
 def test_plans_are_carried_on_and_held() -> None:
     env = gym.make("JackInBox-v0", contact="exact")
     planner, observation = Planner(Scene(), **SMALL), env.reset(seed=0)[0]
