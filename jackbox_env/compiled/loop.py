@@ -118,7 +118,9 @@ def step_blocks(
         glided = common.gliding
         if glided:
             glide_block(plan.dt, block)
-        elif plan.kind == CHIRP and played.values.shape[0] == 1:
+        elif (
+            plan.kind == CHIRP and played.values.shape[0] == 1 and plan.per_radian == 0.0
+        ):  # loss rounds angles otherwise
             glided = glide_under_chirp(scene, plan, block, work)
         ended, lane, looks = step_lanes(scene, plan, played, block, asked, glided, work)
         if ended != Status.DONE:

@@ -80,12 +80,16 @@ def test_the_number_of_threads_changes_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    ("frequency", "threads"), [(0.5, 1), (40.0, 2), (-3.0, 7)], ids=["slow", "several pieces", "backwards"]
+    ("frequency", "threads", "restitution"),
+    [(0.5, 1, 1.0), (40.0, 2, 1.0), (-3.0, 7, 1.0), (0.5, 2, 0.6)],
+    ids=["slow", "several pieces", "backwards", "with loss"],
 )
-def test_a_chirp_shared_by_environments_at_the_same_time_turns_each_as_alone(frequency: float, threads: int) -> None:
+def test_a_chirp_shared_by_environments_at_the_same_time_turns_each_as_alone(
+    frequency: float, threads: int, restitution: float
+) -> None:
     # At rest and flying, in the middle and at walls, some far off or spinning fast, at three times, in two blocks.
     count, settings = 140, {"contact": "exact", "torque": "chirp", "control_dt": 0.03}
-    settings["scene"] = Scene(drive=Chirp(90000.0, frequency, 0.9))
+    settings["scene"] = Scene(drive=Chirp(90000.0, frequency, 0.9), restitution=restitution)
     env = JackInBoxVectorEnv(count, 10**6, with_infos=True, num_threads=threads, **settings)  # type: ignore[arg-type]
     env.reset(seed=0)
     rng, states = np.random.default_rng(1), env.states
