@@ -118,9 +118,8 @@ def step_blocks(
         glided = common.gliding
         if glided:
             glide_block(plan.dt, block)
-        elif (
-            plan.kind == CHIRP and played.values.shape[0] == 1 and plan.per_radian == 0.0
-        ):  # loss rounds angles otherwise
+        elif plan.kind == CHIRP and played.values.shape[0] == 1 and plan.per_radian == 0.0:
+            # Not with loss: a single step then takes whole turns off the angles, which rounds otherwise.
             glided = glide_under_chirp(scene, plan, block, work)
         ended, lane, looks = step_lanes(scene, plan, played, block, asked, glided, work)
         if ended != Status.DONE:
