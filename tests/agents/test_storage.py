@@ -27,11 +27,6 @@ from tests.agents.killing import ended, start
 # -- writing ----------------------------------------------------------------------------------------------------------
 
 
-def write_by_block(path: Path, content: str) -> None:
-    with replacing(path) as partial:
-        partial.write_text(content)
-
-
 def fail(path: Path, error: BaseException, left: str | None = None) -> None:
     """Fail while a file is written. With ``left`` leave the unfinished file under this name, as a kill does."""
     with replacing(path) as partial:

@@ -12,6 +12,7 @@ from pathlib import Path
 os.environ["JACKBOX_EXTREMES"] = "full"  # read when the cases are imported
 
 from jackbox_env.simulators import CONTACT_MODELS
+from jackbox_env.storage import write_text
 from tests.extremes.cases import CASES
 from tests.extremes.page import FAILS, Case, Finding, page, read, recorded
 
@@ -27,15 +28,15 @@ def found(case: Case, contact: str) -> Finding:
 
 
 def main(words: str = "") -> None:
-    """Measure, add to the record, write the page; exit with 1 where a row fails."""
+    """Measure; after each case add to the record and write the page; exit with 1 where a row fails."""
     findings = read(DOCS / "extremes.jsonl")
     for case in CASES:
         for contact in CONTACT_MODELS:
             if words in case.what:
                 finding = findings[case.what, contact] = found(case, contact)
                 print(f"{case.what}, {contact}\n    {finding.verdict}: {finding.seen}", flush=True)
-    (DOCS / "extremes.jsonl").write_text(recorded(findings), encoding="utf-8")
-    (DOCS / "extremes.md").write_text(page(findings), encoding="utf-8")
+                write_text(DOCS / "extremes.jsonl", recorded(findings))
+                write_text(DOCS / "extremes.md", page(findings))
     sys.exit(any(finding.verdict == FAILS for finding in findings.values()))
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Callable
 from functools import partial
 
@@ -17,7 +16,6 @@ from tests.extremes.page import REFUSED, Bound, Finding, part, refuses, within
 WEIGHTLESS = Scene(gravity=0.0, drive=None)
 SMALLEST = 5e-324
 SUBNORMAL = (SMALLEST, -SMALLEST, 1e-310, -1e-310)
-NOT_FINITE = (math.nan, math.inf, -math.inf)
 QUANTITIES = ("box_half_width", "box_mass", "box_inertia", "jack_arm", "jack_mass", "jack_inertia", "torque_limit")
 Calls = dict[str, tuple[Callable[[], object], str]]
 sizes = part("Numbers too small or too large")

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from jackbox_env.compiled import search as kernel
-from jackbox_env.compiled.workspace import HITS, IMPULSE, TALLY, WORK, new_workspace
+from jackbox_env.compiled.constrained import let_go
+from jackbox_env.compiled.workspace import FORCE, HITS, IMPULSE, TALLY, WORK, new_workspace
 from jackbox_env.mechanics import energy
 from jackbox_env.scene import Scene
 from jackbox_env.simulators.exact import ExactSimulator
@@ -79,3 +80,13 @@ def test_rest_is_much_work_for_little_impulse() -> None:
     ):
         w[TALLY, WORK], w[TALLY, HITS], w[TALLY, IMPULSE] = work, hits, hits * impulse
         assert kernel.rests(scene.numbers, w) is rests
+
+
+@pytest.mark.parametrize(
+    ("powers", "moment"), [([1.0, -2.0], 0.5), ([1.0, 0.0, 0.0, -(0.9**-3)], 0.9), ([1.0, -3.0, 2.5], None)]
+)
+def test_a_held_foot_is_let_go_when_its_force_falls_to_zero(powers: list[float], moment: float | None) -> None:
+    work, length = new_workspace(), 0.02
+    work[FORCE, : len(powers)] = powers
+    time = let_go(work, 0, length, max(map(abs, powers)))
+    assert time == (math.inf if moment is None else pytest.approx(moment * length, rel=1e-9))
