@@ -19,7 +19,7 @@ from agents.models import derived_seed, make_vec_env
 from agents.runs import EVALUATIONS
 from agents.settings import TrainSettings
 from agents.storage import DamagedFileError, parsing, say_skipped
-from jackbox_env.storage import write_bytes
+from jackbox_env.recording.files import write_bytes
 
 BEST = "best_model.zip"
 _MEAN = "mean_return"  # key of a best model's note

@@ -16,7 +16,7 @@ from stable_baselines3.common.save_util import load_from_zip_file
 
 from agents.archives import read_member, unpacked_tensors
 from agents.storage import DamagedFileError, parsing, say_skipped
-from jackbox_env.storage import make_folder, write_bytes
+from jackbox_env.recording.files import make_folder, write_bytes
 
 CHECKPOINTS = "checkpoints"
 _GROUPS = {"policy", "policy.optimizer"}  # of parameters

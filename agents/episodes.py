@@ -15,8 +15,8 @@ from agents.models import derived_seed
 from agents.policies import Baseline
 from agents.settings import EnvSettings
 from jackbox_env import Scene
-from jackbox_env.report import model_facts, write_page
-from jackbox_env.trajectory import Recording, Trajectory
+from jackbox_env.recording.page import model_facts, write_page
+from jackbox_env.recording.trajectory import Recording, Trajectory
 
 _LONGEST = 80  # letters of a file's name
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from agents.models import load_model, run_folder
 from agents.network import layers_of, write_policy
 from agents.runs import EVALUATIONS, TIME, read_settings
-from jackbox_env.storage import write_bytes
+from jackbox_env.recording.files import write_bytes
 
 
 def export_policy(run: Path, folder: Path) -> None:

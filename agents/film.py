@@ -15,8 +15,8 @@ from tqdm import tqdm
 import jackbox_env  # noqa: F401
 from agents.policies import Baseline
 from agents.settings import EPISODE_STEPS
-from jackbox_env.canvas import import_pygame
-from jackbox_env.storage import check_new, replacing
+from jackbox_env.recording.files import check_new, replacing
+from jackbox_env.render.canvas import import_pygame
 
 Frame = NDArray[np.uint8]
 SUFFIXES = (".gif", ".mp4")

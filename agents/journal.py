@@ -29,7 +29,7 @@ from tqdm import tqdm
 from agents.runs import PACKAGES, machine, versions
 from agents.storage import DamagedFileError, held, own_file, parsing, read_json, say_skipped
 from agents.sweeping import Finished, Runner, Trial, Work
-from jackbox_env.storage import check_writable, new_folder, remove_partials, write_json, write_text
+from jackbox_env.recording.files import check_writable, new_folder, remove_partials, write_json, write_text
 
 SWEEP, JOURNAL, TABLE, TIMES = "sweep.json", "trials.jsonl", "table.csv", "times.csv"
 ENGINES = ("numpy", "numba", "pymunk", *PACKAGES[-2:])

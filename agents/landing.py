@@ -36,8 +36,8 @@ from jackbox_env import _validation as check
 from jackbox_env.complementarity import dots
 from jackbox_env.mechanics import contacts_of, impact_maps
 from jackbox_env.observation import state_of
+from jackbox_env.recording.files import write_json
 from jackbox_env.states import Array
-from jackbox_env.storage import write_json
 
 LANDING = "landing.json"
 FLOOR = 3  # the wall under the jack while the box is turned by less than an eighth of a turn

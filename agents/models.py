@@ -18,8 +18,8 @@ from agents.runs import SETTINGS, read_settings
 from agents.settings import TrainSettings
 from agents.storage import DamagedFileError, say_skipped
 from jackbox_env import Scene
+from jackbox_env.planning.sb3_wrappers import HoldingVecEnv, LookaheadVecEnv
 from jackbox_env.sb3 import make_sb3_vec_env
-from jackbox_env.sb3_wrappers import HoldingVecEnv, LookaheadVecEnv
 
 
 def derived_seed(purpose: str, *numbers: int) -> int:

@@ -30,7 +30,7 @@ from agents.runs import SETTINGS, read_settings
 from agents.settings import FORESEEN, MOST_LAYERS, MOST_WEIGHTS, TrainSettings
 from jackbox_env import Scene
 from jackbox_env.observation import BOUNDS
-from jackbox_env.storage import write_bytes, write_json
+from jackbox_env.recording.files import write_bytes, write_json
 
 if TYPE_CHECKING:
     from stable_baselines3 import PPO

@@ -13,7 +13,7 @@ from agents.value import Value, ValuedSearch
 from jackbox_env import Scene, Task
 from jackbox_env import _validation as check
 from jackbox_env.observation import state_of
-from jackbox_env.plans import Plans, Search
+from jackbox_env.planning.icem import Plans, Search
 from jackbox_env.states import Array
 
 DECISION = 0.1  # [s] between decisions, as the settings here were tried
@@ -29,7 +29,7 @@ class Planning(NamedTuple):
 
 
 class Planner:
-    """A policy with Stable-Baselines3's ``predict`` that carries on plans by :mod:`jackbox_env.plans`.
+    """A policy with Stable-Baselines3's ``predict`` that carries on plans by :mod:`jackbox_env.planning.icem`.
 
     It reads the state off the ten numbers of the observation, so it plays on both contact models; on pymunk its model
     is not the environment's. Side forces of the scene's drive are not foreseen.

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from agents.settings import TrainSettings
 from jackbox_env import Scene
-from jackbox_env.futures import Futures
 from jackbox_env.observation import BOUNDS
-from jackbox_env.plans import Plans
+from jackbox_env.planning.features import Futures
+from jackbox_env.planning.icem import Plans
 
 
 class Playing(NamedTuple):

@@ -24,7 +24,7 @@ from importlib import metadata
 from pathlib import Path
 
 from agents.settings import TrainSettings
-from jackbox_env.storage import write_json
+from jackbox_env.recording.files import write_json
 
 SETTINGS, RUN, EVALUATIONS, TIME = "settings.json", "run.json", "evaluations.npz", "time.json"
 _LARGEST_SETTINGS = 1_000_000  # [bytes]

@@ -1,4 +1,4 @@
-"""Files that may be damaged, and folders that one process holds. :mod:`jackbox_env.storage` writes them.
+"""Files that may be damaged, and folders that one process holds. :mod:`jackbox_env.recording.files` writes them.
 
 A folder is held by ``flock`` on its file ``lock``. The kernel lets go of it when the process ends, however it ends, so
 a lock left behind holds nobody up. Windows has no such lock: there a folder is not held, and standard error says so.

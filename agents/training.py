@@ -29,7 +29,7 @@ from agents.runs import SETTINGS, TIME, describe, read_settings
 from agents.settings import TrainSettings
 from agents.storage import held
 from agents.timing import Spent, TimedVecEnv, told
-from jackbox_env.storage import check_writable, new_folder, remove_partials, write_bytes, write_json
+from jackbox_env.recording.files import check_writable, new_folder, remove_partials, write_bytes, write_json
 
 MODEL = "model.zip"
 

@@ -24,9 +24,9 @@ from agents.preview import FEATURES, flight_of, preview
 from agents.settings import EnvSettings
 from jackbox_env import JackInBoxEnv, Scene
 from jackbox_env.observation import BOUNDS
-from jackbox_env.plans import Search
+from jackbox_env.planning.icem import Search
+from jackbox_env.recording.files import write_json
 from jackbox_env.states import Array
-from jackbox_env.storage import write_json
 
 VALUE = "value.json"
 INPUTS = len(BOUNDS) + len(FEATURES)

@@ -10,10 +10,10 @@ from gymnasium.envs.registration import register
 from jackbox_env.scene import Chirp, Drive, Scene
 
 if TYPE_CHECKING:
-    from jackbox_env.choosing import cheapest
     from jackbox_env.env import JackInBoxEnv
-    from jackbox_env.lookahead import Lookahead, LookaheadVector
+    from jackbox_env.measure.choosing import cheapest
     from jackbox_env.planning import Rollout, rollout
+    from jackbox_env.planning.wrappers import Lookahead, LookaheadVector
     from jackbox_env.simulators import Impact, JackLostError, Simulator, make_simulator
     from jackbox_env.simulators.fidelity import FIDELITIES
     from jackbox_env.vector_env import JackInBoxVectorEnv
@@ -25,13 +25,13 @@ _LAZY = {
     "JackInBoxVectorEnv": "vector_env",
     "Impact": "simulators",
     "JackLostError": "simulators",
-    "Lookahead": "lookahead",
-    "LookaheadVector": "lookahead",
+    "Lookahead": "planning.wrappers",
+    "LookaheadVector": "planning.wrappers",
     "Simulator": "simulators",
     "make_simulator": "simulators",
     "Rollout": "planning",
     "Task": "tasks",
-    "cheapest": "choosing",
+    "cheapest": "measure.choosing",
     "rollout": "planning",
 }
 __all__ = [

@@ -212,7 +212,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         self.render_mode = render_mode
         self._renderer = None
         if render_mode is not None:
-            from jackbox_env.rendering import Renderer
+            from jackbox_env.render.renderer import Renderer
 
             name = task if isinstance(task, str) else ", ".join(self._task.terms)
             self._renderer = Renderer(self.scene, render_mode, fps, name, size, overlay)

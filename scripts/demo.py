@@ -45,7 +45,7 @@ def main() -> None:
     from agents.training import train
     from jackbox_env import Scene
     from jackbox_env import _validation as check
-    from jackbox_env.storage import new_folder, write_json
+    from jackbox_env.recording.files import new_folder, write_json
 
     check.whole("episodes", arguments.episodes, at_least=2)
     settings = replace(

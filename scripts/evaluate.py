@@ -40,7 +40,7 @@ class Arguments:
 def _refuse_nonsense(arguments: Arguments) -> None:
     """Refuse what would fail after minutes of computing."""
     from jackbox_env import _validation as check
-    from jackbox_env.storage import check_new, check_writable
+    from jackbox_env.recording.files import check_new, check_writable
 
     check.whole("episodes", arguments.episodes, at_least=1)
     check.whole("seed", arguments.seed, at_least=0, at_most=2**32 - 1)
@@ -66,7 +66,7 @@ def main() -> None:
     from agents.models import derived_seed
     from agents.notes import describe_env, warn_of_other_training
     from agents.runs import versions
-    from jackbox_env.storage import write_json
+    from jackbox_env.recording.files import write_json
 
     env_settings = arguments.settings.env_settings
     found = [
@@ -93,7 +93,7 @@ def main() -> None:
 def _write_pages(folder: Path, acts: dict[str, Baseline], settings: EnvSettings, seed: int) -> None:
     """Write an animated page of each policy into a new folder, and say where."""
     from agents.episodes import write_pages
-    from jackbox_env.storage import new_folder
+    from jackbox_env.recording.files import new_folder
 
     earned = dict[str, float]()
     new_folder(folder, "evaluate", lambda made: earned.update(write_pages(made, acts, settings, seed)))

@@ -20,7 +20,7 @@ from jackbox_env.commands.common import (
 )
 
 if TYPE_CHECKING:
-    from jackbox_env.playing_window import Predicts
+    from jackbox_env.render.window import Predicts
 
 
 def _arguments() -> argparse.Namespace:
@@ -40,7 +40,7 @@ def _arguments() -> argparse.Namespace:
 def play_with(trained: Callable[[str], Predicts] | None = None) -> None:
     """Parse and play; ``trained`` loads the agent of a task, of which there is none without a checkout."""
     arguments = _arguments()
-    from jackbox_env.playing_window import play
+    from jackbox_env.render.window import play
 
     if find_spec("pygame") is None and not in_checkout():
         wanted = " ".join(f"'{requirement}'" for requirement in extras().get("render", ["pygame-ce"]))

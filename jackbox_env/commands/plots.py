@@ -12,8 +12,8 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jackbox_env.storage import new_file
-from jackbox_env.trajectory import Trajectory
+from jackbox_env.recording.files import new_file
+from jackbox_env.recording.trajectory import Trajectory
 
 BOX, JACK = "#c23b3b", "#2f5fb3"
 

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 from jackbox_env.commands.common import add_model_options, command_line, parser_of, scene_fields
 
 if TYPE_CHECKING:
+    from jackbox_env.recording.trajectory import Trajectory
     from jackbox_env.scene import Scene
     from jackbox_env.simulators.fidelity import Setting
-    from jackbox_env.trajectory import Trajectory
 
 _MOST_ON_PAGE = 200_000  # steps: minutes of writing
 _PAGE_STEPS = 1_000  # written to a page in a second, some
@@ -45,7 +45,7 @@ def _arguments() -> argparse.Namespace:
 def _refuse_nonsense(arguments: argparse.Namespace) -> None:
     """Raise ValueError for a duration that cannot be simulated, and for files that cannot be written."""
     from jackbox_env import _validation as check
-    from jackbox_env.storage import check_new
+    from jackbox_env.recording.files import check_new
 
     check.real("seconds", arguments.seconds, above=0.0, at_most=1e6)
     check.real("dt", arguments.dt, above=0.0)
@@ -74,11 +74,11 @@ def _start(text: str | None) -> object:
 
 def _write(folder: Path, arguments: argparse.Namespace, scene: Scene, setting: Setting, trajectory: Trajectory) -> None:
     """Write all files that were asked for."""
-    from jackbox_env.trajectory import write_csv, write_npz
+    from jackbox_env.recording.trajectory import write_csv, write_npz
 
     (write_csv if arguments.format == "csv" else write_npz)(trajectory, folder)
     if arguments.html:
-        from jackbox_env.report import model_facts, write_page
+        from jackbox_env.recording.page import model_facts, write_page
 
         seconds = len(trajectory.times) / _PAGE_STEPS
         if seconds > _SAID:
@@ -97,9 +97,9 @@ def main() -> None:
     """Parse, simulate, write."""
     arguments = _arguments()
     from jackbox_env import Scene, make_simulator
+    from jackbox_env.recording.files import new_folder, stamped
+    from jackbox_env.recording.trajectory import simulate
     from jackbox_env.simulators.fidelity import resolve
-    from jackbox_env.storage import new_folder, stamped
-    from jackbox_env.trajectory import simulate
 
     arguments.folder = arguments.folder or stamped("simulate")
     _refuse_nonsense(arguments)

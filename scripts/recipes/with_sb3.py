@@ -5,8 +5,8 @@ import argparse
 from stable_baselines3 import PPO
 from stable_baselines3.common.evaluation import evaluate_policy
 
+from jackbox_env.planning.sb3_wrappers import HoldingVecEnv
 from jackbox_env.sb3 import make_sb3_vec_env
-from jackbox_env.sb3_wrappers import HoldingVecEnv
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--steps", type=int, default=500_000)

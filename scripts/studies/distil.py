@@ -26,8 +26,8 @@ from agents.observing import mirrored
 from agents.value import UNIT, read_value
 from jackbox_env import Rollout, Scene, rollout
 from jackbox_env.commands.common import command_line
+from jackbox_env.recording.files import make_folder
 from jackbox_env.states import Array
-from jackbox_env.storage import make_folder
 from jackbox_env.tasks import sample_start
 
 ANGLES = 0.4 * np.sign(np.linspace(-1.0, 1.0, 31)) * np.abs(np.linspace(-1.0, 1.0, 31)) ** 1.4  # finer near level

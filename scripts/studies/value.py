@@ -23,9 +23,9 @@ from agents.settings import EnvSettings
 from agents.value import INPUTS, UNIT, Value, ValuedSearch, write_value
 from jackbox_env import Scene
 from jackbox_env.commands.common import command_line
-from jackbox_env.plans import Search
+from jackbox_env.planning.icem import Search
+from jackbox_env.recording.files import make_folder
 from jackbox_env.states import Array
-from jackbox_env.storage import make_folder
 from jackbox_env.tasks import sample_start
 
 SCENE, PIECE, CONTROL_DT = Scene(drive=None), 5, 0.02

@@ -16,7 +16,7 @@ from agents.checkpoints import CHECKPOINTS, Checkpoint, checkpoint_path, kept_st
 from agents.models import load_model
 from agents.runs import EVALUATIONS, describe
 from agents.training import MODEL
-from jackbox_env.storage import new_folder
+from jackbox_env.recording.files import new_folder
 from tests.agents.killing import SMALL, expected_steps, short_episodes
 
 STOPPED = 80  # steps done of the 96, two evaluations among them

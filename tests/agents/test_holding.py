@@ -17,7 +17,7 @@ from agents.evaluation import evaluate
 from agents.holding import HoldingPPO
 from agents.models import holding, load_model, make_ppo, make_vec_env
 from agents.runs import describe
-from jackbox_env.storage import new_folder
+from jackbox_env.recording.files import new_folder
 from tests.agents.small_run import TINY
 
 HOLD = 5

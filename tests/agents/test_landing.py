@@ -25,8 +25,8 @@ from agents.landing import (
 from agents.observing import observations
 from agents.settings import EnvSettings
 from jackbox_env import Scene, make_simulator
+from jackbox_env.recording.files import write_json
 from jackbox_env.states import Array
-from jackbox_env.storage import write_json
 from jackbox_env.tasks import sample_start
 from tests.agents.untrained import layers_for, states_in
 

@@ -15,7 +15,7 @@ from agents.settings import EnvSettings
 from agents.value import Value
 from jackbox_env import Drive, Scene, Task
 from jackbox_env.observation import observe, state_of
-from jackbox_env.plans import coloured_noise
+from jackbox_env.planning.icem import coloured_noise
 from tests.agents.untrained import layers_for, states_in
 
 SMALL: dict[str, Any] = {"samples": 24, "elites": 4, "iterations": 2, "pieces": 16}

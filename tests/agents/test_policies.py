@@ -19,7 +19,7 @@ from agents.planner import Planner
 from agents.policies import BASELINES, baseline
 from agents.settings import EnvSettings, TrainSettings
 from jackbox_env import Scene, make_simulator
-from jackbox_env.trajectory import simulate, write_npz
+from jackbox_env.recording.trajectory import simulate, write_npz
 
 # -- scripted policies -------------------------------------------------------------------------------------------------
 

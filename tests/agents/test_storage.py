@@ -13,8 +13,8 @@ import pytest
 
 from agents import storage
 from agents.storage import LOCK, DamagedFileError, FolderInUseError, held, read_json
-from jackbox_env import storage as writing
-from jackbox_env.storage import (
+from jackbox_env.recording import files as writing
+from jackbox_env.recording.files import (
     make_filled_folder,
     new_file,
     remove_partials,

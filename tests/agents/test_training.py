@@ -18,7 +18,7 @@ from agents.best import choosing_seed
 from agents.checkpoints import Checkpoint, kept_steps
 from agents.models import load_model, make_ppo, make_vec_env
 from agents.runs import describe, read_settings
-from jackbox_env.storage import new_folder
+from jackbox_env.recording.files import new_folder
 from tests.agents.small_run import TINY
 
 # -- training ----------------------------------------------------------------------------------------------------------

@@ -16,8 +16,8 @@ from agents.planner import Planner
 from agents.settings import EnvSettings
 from agents.value import UNIT, Value, ValuedSearch, read_value, write_value
 from jackbox_env import Scene
-from jackbox_env.plans import Search
-from jackbox_env.storage import write_json
+from jackbox_env.planning.icem import Search
+from jackbox_env.recording.files import write_json
 from tests.agents.untrained import layers_for, states_in
 
 SMALL: dict[str, Any] = {"piece": 5, "samples": 24, "elites": 4, "iterations": 2, "pieces": 10}

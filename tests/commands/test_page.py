@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from jackbox_env import Scene, make_simulator
-from jackbox_env.report import WALLS, write_page
-from jackbox_env.trajectory import Trajectory, simulate
+from jackbox_env.recording.page import WALLS, write_page
+from jackbox_env.recording.trajectory import Trajectory, simulate
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 FLAGS = (

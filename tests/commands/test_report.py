@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from jackbox_env import Drive, Scene, make_simulator
-from jackbox_env.report import write_page
+from jackbox_env.recording.page import write_page
+from jackbox_env.recording.trajectory import Trajectory, simulate
 from jackbox_env.simulators import Impact
-from jackbox_env.trajectory import Trajectory, simulate
 
 
 def run(scene: Scene, seconds: float, dt: float = 0.02) -> Trajectory:

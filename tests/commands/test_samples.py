@@ -11,8 +11,8 @@ import pytest
 
 from jackbox_env import Chirp, Drive, Scene, make_simulator
 from jackbox_env.mechanics import gaps, impact_map
-from jackbox_env.samples import MOST, SPACING, Samples, samples_of
-from jackbox_env.trajectory import Recording, Trajectory, simulate, write_csv
+from jackbox_env.recording.samples import MOST, SPACING, Samples, samples_of
+from jackbox_env.recording.trajectory import Recording, Trajectory, simulate, write_csv
 from tests.states import load
 
 

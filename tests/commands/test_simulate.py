@@ -41,7 +41,7 @@ def test_ctrl_c_leaves_no_folder_and_says_so(tmp_path: Path) -> None:
 def test_an_error_while_files_are_written_leaves_no_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from jackbox_env import report
+    from jackbox_env.recording import page as report
 
     def full(*given: object) -> None:
         raise OSError(28, "No space left on device", "trajectory.html")

@@ -9,7 +9,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from jackbox_env.planning import rollout
+from jackbox_env.planning.rollouts import rollout
 from jackbox_env.scene import Chirp, Drive, Scene
 from jackbox_env.simulators import exact, functions
 from jackbox_env.states import clearance

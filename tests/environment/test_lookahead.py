@@ -13,10 +13,10 @@ from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from jackbox_env import JackInBoxVectorEnv, JackLostError, Lookahead, LookaheadVector, Rollout, Scene, Task, rollout
-from jackbox_env.futures import Futures
 from jackbox_env.observation import observe, state_of
+from jackbox_env.planning.features import Futures
+from jackbox_env.planning.sb3_wrappers import LookaheadVecEnv
 from jackbox_env.sb3 import make_sb3_vec_env
-from jackbox_env.sb3_wrappers import LookaheadVecEnv
 from tests.states import inside
 
 SMALL: dict[str, Any] = {"samples": 8, "turns": 3, "pieces": 8, "num_threads": 1}

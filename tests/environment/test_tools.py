@@ -118,12 +118,12 @@ def test_single_environments_of_stable_baselines_have_a_spec_that_makes_each_aga
 
 WITHOUT = [
     "import jackbox_env.sb3",
-    "import jackbox_env.sb3_wrappers",
+    "import jackbox_env.planning.sb3_wrappers",
     "import scripts.train",
     "import scripts.evaluate",
     "gymnasium.make('JackInBox-v0', render_mode='rgb_array')",
     "jackbox_env.JackInBoxVectorEnv(2).tiled()",
-    "from jackbox_env.playing_window import Window; Window(None)",
+    "from jackbox_env.render.window import Window; Window(None)",
     "import scripts.play; scripts.play.main()",
 ]
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 os.environ["JACKBOX_EXTREMES"] = "full"  # read when the cases are imported
 
+from jackbox_env.recording.files import write_text
 from jackbox_env.simulators import CONTACT_MODELS
-from jackbox_env.storage import write_text
 from tests.extremes.cases import CASES
 from tests.extremes.page import FAILS, Case, Finding, page, read, recorded
 

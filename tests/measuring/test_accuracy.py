@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jackbox_env import Chirp, Drive, Impact, Scene, make_simulator
-from jackbox_env.accuracy import (
+from jackbox_env.measure.accuracy import (
     Case,
     Course,
     Reference,

@@ -15,9 +15,9 @@ import numpy as np
 import jackbox_env
 from agents.settings import EPISODE_STEPS, TrainSettings
 from jackbox_env import Chirp, Drive, JackInBoxEnv, JackInBoxVectorEnv, Scene, make_simulator, mechanics, states
-from jackbox_env.plans import Search
+from jackbox_env.planning.icem import Search
+from jackbox_env.planning.sb3_wrappers import HoldingVecEnv, LookaheadVecEnv
 from jackbox_env.sb3 import JackInBoxVecEnv, make_sb3_vec_env
-from jackbox_env.sb3_wrappers import HoldingVecEnv, LookaheadVecEnv
 from jackbox_env.simulators import CONTACT_MODELS, Simulator
 from jackbox_env.simulators.fidelity import FIDELITIES
 from jackbox_env.states import STATE_NAMES

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from jackbox_env.canvas import Canvas
+from jackbox_env.render.canvas import Canvas
 from tests.rendering.pixels import Words
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.rendering import Renderer
+from jackbox_env.render.renderer import Renderer
 from jackbox_env.scene import Scene
 
 Frame = NDArray[np.uint8]

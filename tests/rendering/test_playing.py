@@ -12,7 +12,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from jackbox_env.playing_window import LOADING, NO_AGENT, PANEL, Game, Window
+from jackbox_env.render.window import LOADING, NO_AGENT, PANEL, Game, Window
 from jackbox_env.simulators import JackLostError
 
 pygame = pytest.importorskip("pygame")

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from jackbox_env import JackInBoxEnv, JackInBoxVectorEnv, Scene, rendering
-from jackbox_env.canvas import TRACK
-from jackbox_env.rendering import Renderer
+from jackbox_env.render.canvas import TRACK
+from jackbox_env.render.renderer import Renderer
+from jackbox_env.render.tiles import GAP
 from jackbox_env.sb3 import make_sb3_vec_env
 from jackbox_env.simulators import Impact
-from jackbox_env.tiles import GAP
 from tests.rendering.pixels import Words, blue, draw, red, state
 
 BARE: dict[str, Any] = {"render_mode": "rgb_array", "render_overlay": False}

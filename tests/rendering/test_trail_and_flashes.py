@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from jackbox_env.rendering import Renderer
+from jackbox_env.render.renderer import Renderer
 from jackbox_env.simulators import Impact
 from tests.rendering.pixels import ARM, Frame, L, draw, pixel, renderer_at, state
 

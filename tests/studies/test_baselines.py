@@ -10,7 +10,7 @@ import pickle
 import numpy as np
 import pytest
 
-from jackbox_env.accuracy import Case, compare, follow, reference_of
+from jackbox_env.measure.accuracy import Case, compare, follow, reference_of
 from jackbox_env.mechanics import energy, impact_map
 from jackbox_env.scene import Chirp, Drive, Scene
 from jackbox_env.simulators import make_simulator

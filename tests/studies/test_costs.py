@@ -111,7 +111,7 @@ def stepped(**settings):
     for env in (gymnasium.make("JackInBox-v0", **settings), gymnasium.make_vec("JackInBox-v0", 2, **settings)):
         env.reset(seed=0)
         env.step(env.action_space.sample())
-    return [name for name in ("jackbox_env.rendering", "jackbox_env.canvas", "pygame") if name in sys.modules]
+    return [name for name in ("jackbox_env.render.renderer", "pygame") if name in sys.modules]
 print(stepped(contact="pymunk"), stepped(contact="exact"), len(stepped(render_mode="rgb_array")))
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

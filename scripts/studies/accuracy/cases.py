@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from jackbox_env import Scene
-from jackbox_env.accuracy import Case, Reference, reference_of
+from jackbox_env.measure.accuracy import Case, Reference, reference_of
 from jackbox_env.simulators import Impact
 from jackbox_env.states import Array
 from jackbox_env.tasks import sample_start

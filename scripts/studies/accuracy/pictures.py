@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from jackbox_env.storage import replacing, write_text
+from jackbox_env.recording.files import replacing, write_text
 from scripts.studies.accuracy.cases import LOSS
 from scripts.studies.accuracy.results import Results
 from scripts.studies.accuracy.settings import BATCH, EXACT, NAIVE, PYMUNK, of_fidelity, pymunk

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import stats
 
 from agents.storage import read_json
-from jackbox_env.storage import replacing, write_json
+from jackbox_env.recording.files import replacing, write_json
 from scripts.studies.accuracy.cases import DIGITS, DT, KINDS, LOSS
 from scripts.studies.accuracy.settings import BATCH, EXACT, PYMUNK, Setting
 

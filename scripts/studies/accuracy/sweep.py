@@ -24,9 +24,9 @@ from agents.runs import PACKAGES, machine, versions
 from agents.storage import DamagedFileError, held, read_json, say_skipped
 from agents.sweeping import InTurn, Runner, Trial
 from jackbox_env import Scene, rollout
-from jackbox_env.accuracy import Case, Reference, between, compare, follow, quantities, restarts
+from jackbox_env.measure.accuracy import Case, Reference, between, compare, follow, quantities, restarts
+from jackbox_env.recording.files import new_folder, remove_partials, write_json, write_text
 from jackbox_env.simulators import Simulator
-from jackbox_env.storage import new_folder, remove_partials, write_json, write_text
 from scripts.studies import rivals
 from scripts.studies.accuracy import cases, pictures
 from scripts.studies.accuracy.page import DEFAULT, page

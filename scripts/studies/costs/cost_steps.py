@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from jackbox_env import Drive, Scene, Task, _validation, make_simulator
 from jackbox_env.env import JackInBoxEnv
-from jackbox_env.planning import rollout
+from jackbox_env.planning.rollouts import rollout
 from jackbox_env.tasks import TASKS, juggle, sample_start
 from scripts.studies.timing import Timed, repeat
 

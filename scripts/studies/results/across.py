@@ -14,7 +14,7 @@ from agents.policies import LevelPolicy, Policy
 from agents.settings import DEMO, TrainSettings
 from agents.training import trained_in
 from jackbox_env import Scene
-from jackbox_env.storage import write_json
+from jackbox_env.recording.files import write_json
 
 RESTITUTIONS = (1.0, 0.9, 0.8, 0.7)
 MASSES = (2.0, 4.0, 8.0, 16.0)  # of the jack [kg]

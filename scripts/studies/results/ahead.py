@@ -16,7 +16,7 @@ from agents.playing import manner_of, play
 from agents.runs import TIME
 from agents.settings import TrainSettings
 from agents.training import trained_in
-from jackbox_env.storage import write_json
+from jackbox_env.recording.files import write_json
 
 SEEDS = (0, 1, 2, 3, 4)
 SETTINGS = TrainSettings(

@@ -16,7 +16,7 @@ from agents.figures import ACCENT
 from agents.network import SHIPPED
 from agents.runs import EVALUATIONS
 from jackbox_env.commands.plots import JACK
-from jackbox_env.storage import replacing
+from jackbox_env.recording.files import replacing
 from jackbox_env.tasks import TASKS
 
 LINES = ("planner", "level", "best chirp")

@@ -89,7 +89,7 @@ def measured(task: str, contact: str, name: str, episodes: int) -> dict[str, Any
 
 def rows_of(arguments: Arguments) -> list[dict[str, Any]]:
     """A row for each task, contact model and policy; those in files already are read."""
-    from jackbox_env.storage import write_json
+    from jackbox_env.recording.files import write_json
 
     rows = []
     for task in TASKS:
@@ -121,7 +121,7 @@ def main() -> None:
     """Parse, evaluate what is missing, write the page."""
     arguments = tyro.cli(Arguments, description=__doc__)
     from jackbox_env import _validation as check
-    from jackbox_env.storage import check_writable, write_bytes
+    from jackbox_env.recording.files import check_writable, write_bytes
     from scripts.studies.results.across import across
     from scripts.studies.results.ahead import ahead, plan_alone
     from scripts.studies.results.attainable import spin_bound

@@ -1,4 +1,4 @@
-"""How others simulate this system: contact models that :mod:`jackbox_env.accuracy` measures beside this package's.
+"""How others simulate this system: models that :mod:`jackbox_env.measure.accuracy` measures beside this package's.
 
 Users of the environment cannot choose them.
 """

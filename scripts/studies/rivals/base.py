@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from numpy.typing import ArrayLike
 
 from jackbox_env import _validation as check
-from jackbox_env.accuracy import Between
+from jackbox_env.measure.accuracy import Between
 from jackbox_env.scene import Drive, Scene
 from jackbox_env.simulators.base import Impact, JackLostError, Simulator, end_of_step
 from jackbox_env.states import LATEST_TIME, Array, as_held, as_state, clearance, deepest_held
@@ -136,7 +136,7 @@ class Rival(ABC):
         self._present = _Present(after, end, mean, tuple(record.take()), record.waiting, played)
 
     def look(self, simulator: Simulator, before: Array, time: float, torque: float | None) -> Between:
-        """Look inside the last step by taking it again: a Look for :func:`jackbox_env.accuracy.follow`.
+        """Look inside the last step by taking it again: a Look for :func:`jackbox_env.measure.accuracy.follow`.
 
         The depth is the largest at the ends of the substeps. The work is that of the true torque and side forces on the
         box as the model moved it: h * (mean torque) * (mean of omega before and after) in each substep.

@@ -30,7 +30,7 @@ def main() -> None:
 
     arguments = tyro.cli(Arguments, description=__doc__)
     from jackbox_env import _validation as check
-    from jackbox_env.storage import check_writable, write_json, write_text
+    from jackbox_env.recording.files import check_writable, write_json, write_text
     from scripts.studies.scaling.page import page
 
     for name in ("trials", "on_two_nodes"):

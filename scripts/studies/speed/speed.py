@@ -63,7 +63,7 @@ def main() -> None:
     import tyro
 
     from jackbox_env import _validation as check
-    from jackbox_env.storage import write_json, write_text
+    from jackbox_env.recording.files import write_json, write_text
     from scripts.studies.speed.page import page, pictured, told
 
     arguments = tyro.cli(Arguments, description=__doc__)

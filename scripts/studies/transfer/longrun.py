@@ -25,8 +25,8 @@ from agents.storage import DamagedFileError, parsing, say_skipped
 from agents.sweeping import InTurn, Runner, Trial
 from jackbox_env import FIDELITIES, Impact, Scene, make_simulator
 from jackbox_env.observation import observe
+from jackbox_env.recording.files import make_folder, write_bytes
 from jackbox_env.states import clearance
-from jackbox_env.storage import make_folder, write_bytes
 from jackbox_env.tasks import sample_start
 
 STEPS = 500

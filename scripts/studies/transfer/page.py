@@ -21,7 +21,7 @@ from scipy import stats
 from agents.figures import ACCENT
 from agents.runs import machine, read_settings, versions
 from agents.storage import read_json
-from jackbox_env.storage import replacing, write_text
+from jackbox_env.recording.files import replacing, write_text
 from scripts.studies.readme import fill
 from scripts.studies.transfer.inference import MOST_TRAININGS, Estimate, crossed_estimate, t_estimate
 from scripts.studies.transfer.longrun import Episodes

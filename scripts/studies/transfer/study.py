@@ -40,7 +40,7 @@ from agents.sweeping import InThreads, InTurn, Runner, Trial
 from agents.training import MODEL, trained_in
 from jackbox_env import FIDELITIES, Scene
 from jackbox_env import _validation as check
-from jackbox_env.storage import make_folder, new_folder, write_json
+from jackbox_env.recording.files import make_folder, new_folder, write_json
 from scripts.studies.transfer.longrun import Episodes, run_long
 
 TRAIN = Path(__file__).parents[3] / "scripts" / "train.py"

@@ -42,7 +42,7 @@ def main() -> None:
     arguments = tyro.cli(Arguments, description=__doc__)
     from agents.on_ray import OnRay
     from agents.storage import held
-    from jackbox_env.storage import remove_partials
+    from jackbox_env.recording.files import remove_partials
     from scripts.studies.transfer import study
     from scripts.studies.transfer.page import SCRIPT, gather, read_data, write
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from jackbox_env import _validation as check
 from jackbox_env.observation import BOUNDS, observe, state_of
-from jackbox_env.planning import Rollout, rollout
-from jackbox_env.plans import Plans, Search
+from jackbox_env.planning.icem import Plans, Search
+from jackbox_env.planning.rollouts import Rollout, rollout
 from jackbox_env.scene import Scene
 from jackbox_env.states import Array
 from jackbox_env.tasks import Task

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.canvas import TRACK
-from jackbox_env.rendering import Renderer
+from jackbox_env.render.canvas import TRACK
+from jackbox_env.render.renderer import Renderer
 from jackbox_env.scene import Scene
 from jackbox_env.states import Array
 

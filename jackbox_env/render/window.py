@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import gymnasium as gym
 import numpy as np
 
-from jackbox_env.canvas import INK, SIZE, TRACK, Colour, import_pygame
+from jackbox_env.render.canvas import INK, SIZE, TRACK, Colour, import_pygame
 from jackbox_env.simulators import JackLostError
 
 if TYPE_CHECKING:

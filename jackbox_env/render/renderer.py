@@ -19,7 +19,7 @@ from weakref import WeakSet
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.canvas import SIZE, TRACK, Canvas, Colour, Point, import_pygame
+from jackbox_env.render.canvas import SIZE, TRACK, Canvas, Colour, Point, import_pygame
 from jackbox_env.scene import Scene
 from jackbox_env.simulators.base import Impact
 from jackbox_env.states import Array

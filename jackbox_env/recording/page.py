@@ -2,7 +2,7 @@
 
 The page is one file that any browser opens, without a network. Its parts lie in ``jackbox_env/page``: ``page.html``
 names the others, which are put in its place. The page interpolates between the samples that are written into it
-(:mod:`jackbox_env.samples`), by cubics through place and velocity; all physics is computed here.
+(:mod:`jackbox_env.recording.samples`), by cubics through place and velocity; all physics is computed here.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from typing import Any
 
 import numpy as np
 
-from jackbox_env.samples import Samples, samples_of
+from jackbox_env.recording.files import new_file
+from jackbox_env.recording.samples import Samples, samples_of
+from jackbox_env.recording.trajectory import Trajectory
 from jackbox_env.scene import Chirp, Scene
 from jackbox_env.simulators.fidelity import Setting, explicit
 from jackbox_env.states import STATE_NAMES
-from jackbox_env.storage import new_file
-from jackbox_env.trajectory import Trajectory
 
 WALLS = ("right", "top", "left", "bottom")  # of the box, while it is level
 _MOST_LISTED = 2000  # impacts in the page's table: more would make a heavy page that nobody reads

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env import _validation as check
-from jackbox_env.planning import rollout
+from jackbox_env.planning.rollouts import rollout
 from jackbox_env.scene import Scene
 from jackbox_env.states import Array
 from jackbox_env.tasks import Task, task_of

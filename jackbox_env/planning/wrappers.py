@@ -1,7 +1,7 @@
 """Looking ahead as an observation: the wrappers for single and vector environments.
 
 :class:`jackbox_env.sb3_wrappers.LookaheadVecEnv` is that for Stable-Baselines3. All append the same numbers, those of
-:mod:`jackbox_env.futures`.
+:mod:`jackbox_env.planning.features`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from gymnasium.vector import AutoresetMode, VectorActionWrapper, VectorEnv, Vect
 from gymnasium.vector.utils import batch_space
 
 from jackbox_env import _validation as check
-from jackbox_env.futures import Carried, Flags, Floats, Futures
+from jackbox_env.planning.features import Carried, Flags, Floats, Futures
 from jackbox_env.states import Array
 
 
@@ -37,7 +37,7 @@ class Lookahead(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs
 
     Scripted turns speed the box up for two pieces of ``hold`` control steps and stop it in two more. The furthest are
     those that the torque's limit allows. The plan is carried on from step to step and improved in each by ``samples``
-    variations (:mod:`jackbox_env.plans`); an episode starts with none. An agent need not follow it.
+    variations (:mod:`jackbox_env.planning.icem`); an episode starts with none. An agent need not follow it.
 
     Args:
         env: the environment, of either contact model.

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from jackbox_env.recording.files import new_file
 from jackbox_env.simulators import Impact, JackLostError, Simulator
 from jackbox_env.states import STATE_NAMES, STATE_UNITS, Array
-from jackbox_env.storage import new_file
 
 _IMPACT_UNITS = {"time": " [s]", "impulse": " [N s]"}  # wall and foot are numbers
 

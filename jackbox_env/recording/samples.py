@@ -19,11 +19,11 @@ from typing import NamedTuple
 import numpy as np
 
 from jackbox_env.mechanics import energy_of
+from jackbox_env.recording.trajectory import Trajectory
 from jackbox_env.scene import Drive, Scene
 from jackbox_env.simulators import Impact
 from jackbox_env.simulators.replay import Moment, box_energy, flown, replayed
 from jackbox_env.states import Array
-from jackbox_env.trajectory import Trajectory
 
 SPACING = 0.005  # between samples in flight, at most [s]
 MOST = 8000  # stored states that are taken; of more, every second, third, ...

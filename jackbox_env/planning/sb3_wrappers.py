@@ -1,0 +1,122 @@
+"""Wrappers for environments of Stable-Baselines3: actions that are held, and looking ahead."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from jackbox_env import _validation as check
+from jackbox_env.planning.features import Carried, Futures
+from jackbox_env.planning.wrappers import only_one, refuse_early_end, refuse_other_torques
+
+try:
+    from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
+    from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
+except ModuleNotFoundError as error:
+    raise ModuleNotFoundError(check.extra_needed("jackbox_env.sb3_wrappers", "Stable-Baselines3", "train")) from error
+
+
+class HoldingVecEnv(VecEnvWrapper):
+    """Environments that take one action for ``hold`` of their steps and give the sum of the rewards.
+
+    Observation, done and info are those of the last of these steps. An ``episode`` in an info is the environments' own:
+    its length is in their steps.
+
+    Args:
+        venv: the environments. Their episodes must last a multiple of ``hold`` steps.
+        hold: steps that each action is held for.
+    """
+
+    def __init__(self, venv: VecEnv, hold: int) -> None:
+        super().__init__(venv)
+        self.hold = check.whole("hold", hold, at_least=1)
+        self._actions: NDArray[Any] = np.zeros((self.num_envs, 1), dtype=np.float32)
+
+    def reset(self) -> Any:
+        """Start an episode in each environment."""
+        return self.venv.reset()
+
+    def step_async(self, actions: NDArray[Any]) -> None:
+        """Keep the actions, shape (N, 1), for ``step_wait``."""
+        self._actions = actions
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Step ``hold`` times.
+
+        Raises:
+            RuntimeError: an episode ended before the last of these steps.
+        """
+        total = np.zeros(self.num_envs)
+        for taken in range(1, self.hold + 1):
+            observations, rewards, dones, infos = self.venv.step(self._actions)
+            total += rewards
+            refuse_early_end(dones, taken, self.hold)
+        return observations, total.astype(np.float32), dones, infos
+
+
+class LookaheadVecEnv(HoldingVecEnv):
+    """:class:`jackbox_env.Lookahead` of environments of Stable-Baselines3.
+
+    Args:
+        venv: of :func:`jackbox_env.sb3.make_sb3_vec_env`, or of single environments. Their episodes must last a
+            multiple of ``hold`` steps.
+        hold: as in :class:`jackbox_env.Lookahead`, with the rest.
+        turns: as there.
+        samples: as there.
+        pieces: as there.
+        follow: as there.
+        seed: as there.
+        num_threads: as there.
+
+    Raises:
+        TypeError, ValueError: an argument out of its range, or ``venv`` is not of ``JackInBox-v0``.
+    """
+
+    def __init__(
+        self, venv: VecEnv, *, hold: int = 5, turns: int = 9, samples: int = 32, pieces: int = 32,
+        follow: bool = False, seed: int = 0, num_threads: int | None = None,
+    ) -> None:  # fmt: skip
+        try:
+            task, control_dt = (only_one(name, venv.get_attr(name)) for name in ("task", "control_dt"))
+        except AttributeError as error:
+            raise TypeError(f"looking ahead needs JackInBox-v0, got {check.shown(venv)}") from error
+        if follow is True:
+            wrapper = "an action wrapper" * any(venv.env_is_wrapped(gym.ActionWrapper))
+            refuse_other_torques(venv.get_attr("torque_source"), wrapper)
+        super().__init__(venv, hold)
+        futures = Futures(
+            task, control_dt, hold=hold, turns=turns, samples=samples, pieces=pieces, follow=follow, seed=seed,
+            num_threads=num_threads,
+        )  # fmt: skip
+        self.observation_space = futures.space(venv.observation_space)
+        self._carried = Carried(futures, self.num_envs)
+
+    def reset(self) -> Any:
+        """Start an episode in each environment."""
+        observations = self.venv.reset()
+        self._carried.start(np.ones(self.num_envs, dtype=np.bool_))
+        return self._carried.seen(self.venv.get_attr("scene"), observations)  # type: ignore[arg-type]
+
+    def step_async(self, actions: NDArray[Any]) -> None:
+        """Keep the torques that the actions, shape (N, 1), stand for."""
+        self._actions = self._carried.torques(actions)
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Step ``hold`` times and look ahead; the ``terminal_observation`` of an episode's end looks ahead too.
+
+        Raises:
+            RuntimeError: an episode ended before the last of these steps.
+            JackLostError: a jack, or one in a future, cannot be followed. After either, reset before the next step.
+        """
+        scenes = self.venv.get_attr("scene")  # those of the episodes that may end now
+        observations, rewards, dones, infos = super().step_wait()
+        ended = np.flatnonzero(dones)
+        if len(ended):
+            last = np.stack([infos[number]["terminal_observation"] for number in ended.tolist()])
+            for number, row in zip(ended.tolist(), self._carried.last_seen(scenes, last, ended), strict=True):
+                infos[number] = {**infos[number], "terminal_observation": row}
+            self._carried.start(dones)
+        return self._carried.seen(self.venv.get_attr("scene"), observations), rewards, dones, infos  # type: ignore[arg-type]

@@ -1,0 +1,1 @@
+"""Trajectories, the page that animates them, and files."""

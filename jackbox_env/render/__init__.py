@@ -1,0 +1,1 @@
+"""Pictures: the renderer, and the window to play in."""
