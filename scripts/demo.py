@@ -36,13 +36,13 @@ def main() -> None:
 
     arguments = tyro.cli(Arguments, description=__doc__)
     began = time.monotonic()
-    from agents.evaluation import Returns, above, evaluate, find_policy, table
-    from agents.figures import learning_figure
-    from agents.film import film
-    from agents.models import derived_seed, load_model
-    from agents.policies import BASELINES, Baseline, baseline
+    from agents.evaluation.figures import learning_figure
+    from agents.evaluation.film import film
+    from agents.evaluation.returns import Returns, above, evaluate, find_policy, table
+    from agents.policies.scripted import BASELINES, Baseline, baseline
     from agents.runs import describe, machine, versions
-    from agents.training import train
+    from agents.training.models import derived_seed, load_model
+    from agents.training.ppo import train
     from jackbox_env import Scene
     from jackbox_env import _validation as check
     from jackbox_env.recording.files import new_folder, write_json

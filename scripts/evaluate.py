@@ -10,7 +10,7 @@ from agents.settings import EnvSettings
 from jackbox_env.commands.common import command_line, tyro
 
 if TYPE_CHECKING:
-    from agents.policies import Baseline
+    from agents.policies.scripted import Baseline
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ def _refuse_nonsense(arguments: Arguments) -> None:
     if arguments.html is not None:
         check_new(arguments.html, "pages")
     if arguments.film is not None:
-        from agents.film import check_film
+        from agents.evaluation.film import check_film
 
         check_film(arguments.film)
 
@@ -62,10 +62,10 @@ def main() -> None:
     """Parse, evaluate, print the table."""
     arguments = tyro.cli(Arguments, description=__doc__)
     _refuse_nonsense(arguments)
-    from agents.evaluation import evaluate, find_policy, table
-    from agents.models import derived_seed
-    from agents.notes import describe_env, warn_of_other_training
+    from agents.evaluation.notes import describe_env, warn_of_other_training
+    from agents.evaluation.returns import evaluate, find_policy, table
     from agents.runs import versions
+    from agents.training.models import derived_seed
     from jackbox_env.recording.files import write_json
 
     env_settings = arguments.settings.env_settings
@@ -80,7 +80,7 @@ def main() -> None:
         rows.append(evaluate(name, policy, act_in, arguments.episodes, arguments.seed, progress=True))
     print(table(rows))
     if arguments.film is not None:
-        from agents.film import film_episode
+        from agents.evaluation.film import film_episode
 
         film_episode(dict(found), env_settings, arguments.film, derived_seed("evaluation", arguments.seed))
     if arguments.json is not None:
@@ -92,7 +92,7 @@ def main() -> None:
 
 def _write_pages(folder: Path, acts: dict[str, Baseline], settings: EnvSettings, seed: int) -> None:
     """Write an animated page of each policy into a new folder, and say where."""
-    from agents.episodes import write_pages
+    from agents.evaluation.episodes import write_pages
     from jackbox_env.recording.files import new_folder
 
     earned = dict[str, float]()

@@ -22,8 +22,8 @@ class Arguments:
 def main() -> None:
     """Parse, convert, write."""
     arguments = tyro.cli(Arguments, description=__doc__)
-    from agents.exporting import export_policy
-    from agents.network import WEIGHTS
+    from agents.evaluation.exporting import export_policy
+    from agents.policies.network import WEIGHTS
     from agents.runs import read_settings
     from jackbox_env.recording.files import new_folder
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from agents.landing import LandingPolicy, read_landing
-from agents.network import SHIPPED, NetworkPolicy, read_policy
+from agents.policies.network import SHIPPED, NetworkPolicy, read_policy
+from agents.policies.one_bounce import LandingPolicy, read_landing
 from jackbox_env.commands.common import command_line
 from jackbox_env.commands.play import play_with
 

@@ -61,9 +61,9 @@ class Arguments:
 def main() -> None:
     """Parse, run what is to be run, say what failed and where the table is."""
     arguments = tyro.cli(Arguments, description=__doc__)
-    from agents import trials as kinds
-    from agents.journal import JOURNAL, TABLE, carry_out, new_sweep, read_sweep
-    from agents.on_ray import runner_for
+    from agents.sweeps import trials as kinds
+    from agents.sweeps.journal import JOURNAL, TABLE, carry_out, new_sweep, read_sweep
+    from agents.sweeps.on_ray import runner_for
 
     runner = runner_for(arguments.workers, arguments.address)
     if arguments.grid.train is not None and arguments.grid.policy != Grid.policy:

@@ -31,9 +31,9 @@ class Arguments:
 def main() -> None:
     """Parse, train, say where things are."""
     arguments = tyro.cli(Arguments, description=__doc__)
-    from agents.checkpoints import kept_steps
-    from agents.models import make_vec_env
-    from agents.training import MODEL, train
+    from agents.training.checkpoints import kept_steps
+    from agents.training.models import make_vec_env
+    from agents.training.ppo import MODEL, train
 
     if arguments.resume is not None:
         if arguments.settings != TrainSettings() or arguments.folder is not None:

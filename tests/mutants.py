@@ -26,7 +26,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 LAW = ["jackbox_env/mechanics.py", "jackbox_env/complementarity.py", "jackbox_env/compiled/*.py"]
-GROUPS = [(LAW, 30), (["jackbox_env/**/*.py"], 20), (["agents/*.py"], 10)]  # of 60
+GROUPS = [(LAW, 30), (["jackbox_env/**/*.py"], 20), (["agents/**/*.py"], 10)]  # of 60
 OPERATORS = {ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.Pow: ast.Mult}
 COMPARISONS = {ast.Lt: ast.LtE, ast.LtE: ast.Gt, ast.Gt: ast.GtE, ast.GtE: ast.Lt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq}
 COMPARISONS |= {ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In}

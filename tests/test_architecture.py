@@ -67,27 +67,28 @@ PACKAGE = """
     __main__
 """
 AGENTS = """
-    policies preview storage archives timing observing
-    settings extractor
-    playing
-    holding
-    runs film checkpoints
-    sweeping
-    journal
-    on_ray
-    models network
-    value
-    planner landing
-    best evaluation exporting episodes zoo
-    training notes
-    trials
-    figures
+    policies.scripted policies.landing_features files training.archives training.timing policies.observing
+    settings training.extractor
+    policies.playing
+    training.holding
+    runs evaluation.film training.checkpoints
+    sweeps.in_process
+    sweeps.journal
+    sweeps.on_ray
+    training.models policies.network
+    policies.value
+    policies.planner policies.one_bounce
+    training.best evaluation.returns evaluation.exporting evaluation.episodes training.zoo
+    training.ppo evaluation.notes
+    sweeps.trials
+    evaluation.figures
 """
 
 
 EMPTY = {
     f"jackbox_env.{name}" for name in ("batches", "commands", "compiled", "measure", "recording", "render")
 }  # a docstring at most
+EMPTY |= {f"agents.{name}" for name in ("evaluation", "policies", "sweeps", "training")}
 EMPTY |= {"jackbox_env", "agents", "scripts", "scripts.studies"}  # the first: lazy names
 FLOORS = {
     f"{package}.{name}": ground + floor

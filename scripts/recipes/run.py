@@ -29,7 +29,7 @@ def _script(name: str, *arguments: str) -> tuple[str, ...]:
     return (str(HERE / f"with_{name}.py"), *arguments)
 
 
-_ZOO = "-m rl_zoo3.train --algo ppo --env JackInBox-v0 --gym-packages jackbox_env --conf-file agents.zoo"
+_ZOO = "-m rl_zoo3.train --algo ppo --env JackInBox-v0 --gym-packages jackbox_env --conf-file agents.training.zoo"
 RECIPES = {
     "sb3": Recipe(_script("sb3", "--steps", "16384")),
     "sb3_contrib": Recipe(_script("sb3_contrib", "--steps", "1600")),

@@ -20,10 +20,10 @@ import tyro
 from numpy.typing import NDArray
 from tqdm import trange
 
-from agents.landing import LandingPolicy, LandingSettings, landing_times, torques, upright, write_landing
-from agents.network import SHIPPED, Layer
-from agents.observing import mirrored
-from agents.value import UNIT, read_value
+from agents.policies.network import SHIPPED, Layer
+from agents.policies.observing import mirrored
+from agents.policies.one_bounce import LandingPolicy, LandingSettings, landing_times, torques, upright, write_landing
+from agents.policies.value import UNIT, read_value
 from jackbox_env import Rollout, Scene, rollout
 from jackbox_env.commands.common import command_line
 from jackbox_env.recording.files import make_folder

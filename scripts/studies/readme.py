@@ -60,10 +60,10 @@ def returns_table(record: dict[str, Any]) -> str:
 
 def take_picture() -> None:
     """Film chirp, trained network and planner side by side, small enough for a page."""
-    from agents.evaluation import find_policy
-    from agents.film import film
-    from agents.models import derived_seed
+    from agents.evaluation.film import film
+    from agents.evaluation.returns import find_policy
     from agents.settings import EnvSettings
+    from agents.training.models import derived_seed
 
     partial = PICTURE.with_name("new.gif")
     partial.unlink(missing_ok=True)

@@ -17,10 +17,10 @@ import numpy as np
 import tyro
 from tqdm import trange
 
-from agents.network import Layer
-from agents.observing import mirrored
+from agents.policies.network import Layer
+from agents.policies.observing import mirrored
+from agents.policies.value import INPUTS, UNIT, Value, ValuedSearch, write_value
 from agents.settings import EnvSettings
-from agents.value import INPUTS, UNIT, Value, ValuedSearch, write_value
 from jackbox_env import Scene
 from jackbox_env.commands.common import command_line
 from jackbox_env.planning.icem import Search

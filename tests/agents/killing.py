@@ -19,14 +19,14 @@ import numpy as np
 import torch._dynamo  # noqa: F401  # Adam does so at its first use, which takes seconds
 from stable_baselines3.common.vec_env import VecEnv
 
-from agents import best
-from agents.best import BEST, read_evaluations
-from agents.checkpoints import checkpoint_path, kept_steps, read_model_file
-from agents.models import make_vec_env
+from agents.files import read_json
 from agents.runs import EVALUATIONS
 from agents.settings import TrainSettings
-from agents.storage import read_json
-from agents.training import MODEL
+from agents.training import best
+from agents.training.best import BEST, read_evaluations
+from agents.training.checkpoints import checkpoint_path, kept_steps, read_model_file
+from agents.training.models import make_vec_env
+from agents.training.ppo import MODEL
 from scripts import train as command
 
 # Six rollouts, three evaluations, three checkpoints, the first for an evaluation: a fraction of a second.

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from agents import training
 from agents.runs import describe
 from agents.settings import TrainSettings
+from agents.training import ppo as training
 from jackbox_env.recording.files import new_folder
 
 # Seconds instead of minutes: an update every 64 steps of 4 environments.

@@ -20,7 +20,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from agents.policies import BASELINES
+from agents.policies.scripted import BASELINES
 from agents.settings import EnvSettings
 from tests.agents.small_run import TINY
 from tests.states import load

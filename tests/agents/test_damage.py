@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents import best, training
-from agents.best import BEST, read_evaluations
-from agents.checkpoints import CHECKPOINTS, Checkpoint, checkpoint_path, kept_steps, read_model_file, with_note
-from agents.models import load_model
 from agents.runs import EVALUATIONS, describe
-from agents.training import MODEL
+from agents.training import best
+from agents.training import ppo as training
+from agents.training.best import BEST, read_evaluations
+from agents.training.checkpoints import CHECKPOINTS, Checkpoint, checkpoint_path, kept_steps, read_model_file, with_note
+from agents.training.models import load_model
+from agents.training.ppo import MODEL
 from jackbox_env.recording.files import new_folder
 from tests.agents.killing import SMALL, expected_steps, short_episodes
 

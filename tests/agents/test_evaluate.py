@@ -9,13 +9,14 @@ from typing import Any
 
 import pytest
 
-from agents import evaluation, training
-from agents.episodes import page_names, record_episode
-from agents.models import derived_seed
-from agents.network import SHIPPED
-from agents.notes import warn_of_other_training
-from agents.policies import baseline
+from agents.evaluation import returns as evaluation
+from agents.evaluation.episodes import page_names, record_episode
+from agents.evaluation.notes import warn_of_other_training
+from agents.policies.network import SHIPPED
+from agents.policies.scripted import baseline
 from agents.settings import EnvSettings
+from agents.training import ppo as training
+from agents.training.models import derived_seed
 from jackbox_env import Scene
 from tests.agents.small_run import TINY
 from tests.agents.test_commands import script
@@ -40,7 +41,7 @@ def test_pages_have_names_of_their_own() -> None:
 
 
 def test_an_error_leaves_no_pages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from agents import episodes
+    from agents.evaluation import episodes
 
     def full(*given: Any) -> None:
         raise OSError(28, "No space left on device", "pages/level.html")

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 import jackbox_env  # noqa: F401
-from agents import training
-from agents.evaluation import evaluate
-from agents.holding import HoldingPPO
-from agents.models import holding, load_model, make_ppo, make_vec_env
+from agents.evaluation.returns import evaluate
 from agents.runs import describe
+from agents.training import ppo as training
+from agents.training.holding import HoldingPPO
+from agents.training.models import holding, load_model, make_ppo, make_vec_env
 from jackbox_env.recording.files import new_folder
 from tests.agents.small_run import TINY
 

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agents.evaluation import evaluate, find_policy
-from agents.landing import (
+from agents.evaluation.returns import evaluate, find_policy
+from agents.policies.observing import observations
+from agents.policies.one_bounce import (
     AFTER,
     FLOOR,
     LandingPolicy,
@@ -22,7 +23,6 @@ from agents.landing import (
     upright,
     write_landing,
 )
-from agents.observing import observations
 from agents.settings import EnvSettings
 from jackbox_env import Scene, make_simulator
 from jackbox_env.recording.files import write_json

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.holding import HoldingPPO
-from agents.models import make_ppo, make_vec_env
+from agents.training.holding import HoldingPPO
+from agents.training.models import make_ppo, make_vec_env
 from tests.agents.small_run import TINY
 
 LOADING = """

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agents.evaluation import evaluate, find_policy
-from agents.models import holding, make_ppo, make_vec_env
-from agents.network import NetworkPolicy, layers_of, read_policy, write_policy
+from agents.evaluation.returns import evaluate, find_policy
+from agents.policies.network import NetworkPolicy, layers_of, read_policy, write_policy
 from agents.settings import EnvSettings, TrainSettings
+from agents.training.models import holding, make_ppo, make_vec_env
 from jackbox_env.tasks import TASKS
 from tests.agents.small_run import TINY
 
@@ -58,7 +58,8 @@ def test_it_plays_as_the_model_does(settings: TrainSettings, tmp_path: Path) -> 
 def test_it_plays_without_torch() -> None:
     code = (
         "import sys; sys.modules['torch'] = sys.modules['stable_baselines3'] = None\n"
-        "from agents.network import SHIPPED, read_policy; from agents.landing import read_landing\n"
+        "from agents.policies.network import SHIPPED, read_policy\n"
+        "from agents.policies.one_bounce import read_landing\n"
         "import gymnasium as gym, jackbox_env\n"
         "env, policy, state, total = gym.make('JackInBox-v0'), read_policy(SHIPPED / 'juggle-ppo'), None, 0.0\n"
         "seen, _ = env.reset(seed=0)\n"

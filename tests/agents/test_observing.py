@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from agents.observing import mirrored, observations
+from agents.policies.observing import mirrored, observations
 from jackbox_env import Scene, rollout
 from jackbox_env.observation import observe
 from tests.agents.untrained import states_in

@@ -14,11 +14,11 @@ from typing import Any
 
 import pytest
 
-from agents import trials
-from agents.journal import TABLE, TIMES, Outcome, carry_out, new_sweep
-from agents.on_ray import OnRay
 from agents.settings import EnvSettings
-from agents.sweeping import InTurn, Runner, Trial
+from agents.sweeps import trials
+from agents.sweeps.in_process import InTurn, Runner, Trial
+from agents.sweeps.journal import TABLE, TIMES, Outcome, carry_out, new_sweep
+from agents.sweeps.on_ray import OnRay
 from jackbox_env.compiled import compiler
 from tests.agents.small_run import TINY
 from tests.agents.test_sweeping import GRID, rows_of

@@ -8,11 +8,11 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from agents.evaluation import evaluate, find_policy
-from agents.observing import observations
-from agents.planner import Planner
+from agents.evaluation.returns import evaluate, find_policy
+from agents.policies.observing import observations
+from agents.policies.planner import Planner
+from agents.policies.value import Value
 from agents.settings import EnvSettings
-from agents.value import Value
 from jackbox_env import Drive, Scene, Task
 from jackbox_env.observation import observe, state_of
 from jackbox_env.planning.icem import coloured_noise

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from stable_baselines3.common.evaluation import evaluate_policy
 
-from agents.evaluation import Returns, above, evaluate, find_policy, table
-from agents.film import film
-from agents.models import make_ppo, make_vec_env
-from agents.planner import Planner
-from agents.policies import BASELINES, baseline
+from agents.evaluation.film import film
+from agents.evaluation.returns import Returns, above, evaluate, find_policy, table
+from agents.policies.planner import Planner
+from agents.policies.scripted import BASELINES, baseline
 from agents.settings import EnvSettings, TrainSettings
+from agents.training.models import make_ppo, make_vec_env
 from jackbox_env import Scene, make_simulator
 from jackbox_env.recording.trajectory import simulate, write_npz
 

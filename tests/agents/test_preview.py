@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import torch
 
-from agents.models import make_ppo, make_vec_env
-from agents.preview import FEATURES, LONGEST, columns, flight_of, preview
+from agents.policies.landing_features import FEATURES, LONGEST, columns, flight_of, preview
 from agents.settings import PREVIEWED
+from agents.training.models import make_ppo, make_vec_env
 from jackbox_env import Scene, make_simulator
 from jackbox_env.observation import BOUNDS, observe
 from jackbox_env.states import Array

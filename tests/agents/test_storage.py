@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from agents import storage
-from agents.storage import LOCK, DamagedFileError, FolderInUseError, held, read_json
+from agents import files as storage
+from agents.files import LOCK, DamagedFileError, FolderInUseError, held, read_json
 from jackbox_env.recording import files as writing
 from jackbox_env.recording.files import (
     make_filled_folder,

@@ -12,12 +12,12 @@ from typing import Any
 
 import pytest
 
-from agents import journal, trials
-from agents.evaluation import evaluate, find_policy
-from agents.journal import JOURNAL, SWEEP, TABLE, TIMES, carry_out, new_sweep, read_sweep
+from agents.evaluation.returns import evaluate, find_policy
+from agents.files import FolderInUseError, held
 from agents.settings import EnvSettings
-from agents.storage import FolderInUseError, held
-from agents.sweeping import Finished, InThreads, InTurn, Trial, Work, nothing
+from agents.sweeps import journal, trials
+from agents.sweeps.in_process import Finished, InThreads, InTurn, Trial, Work, nothing
+from agents.sweeps.journal import JOURNAL, SWEEP, TABLE, TIMES, carry_out, new_sweep, read_sweep
 from tests.agents.small_run import TINY
 from tests.agents.test_commands import script
 
@@ -65,7 +65,7 @@ def test_a_row_for_each_trial_in_the_order_of_the_grid(tmp_path: Path) -> None:
 def test_the_table_does_not_depend_on_the_order_in_which_trials_finish(
     tmp_path: Path, runner: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("agents.sweeping.LOOK_AGAIN", 0.01)
+    monkeypatch.setattr("agents.sweeps.in_process.LOOK_AGAIN", 0.01)
     table = (carried_out(tmp_path / "in turn") / TABLE).read_bytes()
     assert (carried_out(tmp_path / "other", runner=runner) / TABLE).read_bytes() == table
 

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from stable_baselines3.common.evaluation import evaluate_policy
 
-from agents import training
-from agents.best import choosing_seed
-from agents.checkpoints import Checkpoint, kept_steps
-from agents.models import load_model, make_ppo, make_vec_env
 from agents.runs import describe, read_settings
+from agents.training import ppo as training
+from agents.training.best import choosing_seed
+from agents.training.checkpoints import Checkpoint, kept_steps
+from agents.training.models import load_model, make_ppo, make_vec_env
 from jackbox_env.recording.files import new_folder
 from tests.agents.small_run import TINY
 

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agents import evaluation
-from agents.evaluation import evaluate, find_policy, shipped_names
-from agents.network import SHIPPED, Layer
-from agents.observing import observations
-from agents.planner import Planner
+from agents.evaluation import returns as evaluation
+from agents.evaluation.returns import evaluate, find_policy, shipped_names
+from agents.policies.network import SHIPPED, Layer
+from agents.policies.observing import observations
+from agents.policies.planner import Planner
+from agents.policies.value import UNIT, Value, ValuedSearch, read_value, write_value
 from agents.settings import EnvSettings
-from agents.value import UNIT, Value, ValuedSearch, read_value, write_value
 from jackbox_env import Scene
 from jackbox_env.planning.icem import Search
 from jackbox_env.recording.files import write_json

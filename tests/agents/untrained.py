@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from agents.network import Layer
-from agents.value import INPUTS
+from agents.policies.network import Layer
+from agents.policies.value import INPUTS
 from jackbox_env import Scene
 from jackbox_env.states import Array
 from tests.states import inside

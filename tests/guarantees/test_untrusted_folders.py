@@ -20,16 +20,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agents.archives import unpacked_tensors
-from agents.best import read_evaluations
-from agents.checkpoints import read_model_file
-from agents.journal import JOURNAL, TABLE, carry_out, new_sweep
-from agents.models import load_model, make_ppo, make_vec_env
-from agents.network import WEIGHTS, read_policy
+from agents.files import LOCK
+from agents.policies.network import WEIGHTS, read_policy
 from agents.runs import EVALUATIONS, read_settings
 from agents.settings import TrainSettings
-from agents.storage import LOCK
-from agents.sweeping import InTurn, Trial
+from agents.sweeps.in_process import InTurn, Trial
+from agents.sweeps.journal import JOURNAL, TABLE, carry_out, new_sweep
+from agents.training.archives import unpacked_tensors
+from agents.training.best import read_evaluations
+from agents.training.checkpoints import read_model_file
+from agents.training.models import load_model, make_ppo, make_vec_env
 
 TINY = TrainSettings(num_envs=1, rollout_steps=2, batch_size=2, hidden_units=(4,))
 MOST_TAKEN = 10_000_000  # [bytes]

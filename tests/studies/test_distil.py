@@ -6,8 +6,8 @@ from collections import deque
 
 import numpy as np
 
-from agents.network import SHIPPED
-from agents.value import read_value
+from agents.policies.network import SHIPPED
+from agents.policies.value import read_value
 from scripts.studies import distil
 
 

@@ -45,7 +45,7 @@ def main() -> None:
     import bokeh  # noqa: F401  # refused now rather than after the sweep
     import matplotlib  # noqa: F401
 
-    from agents.on_ray import runner_for
+    from agents.sweeps.on_ray import runner_for
     from jackbox_env import _validation as check
     from scripts.studies.accuracy import sweep
     from scripts.studies.accuracy.claims import claims

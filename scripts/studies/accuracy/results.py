@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import stats
 
-from agents.storage import read_json
+from agents.files import read_json
 from jackbox_env.recording.files import replacing, write_json
 from scripts.studies.accuracy.cases import DIGITS, DT, KINDS, LOSS
 from scripts.studies.accuracy.settings import BATCH, EXACT, PYMUNK, Setting

@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from agents.files import DamagedFileError, held, read_json, say_skipped
 from agents.runs import PACKAGES, machine, versions
-from agents.storage import DamagedFileError, held, read_json, say_skipped
-from agents.sweeping import InTurn, Runner, Trial
+from agents.sweeps.in_process import InTurn, Runner, Trial
 from jackbox_env import Scene, rollout
 from jackbox_env.measure.accuracy import Case, Reference, between, compare, follow, quantities, restarts
 from jackbox_env.recording.files import new_folder, remove_partials, write_json, write_text

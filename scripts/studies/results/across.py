@@ -8,11 +8,11 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from agents.evaluation import evaluate, find_policy
-from agents.models import load_model
-from agents.policies import LevelPolicy, Policy
+from agents.evaluation.returns import evaluate, find_policy
+from agents.policies.scripted import LevelPolicy, Policy
 from agents.settings import DEMO, TrainSettings
-from agents.training import trained_in
+from agents.training.models import load_model
+from agents.training.ppo import trained_in
 from jackbox_env import Scene
 from jackbox_env.recording.files import write_json
 

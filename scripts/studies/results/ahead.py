@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.evaluation import evaluate
-from agents.models import load_model
-from agents.playing import manner_of, play
+from agents.evaluation.returns import evaluate
+from agents.policies.playing import manner_of, play
 from agents.runs import TIME
 from agents.settings import TrainSettings
-from agents.training import trained_in
+from agents.training.models import load_model
+from agents.training.ppo import trained_in
 from jackbox_env.recording.files import write_json
 
 SEEDS = (0, 1, 2, 3, 4)
@@ -40,7 +40,7 @@ class PlanAlone:
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[Any, Any]:
-        """See :class:`agents.policies.Policy`."""
+        """See :class:`agents.policies.scripted.Policy`."""
         return play(self._manner, _no_correction, observation, state, episode_start)
 
 

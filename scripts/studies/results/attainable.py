@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from agents.models import derived_seed
 from agents.settings import EPISODE_STEPS, EnvSettings
+from agents.training.models import derived_seed
 from jackbox_env import JackInBoxVectorEnv, Scene
 from jackbox_env.states import Array
 

@@ -7,8 +7,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.models import derived_seed
 from agents.settings import EPISODE_STEPS
+from agents.training.models import derived_seed
 from jackbox_env import Chirp, JackInBoxVectorEnv, Scene
 
 # Amplitudes over the torque's limit, Hz, Hz/s.

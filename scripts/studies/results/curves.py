@@ -12,8 +12,8 @@ matplotlib.use("Agg")
 
 from matplotlib import pyplot as plt
 
-from agents.figures import ACCENT
-from agents.network import SHIPPED
+from agents.evaluation.figures import ACCENT
+from agents.policies.network import SHIPPED
 from agents.runs import EVALUATIONS
 from jackbox_env.commands.plots import JACK
 from jackbox_env.recording.files import replacing

@@ -30,9 +30,9 @@ class Arguments:
 def main() -> None:
     """Parse, train what is not finished, export."""
     arguments = tyro.cli(Arguments, description=__doc__)
-    from agents.exporting import export_policy
+    from agents.evaluation.exporting import export_policy
     from agents.runs import read_settings
-    from agents.training import trained_in
+    from agents.training.ppo import trained_in
 
     for task in TASKS:
         folder = arguments.out / f"{task}-ppo"

@@ -58,7 +58,7 @@ def measured(task: str, contact: str, name: str, episodes: int) -> dict[str, Any
     """One row: returns, the interquartile mean with its bootstrap interval, seconds for an episode."""
     from scipy.stats import bootstrap
 
-    from agents.evaluation import evaluate, find_policy
+    from agents.evaluation.returns import evaluate, find_policy
     from agents.runs import machine, versions
     from scripts.studies.results.chirps import best_chirp
 
@@ -106,7 +106,7 @@ def rows_of(arguments: Arguments) -> list[dict[str, Any]]:
 
 def trained() -> dict[str, Any]:
     """Settings and times of the networks that come with the repository."""
-    from agents.network import SHIPPED
+    from agents.policies.network import SHIPPED
     from agents.runs import SETTINGS, TIME
 
     files = {"settings": SETTINGS, "time": TIME}

@@ -13,11 +13,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from agents.journal import JOURNAL, TABLE, TIMES, carry_out, new_sweep
-from agents.on_ray import OnRay, sent_to_machines
 from agents.settings import EnvSettings
-from agents.sweeping import InTurn, Runner, Trial
-from agents.trials import policy_trials, run_trial
+from agents.sweeps.in_process import InTurn, Runner, Trial
+from agents.sweeps.journal import JOURNAL, TABLE, TIMES, carry_out, new_sweep
+from agents.sweeps.on_ray import OnRay, sent_to_machines
+from agents.sweeps.trials import policy_trials, run_trial
 from scripts.studies import timing
 
 POLICIES, EPISODES = ("level", "ppo"), 4
@@ -25,8 +25,8 @@ PACKAGES = ("jackbox", "ray", "numpy", "numba", "torch")
 _COMPILING = """
 import time
 from agents.settings import EnvSettings
-from agents.sweeping import attempt
-from agents.trials import evaluated, policy_trials
+from agents.sweeps.in_process import attempt
+from agents.sweeps.trials import evaluated, policy_trials
 began = time.process_time()
 trial, = policy_trials(("zero",), [EnvSettings(contact="exact")], 1, 2)
 done = attempt(evaluated, trial)
@@ -42,7 +42,7 @@ class _Timed:
         self._runner, self.began, self.ends = runner, 0.0, list[float]()
 
     def run(self, *given: Any) -> Iterator[Any]:
-        """See :class:`agents.sweeping.Runner`."""
+        """See :class:`agents.sweeps.in_process.Runner`."""
         self.began = time.perf_counter()
         for done in self._runner.run(*given):
             self.ends.append(time.perf_counter())

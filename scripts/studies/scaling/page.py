@@ -47,8 +47,8 @@ processor the table has the same bytes in this process, on cores and on a cluste
   ends with status 1. `--resume` tries it again.
 - **The code or a version changes**: the sweep is not continued, and the sentence says what changed.
 
-Sweeps stand on Ray's plain tasks (`agents/on_ray.py`). Ray Tune would add schedulers that stop trials early, and seven
-packages.
+Sweeps stand on Ray's plain tasks (`agents/sweeps/on_ray.py`). Ray Tune would add
+schedulers that stop trials early, and seven packages.
 
 ## Training itself on more cores: RLlib
 

@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from agents.models import derived_seed
-from agents.policies import Policy
-from agents.storage import DamagedFileError, parsing, say_skipped
-from agents.sweeping import InTurn, Runner, Trial
+from agents.files import DamagedFileError, parsing, say_skipped
+from agents.policies.scripted import Policy
+from agents.sweeps.in_process import InTurn, Runner, Trial
+from agents.training.models import derived_seed
 from jackbox_env import FIDELITIES, Impact, Scene, make_simulator
 from jackbox_env.observation import observe
 from jackbox_env.recording.files import make_folder, write_bytes

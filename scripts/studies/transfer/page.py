@@ -18,9 +18,9 @@ matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 from scipy import stats
 
-from agents.figures import ACCENT
+from agents.evaluation.figures import ACCENT
+from agents.files import read_json
 from agents.runs import machine, read_settings, versions
-from agents.storage import read_json
 from jackbox_env.recording.files import replacing, write_text
 from scripts.studies.readme import fill
 from scripts.studies.transfer.inference import MOST_TRAININGS, Estimate, crossed_estimate, t_estimate

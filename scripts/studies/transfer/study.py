@@ -28,16 +28,16 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from agents.best import BEST
-from agents.checkpoints import is_whole, kept_steps
-from agents.evaluation import evaluate
-from agents.models import load_model
-from agents.policies import Policy, baseline
+from agents.evaluation.returns import evaluate
+from agents.files import DamagedFileError, held, read_json, say_skipped
+from agents.policies.scripted import Policy, baseline
 from agents.runs import SETTINGS, describe, read_settings, versions
 from agents.settings import TaskName, TrainSettings
-from agents.storage import DamagedFileError, held, read_json, say_skipped
-from agents.sweeping import InThreads, InTurn, Runner, Trial
-from agents.training import MODEL, trained_in
+from agents.sweeps.in_process import InThreads, InTurn, Runner, Trial
+from agents.training.best import BEST
+from agents.training.checkpoints import is_whole, kept_steps
+from agents.training.models import load_model
+from agents.training.ppo import MODEL, trained_in
 from jackbox_env import FIDELITIES, Scene
 from jackbox_env import _validation as check
 from jackbox_env.recording.files import make_folder, new_folder, write_json

@@ -40,8 +40,8 @@ class Arguments:
 def main() -> None:
     """Parse, train, run, write."""
     arguments = tyro.cli(Arguments, description=__doc__)
-    from agents.on_ray import OnRay
-    from agents.storage import held
+    from agents.files import held
+    from agents.sweeps.on_ray import OnRay
     from jackbox_env.recording.files import remove_partials
     from scripts.studies.transfer import study
     from scripts.studies.transfer.page import SCRIPT, gather, read_data, write

@@ -1,4 +1,4 @@
-"""PPO whose trained model plays in the ordinary environment as it was trained to: see :mod:`agents.playing`."""
+"""PPO whose model plays in the ordinary environment as it was trained to: see ``agents/policies/playing.py``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from stable_baselines3 import PPO
 
-from agents.playing import Manner, manner_of, play
+from agents.policies.playing import Manner, manner_of, play
 from agents.settings import TrainSettings
 
 
@@ -19,7 +19,7 @@ class HoldingPPO(PPO):
     ``predict`` returns a state. Pass it back in, as ``evaluate_policy`` does. Without it every call chooses anew.
 
     A saved model loads without this project by ``stable_baselines3.PPO.load``: it keeps its settings as plain values.
-    Only a model that was trained with the preview of the landing needs ``agents.extractor``, so a checkout.
+    Only a model that was trained with the preview of the landing needs ``agents.training.extractor``, so a checkout.
     """
 
     manner: Manner = Manner()
@@ -47,7 +47,7 @@ class HoldingPPO(PPO):
         episode_start: NDArray[Any] | None = None,
         deterministic: bool = False,
     ) -> tuple[NDArray[Any], Any]:
-        """Return actions and the state for the next call, see :func:`agents.playing.play`.
+        """Return actions and the state for the next call, see :func:`agents.policies.playing.play`.
 
         Args:
             observation: shape (n, 10) or (10,).

@@ -13,7 +13,7 @@ from PIL import Image, ImageDraw, ImageFont
 from tqdm import tqdm
 
 import jackbox_env  # noqa: F401
-from agents.policies import Baseline
+from agents.policies.scripted import Baseline
 from agents.settings import EPISODE_STEPS
 from jackbox_env.recording.files import check_new, replacing
 from jackbox_env.render.canvas import import_pygame

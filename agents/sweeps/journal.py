@@ -26,9 +26,9 @@ from typing import Any, NamedTuple, TypeVar
 
 from tqdm import tqdm
 
+from agents.files import DamagedFileError, held, own_file, parsing, read_json, say_skipped
 from agents.runs import PACKAGES, machine, versions
-from agents.storage import DamagedFileError, held, own_file, parsing, read_json, say_skipped
-from agents.sweeping import Finished, Runner, Trial, Work
+from agents.sweeps.in_process import Finished, Runner, Trial, Work
 from jackbox_env.recording.files import check_writable, new_folder, remove_partials, write_json, write_text
 
 SWEEP, JOURNAL, TABLE, TIMES = "sweep.json", "trials.jsonl", "table.csv", "times.csv"
@@ -37,7 +37,7 @@ _TIMED = {"seconds": float | int, "place": str, "processor": str}
 _TOLD = {"result": dict | None, "error": str | None, "details": str, **_TIMED}
 _LINE = {"key": str, "settings": dict, **_TOLD}
 _Made = TypeVar("_Made")
-_ROOT = Path(__file__).parents[1]
+_ROOT = Path(__file__).parents[2]
 _TABLE_EVERY = 10.0  # [s] between two versions of the table
 _SHARE = 20.0  # times as long as writing one takes
 

@@ -4,13 +4,13 @@ From the ten numbers it knows when the jack lands. For every pair of a box angle
 out, in closed form, what one bounce on such a floor makes of the jack, and a network says what that is worth. Then it
 turns the box to the best pair, by the cubic in time that ends there at the landing. It tries no sequences of torques.
 
-The network is a value as the planner's (:mod:`agents.value`), improved on what this policy itself goes through
+The network is a value as the planner's (:mod:`agents.policies.value`), improved on what this policy itself goes through
 (``scripts/studies/distil.py``).
 
 A folder of such a policy holds
 
 landing.json    what it was made for, and the lists
-weights.npz     as in :mod:`agents.value`
+weights.npz     as in :mod:`agents.policies.value`
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.network import Layer, read_with_layers, write_layers
-from agents.observing import observations
-from agents.playing import Manner, Playing, play
-from agents.policies import Actions
-from agents.preview import flight_of, preview
+from agents.policies.landing_features import flight_of, preview
+from agents.policies.network import Layer, read_with_layers, write_layers
+from agents.policies.observing import observations
+from agents.policies.playing import Manner, Playing, play
+from agents.policies.scripted import Actions
+from agents.policies.value import Value
 from agents.settings import EPISODE_STEPS, EnvSettings
-from agents.value import Value
 from jackbox_env import Scene
 from jackbox_env import _validation as check
 from jackbox_env.complementarity import dots
@@ -154,7 +154,7 @@ class LandingPolicy:
 
     Args:
         settings: what it was made for.
-        layers: of the value, see :class:`agents.value.Value`.
+        layers: of the value, see :class:`agents.policies.value.Value`.
 
     Raises:
         ValueError: the layers make no value.
@@ -168,7 +168,7 @@ class LandingPolicy:
     def predict(
         self, observation: Any, state: Playing | None = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[Actions, Playing]:
-        """Return actions and the state for the next call, see :func:`agents.playing.play`."""
+        """Return actions and the state for the next call, see :func:`agents.policies.playing.play`."""
         return play(self._manner, self.act, observation, state, episode_start)
 
     def act(self, rows: NDArray[Any]) -> Actions:

@@ -11,7 +11,7 @@ from matplotlib import pyplot as plt
 from jackbox_env.commands.plots import JACK, write_figure
 
 if TYPE_CHECKING:
-    from agents.evaluation import Returns
+    from agents.evaluation.returns import Returns
 
 ACCENT = "#666666"
 

@@ -9,14 +9,14 @@ import numpy as np
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv
 
-from agents.archives import unpacked_tensors
-from agents.checkpoints import read_model_file
-from agents.extractor import WithPreview
-from agents.holding import HoldingPPO
-from agents.preview import flight_of
+from agents.files import DamagedFileError, say_skipped
+from agents.policies.landing_features import flight_of
 from agents.runs import SETTINGS, read_settings
 from agents.settings import TrainSettings
-from agents.storage import DamagedFileError, say_skipped
+from agents.training.archives import unpacked_tensors
+from agents.training.checkpoints import read_model_file
+from agents.training.extractor import WithPreview
+from agents.training.holding import HoldingPPO
 from jackbox_env import Scene
 from jackbox_env.planning.sb3_wrappers import HoldingVecEnv, LookaheadVecEnv
 from jackbox_env.sb3 import make_sb3_vec_env
@@ -55,7 +55,7 @@ def make_ppo(settings: TrainSettings, environments: VecEnv, **more: Any) -> Hold
     """An untrained PPO model of these settings, for environments as :func:`holding` makes them.
 
     Its ``predict`` plays in environments that ask at every control step. What it saves loads without this project,
-    except where ``settings.preview`` is on: then ``agents.extractor`` must be importable, as it is in a checkout.
+    except where ``settings.preview`` is on: then ``agents.training.extractor`` must be importable, as in a checkout.
     """
     model = HoldingPPO(
         "MlpPolicy",

@@ -1,4 +1,4 @@
-"""Run many trials in this process; :mod:`agents.on_ray` runs them on more cores and machines.
+"""Run many trials in this process; :mod:`agents.sweeps.on_ray` runs them on more cores and machines.
 
 A trial is its settings, plain JSON. What runs it is a function from settings to a result, plain JSON too. A runner
 gives trials to that function and yields them as they finish, whatever their order; it keeps nothing. A trial that

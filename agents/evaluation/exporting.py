@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from agents.models import load_model, run_folder
-from agents.network import layers_of, write_policy
+from agents.policies.network import layers_of, write_policy
 from agents.runs import EVALUATIONS, TIME, read_settings
+from agents.training.models import load_model, run_folder
 from jackbox_env.recording.files import write_bytes
 
 
@@ -15,7 +15,7 @@ def export_policy(run: Path, folder: Path) -> None:
 
     Args:
         run: run folder, or a model file in one.
-        folder: that the files are written to, see :mod:`agents.network`.
+        folder: that the files are written to, see :mod:`agents.policies.network`.
 
     Raises:
         FileNotFoundError, ValueError: as :func:`load_model`.

@@ -16,8 +16,8 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from agents.journal import differing, made_with
-from agents.sweeping import LOOK_AGAIN, Finished, InTurn, Runner, Trial, Work, attempt, nothing
+from agents.sweeps.in_process import LOOK_AGAIN, Finished, InTurn, Runner, Trial, Work, attempt, nothing
+from agents.sweeps.journal import differing, made_with
 from jackbox_env import _validation as check
 from jackbox_env.compiled import compiler
 
@@ -25,7 +25,7 @@ RETRIES = 4  # of a trial whose worker has died; then it has failed
 AHEAD = 8  # trials given to the cluster for each of its cores: short ones do not wait for this process
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 _ANSWERS = 10.0  # [s] that a cluster's head has to answer
-_ROOT = Path(__file__).parents[1]
+_ROOT = Path(__file__).parents[2]
 _SENT = ("jackbox_env", "agents", "scripts", "tests/data")  # of the checkout; what is not there is left out
 _CODE = "compiled"  # folder of compiled code, beside them
 
@@ -65,7 +65,7 @@ class OnRay:
         self._workers, self._address = workers, address
 
     def run(self, trials: Iterable[Trial], work: Work, look: Callable[[], None] = nothing) -> Iterator[Finished]:
-        """See :class:`agents.sweeping.Runner`; a machine that joins the cluster meanwhile is used.
+        """See :class:`agents.sweeps.in_process.Runner`; a machine that joins the cluster meanwhile is used.
 
         Raises:
             ConnectionError: there is no cluster at the address.
@@ -160,7 +160,7 @@ _here: dict[str, str] = {}
 
 
 def _made_with_once() -> dict[str, str]:
-    """As :func:`agents.journal.made_with`, which reads all of the code, once for each process."""
+    """As :func:`agents.sweeps.journal.made_with`, which reads all of the code, once for each process."""
     if not _here:
         _here.update(made_with())
     return _here

@@ -13,12 +13,12 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.evaluation import evaluate_policy
 
-from agents.archives import unpacked_arrays
-from agents.checkpoints import Checkpoint, checkpoint_path, is_whole, model_file, read_model_file, with_note
-from agents.models import derived_seed, make_vec_env
+from agents.files import DamagedFileError, parsing, say_skipped
 from agents.runs import EVALUATIONS
 from agents.settings import TrainSettings
-from agents.storage import DamagedFileError, parsing, say_skipped
+from agents.training.archives import unpacked_arrays
+from agents.training.checkpoints import Checkpoint, checkpoint_path, is_whole, model_file, read_model_file, with_note
+from agents.training.models import derived_seed, make_vec_env
 from jackbox_env.recording.files import write_bytes
 
 BEST = "best_model.zip"

@@ -6,7 +6,7 @@ as a longer one.
 A folder of a value holds
 
 value.json      the environment that it was made in
-weights.npz     as in :mod:`agents.network`; tanh stands between the layers, the last gives rewards in units of ``UNIT``
+weights.npz     as in :mod:`.network`; tanh stands between the layers, the last gives rewards in units of ``UNIT``
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.network import Layer, read_with_layers, write_layers
-from agents.observing import observations
-from agents.preview import FEATURES, flight_of, preview
+from agents.policies.landing_features import FEATURES, flight_of, preview
+from agents.policies.network import Layer, read_with_layers, write_layers
+from agents.policies.observing import observations
 from agents.settings import EnvSettings
 from jackbox_env import JackInBoxEnv, Scene
 from jackbox_env.observation import BOUNDS

@@ -11,14 +11,14 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from agents.checkpoints import is_whole
-from agents.evaluation import Returns, evaluate, find_policy
-from agents.models import load_model, make_vec_env
+from agents.evaluation.returns import Returns, evaluate, find_policy
+from agents.files import held
 from agents.runs import read_settings
 from agents.settings import EnvSettings, TrainSettings
-from agents.storage import held
-from agents.sweeping import Trial
-from agents.training import MODEL, trained_in
+from agents.sweeps.in_process import Trial
+from agents.training.checkpoints import is_whole
+from agents.training.models import load_model, make_vec_env
+from agents.training.ppo import MODEL, trained_in
 from jackbox_env import FIDELITIES
 from jackbox_env import _validation as check
 from jackbox_env.commands.common import json_object

@@ -6,13 +6,13 @@ import sys
 from dataclasses import fields, replace
 from pathlib import Path
 
-from agents.evaluation import shipped_names
-from agents.landing import LANDING, read_landing
-from agents.models import run_folder
-from agents.network import SHIPPED
-from agents.policies import BASELINES
+from agents.evaluation.returns import shipped_names
+from agents.policies.network import SHIPPED
+from agents.policies.one_bounce import LANDING, read_landing
+from agents.policies.scripted import BASELINES
 from agents.runs import SETTINGS, read_settings
 from agents.settings import EnvSettings
+from agents.training.models import run_folder
 
 PLANNER = "planner"
 

@@ -14,8 +14,8 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.save_util import load_from_zip_file
 
-from agents.archives import read_member, unpacked_tensors
-from agents.storage import DamagedFileError, parsing, say_skipped
+from agents.files import DamagedFileError, parsing, say_skipped
+from agents.training.archives import read_member, unpacked_tensors
 from jackbox_env.recording.files import make_folder, write_bytes
 
 CHECKPOINTS = "checkpoints"

@@ -8,7 +8,7 @@ import gymnasium as gym
 import torch
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
-from agents.preview import FEATURES, Flight, columns
+from agents.policies.landing_features import FEATURES, Flight, columns
 from jackbox_env.observation import BOUNDS
 
 

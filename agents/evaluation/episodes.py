@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 import numpy as np
 
-from agents.models import derived_seed
-from agents.policies import Baseline
+from agents.policies.scripted import Baseline
 from agents.settings import EnvSettings
+from agents.training.models import derived_seed
 from jackbox_env import Scene
 from jackbox_env.recording.page import model_facts, write_page
 from jackbox_env.recording.trajectory import Recording, Trajectory

@@ -13,8 +13,12 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList, ProgressBarCallback
 from stable_baselines3.common.logger import configure
 
-from agents.best import KeepBest, best_mean, read_evaluations
-from agents.checkpoints import (
+from agents.files import held
+from agents.policies.network import WEIGHTS
+from agents.runs import SETTINGS, TIME, describe, read_settings
+from agents.settings import TrainSettings
+from agents.training.best import KeepBest, best_mean, read_evaluations
+from agents.training.checkpoints import (
     CHECKPOINTS,
     Checkpoint,
     Saved,
@@ -23,12 +27,8 @@ from agents.checkpoints import (
     latest_checkpoint,
     model_file,
 )
-from agents.models import derived_seed, holding, make_ppo, make_vec_env
-from agents.network import WEIGHTS
-from agents.runs import SETTINGS, TIME, describe, read_settings
-from agents.settings import TrainSettings
-from agents.storage import held
-from agents.timing import Spent, TimedVecEnv, told
+from agents.training.models import derived_seed, holding, make_ppo, make_vec_env
+from agents.training.timing import Spent, TimedVecEnv, told
 from jackbox_env.recording.files import check_writable, new_folder, remove_partials, write_bytes, write_json
 
 MODEL = "model.zip"

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.playing import starting, ten_numbers
-from agents.policies import Actions
-from agents.value import Value, ValuedSearch
+from agents.policies.playing import starting, ten_numbers
+from agents.policies.scripted import Actions
+from agents.policies.value import Value, ValuedSearch
 from jackbox_env import Scene, Task
 from jackbox_env import _validation as check
 from jackbox_env.observation import state_of

@@ -12,13 +12,13 @@ from scipy import stats
 from stable_baselines3.common.evaluation import evaluate_policy
 from tqdm import tqdm
 
-from agents.landing import LANDING, read_landing
-from agents.models import derived_seed, load_model, make_vec_env
-from agents.network import SHIPPED, WEIGHTS, read_policy
-from agents.planner import DECISION, VALUED_PIECES, Planner
-from agents.policies import BASELINES, Baseline, Policy, baseline
+from agents.policies.network import SHIPPED, WEIGHTS, read_policy
+from agents.policies.one_bounce import LANDING, read_landing
+from agents.policies.planner import DECISION, VALUED_PIECES, Planner
+from agents.policies.scripted import BASELINES, Baseline, Policy, baseline
+from agents.policies.value import VALUE, read_value
 from agents.settings import EPISODE_STEPS, EnvSettings
-from agents.value import VALUE, read_value
+from agents.training.models import derived_seed, load_model, make_vec_env
 from jackbox_env import Scene
 
 

@@ -22,12 +22,12 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.archives import unpacked_arrays
-from agents.playing import Playing, manner_of, play
-from agents.policies import Actions
-from agents.preview import FEATURES, flight_of, preview
+from agents.policies.landing_features import FEATURES, flight_of, preview
+from agents.policies.playing import Playing, manner_of, play
+from agents.policies.scripted import Actions
 from agents.runs import SETTINGS, read_settings
 from agents.settings import FORESEEN, MOST_LAYERS, MOST_WEIGHTS, TrainSettings
+from agents.training.archives import unpacked_arrays
 from jackbox_env import Scene
 from jackbox_env.observation import BOUNDS
 from jackbox_env.recording.files import write_bytes, write_json
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from stable_baselines3 import PPO
 
 WEIGHTS = "weights.npz"
-SHIPPED = Path(__file__).parent / "trained"  # a folder <task>-<name> of each policy that comes with the repository
+SHIPPED = Path(__file__).parents[1] / "trained"  # a folder <task>-<name> of each policy that comes with the repository
 _Made = TypeVar("_Made")
 Layer = tuple[NDArray[np.float32], NDArray[np.float32]]  # weight and bias
 _MOST_SETTINGS = 100_000  # [bytes] of a JSON file
@@ -70,7 +70,7 @@ class NetworkPolicy:
     def predict(
         self, observation: Any, state: Playing | None = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[Actions, Playing]:
-        """Return actions and the state for the next call, see :func:`agents.playing.play`; always the mean's."""
+        """Return actions and the state for the next call, see :func:`.playing.play`; always the mean's."""
         return play(self._manner, self.act, observation, state, episode_start)
 
     def act(self, seen: NDArray[Any]) -> Actions:

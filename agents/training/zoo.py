@@ -1,14 +1,14 @@
 """The settings of ``make demo`` for RL Baselines3 Zoo (``pip install rl_zoo3``), which then does the training.
 
-python -m rl_zoo3.train --algo ppo --env JackInBox-v0 --gym-packages jackbox_env --conf-file agents.zoo
+python -m rl_zoo3.train --algo ppo --env JackInBox-v0 --gym-packages jackbox_env --conf-file agents.training.zoo
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-from agents.models import policy_kwargs
 from agents.settings import DEMO, TrainSettings
+from agents.training.models import policy_kwargs
 
 
 def zoo_settings(settings: TrainSettings) -> dict[str, Any]:

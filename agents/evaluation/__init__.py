@@ -1,0 +1,1 @@
+"""Returns of policies, their films and pages."""

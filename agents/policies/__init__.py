@@ -1,0 +1,1 @@
+"""Policies: scripted, planning, one bounce, trained networks."""

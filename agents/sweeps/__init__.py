@@ -1,0 +1,1 @@
+"""Many trainings and evaluations, in this process or on Ray."""

@@ -1,0 +1,1 @@
+"""PPO training in a run folder."""
