@@ -157,7 +157,7 @@ class _Reading:
     def _taken(self, value: Any, names: tuple[str, ...], instead: Mapping[str, Any] | None) -> tuple[Any, str]:
         """What stands in compiled code for something that a function uses, and its text."""
         if isinstance(value, FunctionType) and value in address.CALLED:
-            return address.compiled_call(address.CALLED[value]), address.CALLED[value]
+            return address.compiled_call(value), address.CALLED[value]
         if isinstance(value, FunctionType) and _root(value.__globals__) not in _NOT_READ:
             return self.compiled(value, instead)
         if isinstance(value, ModuleType):
@@ -190,20 +190,21 @@ class _Reading:
 
 
 def _jitted(twin: FunctionType, inner: bool, checked: bool, keep: bool) -> Callable[..., Any]:
-    from numba import njit
-    from numba.extending import is_jitted
+    from numba import config, njit
 
     from jackbox_env.compiled.kept import CodeCache
 
+    if config.DISABLE_JIT:  # type: ignore[attr-defined]
+        return twin if inner else np.errstate(all="ignore")(twin)  # compiled integers wrap around in silence
     # Without the runtime that counts references to arrays: nothing compiled here makes an array, and counting took
     # two thirds of a step.
     settings: dict[str, Any] = {"nogil": True, "error_model": "python" if checked else "numpy", "_nrt": False}
     if inner:  # a third of the time to compile goes without ways in from Python
         settings |= {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     dispatcher = njit(**settings)(twin)
-    if keep and is_jitted(dispatcher) and (folders := _cache_folders()):  # NUMBA_DISABLE_JIT leaves the plain function
+    if keep and (folders := _cache_folders()):
         # where njit(cache=True) puts numba's own
-        dispatcher._cache = CodeCache(twin, folders)  # type: ignore[attr-defined]
+        dispatcher._cache = CodeCache(twin, folders)
     return cast(Callable[..., Any], dispatcher)
 
 
