@@ -159,8 +159,12 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         return [self.scene_of(number) for number in range(self.num_envs)]
 
     def scene_of(self, number: int) -> Scene:
-        """The scene of one environment as it holds now."""
-        return self._batch.scene(number)
+        """The scene of the environment of that number as it holds now.
+
+        Raises:
+            TypeError, ValueError: there is none of that number.
+        """
+        return self._batch.scene(check.whole("number", number, at_least=0, at_most=self.num_envs - 1))
 
     @property
     def scene(self) -> Scene:
@@ -250,7 +254,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         return self.observations, self._fresh_infos(plan.chosen) if self._with_infos else {}
 
     def check_reset(self, seed: int | Sequence[int | None] | None, options: Mapping[str, Any] | None) -> ResetPlan:
-        """Check all that a reset is given, and change nothing.
+        """Check what a reset is given, and change nothing. Scenes, and states in them, are checked by the reset itself.
 
         Raises:
             TypeError, ValueError: an unusable seed or option.

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from jackbox_env import _validation as check
 from jackbox_env.observation import BOUNDS, observe, state_of
 from jackbox_env.planning.icem import Plans, Search
-from jackbox_env.planning.rollouts import Rollout, rollout
+from jackbox_env.planning.rollouts import play
 from jackbox_env.scene import Scene
 from jackbox_env.states import Array
 from jackbox_env.tasks import Task
@@ -127,10 +127,9 @@ class Futures:
             plans: those of the last look.
         """
         one_for_all = all(one is scenes[0] or one == scenes[0] for one in scenes)
-        undriven = [one.changed(drive=None) for one in (scenes[:1] if one_for_all else scenes)]
-        each, scene = (undriven * len(observations), undriven[0]) if one_for_all else (undriven, undriven)
+        each, scene = (scenes[:1] * len(observations), scenes[0]) if one_for_all else (scenes, scenes)
         states = np.array([state_of(one, row) for one, row in zip(each, observations.tolist(), strict=True)])
-        parts = [self._next_impact(scene, each, states)]
+        parts = [self._next_impact(scenes[:1] if one_for_all else scenes, each, states)]
         turned, turns = None, self._turns(each, states)
         if self.planned:
             found, plans = self._search.decide(scene, states, plans, turns)
@@ -146,19 +145,18 @@ class Futures:
         appended = np.concatenate(parts, axis=1)
         return np.clip(appended, self.low, self.high).astype(np.float32), plans
 
-    def _next_impact(self, scene: Scene | list[Scene], each: list[Scene], states: Array) -> Array:
+    def _next_impact(self, scenes: list[Scene], each: list[Scene], states: Array) -> Array:
         """When the next impact comes without torque, in shares of a future, 1 for none; what is seen after it."""
-        search, count = self._search, len(states)
-        found = rollout(
-            scene, states, np.zeros((count, search.pieces)), search.control_dt, impacts=True, repeat=search.piece,
-            num_threads=search.num_threads,
+        search = self._search
+        found = play(
+            scenes, states, np.zeros((len(states), search.pieces)), search.control_dt, driven=False, impacts=True,
+            repeat=search.piece, until_impact=True, num_threads=search.num_threads,
         )  # fmt: skip
-        assert isinstance(found, Rollout)
         assert found.impacts is not None
         struck = found.impacts > 0
         first = np.where(struck.any(axis=1), struck.argmax(axis=1) + 1, self._steps)
-        after = found.trajectories[np.arange(count), first]
-        seen = [observe(one, state) for one, state in zip(each, after.tolist(), strict=True)]
+        after = found.trajectories[:, 1].tolist()
+        seen = [observe(one, state) for one, state in zip(each, after, strict=True)]
         return np.concatenate([first[:, None] / self._steps, seen], axis=1)
 
     def _turns(self, each: list[Scene], states: Array) -> Array:

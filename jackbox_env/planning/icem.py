@@ -2,7 +2,7 @@
 
 iCEM, the improved cross-entropy method (Pinneri et al. 2020, arXiv:2008.06389): coloured noise around the last plan,
 the best candidates make the next mean, some of them are kept. All that are due are played in one
-:func:`jackbox_env.rollout`. A candidate that cannot be followed raises JackLostError.
+compiled call. A candidate that cannot be followed raises JackLostError.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env import _validation as check
-from jackbox_env.planning.rollouts import rollout
+from jackbox_env.planning.rollouts import play
 from jackbox_env.scene import Scene
 from jackbox_env.states import Array
 from jackbox_env.tasks import Task, task_of
@@ -138,17 +138,16 @@ class Search:
         return noise
 
     def play(self, scene: Scene | list[Scene], states: Array, tried: Array) -> tuple[Array, Array]:
-        """Play candidates, shape (n, k, pieces), from states, (n, 12): sums of rewards (n, k), and ends (n, k, 12)."""
+        """Play candidates, shape (n, k, pieces), from states, (n, 12): sums of rewards (n, k), and ends (n, k, 12).
+
+        No drive acts.
+        """
         count, many = tried.shape[:2]
-        scenes: Scene | list[Scene]
-        if isinstance(scene, Scene):
-            scenes, limits = scene, np.array([[scene.torque_limit]])
-        else:
-            scenes = [one for one in scene for _ in range(many)]
-            limits = np.array([[one.torque_limit] for one in scenes])
-        found = rollout(
+        scenes = [scene] if isinstance(scene, Scene) else [one for one in scene for _ in range(many)]
+        limits = np.array([[one.torque_limit] for one in scenes])
+        found = play(
             scenes, np.repeat(states, many, axis=0), tried.reshape(count * many, -1) * limits, self.control_dt,
-            rewards=self.task, repeat=self.piece, trajectories=False, num_threads=self.num_threads,
+            driven=False, task=self.task, repeat=self.piece, num_threads=self.num_threads,
         )  # fmt: skip
         assert found.rewards is not None
         return found.rewards.sum(axis=1).reshape(count, many), found.trajectories[:, 1].reshape(count, many, 12)

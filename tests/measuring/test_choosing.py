@@ -9,7 +9,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from jackbox_env import FIDELITIES, JackInBoxVectorEnv, Scene, cheapest, choosing
+from jackbox_env import FIDELITIES, JackInBoxVectorEnv, Scene, cheapest
+from jackbox_env.measure import choosing
 from jackbox_env.simulators.fidelity import Setting, resolve
 
 WEIGHTLESS = {"gravity": 0.0, "drive": None}

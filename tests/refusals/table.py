@@ -275,6 +275,9 @@ def methods_of(contact: str) -> Iterator[Row]:
         "options['reset_mask']", nothing=None, none=out(np.zeros(3, dtype=bool), "got none")
     )
     yield row("JackInBoxVectorEnv.reset", own, vector)
+    seen_first = {name: one for name, one in own.items() if name not in (FROM, "options.scene")}
+    yield row("JackInBoxVectorEnv.check_reset", seen_first, vector)
+    yield row("JackInBoxVectorEnv.scene_of", {"number": whole(1, 0, 2)}, vector)
     yield row("JackInBoxVectorEnv.step", {"actions": ACTIONS}, vector)
     placed = {"states": rows_of(array(ROWS), 1.0), "times": TIMES, "chosen": mask([True, False, True])}
     yield row("JackInBoxVectorEnv.set_states", placed, vector)

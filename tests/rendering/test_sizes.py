@@ -9,7 +9,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from jackbox_env import JackInBoxEnv, JackInBoxVectorEnv, Scene, rendering
+from jackbox_env import JackInBoxEnv, JackInBoxVectorEnv, Scene
+from jackbox_env.render import renderer as drawing
 from jackbox_env.render.canvas import TRACK
 from jackbox_env.render.renderer import Renderer
 from jackbox_env.render.tiles import GAP
@@ -43,8 +44,8 @@ def test_both_ways_of_drawing_bands_give_one_picture(monkeypatch: pytest.MonkeyP
     renderer.reset(state(box=(1.0, 2.0, 0.3), jack=(1.5, 0.5, 0.7)), 0.0)
     frames = []
     for most in (0, 10**9):
-        monkeypatch.setattr(rendering, "_SMALL", most)
-        monkeypatch.setattr(rendering, "_SHORT", most)
+        monkeypatch.setattr(drawing, "_SMALL", most)
+        monkeypatch.setattr(drawing, "_SHORT", most)
         frames.append(draw(renderer).astype(int))
     assert np.mean(np.abs(frames[0] - frames[1]) > 12) < 0.004  # the corners, where two bands lie on each other
 
