@@ -17,6 +17,7 @@ from jackbox_env.batches.given import Given
 from jackbox_env.env import JackInBoxEnv, Randomize
 from jackbox_env.randomization import Randomization
 from jackbox_env.scene import Scene
+from jackbox_env.simulators import contact_model
 from jackbox_env.states import Array, as_held, as_start
 from jackbox_env.tasks import Task, task_of
 
@@ -24,7 +25,6 @@ Infos = dict[str, Any]
 Step = tuple[Floats, Array, Flags, Flags, Infos]
 
 _MOST_ENVS = 1_000_000_000
-_ROOM = {"pymunk": 130_000, "exact": 500}  # [bytes] that an environment takes, about
 _NO_LIMIT = 10**15  # steps; float64 counts them all
 
 
@@ -125,7 +125,9 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         single = JackInBoxEnv(scene=scenes[0], **settings, render_mode=shown)  # checks them all
         single.close()
         drawn = None if randomize is None else Randomization(randomize, scenes, single._simulator_of)
-        np.empty(self.num_envs * _ROOM[single.contact], dtype=np.uint8)  # MemoryError now, not after hours of making
+        np.empty(
+            self.num_envs * contact_model(single.contact).room, dtype=np.uint8
+        )  # MemoryError now, not after hours of making
         self.task, self.render_mode, self.control_dt = task, render_mode, single.control_dt
         self.torque_source = single.torque_source
         self.metadata = {**single.metadata, "autoreset_mode": self.autoreset_mode}

@@ -40,10 +40,10 @@ PACKAGE = """
     simulators.replay simulators.contacts simulators.functions
     simulators.pymunk simulators.exact
     simulators
+    scoring
     recording.trajectory
     recording.samples
     recording.page
-    scoring
     render.canvas
     render.renderer
     render.tiles
