@@ -17,7 +17,7 @@ from jackbox_env.compiled.compiler import compiled
 from jackbox_env.compiled.drives import TABLE_WIDTH
 from jackbox_env.compiled.generator import WHOLE, WITH_HALVES, fresh, packed, seeded, unpacked
 from jackbox_env.compiled.status import Status
-from jackbox_env.compiled.workspace import new_workspace
+from jackbox_env.compiled.workspace import new_lanes, new_workspace
 from jackbox_env.randomization import Randomization
 from jackbox_env.scene import Scene
 from jackbox_env.scoring import compiled_for
@@ -76,7 +76,7 @@ class ExactBatch:
 
     def _new_workspaces(self) -> list[tuple[Array, Array]]:
         width = self._blocks.shape[2]
-        return [(np.zeros((score.LANES, width)), new_workspace()) for _ in range(self._threads.count)]
+        return [(new_lanes(width), new_workspace()) for _ in range(self._threads.count)]
 
     @property
     def nbytes(self) -> int:
