@@ -125,13 +125,8 @@ def look_at_walls(dt: float, block: Block) -> None:
     """
     before, lanes, near, scenes = block.before, block.lanes, block.lanes[NEAR], block.scenes
     x, y, vx, vy, alpha = lanes[0], lanes[1], lanes[2], lanes[3], lanes[AT_MOST]
-    cosine, sine, ahead, aside, omega = (
-        lanes[LANE_COSINE],
-        lanes[LANE_SINE],
-        lanes[AHEAD],
-        lanes[ASIDE],
-        lanes[LANE_OMEGA],
-    )
+    cosine, sine, omega = lanes[LANE_COSINE], lanes[LANE_SINE], lanes[LANE_OMEGA]
+    ahead, aside = lanes[AHEAD], lanes[ASIDE]
     bend, lane, room, pull, off = lanes[BEND], lanes[LANE], lanes[APART], lanes[PULL], lanes[OFF]
     count = 0
     for k in range(block.size):
