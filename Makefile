@@ -12,7 +12,7 @@ UNDER_OLD_GYMNASIUM := $(addprefix tests/,environment/test_env.py environment/te
 	environment/test_tools.py batches/test_vector_env.py batches/test_episodes.py \
 	guarantees/test_bits.py refusals/test_refusals.py)
 
-.PHONY: demo test test-all test-slow benchmark benchmark-loss benchmark-quick throughput speed costs costs-loss soak extremes machines kills interruptions mutants transfer transfer-loss results networks scaling readme docs recipes clean
+.PHONY: demo test test-all test-slow benchmark benchmark-loss benchmark-quick throughput speed costs costs-loss soak extremes machines kills interruptions mutants fidelity results networks scaling readme docs recipes clean
 .DELETE_ON_ERROR:
 
 demo: .venv/usable
@@ -79,13 +79,9 @@ interruptions: .venv/ready
 mutants: .venv/ready
 	@$(BIN)/python -m tests.mutants $(MUTANTS)
 
-transfer: .venv/ready
-	@$(BIN)/python scripts/studies/transfer/transfer.py --seeds 5 --total-steps 1000000 500000 --out docs
-
-# The same at restitution 0.9, two fidelities, 40 minutes: docs/learning_loss.md.
-transfer-loss: .venv/ready
-	@$(BIN)/python scripts/studies/transfer/transfer.py --tasks juggle --fidelities balanced exact --seeds 5 \
-		--long-episodes 64 --restitution 0.9 --out docs
+# What a fidelity does to a learner: 20 trainings of a million steps, some hours; it goes on where it was interrupted.
+fidelity: .venv/ready
+	@$(BIN)/python scripts/studies/fidelity.py
 
 # What every policy earns, docs/results.md; goes on where it was interrupted. The planner takes most of its 15 minutes.
 results: .venv/ready

@@ -218,7 +218,7 @@ def test_the_demo_runs_end_to_end_when_made_small(tmp_path: Path) -> None:
     + [f"studies/{name}" for name in ("accuracy/benchmark", "readme", "speed/speed", "costs/costs", "laws/soak")]
     + [
         "studies/laws/interruptions",
-        "studies/transfer/transfer",
+        "studies/fidelity",
         "studies/results/results",
         "studies/results/networks",
         "studies/scaling/scaling",
