@@ -59,8 +59,10 @@ costs: .venv/ready
 costs-loss: .venv/ready
 	@$(BIN)/python scripts/studies/costs/costs.py --loss
 
+# Random cases for hours, others in each round of some 40 minutes, until an invariant does not hold.
 soak: .venv/ready
-	@$(BIN)/python scripts/studies/laws/soak.py --hours 8
+	@for round in $$(seq 12); do \
+		HYPOTHESIS_PROFILE=hours $(PYTEST) tests/invariants tests/guarantees/test_random_scenes.py || exit 1; done
 
 extremes: .venv/ready
 	@$(BIN)/python -m tests.extremes
@@ -68,12 +70,12 @@ extremes: .venv/ready
 machines: .venv/ready
 	@JACKBOX_MACHINES=all $(PYTEST) tests/guarantees/test_other_machines.py
 
-# Trainings killed 200 times at random moments; 10,000 interruptions of steps and rollouts.
+# Trainings killed 200 times at random moments; 10,000 interruptions of each kind of step and of rollouts.
 kills: .venv/ready
 	@JACKBOX_KILLS=200 $(PYTEST) tests/guarantees/test_kills.py
 
 interruptions: .venv/ready
-	@$(BIN)/python scripts/studies/laws/interruptions.py
+	@JACKBOX_INTERRUPTIONS=10000 $(PYTEST) tests/guarantees/test_interruptions.py -k random_moments
 
 # What the tests see: 60 small faults, one at a time, and the first test that fails of each; one to three hours.
 mutants: .venv/ready

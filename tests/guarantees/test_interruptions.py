@@ -1,4 +1,7 @@
-"""Interruptions at any moment: a call is done entirely or not at all, nothing hangs, no thread writes afterwards."""
+"""Interruptions at any moment: a call is done entirely or not at all, nothing hangs, no thread writes afterwards.
+
+``JACKBOX_INTERRUPTIONS=10000`` interrupts so many calls of each kind at random moments instead of 150.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+import timeit
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FrameType, SimpleNamespace
 from typing import Any
@@ -17,19 +21,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jackbox_env import JackInBoxVectorEnv, Scene, make_simulator, planning, rollout
+from jackbox_env import JackInBoxVectorEnv, Scene, make_simulator, rollout
 from jackbox_env.batches import exact, threads
 from jackbox_env.batches.single import SingleBatch
 from jackbox_env.compiled import compiler, glide, loop
 from jackbox_env.compiled.compiler import PACKAGE
 from jackbox_env.compiled.rollouts import roll
 from jackbox_env.compiled.status import Status
-from scripts.studies.laws.interruptions import same
+from jackbox_env.planning import rollouts
 from tests.states import lying
 
 ROOT = Path(__file__).parents[2]
 TOUCHING = [0.0, 0.0, 0.0, 4.9, 0.0, 0.1, 0.0, 0.0, 0.0, 8.0, 0.0, 1.0]
 TASKS = Path("/proc/self/task")
+INTERRUPTIONS = int(os.environ.get("JACKBOX_INTERRUPTIONS", "150"))
+Strike = Callable[[Callable[[], Any]], bool]  # makes a call and interrupts it; whether it did
 
 
 def until(condition: Callable[[], object], seconds: float = 20.0) -> None:
@@ -42,6 +48,18 @@ def until(condition: Callable[[], object], seconds: float = 20.0) -> None:
 
 def interrupt(*_: Any) -> None:
     raise KeyboardInterrupt
+
+
+def same(found: Any, expected: Any) -> bool:
+    """Whether two answers agree in every bit; an episode's time on the clock is not compared."""
+    if isinstance(expected, dict):
+        names = [name for name in expected if name != "t"]
+        return set(found) == set(expected) and all(same(found[name], expected[name]) for name in names)
+    if isinstance(expected, list | tuple) or (isinstance(expected, np.ndarray) and expected.dtype == object):
+        return len(found) == len(expected) and all(map(same, found, expected))
+    if isinstance(expected, np.ndarray):
+        return bool(found.dtype == expected.dtype and found.tobytes() == expected.tobytes())
+    return bool(found == expected)
 
 
 # -- at every instruction ---------------------------------------------------------------------------------------------
@@ -82,8 +100,7 @@ def told(env: Any) -> list[Any]:
     if not hasattr(env, "num_envs"):
         return [env.state, env.time, env.torque, env.impacts]
     vector = getattr(env, "vector_env", env)
-    scenes = [repr(scene) for scene in vector.scenes]
-    return [vector.states, vector.times, vector.observations, scenes, getattr(env, "reset_infos", None)]
+    return [vector.states, vector.times, vector.observations, vector.scenes, getattr(env, "reset_infos", None)]
 
 
 def step(env: Any, seed: int) -> Any:
@@ -123,18 +140,23 @@ def staggered(make: Callable[[], Any]) -> tuple[Any, Any]:
     return pair
 
 
-def assert_all_or_nothing(pair: tuple[Any, Any], call: Callable[[Any, int], Any], stride: int) -> None:
-    """Interrupt a call at every ``stride``-th instruction in turn. The next step tells what is not shown."""
+def assert_done_or_not(pair: tuple[Any, Any], call: Callable[[Any, int], Any], seed: int, strike: Strike) -> bool:
+    """Interrupt a call; the next step tells what is not shown. Return whether it was interrupted."""
     env, twin = pair
+    before = told(env)
+    interrupted = strike(lambda: call(env, seed))
+    call(twin, seed)
+    if interrupted and same(told(env), before):
+        call(env, seed)
+    assert same(told(env), told(twin)), f"interrupted at {seed}"
+    assert same(step(env, seed), step(twin, seed)), f"after an interruption at {seed}"
+    return interrupted
+
+
+def assert_all_or_nothing(pair: tuple[Any, Any], call: Callable[[Any, int], Any], stride: int) -> None:
+    """Interrupt a call at every ``stride``-th instruction in turn."""
     for at in itertools.count(1, stride):
-        before = told(env)
-        interrupted = struck(lambda at=at: call(env, at), at)  # type: ignore[misc]
-        call(twin, at)
-        if interrupted and same(told(env), before):
-            call(env, at)
-        assert same(told(env), told(twin)), f"interrupted before instruction {at}"
-        assert same(step(env, at), step(twin, at)), f"after an interruption before instruction {at}"
-        if not interrupted:
+        if not assert_done_or_not(pair, call, at, lambda made, at=at: struck(made, at)):  # type: ignore[misc]
             assert at > 100
             return
 
@@ -229,7 +251,7 @@ def test_threads_give_up_long_work_where_it_pauses(monkeypatch: pytest.MonkeyPat
         time.sleep(0.001)
         return Status.PAUSED.value, 0, 0
 
-    for module in (exact, planning):
+    for module in (exact, rollouts):
         monkeypatch.setattr(
             module, "compiled", lambda function: endless if function in (loop.step_blocks, roll) else compiled(function)
         )
@@ -346,17 +368,105 @@ def test_a_fork_works_on_without_its_parents_threads() -> None:
 # -- at random moments ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
-def test_interruptions_at_random_moments_do_no_harm() -> None:
-    # Its own process: it needs the timer, and a hang must have an end.
-    command = ["scripts/studies/laws/interruptions.py", "--no-progress", "--interrupts", "150"]
-    ran = subprocess.run(
-        [sys.executable, *command, "--kinds", "steps", "rollouts"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=250,
-    )
-    lines = ran.stdout.splitlines()
-    assert (ran.returncode, len(lines), ran.stderr) == (0, 4, "")
-    assert all("wrong 0, threads left 0" in line for line in lines)
+class Timer:
+    """Interrupts a call after a random time. Half of the calls are interrupted again and again until they end."""
+
+    def __init__(self, typical: float) -> None:
+        """An uninterrupted call takes ``typical`` [s]."""
+        self._rng, self._typical, self._again = np.random.default_rng(0), typical, 0.0
+        signal.signal(signal.SIGALRM, self._strike)
+
+    def __call__(self, call: Callable[[], Any]) -> bool:
+        first = self._rng.uniform(1e-6, 1.2 * self._typical)
+        self._again = 10.0 ** self._rng.uniform(-6.0, -3.0) if self._rng.uniform() < 0.5 else 0.0
+        try:
+            signal.setitimer(signal.ITIMER_REAL, first)
+            _exposed(call)
+        except KeyboardInterrupt:
+            return True
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+        return False
+
+    def _strike(self, _: int, frame: FrameType | None) -> None:
+        codes = []  # of the frames that were running; this method itself is not to be interrupted
+        while frame is not None:
+            codes.append(frame.f_code)
+            frame = frame.f_back
+        if _exposed.__code__ in codes and Timer._strike.__code__ not in codes:
+            if self._again:
+                signal.setitimer(signal.ITIMER_REAL, self._again)
+            raise KeyboardInterrupt
+
+
+def _exposed(call: Callable[[], Any]) -> None:
+    call()
+
+
+def many(number: int) -> Any:
+    return JackInBoxVectorEnv(2000, contact="exact", num_threads=number, max_episode_steps=40, with_infos=True)
+
+
+def many_of_sb3(number: int) -> Any:
+    pytest.importorskip("stable_baselines3")
+    from jackbox_env.sb3 import make_sb3_vec_env
+
+    return make_sb3_vec_env(1000, contact="exact", num_threads=number, max_episode_steps=40)
+
+
+def typical(call: Callable[[], Any]) -> float:
+    """Median time of a call [s]."""
+    return float(np.median([timeit.timeit(call, number=1) for _ in range(20)]))
+
+
+def alarmed(test: Callable[..., None]) -> Callable[..., None]:
+    """A slow test with its own alarm, whose hang ends the run with a traceback; each number of threads."""
+    slow = pytest.mark.timeout(120 + INTERRUPTIONS, method="thread")(pytest.mark.slow(test))
+    return pytest.mark.parametrize("number", [2, 8])(pytest.mark.usefixtures("threads_end")(slow))  # type: ignore[no-any-return]
+
+
+@pytest.fixture
+def threads_end() -> Iterator[None]:
+    """No thread is left after the test."""
+    tasks = _tasks()
+    yield
+    until(lambda: _tasks() <= tasks)
+
+
+def _tasks() -> int:
+    return len(os.listdir(TASKS)) if TASKS.exists() else 0
+
+
+@alarmed
+@pytest.mark.parametrize("make", [many, many_of_sb3])
+def test_steps_interrupted_at_random_moments_are_done_or_not(
+    make: Callable[[int], Any], number: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(exact, "_GRAIN", 1)
+    pair = make(number), make(1)
+    for env in pair:
+        start(env, 0)
+        for seed in range(40):  # episodes end at different times
+            step(env, seed)
+            getattr(env, "vector_env", env).reset(options={"reset_mask": np.arange(env.num_envs) % 40 == seed})
+    timer = Timer(typical(lambda: step(pair[0], 0)))
+    for _ in range(20):
+        step(pair[1], 0)
+    left, seeds = INTERRUPTIONS, itertools.count()
+    while left:
+        left -= assert_done_or_not(pair, step, next(seeds), timer)
+
+
+@alarmed
+def test_rollouts_interrupted_at_random_moments_harm_no_later_one(number: int) -> None:
+    states, torques = np.zeros((8000, 12)), np.random.default_rng(0).uniform(-9e4, 9e4, (8000, 30))
+    states[:, 9] = np.linspace(-9.0, 9.0, 8000)
+    expected = rollout(None, states, torques, 0.02, num_threads=1)
+
+    def play() -> Any:
+        return rollout(None, states, torques, 0.02, num_threads=number)
+
+    timer, left = Timer(typical(play)), INTERRUPTIONS
+    while left:
+        left -= timer(play)
+        assert same(play(), expected)
