@@ -12,7 +12,7 @@ UNDER_OLD_GYMNASIUM := $(addprefix tests/,environment/test_env.py environment/te
 	environment/test_tools.py batches/test_vector_env.py batches/test_episodes.py \
 	guarantees/test_bits.py refusals/test_refusals.py)
 
-.PHONY: demo test test-all test-slow benchmark benchmark-loss benchmark-quick throughput speed costs costs-loss soak extremes machines kills interruptions mutants transfer transfer-loss results networks scaling readme docs recipes clean
+.PHONY: demo test test-all test-slow benchmark benchmark-loss benchmark-quick throughput speed costs costs-loss soak extremes machines kills interruptions mutants fidelity results networks scaling readme docs recipes clean
 .DELETE_ON_ERROR:
 
 demo: .venv/usable
@@ -59,8 +59,10 @@ costs: .venv/ready
 costs-loss: .venv/ready
 	@$(BIN)/python scripts/studies/costs/costs.py --loss
 
+# Random cases for hours, others in each round of some 40 minutes, until an invariant does not hold.
 soak: .venv/ready
-	@$(BIN)/python scripts/studies/laws/soak.py --hours 8
+	@for round in $$(seq 12); do \
+		HYPOTHESIS_PROFILE=hours $(PYTEST) tests/invariants tests/guarantees/test_random_scenes.py || exit 1; done
 
 extremes: .venv/ready
 	@$(BIN)/python -m tests.extremes
@@ -68,7 +70,7 @@ extremes: .venv/ready
 machines: .venv/ready
 	@JACKBOX_MACHINES=all $(PYTEST) tests/guarantees/test_other_machines.py
 
-# Trainings killed 200 times at random moments; 10,000 interruptions of steps and rollouts.
+# Trainings killed 200 times at random moments; 10,000 interruptions of each kind of step and of rollouts.
 kills: .venv/ready
 	@JACKBOX_KILLS=200 $(PYTEST) tests/guarantees/test_kills.py
 
@@ -79,13 +81,9 @@ interruptions: .venv/ready
 mutants: .venv/ready
 	@$(BIN)/python -m tests.mutants $(MUTANTS)
 
-transfer: .venv/ready
-	@$(BIN)/python scripts/studies/transfer/transfer.py --seeds 5 --total-steps 1000000 500000 --out docs
-
-# The same at restitution 0.9, two fidelities, 40 minutes: docs/learning_loss.md.
-transfer-loss: .venv/ready
-	@$(BIN)/python scripts/studies/transfer/transfer.py --tasks juggle --fidelities balanced exact --seeds 5 \
-		--long-episodes 64 --restitution 0.9 --out docs
+# What a fidelity does to a learner: 20 trainings of a million steps, some hours; it goes on where it was interrupted.
+fidelity: .venv/ready
+	@$(BIN)/python scripts/studies/fidelity.py
 
 # What every policy earns, docs/results.md; goes on where it was interrupted. The planner takes most of its 15 minutes.
 results: .venv/ready

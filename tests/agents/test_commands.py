@@ -215,9 +215,9 @@ def test_the_demo_runs_end_to_end_when_made_small(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "name",
     ["train", "evaluate", "export", "simulate", "play", "demo", "sweep"]
-    + [f"studies/{name}" for name in ("accuracy/benchmark", "readme", "speed/speed", "costs/costs", "laws/soak")]
+    + [f"studies/{name}" for name in ("accuracy/benchmark", "readme", "speed/speed", "costs/costs")]
     + [
-        "studies/transfer/transfer",
+        "studies/fidelity",
         "studies/results/results",
         "studies/results/networks",
         "studies/scaling/scaling",

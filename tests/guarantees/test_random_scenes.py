@@ -14,9 +14,8 @@ from hypothesis import strategies as st
 
 from jackbox_env import JackInBoxEnv, JackInBoxVectorEnv, Task
 from jackbox_env.simulators import CONTACT_MODELS, JackLostError
-from scripts.studies.laws.random_cases import draw_scene
 from tests.batches.several import assert_same, step_alone
-from tests.studies.strategies import HypothesisDraw
+from tests.invariants.cases import HypothesisDraw, draw_scene, draw_start
 
 STEPS, LIMIT = 15, 7  # control steps, and those of an episode
 
@@ -89,6 +88,10 @@ def test_a_batch_of_random_scenes_and_a_task_of_ones_own_is_its_single_environme
         seed = draw.randint(0, 1000)
         seen, _ = batch.reset(seed=seed)
         np.testing.assert_array_equal(seen, [env.reset(seed=seed + i)[0] for i, env in enumerate(singles)])
+        starts = [draw_start(draw, scene, dt) for scene in batch.scenes]
+        batch.set_states(np.array(starts), 0.0)
+        for env, start in zip(singles, starts, strict=True):
+            env.set_state(start, 0.0)
         for step in range(STEPS):
             hits = assert_the_same(batch, singles, step, draw.choice((None, draw.uniform(-1.0, 1.0))))
             if hits < 0:

@@ -20,7 +20,6 @@ from scripts.studies.results import page as results
 from scripts.studies.scaling import page as scaling
 from scripts.studies.speed import measured
 from scripts.studies.speed import page as speed
-from scripts.studies.transfer import page as learning
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -34,10 +33,6 @@ PAGES: dict[str, Callable[[], str]] = {
     "costs": lambda: costs.page(stored("costs"), "costs.png"),
     "scaling": lambda: scaling.page(stored("scaling")),
     "results": lambda: results.page(stored("results")),
-    "learning": lambda: learning.page(learning.read_data(DOCS / "learning.json")),
-    "learning_loss": lambda: learning.page_with_loss(
-        learning.read_data(DOCS / "learning_loss.json"), "learning_loss.png"
-    ),
 }
 
 

@@ -1,4 +1,4 @@
-"""The settings of the sweep: both contact models, and the rivals that are installed."""
+"""The settings of the sweep: both contact models, and the baselines that are installed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import NamedTuple
 from jackbox_env import Scene, make_simulator
 from jackbox_env.simulators import Simulator
 from jackbox_env.simulators.fidelity import FIDELITIES
-from scripts.studies import rivals
+from scripts.studies import baselines
 
 TOGETHER = 1024
 EXACT, BATCH, PYMUNK, NAIVE = "exact", f"exact, {TOGETHER:,} at once", "pymunk", "usual way"  # families: lines
@@ -45,10 +45,10 @@ def pymunk(substeps: int, iterations: int | None = None) -> Setting:
     return Setting(named(PYMUNK, substeps, iterations), family, substeps, make)
 
 
-def _of_rivals(counts: tuple[int, ...]) -> list[Setting]:
-    engines = rivals.available()
-    usual = Setting(USUAL, NAIVE, 2, partial(engines.pop("naive"), substeps=2))
-    settings = [(name, n, partial(make, substeps=n)) for name, make in engines.items() for n in counts]
+def _of_others(counts: tuple[int, ...]) -> list[Setting]:
+    usual = Setting(USUAL, NAIVE, 2, partial(baselines.baseline("threshold"), substeps=2))
+    engines = [name for name in ("box2d", "mujoco") if name not in baselines.missing()]
+    settings = [(name, n, partial(baselines.baseline(name), substeps=n)) for name in engines for n in counts]
     return [usual, *(Setting(named(name, n), name, n, make) for name, n, make in settings)]
 
 
@@ -57,9 +57,9 @@ def settings(quick: bool) -> list[Setting]:
     both = [Setting(EXACT, EXACT, None, partial(make_simulator, contact="exact")), Setting(BATCH, BATCH)]
     if quick:
         few = sorted({16, *(fidelity.substeps for fidelity in FIDELITIES.values() if fidelity.substeps)})
-        return [*both, *map(pymunk, few), pymunk(4, 1), *_of_rivals((4, 64))]
+        return [*both, *map(pymunk, few), pymunk(4, 1), *_of_others((4, 64))]
     fewer = [pymunk(substeps, iterations) for substeps in (4, 64) for iterations in ITERATIONS]
-    return [*both, *map(pymunk, SUBSTEPS), *fewer, *_of_rivals((1, 4, 16, 64))]
+    return [*both, *map(pymunk, SUBSTEPS), *fewer, *_of_others((1, 4, 16, 64))]
 
 
 def of_fidelity(fidelity: str) -> str:

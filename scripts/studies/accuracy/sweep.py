@@ -27,7 +27,7 @@ from jackbox_env import Scene, rollout
 from jackbox_env.measure.accuracy import Case, Reference, between, compare, follow, quantities, restarts
 from jackbox_env.recording.files import new_folder, remove_partials, write_json, write_text
 from jackbox_env.simulators import Simulator
-from scripts.studies import rivals
+from scripts.studies import baselines
 from scripts.studies.accuracy import cases, pictures
 from scripts.studies.accuracy.page import DEFAULT, page
 from scripts.studies.accuracy.results import ABOUT, Record, Results, rows_of, rows_of_kinds
@@ -37,7 +37,7 @@ from scripts.studies.timing import Timed, measure, others, ratios, repeat
 ROOT = Path(__file__).parents[3]
 DIGEST, RECORDS, PAGE, BESIDE = "digest", "records", "accuracy.md", "accuracy"
 _STUDY = [f"scripts/studies/accuracy/{name}.py" for name in ("cases", "settings", "sweep")]  # no words and pictures
-CODE = ("jackbox_env/**/*.py", "scripts/studies/rivals/*.py", "tests/data/*.json", *_STUDY)
+CODE = ("jackbox_env/**/*.py", "scripts/studies/baselines/*.py", "tests/data/*.json", *_STUDY)
 ENGINES = ("numpy", "numba", "pymunk", "mujoco", "box2d")
 
 
@@ -95,7 +95,7 @@ def _circumstances(before: tuple[float, float]) -> dict[str, Any]:
         "machine": machine(),
         "versions": versions((*PACKAGES[:-1], "numba", "mujoco", "box2d")),
         "busy": round(max(0.0, taken - before[0]) / max(there - before[1], 1e-9), 2),
-        "missing": rivals.missing(),
+        "missing": baselines.missing(),
     }
 
 
@@ -190,7 +190,7 @@ def measured(setting: Setting, kind: str, case: Case, reference: Reference) -> R
     """All errors of one setting on one case."""
     assert setting.make is not None
     simulator: Any = setting.make(case.scene)
-    course = follow(simulator, case, getattr(simulator, "look", between))  # rivals look into their steps themselves
+    course = follow(simulator, case, getattr(simulator, "look", between))  # baselines look into their steps themselves
     again = restarts(simulator, case, reference)
     record = {"setting": setting.name, "kind": kind, "case": case.name}
     return record | quantities(course, compare(case, course, reference), again, case.dt)

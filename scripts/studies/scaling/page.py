@@ -33,8 +33,7 @@ python scripts/sweep.py --seeds 500 --address auto          # and then on one of
 The machines of a cluster need this project's requirements and Ray in the same versions; a machine with others ends the
 sweep with a sentence that names them. The checkout's code and the code that is compiled for the exact model are sent to
 them. Trainings keep their run folders below the sweep's folder, which must then be on a disk that all machines share.
-`scripts/studies/accuracy/benchmark.py` takes `--workers` and `--address` too, and
-`scripts/studies/transfer/transfer.py` takes `--address`.
+`scripts/studies/accuracy/benchmark.py` takes `--workers` and `--address` too.
 
 The folder of a sweep holds `table.csv`, a row for each trial in the order of the grid, and `times.csv`. On one kind of
 processor the table has the same bytes in this process, on cores and on a cluster. Each trial runs in one thread.

@@ -28,7 +28,7 @@ import numpy as np
 
 from jackbox_env.mechanics import gap_jacobian
 from jackbox_env.simulators.base import JackLostError
-from scripts.studies.rivals.base import DIRECTIONS, EngineRival, Loads, Pair
+from scripts.studies.baselines.base import DIRECTIONS, Engine, Pair
 
 _VELOCITY_ITERATIONS, _POSITION_ITERATIONS = 8, 3
 _SKIN = float(Box2D.b2_polygonRadius)  # [m]
@@ -52,12 +52,10 @@ class _Listener(Box2D.b2ContactListener):  # type: ignore[misc]
             self.pushes[(one[1], other[1]) if one[0] == "wall" else (other[1], one[1])] = pushed
 
 
-class Box2DSimulator(EngineRival):
+class Model(Engine):
     """Box2D; the module's head states the law."""
 
-    engine = "box2d"
-
-    def _build(self) -> None:
+    def _prepare(self) -> None:
         scene = self.scene
         self._listener = _Listener()
         world = Box2D.b2World(gravity=(0.0, -scene.gravity), doSleep=False, contactListener=self._listener)
@@ -91,11 +89,9 @@ class Box2DSimulator(EngineRival):
             body.linearVelocity = rate[0], rate[1]
             body.angularVelocity = rate[2]
 
-    def _substep(self, h: float, loads: Loads) -> dict[Pair, float]:
+    def _substep(self, h: float, torque: float) -> dict[Pair, float]:
         self._listener.pushes = {}
-        self._box.ApplyTorque(loads[0], True)
-        if loads[1] or loads[2]:
-            self._box.ApplyForceToCenter((loads[1], loads[2]), True)
+        self._box.ApplyTorque(torque, True)
         self._world.Step(h, _VELOCITY_ITERATIONS, _POSITION_ITERATIONS)
         self._world.ClearForces()
         return self._listener.pushes

@@ -1,23 +1,59 @@
-"""Random cases for the laws: a scene, a start, and actions to play.
+"""Random cases: a scene, a start, and actions to play, drawn by a generator or by hypothesis.
 
 Lengths are drawn first, speeds and torques in proportion: within the steps of a case the jack crosses the box some
 times and the box turns by some radians, whatever its size, so that most cases have impacts. With loss the jack lies on
-the lowest wall in half of the cases at first. A quarter of the cases of ``exact`` have neighbours: scenes of other
-environments in the same batch.
+the lowest wall in half of the cases at first.
+
+Hypothesis draws the same cases each time. ``HYPOTHESIS_PROFILE=hours``, which is ``make soak``, draws many more,
+others each time.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
+import os
 import random
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
+
+from hypothesis import HealthCheck, settings
+from hypothesis import strategies as st
 
 from jackbox_env.scene import Chirp, Drive, Scene
-from jackbox_env.tasks import TASKS
 
-STEPS = 40  # control steps of a long case
+T = TypeVar("T")
+STEPS = 24  # control steps of a case
+_COMMON: Any = {
+    "print_blob": True,
+    "deadline": None,
+    "suppress_health_check": [HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.large_base_example],
+}
+settings.register_profile("quick", max_examples=120, derandomize=True, **_COMMON)
+settings.register_profile("hours", max_examples=10_000, **_COMMON)  # hypothesis keeps 80 kB of each
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "quick"))
+
+
+class HypothesisDraw(random.Random):
+    """A generator whose choices are hypothesis's, which it shrinks."""
+
+    def __init__(self, draw: Callable[[st.SearchStrategy[Any]], Any]) -> None:
+        super().__init__()
+        self._draw = draw
+
+    def uniform(self, low: float, high: float) -> float:
+        # Any float but the tiny: products of those with lengths and times would leave the range of scenes.
+        number: float = self._draw(st.floats(low, high).filter(lambda x: x == 0.0 or abs(x) > 1e-12))
+        return number
+
+    def randint(self, low: int, high: int) -> int:
+        number: int = self._draw(st.integers(low, high))
+        return number
+
+    def choice(self, options: Sequence[T]) -> T:  # type: ignore[override]
+        option: T = self._draw(st.sampled_from(options))
+        return option
 
 
 @dataclass(frozen=True)
@@ -50,25 +86,10 @@ class Case:
     scene: Scene
     contact: str
     substeps: int | None
-    task: str
     control_dt: float  # [s]
     state: tuple[float, ...]  # (12,) the start
     time: float  # [s]
     actions: tuple[float | None, ...]  # one for each control step, in [-1, 1]; None: the scene's drive
-    restored_at: int  # the step before which a new simulator takes over the state
-    seed: int  # of the environments' starts
-    neighbours: tuple[Scene, ...] = ()  # of environments beside the case's own in a batch with a scene each
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """What an environment of the case is made with."""
-        names = ("scene", "contact", "substeps", "task", "control_dt")
-        return {name: getattr(self, name) for name in names}
-
-    @property
-    def torques(self) -> list[float | None]:
-        """The held torque of each step [N m], or None."""
-        return [None if action is None else action * self.scene.torque_limit for action in self.actions]
 
 
 def _power(draw: random.Random, low: float, high: float) -> float:
@@ -79,24 +100,9 @@ def draw_case(draw: random.Random, contact: str, steps: int = STEPS) -> Case:
     """A case for a contact model, by a generator that a seed was given, or hypothesis."""
     dt = _power(draw, -2.5, -1.0)
     scene = draw_scene(draw, dt)
-    case = Case(
-        scene=scene,
-        contact=contact,
-        substeps=draw.randint(1, 8) if contact == "pymunk" else None,
-        task=draw.choice(tuple(TASKS)),
-        control_dt=dt,
-        state=_start(draw, scene, dt),
-        time=draw.choice((0.0, 0.0, draw.uniform(-100.0, 100.0))),
-        actions=_actions(draw, steps),
-        restored_at=draw.randint(0, steps - 1),
-        seed=draw.randint(0, 2**31 - 1),
-    )
-    if not scene.elastic and draw.choice((True, False)):
-        case = dataclasses.replace(case, state=_lying(draw, scene, case.state))
-    if contact == "exact" and draw.choice((False, False, False, True)):
-        neighbours = tuple(draw_scene(draw, dt) for _ in range(draw.randint(1, 3)))
-        case = dataclasses.replace(case, neighbours=neighbours)
-    return case
+    substeps = draw.randint(1, 8) if contact == "pymunk" else None
+    time = draw.choice((0.0, 0.0, draw.uniform(-100.0, 100.0)))
+    return Case(scene, contact, substeps, dt, draw_start(draw, scene, dt), time, _actions(draw, steps))
 
 
 def draw_scene(draw: random.Random, dt: float) -> Scene:
@@ -142,7 +148,13 @@ def _wave(draw: random.Random, largest: float, dt: float) -> Wave:
     return Wave(draw.uniform(-0.5, 0.5) * largest, draw.uniform(0.0, 0.5) * largest, rate, draw.uniform(-3.0, 3.0))
 
 
-def _start(draw: random.Random, scene: Scene, dt: float) -> tuple[float, ...]:
+def draw_start(draw: random.Random, scene: Scene, dt: float) -> tuple[float, ...]:
+    """A state in a scene; with loss the jack may lie on the lowest wall."""
+    start = _flying(draw, scene, dt)
+    return start if scene.elastic or draw.choice((True, False)) else _lying(draw, scene, start)
+
+
+def _flying(draw: random.Random, scene: Scene, dt: float) -> tuple[float, ...]:
     half, arm = scene.box_half_width, scene.jack_arm
     narrow = math.acos(half / arm) if arm > half else 0.0  # a longer arm fits no nearer than this to the axes
     relative = narrow + draw.uniform(0.0, 1.0) * (math.pi / 2.0 - 2.0 * narrow)

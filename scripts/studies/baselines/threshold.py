@@ -1,4 +1,4 @@
-"""The usual way: classical Runge-Kutta, and the impact map for whatever foot is near a wall after a step.
+"""The threshold method: classical Runge-Kutta, and the impact map for whatever foot is near a wall after a step.
 
 Law: smooth Lagrangian dynamics in steps of h (usually 0.01 s), the torque taken at the times of the stages. After each
     step the first of the 16 pairs (wall by wall, foot by foot) with |gap| < 0.1 m takes the Lagrangian impact map once.
@@ -17,19 +17,15 @@ band, approaching pairs only) lose it in 8 to 0. The runs are chaotic: formulas 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
-from jackbox_env import _validation as check
 from jackbox_env.mechanics import gaps, impact_map
-from jackbox_env.scene import Chirp, Drive, Scene
+from jackbox_env.scene import Scene
 from jackbox_env.simulators.base import Impact
 from jackbox_env.simulators.flight import fly
 from jackbox_env.states import Array, clearance
-from scripts.studies.rivals.base import Record, Rival
+from scripts.studies.baselines.base import Baseline, Trace
 
-Averages = tuple[float, float]  # over a step, weighted by a falling and by a rising triangle
 BAND = 0.1  # [m] a foot this near a wall, on either side, counts as hitting it
 
 
@@ -47,49 +43,48 @@ def reflect(scene: Scene, state: Array, wall: int, foot: int) -> tuple[Array, fl
     return after, -impulse
 
 
-class NaiveSimulator(Rival):
+class Model(Baseline):
     """Runge-Kutta and a band; the module's head states the law. An impulse below 0 pulled a foot back to a wall."""
 
     def _simulate(
-        self, state: list[float], time: float, h: float, torque: float | None, record: Record
+        self,
+        state: list[float],
+        time: float,
+        h: float,
+        torque: float | None,
+        impacts: list[tuple[Impact, bool]],
+        trace: Trace | None = None,
     ) -> tuple[list[float], float]:
         total = 0.0
         for number in range(self.substeps):
             start = time + number * h
-            turning, forces = self._stages(start, h, torque)
+            turning = self._stages(start, h, torque)
             total += 0.5 * sum(turning)
-            flown = fly(self.scene, state, h, *turning, forces)
-            if record.trace is not None:
-                record.trace.append((state, flown))
-            state = self._resolve(flown, start + h, record)
+            flown = fly(self.scene, state, h, *turning, [])
+            if trace is not None:
+                trace.append((state, flown))
+            state = self._resolve(flown, start + h, impacts)
         return state, total / self.substeps
 
-    def _resolve(self, state: list[float], time: float, record: Record) -> list[float]:
+    def _resolve(self, state: list[float], time: float, impacts: list[tuple[Impact, bool]]) -> list[float]:
         """The first pair in the band takes the impact map."""
         if clearance(self.scene, state) >= BAND:
             return state
         for wall, foot in np.argwhere(np.abs(gaps(self.scene, state)) < BAND)[:1].tolist():
             after, impulse = reflect(self.scene, np.array(state), wall, foot)
-            record.add_whole(Impact(time, wall, foot, impulse))
+            impacts.append((Impact(time, wall, foot, impulse), False))
             state = after.tolist()
         return state
 
-    def _stages(self, time: float, h: float, torque: float | None) -> tuple[Averages, list[Averages]]:
-        """Torque, and side forces if there are any, as Runge-Kutta averages them.
+    def _stages(self, time: float, h: float, torque: float | None) -> tuple[float, float]:
+        """Torque as Runge-Kutta averages it, weighted by a falling and by a rising triangle [N m].
 
         For accelerations that depend on time only, a0, am, am, a1 at the four stages, the method gives
         q + h v + h^2/6 (a0 + 2 am) and v + h/6 (a0 + 4 am + a1). That is flight under the averages (a0 + 2 am) / 3 and
         (2 am + a1) / 3.
         """
-        drive = self.scene.drive or Drive()
-        turning = (torque, torque) if torque is not None else _averages(drive.torque, "torque", time, h)
-        if isinstance(drive, Chirp) or not drive.force_means:
-            return turning, []
-        return turning, [_averages(getattr(drive, name), name, time, h) for name in ("force_x", "force_y")]
-
-
-def _averages(signal: Callable[[float], float] | None, name: str, time: float, h: float) -> Averages:
-    if signal is None:
-        return 0.0, 0.0
-    first, middle, last = (check.real(f"{name}({t:g} s)", signal(t)) for t in (time, time + 0.5 * h, time + h))
-    return (first + 2.0 * middle) / 3.0, (2.0 * middle + last) / 3.0
+        signal = None if self.scene.drive is None else self.scene.drive.torque
+        if torque is not None or signal is None:
+            return torque or 0.0, torque or 0.0
+        first, middle, last = (signal(at) for at in (time, time + 0.5 * h, time + h))
+        return (first + 2.0 * middle) / 3.0, (2.0 * middle + last) / 3.0

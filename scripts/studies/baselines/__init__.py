@@ -1,0 +1,32 @@
+"""How others simulate this system: models that :mod:`jackbox_env.measure.accuracy` measures beside this package's.
+
+Users of the environment cannot choose them.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+
+from scripts.studies.baselines.base import Baseline
+
+_PACKAGES = {"box2d": ("Box2D", "dev"), "mujoco": ("mujoco", "peers")}  # and the extra of this project that installs it
+
+
+def missing() -> dict[str, str]:
+    """Engines that are not installed, and how to install them."""
+    return {
+        name: f"not installed (pip install -e '.[{extra}]')"
+        for name, (package, extra) in _PACKAGES.items()
+        if importlib.util.find_spec(package) is None
+    }
+
+
+def baseline(name: str) -> type[Baseline]:
+    """The model called threshold, box2d or mujoco.
+
+    Raises:
+        ImportError: its engine is not installed.
+    """
+    model: type[Baseline] = importlib.import_module(f"{__name__}.{name}").Model
+    return model

@@ -1,1 +1,0 @@
-"""Random scenes held against the laws of mechanics, for hours."""

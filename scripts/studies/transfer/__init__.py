@@ -1,1 +1,0 @@
-"""What a contact setting does to a learner: docs/learning.md."""

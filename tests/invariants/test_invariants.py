@@ -1,0 +1,138 @@
+"""The invariants of ``invariants.py`` over scenes, starts and actions that hypothesis chooses.
+
+Each is broken once on purpose, and seen to be.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import random
+from collections import Counter
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from jackbox_env.simulators import CONTACT_MODELS
+from jackbox_env.simulators.exact import ExactSimulator
+from jackbox_env.simulators.pymunk import PymunkSimulator
+from tests.invariants.cases import Case, HypothesisDraw, draw_case
+from tests.invariants.invariants import assert_contained, examine, simulator_of, stepped
+
+EVERY_MODEL = pytest.mark.parametrize("contact", CONTACT_MODELS)
+pytestmark = pytest.mark.timeout(0 if settings.default.max_examples > 1000 else 300)  # type: ignore[union-attr]
+
+
+@EVERY_MODEL
+def test_every_invariant_holds_in_scenes_and_under_actions_of_any_kind(contact: str) -> None:
+    seen: Counter[str] = Counter()
+
+    @given(st.data())
+    def every_invariant_holds(data: st.DataObject) -> None:
+        found = examine(draw_case(HypothesisDraw(data.draw), contact))
+        seen.update({name: min(1, number) for name, number in found.items()})
+
+    every_invariant_holds()
+    # Else nothing would be tested.
+    assert seen["impacts"] >= 0.5 * seen["cases"], seen
+    assert seen["refused"] <= 0.2 * seen["cases"], seen
+    assert seen["held"] > 0 or contact == "pymunk", seen
+
+
+@EVERY_MODEL
+def test_a_jack_of_any_speed_stays_in_the_box_or_is_refused(contact: str) -> None:
+    seen: Counter[str] = Counter()
+
+    @settings(max_examples=settings.default.max_examples // 2)  # type: ignore[union-attr]
+    @given(st.data())
+    def stays_or_is_refused(data: st.DataObject) -> None:
+        draw = HypothesisDraw(data.draw)
+        case = draw_case(draw, contact, steps=1)
+        state = np.array(case.state)
+        # Up to 1e8 crossings of the box in a step, and as fast a spin.
+        state[[9, 10, 11]] *= 10.0 ** draw.uniform(0.0, 9.0)
+        simulator = simulator_of(dataclasses.replace(case, state=tuple(state.tolist())))
+        if simulator is None:
+            return
+        seen["cases"] += 1
+        for _ in range(3):
+            if not stepped(simulator, case.control_dt, 0.0):
+                seen["refused"] += 1
+                return
+            assert_contained(case, simulator)
+            seen["impacts"] += len(simulator.impacts)
+
+    stays_or_is_refused()
+    assert seen["refused"] >= 0.1 * seen["cases"], seen
+    assert seen["impacts"] >= 0.3 * seen["cases"], seen
+
+
+# -- broken on purpose -------------------------------------------------------------------------------------------------
+
+
+def with_impacts(contact: str, **fields: Any) -> Case:
+    """A case of held torques and 10 impacts or more in a scene without drive."""
+    for seed in range(100):
+        case = draw_case(random.Random(seed), contact, steps=40)
+        scene = case.scene.changed(drive=None, **fields)
+        case = dataclasses.replace(case, scene=scene, actions=(0.5,) * len(case.actions))
+        found = examine(case)
+        if found["impacts"] >= 10 and not found["refused"]:
+            return case
+    raise AssertionError("no case with impacts")
+
+
+@EVERY_MODEL
+@pytest.mark.parametrize(
+    ("name", "place", "amount", "restitution"),
+    [
+        ("containment", 3, 30.0, 1.0),
+        ("momentum", 6, 1e-9, 1.0),
+        ("momentum", 10, 1e-8, 1.0),
+        ("centre", 0, 1e-9, 1.0),
+        ("energy", 8, 1e-8, 1.0),
+        ("energy", 11, 1e-6, 1.0),
+        ("energy", 11, 0.5, 0.5),
+        ("restore", 5, 1e-13, 1.0),
+    ],
+)
+def test_a_disturbance_of_one_step_breaks_its_invariant(
+    name: str, place: int, amount: float, restitution: float, contact: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    case, calls = with_impacts(contact, restitution=restitution), itertools.count()
+    simulator: Any = ExactSimulator if contact == "exact" else PymunkSimulator
+    step = simulator.step
+
+    def disturbed(self: Any, dt: float, torque: float | None = None) -> None:
+        step(self, dt, torque)
+        if next(calls) == 8:  # the fifth step; every other call is the twin's
+            state = self.state
+            state[place] += amount * (1.0 + abs(state[place]))
+            kept = state if contact == "exact" else state.tolist()
+            self._present = self._present._replace(state=kept)
+
+    monkeypatch.setattr(simulator, "step", disturbed)
+    with pytest.raises(AssertionError, match=name):
+        examine(case)
+
+
+@EVERY_MODEL
+def test_impacts_out_of_order_and_other_errors_are_seen(contact: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def early(self: Any) -> Any:
+        return [hit._replace(time=-1e3) for hit in self._present.impacts]
+
+    def fails(self: Any, dt: float, torque: float | None = None) -> None:
+        raise RuntimeError("nobody knows why")
+
+    case = with_impacts(contact)
+    simulator = ExactSimulator if contact == "exact" else PymunkSimulator
+    with monkeypatch.context() as patch:
+        patch.setattr(simulator, "impacts", property(early))
+        with pytest.raises(AssertionError, match="record"):
+            examine(case)
+    monkeypatch.setattr(simulator, "step", fails)
+    with pytest.raises(RuntimeError, match="nobody knows why"):
+        examine(case)
