@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import gymnasium as gym
 import numpy as np
 
-from jackbox_env.render.canvas import INK, SIZE, TRACK, Colour, import_pygame
+from jackbox_env.render.canvas import BLUE, INK, PALE_INK, SIZE, TRACK, Colour, import_pygame, write
 from jackbox_env.simulators import JackLostError
 
 if TYPE_CHECKING:
@@ -21,8 +21,6 @@ _LONGEST = 0.1  # [s] of the clock that a frame makes up for: a slow machine pla
 PANEL = 248  # [px] width beside the picture
 _EDGE = 20  # [px] of the panel
 _PAPER: Colour = (250, 251, 253)
-_PALE: Colour = (112, 122, 138)
-_BLUE: Colour = (31, 90, 180)
 _RED: Colour = (190, 30, 36)
 _WHITE: Colour = (255, 255, 255)
 _DRIVERS = ("SDL_VIDEODRIVER", "SDL_VIDEO_DRIVER")  # variables that name SDL's driver
@@ -155,10 +153,8 @@ class Window:
         self.game, self.open, self.note = game, True, ""
         self._trained, self._held = trained, set[int]()
         open_display(self.pygame)
-        self.pygame.font.init()
         self._screen = self.pygame.display.set_mode((SIZE + PANEL, SIZE))
         self.pygame.display.set_caption("Jack in a box")
-        self._fonts = {size: self.pygame.font.Font(None, size) for size in (18, 20, 24, 30, 46)}
 
     def frame(self, seconds: float) -> None:
         """Obey the keys, let so much time of the clock pass, and show the game."""
@@ -238,25 +234,22 @@ class Window:
             self._pill("Paused: the dot takes one step")
         self.pygame.display.flip()
 
-    def _write(
-        self, text: str, place: tuple[float, float], size: int, colour: Colour = INK, align: float = 0.0
-    ) -> None:
-        """Write with the left end (align 0), the middle (0.5) or the right end (1) at ``place``, half way down."""
-        image = self._fonts[size].render(text.replace("-", "\N{EN DASH}"), True, colour)
-        self._screen.blit(image, (place[0] - align * image.get_width(), place[1] - 0.5 * image.get_height()))
+    def _write(self, text: str, x: float, y: float, size: int, colour: Colour = INK, align: float = 0.0) -> None:
+        """Write with the left end (align 0), the middle (0.5) or the right end (1) at (x, y), half way down."""
+        write(self._screen, text, complex(x, y), size, colour, align)
 
     def _draw_numbers(self) -> None:
         game, left, right = self.game, SIZE + _EDGE, SIZE + PANEL - _EDGE
-        self._write("task", (left, 26), 18, _PALE)
-        self._write(game.task[:16], (right, 26), 24, align=1.0)
-        self._write("return", (left, 62), 18, _PALE)
-        self._write(f"{game.earned:.1f}", (right, 62), 46, align=1.0)
-        self._write("best", (left, 98), 18, _PALE)
-        self._write("-" if game.best is None else f"{game.best:.1f}", (right, 98), 30, align=1.0)
-        self._write("acting", (left, 128), 18, _PALE)
-        self._write(game.acting(), (right, 128), 24, _BLUE, align=1.0)
-        self._write("speed", (left, 156), 18, _PALE)
-        self._write(f"{game.speed:g} \N{MULTIPLICATION SIGN}", (right, 156), 24, align=1.0)
+        rows = (
+            ("task", game.task[:16], 26, 24, INK),
+            ("return", f"{game.earned:.1f}", 62, 46, INK),
+            ("best", "-" if game.best is None else f"{game.best:.1f}", 98, 30, INK),
+            ("acting", game.acting(), 128, 24, BLUE),
+            ("speed", f"{game.speed:g} \N{MULTIPLICATION SIGN}", 156, 24, INK),
+        )
+        for name, value, y, size, colour in rows:
+            self._write(name, left, y, 18, PALE_INK)
+            self._write(value, right, y, size, colour, align=1.0)
         self._screen.fill(TRACK, (left, 178, PANEL - 2 * _EDGE, 1))
 
     def _draw_keys(self) -> None:
@@ -275,36 +268,36 @@ class Window:
         for number, (key, meaning, is_on) in enumerate(rows):
             y = 200 + 30 * number
             self._cap(key, y, is_on)
-            self._write(meaning, (SIZE + _EDGE + 66, y), 20, _BLUE if is_on else INK)
-        self._write(self.note, (SIZE + 0.5 * PANEL, 484), 18, _RED, align=0.5)
+            self._write(meaning, SIZE + _EDGE + 66, y, 20, BLUE if is_on else INK)
+        self._write(self.note, SIZE + 0.5 * PANEL, 484, 18, _RED, align=0.5)
 
     def _cap(self, key: str, y: int, is_on: bool) -> None:
         """Draw a key's cap, filled where what it switches is on."""
         area = (SIZE + _EDGE, y - 11, 54, 23)
-        self.pygame.draw.rect(self._screen, _BLUE if is_on else _WHITE, area, border_radius=5)
-        self.pygame.draw.rect(self._screen, _BLUE if is_on else TRACK, area, width=1, border_radius=5)
+        self.pygame.draw.rect(self._screen, BLUE if is_on else _WHITE, area, border_radius=5)
+        self.pygame.draw.rect(self._screen, BLUE if is_on else TRACK, area, width=1, border_radius=5)
         x = SIZE + _EDGE + 27
         if key in ("left", "right"):
             tip = -6 if key == "left" else 6
             self.pygame.draw.polygon(self._screen, INK, [(x + tip, y), (x - tip, y - 5), (x - tip, y + 5)])
         else:
             size, raised = (30, 4) if key == "." else (18, 0)
-            self._write(key, (x, y - raised), size, _WHITE if is_on else INK, align=0.5)
+            self._write(key, x, y - raised, size, _WHITE if is_on else INK, align=0.5)
 
     def _pill(self, text: str) -> None:
         """Write at the top, where it hides nothing of the box."""
         area = self.pygame.Rect(152, 4, 238, 26)
-        self.pygame.draw.rect(self._screen, _BLUE, area, border_radius=13)
-        self._write(text, area.center, 20, _WHITE, align=0.5)
+        self.pygame.draw.rect(self._screen, BLUE, area, border_radius=13)
+        self._write(text, area.centerx, area.centery, 20, _WHITE, align=0.5)
 
     def _banner(self, title: str, below: str) -> None:
         """Write over the middle of the picture."""
         area = self.pygame.Rect(0, 0, 330, 74)
         area.center = (283, 150)
         self.pygame.draw.rect(self._screen, _WHITE, area, border_radius=8)
-        self.pygame.draw.rect(self._screen, _BLUE, area, width=2, border_radius=8)
-        self._write(title, (area.centerx, area.centery - 13), 30, align=0.5)
-        self._write(below, (area.centerx, area.centery + 17), 20, _PALE, align=0.5)
+        self.pygame.draw.rect(self._screen, BLUE, area, width=2, border_radius=8)
+        self._write(title, area.centerx, area.centery - 13, 30, align=0.5)
+        self._write(below, area.centerx, area.centery + 17, 20, PALE_INK, align=0.5)
 
 
 def play(
