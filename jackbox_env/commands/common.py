@@ -120,12 +120,6 @@ def extras() -> dict[str, list[str]]:
     return asked
 
 
-def package_of(requirement: str) -> str:
-    """The name in a requirement: "torch" of "torch<3,>=2.3"."""
-    found = re.match(r"[\w.-]+", requirement)
-    return found[0] if found else requirement
-
-
 def json_object(name: str, text: str) -> dict[str, Any]:
     """What an option called ``name`` holds that is given as JSON.
 
