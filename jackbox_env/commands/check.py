@@ -1,4 +1,4 @@
-"""Does this installation work? Versions, extras, the exact model's compiling, states put back, the law of impact."""
+"""Does this installation work? Versions, extras, the exact model's compiling, states put back, energy."""
 
 from __future__ import annotations
 
