@@ -16,9 +16,7 @@ if TYPE_CHECKING:
     from jackbox_env.scene import Scene
     from jackbox_env.simulators.fidelity import Setting
 
-_MOST_ON_PAGE = 200_000  # steps: minutes of writing
-_PAGE_STEPS = 1_000  # written to a page in a second, some
-_SAID = 10.0  # [s] of writing a page that are announced
+_MOST_ON_PAGE = 20_000  # steps: a page of some 10 MB
 
 
 def _arguments() -> argparse.Namespace:
@@ -80,9 +78,6 @@ def _write(folder: Path, arguments: argparse.Namespace, scene: Scene, setting: S
     if arguments.html:
         from jackbox_env.recording.page import model_facts, write_page
 
-        seconds = len(trajectory.times) / _PAGE_STEPS
-        if seconds > _SAID:
-            print(f"Writing the page takes some {seconds:.0f} s", file=sys.stderr)
         write_page(folder / "trajectory.html", scene, trajectory, "The scene's drive", model_facts(setting))
     if arguments.plots is not False and importlib.util.find_spec("matplotlib"):
         from jackbox_env.commands.plots import trajectory_figures
