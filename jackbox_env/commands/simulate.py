@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jackbox_env.commands.common import add_model_options, command_line, parser_of, scene_fields
+from jackbox_env.commands.common import add_model_options, command_line, from_json, parser_of, scene_fields
 
 if TYPE_CHECKING:
     from jackbox_env.recording.trajectory import Trajectory
@@ -26,7 +25,7 @@ def _arguments() -> argparse.Namespace:
     add_model_options(parser)
     start = parser.add_argument_group("start")
     text = "the 12 numbers to start from, as a JSON list, e.g. a row of states.csv; default: all 0"
-    start.add_argument("--state", metavar="JSON", help=text)
+    start.add_argument("--state", default=str([0.0] * 12), metavar="JSON", help=text)
     text = "time at the start [s], which the drive sees; default: 0"
     start.add_argument("--time", type=float, default=0.0, metavar="S", help=text)
     files = parser.add_argument_group("files")
@@ -57,17 +56,6 @@ def _refuse_nonsense(arguments: argparse.Namespace) -> None:
     if arguments.plots and importlib.util.find_spec("matplotlib") is None:
         raise ValueError("plots need matplotlib: pip install matplotlib, or leave --plots out")
     check_new(arguments.folder)
-
-
-def _start(text: str | None) -> object:
-    from jackbox_env import _validation as check
-
-    if text is None:
-        return [0.0] * 12
-    try:
-        return json.loads(text)
-    except (RecursionError, ValueError) as error:
-        raise ValueError(f"state must be a JSON list of 12 numbers, got {check.shown(text)}") from error
 
 
 def _write(folder: Path, arguments: argparse.Namespace, scene: Scene, setting: Setting, trajectory: Trajectory) -> None:
@@ -101,7 +89,7 @@ def main() -> None:
     setting = resolve(arguments.fidelity, arguments.contact, arguments.substeps)
     scene = Scene.of(scene_fields(arguments.scene))
     simulator = make_simulator(scene, **setting._asdict())
-    simulator.reset(_start(arguments.state), arguments.time)  # type: ignore[arg-type]
+    simulator.reset(from_json("state", arguments.state, list), arguments.time)
     try:
         trajectory = simulate(simulator, arguments.seconds, arguments.dt)
         folder = new_folder(

@@ -120,11 +120,14 @@ class Canvas:
         area = (start, 0, self._times, self._large.get_height())
         self._large.fill(colour, area if axis == 0 else (0, start, self._large.get_width(), self._times))
 
+    def _on_large(self, place: complex, off: float = 0.0) -> tuple[int, int]:
+        """A place on the large surface, ``off`` less both ways."""
+        x, y = self._times * (place.real + 0.5) - off, self._times * (place.imag + 0.5) - off
+        return round(x), round(y)
+
     def polygon(self, corners: Sequence[complex], colour: Colour) -> None:
         """Fill a polygon."""
-        # Corners are rounded to pixels of the large surface, (0, 0) being the middle of its first.
-        places = [self._times * (corner + 0.5 + 0.5j) - (0.5 + 0.5j) for corner in corners]
-        self.pygame.draw.polygon(self._large, colour, [(round(place.real), round(place.imag)) for place in places])
+        self.pygame.draw.polygon(self._large, colour, [self._on_large(corner, 0.5) for corner in corners])
 
     def band(self, start: complex, end: complex, width: float, colour: Colour) -> None:
         """Draw a band of some width [px] with square ends."""
@@ -134,9 +137,7 @@ class Canvas:
 
     def disc(self, centre: complex, radius: float, colour: Colour) -> None:
         """Draw a disc."""
-        place = self._times * (centre + 0.5 + 0.5j)
-        radius = max(1, round(self._times * radius))
-        self.pygame.draw.circle(self._large, colour, (round(place.real), round(place.imag)), radius)
+        self.pygame.draw.circle(self._large, colour, self._on_large(centre), max(1, round(self._times * radius)))
 
     def glow(self, centre: complex, radius: float, share: float, colour: Colour) -> None:
         """Draw a ring and a disc in it that let through what lies beneath: all of it at a ``share`` of 0."""
@@ -144,5 +145,4 @@ class Canvas:
         image = self.pygame.Surface((2 * reach, 2 * reach), self.pygame.SRCALPHA)
         for part, width, opacity in ((0.6, 0, 200), (1.0, 2 * self._times, 230)):
             self.pygame.draw.circle(image, (*colour, round(opacity * share)), (reach, reach), part * reach, width)
-        place = self._times * (centre + 0.5 + 0.5j) - reach * (1 + 1j)
-        self._large.blit(image, (round(place.real), round(place.imag)))
+        self._large.blit(image, self._on_large(centre, reach))
