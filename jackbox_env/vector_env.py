@@ -331,7 +331,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         """
         count = min(check.whole("first", first, at_least=1, at_most=1024), self.num_envs)
         size = check.size("size", size, at_least=16, at_most=1024)
-        from jackbox_env.render.tiles import tiled
+        from jackbox_env.render.renderer import tiled
 
         return tiled([self.scene_of(number) for number in range(count)], self.states, self.times, size)
 

@@ -9,6 +9,7 @@ containment are what counts.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -275,14 +276,8 @@ def restarts(simulator: Simulator, case: Case, reference: Reference) -> Restarts
 
 def _unpaired(impacts: Sequence[Impact], others: Sequence[Impact], late: float) -> int:
     """How many impacts up to the time ``late`` [s] have no partner among the others; those after it want none."""
-    left = [hit[1:3] for hit in others]
-    count = 0
-    for hit in impacts:
-        if hit[1:3] in left:
-            left.remove(hit[1:3])
-        elif hit.time <= late:
-            count += 1
-    return count
+    wanting = Counter(hit[1:3] for hit in impacts if hit.time <= late)
+    return (wanting - Counter(hit[1:3] for hit in others)).total()
 
 
 def quantities(course: Course, comparison: Comparison, again: Restarts, dt: float) -> dict[str, Any]:

@@ -366,7 +366,7 @@ CHOOSING: Kinds = {
     "cases": whole(2, 1, 10_000),
     "steps": replace(whole(60, 1, 1_000_000), taken=()),
     "control_dt": DT,
-    "seed": Argument(5, SEED.refused),
+    "seed": Argument(5, SEED.refused, {"numpy": np.int64(5), "0-d": np.array(5)}),
     "contact": CONTACT,
 }
 SEARCHING: Kinds = {
