@@ -46,7 +46,6 @@ PACKAGE = """
     recording.page
     render.canvas
     render.renderer
-    render.tiles
     env
     batches.base batches.threads
     batches.scenes batches.given
