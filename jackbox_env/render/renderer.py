@@ -308,12 +308,10 @@ class Renderer:
         def at(degrees: float, beside: float = 0.0) -> complex:
             return middle - 1j * cmath.rect(radius + beside, -math.radians(degrees))
 
-        for degrees in range(-140, 141, 4):
-            canvas.disc(at(degrees), 2.0 * self._px, TRACK)
         tip, sign = 140.0 * share, math.copysign(1.0, share)
         head = sign * min(26.0, abs(tip))
-        for degrees in np.arange(0.0, abs(tip - head), 2.0).tolist():
-            canvas.disc(at(sign * degrees), 2.0 * self._px, _TEAL)
+        for degrees in sorted(range(-140, 141, 4), key=abs, reverse=True):
+            canvas.disc(at(degrees), 2.0 * self._px, _TEAL if 0.0 <= sign * degrees < abs(tip - head) else TRACK)
         if share:
             side = 0.2 * radius * head * sign / 20.0
             canvas.polygon([at(tip), at(tip - head, side), at(tip - head, -side)], _TEAL)
@@ -322,22 +320,22 @@ class Renderer:
         """Draw the scales of heights, on the left, and of places along x, at the bottom, in the same unit."""
         (width, height), left, floor = self._size, round(self._ruler), round(self._floor)
         one, tick = max(1, round(self._px)), round(4.0 * self._px)
-        surface.fill(_RULER_TINT, (0, 0, left, height))
-        surface.fill(_RULER_TINT, (0, floor, width, height - floor))
-        surface.fill(TRACK, (left, 0, one, floor))
-        surface.fill(TRACK, (left, floor, width - left, one))
+        for area in ((0, 0, left, height), (0, floor, width, height - floor)):
+            surface.fill(_RULER_TINT, area)
+        for area in ((left, 0, one, floor), (left, floor, width - left, one)):
+            surface.fill(TRACK, area)
         unit, symbol = _unit(self._scene.box_half_width, "m")
         digits = -math.floor(math.log10(self._spacing / unit) + 1e-9)
-        for pixel, place in self._rules(1):
+        for pixel, y in self._rules(1):
             if pixel < floor:
                 surface.fill(TRACK, (left - tick, round(pixel), tick, one))
-                label = f"{round(place / unit, digits):z.6g} {symbol}"
-                self._write(surface, label, complex(self._ruler - 7.0 * self._px, pixel), 17, PALE_INK, 1.0)
-        for pixel, place in self._rules(0):
+                place = complex(self._ruler - 7.0 * self._px, pixel)
+                self._write(surface, f"{round(y / unit, digits):z.6g} {symbol}", place, 17, PALE_INK, 1.0)
+        for pixel, x in self._rules(0):
             if pixel > left:
                 surface.fill(TRACK, (round(pixel), floor, one, tick))
-                label = f"{round(place / unit, digits):z.6g}"
-                self._write(surface, label, complex(pixel, self._floor + 12.0 * self._px), 17, PALE_INK, 0.5)
+                place = complex(pixel, self._floor + 12.0 * self._px)
+                self._write(surface, f"{round(x / unit, digits):z.6g}", place, 17, PALE_INK, 0.5)
 
     def _write_readings(self, surface: pygame.Surface) -> None:
         unit, symbol = _unit(self._scene.torque_limit, "N m")
