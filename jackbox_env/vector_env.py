@@ -124,7 +124,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         shown = render_mode if self.num_envs == 1 else None
         single = JackInBoxEnv(scene=scenes[0], **settings, render_mode=shown)  # checks them all
         single.close()
-        drawn = None if randomize is None else Randomization(randomize, scenes, single._simulator_of)
+        drawn = None if randomize is None else Randomization(randomize, scenes, single.simulator_of)
         np.empty(
             self.num_envs * contact_model(single.contact).room, dtype=np.uint8
         )  # MemoryError now, not after hours of making

@@ -11,7 +11,7 @@ from gymnasium.utils.seeding import np_random
 from numpy.typing import NDArray
 
 from jackbox_env.batches.base import Change, Flags, Floats, Numbers, Outcome, Starts, bad_action
-from jackbox_env.env import JackInBoxEnv
+from jackbox_env.env import JackInBoxEnv, put
 from jackbox_env.randomization import Randomization
 from jackbox_env.scene import Scene
 from jackbox_env.states import Array
@@ -106,7 +106,7 @@ class SingleBatch:
     def _put(self, numbers: Numbers) -> None:
         """Put some environments where they are said to be."""
         for number in numbers.tolist():
-            self._envs[number]._put(self._scenes[number], self._states[number], float(self._times[number]))
+            put(self._envs[number], self._scenes[number], self._states[number], float(self._times[number]))
 
     def mend(self) -> None:
         """See :meth:`jackbox_env.batches.base.Batch.mend`."""

@@ -200,7 +200,7 @@ def _jitted(twin: FunctionType, inner: bool, checked: bool, keep: bool) -> Calla
     if inner:  # a third of the time to compile goes without ways in from Python
         settings |= {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     dispatcher = njit(**settings)(twin)
-    if keep and (folders := _cache_folders()):
+    if keep and (folders := cache_folders()):
         # where njit(cache=True) puts numba's own
         dispatcher._cache = CodeCache(twin, folders)
     return cast(Callable[..., Any], dispatcher)
@@ -258,7 +258,7 @@ def _tidy(place: Path) -> None:
             shutil.rmtree(old, ignore_errors=True)
 
 
-def _cache_folders() -> list[Path]:
+def cache_folders() -> list[Path]:
     """Folders to look for compiled code in, one in each place: the last of them can be written.
 
     The folders before it can only be read. A warning says that none can be written, or that the place the user
