@@ -111,8 +111,8 @@ class Renderer:
         # Time [s], place in the box [m], radius [px].
         self._flashes: deque[tuple[float, complex, float]] = deque(maxlen=_MOST_FLASHES)
         self._canvas: Canvas | None = Canvas(size)
-        self._window: pygame.Window | None = None
-        self._clock: pygame.time.Clock | None = None
+        self._window: Any = None
+        self._clock: Any = None
         self.show(scene)
         self.reset([0.0] * 12, 0.0)
 
@@ -231,12 +231,12 @@ class Renderer:
 
     def _show(self, canvas: Canvas) -> None:
         pygame = canvas.pygame
-        if self._window is None or self._clock is None:
-            self._window, self._clock = pygame.Window("Jack in a box", self._size), pygame.time.Clock()
         try:
-            shown = self._window.get_surface()
+            shown = self._window and self._window.get_surface()
         except pygame.error:  # somebody else has called pygame.quit()
-            self._window = pygame.Window("Jack in a box", self._size)
+            shown = None
+        if shown is None:
+            self._window, self._clock = pygame.Window("Jack in a box", self._size), pygame.time.Clock()
             shown = self._window.get_surface()
         shown.blit(canvas.surface, (0, 0))
         pygame.event.pump()
