@@ -55,8 +55,13 @@ def command_line(main: Callable[[], None]) -> Callable[[], None]:
             main()
             sys.stdout.flush()  # a full disk is met here, not at Python's end
         except (ImportError, DependencyNotInstalled) as error:
-            more = f"; this command needs more packages: {_how_to_get_all()}"
-            print(f"{error}{'' if 'pip install' in str(error) else more}", file=sys.stderr)
+            how = (
+                "pip install -e '.[all,dev]'"
+                if in_checkout()
+                else "`jackbox check` lists them, and how to install them"
+            )
+            more = "" if "pip install" in str(error) else f"; this command needs more packages: {how}"
+            print(f"{error}{more}", file=sys.stderr)
             sys.exit(2)
         except BrokenPipeError:
             sys.exit(_UNREAD)
@@ -102,12 +107,6 @@ def called(name: str, *arguments: str) -> str:
 def in_checkout() -> bool:
     """Whether this package is that of a checkout, with the scripts beside it."""
     return (ROOT / "scripts" / "train.py").is_file() and (ROOT / "pyproject.toml").is_file()
-
-
-def _how_to_get_all() -> str:
-    if in_checkout():
-        return "pip install -e '.[all,dev]' in a checkout"
-    return "`jackbox check` lists them, and how to install them"
 
 
 def extras() -> dict[str, list[str]]:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from itertools import pairwise
+from itertools import islice, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -99,22 +99,14 @@ class _Step(NamedTuple):
         return moment.time >= self.end and off > _ELSEWHERE * scene.box_half_width
 
 
-def _steps(trajectory: Trajectory) -> Iterator[_Step]:
-    times, states = trajectory.times.tolist(), trajectory.states.tolist()
-    first = 0
-    torques = [None] * len(trajectory.torques) if trajectory.driven else trajectory.torques.tolist()
-    for number, count in enumerate(trajectory.counts.tolist()):
-        impacts = trajectory.impacts[first : first + count]
-        first += count
-        before, after = states[number : number + 2]
-        yield _Step(times[number], times[number + 1], before, after, impacts, torques[number])
-
-
 def samples_of(scene: Scene, trajectory: Trajectory) -> Samples:
     """The samples of a trajectory in a scene: all stored states, and what lies between, at most 0.005 s apart."""
-    found = [_Sample(float(trajectory.times[0]), trajectory.states[0].tolist(), 0.0)]
-    for step in _steps(trajectory):
-        done = found[-1].work
+    ends, states = trajectory.times.tolist(), trajectory.states.tolist()
+    held = [None] * len(ends) if trajectory.driven else trajectory.torques.tolist()
+    found, impacts = [_Sample(ends[0], states[0], 0.0)], iter(trajectory.impacts)
+    for number, count in enumerate(trajectory.counts.tolist()):
+        hits, done = list(islice(impacts, count)), found[-1].work
+        step = _Step(ends[number], ends[number + 1], states[number], states[number + 1], hits, held[number])
         new = step.contact(scene) if step.impacts else step.flight(scene)
         found += [one._replace(work=done + one.work) for one in new]
     times, states, work = zip(*found, strict=True)

@@ -177,23 +177,24 @@ class Window:
         self.game.push = float(pygame.K_LEFT in self._held) - float(pygame.K_RIGHT in self._held)
 
     def _press(self, key: int, letter: str) -> None:
-        pygame, game = self.pygame, self.game
-        if key in (pygame.K_ESCAPE, pygame.K_q):
+        """Do what a key stands for; + and - and the dot are where the keyboard has them."""
+        game, name = self.game, letter if letter in ("+", "-", ".") else self.pygame.key.name(key)
+        if name in ("escape", "q"):
             self.open = False
-        elif key == pygame.K_r:
+        elif name == "r":
             game.restart()
-        elif key == pygame.K_SPACE:
+        elif name == "space":
             game.paused = not game.paused
-        elif key == pygame.K_PERIOD or letter == ".":
+        elif name == ".":
             game.paused = True
             game.step()
-        elif key in (pygame.K_PLUS, pygame.K_EQUALS, pygame.K_KP_PLUS) or letter == "+":
+        elif name in ("+", "=", "[+]"):
             game.faster(2.0)
-        elif key in (pygame.K_MINUS, pygame.K_KP_MINUS) or letter == "-":
+        elif name in ("-", "[-]"):
             game.faster(0.5)
-        elif key == pygame.K_c:
+        elif name == "c":
             game.chirp = not game.chirp
-        elif key == pygame.K_p:
+        elif name == "p":
             self._hand_over()
 
     def _hand_over(self) -> None:
