@@ -73,7 +73,7 @@ class Planner:
         )
 
     def _decide(self, seen: NDArray[Any], plans: Plans) -> tuple[NDArray[Any], Plans]:
-        """The first torques of the best plans, shape (k, 1), and the plans that are carried on."""
+        """The first torques of the best plans, shape (k, 1), and the plans of the next decision."""
         states = np.array([state_of(self._scene, row) for row in seen.tolist()])
-        found, carried_on = self._search.decide(self._scene, states, plans)
-        return found.plans[:, :1], carried_on
+        found, next_plans = self._search.decide(self._scene, states, plans)
+        return found.plans[:, :1], next_plans

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from agents.settings import TrainSettings
 from jackbox_env import Scene
 from jackbox_env.observation import BOUNDS
-from jackbox_env.planning.features import Futures
+from jackbox_env.planning.features import Features
 from jackbox_env.planning.icem import Plans
 
 
@@ -32,19 +32,19 @@ class Manner(NamedTuple):
     """How a policy plays."""
 
     hold: int = 1  # calls that each action is held for
-    futures: Futures | None = None  # by which it looks ahead
-    scene: Scene = Scene()  # that the futures are played in
+    features: Features | None = None  # by which it looks ahead
+    scene: Scene = Scene()  # that the rollouts are played in
 
 
 def manner_of(settings: TrainSettings) -> Manner:
     """How a policy plays that was trained by these settings."""
-    futures = None
+    features = None
     if settings.lookahead:
-        futures = Futures(
+        features = Features(
             settings.task, settings.control_dt, hold=settings.hold, samples=settings.lookahead, follow=True,
             num_threads=1,
         )  # fmt: skip
-    return Manner(settings.hold, futures, Scene.of(settings.scene_fields))
+    return Manner(settings.hold, features, Scene.of(settings.scene_fields))
 
 
 def ten_numbers(observation: Any) -> NDArray[Any]:
@@ -79,16 +79,16 @@ def play(
 
     ``choose`` gives its actions, shape (k, 1), for k observations as in training.
     """
-    futures = manner.futures
+    features = manner.features
 
     def decide(seen: NDArray[Any], plans: Plans | None) -> tuple[NDArray[Any], Plans | None]:
-        if futures is None or plans is None:
+        if features is None or plans is None:
             return choose(seen), plans
-        appended, carried_on = futures.look([manner.scene], seen, plans)
+        appended, next_plans = features.look([manner.scene], seen, plans)
         seen = np.concatenate([seen, appended], axis=1)
-        return futures.torques(choose(seen), seen), carried_on
+        return features.torques(choose(seen), seen), next_plans
 
-    begin = futures.begin if futures else None
+    begin = features.begin if features else None
     return decide_now_and_then(decide, begin, manner.hold, observation, state, episode_start)
 
 
@@ -125,6 +125,6 @@ def decide_now_and_then(
             plans = plans.replaced(new, begin(len(new)))
     due = np.flatnonzero(left == 0)
     if len(due):
-        actions[due], carried_on = decide(rows[due], plans and plans.of(due))
-        plans, left[due] = plans and plans.replaced(due, carried_on), repeat
+        actions[due], next_plans = decide(rows[due], plans and plans.of(due))
+        plans, left[due] = plans and plans.replaced(due, next_plans), repeat
     return (actions.copy() if np.ndim(observation) == 2 else actions[0].copy()), Playing(actions, left - 1, plans)

@@ -1,4 +1,4 @@
-"""Plans of torques that are carried on from decision to decision, improved by playing many variations of each.
+"""Warm-started plans of torques, improved in each decision by playing many variations of them.
 
 iCEM, the improved cross-entropy method (Pinneri et al. 2020, arXiv:2008.06389): coloured noise around the last plan,
 the best candidates make the next mean, some of them are kept. All that are due are played in one
@@ -25,7 +25,7 @@ _SMOOTHING = 0.1  # share of the old mean and deviation in the new ones
 
 
 class Plans(NamedTuple):
-    """What is carried on, of N jacks."""
+    """What a decision starts from, of N jacks."""
 
     means: Array  # (N, pieces) torques in units of the limit
     kept: Array  # (N, kept, pieces) good candidates
@@ -120,12 +120,12 @@ class Search:
         found = Found(best[:, 0], returns[rows, first], returns_scripted)
         last = np.zeros((count, 1))
         new = self._noise(plans.decisions, self.iterations)[:, : self.again, :1] * 0.5 * _SPREAD
-        carried_on = Plans(
+        next_plans = Plans(
             np.concatenate([means[:, 1:], last], axis=1),
             np.clip(np.concatenate([kept[:, :, 1:], new], axis=2), -1.0, 1.0),
             plans.decisions + 1,
         )
-        return found, carried_on
+        return found, next_plans
 
     def _noise(self, decisions: NDArray[np.int64], iteration: int) -> Array:
         """Noise of the candidates, shape (n, samples, pieces): alike where as many decisions were made."""
