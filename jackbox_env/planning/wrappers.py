@@ -36,8 +36,8 @@ class Lookahead(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs
     ======  ==============================================================================  ==============
 
     Scripted turns speed the box up for two pieces of ``hold`` control steps and stop it in two more. The furthest are
-    those that the torque's limit allows. The plan is warm-started from the last step's and
-    improved by ``samples`` variations (:mod:`jackbox_env.planning.icem`); an episode starts with none. An agent need not follow it.
+    those that the torque's limit allows. The plan is warm-started from the last step's and improved by
+    ``samples`` variations (:mod:`jackbox_env.planning.icem`); an episode starts with none. An agent need not follow it.
 
     Args:
         env: the environment, of either contact model.
