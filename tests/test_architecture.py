@@ -77,6 +77,7 @@ AGENTS = """
     training.models policies.network
     policies.value
     policies.planner policies.one_bounce
+    policies.registry
     training.best evaluation.returns evaluation.exporting evaluation.episodes training.zoo
     training.ppo evaluation.notes
     sweeps.trials

@@ -12,8 +12,9 @@ from typing import Any
 
 import pytest
 
-from agents.evaluation.returns import evaluate, find_policy
+from agents.evaluation.returns import evaluate
 from agents.files import FolderInUseError, held
+from agents.policies.registry import find_policy
 from agents.settings import EnvSettings
 from agents.sweeps import journal, trials
 from agents.sweeps.in_process import Finished, InThreads, InTurn, Trial, Work, nothing
