@@ -113,6 +113,15 @@ def test_an_environments_picture_shows_its_own_return(words: Words) -> None:
     assert "height, haste, a …" in words
 
 
+@pytest.mark.parametrize("away", [20.0, -1e9, 1e300])
+def test_a_jack_far_outside_is_left_out(away: float) -> None:
+    renderer = renderer_at(state(jack=(away, 0.0, 0.5)))
+    renderer.record(state(box=(-away, 0.0, 0.0), jack=(away, away, 0.5)), 0.02, 0.0, [Impact(0.02, 0, 0, 1.0)])
+    frame = draw(renderer)
+    assert np.count_nonzero(red(frame)) > 4 * 290 * 4
+    assert not blue(frame).any()
+
+
 def gauge(torque: float) -> Mask:
     """Where the gauge is teal: columns from 34 px left of its middle to 34 px right."""
     renderer = renderer_at(state())
