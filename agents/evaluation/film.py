@@ -15,7 +15,7 @@ from tqdm import tqdm
 import jackbox_env  # noqa: F401
 from agents.policies.scripted import Baseline
 from agents.settings import EPISODE_STEPS
-from jackbox_env.recording.files import check_new, replacing
+from jackbox_env.recording.files import check_new, check_writable, replacing
 from jackbox_env.render.canvas import import_pygame
 
 Frame = NDArray[np.uint8]
@@ -36,10 +36,7 @@ def check_film(path: Path) -> None:
     """
     if path.suffix.lower() not in SUFFIXES:
         raise ValueError(f"a film must be a .gif or .mp4 file, got {str(path)!r}")
-    if not path.parent.is_dir():
-        raise FileNotFoundError(f"{path.parent} is no folder to write {path.name} to")
-    if path.exists():
-        raise FileExistsError(f"{path} exists, and films are never overwritten: choose another file")
+    check_writable(path.parent)
     check_new(path, "films", "file")
     import_pygame()
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from stable_baselines3.common.evaluation import evaluate_policy
 
+from agents.evaluation import film as filming
 from agents.evaluation.film import film
 from agents.evaluation.returns import Returns, above, evaluate, table
 from agents.policies.planner import Planner
@@ -155,3 +156,23 @@ def test_films_show_the_policies_side_by_side(tmp_path: Path, suffix: str) -> No
     assert np.abs(left - right).max() > 100  # the chirp turned its box
     with pytest.raises(FileExistsError, match="films are never overwritten"):
         film(acts, {}, path, seed=0)
+
+
+def test_a_whole_episode_is_filmed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(filming, "EPISODE_STEPS", 15)
+    acts = {str(tmp_path / name): find_policy("zero", EnvSettings()) for name in ("one", "other")}
+    filming.film_episode(acts, {}, tmp_path / "film.gif", seed=0)
+    assert (tmp_path / "film.gif").stat().st_size > 0
+    assert all(f"{name}: return " in capsys.readouterr().out for name in [*acts][:1])
+
+
+@pytest.mark.parametrize(
+    ("name", "error"),
+    [("film.avi", ValueError), ("nowhere/film.gif", FileNotFoundError), ("there.gif", FileExistsError)],
+)
+def test_a_film_is_refused_before_anything_is_computed(name: str, error: type[Exception], tmp_path: Path) -> None:
+    (tmp_path / "there.gif").touch()
+    with pytest.raises(error, match=name.split("/")[0]):
+        filming.check_film(tmp_path / name)

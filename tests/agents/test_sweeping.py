@@ -19,6 +19,7 @@ from agents.settings import EnvSettings
 from agents.sweeps import journal, trials
 from agents.sweeps.in_process import Finished, InThreads, InTurn, Trial, Work, nothing
 from agents.sweeps.journal import JOURNAL, SWEEP, TABLE, TIMES, carry_out, new_sweep, read_sweep
+from agents.sweeps.on_ray import OnRay
 from tests.agents.small_run import TINY
 from tests.agents.test_commands import script
 
@@ -46,6 +47,12 @@ def carried_out(path: Path, work: Work = shares, runner: Any = None) -> Path:
 def rows_of(folder: Path, name: str = TABLE) -> list[dict[str, str]]:
     with (folder / name).open() as file:
         return list(csv.DictReader(file))
+
+
+@pytest.mark.parametrize(("workers", "address"), [(0, None), (2.5, None), (2, "auto")])
+def test_a_runner_on_ray_refuses_workers_in_one_sentence(workers: Any, address: str | None) -> None:
+    with pytest.raises((TypeError, ValueError), match=f"^workers must .* got {workers}$"):
+        OnRay(workers, address)
 
 
 # -- the table ---------------------------------------------------------------------------------------------------------
@@ -160,6 +167,10 @@ def test_folders_are_not_shared_overwritten_or_continued_by_other_code(
     (folder / SWEEP).write_text("{")
     with pytest.raises(ValueError, match="sweep.json is damaged"):
         read_sweep(folder)
+    (folder / SWEEP).unlink()
+    twice = {"asked": {}, "made_with": journal.made_with(), "trials": [GRID[0].settings, GRID[0].settings, 5]}
+    (folder / SWEEP).write_text(json.dumps(twice))
+    assert read_sweep(folder) == ({}, GRID[:1])
     for grid, said in (([], "at least one trial, got none"), ([*GRID, GRID[3]], "got twice")):
         with pytest.raises(ValueError, match=said):
             new_sweep(tmp_path / "new", {}, grid)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from jackbox_env.commands import check
+from jackbox_env.commands.common import command_line
 from jackbox_env.simulators.exact import ExactSimulator
 from jackbox_env.simulators.pymunk import PymunkSimulator
 from jackbox_env.states import Array
@@ -89,3 +90,28 @@ def test_check_sees_a_state_that_does_not_come_back(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(PymunkSimulator, "reset", forgetful)
     with pytest.raises(RuntimeError, match="leads elsewhere"):
         check.restores("pymunk")
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "said"),
+    [
+        (KeyboardInterrupt(), 130, ""),
+        (BrokenPipeError(), 141, ""),
+        (ImportError("no engine"), 2, "no engine; this command needs more packages"),
+        (OSError(28, "No space left on device"), 2, "cannot be used: No space left on device"),
+        (ValueError("dt must be"), 2, "dt must be"),
+    ],
+)
+def test_every_end_of_a_command_has_its_status_and_at_most_one_sentence(
+    error: BaseException, status: int, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    @command_line
+    def main() -> None:
+        raise error
+
+    with pytest.raises(SystemExit) as ended:
+        main()
+    told = capsys.readouterr().err
+    assert ended.value.code == status
+    assert said in told
+    assert told.count("\n") == bool(said)
