@@ -12,7 +12,7 @@ UNDER_OLD_GYMNASIUM := $(addprefix tests/,environment/test_env.py environment/te
 	environment/test_tools.py batches/test_vector_env.py batches/test_episodes.py \
 	guarantees/test_bits.py refusals/test_refusals.py)
 
-.PHONY: demo test test-all test-slow benchmark benchmark-loss benchmark-quick throughput speed costs costs-loss soak extremes machines kills interruptions mutants fidelity results networks scaling readme docs recipes clean
+.PHONY: demo test test-all test-slow benchmark benchmark-quick throughput speed costs costs-loss soak extremes machines kills interruptions mutants fidelity results networks scaling readme docs recipes clean
 .DELETE_ON_ERROR:
 
 demo: .venv/usable
@@ -37,10 +37,6 @@ test-slow: .venv/ready $(OLD_GYMNASIUM)/ready
 # Speed against accuracy: the full sweep writes docs/accuracy.md, the quick one (2 minutes) only its run folder.
 benchmark: .venv/ready
 	@$(BIN)/python scripts/studies/accuracy/benchmark.py --out docs
-
-# Only the trajectories with loss, a minute; the rest of docs/accuracy.md stays.
-benchmark-loss: .venv/ready
-	@$(BIN)/python scripts/studies/accuracy/benchmark.py --page-from docs/accuracy/results.json --loss
 
 benchmark-quick: .venv/ready
 	@$(BIN)/python scripts/studies/accuracy/benchmark.py --quick --no-progress

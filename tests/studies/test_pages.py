@@ -13,7 +13,7 @@ import pymunk
 import pytest
 
 from jackbox_env import Scene, make_simulator
-from scripts.studies import timing
+from scripts.studies import pages, timing
 from scripts.studies.costs import cost_steps
 from scripts.studies.costs import page as costs
 from scripts.studies.results import page as results
@@ -67,7 +67,7 @@ def test_rates_are_taken_in_turn_and_ratios_within_a_round() -> None:
     assert order == ["a", "b"] * 3
     assert rates == {"a": [1.0, 4.0], "b": [2.0, 2.0]}  # the first is the warm-up
     assert timing.ratios(rates, "a", "b") == [0.5, 2.0]
-    assert timing.cells([3.0, 1.0, 2.0]) == "2 | 1 to 3"
+    assert pages.cells([3.0, 1.0, 2.0]) == "2 | 1 to 3"
 
 
 def test_a_rate_is_what_a_block_did_over_the_time_that_it_took() -> None:

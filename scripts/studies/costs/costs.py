@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from jackbox_env.commands.common import command_line
-from scripts.studies import timing
+from scripts.studies import pages, timing
 
 PACKAGES = ("jackbox", "gymnasium", "numpy", "pymunk", "numba")
 PASSES = 9  # through everything, in a round
@@ -95,7 +95,7 @@ def main() -> None:
         kept = json.loads(path.read_text()) if arguments.loss else measured(rounds, seconds)
         write_json(path, kept | {"loss": measured_with_loss(rounds, seconds)})
     results = json.loads(path.read_text())
-    timing.bars(picture, "ns of a control step of one environment", pictured(results))
+    pages.bars(picture, "ns of a control step of one environment", pictured(results))
     write_text(arguments.out / "costs.md", page(results, picture.name))
     print(page(results, picture.name))
 

@@ -8,7 +8,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from scripts.studies.costs.cost_steps import FLIGHT, LOSS, RESTING
-from scripts.studies.timing import Rates, cells, figure, joined, rough
+from scripts.studies.pages import cells, figure, joined, rough
+from scripts.studies.timing import Rates
 
 MODELS = PYMUNK, EXACT, BATCH = "pymunk", "exact", "exact, batch"
 ARM, FRAME = "more impacts: an arm of 8 m", "a frame drawn in each step"

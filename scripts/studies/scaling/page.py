@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from scripts.studies.timing import rough
+from scripts.studies.pages import rough
 
 MACHINES, CORES = 100, 2  # that the table asks about
 _UNSTEADY = 0.1  # share of the machine that others use, above which rates are not compared

@@ -11,8 +11,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from scripts.studies import timing
+from scripts.studies.pages import cells, figure, joined, rough
 from scripts.studies.speed import measured as names
-from scripts.studies.timing import Rates, cells, figure, joined, rough
+from scripts.studies.timing import Rates
 
 Results = Mapping[str, Mapping[str, Any]]
 
