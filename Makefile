@@ -71,7 +71,7 @@ kills: .venv/ready
 	@JACKBOX_KILLS=200 $(PYTEST) tests/guarantees/test_kills.py
 
 interruptions: .venv/ready
-	@JACKBOX_INTERRUPTIONS=10000 $(PYTEST) tests/guarantees/test_interruptions.py -k random_moments
+	@JACKBOX_INTERRUPTIONS=10000 $(PYTEST) -s tests/guarantees/test_interruptions.py -k random
 
 # What the tests see: 60 small faults, one at a time, and the first test that fails of each; one to three hours.
 mutants: .venv/ready

@@ -6,24 +6,14 @@ a lock left behind holds nobody up. Windows has no such lock: there a folder is 
 
 from __future__ import annotations
 
-import errno
 import json
-import os
-import stat
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
-
-if sys.platform != "win32":
-    import fcntl
+from typing import Any, BinaryIO
 
 LOCK = "lock"
-_PATIENCE = 1.0  # for a process that has just taken a lock to write its number down [s]
-_IN_PLACE = sum(getattr(os, name, 0) for name in ("O_RDWR", "O_CREAT", "O_NOFOLLOW", "O_NONBLOCK", "O_BINARY"))
-_held: set[int] = set()  # descriptors of the locks that this process holds
 
 
 class DamagedFileError(ValueError):
@@ -67,24 +57,6 @@ def say_skipped(error: DamagedFileError) -> None:
     print(f"Skipped: {error}", file=sys.stderr)
 
 
-# -- files that are written in place ----------------------------------------------------------------------------------
-
-
-def own_file(path: Path) -> int:
-    """A descriptor to read and write a file in place, which is made where it is missing.
-
-    Raises:
-        OSError: it is a link, or no plain file: what is written there would be written elsewhere.
-    """
-    if not path.is_symlink():
-        descriptor = os.open(path, _IN_PLACE, 0o666)
-        found = os.fstat(descriptor)
-        if stat.S_ISREG(found.st_mode) and found.st_nlink <= 1:
-            return descriptor
-        os.close(descriptor)
-    raise OSError(f"{path} must be a plain file of its own, no link: remove it, or put a copy in its place")
-
-
 # -- holding ----------------------------------------------------------------------------------------------------------
 
 
@@ -93,71 +65,34 @@ def held(folder: Path) -> Iterator[None]:
     """Hold a folder against every other process, and against a second use within this one.
 
     Raises:
-        FolderInUseError: another process holds it.
+        FolderInUseError: it is held already.
         OSError: its lock is a link, or cannot be opened.
     """
-    descriptor = _locked(folder)
-    if descriptor is None:
-        print(f"{folder} cannot be locked on this system: take care that nothing else works in it", file=sys.stderr)
+    with open_own(folder / LOCK) as file:
+        try:
+            _lock(file)
+        except BlockingIOError as error:
+            raise FolderInUseError(f"{folder} is in use by another process: wait until it ends, or end it") from error
+        except OSError:
+            print(f"{folder} cannot be locked on this system: take care that nothing else works in it", file=sys.stderr)
         yield
-        return
-    _held.add(descriptor)
+
+
+def open_own(path: Path) -> BinaryIO:
+    """Open a file to read and to append to, which is made where it is missing.
+
+    Raises:
+        OSError: it is a link, so that what is written would be written elsewhere.
+    """
+    if path.is_symlink():
+        raise OSError(f"{path} must be a plain file of its own, no link: remove it, or put a copy in its place")
+    return path.open("ab+")
+
+
+def _lock(file: BinaryIO) -> None:
+    """Lock a file until it is closed, or its process ends however it ends; OSError where there are no locks."""
     try:
-        os.ftruncate(descriptor, 0)
-        os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
-        yield
-    finally:
-        if descriptor in _held:  # not in a forked child
-            os.ftruncate(descriptor, 0)
-            _held.remove(descriptor)
-            os.close(descriptor)
-
-
-def _locked(folder: Path) -> int | None:
-    """A descriptor of the folder's lock, taken; None where the system, or the disk's, has no such lock."""
-    if sys.platform == "win32":
-        return None
-    deadline = time.monotonic() + _PATIENCE
-    descriptor = own_file(folder / LOCK)
-    try:
-        while True:
-            try:
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError as error:
-                holder = _process(os.pread(descriptor, 32, 0))
-                if holder is None and time.monotonic() < deadline:
-                    time.sleep(0.01)  # it has not written its number yet
-                    continue
-                name = f"process {holder}" if holder else "another process"
-                raise FolderInUseError(f"{folder} is in use by {name}: wait until it ends, or end it") from error
-            except OSError as error:
-                if error.errno not in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS):
-                    raise
-                os.close(descriptor)
-                return None
-            return descriptor
-    except BaseException:
-        os.close(descriptor)
-        raise
-
-
-def _process(written: bytes) -> int | None:
-    """The number of a process that lives."""
-    try:
-        number = int(written)
-        os.kill(number, 0)
-    except PermissionError:  # another user's
-        return number
-    except (ValueError, OverflowError, OSError):  # not written yet; or that of a holder before, which was killed
-        return None
-    return number if number > 0 else None
-
-
-def _let_go() -> None:
-    """In a forked child: close the parent's locks, or a child that outlives it would hold them."""
-    while _held:
-        os.close(_held.pop())
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_let_go)
+        import fcntl
+    except ModuleNotFoundError as error:
+        raise OSError("there are no locks on this system") from error
+    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -8,7 +8,7 @@ model.zip                the last
 evaluations.npz          the separate evaluations
 time.json                how long the process that finished the run took for its steps, and for what
 tensorboard/             curves
-lock                     held, with its number in it, by the process that works here
+lock                     held by the process that works here
 """
 
 from __future__ import annotations

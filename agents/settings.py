@@ -29,7 +29,7 @@ PREVIEW_READS = ("box_half_width", "jack_arm", "gravity")  # fields of the scene
 MOST_COUNTED = 10**12  # of steps, episodes and samples
 MOST_TOGETHER = 5_000_000  # samples that are kept between updates
 MOST_LAYERS = 32
-MOST_FUTURES = 4096
+MOST_SAMPLES = 4096
 MOST_WEIGHTS = 20_000_000  # of one network; there are two
 MOST_THREADS = 1024
 
@@ -156,7 +156,7 @@ class TrainSettings(EnvSettings):
     """Show the networks, beside the observation, where and how the jack will land. Such a model.zip loads only where
     a checkout of this project can be imported; scripts/export.py makes a policy of it that needs numpy alone."""
     lookahead: int = 0
-    """Futures by which a plan is improved before each action; the networks see what it and 9 scripted ones bring."""
+    """Rollouts by which a plan is improved before each action; the networks see what it and 9 scripted ones bring."""
     checkpoint_steps: int = 100_000
     """Steps between checkpoints, from which an interrupted run resumes."""
     eval_steps: int = 100_000
@@ -182,12 +182,12 @@ class TrainSettings(EnvSettings):
             raise ValueError(f"hold must divide the {EPISODE_STEPS} control steps of an episode, got {self.hold}")
         check.flag("preview", self.preview)
         if self.lookahead and self.randomized:
-            raise ValueError("lookahead must be 0 where scenes vary: a trained model plays its futures in one scene")
+            raise ValueError("lookahead must be 0 where scenes vary: a trained model plays its rollouts in one scene")
         shown = [name for name in PREVIEW_READS if name in self.randomized]
         if self.preview and shown:
             raise ValueError(f"preview must be off where {' and '.join(shown)} varies: it is computed for one scene")
-        if check.whole("lookahead", self.lookahead, at_least=0, at_most=MOST_FUTURES) in range(1, 8):
-            raise ValueError(f"lookahead must be 0 or from 8 to {MOST_FUTURES}, got {self.lookahead}")
+        if check.whole("lookahead", self.lookahead, at_least=0, at_most=MOST_SAMPLES) in range(1, 8):
+            raise ValueError(f"lookahead must be 0 or from 8 to {MOST_SAMPLES}, got {self.lookahead}")
         check.real("learning_rate", self.learning_rate, above=0.0)
         check.real("clip_range", self.clip_range, above=0.0)
         check.real("gamma", self.gamma, at_least=0.0, at_most=1.0)

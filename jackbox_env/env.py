@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
@@ -188,7 +189,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         render_size: tuple[int, int] = (512, 512),
         render_overlay: bool = True,
     ) -> None:
-        self.contact, self._substeps = resolve(fidelity, contact, substeps)
+        self.contact, substeps = resolve(fidelity, contact, substeps)
         self.control_dt = check.real("control_dt", control_dt, above=0.0)
         self.torque_source = check.choice("torque", torque, ("agent", "chirp"))
         if render_mode is not None:
@@ -198,12 +199,15 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         self.task, self._task = task, tasks.task_of(task)
         self._fails_never = self._task in tasks.TASKS.values()  # a task of the user's own may
         self._own = Scene.of(scene)
-        self._parts = self._simulator_of(self._own), make_score(self._own, self._task, self.contact)
+        self.simulator_of: Callable[[Scene], Simulator] = partial(
+            make_simulator, contact=self.contact, substeps=substeps
+        )
+        self._parts = self.simulator_of(self._own), make_score(self._own, self._task, self.contact)
         if not self._fails_never:
             self._parts[1](self.state, 0.0, 0.0)  # an unfit task is refused now
         self._randomize = None
         if randomize is not None:
-            self._randomize = Randomization(randomize, [self._own], self._simulator_of)
+            self._randomize = Randomization(randomize, [self._own], self.simulator_of)
         self._terms = [f"reward_{name}" for name in self._task.terms]
         self.observation_space = gym.spaces.Box(-BOUNDS, BOUNDS, dtype=np.float32)
         self.action_space = gym.spaces.Box(-1.0, 1.0, shape=(1,), dtype=np.float32)
@@ -220,12 +224,9 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
 
     # -- the simulated system -----------------------------------------------------------------------------------------
 
-    def _simulator_of(self, scene: Scene) -> Simulator:
-        return make_simulator(scene, contact=self.contact, substeps=self._substeps)
-
     def _made(self, scene: Scene) -> tuple[Simulator, Score]:
         """What depends on the scene; replaced as one, so that no interruption parts them."""
-        return self._simulator_of(scene), self._parts[1].of(scene)
+        return self.simulator_of(scene), self._parts[1].of(scene)
 
     @property
     def _simulator(self) -> Simulator:
@@ -318,12 +319,6 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         self._parts = parts
         self._start_picture()
 
-    def _put(self, scene: Scene, state: Array, time: float) -> None:
-        """Go on in a scene and a state that are known to be fit."""
-        parts = self._parts if scene == self.scene else self._made(scene)
-        parts[0].reset(state, time)
-        self._take(parts)
-
     def step(self, action: Action) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Advance by one control step under ``action``, or under the scene's drive where it is None.
 
@@ -403,3 +398,10 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     def _start_picture(self) -> None:
         if self._renderer is not None:
             self._renderer.reset(self._simulator.state, self._simulator.time)
+
+
+def put(env: JackInBoxEnv, scene: Scene, state: Array, time: float) -> None:
+    """Let an environment go on in a scene, and in a state and at a time [s] that are checked: for batches of them."""
+    parts = env._parts if scene == env.scene else env._made(scene)
+    parts[0].reset(state, time)
+    env._take(parts)

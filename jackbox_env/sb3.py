@@ -7,7 +7,7 @@ import inspect
 import time
 import warnings
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from jackbox_env import _validation as check
 from jackbox_env.scene import Scene
 from jackbox_env.states import Array
-from jackbox_env.vector_env import JackInBoxVectorEnv, ResetPlan
+from jackbox_env.vector_env import JackInBoxVectorEnv
 
 try:
     from stable_baselines3.common.monitor import Monitor
@@ -55,104 +55,73 @@ def make_sb3_vec_env(num_envs: int, **env_kwargs: Any) -> JackInBoxVecEnv:
     return JackInBoxVecEnv(num_envs, **env_kwargs)
 
 
-class Entered(NamedTuple):
-    """What is kept of each environment's episode, together with the environment."""
-
-    returns: Array  # (N,) sum of its rewards
-    lengths: NDArray[np.int64]  # (N,) its steps
-    reset_infos: list[dict[str, Any]]  # of its start
-    used: tuple[Any, Any]  # seeds and options of the last reset: they are used once
-
-
 class JackInBoxVecEnv(VecEnv):
     """Environments of one scene for Stable-Baselines3; see :func:`make_sb3_vec_env`.
 
-    An interruption of ``step_wait`` or ``reset`` leaves all as it was, or all as it is after the call: the vector
-    environment, the statistics of the episodes, the infos of their starts.
+    An interruption of ``step_wait`` or ``reset`` leaves all as it was or as it is after the call. Where it strikes
+    while the results are put in place, ``step_wait`` refuses until the next ``reset``.
     """
 
     def __init__(self, num_envs: int, **env_kwargs: Any) -> None:
         check.known_keys("make_sb3_vec_env", env_kwargs, _KNOWN)
         self.vector_env = JackInBoxVectorEnv(num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **env_kwargs)
-        self._with_infos = self.vector_env._with_infos
+        self._with_infos = bool(env_kwargs.get("with_infos", False))
         self._views = [EnvView(self.vector_env, number, env_kwargs) for number in range(self.vector_env.num_envs)]
         self._began = time.time()
         self._actions: NDArray[Any] | None = None
         space, actions = self.vector_env.single_observation_space, self.vector_env.single_action_space
         super().__init__(self.vector_env.num_envs, space, actions)
         self.metadata = self.vector_env.metadata
+        self._returns, self._lengths = np.zeros(self.num_envs), np.zeros(self.num_envs, dtype=np.int64)
+        self._changes = 0  # of the vector environment, when returns and lengths were those of its episodes
 
     # -- stepping -----------------------------------------------------------------------------------------------------
 
-    @property
-    def reset_infos(self) -> list[dict[str, Any]]:
-        """The info of each environment's last start."""
-        return self._entered.reset_infos
-
-    @reset_infos.setter
-    def reset_infos(self, infos: list[dict[str, Any]]) -> None:
-        held = self.vector_env._batch.held
-        held.book = held.book._replace(entered=self._entered._replace(reset_infos=infos))
-
-    @property
-    def _entered(self) -> Entered:
-        entered: Entered | None = self.vector_env._batch.held.book.entered
-        if entered is None:
-            count = self.vector_env.num_envs
-            return Entered(np.zeros(count), np.zeros(count, dtype=np.int64), [{}] * count, (None, None))
-        return entered
-
     def reset(self) -> NDArray[np.float32]:
-        """Start an episode in each environment, with the seeds and options set before; both are used once."""
-        self._drop_used()
-        vector_env, plans, reset_infos = self.vector_env, self._plans(), list(self.reset_infos)
-        draft = vector_env._batch.draft()
-        for plan in plans:
-            vector_env._carry_out(plan, draft)
-            rows = _rows(vector_env._fresh_infos(draft, plan.chosen)) if self._with_infos else None
-            for number in np.flatnonzero(plan.chosen).tolist():
-                reset_infos[number] = rows[number] if rows else {}
-        entered = Entered(
-            np.zeros(self.num_envs), np.zeros(self.num_envs, dtype=np.int64), reset_infos, (self._seeds, self._options)
-        )
-        draft.book = draft.book._replace(entered=entered)
-        observations = vector_env._seen(draft)
-        vector_env._batch.keep(draft)
-        self._drop_used()
-        return observations
+        """Start an episode in each environment, with the seeds and options set before; both are used once.
 
-    def _drop_used(self) -> None:
-        """Forget seeds and options that a reset has used, also where it was interrupted at its very end."""
-        seeds, options = self._entered.used
-        if self._seeds is seeds:
-            self._reset_seeds()
-        if self._options is options:
-            self._reset_options()
+        Each environment with options starts alone, then the others together.
 
-    def _plans(self) -> list[ResetPlan]:
-        """What a reset does, checked: together the environments without options, each of the others alone."""
+        Raises:
+            TypeError, ValueError: an unusable option; nothing has changed, unless it is a state outside its box: then
+                environments with options of a lower number have started.
+        """
         plain = np.array([not options for options in self._options])
-        groups: list[tuple[NDArray[np.bool_], dict[str, Any]]] = [(plain, {})] if plain.any() else []
-        for number in np.flatnonzero(~plain):
+        given = []
+        for number in np.flatnonzero(~plain).tolist():
             check.known_keys("options", self._options[number], ("state", "time", "scene"))
-            groups.append((np.arange(self.num_envs) == number, self._options[number]))
-        return [self.vector_env._plan_reset(self._seeds, {**options, "reset_mask": mask}) for mask, options in groups]
+            given.append({**self._options[number], "reset_mask": np.arange(self.num_envs) == number})
+        if plain.any():
+            given.append({"reset_mask": plain})  # last, so that a refused state changes nothing
+        for options in given:
+            self.vector_env.check_reset(self._seeds, options)
+        for options in given:
+            observations, infos = self.vector_env.reset(seed=self._seeds, options=options)
+            rows = _rows(infos) if self._with_infos else [{} for _ in range(self.num_envs)]
+            for number in np.flatnonzero(options["reset_mask"]).tolist():
+                self.reset_infos[number] = rows[number]
+        self._returns, self._lengths = np.zeros(self.num_envs), np.zeros(self.num_envs, dtype=np.int64)
+        self._changes = self.vector_env.changes
+        self._reset_seeds()
+        self._reset_options()
+        return observations
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Keep the actions, shape (N, 1), for ``step_wait``."""
         self._actions = actions
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Step; an episode that ends starts anew, and its info holds its last observation and its statistics."""
-        draft, (observations, rewards, _, dones, infos) = self.vector_env._stepped(self._actions)
-        before = self._entered
-        returns, lengths, reset_infos = before.returns + rewards, before.lengths + 1, before.reset_infos
+        """Step; an episode that ends starts anew, and its info holds its last observation and its statistics.
+
+        Raises:
+            RuntimeError: an interruption, or a step of ``vector_env`` itself, has left other environments: reset first.
+        """
+        if self._changes != self.vector_env.changes:
+            raise RuntimeError("the environments have changed beside step_wait, or in an interrupted one: reset them")
+        observations, rewards, _, dones, infos = self.vector_env.step(self._actions)
+        returns, lengths = self._returns + rewards, self._lengths + 1
         ended = np.flatnonzero(dones).tolist()
-        rows: list[dict[str, Any]]
-        if self._with_infos:
-            rows, reset_infos = self._full_rows(infos, ended, reset_infos)
-        else:
-            rows = [{} for _ in range(self.num_envs)]
+        rows = self._full_rows(infos, ended) if self._with_infos else [{} for _ in range(self.num_envs)]
         for number in ended:
             rows[number]["episode"] = {
                 "r": round(float(returns[number]), 6),
@@ -164,24 +133,19 @@ class JackInBoxVecEnv(VecEnv):
         for number in ended:
             rows[number]["terminal_observation"] = infos["final_obs"][number]
         returns[ended], lengths[ended] = 0.0, 0
-        returned = observations, rewards.astype(np.float32), dones, rows
-        draft.book = draft.book._replace(entered=Entered(returns, lengths, reset_infos, before.used))
-        self.vector_env._batch.keep(draft)
-        return returned
+        self._returns, self._lengths, self._changes = returns, lengths, self.vector_env.changes
+        return observations, rewards.astype(np.float32), dones, rows
 
-    def _full_rows(
-        self, infos: dict[str, Any], ended: list[int], reset_infos: list[dict[str, Any]]
-    ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-        """Each environment's own info of the step, and of its start."""
+    def _full_rows(self, infos: dict[str, Any], ended: list[int]) -> list[dict[str, Any]]:
+        """Each environment's own info of the step; those of new starts go to ``reset_infos``."""
         if ended:
-            reset_infos = list(reset_infos)
             started = _rows({name: values[ended] for name, values in infos.items() if not name.startswith("final_")})
             for number, row in zip(ended, started, strict=True):
-                reset_infos[number] = row
+                self.reset_infos[number] = row
             for name, values in infos["final_info"].items():
                 if not name.startswith("_"):
                     infos[name][ended] = values[ended]
-        return _rows(infos), reset_infos
+        return _rows(infos)
 
     def close(self) -> None:
         """Release what the renderers hold."""
@@ -248,7 +212,7 @@ class EnvView:
     @property
     def scene(self) -> Scene:
         """The scene, every field resolved."""
-        return self._vector_env._batch.scene(self._number)
+        return self._vector_env.scene_of(self._number)
 
     @property
     def state(self) -> Array:

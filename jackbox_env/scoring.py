@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from jackbox_env.observation import observe
 from jackbox_env.scene import Scene
+from jackbox_env.simulators import contact_model
 from jackbox_env.states import Array
 from jackbox_env.tasks import TASKS, Task, checked_terms
 
@@ -36,7 +37,7 @@ def make_score(scene: Scene, task: Task, contact: str) -> Score:
     Raises:
         TypeError: the task's function cannot be compiled, or does not return one number for each term.
     """
-    return CompiledScore(scene, task) if contact == "exact" else PlainScore(scene, task)
+    return CompiledScore(scene, task) if contact_model(contact).compiled else PlainScore(scene, task)
 
 
 class PlainScore:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -13,11 +12,12 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import _validation as check
-from jackbox_env.batches.base import Batch, Change, Flags, Floats, Held, Outcome
+from jackbox_env.batches.base import Batch, Change, Flags, Floats, Outcome, Starts
 from jackbox_env.batches.given import Given
 from jackbox_env.env import JackInBoxEnv, Randomize
 from jackbox_env.randomization import Randomization
 from jackbox_env.scene import Scene
+from jackbox_env.simulators import contact_model
 from jackbox_env.states import Array, as_held, as_start
 from jackbox_env.tasks import Task, task_of
 
@@ -25,7 +25,6 @@ Infos = dict[str, Any]
 Step = tuple[Floats, Array, Flags, Flags, Infos]
 
 _MOST_ENVS = 1_000_000_000
-_ROOM = {"pymunk": 130_000, "exact": 500}  # [bytes] that an environment takes, about
 _NO_LIMIT = 10**15  # steps; float64 counts them all
 
 
@@ -37,15 +36,6 @@ class ResetPlan(NamedTuple):
     changes: list[Change] | None  # of the scenes of those chosen; None: they stay, or are drawn as always
     states: Callable[[Callable[[int], Scene]], Array] | None  # (N, 12) where they start, checked against the scenes
     times: Array  # (N,) [s]
-
-
-class Book(NamedTuple):
-    """What is kept beside the environments; it changes together with them."""
-
-    seeds: list[int]  # -1 where none was given
-    started: bool  # whether all have been reset
-    waiting: bool  # whether an episode may be over
-    entered: Any  # what the owner of a vector environment keeps beside them, see sb3.py
 
 
 class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
@@ -83,9 +73,8 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
     arrays are never written again.
 
     An interruption (KeyboardInterrupt, or what else a signal handler raises) of ``step``, ``reset`` or ``set_states``
-    leaves all environments as they were, or all as they are after the call: states, times, episodes, their restarts and
-    random generators. ``times`` tells which of the two: a step changes them. If a call is interrupted at its very
-    end, what it would have returned is lost; ``observations`` still has the present ones.
+    leaves all environments as they were, or all as they are after the call; ``times`` tells which. Where it strikes
+    while the new states are put in place, the environments refuse to step until all are ``reset``.
 
     Raises:
         TypeError, ValueError: an argument out of its range. Calls that are refused leave all environments as they were.
@@ -135,8 +124,10 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         shown = render_mode if self.num_envs == 1 else None
         single = JackInBoxEnv(scene=scenes[0], **settings, render_mode=shown)  # checks them all
         single.close()
-        drawn = None if randomize is None else Randomization(randomize, scenes, single._simulator_of)
-        np.empty(self.num_envs * _ROOM[single.contact], dtype=np.uint8)  # MemoryError now, not after hours of making
+        drawn = None if randomize is None else Randomization(randomize, scenes, single.simulator_of)
+        np.empty(
+            self.num_envs * contact_model(single.contact).room, dtype=np.uint8
+        )  # MemoryError now, not after hours of making
         self.task, self.render_mode, self.control_dt = task, render_mode, single.control_dt
         self.torque_source = single.torque_source
         self.metadata = {**single.metadata, "autoreset_mode": self.autoreset_mode}
@@ -156,14 +147,26 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
             self._batch = SingleBatch(
                 scenes, self.num_envs, limit, self._with_infos, drawn, render_mode=render_mode, **settings
             )
-        self._batch.held.book = Book([-1] * self.num_envs, started=False, waiting=False, entered=None)
+        self._seeds = [-1] * self.num_envs  # -1 where none was given
+        self._started = np.zeros(self.num_envs, dtype=np.bool_)  # which have been reset
+        self._ready, self._waiting = False, False  # whether all have been reset; whether an episode may be over
+        self._half = False  # whether a change has begun and not ended
+        self.changes = 0  # steps and resets so far
 
     # -- the simulated systems ----------------------------------------------------------------------------------------
 
     @property
     def scenes(self) -> list[Scene]:
         """The scene of each environment as it holds now, every field resolved."""
-        return [self._batch.scene(number) for number in range(self.num_envs)]
+        return [self.scene_of(number) for number in range(self.num_envs)]
+
+    def scene_of(self, number: int) -> Scene:
+        """The scene of the environment of that number as it holds now.
+
+        Raises:
+            TypeError, ValueError: there is none of that number.
+        """
+        return self._batch.scene(check.whole("number", number, at_least=0, at_most=self.num_envs - 1))
 
     @property
     def scene(self) -> Scene:
@@ -180,23 +183,18 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
     @property
     def states(self) -> Array:
         """A copy of all states, float64, shape (N, 12), SI units."""
-        states: Array = self._batch.held.states
-        return states
+        return self._batch.states
 
     @property
     def times(self) -> Array:
         """A copy of all times [s], shape (N,)."""
-        times: Array = self._batch.held.times
-        return times
+        return self._batch.times
 
     @property
     def observations(self) -> Floats:
         """What the agents see of the present states: a fresh float32 array, shape (N, 10)."""
-        return self._seen(self._batch.held)
-
-    def _seen(self, held: Held) -> Floats:
         seen = np.empty((self.num_envs, 10), dtype=np.float32)
-        self._batch.observe(held, np.ones(self.num_envs, dtype=np.bool_), seen)
+        self._batch.observe(np.arange(self.num_envs), seen)
         return seen
 
     def set_states(self, states: ArrayLike, times: ArrayLike, chosen: Flags | None = None) -> None:
@@ -210,21 +208,26 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
             TypeError, ValueError: unusable values; all environments stay as they were.
         """
         chosen = np.ones(self.num_envs, dtype=np.bool_) if chosen is None else self._given.mask("chosen", chosen)
+        self._mend(chosen)
         placed = self._given.states("states", states, chosen, as_held)(self._batch.scene)
-        self._place(chosen, placed, self._given.times("times", times, chosen))
+        checked = self._given.times("times", times, chosen)
+        self._half = True
+        self._batch.place(chosen, placed, checked)
+        self._half = False
 
-    def _place(self, chosen: Flags, states: Array, times: Array, anew: bool = False) -> None:
-        """Put the ``chosen`` environments into states and at times that are checked; ``anew``: an episode starts."""
-        draft = self._batch.draft()
-        self._batch.place(draft, chosen, states, times, anew)
-        self._batch.keep(draft)
+    def _mend(self, chosen: Flags | None = None) -> None:
+        """Refuse environments that an interruption has left half changed, unless all are put somewhere anew."""
+        if self._half:
+            if chosen is None or not chosen.all():
+                raise RuntimeError("an interruption has left the environments half changed: reset all of them first")
+            self._batch.mend()
 
     # -- Gymnasium's methods ------------------------------------------------------------------------------------------
 
     @property
     def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
         """The environments' seeds, -1 where none was given."""
-        return tuple(self._batch.held.book.seeds)
+        return tuple(self._seeds)
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -234,14 +237,26 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         Raises:
             TypeError, ValueError: an unusable seed or option; all environments stay as they were.
         """
-        plan, draft = self._plan_reset(seed, options), self._batch.draft()
-        self._carry_out(plan, draft)
-        returned = self._seen(draft), self._fresh_infos(draft, plan.chosen) if self._with_infos else {}
-        self._batch.keep(draft)
-        return returned
+        plan = self.check_reset(seed, options)
+        self._mend(plan.chosen)
+        numbers = np.flatnonzero(plan.chosen)
+        starts = self._batch.draw(numbers, [plan.seeds[number] for number in numbers.tolist()], plan.changes)
+        states = None if plan.states is None else plan.states(lambda number: self._batch.scene(number, starts))
+        self._half = True
+        self._batch.start(starts, states)
+        if plan.times.any():
+            self._batch.place(plan.chosen, self._batch.states, plan.times)
+        for number in numbers.tolist():
+            seed_of = plan.seeds[number]
+            self._seeds[number] = self._seeds[number] if seed_of is None else seed_of
+        self._started[numbers] = True
+        self._ready = bool(self._started.all())
+        self.changes += 1
+        self._half = False
+        return self.observations, self._fresh_infos(plan.chosen) if self._with_infos else {}
 
-    def _plan_reset(self, seed: int | Sequence[int | None] | None, options: Mapping[str, Any] | None) -> ResetPlan:
-        """Check all that a reset is given, and change nothing.
+    def check_reset(self, seed: int | Sequence[int | None] | None, options: Mapping[str, Any] | None) -> ResetPlan:
+        """Check what a reset is given, and change nothing. Scenes, and states in them, are checked by the reset itself.
 
         Raises:
             TypeError, ValueError: an unusable seed or option.
@@ -265,58 +280,37 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         changes = None if given.get("scene") is None else self._given.changes(given["scene"], chosen)
         return ResetPlan(chosen, self._given.seeds(seed), changes, states, times)
 
-    def _carry_out(self, plan: ResetPlan, draft: Any) -> None:
-        """Reset a draft as planned."""
-        book = draft.book
-        seeds = list(book.seeds)
-        for number in np.flatnonzero(plan.chosen).tolist():
-            seed = plan.seeds[number]
-            if seed is not None:
-                self._batch.seed(draft, number, seed)
-                seeds[number] = seed
-        self._batch.redraw(draft, plan.chosen, plan.changes)
-        if plan.states is None:
-            self._batch.restart(draft, plan.chosen)
-        if plan.states is not None or plan.times.any():
-            scene_of = partial(self._batch.scene, held=draft)
-            states = draft.states if plan.states is None else plan.states(scene_of)
-            self._batch.place(draft, plan.chosen, states, plan.times, anew=True)
-        draft.book = book._replace(seeds=seeds, started=book.started or bool(plan.chosen.all()))
-
     def step(self, actions: ArrayLike | None) -> Step:
         """Advance all environments by one control step under ``actions``, shape (N, 1) or (N,), or under the drive.
 
         Raises:
             TypeError, ValueError: unusable actions.
             JackLostError: a jack would leave its box, or cannot be followed.
-            RuntimeError: there was no reset yet. After any error all environments are as they were; after an
-                interruption they are as they were or all a step further, see the class.
+            RuntimeError: there was no reset yet, or an interruption has left the environments half changed. After any
+                other error all environments are as they were.
         """
-        draft, returned = self._stepped(actions)
-        self._batch.keep(draft)
-        return returned
-
-    def _stepped(self, actions: ArrayLike | None) -> tuple[Held, Step]:
-        """A step that is not yet kept, and what it returns."""
-        book = self._batch.held.book
-        if not book.started:
+        if not self._ready:
             raise RuntimeError("step must come after a reset of all environments, got none yet")
+        self._mend()
         given = None if actions is None else self._given.actions(actions)
-        waiting = self._waiting() if book.waiting else None
+        waiting = self._over() if self._waiting else None
         outcome = self._batch.step(None if self.torque_source == "chirp" else given)
         infos: Infos = {}
-        if waiting is not None:
-            self._restart(waiting, outcome)
-        elif outcome.finished and self.autoreset_mode is AutoresetMode.SAME_STEP:
-            infos = self._final_infos(outcome)
-            self._restart(outcome.truncations, outcome)
-        still = outcome.finished > 0 and self.autoreset_mode is not AutoresetMode.SAME_STEP
-        if still is not book.waiting:
-            outcome.draft.book = book._replace(waiting=still)
+        restarting = waiting
+        if waiting is None and outcome.finished and self.autoreset_mode is AutoresetMode.SAME_STEP:
+            infos, restarting = self._final_infos(outcome), outcome.truncations
+        starts = None if restarting is None else self._batch.draw(np.flatnonzero(restarting))
+        self._half = True
+        self._batch.take(outcome.after)
+        if starts is not None:
+            self._restart(starts, outcome)
+        self._waiting = outcome.finished > 0 and self.autoreset_mode is not AutoresetMode.SAME_STEP
+        self.changes += 1
+        self._half = False
         if self._with_infos:
             infos |= _marked(outcome.infos, np.ones(self.num_envs, dtype=np.bool_))
         terminations = np.zeros(self.num_envs, dtype=np.bool_)
-        return outcome.draft, (outcome.observations, outcome.rewards, terminations, outcome.truncations, infos)
+        return outcome.observations, outcome.rewards, terminations, outcome.truncations, infos
 
     def render(self) -> tuple[Any, ...] | None:
         """A frame of each environment, uint8, shape (height, width, 3)."""
@@ -337,10 +331,9 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         """
         count = min(check.whole("first", first, at_least=1, at_most=1024), self.num_envs)
         size = check.size("size", size, at_least=16, at_most=1024)
-        from jackbox_env.render.tiles import tiled
+        from jackbox_env.render.renderer import tiled
 
-        held = self._batch.held
-        return tiled([self._batch.scene(number) for number in range(count)], held.states, held.times, size)
+        return tiled([self.scene_of(number) for number in range(count)], self.states, self.times, size)
 
     def close_extras(self, **kwargs: Any) -> None:
         """Release what the renderers hold."""
@@ -349,9 +342,9 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
 
     # -- episodes -----------------------------------------------------------------------------------------------------
 
-    def _waiting(self) -> Flags | None:
+    def _over(self) -> Flags | None:
         """The episodes that are over and wait, if there are any."""
-        waiting: Flags = self._batch.held.over
+        waiting = self._batch.over
         if not waiting.any():
             return None
         if self.autoreset_mode is AutoresetMode.DISABLED:
@@ -361,21 +354,23 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
             )
         return waiting
 
-    def _restart(self, chosen: Flags, outcome: Outcome) -> None:
-        """Start an episode where one is over, and let ``outcome`` show the start."""
-        self._batch.redraw(outcome.draft, chosen)
-        self._batch.restart(outcome.draft, chosen)
-        self._batch.observe(outcome.draft, chosen, outcome.observations)
-        for name, values in self._fresh_infos(outcome.draft, chosen).items() if self._with_infos else ():
-            if name in outcome.infos:
-                outcome.infos[name][chosen] = values[chosen]
+    def _restart(self, starts: Starts, outcome: Outcome) -> None:
+        """Begin episodes, and let ``outcome`` show their starts."""
+        self._batch.start(starts)
+        self._batch.observe(starts.numbers, outcome.observations)
+        if self._with_infos:
+            chosen = np.zeros(self.num_envs, dtype=np.bool_)
+            chosen[starts.numbers] = True
+            for name, values in self._fresh_infos(chosen).items():
+                if name in outcome.infos:
+                    outcome.infos[name][chosen] = values[chosen]
 
-    def _fresh_infos(self, held: Held, chosen: Flags) -> Infos:
+    def _fresh_infos(self, chosen: Flags) -> Infos:
         """Infos of environments that have just started: nothing has happened or been earned yet."""
         infos: Infos = {name: np.zeros(self.num_envs) for name in self._batch.info_names}
         infos["impacts"] = np.zeros(self.num_envs, dtype=np.int64)
-        infos["state"] = np.where(chosen[:, None], held.states, 0.0)
-        infos["time"] = np.where(chosen, held.times, 0.0)
+        infos["state"] = np.where(chosen[:, None], self.states, 0.0)
+        infos["time"] = np.where(chosen, self.times, 0.0)
         return _marked(infos, chosen)
 
     def _final_infos(self, outcome: Outcome) -> Infos:

@@ -38,12 +38,12 @@ def main() -> None:
     began = time.monotonic()
     from agents.evaluation.figures import learning_figure
     from agents.evaluation.film import film
-    from agents.evaluation.returns import Returns, above, evaluate, find_policy, table
-    from agents.policies.scripted import BASELINES, Baseline, baseline
+    from agents.evaluation.returns import Returns, above, evaluate, table
+    from agents.policies.registry import SCRIPTED, find_policy
+    from agents.policies.scripted import Baseline
     from agents.runs import describe, machine, versions
     from agents.training.models import derived_seed, load_model
     from agents.training.ppo import train
-    from jackbox_env import Scene
     from jackbox_env import _validation as check
     from jackbox_env.recording.files import new_folder, write_json
 
@@ -60,7 +60,7 @@ def main() -> None:
     train(settings, folder)
 
     print(f"Evaluating {arguments.episodes} episodes of each policy on each contact model")
-    acts = {name: baseline(name, Scene(), arguments.seed) for name in BASELINES}
+    acts = {name: find_policy(name, settings, arguments.seed) for name in SCRIPTED}
     acts["PPO"] = Baseline(load_model(folder), {})
     on = {contact: {**settings.env_settings, "contact": contact} for contact in ("exact", "pymunk")}
     rows: dict[str, list[Returns]] = {

@@ -63,7 +63,8 @@ def main() -> None:
     arguments = tyro.cli(Arguments, description=__doc__)
     _refuse_nonsense(arguments)
     from agents.evaluation.notes import describe_env, warn_of_other_training
-    from agents.evaluation.returns import evaluate, find_policy, table
+    from agents.evaluation.returns import evaluate, table
+    from agents.policies.registry import find_policy
     from agents.runs import versions
     from agents.training.models import derived_seed
     from jackbox_env.recording.files import write_json

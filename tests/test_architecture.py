@@ -40,13 +40,12 @@ PACKAGE = """
     simulators.replay simulators.contacts simulators.functions
     simulators.pymunk simulators.exact
     simulators
+    scoring
     recording.trajectory
     recording.samples
     recording.page
-    scoring
     render.canvas
     render.renderer
-    render.tiles
     env
     batches.base batches.threads
     batches.scenes batches.given
@@ -78,6 +77,7 @@ AGENTS = """
     training.models policies.network
     policies.value
     policies.planner policies.one_bounce
+    policies.registry
     training.best evaluation.returns evaluation.exporting evaluation.episodes training.zoo
     training.ppo evaluation.notes
     sweeps.trials
@@ -135,6 +135,59 @@ def test_every_module_has_its_floor() -> None:
 
 def test_imports_go_down() -> None:
     assert _violations(_sources()) == []
+
+
+# -- privates ---------------------------------------------------------------------------------------------------------
+
+TIMES_PARTS = "scripts.studies.costs"  # of an environment's step, from the inside
+
+
+def _room(name: str) -> str:
+    """The folder of a module; a file beside the folders is a room of its own."""
+    return ".".join(name.split(".")[:-1] if name.startswith("scripts") else name.split(".")[:2])
+
+
+def _own_names(tree: ast.AST) -> set[str]:
+    """Names that a module defines, attributes of its objects among them."""
+    stored = (node for node in ast.walk(tree) if isinstance(getattr(node, "ctx", None), ast.Store))
+    names = {getattr(node, "id", getattr(node, "attr", "")) for node in stored}
+    return names | {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+
+
+def _read_names(tree: ast.AST) -> Iterator[str]:
+    """Names that a module imports, or reads of an object that is not its own."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom):
+            yield from (alias.name for alias in node.names)
+        if isinstance(node, ast.Attribute) and getattr(node.value, "id", "") not in ("self", "cls"):
+            yield node.attr
+
+
+def _privates_read(sources: dict[str, Path]) -> list[str]:
+    """Underscored names of other rooms that modules read; a name that the own room has too is not seen."""
+    trees, names = {name: ast.parse(path.read_text()) for name, path in sources.items()}, dict[str, set[str]]()
+    for name, tree in trees.items():
+        names.setdefault(_room(name), set()).update(_own_names(tree))
+    known = {_room(name) for name in sources} - {TIMES_PARTS}
+    return [
+        f"{name} reads {private}"
+        for name, tree in trees.items()
+        for private in set(_read_names(tree)) - names[_room(name)]
+        if private.startswith("_") and not private.startswith("__")
+        if _room(name) in known and any(private in names[room] for room in known)
+    ]
+
+
+def test_no_room_reads_anothers_privates() -> None:
+    assert _privates_read(_sources()) == []
+
+
+@pytest.mark.parametrize("line", ["from jackbox_env.env import _read", "env._parts", "import numpy\nnumpy.put._parts"])
+def test_a_private_name_that_is_read_is_seen(tmp_path: Path, line: str) -> None:
+    (tmp_path / "bad.py").write_text(line)
+    (tmp_path / "env.py").write_text("class Env:\n    def __init__(self):\n        self._parts = _read = 1")
+    found = _privates_read({"jackbox_env.sb3": tmp_path / "bad.py", "jackbox_env.env": tmp_path / "env.py"})
+    assert len(found) == 1
 
 
 @pytest.mark.parametrize(

@@ -6,10 +6,9 @@ import sys
 from dataclasses import fields, replace
 from pathlib import Path
 
-from agents.evaluation.returns import shipped_names
 from agents.policies.network import SHIPPED
 from agents.policies.one_bounce import LANDING, read_landing
-from agents.policies.scripted import BASELINES
+from agents.policies.registry import POLICIES, shipped_names
 from agents.runs import SETTINGS, read_settings
 from agents.settings import EnvSettings
 from agents.training.models import run_folder
@@ -28,7 +27,7 @@ def describe_env(settings: EnvSettings) -> str:
 
 def _settings_of(name: str, here: EnvSettings) -> EnvSettings | None:
     """The environment that a policy was trained in, a shipped network's too; None if that is unknown."""
-    if name in (*BASELINES, PLANNER):
+    if name in POLICIES:
         return None
     shipped = name in shipped_names(here.task)
     folder = SHIPPED / f"{here.task}-{name}" if shipped else run_folder(Path(name))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,14 +11,9 @@ from scipy import stats
 from stable_baselines3.common.evaluation import evaluate_policy
 from tqdm import tqdm
 
-from agents.policies.network import SHIPPED, WEIGHTS, read_policy
-from agents.policies.one_bounce import LANDING, read_landing
-from agents.policies.planner import DECISION, VALUED_PIECES, Planner
-from agents.policies.scripted import BASELINES, Baseline, Policy, baseline
-from agents.policies.value import VALUE, read_value
-from agents.settings import EPISODE_STEPS, EnvSettings
-from agents.training.models import derived_seed, load_model, make_vec_env
-from jackbox_env import Scene
+from agents.policies.scripted import Policy
+from agents.settings import EPISODE_STEPS
+from agents.training.models import derived_seed, make_vec_env
 
 
 @dataclass(frozen=True)
@@ -82,55 +76,6 @@ def evaluate(
     environments.close()
     assert isinstance(rewards, list)
     return Returns(name, tuple(float(reward) for reward in rewards))
-
-
-def find_policy(name: str, settings: EnvSettings, seed: int, trust: bool = False) -> Baseline:
-    """A baseline, the planner or a policy that is shipped by its name, or a trained one by its run folder or file.
-
-    Raises:
-        FileNotFoundError: it is none of these.
-    """
-    scene = Scene.of(settings.scene_fields)
-    if name in BASELINES:
-        return baseline(name, scene, seed)
-    if name == "planner":
-        return Baseline(_planner(settings, scene, seed), {})
-    if name in shipped_names(settings.task):
-        return Baseline(_read(SHIPPED / f"{settings.task}-{name}"), {})
-    if not Path(name).exists():
-        known = ", ".join((*BASELINES, "planner", *shipped_names(settings.task)))
-        raise FileNotFoundError(f"a policy must be one of {known}, or a run folder or model file, got {name!r}")
-    if (Path(name) / WEIGHTS).is_file():
-        return Baseline(_read(Path(name)), {})
-    return Baseline(load_model(Path(name), trust), {})
-
-
-def _read(folder: Path) -> Policy:
-    return read_landing(folder) if (folder / LANDING).is_file() else read_policy(folder)
-
-
-def _planner(settings: EnvSettings, scene: Scene, seed: int) -> Planner:
-    """The planner of an environment; its plans are shorter where a value was made for this very scene and task.
-
-    Raises:
-        FileNotFoundError, ValueError: the value that comes with the repository is damaged.
-    """
-    piece = max(1, round(DECISION / settings.control_dt))
-    given: dict[str, Any] = {"piece": piece, "seed": seed}
-    folder = SHIPPED / f"{settings.task}-value"
-    if folder.is_dir():
-        value = read_value(folder)
-        made = value.settings
-        made_for = made.task, made.control_dt, Scene.of(made.scene_fields).changed(drive=None)
-        if made_for == (settings.task, settings.control_dt, scene.changed(drive=None)):
-            given |= {"pieces": VALUED_PIECES, "value": value}
-    return Planner(scene, settings.task, settings.control_dt, **given)
-
-
-def shipped_names(task: str) -> list[str]:
-    """Names of the trained policies for a task that come with the repository."""
-    folders = [path for path in SHIPPED.glob(f"{task}-*") if not (path / VALUE).is_file()]
-    return sorted(path.name.removeprefix(f"{task}-") for path in folders)
 
 
 def table(rows: list[Returns]) -> str:

@@ -2,30 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.policies.playing import starting, ten_numbers
+from agents.policies.playing import Playing, decide_now_and_then
 from agents.policies.scripted import Actions
 from agents.policies.value import Value, ValuedSearch
 from jackbox_env import Scene, Task
 from jackbox_env import _validation as check
 from jackbox_env.observation import state_of
 from jackbox_env.planning.icem import Plans, Search
-from jackbox_env.states import Array
 
 DECISION = 0.1  # [s] between decisions, as the settings here were tried
 VALUED_PIECES = 20  # of a plan whose end has a value
-
-
-class Planning(NamedTuple):
-    """What the planner carries on, of N environments."""
-
-    steps: NDArray[np.int64]  # (N,) control steps since the episode's start
-    plans: Plans
-    actions: Array  # (N,) held until the next decision
 
 
 class Planner:
@@ -68,8 +59,8 @@ class Planner:
         )
 
     def predict(
-        self, observation: Any, state: Planning | None = None, episode_start: Any = None, deterministic: bool = False
-    ) -> tuple[Actions, Planning]:
+        self, observation: Any, state: Playing | None = None, episode_start: Any = None, deterministic: bool = False
+    ) -> tuple[Actions, Playing]:
         """Return the actions, shape (n, 1) or (1,), and what the next call takes as ``state``.
 
         Without ``state`` each call plans from nothing. Where ``episode_start`` is set, a plan is begun anew.
@@ -77,20 +68,12 @@ class Planner:
         Raises:
             ValueError: a state of another number of environments.
         """
-        rows = ten_numbers(observation).astype(np.float64)
-        count = len(rows)
-        if state is not None and len(state.steps) != count:
-            raise ValueError(f"state must be that of {count} environments, as observation is, got {len(state.steps)}")
-        if state is None:
-            state = Planning(np.zeros(count, dtype=np.int64), self._search.begin(count), np.zeros(count))
-        steps, plans, actions = state.steps.copy(), state.plans, state.actions.copy()
-        if episode_start is not None:
-            new = starting(episode_start, count)
-            steps[new], plans = 0, plans.replaced(new, self._search.begin(len(new)))
-        due = np.flatnonzero(steps % self._search.piece == 0)
-        if len(due):
-            states = np.array([state_of(self._scene, rows[number].tolist()) for number in due.tolist()])
-            found, carried_on = self._search.decide(self._scene, states, plans.of(due))
-            actions[due], plans = found.plans[:, 0], plans.replaced(due, carried_on)
-        held = actions.astype(np.float32)[:, None]
-        return (held if np.ndim(observation) == 2 else held[0]), Planning(steps + 1, plans, actions)
+        return decide_now_and_then(
+            self._decide, self._search.begin, self._search.piece, observation, state, episode_start
+        )
+
+    def _decide(self, seen: NDArray[Any], plans: Plans) -> tuple[NDArray[Any], Plans]:
+        """The first torques of the best plans, shape (k, 1), and the plans of the next decision."""
+        states = np.array([state_of(self._scene, row) for row in seen.tolist()])
+        found, next_plans = self._search.decide(self._scene, states, plans)
+        return found.plans[:, :1], next_plans

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from agents.settings import TrainSettings
 from jackbox_env import Scene
 from jackbox_env.observation import BOUNDS
-from jackbox_env.planning.features import Futures
+from jackbox_env.planning.features import Features
 from jackbox_env.planning.icem import Plans
 
 
@@ -32,19 +32,19 @@ class Manner(NamedTuple):
     """How a policy plays."""
 
     hold: int = 1  # calls that each action is held for
-    futures: Futures | None = None  # by which it looks ahead
-    scene: Scene = Scene()  # that the futures are played in
+    features: Features | None = None  # by which it looks ahead
+    scene: Scene = Scene()  # that the rollouts are played in
 
 
 def manner_of(settings: TrainSettings) -> Manner:
     """How a policy plays that was trained by these settings."""
-    futures = None
+    features = None
     if settings.lookahead:
-        futures = Futures(
+        features = Features(
             settings.task, settings.control_dt, hold=settings.hold, samples=settings.lookahead, follow=True,
             num_threads=1,
         )  # fmt: skip
-    return Manner(settings.hold, futures, Scene.of(settings.scene_fields))
+    return Manner(settings.hold, features, Scene.of(settings.scene_fields))
 
 
 def ten_numbers(observation: Any) -> NDArray[Any]:
@@ -75,11 +75,33 @@ def play(
     manner: Manner, choose: Callable[[NDArray[Any]], NDArray[Any]], observation: Any, state: Playing | None,
     episode_start: Any,
 ) -> tuple[NDArray[Any], Playing]:  # fmt: skip
+    """Actions of a policy that plays in a ``manner``, and the state for the next call: see :func:`decide_now_and_then`.
+
+    ``choose`` gives its actions, shape (k, 1), for k observations as in training.
+    """
+    features = manner.features
+
+    def decide(seen: NDArray[Any], plans: Plans | None) -> tuple[NDArray[Any], Plans | None]:
+        if features is None or plans is None:
+            return choose(seen), plans
+        appended, next_plans = features.look([manner.scene], seen, plans)
+        seen = np.concatenate([seen, appended], axis=1)
+        return features.torques(choose(seen), seen), next_plans
+
+    begin = features.begin if features else None
+    return decide_now_and_then(decide, begin, manner.hold, observation, state, episode_start)
+
+
+def decide_now_and_then(
+    decide: Callable[[NDArray[Any], Any], tuple[NDArray[Any], Any]], begin: Callable[[int], Plans] | None, repeat: int,
+    observation: Any, state: Playing | None, episode_start: Any,
+) -> tuple[NDArray[Any], Playing]:  # fmt: skip
     """Return actions, shape (n, 1) for observations (n, 10) or (1,) for (10,), and the state for the next call.
 
     Args:
-        manner: how the policy plays.
-        choose: its actions, shape (k, 1), for k observations as in training.
+        decide: actions, shape (k, 1), and the next plans, for k observations and their plans.
+        begin: plans for so many new episodes; None: there are none.
+        repeat: calls that an action is repeated for.
         observation: of one environment or of several; it counts where an action is chosen.
         state: what the last call returned; None: every environment chooses.
         episode_start: shape (n,), where an episode starts; an action is chosen there, with a plan begun anew; None:
@@ -88,10 +110,10 @@ def play(
     Raises:
         ValueError: a state of another number of environments.
     """
-    rows, futures = ten_numbers(observation), manner.futures
+    rows = ten_numbers(observation)
     count = len(rows)
     if state is None:
-        plans = futures.begin(count) if futures else None
+        plans = begin(count) if begin else None
         state = Playing(np.zeros((count, 1), np.float32), np.zeros(count, np.int64), plans)
     if len(state.left) != count:
         raise ValueError(f"state must be that of {count} environments, as observation is, got {len(state.left)}")
@@ -99,15 +121,10 @@ def play(
     if episode_start is not None:
         new = starting(episode_start, count)
         left[new] = 0
-        if futures and plans:
-            plans = plans.replaced(new, futures.begin(len(new)))
+        if begin and plans:
+            plans = plans.replaced(new, begin(len(new)))
     due = np.flatnonzero(left == 0)
     if len(due):
-        seen = rows[due]
-        if futures and plans:
-            appended, carried_on = futures.look([manner.scene], seen, plans.of(due))
-            seen, plans = np.concatenate([seen, appended], axis=1), plans.replaced(due, carried_on)
-        chosen = choose(seen)
-        actions[due] = futures.torques(chosen, seen) if futures else chosen
-        left[due] = manner.hold
+        actions[due], next_plans = decide(rows[due], plans and plans.of(due))
+        plans, left[due] = plans and plans.replaced(due, next_plans), repeat
     return (actions.copy() if np.ndim(observation) == 2 else actions[0].copy()), Playing(actions, left - 1, plans)

@@ -84,23 +84,3 @@ class Baseline(NamedTuple):
 
     policy: Policy
     env_settings: dict[str, Any]
-
-
-BASELINES = ("random", "chirp", "zero", "level")
-
-
-def baseline(name: str, scene: Scene, seed: int = 0) -> Baseline:
-    """Make the baseline of that name, one of ``BASELINES``.
-
-    Raises:
-        ValueError: there is no such baseline.
-    """
-    if name == "random":
-        return Baseline(RandomPolicy(seed), {})
-    if name == "chirp":
-        return Baseline(ZeroPolicy(), {"torque": "chirp"})
-    if name == "zero":
-        return Baseline(ZeroPolicy(), {})
-    if name == "level":
-        return Baseline(LevelPolicy(scene), {})
-    raise ValueError(f"a baseline must be one of {', '.join(map(repr, BASELINES))}, got {name!r}")

@@ -4,7 +4,7 @@ sweep.json     the trials' settings, and the versions and the code that they are
 trials.jsonl   a line for each trial that has finished, in the order in which they did, on the disk at once
 table.csv      a row for each finished trial, in the order of the grid: the same bytes wherever the trials ran
 times.csv      how long each took, and where
-lock           held, with its number in it, by the process that works here
+lock           held by the process that works here
 
 A process killed at any moment leaves whole lines, and perhaps the beginning of one, which is cut off.
 """
@@ -26,7 +26,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from tqdm import tqdm
 
-from agents.files import DamagedFileError, held, own_file, parsing, read_json, say_skipped
+from agents.files import DamagedFileError, held, open_own, parsing, read_json, say_skipped
 from agents.runs import PACKAGES, machine, versions
 from agents.sweeps.in_process import Finished, Runner, Trial, Work
 from jackbox_env.recording.files import check_writable, new_folder, remove_partials, write_json, write_text
@@ -178,7 +178,7 @@ def _run(
     """Run what is left, and add it to the journal, to ``kept`` and now and then to the tables."""
     failed, next_table = 0, time.monotonic() + _TABLE_EVERY
     with (
-        os.fdopen(own_file(folder / JOURNAL), "ab") as journal,
+        open_own(folder / JOURNAL) as journal,
         tqdm(total=len(trials), initial=len(trials) - len(left), unit="trial", disable=not progress) as bar,
     ):
         for done in run(left, work, bar.refresh):
@@ -203,7 +203,8 @@ def _line(done: Finished) -> dict[str, Any]:
 def _kept(folder: Path, trials: Iterable[Trial]) -> dict[str, dict[str, Any]]:
     """The journal's lines by key, the last of each; the beginning of a line at its end is cut off."""
     path, kept, known = folder / JOURNAL, dict[str, dict[str, Any]](), {trial.key for trial in trials}
-    with os.fdopen(own_file(path), "rb+") as file:
+    with open_own(path) as file:
+        file.seek(0)
         content = file.read()
         whole = content.rfind(b"\n") + 1
         if whole < len(content):

@@ -175,6 +175,6 @@ def sent_to_machines(scratch: Path) -> Path:
     for name in _SENT:
         if (_ROOT / name).is_dir():
             shutil.copytree(_ROOT / name, made / name, ignore=ignored)
-    for folder in reversed(compiler._cache_folders()):  # the last is where this process saves
+    for folder in reversed(compiler.cache_folders()):  # the last is where this process saves
         shutil.copytree(folder, made / _CODE / folder.name, dirs_exist_ok=True, ignore=shutil.ignore_patterns("*.tmp"))
     return made

@@ -11,8 +11,9 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from agents.evaluation.returns import Returns, evaluate, find_policy
+from agents.evaluation.returns import Returns, evaluate
 from agents.files import held
+from agents.policies.registry import find_policy
 from agents.runs import read_settings
 from agents.settings import EnvSettings, TrainSettings
 from agents.sweeps.in_process import Trial

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import math
-import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -17,12 +16,11 @@ from agents.files import DamagedFileError, parsing, say_skipped
 from agents.runs import EVALUATIONS
 from agents.settings import TrainSettings
 from agents.training.archives import unpacked_arrays
-from agents.training.checkpoints import Checkpoint, checkpoint_path, is_whole, model_file, read_model_file, with_note
+from agents.training.checkpoints import Checkpoint, model_file, read_model_file
 from agents.training.models import derived_seed, make_vec_env
 from jackbox_env.recording.files import write_bytes
 
 BEST = "best_model.zip"
-_MEAN = "mean_return"  # key of a best model's note
 
 
 def choosing_seed(settings: TrainSettings) -> int:
@@ -74,39 +72,16 @@ def read_evaluations(folder: Path, episodes: int) -> Evaluations:
         return Evaluations()
 
 
-def best_mean(folder: Path, settings: TrainSettings, evaluations: Evaluations) -> float:
-    """Mean return of the best model in a run folder, -inf if there is none.
-
-    A best model that is damaged or gone is made again from the checkpoint that its evaluation left, or set aside.
-    """
-    path = folder / BEST
-    standing = max(evaluations.means, default=-math.inf)
+def best_mean(folder: Path, evaluations: Evaluations) -> float:
+    """Mean return of the best model so far; -inf where there is none that is whole, so that the next one is kept."""
     try:
-        return float(read_model_file(path)[1].get(_MEAN, standing))
+        read_model_file(folder / BEST)
     except FileNotFoundError:
-        pass
+        return -math.inf
     except DamagedFileError as error:
         say_skipped(error)
-    if evaluations.timesteps and _made_again(path, settings, evaluations):
-        return standing
-    if path.exists():
-        aside = path.with_name(path.name + ".damaged")
-        path.rename(aside)
-        print(f"Set {path} aside as {aside.name}: the best of the evaluations to come takes its place", file=sys.stderr)
-    return -math.inf
-
-
-def _made_again(path: Path, settings: TrainSettings, evaluations: Evaluations) -> bool:
-    """Whether the best model could be made from the checkpoint at the start of the rollout that was evaluated."""
-    place = int(np.argmax(evaluations.means))
-    steps, mean = evaluations.timesteps[place], evaluations.means[place]
-    rollout = settings.num_envs * settings.rollout_steps
-    checkpoint = checkpoint_path(path.parent, (steps - 1) // rollout * rollout)
-    if not is_whole(checkpoint):
-        return False
-    write_bytes(path, with_note(checkpoint.read_bytes(), {_MEAN: mean, "timesteps": steps}))
-    print(f"Made {path} again from {checkpoint}", file=sys.stderr)
-    return True
+        return -math.inf
+    return max(evaluations.means, default=-math.inf)
 
 
 class KeepBest(BaseCallback):
@@ -149,8 +124,7 @@ class KeepBest(BaseCallback):
         self.logger.record("time/total_timesteps", self.num_timesteps, exclude="tensorboard")
         self.logger.dump(self.num_timesteps)
         if mean > self._best:
-            note = {_MEAN: mean, "timesteps": self.num_timesteps}
-            write_bytes(self._folder / BEST, with_note(model_file(self.model), note))
+            write_bytes(self._folder / BEST, model_file(self.model))
             self._best = mean
         self._evaluations.timesteps.append(self.num_timesteps)
         self._evaluations.results.append(returns)

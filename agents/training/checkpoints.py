@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import io
-import json
 import re
 import zipfile
 from pathlib import Path
@@ -15,12 +14,11 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.save_util import load_from_zip_file
 
 from agents.files import DamagedFileError, parsing, say_skipped
-from agents.training.archives import read_member, unpacked_tensors
+from agents.training.archives import unpacked_tensors
 from jackbox_env.recording.files import make_folder, write_bytes
 
 CHECKPOINTS = "checkpoints"
 _GROUPS = {"policy", "policy.optimizer"}  # of parameters
-_NOTE = "note.json"  # in a model file, beside what Stable-Baselines3 keeps there
 
 Parameters = dict[str, Any]
 
@@ -43,16 +41,8 @@ def model_file(model: PPO) -> bytes:
     return file.getvalue()
 
 
-def with_note(content: bytes, note: dict[str, Any]) -> bytes:
-    """A model file with a note in it, so that the two are never parted."""
-    file = io.BytesIO(content)
-    with zipfile.ZipFile(file, "a") as archive:
-        archive.writestr(_NOTE, json.dumps(note))
-    return file.getvalue()
-
-
-def read_model_file(path: Path) -> tuple[Parameters, dict[str, Any]]:
-    """The parameters in a model file, every byte of it checked, and its note.
+def read_model_file(path: Path) -> Parameters:
+    """The parameters in a model file, every byte of it checked.
 
     Raises:
         DamagedFileError: it is no whole model file.
@@ -60,19 +50,15 @@ def read_model_file(path: Path) -> tuple[Parameters, dict[str, Any]]:
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path} is no file")
-    content = path.read_bytes()
     with parsing(path):
         tensors = unpacked_tensors(path)  # refuses what inflates to many times its size, before it is inflated
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            broken = archive.testzip()
-            if broken is not None:
+        with zipfile.ZipFile(path) as archive:
+            if (broken := archive.testzip()) is not None:
                 raise ValueError(f"{broken} in it is not what was written")
-            notes = [member for member in archive.infolist() if member.filename == _NOTE]
-            note = dict(json.loads(read_member(archive, notes[-1]))) if notes else {}
         _, parameters, _ = load_from_zip_file(tensors, load_data=False, device="cpu")
         if set(parameters) != _GROUPS:
             raise ValueError("it holds no parameters")
-    return parameters, note
+    return parameters
 
 
 def is_whole(path: Path) -> bool:
@@ -103,7 +89,7 @@ def latest_checkpoint(folder: Path) -> Saved | None:
     for steps in kept_steps(folder):
         path = checkpoint_path(folder, steps)
         try:
-            return Saved(steps, path, read_model_file(path)[0])
+            return Saved(steps, path, read_model_file(path))
         except DamagedFileError as error:
             say_skipped(error)
     return None

@@ -29,7 +29,7 @@ from agents.training.checkpoints import (
 )
 from agents.training.models import derived_seed, holding, make_ppo, make_vec_env
 from agents.training.timing import Spent, TimedVecEnv, told
-from jackbox_env.recording.files import check_writable, new_folder, remove_partials, write_bytes, write_json
+from jackbox_env.recording.files import new_folder, remove_partials, write_bytes, write_json
 
 MODEL = "model.zip"
 
@@ -54,15 +54,13 @@ def train(settings: TrainSettings, folder: Path, progress: bool = True) -> PPO:
     Raises:
         FileExistsError: the run is finished, or the folder is that of an exported policy.
         FolderInUseError: another process trains in the folder.
-        OSError: the folder cannot be written to, or its disk has no room for the checkpoints.
+        OSError: the folder cannot be written to.
         ValueError: the checkpoint was made by other settings.
     """
     if (folder / WEIGHTS).exists():
         raise FileExistsError(f"{folder} holds an exported policy, which cannot be trained on: choose another folder")
     with held(folder):
         remove_partials(folder, folder / CHECKPOINTS)
-        evaluations = read_evaluations(folder, settings.eval_episodes)
-        best = best_mean(folder, settings, evaluations)
         if is_whole(folder / MODEL):
             raise FileExistsError(
                 f"{folder} is finished: it has a {MODEL}, and runs are never overwritten. To train on from the last "
@@ -70,12 +68,12 @@ def train(settings: TrainSettings, folder: Path, progress: bool = True) -> PPO:
             )
         resumed = _where_it_was(folder)
         done = resumed.steps if resumed else 0
+        evaluations = read_evaluations(folder, settings.eval_episodes).until(done)
         model, spent = _model(settings, resumed)
-        check_writable(folder, room(settings, done, len(model_file(model))))
         model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
         checkpoint = Checkpoint(folder, settings.checkpoint_steps)
         callbacks: list[BaseCallback] = [checkpoint]
-        callbacks.append(KeepBest(folder, settings, checkpoint, evaluations.until(done), best))
+        callbacks.append(KeepBest(folder, settings, checkpoint, evaluations, best_mean(folder, evaluations)))
         callbacks.append(spent)
         if settings.max_minutes is not None:
             callbacks.append(Deadline(settings.max_minutes))
@@ -119,12 +117,6 @@ def trained_in(folder: Path, settings: TrainSettings, progress: bool = True) -> 
         raise ValueError(f"{folder} is a run of other settings: move it away, or choose another folder")
     if not is_whole(folder / MODEL):
         train(settings, folder, progress)
-
-
-def room(settings: TrainSettings, done: int, size: int) -> int:
-    """Bytes that the model files of a run will take from here on, ``size`` each."""
-    left = max(0, settings.total_steps - done)
-    return size * (left // settings.checkpoint_steps + left // settings.eval_steps + 2)  # a checkpoint at each
 
 
 def _where_it_was(folder: Path) -> Saved | None:

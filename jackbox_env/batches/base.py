@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +15,40 @@ from jackbox_env.states import Array
 Change = Mapping[str, Any]  # fields of a scene that change
 Flags = NDArray[np.bool_]
 Floats = NDArray[np.float32]
+Numbers = NDArray[np.int64]  # of environments
 
 
-class Held(Protocol):
-    """N environments at one moment: their states, times, episodes and generators, and a book of their owner's."""
+@dataclass(slots=True)
+class Outcome:
+    """What a step brings: fresh arrays, which the batch never writes again."""
 
-    book: Any
+    observations: Floats  # (N, 10)
+    rewards: Array  # (N,)
+    truncations: Flags  # (N,)
+    infos: dict[str, NDArray[Any]]  # numbers of each environment's step, (N,) or (N, 12); empty unless asked for
+    finished: int  # episodes that this step ends
+    after: Any  # the environments after the step, for :meth:`Batch.take`
+
+
+class Starts(NamedTuple):
+    """Episodes that are drawn and have not begun."""
+
+    numbers: Numbers  # (k,) of their environments
+    generators: Any  # theirs from then on
+    scenes: Any  # theirs from then on, as the batch keeps them; None: they stay
+
+
+def bad_action(action: float, number: int) -> ValueError:
+    """The refusal of an action that is NaN or infinite."""
+    return ValueError(f"action must be a finite number (clipped to [-1, 1]), got {action} for environment {number}")
+
+
+class Batch(Protocol):
+    """N environments, of one scene or each of its own. An episode that is over waits for its restart; steps pass it by.
+
+    What may be refused comes first and changes nothing: :meth:`step` and :meth:`draw`. What comes of them is then put
+    in place by :meth:`take`, :meth:`start` and :meth:`place`, which refuse nothing.
+    """
 
     @property
     def states(self) -> Array:
@@ -34,82 +62,52 @@ class Held(Protocol):
     def over(self) -> Flags:
         """Which episodes are over, shape (N,)."""
 
-
-@dataclass(slots=True)
-class Outcome:
-    """What a step brought: fresh arrays, which the batch never writes again."""
-
-    observations: Floats  # (N, 10)
-    rewards: Array  # (N,)
-    truncations: Flags  # (N,)
-    infos: dict[str, NDArray[Any]]  # numbers of each environment's step, (N,) or (N, 12); empty unless asked for
-    finished: int  # episodes that this step ended
-    draft: Any  # the environments after the step, to be kept
-
-
-def bad_action(action: float, number: int) -> ValueError:
-    """The refusal of an action that is NaN or infinite."""
-    return ValueError(f"action must be a finite number (clipped to [-1, 1]), got {action} for environment {number}")
-
-
-class Batch(Protocol):
-    """N environments, of one scene or each of its own. An episode that is over waits for its restart; steps pass it by.
-
-    What is held never changes. A step, or :meth:`draft`, makes a draft, restarts and placements change it, and
-    :meth:`keep` puts it in place of what is held, by one assignment. So an interruption at any moment leaves all
-    environments as they were or all as they are afterwards. A draft that is not kept is forgotten; it must be dropped
-    before another is made.
-    """
-
-    held: Any  # a Held: the environments as they are
-
     @property
     def info_names(self) -> list[str]:
         """Names of the infos, those of the single environment."""
 
-    def scene(self, number: int, held: Any = None) -> Scene:
-        """The scene that an environment has in a draft that is a copy, or now."""
-
-    def draft(self) -> Any:
-        """A copy of what is held, to be changed."""
-
-    def seed(self, draft: Any, number: int, seed: int) -> None:
-        """Seed one environment's random starts, in a draft that is a copy."""
-
-    def redraw(self, draft: Any, chosen: Flags, changes: Sequence[Change] | None = None) -> None:
-        """Draw a scene for each of the ``chosen`` environments; before the start, if that is drawn too.
-
-        Args:
-            draft: to be changed.
-            chosen: bool, shape (N,).
-            changes: what an option changes beside, for each of the chosen ones: fields of the scene that it was made
-                with. None: nothing; then the scene stays, unless scenes are drawn at each reset.
-
-        Raises:
-            TypeError, ValueError: a scene that is refused.
-        """
-
-    def restart(self, draft: Any, chosen: Flags) -> None:
-        """Start an episode in the ``chosen`` environments, each at a drawn start and time 0; once in a step's draft."""
-
-    def place(self, draft: Any, chosen: Flags, states: Array, times: Array, anew: bool) -> None:
-        """Put the ``chosen`` environments into states, shape (N, 12), and times [s], checked beforehand.
-
-        ``anew``: each starts an episode there; otherwise its episode goes on, unless it is over: then it starts one.
-        """
-
-    def observe(self, held: Any, chosen: Flags, observations: Floats) -> None:
-        """Write what the ``chosen`` environments' agents see, shape (N, 10), in what is held or in a draft."""
+    def scene(self, number: int, starts: Starts | None = None) -> Scene:
+        """The scene that an environment has now, or once ``starts`` have begun."""
 
     def step(self, actions: Array | None) -> Outcome:
-        """Make a draft in which all are stepped under ``actions``, shape (N,), or under the scene's drive.
+        """Step all under ``actions``, shape (N,), or under the scene's drive; none is changed before :meth:`take`.
 
         Raises:
             ValueError, JackLostError: as the single environment does.
         """
 
-    def keep(self, draft: Any) -> None:
-        """Hold a draft from now on."""
+    def take(self, after: Any) -> None:
+        """Put an outcome's environments in place of the present ones."""
+
+    def draw(
+        self, numbers: Numbers, seeds: Sequence[int | None] | None = None, changes: Sequence[Change] | None = None
+    ) -> Starts:
+        """Seed generators and draw scenes for episodes to come.
+
+        Args:
+            numbers: of the environments, shape (k,).
+            seeds: of each one's generator; None: it goes on.
+            changes: what an option changes, for each of them: fields of the scene that it was made with. None: nothing;
+                then the scene stays, unless scenes are drawn at each reset.
+
+        Raises:
+            TypeError, ValueError: a scene that is refused.
+        """
+
+    def start(self, starts: Starts, states: Array | None = None) -> None:
+        """Begin episodes at time 0, at drawn starts or at ``states``, shape (N, 12), checked beforehand."""
+
+    def place(self, chosen: Flags, states: Array, times: Array) -> None:
+        """Put the ``chosen`` environments into states, shape (N, 12), and times [s], checked beforehand.
+
+        Their episodes go on. An episode that is over starts anew.
+        """
+
+    def mend(self) -> None:
+        """Make what an interruption may have left half changed agree again, before all environments are reset."""
+
+    def observe(self, numbers: Numbers, observations: Floats) -> None:
+        """Write what the agents of some environments see into their rows, shape (N, 10)."""
 
     def render(self) -> tuple[Any, ...]:
         """A frame of each environment."""

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.batches.base import Change, Flags, Floats, Outcome, bad_action
+from jackbox_env.batches.base import Change, Flags, Floats, Numbers, Outcome, Starts, bad_action
 from jackbox_env.batches.scenes import SceneTable
 from jackbox_env.batches.threads import Halt, Threads, thread_count
 from jackbox_env.compiled import glide, loop, restart, score
 from jackbox_env.compiled.address import address_of
 from jackbox_env.compiled.compiler import compiled
 from jackbox_env.compiled.drives import TABLE_WIDTH
-from jackbox_env.compiled.generator import WHOLE, WITH_HALVES, Words, fresh, packed, seeded, unpacked
+from jackbox_env.compiled.generator import WHOLE, WITH_HALVES, fresh, packed, seeded, unpacked
 from jackbox_env.compiled.status import Status
-from jackbox_env.compiled.workspace import new_workspace
+from jackbox_env.compiled.workspace import new_lanes, new_workspace
 from jackbox_env.randomization import Randomization
 from jackbox_env.scene import Scene
 from jackbox_env.scoring import compiled_for
@@ -32,67 +31,6 @@ _GRAIN = 4  # blocks that are worth a call
 _NO_ACTIONS: Array = np.zeros(0)
 _NO_TABLE: Array = np.zeros((0, TABLE_WIDTH))
 _NO_RANGES = np.zeros((0, 2), dtype=np.int64)
-_NOBODY = np.zeros(0, dtype=np.int64)
-_NO_WORDS: Words = np.zeros((0, WHOLE), dtype=np.uint64)
-_NO_ROWS: Array = np.zeros((0, 0))
-
-
-@dataclass(slots=True)
-class ExactHeld:
-    """See :class:`jackbox_env.batches.base.Held`.
-
-    A step's draft shares generators and scenes. It only notes the new ones of those environments that start anew.
-    """
-
-    count: int
-    blocks: Array  # (blocks, 16, width)
-    generators: Words  # (N, 4), or (N, 6) where a function draws from them, without what is noted
-    scenes: SceneTable  # without what is noted
-    drawn: NDArray[np.int64] = field(default_factory=lambda: _NOBODY)  # (k,) environments that have started anew
-    words: Words = field(default_factory=lambda: _NO_WORDS)  # (k, 4 or 6) their generators since then
-    rows: Array = field(default_factory=lambda: _NO_ROWS)  # (k, numbers of a scene) drawn for them, or (0, 0)
-    book: Any = None
-
-    @property
-    def states(self) -> Array:
-        """A copy of all states, shape (N, 12)."""
-        return self.blocks[:, :12].transpose(0, 2, 1).copy().reshape(-1, 12)[: self.count]
-
-    @property
-    def times(self) -> Array:
-        """A copy of all times [s], shape (N,)."""
-        return self.column(glide.TIME)
-
-    @property
-    def over(self) -> Flags:
-        """Which episodes are over, shape (N,)."""
-        return np.not_equal(self.column(glide.OVER), 0.0)
-
-    def column(self, place: int) -> Array:
-        """A copy of one number of all environments, shape (N,)."""
-        return self.blocks[:, place].reshape(-1)[: self.count].copy()
-
-    def settle(self) -> None:
-        """Write what is noted into generators and scenes. Interrupted anywhere, it is done again from the start."""
-        if len(self.drawn):
-            self.generators[self.drawn] = self.words
-            if len(self.rows):
-                self.scenes.put(self.drawn, self.rows)
-            self.rows = _NO_ROWS
-            self.drawn = _NOBODY
-            self.words = _NO_WORDS
-
-    def note(self, drawn: NDArray[np.int64], words: Words, rows: Array) -> None:
-        """Note the generators of environments that start anew, and their scenes if they are drawn."""
-        self.drawn, self.words, self.rows = drawn, words, rows
-
-    def rows_of(self, numbers: NDArray[np.int64]) -> Array:
-        """The numbers of some environments' scenes, what is noted included, or the only row."""
-        rows = self.scenes.rows(numbers)
-        if len(self.rows) and self.scenes.several:
-            noted = np.isin(numbers, self.drawn)
-            rows[noted] = self.rows[np.searchsorted(self.drawn, numbers[noted])]
-        return self.rows if len(self.rows) and not self.scenes.several else rows
 
 
 class ExactBatch:
@@ -125,148 +63,142 @@ class ExactBatch:
         self._score = compiled_for(task, score.score_block)  # kept, because the loop calls it by its address
         self._score_address = address_of(self._score)
         width = min(glide.WIDEST, -(-num_envs // (num_threads or 1)))
-        blocks = np.zeros((-(-num_envs // width), glide.WIDTH, width))
-        table = SceneTable(scenes, len(scenes) > 1 or randomize is not None, blocks.shape, num_envs, control_dt)
+        self._count, self._blocks = num_envs, np.zeros((-(-num_envs // width), glide.WIDTH, width))
+        several = len(scenes) > 1 or randomize is not None
+        self._scenes = SceneTable(scenes, several, self._blocks.shape, num_envs, control_dt)
         by_function = randomize is not None and randomize.function is not None
-        self.held = ExactHeld(num_envs, blocks, fresh(num_envs, WITH_HALVES if by_function else WHOLE), table)
+        self._generators = fresh(num_envs, WITH_HALVES if by_function else WHOLE)  # (N, 4 or 6)
         self._derived = np.array([randomize.derived(scene) for scene in scenes] if randomize else [], dtype=np.bool_)
-        ranges = len(blocks) if num_threads else num_envs // _FEWEST_PER_THREAD
+        ranges = len(self._blocks) if num_threads else num_envs // _FEWEST_PER_THREAD
         self._threads = Threads(thread_count(num_threads, ranges))
-        self._spare: Array | None = np.zeros_like(blocks)  # where the next step writes
+        self._spare: Array | None = np.zeros_like(self._blocks)  # where the next step writes
         self._workspaces: list[tuple[Array, Array]] | None = self._new_workspaces()
 
     def _new_workspaces(self) -> list[tuple[Array, Array]]:
-        width = self.held.blocks.shape[2]
-        return [(np.zeros((score.LANES, width)), new_workspace()) for _ in range(self._threads.count)]
-
-    def _taken_spare(self) -> Array:
-        spare, self._spare = self._spare, None
-        return np.zeros_like(self.held.blocks) if spare is None else spare
-
-    def _taken_workspaces(self) -> list[tuple[Array, Array]]:
-        workspaces, self._workspaces = self._workspaces, None
-        return self._new_workspaces() if workspaces is None else workspaces
+        width = self._blocks.shape[2]
+        return [(new_lanes(width), new_workspace()) for _ in range(self._threads.count)]
 
     @property
     def nbytes(self) -> int:
         """Bytes of the arrays that grow with the environments."""
-        held, spare = self.held, self._spare
-        return held.blocks.nbytes + held.generators.nbytes + (0 if spare is None else spare.nbytes)
+        return 2 * self._blocks.nbytes + self._generators.nbytes
 
     @property
     def info_names(self) -> list[str]:
         """Names of the infos, those of the single environment."""
         return ["state", "time", "torque", "impacts", "impulse", *self._terms]
 
+    @property
+    def states(self) -> Array:
+        """A copy of all states, shape (N, 12)."""
+        return _states(self._blocks, self._count)
+
+    @property
+    def times(self) -> Array:
+        """A copy of all times [s], shape (N,)."""
+        return self._column(glide.TIME)
+
+    @property
+    def over(self) -> Flags:
+        """Which episodes are over, shape (N,)."""
+        return np.not_equal(self._column(glide.OVER), 0.0)
+
+    def _column(self, place: int) -> Array:
+        """A copy of one number of all environments, shape (N,)."""
+        return self._blocks[:, place].reshape(-1)[: self._count].copy()
+
     # -- episodes -----------------------------------------------------------------------------------------------------
 
-    def scene(self, number: int, held: ExactHeld | None = None) -> Scene:
+    def scene(self, number: int, starts: Starts | None = None) -> Scene:
         """See :meth:`jackbox_env.batches.base.Batch.scene`."""
-        held = held or self.held
-        held.settle()
-        return held.scenes.scene(number)
+        if starts is None or starts.scenes is None or number not in starts.numbers:
+            return self._scenes.scene(number)
+        given = starts.scenes[int(np.searchsorted(starts.numbers, number))]
+        return given if isinstance(given, Scene) else self._scenes.scene_of(number, given)
 
-    def draft(self) -> ExactHeld:
-        """See :meth:`jackbox_env.batches.base.Batch.draft`."""
-        held = self.held
-        held.settle()
-        blocks = self._taken_spare()
-        blocks[:] = held.blocks
-        return ExactHeld(held.count, blocks, held.generators.copy(), held.scenes.copy(), book=held.book)
-
-    def seed(self, draft: ExactHeld, number: int, seed: int) -> None:
-        """See :meth:`jackbox_env.batches.base.Batch.seed`."""
-        draft.generators[number] = seeded(seed)[: draft.generators.shape[1]]
-
-    def _noted(self, draft: ExactHeld, numbers: NDArray[np.int64]) -> tuple[Words, Array]:
-        """The generators of environments that start anew, and their scenes if they were just drawn."""
-        if draft.drawn is not self.held.drawn and np.array_equal(draft.drawn, numbers):
-            return draft.words, draft.rows
-        (self.held if draft.generators is self.held.generators else draft).settle()
-        return draft.generators[numbers], _NO_ROWS
-
-    def redraw(self, draft: ExactHeld, chosen: Flags, changes: Sequence[Change] | None = None) -> None:
-        """See :meth:`jackbox_env.batches.base.Batch.redraw`."""
-        numbers, scenes = np.flatnonzero(chosen), draft.scenes
-        if changes is not None:
-            self._change(draft, numbers, changes)
-        elif self._randomize is None:
-            return
-        elif self._randomize.function is not None or scenes.driven_otherwise[numbers if scenes.several else 0].any():
-            self._change(draft, numbers, [{}] * len(numbers))
-        else:
-            words, _ = self._noted(draft, numbers)
-            rows, derived = scenes.own_rows(numbers), self._derived
+    def draw(
+        self, numbers: Numbers, seeds: Sequence[int | None] | None = None, changes: Sequence[Change] | None = None
+    ) -> Starts:
+        """See :meth:`jackbox_env.batches.base.Batch.draw`."""
+        words, table = self._generators[numbers], self._scenes
+        for place, seed in enumerate(seeds or ()):
+            if seed is not None:
+                words[place] = seeded(seed)[: words.shape[1]]
+        drawn = self._randomize
+        if changes is None and drawn is None:
+            return Starts(numbers, words, None)
+        otherwise = table.driven_otherwise[numbers if table.several else 0].any()
+        if changes is None and drawn is not None and drawn.function is None and not otherwise:
+            rows, derived = table.own_rows(numbers), self._derived
             follows = derived[numbers] if len(derived) > 1 else np.repeat(derived, len(numbers), axis=0)
-            compiled(restart.draw_scenes)(rows, self._randomize.table, follows, words)
-            draft.note(numbers, words, rows)
-
-    def _change(self, draft: ExactHeld, numbers: NDArray[np.int64], changes: Sequence[Change]) -> None:
-        """Give environments their own scenes with what is drawn and some fields changed."""
-        if draft.scenes is self.held.scenes:
-            self.held.settle()
-            draft.scenes, draft.generators = draft.scenes.copy(), draft.generators.copy()
-        words, scenes = draft.generators[numbers], []
-        for place, (number, change) in enumerate(zip(numbers.tolist(), changes, strict=True)):
-            own, drawn = draft.scenes.own_of(number), {}
-            if self._randomize is not None:
+            compiled(restart.draw_scenes)(rows, drawn.table, follows, words)
+            return Starts(numbers, words, rows)
+        scenes = []
+        for place, number in enumerate(numbers.tolist()):
+            own, fields = table.own_of(number), dict[str, Any]()
+            if drawn is not None:
                 generator = unpacked(words[place])
-                drawn = self._randomize.draw(own, generator)
+                fields = drawn.draw(own, generator)
                 words[place] = packed(generator)[: words.shape[1]]
-            scenes.append(own.changed(**{**drawn, **change}))
-        if len(numbers) < draft.count or any(scene != scenes[0] for scene in scenes):
-            draft.scenes = draft.scenes.spread_out(draft.blocks.shape)
-        rows = np.array([scene.numbers for scene in scenes])
-        draft.scenes.put(numbers, rows if draft.scenes.several else rows[:1])
-        draft.scenes.put_drives(numbers, [scene.drive for scene in scenes])
-        draft.generators[numbers] = words
-        draft.note(_NOBODY, _NO_WORDS, _NO_ROWS)
+            scenes.append(own.changed(**{**fields, **(changes[place] if changes else {})}))
+        return Starts(numbers, words, scenes)
 
-    def restart(self, draft: ExactHeld, chosen: Flags) -> None:
-        """See :meth:`jackbox_env.batches.base.Batch.restart`."""
-        numbers = np.flatnonzero(chosen)
-        words, rows = self._noted(draft, numbers)
-        values = rows if len(rows) else draft.scenes.rows(numbers)
-        compiled(restart.restart_blocks)(values, draft.blocks, numbers, words)
-        draft.note(numbers, words, rows)
+    def start(self, starts: Starts, states: Array | None = None) -> None:
+        """See :meth:`jackbox_env.batches.base.Batch.start`."""
+        numbers, words, scenes = starts
+        if isinstance(scenes, list):
+            if len(numbers) < self._count or any(scene != scenes[0] for scene in scenes):
+                self._scenes = self._scenes.spread_out(self._blocks.shape)
+            self._scenes.put(numbers, np.array([scene.numbers for scene in scenes]))
+            self._scenes.put_drives(numbers, [scene.drive for scene in scenes])
+        elif scenes is not None:
+            self._scenes.put(numbers, scenes)
+        if states is None:
+            compiled(restart.restart_blocks)(self._scenes.rows(numbers), self._blocks, numbers, words)
+        else:
+            block, lane = np.divmod(numbers, self._blocks.shape[2])
+            self._blocks[block, :, lane] = 0.0
+            self._blocks[block, :12, lane] = states[numbers]
+        self._generators[numbers] = words
 
-    def place(self, draft: ExactHeld, chosen: Flags, states: Array, times: Array, anew: bool) -> None:
+    def place(self, chosen: Flags, states: Array, times: Array) -> None:
         """See :meth:`jackbox_env.batches.base.Batch.place`."""
-        blocks = draft.blocks
+        blocks = self._blocks
         block, lane = np.divmod(np.flatnonzero(chosen), blocks.shape[2])
         blocks[block, :12, lane] = states[chosen]
         blocks[block, glide.TIME, lane] = times[chosen]
-        started = np.ones(len(lane), dtype=np.bool_) if anew else blocks[block, glide.OVER, lane] != 0.0
-        block, lane = block[started], lane[started]
-        blocks[block, glide.STEPS, lane] = blocks[block, glide.OVER, lane] = 0.0
+        over = blocks[block, glide.OVER, lane] != 0.0
+        blocks[block[over], glide.STEPS, lane[over]] = blocks[block[over], glide.OVER, lane[over]] = 0.0
 
-    def observe(self, held: ExactHeld, chosen: Flags, observations: Floats) -> None:
+    def mend(self) -> None:
+        """See :meth:`jackbox_env.batches.base.Batch.mend`."""
+        everyone, self._spare = np.arange(self._count), None
+        self._scenes.put(everyone, self._scenes.values.copy())
+        self._scenes.put_drives(everyone, list(self._scenes.drives))
+
+    def observe(self, numbers: Numbers, observations: Floats) -> None:
         """See :meth:`jackbox_env.batches.base.Batch.observe`."""
-        numbers = np.flatnonzero(chosen)
-        compiled(restart.look_blocks)(held.rows_of(numbers), held.blocks, numbers, observations)
-
-    def keep(self, draft: ExactHeld) -> None:
-        """See :meth:`jackbox_env.batches.base.Batch.keep`."""
-        before, self.held = self.held, draft
-        self._spare = before.blocks
+        compiled(restart.look_blocks)(self._scenes.rows(numbers), self._blocks, numbers, observations)
 
     # -- stepping -----------------------------------------------------------------------------------------------------
 
     def step(self, actions: Array | None) -> Outcome:
         """See :meth:`jackbox_env.batches.base.Batch.step`."""
-        held, count, halt = self.held, self.held.count, Halt()
-        held.settle()
+        count, halt = self._count, Halt()
         observations = np.empty((count, 10), dtype=np.float32)
         rewards, truncations = np.empty(count), np.empty(count, dtype=np.bool_)
         reports = np.zeros((count if self._with_infos else 0, score.TERMS + len(self._terms)))
         given = _NO_ACTIONS if actions is None else actions
-        table, torque = held.scenes, int(actions is not None)
+        table, torque = self._scenes, int(actions is not None)
         scenes = table.values, table.lanes, table.kinds[torque]
         rules = self._dt, self._limit, table.gliding[torque], self._score_address
         pieces, ranges = self._pieces(actions)
         asked, filled = (given, pieces, ranges), (observations, rewards, truncations, reports)
         step_blocks = compiled(loop.step_blocks)
-        blocks, after, workspaces = held.blocks, self._taken_spare(), self._taken_workspaces()
+        blocks, after, workspaces = self._blocks, self._spare, self._workspaces
+        after = np.zeros_like(blocks) if after is None else after
+        workspaces = self._new_workspaces() if workspaces is None else workspaces
+        self._spare = self._workspaces = None
 
         def work(thread: int, low: int, high: int) -> tuple[int, int]:
             finished = 0
@@ -280,28 +212,28 @@ class ExactBatch:
                 low = number  # after a while, so that an interruption is heard
 
         results = self._threads.run(work, len(blocks), grain=_GRAIN, halt=halt)
-        self._workspaces = workspaces
+        self._spare, self._workspaces = after, workspaces
         for ended, number in results:
             if ended:
-                self._spare = after
                 raise self._failure(ended, number, given)
-        draft = ExactHeld(
-            count, after, held.generators, held.scenes, held.drawn, held.words, held.rows, held.book
-        )  # fmt: skip
-        infos = self._infos(draft, reports) if self._with_infos else {}
+        infos = self._infos(after, reports) if self._with_infos else {}
         finished = sum(finished for _, finished in results)
-        return Outcome(observations, rewards, truncations, infos, finished, draft)
+        return Outcome(observations, rewards, truncations, infos, finished, after)
+
+    def take(self, after: Array) -> None:
+        """See :meth:`jackbox_env.batches.base.Batch.take`."""
+        self._blocks, self._spare = after, self._blocks
 
     def _pieces(self, actions: Array | None) -> tuple[Array, NDArray[np.int64]]:
         """The pieces of drives of functions, once for each drive and time, and each environment's range of them."""
-        scenes = self.held.scenes
+        scenes = self._scenes
         if not scenes.cutting[actions is not None]:
             return _NO_TABLE, _NO_RANGES
-        going = np.flatnonzero(scenes.cut[actions is not None] & ~self.held.over).tolist()
-        times, drives = self.held.column(glide.TIME).tolist(), scenes.drives
+        going = np.flatnonzero(scenes.cut[actions is not None] & ~self.over).tolist()
+        times, drives = self.times.tolist(), scenes.drives
         torque = None if actions is None else 0.0  # whatever is held
         tables, found = [_NO_TABLE], dict[tuple[int, float], tuple[int, int]]()
-        ranges, end = np.zeros((self.held.count, 2), dtype=np.int64), 0
+        ranges, end = np.zeros((self._count, 2), dtype=np.int64), 0
         for number in going:
             drive, time = drives[number if scenes.several else 0], times[number]
             if (id(drive), time) not in found:
@@ -312,10 +244,10 @@ class ExactBatch:
             ranges[number] = found[id(drive), time]
         return np.concatenate(tables), ranges
 
-    def _infos(self, draft: ExactHeld, reports: Array) -> dict[str, NDArray[Any]]:
+    def _infos(self, after: Array, reports: Array) -> dict[str, NDArray[Any]]:
         numbers = [
-            draft.states,
-            draft.times,
+            _states(after, self._count),
+            after[:, glide.TIME].reshape(-1)[: self._count].copy(),
             reports[:, score.REPORTED_TORQUE].copy(),
             reports[:, score.REPORTED_HITS].astype(np.int64),
             reports[:, score.REPORTED_IMPULSE].copy(),
@@ -326,7 +258,7 @@ class ExactBatch:
     def _failure(self, ended: int, number: int, actions: Array) -> Exception:
         if ended == Status.BAD_ACTION:
             return bad_action(float(actions[number]), number)
-        time = float(self.held.column(glide.TIME)[number])
+        time = float(self.times[number])
         if ended == Status.TOO_LATE:
             try:
                 end_of_step(time, self._dt)
@@ -340,3 +272,8 @@ class ExactBatch:
 
     def close(self) -> None:
         """Release nothing."""
+
+
+def _states(blocks: Array, count: int) -> Array:
+    """A copy of the states in blocks, shape (N, 12)."""
+    return blocks[:, :12].transpose(0, 2, 1).copy().reshape(-1, 12)[:count]

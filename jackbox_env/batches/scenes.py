@@ -26,7 +26,7 @@ _PLACES = [SceneNumbers._fields.index(name) for name in _FIELDS]
 
 
 class SceneTable:
-    """Scenes as numbers. Rows change in place; whoever needs the old ones as well takes a copy first.
+    """Scenes as numbers. Rows change in place.
 
     Args:
         own: the scenes that environments were made with, one for all or one each.
@@ -64,18 +64,10 @@ class SceneTable:
         self.cutting: tuple[bool, bool] = bool(self.cut[0].any()), bool(self.cut[1].any())
         self.gliding: tuple[bool, bool] = bool((columns[0] == HELD).any()), bool((columns[1] == HELD).any())
 
-    def copy(self) -> SceneTable:
-        """A copy whose rows may be changed."""
-        twin = object.__new__(SceneTable)
-        twin.__dict__.update(self.__dict__)
-        twin.values, twin.lanes, twin.drives = self.values.copy(), self.lanes.copy(), list(self.drives)
-        twin._scenes = dict(self._scenes)
-        return twin
-
     def spread_out(self, shape: tuple[int, ...]) -> SceneTable:
-        """A copy that has a row for each environment."""
+        """This table with a row for each environment."""
         if self.several or self.count == 1:
-            return self.copy()
+            return self
         twin = SceneTable(self.own, True, shape, self.count, self.dt)
         twin.values[:] = self.values
         twin.lanes[:] = self.lanes
@@ -101,12 +93,12 @@ class SceneTable:
         return self.values[numbers] if self.several else self.values.copy()
 
     def put(self, numbers: Counts, rows: Array) -> None:
-        """Set the numbers of some environments' scenes, or of all where they have one; twice changes nothing."""
+        """Set the numbers of some environments' scenes, or of all where they have one."""
         self._forget(numbers)
         if self.several:
             self.values[numbers] = rows
         else:
-            self.values[0], numbers = rows[0], np.arange(self.lanes.shape[2])
+            self.values[0], rows, numbers = rows[0], rows[:1], np.arange(self.lanes.shape[2])
         compiled(spread)(rows, self.dt, self.lanes, numbers)
 
     def put_drives(self, numbers: Counts, drives: Sequence[AnyDrive]) -> None:
@@ -126,15 +118,16 @@ class SceneTable:
         """The scene that an environment has."""
         place = number if self.several else 0
         if place not in self._scenes:
-            self._scenes[place] = self._scene(number, place)
+            self._scenes[place] = self.scene_of(number, self.values[place])
         return self._scenes[place]
 
-    def _scene(self, number: int, place: int) -> Scene:
-        own = self.own_of(number)
-        found: dict[str, Any] = dict(zip(_FIELDS, self.values[place, _PLACES].tolist(), strict=True))
+    def scene_of(self, number: int, row: Array) -> Scene:
+        """The scene that an environment has with the numbers of ``row``."""
+        own, drive = self.own_of(number), self.drives[number if self.several else 0]
+        found: dict[str, Any] = dict(zip(_FIELDS, row[_PLACES].tolist(), strict=True))
         changed = {name: value for name, value in found.items() if value != getattr(own, name)}
-        if self.drives[place] is not own.drive:
-            changed["drive"] = self.drives[place]
+        if drive is not own.drive:
+            changed["drive"] = drive
         if not changed:
             return own
         follows = own.changed(**{name: value for name, value in changed.items() if name not in own.derived})

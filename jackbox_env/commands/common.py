@@ -13,7 +13,7 @@ import sys
 from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from gymnasium.error import DependencyNotInstalled
 from gymnasium.error import Error as GymnasiumError
@@ -23,6 +23,7 @@ from jackbox_env import _validation as check
 if TYPE_CHECKING:
     import tyro as tyro
 
+Kind = TypeVar("Kind", dict[str, Any], list[Any])
 JACKBOX = "jackbox"  # the command, and with a command's name the first word of what it was started by
 _UNREAD = 128 + 13  # exit status of what SIGPIPE ends
 _UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EIO)  # standard output's errors do not say what they are about
@@ -54,8 +55,13 @@ def command_line(main: Callable[[], None]) -> Callable[[], None]:
             main()
             sys.stdout.flush()  # a full disk is met here, not at Python's end
         except (ImportError, DependencyNotInstalled) as error:
-            more = f"; this command needs more packages: {_how_to_get_all()}"
-            print(f"{error}{'' if 'pip install' in str(error) else more}", file=sys.stderr)
+            how = (
+                "pip install -e '.[all,dev]'"
+                if in_checkout()
+                else "`jackbox check` lists them, and how to install them"
+            )
+            more = "" if "pip install" in str(error) else f"; this command needs more packages: {how}"
+            print(f"{error}{more}", file=sys.stderr)
             sys.exit(2)
         except BrokenPipeError:
             sys.exit(_UNREAD)
@@ -103,12 +109,6 @@ def in_checkout() -> bool:
     return (ROOT / "scripts" / "train.py").is_file() and (ROOT / "pyproject.toml").is_file()
 
 
-def _how_to_get_all() -> str:
-    if in_checkout():
-        return "pip install -e '.[all,dev]' in a checkout"
-    return "`jackbox check` lists them, and how to install them"
-
-
 def extras() -> dict[str, list[str]]:
     """What each extra asks for, e.g. {"render": ["pygame-ce>=2.5"]}, by the installed package's own record."""
     asked = dict[str, list[str]]()
@@ -120,34 +120,29 @@ def extras() -> dict[str, list[str]]:
     return asked
 
 
-def package_of(requirement: str) -> str:
-    """The name in a requirement: "torch" of "torch<3,>=2.3"."""
-    found = re.match(r"[\w.-]+", requirement)
-    return found[0] if found else requirement
-
-
-def json_object(name: str, text: str) -> dict[str, Any]:
-    """What an option called ``name`` holds that is given as JSON.
+def from_json(name: str, text: str, kind: type[Kind]) -> Kind:
+    """What an option called ``name`` holds that is given as JSON: an object (dict) or a list.
 
     Raises:
-        ValueError: it is not a JSON object.
+        ValueError: it is something else.
     """
     try:
         values = json.loads(text)
-    except (RecursionError, TypeError, ValueError) as error:
-        raise ValueError(f"{name} must be a JSON object, got {check.shown(text)}") from error
-    if not isinstance(values, dict):
-        raise ValueError(f"{name} must be a JSON object, got {check.shown(text)}")
+    except (RecursionError, TypeError, ValueError):
+        values = None
+    if not isinstance(values, kind):
+        raise ValueError(f"{name} must be a JSON {'object' if kind is dict else 'list'}, got {check.shown(text)}")
     return values
 
 
-def scene_fields(text: str) -> dict[str, Any]:
-    """Fields of a scene that are given as JSON.
+def json_object(name: str, text: str) -> dict[str, Any]:
+    """What an option holds that is given as a JSON object; see :func:`from_json`."""
+    return from_json(name, text, dict)
 
-    Raises:
-        ValueError: it is not a JSON object.
-    """
-    return json_object("scene", text)
+
+def scene_fields(text: str) -> dict[str, Any]:
+    """Fields of a scene that are given as JSON; see :func:`from_json`."""
+    return from_json("scene", text, dict)
 
 
 def parser_of(program: str | None, text: str | None) -> argparse.ArgumentParser:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import sys
 
+from jackbox_env import __version__
 from jackbox_env.commands.common import JACKBOX, ROOT, command_line, in_checkout
 
 _OWN = {
@@ -28,45 +29,32 @@ def _help() -> str:
     return "\n".join([*lines, "", "  -h, --help  show this help message and exit", "  --version   show the version"])
 
 
-def _run_script(name: str) -> None:
-    """Run a command of the checkout that this package is part of.
-
-    Raises:
-        RuntimeError: it is part of none.
-    """
-    if not in_checkout():
-        raise RuntimeError(
-            f"jackbox {name} needs a checkout: git clone the repository, and there pip install -e '.[all]'"
-        )
-    sys.path.insert(0, str(ROOT))  # scripts and agents are beside the package
-    _run(f"scripts.{name}", name)
-
-
-def _run(module: str, name: str) -> None:
-    """Run a command whose help and messages name it as it was called."""
-    sys.argv[0] = f"{JACKBOX} {name}"
-    importlib.import_module(module).main()
-
-
 @command_line
 def main() -> None:
-    """Run the command that the first argument names, with the others."""
-    name = sys.argv[1] if len(sys.argv) > 1 else "--help"
+    """Run the command that the first argument names, with the others; its help and messages name it as it was called.
+
+    Raises:
+        ValueError: there is no such command.
+        RuntimeError: it is one of a checkout, of which this package is no part.
+    """
+    name = sys.argv.pop(1) if len(sys.argv) > 1 else "--help"
     if name in ("-h", "--help"):
         print(_help())
     elif name == "--version":
-        from jackbox_env import __version__
-
         print(f"jackbox {__version__}")
-    elif name in _OF_A_CHECKOUT or (name == "play" and in_checkout()):  # which brings the trained agents
-        del sys.argv[1]
-        _run_script(name)
-    elif name in _OWN:
-        del sys.argv[1]
-        _run(f"jackbox_env.commands.{name}", name)
+    elif name not in {**_OWN, **_OF_A_CHECKOUT}:
+        raise ValueError(f"the command must be one of {', '.join((*_OWN, *_OF_A_CHECKOUT))}, got {name!r}")
+    elif name in _OF_A_CHECKOUT and not in_checkout():
+        raise RuntimeError(
+            f"jackbox {name} needs a checkout: git clone the repository, and there pip install -e '.[all]'"
+        )
     else:
-        known = ", ".join((*_OWN, *_OF_A_CHECKOUT))
-        raise ValueError(f"the command must be one of {known}, got {name!r}")
+        sys.argv[0] = f"{JACKBOX} {name}"
+        if in_checkout():
+            sys.path.insert(0, str(ROOT))  # scripts and agents are beside the package
+        # Of the two commands that play, that of a checkout brings the trained agents.
+        home = "scripts" if name in _OF_A_CHECKOUT or (name == "play" and in_checkout()) else "jackbox_env.commands"
+        importlib.import_module(f"{home}.{name}").main()
 
 
 if __name__ == "__main__":

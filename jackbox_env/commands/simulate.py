@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jackbox_env.commands.common import add_model_options, command_line, parser_of, scene_fields
+from jackbox_env.commands.common import add_model_options, command_line, from_json, parser_of, scene_fields
 
 if TYPE_CHECKING:
     from jackbox_env.recording.trajectory import Trajectory
     from jackbox_env.scene import Scene
     from jackbox_env.simulators.fidelity import Setting
 
-_MOST_ON_PAGE = 200_000  # steps: minutes of writing
-_PAGE_STEPS = 1_000  # written to a page in a second, some
-_SAID = 10.0  # [s] of writing a page that are announced
+_MOST_ON_PAGE = 20_000  # steps: a page of some 10 MB
 
 
 def _arguments() -> argparse.Namespace:
@@ -28,7 +25,7 @@ def _arguments() -> argparse.Namespace:
     add_model_options(parser)
     start = parser.add_argument_group("start")
     text = "the 12 numbers to start from, as a JSON list, e.g. a row of states.csv; default: all 0"
-    start.add_argument("--state", metavar="JSON", help=text)
+    start.add_argument("--state", default=str([0.0] * 12), metavar="JSON", help=text)
     text = "time at the start [s], which the drive sees; default: 0"
     start.add_argument("--time", type=float, default=0.0, metavar="S", help=text)
     files = parser.add_argument_group("files")
@@ -61,17 +58,6 @@ def _refuse_nonsense(arguments: argparse.Namespace) -> None:
     check_new(arguments.folder)
 
 
-def _start(text: str | None) -> object:
-    from jackbox_env import _validation as check
-
-    if text is None:
-        return [0.0] * 12
-    try:
-        return json.loads(text)
-    except (RecursionError, ValueError) as error:
-        raise ValueError(f"state must be a JSON list of 12 numbers, got {check.shown(text)}") from error
-
-
 def _write(folder: Path, arguments: argparse.Namespace, scene: Scene, setting: Setting, trajectory: Trajectory) -> None:
     """Write all files that were asked for."""
     from jackbox_env.recording.trajectory import write_csv, write_npz
@@ -80,9 +66,6 @@ def _write(folder: Path, arguments: argparse.Namespace, scene: Scene, setting: S
     if arguments.html:
         from jackbox_env.recording.page import model_facts, write_page
 
-        seconds = len(trajectory.times) / _PAGE_STEPS
-        if seconds > _SAID:
-            print(f"Writing the page takes some {seconds:.0f} s", file=sys.stderr)
         write_page(folder / "trajectory.html", scene, trajectory, "The scene's drive", model_facts(setting))
     if arguments.plots is not False and importlib.util.find_spec("matplotlib"):
         from jackbox_env.commands.plots import trajectory_figures
@@ -106,7 +89,7 @@ def main() -> None:
     setting = resolve(arguments.fidelity, arguments.contact, arguments.substeps)
     scene = Scene.of(scene_fields(arguments.scene))
     simulator = make_simulator(scene, **setting._asdict())
-    simulator.reset(_start(arguments.state), arguments.time)  # type: ignore[arg-type]
+    simulator.reset(from_json("state", arguments.state, list), arguments.time)
     try:
         trajectory = simulate(simulator, arguments.seconds, arguments.dt)
         folder = new_folder(

@@ -40,13 +40,15 @@ CALLED = {block_score: "score_block", step_score: "score_step"}
 
 
 @cache
-def compiled_call(name: str) -> Any:
-    """What :func:`block_score` or :func:`step_score` is in compiled code."""
-    from numba import types
+def compiled_call(function: Any) -> Any:
+    """What :func:`block_score` or :func:`step_score` is in compiled code; itself under NUMBA_DISABLE_JIT."""
+    from numba import config, types
     from numba.core import cgutils
     from numba.extending import intrinsic
 
-    kind = types.FunctionType(signature(name))
+    if config.DISABLE_JIT:  # type: ignore[attr-defined]
+        return function
+    kind = types.FunctionType(signature(CALLED[function]))
 
     @intrinsic
     def at_address(typing: Any, address: Any) -> Any:

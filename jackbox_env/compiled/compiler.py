@@ -16,8 +16,6 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache
-from importlib.resources import files
-from importlib.resources.abc import Traversable
 from pathlib import Path
 from types import CellType, CodeType, FunctionType, ModuleType, NoneType
 from typing import Any, TypeVar, cast
@@ -157,7 +155,7 @@ class _Reading:
     def _taken(self, value: Any, names: tuple[str, ...], instead: Mapping[str, Any] | None) -> tuple[Any, str]:
         """What stands in compiled code for something that a function uses, and its text."""
         if isinstance(value, FunctionType) and value in address.CALLED:
-            return address.compiled_call(address.CALLED[value]), address.CALLED[value]
+            return address.compiled_call(value), address.CALLED[value]
         if isinstance(value, FunctionType) and _root(value.__globals__) not in _NOT_READ:
             return self.compiled(value, instead)
         if isinstance(value, ModuleType):
@@ -190,20 +188,21 @@ class _Reading:
 
 
 def _jitted(twin: FunctionType, inner: bool, checked: bool, keep: bool) -> Callable[..., Any]:
-    from numba import njit
-    from numba.extending import is_jitted
+    from numba import config, njit
 
     from jackbox_env.compiled.kept import CodeCache
 
+    if config.DISABLE_JIT:  # type: ignore[attr-defined]
+        return twin if inner else np.errstate(all="ignore")(twin)  # compiled integers wrap around in silence
     # Without the runtime that counts references to arrays: nothing compiled here makes an array, and counting took
     # two thirds of a step.
     settings: dict[str, Any] = {"nogil": True, "error_model": "python" if checked else "numpy", "_nrt": False}
     if inner:  # a third of the time to compile goes without ways in from Python
         settings |= {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     dispatcher = njit(**settings)(twin)
-    if keep and is_jitted(dispatcher) and (folders := _cache_folders()):  # NUMBA_DISABLE_JIT leaves the plain function
+    if keep and (folders := cache_folders()):
         # where njit(cache=True) puts numba's own
-        dispatcher._cache = CodeCache(twin, folders)  # type: ignore[attr-defined]
+        dispatcher._cache = CodeCache(twin, folders)
     return cast(Callable[..., Any], dispatcher)
 
 
@@ -235,20 +234,12 @@ def _root(named: Mapping[str, Any]) -> str:
 
 
 @cache
-def _digest() -> str:
+def _digest(package: Path = PACKAGE) -> str:
     """Digest of the package's whole source, because the kept code of a function includes what it calls elsewhere."""
     digest = hashlib.sha256()
-    for text in _sources(files("jackbox_env")):
-        digest.update(text)
+    for source in sorted(package.rglob("*.py")):
+        digest.update(source.read_bytes())
     return digest.hexdigest()[:16]
-
-
-def _sources(folder: Traversable) -> Iterator[bytes]:
-    for entry in sorted(folder.iterdir(), key=lambda entry: entry.name):  # of an archive too
-        if entry.is_dir():
-            yield from _sources(entry)
-        elif entry.name.endswith(".py"):
-            yield entry.read_bytes()
 
 
 def _cache_places() -> Iterator[Path]:
@@ -263,12 +254,11 @@ def _cache_places() -> Iterator[Path]:
 def _tidy(place: Path) -> None:
     """Remove code that was compiled from old versions of the source."""
     with contextlib.suppress(OSError):  # another process may be tidying too
-        folders = sorted(place.glob("compiled-*"), key=lambda folder: folder.stat().st_mtime, reverse=True)
-        for folder in folders[_KEPT:]:
-            shutil.rmtree(folder, ignore_errors=True)
+        for old in sorted(place.glob("compiled-*"), key=lambda folder: folder.stat().st_mtime)[:-_KEPT]:
+            shutil.rmtree(old, ignore_errors=True)
 
 
-def _cache_folders() -> list[Path]:
+def cache_folders() -> list[Path]:
     """Folders to look for compiled code in, one in each place: the last of them can be written.
 
     The folders before it can only be read. A warning says that none can be written, or that the place the user
@@ -280,24 +270,17 @@ def _cache_folders() -> list[Path]:
     for place in _cache_places():
         folder = place / f"compiled-{_digest()}"
         try:
-            new = not folder.is_dir()
-            folder.mkdir(parents=True, exist_ok=True)
+            if not folder.is_dir():
+                folder.mkdir(parents=True, exist_ok=True)
+                _tidy(place)
+                print("jackbox compiles its exact contact model, once: 25 to 45 s", file=sys.stderr)
         except OSError as error:
             refused.append(f"{place}: {error.strerror}")
             continue
         found.append(folder)
-        if new:
-            _tidy(place)
-            print("jackbox compiles its exact contact model, once: 25 to 45 s", file=sys.stderr)
         if os.access(folder, os.W_OK):
             break
-    if not found:
-        tried = "; ".join(refused)
-        say_once(
-            "nowhere",
-            "no folder to keep compiled code in can be written, so each process compiles it anew, which takes "
-            f"25 to 45 s; set NUMBA_CACHE_DIR to one that can (tried {tried})",
-        )
-    elif refused and os.environ.get("NUMBA_CACHE_DIR"):  # it comes first
-        say_once("elsewhere", f"compiled code is kept in {found[-1]}, as NUMBA_CACHE_DIR cannot be used ({refused[0]})")
+    if refused and (not found or os.environ.get("NUMBA_CACHE_DIR")):  # it comes first
+        kept_in = found[-1] if found else "no folder, so each process compiles it anew"
+        say_once(f"compiled code is kept in {kept_in}, because others cannot be used ({'; '.join(refused)})")
     return found

@@ -14,11 +14,29 @@ from numpy.typing import NDArray
 from jackbox_env.compiled.bounds import bend_of, farthest, stays_off
 from jackbox_env.compiled.drives import DEGREE, TURN, chirp_piece, chirp_pieces, horner
 from jackbox_env.compiled.motion import on_axes
-from jackbox_env.compiled.score import HIT, IMPULSES, LANES, NEAR, TORQUE, TURNING
 from jackbox_env.compiled.search import STEEPEST
 from jackbox_env.compiled.step import Plan, fallen, moved, stays_clear, turned
 from jackbox_env.compiled.trigonometry import LARGEST, cos_sin_within
-from jackbox_env.compiled.workspace import PIECE, Workspace
+from jackbox_env.compiled.workspace import (
+    AHEAD,
+    APART,
+    ASIDE,
+    AT_MOST,
+    BEND,
+    HIT,
+    IMPULSE_SUM,
+    LANE,
+    LANE_COSINE,
+    LANE_OMEGA,
+    LANE_SINE,
+    NEAR,
+    OFF,
+    PIECE,
+    PULL,
+    TORQUE,
+    TURNING,
+    Workspace,
+)
 from jackbox_env.scene import SceneNumbers, chirp_turns
 
 Array = NDArray[np.float64]
@@ -30,8 +48,6 @@ WIDEST = 128  # environments in a block
 LIMIT, INERTIA, FALL, CLEAR, ROOM, ORDINARY = range(6)  # [N m], [kg m^2], speed gained in a step [m/s], as in Plan,
 # distance of the centres at which the jack's feet reach a wall [m], see ``ordinary``
 SCENE_LANES = 6
-# Rows of a thread's memory where lanes near a wall are brought together.
-AT_MOST, COSINE, SINE, AHEAD, ASIDE, OMEGA, BEND, LANE, APART, PULL, OFF = range(LANES - 11, LANES)
 _ORDINARY = 1e9  # over L or v0: below it float64 resolves places and speeds
 
 
@@ -53,7 +69,7 @@ def glide_block(dt: float, block: Block) -> None:
     """
     before, after, lanes, count = block.before, block.after, block.lanes, block.size
     inertia, fall, torque = block.scenes[INERTIA], block.scenes[FALL], lanes[TORQUE]
-    alpha, hits, impulses = lanes[TURNING], lanes[HIT], lanes[IMPULSES]
+    alpha, hits, impulses = lanes[TURNING], lanes[HIT], lanes[IMPULSE_SUM]
     for k in range(count):
         alpha[k] = torque[k] / inertia[k]
     for k in range(count):
@@ -109,7 +125,8 @@ def look_at_walls(dt: float, block: Block) -> None:
     """
     before, lanes, near, scenes = block.before, block.lanes, block.lanes[NEAR], block.scenes
     x, y, vx, vy, alpha = lanes[0], lanes[1], lanes[2], lanes[3], lanes[AT_MOST]
-    cosine, sine, ahead, aside, omega = lanes[COSINE], lanes[SINE], lanes[AHEAD], lanes[ASIDE], lanes[OMEGA]
+    cosine, sine, omega = lanes[LANE_COSINE], lanes[LANE_SINE], lanes[LANE_OMEGA]
+    ahead, aside = lanes[AHEAD], lanes[ASIDE]
     bend, lane, room, pull, off = lanes[BEND], lanes[LANE], lanes[APART], lanes[PULL], lanes[OFF]
     count = 0
     for k in range(block.size):
@@ -173,7 +190,7 @@ def glide_under_chirp(scene: SceneNumbers, plan: Plan, block: Block, work: Works
     if pieces == 0:
         return False
     mark_under_chirp(scene, plan, block, time)
-    torque, hits, impulses = lanes[TORQUE], lanes[HIT], lanes[IMPULSES]
+    torque, hits, impulses = lanes[TORQUE], lanes[HIT], lanes[IMPULSE_SUM]
     x, y = lanes[0], lanes[1]
     for k in range(count):
         hits[k] = impulses[k] = 0.0

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from jackbox_env.compiled.address import block_score
 from jackbox_env.compiled.glide import LIMIT, OVER, STEPS, TIME, WIDTH, Block, glide_block, glide_under_chirp
-from jackbox_env.compiled.score import HIT, IMPULSES, NEAR, TORQUE, TURNING, look_block
+from jackbox_env.compiled.score import look_block
 from jackbox_env.compiled.status import Status
 from jackbox_env.compiled.step import (
     CHIRP,
@@ -31,7 +31,19 @@ from jackbox_env.compiled.step import (
     step,
     step_near,
 )
-from jackbox_env.compiled.workspace import AFTER, BEFORE, HITS, IMPULSE, TALLY, Workspace
+from jackbox_env.compiled.workspace import (
+    AFTER,
+    BEFORE,
+    HIT,
+    HITS,
+    IMPULSE,
+    IMPULSE_SUM,
+    NEAR,
+    TALLY,
+    TORQUE,
+    TURNING,
+    Workspace,
+)
 from jackbox_env.scene import SceneNumbers
 from jackbox_env.states import LATEST_TIME
 
@@ -169,7 +181,7 @@ def step_lanes(
             return ended, k, looks
         for place in range(12):
             after[place, k] = work[AFTER, place]
-        lanes[HIT, k], lanes[IMPULSES, k] = work[TALLY, HITS], work[TALLY, IMPULSE]
+        lanes[HIT, k], lanes[IMPULSE_SUM, k] = work[TALLY, HITS], work[TALLY, IMPULSE]
         looks += effort(work)
     return Status.DONE, -1, looks
 

@@ -46,7 +46,8 @@ class Played(NamedTuple):
 
 def roll(
     scenes: tuple[Array, Counts, Counts], dt: float, torques: Array, drive: tuple[Array, Array, Counts],
-    span: tuple[int, int, int], results: tuple[Array, Counts, Array, Array, Array], score: int, work: Workspace,
+    span: tuple[int, int, int], results: tuple[Array, Counts, Array, Array, Array], score: int,
+    until_impact: bool, work: Workspace,
 ) -> tuple[int, int, int]:  # fmt: skip
     """Fill in trajectories from their first states.
 
@@ -60,6 +61,7 @@ def roll(
         span: first trajectory, past the last, and the step of the first one to begin with.
         results: the fields of :class:`Played`.
         score: address of the task's ``score_step``; called only where rewards are asked for.
+        until_impact: end each trajectory with the step of its first impact.
         work: memory to work in.
 
     Returns:
@@ -99,4 +101,6 @@ def roll(
             if played.rewards.shape[0]:
                 row = values[i if values.shape[0] > 1 else 0]
                 pay(row, after, mean, work[TALLY, IMPULSE], played.rewards[i], k)
+            if until_impact and work[TALLY, HITS] > 0.0:
+                break
     return Status.DONE.value, -1, -1

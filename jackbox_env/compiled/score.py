@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from jackbox_env.compiled.step import make_numbers
 from jackbox_env.compiled.trigonometry import LARGEST, cos_sin, cos_sin_within
+from jackbox_env.compiled.workspace import HIT, IMPULSE_SUM, TORQUE
 from jackbox_env.observation import seen
 from jackbox_env.scene import SceneNumbers
 from jackbox_env.states import Array
@@ -22,10 +23,6 @@ Floats = NDArray[np.float32]
 
 # Columns of a report: what a step's info holds beside state and time.
 REPORTED_TORQUE, REPORTED_HITS, REPORTED_IMPULSE, TERMS = range(4)
-# Rows of a thread's memory for a block; 0 to 3 are for what is needed in passing.
-# TURNING: the box's angular acceleration [rad/s^2], or a bound of it. Rows beyond are ``glide.look_at_walls``'s.
-TORQUE, TURNING, NEAR, HIT, IMPULSES = range(4, 9)
-LANES = 20
 
 
 def look(scene: SceneNumbers, state: Array, observation: Floats) -> None:
@@ -115,7 +112,7 @@ def score_block(
         rewards: of all environments, shape (N,).
         reports: of all environments, shape (N, TERMS + number of terms), or (0, ...) if nobody asks.
     """
-    torque, hits, impulses = lanes[TORQUE], lanes[HIT], lanes[IMPULSES]
+    torque, hits, impulses = lanes[TORQUE], lanes[HIT], lanes[IMPULSE_SUM]
     if values.shape[0] == 1:
         scene = make_numbers(values[0])
         for k in range(count):

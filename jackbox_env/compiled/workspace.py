@@ -56,6 +56,18 @@ HITS, IMPULSE, WORK, ELAPSED = range(4)
 # Places of HOLDING: how many pairs are held, and those that were let go at this moment, as bits.
 COUNT, LOOSE = range(2)
 
+# Rows of a thread's memory for a block of environments, (LANES, width). The first four are for passing needs.
+TORQUE, TURNING = 4, 5  # [N m]; angular acceleration of the box [rad/s^2], or a bound of it
+NEAR, HIT, IMPULSE_SUM = 6, 7, 8  # whether a foot may touch a wall; impacts, their impulse [N s]
+# Where lanes near a wall are brought together, see ``glide.look_at_walls``.
+AT_MOST, LANE_COSINE, LANE_SINE, AHEAD, ASIDE, LANE_OMEGA, BEND, LANE, APART, PULL, OFF = range(9, 20)
+LANES = 20
+
+
+def new_lanes(width: int) -> NDArray[np.float64]:
+    """Memory for one thread's blocks of so many environments."""
+    return np.zeros((LANES, width))
+
 
 def new_workspace(impacts: int = 0) -> Workspace:
     """Memory for one thread, with room to record so many impacts of a step."""

@@ -9,6 +9,7 @@ containment are what counts.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -35,6 +36,7 @@ class Case(NamedTuple):
     steps: int  # control steps
     torques: Sequence[float] | None = None  # held, one per control step [N m]; None: the scene's drive
     dt: float = 0.02  # control step [s]
+    time: float = 0.0  # at the start [s]
 
 
 class Between(NamedTuple):
@@ -128,7 +130,7 @@ def follow(simulator: Simulator, case: Case, look: Look | None = between) -> Cou
     """
     if case.torques is not None and len(case.torques) < case.steps:
         raise ValueError(f"a case of {case.steps} steps must have as many torques, got {len(case.torques)}")
-    simulator.reset(case.state)
+    simulator.reset(case.state, case.time)
     scene, state = case.scene, simulator.state
     states, impacts = [state], list[Impact]()
     start, depth, work, imbalance, largest = energy_of(scene, state.tolist()), -math.inf, 0.0, 0.0, 0.0
@@ -254,35 +256,25 @@ def restarts(simulator: Simulator, case: Case, reference: Reference) -> Restarts
             continue
         late = (last - 1) * case.dt
         wanted = [hit for hit in reference.impacts if first * case.dt < hit.time <= last * case.dt]
+        torques = None if case.torques is None else case.torques[first:last]
+        start = reference.states[rows[first]]
+        part = case._replace(state=start, steps=STEPS_PER_RESTART, torques=torques, time=first * case.dt)
+        course = follow(simulator, part, look=None)
+        found = [] if course.escaped else course.impacts
         expected += sum(hit.time <= late for hit in wanted)
-        found = list[Impact]()
-        simulator.reset(reference.states[rows[first]], first * case.dt)
-        try:
-            for number in range(first, last):
-                simulator.step(case.dt, None if case.torques is None else case.torques[number])
-                found += simulator.impacts
-        except JackLostError:
-            errors.append(math.inf)
-            missed += sum(hit.time <= late for hit in wanted)
-            continue
-        if wanted or found:
-            where, right = simulator.state[None], reference.states[rows[last]][None]
-            errors.append(float(pose_errors(case.scene, where, right)[0]))
         missed += _unpaired(wanted, found, late)
         extra += _unpaired(found, wanted, late)
+        if course.escaped:
+            errors.append(math.inf)
+        elif wanted or found:
+            errors.append(float(pose_errors(case.scene, course.states[-1:], reference.states[[rows[last]]])[0]))
     return Restarts(errors, missed, extra, expected)
 
 
 def _unpaired(impacts: Sequence[Impact], others: Sequence[Impact], late: float) -> int:
     """How many impacts up to the time ``late`` [s] have no partner among the others; those after it want none."""
-    left = [hit[1:3] for hit in others]
-    count = 0
-    for hit in impacts:
-        if hit[1:3] in left:
-            left.remove(hit[1:3])
-        elif hit.time <= late:
-            count += 1
-    return count
+    wanting = Counter(hit[1:3] for hit in impacts if hit.time <= late)
+    return (wanting - Counter(hit[1:3] for hit in others)).total()
 
 
 def quantities(course: Course, comparison: Comparison, again: Restarts, dt: float) -> dict[str, Any]:

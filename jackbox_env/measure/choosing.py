@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 import statistics
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -92,9 +91,8 @@ def cheapest(
     drawn = _cases(scenes, states, cases, steps, control_dt, seed)
     measured: list[Choice] = []
     try:
-        for number, one in enumerate(scenes):
-            with _naming(number, scenes):
-                make_simulator(one, "pymunk")
+        for one in scenes:
+            make_simulator(one, "pymunk")
     except ValueError:  # its solver would need too many iterations
         if contact == "pymunk":
             raise
@@ -109,10 +107,10 @@ def cheapest(
     found = [choice for choice in measured if _within(choice, bounds)]
     if not found:
         finest = measured[-1]
-        name = "the exact model" if finest.setting.contact == "exact" else f"pymunk with {_CANDIDATES[-1]} substeps"
         raise ValueError(
-            f"no setting keeps the first impact within {bounds[0]:g} s and penetration within {bounds[1]:g} m; {name} "
-            f"reaches {finest.first_impact_error:.3g} s and {finest.penetration:.3g} m or more"
+            f"no setting keeps the first impact within {bounds[0]:g} s and penetration within {bounds[1]:g} m; "
+            f"the finest, {finest.setting}, reaches {finest.first_impact_error:.3g} s and "
+            f"{finest.penetration:.3g} m or more"
         )
     costs = _costs([choice.setting for choice in found], [case for case, _ in drawn])
     return min(
@@ -142,10 +140,9 @@ def _cases(
     if cases < len(scenes):
         raise ValueError(f"cases must be at least {len(scenes)}, one for each scene, got {cases}")
     check.whole("steps", steps, at_least=1, at_most=1_000_000)
-    check.whole("seed", seed, at_least=0)
+    rng = np.random.default_rng(check.whole("seed", seed, at_least=0))
     dt = check.real("control_dt", control_dt, above=0.0)
     starts = _starts(scenes, states)
-    rng = np.random.default_rng(seed)
     drawn = []
     for number in range(cases):
         turn, place = divmod(number, len(scenes))
@@ -175,21 +172,9 @@ def _starts(scenes: list[Scene], states: Sequence[ArrayLike] | None) -> list[Arr
         raise TypeError(f"states must be a list of starts, got {check.shown(states)}") from error
     if not listed:
         raise ValueError("states must hold at least one start, got none")
-    for number, scene in enumerate(scenes):
-        with _naming(number, scenes):
-            starts = [as_start(scene, state) for state in listed]
+    for scene in scenes:
+        starts = [as_start(scene, state) for state in listed]
     return starts
-
-
-@contextmanager
-def _naming(number: int, scenes: list[Scene]) -> Iterator[None]:
-    """Name the scene in what is refused within the block, where there are several."""
-    try:
-        yield
-    except (TypeError, ValueError) as error:
-        if len(scenes) == 1:
-            raise
-        raise type(error)(f"scene[{number}]: {error}") from error
 
 
 def _first_impacts(case: Case) -> list[Impact]:
@@ -234,10 +219,8 @@ def _measured(setting: Setting, drawn: list[tuple[Case, list[Impact]]], bounds: 
 
 def _simulators(setting: Setting, cases: list[Case]) -> list[Simulator]:
     """A simulator for each case, the same one for all cases of a scene."""
-    made: dict[int, Simulator] = {}
-    for case in cases:
-        if id(case.scene) not in made:
-            made[id(case.scene)] = make_simulator(case.scene, setting.contact, substeps=setting.substeps)
+    scenes = {id(case.scene): case.scene for case in cases}
+    made = {number: make_simulator(scene, **setting._asdict()) for number, scene in scenes.items()}
     return [made[id(case.scene)] for case in cases]
 
 

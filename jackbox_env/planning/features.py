@@ -1,6 +1,6 @@
-"""What futures of the present state bring, by the exact contact model, and the plans that are carried on with them.
+"""What rollouts from the present state return, by the exact contact model, and the warm-started plans behind them.
 
-The futures start from the state that the ten numbers of an observation tell (:func:`observation.state_of`). So looking
+The rollouts start from the state that the ten numbers of an observation tell (:func:`observation.state_of`). So looking
 ahead works on both contact models. Where pymunk is the environment's, the exact model is only near to what will happen.
 Neither the scene's chirp nor the side forces of a ``Drive`` are foreseen. :class:`jackbox_env.Lookahead` says what is
 appended.
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from jackbox_env import _validation as check
 from jackbox_env.observation import BOUNDS, observe, state_of
 from jackbox_env.planning.icem import Plans, Search
-from jackbox_env.planning.rollouts import Rollout, rollout
+from jackbox_env.planning.rollouts import play
 from jackbox_env.scene import Scene
 from jackbox_env.states import Array
 from jackbox_env.tasks import Task
@@ -33,19 +33,19 @@ _MOST_HELD, _MOST_TURNS, _MOST_SAMPLES, _MOST_PIECES = 1000, 999, 100_000, 10_00
 _HALF_TURN = 2  # pieces of a scripted turn that speed the box up, and as many that stop it
 
 
-class Futures:
+class Features:
     """What N jacks see when they look ahead. It holds no plans: a look takes the old ones and gives the next.
 
     Args:
         task: whose rewards are summed, a name or a :class:`jackbox_env.Task`.
         control_dt: control step [s].
-        hold: control steps between looks, 1 or more; each torque of a future is held as long.
-        turns: scripted futures, an odd number, or 0 for none.
-        samples: futures that the plan is improved by in each look, or 0 for no plan.
-        pieces: torques of a future, so it lasts ``pieces * hold`` control steps; 8 or more.
+        hold: control steps between looks, 1 or more; each torque of a rollout is held as long.
+        turns: scripted rollouts, an odd number, or 0 for none.
+        samples: rollouts that the plan is improved by in each look, or 0 for no plan.
+        pieces: torques of a rollout, so it lasts ``pieces * hold`` control steps; 8 or more.
         follow: whether actions are added to the plan's next torque.
         seed: of the plan's variations.
-        num_threads: that play the futures; nothing else depends on it.
+        num_threads: that play the rollouts; nothing else depends on it.
 
     Raises:
         TypeError, ValueError: an argument out of its range.
@@ -70,7 +70,7 @@ class Futures:
             task, control_dt, piece=self.hold, pieces=pieces, samples=max(2, samples + self.turns),
             elites=max(1, samples // 6), iterations=1, seed=seed, num_threads=num_threads,
         )  # fmt: skip
-        self._steps = pieces * self.hold  # control steps of a future
+        self._steps = pieces * self.hold  # control steps of a rollout
 
     @property
     def high(self) -> Floats:
@@ -127,10 +127,9 @@ class Futures:
             plans: those of the last look.
         """
         one_for_all = all(one is scenes[0] or one == scenes[0] for one in scenes)
-        undriven = [one.changed(drive=None) for one in (scenes[:1] if one_for_all else scenes)]
-        each, scene = (undriven * len(observations), undriven[0]) if one_for_all else (undriven, undriven)
+        each, scene = (scenes[:1] * len(observations), scenes[0]) if one_for_all else (scenes, scenes)
         states = np.array([state_of(one, row) for one, row in zip(each, observations.tolist(), strict=True)])
-        parts = [self._next_impact(scene, each, states)]
+        parts = [self._next_impact(scenes[:1] if one_for_all else scenes, each, states)]
         turned, turns = None, self._turns(each, states)
         if self.planned:
             found, plans = self._search.decide(scene, states, plans, turns)
@@ -146,19 +145,18 @@ class Futures:
         appended = np.concatenate(parts, axis=1)
         return np.clip(appended, self.low, self.high).astype(np.float32), plans
 
-    def _next_impact(self, scene: Scene | list[Scene], each: list[Scene], states: Array) -> Array:
-        """When the next impact comes without torque, in shares of a future, 1 for none; what is seen after it."""
-        search, count = self._search, len(states)
-        found = rollout(
-            scene, states, np.zeros((count, search.pieces)), search.control_dt, impacts=True, repeat=search.piece,
-            num_threads=search.num_threads,
+    def _next_impact(self, scenes: list[Scene], each: list[Scene], states: Array) -> Array:
+        """When the next impact comes without torque, in shares of a rollout, 1 for none; what is seen after it."""
+        search = self._search
+        found = play(
+            scenes, states, np.zeros((len(states), search.pieces)), search.control_dt, driven=False, impacts=True,
+            repeat=search.piece, until_impact=True, num_threads=search.num_threads,
         )  # fmt: skip
-        assert isinstance(found, Rollout)
         assert found.impacts is not None
         struck = found.impacts > 0
         first = np.where(struck.any(axis=1), struck.argmax(axis=1) + 1, self._steps)
-        after = found.trajectories[np.arange(count), first]
-        seen = [observe(one, state) for one, state in zip(each, after.tolist(), strict=True)]
+        after = found.trajectories[:, 1].tolist()
+        seen = [observe(one, state) for one, state in zip(each, after, strict=True)]
         return np.concatenate([first[:, None] / self._steps, seen], axis=1)
 
     def _turns(self, each: list[Scene], states: Array) -> Array:
@@ -180,15 +178,15 @@ class Futures:
         return np.clip(torques, -1.0, 1.0)
 
 
-class Carried:
-    """The plans of N environments side by side, and what those see who carry them on.
+class WarmStart:
+    """The warm-started plans of N environments side by side, and what their agents see.
 
     After :meth:`torques` the next call must be :meth:`seen`. If a step fails in between, only a reset leads on.
     """
 
-    def __init__(self, futures: Futures, count: int) -> None:
-        self.futures = futures
-        self._plans, self._anew = futures.begin(count), np.ones(count, dtype=np.bool_)
+    def __init__(self, features: Features, count: int) -> None:
+        self.features = features
+        self._plans, self._anew = features.begin(count), np.ones(count, dtype=np.bool_)
         self._last: Floats | None = None  # what was seen last, (N, 10 + F)
 
     def start(self, chosen: Flags) -> None:
@@ -196,20 +194,20 @@ class Carried:
         self._anew = self._anew | chosen
 
     def seen(self, scenes: list[Scene], observations: Floats, chosen: Flags | None = None) -> Floats:
-        """Observations, shape (N, 10), with what is appended; the plans are carried on.
+        """Observations, shape (N, 10), with what is appended; the plans are warm-started.
 
         Only those of the ``chosen`` environments, shape (N,), if it is given; the others show what they showed.
         """
         count = len(observations)
         if chosen is None or self._last is None:
             chosen = np.ones(count, dtype=np.bool_)
-            self._last = np.zeros((count, observations.shape[1] + len(self.futures.high)), dtype=np.float32)
+            self._last = np.zeros((count, observations.shape[1] + len(self.features.high)), dtype=np.float32)
         new, numbers = np.flatnonzero(self._anew), np.flatnonzero(chosen)
-        plans = self._plans.replaced(new, self.futures.begin(len(new)))
+        plans = self._plans.replaced(new, self.features.begin(len(new)))
         own = [scenes[number] for number in numbers.tolist()] if len(scenes) > 1 else scenes
         last, self._last = self._last, None
-        appended, carried_on = self.futures.look(own, observations[numbers], plans.of(numbers))
-        self._plans, self._anew = plans.replaced(numbers, carried_on), np.zeros(count, dtype=np.bool_)
+        appended, next_plans = self.features.look(own, observations[numbers], plans.of(numbers))
+        self._plans, self._anew = plans.replaced(numbers, next_plans), np.zeros(count, dtype=np.bool_)
         last[numbers] = np.concatenate([observations[numbers], appended], axis=1)
         self._last = last
         return last.copy()
@@ -217,7 +215,7 @@ class Carried:
     def last_seen(self, scenes: list[Scene], observations: Floats, numbers: NDArray[np.int64]) -> Floats:
         """The last observations of some environments' episodes, shape (k, 10), with what is appended."""
         own = [scenes[number] for number in numbers.tolist()] if len(scenes) > 1 else scenes
-        appended, _ = self.futures.look(own, observations, self._plans.of(numbers))
+        appended, _ = self.features.look(own, observations, self._plans.of(numbers))
         return np.concatenate([observations, appended], axis=1)
 
     def torques(self, actions: Any, alone: bool = False) -> Any:
@@ -229,6 +227,6 @@ class Carried:
         """
         if self._last is None:
             raise RuntimeError("step must come after a reset, got none yet or none since a step failed")
-        torques = self.futures.torques(actions, self._last[0] if alone else self._last)
+        torques = self.features.torques(actions, self._last[0] if alone else self._last)
         self._last = None
         return torques

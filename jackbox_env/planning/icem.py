@@ -1,8 +1,8 @@
-"""Plans of torques that are carried on from decision to decision, improved by playing many variations of each.
+"""Warm-started plans of torques, improved in each decision by playing many variations of them.
 
 iCEM, the improved cross-entropy method (Pinneri et al. 2020, arXiv:2008.06389): coloured noise around the last plan,
 the best candidates make the next mean, some of them are kept. All that are due are played in one
-:func:`jackbox_env.rollout`. A candidate that cannot be followed raises JackLostError.
+compiled call. A candidate that cannot be followed raises JackLostError.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env import _validation as check
-from jackbox_env.planning.rollouts import rollout
+from jackbox_env.planning.rollouts import play
 from jackbox_env.scene import Scene
 from jackbox_env.states import Array
 from jackbox_env.tasks import Task, task_of
@@ -25,7 +25,7 @@ _SMOOTHING = 0.1  # share of the old mean and deviation in the new ones
 
 
 class Plans(NamedTuple):
-    """What is carried on, of N jacks."""
+    """What a decision starts from, of N jacks."""
 
     means: Array  # (N, pieces) torques in units of the limit
     kept: Array  # (N, kept, pieces) good candidates
@@ -120,12 +120,12 @@ class Search:
         found = Found(best[:, 0], returns[rows, first], returns_scripted)
         last = np.zeros((count, 1))
         new = self._noise(plans.decisions, self.iterations)[:, : self.again, :1] * 0.5 * _SPREAD
-        carried_on = Plans(
+        next_plans = Plans(
             np.concatenate([means[:, 1:], last], axis=1),
             np.clip(np.concatenate([kept[:, :, 1:], new], axis=2), -1.0, 1.0),
             plans.decisions + 1,
         )
-        return found, carried_on
+        return found, next_plans
 
     def _noise(self, decisions: NDArray[np.int64], iteration: int) -> Array:
         """Noise of the candidates, shape (n, samples, pieces): alike where as many decisions were made."""
@@ -138,17 +138,16 @@ class Search:
         return noise
 
     def play(self, scene: Scene | list[Scene], states: Array, tried: Array) -> tuple[Array, Array]:
-        """Play candidates, shape (n, k, pieces), from states, (n, 12): sums of rewards (n, k), and ends (n, k, 12)."""
+        """Play candidates, shape (n, k, pieces), from states, (n, 12): sums of rewards (n, k), and ends (n, k, 12).
+
+        No drive acts.
+        """
         count, many = tried.shape[:2]
-        scenes: Scene | list[Scene]
-        if isinstance(scene, Scene):
-            scenes, limits = scene, np.array([[scene.torque_limit]])
-        else:
-            scenes = [one for one in scene for _ in range(many)]
-            limits = np.array([[one.torque_limit] for one in scenes])
-        found = rollout(
+        scenes = [scene] if isinstance(scene, Scene) else [one for one in scene for _ in range(many)]
+        limits = np.array([[one.torque_limit] for one in scenes])
+        found = play(
             scenes, np.repeat(states, many, axis=0), tried.reshape(count * many, -1) * limits, self.control_dt,
-            rewards=self.task, repeat=self.piece, trajectories=False, num_threads=self.num_threads,
+            driven=False, task=self.task, repeat=self.piece, num_threads=self.num_threads,
         )  # fmt: skip
         assert found.rewards is not None
         return found.rewards.sum(axis=1).reshape(count, many), found.trajectories[:, 1].reshape(count, many, 12)

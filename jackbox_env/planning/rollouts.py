@@ -12,19 +12,22 @@ from jackbox_env import _validation as check
 from jackbox_env.batches.threads import Halt, Threads, thread_count
 from jackbox_env.compiled.address import address_of
 from jackbox_env.compiled.compiler import compiled
+from jackbox_env.compiled.drives import TABLE_WIDTH
 from jackbox_env.compiled.rollouts import outside, roll
 from jackbox_env.compiled.score import score_step
 from jackbox_env.compiled.status import Status
 from jackbox_env.compiled.workspace import new_workspace
-from jackbox_env.scene import Scene, scenes_of
+from jackbox_env.scene import Drive, Scene, scenes_of
 from jackbox_env.scoring import compiled_for
 from jackbox_env.simulators.base import end_of_step
 from jackbox_env.simulators.exact import drive_kind, failure, pieces_for
 from jackbox_env.states import LATEST_TIME, Array, as_held, deepest_held
 from jackbox_env.tasks import Task, task_of
 
+Counts = NDArray[np.int64]
 OneOrMore = Scene | Mapping[str, Any] | None | Sequence[Scene | Mapping[str, Any] | None]
 
+_NO_TABLE: Array = np.zeros((0, TABLE_WIDTH))
 _GRAIN = 1000  # steps that are worth a call
 _FEWEST_PER_THREAD = 5000  # steps that are worth waking a thread
 
@@ -120,15 +123,38 @@ def rollout(
     dt = check.real("dt", dt, above=0.0)
     time = check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
     starts, held = _sequences(scenes, several, states, torques)
+    played = play(
+        scenes, starts, held, dt, time, energy=energy, impacts=impacts, task=task, repeat=repeat, whole=whole,
+        num_threads=num_threads,
+    )  # fmt: skip
+    return played.trajectories if whole and not (energy or impacts or task) else played
+
+
+def play(
+    scenes: list[Scene], starts: Array, held: Array, dt: float, time: float = 0.0, *, driven: bool = True,
+    energy: bool = False, impacts: bool = False, task: Task | None = None, repeat: int = 1, whole: bool = False,
+    until_impact: bool = False, num_threads: int | None = None,
+) -> Rollout:  # fmt: skip
+    """:func:`rollout` of what is checked: float64 rows, and one scene or one for each of them.
+
+    Args:
+        scenes: whose drives' side forces act if ``driven``.
+        starts: shape (N, 12).
+        held: torques [N m], shape (N, H / repeat).
+        dt: as in :func:`rollout`, with the rest.
+        time: as there.
+        driven: whether the drives' side forces act.
+        energy: as there.
+        impacts: as there.
+        task: whose rewards are asked for; None: nobody's.
+        repeat: as there.
+        whole: whether all states are kept.
+        until_impact: end each row with the step of its first impact; needs ``impacts``.
+        num_threads: as there.
+    """
     count, steps = len(held), held.shape[1] * repeat
-    times = [time]
-    for _ in range(steps):
-        times.append(end_of_step(times[-1], dt))
-    drives = {id(one.drive): one.drive for one in scenes}  # the functions of each are cut into pieces once
-    starting = times[:-1] or [time]
-    tables = [pieces_for(drive, start, dt, 0.0) for drive in drives.values() for start in starting]
-    table, ends = np.concatenate(tables), np.cumsum([0, *map(len, tables)])
-    firsts = np.array([list(drives).index(id(one.drive)) * len(starting) for one in scenes])
+    times = _times(time, dt, steps)
+    kinds, firsts, table, ends = _drives(scenes, times, dt, driven)
     played = np.empty((count, steps + 1 if whole else 2, 12))
     played[:, 0] = starts
     earned = np.zeros((0 if task is None else count, steps))
@@ -138,15 +164,14 @@ def rollout(
     ranges = count if num_threads is not None else min(count, count * steps // _FEWEST_PER_THREAD)
     threads = Threads(thread_count(num_threads, ranges))
     workspaces = [new_workspace() for _ in range(threads.count)]
-    values, kinds = np.array([one.numbers for one in scenes]), [drive_kind(one.drive, held=True) for one in scenes]
-    given, play, address = (values, np.array(kinds), firsts), compiled(roll), address_of(score)
-    drive, results = (np.array(times), table, ends), (played, hits, impulses, energies, earned)
-    halt = Halt()
+    given, call, address = (np.array([one.numbers for one in scenes]), kinds, firsts), compiled(roll), address_of(score)
+    drive, results, halt = (times, table, ends), (played, hits, impulses, energies, earned), Halt()
 
     def work(thread: int, low: int, high: int) -> tuple[int, int, int]:
         first = 0
         while True:
-            ended, who, when = play(given, dt, held, drive, (low, high, first), results, address, workspaces[thread])
+            span = low, high, first
+            ended, who, when = call(given, dt, held, drive, span, results, address, until_impact, workspaces[thread])
             if ended != Status.PAUSED or halt.asked:
                 return ended, who, when
             low, first = who, when  # after a while, so that an interruption is heard
@@ -155,13 +180,37 @@ def rollout(
         if ended:
             raise failure(ended, scenes[who if len(scenes) > 1 else 0], times[when], dt, f"the jack of states[{who}]")
     if not whole:
-        played = np.stack([starts, played[:, steps % 2]], axis=1)
-    if whole and not (energy or impacts or task):
-        return played
+        taken = np.full(count, steps)
+        if until_impact:
+            taken = np.where(hits.any(axis=1), (hits > 0).argmax(axis=1) + 1, steps)
+        played = np.stack([starts, played[np.arange(count), taken % 2]], axis=1)
     return Rollout(
         played, energies if energy else None, hits if impacts else None, impulses if impacts else None,
         earned if task else None,
     )  # fmt: skip
+
+
+def _times(time: float, dt: float, steps: int) -> Array:
+    """When each step begins and the last one ends [s], shape (steps + 1,): added up one by one."""
+    times: Array = np.add.accumulate(np.concatenate([[time], np.full(steps, dt)]))
+    if (times[1:] == times[:-1]).any() or times[-1] > LATEST_TIME:
+        for start in times[:-1].tolist():
+            end_of_step(start, dt)  # refuses one of them
+    return times
+
+
+def _drives(scenes: list[Scene], times: Array, dt: float, driven: bool) -> tuple[Counts, Counts, Array, Counts]:
+    """What turns each scene's box besides torques, and the functions' pieces, as ``roll`` takes them."""
+    drives = {id(one.drive): one.drive for one in scenes} if driven else {0: None}
+    starts = (times[:-1] if len(times) > 1 else times).tolist()
+    tables = [_NO_TABLE]
+    for drive in drives.values():  # the functions of each are cut into pieces once
+        cut = isinstance(drive, Drive)
+        tables += [pieces_for(drive, start, dt, 0.0) for start in starts] if cut else [_NO_TABLE] * len(starts)
+    places = {key: number for number, key in enumerate(drives)}
+    kinds = np.array([drive_kind(drive, held=True) for drive in drives.values()])
+    own = np.array([places[id(one.drive) if driven else 0] for one in scenes])
+    return kinds[own], own * len(starts), np.concatenate(tables), np.cumsum(list(map(len, tables)))
 
 
 def _sequences(scenes: list[Scene], several: bool, states: ArrayLike, torques: ArrayLike) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env import _validation as check
-from jackbox_env.planning.features import Carried, Futures
+from jackbox_env.planning.features import Features, WarmStart
 from jackbox_env.planning.wrappers import only_one, refuse_early_end, refuse_other_torques
 
 try:
@@ -87,36 +87,36 @@ class LookaheadVecEnv(HoldingVecEnv):
             wrapper = "an action wrapper" * any(venv.env_is_wrapped(gym.ActionWrapper))
             refuse_other_torques(venv.get_attr("torque_source"), wrapper)
         super().__init__(venv, hold)
-        futures = Futures(
+        features = Features(
             task, control_dt, hold=hold, turns=turns, samples=samples, pieces=pieces, follow=follow, seed=seed,
             num_threads=num_threads,
         )  # fmt: skip
-        self.observation_space = futures.space(venv.observation_space)
-        self._carried = Carried(futures, self.num_envs)
+        self.observation_space = features.space(venv.observation_space)
+        self._warm = WarmStart(features, self.num_envs)
 
     def reset(self) -> Any:
         """Start an episode in each environment."""
         observations = self.venv.reset()
-        self._carried.start(np.ones(self.num_envs, dtype=np.bool_))
-        return self._carried.seen(self.venv.get_attr("scene"), observations)  # type: ignore[arg-type]
+        self._warm.start(np.ones(self.num_envs, dtype=np.bool_))
+        return self._warm.seen(self.venv.get_attr("scene"), observations)  # type: ignore[arg-type]
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Keep the torques that the actions, shape (N, 1), stand for."""
-        self._actions = self._carried.torques(actions)
+        self._actions = self._warm.torques(actions)
 
     def step_wait(self) -> VecEnvStepReturn:
         """Step ``hold`` times and look ahead; the ``terminal_observation`` of an episode's end looks ahead too.
 
         Raises:
             RuntimeError: an episode ended before the last of these steps.
-            JackLostError: a jack, or one in a future, cannot be followed. After either, reset before the next step.
+            JackLostError: a jack, or one in a rollout, cannot be followed. After either, reset before the next step.
         """
         scenes = self.venv.get_attr("scene")  # those of the episodes that may end now
         observations, rewards, dones, infos = super().step_wait()
         ended = np.flatnonzero(dones)
         if len(ended):
             last = np.stack([infos[number]["terminal_observation"] for number in ended.tolist()])
-            for number, row in zip(ended.tolist(), self._carried.last_seen(scenes, last, ended), strict=True):
+            for number, row in zip(ended.tolist(), self._warm.last_seen(scenes, last, ended), strict=True):
                 infos[number] = {**infos[number], "terminal_observation": row}
-            self._carried.start(dones)
-        return self._carried.seen(self.venv.get_attr("scene"), observations), rewards, dones, infos  # type: ignore[arg-type]
+            self._warm.start(dones)
+        return self._warm.seen(self.venv.get_attr("scene"), observations), rewards, dones, infos  # type: ignore[arg-type]

@@ -14,12 +14,12 @@ from gymnasium.vector import AutoresetMode, VectorActionWrapper, VectorEnv, Vect
 from gymnasium.vector.utils import batch_space
 
 from jackbox_env import _validation as check
-from jackbox_env.planning.features import Carried, Flags, Floats, Futures
+from jackbox_env.planning.features import Features, Flags, Floats, WarmStart
 from jackbox_env.states import Array
 
 
 class Lookahead(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
-    """Observe ``JackInBox-v0`` together with what futures of its present state bring.
+    """Observe ``JackInBox-v0`` together with what rollouts from its present state return.
 
     A step takes one action for ``hold`` control steps and returns the sum of their rewards. Beside the ten numbers an
     observation holds (float32)
@@ -27,7 +27,7 @@ class Lookahead(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs
     ======  ==============================================================================  ==============
     count   quantity                                                                        bound
     ======  ==============================================================================  ==============
-    1       time of the next impact if no torque acts, in shares of a future; 1 for none    0 to 1
+    1       time of the next impact if no torque acts, in shares of a rollout; 1 for none    0 to 1
     10      what is observed at the end of the control step in which it comes               as observed
     2       mean reward of a step over all ``turns``, and the deviation of these means      10
     turns   what each turn of the box brings, less that mean, over that deviation           5
@@ -36,19 +36,19 @@ class Lookahead(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs
     ======  ==============================================================================  ==============
 
     Scripted turns speed the box up for two pieces of ``hold`` control steps and stop it in two more. The furthest are
-    those that the torque's limit allows. The plan is carried on from step to step and improved in each by ``samples``
-    variations (:mod:`jackbox_env.planning.icem`); an episode starts with none. An agent need not follow it.
+    those that the torque's limit allows. The plan is warm-started from the last step's and improved by
+    ``samples`` variations (:mod:`jackbox_env.planning.icem`); an episode starts with none. An agent need not follow it.
 
     Args:
         env: the environment, of either contact model.
         hold: control steps of a step here, 1 or more.
-        turns: scripted futures, an odd number, or 0 for none.
+        turns: scripted rollouts, an odd number, or 0 for none.
         samples: variations of the plan that are tried in each step, 8 or more, or 0 for no plan.
-        pieces: torques of a future, each held for ``hold`` control steps; 8 or more. 32 times 5 steps are 3.2 s.
+        pieces: torques of a rollout, each held for ``hold`` control steps; 8 or more. 32 times 5 steps are 3.2 s.
         follow: True: an action is added to the plan's next torque, so an agent that says 0 follows the plan. It needs
             an environment that takes actions as torques: no action wrapper inside, and ``torque="agent"``.
         seed: of the variations.
-        num_threads: that play the futures; None: as many as the machine has. Nothing else depends on it.
+        num_threads: that play the rollouts; None: as many as the machine has. Nothing else depends on it.
 
     Raises:
         TypeError, ValueError: an argument out of its range, or ``env`` is no ``JackInBox-v0``.
@@ -68,27 +68,27 @@ class Lookahead(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs
             raise TypeError(f"looking ahead needs JackInBox-v0, got {check.shown(env)}")
         if follow is True:
             refuse_other_torques([inner.torque_source], changed_actions(env))
-        self.futures = Futures(
+        self.features = Features(
             inner.task, inner.control_dt, hold=hold, turns=turns, samples=samples, pieces=pieces, follow=follow,
             seed=seed, num_threads=num_threads,
         )  # fmt: skip
-        self.observation_space = self.futures.space(env.observation_space)
-        self._carried = Carried(self.futures, 1)
+        self.observation_space = self.features.space(env.observation_space)
+        self._warm = WarmStart(self.features, 1)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
         """Start an episode, with a plan of no torque that is then improved."""
         observation, info = self.env.reset(seed=seed, options=options)
-        self._carried.start(np.ones(1, dtype=np.bool_))
+        self._warm.start(np.ones(1, dtype=np.bool_))
         return self._seen(observation), info
 
     def step(self, action: Any) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
         """Take an action for ``hold`` control steps, fewer where the episode ends; the info is that of the last.
 
         Raises:
-            JackLostError: the jack, or one in a future, cannot be followed. Reset before the next step.
+            JackLostError: the jack, or one in a rollout, cannot be followed. Reset before the next step.
         """
-        total, torque = 0.0, self._carried.torques(action, alone=True)
-        for _ in range(self.futures.hold):
+        total, torque = 0.0, self._warm.torques(action, alone=True)
+        for _ in range(self.features.hold):
             observation, reward, terminated, truncated, info = self.env.step(torque)
             total += float(reward)
             if terminated or truncated:
@@ -97,15 +97,15 @@ class Lookahead(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs
 
     def _seen(self, observation: Floats) -> Floats:
         inner: Any = self.env.unwrapped
-        seen: Floats = self._carried.seen([inner.scene], observation[None])[0]
+        seen: Floats = self._warm.seen([inner.scene], observation[None])[0]
         return seen
 
 
 class LookaheadVector(VectorWrapper):
     """:class:`Lookahead` of a vector environment: the same numbers for each of its environments.
 
-    All futures of a step are played in one compiled loop. Where ``hold`` is above 1 an episode must restart in the step
-    that ends it (``autoreset_mode="SAME_STEP"``), and last a multiple of ``hold`` steps.
+    All rollouts of a step are one compiled loop. Where ``hold`` is above 1 an episode must restart in the step that
+    ends it (``autoreset_mode="SAME_STEP"``), and last a multiple of ``hold`` steps.
 
     Args:
         env: the vector environment of ``JackInBox-v0``, native or of single ones.
@@ -133,13 +133,13 @@ class LookaheadVector(VectorWrapper):
         task, control_dt = only_one("task", self._of_each("task")), only_one("control_dt", self._of_each("control_dt"))
         if follow is True:
             refuse_other_torques(self._of_each("torque_source"), _changed_actions_of_several(env))
-        futures = Futures(
+        features = Features(
             task, control_dt, hold=hold, turns=turns, samples=samples,
             pieces=pieces, follow=follow, seed=seed, num_threads=num_threads,
         )  # fmt: skip
-        self.single_observation_space = futures.space(env.single_observation_space)
+        self.single_observation_space = features.space(env.single_observation_space)
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
-        self._carried = Carried(futures, env.num_envs)
+        self._warm = WarmStart(features, env.num_envs)
 
     def _of_each(self, name: str) -> list[Any]:
         """An attribute of each environment, or of all."""
@@ -156,18 +156,18 @@ class LookaheadVector(VectorWrapper):
         mask = (options or {}).get("reset_mask")
         observations, infos = self.env.reset(seed=seed, options=options)
         chosen = np.ones(self.num_envs, dtype=np.bool_) if mask is None else np.asarray(mask)
-        self._carried.start(chosen)
-        return self._carried.seen(self._of_each("scene"), observations, chosen), infos
+        self._warm.start(chosen)
+        return self._warm.seen(self._of_each("scene"), observations, chosen), infos
 
     def step(self, actions: Any) -> tuple[Floats, Array, Flags, Flags, dict[str, Any]]:
         """Take actions, shape (N, 1), for ``hold`` control steps and sum up the rewards; infos are of the last one.
 
         Raises:
             RuntimeError: an episode ended before the last of these steps.
-            JackLostError: a jack, or one in a future, cannot be followed. After either, reset before the next step.
+            JackLostError: a jack, or one in a rollout, cannot be followed. After either, reset before the next step.
         """
-        total, hold = np.zeros(self.num_envs), self._carried.futures.hold
-        torques, scenes = self._carried.torques(actions), self._of_each("scene")
+        total, hold = np.zeros(self.num_envs), self._warm.features.hold
+        torques, scenes = self._warm.torques(actions), self._of_each("scene")
         for taken in range(1, hold + 1):
             observations, rewards, terminations, truncations, infos = self.env.step(torques)
             total += rewards
@@ -177,14 +177,14 @@ class LookaheadVector(VectorWrapper):
             numbers = np.flatnonzero(over)
             final = infos["final_obs"].copy()
             for number, row in zip(
-                numbers, self._carried.last_seen(scenes, np.stack(list(final[numbers])), numbers), strict=True
+                numbers, self._warm.last_seen(scenes, np.stack(list(final[numbers])), numbers), strict=True
             ):
                 final[number] = row
             infos = {**infos, "final_obs": final}
-            self._carried.start(over)
-        seen = self._carried.seen(self._of_each("scene"), observations)
+            self._warm.start(over)
+        seen = self._warm.seen(self._of_each("scene"), observations)
         if not self._same_step:
-            self._carried.start(over)  # the next step shows the start
+            self._warm.start(over)  # the next step shows the start
         return seen, total, terminations, truncations, infos
 
 

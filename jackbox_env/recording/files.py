@@ -135,12 +135,12 @@ def _sync(path: Path) -> None:
         os.close(descriptor)
 
 
-def check_writable(folder: Path, room: int = 0) -> None:
-    """Try whether files can be written to a folder, and look whether its disk has ``room`` bytes free.
+def check_writable(folder: Path) -> None:
+    """Try whether files can be written to a folder.
 
     Raises:
         FileNotFoundError: it is no folder.
-        OSError: nothing can be written to it, or its disk is too full.
+        OSError: nothing can be written to it.
     """
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder} is no folder to write to")
@@ -149,11 +149,6 @@ def check_writable(folder: Path, room: int = 0) -> None:
             pass
     except OSError as error:
         raise OSError(f"{folder} cannot be written to: {error.strerror}") from error
-    free = shutil.disk_usage(folder).free
-    if free < room:
-        raise OSError(
-            f"{folder} must have {room / 1e6:,.0f} MB free for what will be written, got {free / 1e6:,.0f} MB"
-        )
 
 
 def check_new(path: Path, what: str = "runs", place: str = "folder") -> None:

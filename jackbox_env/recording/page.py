@@ -62,7 +62,7 @@ def _described(scene: Scene, trajectory: Trajectory, shown: Samples, title: str,
     return {
         "title": title,
         "facts": facts,
-        "notes": _notes(scene, trajectory, shown),
+        "notes": _notes(scene, trajectory),
         "halfWidth": scene.box_half_width,
         "arm": scene.jack_arm,
         "knock": 2.0 * scene.jack_mass * scene.speed_scale,  # the impulse of a hard impact [N s]
@@ -82,11 +82,9 @@ def _packed(numbers: Any, kind: str) -> str:
     return base64.b64encode(np.asarray(numbers).astype(kind).tobytes()).decode()
 
 
-def _notes(scene: Scene, trajectory: Trajectory, shown: Samples) -> list[str]:
+def _notes(scene: Scene, trajectory: Trajectory) -> list[str]:
     """What a reader must know about this trajectory in particular."""
     notes = []
-    if shown.every > 1:
-        notes.append(f"One of {shown.every} stored states is shown, and each impact.")
     if len(trajectory.impacts) > _MOST_LISTED:
         listed = f"{_MOST_LISTED:,} of {len(trajectory.impacts):,} impacts"
         notes.append(f"The table lists the first {listed}; the animation and the plots show all.")

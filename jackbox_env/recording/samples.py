@@ -12,8 +12,8 @@ substep, with the foot inside the wall. A step in which a foot rests on a wall h
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from itertools import pairwise
+from collections.abc import Iterator, Sequence
+from itertools import islice, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +26,6 @@ from jackbox_env.simulators.replay import Moment, box_energy, flown, replayed
 from jackbox_env.states import Array
 
 SPACING = 0.005  # between samples in flight, at most [s]
-MOST = 8000  # stored states that are taken; of more, every second, third, ...
 _ELSEWHERE = 1e-6  # over L: a replay that ends this far off has met a foot at rest
 
 
@@ -38,13 +37,12 @@ class Samples(NamedTuple):
     torques: Array  # mean torque on the box since the sample before [N m], (n,)
     energies: Array  # kinetic energy and m_j g y_jack [J], (n,)
     work: Array  # of torque and side forces on the box since the start [J], (n,)
-    every: int  # how many stored states there are to each one taken
 
 
 class _Sample(NamedTuple):
     time: float
     state: list[float]
-    work: float
+    work: float  # since the step's start
 
 
 class _Step(NamedTuple):
@@ -57,11 +55,12 @@ class _Step(NamedTuple):
     impacts: list[Impact]
     torque: float | None  # held [N m]; None: the drive's
 
-    def flight(self, scene: Scene, points: int) -> Iterator[_Sample]:
+    def flight(self, scene: Scene) -> Iterator[_Sample]:
         """Points of a step without impacts, its end included, with the work since its start."""
-        at_first = box_energy(scene, self.before)
+        at_first, length = box_energy(scene, self.before), self.end - self.start
+        points = math.ceil(length / SPACING - 1e-6)
         for number in range(1, points):
-            since = (self.end - self.start) * number / points
+            since = length * number / points
             state = flown(scene, self.before, self.start, since, self.torque)
             yield _Sample(self.start + since, state, box_energy(scene, state) - at_first)
         yield _Sample(self.end, self.after, box_energy(scene, self.after) - at_first)
@@ -100,53 +99,31 @@ class _Step(NamedTuple):
         return moment.time >= self.end and off > _ELSEWHERE * scene.box_half_width
 
 
-def _steps(trajectory: Trajectory) -> Iterator[_Step]:
-    times, states = trajectory.times.tolist(), trajectory.states.tolist()
-    first = 0
-    torques = [None] * len(trajectory.torques) if trajectory.driven else trajectory.torques.tolist()
-    for number, count in enumerate(trajectory.counts.tolist()):
-        impacts = trajectory.impacts[first : first + count]
-        first += count
-        before, after = states[number : number + 2]
-        yield _Step(times[number], times[number + 1], before, after, impacts, torques[number])
-
-
 def samples_of(scene: Scene, trajectory: Trajectory) -> Samples:
-    """The samples of a trajectory in a scene.
-
-    In a step without impacts they are at most 0.005 s apart. A trajectory of more than 8000 steps gets no points in
-    flight, and only every second (third, ...) of its stored states. The impacts all stay.
-    """
-    steps = len(trajectory.counts)
-    every = max(1, math.ceil(steps / MOST))
-    found = [_Sample(float(trajectory.times[0]), trajectory.states[0].tolist(), 0.0)]
-    done = 0.0
-    for number, step in enumerate(_steps(trajectory), start=1):
-        points = min(math.ceil((step.end - step.start) / SPACING - 1e-6), max(1, MOST // steps))
-        new = list(step.contact(scene) if step.impacts else step.flight(scene, points))
-        found += [one._replace(work=done + one.work) for one in new[:-1]]
-        done += new[-1].work
-        if number % every == 0 or number == steps:
-            found.append(new[-1]._replace(work=done))
-    return Samples(
-        np.array([one.time for one in found]),
-        np.array([one.state for one in found]),
-        np.array(_torques(scene, trajectory, found)),
-        np.array([energy_of(scene, one.state) for one in found]),
-        np.array([one.work for one in found]),
-        every,
-    )
+    """The samples of a trajectory in a scene: all stored states, and what lies between, at most 0.005 s apart."""
+    ends, states = trajectory.times.tolist(), trajectory.states.tolist()
+    held = [None] * len(ends) if trajectory.driven else trajectory.torques.tolist()
+    found, impacts = [_Sample(ends[0], states[0], 0.0)], iter(trajectory.impacts)
+    for number, count in enumerate(trajectory.counts.tolist()):
+        hits, done = list(islice(impacts, count)), found[-1].work
+        step = _Step(ends[number], ends[number + 1], states[number], states[number + 1], hits, held[number])
+        new = step.contact(scene) if step.impacts else step.flight(scene)
+        found += [one._replace(work=done + one.work) for one in new]
+    times, states, work = zip(*found, strict=True)
+    energies = [energy_of(scene, state) for state in states]
+    torques = _torques(scene, trajectory, times)
+    return Samples(*map(np.array, (times, states, torques, energies, work)))
 
 
-def _torques(scene: Scene, trajectory: Trajectory, found: list[_Sample]) -> list[float]:
-    """Mean torque since the sample before, for each sample [N m]."""
+def _torques(scene: Scene, trajectory: Trajectory, times: Sequence[float]) -> list[float]:
+    """Mean torque since the sample before, for each sample [N m]; the first has that of the second."""
     if not len(trajectory.torques):
         return [0.0]
     if not trajectory.driven:
-        ends = np.searchsorted(trajectory.times[1:], [one.time for one in found[1:]])
-        return [float(trajectory.torques[0]), *trajectory.torques[ends].tolist()]
+        ends = np.searchsorted(trajectory.times[1:], times)
+        return trajectory.torques[ends].tolist()  # type: ignore[no-any-return]
     drive, torques = scene.drive or Drive(), list[float]()
-    for last, one in pairwise(found):
-        still = one.time <= last.time and torques
-        torques.append(torques[-1] if still else sum(drive.torque_means(last.time, one.time - last.time)) / 2.0)
+    for last, time in pairwise(times):
+        still = time <= last and torques
+        torques.append(torques[-1] if still else sum(drive.torque_means(last, time - last)) / 2.0)
     return [torques[0], *torques]

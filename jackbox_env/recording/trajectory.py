@@ -17,8 +17,6 @@ from jackbox_env.recording.files import new_file
 from jackbox_env.simulators import Impact, JackLostError, Simulator
 from jackbox_env.states import STATE_NAMES, STATE_UNITS, Array
 
-_IMPACT_UNITS = {"time": " [s]", "impulse": " [N s]"}  # wall and foot are numbers
-
 
 @dataclass(frozen=True)
 class Trajectory:
@@ -108,18 +106,19 @@ def write_csv(trajectory: Trajectory, folder: Path) -> list[Path]:
     Raises:
         FileExistsError: a file is there already.
     """
-    paths = [folder / "states.csv", folder / "impacts.csv"]
-    with new_file(paths[0]) as partial, partial.open("w", newline="") as file:
-        writer = csv.writer(file)
-        units = zip(STATE_NAMES, STATE_UNITS, strict=True)
-        writer.writerow(["time [s]", *(f"{name} [{unit}]" for name, unit in units)])
-        for time, state in zip(trajectory.times.tolist(), trajectory.states.tolist(), strict=True):
-            writer.writerow([repr(time), *map(repr, state)])
-    with new_file(paths[1]) as partial, partial.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(name + _IMPACT_UNITS.get(name, "") for name in Impact._fields)
-        writer.writerows(trajectory.impacts)
-    return paths
+    units = zip(STATE_NAMES, STATE_UNITS, strict=True)
+    states = ["time [s]", *(f"{name} [{unit}]" for name, unit in units)]
+    impacts = ["time [s]", "wall", "foot", "impulse [N s]"]
+    return [
+        _table(folder / "states.csv", states, np.column_stack([trajectory.times, trajectory.states]).tolist()),
+        _table(folder / "impacts.csv", impacts, trajectory.impacts),
+    ]
+
+
+def _table(path: Path, names: Sequence[str], rows: Iterable[Sequence[float]]) -> Path:
+    with new_file(path) as partial, partial.open("w", newline="") as file:
+        csv.writer(file).writerows([names, *rows])
+    return path
 
 
 def write_npz(trajectory: Trajectory, folder: Path) -> list[Path]:
@@ -129,8 +128,7 @@ def write_npz(trajectory: Trajectory, folder: Path) -> list[Path]:
         FileExistsError: the file is there already.
     """
     path = folder / "trajectory.npz"
-    columns = list(zip(*trajectory.impacts, strict=True)) or [()] * len(Impact._fields)
-    named = {f"impact_{name}": np.array(column) for name, column in zip(Impact._fields, columns, strict=True)}
+    named = {f"impact_{name}": np.array([getattr(hit, name) for hit in trajectory.impacts]) for name in Impact._fields}
     with new_file(path) as partial:
         np.savez(partial, time=trajectory.times, state=trajectory.states, **named)  # type: ignore[arg-type]
     return [path]

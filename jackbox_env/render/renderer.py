@@ -5,21 +5,21 @@ the world move past it as it sinks, and the rulers on the left and at the bottom
 has a colour of its own, so that a turn of the cross is seen. Without the overlay a frame is box, jack and ruled lines
 alone. pygame is imported when the first `Renderer` is made and used off-screen: only the human mode opens a window.
 
-Pixel coordinates count from the top left, x to the right and y down; pixel (i, j) has its centre at x = i, y = j.
+Places in the frame and in the world are complex numbers; see `canvas.py` for those in the frame.
 """
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
-from weakref import WeakSet
 
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.render.canvas import SIZE, TRACK, Canvas, Colour, Point, import_pygame
+from jackbox_env.render.canvas import BLUE, INK, PALE_INK, SIZE, TRACK, Canvas, Colour, write
 from jackbox_env.scene import Scene
 from jackbox_env.simulators.base import Impact
 from jackbox_env.states import Array
@@ -35,9 +35,10 @@ _WALL = 6.0  # thickness of a wall, outwards from its inside face
 _REACH = 224.0  # of the box's outer corners from its centre, at any angle
 _MARGIN = 10.0
 _BEAD = 1.75  # radius of the trail's beads
-_SMALL = 160 * 160  # pixels of a frame in which it is fastest to look at each
-_SHORT = 60.0  # [px] length of an arm, alike
+_FOOT = 6.0  # greatest radius of a foot
+_GAUGE = 18.0  # radius
 _LEAST_WALL = 1.5  # of a small frame, so that the wall is seen
+GAP = 2  # between tiles, of any size
 
 # Times in units of L / v0, a fall's time scale (0.55 s in the default scene), and at least this many control steps.
 _FLASH_TIME, _FLASH_STEPS = 0.45, 3  # 0.25 s
@@ -45,23 +46,20 @@ _TRAIL_TIME, _TRAIL_STEPS = 1.6, 12  # 0.88 s
 _TRAIL_POINTS = 48
 _MOST_FLASHES = 32
 _LONGEST_TASK = 18  # letters
-_ROOM = 50.0  # [px] that the longest label takes
 
 _PAPER: Colour = (243, 245, 248)
 _INTERIOR: Colour = (255, 255, 255)
+_RULE: Colour = (215, 223, 236)
 _RULER_TINT: Colour = (236, 239, 244)
 _RED: Colour = (204, 36, 41)
-_FIRST_FOOT: Colour = (255, 176, 0)
-_BLUE: Colour = (31, 90, 180)
+_AMBER: Colour = (255, 176, 0)
+_TEAL: Colour = (0, 128, 128)
 _TRAIL: Colour = (120, 158, 214)
-_PALE_INK: Colour = (112, 122, 138)
 
 # The trail's colours from new to old.
 _FADING: list[Colour] = [(r, g, b) for r, g, b in np.linspace(_TRAIL, _INTERIOR, 16).astype(int).tolist()]
 
 _PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G", 12: "T"}
-
-_windowed: WeakSet[Renderer] = WeakSet()  # the renderers that share the display's one window
 
 
 def _unit(size: float, name: str) -> tuple[float, str]:
@@ -77,40 +75,15 @@ def _round_step(least: float) -> float:
     return next(step for step in (power, 2.0 * power, 5.0 * power, 10.0 * power) if step >= 0.999 * least)
 
 
-def _number(value: float, decimals: int, sign: str = "") -> str:
-    """Format with a true minus sign, and no sign for zero."""
-    rounded = round(value, decimals) or 0.0
-    return format(rounded, f"{sign if rounded else ''}.{decimals}f").replace("-", "\N{MINUS SIGN}")
-
-
-class Layout:
-    """Where things are in a frame of one size [px].
-
-    Args:
-        size: width and height.
-        overlay: whether room is left to rulers and text.
-    """
-
-    def __init__(self, size: tuple[int, int], overlay: bool) -> None:
-        self.size = size
-        self.unit = min(size) / SIZE if overlay else (0.485 * min(size) - 1.0) / _REACH
-        self.ruler, self.floor = (_RULER * self.unit, _FLOOR * self.unit) if overlay else (0.0, 0.0)
-        self.margin = _MARGIN * self.unit
-        self.centre = (0.5 * (self.ruler + size[0]), 0.5 * size[1])  # of the box
-        self.wall = max(_WALL * self.unit, _LEAST_WALL)
-        self.half_width = _REACH * self.unit / math.sqrt(2.0) - self.wall  # L on the screen
-        self.gauge_at = (self.ruler + 34.0 * self.unit, size[1] - self.floor - 28.0 * self.unit)
-
-    def near(self, point: Point) -> bool:
-        """Tell whether a point is close enough to the frame to be drawn; False for what has overflowed."""
-        far = 4.0 * max(self.size)
-        return abs(point[0]) < far and abs(point[1]) < far
+def _number(value: float) -> str:
+    """Format with one decimal as far as there is room."""
+    return f"{value:z.1f}" if abs(value) < 1e6 else f"{value:.1e}"
 
 
 class Renderer:
     """Draws the states of one scene, as arrays or in a window.
 
-    It can be pickled and copied: surfaces, fonts and the window are left behind and made again when needed.
+    It can be pickled and copied: surfaces and the window are left behind and made again when needed.
 
     Args:
         scene: gives the sizes.
@@ -128,29 +101,30 @@ class Renderer:
         self, scene: Scene, render_mode: str, fps: float, task: str = "", size: tuple[int, int] = (SIZE, SIZE),
         overlay: bool = True,
     ) -> None:  # fmt: skip
-        self._human = render_mode == "human"
-        self._fps = fps
+        self._human, self._fps, self._size, self._overlay = render_mode == "human", fps, size, overlay
         self._task = task if len(task) <= _LONGEST_TASK else task[: _LONGEST_TASK - 1] + "…"
-        self._layout, self._overlay = Layout(size, overlay), overlay
-        self._trail: deque[tuple[float, float, float]] = deque(maxlen=_TRAIL_POINTS)  # x, y of the jack [m], time [s]
-        self._flashes: deque[tuple[Impact, float, list[float]]] = deque(maxlen=_MOST_FLASHES)  # time [s], state after
-        self._canvas: Canvas | None = self._fresh_canvas()
-        self._clock: pygame.time.Clock | None = None
+        self._px = min(size) / SIZE if overlay else (0.485 * min(size) - 1.0) / _REACH  # what a pixel of 512 is here
+        self._ruler, self._floor = _RULER * self._px * overlay, size[1] - _FLOOR * self._px * overlay
+        self._centre = complex(0.5 * (self._ruler + size[0]), 0.5 * size[1])  # of the box
+        self._wall = max(_WALL * self._px, _LEAST_WALL)
+        self._trail: deque[tuple[float, complex]] = deque(maxlen=_TRAIL_POINTS)  # time [s], the jack's place [m]
+        # Time [s], place in the box [m], radius [px].
+        self._flashes: deque[tuple[float, complex, float]] = deque(maxlen=_MOST_FLASHES)
+        self._canvas: Canvas | None = Canvas(size)
+        self._window: Any = None
+        self._clock: Any = None
         self.show(scene)
         self.reset([0.0] * 12, 0.0)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_canvas": None, "_clock": None}
-
-    def _fresh_canvas(self) -> Canvas:
-        return Canvas(self._layout.size, self._layout.unit)
+        return {**self.__dict__, "_canvas": None, "_window": None, "_clock": None}
 
     def show(self, scene: Scene) -> None:
         """Take the sizes from another scene; :meth:`reset` comes next."""
         self._scene = scene
-        self._scale = self._layout.half_width / scene.box_half_width  # [px/m]
+        half_width = _REACH * self._px / math.sqrt(2.0) - self._wall
+        self._scale = half_width / scene.box_half_width  # [px/m]
         self._time_scale = scene.box_half_width / scene.speed_scale  # [s]
-        self._decimals = min(max(2, math.ceil(-math.log10(self._time_scale / 50.0))), 6)  # of the time
         self._spacing = _round_step(scene.box_half_width / 3.5)  # [m] of the ruled lines
 
     def reset(self, state: Sequence[float] | Array, time: float) -> None:
@@ -163,13 +137,11 @@ class Renderer:
         self._set(state, time)
 
     def _set(self, state: Sequence[float] | Array, time: float) -> None:
-        self._state: list[float] = np.array(state, dtype=np.float64).tolist()  # a copy: the caller's may change
-        self._time = float(time)
-        if not self._overlay:
-            return
-        kept = self._trail[-1][2] if self._trail else -math.inf
-        if self._time - kept >= 0.99 * _TRAIL_TIME * self._time_scale / _TRAIL_POINTS:
-            self._trail.append((self._state[3], self._state[4], self._time))
+        x, y, self._angle, jack_x, jack_y, self._jack_angle = map(float, state[:6])
+        self._box, self._jack, self._time = complex(x, y), complex(jack_x, jack_y), float(time)
+        since = self._time - self._trail[-1][0] if self._trail else math.inf
+        if self._overlay and since >= 0.99 * _TRAIL_TIME * self._time_scale / _TRAIL_POINTS:
+            self._trail.append((self._time, self._jack))
 
     def record(
         self, state: Sequence[float] | Array, time: float, torque: float, impacts: Sequence[Impact], reward: float = 0.0
@@ -188,13 +160,41 @@ class Renderer:
         self._count += len(impacts)
         self._return += float(reward)
         self._set(state, time)
-        if self._overlay:
-            self._flashes.extend((impact, self._time, self._state) for impact in impacts)
+        for impact in impacts if self._overlay else ():
+            strength = impact.impulse / (2.0 * self._scene.jack_mass * self._scene.speed_scale)
+            radius = max(2.0, (8.0 + 8.0 * min(strength, 1.0)) * self._px)
+            self._flashes.append((impact.time, self._place_of(impact, state), radius))
 
-    def to_pixels(self, x: float, y: float) -> Point:
+    def _place_of(self, impact: Impact, state: Sequence[float] | Array) -> complex:
+        """Return where the foot met the wall, in the box frame [m].
+
+        The pose is carried back from the end of the step by the velocities after the impact, and put onto the wall.
+        """
+        pose = [float(state[i]) - float(state[i + 6]) * (self._time - impact.time) for i in range(6)]
+        if not all(map(math.isfinite, pose)):
+            return complex(math.nan, math.nan)  # rates too large for a float
+        x, y, angle, jack_x, jack_y, jack_angle = pose
+        arm = cmath.rect(self._scene.jack_arm, jack_angle + impact.foot * math.pi / 2)
+        foot = complex(jack_x - x, jack_y - y) + arm
+        limit = self._scene.box_half_width
+        sideways = (foot * cmath.rect(1.0, -angle) * (-1j) ** impact.wall).imag
+        return complex(limit, min(max(sideways, -limit), limit)) * 1j**impact.wall
+
+    def to_pixels(self, x: float, y: float) -> tuple[float, float]:
         """Return where the point (x, y) [m] of the world lies in the frame [px], x to the right and y down."""
-        middle = self._layout.centre
-        return middle[0] + (x - self._state[0]) * self._scale, middle[1] - (y - self._state[1]) * self._scale
+        place = self._in_frame(complex(x, y) - self._box)
+        return place.real, place.imag
+
+    def _in_frame(self, offset: complex) -> complex:
+        """Return where what lies at ``offset`` [m] from the box's centre is in the frame [px].
+
+        Relative, because adding and taking away a far-off position would cost digits.
+        """
+        return self._centre + self._scale * offset.conjugate()
+
+    def _near(self, place: complex) -> bool:
+        """Tell whether a place is close enough to the frame to be drawn; False for what has overflowed."""
+        return max(abs(place.real), abs(place.imag)) < 4.0 * max(self._size)
 
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the last state that was recorded or reset to.
@@ -204,185 +204,180 @@ class Renderer:
             for the next frame's time.
         """
         if self._canvas is None:
-            self._canvas = self._fresh_canvas()
+            self._canvas = Canvas(self._size)
         canvas = self._canvas
-        self._draw_background(canvas)
+        turn = cmath.rect(1.0, self._angle)  # a box axis in the world
+        self._draw_background(canvas, turn)
         self._draw_trail(canvas)
-        self._draw_box(canvas)
-        self._draw_flashes(canvas)
+        self._draw_walls(canvas, turn)
+        self._draw_flashes(canvas, turn)
         self._draw_jack(canvas)
         if self._overlay:
-            self._draw_rulers(canvas)
-            self._draw_readings(canvas)
+            self._draw_gauge(canvas)
+        canvas.smooth()
+        if self._overlay:
+            self._draw_rulers(canvas.surface)
+            self._write_readings(canvas.surface)
         if self._human:
             self._show(canvas)
             return None
-        return canvas.pixels.copy()
+        return canvas.pixels()
 
     def close(self) -> None:
         """Let go of the window and the surfaces; calling it again does nothing. Other renderers go on."""
-        self._canvas = self._clock = None
-        if self in _windowed:
-            _windowed.remove(self)
-            display = import_pygame().display
-            window = display.get_surface() if display.get_init() else None
-            # The process has one window: it stays while others of ours use it, or somebody else has resized it.
-            if not _windowed and window is not None and window.get_size() == self._layout.size:
-                display.quit()
+        if self._window is not None:
+            self._window.destroy()
+        self._canvas = self._window = self._clock = None
 
     def _show(self, canvas: Canvas) -> None:
-        display = canvas.pygame.display
-        window = display.get_surface()  # asked for each time: somebody else may have closed or resized it
-        if window is None or window.get_size() != self._layout.size:
-            window = display.set_mode(self._layout.size)
-            display.set_caption("Jack in a box")
-        _windowed.add(self)
-        if self._clock is None:
-            self._clock = canvas.pygame.time.Clock()
-        window.blit(canvas.surface, (0, 0))
-        canvas.pygame.event.pump()
-        display.flip()
+        pygame = canvas.pygame
+        try:
+            shown = self._window and self._window.get_surface()
+        except pygame.error:  # somebody else has called pygame.quit()
+            shown = None
+        if shown is None:
+            self._window, self._clock = pygame.Window("Jack in a box", self._size), pygame.time.Clock()
+            shown = self._window.get_surface()
+        shown.blit(canvas.surface, (0, 0))
+        pygame.event.pump()
+        self._window.flip()
         self._clock.tick(self._fps)
 
     # -- the parts of a frame, from back to front ----------------------------------------------------------------------
 
-    def _draw_background(self, canvas: Canvas) -> None:
-        canvas.surface.fill(_PAPER)
-        side = (
-            self._scene.box_half_width + 0.5 * self._layout.wall / self._scale
-        )  # its edge is hidden beneath the walls
-        corners = [self._in_box(x, y) for x, y in ((side, side), (-side, side), (-side, -side), (side, -side))]
-        canvas.pygame.draw.polygon(canvas.surface, _INTERIOR, corners)
-        canvas.rules([pixel for pixel, _ in self._rules(0)], [pixel for pixel, _ in self._rules(1)])
+    def _draw_background(self, canvas: Canvas, turn: complex) -> None:
+        canvas.fill(_PAPER)
+        corner = (self._scene.box_half_width + 0.5 * self._wall / self._scale) * (1 + 1j)  # beneath the walls
+        canvas.polygon([self._in_frame(corner * turn * 1j**number) for number in range(4)], _INTERIOR)
+        for axis in (0, 1):
+            for pixel, _ in self._rules(axis):
+                canvas.line(pixel, axis, _RULE)
 
-    def _rules(self, axis: int) -> list[tuple[float, float]]:
-        """Return the ruled lines of the frame as (place [px], coordinate [m]), along x (axis 0) or y (1)."""
-        camera = self._state[axis]
+    def _rules(self, axis: int) -> Iterator[tuple[float, float]]:
+        """Yield the ruled lines of the frame as (place [px], coordinate [m]), along x (axis 0) or y (1)."""
+        camera, centre = ((self._box.real, self._centre.real), (self._box.imag, self._centre.imag))[axis]
         beyond = math.fmod(camera, self._spacing)  # exact, however far off the camera is
         step = self._spacing * self._scale * (1.0, -1.0)[axis]  # [px]
-        nearest = self._layout.centre[axis] - beyond / self._spacing * step
-        ends = sorted((-nearest / step, (self._layout.size[axis] - nearest) / step))
-        numbers = range(math.ceil(ends[0]), math.floor(ends[1]) + 1)
-        return [(nearest + number * step, camera - beyond + number * self._spacing) for number in numbers]
+        nearest = centre - beyond / self._spacing * step
+        low, high = sorted((-nearest / step, (self._size[axis] - nearest) / step))
+        for number in range(math.ceil(low), math.floor(high) + 1):
+            yield nearest + number * step, camera - beyond + number * self._spacing
 
     def _draw_trail(self, canvas: Canvas) -> None:
         """Draw the way of the jack's centre through the world, a bead for each recorded place."""
         lasts = max(_TRAIL_TIME * self._time_scale, _TRAIL_STEPS * self._interval)
-        for x, y, time in self._trail:
-            place = self.to_pixels(x, y)
-            share = max(0.0, self._time - time) / lasts
-            if share < 1.0 and self._layout.near(place):
-                canvas.disc(place, _BEAD * self._layout.unit, _FADING[int(len(_FADING) * share)])
+        for time, jack in self._trail:
+            place, share = self._in_frame(jack - self._box), max(0.0, self._time - time) / lasts
+            if share < 1.0 and self._near(place):
+                canvas.disc(place, _BEAD * self._px, _FADING[int(len(_FADING) * share)])
 
-    def _draw_box(self, canvas: Canvas) -> None:
-        thickness = self._layout.wall
-        if self._layout.size[0] * self._layout.size[1] <= _SMALL:
-            inner, direction = self._layout.half_width, (math.cos(self._state[2]), -math.sin(self._state[2]))
-            canvas.square(self._layout.centre, direction, inner, inner + thickness, _RED)
-            return
-        middle = self._scene.box_half_width + 0.5 * thickness / self._scale
-        end = 2.0 * (self._layout.half_width + thickness)  # [px] a wall's length, corners included
-        cosine, sine = math.cos(self._state[2]), math.sin(self._state[2])
-        vertical = [self._in_box(middle, 0.0), self._in_box(-middle, 0.0)]
-        canvas.bands(vertical, (-sine * end, -cosine * end), 0.5 * thickness, _RED)
-        horizontal = [self._in_box(0.0, middle), self._in_box(0.0, -middle)]
-        canvas.bands(horizontal, (cosine * end, -sine * end), 0.5 * thickness, _RED)
+    def _draw_walls(self, canvas: Canvas, turn: complex) -> None:
+        thickness = self._wall / self._scale  # [m]
+        middle, end = self._scene.box_half_width + 0.5 * thickness, self._scene.box_half_width + thickness
+        for normal in (turn * 1j**wall for wall in range(4)):
+            ends = [self._in_frame(normal * complex(middle, sideways)) for sideways in (-end, end)]
+            canvas.band(ends[0], ends[1], self._wall, _RED)
 
-    def _in_box(self, x: float, y: float) -> Point:
-        """Return where the point (x, y) [m] of the box frame lies in the frame [px]."""
-        cosine, sine = math.cos(self._state[2]), math.sin(self._state[2])
-        # Straight from the frame's middle: adding and taking away a far-off position would cost digits.
-        middle = self._layout.centre
-        return middle[0] + (cosine * x - sine * y) * self._scale, middle[1] - (sine * x + cosine * y) * self._scale
-
-    def _draw_flashes(self, canvas: Canvas) -> None:
+    def _draw_flashes(self, canvas: Canvas, turn: complex) -> None:
         lasts = max(_FLASH_TIME * self._time_scale, _FLASH_STEPS * self._interval)
-        for impact, time, state in self._flashes:
-            fade = 1.0 - max(0.0, self._time - impact.time) / lasts
-            place = self._in_box(*self._foot_at_impact(impact, time, state)) if fade > 0.0 else (math.inf, math.inf)
-            if self._layout.near(place):
-                strength = impact.impulse / (2.0 * self._scene.jack_mass * self._scene.speed_scale)
-                canvas.glow(place, max(2, round((10.0 + 10.0 * min(strength, 1.0)) * self._layout.unit)), fade)
-
-    def _foot_at_impact(self, impact: Impact, time: float, state: Sequence[float]) -> Point:
-        """Return where the foot met the wall, in the box frame [m].
-
-        The pose is carried back from the end of the step by the velocities after the impact, and put onto the wall.
-        """
-        pose = [place - rate * (time - impact.time) for place, rate in zip(state[:6], state[6:], strict=True)]
-        if not all(map(math.isfinite, pose)):
-            return math.inf, math.inf  # rates too large for a float
-        foot = pose[5] + impact.foot * math.pi / 2.0
-        wall = pose[2] + impact.wall * math.pi / 2.0
-        x = pose[3] - pose[0] + self._scene.jack_arm * math.cos(foot)
-        y = pose[4] - pose[1] + self._scene.jack_arm * math.sin(foot)
-        limit = self._scene.box_half_width
-        sideways = min(max(math.cos(wall) * y - math.sin(wall) * x, -limit), limit)
-        return ((limit, sideways), (-sideways, limit), (-limit, -sideways), (sideways, -limit))[impact.wall]
+        for time, in_box, radius in self._flashes:
+            place, share = self._in_frame(in_box * turn), 1.0 - max(0.0, self._time - time) / lasts
+            if share > 0.0 and self._near(place):
+                canvas.glow(place, radius, share, _AMBER)
 
     def _draw_jack(self, canvas: Canvas) -> None:
-        x, y = self.to_pixels(self._state[3], self._state[4])
-        if not self._layout.near((x, y)):
+        jack = self._jack - self._box
+        arms = [cmath.rect(self._scene.jack_arm, self._jack_angle + foot * math.pi / 2) for foot in range(4)]
+        feet = [self._in_frame(jack + arm) for arm in arms]
+        if not all(map(self._near, feet)):
             return
-        arm = self._scene.jack_arm * self._scale  # [px]
-        radius = max(min(0.25 * round(0.68 * arm), 6.0 * self._layout.unit), 1.5)  # of a foot
-        across, up = arm * math.cos(self._state[5]), arm * math.sin(self._state[5])
-        feet = ((x + across, y - up), (x - up, y - across), (x - across, y + up), (x + up, y + across))
+        radius = max(min(0.17 * self._scene.jack_arm * self._scale, _FOOT * self._px), 1.5)
         for foot in feet:
             canvas.disc(foot, radius + 1.0, _INTERIOR)  # a rim sets a foot off against the wall
-        if arm <= _SHORT:
-            canvas.cross((x, y), (across / arm, -up / arm), arm, 0.5 * radius, _BLUE)
-        else:
-            for span in ((2.0 * across, -2.0 * up), (-2.0 * up, -2.0 * across)):
-                canvas.bands([(x, y)], span, 0.5 * radius, _BLUE)
-        canvas.disc((x, y), 0.8 * radius, _BLUE)
-        for foot, colour in zip(feet, (_FIRST_FOOT, _RED, _RED, _RED), strict=True):
+        for start, end in ((feet[0], feet[2]), (feet[1], feet[3])):
+            canvas.band(start, end, radius, BLUE)
+        canvas.disc(self._in_frame(jack), 0.8 * radius, BLUE)
+        for foot, colour in zip(feet, (_AMBER, _RED, _RED, _RED), strict=True):
             canvas.disc(foot, radius, colour)
 
-    def _draw_rulers(self, canvas: Canvas) -> None:
-        """Draw the scales of heights, on the left, and of places along x, at the bottom; ticks pass under the corner.
+    def _draw_gauge(self, canvas: Canvas) -> None:
+        """Draw an arc that turns the way of the torque, at most 140 degrees from the top."""
+        middle, radius = complex(self._ruler + 34.0 * self._px, self._floor - 28.0 * self._px), _GAUGE * self._px
+        share = min(max(self._torque / self._scene.torque_limit, -1.0), 1.0)
 
-        A number too long for its scale keeps its last digits, which show the motion.
-        """
-        layout, surface = self._layout, canvas.surface
-        left, floor, one = round(layout.ruler), round(layout.size[1] - layout.floor), max(1, round(layout.unit))
-        tick = round(4.0 * layout.unit)
-        surface.fill(_RULER_TINT, (0, 0, left, layout.size[1]))
-        surface.fill(TRACK, (left, 0, one, floor))
-        for pixel, height in self._rules(1):
-            surface.fill(TRACK, (left - tick, round(pixel), tick, one))
-            place = (layout.ruler - 7.0 * layout.unit, pixel)
-            canvas.text(self._place_label(height), place, align=1.0, size=17, colour=_PALE_INK)
-        surface.fill(_RULER_TINT, (0, floor, layout.size[0], layout.size[1] - floor))
-        surface.fill(TRACK, (left, floor, layout.size[0] - left, one))
-        with_unit = self._spacing * self._scale >= _ROOM * layout.unit
-        for pixel, place_x in self._rules(0):
-            surface.fill(TRACK, (round(pixel), floor, one, tick))
-            label = self._place_label(place_x, with_unit)
-            canvas.text(label, (pixel, floor + 12.0 * layout.unit), align=0.5, size=17, colour=_PALE_INK)
-        surface.fill(_RULER_TINT, (0, floor, left, layout.size[1] - floor))
+        def at(degrees: float, beside: float = 0.0) -> complex:
+            return middle - 1j * cmath.rect(radius + beside, -math.radians(degrees))
 
-    def _place_label(self, place: float, with_unit: bool = True) -> str:
-        """Return a place [m] as the rulers write it."""
+        tip, sign = 140.0 * share, math.copysign(1.0, share)
+        head = sign * min(26.0, abs(tip))
+        for degrees in sorted(range(-140, 141, 4), key=abs, reverse=True):
+            canvas.disc(at(degrees), 2.0 * self._px, _TEAL if 0.0 <= sign * degrees < abs(tip - head) else TRACK)
+        if share:
+            side = 0.2 * radius * head * sign / 20.0
+            canvas.polygon([at(tip), at(tip - head, side), at(tip - head, -side)], _TEAL)
+
+    def _draw_rulers(self, surface: pygame.Surface) -> None:
+        """Draw the scales of heights, on the left, and of places along x, at the bottom, in the same unit."""
+        (width, height), left, floor = self._size, round(self._ruler), round(self._floor)
+        one, tick = max(1, round(self._px)), round(4.0 * self._px)
+        for area in ((0, 0, left, height), (0, floor, width, height - floor)):
+            surface.fill(_RULER_TINT, area)
+        for area in ((left, 0, one, floor), (left, floor, width - left, one)):
+            surface.fill(TRACK, area)
         unit, symbol = _unit(self._scene.box_half_width, "m")
-        value = _number(place / unit, max(0, -math.floor(math.log10(self._spacing / unit) + 1e-9)))
-        room = 6 - len(symbol)
-        value = value if len(value) <= room else "…" + value[1 - room :]
-        return f"{value} {symbol}" if with_unit else value
+        digits = -math.floor(math.log10(self._spacing / unit) + 1e-9)
+        for pixel, y in self._rules(1):
+            if pixel < floor:
+                surface.fill(TRACK, (left - tick, round(pixel), tick, one))
+                place = complex(self._ruler - 7.0 * self._px, pixel)
+                self._write(surface, f"{round(y / unit, digits):z.6g} {symbol}", place, 17, PALE_INK, 1.0)
+        for pixel, x in self._rules(0):
+            if pixel > left:
+                surface.fill(TRACK, (round(pixel), floor, one, tick))
+                place = complex(pixel, self._floor + 12.0 * self._px)
+                self._write(surface, f"{round(x / unit, digits):z.6g}", place, 17, PALE_INK, 0.5)
 
-    def _draw_readings(self, canvas: Canvas) -> None:
-        layout, (unit, symbol) = self._layout, _unit(self._scene.torque_limit, "N m")
-        x, y = layout.gauge_at
-        canvas.gauge((x, y), self._torque / self._scene.torque_limit)
-        canvas.text("torque", (x + 30.0 * layout.unit, y - 7.0 * layout.unit), size=17, colour=_PALE_INK)
-        value = self._torque / unit
-        reading = _number(value, 1, "+") if abs(value) < 1e5 else f"{value:+.1e}"
-        canvas.text(f"{reading} {symbol}", (x + 30.0 * layout.unit, y + 8.0 * layout.unit))
-        left, right = layout.ruler + layout.margin, layout.size[0] - layout.margin
-        first, second = 18.0 * layout.unit, 36.0 * layout.unit
-        canvas.text(f"t = {_number(self._time, self._decimals)} s", (left, first))
+    def _write_readings(self, surface: pygame.Surface) -> None:
+        unit, symbol = _unit(self._scene.torque_limit, "N m")
+        left, right = self._ruler + _MARGIN * self._px, self._size[0] - _MARGIN * self._px
+        first, second = 18j * self._px, 36j * self._px
         impacts = f"{self._count} impact{'' if self._count == 1 else 's'}"
-        canvas.text(impacts, (left, second), size=17, colour=_PALE_INK)
-        earned = _number(self._return, 1) if abs(self._return) < 1e6 else f"{self._return:.1e}"
-        canvas.text(f"return {earned}", (right, first), align=1.0)
-        canvas.text(self._task, (right, second), align=1.0, size=17, colour=_PALE_INK)
+        self._write(surface, f"t = {self._time:.2f} s", left + first)
+        self._write(surface, impacts, left + second, 17, PALE_INK)
+        self._write(surface, f"return {_number(self._return)}", right + first, align=1.0)
+        self._write(surface, self._task, right + second, 17, PALE_INK, 1.0)
+        beside = complex(self._ruler + 64.0 * self._px, self._floor)  # the gauge
+        self._write(surface, "torque", beside - 35j * self._px, 17, PALE_INK)
+        self._write(surface, f"{_number(self._torque / unit)} {symbol}", beside - 20j * self._px)
+
+    def _write(
+        self, surface: pygame.Surface, text: str, place: complex, size: float = 22.0, colour: Colour = INK,
+        align: float = 0.0,
+    ) -> None:  # fmt: skip
+        write(surface, text, place, max(1, round(size * self._px)), colour, align)
+
+
+def tiled(scenes: Sequence[Scene], states: Array, times: Array, size: tuple[int, int]) -> NDArray[np.uint8]:
+    """Draw states, shape (>= k, 12), of k scenes, each as a tile without overlay, row by row in a square-like grid.
+
+    Args:
+        scenes: k of them, at least one.
+        states: SI units.
+        times: shape (>= k,) [s].
+        size: width and height of a tile [px].
+
+    Returns:
+        uint8, shape (height, width, 3). What is left over in the last row is grey.
+    """
+    columns = math.ceil(math.sqrt(len(scenes)))
+    rows = math.ceil(len(scenes) / columns)
+    tiles = np.empty((rows, size[1] + GAP, columns, size[0] + GAP, 3), dtype=np.uint8)
+    tiles[:] = TRACK
+    renderer = Renderer(scenes[0], "rgb_array", 1, size=size, overlay=False)
+    for number, scene in enumerate(scenes):
+        renderer.show(scene)
+        renderer.reset(states[number], float(times[number]))
+        frame = renderer.render()
+        assert frame is not None
+        tiles[number // columns, : size[1], number % columns, : size[0]] = frame
+    return np.ascontiguousarray(tiles.reshape(rows * (size[1] + GAP), -1, 3)[:-GAP, : columns * (size[0] + GAP) - GAP])

@@ -9,22 +9,19 @@ from typing import TYPE_CHECKING, Any, Protocol
 import gymnasium as gym
 import numpy as np
 
-from jackbox_env.render.canvas import INK, SIZE, TRACK, Colour, import_pygame
+from jackbox_env.render.canvas import BLUE, INK, PALE_INK, SIZE, TRACK, Colour, import_pygame, write
 from jackbox_env.simulators import JackLostError
 
 if TYPE_CHECKING:
     import pygame
 
-SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0)  # simulated seconds in a second
+SLOWEST, FASTEST = 0.25, 4.0  # simulated seconds in a second
 FRAMES = 50  # in a second
 _LONGEST = 0.1  # [s] of the clock that a frame makes up for: a slow machine plays slower
 PANEL = 248  # [px] width beside the picture
 _EDGE = 20  # [px] of the panel
 _PAPER: Colour = (250, 251, 253)
-_PALE: Colour = (112, 122, 138)
-_BLUE: Colour = (31, 90, 180)
 _RED: Colour = (190, 30, 36)
-_WHITE: Colour = (255, 255, 255)
 _DRIVERS = ("SDL_VIDEODRIVER", "SDL_VIDEO_DRIVER")  # variables that name SDL's driver
 _UNSEEN = ("offscreen", "dummy", "evdev")  # drivers whose windows nobody sees
 NO_AGENT = "P needs a checkout of the project"
@@ -58,17 +55,12 @@ class Game:
         self.paused = False
         self.push = 0.0  # of the player, from -1 to 1
         self.agent: Predicts | None = None
-        self._speed = SPEEDS.index(1.0)
+        self.speed = 1.0  # simulated seconds in a second
         self.restart(seed)
 
-    @property
-    def speed(self) -> float:
-        """Simulated seconds in a second."""
-        return SPEEDS[self._speed]
-
-    def faster(self, by: int) -> None:
-        """Go ``by`` speeds up, or down if negative."""
-        self._speed = min(max(self._speed + by, 0), len(SPEEDS) - 1)
+    def faster(self, by: float) -> None:
+        """Go so many times as fast."""
+        self.speed = min(max(by * self.speed, SLOWEST), FASTEST)
 
     def restart(self, seed: int | None = None) -> None:
         """Start the next episode."""
@@ -126,16 +118,14 @@ def open_display(pygame: Any) -> None:
     Raises:
         RuntimeError: there is none. SDL then shows its windows to nobody, unless its variable asks for just that.
     """
-    asked = next(filter(None, map(os.environ.get, _DRIVERS)), None)
     try:
         pygame.display.init()
-        driver = pygame.display.get_driver()
+        unseen = pygame.display.get_driver() in _UNSEEN and not any(map(os.environ.get, _DRIVERS))
     except pygame.error as error:
-        how = f"SDL_VIDEODRIVER={asked} gives none" if asked else "start this on a desktop"
-        raise RuntimeError(f"there is no display to play on: {how} ({error})") from error
-    if driver in _UNSEEN and not asked:
+        raise RuntimeError(f"there is no display to play on: {error}") from error
+    if unseen:
         pygame.display.quit()
-        raise RuntimeError(f"there is no display to play on: start this on a desktop (SDL offers only {driver!r})")
+        raise RuntimeError("there is no display to play on: start this on a desktop")
 
 
 class Window:
@@ -155,10 +145,8 @@ class Window:
         self.game, self.open, self.note = game, True, ""
         self._trained, self._held = trained, set[int]()
         open_display(self.pygame)
-        self.pygame.font.init()
         self._screen = self.pygame.display.set_mode((SIZE + PANEL, SIZE))
         self.pygame.display.set_caption("Jack in a box")
-        self._fonts = {size: self.pygame.font.Font(None, size) for size in (18, 20, 24, 30, 46)}
 
     def frame(self, seconds: float) -> None:
         """Obey the keys, let so much time of the clock pass, and show the game."""
@@ -189,23 +177,24 @@ class Window:
         self.game.push = float(pygame.K_LEFT in self._held) - float(pygame.K_RIGHT in self._held)
 
     def _press(self, key: int, letter: str) -> None:
-        pygame, game = self.pygame, self.game
-        if key in (pygame.K_ESCAPE, pygame.K_q):
+        """Do what a key stands for; + and - and the dot are where the keyboard has them."""
+        game, name = self.game, letter if letter in ("+", "-", ".") else self.pygame.key.name(key)
+        if name in ("escape", "q"):
             self.open = False
-        elif key == pygame.K_r:
+        elif name == "r":
             game.restart()
-        elif key == pygame.K_SPACE:
+        elif name == "space":
             game.paused = not game.paused
-        elif key == pygame.K_PERIOD or letter == ".":
+        elif name == ".":
             game.paused = True
             game.step()
-        elif key in (pygame.K_PLUS, pygame.K_EQUALS, pygame.K_KP_PLUS) or letter == "+":
-            game.faster(1)
-        elif key in (pygame.K_MINUS, pygame.K_KP_MINUS) or letter == "-":
-            game.faster(-1)
-        elif key == pygame.K_c:
+        elif name in ("+", "=", "[+]"):
+            game.faster(2.0)
+        elif name in ("-", "[-]"):
+            game.faster(0.5)
+        elif name == "c":
             game.chirp = not game.chirp
-        elif key == pygame.K_p:
+        elif name == "p":
             self._hand_over()
 
     def _hand_over(self) -> None:
@@ -235,35 +224,32 @@ class Window:
         if self.game.over:
             self._banner(self.game.over, f"return {self.game.earned:.1f}   -   R starts the next")
         elif self.game.paused:
-            self._pill("Paused: the dot takes one step")
+            self._banner("Paused", "the dot takes one step")
         self.pygame.display.flip()
 
-    def _write(
-        self, text: str, place: tuple[float, float], size: int, colour: Colour = INK, align: float = 0.0
-    ) -> None:
-        """Write with the left end (align 0), the middle (0.5) or the right end (1) at ``place``, half way down."""
-        image = self._fonts[size].render(text.replace("-", "\N{EN DASH}"), True, colour)
-        self._screen.blit(image, (place[0] - align * image.get_width(), place[1] - 0.5 * image.get_height()))
+    def _write(self, text: str, x: float, y: float, size: int, colour: Colour = INK, align: float = 0.0) -> None:
+        """Write with the left end (align 0), the middle (0.5) or the right end (1) at (x, y), half way down."""
+        write(self._screen, text, complex(x, y), size, colour, align)
 
     def _draw_numbers(self) -> None:
         game, left, right = self.game, SIZE + _EDGE, SIZE + PANEL - _EDGE
-        self._write("task", (left, 26), 18, _PALE)
-        self._write(game.task[:16], (right, 26), 24, align=1.0)
-        self._write("return", (left, 62), 18, _PALE)
-        self._write(f"{game.earned:.1f}", (right, 62), 46, align=1.0)
-        self._write("best", (left, 98), 18, _PALE)
-        self._write("-" if game.best is None else f"{game.best:.1f}", (right, 98), 30, align=1.0)
-        self._write("acting", (left, 128), 18, _PALE)
-        self._write(game.acting(), (right, 128), 24, _BLUE, align=1.0)
-        self._write("speed", (left, 156), 18, _PALE)
-        self._write(f"{game.speed:g} \N{MULTIPLICATION SIGN}", (right, 156), 24, align=1.0)
+        rows = (
+            ("task", game.task[:16], 26, 24, INK),
+            ("return", f"{game.earned:.1f}", 62, 46, INK),
+            ("best", "-" if game.best is None else f"{game.best:.1f}", 98, 30, INK),
+            ("acting", game.acting(), 128, 24, BLUE),
+            ("speed", f"{game.speed:g} \N{MULTIPLICATION SIGN}", 156, 24, INK),
+        )
+        for name, value, y, size, colour in rows:
+            self._write(name, left, y, 18, PALE_INK)
+            self._write(value, right, y, size, colour, align=1.0)
         self._screen.fill(TRACK, (left, 178, PANEL - 2 * _EDGE, 1))
 
     def _draw_keys(self) -> None:
         game = self.game
         rows = (
-            ("left", "turn left", False),
-            ("right", "turn right", False),
+            ("left", "turn left", self.game.push > 0.0),
+            ("right", "turn right", self.game.push < 0.0),
             ("R", "next episode", False),
             ("space", "pause", game.paused),
             (".", "one step", False),
@@ -273,38 +259,16 @@ class Window:
             ("Esc", "quit", False),
         )
         for number, (key, meaning, is_on) in enumerate(rows):
-            y = 200 + 30 * number
-            self._cap(key, y, is_on)
-            self._write(meaning, (SIZE + _EDGE + 66, y), 20, _BLUE if is_on else INK)
-        self._write(self.note, (SIZE + 0.5 * PANEL, 484), 18, _RED, align=0.5)
-
-    def _cap(self, key: str, y: int, is_on: bool) -> None:
-        """Draw a key's cap, filled where what it switches is on."""
-        area = (SIZE + _EDGE, y - 11, 54, 23)
-        self.pygame.draw.rect(self._screen, _BLUE if is_on else _WHITE, area, border_radius=5)
-        self.pygame.draw.rect(self._screen, _BLUE if is_on else TRACK, area, width=1, border_radius=5)
-        x = SIZE + _EDGE + 27
-        if key in ("left", "right"):
-            tip = -6 if key == "left" else 6
-            self.pygame.draw.polygon(self._screen, INK, [(x + tip, y), (x - tip, y - 5), (x - tip, y + 5)])
-        else:
-            size, raised = (30, 4) if key == "." else (18, 0)
-            self._write(key, (x, y - raised), size, _WHITE if is_on else INK, align=0.5)
-
-    def _pill(self, text: str) -> None:
-        """Write at the top, where it hides nothing of the box."""
-        area = self.pygame.Rect(152, 4, 238, 26)
-        self.pygame.draw.rect(self._screen, _BLUE, area, border_radius=13)
-        self._write(text, area.center, 20, _WHITE, align=0.5)
+            y, colour = 200 + 30 * number, BLUE if is_on else INK
+            self._write(key, SIZE + _EDGE, y, 20, colour)
+            self._write(meaning, SIZE + _EDGE + 66, y, 20, colour)
+        self._write(self.note, SIZE + 0.5 * PANEL, 484, 18, _RED, align=0.5)
 
     def _banner(self, title: str, below: str) -> None:
-        """Write over the middle of the picture."""
-        area = self.pygame.Rect(0, 0, 330, 74)
-        area.center = (283, 150)
-        self.pygame.draw.rect(self._screen, _WHITE, area, border_radius=8)
-        self.pygame.draw.rect(self._screen, _BLUE, area, width=2, border_radius=8)
-        self._write(title, (area.centerx, area.centery - 13), 30, align=0.5)
-        self._write(below, (area.centerx, area.centery + 17), 20, _PALE, align=0.5)
+        """Write at the top of the picture, where it hides nothing of the box."""
+        self._screen.fill(_PAPER, (140, 0, 270, 40))
+        self._write(title, 275, 12, 24, BLUE, align=0.5)
+        self._write(below, 275, 31, 18, PALE_INK, align=0.5)
 
 
 def play(

@@ -2,13 +2,31 @@
 
 from __future__ import annotations
 
+import importlib
+from types import MappingProxyType
 from typing import Any
 
 from jackbox_env import _validation as check
 from jackbox_env.scene import Scene
-from jackbox_env.simulators.base import Impact, JackLostError, Simulator
+from jackbox_env.simulators.base import ContactModel, Impact, JackLostError, Simulator
 
-CONTACT_MODELS = ("pymunk", "exact")
+CONTACT_MODELS = MappingProxyType(  # where the class of each is
+    {
+        "pymunk": "jackbox_env.simulators.pymunk.PymunkSimulator",
+        "exact": "jackbox_env.simulators.exact.ExactSimulator",
+    }
+)
+
+
+def contact_model(name: str) -> type[ContactModel]:
+    """The class of a contact model; its module, and so its engine, is loaded now.
+
+    Raises:
+        TypeError, ValueError: there is none of that name.
+    """
+    module, _, kind = CONTACT_MODELS[check.choice("contact", name, CONTACT_MODELS)].rpartition(".")
+    model: type[ContactModel] = getattr(importlib.import_module(module), kind)
+    return model
 
 
 def make_simulator(scene: Scene | dict[str, Any] | None = None, contact: str = "pymunk", **settings: Any) -> Simulator:
@@ -24,20 +42,13 @@ def make_simulator(scene: Scene | dict[str, Any] | None = None, contact: str = "
     Raises:
         TypeError, ValueError: an unknown model or setting, or a setting out of its range.
     """
-    check.choice("contact", contact, CONTACT_MODELS)
-    scene = Scene.of(scene)
-    given = {name: value for name, value in settings.items() if value is not None}
-    if contact == "exact":
-        check.known_keys(f"contact={contact!r}", settings, ("substeps", "iterations"))
-        for name, value in given.items():
-            raise ValueError(f"contact='exact' has no substeps or iterations, got {name}={check.shown(value)}")
-        from jackbox_env.simulators.exact import ExactSimulator
-
-        return ExactSimulator(scene)
+    model, scene = contact_model(contact), Scene.of(scene)
     check.known_keys(f"contact={contact!r}", settings, ("substeps", "iterations"))
-    from jackbox_env.simulators.pymunk import PymunkSimulator
-
-    return PymunkSimulator(scene, **given)
+    given = {name: value for name, value in settings.items() if value is not None}
+    for name, value in given.items():
+        if name not in model.settings:
+            raise ValueError(f"contact={contact!r} has no {name}, got {name}={check.shown(value)}")
+    return model(scene, **given)
 
 
 __all__ = ["CONTACT_MODELS", "Impact", "JackLostError", "Simulator", "make_simulator"]

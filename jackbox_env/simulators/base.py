@@ -117,9 +117,11 @@ class ContactModel(ABC):
     """
 
     name: ClassVar[str]  # as in contact="..."
-    _settings: ClassVar[tuple[str, ...]] = ()  # its own, kept when pickled
+    settings: ClassVar[tuple[str, ...]] = ()  # further arguments, attributes of the same names; kept when pickled
+    room: ClassVar[int]  # [bytes] that an environment of it takes, about
+    compiled: ClassVar[bool] = False  # whether rewards and observations are computed in compiled code, as its steps are
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, **settings: Any) -> None:
         """Start at rest in the middle of the box, each foot facing a corner."""
         self.scene = scene
         self._present = Present(self._held(np.array([0.0] * 5 + [math.pi / 4.0] + [0.0] * 6)), 0.0)
@@ -165,7 +167,7 @@ class ContactModel(ABC):
         """Build what is not kept when pickled."""
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in ("scene", *self._settings, "_present")}
+        return {name: getattr(self, name) for name in ("scene", *self.settings, "_present")}
 
     def __setstate__(self, kept: dict[str, Any]) -> None:
         self.__dict__.update(kept)

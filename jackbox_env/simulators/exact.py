@@ -86,6 +86,8 @@ class ExactSimulator(ContactModel):
     """Event-driven simulation; the module's head states the law, :class:`Simulator` the methods."""
 
     name = "exact"
+    room = 500
+    compiled = True
     _workspace: Workspace  # grows to what a step has recorded
 
     def __init__(self, scene: Scene) -> None:

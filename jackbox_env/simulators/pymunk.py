@@ -107,7 +107,8 @@ class PymunkSimulator(ContactModel):
     """Time stepping in pymunk; the module's head states the law, :class:`Simulator` the methods."""
 
     name = "pymunk"
-    _settings = ("substeps", "iterations")
+    settings = ("substeps", "iterations")
+    room = 130_000
 
     def __init__(self, scene: Scene, substeps: int = 4, iterations: int | None = None) -> None:
         """Start at rest in the middle of the box, each foot facing a corner.

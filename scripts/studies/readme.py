@@ -50,7 +50,7 @@ def returns_table(record: dict[str, Any]) -> str:
 def take_picture() -> None:
     """Film chirp, trained network and planner side by side, small enough for a page."""
     from agents.evaluation.film import film
-    from agents.evaluation.returns import find_policy
+    from agents.policies.registry import find_policy
     from agents.settings import EnvSettings
     from agents.training.models import derived_seed
 

@@ -137,9 +137,8 @@ def check_whole(folder: Path) -> None:
         read_model_file(checkpoint_path(folder, steps))
     if (folder / EVALUATIONS).exists():
         evaluations = read_evaluations(folder, SMALL.eval_episodes)
-        assert evaluations.timesteps == expected_steps(SMALL)[: len(evaluations.timesteps)]
-        _, note = read_model_file(folder / BEST)
-        assert note["mean_return"] >= max(evaluations.means)
+        assert evaluations.timesteps == expected_steps(SMALL)[: max(1, len(evaluations.timesteps))]
+        read_model_file(folder / BEST)
 
 
 def check_finished(folder: Path) -> None:
@@ -150,10 +149,11 @@ def check_finished(folder: Path) -> None:
         assert json.loads(archive.read("data"))["num_timesteps"] == SMALL.total_steps
     evaluations = read_evaluations(folder, SMALL.eval_episodes)
     assert evaluations.timesteps == expected_steps(SMALL)  # none twice, none missing
-    kept, note = read_model_file(folder / BEST)
-    assert note["mean_return"] == max(evaluations.means)
-    assert note["timesteps"] == evaluations.timesteps[int(np.argmax(evaluations.means))]
-    rollout = SMALL.num_envs * SMALL.rollout_steps
-    evaluated, _ = read_model_file(checkpoint_path(folder, (note["timesteps"] - 1) // rollout * rollout))
-    assert all(bool((kept["policy"][name] == value).all()) for name, value in evaluated["policy"].items())
+    best_of_all, rollout = (
+        evaluations.timesteps[int(np.argmax(evaluations.means))],
+        SMALL.num_envs * SMALL.rollout_steps,
+    )
+    evaluated = read_model_file(checkpoint_path(folder, (best_of_all - 1) // rollout * rollout))["policy"]
+    kept = read_model_file(folder / BEST)["policy"]
+    assert all(bool((kept[name] == value).all()) for name, value in evaluated.items())
     assert not list(folder.rglob("*.partial*"))

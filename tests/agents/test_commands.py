@@ -20,7 +20,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from agents.policies.scripted import BASELINES
+from agents.policies.registry import SCRIPTED
 from agents.settings import EnvSettings
 from tests.agents.small_run import TINY
 from tests.states import load
@@ -201,13 +201,13 @@ def test_training_survives_ctrl_c_and_resumes_from_the_command_line(tmp_path: Pa
 @pytest.mark.slow
 def test_the_demo_runs_end_to_end_when_made_small(tmp_path: Path) -> None:
     done = process("demo", "--folder", "demo", "--total-steps", "8192", "--episodes", "4", cwd=tmp_path)
-    for policy in (*BASELINES, "PPO"):
+    for policy in (*SCRIPTED, "PPO"):
         assert f"| {policy}" in done.stdout
     for name in ("model.zip", "settings.json", "run.json", "results.json", "results.png", "film.gif"):
         assert (tmp_path / "demo" / name).stat().st_size > 100, name
     stored = json.loads((tmp_path / "demo" / "results.json").read_text())
     for contact in ("exact", "pymunk"):
-        assert [row["policy"] for row in stored["results"][contact]] == [*BASELINES, "PPO"]
+        assert [row["policy"] for row in stored["results"][contact]] == [*SCRIPTED, "PPO"]
     verdict = done.stdout.strip().splitlines()[-1]
     assert verdict.count("PPO's interval") == verdict.count("above level's") == 2
 

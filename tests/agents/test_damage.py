@@ -7,14 +7,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from agents.runs import EVALUATIONS, describe
 from agents.training import best
 from agents.training import ppo as training
 from agents.training.best import BEST, read_evaluations
-from agents.training.checkpoints import CHECKPOINTS, Checkpoint, checkpoint_path, kept_steps, read_model_file, with_note
+from agents.training.checkpoints import CHECKPOINTS, Checkpoint, checkpoint_path, kept_steps, read_model_file
 from agents.training.models import load_model
 from agents.training.ppo import MODEL
 from jackbox_env.recording.files import new_folder
@@ -121,42 +120,33 @@ def test_without_a_whole_checkpoint_the_run_begins_again(stopped: Path, capsys: 
 
 
 @pytest.mark.parametrize("how", HARMS)
-def test_damaged_evaluations_are_left_out_and_the_best_stays_the_best(
-    how: str, stopped: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    unbeaten = with_note(checkpoint_path(stopped, 16).read_bytes(), {"mean_return": 1e6, "timesteps": 32})
-    (stopped / BEST).write_bytes(unbeaten)
+def test_damaged_evaluations_are_left_out(how: str, stopped: Path, capsys: pytest.CaptureFixture[str]) -> None:
     harm(stopped / EVALUATIONS, how)
     goes_on_to_its_end(stopped)
     assert skipped(capsys.readouterr().err, stopped / EVALUATIONS)
     assert read_evaluations(stopped, SMALL.eval_episodes).timesteps == [96]  # those before are lost
-    assert (stopped / BEST).read_bytes() == unbeaten
 
 
 @pytest.mark.parametrize("how", [*HARMS, "flipped", "gone"])
-@pytest.mark.parametrize("state", ["stopped", "finished"])
-def test_a_damaged_best_model_is_made_again_from_its_checkpoint(
-    how: str, state: str, request: pytest.FixtureRequest, capsys: pytest.CaptureFixture[str]
+def test_the_next_evaluation_takes_the_place_of_a_damaged_best_model(
+    how: str, stopped: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    folder: Path = request.getfixturevalue(state)
-    parameters, note = read_model_file(folder / BEST)
     if how == "gone":
-        (folder / BEST).unlink()
+        (stopped / BEST).unlink()
     else:
-        harm(folder / BEST, how)
-    last = (folder / MODEL).read_bytes() if state == "finished" else b""
-    with pytest.MonkeyPatch.context() as patch:  # see what there is when the training begins
-        patch.setattr(training, "_where_it_was", lambda folder: pytest.fail("begun"))
-        with pytest.raises(FileExistsError if last else pytest.fail.Exception):
-            training.train(SMALL, folder, progress=False)
-    said = capsys.readouterr().err
-    assert skipped(said, folder / BEST) == (how != "gone")
-    assert f"Made {folder / BEST} again from {folder / CHECKPOINTS}" in said
-    again, note_again = read_model_file(folder / BEST)
-    assert note_again == note
-    for name, value in parameters["policy"].items():
-        np.testing.assert_array_equal(again["policy"][name], value)
-    assert last == ((folder / MODEL).read_bytes() if last else b"")
+        harm(stopped / BEST, how)
+    monkeypatch.setattr(best.Evaluations, "means", [1e6])  # none that comes is as good
+    goes_on_to_its_end(stopped)
+    assert skipped(capsys.readouterr().err, stopped / BEST) == (how != "gone")
+    latest = read_model_file(checkpoint_path(stopped, STOPPED))["policy"]
+    assert all(bool((read_model_file(stopped / BEST)["policy"][name] == latest[name]).all()) for name in latest)
+
+
+def test_a_whole_best_model_stays_until_it_is_beaten(stopped: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = (stopped / BEST).read_bytes()
+    monkeypatch.setattr(best.Evaluations, "means", [1e6])
+    goes_on_to_its_end(stopped)
+    assert (stopped / BEST).read_bytes() == before
 
 
 @pytest.mark.parametrize("how", [*HARMS, "flipped"])

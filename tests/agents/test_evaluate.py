@@ -13,11 +13,10 @@ from agents.evaluation import returns as evaluation
 from agents.evaluation.episodes import page_names, record_episode
 from agents.evaluation.notes import warn_of_other_training
 from agents.policies.network import SHIPPED
-from agents.policies.scripted import baseline
+from agents.policies.registry import find_policy
 from agents.settings import EnvSettings
 from agents.training import ppo as training
 from agents.training.models import derived_seed
-from jackbox_env import Scene
 from tests.agents.small_run import TINY
 from tests.agents.test_commands import script
 
@@ -29,7 +28,7 @@ def test_a_page_shows_the_scene_that_was_drawn(tmp_path: Path) -> None:
     page = (tmp_path / "pages" / "level.html").read_text()
     data = json.loads(page.split('id="data">')[1].split("</script>")[0])
     settings = EnvSettings(randomize=varied).env_settings
-    scene = record_episode(baseline("level", Scene()), settings, derived_seed("evaluation", 0)).scene
+    scene = record_episode(find_policy("level", EnvSettings()), settings, derived_seed("evaluation", 0)).scene
     assert data["halfWidth"] == scene.box_half_width != 6.0
     assert dict(data["facts"])["gravity"] == f"{scene.gravity:g} m/s\u00b2"
 

@@ -132,7 +132,7 @@ def test_a_model_that_looks_ahead_is_trained_and_loaded(tmp_path: Path, capsys: 
     assert sum(shares.values()) == pytest.approx(100.0, abs=0.5)
     assert shares[", looking ahead"] > shares["environment"] > 0.0
     loaded = load_model(folder)
-    assert loaded.manner.futures is not None
+    assert loaded.manner.features is not None
     (earned,) = evaluate("PPO", loaded, settings.env_settings, 1, 0).returns
     assert earned > 0.0
     with pytest.raises(ValueError, match="lookahead must be 0 or from 8 to 4096, got 3"):

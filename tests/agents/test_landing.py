@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agents.evaluation.returns import evaluate, find_policy
+from agents.evaluation.returns import evaluate
 from agents.policies.observing import observations
 from agents.policies.one_bounce import (
     AFTER,
@@ -23,6 +23,7 @@ from agents.policies.one_bounce import (
     upright,
     write_landing,
 )
+from agents.policies.registry import find_policy
 from agents.settings import EnvSettings
 from jackbox_env import Scene, make_simulator
 from jackbox_env.recording.files import write_json

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agents.evaluation.returns import evaluate, find_policy
+from agents.evaluation.returns import evaluate
 from agents.policies.network import NetworkPolicy, layers_of, read_policy, write_policy
+from agents.policies.registry import find_policy
 from agents.settings import EnvSettings, TrainSettings
 from agents.training.models import holding, make_ppo, make_vec_env
 from jackbox_env.tasks import TASKS

@@ -77,7 +77,7 @@ def test_machines_load_the_compiled_code_that_they_are_sent(tmp_path: Path, clus
     def compiled(settings: dict[str, Any]) -> dict[str, Any]:
         import jackbox_env
 
-        folder = compiler._cache_folders()[-1]
+        folder = compiler.cache_folders()[-1]
         before = {path.name for path in folder.iterdir()}
         jackbox_env.make_simulator(contact="exact").step(0.02)
         return {"folder": str(folder), "there": len(before), "new": len(list(folder.iterdir())) - len(before)}
@@ -85,7 +85,7 @@ def test_machines_load_the_compiled_code_that_they_are_sent(tmp_path: Path, clus
     compiled({})  # here, so that there is something to send
     swept(tmp_path / "sweep", GRID[:1], compiled, OnRay(address=cluster.address))
     (row,) = rows_of(tmp_path / "sweep")
-    assert row["folder"] not in map(str, compiler._cache_folders())
+    assert row["folder"] not in map(str, compiler.cache_folders())
     assert int(row["there"]) > 0
     assert row["new"] == "0"
 

@@ -8,9 +8,10 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from agents.evaluation.returns import evaluate, find_policy
+from agents.evaluation.returns import evaluate
 from agents.policies.observing import observations
 from agents.policies.planner import Planner
+from agents.policies.registry import find_policy
 from agents.policies.value import Value
 from agents.settings import EnvSettings
 from jackbox_env import Drive, Scene, Task

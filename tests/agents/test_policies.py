@@ -13,9 +13,9 @@ import pytest
 from stable_baselines3.common.evaluation import evaluate_policy
 
 from agents.evaluation.film import film
-from agents.evaluation.returns import Returns, above, evaluate, find_policy, table
+from agents.evaluation.returns import Returns, above, evaluate, table
 from agents.policies.planner import Planner
-from agents.policies.scripted import BASELINES, baseline
+from agents.policies.registry import SCRIPTED, find_policy
 from agents.settings import EnvSettings, TrainSettings
 from agents.training.models import make_ppo, make_vec_env
 from jackbox_env import Scene, make_simulator
@@ -24,9 +24,9 @@ from jackbox_env.recording.trajectory import simulate, write_npz
 # -- scripted policies -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", BASELINES)
+@pytest.mark.parametrize("name", SCRIPTED)
 def test_baselines_predict_as_stable_baselines3_does(name: str) -> None:
-    policy, more = baseline(name, Scene())
+    policy, more = find_policy(name, EnvSettings())
     env = gym.make("JackInBox-v0", **more)
     observation, _ = env.reset(seed=0)
     assert policy.predict(observation, None, np.array([True]), True)[0] in env.action_space
@@ -37,7 +37,7 @@ def test_baselines_predict_as_stable_baselines3_does(name: str) -> None:
 
 
 def test_level_answers_angle_and_rate() -> None:
-    level = baseline("level", Scene()).policy
+    level = find_policy("level", EnvSettings()).policy
     observation = np.zeros((4, 10), dtype=np.float32)
     observation[:, 4] = 1.0
     observation[1, 5] = 0.01  # turned counter-clockwise
@@ -49,15 +49,15 @@ def test_level_answers_angle_and_rate() -> None:
 
 
 def test_an_unknown_policy_is_refused() -> None:
-    with pytest.raises(ValueError, match="'random', 'chirp', 'zero', 'level', got 'pid'"):
-        baseline("pid", Scene())
     for name in ("pid", "value"):
         with pytest.raises(FileNotFoundError, match=f"a policy must be one of .*planner, .*ppo, .* got '{name}'"):
             find_policy(name, EnvSettings(), 0)
 
 
 def test_the_random_policy_follows_its_seed() -> None:
-    one, same, other = (baseline("random", Scene(), seed).policy.predict(np.zeros((100, 10)))[0] for seed in (1, 1, 2))
+    one, same, other = (
+        find_policy("random", EnvSettings(), seed).policy.predict(np.zeros((100, 10)))[0] for seed in (1, 1, 2)
+    )
     np.testing.assert_array_equal(one, same)
     assert np.ptp(one) > 1.5 > abs(other - one).min() > 0.0
 
@@ -77,7 +77,7 @@ def test_returns_carry_their_interval() -> None:
 
 
 def test_evaluation_is_repeatable_and_seeded() -> None:
-    policy = baseline("level", Scene()).policy
+    policy = find_policy("level", EnvSettings()).policy
     one, same, other = (evaluate("level", policy, {}, 4, seed) for seed in (0, 0, 100))
     assert one == same
     assert len({*one.returns, *other.returns}) == 8
@@ -87,7 +87,7 @@ def test_the_untrained_policy_does_not_beat_zero_torque() -> None:
     # DESIGN: about 158 against 200; the demo's trained policy stands above 200 with intervals apart.
     model = make_ppo(TrainSettings(), make_vec_env({}, 1, 0))
     untrained = evaluate("untrained", model, {}, 32, seed=0, deterministic=False)
-    zero = evaluate("zero", baseline("zero", Scene()).policy, {}, 32, seed=0)
+    zero = evaluate("zero", find_policy("zero", EnvSettings()).policy, {}, 32, seed=0)
     assert untrained.interval[1] < zero.interval[0], table([untrained, zero])
 
 
@@ -144,7 +144,7 @@ def test_npz_of_a_weightless_scene_without_impacts(tmp_path: Path) -> None:
 def test_films_show_the_policies_side_by_side(tmp_path: Path, suffix: str) -> None:
     import imageio.v3 as imageio
 
-    acts = {name: baseline(name, Scene()) for name in ("zero", "chirp")}
+    acts = {name: find_policy(name, EnvSettings()) for name in ("zero", "chirp")}
     path = tmp_path / f"film{suffix}"
     earned = film(acts, {}, path, seed=0, seconds=1.2, width=128, progress=False)
     assert earned.keys() == acts.keys()

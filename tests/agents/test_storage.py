@@ -11,8 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from agents import files as storage
-from agents.files import LOCK, DamagedFileError, FolderInUseError, held, read_json
+from agents.files import DamagedFileError, FolderInUseError, held, read_json
 from jackbox_env.recording import files as writing
 from jackbox_env.recording.files import (
     make_filled_folder,
@@ -126,37 +125,22 @@ def test_a_folder_is_held_until_its_process_is_killed(tmp_path: Path) -> None:
     process = start(hold, tmp_path, tmp_path / "ready")
     wait_for(tmp_path / "ready")
     for _ in range(2):
-        with pytest.raises(FolderInUseError, match=f"{tmp_path} .* {process.pid}:"), held(tmp_path):
+        with pytest.raises(FolderInUseError, match=f"^{tmp_path} is in use"), held(tmp_path):
             pass
     process.kill()
     assert ended(process) == -9
-    assert (tmp_path / LOCK).read_text().strip().isdigit()  # it could not tidy up
     with held(tmp_path):
         pass
-    assert (tmp_path / LOCK).read_text() == ""
 
 
 def test_a_folder_is_held_against_a_second_use_in_the_same_process(tmp_path: Path) -> None:
     with held(tmp_path):
-        with pytest.raises(FolderInUseError, match=f"in use by process {os.getpid()}:"), held(tmp_path):
+        with pytest.raises(FolderInUseError), held(tmp_path):
             pass
         with pytest.raises(FolderInUseError), held(tmp_path):  # being refused has not let go of it
             pass
     with held(tmp_path):
         pass
-    assert not storage._held
-
-
-@pytest.mark.parametrize("written", [b"", b"nonsense", b"9" * 40])
-def test_what_stands_in_a_lock_file_holds_nothing_and_names_nobody(
-    written: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(storage, "_PATIENCE", 0.1)
-    (tmp_path / LOCK).write_bytes(written)
-    with held(tmp_path):
-        (tmp_path / LOCK).write_bytes(written)
-        with pytest.raises(FolderInUseError, match="is in use by another process: wait"), held(tmp_path):
-            pass
 
 
 def test_where_there_are_no_locks_that_is_said(
@@ -169,4 +153,3 @@ def test_where_there_are_no_locks_that_is_said(
     with held(tmp_path), held(tmp_path):
         pass
     assert capsys.readouterr().err.count(f"{tmp_path} cannot be locked") == 2
-    assert not storage._held

@@ -12,8 +12,9 @@ from typing import Any
 
 import pytest
 
-from agents.evaluation.returns import evaluate, find_policy
+from agents.evaluation.returns import evaluate
 from agents.files import FolderInUseError, held
+from agents.policies.registry import find_policy
 from agents.settings import EnvSettings
 from agents.sweeps import journal, trials
 from agents.sweeps.in_process import Finished, InThreads, InTurn, Trial, Work, nothing
@@ -150,7 +151,7 @@ def test_folders_are_not_shared_overwritten_or_continued_by_other_code(
         new_sweep(folder, {}, GRID)
     with pytest.raises(FileNotFoundError, match="is no sweep: it has no sweep.json"):
         read_sweep(tmp_path)
-    with held(folder), pytest.raises(FolderInUseError, match="is in use by process"):
+    with held(folder), pytest.raises(FolderInUseError, match="is in use"):
         carried_out(folder)
     known = journal.made_with()
     monkeypatch.setattr(journal, "made_with", lambda: {**known, "numpy": "1.0"})

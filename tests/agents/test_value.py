@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agents.evaluation import returns as evaluation
-from agents.evaluation.returns import evaluate, find_policy, shipped_names
+from agents.evaluation.returns import evaluate
+from agents.policies import registry
 from agents.policies.network import SHIPPED, Layer
 from agents.policies.observing import observations
 from agents.policies.planner import Planner
+from agents.policies.registry import find_policy, shipped_names
 from agents.policies.value import UNIT, Value, ValuedSearch, read_value, write_value
 from agents.settings import EnvSettings
 from jackbox_env import Scene
@@ -99,7 +100,7 @@ def test_the_planner_counts_the_value_where_one_was_made() -> None:
 def test_a_value_of_another_task_is_not_used_and_a_damaged_one_is_an_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(evaluation, "SHIPPED", tmp_path)
+    monkeypatch.setattr(registry, "SHIPPED", tmp_path)
     folder = tmp_path / "juggle-value"
     folder.mkdir()
     write_value(folder, EnvSettings(task="spin", contact="exact"), layers_for())

@@ -9,10 +9,11 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 import jackbox_env
-from jackbox_env import Drive, JackInBoxVectorEnv, JackLostError, Scene, planning
+from jackbox_env import Drive, JackInBoxVectorEnv, JackLostError, Scene
 from jackbox_env.batches import exact
 from jackbox_env.compiled.compiler import compiled_with
 from jackbox_env.env import JackInBoxEnv
+from jackbox_env.planning import rollouts
 from tests.batches.several import EVERY_MODEL, EVERY_SIZE, assert_same, play
 
 
@@ -124,5 +125,5 @@ def test_long_work_that_pauses_comes_to_the_same(monkeypatch: pytest.MonkeyPatch
 
     straight = run()
     monkeypatch.setattr(exact, "compiled", lambda function: compiled_with(function, PATIENCE=-1))
-    monkeypatch.setattr(planning, "compiled", lambda function: compiled_with(function, PATIENCE=3))
+    monkeypatch.setattr(rollouts, "compiled", lambda function: compiled_with(function, PATIENCE=3))
     assert_same(run(), straight)

@@ -59,14 +59,13 @@ def test_the_page_holds_every_stored_state_to_the_last_bit_and_nothing_from_else
         write_page(page, Scene(), trajectory, "a test", [])
 
 
-def test_a_page_of_very_many_impacts_or_steps_stays_small_and_says_so(tmp_path: Path) -> None:
+def test_a_page_of_very_many_impacts_lists_the_first_and_says_so(tmp_path: Path) -> None:
     scene = Scene(restitution=0.2, drive=None)
     trajectory = run(scene, 60.0, 0.005)
     page = write_page(tmp_path / "page.html", scene, trajectory, "a test", [])
-    assert page.stat().st_size < 2_000_000
     data = data_of(page)
-    assert len(data["notes"]) == 3
-    assert f"2,000 of {len(trajectory.impacts):,} " in data["notes"][1]
+    assert len(data["notes"]) == 2
+    assert f"2,000 of {len(trajectory.impacts):,} " in data["notes"][0]
     assert impacts_of(data) == trajectory.impacts
 
 

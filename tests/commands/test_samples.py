@@ -11,7 +11,7 @@ import pytest
 
 from jackbox_env import Chirp, Drive, Scene, make_simulator
 from jackbox_env.mechanics import gaps, impact_map
-from jackbox_env.recording.samples import MOST, SPACING, Samples, samples_of
+from jackbox_env.recording.samples import SPACING, Samples, samples_of
 from jackbox_env.recording.trajectory import Recording, Trajectory, simulate, write_csv
 from tests.states import load
 
@@ -109,16 +109,6 @@ def test_held_torques_are_shown_as_they_were_held() -> None:
     samples = samples_of(Scene(), recording.trajectory())
     np.testing.assert_allclose(samples.torques[1:], np.repeat(torques, 4), rtol=1e-15)
     np.testing.assert_allclose(samples.energies, samples.work, atol=1e-9)
-
-
-def test_a_long_trajectory_is_thinned_and_keeps_its_impacts() -> None:
-    scene = Scene()
-    trajectory = run(scene, 2.0, 1e-4, contact="exact")
-    samples = samples_of(scene, trajectory)
-    assert samples.every == 3
-    assert len(samples.times) < MOST + 10
-    assert len(at_impacts(samples)) == len(trajectory.impacts)
-    assert samples.work[-1] == pytest.approx(samples.energies[-1] - samples.energies[0], abs=1e-6)
 
 
 def test_an_early_end_without_a_step_is_one_sample(tmp_path: Path) -> None:

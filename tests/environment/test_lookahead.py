@@ -14,7 +14,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from jackbox_env import JackInBoxVectorEnv, JackLostError, Lookahead, LookaheadVector, Rollout, Scene, Task, rollout
 from jackbox_env.observation import observe, state_of
-from jackbox_env.planning.features import Futures
+from jackbox_env.planning.features import Features
 from jackbox_env.planning.sb3_wrappers import LookaheadVecEnv
 from jackbox_env.sb3 import make_sb3_vec_env
 from tests.states import inside
@@ -96,16 +96,16 @@ def test_a_plan_is_begun_anew_where_an_episode_starts(mode: AutoresetMode) -> No
         seen = env.step(np.zeros((2, 1)))[0]
     else:
         seen = env.reset(options={"reset_mask": np.array([True, True])})[0]
-    fresh = Futures("juggle", 0.02, hold=1, **SMALL)
+    fresh = Features("juggle", 0.02, hold=1, **SMALL)
     appended, _ = fresh.look([Scene()], seen[:, :10], fresh.begin(2))
     np.testing.assert_array_equal(seen[:, 10:], appended)
 
 
 def test_the_next_impact_is_that_of_a_rollout_without_torque() -> None:
     scene, rng = Scene(drive=None), np.random.default_rng(3)
-    futures = Futures("juggle", 0.02, samples=0, turns=0, pieces=16)
+    features = Features("juggle", 0.02, samples=0, turns=0, pieces=16)
     seen = np.stack([observe(scene, inside(scene, rng).tolist()) for _ in range(20)])
-    appended, _ = futures.look([scene], seen, futures.begin(20))
+    appended, _ = features.look([scene], seen, features.begin(20))
     struck = 0
     for row, found in zip(seen, appended, strict=True):
         played = rollout(scene, state_of(scene, row.tolist()), np.zeros(80), 0.02, impacts=True)
@@ -121,9 +121,9 @@ def test_the_next_impact_is_that_of_a_rollout_without_torque() -> None:
 
 @pytest.mark.parametrize("scene", [Scene(drive=None), Scene(box_half_width=2.0, jack_arm=0.5, drive=None)])
 def test_turns_stop_the_box_where_they_should(scene: Scene) -> None:
-    futures = Futures("juggle", 0.02, turns=5)
+    features = Features("juggle", 0.02, turns=5)
     state = np.array([0, 0, 0.3, 0, 0, 0, 0, 0, 0.4, 0, 0, 0.0])
-    torques = futures._turns([scene], state[None])[0, 1:4]  # the outermost are cut by the limit
+    torques = features._turns([scene], state[None])[0, 1:4]  # the outermost are cut by the limit
     repeated = np.repeat(torques, 5, axis=1) * scene.torque_limit
     ends = rollout(scene.changed(gravity=0.0), state, repeated, 0.02)[:, -1]
     np.testing.assert_allclose(ends[:, 8], 0.0, atol=1e-9)
@@ -134,10 +134,10 @@ def test_turns_stop_the_box_where_they_should(scene: Scene) -> None:
 def test_the_plan_earns_what_it_says() -> None:
     env = JackInBoxVectorEnv(4, contact="exact", autoreset_mode="SAME_STEP")
     seen, _ = env.reset(seed=2)
-    futures = Futures("juggle", 0.02, samples=16, num_threads=1)
-    appended, _ = futures.look([Scene()], seen, futures.begin(4))
-    turns = futures._turns([Scene()] * 4, env.states)
-    found, _ = futures._search.decide(Scene(drive=None), env.states, futures.begin(4), turns)
+    features = Features("juggle", 0.02, samples=16, num_threads=1)
+    appended, _ = features.look([Scene()], seen, features.begin(4))
+    turns = features._turns([Scene()] * 4, env.states)
+    found, _ = features._search.decide(Scene(drive=None), env.states, features.begin(4), turns)
     earned = np.zeros(4)
     for piece in range(32):
         for _ in range(5):

@@ -18,7 +18,7 @@ import pytest
 import jackbox_env
 from jackbox_env import JackInBoxEnv, JackInBoxVectorEnv, Scene, Task
 from jackbox_env.compiled import kept
-from jackbox_env.compiled.compiler import _cache_folders
+from jackbox_env.compiled.compiler import cache_folders
 from jackbox_env.scene import SceneNumbers
 from jackbox_env.scoring import CompiledScore, PlainScore
 from jackbox_env.simulators import CONTACT_MODELS
@@ -293,7 +293,7 @@ def test_functions_that_differ_only_in_what_they_hold_are_paid_apart() -> None:
 
 def test_nothing_of_a_users_task_is_kept_on_disk(monkeypatch: pytest.MonkeyPatch) -> None:
     written: list[str] = []
-    monkeypatch.setattr(kept, "_write", lambda path, content: written.append(path.name))
+    monkeypatch.setattr(kept.CodeCache, "save_overload", lambda self, *_: written.append(self._name))
     JackInBoxVectorEnv(2, contact="exact", task=Task(("a",), lambda scene, state, torque, impulse: (state[0],)))
     assert not [name for name in written if name.startswith("score")]
 
@@ -335,7 +335,7 @@ print(*[paid(globals()[name]() if name in globals() else name) for name in sys.a
 
 def test_a_later_process_is_never_paid_what_another_process_has_made_of_a_task(tmp_path: Path) -> None:
     paid_now(Task(("paid",), lambda scene, state, torque, impulse: (0.0,)))  # compiles the rest, which is kept
-    for folder in _cache_folders():
+    for folder in cache_folders():
         shutil.copytree(folder, tmp_path / folder.name, ignore=shutil.ignore_patterns("score*"))
     path = str(Path(jackbox_env.__file__).parents[1])
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": path}

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from jackbox_env.render.canvas import Canvas
+from jackbox_env.render import canvas, renderer
 from tests.rendering.pixels import Words
 
 
@@ -14,11 +14,11 @@ from tests.rendering.pixels import Words
 def words(monkeypatch: pytest.MonkeyPatch) -> Words:
     """Every string drawn, and the last place where it was drawn."""
     written: Words = {}
-    write = Canvas.text
+    write = canvas.write
 
-    def noting(self: Canvas, text: str, place: tuple[float, float], *rest: Any, **more: Any) -> None:
-        written[text] = place
-        write(self, text, place, *rest, **more)
+    def noting(surface: Any, text: str, place: complex, *rest: Any) -> None:
+        written[text] = place.real, place.imag
+        write(surface, text, place, *rest)
 
-    monkeypatch.setattr(Canvas, "text", noting)
+    monkeypatch.setattr(renderer, "write", noting)
     return written

@@ -115,7 +115,7 @@ def stepped(**settings):
 print(stepped(contact="pymunk"), stepped(contact="exact"), len(stepped(render_mode="rgb_array")))
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1] == "[] [] 3"
+    assert done.stdout.splitlines()[-1] == "[] [] 2"
 
 
 # -- the counters ------------------------------------------------------------------------------------------------------

@@ -9,7 +9,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from agents.evaluation.returns import evaluate, find_policy
+from agents.evaluation.returns import evaluate
+from agents.policies.registry import find_policy
 from agents.settings import EnvSettings
 from jackbox_env import JackInBoxVectorEnv, Lookahead, Scene
 from scripts.studies.results import ahead, attainable, chirps, results

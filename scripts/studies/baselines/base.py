@@ -24,7 +24,7 @@ class Baseline(ContactModel):
     an impact that is under way at the end of a step.
     """
 
-    _settings: ClassVar = ("substeps", "_played", "_under_way")
+    settings: ClassVar = ("substeps", "_played", "_under_way")
 
     def __init__(self, scene: Scene, substeps: int) -> None:
         """Start at rest in the middle of the box, each foot facing a corner.

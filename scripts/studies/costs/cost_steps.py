@@ -221,7 +221,6 @@ def batched(contact: str, given: Moments, seconds: float, **settings: Any) -> Ti
         **{"max_episode_steps": _NEVER, **settings},
     )  # fmt: skip
     env.reset(seed=0)
-    everyone, place = np.ones(count, dtype=np.bool_), env.unwrapped._place
     lap = [
         (given.states[:count, k].copy(), np.full(count, moment), given.actions[:count, k].copy())
         for k, moment in enumerate(given.times)
@@ -231,7 +230,7 @@ def batched(contact: str, given: Moments, seconds: float, **settings: Any) -> Ti
         passed, steps = 0.0, 0
         while passed <= seconds:
             for states, times, actions in lap:
-                place(everyone, states, times, anew=True)
+                env.unwrapped.set_states(states, times)
                 began = time.thread_time()
                 env.step(actions)
                 passed += time.thread_time() - began

@@ -8,7 +8,8 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from agents.evaluation.returns import evaluate, find_policy
+from agents.evaluation.returns import evaluate
+from agents.policies.registry import find_policy
 from agents.policies.scripted import LevelPolicy, Policy
 from agents.settings import DEMO, TrainSettings
 from agents.training.models import load_model

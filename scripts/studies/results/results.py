@@ -58,7 +58,8 @@ def measured(task: str, contact: str, name: str, episodes: int) -> dict[str, Any
     """One row: returns, the interquartile mean with its bootstrap interval, seconds for an episode."""
     from scipy.stats import bootstrap
 
-    from agents.evaluation.returns import evaluate, find_policy
+    from agents.evaluation.returns import evaluate
+    from agents.policies.registry import find_policy
     from agents.runs import machine, versions
     from scripts.studies.results.chirps import best_chirp
 

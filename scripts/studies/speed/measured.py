@@ -25,9 +25,10 @@ import pymunk
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from jackbox_env import Scene, Task, planning
+from jackbox_env import Scene, Task
 from jackbox_env.compiled.compiler import compiled, compiled_with
 from jackbox_env.compiled.rollouts import outside
+from jackbox_env.planning import rollouts
 from jackbox_env.tasks import sample_start
 from scripts.studies.speed.naive import first_of_all
 from scripts.studies.timing import Timed, repeat
@@ -257,7 +258,7 @@ def play(count: int = 1024) -> tuple[Array, NDArray[np.int64]]:
     scene, rng = Scene(), np.random.default_rng(0)
     starts = np.array([sample_start(scene, rng) for _ in range(count)])
     torques = rng.uniform(-scene.torque_limit, scene.torque_limit, (count, EPISODE))
-    played: Any = planning.rollout(scene, starts, torques, DT, impacts=True, num_threads=1)
+    played: Any = rollouts.rollout(scene, starts, torques, DT, impacts=True, num_threads=1)
     return played.trajectories, played.impacts
 
 
@@ -276,7 +277,7 @@ def rolled(
     torques = np.random.default_rng(0).uniform(-scene.torque_limit, scene.torque_limit, (count, steps))
 
     def block() -> int:
-        planning.rollout(scene, states, torques, DT, num_threads=threads)
+        rollouts.rollout(scene, states, torques, DT, num_threads=threads)
         return torques.size
 
     return repeat(block, seconds, clock=clock)
@@ -297,7 +298,7 @@ def struck(rate: int, seconds: float, steps: int = 25) -> Timed:
         while whole <= seconds:
             for box, sign in ((scene, 1.0), (wide, -1.0)):
                 began = time.process_time()
-                played: Any = planning.rollout(box, states, np.zeros(steps), DT, impacts=True, num_threads=1)
+                played: Any = rollouts.rollout(box, states, np.zeros(steps), DT, impacts=True, num_threads=1)
                 took = time.process_time() - began
                 impacts, passed, whole = impacts + int(played.impacts.sum()), passed + sign * took, whole + took
         return impacts / passed
@@ -309,7 +310,7 @@ def unguarded(run: Callable[[], T]) -> Callable[[], T]:
     """``run`` with rollouts that look for impacts at a step's end only, in place of the certified search."""
 
     def wrapped() -> T:
-        with patch.object(planning, "compiled", partial(compiled_with, first_of_all=first_of_all)):
+        with patch.object(rollouts, "compiled", partial(compiled_with, first_of_all=first_of_all)):
             return run()
 
     return wrapped

@@ -1,0 +1,74 @@
+"""All policies by name. A policy of your own is a file here and a line in ``POLICIES``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from agents.policies.network import SHIPPED, WEIGHTS, read_policy
+from agents.policies.one_bounce import LANDING, read_landing
+from agents.policies.planner import DECISION, VALUED_PIECES, Planner
+from agents.policies.scripted import Baseline, LevelPolicy, Policy, RandomPolicy, ZeroPolicy
+from agents.policies.value import VALUE, read_value
+from agents.settings import EnvSettings
+from agents.training.models import load_model
+from jackbox_env import Scene
+
+
+def _planner(settings: EnvSettings, scene: Scene, seed: int) -> Planner:
+    """The planner of an environment; its plans are shorter where a value was made for this very scene and task.
+
+    Raises:
+        FileNotFoundError, ValueError: the value that comes with the repository is damaged.
+    """
+    piece = max(1, round(DECISION / settings.control_dt))
+    given: dict[str, Any] = {"piece": piece, "seed": seed}
+    folder = SHIPPED / f"{settings.task}-value"
+    if folder.is_dir():
+        value = read_value(folder)
+        made = value.settings
+        made_for = made.task, made.control_dt, Scene.of(made.scene_fields).changed(drive=None)
+        if made_for == (settings.task, settings.control_dt, scene.changed(drive=None)):
+            given |= {"pieces": VALUED_PIECES, "value": value}
+    return Planner(scene, settings.task, settings.control_dt, **given)
+
+
+SCRIPTED: dict[str, Callable[[EnvSettings, Scene, int], Baseline]] = {  # of the environment, its scene, and a seed
+    "random": lambda _, scene, seed: Baseline(RandomPolicy(seed), {}),
+    "chirp": lambda *_: Baseline(ZeroPolicy(), {"torque": "chirp"}),
+    "zero": lambda *_: Baseline(ZeroPolicy(), {}),
+    "level": lambda _, scene, seed: Baseline(LevelPolicy(scene), {}),
+}
+POLICIES: dict[str, Callable[[EnvSettings, Scene, int], Baseline]] = {
+    **SCRIPTED,
+    "planner": lambda settings, scene, seed: Baseline(_planner(settings, scene, seed), {}),
+}
+
+
+def find_policy(name: str, settings: EnvSettings, seed: int = 0, trust: bool = False) -> Baseline:
+    """One of ``POLICIES`` or a policy that is shipped by its name, or a trained one by its run folder or file.
+
+    Raises:
+        FileNotFoundError: it is none of these.
+    """
+    if name in POLICIES:
+        return POLICIES[name](settings, Scene.of(settings.scene_fields), seed)
+    if name in shipped_names(settings.task):
+        return Baseline(_read(SHIPPED / f"{settings.task}-{name}"), {})
+    if not Path(name).exists():
+        known = ", ".join((*POLICIES, *shipped_names(settings.task)))
+        raise FileNotFoundError(f"a policy must be one of {known}, or a run folder or model file, got {name!r}")
+    if (Path(name) / WEIGHTS).is_file():
+        return Baseline(_read(Path(name)), {})
+    return Baseline(load_model(Path(name), trust), {})
+
+
+def _read(folder: Path) -> Policy:
+    return read_landing(folder) if (folder / LANDING).is_file() else read_policy(folder)
+
+
+def shipped_names(task: str) -> list[str]:
+    """Names of the trained policies for a task that come with the repository."""
+    folders = [path for path in SHIPPED.glob(f"{task}-*") if not (path / VALUE).is_file()]
+    return sorted(path.name.removeprefix(f"{task}-") for path in folders)
