@@ -49,22 +49,15 @@ def joined(parts: Mapping[str, Iterable[str]]) -> str:
     return "\n".join("\n".join([title, "", *lines, ""]) for title, lines in parts.items())
 
 
-def bars(path: Path, what: str, rows: Mapping[str, Mapping[str, float]], log: bool = False) -> None:
-    """Draw a bar for each row, of parts set end to end, and write the whole beside it; one part needs no legend."""
+def bars(path: Path, what: str, rows: Mapping[str, float], log: bool = False) -> None:
+    """Draw a bar for each row, and write its value beside it."""
     from matplotlib.figure import Figure
 
-    drawn, parts = Figure(figsize=(7.0, 1.0 + 0.36 * len(rows)), layout="constrained"), list(next(iter(rows.values())))
-    axes, names = drawn.subplots(), list(rows)
-    for number, part in enumerate(parts):
-        before = [sum(list(row.values())[:number]) for row in rows.values()]
-        axes.barh(names, [row[part] for row in rows.values()], left=before, label=part.replace("`", ""))
-    for name, row in rows.items():
-        axes.annotate(f" {rough(sum(row.values()))}", (sum(row.values()), name), va="center")
+    drawn = Figure(figsize=(7.0, 1.0 + 0.36 * len(rows)), layout="constrained")
+    axes = drawn.subplots()
+    axes.bar_label(axes.barh([name.replace("`", "") for name in rows], list(rows.values())), fmt=rough, padding=3)
     axes.set(xlabel=what, xscale="log" if log else "linear")
     axes.margins(x=0.15)
     axes.invert_yaxis()
     axes.spines[["top", "right"]].set_visible(False)
-    if len(parts) > 1:
-        drawn.set_figheight(drawn.get_figheight() + 0.15 * len(parts))
-        drawn.legend(loc="outside lower center", ncols=2, frameon=False)
     drawn.savefig(path, dpi=110)
