@@ -17,7 +17,7 @@ from scripts.studies import pages, timing
 from scripts.studies.costs import costs
 from scripts.studies.costs import measured as cost_steps
 from scripts.studies.results import page as results
-from scripts.studies.scaling import page as scaling
+from scripts.studies.scaling import scaling
 from scripts.studies.speed import measured
 from scripts.studies.speed import page as speed
 
@@ -31,7 +31,7 @@ def stored(name: str) -> Any:
 PAGES: dict[str, Callable[[], str]] = {
     "speed": lambda: speed.page(stored("speed"), "speed.png"),
     "costs": lambda: costs.page(stored("costs")),
-    "scaling": lambda: scaling.page(stored("scaling")),
+    "scaling": lambda: scaling.page((DOCS / "scaling.md").read_text(), stored("scaling")),
     "results": lambda: results.page(stored("results")),
 }
 
@@ -143,10 +143,3 @@ def test_each_step_with_loss_is_what_its_row_says(kind: str) -> None:
         assert len(simulator.impacts) == hits
         held = {hit.foot for hit in simulator.impacts if hit.time == simulator.time}
         assert len(held) == (2 if rests else 0) or kind in (cost_steps.PILE, cost_steps.CORNER)
-
-
-def test_short_trials_are_limited_by_handing_out_and_long_ones_by_cores() -> None:
-    found = {"empty": {"2 workers": {"own": 0.003}}, "journal": 0.002}
-    assert scaling.most_cores(found, 1.0) == pytest.approx(200.0)
-    assert scaling.at_once(found, 0.1, 2000) == pytest.approx(200.0)
-    assert scaling.at_once(found, 100.0, 200) == pytest.approx(2.0)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -129,7 +129,7 @@ def _lying(x: float, omega: float) -> Array:
     return np.array([0.0, 0.0, 0.0, x, y, math.pi / 4.0, 0.0, 0.0, omega, -omega * y, omega * x, omega])
 
 
-def timed(lap: list[tuple[Callable[[], Any], Callable[[], Any]]], steps: int, seconds: float) -> Timed:
+def timed(lap: Sequence[tuple[Callable[[], Any], Callable[[], Any]]], steps: int, seconds: float) -> Timed:
     """Steps per second of the second call of each pair, after the first, which is not timed; a pair makes ``steps``."""
     clock = time.thread_time
     reading = min(-clock() + clock() for _ in range(1000))  # takes this time itself [s]
