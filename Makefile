@@ -12,7 +12,7 @@ UNDER_OLD_GYMNASIUM := $(addprefix tests/,environment/test_env.py environment/te
 	environment/test_tools.py batches/test_vector_env.py batches/test_episodes.py \
 	guarantees/test_bits.py refusals/test_refusals.py)
 
-.PHONY: demo test test-all test-slow benchmark benchmark-loss benchmark-quick throughput speed costs costs-loss soak extremes machines kills interruptions mutants fidelity results networks scaling readme docs recipes clean
+.PHONY: demo test test-all test-slow benchmark benchmark-quick throughput speed costs soak extremes machines kills interruptions mutants fidelity results networks scaling readme docs recipes clean
 .DELETE_ON_ERROR:
 
 demo: .venv/usable
@@ -38,10 +38,6 @@ test-slow: .venv/ready $(OLD_GYMNASIUM)/ready
 benchmark: .venv/ready
 	@$(BIN)/python scripts/studies/accuracy/benchmark.py --out docs
 
-# Only the trajectories with loss, a minute; the rest of docs/accuracy.md stays.
-benchmark-loss: .venv/ready
-	@$(BIN)/python scripts/studies/accuracy/benchmark.py --page-from docs/accuracy/results.json --loss
-
 benchmark-quick: .venv/ready
 	@$(BIN)/python scripts/studies/accuracy/benchmark.py --quick --no-progress
 
@@ -54,10 +50,6 @@ speed: .venv/ready
 
 costs: .venv/ready
 	@$(BIN)/python scripts/studies/costs/costs.py
-
-# Only the steps with loss, a few minutes; the rest of docs/costs.md stays.
-costs-loss: .venv/ready
-	@$(BIN)/python scripts/studies/costs/costs.py --loss
 
 # Random cases for hours, others in each round of some 40 minutes, until an invariant does not hold.
 soak: .venv/ready

@@ -6,12 +6,10 @@ carried on by the same command. ``docs/archive/learning.md`` shows what an earli
 
 from __future__ import annotations
 
-import csv
 import os
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 os.environ["OMP_NUM_THREADS"] = "1"  # before numpy is there: one thread for each trial
 
@@ -19,9 +17,7 @@ from agents.settings import TaskName
 from jackbox_env import FIDELITIES
 from jackbox_env import _validation as check
 from jackbox_env.commands.common import command_line, json_object, tyro
-
-if TYPE_CHECKING:
-    from agents.sweeps.in_process import Trial
+from scripts.studies import pages
 
 
 @dataclass(frozen=True)
@@ -57,52 +53,33 @@ def table(rows: list[tuple[str, str, float]]) -> str:
     from agents.evaluation.returns import Returns
 
     names = list(dict.fromkeys(trained for trained, _, _ in rows))
-    lines = [f"| trained on \\ run on | {' | '.join(names)} |", f"| --- {'| ---: ' * len(names)}|"]
+    lines = []
     for one in names:
         found = [Returns("", tuple(mean for *pair, mean in rows if pair == [one, other])) for other in names]
-        lines.append(f"| {one} | {' | '.join(f'{cell.mean:.1f} ± {cell.half_width:.1f}' for cell in found)} |")
-    return "\n".join(lines)
-
-
-def swept(folder: Path, arguments: Arguments, trials: list[Trial]) -> Path:
-    """Run what has not finished of a sweep's trials, and return its table.
-
-    Raises:
-        RuntimeError: some trials failed.
-        ValueError: the folder's sweep was begun with other arguments or other code.
-    """
-    from agents.sweeps.journal import TABLE, carry_out, new_sweep, read_sweep
-    from agents.sweeps.on_ray import runner_for
-    from agents.sweeps.trials import check_trial, run_trial
-
-    if not folder.exists():
-        new_sweep(folder, {}, trials)
-    elif [trial.key for trial in read_sweep(folder, check_trial)[1]] != [trial.key for trial in trials]:
-        raise ValueError(f"{folder} was begun with other arguments: choose another folder")
-    runner = runner_for(arguments.workers, None)
-    outcome = carry_out(folder, trials, partial(run_trial, folder.resolve()), runner, arguments.progress)
-    if outcome.failed:
-        raise RuntimeError(f"{len(outcome.failed)} of {len(trials)} trials failed: {folder / TABLE} says which")
-    return folder / TABLE
+        lines.append([one, *(f"{cell.mean:.1f} ± {cell.half_width:.1f}" for cell in found)])
+    return pages.table(["trained on \\ run on", *names], lines)
 
 
 @command_line
 def main() -> None:
     """Parse, train, run, print the table."""
     arguments = tyro.cli(Arguments, description=__doc__)
-    from agents.sweeps.trials import RUNS, environments, policy_trials, training_trials
+    from agents.sweeps.on_ray import runner_for
+    from agents.sweeps.trials import RUNS, environments, policy_trials, run_trial, training_trials
+    from scripts.studies.sweeping import swept
 
     check.known_keys("fidelities", arguments.fidelities, list(FIDELITIES))
     grid = environments((arguments.task,), arguments.fidelities, (arguments.scene,))
     varied = {name: [value] for name, value in json_object("train", arguments.train).items()}
     trainings = training_trials(varied, grid, arguments.seeds, arguments.episodes)
-    runs = swept(arguments.folder / "trainings", arguments, trainings).resolve().parent / RUNS
-    trained_on = {str(runs / trial.key): trial.settings["fidelity"] for trial in trainings}
+    runner, folder = runner_for(arguments.workers, None), arguments.folder.resolve()
+    first, second = folder / "trainings", folder / "returns"
+    swept(first, trainings, partial(run_trial, first), runner, arguments.progress)
+    trained_on = {str(first / RUNS / trial.key): trial.settings["fidelity"] for trial in trainings}
     evaluations = policy_trials(tuple(trained_on), grid, 1, arguments.episodes)
-    with swept(arguments.folder / "returns", arguments, evaluations).open() as file:
-        rows = list(csv.DictReader(file))
+    rows = swept(second, evaluations, partial(run_trial, second), runner, arguments.progress)
     print(table([(trained_on[row["policy"]], row["fidelity"], float(row["mean"])) for row in rows]))
-    print(f"Every model: {arguments.folder / 'returns'}")
+    print(f"Every model: {second}")
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from typing import Any
 from jackbox_env.commands.common import command_line
 from jackbox_env.env import JackInBoxEnv
 from jackbox_env.tasks import TASKS
+from scripts.studies.pages import fill
 
 ROOT = Path(__file__).parents[2]
 SWEEP = ROOT / "docs" / "accuracy"
@@ -27,18 +28,6 @@ class Arguments:
 
     picture: bool = True
     """Film the picture anew."""
-
-
-def fill(page: str, mark: str, text: str) -> str:
-    """Replace what stands between ``<!-- mark -->`` and ``<!-- /mark -->``.
-
-    Raises:
-        ValueError: the page has no such marks.
-    """
-    pattern = re.compile(rf"(<!-- {mark} -->\n).*?(<!-- /{mark} -->)", re.DOTALL)
-    if not pattern.search(page):
-        raise ValueError(f"the page has no place marked {mark}")
-    return pattern.sub(lambda match: f"{match[1]}{text}\n{match[2]}", page)
 
 
 def returns_table(record: dict[str, Any]) -> str:
@@ -75,8 +64,8 @@ def take_picture() -> None:
 
 def filled(page: str) -> str:
     """The README with its tables as the stored results give them."""
-    from scripts.studies.accuracy.page import fidelity_table
-    from scripts.studies.accuracy.results import Results
+    from scripts.studies.accuracy.benchmark import fidelity_table
+    from scripts.studies.accuracy.measured import Results
     from scripts.studies.speed import page as speed
 
     page = fill(page, "fidelity", fidelity_table(Results.load(SWEEP)))

@@ -1,10 +1,9 @@
-"""Timing in interleaved rounds, and the words and bars in which a page tells what was found."""
+"""Timing in interleaved rounds, and the machine that it is done on."""
 
 from __future__ import annotations
 
 import contextlib
 import os
-import statistics
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -90,48 +89,3 @@ def measured_with(packages: Iterable[str]) -> str:
     from agents.runs import machine, versions
 
     return f"{machine()}; " + ", ".join(f"{name} {version}" for name, version in versions(tuple(packages)).items())
-
-
-# -- words and bars ----------------------------------------------------------------------------------------------------
-
-
-def figure(value: float) -> str:
-    """A number with three digits, or all before the point."""
-    return f"{value:,.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
-
-
-def rough(value: float) -> str:
-    """A number for a sentence, rounded to three digits."""
-    return figure(float(f"{value:.3g}"))
-
-
-def cells(values: Sequence[float]) -> str:
-    """Median, smallest and largest, as two cells of a table; nothing in the second where there is one value only."""
-    extremes = f"{figure(min(values))} to {figure(max(values))}" if len(values) > 1 else ""
-    return f"{figure(statistics.median(values))} | {extremes}"
-
-
-def joined(parts: Mapping[str, Iterable[str]]) -> str:
-    """A page of titled parts."""
-    return "\n".join("\n".join([title, "", *lines, ""]) for title, lines in parts.items())
-
-
-def bars(path: Path, what: str, rows: Mapping[str, Mapping[str, float]], log: bool = False) -> None:
-    """Draw a bar for each row, of parts set end to end, and write the whole beside it; one part needs no legend."""
-    from matplotlib.figure import Figure
-
-    drawn, parts = Figure(figsize=(7.0, 1.0 + 0.36 * len(rows)), layout="constrained"), list(next(iter(rows.values())))
-    axes, names = drawn.subplots(), list(rows)
-    for number, part in enumerate(parts):
-        before = [sum(list(row.values())[:number]) for row in rows.values()]
-        axes.barh(names, [row[part] for row in rows.values()], left=before, label=part.replace("`", ""))
-    for name, row in rows.items():
-        axes.annotate(f" {rough(sum(row.values()))}", (sum(row.values()), name), va="center")
-    axes.set(xlabel=what, xscale="log" if log else "linear")
-    axes.margins(x=0.15)
-    axes.invert_yaxis()
-    axes.spines[["top", "right"]].set_visible(False)
-    if len(parts) > 1:
-        drawn.set_figheight(drawn.get_figheight() + 0.15 * len(parts))
-        drawn.legend(loc="outside lower center", ncols=2, frameon=False)
-    drawn.savefig(path, dpi=110)

@@ -13,56 +13,56 @@ import numpy as np
 import pytest
 
 from jackbox_env import JackInBoxEnv
-from scripts.studies.accuracy import benchmark, cases, claims, page, pictures, results, settings, sweep
+from scripts.studies.accuracy import benchmark, measured
 
 ROOT = Path(__file__).parents[2]
-STORED = ROOT / "docs" / sweep.BESIDE
+STORED = ROOT / "docs" / benchmark.BESIDE
 
 
 @pytest.fixture(scope="module")
-def stored() -> results.Results:
-    return results.Results.load(STORED)
+def stored() -> measured.Results:
+    return measured.Results.load(STORED)
 
 
 # -- statistics --------------------------------------------------------------------------------------------------------
 
 
 def test_medians_worst_means_and_totals_of_known_numbers() -> None:
-    assert results.summed_up([3.0, 1.0, math.nan, 2.0]) == {"n": 3, "median": 2.0, "worst": 3.0}
-    assert results.summed_up([3.0, 1.0, 2.0], results.LEAST) == {"n": 3, "median": 2.0, "worst": 1.0}
-    assert results.summed_up([math.nan]) == {"n": 0}
-    assert results.summed_up([1.0, 4.0], results.TOTAL) == {"n": 2, "total": 5.0}
+    assert measured.summed_up([3.0, 1.0, math.nan, 2.0]) == {"n": 3, "median": 2.0, "worst": 3.0}
+    assert measured.summed_up([3.0, 1.0, 2.0], measured.LEAST) == {"n": 3, "median": 2.0, "worst": 1.0}
+    assert measured.summed_up([math.nan]) == {"n": 0}
+    assert measured.summed_up([1.0, 4.0], measured.TOTAL) == {"n": 2, "total": 5.0}
     # 1, 2, 3: standard deviation 1; Student's t for 2 degrees of freedom, two sides of 95 %: 4.3027
-    found = results.summed_up([1.0, 2.0, 3.0, math.nan], results.MEAN)
+    found = measured.summed_up([1.0, 2.0, 3.0, math.nan], measured.MEAN)
     assert found == pytest.approx({"n": 3, "mean": 2.0, "half_width": 4.3026527 / math.sqrt(3.0)})
-    assert results.summed_up([5.0], results.MEAN)["half_width"] == math.inf
+    assert measured.summed_up([5.0], measured.MEAN)["half_width"] == math.inf
 
 
 @pytest.mark.parametrize("order", [0.5, 1.0, 2.0])
 def test_a_planted_order_of_convergence_is_found_within_its_interval(order: float) -> None:
     rng = np.random.default_rng(0)
     steps = [0.02 / 2**number for number in range(9)]
-    found, low, high = results.order_of(steps, [3.0 * h**order * math.exp(0.1 * rng.normal()) for h in steps])
+    found, low, high = measured.order_of(steps, [3.0 * h**order * math.exp(0.1 * rng.normal()) for h in steps])
     assert found == pytest.approx(order, abs=0.08)
     assert low < order < high
     assert high - low < 0.2
 
 
-def test_what_is_stored_comes_back(stored: results.Results, tmp_path: Path) -> None:
+def test_what_is_stored_comes_back(stored: measured.Results, tmp_path: Path) -> None:
     stored.save(tmp_path)
-    for name in (results.TABLE, results.ABOUT):
+    for name in (measured.TABLE, measured.ABOUT):
         assert (tmp_path / name).read_bytes() == (STORED / name).read_bytes()
     assert stored.of("usual way, RK4 at 0.01 s", "local").worst == math.inf
-    assert stored.of(settings.EXACT, "first_1").kind == cases.DIGITS
-    assert stored.of(settings.EXACT, "depth").kind == results.ALL
+    assert stored.of(measured.EXACT, "first_1").kind == measured.DIGITS
+    assert stored.of(measured.EXACT, "depth").kind == measured.ALL
 
 
 # -- claims ------------------------------------------------------------------------------------------------------------
 
 
-def test_claims_hold_in_the_stored_results_and_each_fails_where_it_is_broken(stored: results.Results) -> None:
-    assert [claim.what for claim in claims.claims(stored) if not claim.holds] == []
-    exact, coarse, digits, seeds = settings.EXACT, settings.pymunk(2).name, cases.DIGITS, results.ALL
+def test_claims_hold_in_the_stored_results_and_each_fails_where_it_is_broken(stored: measured.Results) -> None:
+    assert [claim.what for claim in benchmark.claims(stored) if not claim.holds] == []
+    exact, coarse, digits, seeds = measured.EXACT, measured.pymunk(2).name, measured.DIGITS, measured.ALL
     breakages: list[tuple[str, str, str, dict[str, Any]]] = [
         (exact, digits, "first_1", {"worst": 1e-10}),
         (exact, digits, "first_1", {"n": 9}),
@@ -70,49 +70,48 @@ def test_claims_hold_in_the_stored_results_and_each_fails_where_it_is_broken(sto
         (exact, digits, "first_5", {"worst": math.nan, "n": 0}),
         (exact, digits, "lacking", {"worst": 1.0}),
         (exact, digits, "flight", {"worst": 1e-9}),
-        (exact, cases.LOSS, "first_1", {"worst": 1e-10}),
-        (exact, cases.LOSS, "first_1", {"n": 9}),
-        (exact, cases.LOSS, "lacking", {"worst": 1.0}),
+        (exact, measured.LOSS, "first_1", {"worst": 1e-10}),
+        (exact, measured.LOSS, "first_1", {"n": 9}),
+        (exact, measured.LOSS, "lacking", {"worst": 1.0}),
         (exact, seeds, "depth", {"worst": 1e-6}),
         (coarse, seeds, "first_1", {"worst": 0.011}),
         (coarse, seeds, "wrong", {"total": 1.0}),
         (coarse, seeds, "escaped", {"total": 1.0}),
-        (settings.pymunk(256).name, seeds, "first_1", {"median": 1e-9}),
+        (measured.pymunk(256).name, seeds, "first_1", {"median": 1e-9}),
     ]
     broken = set()
     for *key, change in breakages:
         rows = dict(stored.rows)
         rows[key[0], key[1], key[2]] = rows[key[0], key[1], key[2]]._replace(**change)
-        failed = [claim.what for claim in claims.claims(results.Results(rows.values(), {})) if not claim.holds]
+        failed = [claim.what for claim in benchmark.claims(measured.Results(rows.values(), {})) if not claim.holds]
         assert len(failed) == 1
         broken.update(failed)
-    assert broken == {claim.what for claim in claims.claims(stored)}
+    assert broken == {claim.what for claim in benchmark.claims(stored)}
 
 
 # -- the page ----------------------------------------------------------------------------------------------------------
 
 
 def test_the_page_is_written_again_from_the_stored_results(
-    stored: results.Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    stored: measured.Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (tmp_path / sweep.BESIDE).mkdir()
-    for name in (results.TABLE, results.ABOUT):
-        shutil.copy(STORED / name, tmp_path / sweep.BESIDE)
-    monkeypatch.setattr(sys, "argv", ["benchmark.py", "--page-from", str(tmp_path / sweep.BESIDE / results.ABOUT)])
+    (tmp_path / benchmark.BESIDE).mkdir()
+    for name in (measured.TABLE, measured.ABOUT):
+        shutil.copy(STORED / name, tmp_path / benchmark.BESIDE)
+    monkeypatch.setattr(sys, "argv", ["benchmark.py", "--page-from", str(tmp_path / benchmark.BESIDE / measured.ABOUT)])
     benchmark.main()
     again = "python scripts/studies/accuracy/benchmark.py --page-from docs/accuracy/results.json"
-    assert (tmp_path / sweep.PAGE).read_text() == (ROOT / "docs" / sweep.PAGE).read_text(), again
-    for picture in (pictures.PICTURE, pictures.WITH_LOSS):
-        assert (tmp_path / sweep.BESIDE / picture).read_bytes().startswith(b"\x89PNG")
-    interactive = (tmp_path / sweep.BESIDE / pictures.INTERACTIVE).read_text()
+    assert (tmp_path / benchmark.PAGE).read_text() == (ROOT / "docs" / benchmark.PAGE).read_text(), again
+    assert (tmp_path / benchmark.BESIDE / benchmark.PICTURE).read_bytes().startswith(b"\x89PNG")
+    interactive = (tmp_path / benchmark.BESIDE / benchmark.INTERACTIVE).read_text()
     assert all(name in interactive for name in stored.settings)
     assert not re.search(r"<(script|link)[^>]+(src|href)=", interactive)  # it needs nothing from elsewhere
 
 
-def test_the_sweep_shown_is_a_full_one_and_the_environments_docstring_holds_its_table(stored: results.Results) -> None:
+def test_the_sweep_shown_is_a_full_one_and_the_environments_docstring_holds_its_table(stored: measured.Results) -> None:
     assert stored.about["quick"] is False
-    assert set(stored.settings) >= {setting.name for setting in settings.settings(quick=False)}
+    assert set(stored.settings) >= {setting.name for setting in measured.settings(quick=False)}
     docstring = JackInBoxEnv.__doc__ or ""
-    for line in page.fidelity_table(stored).splitlines():
+    for line in benchmark.fidelity_table(stored).splitlines():
         assert line in docstring, "copy the table of docs/accuracy.md into JackInBoxEnv's docstring"
-    assert f" {stored.of(page.DEFAULT, 'depth').n} seeded scenes" in " ".join(docstring.split())
+    assert f" {stored.of(measured.DEFAULT, 'depth').n} seeded scenes" in " ".join(docstring.split())

@@ -41,7 +41,8 @@ def test_the_table_has_means_and_intervals_over_the_trainings() -> None:
     rows = [("fine", "fine", 1.0), ("fine", "exact", 5.0), ("exact", "fine", 7.0), ("exact", "exact", 9.0)]
     rows += [(one, other, mean + 2.0) for one, other, mean in rows]
     # Two trainings 2 apart: a standard error of 1, and Student's t for one degree of freedom is 12.706.
-    assert fidelity.table(rows).splitlines()[2:] == [
-        "| fine | 2.0 ± 12.7 | 6.0 ± 12.7 |",
-        "| exact | 8.0 ± 12.7 | 10.0 ± 12.7 |",
+    cells = [line.split("|")[2:4] for line in fidelity.table(rows).splitlines()[2:]]
+    assert [[cell.strip() for cell in line] for line in cells] == [
+        ["2.0 ± 12.7", "6.0 ± 12.7"],
+        ["8.0 ± 12.7", "10.0 ± 12.7"],
     ]

@@ -2,15 +2,44 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, NamedTuple
 
 from jackbox_env.commands.common import command_line
+from jackbox_env.recording.files import check_writable, replacing, stamped, write_text
+from jackbox_env.simulators.fidelity import FIDELITIES
+from scripts.studies.accuracy.measured import (
+    ALL,
+    BATCH,
+    DEFAULT,
+    DIGITS,
+    DT,
+    EXACT,
+    KINDS,
+    LOSS,
+    NAIVE,
+    PREDICTABLE,
+    PYMUNK,
+    SUBSTEPS,
+    USUAL,
+    Results,
+    Row,
+    named,
+    of_fidelity,
+    pymunk,
+    run,
+)
+from scripts.studies.pages import table
+
+PAGE, BESIDE, PICTURE, INTERACTIVE = "accuracy.md", "accuracy", "work_precision.png", "work_precision.html"
+LATER = " These trajectories were measured later, at commit {}; the rest of this page is older."
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """Sweep; the same command continues an interrupted sweep."""
+    """Sweep, or write the page again."""
 
     quick: bool = False
     """Two minutes: fewer settings, cases and rounds."""
@@ -21,19 +50,338 @@ class Arguments:
     seconds: float = 0.3
     """Time per measurement of cost [s]."""
     folder: Path | None = None
-    """Run folder to make or to continue in; None: an unfinished one of the same sweep in runs/, or a new one."""
+    """Run folder to make, or of an interrupted sweep to go on with; None: runs/benchmark-<date>-<time>."""
     page_from: Path | None = None
     """Do not sweep: write page and pictures again from this results.json and the results.csv beside it."""
-    loss: bool = False
-    """With --page-from: measure the trajectories with loss anew, and nothing else."""
     workers: int | None = None
     """Settings measured side by side with Ray on this machine; None: one after the other. Costs are measured alone."""
     address: str | None = None
     """With Ray on a cluster: the address of its head, or auto on one of its machines."""
     out: Path | None = None
-    """Folder for one more copy of the page, with its files beside it in accuracy/, e.g. docs."""
+    """Folder of the page, with its files beside it in accuracy/, e.g. docs; None: the run folder."""
     progress: bool = True
     """Show progress bars."""
+
+
+class Claim(NamedTuple):
+    """Something that must hold in every sweep, however short."""
+
+    what: str
+    seen: str
+    holds: bool
+
+
+def claims(results: Results) -> list[Claim]:
+    """All claims; the command fails where one does not hold."""
+    first, fifth, flight, right, lacking, depth = (
+        results.of(EXACT, name, DIGITS) for name in ("first_1", "first_5", "flight", "prefix", "lacking", "depth")
+    )
+    lossy_first, lossy_right, lossy_lacking = (
+        results.of(EXACT, name, LOSS) for name in ("first_1", "prefix", "lacking")
+    )
+    deep = max(depth.worst, results.of(EXACT, "depth", ALL).worst)
+    swept = {key[0]: row.substeps or 1 for key, row in results.rows.items() if row.family == PYMUNK}
+    late = max(results.of(name, "first_1").worst * substeps / DT for name, substeps in swept.items())
+    wrong, lost = (sum(results.of(name, it, ALL).total for name in (EXACT, *swept)) for it in ("wrong", "escaped"))
+    order = results.order("first_1")
+    right_time = first.worst <= 1e-12 and first.n == right.n
+    return [
+        Claim(
+            "exact: the first impact of every 60-digit trajectory is right to 1e-12 s", _worst(first, "s"), right_time
+        ),
+        Claim("exact: the first 5 impacts are right to 1e-11 s", _worst(fifth, "s"), fifth.worst <= 1e-11),
+        Claim(
+            f"exact: the first {PREDICTABLE} impacts of each, or all it has, have the right wall and foot",
+            f"{lacking.worst:g} lacking, n = {lacking.n}",
+            lacking.worst <= 0,
+        ),
+        Claim(
+            "exact: with loss the first impact of every 60-digit trajectory is right to 1e-12 s",
+            _worst(lossy_first, "s"),
+            lossy_first.worst <= 1e-12 and lossy_first.n == lossy_right.n,
+        ),
+        Claim(
+            "exact: with loss every impact has the right wall and foot",
+            f"{lossy_lacking.worst:g} lacking, n = {lossy_lacking.n}",
+            lossy_lacking.worst <= 0,
+        ),
+        Claim("exact: flight is right to 1e-13 m", _worst(flight, "m"), flight.worst <= 1e-13),
+        Claim("exact: no foot is deeper in a wall than 1e-9 m", f"{deep:.1e} m", deep <= 1e-9),
+        Claim(
+            "pymunk: the first impact is the right one, and late by at most one substep",
+            f"{wrong:g} wrong, {late:.3f} substeps",
+            wrong == 0 and late <= 1.0 + 1e-6,
+        ),
+        Claim(
+            "pymunk: the time of the first impact is of first order in the substep",
+            "{:.2f} ({:.2f} to {:.2f})".format(*order),
+            0.8 <= order[0] <= 1.2,
+        ),
+        Claim("exact and pymunk lose no jack", f"{lost:g} lost", lost == 0),
+    ]
+
+
+def _worst(row: Row, unit: str) -> str:
+    return f"{row.worst:.1e} {unit}, n = {row.n}"
+
+
+# -- the page ----------------------------------------------------------------------------------------------------------
+
+_ENGINES = [named(engine, n) for engine in ("box2d", "mujoco") for n in (4, 64)]
+TABLED = (EXACT, *(pymunk(n).name for n in (2, 4, 16, 64)), USUAL, *_ENGINES)
+COLUMNS = {
+    "impacts": {
+        "µs per simulated s": "cost", "first impact [s]": "first_1", "first 3 [s]": "first_3", "first 5 [s]": "first_5",
+        "right impacts": "prefix",
+    },
+    "motion": {
+        "flight [m]": "flight", "restart [m]": "local", "energy": "imbalance", "deepest [m]": "depth",
+        "lost": "escaped", "missed": "missed", "extra": "extra",
+    },
+    "loss": {
+        "first impact [s]": "first_1", "first 3 [s]": "first_3", "restart [m]": "local", "right impacts": "prefix",
+        "deepest [m]": "depth", "missed": "missed", "extra": "extra",
+    },
+    "long_run": {
+        "impacts per s": "rate", "mean speed [m/s]": "speed", "90 % of the time below [m/s]": "fast",
+        "mean impulse [N s]": "impulse",
+    },
+}  # fmt: skip
+
+
+def figure(value: float) -> str:
+    """A number for a table: two digits, as a power of ten where it is small; a dash for none."""
+    if not math.isfinite(value):
+        return "-" if math.isnan(value) else "lost"
+    if abs(value) >= 100.0:
+        return f"{value:,.0f}"
+    return f"{float(f'{value:.2g}'):g}" if value == 0.0 or abs(value) >= 1e-3 else f"{value:.1e}"
+
+
+def page(results: Results) -> str:
+    """The whole page; its files are beside it in accuracy/."""
+    fields = _words(results) | _tables(results) | {"fidelity_table": fidelity_table(results)}
+    return (Path(__file__).parent / "page.md").read_text().format(**fields)
+
+
+def fidelity_table(results: Results) -> str:
+    """What the environment's docstring and README hold; tests compare them."""
+    rows = []
+    for name, (contact, substeps) in FIDELITIES.items():
+        first, depth, right, cost = results.some(of_fidelity(name), "first_1", "depth", "prefix", "cost_over_default")
+        late, deep = f"{figure(first.median)}, {figure(first.worst)} s", f"{figure(max(0.0, depth.worst))} m"
+        stands = f"{contact}, {substeps} substeps" if substeps else contact
+        rows.append((f'`"{name}"`', stands, late, deep, f"{right.median:g}", figure(1.0 / cost.median)))
+    heads = ("`fidelity`", "stands for", "first impact late by", "deepest in a wall", "right impacts", "speed")
+    return table(heads, rows)
+
+
+# -- words -------------------------------------------------------------------------------------------------------------
+
+
+def _words(results: Results) -> dict[str, Any]:
+    about, single = results.about, pymunk(4, 1).name
+    wrong, lost = results.some(USUAL, "imbalance", "escaped")
+    alone, batch = results.of(EXACT, "cost").median, results.of(BATCH, "cost").median
+    return {name: _of_setting(results, of_fidelity(name)) for name in FIDELITIES} | {
+        "many": _times(alone / batch / results.of(EXACT, "cost_over_default").median),
+        "within": _within(results),
+        "usual_energy": figure(wrong.median),
+        "usual_lost": f"{lost.total:g} of {lost.n}",
+        "halving": f"{2.0 ** results.order('first_1')[0]:.1f}",
+        "orders": ["{:.2f} ({:.2f} to {:.2f})".format(*results.order(quantity)) for quantity in ("first_1", "depth")],
+        "single_cost": _percent(results.of(single, "cost_over_default").median),
+        "single_energy": _percent(results.of(single, "imbalance").worst),
+        "runs": results.of(DEFAULT, "depth").n,
+        "sure": f"{results.of(DEFAULT, 'sure').median:g}",
+        "expected": [f"{results.of(name, 'expected').total:,.0f}" for name in (DEFAULT, EXACT)],
+        "known": results.of(EXACT, "flight").n,
+        "kinds": ", ".join(KINDS),
+        "lossy": results.of(EXACT, "depth", LOSS).n,
+        "lossy_sure": f"{results.of(EXACT, 'expected', LOSS).total:g}",
+        "loss_from": "" if "loss" not in about else LATER.format(about["loss"]["versions"]["commit"]),
+        "about": about,
+        "busy": _percent(about["busy"]),
+        "versions": ", ".join(f"{name} {version}" for name, version in about["versions"].items()),
+        "missing": "".join(f" {name}: {sentence}." for name, sentence in about["missing"].items()),
+    }
+
+
+def _of_setting(results: Results, setting: str) -> dict[str, str]:
+    first, depth, cost = results.some(setting, "first_1", "depth", "cost_over_default")
+    return {
+        "late": f"{1e3 * first.median:.2g}",
+        "worst": f"{1e3 * first.worst:.2g}",
+        "worst_s": figure(first.worst),
+        "deep": figure(depth.worst),
+        "slower": _times(cost.median),
+        "faster": _times(1.0 / cost.median),
+        "saves": _percent(1.0 - cost.median),
+    }
+
+
+def _percent(value: float) -> str:
+    return f"{100.0 * value:.0f} %"
+
+
+def _times(value: float) -> str:
+    """How many times faster or slower, in two digits at most."""
+    return f"{float(f'{value:.2g}'):.{0 if value > 5.0 else 1}f}"
+
+
+def _within(results: Results) -> str:
+    """The coarsest setting of pymunk whose first impact is never 1 ms late."""
+    for substeps in SUBSTEPS:
+        name = pymunk(substeps).name
+        if name in results.settings and results.of(name, "first_1").worst <= 1e-3:
+            slower = _of_setting(results, name)["slower"]
+            return f" `substeps={substeps}` stays within 1 ms and is {slower} times slower."
+    return ""
+
+
+# -- tables ------------------------------------------------------------------------------------------------------------
+
+
+def _tables(results: Results) -> dict[str, str]:
+    seen = ((claim.what, claim.seen, "holds" if claim.holds else "FAILS") for claim in claims(results))
+    runs = results.of(DEFAULT, "depth").n
+    lossy = results.of(EXACT, "depth", LOSS).n
+    tables = {"claims": table(("claim", "seen", ""), seen)}
+    for field, columns in COLUMNS.items():
+        kind, of = (LOSS, lossy) if field == "loss" else (None, runs)
+        shown = [name for name in TABLED if (name, kind or "", "cost" if kind is None else "first_1") in results.rows]
+        rows = (
+            (name, *(_cell(results.of(name, quantity, kind), of) for quantity in columns.values())) for name in shown
+        )
+        tables[field] = table(("setting", *columns), rows)
+    return tables
+
+
+def _cell(row: Row, runs: int) -> str:
+    if math.isfinite(row.total):
+        return figure(row.total)
+    if math.isfinite(row.mean):
+        return f"{row.mean:.3g} ± {row.half_width:.2g}"
+    note = "" if row.n == runs else f" ({row.n})"
+    return f"{figure(row.median)} / {figure(row.worst)}{note}" if row.n else "-"
+
+
+# -- pictures ----------------------------------------------------------------------------------------------------------
+
+TABS = {
+    "first_1": "time error of the first impact [s]",
+    "local": "pose error 0.1 s after a restart, over an impact [m]",
+    "depth": "deepest that a foot was in a wall [m]",
+    "prefix": "right impacts before the first wrong one",
+}
+LOSS_TABS = {
+    "first_3": "with loss: time error, first 3 [s]",
+    "local": "with loss: pose error, restart [m]",
+}
+_COLOURS = {EXACT: "C0", BATCH: "C0", PYMUNK: "C2", NAIVE: "C3", "box2d": "0.5", "mujoco": "0.5"}
+_LABELS = {  # at the points: text, offset [points], alignment
+    EXACT: ("exact", (7, 0), "left"),
+    BATCH: ("exact,\nin a batch", (7, -4), "left"),
+    of_fidelity("coarse"): ("coarse", (-6, 0), "right"),
+    of_fidelity("balanced"): ("balanced", (-6, -7), "right"),
+    of_fidelity("fine"): ("fine", (-7, -7), "right"),
+    pymunk(1).name: ("pymunk, 1 substep", (-6, 2), "right"),
+    pymunk(256).name: ("256 substeps", (-3, -12), "right"),
+    f"{NAIVE}, RK4 at 0.01 s": ("usual way", (3, 40), "left"),
+    "mujoco, 64 substeps": ("Box2D,\nMuJoCo", (5, 72), "right"),
+}
+_LEAST = 1e-16  # where a logarithmic axis shows zero
+
+
+def points(results: Results, quantity: str, kind: str | None = None) -> dict[str, dict[str, list[Any]]]:
+    """Settings, their costs and a quantity of theirs: columns by family, in the order of the sweep."""
+    lines: dict[str, dict[str, list[Any]]] = {}
+    for name in results.settings:
+        if kind and (name, kind, quantity) not in results.rows:
+            continue
+        cost, row = results.of(name, "cost"), results.of(name, quantity, kind)
+        if row.n:
+            line = lines.setdefault(cost.family, {"setting": [], "cost": [], "median": [], "worst": [], "n": []})
+            for column, value in zip(
+                line.values(), (name, cost.median, max(row.median, _LEAST), row.worst, row.n), strict=True
+            ):
+                column.append(value)
+    return lines
+
+
+def draw(results: Results, path: Path) -> None:
+    """The first impact's time error against cost, to be read at 390 pixels."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(4.0, 4.8), dpi=200, layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3.4, 1.0))
+    for axis in (upper, lower):
+        axis.set(xscale="log", yscale="log")
+        axis.grid(alpha=0.3)
+        _plot(axis, points(results, "first_1"))
+    upper.set(ylim=(1.5e-5, 0.1), title="How far off is the first impact?\nPoint: median. Line: to the worst case.")
+    upper.set_yticks([1e-4, 1e-3, 1e-2], ["0.1 ms", "1 ms", "10 ms"])
+    upper.spines.bottom.set_visible(False)
+    upper.tick_params(axis="x", which="both", length=0)
+    lower.set(ylim=(_LEAST, 1e-14), xlabel="computing time per simulated second")
+    lower.set_yticks([1e-15], ["$10^{-15}$ s"])
+    lower.set_xticks([1e1, 1e2, 1e3, 1e4], ["10 µs", "0.1 ms", "1 ms", "10 ms"])
+    lower.spines.top.set_linestyle((0, (4, 4)))  # the axis is cut here
+    with replacing(path) as partial:
+        figure.savefig(partial)
+
+
+def _plot(axis: Any, lines: dict[str, dict[str, list[Any]]]) -> None:
+    """Lines of the families, labelled where they are."""
+    for family, line in lines.items():
+        colour = _COLOURS.get(family)  # none: variants of another family, which would lie on its points
+        if colour:
+            axis.plot("cost", "median", "o-", data=line, markersize=4, color=colour)
+            axis.vlines("cost", "median", "worst", data=line, color=colour, alpha=0.4)
+        for name, *place in zip(line["setting"], line["cost"], line["median"], strict=True):
+            text, offset, aligned = _LABELS.get(name, ("", (0, 0), "left"))
+            axis.annotate(text, place, xytext=offset, textcoords="offset points", color=colour, ha=aligned, va="center")
+
+
+def interactive(results: Results, path: Path) -> None:
+    """A page that needs nothing else: a tab per quantity, details under the mouse, families to hide."""
+    from bokeh.embed import file_html
+    from bokeh.models import HoverTool, TabPanel, Tabs
+    from bokeh.palettes import Category10
+    from bokeh.plotting import figure
+    from bokeh.resources import INLINE
+
+    tabs = []
+    of_loss = [(quantity, title, LOSS) for quantity, title in LOSS_TABS.items()]
+    for quantity, title, kind in [*((*tab, None) for tab in TABS.items()), *of_loss]:
+        scale: Any = "linear" if quantity == "prefix" else "log"
+        axes: Any = {"x_axis_type": "log", "y_axis_type": scale, "x_axis_label": "cost [µs per simulated second]"}
+        plot = figure(**axes, y_axis_label=title, width=1000, height=620, tools="pan,wheel_zoom,box_zoom,reset,save")
+        dots: list[Any] = []
+        for colour, (family, line) in zip(Category10[10], points(results, quantity, kind).items(), strict=False):
+            plot.line("cost", "median", source=line, color=colour, legend_label=family)
+            plot.segment("cost", "median", "cost", "worst", source=line, color=colour, alpha=0.4)
+            dots.append(plot.scatter("cost", "median", source=line, size=9, color=colour, legend_label=family))
+        tips = [("", "@setting"), ("cost", "@cost{0,0} µs per simulated s"), ("median", "@median{%.3g}")]
+        tips += [("worst", "@worst{%.3g}"), ("n", "@n")]
+        plot.add_tools(HoverTool(renderers=dots, tooltips=tips, formatters={"@median": "printf", "@worst": "printf"}))
+        plot.legend.click_policy = "hide"
+        plot.add_layout(plot.legend[0], "right")
+        tabs.append(TabPanel(child=plot, title=title))
+    write_text(path, file_html(Tabs(tabs=tabs), INLINE, "jackbox: speed against accuracy"))
+
+
+# -- the command -------------------------------------------------------------------------------------------------------
+
+
+def write(results: Results, folder: Path) -> None:
+    """The page, and beside it the pictures and the numbers."""
+    beside = folder / BESIDE
+    beside.mkdir(exist_ok=True)
+    draw(results, beside / PICTURE)
+    interactive(results, beside / INTERACTIVE)
+    write_text(folder / PAGE, page(results))
+    results.save(beside)
 
 
 @command_line
@@ -47,31 +395,23 @@ def main() -> None:
 
     from agents.sweeps.on_ray import runner_for
     from jackbox_env import _validation as check
-    from scripts.studies.accuracy import sweep
-    from scripts.studies.accuracy.claims import claims
-    from scripts.studies.accuracy.page import fidelity_table
-    from scripts.studies.accuracy.results import Results
 
     few = arguments.quick
     cases = check.whole("cases", (5 if few else 34) if arguments.cases is None else arguments.cases, at_least=2)
     rounds = check.whole("rounds", (3 if few else 7) if arguments.rounds is None else arguments.rounds, at_least=1)
     seconds = check.real("seconds", arguments.seconds, above=0.0)
-    if arguments.out is not None and not arguments.out.is_dir():
-        raise FileNotFoundError(f"{arguments.out} is no folder to write a page in")
-    runner = runner_for(arguments.workers, arguments.address)
-    if arguments.loss and arguments.page_from is None:
-        raise ValueError("--loss adds to stored results: give --page-from too")
+    if arguments.out is not None:
+        check_writable(arguments.out)
     if arguments.page_from is not None:
         results, folder = Results.load(arguments.page_from.parent), arguments.page_from.resolve().parents[1]
-        results = sweep.with_loss(results, arguments.progress) if arguments.loss else results
     else:
-        results, folder = sweep.run(few, cases, rounds, seconds, arguments.folder, arguments.progress, runner)
-    for place in filter(None, (arguments.out, folder)):
-        sweep.write(results, place)
+        folder, runner = arguments.folder or stamped("benchmark"), runner_for(arguments.workers, arguments.address)
+        results = run(folder, few, cases, rounds, seconds, arguments.progress, runner)
+    write(results, arguments.out or folder)
     found = claims(results)
     print(fidelity_table(results))
     print("\n".join(f"{'holds' if claim.holds else 'FAILS'}: {claim.what}: {claim.seen}" for claim in found))
-    print(f"Wrote {folder}" + (f" and {arguments.out / sweep.PAGE}" if arguments.out else ""))
+    print(f"Wrote {(arguments.out or folder) / PAGE}")
     failed = [claim.what for claim in found if not claim.holds]
     if failed:
         raise RuntimeError(f"{len(failed)} claims do not hold: " + "; ".join(failed))

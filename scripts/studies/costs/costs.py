@@ -3,16 +3,41 @@
 from __future__ import annotations
 
 import json
+import math
 import os
+import statistics
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from jackbox_env.commands.common import command_line
-from scripts.studies import timing
+from scripts.studies import pages, timing
+from scripts.studies.costs import measured as these
+from scripts.studies.pages import figure, rough, table
+from scripts.studies.timing import Rates
 
 PACKAGES = ("jackbox", "gymnasium", "numpy", "pymunk", "numba")
 PASSES = 9  # through everything, in a round
+MODELS = PYMUNK, EXACT, BATCH = "pymunk", "exact", "exact, batch"
+ARM, FRAME = "more impacts: an arm of 8 m", "a frame drawn in each step"
+FUNCTION = "a torque that is a Python function, in place of the chirp"
+THINGS = {
+    "gravity": ("plain", "weightless"),
+    "task rattle, in place of juggle": ("rattle", "plain"),
+    "the chirp, in place of a held torque": ("chirp", "plain"),
+    FUNCTION: ("function", "chirp"),
+    "side forces that are Python functions": ("pushed", "plain"),
+    ARM: ("long arm", "plain"),
+    "a `render_mode`, nothing drawn": ("picture", "plain"),
+    FRAME: ("drawn", "picture"),
+    "stepped in a batch of 16": ("together", "plain"),
+    "`with_infos` of a batch": ("infos", "plain"),
+    "a scene for each environment": ("own scenes", "plain"),
+    "scenes drawn at each reset, two fields each: only in a step that resets": ("redrawn", "restarted"),
+    "a task of one's own, in place of a built-in one that does the same": ("own task", "plain"),
+}
+Figures = dict[str, dict[str, list[float]]]  # by thing and model: ns in each round
 
 
 @dataclass(frozen=True)
@@ -25,79 +50,164 @@ class Arguments:
     """Time per measurement [s], or once through the moments."""
     out: Path = Path("docs")
     """Folder of the page costs.md, its picture costs.png and its results costs.json."""
-    loss: bool = False
-    """Measure only the steps with loss, and keep the rest of what is stored."""
     render: bool = False
     """Measure nothing: write the page from the results that are stored."""
 
 
+# -- figures -----------------------------------------------------------------------------------------------------------
+
+
 def measured(rounds: int, seconds: float) -> dict[str, Any]:
     """Everything that the page shows."""
-    from scripts.studies.costs import cost_steps as these
-    from scripts.studies.costs.page import BATCH, EXACT, PYMUNK, figures
-
     before = timing.others()
     usual, far = these.moments(these.FEW, 4), these.moments(these.FEW, 4, these.LONG)
     many, many_far = these.moments(these.TOGETHER, 40), these.moments(these.TOGETHER, 40, these.LONG)
-    timed = {
-        f"{contact}: {kind}": these.stepped(contact, far if kind == "long arm" else usual, seconds, kind)
-        for contact in (PYMUNK, EXACT)
-        for kind in (*these.KINDS, *these.TAKEN_OUT)
-    }
+    lossy = {kind: these.with_loss(kind) for kind in these.LOSS}
+    timed = {f"{PYMUNK}: together": these.batched(PYMUNK, usual, seconds)}
+    for kind in these.KINDS:
+        for contact in (PYMUNK, EXACT):
+            timed[f"{contact}: {kind}"] = these.stepped(contact, far if kind == "long arm" else usual, seconds, kind)
     for kind, settings in (these.KINDS | these.IN_BATCHES).items():
         if kind != "drawn":
             given = many_far if kind == "long arm" else many
             timed[f"{BATCH}: {kind}"] = these.batched(EXACT, given, seconds, **settings)
-    timed[f"{PYMUNK}: together"] = these.batched(PYMUNK, usual, seconds)
-    rates = timing.measure(timed, rounds * PASSES)
-    impacts = {"usual": float(usual.hits.mean()), "long arm": float(far.hits.mean())}
-    asked = {contact: these.asked(contact) for contact in (PYMUNK, EXACT)}
-    return figures(rates, PASSES) | {"impacts": impacts, "asked": asked, "made": made(rounds, before)}
-
-
-def measured_with_loss(rounds: int, seconds: float) -> dict[str, Any]:
-    """What the page shows of steps with loss and at rest."""
-    from scripts.studies.costs import cost_steps as these
-    from scripts.studies.costs.page import BATCH, EXACT, loss_figures
-
-    before, timed, impacts = timing.others(), dict[str, timing.Timed](), dict[str, float]()
     for kind, scene in these.LOSS.items():
-        given = these.with_loss(kind)
-        impacts[kind] = float(given.hits.mean())
-        timed[f"{EXACT}: {kind}"] = these.alone(scene, given, seconds)
-        timed[f"{BATCH}: {kind}"] = these.batched(EXACT, given, seconds, scene=scene)
-    steps = loss_figures(timing.measure(timed, rounds * PASSES), PASSES)
-    return {"steps": steps, "impacts": impacts, "made": made(rounds, before)}
+        timed[f"{EXACT}: {kind}"] = these.alone(scene, lossy[kind], seconds)
+        timed[f"{BATCH}: {kind}"] = these.batched(EXACT, lossy[kind], seconds, scene=scene)
+    found = figures(timing.measure(timed, rounds * PASSES), PASSES)
+    found["loss"]["impacts"] = {kind: float(given.hits.mean()) for kind, given in lossy.items()}
+    impacts = {"usual": float(usual.hits.mean()), "long arm": float(far.hits.mean())}
+    made = f"{timing.measured_with(PACKAGES)}; {rounds} rounds of {PASSES} passes. {timing.meanwhile(before)}"
+    return {**found, "impacts": impacts, "made": made}
 
 
-def made(rounds: int, before: tuple[float, float]) -> str:
-    """What the figures come from."""
-    return f"{timing.measured_with(PACKAGES)}; {rounds} rounds of {PASSES} passes. {timing.meanwhile(before)}"
+def in_rounds(rates: Rates, passes: int, weights: Mapping[str, float]) -> list[float]:
+    """A weighted sum of times [ns], taken within each pass; its median in each round."""
+    each = [
+        sum(weight * 1e9 / rate for weight, rate in zip(weights.values(), at_once, strict=True))
+        for at_once in zip(*(rates[name] for name in weights), strict=True)
+    ]
+    return [statistics.median(each[k : k + passes]) for k in range(0, len(each), passes)]
+
+
+def figures(rates: Rates, passes: int) -> dict[str, Any]:
+    """A plain step's time, what each thing costs on top of it, and what steps with loss take."""
+
+    def of(model: str, *kinds: str) -> list[float]:
+        weights = dict(zip((f"{model}: {kind}" for kind in kinds), (1.0, -1.0), strict=False))
+        return in_rounds(rates, passes, weights)
+
+    def timed(pair: tuple[str, str]) -> list[str]:
+        return [model for model in MODELS if {f"{model}: {kind}" for kind in pair} <= set(rates)]
+
+    return {
+        "plain": {"a plain step": {model: of(model, "plain") for model in MODELS}},
+        "on_top": {what: {model: of(model, *pair) for model in timed(pair)} for what, pair in THINGS.items()},
+        "loss": {"steps": {kind: {model: of(model, kind) for model in (EXACT, BATCH)} for kind in these.LOSS}},
+    }
+
+
+# -- the page ----------------------------------------------------------------------------------------------------------
+
+
+def cell(values: Sequence[float] | None, plain: float) -> str:
+    """Nanoseconds, and the share of a plain step."""
+    if values is None:
+        return ""
+    if min(values) <= 0.0 <= max(values):  # not of one sign in all rounds
+        return "below noise"
+    middle = statistics.median(values)
+    share = middle / plain
+    return f"{'+' if middle > 0.0 else ''}{figure(middle)} ns ({share:{'+,.0%' if abs(share) > 0.1 else '+.1%'}})"
+
+
+def page(results: Mapping[str, Any]) -> str:
+    """docs/costs.md."""
+    plain, on_top, impacts = _plain(results), results["on_top"], results["impacts"]
+    steps, more = results["loss"]["steps"], impacts["long arm"] - impacts["usual"]
+    frame, function = (rough(statistics.median(on_top[what][PYMUNK])) for what in (FRAME, FUNCTION))
+    held = [statistics.median(steps[kind][EXACT]) / 1e3 for kind in these.RESTING]
+    single = {what: found for what, found in on_top.items() if set(found) != {BATCH}}
+    small = [
+        what
+        for what, found in single.items()
+        if all(abs(statistics.median(values)) < 0.1 * plain[model] for model, values in found.items())
+    ]
+    rows = [
+        [what, *(cell(found.get(m), plain[m]) for m in MODELS)] for what, found in single.items() if what not in small
+    ]
+    only = [[what, cell(found[BATCH], plain[BATCH])] for what, found in on_top.items() if set(found) == {BATCH}]
+    fields = {
+        "plain": {model: rough(value) for model, value in plain.items()},
+        "frame": frame,
+        "function": function,
+        "on_top": table(
+            ("on top of a plain step", *MODELS),
+            [["**a plain step**", *(f"**{figure(plain[model])} ns**" for model in MODELS)], *rows],
+        ),
+        "small": "; ".join(small),
+        "impacts": impacts,
+        "each": ", ".join(f"{figure(statistics.median(on_top[ARM][m]) / more)} ns ({m})" for m in on_top[ARM]),
+        "in_batches": table(("on top of a plain step, in a batch only", BATCH), only),
+        "held": f"{math.floor(min(held))} to {math.ceil(max(held))}",
+        "loss": _loss_table(steps, results["loss"]["impacts"]),
+        "loss_made": f"\n\n{results['loss']['made']}" if "made" in results["loss"] else "",
+        "made": results["made"],
+    }
+    return (Path(__file__).parent / "page.md").read_text().format(**fields)
+
+
+def _plain(results: Mapping[str, Any]) -> dict[str, float]:
+    return {model: statistics.median(values) for model, values in results["plain"]["a plain step"].items()}
+
+
+def _loss_table(loss: Figures, impacts: Mapping[str, float]) -> str:
+    """What a step costs that flies, bounces with loss, or rests; each against the one that flies, within rounds."""
+    rows = []
+    for kind, found in loss.items():
+        rows.append([kind, figure(impacts[kind])])
+        for model in (EXACT, BATCH):
+            ratios = (one / other for one, other in zip(found[model], loss[these.FLIGHT][model], strict=True))
+            rows[-1] += [f"{figure(statistics.median(found[model]) / 1e3)} µs", figure(statistics.median(ratios))]
+    heads = "a step of exact", "impacts in it", "contact model alone", "of a flight", "in a batch", "of a flight"
+    return table(heads, rows)
+
+
+def pictured(results: Mapping[str, Any]) -> dict[str, float]:
+    """The bars of the picture: a step of one exact environment, plain and with one thing more [ns]."""
+    plain, costly = (
+        _plain(results)[EXACT],
+        {what: found[EXACT] for what, found in results["on_top"].items() if EXACT in found},
+    )
+    return {"a plain step": plain} | {
+        what.split(", in place")[0]: plain + statistics.median(values)
+        for what, values in costly.items()
+        if abs(statistics.median(values)) > 0.05 * plain
+    }
 
 
 @command_line
 def main() -> None:
-    """Parse, measure, count, write, print."""
+    """Parse, measure, write, print."""
     import tyro
 
     from jackbox_env import _validation as check
-    from jackbox_env.recording.files import write_json, write_text
-    from scripts.studies.costs.page import page, pictured
+    from jackbox_env.recording.files import check_writable, write_json, write_text
 
     arguments = tyro.cli(Arguments, description=__doc__)
     rounds = check.whole("rounds", arguments.rounds, at_least=1)
     seconds = check.real("seconds", arguments.seconds, above=0.0)
-    if not arguments.out.is_dir():
-        raise FileNotFoundError(f"{arguments.out} is no folder to write a page in")
-    path, picture = arguments.out / "costs.json", arguments.out / "costs.png"
+    check_writable(arguments.out)
+    path = arguments.out / "costs.json"
     if not arguments.render:
         timing.on_cores({max(os.sched_getaffinity(0))} if timing.PINNED else ())
-        kept = json.loads(path.read_text()) if arguments.loss else measured(rounds, seconds)
-        write_json(path, kept | {"loss": measured_with_loss(rounds, seconds)})
+        write_json(path, measured(rounds, seconds))
     results = json.loads(path.read_text())
-    timing.bars(picture, "ns of a control step of one environment", pictured(results))
-    write_text(arguments.out / "costs.md", page(results, picture.name))
-    print(page(results, picture.name))
+    pages.bars(
+        arguments.out / "costs.png", "ns of a control step of one exact environment", pictured(results), log=True
+    )
+    write_text(arguments.out / "costs.md", page(results))
+    print(page(results))
 
 
 if __name__ == "__main__":

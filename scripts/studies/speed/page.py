@@ -11,8 +11,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from scripts.studies import timing
+from scripts.studies.pages import cells, figure, joined, rough
 from scripts.studies.speed import measured as names
-from scripts.studies.timing import Rates, cells, figure, joined, rough
+from scripts.studies.timing import Rates
 
 Results = Mapping[str, Mapping[str, Any]]
 
@@ -203,8 +204,7 @@ HOW = (
 def for_the_readme(results: Results) -> str:
     """The README's table: what the picture shows."""
     lines = ["| control steps per second on one core | |", "|---|---:|"]
-    for name, values in pictured(results).items():
-        (rate,) = values.values()
+    for name, rate in pictured(results).items():
         lines.append(f"| {name} | {rough(rate)} |")
     machine = results["alone"]["made"].split(";")[0]
     return "\n".join([*lines, "", f"Measured by `make speed` on {machine}."])
@@ -221,6 +221,6 @@ def told(results: Results) -> str:
     return "\n".join([*lines, "", found["made"]])
 
 
-def pictured(results: Results) -> dict[str, dict[str, float]]:
+def pictured(results: Results) -> dict[str, float]:
     """The bars of the picture: steps per second."""
-    return {label: {"": statistics.median(results[part]["rates"][name])} for label, (part, name) in PICTURE.items()}
+    return {label: statistics.median(results[part]["rates"][name]) for label, (part, name) in PICTURE.items()}

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from jackbox_env.commands.common import command_line
-from scripts.studies import timing
+from scripts.studies import pages, timing
 from scripts.studies.timing import meanwhile
 
 Part = Literal["alone", "together", "threads", "start"]
@@ -76,7 +76,7 @@ def main() -> None:
     for part in arguments.parts:
         results[part] = measured(part, arguments.rounds, arguments.seconds, results.get(part, {}))
         write_json(path, results)
-    timing.bars(picture, "control steps per second on one core", pictured(results), log=True)
+    pages.bars(picture, "control steps per second on one core", pictured(results), log=True)
     write_text(arguments.out / "speed.md", page(results, picture.name))
     print(told(results))
 

@@ -1,29 +1,26 @@
 """What ``costs.py`` times: the same control steps with a thing and without it.
 
 The cost of a thing must not be mixed up with its effect on the motion: without gravity the jack hardly meets a wall. So
-all variants step the same states, taken from episodes of the default scene and restored before each step. What cannot
-be switched off is replaced by a stand-in that does as little as possible. One thread does everything. Its own clock is
-read, which stops while other processes use the core.
+all variants step the same states, taken from episodes of the default scene and put back before each step. One thread
+does everything. Its own clock is read around each step; it stops while other processes use the core.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
 import time
-from contextlib import nullcontext
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
-from unittest.mock import patch
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env import Drive, Scene, Task, _validation, make_simulator
-from jackbox_env.env import JackInBoxEnv
+from jackbox_env import Drive, Scene, Task, make_simulator
 from jackbox_env.planning.rollouts import rollout
 from jackbox_env.tasks import TASKS, juggle, sample_start
-from scripts.studies.timing import Timed, repeat
+from scripts.studies.timing import Timed
 
 Array = NDArray[np.float64]
 
@@ -80,7 +77,6 @@ RESTING = (LEVEL, TURNING, CORNER)
 _LOSSY = {kind: Scene(restitution=0.8 if "0.8" in kind else 0.5, drive=None) for kind in (BOUNCE, PILE, *RESTING)}
 LOSS = {FLIGHT: _LOSSY[BOUNCE]} | _LOSSY  # kinds of steps with loss, and their scenes
 _PILED = 10, 20  # impacts in a step where bounces pile up
-TAKEN_OUT = ("contact", "_score", "_info", "checks", "bare")  # of one environment
 
 
 class Moments(NamedTuple):
@@ -133,108 +129,63 @@ def _lying(x: float, omega: float) -> Array:
     return np.array([0.0, 0.0, 0.0, x, y, math.pi / 4.0, 0.0, 0.0, omega, -omega * y, omega * x, omega])
 
 
+def timed(lap: Sequence[tuple[Callable[[], Any], Callable[[], Any]]], steps: int, seconds: float) -> Timed:
+    """Steps per second of the second call of each pair, after the first, which is not timed; a pair makes ``steps``."""
+    clock = time.thread_time
+    reading = min(-clock() + clock() for _ in range(1000))  # takes this time itself [s]
+
+    def run() -> float:
+        passed, pairs = 0.0, 0
+        while passed <= seconds:
+            for put, step in lap:
+                put()
+                began = clock()
+                step()
+                passed += clock() - began - reading
+            pairs += len(lap)
+        return steps * pairs / passed
+
+    return run
+
+
 def alone(scene: Scene, given: Moments, seconds: float) -> Timed:
     """Steps per second of the exact contact model, without an environment, under no torque."""
-    simulator: Any = make_simulator(scene, "exact")
-    presents = []
-    for state in given.states[:64].reshape(-1, 12):
-        simulator.reset(state)
-        presents.append(simulator._present)
-
-    def block() -> int:
-        for simulator._present in presents:
-            simulator.step(DT, 0.0)
-        return len(presents)
-
-    return repeat(block, seconds, clock=time.thread_time)
+    simulator = make_simulator(scene, "exact")
+    step = partial(simulator.step, DT, 0.0)
+    return timed([(partial(simulator.reset, state), step) for state in given.states[:64].reshape(-1, 12)], 1, seconds)
 
 
 def stepped(contact: str, given: Moments, seconds: float, kind: str) -> Timed:
-    """Steps per second of an environment of one of ``KINDS``, or of a plain one with something ``TAKEN_OUT``."""
-    settings = KINDS.get(kind, {})
-    env: Any = gym.make("JackInBox-v0", contact=contact, max_episode_steps=_NEVER, **settings)
-    core: JackInBoxEnv = env.unwrapped
-    simulator: Any = core._simulator
+    """Steps per second of an environment of one of ``KINDS``."""
+    env: Any = gym.make("JackInBox-v0", contact=contact, max_episode_steps=_NEVER, **KINDS[kind])
     env.reset(seed=0)
     for _ in range(2):
         env.step(given.actions[0, 0])  # Gymnasium's checker examines only the first steps
-    games: list[list[tuple[Any, Any]]] = []
-    for states, actions in zip(given.states, given.actions, strict=True):
-        games.append([])
-        for state, moment, action in zip(states, given.times, actions, strict=True):
-            simulator.reset(state, moment)
-            games[-1].append((simulator._present, action))
-    if kind == "drawn":
-        games = [games[0][:_DRAWN]]
-    step, unchecked = _without(env, kind), kind in ("contact", "checks")
-
-    def block() -> int:
-        with patch.object(_validation, "real", lambda _, value, **__: value) if unchecked else nullcontext():
-            for game in games:
-                simulator._present = game[0][0]
-                core._start_picture()
-                for simulator._present, action in game:
-                    step(action)
-        return sum(map(len, games))
-
-    return repeat(block, seconds, clock=time.thread_time)
-
-
-def _without(env: Any, kind: str) -> Any:
-    """What is called with each action."""
-    core = env.unwrapped
-    observation, terms = core._parts[1](core.state, 0.0, 0.0)
 
     def drawn(action: Any) -> None:
         env.step(action)
         env.render()
 
-    def contact(action: Any) -> None:
-        core._simulator.step(DT, 90000.0 * float(action[0]))
-
-    if kind == "_info":
-        core._info = lambda *_: {}
-    elif kind == "_score":
-        core._parts = core._simulator, lambda *_: (observation, terms)
-    elif kind == "checks":
-        core._torque_of = lambda action: max(-1.0, min(1.0, float(action[0]))) * 90000.0
-    return {"bare": core.step, "drawn": drawn, "contact": contact}.get(kind, env.step)
-
-
-def asked(contact: str, steps: int = 120) -> float:
-    """How often a drive's function is asked per control step."""
-    calls = itertools.count()
-    scene = Scene(drive=Drive(torque=lambda time: _chirped(time) + 0.0 * next(calls)))
-    env = JackInBoxEnv(contact=contact, scene=scene, torque="chirp")
-    env.reset(seed=0)
-    before = next(calls)
-    for _ in range(steps):
-        env.step(None)
-    return (next(calls) - before - 1) / steps
+    step = drawn if kind == "drawn" else env.step
+    lap = [
+        (partial(env.unwrapped.set_state, state, moment), partial(step, action))
+        for states, actions in zip(given.states, given.actions, strict=True)
+        for state, moment, action in zip(states, given.times, actions, strict=True)
+    ]
+    return timed(lap[:_DRAWN] if kind == "drawn" else lap, 1, seconds)
 
 
 def batched(contact: str, given: Moments, seconds: float, **settings: Any) -> Timed:
-    """Environment steps per second of a batch that is put back to its moments before each step."""
+    """Environment steps per second of a batch."""
     count = FEW if contact == "pymunk" or "render_mode" in settings else TOGETHER
-    env: Any = gym.make_vec(
-        "JackInBox-v0", count, vectorization_mode="vector_entry_point", contact=contact, num_threads=1,
-        **{"max_episode_steps": _NEVER, **settings},
-    )  # fmt: skip
+    made = {"contact": contact, "num_threads": 1, "max_episode_steps": _NEVER, **settings}
+    env: Any = gym.make_vec("JackInBox-v0", count, vectorization_mode="vector_entry_point", **made)
     env.reset(seed=0)
     lap = [
-        (given.states[:count, k].copy(), np.full(count, moment), given.actions[:count, k].copy())
+        (
+            partial(env.unwrapped.set_states, given.states[:count, k], moment),
+            partial(env.step, given.actions[:count, k]),
+        )
         for k, moment in enumerate(given.times)
     ]
-
-    def run() -> float:
-        passed, steps = 0.0, 0
-        while passed <= seconds:
-            for states, times, actions in lap:
-                env.unwrapped.set_states(states, times)
-                began = time.thread_time()
-                env.step(actions)
-                passed += time.thread_time() - began
-            steps += count * len(lap)
-        return steps / passed
-
-    return run
+    return timed(lap, count, seconds)

@@ -1,0 +1,392 @@
+"""The sweep behind docs/accuracy.md: its cases, its settings, and what is measured of each setting on each case.
+
+What is measured of errors is a sweep's trials, which go on after an interruption. Costs are measured afterwards, here,
+where nothing else runs.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import time
+from collections.abc import Callable, Iterable
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from agents.files import read_json
+from agents.runs import PACKAGES, machine, versions
+from agents.sweeps.in_process import Runner, Trial
+from jackbox_env import Scene, make_simulator, rollout
+from jackbox_env.measure.accuracy import Case, Reference, between, compare, follow, quantities, reference_of, restarts
+from jackbox_env.recording.files import replacing, write_json
+from jackbox_env.simulators import Impact, Simulator
+from jackbox_env.simulators.fidelity import FIDELITIES
+from jackbox_env.states import Array
+from jackbox_env.tasks import sample_start
+from scripts.studies import baselines
+from scripts.studies.sweeping import swept
+from scripts.studies.timing import Timed, measure, others, ratios, repeat
+
+# -- cases -------------------------------------------------------------------------------------------------------------
+
+KINDS = ("chirp", "held", "weightless")  # of seeded cases
+DIGITS, LOSS = "60 digits", "60 digits, with loss"  # kinds of those with an independent reference
+DT = 0.02  # control step [s]
+STEPS = 500  # control steps of a seeded case: 10 s
+WEIGHTLESS = Scene(gravity=0.0, drive=None)
+_FILES = {DIGITS: ("exact_trajectories.json", "seed_scene.json"), LOSS: ("loss_trajectories.json",)}
+_DATA = Path(__file__).parents[3] / "tests" / "data"
+
+
+def seeded(kind: str, seed: int) -> Case:
+    """A case of 10 s: under the chirp, under random torques, each held for a step, or weightless without torque.
+
+    The first two start as the environment does. A weightless jack gets random rates, of standard deviation 5 m/s and
+    5 rad/s, and its box 1 rad/s: nothing else would move them.
+    """
+    rng = np.random.default_rng([KINDS.index(kind), seed])
+    scene = WEIGHTLESS if kind == "weightless" else Scene()
+    state: Array = sample_start(scene, rng)
+    torques = None
+    if kind == "held":
+        torques = rng.uniform(-scene.torque_limit, scene.torque_limit, STEPS).tolist()
+    if kind == "weightless":
+        state[8:] = np.array([1.0, 5.0, 5.0, 5.0]) * rng.standard_normal(4)
+    return Case(f"{kind} {seed}", scene, state, STEPS, torques, DT)
+
+
+def with_references(kind: str, count: int) -> list[tuple[Case, Reference]]:
+    """The cases of a kind: all that are known to 60 digits, or ``count`` seeded ones with the exact model's courses."""
+    if kind in _FILES:
+        return [_from_record(record) for file in _FILES[kind] for record in json.loads((_DATA / file).read_text())]
+    cases = [seeded(kind, seed) for seed in range(count)]
+    return [(case, reference_of(case)) for case in cases]
+
+
+def _from_record(record: dict[str, Any]) -> tuple[Case, Reference]:
+    """A trajectory of 3 to 10 s that was computed with 60 digits, independently of this project."""
+    driven = record["drive"] != "none"
+    scene = Scene(gravity=record["gravity"], restitution=record.get("restitution", 1.0)) if driven else WEIGHTLESS
+    start = np.array(record["q"] + record["qdot"], dtype=np.float64)
+    torques = None
+    if record["drive"] == "held":
+        torques = [scene.torque_limit * float(np.float32(action)) for action in record["actions"]]
+    times = np.array([0.0] + [entry["time"] for entry in record["states"]])
+    states = np.array([start] + [entry["state"] for entry in record["states"]])
+    impacts = [Impact(hit["time"], hit["wall"], hit["foot"], hit["impulse"]) for hit in record["impacts"]]
+    case = Case(record["name"], scene, start, round(record["T"] / DT), torques, DT)
+    return case, Reference(times, states, impacts, len(impacts))
+
+
+# -- settings ----------------------------------------------------------------------------------------------------------
+
+TOGETHER = 1024
+EXACT, BATCH, PYMUNK, NAIVE = "exact", f"exact, {TOGETHER:,} at once", "pymunk", "usual way"  # families: lines
+USUAL = f"{NAIVE}, RK4 at 0.01 s"
+SUBSTEPS = (1, 2, 4, 8, 16, 32, 64, 128, 256)  # per control step of 0.02 s
+ITERATIONS = (1, 2, 5, 10, 20)
+
+
+class Setting(NamedTuple):
+    """One point of the sweep."""
+
+    name: str
+    family: str
+    substeps: int | None = None
+    make: Callable[[Scene], Simulator] | None = None  # None: a batch, which only costs less
+
+    @property
+    def takes_loss(self) -> bool:
+        """Whether it is measured in scenes with loss: MuJoCo is tuned for elastic ones, the usual way has no loss."""
+        return self.make is not None and self.family.split(",")[0] in (EXACT, PYMUNK, "box2d")
+
+
+def named(family: str, substeps: int, iterations: int | None = None) -> str:
+    """Name of a setting."""
+    note = f", {iterations} iteration{'s' * (iterations > 1)}" if iterations else ""
+    return f"{family}, {substeps} substep{'s' * (substeps > 1)}{note}"
+
+
+def pymunk(substeps: int, iterations: int | None = None) -> Setting:
+    """pymunk with these substeps, and these iterations of its solver in place of the default's 64."""
+    family = f"{named(PYMUNK, substeps)}, iterations {ITERATIONS[0]} to {ITERATIONS[-1]}" if iterations else PYMUNK
+    make = partial(make_simulator, contact="pymunk", substeps=substeps, iterations=iterations)
+    return Setting(named(PYMUNK, substeps, iterations), family, substeps, make)
+
+
+def _of_others(counts: tuple[int, ...]) -> list[Setting]:
+    usual = Setting(USUAL, NAIVE, 2, partial(baselines.baseline("threshold"), substeps=2))
+    engines = [name for name in ("box2d", "mujoco") if name not in baselines.missing()]
+    settings = [(name, n, partial(baselines.baseline(name), substeps=n)) for name in engines for n in counts]
+    return [usual, *(Setting(named(name, n), name, n, make) for name, n, make in settings)]
+
+
+def settings(quick: bool) -> list[Setting]:
+    """All settings of the sweep, or those of the quick one."""
+    both = [Setting(EXACT, EXACT, None, partial(make_simulator, contact="exact")), Setting(BATCH, BATCH)]
+    if quick:
+        few = sorted({16, *(fidelity.substeps for fidelity in FIDELITIES.values() if fidelity.substeps)})
+        return [*both, *map(pymunk, few), pymunk(4, 1), *_of_others((4, 64))]
+    fewer = [pymunk(substeps, iterations) for substeps in (4, 64) for iterations in ITERATIONS]
+    return [*both, *map(pymunk, SUBSTEPS), *fewer, *_of_others((1, 4, 16, 64))]
+
+
+def of_fidelity(fidelity: str) -> str:
+    """Name of the setting that a fidelity stands for."""
+    contact, substeps = FIDELITIES[fidelity]
+    return EXACT if contact == "exact" else pymunk(substeps or 4).name
+
+
+DEFAULT = of_fidelity("balanced")
+
+
+# -- summing up --------------------------------------------------------------------------------------------------------
+
+ALL = "all seeds"
+PREDICTABLE = 14  # impacts that float64 can predict
+SPREAD, LEAST, MEAN, TOTAL = "median and worst", "median and least", "mean with interval", "total"
+TABLE, ABOUT = "results.csv", "results.json"
+_TOLD_BY_SEEDS = ("prefix", "sure", "depth", "imbalance", "escaped", "rate", "speed", "fast", "impulse")
+_ELASTIC = ("imbalance",)  # what loss takes is no error
+
+Record = dict[str, Any]  # of one setting on one case
+
+
+class Quantity(NamedTuple):
+    """Something that is measured; the page says what."""
+
+    name: str
+    unit: str
+    summed: str = SPREAD
+    of: Callable[[Record], list[float]] | None = None  # its values in a record; None: the entry of its name
+
+    def values(self, records: Iterable[Record]) -> list[float]:
+        """Its values over some cases."""
+        of = self.of or (lambda record: [float(record[self.name])])
+        return [value for record in records for value in of(record)]
+
+
+def over_first(count: int) -> Quantity:
+    """The largest time error of the first impacts, in the cases that match so many."""
+    name = f"first_{count}"
+    return Quantity(name, "s", SPREAD, lambda one: [max(one["errors"][:count])] if one["prefix"] >= count else [])
+
+
+QUANTITIES = (
+    Quantity("flight", "m"),
+    *map(over_first, (1, 3, 5, 10)),
+    Quantity("prefix", "impacts", LEAST),
+    Quantity("sure", "impacts"),
+    Quantity("lacking", "impacts", SPREAD, lambda one: [min(one["sure"], PREDICTABLE) - one["prefix"]]),
+    Quantity("local", "m", SPREAD, lambda one: one["local"]),
+    Quantity("imbalance", "1"),
+    Quantity("depth", "m"),
+    Quantity("wrong", "runs", TOTAL, lambda one: [float(one["prefix"] == 0)] if one["sure"] else []),
+    Quantity("escaped", "runs", TOTAL),
+    *(Quantity(name, "impacts", TOTAL) for name in ("expected", "missed", "extra")),
+    *(Quantity(name, unit, MEAN) for name, unit in (("rate", "1/s"), ("speed", "m/s"), ("fast", "m/s"))),
+    Quantity("impulse", "N s", MEAN),
+)
+
+
+class Row(NamedTuple):
+    """A quantity of a setting over the cases of a kind; NaN where it is summed up otherwise."""
+
+    setting: str
+    family: str
+    substeps: int | None
+    kind: str
+    quantity: str
+    unit: str
+    n: int
+    median: float = math.nan
+    worst: float = math.nan
+    mean: float = math.nan
+    half_width: float = math.nan  # of the mean's 95 % interval
+    total: float = math.nan
+
+
+def summed_up(values: Iterable[float], summed: str = SPREAD) -> dict[str, Any]:
+    """Numbers as a row has them, NaN left out."""
+    known = np.array([value for value in values if not math.isnan(value)])
+    n = len(known)
+    if summed == TOTAL or n == 0:
+        return {"n": n} | ({"total": known.sum()} if summed == TOTAL else {})
+    if summed == MEAN:
+        half_width = stats.t.ppf(0.975, n - 1) * stats.sem(known) if n > 1 else math.inf
+        return {"n": n, "mean": known.mean(), "half_width": half_width}
+    return {"n": n, "median": np.median(known), "worst": known.min() if summed == LEAST else known.max()}
+
+
+def rows_of(setting: Setting, records: list[Record], cost: list[float], over_default: list[float]) -> list[Row]:
+    """A setting's costs, and every quantity over each kind of cases and over all seeded ones if there are any."""
+    head = setting[:3]
+    rows = [Row(*head, "", "cost", "us/s", **summed_up(cost))]
+    rows.append(Row(*head, "", "cost_over_default", "1", **summed_up(over_default)))
+
+    parts: dict[str, list[Record]] = {}
+    for record in records:
+        for kind in (record["kind"], *([ALL] if record["kind"] in KINDS else [])):
+            parts.setdefault(kind, []).append(record)
+    return rows + [
+        Row(*head, kind, quantity.name, quantity.unit, **summed_up(quantity.values(part), quantity.summed))
+        for kind, part in parts.items()
+        for quantity in QUANTITIES
+        if kind != LOSS or quantity.name not in _ELASTIC
+    ]
+
+
+def order_of(steps: list[float], errors: list[float]) -> tuple[float, float, float]:
+    """Exponent p in error ~ step^p with its 95 % interval: least squares in logarithms."""
+    fit = stats.linregress(np.log(steps), np.log(errors))
+    half_width = stats.t.ppf(0.975, len(steps) - 2) * fit.stderr
+    return fit.slope, fit.slope - half_width, fit.slope + half_width
+
+
+class Results:
+    """A summed up sweep: rows, and what they were measured with."""
+
+    def __init__(self, rows: Iterable[Row], about: dict[str, Any]) -> None:
+        """Keep the rows by setting, kind and quantity."""
+        self.rows = {(row.setting, row.kind, row.quantity): row for row in rows}
+        self.about = about
+        self.settings = list(dict.fromkeys(row.setting for row in self.rows.values()))
+
+    def of(self, setting: str, quantity: str, kind: str | None = None) -> Row:
+        """A quantity of a setting, over a kind of cases or, with None, over those that tell most.
+
+        The exact model is the reference over the seeds, so its own errors are taken from the 60-digit trajectories.
+        """
+        if quantity.startswith("cost"):
+            return self.rows[setting, "", quantity]
+        setting = EXACT if setting == BATCH else setting
+        telling = DIGITS if setting == EXACT and quantity not in _TOLD_BY_SEEDS else ALL
+        return self.rows[setting, kind or telling, quantity]
+
+    def some(self, setting: str, *quantities: str) -> list[Row]:
+        """Several quantities of a setting."""
+        return [self.of(setting, quantity) for quantity in quantities]
+
+    def order(self, quantity: str) -> tuple[float, float, float]:
+        """Order of convergence of pymunk's medians, with its 95 % interval."""
+        rows = [row for row in self.rows.values() if (row.family, row.kind, row.quantity) == (PYMUNK, ALL, quantity)]
+        return order_of([DT / (row.substeps or 1) for row in rows], [row.median for row in rows])
+
+    def save(self, folder: Path) -> None:
+        """Write both files."""
+        with replacing(folder / TABLE) as partial, partial.open("w", newline="") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(Row._fields)
+            for row in self.rows.values():
+                numbers = ("" if math.isnan(number) else f"{number:.6g}" for number in row[7:])
+                writer.writerow([*row[:7], *numbers])
+        write_json(folder / ABOUT, self.about)
+
+    @classmethod
+    def load(cls, folder: Path) -> Results:
+        """Read what :meth:`save` wrote."""
+        with (folder / TABLE).open(newline="") as file:
+            _, *lines = csv.reader(file)
+        return cls(map(_row, lines), read_json(folder / ABOUT))
+
+
+def _row(line: list[str]) -> Row:
+    setting, family, substeps, kind, quantity, unit, n, *numbers = line
+    values = [float(number or "nan") for number in numbers]
+    return Row(setting, family, int(substeps) if substeps else None, kind, quantity, unit, int(n), *values)
+
+
+# -- measuring ---------------------------------------------------------------------------------------------------------
+
+
+def run(folder: Path, quick: bool, count: int, rounds: int, seconds: float, bars: bool, runner: Runner) -> Results:
+    """Sweep, or go on with an interrupted sweep of the same code in ``folder``."""
+    before, chosen = others(), settings(quick)
+    trials = [
+        Trial({"setting": setting.name, "kind": kind, "count": count})
+        for kind in (DIGITS, LOSS, *KINDS)
+        for setting in chosen
+        if (setting.takes_loss if kind == LOSS else setting.make)
+    ]
+    work = partial(_measured_kind, {setting.name: setting for setting in chosen}, {})
+    rows = swept(folder, trials, work, runner, bars)
+    rates = measure({setting.name: cost_of(setting, seconds) for setting in chosen}, rounds, bars)
+    found = list[Row]()
+    for setting in chosen:
+        records = [record for row in rows if row["setting"] == setting.name for record in json.loads(row["records"])]
+        costs = [1e6 / rate for rate in rates[setting.name]], ratios(rates, DEFAULT, setting.name)
+        found += rows_of(setting, records, *costs)
+    taken, there = others()
+    about = {
+        "quick": quick,
+        "cases": count,
+        "rounds": rounds,
+        "seconds": seconds,
+        "machine": machine(),
+        "versions": versions((*PACKAGES[:-1], "numba", "mujoco", "box2d")),
+        "busy": round(max(0.0, taken - before[0]) / max(there - before[1], 1e-9), 2),
+        "missing": baselines.missing(),
+    }
+    return Results(found, about)
+
+
+def _measured_kind(
+    chosen: dict[str, Setting], known: dict[str, list[tuple[Case, Reference]]], asked: dict[str, Any]
+) -> dict[str, Any]:
+    """All errors of one setting on the cases of a kind; ``known`` keeps the references from one call to the next."""
+    kind = asked["kind"]
+    if kind not in known:
+        known[kind] = with_references(kind, asked["count"])
+    return {"records": [measured(chosen[asked["setting"]], kind, *case) for case in known[kind]]}
+
+
+def measured(setting: Setting, kind: str, case: Case, reference: Reference) -> Record:
+    """All errors of one setting on one case."""
+    assert setting.make is not None
+    simulator: Any = setting.make(case.scene)
+    course = follow(simulator, case, getattr(simulator, "look", between))  # baselines look into their steps themselves
+    again = restarts(simulator, case, reference)
+    record = {"setting": setting.name, "kind": kind, "case": case.name}
+    return record | quantities(course, compare(case, course, reference), again, case.dt)
+
+
+def cost_of(setting: Setting, seconds: float) -> Timed:
+    """Simulated seconds per second of this thread's own time, which stops while others use the processor."""
+    block = _stepped(setting.make) if setting.make else _together()
+    timed = repeat(block, seconds, clock=time.thread_time)
+    return lambda: DT * timed()
+
+
+def _stepped(make: Callable[[Scene], Simulator]) -> Callable[[], int]:
+    """A block that steps a contact model through some cases."""
+    chosen = [seeded(kind, seed) for kind in KINDS for seed in range(2)]
+    made = [make(case.scene) for case in chosen]
+
+    def block() -> int:
+        for simulator, case in zip(made, chosen, strict=True):
+            simulator.reset(case.state)
+            try:
+                for number in range(case.steps):
+                    simulator.step(DT, None if case.torques is None else case.torques[number])
+            except RuntimeError:  # the jack left: the steps until then count
+                pass
+        return sum(round(simulator.time / DT) for simulator in made)
+
+    return block
+
+
+def _together() -> Callable[[], int]:
+    """A block of the exact model under held torques in one compiled loop on one thread."""
+    chosen = [seeded("held", seed) for seed in range(TOGETHER)]
+    states, torques = np.array([case.state for case in chosen]), np.array([case.torques for case in chosen])
+
+    def block() -> int:
+        rollout(chosen[0].scene, states, torques, DT, num_threads=1)
+        return torques.size
+
+    return block
