@@ -6,12 +6,9 @@ a lock left behind holds nobody up. Windows has no such lock: there a folder is 
 
 from __future__ import annotations
 
-import errno
 import json
 import os
-import stat
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,9 +18,6 @@ if sys.platform != "win32":
     import fcntl
 
 LOCK = "lock"
-_PATIENCE = 1.0  # for a process that has just taken a lock to write its number down [s]
-_IN_PLACE = sum(getattr(os, name, 0) for name in ("O_RDWR", "O_CREAT", "O_NOFOLLOW", "O_NONBLOCK", "O_BINARY"))
-_held: set[int] = set()  # descriptors of the locks that this process holds
 
 
 class DamagedFileError(ValueError):
@@ -32,9 +26,6 @@ class DamagedFileError(ValueError):
 
 class FolderInUseError(RuntimeError):
     """Another process works in the folder."""
-
-
-# -- reading ----------------------------------------------------------------------------------------------------------
 
 
 @contextmanager
@@ -47,8 +38,27 @@ def parsing(path: Path) -> Iterator[None]:
     try:
         yield
     except Exception as error:  # a damaged zip fails in dozens of ways
-        reason = next(iter(str(error).splitlines()), "")[:200]
-        raise DamagedFileError(f"{path} is damaged ({type(error).__name__}{': ' * bool(reason)}{reason})") from error
+        raise DamagedFileError(f"{path} is damaged ({first_line(error)})") from error
+
+
+def first_line(error: Exception) -> str:
+    """The kind of an error, and the beginning of what it says, in one line."""
+    said = next(iter(str(error).splitlines()), "")[:200]
+    return f"{type(error).__name__}{': ' * bool(said)}{said}"
+
+
+def read_bounded(path: Path, most: int) -> bytes:
+    """The content of a file.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: it has more than ``most`` bytes.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path.parent} holds no {path.name}")
+    if path.stat().st_size > most:
+        raise ValueError(f"{path} must be at most {most:,} bytes, got {path.stat().st_size:,}")
+    return path.read_bytes()
 
 
 def read_json(path: Path) -> Any:
@@ -67,27 +77,6 @@ def say_skipped(error: DamagedFileError) -> None:
     print(f"Skipped: {error}", file=sys.stderr)
 
 
-# -- files that are written in place ----------------------------------------------------------------------------------
-
-
-def own_file(path: Path) -> int:
-    """A descriptor to read and write a file in place, which is made where it is missing.
-
-    Raises:
-        OSError: it is a link, or no plain file: what is written there would be written elsewhere.
-    """
-    if not path.is_symlink():
-        descriptor = os.open(path, _IN_PLACE, 0o666)
-        found = os.fstat(descriptor)
-        if stat.S_ISREG(found.st_mode) and found.st_nlink <= 1:
-            return descriptor
-        os.close(descriptor)
-    raise OSError(f"{path} must be a plain file of its own, no link: remove it, or put a copy in its place")
-
-
-# -- holding ----------------------------------------------------------------------------------------------------------
-
-
 @contextmanager
 def held(folder: Path) -> Iterator[None]:
     """Hold a folder against every other process, and against a second use within this one.
@@ -96,68 +85,22 @@ def held(folder: Path) -> Iterator[None]:
         FolderInUseError: another process holds it.
         OSError: its lock is a link, or cannot be opened.
     """
-    descriptor = _locked(folder)
-    if descriptor is None:
-        print(f"{folder} cannot be locked on this system: take care that nothing else works in it", file=sys.stderr)
+    if sys.platform == "win32":
+        _say_unlocked(folder)
         yield
         return
-    _held.add(descriptor)
+    descriptor = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
     try:
-        os.ftruncate(descriptor, 0)
-        os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise FolderInUseError(f"{folder} is in use by another process: wait until it ends, or end it") from error
+        except OSError:  # a disk of a cluster, perhaps, that has no locks
+            _say_unlocked(folder)
         yield
     finally:
-        if descriptor in _held:  # not in a forked child
-            os.ftruncate(descriptor, 0)
-            _held.remove(descriptor)
-            os.close(descriptor)
-
-
-def _locked(folder: Path) -> int | None:
-    """A descriptor of the folder's lock, taken; None where the system, or the disk's, has no such lock."""
-    if sys.platform == "win32":
-        return None
-    deadline = time.monotonic() + _PATIENCE
-    descriptor = own_file(folder / LOCK)
-    try:
-        while True:
-            try:
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError as error:
-                holder = _process(os.pread(descriptor, 32, 0))
-                if holder is None and time.monotonic() < deadline:
-                    time.sleep(0.01)  # it has not written its number yet
-                    continue
-                name = f"process {holder}" if holder else "another process"
-                raise FolderInUseError(f"{folder} is in use by {name}: wait until it ends, or end it") from error
-            except OSError as error:
-                if error.errno not in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS):
-                    raise
-                os.close(descriptor)
-                return None
-            return descriptor
-    except BaseException:
         os.close(descriptor)
-        raise
 
 
-def _process(written: bytes) -> int | None:
-    """The number of a process that lives."""
-    try:
-        number = int(written)
-        os.kill(number, 0)
-    except PermissionError:  # another user's
-        return number
-    except (ValueError, OverflowError, OSError):  # not written yet; or that of a holder before, which was killed
-        return None
-    return number if number > 0 else None
-
-
-def _let_go() -> None:
-    """In a forked child: close the parent's locks, or a child that outlives it would hold them."""
-    while _held:
-        os.close(_held.pop())
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_let_go)
+def _say_unlocked(folder: Path) -> None:
+    print(f"{folder} cannot be locked on this system: take care that nothing else works in it", file=sys.stderr)

@@ -15,7 +15,7 @@ from tqdm import tqdm
 import jackbox_env  # noqa: F401
 from agents.policies.scripted import Baseline
 from agents.settings import EPISODE_STEPS
-from jackbox_env.recording.files import check_new, replacing
+from jackbox_env.recording.files import check_new, check_writable, replacing
 from jackbox_env.render.canvas import import_pygame
 
 Frame = NDArray[np.uint8]
@@ -29,18 +29,14 @@ def check_film(path: Path) -> None:
 
     Raises:
         ValueError: another suffix than .gif and .mp4.
-        FileNotFoundError: there is no such folder.
         FileExistsError: there is something at ``path``.
-        OSError: nothing can be written there.
+        OSError: there is no such folder, or nothing can be written to it.
         gymnasium.error.DependencyNotInstalled: pygame is missing.
     """
     if path.suffix.lower() not in SUFFIXES:
         raise ValueError(f"a film must be a .gif or .mp4 file, got {str(path)!r}")
-    if not path.parent.is_dir():
-        raise FileNotFoundError(f"{path.parent} is no folder to write {path.name} to")
-    if path.exists():
-        raise FileExistsError(f"{path} exists, and films are never overwritten: choose another file")
-    check_new(path, "films", "file")
+    check_writable(path.parent)
+    check_new(path)
     import_pygame()
 
 

@@ -14,7 +14,7 @@ from agents.runs import EVALUATIONS, describe
 from agents.training import best
 from agents.training import ppo as training
 from agents.training.best import BEST, read_evaluations
-from agents.training.checkpoints import CHECKPOINTS, Checkpoint, checkpoint_path, kept_steps, read_model_file, with_note
+from agents.training.checkpoints import CHECKPOINTS, Checkpoint, checkpoint_path, kept_steps, read_parameters
 from agents.training.models import load_model
 from agents.training.ppo import MODEL
 from jackbox_env.recording.files import new_folder
@@ -86,7 +86,7 @@ def goes_on_to_its_end(folder: Path) -> None:
     model = training.train(SMALL, folder, progress=False)
     assert model.num_timesteps == SMALL.total_steps
     for name in (MODEL, BEST):
-        read_model_file(folder / name)
+        read_parameters(folder / name)
     with pytest.raises(FileExistsError, match="is finished"):
         training.train(SMALL, folder, progress=False)
 
@@ -112,63 +112,55 @@ def test_without_a_whole_checkpoint_the_run_begins_again(stopped: Path, capsys: 
     for steps in kept_steps(stopped):
         harm(checkpoint_path(stopped, steps), "half")
     goes_on_to_its_end(stopped)
-    said = capsys.readouterr().err
-    assert said.count("Skipped: ") == 3
-    assert f"No checkpoint in {stopped} is whole: starting from the beginning" in said
+    said = capsys.readouterr()
+    assert said.err.count("Skipped: ") == 3
+    assert "Starting from the beginning" in said.out
     again = read_evaluations(stopped, SMALL.eval_episodes)
     assert again.timesteps == expected_steps(SMALL)
     assert again.results[:2] == first.results  # from the same seed
 
 
 @pytest.mark.parametrize("how", HARMS)
-def test_damaged_evaluations_are_left_out_and_the_best_stays_the_best(
-    how: str, stopped: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    unbeaten = with_note(checkpoint_path(stopped, 16).read_bytes(), {"mean_return": 1e6, "timesteps": 32})
-    (stopped / BEST).write_bytes(unbeaten)
+def test_damaged_evaluations_are_left_out(how: str, stopped: Path, capsys: pytest.CaptureFixture[str]) -> None:
     harm(stopped / EVALUATIONS, how)
     goes_on_to_its_end(stopped)
     assert skipped(capsys.readouterr().err, stopped / EVALUATIONS)
     assert read_evaluations(stopped, SMALL.eval_episodes).timesteps == [96]  # those before are lost
-    assert (stopped / BEST).read_bytes() == unbeaten
 
 
 @pytest.mark.parametrize("how", [*HARMS, "flipped", "gone"])
-@pytest.mark.parametrize("state", ["stopped", "finished"])
-def test_a_damaged_best_model_is_made_again_from_its_checkpoint(
-    how: str, state: str, request: pytest.FixtureRequest, capsys: pytest.CaptureFixture[str]
+def test_the_next_evaluation_takes_the_place_of_a_damaged_best_model(
+    how: str, stopped: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    folder: Path = request.getfixturevalue(state)
-    parameters, note = read_model_file(folder / BEST)
     if how == "gone":
-        (folder / BEST).unlink()
+        (stopped / BEST).unlink()
     else:
-        harm(folder / BEST, how)
-    last = (folder / MODEL).read_bytes() if state == "finished" else b""
-    with pytest.MonkeyPatch.context() as patch:  # see what there is when the training begins
-        patch.setattr(training, "_where_it_was", lambda folder: pytest.fail("begun"))
-        with pytest.raises(FileExistsError if last else pytest.fail.Exception):
-            training.train(SMALL, folder, progress=False)
-    said = capsys.readouterr().err
-    assert skipped(said, folder / BEST) == (how != "gone")
-    assert f"Made {folder / BEST} again from {folder / CHECKPOINTS}" in said
-    again, note_again = read_model_file(folder / BEST)
-    assert note_again == note
-    for name, value in parameters["policy"].items():
-        np.testing.assert_array_equal(again["policy"][name], value)
-    assert last == ((folder / MODEL).read_bytes() if last else b"")
+        harm(stopped / BEST, how)
+    goes_on_to_its_end(stopped)
+    assert skipped(capsys.readouterr().err, stopped / BEST) == (how != "gone")
+    evaluated = read_parameters(checkpoint_path(stopped, STOPPED))["policy"]  # at 96
+    kept = read_parameters(stopped / BEST)["policy"]
+    assert all(bool((kept[name] == value).all()) for name, value in evaluated.items())
+
+
+def test_a_best_model_stays_where_those_to_come_do_worse(stopped: Path) -> None:
+    evaluations, kept = read_evaluations(stopped, SMALL.eval_episodes), (stopped / BEST).read_bytes()
+    better = evaluations._replace(results=[[1e6, 1e6], *evaluations.results[1:]])
+    np.savez(stopped / EVALUATIONS, **better._asdict())
+    goes_on_to_its_end(stopped)
+    assert (stopped / BEST).read_bytes() == kept
 
 
 @pytest.mark.parametrize("how", [*HARMS, "flipped"])
 def test_a_damaged_model_is_not_the_end_of_a_run(how: str, finished: Path, capsys: pytest.CaptureFixture[str]) -> None:
     harm(finished / MODEL, how)
     goes_on_to_its_end(finished)
-    assert f"Skipped: {finished / MODEL} is damaged, so the run is not finished" in capsys.readouterr().err
+    assert skipped(capsys.readouterr().err, finished / MODEL)
     assert read_evaluations(finished, SMALL.eval_episodes).timesteps == expected_steps(SMALL)
 
 
 def test_a_checkpoint_of_other_settings_is_refused_and_not_taken_for_a_damaged_one(stopped: Path) -> None:
-    with pytest.raises(ValueError, match=r"ppo_80.zip was made by other settings than its run's: Error") as refused:
+    with pytest.raises(ValueError, match=r"ppo_80.zip was made by other settings than its run's: Runtime") as refused:
         training.train(replace(SMALL, hidden_units=(4,)), stopped, progress=False)
     assert "\n" not in str(refused.value)
     assert not (stopped / MODEL).exists()

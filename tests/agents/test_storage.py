@@ -11,17 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from agents import files as storage
 from agents.files import LOCK, DamagedFileError, FolderInUseError, held, read_json
-from jackbox_env.recording import files as writing
-from jackbox_env.recording.files import (
-    make_filled_folder,
-    new_file,
-    remove_partials,
-    replacing,
-    write_json,
-    write_text,
-)
+from jackbox_env.recording.files import new_file, new_folder, remove_partials, replacing, write_json, write_text
 from tests.agents.killing import ended, start
 
 # -- writing ----------------------------------------------------------------------------------------------------------
@@ -30,7 +21,6 @@ from tests.agents.killing import ended, start
 def fail(path: Path, error: BaseException, left: str | None = None) -> None:
     """Fail while a file is written. With ``left`` leave the unfinished file under this name, as a kill does."""
     with replacing(path) as partial:
-        assert writing._PARTIAL.fullmatch(partial.name)
         partial.write_text("ne")
         if left is not None:
             partial.rename(path.with_name(left))
@@ -64,12 +54,12 @@ def test_a_folder_appears_together_with_what_is_in_it(tmp_path: Path) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        make_filled_folder(path, fails)
+        new_folder(path, "run", fails)
     assert list(path.parent.iterdir()) == []
     leftover = path.with_name(f".run.{os.getpid()}.partial")  # of a killed process that had this number
     leftover.mkdir()
     (leftover / "something").touch()
-    make_filled_folder(path, fill)
+    new_folder(path, "run", fill)
     assert [entry.relative_to(tmp_path).as_posix() for entry in sorted(tmp_path.rglob("*"))] == [
         "runs",
         "runs/run",
@@ -84,7 +74,7 @@ def test_what_killed_processes_left_is_removed_and_nothing_else(tmp_path: Path) 
     (tmp_path / ".run.3.partial").mkdir()
     (tmp_path / ".run.3.partial" / "settings.json").touch()
     assert len(list(tmp_path.iterdir())) == 3
-    kept = {".hidden", "model.partial.zip", ".model.partial", "x.12.partial"}
+    kept = {".hidden", "model.partial.zip", "x.12.partial"}
     for name in kept:
         (tmp_path / name).touch()
     (tmp_path / ".link.4.partial").symlink_to(tmp_path.parent, target_is_directory=True)
@@ -126,37 +116,22 @@ def test_a_folder_is_held_until_its_process_is_killed(tmp_path: Path) -> None:
     process = start(hold, tmp_path, tmp_path / "ready")
     wait_for(tmp_path / "ready")
     for _ in range(2):
-        with pytest.raises(FolderInUseError, match=f"{tmp_path} .* {process.pid}:"), held(tmp_path):
+        with pytest.raises(FolderInUseError, match=f"^{tmp_path} is in use by another process: wait"), held(tmp_path):
             pass
     process.kill()
     assert ended(process) == -9
-    assert (tmp_path / LOCK).read_text().strip().isdigit()  # it could not tidy up
+    assert (tmp_path / LOCK).exists()  # it could not tidy up
     with held(tmp_path):
         pass
-    assert (tmp_path / LOCK).read_text() == ""
 
 
 def test_a_folder_is_held_against_a_second_use_in_the_same_process(tmp_path: Path) -> None:
     with held(tmp_path):
-        with pytest.raises(FolderInUseError, match=f"in use by process {os.getpid()}:"), held(tmp_path):
-            pass
-        with pytest.raises(FolderInUseError), held(tmp_path):  # being refused has not let go of it
-            pass
+        for _ in range(2):  # being refused has not let go of it
+            with pytest.raises(FolderInUseError), held(tmp_path):
+                pass
     with held(tmp_path):
         pass
-    assert not storage._held
-
-
-@pytest.mark.parametrize("written", [b"", b"nonsense", b"9" * 40])
-def test_what_stands_in_a_lock_file_holds_nothing_and_names_nobody(
-    written: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(storage, "_PATIENCE", 0.1)
-    (tmp_path / LOCK).write_bytes(written)
-    with held(tmp_path):
-        (tmp_path / LOCK).write_bytes(written)
-        with pytest.raises(FolderInUseError, match="is in use by another process: wait"), held(tmp_path):
-            pass
 
 
 def test_where_there_are_no_locks_that_is_said(
@@ -169,4 +144,3 @@ def test_where_there_are_no_locks_that_is_said(
     with held(tmp_path), held(tmp_path):
         pass
     assert capsys.readouterr().err.count(f"{tmp_path} cannot be locked") == 2
-    assert not storage._held

@@ -146,11 +146,11 @@ def test_folders_are_not_shared_overwritten_or_continued_by_other_code(
 ) -> None:
     folder = carried_out(tmp_path / "sweep")
     assert read_sweep(folder) == ({}, GRID)
-    with pytest.raises(FileExistsError, match="sweep exists, and runs are never overwritten"):
+    with pytest.raises(FileExistsError, match="sweep exists, and is never overwritten"):
         new_sweep(folder, {}, GRID)
     with pytest.raises(FileNotFoundError, match="is no sweep: it has no sweep.json"):
         read_sweep(tmp_path)
-    with held(folder), pytest.raises(FolderInUseError, match="is in use by process"):
+    with held(folder), pytest.raises(FolderInUseError, match="is in use by another process"):
         carried_out(folder)
     known = journal.made_with()
     monkeypatch.setattr(journal, "made_with", lambda: {**known, "numpy": "1.0"})

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-import shutil
 import sys
 from dataclasses import asdict, replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -122,19 +120,6 @@ def test_models_that_are_not_there_or_do_not_fit_are_refused(run: Path, tmp_path
     lonely.write_bytes(b"nonsense")
     with pytest.raises(ValueError, match="is no model of the settings beside it"):
         load_model(lonely)
-
-
-# -- what is known before the first step ------------------------------------------------------------------------------
-
-
-def test_a_disk_without_room_for_the_checkpoints_is_said_before_the_first_step(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder = new_folder(tmp_path / "run", "test", lambda made: describe(made, TINY))
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=1000))
-    with pytest.raises(OSError, match=r"run must have \d+ MB free for what will be written, got 0 MB"):
-        training.train(TINY, folder, progress=False)
-    assert not (folder / "checkpoints").exists()
 
 
 def test_a_training_is_gone_on_with_or_left_as_it_is(run: Path, tmp_path: Path) -> None:

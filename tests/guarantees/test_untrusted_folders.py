@@ -5,13 +5,11 @@ from __future__ import annotations
 import contextlib
 import io
 import json
-import os
 import subprocess
 import sys
 import tracemalloc
 import zipfile
-import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -26,9 +24,8 @@ from agents.runs import EVALUATIONS, read_settings
 from agents.settings import TrainSettings
 from agents.sweeps.in_process import InTurn, Trial
 from agents.sweeps.journal import JOURNAL, TABLE, carry_out, new_sweep
-from agents.training.archives import unpacked_tensors
+from agents.training.archives import unpacked
 from agents.training.best import read_evaluations
-from agents.training.checkpoints import read_model_file
 from agents.training.models import load_model, make_ppo, make_vec_env
 
 TINY = TrainSettings(num_envs=1, rollout_steps=2, batch_size=2, hidden_units=(4,))
@@ -97,7 +94,7 @@ def test_absurd_sizes_are_refused_before_anything_is_made(tmp_path: Path, values
 def test_an_environment_that_can_not_be_made_names_the_settings(tmp_path: Path, values: dict[str, Any]) -> None:
     folder = folder_with(tmp_path, changed(**values))
     (folder / "model.zip").write_bytes(b"")
-    with pytest.raises(ValueError, match=rf"settings.json makes no model: {next(iter(values))} must be "):
+    with pytest.raises(ValueError, match=rf"settings.json makes no model: .*: {next(iter(values))} must be "):
         load_model(folder)
 
 
@@ -169,16 +166,6 @@ def test_a_zip_bomb_that_understates_its_size_is_refused_before_it_is_inflated(s
     assert kind == "a tensor" or "Bad CRC-32" in str(refusal.value)
 
 
-def test_a_note_is_inflated_no_further_than_it_says(saved: Path) -> None:
-    note = b"{}" + b" " * 998
-    whole = note + ZEROS[len(note) :]
-    content = understated(zipped({**members(saved / "model.zip"), "note.json": whole}))
-    told, true = (zlib.crc32(part).to_bytes(4, "little") for part in (note, whole))
-    (saved / "model.zip").write_bytes(content.replace(true, told))
-    with little_memory():
-        assert read_model_file(saved / "model.zip")[1] == {}
-
-
 @pytest.mark.parametrize("understate", [False, True])
 def test_arrays_are_inflated_to_no_more_than_arrays_take(
     tmp_path: Path, understate: bool, capsys: pytest.CaptureFixture[str]
@@ -195,9 +182,8 @@ def test_arrays_are_inflated_to_no_more_than_arrays_take(
 
 @pytest.mark.parametrize("method", [zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2])
 def test_other_methods_are_refused(saved: Path, method: int) -> None:
-    (saved / "model.zip").write_bytes(zipped(members(saved / "model.zip"), method))
     with pytest.raises(ValueError, match="model.zip must be stored or deflated"):
-        unpacked_tensors(saved / "model.zip")
+        unpacked(zipped(members(saved / "model.zip"), method), "model.zip")
 
 
 def test_models_load_as_they_are_saved_and_packed_once_more(saved: Path) -> None:
@@ -245,26 +231,20 @@ print(base64.b64encode(cloudpickle.dumps(Bomb())).decode())
 # -- links and damaged lines ------------------------------------------------------------------------------------------
 
 
-LINKS: dict[str, Callable[[Path, Path], None]] = {
-    "symbolic": lambda path, target: path.symlink_to(target),
-    "hard": lambda path, target: path.hardlink_to(target),
-    "a pipe": lambda path, target: os.mkfifo(path),
-}
-
-
-@pytest.mark.parametrize("name", [LOCK, JOURNAL])
-@pytest.mark.parametrize("kind", LINKS)
-def test_a_lock_or_results_log_that_is_a_link_is_refused_and_what_it_leads_to_is_left(
-    kind: str, name: str, tmp_path: Path
-) -> None:
+def test_a_lock_or_results_log_that_is_a_link_leads_nowhere(tmp_path: Path) -> None:
     (tmp_path / "mine").write_text("precious")
     folder, grid = tmp_path / "run", [Trial({"number": number}) for number in range(2)]
     new_sweep(folder, {}, grid)
-    (folder / name).unlink(missing_ok=True)
-    LINKS[kind](folder / name, tmp_path / "mine")
-    with pytest.raises(OSError, match=f"^{folder / name} must be a plain file"):
+    (folder / LOCK).symlink_to(tmp_path / "mine")
+    with pytest.raises(OSError, match=f"symbolic links: .*{folder / LOCK}"):
         carry_out(folder, grid, dict, InTurn(), progress=False)
-    assert (tmp_path / "mine").read_text() == "precious"
+    for link in (Path.symlink_to, Path.hardlink_to):
+        for name in (LOCK, JOURNAL):
+            (folder / name).unlink(missing_ok=True)
+        (folder / LOCK).hardlink_to(tmp_path / "mine")
+        link(folder / JOURNAL, tmp_path / "mine")
+        assert carry_out(folder, grid, dict, InTurn(), progress=False).finished == 2
+        assert (tmp_path / "mine").read_text() == "precious"
 
 
 @pytest.mark.parametrize("harm", [{"result": 5}, {"seconds": None}, {"key": []}, {"result": {"share": "\ud800"}}, None])
