@@ -7,11 +7,15 @@ a lock left behind holds nobody up. Windows has no such lock: there a folder is 
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
+
+if sys.platform != "win32":
+    import fcntl
 
 LOCK = "lock"
 
@@ -24,9 +28,6 @@ class FolderInUseError(RuntimeError):
     """Another process works in the folder."""
 
 
-# -- reading ----------------------------------------------------------------------------------------------------------
-
-
 @contextmanager
 def parsing(path: Path) -> Iterator[None]:
     """Take any failure in the block for damage of the file at ``path``.
@@ -37,8 +38,27 @@ def parsing(path: Path) -> Iterator[None]:
     try:
         yield
     except Exception as error:  # a damaged zip fails in dozens of ways
-        reason = next(iter(str(error).splitlines()), "")[:200]
-        raise DamagedFileError(f"{path} is damaged ({type(error).__name__}{': ' * bool(reason)}{reason})") from error
+        raise DamagedFileError(f"{path} is damaged ({first_line(error)})") from error
+
+
+def first_line(error: Exception) -> str:
+    """The kind of an error, and the beginning of what it says, in one line."""
+    said = next(iter(str(error).splitlines()), "")[:200]
+    return f"{type(error).__name__}{': ' * bool(said)}{said}"
+
+
+def read_bounded(path: Path, most: int) -> bytes:
+    """The content of a file.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: it has more than ``most`` bytes.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path.parent} holds no {path.name}")
+    if path.stat().st_size > most:
+        raise ValueError(f"{path} must be at most {most:,} bytes, got {path.stat().st_size:,}")
+    return path.read_bytes()
 
 
 def read_json(path: Path) -> Any:
@@ -57,42 +77,30 @@ def say_skipped(error: DamagedFileError) -> None:
     print(f"Skipped: {error}", file=sys.stderr)
 
 
-# -- holding ----------------------------------------------------------------------------------------------------------
-
-
 @contextmanager
 def held(folder: Path) -> Iterator[None]:
     """Hold a folder against every other process, and against a second use within this one.
 
     Raises:
-        FolderInUseError: it is held already.
+        FolderInUseError: another process holds it.
         OSError: its lock is a link, or cannot be opened.
     """
-    with open_own(folder / LOCK) as file:
+    if sys.platform == "win32":
+        _say_unlocked(folder)
+        yield
+        return
+    descriptor = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+    try:
         try:
-            _lock(file)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             raise FolderInUseError(f"{folder} is in use by another process: wait until it ends, or end it") from error
-        except OSError:
-            print(f"{folder} cannot be locked on this system: take care that nothing else works in it", file=sys.stderr)
+        except OSError:  # a disk of a cluster, perhaps, that has no locks
+            _say_unlocked(folder)
         yield
+    finally:
+        os.close(descriptor)
 
 
-def open_own(path: Path) -> BinaryIO:
-    """Open a file to read and to append to, which is made where it is missing.
-
-    Raises:
-        OSError: it is a link, so that what is written would be written elsewhere.
-    """
-    if path.is_symlink():
-        raise OSError(f"{path} must be a plain file of its own, no link: remove it, or put a copy in its place")
-    return path.open("ab+")
-
-
-def _lock(file: BinaryIO) -> None:
-    """Lock a file until it is closed, or its process ends however it ends; OSError where there are no locks."""
-    try:
-        import fcntl
-    except ModuleNotFoundError as error:
-        raise OSError("there are no locks on this system") from error
-    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+def _say_unlocked(folder: Path) -> None:
+    print(f"{folder} cannot be locked on this system: take care that nothing else works in it", file=sys.stderr)

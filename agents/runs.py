@@ -20,9 +20,12 @@ import os
 import platform
 import subprocess
 import sys
+from collections.abc import Iterable
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 
+from agents.files import read_bounded
 from agents.settings import TrainSettings
 from jackbox_env.recording.files import write_json
 
@@ -31,20 +34,25 @@ _LARGEST_SETTINGS = 1_000_000  # [bytes]
 PACKAGES = ("jackbox", "gymnasium", "numpy", "pymunk", "stable-baselines3", "torch")
 
 
-def versions(packages: tuple[str, ...] = PACKAGES) -> dict[str, str]:
-    """Versions of Python, of these packages, and the commit of the checkout if there is one."""
+def installed(packages: Iterable[str]) -> dict[str, str]:
+    """Versions of Python and of these packages."""
     found = {"python": platform.python_version()}
     for package in packages:
         try:
             found[package] = metadata.version(package)
         except metadata.PackageNotFoundError:
             found[package] = "not installed"
-    command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
-    described = subprocess.run(command, capture_output=True, text=True, check=False)
-    found["commit"] = described.stdout.strip() or "unknown"
     return found
 
 
+def versions(packages: Iterable[str] = PACKAGES) -> dict[str, str]:
+    """Versions of Python, of these packages, and the commit of the checkout if there is one."""
+    command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
+    described = subprocess.run(command, capture_output=True, text=True, check=False)
+    return {**installed(packages), "commit": described.stdout.strip() or "unknown"}
+
+
+@cache
 def machine() -> str:
     """Processor, cores and system in one line."""
     model = platform.processor() or platform.machine()
@@ -71,11 +79,7 @@ def read_settings(folder: Path) -> TrainSettings:
         ValueError: the file holds no settings, or one that is unknown or out of range.
     """
     path = folder / SETTINGS
-    if not path.is_file():
-        raise FileNotFoundError(f"{folder} is no run folder: it has no {SETTINGS}")
     try:
-        if path.stat().st_size > _LARGEST_SETTINGS:
-            raise ValueError(f"they must be at most {_LARGEST_SETTINGS:,} bytes, got {path.stat().st_size:,}")
-        return TrainSettings.of(json.loads(path.read_bytes()))
+        return TrainSettings.of(json.loads(read_bounded(path, _LARGEST_SETTINGS)))
     except (RecursionError, TypeError, ValueError) as error:
         raise ValueError(f"{path} holds no settings of a run: {error}") from error

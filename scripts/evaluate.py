@@ -48,9 +48,9 @@ def _refuse_nonsense(arguments: Arguments) -> None:
         raise ValueError("policy must name at least one policy, got none")
     if arguments.json is not None:
         check_writable(arguments.json.parent)
-        check_new(arguments.json, "results", "file")
+        check_new(arguments.json)
     if arguments.html is not None:
-        check_new(arguments.html, "pages")
+        check_new(arguments.html)
     if arguments.film is not None:
         from agents.evaluation.film import check_film
 

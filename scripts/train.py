@@ -31,9 +31,8 @@ class Arguments:
 def main() -> None:
     """Parse, train, say where things are."""
     arguments = tyro.cli(Arguments, description=__doc__)
-    from agents.training.checkpoints import kept_steps
     from agents.training.models import make_vec_env
-    from agents.training.ppo import MODEL, train
+    from agents.training.ppo import train
 
     if arguments.resume is not None:
         if arguments.settings != TrainSettings() or arguments.folder is not None:
@@ -41,8 +40,6 @@ def main() -> None:
         folder, settings = arguments.resume, read_settings(arguments.resume)
         if not (folder / RUN).is_file():
             raise FileNotFoundError(f"{folder} is no training run: it has no {RUN}, so there is nothing to resume")
-        if not kept_steps(folder) and not (folder / MODEL).exists():
-            print("No checkpoint yet: starting from the beginning")
     else:
         settings = arguments.settings
         make_vec_env(settings.env_settings, 1, 0).close()  # refuse before there is a folder

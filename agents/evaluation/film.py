@@ -29,15 +29,14 @@ def check_film(path: Path) -> None:
 
     Raises:
         ValueError: another suffix than .gif and .mp4.
-        FileNotFoundError: there is no such folder.
         FileExistsError: there is something at ``path``.
-        OSError: nothing can be written there.
+        OSError: there is no such folder, or nothing can be written to it.
         gymnasium.error.DependencyNotInstalled: pygame is missing.
     """
     if path.suffix.lower() not in SUFFIXES:
         raise ValueError(f"a film must be a .gif or .mp4 file, got {str(path)!r}")
     check_writable(path.parent)
-    check_new(path, "films", "file")
+    check_new(path)
     import_pygame()
 
 

@@ -14,12 +14,12 @@ import platform
 import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from dataclasses import dataclass
-from functools import cache, cached_property
-from itertools import islice
+from functools import cached_property
 from typing import Any, NamedTuple, Protocol
 
+from agents.files import first_line
 from agents.runs import machine
 from jackbox_env import _validation as check
 
@@ -65,15 +65,9 @@ def attempt(work: Work, trial: Trial) -> Finished:
     try:
         result = work(trial.settings)
     except Exception as raised:
-        said = next(iter(str(raised).splitlines()), "")
-        error, details = f"{type(raised).__name__}{': ' * bool(said)}{said}", traceback.format_exc()
+        error, details = first_line(raised), traceback.format_exc()
     seconds = time.perf_counter() - began
-    return Finished(trial, result, error, details, seconds, f"{platform.node()} {os.getpid()}", _processor())
-
-
-@cache
-def _processor() -> str:
-    return machine()
+    return Finished(trial, result, error, details, seconds, f"{platform.node()} {os.getpid()}", machine())
 
 
 def nothing() -> None:
@@ -99,17 +93,12 @@ class InThreads:
 
     def run(self, trials: Iterable[Trial], work: Work, look: Callable[[], None] = nothing) -> Iterator[Finished]:
         """See :class:`Runner`. Left early, it starts no other trial and does not wait for those under way."""
-        waiting, under_way, pool = iter(trials), set[Future[Finished]](), ThreadPoolExecutor(self._workers)
+        pool = ThreadPoolExecutor(self._workers)
+        under_way = {pool.submit(attempt, work, trial) for trial in trials}
         try:
-            while True:
-                free = self._workers - len(under_way)
-                under_way |= {pool.submit(attempt, work, trial) for trial in islice(waiting, free)}
-                if not under_way:
-                    return
-                time.sleep(LOOK_AGAIN)
+            while under_way:
+                done, under_way = wait(under_way, LOOK_AGAIN, FIRST_COMPLETED)
                 look()
-                done = {future for future in under_way if future.done()}
-                under_way -= done
                 yield from (future.result() for future in done)
         finally:
-            pool.shutdown(wait=False)
+            pool.shutdown(wait=False, cancel_futures=True)

@@ -18,28 +18,23 @@ import io
 import json
 import os
 import sys
-import time
-from collections.abc import Callable, Iterable, Iterator
-from importlib import metadata
+from collections import Counter
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 from tqdm import tqdm
 
-from agents.files import DamagedFileError, held, open_own, parsing, read_json, say_skipped
-from agents.runs import PACKAGES, machine, versions
+from agents.files import DamagedFileError, held, parsing, say_skipped
+from agents.runs import PACKAGES, installed, machine, versions
 from agents.sweeps.in_process import Finished, Runner, Trial, Work
-from jackbox_env.recording.files import check_writable, new_folder, remove_partials, write_json, write_text
+from jackbox_env.recording.files import new_folder, remove_partials, write_bytes, write_json, write_text
 
 SWEEP, JOURNAL, TABLE, TIMES = "sweep.json", "trials.jsonl", "table.csv", "times.csv"
 ENGINES = ("numpy", "numba", "pymunk", *PACKAGES[-2:])
 _TIMED = {"seconds": float | int, "place": str, "processor": str}
-_TOLD = {"result": dict | None, "error": str | None, "details": str, **_TIMED}
-_LINE = {"key": str, "settings": dict, **_TOLD}
-_Made = TypeVar("_Made")
+_KEPT = {"result": dict | None, "error": str | None, "details": str, **_TIMED}  # of a finished trial
 _ROOT = Path(__file__).parents[2]
-_TABLE_EVERY = 10.0  # [s] between two versions of the table
-_SHARE = 20.0  # times as long as writing one takes
 
 
 class Outcome(NamedTuple):
@@ -52,16 +47,10 @@ class Outcome(NamedTuple):
 
 def made_with() -> dict[str, str]:
     """Versions, and a digest of the code, that results depend on."""
-    found = {"python": ".".join(map(str, sys.version_info[:3]))}
-    for package in ENGINES:
-        try:
-            found[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            found[package] = "not installed"
     text = hashlib.sha256()
     for path in sorted(path for folder in ("jackbox_env", "agents") for path in (_ROOT / folder).rglob("*.py")):
         text.update(path.relative_to(_ROOT).as_posix().encode() + path.read_bytes())
-    return {**found, "code": text.hexdigest()[:12]}
+    return {**installed(ENGINES), "code": text.hexdigest()[:12]}
 
 
 def differing(given: dict[str, str], here: dict[str, str]) -> str:
@@ -84,11 +73,10 @@ def new_sweep(path: Path | None, asked: dict[str, Any], trials: list[Trial]) -> 
     """
     if not trials:
         raise ValueError("a sweep must have at least one trial, got none")
-    seen = set[str]()
+    count = Counter(trial.key for trial in trials)
     for trial in trials:
-        if trial.key in seen:
+        if count[trial.key] > 1:
             raise ValueError(f"a sweep must have each trial once, got twice {json.dumps(trial.settings)}")
-        seen.add(trial.key)
     started = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
     record: dict[str, Any] = {"command": sys.argv, "started": started, "machine": machine(), "versions": versions()}
     record |= {"asked": asked, "made_with": made_with(), "trials": [trial.settings for trial in trials]}
@@ -98,7 +86,7 @@ def new_sweep(path: Path | None, asked: dict[str, Any], trials: list[Trial]) -> 
 def read_sweep(
     folder: Path, check: Callable[[dict[str, Any]], None] = lambda settings: None
 ) -> tuple[dict[str, Any], list[Trial]]:
-    """What a sweep was asked for, and its trials; says which are left out because they are damaged, or listed before.
+    """What a sweep was asked for, and its trials.
 
     Args:
         folder: of the sweep.
@@ -112,38 +100,16 @@ def read_sweep(
     path = folder / SWEEP
     if not path.is_file():
         raise FileNotFoundError(f"{folder} is no sweep: it has no {SWEEP}")
-    record = read_json(path)
     with parsing(path):
-        asked, listed = dict(record["asked"]), list(record["trials"])
+        record = json.loads(path.read_bytes())
+        asked, trials = dict(record["asked"]), [Trial(dict(settings)) for settings in record["trials"]]
         other = differing(record["made_with"], made_with())
     if other:
         raise ValueError(f"{folder} was begun with other code ({other}), so it cannot be continued: make another sweep")
-    trials = dict[str, Trial]()
-
-    def read(settings: Any) -> None:
-        trial = Trial(dict(settings))
-        check(trial.settings)
-        _as_text(trial.settings)
-        if trials.setdefault(trial.key, trial) is not trial:
-            raise ValueError("it is listed before")
-
-    _each(path, "trial", listed, read)
-    return asked, list(trials.values())
-
-
-def _each(path: Path, part: str, parts: Iterable[_Made], read: Callable[[_Made], None]) -> None:
-    """Read each part of a file; say which are skipped because they are damaged."""
-    for number, one in enumerate(parts, 1):
-        try:
-            with parsing(Path(f"{path}, {part} {number},")):
-                read(one)
-        except DamagedFileError as error:
-            say_skipped(error)
-
-
-def _as_text(values: Any) -> bytes:
-    """JSON that a table can hold; raises UnicodeEncodeError for half a character."""
-    return json.dumps(values, ensure_ascii=False).encode()
+    with parsing(path):
+        for trial in trials:
+            check(trial.settings)
+    return asked, trials
 
 
 def carry_out(folder: Path, trials: list[Trial], work: Work, runner: Runner, progress: bool = True) -> Outcome:
@@ -154,12 +120,11 @@ def carry_out(folder: Path, trials: list[Trial], work: Work, runner: Runner, pro
         OSError: it cannot be written to.
     """
     with held(folder):
-        check_writable(folder)
         remove_partials(folder)
-        kept = _kept(folder, trials)
+        kept = _read_log(folder, trials)
         left = [trial for trial in trials if trial.key not in kept or kept[trial.key]["error"] is not None]
         try:
-            _run(folder, trials, left, kept, runner.run, work, progress)
+            _run(folder, left, kept, runner, work, tqdm(total=len(trials), unit="trial", disable=not progress))
         finally:
             _write_tables(folder, trials, kept)
     failed = [trial for trial in trials if trial.key in kept and kept[trial.key]["error"] is not None]
@@ -167,59 +132,49 @@ def carry_out(folder: Path, trials: list[Trial], work: Work, runner: Runner, pro
 
 
 def _run(
-    folder: Path,
-    trials: list[Trial],
-    left: list[Trial],
-    kept: dict[str, dict[str, Any]],
-    run: Callable[..., Iterator[Finished]],
-    work: Work,
-    progress: bool,
+    folder: Path, left: list[Trial], kept: dict[str, dict[str, Any]], runner: Runner, work: Work, bar: tqdm[Any]
 ) -> None:
-    """Run what is left, and add it to the journal, to ``kept`` and now and then to the tables."""
-    failed, next_table = 0, time.monotonic() + _TABLE_EVERY
-    with (
-        open_own(folder / JOURNAL) as journal,
-        tqdm(total=len(trials), initial=len(trials) - len(left), unit="trial", disable=not progress) as bar,
-    ):
-        for done in run(left, work, bar.refresh):
+    """Run what is left, and add it to the log and to ``kept``."""
+    failed = 0
+    with (folder / JOURNAL).open("ab") as log, bar:
+        bar.update(bar.total - len(left))
+        for done in runner.run(left, work, bar.refresh):
             kept[done.trial.key] = line = _line(done)
-            journal.write(json.dumps(line).encode() + b"\n")
-            journal.flush()
-            os.fsync(journal.fileno())
+            log.write(json.dumps(line).encode() + b"\n")
+            log.flush()
+            os.fsync(log.fileno())
             failed += done.error is not None
             bar.set_postfix(failed=failed, refresh=False)
             bar.update()
-            if (began := time.monotonic()) >= next_table:
-                _write_tables(folder, trials, kept)
-                ended = time.monotonic()
-                next_table = ended + max(_TABLE_EVERY, _SHARE * (ended - began))
 
 
 def _line(done: Finished) -> dict[str, Any]:
-    """What the journal keeps of a finished trial."""
-    return {"key": done.trial.key, "settings": done.trial.settings} | {name: getattr(done, name) for name in _TOLD}
+    """What the log keeps of a finished trial."""
+    return {"key": done.trial.key, "settings": done.trial.settings} | {name: getattr(done, name) for name in _KEPT}
 
 
-def _kept(folder: Path, trials: Iterable[Trial]) -> dict[str, dict[str, Any]]:
-    """The journal's lines by key, the last of each; the beginning of a line at its end is cut off."""
+def _read_log(folder: Path, trials: Iterable[Trial]) -> dict[str, dict[str, Any]]:
+    """The log's lines by key, the last of each; says which are skipped because they are damaged.
+
+    The log is written anew without the beginning of a line at its end, and in place of a link.
+    """
     path, kept, known = folder / JOURNAL, dict[str, dict[str, Any]](), {trial.key for trial in trials}
-    with open_own(path) as file:
-        file.seek(0)
-        content = file.read()
-        whole = content.rfind(b"\n") + 1
-        if whole < len(content):
-            file.truncate(whole)
-
-    def read(text: bytes) -> None:
-        line = json.loads(text)
-        _as_text(line)
-        for name, kind in _LINE.items():
-            if not isinstance(line[name], kind):
-                raise TypeError(f"{name} is a {type(line[name]).__name__}")
-        kept[line["key"]] = line
-
-    _each(path, "line", content[:whole].splitlines(), read)
-    return {key: line for key, line in kept.items() if key in known}
+    content = path.read_bytes() if path.is_file() else b""
+    whole = content[: content.rfind(b"\n") + 1]
+    write_bytes(path, whole)
+    for number, text in enumerate(whole.splitlines(), 1):
+        try:
+            with parsing(Path(f"{path}, line {number},")):
+                line = json.loads(text)
+                json.dumps(line, ensure_ascii=False).encode()  # fails for half a character, which no table holds
+                for name, kind in _KEPT.items():
+                    if not isinstance(line[name], kind):
+                        raise TypeError(f"{name} is a {type(line[name]).__name__}")
+                if line["key"] in known:
+                    kept[line["key"]] = line
+        except DamagedFileError as error:
+            say_skipped(error)
+    return kept
 
 
 def _write_tables(folder: Path, trials: list[Trial], kept: dict[str, dict[str, Any]]) -> None:
@@ -227,17 +182,15 @@ def _write_tables(folder: Path, trials: list[Trial], kept: dict[str, dict[str, A
     there = [(trial, kept[trial.key]) for trial in trials if trial.key in kept]
     rows = [{**trial.settings, **(line["result"] or {}), "error": line["error"]} for trial, line in there]
     times = [{"trial": trial.key} | {name: line[name] for name in _TIMED} for trial, line in there]
-    write_text(folder / TABLE, _csv(rows, last="error"))
+    write_text(folder / TABLE, _csv(rows, last=["error"]))
     write_text(folder / TIMES, _csv(times))
 
 
-def _csv(rows: list[dict[str, Any]], last: str | None = None) -> str:
+def _csv(rows: list[dict[str, Any]], last: Iterable[str] = ()) -> str:
     """Rows of a table with every name that any of them has, in the order of their first appearance."""
-    names = dict.fromkeys(name for row in rows for name in row)
-    if last in names:
-        names = dict.fromkeys([name for name in names if name != last] + [last])
     file = io.StringIO()
-    writer = csv.DictWriter(file, list(names), lineterminator="\n")
+    names = dict.fromkeys(name for row in rows for name in row if name not in last)
+    writer = csv.DictWriter(file, [*names, *last], lineterminator="\n")
     writer.writeheader()
     plain = (str, int, float, type(None))
     for row in rows:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import io
 import math
-from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from stable_baselines3 import PPO
@@ -16,9 +15,9 @@ from agents.files import DamagedFileError, parsing, say_skipped
 from agents.runs import EVALUATIONS
 from agents.settings import TrainSettings
 from agents.training.archives import unpacked_arrays
-from agents.training.checkpoints import Checkpoint, model_file, read_model_file
+from agents.training.checkpoints import Checkpoint, is_whole, model_file
 from agents.training.models import derived_seed, make_vec_env
-from jackbox_env.recording.files import write_bytes
+from jackbox_env.recording.files import replacing, write_bytes
 
 BEST = "best_model.zip"
 
@@ -28,74 +27,46 @@ def choosing_seed(settings: TrainSettings) -> int:
     return derived_seed("choosing", settings.seed)
 
 
-@dataclass
-class Evaluations:
+class Evaluations(NamedTuple):
     """What evaluations.npz holds, in the names that Stable-Baselines3 gives it; one entry per evaluation."""
 
-    timesteps: list[int] = field(default_factory=list)
-    results: list[list[float]] = field(default_factory=list)  # returns, one per episode
-    ep_lengths: list[list[int]] = field(default_factory=list)
-
-    @property
-    def means(self) -> list[float]:
-        """Mean return of each evaluation."""
-        return [float(np.mean(returns)) for returns in self.results]
-
-    def until(self, steps: int) -> Evaluations:
-        """Those of the first ``steps`` steps; what came later will be evaluated again."""
-        count = sum(at <= steps for at in self.timesteps)
-        return Evaluations(self.timesteps[:count], self.results[:count], self.ep_lengths[:count])
-
-    def write(self, folder: Path) -> None:
-        """Write them in one stroke."""
-        file = io.BytesIO()
-        np.savez(file, timesteps=self.timesteps, results=self.results, ep_lengths=self.ep_lengths)
-        write_bytes(folder / EVALUATIONS, file.getvalue())
+    timesteps: list[Any]
+    results: list[Any]  # lists of returns, one per episode
+    ep_lengths: list[Any]
 
 
 def read_evaluations(folder: Path, episodes: int) -> Evaluations:
     """The evaluations of a run of so many episodes each; none, and a sentence that says so, where they are damaged."""
     path = folder / EVALUATIONS
-    if not path.is_file():
-        return Evaluations()
-    content = path.read_bytes()
     try:
-        with parsing(path):
-            stored = unpacked_arrays(content, path.name)
-            timesteps, results, lengths = stored["timesteps"], stored["results"], stored["ep_lengths"]
-            shape = (len(timesteps), episodes)
-            if results.shape != shape or lengths.shape != shape or np.any(np.diff(timesteps) <= 0):
-                raise ValueError(f"it does not hold evaluations of {episodes} episodes each")
-            return Evaluations(timesteps.tolist(), results.tolist(), lengths.tolist())
+        if path.is_file():
+            with parsing(path):
+                stored = unpacked_arrays(path.read_bytes(), path.name)
+                timesteps, *others = (stored[name] for name in Evaluations._fields)
+                wanted = (len(timesteps), episodes)
+                if any(other.shape != wanted for other in others) or np.any(np.diff(timesteps) <= 0):
+                    raise ValueError(f"it does not hold evaluations of {episodes} episodes each")
+                return Evaluations(timesteps.tolist(), *(other.tolist() for other in others))
     except DamagedFileError as error:
         say_skipped(error)
-        return Evaluations()
-
-
-def best_mean(folder: Path, evaluations: Evaluations) -> float:
-    """Mean return of the best model so far; -inf where there is none that is whole, so that the next one is kept."""
-    try:
-        read_model_file(folder / BEST)
-    except FileNotFoundError:
-        return -math.inf
-    except DamagedFileError as error:
-        say_skipped(error)
-        return -math.inf
-    return max(evaluations.means, default=-math.inf)
+    return Evaluations([], [], [])
 
 
 class KeepBest(BaseCallback):
     """Evaluate apart from training and keep the best model; the checkpoint that was evaluated is kept too.
 
-    So a run that is resumed there repeats the evaluation bit for bit.
+    So a run that is resumed there repeats the evaluation bit for bit. The model is written before its evaluation: one
+    whose evaluation a kill prevented is evaluated again. A best model that is damaged or gone gives way to the next.
     """
 
-    def __init__(
-        self, folder: Path, settings: TrainSettings, checkpoint: Checkpoint, evaluations: Evaluations, best: float
-    ) -> None:
+    def __init__(self, folder: Path, settings: TrainSettings, checkpoint: Checkpoint, done: int) -> None:
         super().__init__()
         self._folder, self._settings, self._checkpoint = folder, settings, checkpoint
-        self._evaluations, self._best = evaluations, best
+        found = read_evaluations(folder, settings.eval_episodes)
+        means = np.mean(found.results, axis=1) if found.results and is_whole(folder / BEST) else []
+        self._best = max(means, default=-math.inf)
+        count = sum(steps <= done for steps in found.timesteps)  # what came later will be evaluated again
+        self._evaluations = Evaluations(*(column[:count] for column in found))
         self._every = max(1, settings.eval_steps // settings.num_envs)
         num_envs = min(settings.num_envs, settings.eval_episodes)
         self._environments = make_vec_env(settings.env_settings, num_envs, choosing_seed(settings))
@@ -116,8 +87,6 @@ class KeepBest(BaseCallback):
         returns, lengths = evaluate_policy(
             self.model, self._environments, self._settings.eval_episodes, return_episode_rewards=True
         )
-        assert isinstance(returns, list)
-        assert isinstance(lengths, list)
         mean = float(np.mean(returns))
         self.logger.record("eval/mean_reward", mean)
         self.logger.record("eval/mean_ep_length", float(np.mean(lengths)))
@@ -126,7 +95,7 @@ class KeepBest(BaseCallback):
         if mean > self._best:
             write_bytes(self._folder / BEST, model_file(self.model))
             self._best = mean
-        self._evaluations.timesteps.append(self.num_timesteps)
-        self._evaluations.results.append(returns)
-        self._evaluations.ep_lengths.append(lengths)
-        self._evaluations.write(self._folder)
+        for column, one in zip(self._evaluations, (self.num_timesteps, returns, lengths), strict=True):
+            column.append(one)
+        with replacing(self._folder / EVALUATIONS) as partial:
+            np.savez(partial, **self._evaluations._asdict())

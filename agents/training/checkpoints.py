@@ -2,33 +2,23 @@
 
 from __future__ import annotations
 
-import copy
 import io
 import re
-import zipfile
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
+import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.save_util import load_from_zip_file
 
 from agents.files import DamagedFileError, parsing, say_skipped
-from agents.training.archives import unpacked_tensors
+from agents.training.archives import unpacked
 from jackbox_env.recording.files import make_folder, write_bytes
 
 CHECKPOINTS = "checkpoints"
-_GROUPS = {"policy", "policy.optimizer"}  # of parameters
+_GROUPS = ("policy", "policy.optimizer")  # of parameters
 
 Parameters = dict[str, Any]
-
-
-class Saved(NamedTuple):
-    """What a checkpoint holds: the parameters after so many steps."""
-
-    steps: int
-    path: Path
-    parameters: Parameters
 
 
 # -- model files ------------------------------------------------------------------------------------------------------
@@ -41,33 +31,37 @@ def model_file(model: PPO) -> bytes:
     return file.getvalue()
 
 
-def read_model_file(path: Path) -> Parameters:
-    """The parameters in a model file, every byte of it checked.
+def read_parameters(path: Path) -> Parameters:
+    """The parameters in a model file, every byte of it checked; nothing is unpickled.
 
     Raises:
         DamagedFileError: it is no whole model file.
         FileNotFoundError: it is not there.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} is no file")
+    content = path.read_bytes()
     with parsing(path):
-        tensors = unpacked_tensors(path)  # refuses what inflates to many times its size, before it is inflated
-        with zipfile.ZipFile(path) as archive:
-            if (broken := archive.testzip()) is not None:
-                raise ValueError(f"{broken} in it is not what was written")
-        _, parameters, _ = load_from_zip_file(tensors, load_data=False, device="cpu")
-        if set(parameters) != _GROUPS:
-            raise ValueError("it holds no parameters")
+        members, parameters = unpacked(content, path.name), {}
+        for group in _GROUPS:
+            tensors = members[f"{group}.pth"]
+            unpacked(tensors, f"{group}.pth in {path.name}")  # refuses what torch would inflate to many times its size
+            parameters[group] = torch.load(io.BytesIO(tensors), map_location="cpu", weights_only=True)
     return parameters
 
 
-def is_whole(path: Path) -> bool:
-    """Whether there is a model file with nothing missing."""
+def read_if_whole(path: Path) -> Parameters | None:
+    """The parameters in a model file; None if it is not there, or is damaged, which standard error then says."""
     try:
-        read_model_file(path)
-    except (FileNotFoundError, DamagedFileError):
-        return False
-    return True
+        return read_parameters(path)
+    except FileNotFoundError:
+        return None
+    except DamagedFileError as error:
+        say_skipped(error)
+        return None
+
+
+def is_whole(path: Path) -> bool:
+    """Whether there is a model file with nothing missing; says so if it is damaged."""
+    return read_if_whole(path) is not None
 
 
 # -- checkpoints ------------------------------------------------------------------------------------------------------
@@ -84,15 +78,10 @@ def kept_steps(folder: Path) -> list[int]:
     return sorted((int(match[1]) for match in matches if match), reverse=True)
 
 
-def latest_checkpoint(folder: Path) -> Saved | None:
-    """The newest whole checkpoint of a run; says which damaged ones were skipped."""
-    for steps in kept_steps(folder):
-        path = checkpoint_path(folder, steps)
-        try:
-            return Saved(steps, path, read_model_file(path))
-        except DamagedFileError as error:
-            say_skipped(error)
-    return None
+def latest_checkpoint(folder: Path) -> tuple[int, Parameters | None]:
+    """The newest whole checkpoint of a run, its steps and parameters; 0 and None if there is none."""
+    read = ((steps, read_if_whole(checkpoint_path(folder, steps))) for steps in kept_steps(folder))
+    return next(((steps, parameters) for steps, parameters in read if parameters is not None), (0, None))
 
 
 class Checkpoint(BaseCallback):
@@ -101,29 +90,25 @@ class Checkpoint(BaseCallback):
     def __init__(self, folder: Path, every: int) -> None:
         super().__init__()
         self._folder, self._every = folder, every
-        self._last = 0
-        self._start: tuple[int, Parameters] = (0, {})
+        self._last = self._steps = 0
+        self._content = b""
 
     def _init_callback(self) -> None:
         make_folder(self._folder / CHECKPOINTS)
-        self._last = self.model.num_timesteps
-        self._start = (self._last, {})
+        self._last = self._steps = self.model.num_timesteps
 
     def _on_rollout_start(self) -> None:
         assert isinstance(self.model, PPO)
-        # a copy: an update may be cut short later
-        self._start = (self.num_timesteps, copy.deepcopy(self.model.get_parameters()))
-        if self.num_timesteps - self._last >= self._every:
+        # now: an update may be cut short later
+        self._steps, self._content = self.num_timesteps, model_file(self.model)
+        if self._steps - self._last >= self._every:
             self.keep()
 
     def keep(self) -> None:
         """Save as of the start of this rollout, unless that is saved already."""
-        steps, parameters = self._start
-        if steps > self._last:
-            assert isinstance(self.model, PPO)
-            self.model.set_parameters(parameters, device="cpu")
-            write_bytes(checkpoint_path(self._folder, steps), model_file(self.model))
-            self._last = steps
+        if self._steps > self._last:
+            write_bytes(checkpoint_path(self._folder, self._steps), self._content)
+            self._last = self._steps
 
     def _on_step(self) -> bool:
         return True

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -9,12 +11,11 @@ import numpy as np
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv
 
-from agents.files import DamagedFileError, say_skipped
+from agents.files import first_line
 from agents.policies.landing_features import flight_of
 from agents.runs import SETTINGS, read_settings
 from agents.settings import TrainSettings
-from agents.training.archives import unpacked_tensors
-from agents.training.checkpoints import read_model_file
+from agents.training.checkpoints import is_whole, read_parameters
 from agents.training.extractor import WithPreview
 from agents.training.holding import HoldingPPO
 from jackbox_env import Scene
@@ -77,42 +78,18 @@ def make_ppo(settings: TrainSettings, environments: VecEnv, **more: Any) -> Hold
     return model
 
 
-def _best_or_last(folder: Path) -> Path:
-    """The model file that stands for a run folder; the folder itself if there is none."""
-    there = [folder / name for name in ("best_model.zip", "model.zip") if (folder / name).is_file()]
-    for file in there:
-        try:
-            read_model_file(file)
-        except DamagedFileError as error:
-            say_skipped(error)
-        else:
-            return file
-    return there[-1] if there else folder
-
-
 def run_folder(file: Path) -> Path | None:
     """The run folder that a model file is in, or that it is; None if there is none."""
     folders = (file, *file.parents[:2])
     return next((folder for folder in folders if (folder / SETTINGS).is_file()), None)
 
 
-def _unpickled(file: Path) -> HoldingPPO:
-    try:
-        return HoldingPPO.load(file, device="cpu")
-    except Exception as error:
-        raise ValueError(f"{file} is no model of Stable-Baselines3: {_first_line(error)}") from error
-
-
-def _first_line(error: Exception) -> str:
-    return next(iter(str(error).splitlines()), type(error).__name__)
-
-
 def load_model(path: Path, trust: bool = False) -> HoldingPPO:
     """Load a run folder's best model (else its last), or the model file in a run folder.
 
-    The model is built from the run's settings.json and takes only tensors from the zip: nothing is unpickled, so a
-    model from a stranger cannot run code. It plays in environments that ask at every control step: ``predict`` holds
-    each action as long as in training, if it is given the state that it returned last.
+    The model is built from the run's settings.json and takes only tensors from the zip: nothing is unpickled, so an
+    untrusted model cannot run code. It plays in environments that ask at every control step: ``predict`` repeats each
+    action as long as in training, if it is given the state that it returned last.
 
     Args:
         path: run folder, or a .zip in it (or in a folder below it). A damaged best model in a run folder is skipped,
@@ -125,26 +102,32 @@ def load_model(path: Path, trust: bool = False) -> HoldingPPO:
     """
     file = path
     if path.is_dir():
-        file = _best_or_last(path)
+        file = path / "best_model.zip" if is_whole(path / "best_model.zip") else path / "model.zip"
     if not file.is_file():
         raise FileNotFoundError(f"{path} holds no model: best_model.zip or model.zip was looked for")
     if file.suffix == ".npz":
         raise ValueError(f"{file} holds weights alone: give its folder, {file.parent}")
     folder = run_folder(file)
-    if folder is None and trust:
-        return _unpickled(file)
-    if folder is None:
+    if folder is None and not trust:
         raise FileNotFoundError(
             f"{file} has no {SETTINGS} beside it to rebuild the model from; if you trust its author, use --trust"
         )
+    if folder is None:
+        with _refusing(f"{file} is no model of Stable-Baselines3"):
+            return HoldingPPO.load(file, device="cpu")
     settings = read_settings(folder)
-    try:
+    with _refusing(f"{folder / SETTINGS} makes no model"):
         environments = make_vec_env(settings.env_settings, 1, settings.seed)
         model = make_ppo(settings, holding(environments, settings.hold, settings.lookahead))
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{folder / SETTINGS} makes no model: {error}") from error
-    try:
-        model.set_parameters(unpacked_tensors(file), device="cpu")  # type: ignore[arg-type]
-    except Exception as error:
-        raise ValueError(f"{file} is no model of the settings beside it: {error}") from error
+    with _refusing(f"{file} is no model of the settings beside it"):
+        model.set_parameters(read_parameters(file), device="cpu")
     return model
+
+
+@contextmanager
+def _refusing(what: str) -> Iterator[None]:
+    """Turn any failure in the block into a ValueError that says so."""
+    try:
+        yield
+    except Exception as error:
+        raise ValueError(f"{what}: {first_line(error)}") from error

@@ -2,33 +2,29 @@
 
 from __future__ import annotations
 
-import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import torch
 from stable_baselines3 import PPO
-from stable_baselines3.common.callbacks import BaseCallback, CallbackList, ProgressBarCallback
+from stable_baselines3.common.callbacks import BaseCallback, ProgressBarCallback
 from stable_baselines3.common.logger import configure
 
-from agents.files import held
+from agents.files import first_line, held
 from agents.policies.network import WEIGHTS
 from agents.runs import SETTINGS, TIME, describe, read_settings
 from agents.settings import TrainSettings
-from agents.training.best import KeepBest, best_mean, read_evaluations
+from agents.training.best import KeepBest
 from agents.training.checkpoints import (
     CHECKPOINTS,
     Checkpoint,
-    Saved,
+    checkpoint_path,
     is_whole,
-    kept_steps,
     latest_checkpoint,
     model_file,
 )
 from agents.training.models import derived_seed, holding, make_ppo, make_vec_env
-from agents.training.timing import Spent, TimedVecEnv, told
+from agents.training.timing import Spent, TimedVecEnv, formatted
 from jackbox_env.recording.files import new_folder, remove_partials, write_bytes, write_json
 
 MODEL = "model.zip"
@@ -66,43 +62,29 @@ def train(settings: TrainSettings, folder: Path, progress: bool = True) -> PPO:
                 f"{folder} is finished: it has a {MODEL}, and runs are never overwritten. To train on from the last "
                 f"checkpoint, raise total_steps in its {SETTINGS} and move {MODEL} away"
             )
-        resumed = _where_it_was(folder)
-        done = resumed.steps if resumed else 0
-        evaluations = read_evaluations(folder, settings.eval_episodes).until(done)
-        model, spent = _model(settings, resumed)
+        model, spent = _where_it_was(settings, folder)
+        done = model.num_timesteps
+        print(f"Going on after {done:,} steps" if done else "Starting from the beginning")
         model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
         checkpoint = Checkpoint(folder, settings.checkpoint_steps)
-        callbacks: list[BaseCallback] = [checkpoint]
-        callbacks.append(KeepBest(folder, settings, checkpoint, evaluations, best_mean(folder, evaluations)))
-        callbacks.append(spent)
+        callbacks: list[BaseCallback] = [checkpoint, KeepBest(folder, settings, checkpoint, done), spent]
         if settings.max_minutes is not None:
             callbacks.append(Deadline(settings.max_minutes))
-        with _bar(progress) as shown:
-            try:
-                model.learn(
-                    max(0, settings.total_steps - done),
-                    callback=CallbackList([*callbacks, *shown]),
-                    reset_num_timesteps=False,
-                )
-            except KeyboardInterrupt:
-                checkpoint.keep()
-                raise
+        bar = ProgressBarCallback()
+        try:
+            left = max(0, settings.total_steps - done)
+            model.learn(left, callback=[*callbacks, *[bar] * progress], reset_num_timesteps=False)
+        except KeyboardInterrupt:
+            checkpoint.keep()
+            raise
+        finally:
+            if hasattr(bar, "pbar"):  # from the training's start on; an error is shown on a line of its own
+                bar.pbar.close()
         record = spent.record()
         write_json(folder / TIME, record)
         write_bytes(folder / MODEL, model_file(model))  # last: what has it is finished
-        print(told(record))
+        print(formatted(record))
         return model
-
-
-@contextmanager
-def _bar(progress: bool) -> Iterator[list[BaseCallback]]:
-    """A progress bar, if it is wanted, that ends with the block: an error too is told on a line of its own."""
-    bar = ProgressBarCallback() if progress else None
-    try:
-        yield [bar] if bar else []
-    finally:
-        if bar and hasattr(bar, "pbar"):  # it has one from the training's start on
-            bar.pbar.close()
 
 
 def trained_in(folder: Path, settings: TrainSettings, progress: bool = True) -> None:
@@ -119,32 +101,20 @@ def trained_in(folder: Path, settings: TrainSettings, progress: bool = True) -> 
         train(settings, folder, progress)
 
 
-def _where_it_was(folder: Path) -> Saved | None:
-    """The checkpoint to go on from; says which one, and what was skipped."""
-    if (folder / MODEL).exists():
-        print(f"Skipped: {folder / MODEL} is damaged, so the run is not finished", file=sys.stderr)
-    resumed = latest_checkpoint(folder)
-    if resumed is not None:
-        print(f"Going on after {resumed.steps:,} steps")
-    elif kept_steps(folder):
-        print(f"No checkpoint in {folder} is whole: starting from the beginning", file=sys.stderr)
-    return resumed
-
-
-def _model(settings: TrainSettings, resumed: Saved | None) -> tuple[PPO, Spent]:
-    """The model as it was at a checkpoint, with environments whose starts it has not learnt from, and its times."""
+def _where_it_was(settings: TrainSettings, folder: Path) -> tuple[PPO, Spent]:
+    """The model as it was at the newest checkpoint, with its times; its environments' starts are new to it."""
     torch.set_num_threads(settings.torch_threads)
-    done = resumed.steps if resumed else 0
+    done, parameters = latest_checkpoint(folder)
     starts = derived_seed("training", settings.seed, done)
     inner = TimedVecEnv(make_vec_env(settings.env_settings, settings.num_envs, starts))
     environments = TimedVecEnv(holding(inner, settings.hold, settings.lookahead))
     model = make_ppo(settings, environments)
     environments.seed(starts)  # PPO has seeded them by its own seed
-    if resumed is not None:
+    if parameters is not None:
         try:
-            model.set_parameters(resumed.parameters, device="cpu")
+            model.set_parameters(parameters, device="cpu")
         except Exception as error:
-            reason = next(iter(str(error).splitlines()), "")
-            raise ValueError(f"{resumed.path} was made by other settings than its run's: {reason}") from error
+            said = f"{checkpoint_path(folder, done)} was made by other settings than its run's"
+            raise ValueError(f"{said}: {first_line(error)}") from error
         model.num_timesteps = done
     return model, Spent(inner, environments, "looking ahead" if settings.lookahead else "holding actions")

@@ -40,11 +40,8 @@ class Spent(BaseCallback):
 
     def __init__(self, inner: TimedVecEnv, outer: TimedVecEnv, between: str) -> None:
         super().__init__()
-        self._between = between
-        self._inner, self._outer = inner, outer
+        self._inner, self._outer, self._between = inner, outer, between
         self._collecting = 0.0
-        self._began = self._rollout = time.perf_counter()
-        self._first = 0
 
     def _on_training_start(self) -> None:
         self._began, self._first = time.perf_counter(), self.num_timesteps
@@ -73,7 +70,7 @@ class Spent(BaseCallback):
         }
 
 
-def told(record: dict[str, Any]) -> str:
+def formatted(record: dict[str, Any]) -> str:
     """One line: steps per second, and the shares of what :meth:`Spent.record` lists."""
     steps, total = record["steps"], record["seconds"]
     shares = ", ".join(

@@ -10,7 +10,6 @@ from __future__ import annotations
 import datetime
 import json
 import os
-import re
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
@@ -18,23 +17,21 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-_PARTIAL = re.compile(r"\..+\.\d+\.partial(\..+)?")
-
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Give a path to write to; at the end of the block that file takes the place of ``path`` in one stroke."""
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial{path.suffix}")  # writers look at the suffix
+    partial = _partial(path, path.suffix)  # writers look at the suffix
     try:
         yield partial
-        _sync(partial)
-        os.replace(partial, path)
-    except BaseException as error:
-        if isinstance(error, OSError) and error.filename is None:  # a full disk does not say which file it was
-            error.filename = str(path)
-        partial.unlink(missing_ok=True)
+        with partial.open("rb+") as file:
+            os.fsync(file.fileno())
+        partial.replace(path)
+    except OSError as error:
+        error.filename = error.filename or str(path)  # a full disk does not say which file it was
         raise
-    _sync(path.parent)
+    finally:
+        partial.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -44,8 +41,7 @@ def new_file(path: Path) -> Iterator[Path]:
     Raises:
         FileExistsError: there is something at ``path``.
     """
-    if path.exists():
-        raise FileExistsError(f"{path} exists, and is never overwritten: choose another place")
+    _refuse_taken(path)
     with replacing(path) as partial:
         yield partial
 
@@ -68,46 +64,31 @@ def write_json(path: Path, content: Any) -> None:
 
 def make_folder(path: Path) -> None:
     """Make a folder, and those above it, where they are missing."""
-    if not path.is_dir():
-        make_folder(path.parent)
-        path.mkdir(exist_ok=True)
-        _sync(path.parent)
+    path.mkdir(parents=True, exist_ok=True)
 
 
-def make_filled_folder(path: Path, fill: Callable[[Path], None]) -> None:
-    """Make a folder together with what ``fill`` writes into it, in one stroke.
+def new_folder(path: Path | None, kind: str, fill: Callable[[Path], object] = lambda made: None) -> Path:
+    """Make a run folder together with what ``fill`` writes into it, in one stroke.
 
-    Raises:
-        FileExistsError: somebody else has made it meanwhile.
-    """
-    make_folder(path.parent)
-    making = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    shutil.rmtree(making, ignore_errors=True)  # of a killed process that had the same number
-    try:
-        making.mkdir()
-        fill(making)
-        if path.exists():
-            raise FileExistsError(f"{path} has been made by somebody else meanwhile: choose another folder")
-        making.rename(path)
-    except BaseException:
-        shutil.rmtree(making, ignore_errors=True)
-        raise
-    _sync(path.parent)
-
-
-def _nothing(folder: Path) -> None:
-    """Leave a folder empty."""
-
-
-def new_folder(path: Path | None, kind: str, fill: Callable[[Path], None] = _nothing) -> Path:
-    """Make a run folder together with what ``fill`` writes into it; None: ``runs/<kind>-<date>-<time>``.
+    Args:
+        path: to make; None: ``runs/<kind>-<date>-<time>``.
+        kind: of run.
+        fill: writes into a folder that is given; by default nothing.
 
     Raises:
         OSError: as :func:`check_new`.
     """
     path = path or stamped(kind)
     check_new(path)
-    make_filled_folder(path, fill)
+    making = _partial(path)
+    shutil.rmtree(making, ignore_errors=True)  # of a killed process that had the same number
+    try:
+        make_folder(making)
+        fill(making)
+        _refuse_taken(path)  # by somebody else meanwhile
+        making.rename(path)
+    finally:
+        shutil.rmtree(making, ignore_errors=True)
     return path
 
 
@@ -118,60 +99,39 @@ def stamped(kind: str) -> Path:
 
 def remove_partials(*folders: Path) -> None:
     """Remove what killed processes were writing; only for folders that nobody else writes to."""
-    for folder in folders:
-        for path in folder.glob(".*"):
-            if _PARTIAL.fullmatch(path.name):
-                shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
-
-
-def _sync(path: Path) -> None:
-    """Flush a file, or the list of names of a folder, to the disk; Windows does not open folders."""
-    if path.is_dir() and os.name == "nt":
-        return
-    descriptor = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+    for path in [path for folder in folders for path in folder.glob(".*.partial*")]:
+        shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
 
 
 def check_writable(folder: Path) -> None:
     """Try whether files can be written to a folder.
 
     Raises:
-        FileNotFoundError: it is no folder.
-        OSError: nothing can be written to it.
+        OSError: it is no folder, or nothing can be written to it.
     """
-    if not folder.is_dir():
-        raise FileNotFoundError(f"{folder} is no folder to write to")
     try:
-        with tempfile.TemporaryFile(dir=folder):
-            pass
+        tempfile.TemporaryFile(dir=folder).close()
     except OSError as error:
-        raise OSError(f"{folder} cannot be written to: {error.strerror}") from error
+        raise OSError(error.errno, error.strerror, str(folder)) from error
 
 
-def check_new(path: Path, what: str = "runs", place: str = "folder") -> None:
+def check_new(path: Path) -> None:
     """Try whether something new can be made at ``path``, together with the folders above it that are missing.
-
-    Args:
-        path: of the new file or folder.
-        what: is never overwritten, in the plural.
-        place: "file" or "folder": of what another one is to be chosen.
 
     Raises:
         FileExistsError: there is something at ``path``.
         OSError: nothing can be made there.
     """
-    try:
-        path.lstat()
-    except (FileNotFoundError, NotADirectoryError):
-        pass
-    except OSError as error:
-        raise OSError(f"{path} cannot be made: {error.strerror}") from error
-    else:
-        raise FileExistsError(f"{path} exists, and {what} are never overwritten: choose another {place}")
-    above = next(folder for folder in path.absolute().parents if os.path.lexists(folder))
-    if not above.is_dir():
-        raise NotADirectoryError(f"{path} cannot be made: {above} is no folder")
-    check_writable(above)
+    _refuse_taken(path)
+    check_writable(next(folder for folder in path.absolute().parents if os.path.lexists(folder)))
+
+
+def _refuse_taken(path: Path) -> None:
+    """Raise FileExistsError if there is something at ``path``."""
+    if os.path.lexists(path):
+        raise FileExistsError(f"{path} exists, and is never overwritten: choose another place")
+
+
+def _partial(path: Path, suffix: str = "") -> Path:
+    """Where this process writes what is to be at ``path``."""
+    return path.with_name(f".{path.name}.{os.getpid()}.partial{suffix}")

@@ -130,7 +130,7 @@ def test_evaluate_compares_policies_and_writes_json(tmp_path: Path, run: Path) -
     assert f"Note: {run} was trained in another environment (task juggle, contact pymunk, substeps 4)" in done.stderr
     same = script("evaluate", "--policy", str(run), "--episodes", "2", "--fidelity", "balanced", cwd=tmp_path)
     assert "Note:" not in same.stderr  # another word for the same
-    assert "is no folder" in script("evaluate", "--json", "no/out.json", cwd=tmp_path, status=2).stderr
+    assert "no cannot be used: " in script("evaluate", "--json", "no/out.json", cwd=tmp_path, status=2).stderr
     assert "never overwritten" in script("evaluate", *arguments, cwd=tmp_path, status=2).stderr
 
 

@@ -7,13 +7,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from agents.runs import EVALUATIONS, describe
 from agents.training import best
 from agents.training import ppo as training
 from agents.training.best import BEST, read_evaluations
-from agents.training.checkpoints import CHECKPOINTS, Checkpoint, checkpoint_path, kept_steps, read_model_file
+from agents.training.checkpoints import CHECKPOINTS, Checkpoint, checkpoint_path, kept_steps, read_parameters
 from agents.training.models import load_model
 from agents.training.ppo import MODEL
 from jackbox_env.recording.files import new_folder
@@ -85,7 +86,7 @@ def goes_on_to_its_end(folder: Path) -> None:
     model = training.train(SMALL, folder, progress=False)
     assert model.num_timesteps == SMALL.total_steps
     for name in (MODEL, BEST):
-        read_model_file(folder / name)
+        read_parameters(folder / name)
     with pytest.raises(FileExistsError, match="is finished"):
         training.train(SMALL, folder, progress=False)
 
@@ -111,9 +112,9 @@ def test_without_a_whole_checkpoint_the_run_begins_again(stopped: Path, capsys: 
     for steps in kept_steps(stopped):
         harm(checkpoint_path(stopped, steps), "half")
     goes_on_to_its_end(stopped)
-    said = capsys.readouterr().err
-    assert said.count("Skipped: ") == 3
-    assert f"No checkpoint in {stopped} is whole: starting from the beginning" in said
+    said = capsys.readouterr()
+    assert said.err.count("Skipped: ") == 3
+    assert "Starting from the beginning" in said.out
     again = read_evaluations(stopped, SMALL.eval_episodes)
     assert again.timesteps == expected_steps(SMALL)
     assert again.results[:2] == first.results  # from the same seed
@@ -129,36 +130,37 @@ def test_damaged_evaluations_are_left_out(how: str, stopped: Path, capsys: pytes
 
 @pytest.mark.parametrize("how", [*HARMS, "flipped", "gone"])
 def test_the_next_evaluation_takes_the_place_of_a_damaged_best_model(
-    how: str, stopped: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    how: str, stopped: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     if how == "gone":
         (stopped / BEST).unlink()
     else:
         harm(stopped / BEST, how)
-    monkeypatch.setattr(best.Evaluations, "means", [1e6])  # none that comes is as good
     goes_on_to_its_end(stopped)
     assert skipped(capsys.readouterr().err, stopped / BEST) == (how != "gone")
-    latest = read_model_file(checkpoint_path(stopped, STOPPED))["policy"]
-    assert all(bool((read_model_file(stopped / BEST)["policy"][name] == latest[name]).all()) for name in latest)
+    evaluated = read_parameters(checkpoint_path(stopped, STOPPED))["policy"]  # at 96
+    kept = read_parameters(stopped / BEST)["policy"]
+    assert all(bool((kept[name] == value).all()) for name, value in evaluated.items())
 
 
-def test_a_whole_best_model_stays_until_it_is_beaten(stopped: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    before = (stopped / BEST).read_bytes()
-    monkeypatch.setattr(best.Evaluations, "means", [1e6])
+def test_a_best_model_stays_where_those_to_come_do_worse(stopped: Path) -> None:
+    evaluations, kept = read_evaluations(stopped, SMALL.eval_episodes), (stopped / BEST).read_bytes()
+    better = evaluations._replace(results=[[1e6, 1e6], *evaluations.results[1:]])
+    np.savez(stopped / EVALUATIONS, **better._asdict())
     goes_on_to_its_end(stopped)
-    assert (stopped / BEST).read_bytes() == before
+    assert (stopped / BEST).read_bytes() == kept
 
 
 @pytest.mark.parametrize("how", [*HARMS, "flipped"])
 def test_a_damaged_model_is_not_the_end_of_a_run(how: str, finished: Path, capsys: pytest.CaptureFixture[str]) -> None:
     harm(finished / MODEL, how)
     goes_on_to_its_end(finished)
-    assert f"Skipped: {finished / MODEL} is damaged, so the run is not finished" in capsys.readouterr().err
+    assert skipped(capsys.readouterr().err, finished / MODEL)
     assert read_evaluations(finished, SMALL.eval_episodes).timesteps == expected_steps(SMALL)
 
 
 def test_a_checkpoint_of_other_settings_is_refused_and_not_taken_for_a_damaged_one(stopped: Path) -> None:
-    with pytest.raises(ValueError, match=r"ppo_80.zip was made by other settings than its run's: Error") as refused:
+    with pytest.raises(ValueError, match=r"ppo_80.zip was made by other settings than its run's: Runtime") as refused:
         training.train(replace(SMALL, hidden_units=(4,)), stopped, progress=False)
     assert "\n" not in str(refused.value)
     assert not (stopped / MODEL).exists()

@@ -55,9 +55,9 @@ def test_an_error_leaves_no_pages(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     ("arguments", "named"),
     [
         (["--policy"], "policy must name at least one"),
-        (["--html", "/dev/null/pages"], "/dev/null is no folder"),
-        (["--film", "/proc/film.GIF"], "/proc cannot be written to: "),
-        (["--json", "/proc/out.json"], "/proc cannot be written to: "),
+        (["--html", "/dev/null/pages"], "/dev/null cannot be used: Not a directory"),
+        (["--film", "/proc/film.GIF"], "/proc cannot be used: "),
+        (["--json", "/proc/out.json"], "/proc cannot be used: "),
         (["--policy", str(SHIPPED / "juggle-ppo" / "weights.npz")], f"give its folder, {SHIPPED / 'juggle-ppo'}"),
         (["--policy", "/dev/null"], "/dev/null"),
     ],

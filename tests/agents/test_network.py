@@ -89,7 +89,7 @@ def test_damage_and_misfits_are_told(tmp_path: Path) -> None:
         NetworkPolicy(replace(settings, hidden_units=(8,)), layers)
     with pytest.raises(ValueError, match="finite"):
         NetworkPolicy(settings, [(weight * np.nan, bias) for weight, bias in layers])
-    with pytest.raises(FileNotFoundError, match="is no run folder"):
+    with pytest.raises(FileNotFoundError, match="holds no settings.json"):
         read_policy(tmp_path)
     write_policy(tmp_path, settings, layers)
     weights.write_bytes(weights.read_bytes()[:-100])

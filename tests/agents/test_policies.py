@@ -154,7 +154,7 @@ def test_films_show_the_policies_side_by_side(tmp_path: Path, suffix: str) -> No
     assert (len(frames), *frames.shape[2:]) == (30, 256, 3)
     left, right = np.split(frames[-1].astype(int), 2, axis=1)
     assert np.abs(left - right).max() > 100  # the chirp turned its box
-    with pytest.raises(FileExistsError, match="films are never overwritten"):
+    with pytest.raises(FileExistsError, match="is never overwritten"):
         film(acts, {}, path, seed=0)
 
 

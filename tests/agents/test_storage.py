@@ -11,16 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from agents.files import DamagedFileError, FolderInUseError, held, read_json
-from jackbox_env.recording import files as writing
-from jackbox_env.recording.files import (
-    make_filled_folder,
-    new_file,
-    remove_partials,
-    replacing,
-    write_json,
-    write_text,
-)
+from agents.files import LOCK, DamagedFileError, FolderInUseError, held, read_json
+from jackbox_env.recording.files import new_file, new_folder, remove_partials, replacing, write_json, write_text
 from tests.agents.killing import ended, start
 
 # -- writing ----------------------------------------------------------------------------------------------------------
@@ -29,7 +21,6 @@ from tests.agents.killing import ended, start
 def fail(path: Path, error: BaseException, left: str | None = None) -> None:
     """Fail while a file is written. With ``left`` leave the unfinished file under this name, as a kill does."""
     with replacing(path) as partial:
-        assert writing._PARTIAL.fullmatch(partial.name)
         partial.write_text("ne")
         if left is not None:
             partial.rename(path.with_name(left))
@@ -63,12 +54,12 @@ def test_a_folder_appears_together_with_what_is_in_it(tmp_path: Path) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        make_filled_folder(path, fails)
+        new_folder(path, "run", fails)
     assert list(path.parent.iterdir()) == []
     leftover = path.with_name(f".run.{os.getpid()}.partial")  # of a killed process that had this number
     leftover.mkdir()
     (leftover / "something").touch()
-    make_filled_folder(path, fill)
+    new_folder(path, "run", fill)
     assert [entry.relative_to(tmp_path).as_posix() for entry in sorted(tmp_path.rglob("*"))] == [
         "runs",
         "runs/run",
@@ -83,7 +74,7 @@ def test_what_killed_processes_left_is_removed_and_nothing_else(tmp_path: Path) 
     (tmp_path / ".run.3.partial").mkdir()
     (tmp_path / ".run.3.partial" / "settings.json").touch()
     assert len(list(tmp_path.iterdir())) == 3
-    kept = {".hidden", "model.partial.zip", ".model.partial", "x.12.partial"}
+    kept = {".hidden", "model.partial.zip", "x.12.partial"}
     for name in kept:
         (tmp_path / name).touch()
     (tmp_path / ".link.4.partial").symlink_to(tmp_path.parent, target_is_directory=True)
@@ -125,20 +116,20 @@ def test_a_folder_is_held_until_its_process_is_killed(tmp_path: Path) -> None:
     process = start(hold, tmp_path, tmp_path / "ready")
     wait_for(tmp_path / "ready")
     for _ in range(2):
-        with pytest.raises(FolderInUseError, match=f"^{tmp_path} is in use"), held(tmp_path):
+        with pytest.raises(FolderInUseError, match=f"^{tmp_path} is in use by another process: wait"), held(tmp_path):
             pass
     process.kill()
     assert ended(process) == -9
+    assert (tmp_path / LOCK).exists()  # it could not tidy up
     with held(tmp_path):
         pass
 
 
 def test_a_folder_is_held_against_a_second_use_in_the_same_process(tmp_path: Path) -> None:
     with held(tmp_path):
-        with pytest.raises(FolderInUseError), held(tmp_path):
-            pass
-        with pytest.raises(FolderInUseError), held(tmp_path):  # being refused has not let go of it
-            pass
+        for _ in range(2):  # being refused has not let go of it
+            with pytest.raises(FolderInUseError), held(tmp_path):
+                pass
     with held(tmp_path):
         pass
 

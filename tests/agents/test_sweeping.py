@@ -154,11 +154,11 @@ def test_folders_are_not_shared_overwritten_or_continued_by_other_code(
 ) -> None:
     folder = carried_out(tmp_path / "sweep")
     assert read_sweep(folder) == ({}, GRID)
-    with pytest.raises(FileExistsError, match="sweep exists, and runs are never overwritten"):
+    with pytest.raises(FileExistsError, match="sweep exists, and is never overwritten"):
         new_sweep(folder, {}, GRID)
     with pytest.raises(FileNotFoundError, match="is no sweep: it has no sweep.json"):
         read_sweep(tmp_path)
-    with held(folder), pytest.raises(FolderInUseError, match="is in use"):
+    with held(folder), pytest.raises(FolderInUseError, match="is in use by another process"):
         carried_out(folder)
     known = journal.made_with()
     monkeypatch.setattr(journal, "made_with", lambda: {**known, "numpy": "1.0"})
@@ -167,10 +167,6 @@ def test_folders_are_not_shared_overwritten_or_continued_by_other_code(
     (folder / SWEEP).write_text("{")
     with pytest.raises(ValueError, match="sweep.json is damaged"):
         read_sweep(folder)
-    (folder / SWEEP).unlink()
-    twice = {"asked": {}, "made_with": journal.made_with(), "trials": [GRID[0].settings, GRID[0].settings, 5]}
-    (folder / SWEEP).write_text(json.dumps(twice))
-    assert read_sweep(folder) == ({}, GRID[:1])
     for grid, said in (([], "at least one trial, got none"), ([*GRID, GRID[3]], "got twice")):
         with pytest.raises(ValueError, match=said):
             new_sweep(tmp_path / "new", {}, grid)

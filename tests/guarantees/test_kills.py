@@ -68,7 +68,7 @@ def test_a_training_killed_before_any_operation_on_the_disk_comes_to_its_end(
 ) -> None:
     rng = np.random.default_rng(1)
     count = uninterrupted.operations
-    assert count > 100
+    assert count > 50
     kills = 0
     for point in np.unique(np.linspace(1, count, min(KILLS, count)).round()).astype(int).tolist():
         folder, output = tmp_path / f"run-{point}", tmp_path / f"out-{point}.txt"
@@ -91,7 +91,7 @@ def test_a_training_killed_before_any_operation_on_the_disk_comes_to_its_end(
 def test_a_full_disk_is_told_and_the_run_goes_on_when_there_is_room(tmp_path: Path) -> None:
     folder, output = tmp_path / "run", tmp_path / "out.txt"
     assert ended(start(killing.train, folder, output, None, 20_000)) == 2
-    said = r".*/checkpoints/ppo_16.zip cannot be used: File too large"
+    said = r"Starting from the beginning\n.*/checkpoints/ppo_16.zip cannot be used: File too large"
     assert re.fullmatch(said, output.read_text().strip())
     check_whole(folder)
     assert not list(folder.rglob("*.partial*"))
@@ -107,8 +107,8 @@ def test_of_two_resumes_side_by_side_one_is_refused(tmp_path: Path) -> None:
     statuses = [ended(process) for process in processes]
     assert sorted(map(str, statuses)) == ["0", "2"], [output.read_text() for output in outputs]
     refused = statuses.index(2)
-    told = outputs[refused].read_text().splitlines()
-    assert told[-1].startswith(f"{folder} is in use")
+    said = outputs[refused].read_text().splitlines()
+    assert said[-1] == f"{folder} is in use by another process: wait until it ends, or end it"
     check_finished(folder)
 
 

@@ -24,7 +24,7 @@ from agents.runs import EVALUATIONS, read_settings
 from agents.settings import TrainSettings
 from agents.sweeps.in_process import InTurn, Trial
 from agents.sweeps.journal import JOURNAL, TABLE, carry_out, new_sweep
-from agents.training.archives import unpacked_tensors
+from agents.training.archives import unpacked
 from agents.training.best import read_evaluations
 from agents.training.models import load_model, make_ppo, make_vec_env
 
@@ -94,7 +94,7 @@ def test_absurd_sizes_are_refused_before_anything_is_made(tmp_path: Path, values
 def test_an_environment_that_can_not_be_made_names_the_settings(tmp_path: Path, values: dict[str, Any]) -> None:
     folder = folder_with(tmp_path, changed(**values))
     (folder / "model.zip").write_bytes(b"")
-    with pytest.raises(ValueError, match=rf"settings.json makes no model: {next(iter(values))} must be "):
+    with pytest.raises(ValueError, match=rf"settings.json makes no model: .*: {next(iter(values))} must be "):
         load_model(folder)
 
 
@@ -182,9 +182,8 @@ def test_arrays_are_inflated_to_no_more_than_arrays_take(
 
 @pytest.mark.parametrize("method", [zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2])
 def test_other_methods_are_refused(saved: Path, method: int) -> None:
-    (saved / "model.zip").write_bytes(zipped(members(saved / "model.zip"), method))
     with pytest.raises(ValueError, match="model.zip must be stored or deflated"):
-        unpacked_tensors(saved / "model.zip")
+        unpacked(zipped(members(saved / "model.zip"), method), "model.zip")
 
 
 def test_models_load_as_they_are_saved_and_packed_once_more(saved: Path) -> None:
@@ -232,18 +231,20 @@ print(base64.b64encode(cloudpickle.dumps(Bomb())).decode())
 # -- links and damaged lines ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", [LOCK, JOURNAL])
-def test_a_lock_or_results_log_that_is_a_link_is_refused_and_what_it_leads_to_is_left(
-    name: str, tmp_path: Path
-) -> None:
+def test_a_lock_or_results_log_that_is_a_link_leads_nowhere(tmp_path: Path) -> None:
     (tmp_path / "mine").write_text("precious")
     folder, grid = tmp_path / "run", [Trial({"number": number}) for number in range(2)]
     new_sweep(folder, {}, grid)
-    (folder / name).unlink(missing_ok=True)
-    (folder / name).symlink_to(tmp_path / "mine")
-    with pytest.raises(OSError, match=f"^{folder / name} must be a plain file"):
+    (folder / LOCK).symlink_to(tmp_path / "mine")
+    with pytest.raises(OSError, match=f"symbolic links: .*{folder / LOCK}"):
         carry_out(folder, grid, dict, InTurn(), progress=False)
-    assert (tmp_path / "mine").read_text() == "precious"
+    for link in (Path.symlink_to, Path.hardlink_to):
+        for name in (LOCK, JOURNAL):
+            (folder / name).unlink(missing_ok=True)
+        (folder / LOCK).hardlink_to(tmp_path / "mine")
+        link(folder / JOURNAL, tmp_path / "mine")
+        assert carry_out(folder, grid, dict, InTurn(), progress=False).finished == 2
+        assert (tmp_path / "mine").read_text() == "precious"
 
 
 @pytest.mark.parametrize("harm", [{"result": 5}, {"seconds": None}, {"key": []}, {"result": {"share": "\ud800"}}, None])
