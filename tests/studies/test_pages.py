@@ -16,7 +16,7 @@ from jackbox_env import Scene, make_simulator
 from scripts.studies import timing
 from scripts.studies.costs import costs
 from scripts.studies.costs import measured as cost_steps
-from scripts.studies.results import page as results
+from scripts.studies.results import results
 from scripts.studies.scaling import scaling
 from scripts.studies.speed import measured, speed
 
