@@ -83,7 +83,7 @@ results: .venv/ready
 
 # The networks in agents/trained again, 8 million steps each, some 8 minutes of one core each.
 networks: .venv/ready
-	@$(BIN)/python scripts/studies/results/networks.py
+	@$(BIN)/python scripts/studies/networks.py
 
 # The site in docs/_build/html; both notebooks run, some two minutes. A warning, and so a broken link, is an error.
 docs: .venv/ready

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import re
-import statistics
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 
@@ -16,12 +15,6 @@ def figure(value: float) -> str:
 def rough(value: float) -> str:
     """A number for a sentence, rounded to three digits."""
     return figure(float(f"{value:.3g}"))
-
-
-def cells(values: Sequence[float]) -> str:
-    """Median, smallest and largest, as two cells of a table; nothing in the second where there is one value only."""
-    extremes = f"{figure(min(values))} to {figure(max(values))}" if len(values) > 1 else ""
-    return f"{figure(statistics.median(values))} | {extremes}"
 
 
 def table(heads: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
@@ -42,11 +35,6 @@ def fill(page: str, mark: str, text: str) -> str:
     if not pattern.search(page):
         raise ValueError(f"the page has no place marked {mark}")
     return pattern.sub(lambda match: f"{match[1]}{text}\n{match[2]}", page)
-
-
-def joined(parts: Mapping[str, Iterable[str]]) -> str:
-    """A page of titled parts."""
-    return "\n".join("\n".join([title, "", *lines, ""]) for title, lines in parts.items())
 
 
 def bars(path: Path, what: str, rows: Mapping[str, float], log: bool = False) -> None:

@@ -66,7 +66,7 @@ def filled(page: str) -> str:
     """The README with its tables as the stored results give them."""
     from scripts.studies.accuracy.benchmark import fidelity_table
     from scripts.studies.accuracy.measured import Results
-    from scripts.studies.speed import page as speed
+    from scripts.studies.speed import speed
 
     page = fill(page, "fidelity", fidelity_table(Results.load(SWEEP)))
     page = fill(page, "returns", returns_table(json.loads(RESULTS.read_text())))

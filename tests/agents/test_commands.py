@@ -219,7 +219,7 @@ def test_the_demo_runs_end_to_end_when_made_small(tmp_path: Path) -> None:
     + [
         "studies/fidelity",
         "studies/results/results",
-        "studies/results/networks",
+        "studies/networks",
         "studies/scaling/scaling",
         "studies/value",
         "studies/distil",

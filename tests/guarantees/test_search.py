@@ -15,7 +15,7 @@ from jackbox_env.compiled.status import Status
 from jackbox_env.compiled.workspace import TALLY, WORK, new_workspace
 from jackbox_env.scene import Scene
 from jackbox_env.states import clearance
-from scripts.studies.speed import naive
+from scripts.studies.speed import measured
 from tests.simulators.exact_runs import plain_step, simulator
 from tests.states import inside
 
@@ -44,7 +44,7 @@ def test_what_sampling_at_the_steps_end_misses_is_found(name: str, monkeypatch: 
         times = found[0][0] + np.linspace(0.0, 0.1 * dt, 2001)[1:]
         lows = [clearance(scene, plain_step(scene, state, float(time), 0.0)[1].tolist()) for time in times]
     assert min(lows) < -1e-13
-    monkeypatch.setattr(kernel, "first_of_all", naive.first_of_all)
+    monkeypatch.setattr(kernel, "first_of_all", measured.first_of_all)
     assert len(plain_step(scene, state, dt, 0.0)[2]) < len(found)
 
 

@@ -13,13 +13,12 @@ import pymunk
 import pytest
 
 from jackbox_env import Scene, make_simulator
-from scripts.studies import pages, timing
+from scripts.studies import timing
 from scripts.studies.costs import costs
 from scripts.studies.costs import measured as cost_steps
-from scripts.studies.results import page as results
+from scripts.studies.results import results
 from scripts.studies.scaling import scaling
-from scripts.studies.speed import measured
-from scripts.studies.speed import page as speed
+from scripts.studies.speed import measured, speed
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -29,7 +28,7 @@ def stored(name: str) -> Any:
 
 
 PAGES: dict[str, Callable[[], str]] = {
-    "speed": lambda: speed.page(stored("speed"), "speed.png"),
+    "speed": lambda: speed.page(stored("speed")),
     "costs": lambda: costs.page(stored("costs")),
     "scaling": lambda: scaling.page((DOCS / "scaling.md").read_text(), stored("scaling")),
     "results": lambda: results.page(stored("results")),
@@ -67,7 +66,6 @@ def test_rates_are_taken_in_turn_and_ratios_within_a_round() -> None:
     assert order == ["a", "b"] * 3
     assert rates == {"a": [1.0, 4.0], "b": [2.0, 2.0]}  # the first is the warm-up
     assert timing.ratios(rates, "a", "b") == [0.5, 2.0]
-    assert pages.cells([3.0, 1.0, 2.0]) == "2 | 1 to 3"
 
 
 def test_a_rate_is_what_a_block_did_over_the_time_that_it_took() -> None:

@@ -1,29 +1,23 @@
-"""What every policy earns on every task and both contact models: docs/results.md.
-
-Each row is evaluated by itself and kept in a file, so an interrupted run goes on where it stopped.
-"""
+"""What every policy earns on every task and both contact models: docs/results.md."""
 
 from __future__ import annotations
 
 import json
-import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tyro
-from numpy.typing import NDArray
 
-from agents.settings import EnvSettings
 from jackbox_env.commands.common import command_line
+from jackbox_env.scene import Scene
 from jackbox_env.tasks import TASKS
+from scripts.studies.pages import table
+from scripts.studies.results import measured as these
 
-POLICIES = ("zero", "level", "chirp", "best chirp", "ppo", "planner")
-ON_JUGGLE = ("distilled",)
-CONTACTS = ("exact", "pymunk")
-SEED = 1
-RESAMPLES = 2000
+LINES = ("planner", "level", "best chirp")  # in the picture
 
 
 @dataclass(frozen=True)
@@ -36,73 +30,136 @@ class Arguments:
     """Episodes of the planner on each task and contact model, a second or two of computing for each."""
     across_episodes: int = 128
     """Episodes of each policy in each of the scenes that vary."""
-    kept: Path = Path("runs/results")
-    """Folder of the rows that are evaluated already, which are not evaluated again; made if there is none."""
+    folder: Path = Path("runs/results")
+    """Folder to make, or to go on in; trainings that are finished there are not trained again."""
     out: Path = Path("docs")
     """Folder for results.md, results.json and results.png."""
+    progress: bool = True
+    """Show a progress bar."""
 
 
-def policies_on(task: str) -> tuple[str, ...]:
-    """Names of the policies that are evaluated on a task."""
-    return POLICIES[:-1] + (ON_JUGGLE if task == "juggle" else ()) + POLICIES[-1:]
+# -- the page ----------------------------------------------------------------------------------------------------------
 
 
-def interquartile_mean(returns: NDArray[np.float64], axis: int = -1) -> Any:
-    """Mean of the middle half."""
-    from scipy.stats import trim_mean
+def page(record: dict[str, Any]) -> str:
+    """The page."""
+    best = {(row["task"], row["policy"]): row for row in record["rows"] if row["contact"] == "exact"}
+    earned = {task: {name: row["mean"] for (of, name), row in best.items() if of == task} for task in TASKS}
+    drives = [(task, best[task, "best chirp"]["drive"]) for task in TASKS]
+    fast = 2.0 * Scene().speed_scale
+    fields = {
+        "earned": earned,
+        "seed": record["seed"],
+        "resamples": record["resamples"],
+        "rows": {task: _table([row for row in record["rows"] if row["task"] == task]) for task in TASKS},
+        "tried": len(these.chirps()),
+        "bound": record["spin_bound"],
+        "reached": earned["spin"]["planner"] / record["spin_bound"],
+        "fast": [0.5 * fast, these.rattle_at(0.5 * fast), these.rattle_at(fast)],
+        "starts": these.STARTS,
+        "chirps": table(
+            ("task", "amplitude [N m]", "first frequency [Hz]", "rate [Hz/s]"),
+            [(task, f"{d['amplitude']:,.0f}", f"{d['start_frequency']:g}", f"{d['rate']:g}") for task, d in drives],
+        ),
+        **_ahead(record["ahead"], record["plan_alone"]),
+        **_across(record["across"]),
+        "commits": ", ".join(sorted({row["commit"] for row in record["rows"]})),
+        "machines": "; ".join(sorted({row["machine"] for row in record["rows"]})),
+        "trained": _trained(record["trained"]),
+    }
+    return (Path(__file__).parent / "page.md").read_text().format(**fields)
 
-    return trim_mean(returns, 0.25, axis=axis)
+
+def _span(ends: list[float]) -> str:
+    return f"{ends[0]:.1f} to {ends[1]:.1f}"
 
 
-def measured(task: str, contact: str, name: str, episodes: int) -> dict[str, Any]:
-    """One row: returns, the interquartile mean with its bootstrap interval, seconds for an episode."""
-    from scipy.stats import bootstrap
+def _table(rows: list[dict[str, Any]]) -> str:
+    heads = "policy", "contact", "mean return", "95 % interval", "interquartile mean", "95 % interval", "episodes"
+    lines = [
+        (row["policy"], row["contact"], f"{row['mean']:.1f}", _span(row["interval_95"]), f"{row['iqm']:.1f}",
+         _span(row["iqm_interval_95"]), str(row["episodes"]))
+        for row in rows
+    ]  # fmt: skip
+    return table(heads, lines)
 
-    from agents.evaluation.returns import evaluate
-    from agents.policies.registry import find_policy
-    from agents.runs import machine, versions
-    from scripts.studies.results.chirps import best_chirp
 
-    settings = EnvSettings(task=task, contact=contact)
-    policy, more = find_policy("chirp" if name == "best chirp" else name, settings, SEED)
-    drive = best_chirp(task, SEED) if name == "best chirp" else None
-    if drive is not None:
-        more = {**more, "scene": {"drive": drive}}
-    began = time.perf_counter()
-    row = evaluate(name, policy, {**settings.env_settings, **more}, episodes, SEED, progress=True)
-    taken = time.perf_counter() - began
-    returns = np.array(row.returns)
-    found = bootstrap(
-        (returns,), interquartile_mean, n_resamples=RESAMPLES, method="percentile", rng=np.random.default_rng(0)
-    )
+def _ahead(rows: list[dict[str, Any]], alone: dict[str, Any]) -> dict[str, Any]:
+    shares = [row["time"]["parts"]["looking ahead"] / row["time"]["seconds"] for row in rows]
+    lines = [
+        (str(row["seed"]), f"{row['mean']:.1f}", _span(row["interval_95"]), f"{row['time']['seconds'] / 60.0:.1f}")
+        for row in rows
+    ]
     return {
-        "task": task,
-        "contact": contact,
-        **row.as_json(),
-        "iqm": float(interquartile_mean(returns)),
-        "iqm_interval_95": [float(end) for end in found.confidence_interval],
-        "drive": drive,
-        "seconds_per_episode": taken / episodes,
-        "commit": versions()["commit"],
-        "machine": machine(),
+        "ahead": table(("seed", "mean return", "95 % interval", "minutes"), lines),
+        "above": sum(row["interval_95"][0] > 300.0 for row in rows),
+        "trainings": len(rows),
+        "alone": f"{alone['mean']:.1f} ({_span(alone['interval_95'])})",
+        "looking": [min(shares), max(shares)],
     }
 
 
-def rows_of(arguments: Arguments) -> list[dict[str, Any]]:
-    """A row for each task, contact model and policy; those in files already are read."""
-    from jackbox_env.recording.files import write_json
+def _across(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    names = list(rows[0]["earned"])
+    own = next(row["earned"] for row in rows if Scene.of(dict(row["scene"])) == Scene())
+    lines = []
+    for row in rows:
+        cells = [(earned["mean"], np.ptp(earned["interval_95"]) / 2.0) for earned in row["earned"].values()]
+        fields = row["scene"]["restitution"], row["scene"]["jack_mass"]
+        lines.append([*(f"{field:g}" for field in fields), *(f"{mean:.1f} ± {half:.1f}" for mean, half in cells)])
+    return {
+        "scenes": len(rows),
+        "across": table(("restitution", "jack's mass [kg]", *names), lines),
+        "means": {name: float(np.mean([row["earned"][name]["mean"] for row in rows])) for name in names},
+        "own": {name: own[name]["mean"] for name in names},
+        "ranges": these.RANGES,
+    }
 
-    rows = []
-    for task in TASKS:
-        for contact in CONTACTS:
-            for name in policies_on(task):
-                episodes = arguments.planner_episodes if name == "planner" else arguments.episodes
-                file = arguments.kept / f"{task}-{contact}-{name.replace(' ', '-')}-{episodes}.json"
-                if not file.exists():
-                    write_json(file, measured(task, contact, name, episodes))
-                rows.append(json.loads(file.read_text()))
-                print(f"{task}, {contact}, {name}: {rows[-1]['mean']:.1f}", flush=True)
-    return rows
+
+def _trained(trained: dict[str, Any]) -> str:
+    lines = []
+    for task, found in trained.items():
+        settings, spent = found["settings"], found["time"]
+        units = " x ".join(map(str, settings["hidden_units"]))
+        figures = f"{spent['seconds'] / 60.0:.1f}", f"{spent['steps'] / spent['seconds']:,.0f}"
+        lines.append((task, f"{settings['total_steps']:,}", str(settings["hold"]), units, *figures))
+    return table(("task", "steps", "control steps of each", "network", "minutes", "steps per second"), lines)
+
+
+def draw(rows: list[dict[str, Any]], path: Path) -> None:
+    """Draw how the shipped networks learnt, and what others earn as lines, for the exact model."""
+    from matplotlib.figure import Figure
+
+    from agents.evaluation.figures import ACCENT
+    from agents.policies.network import SHIPPED
+    from agents.runs import EVALUATIONS
+    from jackbox_env.commands.plots import JACK
+    from jackbox_env.recording.files import replacing
+
+    figure = Figure(figsize=(10.0, 3.4), layout="constrained")
+    panels = figure.subplots(1, len(TASKS))
+    earned = {(row["task"], row["policy"]): row["mean"] for row in rows if row["contact"] == "exact"}
+    for axes, task in zip(panels, TASKS, strict=True):
+        stored = np.load(SHIPPED / f"{task}-ppo" / EVALUATIONS)
+        steps, results = stored["timesteps"] / 1e6, stored["results"]
+        mean, error = results.mean(axis=1), 1.96 * results.std(axis=1, ddof=1) / np.sqrt(results.shape[1])
+        axes.plot(steps, mean, color=JACK)
+        axes.fill_between(steps, mean - error, mean + error, color=JACK, alpha=0.2, linewidth=0)
+        for name in LINES:
+            axes.axhline(earned[task, name], color=ACCENT, linewidth=0.8, linestyle=":")
+            place = 0.98, earned[task, name]
+            axes.annotate(
+                name, place, xycoords=("axes fraction", "data"), ha="right", va="bottom", color=ACCENT, fontsize=8
+            )
+        axes.set(title=task, xlabel="steps [million]", xlim=(0.0, steps[-1]))
+        axes.margins(y=0.12)
+        axes.spines[["top", "right"]].set_visible(False)
+    panels[0].set_ylabel("return (95 % interval)")
+    with replacing(path) as partial_file:
+        figure.savefig(partial_file, dpi=120)
+
+
+# -- the command -------------------------------------------------------------------------------------------------------
 
 
 def trained() -> dict[str, Any]:
@@ -117,41 +174,49 @@ def trained() -> dict[str, Any]:
     }
 
 
+def gathered(arguments: Arguments) -> dict[str, Any]:
+    """Everything that the page shows; what has not finished in the folder is run."""
+    from agents.sweeps.in_process import InTurn
+    from jackbox_env.recording.files import make_folder
+    from scripts.studies.sweeping import swept
+
+    folder = arguments.folder.resolve()
+    make_folder(folder)
+    asked = these.trials(arguments.episodes, arguments.planner_episodes, arguments.across_episodes)
+    found = swept(folder / "sweep", asked, partial(these.measured, folder), InTurn(), arguments.progress)
+    parts: dict[str, list[Any]] = {"rows": [], "across": [], "ahead": []}
+    for row in found:
+        parts[row["part"]].append((row, json.loads(row["row"])))
+    across: dict[str, dict[str, Any]] = {}
+    for row, earned in parts["across"]:
+        across.setdefault(row["scene"], {})[row["policy"]] = earned
+    *ahead, (_, alone) = parts["ahead"]
+    return {
+        "seed": these.SEED,
+        "resamples": these.RESAMPLES,
+        "rows": [row for _, row in parts["rows"]],
+        "across": [{"scene": json.loads(scene), "earned": earned} for scene, earned in across.items()],
+        "ahead": [row for _, row in ahead],
+        "plan_alone": alone,
+        "spin_bound": these.spin_bound(arguments.episodes),
+        "trained": trained(),
+    }
+
+
 @command_line
 def main() -> None:
     """Parse, evaluate what is missing, write the page."""
     arguments = tyro.cli(Arguments, description=__doc__)
     from jackbox_env import _validation as check
-    from jackbox_env.recording.files import check_writable, write_bytes
-    from scripts.studies.results.across import across
-    from scripts.studies.results.ahead import ahead, plan_alone
-    from scripts.studies.results.attainable import spin_bound
-    from scripts.studies.results.curves import draw
-    from scripts.studies.results.page import page
+    from jackbox_env.recording.files import check_writable, write_text
 
     for name in ("episodes", "planner_episodes", "across_episodes"):
         check.whole(name, getattr(arguments, name), at_least=4)
     check_writable(arguments.out)
-    arguments.kept.mkdir(parents=True, exist_ok=True)
-    record: dict[str, Any] = {
-        "seed": SEED,
-        "resamples": RESAMPLES,
-        "rows": rows_of(arguments),
-        "across": across(arguments.kept, arguments.across_episodes, SEED),
-        "ahead": ahead(arguments.kept, arguments.episodes, SEED),
-        "plan_alone": plan_alone(arguments.kept, arguments.episodes, SEED),
-        "spin_bound": spin_bound(arguments.episodes, SEED),
-        "trained": trained(),
-    }
-    write_bytes(arguments.out / "results.md", page(record).encode())
+    record = gathered(arguments)
+    write_text(arguments.out / "results.md", page(record))
     draw(record["rows"], arguments.out / "results.png")
-    for row in [
-        *record["rows"],
-        *record["ahead"],
-        *(earned for scene in record["across"] for earned in scene["earned"].values()),
-    ]:
-        del row["returns"]
-    write_bytes(arguments.out / "results.json", (json.dumps(record, indent=1) + "\n").encode())
+    write_text(arguments.out / "results.json", json.dumps(record, indent=1) + "\n")
     print(f"Written: {arguments.out / 'results.md'}")
 
 

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable
+import statistics
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from jackbox_env.commands.common import command_line
 from scripts.studies import pages, timing
-from scripts.studies.timing import meanwhile
+from scripts.studies.pages import figure, rough, table
+from scripts.studies.speed import measured as these
+from scripts.studies.timing import Rates
 
 Part = Literal["alone", "together", "threads", "start"]
 PACKAGES = ("jackbox", "gymnasium", "numpy", "pymunk", "numba", "stable-baselines3", "envpool")
@@ -33,11 +36,61 @@ class Arguments:
     """Folder of the page speed.md, its picture speed.png and its results speed.json."""
 
 
+# Results are stored by part: rates and ratios in each round; made, with what they were measured; kept, the ratios of an
+# earlier run to peers that were not installed.
+Results = Mapping[str, Mapping[str, Any]]
+RATIOS = {
+    "alone": {
+        "the default over LunarLander-v3": (these.PYMUNK, these.LANDER),
+        "the default under the chirp over LunarLander-v3": (these.CHIRP, these.LANDER),
+        "the default over CartPole-v1": (these.PYMUNK, these.POLE),
+        "exact over CartPole-v1": (these.EXACT, these.POLE),
+        "the default over the bare pymunk loop": (these.PYMUNK, these.BARE),
+        "frames of the default over LunarLander-v3's": (these.FRAMES, these.LANDER_FRAMES),
+    },
+    "together": {
+        "`rollout` over the bare pymunk loop": (these.ROLLOUT, these.BARE),
+        "unguarded search over the certified one: what certifying costs": (these.UNGUARDED, these.ROLLOUT),
+        "batch over `rollout`: what observation, reward and restarts leave": (these.BATCH, these.ROLLOUT),
+        "batch under the chirp over the same under actions": (these.BATCH_CHIRP, these.BATCH),
+        "batch with a scene for each environment over one scene for all": (these.BATCH_SCENES, these.BATCH),
+        "batch with jacks drawn at each reset over one scene for all": (these.BATCH_DRAWN, these.BATCH),
+        "batch with a task of one's own over the built-in one": (these.BATCH_TASK, these.BATCH),
+        "batch over Gymnasium's own CartPole-v1": (these.BATCH, these.POLES),
+        "batch over EnvPool's CartPole-v1": (these.BATCH, these.POOL),
+        "batch over a batch of the pymunk model": (these.BATCH, these.FEW),
+        "`make_sb3_vec_env` over `DummyVecEnv`": (these.SB3, these.DUMMY),
+        "`make_sb3_vec_env` over the batch, 256 environments": (these.SB3_256, these.BATCH_256),
+    },
+    "threads": {
+        f"{name}, two threads over one": (these.by_two(name), name)
+        for name in (*map(these.of_size, these.THREADED), these.LONG)
+    },
+}
+ONE = {"pymunk": these.PYMUNK, "exact": these.EXACT, "lander": these.LANDER, "pole": these.POLE}
+PICTURE = {
+    "exact, batch of 1,024": ("together", these.BATCH),
+    "CartPole, Gymnasium's batch of 1,024": ("together", these.POLES),
+    "exact, one": ("alone", these.EXACT),
+    "CartPole, one": ("alone", these.POLE),
+    "pymunk (the default), one": ("alone", these.PYMUNK),
+    "LunarLander, one": ("alone", these.LANDER),
+}
+
+
+def ratios_of(part: str, rates: Rates) -> Rates:
+    """The ratios of a part in each round. Ratios to peers that are not installed are left out."""
+    return {what: timing.ratios(rates, *two) for what, two in RATIOS[part].items() if set(two) <= set(rates)}
+
+
+def kept_of(stored: Mapping[str, Any], ratios: Rates) -> dict[str, Any]:
+    """The ratios of a stored part that are not among those measured now."""
+    known = {what: {"values": values, "made": stored["made"]} for what, values in stored.get("ratios", {}).items()}
+    return {what: found for what, found in (known | stored.get("kept", {})).items() if what not in ratios}
+
+
 def measured(part: Part, rounds: int, seconds: float, stored: dict[str, Any]) -> dict[str, Any]:
     """Measure a part of the page. Keep the ``stored`` figures of peers that are not installed now."""
-    from scripts.studies.speed import measured as these
-    from scripts.studies.speed.page import before_of, kept_of, ratios_of
-
     before, cores = timing.others(), os.sched_getaffinity(0) if timing.PINNED else {0}
     timing.on_cores(cores if part == "threads" else {max(cores)})
     found: dict[str, Any] = {}
@@ -49,12 +102,81 @@ def measured(part: Part, rounds: int, seconds: float, stored: dict[str, Any]) ->
         }  # fmt: skip
         found["rates"] = timing.measure(makes[part](seconds), rounds)
         found["ratios"] = ratios_of(part, found["rates"])
-        found["kept"], found["before"] = kept_of(stored, found["ratios"]), before_of(stored)
+        found["kept"] = kept_of(stored, found["ratios"])
     if part == "together":
         found["lost"] = these.lost()
     timing.on_cores(cores)
-    made = f"{timing.measured_with(PACKAGES)}; {rounds} rounds of {seconds:g} s. {meanwhile(before)}"
+    made = f"{timing.measured_with(PACKAGES)}; {rounds} rounds of {seconds:g} s. {timing.meanwhile(before)}"
     return found | {"made": made}
+
+
+# -- the page ----------------------------------------------------------------------------------------------------------
+
+
+def _section(found: Mapping[str, Any]) -> str:
+    """The tables of a part: rates with the time of one, and ratios; those kept of an earlier run last."""
+    rates = [
+        [name, *_cells(values), figure(1e9 / statistics.median(values))] for name, values in found["rates"].items()
+    ]
+    ratios = [[what, *_cells(values)] for what, values in all_ratios(found).items()]
+    kept = [
+        f"Not installed here, and kept from an earlier run: {what}. {one['made']}"
+        for what, one in found["kept"].items()
+    ]
+    lines = [
+        table(("what", "per second", "smallest to largest", "ns each"), rates),
+        table(("ratio", "median", "smallest to largest"), ratios),
+        *kept,
+    ]
+    return "\n\n".join(lines)
+
+
+def _cells(values: list[float]) -> list[str]:
+    """The median, and the extremes where there is more than one value."""
+    extremes = f"{figure(min(values))} to {figure(max(values))}" if len(values) > 1 else ""
+    return [figure(statistics.median(values)), extremes]
+
+
+def all_ratios(found: Mapping[str, Any]) -> Rates:
+    """The ratios measured, and those kept of an earlier run."""
+    return {**found["ratios"], **{what: kept["values"] for what, kept in found["kept"].items()}}
+
+
+def page(results: Results) -> str:
+    """docs/speed.md."""
+    together = results["together"]
+    rates = {
+        part: {name: rough(statistics.median(values)) for name, values in found["rates"].items()}
+        for part, found in results.items()
+        if "rates" in found
+    }
+    over = {what: rough(statistics.median(values)) for what, values in all_ratios(together).items()}
+    peers = {"Gymnasium's own": "Gymnasium's own batch of CartPole-v1", "EnvPool's": "EnvPool's"}
+    known = {f"batch over {whose} CartPole-v1": words for whose, words in peers.items()}
+    fields = {
+        "one": {name: rates["alone"][of] for name, of in ONE.items()},
+        "batch": rates["together"][these.BATCH],
+        "over": " and ".join(f"{over[what]} times as many as {words}" for what, words in known.items() if what in over),
+        "start": {name: rough(statistics.median(results["start"][name])) for name in ("cold", "warm")},
+        "tables": {part: _section(results[part]) for part in rates},
+        "lost": together["lost"],
+        "memory": results["start"],
+        "made": "\n".join(f"- `{part}`: {found['made']}" for part, found in results.items()),
+    }
+    return (Path(__file__).parent / "page.md").read_text().format(**fields)
+
+
+def for_the_readme(results: Results) -> str:
+    """The README's table: what the picture shows."""
+    lines = ["| control steps per second on one core | |", "|---|---:|"]
+    lines += [f"| {name} | {rough(rate)} |" for name, rate in pictured(results).items()]
+    machine = results["alone"]["made"].split(";")[0]
+    return "\n".join([*lines, "", f"Measured by `make speed` on {machine}."])
+
+
+def pictured(results: Results) -> dict[str, float]:
+    """The bars of the picture: steps per second."""
+    return {label: statistics.median(results[part]["rates"][name]) for label, (part, name) in PICTURE.items()}
 
 
 @command_line
@@ -63,22 +185,23 @@ def main() -> None:
     import tyro
 
     from jackbox_env import _validation as check
-    from jackbox_env.recording.files import write_json, write_text
-    from scripts.studies.speed.page import page, pictured, told
+    from jackbox_env.recording.files import check_writable, write_json, write_text
 
     arguments = tyro.cli(Arguments, description=__doc__)
     check.whole("rounds", arguments.rounds, at_least=1)
     check.real("seconds", arguments.seconds, above=0.0)
-    if not arguments.out.is_dir():
-        raise FileNotFoundError(f"{arguments.out} is no folder to write a page in")
-    path, picture = arguments.out / "speed.json", arguments.out / "speed.png"
+    check_writable(arguments.out)
+    path = arguments.out / "speed.json"
     results: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {}
+    missing = [part for part in get_args(Part) if part not in {*arguments.parts, *results}]
+    if missing:
+        raise ValueError(f"parts must name {' and '.join(missing)} too: {path} has no such results yet")
     for part in arguments.parts:
         results[part] = measured(part, arguments.rounds, arguments.seconds, results.get(part, {}))
         write_json(path, results)
-    pages.bars(picture, "control steps per second on one core", pictured(results), log=True)
-    write_text(arguments.out / "speed.md", page(results, picture.name))
-    print(told(results))
+    pages.bars(arguments.out / "speed.png", "control steps per second on one core", pictured(results), log=True)
+    write_text(arguments.out / "speed.md", page(results))
+    print(_section(results["alone"]), results["alone"]["made"], sep="\n\n")
 
 
 if __name__ == "__main__":
