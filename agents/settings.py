@@ -181,13 +181,13 @@ class TrainSettings(EnvSettings):
         if EPISODE_STEPS % self.hold:
             raise ValueError(f"hold must divide the {EPISODE_STEPS} control steps of an episode, got {self.hold}")
         check.flag("preview", self.preview)
-        if self.lookahead and self.randomized:
-            raise ValueError("lookahead must be 0 where scenes vary: a trained model plays its rollouts in one scene")
         shown = [name for name in PREVIEW_READS if name in self.randomized]
         if self.preview and shown:
             raise ValueError(f"preview must be off where {' and '.join(shown)} varies: it is computed for one scene")
         if check.whole("lookahead", self.lookahead, at_least=0, at_most=MOST_SAMPLES) in range(1, 8):
             raise ValueError(f"lookahead must be 0 or from 8 to {MOST_SAMPLES}, got {self.lookahead}")
+        if self.lookahead and self.randomized:
+            raise ValueError("lookahead must be 0 where scenes vary: a trained model plays its rollouts in one scene")
         check.real("learning_rate", self.learning_rate, above=0.0)
         check.real("clip_range", self.clip_range, above=0.0)
         check.real("gamma", self.gamma, at_least=0.0, at_most=1.0)

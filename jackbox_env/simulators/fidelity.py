@@ -44,7 +44,7 @@ def resolve(fidelity: str | None, contact: str | None, substeps: int | None) -> 
     if fidelity is None:
         return Setting(DEFAULT if contact is None else contact, substeps)
     named = FIDELITIES[check.choice("fidelity", fidelity, FIDELITIES)]
-    if contact is not None and contact != named.contact:
+    if contact is not None and not (isinstance(contact, str) and contact == named.contact):
         return Setting(contact, substeps)
     if named.contact == "exact" and substeps is not None:
         raise ValueError(

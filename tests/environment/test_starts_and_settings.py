@@ -119,3 +119,8 @@ def test_scenes_with_functions_run_end_to_end_and_have_no_json_form() -> None:
     assert all(info["torque"] == 0.0 for info in infos)
     with pytest.raises(TypeError, match="not JSON serializable"):
         env.spec.to_json()
+
+
+def test_a_contact_that_is_an_array_is_refused_beside_a_fidelity_too() -> None:
+    with pytest.raises(ValueError, match="^contact must be one of"):
+        JackInBoxEnv(fidelity="coarse", contact=np.array(["pymunk", "exact"]))  # type: ignore[arg-type]

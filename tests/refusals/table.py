@@ -388,7 +388,7 @@ TRAINING: Kinds = {
     "torch_threads": whole(2, 1).but(absurd=out(1025, "1024", "1025")),
     "hold": whole(5, 1, EPISODE_STEPS).but(odd=out(3, "divide", "500", "3")),
     "preview": flag(True),
-    "lookahead": whole(8, 0, 4096).but(few=out(7, "8", "7"), fails=None, array=None),
+    "lookahead": whole(8, 0, 4096).but(few=out(7, "8", "7")),
     **{name: real(0.5, above=0.0) for name in ("learning_rate", "clip_range")},
     **{name: real(0.5, at_least=0.0, at_most=1.0) for name in ("gamma", "gae_lambda")},
     **{name: real(0.5) for name in ("entropy_coefficient", "initial_log_std")},
