@@ -139,8 +139,6 @@ def test_imports_go_down() -> None:
 
 # -- privates ---------------------------------------------------------------------------------------------------------
 
-TIMES_PARTS = "scripts.studies.costs"  # of an environment's step, from the inside
-
 
 def _room(name: str) -> str:
     """The folder of a module; a file beside the folders is a room of its own."""
@@ -168,13 +166,12 @@ def _privates_read(sources: dict[str, Path]) -> list[str]:
     trees, names = {name: ast.parse(path.read_text()) for name, path in sources.items()}, dict[str, set[str]]()
     for name, tree in trees.items():
         names.setdefault(_room(name), set()).update(_own_names(tree))
-    known = {_room(name) for name in sources} - {TIMES_PARTS}
     return [
         f"{name} reads {private}"
         for name, tree in trees.items()
         for private in set(_read_names(tree)) - names[_room(name)]
         if private.startswith("_") and not private.startswith("__")
-        if _room(name) in known and any(private in names[room] for room in known)
+        if any(private in own for own in names.values())
     ]
 
 
