@@ -125,9 +125,8 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         single = JackInBoxEnv(scene=scenes[0], **settings, render_mode=shown)  # checks them all
         single.close()
         drawn = None if randomize is None else Randomization(randomize, scenes, single.simulator_of)
-        np.empty(
-            self.num_envs * contact_model(single.contact).room, dtype=np.uint8
-        )  # MemoryError now, not after hours of making
+        room = self.num_envs * contact_model(single.contact).room
+        np.empty(room, dtype=np.uint8)  # MemoryError now, not after hours of making
         self.task, self.render_mode, self.control_dt = task, render_mode, single.control_dt
         self.torque_source = single.torque_source
         self.metadata = {**single.metadata, "autoreset_mode": self.autoreset_mode}

@@ -83,6 +83,7 @@ class SingleBatch:
             if self._randomize or changes is not None:
                 drawn = self._randomize.draw(self._own[number], generators[-1]) if self._randomize else {}
                 scenes.append(self._own[number].changed(**{**drawn, **(changes[place] if changes else {})}))
+                self._envs[number].simulator_of(scenes[-1])  # refuses now what its contact model does not take
         return Starts(numbers, generators, scenes or None)
 
     def start(self, starts: Starts, states: Array | None = None) -> None:

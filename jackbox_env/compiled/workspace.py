@@ -56,7 +56,7 @@ HITS, IMPULSE, WORK, ELAPSED = range(4)
 # Places of HOLDING: how many pairs are held, and those that were let go at this moment, as bits.
 COUNT, LOOSE = range(2)
 
-# Rows of a thread's memory for a block of environments, (LANES, width). The first four are for passing needs.
+# Rows of a thread's memory for a block of environments, (LANES, width); 0 to 3 are scratch.
 TORQUE, TURNING = 4, 5  # [N m]; angular acceleration of the box [rad/s^2], or a bound of it
 NEAR, HIT, IMPULSE_SUM = 6, 7, 8  # whether a foot may touch a wall; impacts, their impulse [N s]
 # Where lanes near a wall are brought together, see ``glide.look_at_walls``.

@@ -238,6 +238,25 @@ def test_options_that_are_refused_leave_all_as_it_was(options: Any, named: str) 
         env.step(None)
 
 
+@pytest.mark.parametrize("chosen", [None, np.array([True, False, True])])
+def test_a_scene_that_the_contact_model_refuses_leaves_all_as_it_was(chosen: Any) -> None:
+    """A jack as light to turn as this is right for a scene; only making its simulator tells that pymunk cannot."""
+    batch = JackInBoxVectorEnv(3)
+    batch.reset(seed=0)
+    batch.step(None)
+    states, times = batch.states.copy(), batch.times.copy()
+    light = {"scene": {"jack_inertia": 1e-6}}
+    with pytest.raises(ValueError, match="couple the feet"):
+        batch.reset(options=light if chosen is None else {**light, "reset_mask": chosen})
+    assert np.array_equal(batch.states, states)
+    assert np.array_equal(batch.times, times)
+    assert batch.scenes == [Scene()] * 3
+    twin = JackInBoxVectorEnv(3)
+    twin.reset(seed=0)
+    twin.step(None)
+    assert np.array_equal(batch.step(None)[0], twin.step(None)[0])
+
+
 def test_lists_of_another_length_are_refused() -> None:
     with pytest.raises(ValueError, match="scene .* list of 3, got 2"):
         JackInBoxVectorEnv(3, scene=[Scene(), Scene()])
