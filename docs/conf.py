@@ -27,7 +27,6 @@ html_theme = "furo"
 html_title = "jackbox"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
-html_extra_path = ["accuracy/work_precision.html"]
 html_show_sourcelink = False
 html_theme_options = {"source_directory": "docs/"}
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from agents.policies.network import layers_of, write_policy
-from agents.runs import EVALUATIONS, TIME, read_settings
+from agents.policies.network import layers_of, write_with_layers
+from agents.runs import EVALUATIONS, SETTINGS, TIME, read_settings
 from agents.training.models import load_model, run_folder
 from jackbox_env.recording.files import write_bytes
 
@@ -22,7 +22,7 @@ def export_policy(run: Path, folder: Path) -> None:
     """
     layers = layers_of(load_model(run))
     source = run_folder(run) or run
-    write_policy(folder, read_settings(source), layers)
+    write_with_layers(folder, SETTINGS, read_settings(source), layers)
     for name in (EVALUATIONS, TIME):
         if (source / name).is_file():
             write_bytes(folder / name, (source / name).read_bytes())

@@ -22,11 +22,12 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.files import read_bounded
 from agents.policies.landing_features import FEATURES, flight_of, preview
-from agents.policies.playing import Playing, manner_of, play
+from agents.policies.playing import Playable, manner_of
 from agents.policies.scripted import Actions
-from agents.runs import SETTINGS, read_settings
-from agents.settings import FORESEEN, MOST_LAYERS, MOST_WEIGHTS, TrainSettings
+from agents.runs import SETTINGS
+from agents.settings import FORESEEN, MOST_LAYERS, MOST_WEIGHTS, EnvSettings, TrainSettings
 from agents.training.archives import unpacked_arrays
 from jackbox_env import Scene
 from jackbox_env.observation import BOUNDS
@@ -43,8 +44,8 @@ _MOST_SETTINGS = 100_000  # [bytes] of a JSON file
 _SPARE = 65_536  # [bytes] of a file beside its numbers
 
 
-class NetworkPolicy:
-    """A trained policy with Stable-Baselines3's ``predict``.
+class NetworkPolicy(Playable):
+    """A trained policy with Stable-Baselines3's ``predict``: it does the mean of its actions.
 
     Args:
         settings: what it was trained by; they say what it sees and how long it holds its actions.
@@ -57,32 +58,34 @@ class NetworkPolicy:
     def __init__(self, settings: TrainSettings, layers: list[Layer]) -> None:
         self.settings, self._layers = settings, layers
         self._flight = flight_of(Scene.of(settings.scene_fields)) if settings.preview else None
-        self._manner = manner_of(settings)
-        sizes = [len(BOUNDS) + FORESEEN * bool(settings.lookahead) + len(FEATURES) * settings.preview]
-        sizes += [*settings.hidden_units, 1]
-        wanted = [((after, before), (after,)) for before, after in pairwise(sizes)]
-        found = [(weight.shape, bias.shape) for weight, bias in layers]
-        if found != wanted:
-            raise ValueError(f"the layers of these settings have shapes {wanted}, got {found}")
-        if not all(np.isfinite(part).all() for layer in layers for part in layer):
-            raise ValueError("weights must be finite")
-
-    def predict(
-        self, observation: Any, state: Playing | None = None, episode_start: Any = None, deterministic: bool = True
-    ) -> tuple[Actions, Playing]:
-        """Return actions and the state for the next call, see :func:`.playing.play`; always the mean's."""
-        return play(self._manner, self.act, observation, state, episode_start)
+        self.manner = manner_of(settings)
+        seen = len(BOUNDS) + FORESEEN * bool(settings.lookahead) + len(FEATURES) * settings.preview
+        check_layers(layers, [seen, *settings.hidden_units, 1])
 
     def act(self, seen: NDArray[Any]) -> Actions:
-        """Actions, shape (n, 1), for observations as in training, shape (n, k)."""
+        """See :class:`.playing.Playable`."""
         values = np.asarray(seen, dtype=np.float32)
         if self._flight:
             values = np.concatenate([values, preview(self._flight, values[:, : len(BOUNDS)])], axis=1)
-        for number, (weight, bias) in enumerate(self._layers):
-            values = np.tanh(values) if number else values
-            values = values @ weight.T + bias
-        actions: Actions = np.clip(values, -1.0, 1.0)
-        return actions
+        return np.clip(outputs(self._layers, values), -1.0, 1.0)
+
+
+def check_layers(layers: list[Layer], sizes: list[int]) -> None:
+    """Raise ValueError for layers that do not lead from the first of these numbers of neurons to the last."""
+    wanted = [((after, before), (after,)) for before, after in pairwise(sizes)]
+    found = [(weight.shape, bias.shape) for weight, bias in layers]
+    if found != wanted:
+        raise ValueError(f"the layers must have shapes {wanted}, got {found}")
+    if not all(np.isfinite(part).all() for layer in layers for part in layer):
+        raise ValueError("weights must be finite")
+
+
+def outputs(layers: list[Layer], values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """What a network with tanh between its layers makes of inputs, shape (n, inputs)."""
+    for number, (weight, bias) in enumerate(layers):
+        values = np.tanh(values) if number else values
+        values = values @ weight.T + bias
+    return values
 
 
 def layers_of(model: PPO) -> list[Layer]:
@@ -102,14 +105,15 @@ def _copy(tensor: Any) -> NDArray[np.float32]:
     return values
 
 
-def write_layers(folder: Path, layers: list[Layer]) -> None:
-    """Write the layers of a network into a folder."""
+def write_with_layers(folder: Path, name: str, settings: EnvSettings, layers: list[Layer]) -> None:
+    """Write the layers of a network into a folder, and as ``name`` the settings that they belong to."""
     file = io.BytesIO()
     named: dict[str, Any] = {}
     for number, (weight, bias) in enumerate(layers):
         named |= {f"weight_{number}": weight, f"bias_{number}": bias}
     np.savez(file, **named)
     write_bytes(folder / WEIGHTS, file.getvalue())
+    write_json(folder / name, dataclasses.asdict(settings))
 
 
 def read_layers(folder: Path) -> list[Layer]:
@@ -121,12 +125,7 @@ def read_layers(folder: Path) -> list[Layer]:
             raises.
     """
     path = folder / WEIGHTS
-    if not path.is_file():
-        raise FileNotFoundError(f"{folder} holds no {WEIGHTS}")
-    most = 4 * MOST_WEIGHTS + _SPARE
-    if path.stat().st_size > most:
-        raise ValueError(f"{path} must be at most {most:,} bytes, got {path.stat().st_size:,}")
-    stored = unpacked_arrays(path.read_bytes(), str(path))
+    stored = unpacked_arrays(read_bounded(path, 4 * MOST_WEIGHTS + _SPARE), str(path))
     count = min(MOST_LAYERS + 1, len(stored) // 2)
     return [(stored[f"weight_{number}"], stored[f"bias_{number}"]) for number in range(count)]
 
@@ -144,22 +143,12 @@ def read_with_layers(folder: Path, name: str, kind: str, make: Callable[[Any, li
         FileNotFoundError: a file is missing.
         ValueError: the files are damaged, or do not fit each other.
     """
-    for wanted in (name, WEIGHTS):
-        if not (folder / wanted).is_file():
-            raise FileNotFoundError(f"{folder} holds no {wanted}")
     try:
-        size = (folder / name).stat().st_size
-        if size > _MOST_SETTINGS:
-            raise ValueError(f"{name} must be at most {_MOST_SETTINGS:,} bytes, got {size:,}")
-        return make(json.loads((folder / name).read_bytes()), read_layers(folder))
+        return make(json.loads(read_bounded(folder / name, _MOST_SETTINGS)), read_layers(folder))
+    except FileNotFoundError:
+        raise
     except Exception as error:
         raise ValueError(f"{folder} holds no {kind}: {error}") from error
-
-
-def write_policy(folder: Path, settings: TrainSettings, layers: list[Layer]) -> None:
-    """Write a policy into a new folder's files."""
-    write_layers(folder, layers)
-    write_json(folder / SETTINGS, dataclasses.asdict(settings))
 
 
 def read_policy(folder: Path) -> NetworkPolicy:
@@ -169,10 +158,6 @@ def read_policy(folder: Path) -> NetworkPolicy:
         FileNotFoundError: it holds none.
         ValueError: its files are damaged, or do not fit each other.
     """
-    settings = read_settings(folder)
-    try:
-        return NetworkPolicy(settings, read_layers(folder))
-    except FileNotFoundError:
-        raise
-    except Exception as error:
-        raise ValueError(f"{folder / WEIGHTS} holds no weights of the settings beside it: {error}") from error
+    return read_with_layers(
+        folder, SETTINGS, "policy", lambda given, layers: NetworkPolicy(TrainSettings.of(given), layers)
+    )

@@ -15,7 +15,6 @@ weights.npz     as in :mod:`agents.policies.value`
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,9 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.policies.landing_features import flight_of, preview
-from agents.policies.network import Layer, read_with_layers, write_layers
+from agents.policies.network import Layer, read_with_layers
 from agents.policies.observing import observations
-from agents.policies.playing import Manner, Playing, play
+from agents.policies.playing import Manner, Playable
 from agents.policies.scripted import Actions
 from agents.policies.value import Value
 from agents.settings import EPISODE_STEPS, EnvSettings
@@ -36,7 +35,6 @@ from jackbox_env import _validation as check
 from jackbox_env.complementarity import dots
 from jackbox_env.mechanics import contacts_of, impact_maps
 from jackbox_env.observation import state_of
-from jackbox_env.recording.files import write_json
 from jackbox_env.states import Array
 
 LANDING = "landing.json"
@@ -149,7 +147,7 @@ def torques(scene: Scene, states: Array, times: Array, targets: Array, held: flo
     return np.clip(found, -1.0, 1.0)
 
 
-class LandingPolicy:
+class LandingPolicy(Playable):
     """A policy with Stable-Baselines3's ``predict``.
 
     Args:
@@ -163,16 +161,10 @@ class LandingPolicy:
     def __init__(self, settings: LandingSettings, layers: list[Layer]) -> None:
         self.settings, self.value = settings, Value(settings, layers)
         self._scene, self._pairs = Scene.of(settings.scene_fields).changed(drive=None), settings.pairs
-        self._manner, self._held = Manner(settings.hold), settings.hold * settings.control_dt
-
-    def predict(
-        self, observation: Any, state: Playing | None = None, episode_start: Any = None, deterministic: bool = True
-    ) -> tuple[Actions, Playing]:
-        """Return actions and the state for the next call, see :func:`agents.policies.playing.play`."""
-        return play(self._manner, self.act, observation, state, episode_start)
+        self.manner, self._held = Manner(settings.hold), settings.hold * settings.control_dt
 
     def act(self, rows: NDArray[Any]) -> Actions:
-        """Actions, shape (n, 1), for observations, shape (n, 10)."""
+        """See :class:`agents.policies.playing.Playable`."""
         states = np.array([state_of(self._scene, row) for row in np.asarray(rows, dtype=np.float64).tolist()])
         return self.torques(states).astype(np.float32)[:, None]
 
@@ -191,12 +183,6 @@ class LandingPolicy:
         )
         # each jack's pairs apart, always as many together: a product of matrices may depend on how many rows it has
         return np.array([self.value.of(own) for own in after.reshape(count, many, 12)]).reshape(count, many)
-
-
-def write_landing(folder: Path, settings: LandingSettings, layers: list[Layer]) -> None:
-    """Write a policy's files into a folder."""
-    write_layers(folder, layers)
-    write_json(folder / LANDING, dataclasses.asdict(settings))
 
 
 def read_landing(folder: Path) -> LandingPolicy:

@@ -47,6 +47,22 @@ def manner_of(settings: TrainSettings) -> Manner:
     return Manner(settings.hold, features, Scene.of(settings.scene_fields))
 
 
+class Playable:
+    """Stable-Baselines3's ``predict`` for a policy that plays in a manner; it always does the same."""
+
+    manner: Manner
+
+    def act(self, seen: NDArray[Any]) -> NDArray[np.float32]:
+        """Actions, shape (n, 1), for observations as in training, shape (n, k)."""
+        raise NotImplementedError
+
+    def predict(
+        self, observation: Any, state: Playing | None = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[NDArray[Any], Playing]:
+        """Return actions and the state for the next call, see :func:`play`."""
+        return play(self.manner, self.act, observation, state, episode_start)
+
+
 def ten_numbers(observation: Any) -> NDArray[Any]:
     """Observations of JackInBox-v0 as rows, shape (n, 10).
 

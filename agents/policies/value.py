@@ -11,7 +11,6 @@ weights.npz     as in :mod:`.network`; tanh stands between the layers, the last 
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.policies.landing_features import FEATURES, flight_of, preview
-from agents.policies.network import Layer, read_with_layers, write_layers
+from agents.policies.network import Layer, check_layers, outputs, read_with_layers
 from agents.policies.observing import observations
 from agents.settings import EnvSettings
 from jackbox_env import JackInBoxEnv, Scene
 from jackbox_env.observation import BOUNDS
 from jackbox_env.planning.icem import Search
-from jackbox_env.recording.files import write_json
 from jackbox_env.states import Array
 
 VALUE = "value.json"
@@ -47,15 +45,7 @@ class Value:
     def __init__(self, settings: EnvSettings, layers: list[Layer]) -> None:
         self.settings, self.layers, self._scene = settings, layers, Scene.of(settings.scene_fields)
         self._flight = flight_of(self._scene)
-        size = INPUTS
-        for weight, bias in layers:
-            if weight.shape != (len(bias), size) or bias.ndim != 1:
-                raise ValueError(f"a layer must take {size} numbers, got shapes {weight.shape} and {bias.shape}")
-            if not (np.isfinite(weight).all() and np.isfinite(bias).all()):
-                raise ValueError("weights must be finite")
-            size = len(bias)
-        if not layers or size != 1:
-            raise ValueError(f"the last layer must give 1 number, got {size if layers else 'no layer'}")
+        check_layers(layers, [INPUTS, *(bias.size for _, bias in layers[:-1]), 1])
 
     def inputs(self, states: Array) -> NDArray[np.float32]:
         """What the network sees of states, shape (n, 12): (n, ``INPUTS``)."""
@@ -64,11 +54,7 @@ class Value:
 
     def of(self, states: Array) -> Array:
         """The sum of rewards that is to come, shape (n,), for states, shape (n, 12)."""
-        values = self.inputs(states)
-        for number, (weight, bias) in enumerate(self.layers):
-            values = np.tanh(values) if number else values
-            values = values @ weight.T + bias
-        return UNIT * values[:, 0].astype(np.float64)
+        return UNIT * outputs(self.layers, self.inputs(states))[:, 0].astype(np.float64)
 
 
 class ValuedSearch(Search):
@@ -86,12 +72,6 @@ class ValuedSearch(Search):
         """As :meth:`Search.play`, the values of the ends added to the sums of rewards."""
         returns, ends = super().play(scene, states, tried)
         return returns + np.array([self.value.of(own) for own in ends]).reshape(returns.shape), ends
-
-
-def write_value(folder: Path, settings: EnvSettings, layers: list[Layer]) -> None:
-    """Write a value's files into a folder."""
-    write_layers(folder, layers)
-    write_json(folder / VALUE, dataclasses.asdict(settings))
 
 
 def read_value(folder: Path) -> Value:

@@ -14,14 +14,12 @@ import platform
 import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol
 
 from agents.files import first_line
 from agents.runs import machine
-from jackbox_env import _validation as check
 
 Work = Callable[[dict[str, Any]], Any]  # from settings to a result, both plain JSON
 LOOK_AGAIN = 0.5  # [s] at most between two looks at what has finished
@@ -82,23 +80,3 @@ class InTurn:
         for trial in trials:
             yield attempt(work, trial)
             look()
-
-
-class InThreads:
-    """Runs trials in this process, some at a time: for work that waits for a process of its own."""
-
-    def __init__(self, workers: int) -> None:
-        """Raises TypeError or ValueError unless ``workers`` is a whole number from 1 to 1000."""
-        self._workers = check.whole("workers", workers, at_least=1, at_most=1000)
-
-    def run(self, trials: Iterable[Trial], work: Work, look: Callable[[], None] = nothing) -> Iterator[Finished]:
-        """See :class:`Runner`. Left early, it starts no other trial and does not wait for those under way."""
-        pool = ThreadPoolExecutor(self._workers)
-        under_way = {pool.submit(attempt, work, trial) for trial in trials}
-        try:
-            while under_way:
-                done, under_way = wait(under_way, LOOK_AGAIN, FIRST_COMPLETED)
-                look()
-                yield from (future.result() for future in done)
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)

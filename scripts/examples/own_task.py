@@ -16,7 +16,7 @@ def stay_left(scene: Any, state: Any, torque: float, impulse: float) -> tuple[fl
 
 @dataclass(frozen=True)
 class Arguments:
-    """Train, then compare with doing nothing on the same starts."""
+    """Evaluate before and after training, on the same starts."""
 
     total_steps: int = 400_000
     """Environment steps to train for."""
@@ -29,9 +29,9 @@ class Arguments:
 @command_line
 def main() -> None:
     """Train, evaluate, print."""
-    import numpy as np
     import tyro
     from stable_baselines3 import PPO
+    from stable_baselines3.common.evaluation import evaluate_policy
 
     from jackbox_env import Task
     from jackbox_env.sb3 import make_sb3_vec_env
@@ -43,20 +43,17 @@ def main() -> None:
     }  # fmt: skip
     train_envs = make_sb3_vec_env(64, **settings)
     model = PPO("MlpPolicy", train_envs, n_steps=128, batch_size=1024, seed=arguments.seed, device="cpu")
-    model.learn(arguments.total_steps)
 
-    def mean_return(act: Any) -> float:
+    def mean_return() -> float:
         envs = make_sb3_vec_env(arguments.episodes, **settings)
         envs.seed(1_000_000)
-        seen: Any = envs.reset()
-        total = np.zeros(arguments.episodes)
-        for _ in range(200):
-            seen, rewards, _, _ = envs.step(act(seen))
-            total += rewards
-        return float(total.mean())
+        mean, _ = evaluate_policy(model, envs, arguments.episodes)
+        return float(mean)  # type: ignore[arg-type]
 
-    print(f"no torque {mean_return(lambda seen: np.zeros((len(seen), 1))):7.1f}")
-    print(f"PPO       {mean_return(lambda seen: model.predict(seen, deterministic=True)[0]):7.1f}")
+    before = mean_return()
+    model.learn(arguments.total_steps)
+    print(f"untrained {before:7.1f}")
+    print(f"trained   {mean_return():7.1f}")
 
 
 if __name__ == "__main__":

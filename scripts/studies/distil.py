@@ -16,19 +16,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 import tyro
 from numpy.typing import NDArray
 from tqdm import trange
 
-from agents.policies.network import SHIPPED, Layer
-from agents.policies.observing import mirrored
-from agents.policies.one_bounce import LandingPolicy, LandingSettings, landing_times, torques, upright, write_landing
-from agents.policies.value import UNIT, read_value
+from agents.policies.network import SHIPPED, write_with_layers
+from agents.policies.one_bounce import LANDING, LandingPolicy, LandingSettings, landing_times, torques, upright
+from agents.policies.value import UNIT, Value, read_value
 from jackbox_env import Rollout, Scene, rollout
 from jackbox_env.commands.common import command_line
 from jackbox_env.recording.files import make_folder
 from jackbox_env.states import Array
 from jackbox_env.tasks import sample_start
+from scripts.studies.fitting import epoch, layers_of, network, seen_and_worth
 
 ANGLES = 0.4 * np.sign(np.linspace(-1.0, 1.0, 31)) * np.abs(np.linspace(-1.0, 1.0, 31)) ** 1.4  # finer near level
 SETTINGS = LandingSettings(angles=tuple(ANGLES.round(4).tolist()), rates=(-1.0, -0.5, 0.0, 0.5, 1.0))
@@ -40,7 +41,7 @@ DISCOUNT = 0.975  # of a decision
 FRESH = 0.25  # share of the jacks that start an episode; the others start where earlier ones were
 TEMPERATURE, ANY = 6.0, 0.15  # of the drawn pairs: in rewards; share of any pair at all
 BLUR = np.array([0.01, 0.1])  # added to them [rad, rad/s]
-KEPT, EPOCHS, BATCH, RATE = 8, 2, 512, 2e-3
+KEPT, EPOCHS, RATE = 8, 2, 2e-3
 
 
 @dataclass(frozen=True)
@@ -114,39 +115,12 @@ def counted(policy: LandingPolicy, seen: Array, earned: Array, landed: NDArray[n
     return seen[rows, columns], np.array(worth[::-1])[rows, columns]
 
 
-def fit(net: Any, see: Any, kept: deque[tuple[Array, Array]], rate: float) -> float:
+def fit(net: Any, value: Value, kept: deque[tuple[Array, Array]], rate: float) -> float:
     """Fit the network to states and their worth; returns the error's mean square root [rewards]."""
-    import torch
-
     states, worth = (np.concatenate(part) for part in zip(*kept, strict=True))
-    seen = torch.from_numpy(np.concatenate([see(states), see(mirrored(states))]))
-    goal = torch.from_numpy(np.tile(worth / UNIT, 2).astype(np.float32))[:, None]
-    optimiser, missed = torch.optim.Adam(net.parameters(), rate), []
-    for _ in range(EPOCHS):
-        for batch in torch.randperm(len(seen))[: len(seen) // BATCH * BATCH].reshape(-1, BATCH):
-            optimiser.zero_grad()
-            loss = torch.nn.functional.mse_loss(net(seen[batch]), goal[batch])
-            loss.backward()  # type: ignore[no-untyped-call]
-            optimiser.step()
-            missed.append(loss.item())
+    given, optimiser = seen_and_worth(value, states, worth), torch.optim.Adam(net.parameters(), rate)
+    missed = [error for _ in range(EPOCHS) for error in epoch(net, optimiser, *given)]
     return UNIT * float(np.sqrt(np.mean(missed))) if missed else np.nan
-
-
-def network(layers: list[Layer]) -> Any:
-    """A network of torch that starts as these layers."""
-    import torch
-
-    parts: list[Any] = []
-    for weight, bias in layers:
-        linear = torch.nn.Linear(weight.shape[1], weight.shape[0])
-        linear.weight.data[:], linear.bias.data[:] = torch.from_numpy(weight), torch.from_numpy(bias)
-        parts += [torch.nn.Tanh(), linear] if parts else [linear]
-    return torch.nn.Sequential(*parts)
-
-
-def layers_of(net: Any) -> list[Layer]:
-    """The layers of such a network: copies."""
-    return [(part.weight.detach().numpy().copy(), part.bias.detach().numpy().copy()) for part in net[::2]]
 
 
 def mean_return(policy: LandingPolicy, count: int, rng: np.random.Generator) -> float:
@@ -161,8 +135,6 @@ def mean_return(policy: LandingPolicy, count: int, rng: np.random.Generator) -> 
 @command_line
 def main() -> None:
     """Parse, play, fit, write."""
-    import torch
-
     arguments = tyro.cli(Arguments, description=__doc__)
     torch.set_num_threads(1)
     torch.manual_seed(arguments.seed)
@@ -180,8 +152,8 @@ def main() -> None:
             seen, earned, landed = played(policy, first, rng)
             kept.append(counted(policy, seen, earned, landed))
             pool = seen[: FIRST + COUNTED + HORIZON : 10].reshape(-1, 12)
-            missed = fit(net, value.inputs, kept, RATE * (1.0 - turn / arguments.rounds) + 1e-4)
-            write_landing(arguments.out, SETTINGS, layers_of(net))
+            missed = fit(net, value, kept, RATE * (1.0 - turn / arguments.rounds) + 1e-4)
+            write_with_layers(arguments.out, LANDING, SETTINGS, layers_of(net))
             if turn % 5 == 4 or turn + 1 == arguments.rounds:
                 earns = mean_return(LandingPolicy(SETTINGS, layers_of(net)), 100, trials)
                 bar.write(f"round {turn + 1}: off by {missed:.1f}, return {earns:.1f}")

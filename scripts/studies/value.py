@@ -14,12 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 import tyro
+from torch import nn
 from tqdm import trange
 
-from agents.policies.network import Layer
-from agents.policies.observing import mirrored
-from agents.policies.value import INPUTS, UNIT, Value, ValuedSearch, write_value
+from agents.policies.network import Layer, write_with_layers
+from agents.policies.value import INPUTS, VALUE, Value, ValuedSearch
 from agents.settings import EnvSettings
 from jackbox_env import Scene
 from jackbox_env.commands.common import command_line
@@ -27,6 +28,7 @@ from jackbox_env.planning.icem import Search
 from jackbox_env.recording.files import make_folder
 from jackbox_env.states import Array
 from jackbox_env.tasks import sample_start
+from scripts.studies.fitting import BATCH, epoch, layers_of, seen_and_worth
 
 SCENE, PIECE, CONTROL_DT = Scene(drive=None), 5, 0.02
 PLAYING: dict[str, Any] = {"piece": PIECE, "pieces": 20, "samples": 96, "elites": 10, "iterations": 1, "num_threads": 1}
@@ -35,7 +37,7 @@ EPISODES, DECISIONS = 80, 100  # of the search that plays, in each round
 VISITED = 0.15  # share of visited states
 TOGETHER = 250  # states that are judged together
 NOTHING: list[Layer] = [(np.zeros((1, INPUTS), np.float32), np.zeros(1, np.float32))]  # worth 0 everywhere
-WIDTH, EPOCHS, BATCH, RATE, DECAY = 96, 100, 512, 3e-3, 1e-3
+WIDTH, EPOCHS, RATE, DECAY = 96, 100, 3e-3, 1e-3
 
 
 @dataclass(frozen=True)
@@ -93,28 +95,18 @@ def judged(task: str, states: Array, rng: np.random.Generator) -> Array:
 
 def fitted(settings: EnvSettings, states: Array, worth: Array) -> list[Layer]:
     """A network that tells what states are worth; says how far it is off on a tenth of them."""
-    import torch
-    from torch import nn
-
     net: Any = nn.Sequential(
         nn.Linear(INPUTS, WIDTH), nn.Tanh(), nn.Linear(WIDTH, WIDTH), nn.Tanh(), nn.Linear(WIDTH, 1)
     )
-    see = Value(settings, NOTHING).inputs
     order, few = torch.randperm(len(states)).numpy(), len(states) // 10
     apart, rest = order[:few], order[few:]
-    seen = torch.from_numpy(np.concatenate([see(states[rest]), see(mirrored(states[rest]))]))
-    goal = torch.from_numpy(np.tile(worth[rest] / UNIT, 2).astype(np.float32))[:, None]
+    seen, goal = seen_and_worth(Value(settings, NOTHING), states[rest], worth[rest])
     net[4].bias.data.fill_(float(goal.mean()))
-    optimiser, batches = torch.optim.AdamW(net.parameters(), RATE, weight_decay=DECAY), len(seen) // BATCH
-    rates = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, total_steps=EPOCHS * batches)
+    optimiser = torch.optim.AdamW(net.parameters(), RATE, weight_decay=DECAY)
+    rates = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, total_steps=EPOCHS * (len(seen) // BATCH))
     for _ in trange(EPOCHS, desc="fit", leave=False):
-        for batch in torch.randperm(len(seen))[: batches * BATCH].reshape(batches, BATCH):
-            optimiser.zero_grad()
-            loss: Any = nn.functional.mse_loss(net(seen[batch]), goal[batch])
-            loss.backward()
-            optimiser.step()
-            rates.step()
-    layers = [(net[n].weight.detach().numpy().copy(), net[n].bias.detach().numpy().copy()) for n in (0, 2, 4)]
+        epoch(net, optimiser, seen, goal, rates.step)
+    layers = layers_of(net)
     missed = float(np.var(worth[apart] - Value(settings, layers).of(states[apart])) / np.var(worth[apart]))
     print(f"{len(rest)} states, {100 * missed:.0f} % of the variance of {few} others is not told")
     return layers
@@ -123,8 +115,6 @@ def fitted(settings: EnvSettings, states: Array, worth: Array) -> list[Layer]:
 @command_line
 def main() -> None:
     """Parse, play, judge, fit, write."""
-    import torch
-
     arguments = tyro.cli(Arguments, description=__doc__)
     torch.set_num_threads(1)
     torch.manual_seed(arguments.seed)
@@ -136,7 +126,7 @@ def main() -> None:
         new = chosen(search, arguments.states, rng)
         states, worth = np.concatenate([states, new]), np.concatenate([worth, judged(arguments.task, new, rng)])
         layers = fitted(settings, states, worth)
-        write_value(arguments.out, settings, layers)
+        write_with_layers(arguments.out, VALUE, settings, layers)
 
 
 if __name__ == "__main__":

@@ -26,11 +26,10 @@ def test_ppo_trains_on_randomised_scenes(tmp_path: Path) -> None:
 
 def test_ppo_trains_on_a_task_of_ones_own(tmp_path: Path) -> None:
     out = script("examples/own_task", "--total-steps", "8192", "--episodes", "4", cwd=tmp_path).stdout
-    assert [line.split()[0] for line in out.strip().splitlines()] == ["no", "PPO"]
+    assert [line.split()[0] for line in out.strip().splitlines()] == ["untrained", "trained"]
 
 
 @pytest.mark.slow
 def test_ppo_learns_the_task_of_ones_own(tmp_path: Path) -> None:
-    idle, trained = numbers_of(script("examples/own_task", "--total-steps", "150000", cwd=tmp_path).stdout)
-    assert abs(idle) < 3.0
-    assert trained > idle + 4.0
+    before, after = numbers_of(script("examples/own_task", "--total-steps", "150000", cwd=tmp_path).stdout)
+    assert after > max(before, 0.0) + 4.0  # a box without torque earns nothing

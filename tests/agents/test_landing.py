@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from agents.evaluation.returns import evaluate
+from agents.policies.network import write_with_layers
 from agents.policies.observing import observations
 from agents.policies.one_bounce import (
     AFTER,
@@ -21,7 +22,6 @@ from agents.policies.one_bounce import (
     read_landing,
     torques,
     upright,
-    write_landing,
 )
 from agents.policies.registry import find_policy
 from agents.settings import EnvSettings
@@ -84,7 +84,7 @@ def test_the_box_is_turned_to_the_pair_that_is_worth_most(monkeypatch: pytest.Mo
 
 
 def test_a_policy_is_written_read_and_held(tmp_path: Path) -> None:
-    write_landing(tmp_path, SMALL, layers_for())
+    write_with_layers(tmp_path, "landing.json", SMALL, layers_for())
     policy = find_policy(str(tmp_path), EnvSettings(), 0).policy
     assert isinstance(policy, LandingPolicy)
     seen = observations(Scene(), states_in(Scene(), 6))
@@ -110,7 +110,7 @@ def test_what_pairs_are_worth_does_not_depend_on_the_jacks_beside() -> None:
 def test_damage_and_misfits_are_told(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"holds no landing.json"):
         read_landing(tmp_path)
-    write_landing(tmp_path, SMALL, layers_for())
+    write_with_layers(tmp_path, "landing.json", SMALL, layers_for())
     damaged: list[tuple[dict[str, Any], str]] = [
         ({"hold": 0}, "hold must .* got 0"),
         ({"angles": []}, r"angles must .* got \[\]"),

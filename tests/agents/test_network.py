@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from agents.evaluation.returns import evaluate
-from agents.policies.network import NetworkPolicy, layers_of, read_policy, write_policy
+from agents.policies.network import NetworkPolicy, layers_of, read_policy, write_with_layers
 from agents.policies.registry import find_policy
 from agents.settings import EnvSettings, TrainSettings
 from agents.training.models import holding, make_ppo, make_vec_env
@@ -37,7 +37,7 @@ def moving_model(settings: TrainSettings) -> Any:
 @pytest.mark.parametrize("settings", KINDS.values(), ids=KINDS)
 def test_it_plays_as_the_model_does(settings: TrainSettings, tmp_path: Path) -> None:
     model = moving_model(settings)
-    write_policy(tmp_path, settings, layers_of(model))
+    write_with_layers(tmp_path, "settings.json", settings, layers_of(model))
     policy = read_policy(tmp_path)
     environments = make_vec_env(settings.env_settings, 3, 0)
     environments.seed(1)
@@ -91,9 +91,9 @@ def test_damage_and_misfits_are_told(tmp_path: Path) -> None:
         NetworkPolicy(settings, [(weight * np.nan, bias) for weight, bias in layers])
     with pytest.raises(FileNotFoundError, match="holds no settings.json"):
         read_policy(tmp_path)
-    write_policy(tmp_path, settings, layers)
+    write_with_layers(tmp_path, "settings.json", settings, layers)
     weights.write_bytes(weights.read_bytes()[:-100])
-    with pytest.raises(ValueError, match=r"weights.npz holds no weights of the settings beside it: "):
+    with pytest.raises(ValueError, match="holds no policy: File is not a zip file"):
         read_policy(tmp_path)
     weights.unlink()
     with pytest.raises(FileNotFoundError, match=r"holds no weights.npz"):

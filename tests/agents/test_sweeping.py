@@ -17,7 +17,7 @@ from agents.files import FolderInUseError, held
 from agents.policies.registry import find_policy
 from agents.settings import EnvSettings
 from agents.sweeps import journal, trials
-from agents.sweeps.in_process import Finished, InThreads, InTurn, Trial, Work, nothing
+from agents.sweeps.in_process import Finished, InTurn, Trial, Work, nothing
 from agents.sweeps.journal import JOURNAL, SWEEP, TABLE, TIMES, carry_out, new_sweep, read_sweep
 from agents.sweeps.on_ray import OnRay
 from tests.agents.small_run import TINY
@@ -69,7 +69,7 @@ def test_a_row_for_each_trial_in_the_order_of_the_grid(tmp_path: Path) -> None:
     assert all(float(row["seconds"]) >= 0.0 for row in times)
 
 
-@pytest.mark.parametrize("runner", [Backwards(), InThreads(3)])
+@pytest.mark.parametrize("runner", [Backwards(), InTurn()])
 def test_the_table_does_not_depend_on_the_order_in_which_trials_finish(
     tmp_path: Path, runner: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -10,11 +10,11 @@ import pytest
 
 from agents.evaluation.returns import evaluate
 from agents.policies import registry
-from agents.policies.network import SHIPPED, Layer
+from agents.policies.network import SHIPPED, Layer, write_with_layers
 from agents.policies.observing import observations
 from agents.policies.planner import Planner
 from agents.policies.registry import find_policy, shipped_names
-from agents.policies.value import UNIT, Value, ValuedSearch, read_value, write_value
+from agents.policies.value import UNIT, Value, ValuedSearch, read_value
 from agents.settings import EnvSettings
 from jackbox_env import Scene
 from jackbox_env.planning.icem import Search
@@ -43,9 +43,9 @@ def test_the_ends_of_candidates_are_valued() -> None:
 @pytest.mark.parametrize(
     ("layers", "sentence"),
     [
-        ([], "last layer must give 1 number, got no layer"),
-        (layers_for()[:1], "last layer must give 1 number, got 16"),
-        (layers_for()[1:], r"take 21 numbers, got .*\(1, 16\) and \(1,\)"),
+        ([], r"shapes \[\(\(1, 21\), \(1,\)\)\], got \[\]"),
+        (layers_for()[:1], r"shapes \[\(\(1, 21\), \(1,\)\)\], got \[\(\(16, 21\), \(16,\)\)\]"),
+        (layers_for()[1:], r"shapes \[\(\(1, 21\), \(1,\)\)\], got \[\(\(1, 16\), \(1,\)\)\]"),
         ([(weight * np.nan, bias) for weight, bias in layers_for()], "finite"),
         ([(weight, bias * np.nan) for weight, bias in layers_for()], "finite"),
     ],
@@ -58,7 +58,7 @@ def test_misfits_are_refused(layers: list[Layer], sentence: str) -> None:
 
 
 def test_it_is_written_and_read_and_damage_is_told(tmp_path: Path) -> None:
-    write_value(tmp_path, EXACT, layers_for())
+    write_with_layers(tmp_path, "value.json", EXACT, layers_for())
     states, weights = states_in(Scene(), 5), tmp_path / "weights.npz"
     np.testing.assert_array_equal(read_value(tmp_path).of(states), Value(EXACT, layers_for()).of(states))
     for given, found in (
@@ -71,7 +71,7 @@ def test_it_is_written_and_read_and_damage_is_told(tmp_path: Path) -> None:
         write_json(tmp_path / "value.json", given)
         with pytest.raises(ValueError, match=f"holds no value: .*{found}"):
             read_value(tmp_path)
-    write_value(tmp_path, EXACT, layers_for())
+    write_with_layers(tmp_path, "value.json", EXACT, layers_for())
     weights.write_bytes(weights.read_bytes()[:-100])
     with pytest.raises(ValueError, match="holds no value: "):
         read_value(tmp_path)
@@ -103,7 +103,7 @@ def test_a_value_of_another_task_is_not_used_and_a_damaged_one_is_an_error(
     monkeypatch.setattr(registry, "SHIPPED", tmp_path)
     folder = tmp_path / "juggle-value"
     folder.mkdir()
-    write_value(folder, EnvSettings(task="spin", contact="exact"), layers_for())
+    write_with_layers(folder, "value.json", EnvSettings(task="spin", contact="exact"), layers_for())
     assert not isinstance(search_in(), ValuedSearch)
     (folder / "value.json").unlink()
     with pytest.raises(FileNotFoundError, match=r"holds no value.json"):

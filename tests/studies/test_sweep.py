@@ -32,7 +32,6 @@ def test_an_interrupted_sweep_continues_to_the_results_of_an_uninterrupted_one(
     monkeypatch.setattr(measured, "STEPS", 150)
     monkeypatch.setattr(measured, "TOGETHER", 2)
     monkeypatch.setattr(benchmark, "draw", lambda results, path: None)  # test_accuracy_page draws
-    monkeypatch.setattr(benchmark, "interactive", lambda results, path: None)
     monkeypatch.setattr(benchmark, "claims", lambda found: [])  # cases are too short for some
 
     def counted(*given: Any) -> Any:

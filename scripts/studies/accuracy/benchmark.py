@@ -33,7 +33,7 @@ from scripts.studies.accuracy.measured import (
 )
 from scripts.studies.pages import table
 
-PAGE, BESIDE, PICTURE, INTERACTIVE = "accuracy.md", "accuracy", "work_precision.png", "work_precision.html"
+PAGE, BESIDE, PICTURE = "accuracy.md", "accuracy", "work_precision.png"
 LATER = " These trajectories were measured later, at commit {}; the rest of this page is older."
 
 
@@ -268,16 +268,6 @@ def _cell(row: Row, runs: int) -> str:
 
 # -- pictures ----------------------------------------------------------------------------------------------------------
 
-TABS = {
-    "first_1": "time error of the first impact [s]",
-    "local": "pose error 0.1 s after a restart, over an impact [m]",
-    "depth": "deepest that a foot was in a wall [m]",
-    "prefix": "right impacts before the first wrong one",
-}
-LOSS_TABS = {
-    "first_3": "with loss: time error, first 3 [s]",
-    "local": "with loss: pose error, restart [m]",
-}
 _COLOURS = {EXACT: "C0", BATCH: "C0", PYMUNK: "C2", NAIVE: "C3", "box2d": "0.5", "mujoco": "0.5"}
 _LABELS = {  # at the points: text, offset [points], alignment
     EXACT: ("exact", (7, 0), "left"),
@@ -293,17 +283,15 @@ _LABELS = {  # at the points: text, offset [points], alignment
 _LEAST = 1e-16  # where a logarithmic axis shows zero
 
 
-def points(results: Results, quantity: str, kind: str | None = None) -> dict[str, dict[str, list[Any]]]:
+def points(results: Results, quantity: str) -> dict[str, dict[str, list[Any]]]:
     """Settings, their costs and a quantity of theirs: columns by family, in the order of the sweep."""
     lines: dict[str, dict[str, list[Any]]] = {}
     for name in results.settings:
-        if kind and (name, kind, quantity) not in results.rows:
-            continue
-        cost, row = results.of(name, "cost"), results.of(name, quantity, kind)
+        cost, row = results.some(name, "cost", quantity)
         if row.n:
-            line = lines.setdefault(cost.family, {"setting": [], "cost": [], "median": [], "worst": [], "n": []})
+            line = lines.setdefault(cost.family, {"setting": [], "cost": [], "median": [], "worst": []})
             for column, value in zip(
-                line.values(), (name, cost.median, max(row.median, _LEAST), row.worst, row.n), strict=True
+                line.values(), (name, cost.median, max(row.median, _LEAST), row.worst), strict=True
             ):
                 column.append(value)
     return lines
@@ -343,34 +331,6 @@ def _plot(axis: Any, lines: dict[str, dict[str, list[Any]]]) -> None:
             axis.annotate(text, place, xytext=offset, textcoords="offset points", color=colour, ha=aligned, va="center")
 
 
-def interactive(results: Results, path: Path) -> None:
-    """A page that needs nothing else: a tab per quantity, details under the mouse, families to hide."""
-    from bokeh.embed import file_html
-    from bokeh.models import HoverTool, TabPanel, Tabs
-    from bokeh.palettes import Category10
-    from bokeh.plotting import figure
-    from bokeh.resources import INLINE
-
-    tabs = []
-    of_loss = [(quantity, title, LOSS) for quantity, title in LOSS_TABS.items()]
-    for quantity, title, kind in [*((*tab, None) for tab in TABS.items()), *of_loss]:
-        scale: Any = "linear" if quantity == "prefix" else "log"
-        axes: Any = {"x_axis_type": "log", "y_axis_type": scale, "x_axis_label": "cost [µs per simulated second]"}
-        plot = figure(**axes, y_axis_label=title, width=1000, height=620, tools="pan,wheel_zoom,box_zoom,reset,save")
-        dots: list[Any] = []
-        for colour, (family, line) in zip(Category10[10], points(results, quantity, kind).items(), strict=False):
-            plot.line("cost", "median", source=line, color=colour, legend_label=family)
-            plot.segment("cost", "median", "cost", "worst", source=line, color=colour, alpha=0.4)
-            dots.append(plot.scatter("cost", "median", source=line, size=9, color=colour, legend_label=family))
-        tips = [("", "@setting"), ("cost", "@cost{0,0} µs per simulated s"), ("median", "@median{%.3g}")]
-        tips += [("worst", "@worst{%.3g}"), ("n", "@n")]
-        plot.add_tools(HoverTool(renderers=dots, tooltips=tips, formatters={"@median": "printf", "@worst": "printf"}))
-        plot.legend.click_policy = "hide"
-        plot.add_layout(plot.legend[0], "right")
-        tabs.append(TabPanel(child=plot, title=title))
-    write_text(path, file_html(Tabs(tabs=tabs), INLINE, "jackbox: speed against accuracy"))
-
-
 # -- the command -------------------------------------------------------------------------------------------------------
 
 
@@ -379,7 +339,6 @@ def write(results: Results, folder: Path) -> None:
     beside = folder / BESIDE
     beside.mkdir(exist_ok=True)
     draw(results, beside / PICTURE)
-    interactive(results, beside / INTERACTIVE)
     write_text(folder / PAGE, page(results))
     results.save(beside)
 
@@ -390,8 +349,7 @@ def main() -> None:
     import tyro
 
     arguments = tyro.cli(Arguments, description=__doc__)
-    import bokeh  # noqa: F401  # refused now rather than after the sweep
-    import matplotlib  # noqa: F401
+    import matplotlib  # noqa: F401  # refused now rather than after the sweep
 
     from agents.sweeps.on_ray import runner_for
     from jackbox_env import _validation as check

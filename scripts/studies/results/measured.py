@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.stats import bootstrap, trim_mean
 
 from agents.evaluation.returns import evaluate
-from agents.policies.playing import manner_of, play
+from agents.policies.playing import Playable, manner_of
 from agents.policies.registry import find_policy
 from agents.runs import TIME, machine, versions
 from agents.settings import DEMO, EPISODE_STEPS, EnvSettings, TrainSettings
@@ -132,17 +132,15 @@ def looking_ahead(folder: Path, seed: int | None, episodes: int) -> dict[str, An
     return {"seed": seed, **row, "time": json.loads((run / TIME).read_text())}
 
 
-class PlanAlone:
+class PlanAlone(Playable):
     """A policy that follows the plan that `Lookahead` shows, and corrects nothing."""
 
     def __init__(self) -> None:
-        self._manner = manner_of(AHEAD)
+        self.manner = manner_of(AHEAD)
 
-    def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
-    ) -> tuple[Any, Any]:
-        """See :class:`agents.policies.scripted.Policy`."""
-        return play(self._manner, lambda seen: np.zeros((len(seen), 1), np.float32), observation, state, episode_start)
+    def act(self, seen: NDArray[Any]) -> NDArray[np.float32]:
+        """No correction, see :class:`Playable`."""
+        return np.zeros((len(seen), 1), np.float32)
 
 
 # -- chirps ------------------------------------------------------------------------------------------------------------

@@ -5,8 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -25,17 +23,6 @@ from scripts.studies import timing
 from scripts.studies.pages import fill, rough, table
 
 PACKAGES = ("jackbox", "ray", "numpy", "numba", "torch")
-_COMPILING = """
-import time
-from agents.settings import EnvSettings
-from agents.sweeps.in_process import attempt
-from agents.sweeps.trials import evaluated, policy_trials
-began = time.process_time()
-trial, = policy_trials(("zero",), [EnvSettings(contact="exact")], 1, 2)
-done = attempt(evaluated, trial)
-assert done.error is None, done.details
-print(time.process_time() - began)
-"""
 
 
 class _Timed:
@@ -98,14 +85,6 @@ def journal_line(count: int) -> float:
         return (time.perf_counter() - began) / count
 
 
-def first_trial(cache: Path) -> float:
-    """Processor's seconds of a new process for the exact model's first trial, with compiled code kept in ``cache``."""
-    command = [sys.executable, "-c", _COMPILING]
-    env = {**os.environ, "NUMBA_CACHE_DIR": str(cache)}
-    done = subprocess.run(command, env=env, capture_output=True, text=True, check=True)
-    return float(done.stdout)
-
-
 def busy(seconds: float = 5.0) -> float:
     """The share of the machine's time that other processes use just now, while this one sleeps."""
     before = timing.others()
@@ -146,14 +125,12 @@ def measured(trials: int, on_two_nodes: int) -> dict[str, Any]:
     if len(set(tables.values())) != 1:
         raise RuntimeError("tables must be the same wherever a sweep ran")
     with tempfile.TemporaryDirectory() as scratch:
-        start = {"compiling": first_trial(Path(scratch)), "compiled": first_trial(Path(scratch))}
         folder = sent_to_machines(Path(scratch) / "sent")
         sent = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
     return {
         "runs": runs,
         "empty": empty,
         "journal": journal_line(1000),
-        "start": start,
         "sent": sent,
         "busy": [before, busy()],
         "made": timing.measured_with(PACKAGES),
@@ -167,7 +144,7 @@ def per_trial(stored: dict[str, Any]) -> float:
 
 def page(text: str, stored: dict[str, Any]) -> str:
     """The page with its numbers anew; the rest of it is written there."""
-    runs, start, empty = stored["runs"], stored["start"], stored["empty"]
+    runs, empty = stored["runs"], stored["empty"]
     busy = " and ".join(f"{share:.0%}" for share in stored["busy"])
     rows = [
         (name, f"{run['trials']:,}", str(run["workers"]), rough(run["rate"]), rough(run["first"]))
@@ -180,8 +157,6 @@ def page(text: str, stored: dict[str, Any]) -> str:
         "of that the process that hands it out, of one core": _ms(empty["2 workers"]["own"]),
         "a line in the sweep's folder, on the disk": _ms(stored["journal"]),
         "what a trial leaves there": f"{rough(runs['1 worker']['size'])} bytes",
-        "the exact model's first trial where nothing is compiled": f"{rough(start['compiling'])} s",
-        "the same where compiled code is there": f"{rough(start['compiled'])} s",
         "code sent to each machine, compiled code included": f"{rough(stored['sent'] / 1e6)} MB",
     }
     cores = f"{float(f'{1.0 / per_trial(stored):.2g}'):,.0f}"
