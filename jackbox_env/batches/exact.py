@@ -17,7 +17,7 @@ from jackbox_env.compiled.compiler import compiled
 from jackbox_env.compiled.drives import TABLE_WIDTH
 from jackbox_env.compiled.generator import WHOLE, WITH_HALVES, fresh, packed, seeded, unpacked
 from jackbox_env.compiled.status import Status
-from jackbox_env.compiled.workspace import new_lanes, new_workspace
+from jackbox_env.compiled.workspace import Workspaces, new_lanes, new_log, new_workspaces
 from jackbox_env.randomization import Randomization
 from jackbox_env.scene import Scene
 from jackbox_env.scoring import compiled_for
@@ -72,11 +72,11 @@ class ExactBatch:
         ranges = len(self._blocks) if num_threads else num_envs // _FEWEST_PER_THREAD
         self._threads = Threads(thread_count(num_threads, ranges))
         self._spare: Array | None = np.zeros_like(self._blocks)  # where the next step writes
-        self._workspaces: list[tuple[Array, Array]] | None = self._new_workspaces()
+        self._workspaces: list[tuple[Array, Workspaces, Array]] | None = self._new_workspaces()
 
-    def _new_workspaces(self) -> list[tuple[Array, Array]]:
+    def _new_workspaces(self) -> list[tuple[Array, Workspaces, Array]]:
         width = self._blocks.shape[2]
-        return [(new_lanes(width), new_workspace()) for _ in range(self._threads.count)]
+        return [(new_lanes(width), new_workspaces(), new_log()) for _ in range(self._threads.count)]
 
     @property
     def nbytes(self) -> int:

@@ -26,22 +26,22 @@ from jackbox_env.compiled.search import (
     why_endless,
 )
 from jackbox_env.compiled.status import Status
-from jackbox_env.compiled.workspace import ELAPSED, HOLDING, LOOSE, STATE, TALLY, Workspace
+from jackbox_env.compiled.workspace import Array, Workspace
 from jackbox_env.scene import SceneNumbers
 
 
-def advance(scene: SceneNumbers, work: Workspace, piece: Piece, touch: Touch, since: float) -> Status:
-    """Advance the state ``work[STATE]`` from ``since`` [s] to the end of a piece; return how it ended.
+def advance(scene: SceneNumbers, work: Workspace, log: Array, piece: Piece, touch: Touch, since: float) -> Status:
+    """Advance the state ``work.state`` from ``since`` [s] to the end of a piece; return how it ended.
 
     The state is in a frame near the box; ``work`` holds the polynomial accelerations.
     """
-    work[HOLDING, LOOSE] = 0.0
+    work.loose = 0
     restless = False  # whether the state has been found to be without a foot at rest
     while since < piece.length:
         remaining = piece.length - since
         near = resolution(scene, work, touch)
         left = min(remaining, GLANCE * piece.length) if rests(scene, work) else remaining
-        flight = flight_of(scene, work[STATE], piece, since)
+        flight = flight_of(scene, work.state, piece, since)
         rest = -math.inf if restless else near
         time, pair = first_impact(scene, work, flight, piece, left, touch.tolerance, rest)
         if pair == AT_REST:
@@ -51,22 +51,22 @@ def advance(scene: SceneNumbers, work: Workspace, piece: Piece, touch: Touch, si
             if held == 0:
                 restless = True
                 continue
-            ended, time = hold(scene, work, piece, touch, near, since, held)
+            ended, time = hold(scene, work, log, piece, touch, near, since, held)
             if ended != Status.DONE:
                 return ended
             since += time
             continue
         restless = False
-        work[HOLDING, LOOSE] = 0.0
+        work.loose = 0
         if pair == ENDLESS:
             return why_endless(work)
         if pair == NONE:
             evolve(work, flight, left)
-            work[TALLY, ELAPSED] += left
+            work.elapsed += left
             if left == remaining:
                 return Status.DONE
             since += left
             continue
-        strike(scene, work, flight, time, pair, near)
+        strike(scene, work, log, flight, time, pair, near)
         since += time
     return Status.DONE

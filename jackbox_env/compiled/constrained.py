@@ -38,20 +38,13 @@ from jackbox_env.compiled.workspace import (
     BOX_LEVER,
     BOX_SINE,
     COSINE,
-    COUNT,
     DRIVEN,
     EXTENT,
     FORCE,
-    HOLDING,
-    INVERSE,
     JACK_ALPHA,
     JACK_LEVER,
-    LACK,
-    LENGTHS,
     OMEGA,
     OMEGA_SQUARED,
-    PAIRS,
-    PIECE,
     PLACE_X,
     PLACE_Y,
     PSI,
@@ -60,14 +53,9 @@ from jackbox_env.compiled.workspace import (
     RATE_X,
     RATE_Y,
     SINE,
-    SPARE,
     SPIN,
     SPIN_SQUARED,
-    STATE,
-    TALL,
-    TALLY,
     TURNED,
-    WORK,
     Workspace,
 )
 from jackbox_env.scene import SceneNumbers
@@ -82,7 +70,7 @@ def product(work: Workspace, one: int, other: int, k: int) -> float:
     """Power k of the product of two series."""
     total = 0.0
     for j in range(k + 1):
-        total += work[one, j] * work[other, k - j]
+        total += work.series[one, j] * work.series[other, k - j]
     return total
 
 
@@ -90,15 +78,16 @@ def earlier(work: Workspace, one: int, other: int, k: int) -> float:
     """Power k of the product of two series, but for what power k of the second adds to it."""
     total = 0.0
     for j in range(1, k + 1):
-        total += work[one, j] * work[other, k - j]
+        total += work.series[one, j] * work.series[other, k - j]
     return total
 
 
 def drive_series(work: Workspace, piece: Piece, since: float, length: float) -> None:
     """Fill in what the drive gives the box, from ``since`` [s] after the piece's start on."""
+    series = work.series
     for k in range(DEGREE + 1):
-        work[DRIVEN, k] = work[PUSHED_X, k] = work[PUSHED_Y, k] = 0.0
-    work[DRIVEN, 0] = piece.alpha * length * length
+        series[DRIVEN, k] = series[PUSHED_X, k] = series[PUSHED_Y, k] = 0.0
+    series[DRIVEN, 0] = piece.alpha * length * length
     if piece.curved:
         shift(work, TURN, DRIVEN, piece, since, length)
     if piece.pushed:
@@ -108,62 +97,66 @@ def drive_series(work: Workspace, piece: Piece, since: float, length: float) -> 
 
 def shift(work: Workspace, axis: int, row: int, piece: Piece, since: float, length: float) -> None:
     """Write a piece's polynomial acceleration as powers of the time since another moment (Horner's scheme)."""
+    series = work.series
     start, share = 2.0 * since / piece.length - 1.0, 2.0 * length / piece.length
     for k in range(DEGREE + 1):
-        work[row, k] = work[PIECE + 3 * axis, k]
+        series[row, k] = work.powers[3 * axis, k]
     for i in range(DEGREE):
         for j in range(DEGREE - 1, i - 1, -1):
-            work[row, j] += start * work[row, j + 1]
+            series[row, j] += start * series[row, j + 1]
     scale = length * length
     for k in range(DEGREE + 1):
-        work[row, k] *= scale
+        series[row, k] *= scale
         scale *= share
 
 
 def begin(work: Workspace, view: View, angle: float, omega: float, psi: float, length: float) -> None:
     """Fill in the lowest powers."""
+    series = work.series
     frame = view.frame
-    work[PLACE_X, 0], work[PLACE_Y, 0], work[PSI, 0], work[TURNED, 0] = frame.x, frame.y, psi, 0.0
-    work[RATE_X, 0], work[RATE_Y, 0] = frame.vx * length, frame.vy * length
-    work[SPIN, 0], work[OMEGA, 0] = view.spin * length, omega * length
+    series[PLACE_X, 0], series[PLACE_Y, 0] = frame.x, frame.y
+    series[PSI, 0], series[TURNED, 0] = psi, 0.0
+    series[RATE_X, 0], series[RATE_Y, 0] = frame.vx * length, frame.vy * length
+    series[SPIN, 0], series[OMEGA, 0] = view.spin * length, omega * length
     for place in range(4):
-        work[PLACE_X + place, 1] = work[RATE_X + place, 0]
-    work[COSINE, 0], work[SINE, 0] = view.cosine, view.sine
-    work[BOX_COSINE, 0], work[BOX_SINE, 0] = cos_sin(angle)
+        series[PLACE_X + place, 1] = series[RATE_X + place, 0]
+    series[COSINE, 0], series[SINE, 0] = view.cosine, view.sine
+    series[BOX_COSINE, 0], series[BOX_SINE, 0] = cos_sin(angle)
 
 
 def expand(scene: SceneNumbers, work: Workspace, length: float, pushed: bool) -> None:
     """Fill in all powers, from the lowest and the drive's, for a stretch of ``length`` [s].
 
-    The inverse of J M^-1 J^T at its start is in ``work[INVERSE]``.
+    The inverse of J M^-1 J^T at its start is in ``work.inverse``.
     """
-    count, gravity = int(work[HOLDING, COUNT]), scene.gravity * length * length
+    series = work.series
+    count, gravity = work.holding, scene.gravity * length * length
     pliancy = 1.0 / scene.box_mass + 1.0 / scene.jack_mass
     for k in range(DEGREE + 1):
-        work[OMEGA_SQUARED, k] = product(work, OMEGA, OMEGA, k)
-        work[SPIN_SQUARED, k] = product(work, SPIN, SPIN, k)
+        series[OMEGA_SQUARED, k] = product(work, OMEGA, OMEGA, k)
+        series[SPIN_SQUARED, k] = product(work, SPIN, SPIN, k)
         x = 2.0 * product(work, OMEGA, RATE_Y, k) + product(work, OMEGA_SQUARED, PLACE_X, k)
         y = -2.0 * product(work, OMEGA, RATE_X, k) + product(work, OMEGA_SQUARED, PLACE_Y, k)
-        x -= gravity * work[BOX_SINE, k]
-        y -= gravity * work[BOX_COSINE, k]
+        x -= gravity * series[BOX_SINE, k]
+        y -= gravity * series[BOX_COSINE, k]
         if pushed:
             x -= product(work, BOX_COSINE, PUSHED_X, k) + product(work, BOX_SINE, PUSHED_Y, k)
             y -= product(work, BOX_COSINE, PUSHED_Y, k) - product(work, BOX_SINE, PUSHED_X, k)
         solve_forces(scene, work, count, k, x, y)
         for place in range(count):
-            n_x, n_y = quarter(1.0, 0.0, int(work[PAIRS, place]) // 4)
-            x -= pliancy * n_x * work[FORCE + place, k]
-            y -= pliancy * n_y * work[FORCE + place, k]
+            n_x, n_y = quarter(1.0, 0.0, work.pairs[place] // 4)
+            x -= pliancy * n_x * series[FORCE + place, k]
+            y -= pliancy * n_y * series[FORCE + place, k]
         x += product(work, ALPHA, PLACE_Y, k)
         y -= product(work, ALPHA, PLACE_X, k)
         share, later = SHARES[k], SHARES[k + 1]
-        work[RATE_X, k + 1], work[RATE_Y, k + 1] = share * x, share * y
-        work[SPIN, k + 1] = share * (work[JACK_ALPHA, k] - work[ALPHA, k])
+        series[RATE_X, k + 1], series[RATE_Y, k + 1] = share * x, share * y
+        series[SPIN, k + 1] = share * (series[JACK_ALPHA, k] - series[ALPHA, k])
         for place in range(3):
-            work[PLACE_X + place, k + 2] = later * work[RATE_X + place, k + 1]
+            series[PLACE_X + place, k + 2] = later * series[RATE_X + place, k + 1]
         turn(work, k)
-        work[COSINE, k + 1] = -share * product(work, SINE, SPIN, k)
-        work[SINE, k + 1] = share * product(work, COSINE, SPIN, k)
+        series[COSINE, k + 1] = -share * product(work, SINE, SPIN, k)
+        series[SINE, k + 1] = share * product(work, COSINE, SPIN, k)
 
 
 def solve_forces(scene: SceneNumbers, work: Workspace, count: int, k: int, x: float, y: float) -> None:
@@ -171,56 +164,60 @@ def solve_forces(scene: SceneNumbers, work: Workspace, count: int, k: int, x: fl
 
     ``x`` and ``y`` are power k of the relative acceleration without forces and without alpha.
     """
+    series = work.series
     box = jack = 0.0
     for place in range(count):
         write_levers(scene, work, place, k)
         box += earlier(work, BOX_LEVER + place, FORCE + place, k)
         jack += earlier(work, JACK_LEVER + place, FORCE + place, k)
-    work[ALPHA, k], work[JACK_ALPHA, k] = work[DRIVEN, k] + box / scene.box_inertia, jack / scene.jack_inertia
+    series[ALPHA, k] = series[DRIVEN, k] + box / scene.box_inertia
+    series[JACK_ALPHA, k] = jack / scene.jack_inertia
     for place in range(count):
-        n_x, n_y = quarter(1.0, 0.0, int(work[PAIRS, place]) // 4)
+        n_x, n_y = quarter(1.0, 0.0, work.pairs[place] // 4)
         missing = n_x * x + n_y * y - product(work, EXTENT + place, SPIN_SQUARED, k)
         missing -= product(work, BOX_LEVER + place, ALPHA, k) + product(work, JACK_LEVER + place, JACK_ALPHA, k)
-        work[LACK, place] = missing
+        work.lack[place] = missing
     solve(scene, work, count, k)
 
 
 def write_levers(scene: SceneNumbers, work: Workspace, place: int, k: int) -> None:
     """Fill in power k of a held foot's levers and extent."""
-    wall, foot = int(work[PAIRS, place]) // 4, int(work[PAIRS, place]) % 4
-    along, across = quarter(work[COSINE, k], work[SINE, k], foot - wall)
-    _, aside = quarter(work[PLACE_X, k], -work[PLACE_Y, k], wall)  # -n^perp . (X, Y)
-    work[EXTENT + place, k], work[JACK_LEVER + place, k] = scene.jack_arm * along, scene.jack_arm * across
-    work[BOX_LEVER + place, k] = aside - work[JACK_LEVER + place, k]
+    series = work.series
+    wall, foot = work.pairs[place] // 4, work.pairs[place] % 4
+    along, across = quarter(series[COSINE, k], series[SINE, k], foot - wall)
+    _, aside = quarter(series[PLACE_X, k], -series[PLACE_Y, k], wall)  # -n^perp . (X, Y)
+    series[EXTENT + place, k], series[JACK_LEVER + place, k] = scene.jack_arm * along, scene.jack_arm * across
+    series[BOX_LEVER + place, k] = aside - series[JACK_LEVER + place, k]
 
 
 def invert(work: Workspace, count: int) -> None:
-    """Fill in (J M^-1 J^T)^-1 = R^-1 R^-T, from R = ``work[TALL]`` times ``work[LENGTHS]``, upper triangular."""
+    """Fill in (J M^-1 J^T)^-1 = R^-1 R^-T, from R = ``work.tall`` times ``work.lengths``, upper triangular."""
     for a in range(count):
         for b in range(a + 1):
-            work[SPARE, b] = 1.0 if a == b else 0.0
+            work.spare[b] = 1.0 if a == b else 0.0
         for b in range(a, -1, -1):  # column a of R^-1
             for c in range(b + 1, a + 1):
-                work[SPARE, b] -= work[TALL + b, c] * work[LENGTHS, c] * work[SPARE, c]
-            work[SPARE, b] /= work[TALL + b, b] * work[LENGTHS, b]
+                work.spare[b] -= work.tall[b, c] * work.lengths[c] * work.spare[c]
+            work.spare[b] /= work.tall[b, b] * work.lengths[b]
         for b in range(a + 1):
             for c in range(a + 1):
-                before = work[INVERSE + b, c] if b < a and c < a else 0.0
-                work[INVERSE + b, c] = before + work[SPARE, b] * work[SPARE, c]
+                before = work.inverse[b, c] if b < a and c < a else 0.0
+                work.inverse[b, c] = before + work.spare[b] * work.spare[c]
 
 
 def solve(scene: SceneNumbers, work: Workspace, count: int, k: int) -> None:
-    """Turn power k of what J qddot lacks, in ``work[LACK]``, into forces and what they do to angular accelerations."""
+    """Turn power k of what J qddot lacks, in ``work.lack``, into forces and what they do to angular accelerations."""
+    series = work.series
     box, jack = 0.0, 0.0
     for place in range(count):
         force = 0.0
         for other in range(count):
-            force += work[INVERSE + place, other] * work[LACK, other]
-        work[FORCE + place, k] = force
-        box += work[BOX_LEVER + place, 0] * force
-        jack += work[JACK_LEVER + place, 0] * force
-    work[ALPHA, k] += box / scene.box_inertia
-    work[JACK_ALPHA, k] += jack / scene.jack_inertia
+            force += work.inverse[place, other] * work.lack[other]
+        series[FORCE + place, k] = force
+        box += series[BOX_LEVER + place, 0] * force
+        jack += series[JACK_LEVER + place, 0] * force
+    series[ALPHA, k] += box / scene.box_inertia
+    series[JACK_ALPHA, k] += jack / scene.jack_inertia
 
 
 def expand_rigid(scene: SceneNumbers, work: Workspace, length: float, pushed: bool) -> None:
@@ -228,33 +225,35 @@ def expand_rigid(scene: SceneNumbers, work: Workspace, length: float, pushed: bo
 
     Nothing but the box's angle changes: that of a rigid body on which the weight of the jack has a lever.
     """
-    gravity, x0, y0 = scene.gravity * length * length, work[PLACE_X, 0], work[PLACE_Y, 0]
+    series = work.series
+    gravity, x0, y0 = scene.gravity * length * length, series[PLACE_X, 0], series[PLACE_Y, 0]
     for row in (PLACE_X, PLACE_Y, PSI, RATE_X, RATE_Y, SPIN):
         for k in range(0 if row >= RATE_X else 1, DEGREE + 3):
-            work[row, k] = 0.0
+            series[row, k] = 0.0
     for place in range(3):
         write_levers(scene, work, place, 0)
     for k in range(DEGREE + 1):
         squared = product(work, OMEGA, OMEGA, k)
-        x, y = squared * x0 - gravity * work[BOX_SINE, k], squared * y0 - gravity * work[BOX_COSINE, k]
+        x, y = squared * x0 - gravity * series[BOX_SINE, k], squared * y0 - gravity * series[BOX_COSINE, k]
         if pushed:
             x -= product(work, BOX_COSINE, PUSHED_X, k) + product(work, BOX_SINE, PUSHED_Y, k)
             y -= product(work, BOX_COSINE, PUSHED_Y, k) - product(work, BOX_SINE, PUSHED_X, k)
-        work[ALPHA, k], work[JACK_ALPHA, k] = work[DRIVEN, k], 0.0
+        series[ALPHA, k], series[JACK_ALPHA, k] = series[DRIVEN, k], 0.0
         for place in range(3):
-            n_x, n_y = quarter(1.0, 0.0, int(work[PAIRS, place]) // 4)
-            work[LACK, place] = n_x * x + n_y * y - work[BOX_LEVER + place, 0] * work[DRIVEN, k]
+            n_x, n_y = quarter(1.0, 0.0, work.pairs[place] // 4)
+            work.lack[place] = n_x * x + n_y * y - series[BOX_LEVER + place, 0] * series[DRIVEN, k]
         solve(scene, work, 3, k)
         turn(work, k)
 
 
 def turn(work: Workspace, k: int) -> None:
     """Fill in what follows for the box's angle from power k of its angular acceleration."""
+    series = work.series
     share = SHARES[k]
-    work[OMEGA, k + 1] = share * work[ALPHA, k]
-    work[TURNED, k + 2] = SHARES[k + 1] * work[OMEGA, k + 1]
-    work[BOX_COSINE, k + 1] = -share * product(work, BOX_SINE, OMEGA, k)
-    work[BOX_SINE, k + 1] = share * product(work, BOX_COSINE, OMEGA, k)
+    series[OMEGA, k + 1] = share * series[ALPHA, k]
+    series[TURNED, k + 2] = SHARES[k + 1] * series[OMEGA, k + 1]
+    series[BOX_COSINE, k + 1] = -share * product(work, BOX_SINE, OMEGA, k)
+    series[BOX_SINE, k + 1] = share * product(work, BOX_COSINE, OMEGA, k)
 
 
 def stretch(scene: SceneNumbers, work: Workspace, piece: Piece, since: float, view: View) -> float:
@@ -262,7 +261,7 @@ def stretch(scene: SceneNumbers, work: Workspace, piece: Piece, since: float, vi
 
     That is what is left of the piece, or as long as its last powers are rounding; 0 if no time is so short.
     """
-    state, length = work[STATE], piece.length - since
+    state, length = work.state, piece.length - since
     frame = view.frame
     speed = scene.speed_scale + abs(frame.vx) + abs(frame.vy)
     speed += scene.box_half_width * abs(state[8]) + scene.jack_arm * abs(view.spin)
@@ -272,12 +271,12 @@ def stretch(scene: SceneNumbers, work: Workspace, piece: Piece, since: float, vi
         length = 1.0 / turning
     drive_series(work, piece, since, length)
     begin(work, view, state[2], state[8], state[5] - state[2], length)
-    invert(work, int(work[HOLDING, COUNT]))
-    if int(work[HOLDING, COUNT]) == 3:
+    invert(work, work.holding)
+    if work.holding == 3:
         expand_rigid(scene, work, length, piece.pushed)
     else:
         expand(scene, work, length, piece.pushed)
-    work[TALLY, WORK] += DEGREE + 1.0
+    work.looks += DEGREE + 1.0
     while not resolved(scene, work, speed * length):
         length *= 0.5
         halve(work)
@@ -288,33 +287,36 @@ def stretch(scene: SceneNumbers, work: Workspace, piece: Piece, since: float, vi
 
 def resolved(scene: SceneNumbers, work: Workspace, way: float) -> bool:
     """Whether the last two powers of the rates are rounding against a ``way`` [m]."""
+    series = work.series
     tail = 0.0
     for k in (DEGREE, DEGREE + 1):
-        tail = max(tail, abs(work[RATE_X, k]) + abs(work[RATE_Y, k]))
-        tail = max(tail, scene.box_half_width * abs(work[OMEGA, k]) + scene.jack_arm * abs(work[SPIN, k]))
+        tail = max(tail, abs(series[RATE_X, k]) + abs(series[RATE_Y, k]))
+        tail = max(tail, scene.box_half_width * abs(series[OMEGA, k]) + scene.jack_arm * abs(series[SPIN, k]))
     return bool(tail <= _RESOLVED * way)
 
 
 def halve(work: Workspace) -> None:
     """Take half the stretch: powers and rates are per stretch."""
+    series = work.series
     share = 1.0
     for k in range(DEGREE + 3):
         for place in range(4):
-            work[PLACE_X + place, k] *= share
-            work[RATE_X + place, k] *= 0.5 * share
+            series[PLACE_X + place, k] *= share
+            series[RATE_X + place, k] *= 0.5 * share
         for place in range(3):
-            work[FORCE + place, k] *= 0.25 * share
+            series[FORCE + place, k] *= 0.25 * share
         share *= 0.5
 
 
 def curvature_while_held(scene: SceneNumbers, work: Workspace, length: float) -> float:
     """Bound of a gap's second derivative over a stretch of ``length`` [s], from the powers [m/s^2]."""
-    x, y, spin, spin_up = 0.0, 0.0, abs(work[SPIN, 0]), 0.0
+    series = work.series
+    x, y, spin, spin_up = 0.0, 0.0, abs(series[SPIN, 0]), 0.0
     for k in range(1, DEGREE + 2):
-        x += k * abs(work[RATE_X, k])
-        y += k * abs(work[RATE_Y, k])
-        spin += abs(work[SPIN, k])
-        spin_up += k * abs(work[SPIN, k])
+        x += k * abs(series[RATE_X, k])
+        y += k * abs(series[RATE_Y, k])
+        spin += abs(series[SPIN, k])
+        spin_up += k * abs(series[SPIN, k])
     bound = max(x, y) + scene.jack_arm * (spin * spin + spin_up)
     return float(bound * (1.0 + 1e-12) / (length * length))
 
@@ -324,12 +326,13 @@ def carry(scene: SceneNumbers, work: Workspace, flight: Flight, free: Flight, s:
 
     The common centre of mass falls as if alone, and box and jack stand about it as the powers say.
     """
-    state, u = work[STATE], s / flight.half
+    series = work.series
+    state, u = work.state, s / flight.half
     mass = scene.box_mass + scene.jack_mass
     share = scene.jack_mass / mass  # of the way between the centres, from the box's to the common one
-    turned, omega = horner(work[TURNED], DEGREE + 2, u), horner(work[OMEGA], DEGREE + 1, u) / flight.half
+    turned, omega = horner(series[TURNED], DEGREE + 2, u), horner(series[OMEGA], DEGREE + 1, u) / flight.half
     state[2] += turned
-    state[5] += turned + (horner(work[PSI], DEGREE + 2, u) - work[PSI, 0])
+    state[5] += turned + (horner(series[PSI], DEGREE + 2, u) - series[PSI, 0])
     view = held_view(flight, work, s)
     cosine, sine = cos_sin(state[2])
     x, y = on_axes(cosine, -sine, view.frame.x, view.frame.y)
@@ -357,7 +360,7 @@ def first_let_go(work: Workspace, count: int, length: float) -> tuple[float, int
     end, loose, peak = length, -1, 0.0
     for place in range(count):
         for k in range(DEGREE + 1):
-            peak = max(peak, abs(work[FORCE + place, k]))
+            peak = max(peak, abs(work.series[FORCE + place, k]))
     for place in range(count):
         time = let_go(work, place, length, peak)
         if time < end:
@@ -367,7 +370,7 @@ def first_let_go(work: Workspace, count: int, length: float) -> tuple[float, int
 
 def let_go(work: Workspace, place: int, length: float, peak: float) -> float:
     """When a held foot's force falls to 0 and the wall would have to pull, in [s]; infinity if it never does."""
-    powers = work[FORCE + place]
+    powers = work.series[FORCE + place]
     curvature = 0.0
     for k in range(2, DEGREE + 1):
         curvature += k * (k - 1.0) * abs(powers[k])
@@ -377,14 +380,14 @@ def let_go(work: Workspace, place: int, length: float, peak: float) -> float:
     if least > 0.0:
         return math.inf
     margin, u = _PULL * peak, 0.0
-    while work[TALLY, WORK] <= MOST_WORK:
+    while work.looks <= MOST_WORK:
         force, slope = powers[DEGREE], 0.0
         for k in range(DEGREE - 1, -1, -1):
             slope = force + u * slope
             force = powers[k] + u * force
         if force + margin <= 0.5 * margin:
             return u * length
-        work[TALLY, WORK] += 1.0
+        work.looks += 1.0
         u += parabola_root(force + margin, slope, curvature)
         if not u <= 1.0:
             return math.inf
@@ -395,5 +398,5 @@ def impulse_of(work: Workspace, place: int, u: float) -> float:
     """A held foot's impulse up to ``u``, times the stretch's length [N s^2]."""
     impulse = 0.0
     for k in range(DEGREE, -1, -1):
-        impulse = SHARES[k] * work[FORCE + place, k] + impulse * u
+        impulse = SHARES[k] * work.series[FORCE + place, k] + impulse * u
     return impulse * u

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.compiled.trigonometry import cos_sin
-from jackbox_env.compiled.workspace import PIECE, Workspace
+from jackbox_env.compiled.workspace import Workspace
 from jackbox_env.scene import MOST_TURNS, SceneNumbers
 
 Array = NDArray[np.float64]
@@ -42,11 +42,11 @@ def integrate(w: Workspace, axis: int, length: float) -> None:
     for order in range(2):
         start, sign = 0.0, -1.0
         for k in range(DEGREE + 1 + order):
-            power = 0.5 * length * w[PIECE + 3 * axis + order, k] * SHARES[k]
-            w[PIECE + 3 * axis + order + 1, k + 1] = power
+            power = 0.5 * length * w.powers[3 * axis + order, k] * SHARES[k]
+            w.powers[3 * axis + order + 1, k + 1] = power
             start += sign * power
             sign = -sign
-        w[PIECE + 3 * axis + order + 1, 0] = -start
+        w.powers[3 * axis + order + 1, 0] = -start
 
 
 def chirp_piece(n: SceneNumbers, turns: float, frequency: float, start: float, length: float, w: Workspace) -> None:
@@ -64,7 +64,7 @@ def chirp_piece(n: SceneNumbers, turns: float, frequency: float, start: float, l
     peak = n.chirp_amplitude / n.box_inertia
     before_s = before_c = 0.0
     for k in range(DEGREE + 1):
-        w[PIECE + 3 * TURN, k] = peak * s
+        w.powers[3 * TURN, k] = peak * s
         next_s = (a * c + b2 * before_c) * SHARES[k]
         next_c = -(a * s + b2 * before_s) * SHARES[k]
         before_s, before_c, s, c = s, c, next_s, next_c

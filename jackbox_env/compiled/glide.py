@@ -31,7 +31,6 @@ from jackbox_env.compiled.workspace import (
     LANE_SINE,
     NEAR,
     OFF,
-    PIECE,
     PULL,
     TORQUE,
     TURNING,
@@ -207,8 +206,8 @@ def glide_under_chirp(scene: SceneNumbers, plan: Plan, block: Block, work: Works
     length, impulse = dt / pieces, 0.0
     for number in range(pieces):
         chirp_piece(scene, turns, frequency, number * length, length, work)
-        angle = horner(work[PIECE + 3 * TURN + 2], DEGREE + 2, 1.0)
-        rate = horner(work[PIECE + 3 * TURN + 1], DEGREE + 1, 1.0)
+        angle = horner(work.powers[3 * TURN + 2], DEGREE + 2, 1.0)
+        rate = horner(work.powers[3 * TURN + 1], DEGREE + 1, 1.0)
         impulse += rate
         drift(block, scene.gravity, length, angle, rate)
     mean = scene.box_inertia * impulse / dt

@@ -19,28 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.compiled.trigonometry import cos_sin
-from jackbox_env.compiled.workspace import (
-    BASE,
-    BEST,
-    BIAS,
-    ELAPSED,
-    GOALS,
-    GRADIENTS,
-    HITS,
-    IMPULSE,
-    IMPULSES,
-    LENGTHS,
-    PAIRS,
-    POINT,
-    PUSHES,
-    RATES,
-    RECORD,
-    STATE,
-    TALL,
-    TALLY,
-    UNIT,
-    Workspace,
-)
+from jackbox_env.compiled.workspace import Workspace
 from jackbox_env.scene import SceneNumbers
 
 Array = NDArray[np.float64]
@@ -60,6 +39,20 @@ def quarter(cosine: float, sine: float, quarters: int) -> tuple[float, float]:
     return sine, -cosine
 
 
+def gap_and_lever(scene: SceneNumbers, ahead: float, cosine: float, sine: float, turn: int) -> tuple[float, float]:
+    """Gap between a wall and a foot, and the foot's lever about the jack's centre along the wall [m].
+
+    Args:
+        scene: the scene.
+        ahead: how far the jack's centre is on the way to the wall [m].
+        cosine: of the jack's angle relative to the box.
+        sine: of the same.
+        turn: number of the foot less that of the wall.
+    """
+    along, across = quarter(cosine, sine, turn)
+    return scene.box_half_width - ahead - scene.jack_arm * along, scene.jack_arm * across
+
+
 class Frame(NamedTuple):
     """The jack's place and both angles."""
 
@@ -75,10 +68,9 @@ def gradient(scene: SceneNumbers, frame: Frame, wall: int, foot: int, row: Array
     """Write the gradient J of a gap to ``row``; return the gap [m]."""
     nx, ny = quarter(frame.cosine, frame.sine, wall)
     depth, side = nx * frame.x + ny * frame.y, nx * frame.y - ny * frame.x  # n . r and n^perp . r
-    along, across = quarter(frame.relative_cosine, frame.relative_sine, foot - wall)  # foot over arm, on n and n^perp
-    arm = scene.jack_arm * across
+    gap, arm = gap_and_lever(scene, depth, frame.relative_cosine, frame.relative_sine, foot - wall)
     row[0], row[1], row[2], row[3], row[4], row[5] = nx, ny, -side - arm, -nx, -ny, arm
-    return scene.box_half_width - depth - scene.jack_arm * along
+    return gap
 
 
 def frame_of(state: Array) -> Frame:
@@ -90,48 +82,67 @@ def frame_of(state: Array) -> Frame:
 
 def list_touching(scene: SceneNumbers, work: Workspace, tolerance: float, wall: int, foot: int) -> int:
     """List the contacts within ``tolerance`` [m], and that of ``wall`` and ``foot``; return how many there are."""
-    frame = frame_of(work[STATE])
+    frame = frame_of(work.state)
     count = 0
     for k in range(4):
         for i in range(4):
-            gap = gradient(scene, frame, k, i, work[GRADIENTS + count])
+            gap = gradient(scene, frame, k, i, work.gradients[count])
             if gap <= tolerance or (k == wall and i == foot):
-                work[PAIRS, count], work[IMPULSES, count] = 4.0 * k + i, 0.0
+                work.pairs[count], work.impulses[count] = 4 * k + i, 0.0
                 count += 1
     return count
 
 
-def resolve(scene: SceneNumbers, work: Workspace, tolerance: float, wall: int, foot: int) -> None:
+def resolve(scene: SceneNumbers, work: Workspace, log: Array, tolerance: float, wall: int, foot: int) -> None:
     """Apply the law to every contact within ``tolerance`` [m], and to that of ``wall`` and ``foot`` in any case.
 
-    Changes the rates in ``work`` and records the impacts there.
+    Changes the rates in ``work`` and notes the impacts.
     """
-    state = work[STATE]
+    state = work.state
     count = list_touching(scene, work, tolerance, wall, foot)
     if count == 1:
-        work[IMPULSES, 0] = bounce(scene, state, work[GRADIENTS])
+        work.impulses[0] = bounce(scene, state, work.gradients[0])
     else:
         bounce_together(scene, work, count)
     for number in range(count):
-        if work[IMPULSES, number] > 0.0:
-            place = RECORD + int(work[TALLY, HITS])
-            if place < work.shape[0]:
-                work[place, 0], work[place, 3] = work[TALLY, ELAPSED], work[IMPULSES, number]
-                work[place, 1], work[place, 2] = work[PAIRS, number] // 4.0, work[PAIRS, number] % 4.0
-            work[TALLY, HITS] += 1.0
-            work[TALLY, IMPULSE] += work[IMPULSES, number]
+        if work.impulses[number] > 0.0:
+            note(work, log, work.elapsed, work.pairs[number], work.impulses[number])
+
+
+def note(work: Workspace, log: Array, time: float, pair: int, impulse: float) -> None:
+    """Count an impact, and record it where there is room.
+
+    Args:
+        work: memory that counts.
+        log: memory that records, see ``workspace.new_log``.
+        time: since the step's start [s].
+        pair: 4 * wall + foot.
+        impulse: [N s].
+    """
+    if work.hits < log.shape[0]:
+        log[work.hits, 0], log[work.hits, 1], log[work.hits, 2] = time, pair // 4, pair % 4
+        log[work.hits, 3] = impulse
+    work.hits += 1
+    work.impulse += impulse
 
 
 def bounce(scene: SceneNumbers, state: Array, row: Array) -> float:
     """One contact, with the gap's gradient J in ``row``: lambda = -(1 + e) J qdot / (J M^-1 J^T) where J qdot < 0."""
     impulse = 0.0
-    rate = row[0] * (state[6] - state[9]) + row[1] * (state[7] - state[10]) + row[2] * state[8] + row[5] * state[11]
+    rate = rate_of(state, row)
     if rate < 0.0:
         yielding = 1.0 / scene.box_mass + 1.0 / scene.jack_mass
         yielding += row[2] * row[2] / scene.box_inertia + row[5] * row[5] / scene.jack_inertia
         impulse = -(1.0 + scene.restitution) * rate / yielding
         kick(scene, state[6:], row, impulse)
     return impulse
+
+
+def rate_of(state: Array, row: Array) -> float:
+    """J qdot [m/s], with the gap's gradient J in ``row``."""
+    return float(
+        row[0] * (state[6] - state[9]) + row[1] * (state[7] - state[10]) + row[2] * state[8] + row[5] * state[11]
+    )
 
 
 def kick(scene: SceneNumbers, rates: Array, row: Array, impulse: float) -> None:
@@ -146,26 +157,26 @@ def kick(scene: SceneNumbers, rates: Array, row: Array, impulse: float) -> None:
 
 def bounce_together(scene: SceneNumbers, work: Workspace, count: int) -> None:
     """Several contacts: reflect the rates at their projection on the cone of rates that close no gap."""
-    weigh(scene, work, count, work[STATE, 6:])
+    weigh(scene, work, count, work.state[6:])
     for i in range(count):
-        work[BIAS, i] = 0.0
+        work.bias[i] = 0.0
     chosen = nearest(work, count)
     for place in range(3):
         number = chosen[place]
         if number >= 0:
-            impulse = (1.0 + scene.restitution) * work[BEST, place] / work[LENGTHS, number]
-            work[IMPULSES, number] = impulse
-            kick(scene, work[STATE, 6:], work[GRADIENTS + number], impulse)
+            impulse = (1.0 + scene.restitution) * work.best[place] / work.lengths[number]
+            work.impulses[number] = impulse
+            kick(scene, work.state[6:], work.gradients[number], impulse)
 
 
 def nearest(work: Workspace, count: int) -> tuple[int, int, int]:
     """The contacts, -1 for none, that push the weighted rates v to the nearest point with w v + bias >= 0 everywhere.
 
-    Their pushes are in ``work[BEST]``. By trying all sets of one, two and three of ``count`` contacts.
+    Their pushes are in ``work.best``. By trying all sets of one, two and three of ``count`` contacts.
     """
     lowest = 0.0
     for i in range(count):
-        lowest = min(lowest, dot(work[UNIT + i], work[RATES]) + work[BIAS, i])
+        lowest = min(lowest, dot(work.units[i], work.rates) + work.bias[i])
     if lowest >= 0.0:
         return -1, -1, -1  # nothing approaches
     least = math.inf
@@ -181,7 +192,7 @@ def nearest(work: Workspace, count: int) -> tuple[int, int, int]:
                     least = violation
                     one, two, three = k, i if size > 1 else -1, j if size > 2 else -1
                     for place in range(3):
-                        work[BEST, place] = work[PUSHES, place]
+                        work.best[place] = work.pushes[place]
     return one, two, three
 
 
@@ -191,7 +202,7 @@ def violation_of(work: Workspace, count: int, size: int, one: int, two: int, thr
         return math.inf
     violation = 0.0
     for other in range(count):
-        violation = max(violation, -(dot(work[UNIT + other], work[POINT]) + work[BIAS, other]))
+        violation = max(violation, -(dot(work.units[other], work.point) + work.bias[other]))
     return violation
 
 
@@ -205,13 +216,13 @@ def weigh(scene: SceneNumbers, work: Workspace, count: int, rates: Array) -> Non
     """Fill in v = M^1/2 ``rates``, the rows of J M^-1/2 at length 1, and their lengths."""
     for place in range(6):
         root = root_mass(scene, place)
-        work[RATES, place] = root * rates[place]
+        work.rates[place] = root * rates[place]
         for i in range(count):
-            work[UNIT + i, place] = work[GRADIENTS + i, place] / root
+            work.units[i, place] = work.gradients[i, place] / root
     for i in range(count):
-        work[LENGTHS, i] = math.sqrt(dot(work[UNIT + i], work[UNIT + i]))
+        work.lengths[i] = math.sqrt(dot(work.units[i], work.units[i]))
         for place in range(6):
-            work[UNIT + i, place] /= work[LENGTHS, i]
+            work.units[i, place] /= work.lengths[i]
 
 
 def dot(a: Array, b: Array) -> float:
@@ -224,36 +235,36 @@ def project(work: Workspace, size: int, one: int, two: int, three: int) -> bool:
 
     Returns whether the rows are independent. By modified Gram-Schmidt, rows = tall^T base.
     """
-    point, pushes = work[POINT], work[PUSHES]
+    point, pushes = work.point, work.pushes
     for place in range(6):
-        point[place] = work[RATES, place]
+        point[place] = work.rates[place]
     for a in range(size):
         picked = one if a == 0 else two if a == 1 else three
         for place in range(6):
-            work[BASE + a, place] = work[UNIT + picked, place]
+            work.basis[a, place] = work.units[picked, place]
         for turn in range(2):  # twice is enough to be orthogonal to rounding (Giraud et al. 2005)
             for b in range(a):
-                share = dot(work[BASE + b], work[BASE + a])
-                work[TALL + b, a] = share if turn == 0 else work[TALL + b, a] + share
+                share = dot(work.basis[b], work.basis[a])
+                work.tall[b, a] = share if turn == 0 else work.tall[b, a] + share
                 for place in range(6):
-                    work[BASE + a, place] -= share * work[BASE + b, place]
-        length = math.sqrt(dot(work[BASE + a], work[BASE + a]))
+                    work.basis[a, place] -= share * work.basis[b, place]
+        length = math.sqrt(dot(work.basis[a], work.basis[a]))
         if length < _DEPENDENT:
             return False
-        work[TALL + a, a] = length
+        work.tall[a, a] = length
         for place in range(6):
-            work[BASE + a, place] /= length
-        goal = work[BIAS, picked]
+            work.basis[a, place] /= length
+        goal = work.bias[picked]
         for b in range(a):
-            goal += work[TALL + b, a] * work[GOALS, b]
-        work[GOALS, a] = 0.0 - goal / length
-        pushes[a] = -(dot(work[BASE + a], point) - work[GOALS, a])
+            goal += work.tall[b, a] * work.goals[b]
+        work.goals[a] = 0.0 - goal / length
+        pushes[a] = -(dot(work.basis[a], point) - work.goals[a])
         for place in range(6):
-            point[place] += pushes[a] * work[BASE + a, place]
+            point[place] += pushes[a] * work.basis[a, place]
     for a in range(size - 1, -1, -1):
         for b in range(a + 1, size):
-            pushes[a] -= work[TALL + a, b] * pushes[b]
-        pushes[a] /= work[TALL + a, a]
+            pushes[a] -= work.tall[a, b] * pushes[b]
+        pushes[a] /= work.tall[a, a]
     return True
 
 
@@ -261,5 +272,5 @@ def pushing(work: Workspace, size: int) -> bool:
     """Whether no push of a projection pulls."""
     pulling = False
     for a in range(size):
-        pulling |= work[PUSHES, a] < 0.0
+        pulling |= work.pushes[a] < 0.0
     return not pulling

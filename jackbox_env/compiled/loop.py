@@ -31,19 +31,7 @@ from jackbox_env.compiled.step import (
     step,
     step_near,
 )
-from jackbox_env.compiled.workspace import (
-    AFTER,
-    BEFORE,
-    HIT,
-    HITS,
-    IMPULSE,
-    IMPULSE_SUM,
-    NEAR,
-    TALLY,
-    TORQUE,
-    TURNING,
-    Workspace,
-)
+from jackbox_env.compiled.workspace import HIT, IMPULSE_SUM, NEAR, TORQUE, TURNING, Workspace, Workspaces
 from jackbox_env.scene import SceneNumbers
 from jackbox_env.states import LATEST_TIME
 
@@ -91,7 +79,7 @@ class Results(NamedTuple):
 def step_blocks(
     scenes: tuple[Array, Array, Counts], rules: tuple[float, float, bool, int], blocks: tuple[Array, Array],
     given: tuple[Array, Array, Counts], span: tuple[int, int], results: tuple[Floats, Array, Flags, Array],
-    memory: tuple[Array, Workspace],
+    memory: tuple[Array, Workspaces, Array],
 ) -> tuple[int, int, int]:  # fmt: skip
     """Step the environments of some blocks whose episodes are not over.
 
@@ -102,7 +90,7 @@ def step_blocks(
         given: the fields of :class:`Given`.
         span: first block, and past the last.
         results: the fields of :class:`Results`.
-        memory: to work in: lanes, shape (LANES, width), and a workspace.
+        memory: to work in: lanes, shape (LANES, width), a workspace, and room to record impacts, of none.
 
     Returns:
         How it ended: DONE, how a step that failed ended, or PAUSED after long work; the environment that failed or the
@@ -113,7 +101,8 @@ def step_blocks(
     asked = Given(given[0], given[1], given[2])
     filled = Results(results[0], results[1], results[2], results[3])
     before, after = blocks
-    lanes, work = memory
+    lanes, workspaces, log = memory
+    work = workspaces[0]
     scene = make_numbers(played.values[0])
     plan = make_plan(scene, common.dt, played.kinds[0])
     finished, worked, width = 0, 0.0, before.shape[2]
@@ -133,7 +122,7 @@ def step_blocks(
         elif plan.kind == CHIRP and played.values.shape[0] == 1 and plan.per_radian == 0.0:
             # Not with loss: a single step then takes whole turns off the angles, which rounds otherwise.
             glided = glide_under_chirp(scene, plan, block, work)
-        ended, lane, looks = step_lanes(scene, plan, played, block, asked, glided, work)
+        ended, lane, looks = step_lanes(scene, plan, played, block, asked, glided, work, log)
         if ended != Status.DONE:
             return ended.value, first + lane, finished
         worked += looks
@@ -144,7 +133,14 @@ def step_blocks(
 
 
 def step_lanes(
-    scene: SceneNumbers, plan: Plan, scenes: Scenes, block: Block, given: Given, glided: bool, work: Workspace
+    scene: SceneNumbers,
+    plan: Plan,
+    scenes: Scenes,
+    block: Block,
+    given: Given,
+    glided: bool,
+    work: Workspace,
+    log: Array,
 ) -> tuple[Status, int, float]:
     """Step one by one what has not been ``glided``; return how it ended, the last lane, gaps evaluated.
 
@@ -152,6 +148,7 @@ def step_lanes(
     """
     before, after, lanes, looks = block.before, block.after, block.lanes, 0.0
     varied = scenes.values.shape[0] > 1
+    own_before, own_after = work.before[:], work.after[:]  # plain arrays to numba, for which step is compiled
     for k in range(block.size):
         if before[OVER, k] != 0.0:
             continue
@@ -167,21 +164,21 @@ def step_lanes(
             own = make_numbers(scenes.values[number])
             its = make_plan(own, plan.dt, kind)
         for place in range(12):
-            work[BEFORE, place] = before[place, k]
+            own_before[place] = before[place, k]
         if kind == HELD:
             clear_tally(work)
-            ended = step_near(own, its, work[BEFORE], work[AFTER], lanes[TURNING, k], work)
+            ended = step_near(own, its, own_before, own_after, lanes[TURNING, k], work, log)
         else:
             lanes[TORQUE, k] = asked_torque(given.actions, number, own.torque_limit)  # gliding has rounded it
             pieces = Pieces(given.table, 0, 0)
             if given.ranges.shape[0]:
                 pieces = Pieces(given.table, given.ranges[number, 0], given.ranges[number, 1])
-            ended, lanes[TORQUE, k] = step(own, its, work[BEFORE], work[AFTER], time, lanes[TORQUE, k], pieces, work)
+            ended, lanes[TORQUE, k] = step(own, its, own_before, own_after, time, lanes[TORQUE, k], pieces, work, log)
         if ended != Status.DONE:
             return ended, k, looks
         for place in range(12):
-            after[place, k] = work[AFTER, place]
-        lanes[HIT, k], lanes[IMPULSE_SUM, k] = work[TALLY, HITS], work[TALLY, IMPULSE]
+            after[place, k] = own_after[place]
+        lanes[HIT, k], lanes[IMPULSE_SUM, k] = work.hits, work.impulse
         looks += effort(work)
     return Status.DONE, -1, looks
 

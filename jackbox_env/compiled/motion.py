@@ -13,21 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.compiled.drives import DEGREE, PUSH_X, PUSH_Y, TURN, horner
-from jackbox_env.compiled.impacts import quarter
+from jackbox_env.compiled.impacts import gap_and_lever
 from jackbox_env.compiled.trigonometry import cos_sin
-from jackbox_env.compiled.workspace import (
-    PIECE,
-    PLACE_X,
-    PLACE_Y,
-    PSI,
-    RATE_X,
-    RATE_Y,
-    SPIN,
-    STATE,
-    TALLY,
-    WORK,
-    Workspace,
-)
+from jackbox_env.compiled.workspace import PLACE_X, PLACE_Y, PSI, RATE_X, RATE_Y, SPIN, Workspace
 from jackbox_env.scene import SceneNumbers
 
 Array = NDArray[np.float64]
@@ -93,7 +81,7 @@ def largest(work: Workspace, axis: int) -> float:
     """Bound of a polynomial acceleration over its piece."""
     bound = 0.0
     for k in range(DEGREE + 1):
-        bound += abs(work[PIECE + 3 * axis, k])
+        bound += abs(work.powers[3 * axis, k])
     return bound
 
 
@@ -110,14 +98,14 @@ def excursion(work: Workspace, axis: int, flight: Flight, s: float) -> tuple[flo
     """Change of a coordinate and of its rate in ``s`` [s] that the polynomial acceleration brings."""
     end = (flight.since + s) / flight.half - 1.0
     moved, rate = (
-        horner(work[PIECE + 3 * axis + 2], DEGREE + 2, end),
-        horner(work[PIECE + 3 * axis + 1], DEGREE + 1, end),
+        horner(work.powers[3 * axis + 2], DEGREE + 2, end),
+        horner(work.powers[3 * axis + 1], DEGREE + 1, end),
     )
     if flight.since == 0.0:
         return moved, rate
     start = flight.since / flight.half - 1.0
-    before = horner(work[PIECE + 3 * axis + 1], DEGREE + 1, start)
-    return moved - horner(work[PIECE + 3 * axis + 2], DEGREE + 2, start) - before * s, rate - before
+    before = horner(work.powers[3 * axis + 1], DEGREE + 1, start)
+    return moved - horner(work.powers[3 * axis + 2], DEGREE + 2, start) - before * s, rate - before
 
 
 def pose_at(flight: Flight, work: Workspace, s: float) -> Pose:
@@ -140,7 +128,7 @@ def pose_at(flight: Flight, work: Workspace, s: float) -> Pose:
 
 def evolve(work: Workspace, flight: Flight, s: float) -> None:
     """Fly for ``s`` [s]: move the state."""
-    state = work[STATE]
+    state = work.state
     turned, spun = 0.5 * flight.alpha * s * s, flight.alpha * s
     if flight.curved:
         turned, spun = excursion(work, TURN, flight, s)
@@ -211,24 +199,17 @@ def towards(frame: BoxFrame, wall: int) -> tuple[float, float]:
 def foot_gap(
     scene: SceneNumbers, ahead: float, speed: float, cosine: float, sine: float, spin: float, turn: int
 ) -> tuple[float, float]:
-    """Gap between a wall and a foot [m], and its rate [m/s].
+    """Gap between a wall and a foot [m], and its rate [m/s]: see :func:`impacts.gap_and_lever`.
 
-    Args:
-        scene: the scene.
-        ahead: how far the jack's centre is on the way to the wall [m].
-        speed: the rate of that [m/s].
-        cosine: of the jack's angle relative to the box.
-        sine: of the same.
-        spin: rate of that angle [rad/s].
-        turn: number of the foot less that of the wall.
+    ``ahead`` grows at the rate ``speed`` [m/s], the angle at the rate ``spin`` [rad/s].
     """
-    along, across = quarter(cosine, sine, turn)
-    return scene.box_half_width - ahead - scene.jack_arm * along, scene.jack_arm * across * spin - speed
+    gap, lever = gap_and_lever(scene, ahead, cosine, sine, turn)
+    return gap, lever * spin - speed
 
 
 def gap_at(scene: SceneNumbers, flight: Flight, work: Workspace, wall: int, foot: int, s: float) -> tuple[float, float]:
     """Gap between a wall and a foot ``s`` [s] into the flight [m], and its rate [m/s]."""
-    work[TALLY, WORK] += 1.0
+    work.looks += 1.0
     if flight.held:
         view = held_view(flight, work, s)
         ahead, speed = towards(view.frame, wall)
@@ -244,8 +225,8 @@ def held_view(flight: Flight, work: Workspace, s: float) -> View:
     length = flight.half
     u = s / length
     frame = BoxFrame(
-        horner(work[PLACE_X], DEGREE + 2, u), horner(work[PLACE_Y], DEGREE + 2, u),
-        horner(work[RATE_X], DEGREE + 1, u) / length, horner(work[RATE_Y], DEGREE + 1, u) / length,
+        horner(work.series[PLACE_X], DEGREE + 2, u), horner(work.series[PLACE_Y], DEGREE + 2, u),
+        horner(work.series[RATE_X], DEGREE + 1, u) / length, horner(work.series[RATE_Y], DEGREE + 1, u) / length,
     )  # fmt: skip
-    spin = horner(work[SPIN], DEGREE + 1, u) / length
-    return view_of(frame, horner(work[PSI], DEGREE + 2, u), spin, s)
+    spin = horner(work.series[SPIN], DEGREE + 1, u) / length
+    return view_of(frame, horner(work.series[PSI], DEGREE + 2, u), spin, s)

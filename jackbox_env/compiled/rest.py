@@ -34,7 +34,9 @@ from jackbox_env.compiled.impacts import (
     gradient,
     kick,
     nearest,
+    note,
     project,
+    rate_of,
     resolve,
     violation_of,
     weigh,
@@ -42,36 +44,7 @@ from jackbox_env.compiled.impacts import (
 from jackbox_env.compiled.motion import Flight, Piece, box_frame, flight_of, view_of
 from jackbox_env.compiled.search import ALL, ENDLESS, NONE, Limits, Touch, first_of_all, why_endless
 from jackbox_env.compiled.status import Status
-from jackbox_env.compiled.workspace import (
-    BASE,
-    BEST,
-    BIAS,
-    COUNT,
-    ELAPSED,
-    FREE,
-    GAPS,
-    GRADIENTS,
-    HITS,
-    HOLDING,
-    IMPULSE,
-    LENGTHS,
-    LOOSE,
-    ORDER,
-    PAIRS,
-    PIECE,
-    POINT,
-    PUSHES,
-    RATES,
-    RECORD,
-    RESTING,
-    SPARE,
-    STATE,
-    TALLY,
-    TARGETS,
-    UNIT,
-    WORK,
-    Workspace,
-)
+from jackbox_env.compiled.workspace import Workspace
 from jackbox_env.scene import SceneNumbers
 
 Array = NDArray[np.float64]
@@ -93,48 +66,41 @@ def bend(scene: SceneNumbers, state: Array, frame: Frame, row: Array, gap: float
 def accelerations(scene: SceneNumbers, work: Workspace, piece: Piece, since: float) -> None:
     """Fill in the accelerations that gravity and the drive give box and jack ``since`` [s] after the piece's start."""
     u = 2.0 * since / piece.length - 1.0
-    free = work[FREE]
+    free = work.free
     free[0] = free[1] = free[3] = free[5] = 0.0
     free[2], free[4] = piece.alpha, -scene.gravity
     if piece.curved:
-        free[2] = horner(work[PIECE + 3 * TURN], DEGREE, u)
+        free[2] = horner(work.powers[3 * TURN], DEGREE, u)
     if piece.pushed:
-        free[0] = horner(work[PIECE + 3 * PUSH_X], DEGREE, u)
-        free[1] = horner(work[PIECE + 3 * PUSH_Y], DEGREE, u)
+        free[0] = horner(work.powers[3 * PUSH_X], DEGREE, u)
+        free[1] = horner(work.powers[3 * PUSH_Y], DEGREE, u)
 
 
 def list_contacts(scene: SceneNumbers, work: Workspace, state: Array, count: int) -> Frame:
-    """Fill in gaps and gradients of the pairs in ``work[PAIRS]`` for a state."""
+    """Fill in gaps and gradients of the pairs in ``work.pairs`` for a state."""
     frame = frame_of(state)
     for number in range(count):
-        pair = int(work[PAIRS, number])
-        work[GAPS, number] = gradient(scene, frame, pair // 4, pair % 4, work[GRADIENTS + number])
+        pair = work.pairs[number]
+        work.gaps[number] = gradient(scene, frame, pair // 4, pair % 4, work.gradients[number])
     return frame
-
-
-def rate_of(state: Array, row: Array) -> float:
-    """J qdot [m/s]."""
-    return float(
-        row[0] * (state[6] - state[9]) + row[1] * (state[7] - state[10]) + row[2] * state[8] + row[5] * state[11]
-    )
 
 
 def bend_all(scene: SceneNumbers, work: Workspace, state: Array, frame: Frame, count: int) -> None:
     """Weigh the free accelerations and the gradients, and fill in the bias that makes J qddot + Jdot qdot of them."""
-    weigh(scene, work, count, work[FREE])
+    weigh(scene, work, count, work.free)
     for number in range(count):
-        turn = bend(scene, state, frame, work[GRADIENTS + number], work[GAPS, number])
-        work[BIAS, number] = turn / work[LENGTHS, number]
+        turn = bend(scene, state, frame, work.gradients[number], work.gaps[number])
+        work.bias[number] = turn / work.lengths[number]
 
 
 def list_slow(scene: SceneNumbers, work: Workspace, frame: Frame, near: float, slow: float) -> int:
     """List the contacts within ``near`` [m] at rates up to ``slow`` [m/s], but for those let go; return how many."""
-    count, loose = 0, int(work[HOLDING, LOOSE])
+    count, loose = 0, work.loose
     for pair in range(16):
-        row = work[GRADIENTS + count]
+        row = work.gradients[count]
         gap = gradient(scene, frame, pair // 4, pair % 4, row)
-        if gap <= near and abs(rate_of(work[STATE], row)) <= slow and not loose & (1 << pair):
-            work[PAIRS, count] = pair
+        if gap <= near and abs(rate_of(work.state, row)) <= slow and not loose & (1 << pair):
+            work.pairs[count] = pair
             count += 1
     return count
 
@@ -154,16 +120,16 @@ def settle(
         slow: rate above which no foot is looked at [m/s].
 
     Returns:
-        The pairs that are held, as bits. Their number is in ``work[HOLDING, COUNT]``, and they are first in
-        ``work[PAIRS]``.
+        The pairs that are held, as bits. Their number is in ``work.holding``, and they are first in
+        ``work.pairs``.
     """
-    state = work[STATE]
+    state = work.state
     frame = frame_of(state)
     count = list_slow(scene, work, frame, near, slow)
     accelerations(scene, work, piece, since)
     while count > 0:
-        work[TALLY, WORK] += 1.0
-        list_contacts(scene, work, work[STATE], count)
+        work.looks += 1.0
+        list_contacts(scene, work, work.state, count)
         bend_all(scene, work, state, frame, count)
         chosen = pressed_set(work, count)
         # A foot that would bounce higher than can be told from rest is not at rest.
@@ -172,14 +138,14 @@ def settle(
             number = chosen[place]
             if number >= 0:
                 # The acceleration that this contact takes from the foot, were it the only one.
-                pressed = work[BEST, place] * work[LENGTHS, number]
-                rate = rate_of(state, work[GRADIENTS + number])
+                pressed = work.best[place] * work.lengths[number]
+                rate = rate_of(state, work.gradients[number])
                 if rate * rate > 2.0 * near * pressed:
                     bouncing = number
         if bouncing < 0:
             return hold_these(scene, work, touch, near, count, chosen)
         count -= 1
-        work[PAIRS, bouncing] = work[PAIRS, count]
+        work.pairs[bouncing] = work.pairs[count]
     return 0
 
 
@@ -192,9 +158,9 @@ def pressed_set(work: Workspace, count: int) -> tuple[int, int, int]:
         for i in range(count if size > 2 else 1):
             for j in range(i + 1 if size > 2 else 0, count if size > 1 else 1):
                 for k in range(j + 1 if size > 1 else 0, count):
-                    if violation_of(work, count, size, k, j, i) <= _FAINT * work[PUSHES, 0]:
+                    if violation_of(work, count, size, k, j, i) <= _FAINT * work.pushes[0]:
                         for place in range(3):
-                            work[BEST, place] = work[PUSHES, place]
+                            work.best[place] = work.pushes[place]
                         return k, j if size > 1 else -1, i if size > 2 else -1
     one, two, three = nearest(work, count)
     if one >= 0:
@@ -215,46 +181,46 @@ def hold_these(
     for place in range(3):
         number = chosen[place]
         if number >= 0:
-            work[ORDER, size] = number
-            strongest = max(strongest, work[BEST, place])
+            work.order[size] = number
+            strongest = max(strongest, work.best[place])
             size += 1
     if size == 0:
         return 0
     faint, held = _FAINT * strongest, 0
     for number in range(count):
-        row = work[UNIT + number]
-        parting = dot(row, work[POINT]) + work[BIAS, number]
-        rate = rate_of(work[STATE], work[GRADIENTS + number]) / work[LENGTHS, number]
+        row = work.units[number]
+        parting = dot(row, work.point) + work.bias[number]
+        rate = rate_of(work.state, work.gradients[number]) / work.lengths[number]
         beside = aside(work, size, row)
         if beside < _ALONG:
-            held |= 1 << int(work[PAIRS, number])
+            held |= 1 << work.pairs[number]
         elif size < 3 and abs(parting) <= faint and rate * rate <= 2.0 * near * faint:
             beside = math.sqrt(beside)
             for place in range(6):
-                work[BASE + size, place] = work[SPARE, place] / beside
-            work[ORDER, size] = number
+                work.basis[size, place] = work.spare[place] / beside
+            work.order[size] = number
             size += 1
-            held |= 1 << int(work[PAIRS, number])
+            held |= 1 << work.pairs[number]
     for place in range(size):
-        work[SPARE, place] = work[PAIRS, int(work[ORDER, place])]
-        gap = work[GAPS, int(work[ORDER, place])]
-        work[TARGETS, place] = math.copysign(max(abs(gap) - touch.together, 0.0), gap)
+        gap = work.gaps[work.order[place]]
+        work.order[place] = work.pairs[work.order[place]]
+        work.targets[place] = math.copysign(max(abs(gap) - touch.together, 0.0), gap)
     for place in range(size):
-        work[PAIRS, place] = work[SPARE, place]
-    work[HOLDING, COUNT] = size
+        work.pairs[place] = work.order[place]
+    work.holding = size
     bring_back(scene, work)
     return held
 
 
 def aside(work: Workspace, size: int, row: Array) -> float:
-    """Square of what a unit row keeps beside the first ``size`` rows of the base; that is left in ``work[SPARE]``."""
-    spare = work[SPARE]
+    """Square of what a unit row keeps beside the first ``size`` rows of the base; that is left in ``work.spare``."""
+    spare = work.spare
     for place in range(6):
         spare[place] = row[place]
     for base in range(size):
-        share = dot(spare, work[BASE + base])
+        share = dot(spare, work.basis[base])
         for place in range(6):
-            spare[place] -= share * work[BASE + base, place]
+            spare[place] -= share * work.basis[base, place]
     return dot(spare, spare)
 
 
@@ -262,24 +228,24 @@ def bring_back(scene: SceneNumbers, work: Workspace) -> None:
     """Bring the held gaps to their targets and their rates to 0, each by the nearest change in the norm of M.
 
     The gaps by one step of Newton, where more than rounding is left of them. Factors of the held rows stay in
-    ``work[TALL]``.
+    ``work.tall``.
     """
-    state, count = work[STATE], int(work[HOLDING, COUNT])
+    state, count = work.state, work.holding
     list_contacts(scene, work, state, count)
     off = 0.0
     for number in range(count):
-        off = max(off, abs(work[GAPS, number] - work[TARGETS, number]))
+        off = max(off, abs(work.gaps[number] - work.targets[number]))
     weigh(scene, work, count, state[6:])
     if off > _ROUNDED * scene.box_half_width:
         for place in range(6):
-            work[RATES, place] = 0.0
+            work.rates[place] = 0.0
         for number in range(count):
-            work[BIAS, number] = (work[GAPS, number] - work[TARGETS, number]) / work[LENGTHS, number]
+            work.bias[number] = (work.gaps[number] - work.targets[number]) / work.lengths[number]
         move_held(scene, work, count, 0)
         list_contacts(scene, work, state, count)
         weigh(scene, work, count, state[6:])
     for number in range(count):
-        work[BIAS, number] = 0.0
+        work.bias[number] = 0.0
     move_held(scene, work, count, 6)
 
 
@@ -287,17 +253,18 @@ def move_held(scene: SceneNumbers, work: Workspace, count: int, first: int) -> N
     """Move the six numbers of the state from ``first`` on to where the held rows are 0 with their bias."""
     project(work, count, 0, 1, 2)
     for number in range(count):
-        kick(scene, work[STATE, first:], work[GRADIENTS + number], work[PUSHES, number] / work[LENGTHS, number])
+        kick(scene, work.state[first:], work.gradients[number], work.pushes[number] / work.lengths[number])
 
 
 def hold(
-    scene: SceneNumbers, work: Workspace, piece: Piece, touch: Touch, near: float, since: float, held: int
+    scene: SceneNumbers, work: Workspace, log: Array, piece: Piece, touch: Touch, near: float, since: float, held: int
 ) -> tuple[Status, float]:
     """Move with held feet to the end of a stretch, an impact, or until a wall would have to pull.
 
     Args:
         scene: the scene.
         work: memory with the state, the drive's polynomials and the pairs that are held.
+        log: memory that records impacts.
         piece: what acts on the box.
         touch: when feet touch.
         near: gap within which feet touch together [m].
@@ -305,9 +272,9 @@ def hold(
         held: the pairs that are held, as bits.
 
     Returns:
-        How it ended, and how long it took [s]. Feet that were let go at once are noted in ``work[HOLDING, LOOSE]``.
+        How it ended, and how long it took [s]. Feet that were let go at once are noted in ``work.loose``.
     """
-    count, free = int(work[HOLDING, COUNT]), flight_of(scene, work[STATE], piece, since)
+    count, free = work.holding, flight_of(scene, work.state, piece, since)
     frame = box_frame(free.x, free.y, free.vx, free.vy, free.angle, free.omega)
     view = view_of(frame, free.jack_angle - free.angle, free.jack_omega - free.omega, 0.0)
     length = stretch(scene, work, piece, since, view)
@@ -327,26 +294,21 @@ def hold(
     if pair == ENDLESS:
         return why_endless(work), 0.0
     for place in range(count):
-        work[RESTING, int(work[PAIRS, place])] += max(impulse_of(work, place, end / length) / length, 0.0)
+        work.resting[work.pairs[place]] += max(impulse_of(work, place, end / length) / length, 0.0)
     carry(scene, work, flight, free, end)
-    work[TALLY, ELAPSED] += end
+    work.elapsed += end
     if pair != NONE:
-        work[TALLY, WORK] += 1.0
-        resolve(scene, work, near, pair // 4, pair % 4)
+        work.looks += 1.0
+        resolve(scene, work, log, near, pair // 4, pair % 4)
     elif loose >= 0 and end == 0.0:
-        work[HOLDING, LOOSE] += 1 << int(work[PAIRS, loose])
+        work.loose += 1 << work.pairs[loose]
     if end > 0.0:
-        work[HOLDING, LOOSE] = 0.0
+        work.loose = 0
     return Status.DONE, end
 
 
-def record_rest(work: Workspace, dt: float) -> None:
+def record_rest(work: Workspace, log: Array, dt: float) -> None:
     """Record the impulse of each held foot over the step, at its end."""
     for pair in range(16):
-        if work[RESTING, pair] > 0.0:
-            place = RECORD + int(work[TALLY, HITS])
-            if place < work.shape[0]:
-                work[place, 0], work[place, 1], work[place, 2] = dt, pair // 4, pair % 4
-                work[place, 3] = work[RESTING, pair]
-            work[TALLY, HITS] += 1.0
-            work[TALLY, IMPULSE] += work[RESTING, pair]
+        if work.resting[pair] > 0.0:
+            note(work, log, dt, pair, work.resting[pair])

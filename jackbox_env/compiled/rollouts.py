@@ -11,7 +11,7 @@ from jackbox_env.compiled.address import step_score
 from jackbox_env.compiled.loop import PATIENCE
 from jackbox_env.compiled.status import Status
 from jackbox_env.compiled.step import Pieces, effort, make_numbers, make_plan, step
-from jackbox_env.compiled.workspace import HITS, IMPULSE, TALLY, Workspace
+from jackbox_env.compiled.workspace import Workspaces
 from jackbox_env.mechanics import energy_of
 from jackbox_env.states import clearance
 
@@ -47,7 +47,7 @@ class Played(NamedTuple):
 def roll(
     scenes: tuple[Array, Counts, Counts], dt: float, torques: Array, drive: tuple[Array, Array, Counts],
     span: tuple[int, int, int], results: tuple[Array, Counts, Array, Array, Array], score: int,
-    until_impact: bool, work: Workspace,
+    until_impact: bool, memory: tuple[Workspaces, Array],
 ) -> tuple[int, int, int]:  # fmt: skip
     """Fill in trajectories from their first states.
 
@@ -62,7 +62,7 @@ def roll(
         results: the fields of :class:`Played`.
         score: address of the task's ``score_step``; called only where rewards are asked for.
         until_impact: end each trajectory with the step of its first impact.
-        work: memory to work in.
+        memory: to work in: a workspace, and room to record impacts, of none.
 
     Returns:
         How it ended: DONE, how a step that failed ended, or PAUSED after long work; the trajectory and step that failed
@@ -74,6 +74,7 @@ def roll(
     times, table, ends = drive
     low, high, first = span
     played, pay = Played(results[0], results[1], results[2], results[3], results[4]), step_score(score)
+    work, log = memory[0][0], memory[1]
     worked, steps = 0.0, times.shape[0] - 1
     whole, repeat = played.trajectories.shape[1] > steps, max(1, steps // max(1, torques.shape[1]))
     begin = begins[0]
@@ -90,17 +91,17 @@ def roll(
             before = played.trajectories[i, k if whole else k & 1]
             after = played.trajectories[i, k + 1 if whole else (k + 1) & 1]
             pieces = Pieces(table, ends[begin + k], ends[begin + k + 1])
-            ended, mean = step(scene, plan, before, after, times[k], torque, pieces, work)
+            ended, mean = step(scene, plan, before, after, times[k], torque, pieces, work, log)
             if ended != Status.DONE:
                 return ended.value, i, k
             worked += 1.0 + effort(work)
             if played.hits.shape[0]:
-                played.hits[i, k], played.impulses[i, k] = int(work[TALLY, HITS]), work[TALLY, IMPULSE]
+                played.hits[i, k], played.impulses[i, k] = work.hits, work.impulse
             if played.energies.shape[0]:
                 played.energies[i, k + 1] = energy_of(scene, after)
             if played.rewards.shape[0]:
                 row = values[i if values.shape[0] > 1 else 0]
-                pay(row, after, mean, work[TALLY, IMPULSE], played.rewards[i], k)
-            if until_impact and work[TALLY, HITS] > 0.0:
+                pay(row, after, mean, work.impulse, played.rewards[i], k)
+            if until_impact and work.hits > 0:
                 break
     return Status.DONE.value, -1, -1

@@ -40,7 +40,7 @@ from jackbox_env.compiled.motion import (
     view_of,
 )
 from jackbox_env.compiled.status import Status
-from jackbox_env.compiled.workspace import ELAPSED, HITS, IMPULSE, TALLY, WORK, Workspace
+from jackbox_env.compiled.workspace import Array, Workspace
 from jackbox_env.scene import SceneNumbers
 
 # In place of 4 * wall + foot: no impact, none to be found by reasonable work, or a foot may be at rest now.
@@ -110,7 +110,7 @@ def grown(scene: SceneNumbers, work: Workspace, gap: float) -> float:
 
     Loss ends most of what takes long, so it has more time before it is resolved less well.
     """
-    looks = work[TALLY, WORK] if scene.restitution == 1.0 else 0.0625 * work[TALLY, WORK]
+    looks = work.looks if scene.restitution == 1.0 else 0.0625 * work.looks
     return float(min(deepest(scene), gap * _GROWTH[min(int(looks), _GROWN)]))
 
 
@@ -125,9 +125,9 @@ def rests(scene: SceneNumbers, work: Workspace) -> bool:
     Such a step looks ahead only as far as its next impacts are. Otherwise it would search all the rest of the step
     after each of thousands of impacts.
     """
-    if work[TALLY, WORK] <= _RESTLESS:
+    if work.looks <= _RESTLESS:
         return False
-    return bool(work[TALLY, IMPULSE] <= 1e-3 * scene.jack_mass * scene.speed_scale * work[TALLY, HITS])
+    return bool(work.impulse <= 1e-3 * scene.jack_mass * scene.speed_scale * work.hits)
 
 
 def first_impact(
@@ -207,7 +207,7 @@ def first_of_all(
             time = search(scene, work, flight, Approach(wall, foot, since, gap, rate), shorter)
             if time < best or (time == best and found == NONE):
                 best, found = time, 4 * wall + foot
-    return best, ENDLESS if work[TALLY, WORK] > MOST_WORK else found
+    return best, ENDLESS if work.looks > MOST_WORK else found
 
 
 def first_in_a_turn(
@@ -244,7 +244,7 @@ def first_in_a_turn(
             s = back
         if likely == NONE or s >= end:
             return end, NONE
-        work[TALLY, WORK] += 1.0
+        work.looks += 1.0
         pose = pose_at(flight, work, s)
         frame = box_frame(pose.x, pose.y, pose.vx, pose.vy, pose.angle, pose.omega)
         view = view_of(frame, pose.jack_angle - pose.angle, pose.jack_omega - pose.omega, s)
@@ -290,7 +290,7 @@ def search(scene: SceneNumbers, work: Workspace, flight: Flight, approach: Appro
             sink = grown(scene, work, tolerance)
             least = 0.0 if rate > still else 0.1 * tolerance  # a foot that leaves takes its time to come back as deep
             after = s + parabola_root(max(gap + sink, least), max(rate, 0.0), limits.curvature)
-        if not after <= limits.end or work[TALLY, WORK] > MOST_WORK:
+        if not after <= limits.end or work.looks > MOST_WORK:
             return math.inf
         if after == s:
             if rate < 0.0:  # float64 does not resolve the time to the wall
@@ -300,14 +300,16 @@ def search(scene: SceneNumbers, work: Workspace, flight: Flight, approach: Appro
         gap, rate = gap_at(scene, flight, work, approach.wall, approach.foot, s)
 
 
-def strike(scene: SceneNumbers, work: Workspace, flight: Flight, time: float, pair: int, together: float) -> None:
+def strike(
+    scene: SceneNumbers, work: Workspace, log: Array, flight: Flight, time: float, pair: int, together: float
+) -> None:
     """Fly for ``time`` [s] to an impact of ``pair`` = 4 * wall + foot, and apply the law to all that touch there."""
     evolve(work, flight, time)
-    work[TALLY, ELAPSED] += time
-    work[TALLY, WORK] += 1.0
-    resolve(scene, work, together, pair // 4, pair % 4)
+    work.elapsed += time
+    work.looks += 1.0
+    resolve(scene, work, log, together, pair // 4, pair % 4)
 
 
 def why_endless(work: Workspace) -> Status:
     """Why no impact could be told."""
-    return Status.TOO_MUCH_WORK if work[TALLY, WORK] > MOST_WORK else Status.TOO_FAST
+    return Status.TOO_MUCH_WORK if work.looks > MOST_WORK else Status.TOO_FAST

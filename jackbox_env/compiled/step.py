@@ -28,7 +28,7 @@ from jackbox_env.compiled.search import (
 )
 from jackbox_env.compiled.status import Status
 from jackbox_env.compiled.trigonometry import without_turns
-from jackbox_env.compiled.workspace import HITS, PIECE, RESTING, STATE, TALLY, WORK, Workspace
+from jackbox_env.compiled.workspace import Workspace, Workspaces
 from jackbox_env.scene import SceneNumbers, chirp_turns
 from jackbox_env.states import LARGEST
 
@@ -80,7 +80,7 @@ def make_plan(scene: SceneNumbers, dt: float, kind: int) -> Plan:
 
 def step(
     scene: SceneNumbers, plan: Plan, before: Array, after: Array, time: float, torque: float, pieces: Pieces,
-    work: Workspace,
+    work: Workspace, log: Array,
 ) -> tuple[Status, float]:  # fmt: skip
     """Advance one state by ``plan.dt``.
 
@@ -92,7 +92,8 @@ def step(
         time: at the step's start [s].
         torque: held on the box [N m]; not looked at where a drive acts.
         pieces: of the drive's functions, none for other drives.
-        work: memory to work in; it then holds the impacts.
+        work: memory to work in.
+        log: memory that records impacts, see ``workspace.new_log``.
 
     Returns:
         How it ended, and the mean torque [N m]. Unless it ended well ``after`` is unchanged.
@@ -106,35 +107,36 @@ def step(
         if stays_clear(x, y, vx, vy, fall, plan.dt, plan.clear) and abs(alpha) < STEEPEST:
             glide(before, after, fall, plan.dt, alpha)
             return Status.DONE, scene.box_inertia * alpha
-        return step_near(scene, plan, before, after, alpha, work), scene.box_inertia * alpha
+        return step_near(scene, plan, before, after, alpha, work, log), scene.box_inertia * alpha
     if not told_apart(scene, before):
         return Status.TOO_FAST, 0.0
     touch = start(plan, before, work)
     if plan.kind == CHIRP:
-        ended, impulse = advance_chirp(scene, plan, time, touch, work)
+        ended, impulse = advance_chirp(scene, plan, time, touch, work, log)
     else:
-        ended, impulse = advance_pieces(scene, plan, torque, pieces, touch, work)
+        ended, impulse = advance_pieces(scene, plan, torque, pieces, touch, work, log)
     mean = torque if plan.kind == HELD_BESIDE_FORCES else impulse / plan.dt
-    return finish(ended, plan, before, after, work), mean
+    return finish(ended, plan, before, after, work, log), mean
 
 
 def clear_tally(work: Workspace) -> None:
     """Forget what the last step did."""
-    for place in range(4):
-        work[TALLY, place] = 0.0
+    work.hits, work.impulse, work.looks, work.elapsed = 0, 0.0, 0.0, 0.0
 
 
 def effort(work: Workspace) -> float:
     """What a step has cost, in gaps evaluated; a step with held feet takes as long as some forty of them."""
-    cost = work[TALLY, WORK]
-    if work[TALLY, HITS] > 0.0:
+    cost = work.looks
+    if work.hits > 0:
         for pair in range(16):
-            if work[RESTING, pair] > 0.0:
+            if work.resting[pair] > 0.0:
                 return float(cost + _HOLDING)
     return float(cost)
 
 
-def step_near(scene: SceneNumbers, plan: Plan, before: Array, after: Array, alpha: float, work: Workspace) -> Status:
+def step_near(
+    scene: SceneNumbers, plan: Plan, before: Array, after: Array, alpha: float, work: Workspace, log: Array
+) -> Status:
     """Step near a wall under a constant angular acceleration of the box; return how it ended."""
     if not (told_apart(scene, before) and abs(alpha) < STEEPEST):
         return Status.TOO_FAST
@@ -151,8 +153,8 @@ def step_near(scene: SceneNumbers, plan: Plan, before: Array, after: Array, alph
     if pair == AT_REST:
         time = 0.0
     else:
-        strike(scene, work, flight, time, pair, touch.together)
-    return finish(advance(scene, work, piece, touch, time), plan, before, after, work)
+        strike(scene, work, log, flight, time, pair, touch.together)
+    return finish(advance(scene, work, log, piece, touch, time), plan, before, after, work, log)
 
 
 def stays_clear(x: float, y: float, vx: float, vy: float, fall: float, dt: float, clear: float) -> bool:
@@ -208,9 +210,9 @@ def start(plan: Plan, before: Array, work: Workspace) -> Touch:
     With loss angles are counted without whole turns, so that a foot at rest stays where it is however far the box has
     turned.
     """
-    state = work[STATE]
+    state = work.state
     for pair in range(16):
-        work[RESTING, pair] = 0.0
+        work.resting[pair] = 0.0
     for place in range(12):
         state[place] = before[place]
     state[0] = state[1] = 0.0
@@ -234,11 +236,11 @@ def told_apart(scene: SceneNumbers, state: Array) -> bool:
     return bool(max(max(place, angle), speed) < _COARSEST)
 
 
-def finish(ended: Status, plan: Plan, before: Array, after: Array, work: Workspace) -> Status:
+def finish(ended: Status, plan: Plan, before: Array, after: Array, work: Workspace, log: Array) -> Status:
     """Take the state back to the world, unless the step failed or a number is too large; record what held feet took."""
     if ended != Status.DONE:
         return ended
-    state = work[STATE]
+    state = work.state
     total = 0.0
     for place in range(12):
         total += abs(state[place])
@@ -254,11 +256,13 @@ def finish(ended: Status, plan: Plan, before: Array, after: Array, work: Workspa
         after[2], after[5] = before[2] + (state[2] - angle), before[5] + (state[5] - jack_angle)
     for place in range(6, 12):
         after[place] = state[place]
-    record_rest(work, plan.dt)
+    record_rest(work, log, plan.dt)
     return ended
 
 
-def advance_chirp(scene: SceneNumbers, plan: Plan, time: float, touch: Touch, work: Workspace) -> tuple[Status, float]:
+def advance_chirp(
+    scene: SceneNumbers, plan: Plan, time: float, touch: Touch, work: Workspace, log: Array
+) -> tuple[Status, float]:
     """Advance through a step under the chirp; return how it ended and the torque's impulse [N m s]."""
     count = chirp_pieces(scene, time, plan.dt)
     if count == 0:
@@ -269,15 +273,15 @@ def advance_chirp(scene: SceneNumbers, plan: Plan, time: float, touch: Touch, wo
     impulse = 0.0
     for number in range(count):
         chirp_piece(scene, turns, frequency, number * length, length, work)
-        impulse += horner(work[PIECE + 3 * TURN + 1], DEGREE + 1, 1.0)
-        ended = advance(scene, work, curved_piece(work, length, False), touch, 0.0)
+        impulse += horner(work.powers[3 * TURN + 1], DEGREE + 1, 1.0)
+        ended = advance(scene, work, log, curved_piece(work, length, False), touch, 0.0)
         if ended != Status.DONE:
             return ended, 0.0
     return Status.DONE, scene.box_inertia * impulse
 
 
 def advance_pieces(
-    scene: SceneNumbers, plan: Plan, torque: float, pieces: Pieces, touch: Touch, work: Workspace
+    scene: SceneNumbers, plan: Plan, torque: float, pieces: Pieces, touch: Touch, work: Workspace, log: Array
 ) -> tuple[Status, float]:
     """Advance through a step under a drive of functions, or a held torque and its side forces."""
     impulse, table = 0.0, pieces.table
@@ -286,14 +290,14 @@ def advance_pieces(
         for axis in range(3):
             inertia = scene.box_inertia if axis == TURN else scene.box_mass
             for k in range(DEGREE + 1):
-                work[PIECE + 3 * axis, k] = table[number, 2 + axis * (DEGREE + 1) + k] / inertia
+                work.powers[3 * axis, k] = table[number, 2 + axis * (DEGREE + 1) + k] / inertia
             if axis == TURN and plan.kind == HELD_BESIDE_FORCES:
                 for k in range(DEGREE + 1):
-                    work[PIECE + 3 * axis, k] = 0.0
-                work[PIECE + 3 * axis, 0] = torque / inertia
+                    work.powers[3 * axis, k] = 0.0
+                work.powers[3 * axis, 0] = torque / inertia
             integrate(work, axis, length)
-        impulse += horner(work[PIECE + 3 * TURN + 1], DEGREE + 1, 1.0)
-        ended = advance(scene, work, curved_piece(work, length, True), touch, 0.0)
+        impulse += horner(work.powers[3 * TURN + 1], DEGREE + 1, 1.0)
+        ended = advance(scene, work, log, curved_piece(work, length, True), touch, 0.0)
         if ended != Status.DONE:
             return ended, 0.0
     return Status.DONE, scene.box_inertia * impulse
@@ -301,10 +305,10 @@ def advance_pieces(
 
 def step_one(
     values: Array, dt: float, kind: int, before: Array, after: Array, time: float, torque: float, table: Array,
-    work: Workspace,
+    workspaces: Workspaces, log: Array,
 ) -> tuple[int, int, float]:  # fmt: skip
     """Advance one state; return how it ended, the number of impacts and the mean torque [N m]."""
-    scene = make_numbers(values)
+    scene, work = make_numbers(values), workspaces[0]
     pieces = Pieces(table, 0, table.shape[0])
-    ended, mean = step(scene, make_plan(scene, dt, kind), before, after, time, torque, pieces, work)
-    return ended.value, int(work[TALLY, HITS]), mean
+    ended, mean = step(scene, make_plan(scene, dt, kind), before, after, time, torque, pieces, work, log)
+    return ended.value, work.hits, mean

@@ -1,60 +1,70 @@
-"""The memory that a step of the exact contact model works in: one array, so that nothing is allocated on the way.
+"""The memory that a step of the exact contact model works in, so that nothing is allocated on the way.
 
-A workspace has rows of 16 numbers, named by what they hold. It is handed on as one small array, because a compiled call
-that passes many arrays spends more time on passing than on physics.
+A workspace is one record with named fields: compiled code hands on its address, where several arrays would take longer
+to pass than the physics takes.
 """
 
 from __future__ import annotations
 
+from typing import Annotated, Any, get_args, get_type_hints
+
 import numpy as np
 from numpy.typing import NDArray
 
-Workspace = NDArray[np.float64]  # (at least RECORD, 16)
+Array = NDArray[np.float64]
+Counts = NDArray[np.int64]
 
-STATE = 0  # the state in a frame near the box; 12 used
-TALLY = 1  # what the step has done so far, in the places below
-PIECE = 2  # accelerations of the box, 9 rows, see drives.py
 
-# While feet are held: powers of time over a stretch, on the box's axes, see constrained.py.
-PLACE_X, PLACE_Y, PSI, TURNED = 11, 12, 13, 14  # jack's centre [m], its relative angle, the box's turn [rad]
-RATE_X, RATE_Y, SPIN, OMEGA = 15, 16, 17, 18  # their rates, per stretch
-ALPHA, JACK_ALPHA = 19, 20  # angular accelerations of box and jack, per stretch squared
-DRIVEN, PUSHED_X, PUSHED_Y = 21, 22, 23  # what the drive gives the box: angular acceleration, and that of its centre
-BOX_COSINE, BOX_SINE, COSINE, SINE = 24, 25, 26, 27  # of the box's angle and of psi
-OMEGA_SQUARED, SPIN_SQUARED = 28, 29
-FORCE = 30  # at held feet, 3 rows; of each the levers about box and jack [m], and the foot's extent along the normal
-BOX_LEVER, JACK_LEVER, EXTENT = 33, 36, 39  # 3 rows each
+class Workspace(np.record):  # type: ignore[misc]
+    """A record of these fields, arrays of the shapes that stand beside them. Listed gaps are those that are closed."""
 
-GRADIENTS = 42  # of the gaps that are closed, 17 rows; 6 used of each
-UNIT = 59  # the same in weighted coordinates, at length 1
-BASE = 75  # of Gram-Schmidt, 3 rows
-TALL = 78  # of Gram-Schmidt, 3 rows
-IMPULSES = 81  # [N s] of the gaps that are closed
-PAIRS = 82  # 4 * wall + foot of them
-LENGTHS = 83  # of their weighted gradients
-RATES = 84  # weighted
-POINT = 85  # the weighted rates' projection
-PUSHES = 86  # that lead to it
-BEST = 87  # of the pushes
-BEFORE = 88  # a state that is stepped, where it is gathered from many
-AFTER = 89  # where it goes
-BIAS = 90  # what is added to the rates of the gaps that are closed, in units of their weighted gradients
-GOALS = 91  # of Gram-Schmidt
-GAPS = 92  # of the gaps that are closed [m]
-TARGETS = 93  # the same, where held feet are brought back to [m]
-FREE = 94  # accelerations without contact; 6 used
-RESTING = 95  # impulses of held feet in this step [N s], by 4 * wall + foot
-HOLDING = 96  # which feet are held, in the places below
-ORDER = 97  # of held feet in the list of contacts
-SPARE = 98  # in passing
-INVERSE = 99  # of J M^-1 J^T at held feet, 3 rows
-LACK = 102  # of J qddot at held feet
-RECORD = 103  # from here on, one row per impact: time since the step's start, wall, foot, impulse
+    hits: int  # impacts of the step so far
+    impulse: float  # of them [N s]
+    looks: float  # gaps evaluated
+    elapsed: float  # since the step's start [s]
+    state: Annotated[Array, 12]  # in a frame near the box
+    before: Annotated[Array, 12]  # a state that is stepped, where it is gathered from many
+    after: Annotated[Array, 12]  # where it goes
+    powers: Annotated[Array, 9, 16]  # accelerations of the box, see drives.py
 
-# Places of TALLY: impacts, their impulse [N s], gaps evaluated, time since the step's start [s].
-HITS, IMPULSE, WORK, ELAPSED = range(4)
-# Places of HOLDING: how many pairs are held, and those that were let go at this moment, as bits.
-COUNT, LOOSE = range(2)
+    pairs: Annotated[Counts, 17]  # 4 * wall + foot of the listed gaps
+    gaps: Annotated[Array, 17]  # [m]
+    gradients: Annotated[Array, 17, 6]
+    units: Annotated[Array, 17, 6]  # the same in weighted coordinates, at length 1
+    lengths: Annotated[Array, 17]  # of the weighted gradients
+    bias: Annotated[Array, 17]  # what is added to the gaps' rates, in units of the weighted gradients
+    impulses: Annotated[Array, 17]  # [N s]
+    rates: Annotated[Array, 6]  # weighted
+    point: Annotated[Array, 6]  # the weighted rates' projection
+    pushes: Annotated[Array, 3]  # that lead to it
+    best: Annotated[Array, 3]  # of the pushes
+    basis: Annotated[Array, 3, 6]  # of Gram-Schmidt, with tall and goals
+    tall: Annotated[Array, 3, 3]
+    goals: Annotated[Array, 3]
+
+    holding: int  # how many feet are held; they are first in pairs
+    loose: int  # feet that were let go at this moment, bit 4 * wall + foot of each
+    resting: Annotated[Array, 16]  # impulses of held feet in this step [N s], by 4 * wall + foot
+    order: Annotated[Counts, 3]  # of held feet among the listed gaps
+    targets: Annotated[Array, 3]  # to which their gaps are brought back [m]
+    free: Annotated[Array, 6]  # accelerations without contact
+    spare: Annotated[Array, 6]  # in passing
+    series: Annotated[Array, 31, 16]  # powers of time over a stretch, in the rows below
+    inverse: Annotated[Array, 3, 3]  # of J M^-1 J^T at held feet
+    lack: Annotated[Array, 3]  # of J qddot there
+
+
+Workspaces = NDArray[Any]  # of records
+
+# Rows of a workspace's series, on the box's axes, see constrained.py.
+PLACE_X, PLACE_Y, PSI, TURNED = range(4)  # jack's centre [m], its relative angle, the box's turn [rad]
+RATE_X, RATE_Y, SPIN, OMEGA = range(4, 8)  # their rates, per stretch
+ALPHA, JACK_ALPHA = 8, 9  # angular accelerations of box and jack, per stretch squared
+DRIVEN, PUSHED_X, PUSHED_Y = 10, 11, 12  # what the drive gives the box: angular acceleration, and that of its centre
+BOX_COSINE, BOX_SINE, COSINE, SINE = range(13, 17)  # of the box's angle and of psi
+OMEGA_SQUARED, SPIN_SQUARED = 17, 18
+FORCE = 19  # at held feet, 3 rows; of each the levers about box and jack [m], and the foot's extent along the normal
+BOX_LEVER, JACK_LEVER, EXTENT = 22, 25, 28  # 3 rows each
 
 # Rows of a thread's memory for a block of environments, (LANES, width); 0 to 3 are scratch.
 TORQUE, TURNING = 4, 5  # [N m]; angular acceleration of the box [rad/s^2], or a bound of it
@@ -64,11 +74,25 @@ AT_MOST, LANE_COSINE, LANE_SINE, AHEAD, ASIDE, LANE_OMEGA, BEND, LANE, APART, PU
 LANES = 20
 
 
-def new_lanes(width: int) -> NDArray[np.float64]:
+def _field(name: str, hint: Any) -> tuple[Any, ...]:
+    of, *shape = get_args(hint) or (hint,)
+    return name, np.int64 if of in (int, Counts) else np.float64, tuple(shape)
+
+
+_FIELDS = [_field(*of) for of in get_type_hints(Workspace, include_extras=True).items()]
+_LAYOUT = np.dtype((Workspace, np.dtype(_FIELDS, align=True)))
+
+
+def new_lanes(width: int) -> Array:
     """Memory for one thread's blocks of so many environments."""
     return np.zeros((LANES, width))
 
 
-def new_workspace(impacts: int = 0) -> Workspace:
-    """Memory for one thread, with room to record so many impacts of a step."""
-    return np.zeros((RECORD + impacts, 16))
+def new_workspaces(count: int = 1) -> Workspaces:
+    """So many workspaces, each for one thread."""
+    return np.zeros(count, _LAYOUT)
+
+
+def new_log(impacts: int = 0) -> Array:
+    """Memory to record so many impacts of a step: time since the step's start [s], wall, foot, impulse [N s]."""
+    return np.zeros((impacts, 4))

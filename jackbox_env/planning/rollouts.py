@@ -16,7 +16,7 @@ from jackbox_env.compiled.drives import TABLE_WIDTH
 from jackbox_env.compiled.rollouts import outside, roll
 from jackbox_env.compiled.score import score_step
 from jackbox_env.compiled.status import Status
-from jackbox_env.compiled.workspace import new_workspace
+from jackbox_env.compiled.workspace import new_log, new_workspaces
 from jackbox_env.scene import Drive, Scene, scenes_of
 from jackbox_env.scoring import compiled_for
 from jackbox_env.simulators.base import end_of_step
@@ -163,7 +163,7 @@ def play(
     impulses, energies = np.zeros(hits.shape), np.zeros((count, steps + 1) if energy else (0, steps + 1))
     ranges = count if num_threads is not None else min(count, count * steps // _FEWEST_PER_THREAD)
     threads = Threads(thread_count(num_threads, ranges))
-    workspaces = [new_workspace() for _ in range(threads.count)]
+    memories = [(new_workspaces(), new_log()) for _ in range(threads.count)]
     given, call, address = (np.array([one.numbers for one in scenes]), kinds, firsts), compiled(roll), address_of(score)
     drive, results, halt = (times, table, ends), (played, hits, impulses, energies, earned), Halt()
 
@@ -171,7 +171,7 @@ def play(
         first = 0
         while True:
             span = low, high, first
-            ended, who, when = call(given, dt, held, drive, span, results, address, until_impact, workspaces[thread])
+            ended, who, when = call(given, dt, held, drive, span, results, address, until_impact, memories[thread])
             if ended != Status.PAUSED or halt.asked:
                 return ended, who, when
             low, first = who, when  # after a while, so that an interruption is heard

@@ -38,7 +38,7 @@ from jackbox_env.compiled.drives import TABLE_WIDTH
 from jackbox_env.compiled.search import MOST_WORK
 from jackbox_env.compiled.status import Status
 from jackbox_env.compiled.step import CHIRP, FUNCTIONS, HELD, HELD_BESIDE_FORCES, step_one
-from jackbox_env.compiled.workspace import RECORD, Workspace, new_workspace
+from jackbox_env.compiled.workspace import new_log, new_workspaces
 from jackbox_env.scene import Chirp, Drive, Scene, too_many_turns
 from jackbox_env.simulators.base import ContactModel, Impact, JackLostError, Present, end_of_step
 from jackbox_env.simulators.functions import function_pieces
@@ -88,7 +88,7 @@ class ExactSimulator(ContactModel):
     name = "exact"
     room = 500
     compiled = True
-    _workspace: Workspace  # grows to what a step has recorded
+    _log: Array  # grows to what a step has recorded
 
     def __init__(self, scene: Scene) -> None:
         """Start at rest in the middle of the box, each foot facing a corner."""
@@ -110,21 +110,21 @@ class ExactSimulator(ContactModel):
         held = 0.0 if torque is None else torque
         while True:
             ended, hits, mean = self._step(
-                self._numbers, dt, kind, before, after, time, held, pieces, self._workspace
+                self._numbers, dt, kind, before, after, time, held, pieces, self._workspaces, self._log
             )  # fmt: skip
             if ended:
                 raise failure(ended, self.scene, time, dt)
-            if RECORD + hits <= len(self._workspace):
+            if hits <= len(self._log):
                 break
-            self._workspace = new_workspace(2 * hits)  # more impacts than there was room for: repeat the step with room
+            self._log = new_log(2 * hits)  # more impacts than there was room for: repeat the step with room
         self._present = Present(after, end, mean, self._recorded(time, hits) if hits else ())
 
     def _recorded(self, time: float, hits: int) -> tuple[Impact, ...]:
-        rows = self._workspace[RECORD : RECORD + hits, :4].tolist()
+        rows = self._log[:hits].tolist()
         return tuple(Impact(time + since, int(wall), int(foot), impulse) for since, wall, foot, impulse in rows)
 
     def _prepare(self) -> None:
         self._step = compiled(step_one)
         self._numbers = np.array(self.scene.numbers)
         self._kinds = drive_kind(self.scene.drive), drive_kind(self.scene.drive, held=True)
-        self._workspace = new_workspace(64)
+        self._workspaces, self._log = new_workspaces(), new_log(64)

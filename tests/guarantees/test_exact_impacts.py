@@ -11,7 +11,6 @@ import pytest
 from jackbox_env import JackLostError
 from jackbox_env.compiled import impacts
 from jackbox_env.compiled.status import Status
-from jackbox_env.compiled.workspace import GRADIENTS, IMPULSES, STATE
 from jackbox_env.mechanics import energy, simultaneous_impact_map
 from jackbox_env.scene import Chirp, Drive, Scene
 from jackbox_env.simulators import Impact
@@ -99,7 +98,7 @@ def test_one_contact_after_the_other_would_break_the_simultaneous_law(monkeypatc
     # Resolved one by one, two feet on a floor give another, also energy-keeping, answer.
     def one_by_one(n: Any, w: Any, count: int) -> None:
         for number in range(count):
-            w[IMPULSES, number] = impacts.bounce(n, w[STATE], w[GRADIENTS + number])
+            w.impulses[number] = impacts.bounce(n, w.state, w.gradients[number])
 
     rng = np.random.default_rng(2)
     state, contacts = several_contacts(WEIGHTLESS, rng, "one wall")

@@ -9,7 +9,7 @@ import pytest
 
 from jackbox_env.compiled import search as kernel
 from jackbox_env.compiled.constrained import let_go
-from jackbox_env.compiled.workspace import FORCE, HITS, IMPULSE, TALLY, WORK, new_workspace
+from jackbox_env.compiled.workspace import FORCE, new_workspaces
 from jackbox_env.mechanics import energy
 from jackbox_env.scene import Scene
 from jackbox_env.simulators.exact import ExactSimulator
@@ -37,7 +37,7 @@ def test_a_jack_all_but_at_rest_in_a_corner_is_followed(half: float, arm: float,
     run.reset(start)
     for _ in range(3):
         run.step(0.02, torque=0.0)
-        assert run._workspace[TALLY, WORK] < 400_000
+        assert run._workspaces[0].looks < 400_000
         assert clearance(scene, run.state.tolist()) > -2e-10 * min(1.0, half)
     assert energy(scene, run.state) == pytest.approx(energy(scene, start), rel=1e-12, abs=1e-12 * 4.0 * 9.81 * half)
 
@@ -65,12 +65,12 @@ def test_a_rattle_is_not_taken_for_rest(monkeypatch: pytest.MonkeyPatch) -> None
     without = plain_step(scene, state, 0.005, 0.0)
     assert np.array_equal(kept[1], without[1])  # the same bits
     assert kept[2] == without[2]
-    monkeypatch.setattr(kernel, "rests", lambda n, w: bool(w[TALLY, WORK] > 1000))
+    monkeypatch.setattr(kernel, "rests", lambda n, w: bool(w.looks > 1000))
     assert not np.array_equal(plain_step(scene, state, 0.005, 0.0)[1], without[1])
 
 
 def test_rest_is_much_work_for_little_impulse() -> None:
-    scene, w = Scene(), new_workspace()
+    scene, w = Scene(), new_workspaces()[0]
     light = 1e-4 * scene.jack_mass * scene.speed_scale  # [N s]
     for work, hits, impulse, rests in (
         (kernel._RESTLESS, 10_000, light, False),
@@ -78,7 +78,7 @@ def test_rest_is_much_work_for_little_impulse() -> None:
         (kernel._RESTLESS + 1, 0, 0.0, True),  # a foot that creeps along a wall
         (kernel._RESTLESS + 1, 10_000, 100.0 * light, False),
     ):
-        w[TALLY, WORK], w[TALLY, HITS], w[TALLY, IMPULSE] = work, hits, hits * impulse
+        w.looks, w.hits, w.impulse = work, hits, hits * impulse
         assert kernel.rests(scene.numbers, w) is rests
 
 
@@ -86,7 +86,7 @@ def test_rest_is_much_work_for_little_impulse() -> None:
     ("powers", "moment"), [([1.0, -2.0], 0.5), ([1.0, 0.0, 0.0, -(0.9**-3)], 0.9), ([1.0, -3.0, 2.5], None)]
 )
 def test_a_held_foot_is_let_go_when_its_force_falls_to_zero(powers: list[float], moment: float | None) -> None:
-    work, length = new_workspace(), 0.02
-    work[FORCE, : len(powers)] = powers
+    work, length = new_workspaces()[0], 0.02
+    work.series[FORCE, : len(powers)] = powers
     time = let_go(work, 0, length, max(map(abs, powers)))
     assert time == (math.inf if moment is None else pytest.approx(moment * length, rel=1e-9))

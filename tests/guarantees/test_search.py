@@ -12,7 +12,7 @@ import pytest
 from jackbox_env.compiled import bounds, motion
 from jackbox_env.compiled import search as kernel
 from jackbox_env.compiled.status import Status
-from jackbox_env.compiled.workspace import TALLY, WORK, new_workspace
+from jackbox_env.compiled.workspace import new_workspaces
 from jackbox_env.scene import Scene
 from jackbox_env.states import clearance
 from scripts.studies.speed import measured
@@ -55,7 +55,7 @@ def test_the_bounds_hold_over_the_whole_flight() -> None:
     for number in range(400):
         scene = Scene(jack_arm=rng.uniform(0.1, 8.0), gravity=rng.choice([0.0, 9.81]))
         state = inside(scene, rng, speed=rng.choice([1.0, 5.0]))
-        n, w = scene.numbers, new_workspace()
+        n, w = scene.numbers, new_workspaces()[0]
         alpha, left = rng.uniform(-50.0, 50.0), rng.choice([0.02, 0.2, 1.0])
         if number % 2:  # thrown up and back again: both ends say nothing of the way between
             state[6:9], state[10] = 0.0, 0.5 * scene.gravity * left
@@ -120,9 +120,9 @@ def test_feet_followed_together_find_the_impact_that_each_of_its_own_finds(
         found = []
         for turned in (0.25, math.inf):
             monkeypatch.setattr(kernel, "_TURNED", turned)
-            work = new_workspace()
+            work = new_workspaces()[0]
             found.append(kernel.first_impact(scene.numbers, work, flight, piece, left, 1e-13, 1e-13))
-            evaluated.append(work[TALLY, WORK])
+            evaluated.append(work.looks)
         (time, pair), (expected, expected_pair) = found
         assert pair == expected_pair
         # Of a foot in a wall only the next look tells that it has turned back.
@@ -136,7 +136,7 @@ def test_feet_followed_together_find_the_impact_that_each_of_its_own_finds(
 def test_the_bounds_of_a_fast_box_hold_until_the_first_impact(deep: bool) -> None:
     tightest, quiet = math.inf, 0
     for scene, flight, piece, left in fast_flights(150, deep):
-        n, work = scene.numbers, new_workspace()
+        n, work = scene.numbers, new_workspaces()[0]
         until, _ = kernel.first_impact(n, work, flight, piece, left, 1e-13, 1e-13)
         if until == 0.0:
             continue
@@ -163,7 +163,7 @@ def test_feet_are_followed_together_with_loss_where_nobody_asks_for_rest() -> No
     hits = 0
     for scene, flight, piece, left in fast_flights(40):
         found, expected = (
-            kernel.first_impact(one.numbers, new_workspace(), flight, piece, left, 1e-13, rest)
+            kernel.first_impact(one.numbers, new_workspaces()[0], flight, piece, left, 1e-13, rest)
             for one, rest in ((scene.changed(restitution=0.5), -math.inf), (scene, 1e-13))
         )
         assert found == expected

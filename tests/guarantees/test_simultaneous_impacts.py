@@ -17,7 +17,7 @@ import pytest
 
 from jackbox_env import complementarity
 from jackbox_env.compiled import impacts
-from jackbox_env.compiled.workspace import STATE, new_workspace
+from jackbox_env.compiled.workspace import new_log, new_workspaces
 from jackbox_env.mechanics import energy, gap_jacobian, gaps, impact_map, simultaneous_impact_map
 from jackbox_env.scene import Scene
 from jackbox_env.simulators import CONTACT_MODELS, make_simulator
@@ -330,10 +330,11 @@ def test_the_law_has_the_same_bits_with_every_kernel_of_the_linear_algebra() -> 
 
 def compiled_law(scene: Scene, state: Array) -> Array:
     """The velocities after, by the exact contact model's own projection."""
-    w = new_workspace()
-    w[STATE, :12] = state
-    impacts.resolve(scene.numbers, w, 1e-9, 0, 0)
-    return w[STATE, 6:12].copy()
+    w = new_workspaces()[0]
+    w.state[:12] = state
+    impacts.resolve(scene.numbers, w, new_log(), 1e-9, 0, 0)
+    found: Array = w.state[6:12].copy()
+    return found
 
 
 def test_a_wedged_jack_gets_the_velocities_of_the_exact_model_and_keeps_its_energy() -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from jackbox_env.compiled import step
-from jackbox_env.compiled.workspace import HITS, RECORD, TALLY, new_workspace
+from jackbox_env.compiled.workspace import new_log, new_workspaces
 from jackbox_env.scene import Scene
 from jackbox_env.simulators.exact import ExactSimulator, drive_kind, pieces_for
 
@@ -20,12 +20,12 @@ def simulator(scene: Scene, state: Any, time: float = 0.0) -> ExactSimulator:
 
 def plain_step(scene: Scene, state: Any, dt: float, torque: float | None = None, time: float = 0.0) -> tuple[Any, ...]:
     """One step of the same code uncompiled: how it ended, the state after, and the impacts (time, wall, foot)."""
-    n, w = scene.numbers, new_workspace(64)
+    n, w, log = scene.numbers, new_workspaces()[0], new_log(64)
     before, after = np.array(state, dtype=float), np.empty(12)
     pieces = pieces_for(scene.drive, time, dt, torque)
     held = 0.0 if torque is None else torque
     plan = step.make_plan(n, dt, drive_kind(scene.drive, torque is not None))
     with np.errstate(divide="ignore", invalid="ignore"):
-        ended, _ = step.step(n, plan, before, after, time, held, step.Pieces(pieces, 0, len(pieces)), w)
-    rows = w[RECORD : RECORD + int(w[TALLY, HITS]), :3]
+        ended, _ = step.step(n, plan, before, after, time, held, step.Pieces(pieces, 0, len(pieces)), w, log)
+    rows = log[: w.hits, :3]
     return ended, after, [(row[0], int(row[1]), int(row[2])) for row in rows]

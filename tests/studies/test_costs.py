@@ -15,7 +15,7 @@ import pytest
 from jackbox_env.batches import exact as batches
 from jackbox_env.compiled import compiler as _compiled
 from jackbox_env.compiled import step
-from jackbox_env.compiled.workspace import RECORD, new_workspace
+from jackbox_env.compiled.workspace import new_log
 from jackbox_env.scene import Drive, Scene
 from jackbox_env.simulators import make_simulator
 from jackbox_env.vector_env import JackInBoxVectorEnv
@@ -95,13 +95,13 @@ def test_in_mid_air_no_wall_is_looked_at(contact: str, function: str) -> None:
 
 def test_a_batch_records_no_impacts(monkeypatch: pytest.MonkeyPatch) -> None:
     for room in (0, 8):
-        monkeypatch.setattr(batches, "new_workspace", lambda room=room: new_workspace(room))
+        monkeypatch.setattr(batches, "new_log", lambda room=room: new_log(room))
         batch = JackInBoxVectorEnv(4, contact="exact", num_threads=1, with_infos=True)
         batch.reset(options={"state": NEAR_A_WALL})
         assert (batch.step(np.zeros(4))[4]["impacts"] > 0).all()
-        ((_, workspace),) = batch._batch._workspaces  # type: ignore[attr-defined]
-        assert len(workspace) == RECORD + room
-        assert workspace[RECORD:].any() == (room > 0)  # with room it would record
+        ((_, _, log),) = batch._batch._workspaces  # type: ignore[attr-defined]
+        assert len(log) == room
+        assert log.any() == (room > 0)  # with room it would record
 
 
 def test_no_renderer_is_loaded_unless_asked_for() -> None:
