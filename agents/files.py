@@ -1,7 +1,8 @@
-"""Files that may be damaged, and folders that one process holds. :mod:`jackbox_env.recording.files` writes them.
+"""Files that may be damaged, and folders that one process locks. :mod:`jackbox_env.recording.files` writes them.
 
-A folder is held by ``flock`` on its file ``lock``. The kernel lets go of it when the process ends, however it ends, so
-a lock left behind holds nobody up. Windows has no such lock: there a folder is not held, and standard error says so.
+A folder is locked by ``flock`` on its file ``lock``. The kernel lets go of it when the process ends, however it ends.
+So a lock left behind holds nobody up. Windows has no such lock: there a folder is not locked, and standard error says
+so.
 """
 
 from __future__ import annotations
@@ -78,11 +79,11 @@ def say_skipped(error: DamagedFileError) -> None:
 
 
 @contextmanager
-def held(folder: Path) -> Iterator[None]:
-    """Hold a folder against every other process, and against a second use within this one.
+def locked(folder: Path) -> Iterator[None]:
+    """Lock a folder against every other process, and against a second use within this one.
 
     Raises:
-        FolderInUseError: another process holds it.
+        FolderInUseError: another process has locked it.
         OSError: its lock is a link, or cannot be opened.
     """
     if sys.platform == "win32":

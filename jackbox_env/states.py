@@ -115,12 +115,12 @@ def as_start(scene: Scene, state: ArrayLike) -> Array:
     return array
 
 
-def deepest_held(scene: Scene) -> float:
+def deepest_restored(scene: Scene) -> float:
     """How far outside the box a foot may be in a state that is put back [m]: min(1 m, L)."""
     return min(DEEPEST, scene.box_half_width)
 
 
-def as_held(scene: Scene, state: ArrayLike) -> Array:
+def as_restored(scene: Scene, state: ArrayLike) -> Array:
     """Return ``state`` as a fresh float64 array of shape (12,) if every foot is at most min(1 m, L) outside.
 
     Raises:
@@ -131,7 +131,7 @@ def as_held(scene: Scene, state: ArrayLike) -> Array:
     array = as_state(state)
     values = array.tolist()
     _refuse_far_off(scene, values)
-    outside, deepest = -clearance(scene, values), deepest_held(scene)
+    outside, deepest = -clearance(scene, values), deepest_restored(scene)
     if not outside <= deepest:
         raise ValueError(f"state must have every foot at most {deepest:g} m outside, got {outside:g} m")
     return array

@@ -18,7 +18,7 @@ from jackbox_env.env import JackInBoxEnv, Randomize
 from jackbox_env.randomization import Randomization
 from jackbox_env.scene import Scene
 from jackbox_env.simulators import contact_model
-from jackbox_env.states import Array, as_held, as_start
+from jackbox_env.states import Array, as_restored, as_start
 from jackbox_env.tasks import Task, task_of
 
 Infos = dict[str, Any]
@@ -208,7 +208,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         """
         chosen = np.ones(self.num_envs, dtype=np.bool_) if chosen is None else self._given.mask("chosen", chosen)
         self._mend(chosen)
-        placed = self._given.states("states", states, chosen, as_held)(self._batch.scene)
+        placed = self._given.states("states", states, chosen, as_restored)(self._batch.scene)
         checked = self._given.times("times", times, chosen)
         self._half = True
         self._batch.place(chosen, placed, checked)

@@ -62,7 +62,7 @@ def main() -> None:
     """Parse, evaluate, print the table."""
     arguments = tyro.cli(Arguments, description=__doc__)
     _refuse_nonsense(arguments)
-    from agents.evaluation.notes import describe_env, warn_of_other_training
+    from agents.evaluation.provenance import describe_env, warn_of_other_training
     from agents.evaluation.returns import evaluate, table
     from agents.policies.registry import find_policy
     from agents.runs import versions

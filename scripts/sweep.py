@@ -62,8 +62,8 @@ def main() -> None:
     """Parse, run what is to be run, say what failed and where the table is."""
     arguments = tyro.cli(Arguments, description=__doc__)
     from agents.sweeps import trials as kinds
-    from agents.sweeps.journal import JOURNAL, TABLE, carry_out, new_sweep, read_sweep
     from agents.sweeps.on_ray import runner_for
+    from agents.sweeps.results_log import LOG, TABLE, carry_out, new_sweep, read_sweep
 
     runner = runner_for(arguments.workers, arguments.address)
     if arguments.grid.train is not None and arguments.grid.policy != Grid.policy:
@@ -88,7 +88,7 @@ def main() -> None:
     print(f"{outcome.finished} trials: {folder / TABLE}")
     if outcome.failed:
         said = f"{len(outcome.failed)} of {len(trials)} trials failed: {folder / TABLE} says which"
-        print(f"{said}, {folder / JOURNAL} where. Try them again with: {command}", file=sys.stderr)
+        print(f"{said}, {folder / LOG} where. Try them again with: {command}", file=sys.stderr)
         sys.exit(1)
 
 

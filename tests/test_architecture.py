@@ -72,14 +72,14 @@ AGENTS = """
     training.holding
     runs evaluation.film training.checkpoints
     sweeps.in_process
-    sweeps.journal
+    sweeps.results_log
     sweeps.on_ray
     training.models policies.network
     policies.value
     policies.planner policies.one_bounce
     policies.registry
     training.best evaluation.returns evaluation.exporting evaluation.episodes training.zoo
-    training.ppo evaluation.notes
+    training.ppo evaluation.provenance
     sweeps.trials
     evaluation.figures
 """

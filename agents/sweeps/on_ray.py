@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.sweeps.in_process import LOOK_AGAIN, Finished, InTurn, Runner, Trial, Work, attempt, nothing
-from agents.sweeps.journal import differing, made_with
+from agents.sweeps.results_log import differing, made_with
 from jackbox_env import _validation as check
 from jackbox_env.compiled import compiler
 
@@ -160,7 +160,7 @@ _here: dict[str, str] = {}
 
 
 def _made_with_once() -> dict[str, str]:
-    """As :func:`agents.sweeps.journal.made_with`, which reads all of the code, once for each process."""
+    """As :func:`agents.sweeps.results_log.made_with`, which reads all of the code, once for each process."""
     if not _here:
         _here.update(made_with())
     return _here

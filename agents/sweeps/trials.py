@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.evaluation.returns import Returns, evaluate
-from agents.files import held
+from agents.files import locked
 from agents.policies.registry import find_policy
 from agents.runs import read_settings
 from agents.settings import EnvSettings, TrainSettings
@@ -150,7 +150,7 @@ def trained(folder: Path, settings: dict[str, Any]) -> dict[str, Any]:
     wanted, run = TrainSettings.of(own), folder / RUNS / Trial(settings).key
     with contextlib.redirect_stdout(io.StringIO()):  # its times, which are in its folder too
         if run.exists() and not is_whole(run / MODEL):
-            with held(run):  # by a training that was taken for lost, perhaps
+            with locked(run):  # by a training that was taken for lost, perhaps
                 shutil.rmtree(run)
         run.parent.mkdir(exist_ok=True)
         trained_in(run, wanted, progress=False)

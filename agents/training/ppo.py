@@ -10,7 +10,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback, ProgressBarCallback
 from stable_baselines3.common.logger import configure
 
-from agents.files import first_line, held
+from agents.files import first_line, locked
 from agents.policies.network import WEIGHTS
 from agents.runs import SETTINGS, TIME, describe, read_settings
 from agents.settings import TrainSettings
@@ -55,7 +55,7 @@ def train(settings: TrainSettings, folder: Path, progress: bool = True) -> PPO:
     """
     if (folder / WEIGHTS).exists():
         raise FileExistsError(f"{folder} holds an exported policy, which cannot be trained on: choose another folder")
-    with held(folder):
+    with locked(folder):
         remove_partials(folder, folder / CHECKPOINTS)
         if is_whole(folder / MODEL):
             raise FileExistsError(

@@ -13,7 +13,7 @@ from jackbox_env.batches.base import Flags
 from jackbox_env.compiled.compiler import compiled
 from jackbox_env.compiled.glide import SCENE_LANES
 from jackbox_env.compiled.restart import spread
-from jackbox_env.compiled.step import HELD
+from jackbox_env.compiled.step import CONSTANT
 from jackbox_env.scene import Chirp, Drive, Scene, SceneNumbers
 from jackbox_env.simulators.exact import WITH_PIECES, drive_kind
 from jackbox_env.states import Array
@@ -62,7 +62,7 @@ class SceneTable:
         self.kinds: tuple[Counts, Counts] = columns[0].copy(), columns[1].copy()
         self.cut: tuple[Flags, Flags] = np.isin(columns[0], WITH_PIECES), np.isin(columns[1], WITH_PIECES)
         self.cutting: tuple[bool, bool] = bool(self.cut[0].any()), bool(self.cut[1].any())
-        self.gliding: tuple[bool, bool] = bool((columns[0] == HELD).any()), bool((columns[1] == HELD).any())
+        self.gliding: tuple[bool, bool] = bool((columns[0] == CONSTANT).any()), bool((columns[1] == CONSTANT).any())
 
     def spread_out(self, shape: tuple[int, ...]) -> SceneTable:
         """This table with a row for each environment."""

@@ -30,43 +30,43 @@ from jackbox_env.compiled.workspace import Array, Workspace
 from jackbox_env.scene import SceneNumbers
 
 
-def advance(scene: SceneNumbers, work: Workspace, log: Array, piece: Piece, touch: Touch, since: float) -> Status:
-    """Advance the state ``work.state`` from ``since`` [s] to the end of a piece; return how it ended.
+def advance(scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, touch: Touch, since: float) -> Status:
+    """Advance the state ``memory.state`` from ``since`` [s] to the end of a piece; return how it ended.
 
-    The state is in a frame near the box; ``work`` holds the polynomial accelerations.
+    The state is in a frame near the box; ``memory`` holds the polynomial accelerations.
     """
-    work.loose = 0
+    memory.loose = 0
     restless = False  # whether the state has been found to be without a foot at rest
     while since < piece.length:
         remaining = piece.length - since
-        near = resolution(scene, work, touch)
-        left = min(remaining, GLANCE * piece.length) if rests(scene, work) else remaining
-        flight = flight_of(scene, work.state, piece, since)
+        near = resolution(scene, memory, touch)
+        left = min(remaining, GLANCE * piece.length) if rests(scene, memory) else remaining
+        flight = flight_of(scene, memory.state, piece, since)
         rest = -math.inf if restless else near
-        time, pair = first_impact(scene, work, flight, piece, left, touch.tolerance, rest)
+        time, pair = first_impact(scene, memory, flight, piece, left, touch.tolerance, rest)
         if pair == AT_REST:
             limits = Limits(curvature_of(scene, flight, left, piece), left, touch.tolerance)
             slow = slowest(scene, flight, limits, near)
-            held = settle(scene, work, piece, since, touch, near, slow)
+            held = settle(scene, memory, piece, since, touch, near, slow)
             if held == 0:
                 restless = True
                 continue
-            ended, time = hold(scene, work, log, piece, touch, near, since, held)
+            ended, time = hold(scene, memory, log, piece, touch, near, since, held)
             if ended != Status.DONE:
                 return ended
             since += time
             continue
         restless = False
-        work.loose = 0
+        memory.loose = 0
         if pair == ENDLESS:
-            return why_endless(work)
+            return why_endless(memory)
         if pair == NONE:
-            evolve(work, flight, left)
-            work.elapsed += left
+            evolve(memory, flight, left)
+            memory.elapsed += left
             if left == remaining:
                 return Status.DONE
             since += left
             continue
-        strike(scene, work, log, flight, time, pair, near)
+        strike(scene, memory, log, flight, time, pair, near)
         since += time
     return Status.DONE

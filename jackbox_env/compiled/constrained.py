@@ -66,41 +66,41 @@ _RESOLVED = 1e-15  # last powers of the rates, over a speed
 _PULL = 1e-12  # of the largest force in a stretch: that much a wall may pull before it lets go
 
 
-def product(work: Workspace, one: int, other: int, k: int) -> float:
+def product(memory: Workspace, one: int, other: int, k: int) -> float:
     """Power k of the product of two series."""
     total = 0.0
     for j in range(k + 1):
-        total += work.series[one, j] * work.series[other, k - j]
+        total += memory.series[one, j] * memory.series[other, k - j]
     return total
 
 
-def earlier(work: Workspace, one: int, other: int, k: int) -> float:
+def earlier(memory: Workspace, one: int, other: int, k: int) -> float:
     """Power k of the product of two series, but for what power k of the second adds to it."""
     total = 0.0
     for j in range(1, k + 1):
-        total += work.series[one, j] * work.series[other, k - j]
+        total += memory.series[one, j] * memory.series[other, k - j]
     return total
 
 
-def drive_series(work: Workspace, piece: Piece, since: float, length: float) -> None:
+def drive_series(memory: Workspace, piece: Piece, since: float, length: float) -> None:
     """Fill in what the drive gives the box, from ``since`` [s] after the piece's start on."""
-    series = work.series
+    series = memory.series
     for k in range(DEGREE + 1):
         series[DRIVEN, k] = series[PUSHED_X, k] = series[PUSHED_Y, k] = 0.0
     series[DRIVEN, 0] = piece.alpha * length * length
     if piece.curved:
-        shift(work, TURN, DRIVEN, piece, since, length)
+        shift(memory, TURN, DRIVEN, piece, since, length)
     if piece.pushed:
-        shift(work, PUSH_X, PUSHED_X, piece, since, length)
-        shift(work, PUSH_Y, PUSHED_Y, piece, since, length)
+        shift(memory, PUSH_X, PUSHED_X, piece, since, length)
+        shift(memory, PUSH_Y, PUSHED_Y, piece, since, length)
 
 
-def shift(work: Workspace, axis: int, row: int, piece: Piece, since: float, length: float) -> None:
+def shift(memory: Workspace, axis: int, row: int, piece: Piece, since: float, length: float) -> None:
     """Write a piece's polynomial acceleration as powers of the time since another moment (Horner's scheme)."""
-    series = work.series
+    series = memory.series
     start, share = 2.0 * since / piece.length - 1.0, 2.0 * length / piece.length
     for k in range(DEGREE + 1):
-        series[row, k] = work.powers[3 * axis, k]
+        series[row, k] = memory.powers[3 * axis, k]
     for i in range(DEGREE):
         for j in range(DEGREE - 1, i - 1, -1):
             series[row, j] += start * series[row, j + 1]
@@ -110,9 +110,9 @@ def shift(work: Workspace, axis: int, row: int, piece: Piece, since: float, leng
         scale *= share
 
 
-def begin(work: Workspace, view: View, angle: float, omega: float, psi: float, length: float) -> None:
+def begin(memory: Workspace, view: View, angle: float, omega: float, psi: float, length: float) -> None:
     """Fill in the lowest powers."""
-    series = work.series
+    series = memory.series
     frame = view.frame
     series[PLACE_X, 0], series[PLACE_Y, 0] = frame.x, frame.y
     series[PSI, 0], series[TURNED, 0] = psi, 0.0
@@ -124,95 +124,95 @@ def begin(work: Workspace, view: View, angle: float, omega: float, psi: float, l
     series[BOX_COSINE, 0], series[BOX_SINE, 0] = cos_sin(angle)
 
 
-def expand(scene: SceneNumbers, work: Workspace, length: float, pushed: bool) -> None:
+def expand(scene: SceneNumbers, memory: Workspace, length: float, pushed: bool) -> None:
     """Fill in all powers, from the lowest and the drive's, for a stretch of ``length`` [s].
 
-    The inverse of J M^-1 J^T at its start is in ``work.inverse``.
+    The inverse of J M^-1 J^T at its start is in ``memory.inverse``.
     """
-    series = work.series
-    count, gravity = work.holding, scene.gravity * length * length
+    series = memory.series
+    count, gravity = memory.holding, scene.gravity * length * length
     pliancy = 1.0 / scene.box_mass + 1.0 / scene.jack_mass
     for k in range(DEGREE + 1):
-        series[OMEGA_SQUARED, k] = product(work, OMEGA, OMEGA, k)
-        series[SPIN_SQUARED, k] = product(work, SPIN, SPIN, k)
-        x = 2.0 * product(work, OMEGA, RATE_Y, k) + product(work, OMEGA_SQUARED, PLACE_X, k)
-        y = -2.0 * product(work, OMEGA, RATE_X, k) + product(work, OMEGA_SQUARED, PLACE_Y, k)
+        series[OMEGA_SQUARED, k] = product(memory, OMEGA, OMEGA, k)
+        series[SPIN_SQUARED, k] = product(memory, SPIN, SPIN, k)
+        x = 2.0 * product(memory, OMEGA, RATE_Y, k) + product(memory, OMEGA_SQUARED, PLACE_X, k)
+        y = -2.0 * product(memory, OMEGA, RATE_X, k) + product(memory, OMEGA_SQUARED, PLACE_Y, k)
         x -= gravity * series[BOX_SINE, k]
         y -= gravity * series[BOX_COSINE, k]
         if pushed:
-            x -= product(work, BOX_COSINE, PUSHED_X, k) + product(work, BOX_SINE, PUSHED_Y, k)
-            y -= product(work, BOX_COSINE, PUSHED_Y, k) - product(work, BOX_SINE, PUSHED_X, k)
-        solve_forces(scene, work, count, k, x, y)
+            x -= product(memory, BOX_COSINE, PUSHED_X, k) + product(memory, BOX_SINE, PUSHED_Y, k)
+            y -= product(memory, BOX_COSINE, PUSHED_Y, k) - product(memory, BOX_SINE, PUSHED_X, k)
+        solve_forces(scene, memory, count, k, x, y)
         for place in range(count):
-            n_x, n_y = quarter(1.0, 0.0, work.pairs[place] // 4)
+            n_x, n_y = quarter(1.0, 0.0, memory.pairs[place] // 4)
             x -= pliancy * n_x * series[FORCE + place, k]
             y -= pliancy * n_y * series[FORCE + place, k]
-        x += product(work, ALPHA, PLACE_Y, k)
-        y -= product(work, ALPHA, PLACE_X, k)
+        x += product(memory, ALPHA, PLACE_Y, k)
+        y -= product(memory, ALPHA, PLACE_X, k)
         share, later = SHARES[k], SHARES[k + 1]
         series[RATE_X, k + 1], series[RATE_Y, k + 1] = share * x, share * y
         series[SPIN, k + 1] = share * (series[JACK_ALPHA, k] - series[ALPHA, k])
         for place in range(3):
             series[PLACE_X + place, k + 2] = later * series[RATE_X + place, k + 1]
-        turn(work, k)
-        series[COSINE, k + 1] = -share * product(work, SINE, SPIN, k)
-        series[SINE, k + 1] = share * product(work, COSINE, SPIN, k)
+        turn(memory, k)
+        series[COSINE, k + 1] = -share * product(memory, SINE, SPIN, k)
+        series[SINE, k + 1] = share * product(memory, COSINE, SPIN, k)
 
 
-def solve_forces(scene: SceneNumbers, work: Workspace, count: int, k: int, x: float, y: float) -> None:
+def solve_forces(scene: SceneNumbers, memory: Workspace, count: int, k: int, x: float, y: float) -> None:
     """Fill in power k of the forces at held feet, and of the angular accelerations that they leave.
 
     ``x`` and ``y`` are power k of the relative acceleration without forces and without alpha.
     """
-    series = work.series
+    series = memory.series
     box = jack = 0.0
     for place in range(count):
-        write_levers(scene, work, place, k)
-        box += earlier(work, BOX_LEVER + place, FORCE + place, k)
-        jack += earlier(work, JACK_LEVER + place, FORCE + place, k)
+        write_levers(scene, memory, place, k)
+        box += earlier(memory, BOX_LEVER + place, FORCE + place, k)
+        jack += earlier(memory, JACK_LEVER + place, FORCE + place, k)
     series[ALPHA, k] = series[DRIVEN, k] + box / scene.box_inertia
     series[JACK_ALPHA, k] = jack / scene.jack_inertia
     for place in range(count):
-        n_x, n_y = quarter(1.0, 0.0, work.pairs[place] // 4)
-        missing = n_x * x + n_y * y - product(work, EXTENT + place, SPIN_SQUARED, k)
-        missing -= product(work, BOX_LEVER + place, ALPHA, k) + product(work, JACK_LEVER + place, JACK_ALPHA, k)
-        work.lack[place] = missing
-    solve(scene, work, count, k)
+        n_x, n_y = quarter(1.0, 0.0, memory.pairs[place] // 4)
+        missing = n_x * x + n_y * y - product(memory, EXTENT + place, SPIN_SQUARED, k)
+        missing -= product(memory, BOX_LEVER + place, ALPHA, k) + product(memory, JACK_LEVER + place, JACK_ALPHA, k)
+        memory.lack[place] = missing
+    solve(scene, memory, count, k)
 
 
-def write_levers(scene: SceneNumbers, work: Workspace, place: int, k: int) -> None:
+def write_levers(scene: SceneNumbers, memory: Workspace, place: int, k: int) -> None:
     """Fill in power k of a held foot's levers and extent."""
-    series = work.series
-    wall, foot = work.pairs[place] // 4, work.pairs[place] % 4
+    series = memory.series
+    wall, foot = memory.pairs[place] // 4, memory.pairs[place] % 4
     along, across = quarter(series[COSINE, k], series[SINE, k], foot - wall)
     _, aside = quarter(series[PLACE_X, k], -series[PLACE_Y, k], wall)  # -n^perp . (X, Y)
     series[EXTENT + place, k], series[JACK_LEVER + place, k] = scene.jack_arm * along, scene.jack_arm * across
     series[BOX_LEVER + place, k] = aside - series[JACK_LEVER + place, k]
 
 
-def invert(work: Workspace, count: int) -> None:
-    """Fill in (J M^-1 J^T)^-1 = R^-1 R^-T, from R = ``work.tall`` times ``work.lengths``, upper triangular."""
+def invert(memory: Workspace, count: int) -> None:
+    """Fill in (J M^-1 J^T)^-1 = R^-1 R^-T, from R = ``memory.tall`` times ``memory.lengths``, upper triangular."""
     for a in range(count):
         for b in range(a + 1):
-            work.spare[b] = 1.0 if a == b else 0.0
+            memory.spare[b] = 1.0 if a == b else 0.0
         for b in range(a, -1, -1):  # column a of R^-1
             for c in range(b + 1, a + 1):
-                work.spare[b] -= work.tall[b, c] * work.lengths[c] * work.spare[c]
-            work.spare[b] /= work.tall[b, b] * work.lengths[b]
+                memory.spare[b] -= memory.tall[b, c] * memory.lengths[c] * memory.spare[c]
+            memory.spare[b] /= memory.tall[b, b] * memory.lengths[b]
         for b in range(a + 1):
             for c in range(a + 1):
-                before = work.inverse[b, c] if b < a and c < a else 0.0
-                work.inverse[b, c] = before + work.spare[b] * work.spare[c]
+                before = memory.inverse[b, c] if b < a and c < a else 0.0
+                memory.inverse[b, c] = before + memory.spare[b] * memory.spare[c]
 
 
-def solve(scene: SceneNumbers, work: Workspace, count: int, k: int) -> None:
-    """Turn power k of what J qddot lacks, in ``work.lack``, into forces and what they do to angular accelerations."""
-    series = work.series
+def solve(scene: SceneNumbers, memory: Workspace, count: int, k: int) -> None:
+    """Turn power k of what J qddot lacks, in ``memory.lack``, into forces and what they do to angular accelerations."""
+    series = memory.series
     box, jack = 0.0, 0.0
     for place in range(count):
         force = 0.0
         for other in range(count):
-            force += work.inverse[place, other] * work.lack[other]
+            force += memory.inverse[place, other] * memory.lack[other]
         series[FORCE + place, k] = force
         box += series[BOX_LEVER + place, 0] * force
         jack += series[JACK_LEVER + place, 0] * force
@@ -220,48 +220,48 @@ def solve(scene: SceneNumbers, work: Workspace, count: int, k: int) -> None:
     series[JACK_ALPHA, k] += jack / scene.jack_inertia
 
 
-def expand_rigid(scene: SceneNumbers, work: Workspace, length: float, pushed: bool) -> None:
+def expand_rigid(scene: SceneNumbers, memory: Workspace, length: float, pushed: bool) -> None:
     """What :func:`expand` does where three feet are held: the jack cannot move in the box and turns with it.
 
     Nothing but the box's angle changes: that of a rigid body on which the weight of the jack has a lever.
     """
-    series = work.series
+    series = memory.series
     gravity, x0, y0 = scene.gravity * length * length, series[PLACE_X, 0], series[PLACE_Y, 0]
     for row in (PLACE_X, PLACE_Y, PSI, RATE_X, RATE_Y, SPIN):
         for k in range(0 if row >= RATE_X else 1, DEGREE + 3):
             series[row, k] = 0.0
     for place in range(3):
-        write_levers(scene, work, place, 0)
+        write_levers(scene, memory, place, 0)
     for k in range(DEGREE + 1):
-        squared = product(work, OMEGA, OMEGA, k)
+        squared = product(memory, OMEGA, OMEGA, k)
         x, y = squared * x0 - gravity * series[BOX_SINE, k], squared * y0 - gravity * series[BOX_COSINE, k]
         if pushed:
-            x -= product(work, BOX_COSINE, PUSHED_X, k) + product(work, BOX_SINE, PUSHED_Y, k)
-            y -= product(work, BOX_COSINE, PUSHED_Y, k) - product(work, BOX_SINE, PUSHED_X, k)
+            x -= product(memory, BOX_COSINE, PUSHED_X, k) + product(memory, BOX_SINE, PUSHED_Y, k)
+            y -= product(memory, BOX_COSINE, PUSHED_Y, k) - product(memory, BOX_SINE, PUSHED_X, k)
         series[ALPHA, k], series[JACK_ALPHA, k] = series[DRIVEN, k], 0.0
         for place in range(3):
-            n_x, n_y = quarter(1.0, 0.0, work.pairs[place] // 4)
-            work.lack[place] = n_x * x + n_y * y - series[BOX_LEVER + place, 0] * series[DRIVEN, k]
-        solve(scene, work, 3, k)
-        turn(work, k)
+            n_x, n_y = quarter(1.0, 0.0, memory.pairs[place] // 4)
+            memory.lack[place] = n_x * x + n_y * y - series[BOX_LEVER + place, 0] * series[DRIVEN, k]
+        solve(scene, memory, 3, k)
+        turn(memory, k)
 
 
-def turn(work: Workspace, k: int) -> None:
+def turn(memory: Workspace, k: int) -> None:
     """Fill in what follows for the box's angle from power k of its angular acceleration."""
-    series = work.series
+    series = memory.series
     share = SHARES[k]
     series[OMEGA, k + 1] = share * series[ALPHA, k]
     series[TURNED, k + 2] = SHARES[k + 1] * series[OMEGA, k + 1]
-    series[BOX_COSINE, k + 1] = -share * product(work, BOX_SINE, OMEGA, k)
-    series[BOX_SINE, k + 1] = share * product(work, BOX_COSINE, OMEGA, k)
+    series[BOX_COSINE, k + 1] = -share * product(memory, BOX_SINE, OMEGA, k)
+    series[BOX_SINE, k + 1] = share * product(memory, BOX_COSINE, OMEGA, k)
 
 
-def stretch(scene: SceneNumbers, work: Workspace, piece: Piece, since: float, view: View) -> float:
+def stretch(scene: SceneNumbers, memory: Workspace, piece: Piece, since: float, view: View) -> float:
     """Find the motion with held feet from ``since`` [s] after the piece's start; return for how long it holds [s].
 
     That is what is left of the piece, or as long as its last powers are rounding; 0 if no time is so short.
     """
-    state, length = work.state, piece.length - since
+    state, length = memory.state, piece.length - since
     frame = view.frame
     speed = scene.speed_scale + abs(frame.vx) + abs(frame.vy)
     speed += scene.box_half_width * abs(state[8]) + scene.jack_arm * abs(view.spin)
@@ -269,25 +269,25 @@ def stretch(scene: SceneNumbers, work: Workspace, piece: Piece, since: float, vi
     turning += math.sqrt((scene.gravity + piece.push) / scene.jack_arm)
     if turning * length > 1.0:
         length = 1.0 / turning
-    drive_series(work, piece, since, length)
-    begin(work, view, state[2], state[8], state[5] - state[2], length)
-    invert(work, work.holding)
-    if work.holding == 3:
-        expand_rigid(scene, work, length, piece.pushed)
+    drive_series(memory, piece, since, length)
+    begin(memory, view, state[2], state[8], state[5] - state[2], length)
+    invert(memory, memory.holding)
+    if memory.holding == 3:
+        expand_rigid(scene, memory, length, piece.pushed)
     else:
-        expand(scene, work, length, piece.pushed)
-    work.looks += DEGREE + 1.0
-    while not resolved(scene, work, speed * length):
+        expand(scene, memory, length, piece.pushed)
+    memory.looks += DEGREE + 1.0
+    while not resolved(scene, memory, speed * length):
         length *= 0.5
-        halve(work)
+        halve(memory)
         if not since + length > since:
             return 0.0
     return length
 
 
-def resolved(scene: SceneNumbers, work: Workspace, way: float) -> bool:
+def resolved(scene: SceneNumbers, memory: Workspace, way: float) -> bool:
     """Whether the last two powers of the rates are rounding against a ``way`` [m]."""
-    series = work.series
+    series = memory.series
     tail = 0.0
     for k in (DEGREE, DEGREE + 1):
         tail = max(tail, abs(series[RATE_X, k]) + abs(series[RATE_Y, k]))
@@ -295,9 +295,9 @@ def resolved(scene: SceneNumbers, work: Workspace, way: float) -> bool:
     return bool(tail <= _RESOLVED * way)
 
 
-def halve(work: Workspace) -> None:
+def halve(memory: Workspace) -> None:
     """Take half the stretch: powers and rates are per stretch."""
-    series = work.series
+    series = memory.series
     share = 1.0
     for k in range(DEGREE + 3):
         for place in range(4):
@@ -308,9 +308,9 @@ def halve(work: Workspace) -> None:
         share *= 0.5
 
 
-def curvature_while_held(scene: SceneNumbers, work: Workspace, length: float) -> float:
+def curvature_while_held(scene: SceneNumbers, memory: Workspace, length: float) -> float:
     """Bound of a gap's second derivative over a stretch of ``length`` [s], from the powers [m/s^2]."""
-    series = work.series
+    series = memory.series
     x, y, spin, spin_up = 0.0, 0.0, abs(series[SPIN, 0]), 0.0
     for k in range(1, DEGREE + 2):
         x += k * abs(series[RATE_X, k])
@@ -321,19 +321,19 @@ def curvature_while_held(scene: SceneNumbers, work: Workspace, length: float) ->
     return float(bound * (1.0 + 1e-12) / (length * length))
 
 
-def carry(scene: SceneNumbers, work: Workspace, flight: Flight, free: Flight, s: float) -> None:
+def carry(scene: SceneNumbers, memory: Workspace, flight: Flight, free: Flight, s: float) -> None:
     """Move the state ``s`` [s] along a stretch with held feet; ``free`` is the same start without them, for the drive.
 
     The common centre of mass falls as if alone, and box and jack stand about it as the powers say.
     """
-    series = work.series
-    state, u = work.state, s / flight.half
+    series = memory.series
+    state, u = memory.state, s / flight.half
     mass = scene.box_mass + scene.jack_mass
     share = scene.jack_mass / mass  # of the way between the centres, from the box's to the common one
     turned, omega = horner(series[TURNED], DEGREE + 2, u), horner(series[OMEGA], DEGREE + 1, u) / flight.half
     state[2] += turned
     state[5] += turned + (horner(series[PSI], DEGREE + 2, u) - series[PSI, 0])
-    view = held_view(flight, work, s)
+    view = held_view(flight, memory, s)
     cosine, sine = cos_sin(state[2])
     x, y = on_axes(cosine, -sine, view.frame.x, view.frame.y)
     vx, vy = view.frame.vx - omega * view.frame.y, view.frame.vy + omega * view.frame.x
@@ -341,9 +341,9 @@ def carry(scene: SceneNumbers, work: Workspace, flight: Flight, free: Flight, s:
     fallen, falling = -0.5 * share * scene.gravity * s * s, -share * scene.gravity * s
     drifted = drifting = 0.0
     if free.pushed:
-        way, rate = excursion(work, PUSH_X, free, s)
+        way, rate = excursion(memory, PUSH_X, free, s)
         drifted, drifting = (1.0 - share) * way, (1.0 - share) * rate
-        way, rate = excursion(work, PUSH_Y, free, s)
+        way, rate = excursion(memory, PUSH_Y, free, s)
         fallen, falling = fallen + (1.0 - share) * way, falling + (1.0 - share) * rate
     common_x = state[6] + share * (state[9] - state[6])
     common_y = state[7] + share * (state[10] - state[7])
@@ -355,22 +355,22 @@ def carry(scene: SceneNumbers, work: Workspace, flight: Flight, free: Flight, s:
     state[8], state[11] = omega, omega + view.spin
 
 
-def first_let_go(work: Workspace, count: int, length: float) -> tuple[float, int]:
+def first_let_go(memory: Workspace, count: int, length: float) -> tuple[float, int]:
     """When the first held foot is let go [s], and its place; the stretch's ``length`` and -1 if none is."""
     end, loose, peak = length, -1, 0.0
     for place in range(count):
         for k in range(DEGREE + 1):
-            peak = max(peak, abs(work.series[FORCE + place, k]))
+            peak = max(peak, abs(memory.series[FORCE + place, k]))
     for place in range(count):
-        time = let_go(work, place, length, peak)
+        time = let_go(memory, place, length, peak)
         if time < end:
             end, loose = time, place
     return end, loose
 
 
-def let_go(work: Workspace, place: int, length: float, peak: float) -> float:
+def let_go(memory: Workspace, place: int, length: float, peak: float) -> float:
     """When a held foot's force falls to 0 and the wall would have to pull, in [s]; infinity if it never does."""
-    powers = work.series[FORCE + place]
+    powers = memory.series[FORCE + place]
     curvature = 0.0
     for k in range(2, DEGREE + 1):
         curvature += k * (k - 1.0) * abs(powers[k])
@@ -380,23 +380,23 @@ def let_go(work: Workspace, place: int, length: float, peak: float) -> float:
     if least > 0.0:
         return math.inf
     margin, u = _PULL * peak, 0.0
-    while work.looks <= MOST_WORK:
+    while memory.looks <= MOST_WORK:
         force, slope = powers[DEGREE], 0.0
         for k in range(DEGREE - 1, -1, -1):
             slope = force + u * slope
             force = powers[k] + u * force
         if force + margin <= 0.5 * margin:
             return u * length
-        work.looks += 1.0
+        memory.looks += 1.0
         u += parabola_root(force + margin, slope, curvature)
         if not u <= 1.0:
             return math.inf
     return math.inf
 
 
-def impulse_of(work: Workspace, place: int, u: float) -> float:
+def impulse_of(memory: Workspace, place: int, u: float) -> float:
     """A held foot's impulse up to ``u``, times the stretch's length [N s^2]."""
     impulse = 0.0
     for k in range(DEGREE, -1, -1):
-        impulse = SHARES[k] * work.series[FORCE + place, k] + impulse * u
+        impulse = SHARES[k] * memory.series[FORCE + place, k] + impulse * u
     return impulse * u

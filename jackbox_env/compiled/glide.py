@@ -172,7 +172,7 @@ def ordinary(scene: SceneNumbers) -> float:
     return _ORDINARY * min(1.0, min(scene.box_half_width, scene.speed_scale))
 
 
-def glide_under_chirp(scene: SceneNumbers, plan: Plan, block: Block, work: Workspace) -> bool:
+def glide_under_chirp(scene: SceneNumbers, plan: Plan, block: Block, memory: Workspace) -> bool:
     """Fly the lanes that are at the time of the first one under the chirp, and mark all others.
 
     The chirp's integrals are worked out once for all of them. Returns False, with nothing done, where that is not
@@ -205,9 +205,9 @@ def glide_under_chirp(scene: SceneNumbers, plan: Plan, block: Block, work: Works
     frequency = scene.chirp_start_frequency + scene.chirp_rate * time
     length, impulse = dt / pieces, 0.0
     for number in range(pieces):
-        chirp_piece(scene, turns, frequency, number * length, length, work)
-        angle = horner(work.powers[3 * TURN + 2], DEGREE + 2, 1.0)
-        rate = horner(work.powers[3 * TURN + 1], DEGREE + 1, 1.0)
+        chirp_piece(scene, turns, frequency, number * length, length, memory)
+        angle = horner(memory.powers[3 * TURN + 2], DEGREE + 2, 1.0)
+        rate = horner(memory.powers[3 * TURN + 1], DEGREE + 1, 1.0)
         impulse += rate
         drift(block, scene.gravity, length, angle, rate)
     mean = scene.box_inertia * impulse / dt

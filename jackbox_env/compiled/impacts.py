@@ -80,50 +80,50 @@ def frame_of(state: Array) -> Frame:
     return Frame(state[3] - state[0], state[4] - state[1], c, s, cp, sp)
 
 
-def list_touching(scene: SceneNumbers, work: Workspace, tolerance: float, wall: int, foot: int) -> int:
+def list_touching(scene: SceneNumbers, memory: Workspace, tolerance: float, wall: int, foot: int) -> int:
     """List the contacts within ``tolerance`` [m], and that of ``wall`` and ``foot``; return how many there are."""
-    frame = frame_of(work.state)
+    frame = frame_of(memory.state)
     count = 0
     for k in range(4):
         for i in range(4):
-            gap = gradient(scene, frame, k, i, work.gradients[count])
+            gap = gradient(scene, frame, k, i, memory.gradients[count])
             if gap <= tolerance or (k == wall and i == foot):
-                work.pairs[count], work.impulses[count] = 4 * k + i, 0.0
+                memory.pairs[count], memory.impulses[count] = 4 * k + i, 0.0
                 count += 1
     return count
 
 
-def resolve(scene: SceneNumbers, work: Workspace, log: Array, tolerance: float, wall: int, foot: int) -> None:
+def resolve(scene: SceneNumbers, memory: Workspace, log: Array, tolerance: float, wall: int, foot: int) -> None:
     """Apply the law to every contact within ``tolerance`` [m], and to that of ``wall`` and ``foot`` in any case.
 
-    Changes the rates in ``work`` and notes the impacts.
+    Changes the rates in ``memory`` and notes the impacts.
     """
-    state = work.state
-    count = list_touching(scene, work, tolerance, wall, foot)
+    state = memory.state
+    count = list_touching(scene, memory, tolerance, wall, foot)
     if count == 1:
-        work.impulses[0] = bounce(scene, state, work.gradients[0])
+        memory.impulses[0] = bounce(scene, state, memory.gradients[0])
     else:
-        bounce_together(scene, work, count)
+        bounce_together(scene, memory, count)
     for number in range(count):
-        if work.impulses[number] > 0.0:
-            note(work, log, work.elapsed, work.pairs[number], work.impulses[number])
+        if memory.impulses[number] > 0.0:
+            note(memory, log, memory.elapsed, memory.pairs[number], memory.impulses[number])
 
 
-def note(work: Workspace, log: Array, time: float, pair: int, impulse: float) -> None:
+def note(memory: Workspace, log: Array, time: float, pair: int, impulse: float) -> None:
     """Count an impact, and record it where there is room.
 
     Args:
-        work: memory that counts.
+        memory: that counts.
         log: memory that records, see ``workspace.new_log``.
         time: since the step's start [s].
         pair: 4 * wall + foot.
         impulse: [N s].
     """
-    if work.hits < log.shape[0]:
-        log[work.hits, 0], log[work.hits, 1], log[work.hits, 2] = time, pair // 4, pair % 4
-        log[work.hits, 3] = impulse
-    work.hits += 1
-    work.impulse += impulse
+    if memory.hits < log.shape[0]:
+        log[memory.hits, 0], log[memory.hits, 1], log[memory.hits, 2] = time, pair // 4, pair % 4
+        log[memory.hits, 3] = impulse
+    memory.hits += 1
+    memory.impulse += impulse
 
 
 def bounce(scene: SceneNumbers, state: Array, row: Array) -> float:
@@ -155,28 +155,28 @@ def kick(scene: SceneNumbers, rates: Array, row: Array, impulse: float) -> None:
     rates[5] += row[5] * impulse / scene.jack_inertia
 
 
-def bounce_together(scene: SceneNumbers, work: Workspace, count: int) -> None:
+def bounce_together(scene: SceneNumbers, memory: Workspace, count: int) -> None:
     """Several contacts: reflect the rates at their projection on the cone of rates that close no gap."""
-    weigh(scene, work, count, work.state[6:])
+    weigh(scene, memory, count, memory.state[6:])
     for i in range(count):
-        work.bias[i] = 0.0
-    chosen = nearest(work, count)
+        memory.bias[i] = 0.0
+    chosen = nearest(memory, count)
     for place in range(3):
         number = chosen[place]
         if number >= 0:
-            impulse = (1.0 + scene.restitution) * work.best[place] / work.lengths[number]
-            work.impulses[number] = impulse
-            kick(scene, work.state[6:], work.gradients[number], impulse)
+            impulse = (1.0 + scene.restitution) * memory.best[place] / memory.lengths[number]
+            memory.impulses[number] = impulse
+            kick(scene, memory.state[6:], memory.gradients[number], impulse)
 
 
-def nearest(work: Workspace, count: int) -> tuple[int, int, int]:
+def nearest(memory: Workspace, count: int) -> tuple[int, int, int]:
     """The contacts, -1 for none, that push the weighted rates v to the nearest point with w v + bias >= 0 everywhere.
 
-    Their pushes are in ``work.best``. By trying all sets of one, two and three of ``count`` contacts.
+    Their pushes are in ``memory.best``. By trying all sets of one, two and three of ``count`` contacts.
     """
     lowest = 0.0
     for i in range(count):
-        lowest = min(lowest, dot(work.units[i], work.rates) + work.bias[i])
+        lowest = min(lowest, dot(memory.units[i], memory.rates) + memory.bias[i])
     if lowest >= 0.0:
         return -1, -1, -1  # nothing approaches
     least = math.inf
@@ -187,22 +187,22 @@ def nearest(work: Workspace, count: int) -> tuple[int, int, int]:
                 if k == j and j != i:
                     continue  # sets of one (i, i, i), two (i, i, k) and three (i, j, k)
                 size = 1 if k == i else 2 if j == i else 3
-                violation = violation_of(work, count, size, k, i, j)
+                violation = violation_of(memory, count, size, k, i, j)
                 if violation < least:
                     least = violation
                     one, two, three = k, i if size > 1 else -1, j if size > 2 else -1
                     for place in range(3):
-                        work.best[place] = work.pushes[place]
+                        memory.best[place] = memory.pushes[place]
     return one, two, three
 
 
-def violation_of(work: Workspace, count: int, size: int, one: int, two: int, three: int) -> float:
+def violation_of(memory: Workspace, count: int, size: int, one: int, two: int, three: int) -> float:
     """By how much a set's projection closes gaps; infinity if its rows depend on each other or a push pulls."""
-    if not (project(work, size, one, two, three) and pushing(work, size)):
+    if not (project(memory, size, one, two, three) and pushing(memory, size)):
         return math.inf
     violation = 0.0
     for other in range(count):
-        violation = max(violation, -(dot(work.units[other], work.point) + work.bias[other]))
+        violation = max(violation, -(dot(memory.units[other], memory.point) + memory.bias[other]))
     return violation
 
 
@@ -212,17 +212,17 @@ def root_mass(scene: SceneNumbers, place: int) -> float:
     return math.sqrt(scene.jack_inertia if place == 5 else mass)
 
 
-def weigh(scene: SceneNumbers, work: Workspace, count: int, rates: Array) -> None:
+def weigh(scene: SceneNumbers, memory: Workspace, count: int, rates: Array) -> None:
     """Fill in v = M^1/2 ``rates``, the rows of J M^-1/2 at length 1, and their lengths."""
     for place in range(6):
         root = root_mass(scene, place)
-        work.rates[place] = root * rates[place]
+        memory.rates[place] = root * rates[place]
         for i in range(count):
-            work.units[i, place] = work.gradients[i, place] / root
+            memory.units[i, place] = memory.gradients[i, place] / root
     for i in range(count):
-        work.lengths[i] = math.sqrt(dot(work.units[i], work.units[i]))
+        memory.lengths[i] = math.sqrt(dot(memory.units[i], memory.units[i]))
         for place in range(6):
-            work.units[i, place] /= work.lengths[i]
+            memory.units[i, place] /= memory.lengths[i]
 
 
 def dot(a: Array, b: Array) -> float:
@@ -230,47 +230,47 @@ def dot(a: Array, b: Array) -> float:
     return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] + a[4] * b[4] + a[5] * b[5])
 
 
-def project(work: Workspace, size: int, one: int, two: int, three: int) -> bool:
+def project(memory: Workspace, size: int, one: int, two: int, three: int) -> bool:
     """Project the weighted rates v on where ``size`` rows have w v + bias = 0: the point v + sum of pushes times rows.
 
     Returns whether the rows are independent. By modified Gram-Schmidt, rows = tall^T base.
     """
-    point, pushes = work.point, work.pushes
+    point, pushes = memory.point, memory.pushes
     for place in range(6):
-        point[place] = work.rates[place]
+        point[place] = memory.rates[place]
     for a in range(size):
         picked = one if a == 0 else two if a == 1 else three
         for place in range(6):
-            work.basis[a, place] = work.units[picked, place]
+            memory.basis[a, place] = memory.units[picked, place]
         for turn in range(2):  # twice is enough to be orthogonal to rounding (Giraud et al. 2005)
             for b in range(a):
-                share = dot(work.basis[b], work.basis[a])
-                work.tall[b, a] = share if turn == 0 else work.tall[b, a] + share
+                share = dot(memory.basis[b], memory.basis[a])
+                memory.tall[b, a] = share if turn == 0 else memory.tall[b, a] + share
                 for place in range(6):
-                    work.basis[a, place] -= share * work.basis[b, place]
-        length = math.sqrt(dot(work.basis[a], work.basis[a]))
+                    memory.basis[a, place] -= share * memory.basis[b, place]
+        length = math.sqrt(dot(memory.basis[a], memory.basis[a]))
         if length < _DEPENDENT:
             return False
-        work.tall[a, a] = length
+        memory.tall[a, a] = length
         for place in range(6):
-            work.basis[a, place] /= length
-        goal = work.bias[picked]
+            memory.basis[a, place] /= length
+        goal = memory.bias[picked]
         for b in range(a):
-            goal += work.tall[b, a] * work.goals[b]
-        work.goals[a] = 0.0 - goal / length
-        pushes[a] = -(dot(work.basis[a], point) - work.goals[a])
+            goal += memory.tall[b, a] * memory.goals[b]
+        memory.goals[a] = 0.0 - goal / length
+        pushes[a] = -(dot(memory.basis[a], point) - memory.goals[a])
         for place in range(6):
-            point[place] += pushes[a] * work.basis[a, place]
+            point[place] += pushes[a] * memory.basis[a, place]
     for a in range(size - 1, -1, -1):
         for b in range(a + 1, size):
-            pushes[a] -= work.tall[a, b] * pushes[b]
-        pushes[a] /= work.tall[a, a]
+            pushes[a] -= memory.tall[a, b] * pushes[b]
+        pushes[a] /= memory.tall[a, a]
     return True
 
 
-def pushing(work: Workspace, size: int) -> bool:
+def pushing(memory: Workspace, size: int) -> bool:
     """Whether no push of a projection pulls."""
     pulling = False
     for a in range(size):
-        pulling |= work.pushes[a] < 0.0
+        pulling |= memory.pushes[a] < 0.0
     return not pulling

@@ -21,7 +21,7 @@ from jackbox_env.compiled.score import look_block
 from jackbox_env.compiled.status import Status
 from jackbox_env.compiled.step import (
     CHIRP,
-    HELD,
+    CONSTANT,
     Pieces,
     Plan,
     clear_tally,
@@ -79,7 +79,7 @@ class Results(NamedTuple):
 def step_blocks(
     scenes: tuple[Array, Array, Counts], rules: tuple[float, float, bool, int], blocks: tuple[Array, Array],
     given: tuple[Array, Array, Counts], span: tuple[int, int], results: tuple[Floats, Array, Flags, Array],
-    memory: tuple[Array, Workspaces, Array],
+    memories: tuple[Array, Workspaces, Array],
 ) -> tuple[int, int, int]:  # fmt: skip
     """Step the environments of some blocks whose episodes are not over.
 
@@ -101,8 +101,8 @@ def step_blocks(
     asked = Given(given[0], given[1], given[2])
     filled = Results(results[0], results[1], results[2], results[3])
     before, after = blocks
-    lanes, workspaces, log = memory
-    work = workspaces[0]
+    lanes, workspaces, log = memories
+    memory = workspaces[0]
     scene = make_numbers(played.values[0])
     plan = make_plan(scene, common.dt, played.kinds[0])
     finished, worked, width = 0, 0.0, before.shape[2]
@@ -121,8 +121,8 @@ def step_blocks(
             glide_block(plan.dt, block)
         elif plan.kind == CHIRP and played.values.shape[0] == 1 and plan.per_radian == 0.0:
             # Not with loss: a single step then takes whole turns off the angles, which rounds otherwise.
-            glided = glide_under_chirp(scene, plan, block, work)
-        ended, lane, looks = step_lanes(scene, plan, played, block, asked, glided, work, log)
+            glided = glide_under_chirp(scene, plan, block, memory)
+        ended, lane, looks = step_lanes(scene, plan, played, block, asked, glided, memory, log)
         if ended != Status.DONE:
             return ended.value, first + lane, finished
         worked += looks
@@ -139,7 +139,7 @@ def step_lanes(
     block: Block,
     given: Given,
     glided: bool,
-    work: Workspace,
+    memory: Workspace,
     log: Array,
 ) -> tuple[Status, int, float]:
     """Step one by one what has not been ``glided``; return how it ended, the last lane, gaps evaluated.
@@ -148,7 +148,7 @@ def step_lanes(
     """
     before, after, lanes, looks = block.before, block.after, block.lanes, 0.0
     varied = scenes.values.shape[0] > 1
-    own_before, own_after = work.before[:], work.after[:]  # plain arrays to numba, for which step is compiled
+    own_before, own_after = memory.before[:], memory.after[:]  # plain arrays to numba, for which step is compiled
     for k in range(block.size):
         if before[OVER, k] != 0.0:
             continue
@@ -157,7 +157,7 @@ def step_lanes(
             return Status.TOO_LATE, k, looks
         number = block.first + k
         kind = scenes.kinds[number] if varied else plan.kind
-        if glided and lanes[NEAR, k] == 0.0 and (kind == HELD or not varied):
+        if glided and lanes[NEAR, k] == 0.0 and (kind == CONSTANT or not varied):
             continue
         own, its = scene, plan
         if varied:
@@ -165,21 +165,21 @@ def step_lanes(
             its = make_plan(own, plan.dt, kind)
         for place in range(12):
             own_before[place] = before[place, k]
-        if kind == HELD:
-            clear_tally(work)
-            ended = step_near(own, its, own_before, own_after, lanes[TURNING, k], work, log)
+        if kind == CONSTANT:
+            clear_tally(memory)
+            ended = step_near(own, its, own_before, own_after, lanes[TURNING, k], memory, log)
         else:
             lanes[TORQUE, k] = asked_torque(given.actions, number, own.torque_limit)  # gliding has rounded it
             pieces = Pieces(given.table, 0, 0)
             if given.ranges.shape[0]:
                 pieces = Pieces(given.table, given.ranges[number, 0], given.ranges[number, 1])
-            ended, lanes[TORQUE, k] = step(own, its, own_before, own_after, time, lanes[TORQUE, k], pieces, work, log)
+            ended, lanes[TORQUE, k] = step(own, its, own_before, own_after, time, lanes[TORQUE, k], pieces, memory, log)
         if ended != Status.DONE:
             return ended, k, looks
         for place in range(12):
             after[place, k] = own_after[place]
-        lanes[HIT, k], lanes[IMPULSE_SUM, k] = work.hits, work.impulse
-        looks += effort(work)
+        lanes[HIT, k], lanes[IMPULSE_SUM, k] = memory.hits, memory.impulse
+        looks += effort(memory)
     return Status.DONE, -1, looks
 
 

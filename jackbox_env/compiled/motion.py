@@ -66,22 +66,22 @@ class Pose(NamedTuple):
     jack_omega: float
 
 
-def held_piece(length: float, alpha: float) -> Piece:
+def constant_piece(length: float, alpha: float) -> Piece:
     """A piece of ``length`` [s] under a constant angular acceleration [rad/s^2]."""
     return Piece(length, alpha, False, False, abs(alpha), 0.0)
 
 
-def curved_piece(work: Workspace, length: float, pushed: bool) -> Piece:
-    """A piece of ``length`` [s] under the polynomial accelerations in ``work``."""
-    push = largest(work, PUSH_X) + largest(work, PUSH_Y) if pushed else 0.0
-    return Piece(length, 0.0, True, pushed, largest(work, TURN), push)
+def curved_piece(memory: Workspace, length: float, pushed: bool) -> Piece:
+    """A piece of ``length`` [s] under the polynomial accelerations in ``memory``."""
+    push = largest(memory, PUSH_X) + largest(memory, PUSH_Y) if pushed else 0.0
+    return Piece(length, 0.0, True, pushed, largest(memory, TURN), push)
 
 
-def largest(work: Workspace, axis: int) -> float:
+def largest(memory: Workspace, axis: int) -> float:
     """Bound of a polynomial acceleration over its piece."""
     bound = 0.0
     for k in range(DEGREE + 1):
-        bound += abs(work.powers[3 * axis, k])
+        bound += abs(memory.powers[3 * axis, k])
     return bound
 
 
@@ -94,50 +94,50 @@ def flight_of(scene: SceneNumbers, state: Array, piece: Piece, since: float) -> 
     )  # fmt: skip
 
 
-def excursion(work: Workspace, axis: int, flight: Flight, s: float) -> tuple[float, float]:
+def excursion(memory: Workspace, axis: int, flight: Flight, s: float) -> tuple[float, float]:
     """Change of a coordinate and of its rate in ``s`` [s] that the polynomial acceleration brings."""
     end = (flight.since + s) / flight.half - 1.0
     moved, rate = (
-        horner(work.powers[3 * axis + 2], DEGREE + 2, end),
-        horner(work.powers[3 * axis + 1], DEGREE + 1, end),
+        horner(memory.powers[3 * axis + 2], DEGREE + 2, end),
+        horner(memory.powers[3 * axis + 1], DEGREE + 1, end),
     )
     if flight.since == 0.0:
         return moved, rate
     start = flight.since / flight.half - 1.0
-    before = horner(work.powers[3 * axis + 1], DEGREE + 1, start)
-    return moved - horner(work.powers[3 * axis + 2], DEGREE + 2, start) - before * s, rate - before
+    before = horner(memory.powers[3 * axis + 1], DEGREE + 1, start)
+    return moved - horner(memory.powers[3 * axis + 2], DEGREE + 2, start) - before * s, rate - before
 
 
-def pose_at(flight: Flight, work: Workspace, s: float) -> Pose:
+def pose_at(flight: Flight, memory: Workspace, s: float) -> Pose:
     """The relative motion ``s`` [s] into the flight."""
     x = flight.x + flight.vx * s
     y = flight.y + (flight.vy - 0.5 * flight.gravity * s) * s
     vx, vy = flight.vx, flight.vy - flight.gravity * s
     turned, spun = 0.5 * flight.alpha * s * s, flight.alpha * s
     if flight.curved:
-        turned, spun = excursion(work, TURN, flight, s)
+        turned, spun = excursion(memory, TURN, flight, s)
         if flight.pushed:
-            moved, pushed = excursion(work, PUSH_X, flight, s)
+            moved, pushed = excursion(memory, PUSH_X, flight, s)
             x, vx = x - moved, vx - pushed
-            moved, pushed = excursion(work, PUSH_Y, flight, s)
+            moved, pushed = excursion(memory, PUSH_Y, flight, s)
             y, vy = y - moved, vy - pushed
     angle = flight.angle + (flight.omega * s + turned)
     jack_angle = flight.jack_angle + flight.jack_omega * s
     return Pose(x, y, vx, vy, angle, flight.omega + spun, jack_angle, flight.jack_omega)
 
 
-def evolve(work: Workspace, flight: Flight, s: float) -> None:
+def evolve(memory: Workspace, flight: Flight, s: float) -> None:
     """Fly for ``s`` [s]: move the state."""
-    state = work.state
+    state = memory.state
     turned, spun = 0.5 * flight.alpha * s * s, flight.alpha * s
     if flight.curved:
-        turned, spun = excursion(work, TURN, flight, s)
+        turned, spun = excursion(memory, TURN, flight, s)
     state[0] += state[6] * s
     state[1] += state[7] * s
     if flight.pushed:
-        moved, pushed = excursion(work, PUSH_X, flight, s)
+        moved, pushed = excursion(memory, PUSH_X, flight, s)
         state[0], state[6] = state[0] + moved, state[6] + pushed
-        moved, pushed = excursion(work, PUSH_Y, flight, s)
+        moved, pushed = excursion(memory, PUSH_Y, flight, s)
         state[1], state[7] = state[1] + moved, state[7] + pushed
     state[2] += state[8] * s + turned
     state[8] += spun
@@ -207,26 +207,28 @@ def foot_gap(
     return gap, lever * spin - speed
 
 
-def gap_at(scene: SceneNumbers, flight: Flight, work: Workspace, wall: int, foot: int, s: float) -> tuple[float, float]:
+def gap_at(
+    scene: SceneNumbers, flight: Flight, memory: Workspace, wall: int, foot: int, s: float
+) -> tuple[float, float]:
     """Gap between a wall and a foot ``s`` [s] into the flight [m], and its rate [m/s]."""
-    work.looks += 1.0
+    memory.looks += 1.0
     if flight.held:
-        view = held_view(flight, work, s)
+        view = held_view(flight, memory, s)
         ahead, speed = towards(view.frame, wall)
         return foot_gap(scene, ahead, speed, view.cosine, view.sine, view.spin, foot - wall)
-    pose = pose_at(flight, work, s)
+    pose = pose_at(flight, memory, s)
     ahead, speed = towards(box_frame(pose.x, pose.y, pose.vx, pose.vy, pose.angle, pose.omega), wall)
     cosine, sine = cos_sin(pose.jack_angle - pose.angle)
     return foot_gap(scene, ahead, speed, cosine, sine, pose.jack_omega - pose.omega, foot - wall)
 
 
-def held_view(flight: Flight, work: Workspace, s: float) -> View:
+def held_view(flight: Flight, memory: Workspace, s: float) -> View:
     """The jack as it is seen from the box ``s`` [s] into a stretch with held feet."""
     length = flight.half
     u = s / length
     frame = BoxFrame(
-        horner(work.series[PLACE_X], DEGREE + 2, u), horner(work.series[PLACE_Y], DEGREE + 2, u),
-        horner(work.series[RATE_X], DEGREE + 1, u) / length, horner(work.series[RATE_Y], DEGREE + 1, u) / length,
+        horner(memory.series[PLACE_X], DEGREE + 2, u), horner(memory.series[PLACE_Y], DEGREE + 2, u),
+        horner(memory.series[RATE_X], DEGREE + 1, u) / length, horner(memory.series[RATE_Y], DEGREE + 1, u) / length,
     )  # fmt: skip
-    spin = horner(work.series[SPIN], DEGREE + 1, u) / length
-    return view_of(frame, horner(work.series[PSI], DEGREE + 2, u), spin, s)
+    spin = horner(memory.series[SPIN], DEGREE + 1, u) / length
+    return view_of(frame, horner(memory.series[PSI], DEGREE + 2, u), spin, s)

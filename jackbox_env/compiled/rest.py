@@ -63,56 +63,56 @@ def bend(scene: SceneNumbers, state: Array, frame: Frame, row: Array, gap: float
     return float(-2.0 * omega * sideways + omega * omega * depth + spin * spin * along)
 
 
-def accelerations(scene: SceneNumbers, work: Workspace, piece: Piece, since: float) -> None:
+def accelerations(scene: SceneNumbers, memory: Workspace, piece: Piece, since: float) -> None:
     """Fill in the accelerations that gravity and the drive give box and jack ``since`` [s] after the piece's start."""
     u = 2.0 * since / piece.length - 1.0
-    free = work.free
+    free = memory.free
     free[0] = free[1] = free[3] = free[5] = 0.0
     free[2], free[4] = piece.alpha, -scene.gravity
     if piece.curved:
-        free[2] = horner(work.powers[3 * TURN], DEGREE, u)
+        free[2] = horner(memory.powers[3 * TURN], DEGREE, u)
     if piece.pushed:
-        free[0] = horner(work.powers[3 * PUSH_X], DEGREE, u)
-        free[1] = horner(work.powers[3 * PUSH_Y], DEGREE, u)
+        free[0] = horner(memory.powers[3 * PUSH_X], DEGREE, u)
+        free[1] = horner(memory.powers[3 * PUSH_Y], DEGREE, u)
 
 
-def list_contacts(scene: SceneNumbers, work: Workspace, state: Array, count: int) -> Frame:
-    """Fill in gaps and gradients of the pairs in ``work.pairs`` for a state."""
+def list_contacts(scene: SceneNumbers, memory: Workspace, state: Array, count: int) -> Frame:
+    """Fill in gaps and gradients of the pairs in ``memory.pairs`` for a state."""
     frame = frame_of(state)
     for number in range(count):
-        pair = work.pairs[number]
-        work.gaps[number] = gradient(scene, frame, pair // 4, pair % 4, work.gradients[number])
+        pair = memory.pairs[number]
+        memory.gaps[number] = gradient(scene, frame, pair // 4, pair % 4, memory.gradients[number])
     return frame
 
 
-def bend_all(scene: SceneNumbers, work: Workspace, state: Array, frame: Frame, count: int) -> None:
+def bend_all(scene: SceneNumbers, memory: Workspace, state: Array, frame: Frame, count: int) -> None:
     """Weigh the free accelerations and the gradients, and fill in the bias that makes J qddot + Jdot qdot of them."""
-    weigh(scene, work, count, work.free)
+    weigh(scene, memory, count, memory.free)
     for number in range(count):
-        turn = bend(scene, state, frame, work.gradients[number], work.gaps[number])
-        work.bias[number] = turn / work.lengths[number]
+        turn = bend(scene, state, frame, memory.gradients[number], memory.gaps[number])
+        memory.bias[number] = turn / memory.lengths[number]
 
 
-def list_slow(scene: SceneNumbers, work: Workspace, frame: Frame, near: float, slow: float) -> int:
+def list_slow(scene: SceneNumbers, memory: Workspace, frame: Frame, near: float, slow: float) -> int:
     """List the contacts within ``near`` [m] at rates up to ``slow`` [m/s], but for those let go; return how many."""
-    count, loose = 0, work.loose
+    count, loose = 0, memory.loose
     for pair in range(16):
-        row = work.gradients[count]
+        row = memory.gradients[count]
         gap = gradient(scene, frame, pair // 4, pair % 4, row)
-        if gap <= near and abs(rate_of(work.state, row)) <= slow and not loose & (1 << pair):
-            work.pairs[count] = pair
+        if gap <= near and abs(rate_of(memory.state, row)) <= slow and not loose & (1 << pair):
+            memory.pairs[count] = pair
             count += 1
     return count
 
 
 def settle(
-    scene: SceneNumbers, work: Workspace, piece: Piece, since: float, touch: Touch, near: float, slow: float
+    scene: SceneNumbers, memory: Workspace, piece: Piece, since: float, touch: Touch, near: float, slow: float
 ) -> int:
     """Find the feet at rest on walls, and bring their gaps and rates to rest.
 
     Args:
         scene: the scene.
-        work: memory with the state.
+        memory: with the state.
         piece: what acts on the box.
         since: [s] after the piece's start.
         touch: when feet touch.
@@ -120,36 +120,36 @@ def settle(
         slow: rate above which no foot is looked at [m/s].
 
     Returns:
-        The pairs that are held, as bits. Their number is in ``work.holding``, and they are first in
-        ``work.pairs``.
+        The pairs that are held, as bits. Their number is in ``memory.holding``, and they are first in
+        ``memory.pairs``.
     """
-    state = work.state
+    state = memory.state
     frame = frame_of(state)
-    count = list_slow(scene, work, frame, near, slow)
-    accelerations(scene, work, piece, since)
+    count = list_slow(scene, memory, frame, near, slow)
+    accelerations(scene, memory, piece, since)
     while count > 0:
-        work.looks += 1.0
-        list_contacts(scene, work, work.state, count)
-        bend_all(scene, work, state, frame, count)
-        chosen = pressed_set(work, count)
+        memory.looks += 1.0
+        list_contacts(scene, memory, memory.state, count)
+        bend_all(scene, memory, state, frame, count)
+        chosen = pressed_set(memory, count)
         # A foot that would bounce higher than can be told from rest is not at rest.
         bouncing = -1
         for place in range(3):
             number = chosen[place]
             if number >= 0:
                 # The acceleration that this contact takes from the foot, were it the only one.
-                pressed = work.best[place] * work.lengths[number]
-                rate = rate_of(state, work.gradients[number])
+                pressed = memory.best[place] * memory.lengths[number]
+                rate = rate_of(state, memory.gradients[number])
                 if rate * rate > 2.0 * near * pressed:
                     bouncing = number
         if bouncing < 0:
-            return hold_these(scene, work, touch, near, count, chosen)
+            return hold_these(scene, memory, touch, near, count, chosen)
         count -= 1
-        work.pairs[bouncing] = work.pairs[count]
+        memory.pairs[bouncing] = memory.pairs[count]
     return 0
 
 
-def pressed_set(work: Workspace, count: int) -> tuple[int, int, int]:
+def pressed_set(memory: Workspace, count: int) -> tuple[int, int, int]:
     """What ``impacts.nearest`` returns, with large sets first: a set that closes no gap is the answer.
 
     The last projection is that of the answer.
@@ -158,18 +158,18 @@ def pressed_set(work: Workspace, count: int) -> tuple[int, int, int]:
         for i in range(count if size > 2 else 1):
             for j in range(i + 1 if size > 2 else 0, count if size > 1 else 1):
                 for k in range(j + 1 if size > 1 else 0, count):
-                    if violation_of(work, count, size, k, j, i) <= _FAINT * work.pushes[0]:
+                    if violation_of(memory, count, size, k, j, i) <= _FAINT * memory.pushes[0]:
                         for place in range(3):
-                            work.best[place] = work.pushes[place]
+                            memory.best[place] = memory.pushes[place]
                         return k, j if size > 1 else -1, i if size > 2 else -1
-    one, two, three = nearest(work, count)
+    one, two, three = nearest(memory, count)
     if one >= 0:
-        project(work, 1 if two < 0 else 2 if three < 0 else 3, one, two, three)
+        project(memory, 1 if two < 0 else 2 if three < 0 else 3, one, two, three)
     return one, two, three
 
 
 def hold_these(
-    scene: SceneNumbers, work: Workspace, touch: Touch, near: float, count: int, chosen: tuple[int, int, int]
+    scene: SceneNumbers, memory: Workspace, touch: Touch, near: float, count: int, chosen: tuple[int, int, int]
 ) -> int:
     """Hold the chosen of ``count`` contacts, projected on last, and bring them to rest.
 
@@ -181,89 +181,89 @@ def hold_these(
     for place in range(3):
         number = chosen[place]
         if number >= 0:
-            work.order[size] = number
-            strongest = max(strongest, work.best[place])
+            memory.order[size] = number
+            strongest = max(strongest, memory.best[place])
             size += 1
     if size == 0:
         return 0
     faint, held = _FAINT * strongest, 0
     for number in range(count):
-        row = work.units[number]
-        parting = dot(row, work.point) + work.bias[number]
-        rate = rate_of(work.state, work.gradients[number]) / work.lengths[number]
-        beside = aside(work, size, row)
+        row = memory.units[number]
+        parting = dot(row, memory.point) + memory.bias[number]
+        rate = rate_of(memory.state, memory.gradients[number]) / memory.lengths[number]
+        beside = aside(memory, size, row)
         if beside < _ALONG:
-            held |= 1 << work.pairs[number]
+            held |= 1 << memory.pairs[number]
         elif size < 3 and abs(parting) <= faint and rate * rate <= 2.0 * near * faint:
             beside = math.sqrt(beside)
             for place in range(6):
-                work.basis[size, place] = work.spare[place] / beside
-            work.order[size] = number
+                memory.basis[size, place] = memory.spare[place] / beside
+            memory.order[size] = number
             size += 1
-            held |= 1 << work.pairs[number]
+            held |= 1 << memory.pairs[number]
     for place in range(size):
-        gap = work.gaps[work.order[place]]
-        work.order[place] = work.pairs[work.order[place]]
-        work.targets[place] = math.copysign(max(abs(gap) - touch.together, 0.0), gap)
+        gap = memory.gaps[memory.order[place]]
+        memory.order[place] = memory.pairs[memory.order[place]]
+        memory.targets[place] = math.copysign(max(abs(gap) - touch.together, 0.0), gap)
     for place in range(size):
-        work.pairs[place] = work.order[place]
-    work.holding = size
-    bring_back(scene, work)
+        memory.pairs[place] = memory.order[place]
+    memory.holding = size
+    bring_back(scene, memory)
     return held
 
 
-def aside(work: Workspace, size: int, row: Array) -> float:
-    """Square of what a unit row keeps beside the first ``size`` rows of the base; that is left in ``work.spare``."""
-    spare = work.spare
+def aside(memory: Workspace, size: int, row: Array) -> float:
+    """Square of what a unit row keeps beside the first ``size`` rows of the base; that is left in ``memory.spare``."""
+    spare = memory.spare
     for place in range(6):
         spare[place] = row[place]
     for base in range(size):
-        share = dot(spare, work.basis[base])
+        share = dot(spare, memory.basis[base])
         for place in range(6):
-            spare[place] -= share * work.basis[base, place]
+            spare[place] -= share * memory.basis[base, place]
     return dot(spare, spare)
 
 
-def bring_back(scene: SceneNumbers, work: Workspace) -> None:
+def bring_back(scene: SceneNumbers, memory: Workspace) -> None:
     """Bring the held gaps to their targets and their rates to 0, each by the nearest change in the norm of M.
 
     The gaps by one step of Newton, where more than rounding is left of them. Factors of the held rows stay in
-    ``work.tall``.
+    ``memory.tall``.
     """
-    state, count = work.state, work.holding
-    list_contacts(scene, work, state, count)
+    state, count = memory.state, memory.holding
+    list_contacts(scene, memory, state, count)
     off = 0.0
     for number in range(count):
-        off = max(off, abs(work.gaps[number] - work.targets[number]))
-    weigh(scene, work, count, state[6:])
+        off = max(off, abs(memory.gaps[number] - memory.targets[number]))
+    weigh(scene, memory, count, state[6:])
     if off > _ROUNDED * scene.box_half_width:
         for place in range(6):
-            work.rates[place] = 0.0
+            memory.rates[place] = 0.0
         for number in range(count):
-            work.bias[number] = (work.gaps[number] - work.targets[number]) / work.lengths[number]
-        move_held(scene, work, count, 0)
-        list_contacts(scene, work, state, count)
-        weigh(scene, work, count, state[6:])
+            memory.bias[number] = (memory.gaps[number] - memory.targets[number]) / memory.lengths[number]
+        move_held(scene, memory, count, 0)
+        list_contacts(scene, memory, state, count)
+        weigh(scene, memory, count, state[6:])
     for number in range(count):
-        work.bias[number] = 0.0
-    move_held(scene, work, count, 6)
+        memory.bias[number] = 0.0
+    move_held(scene, memory, count, 6)
 
 
-def move_held(scene: SceneNumbers, work: Workspace, count: int, first: int) -> None:
+def move_held(scene: SceneNumbers, memory: Workspace, count: int, first: int) -> None:
     """Move the six numbers of the state from ``first`` on to where the held rows are 0 with their bias."""
-    project(work, count, 0, 1, 2)
+    project(memory, count, 0, 1, 2)
     for number in range(count):
-        kick(scene, work.state[first:], work.gradients[number], work.pushes[number] / work.lengths[number])
+        kick(scene, memory.state[first:], memory.gradients[number], memory.pushes[number] / memory.lengths[number])
 
 
 def hold(
-    scene: SceneNumbers, work: Workspace, log: Array, piece: Piece, touch: Touch, near: float, since: float, held: int
+    scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, touch: Touch, near: float, since: float, held: int
 ) -> tuple[Status, float]:
     """Move with held feet to the end of a stretch, an impact, or until a wall would have to pull.
 
     Args:
         scene: the scene.
-        work: memory with the state, the drive's polynomials and the pairs that are held.
+        memory: with the state, the drive's polynomials and the pairs that are held.
         log: memory that records impacts.
         piece: what acts on the box.
         touch: when feet touch.
@@ -272,15 +272,15 @@ def hold(
         held: the pairs that are held, as bits.
 
     Returns:
-        How it ended, and how long it took [s]. Feet that were let go at once are noted in ``work.loose``.
+        How it ended, and how long it took [s]. Feet that were let go at once are noted in ``memory.loose``.
     """
-    count, free = work.holding, flight_of(scene, work.state, piece, since)
+    count, free = memory.holding, flight_of(scene, memory.state, piece, since)
     frame = box_frame(free.x, free.y, free.vx, free.vy, free.angle, free.omega)
     view = view_of(frame, free.jack_angle - free.angle, free.jack_omega - free.omega, 0.0)
-    length = stretch(scene, work, piece, since, view)
+    length = stretch(scene, memory, piece, since, view)
     if length == 0.0:
         return Status.TOO_MUCH_WORK, 0.0
-    end, loose = first_let_go(work, count, length)
+    end, loose = first_let_go(memory, count, length)
     if not since + end > since:
         end = 0.0
     flight = Flight(
@@ -289,26 +289,26 @@ def hold(
     )  # fmt: skip
     pair = NONE
     if count < 3:  # else nothing moves in the box
-        limits = Limits(curvature_while_held(scene, work, length), end, 0.5 * touch.tolerance)
-        end, pair = first_of_all(scene, work, flight, view, ALL, NONE, limits, -math.inf)
+        limits = Limits(curvature_while_held(scene, memory, length), end, 0.5 * touch.tolerance)
+        end, pair = first_of_all(scene, memory, flight, view, ALL, NONE, limits, -math.inf)
     if pair == ENDLESS:
-        return why_endless(work), 0.0
+        return why_endless(memory), 0.0
     for place in range(count):
-        work.resting[work.pairs[place]] += max(impulse_of(work, place, end / length) / length, 0.0)
-    carry(scene, work, flight, free, end)
-    work.elapsed += end
+        memory.resting[memory.pairs[place]] += max(impulse_of(memory, place, end / length) / length, 0.0)
+    carry(scene, memory, flight, free, end)
+    memory.elapsed += end
     if pair != NONE:
-        work.looks += 1.0
-        resolve(scene, work, log, near, pair // 4, pair % 4)
+        memory.looks += 1.0
+        resolve(scene, memory, log, near, pair // 4, pair % 4)
     elif loose >= 0 and end == 0.0:
-        work.loose += 1 << work.pairs[loose]
+        memory.loose += 1 << memory.pairs[loose]
     if end > 0.0:
-        work.loose = 0
+        memory.loose = 0
     return Status.DONE, end
 
 
-def record_rest(work: Workspace, log: Array, dt: float) -> None:
+def record_rest(memory: Workspace, log: Array, dt: float) -> None:
     """Record the impulse of each held foot over the step, at its end."""
     for pair in range(16):
-        if work.resting[pair] > 0.0:
-            note(work, log, dt, pair, work.resting[pair])
+        if memory.resting[pair] > 0.0:
+            note(memory, log, dt, pair, memory.resting[pair])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from jackbox_env.compiled.generator import Words, uniform
 from jackbox_env.compiled.glide import CLEAR, FALL, INERTIA, LIMIT, ORDINARY, ROOM, WIDTH, ordinary
 from jackbox_env.compiled.score import look
-from jackbox_env.compiled.step import HELD, make_numbers, make_plan
+from jackbox_env.compiled.step import CONSTANT, make_numbers, make_plan
 from jackbox_env.scene import SceneNumbers, between, fall_speed, square_inertia
 from jackbox_env.tasks import start_pose
 
@@ -60,7 +60,7 @@ def spread(values: Array, dt: float, lanes: Array, numbers: Counts) -> None:
         scene = make_numbers(values[i if values.shape[0] > 1 else 0])
         lane = lanes[numbers[i] // lanes.shape[2], :, numbers[i] % lanes.shape[2]]
         lane[LIMIT], lane[INERTIA], lane[FALL] = scene.torque_limit, scene.box_inertia, scene.gravity * dt
-        lane[CLEAR] = make_plan(scene, dt, HELD).clear
+        lane[CLEAR] = make_plan(scene, dt, CONSTANT).clear
         lane[ROOM], lane[ORDINARY] = scene.box_half_width * (1.0 - 1e-12) - scene.jack_arm, ordinary(scene)
 
 

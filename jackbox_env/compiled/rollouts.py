@@ -47,7 +47,7 @@ class Played(NamedTuple):
 def roll(
     scenes: tuple[Array, Counts, Counts], dt: float, torques: Array, drive: tuple[Array, Array, Counts],
     span: tuple[int, int, int], results: tuple[Array, Counts, Array, Array, Array], score: int,
-    until_impact: bool, memory: tuple[Workspaces, Array],
+    until_impact: bool, memories: tuple[Workspaces, Array],
 ) -> tuple[int, int, int]:  # fmt: skip
     """Fill in trajectories from their first states.
 
@@ -74,7 +74,7 @@ def roll(
     times, table, ends = drive
     low, high, first = span
     played, pay = Played(results[0], results[1], results[2], results[3], results[4]), step_score(score)
-    work, log = memory[0][0], memory[1]
+    memory, log = memories[0][0], memories[1]
     worked, steps = 0.0, times.shape[0] - 1
     whole, repeat = played.trajectories.shape[1] > steps, max(1, steps // max(1, torques.shape[1]))
     begin = begins[0]
@@ -91,17 +91,17 @@ def roll(
             before = played.trajectories[i, k if whole else k & 1]
             after = played.trajectories[i, k + 1 if whole else (k + 1) & 1]
             pieces = Pieces(table, ends[begin + k], ends[begin + k + 1])
-            ended, mean = step(scene, plan, before, after, times[k], torque, pieces, work, log)
+            ended, mean = step(scene, plan, before, after, times[k], torque, pieces, memory, log)
             if ended != Status.DONE:
                 return ended.value, i, k
-            worked += 1.0 + effort(work)
+            worked += 1.0 + effort(memory)
             if played.hits.shape[0]:
-                played.hits[i, k], played.impulses[i, k] = work.hits, work.impulse
+                played.hits[i, k], played.impulses[i, k] = memory.hits, memory.impulse
             if played.energies.shape[0]:
                 played.energies[i, k + 1] = energy_of(scene, after)
             if played.rewards.shape[0]:
                 row = values[i if values.shape[0] > 1 else 0]
-                pay(row, after, mean, work.impulse, played.rewards[i], k)
-            if until_impact and work.hits > 0:
+                pay(row, after, mean, memory.impulse, played.rewards[i], k)
+            if until_impact and memory.hits > 0:
                 break
     return Status.DONE.value, -1, -1

@@ -105,39 +105,39 @@ def deepest(scene: SceneNumbers) -> float:
     return 1e-10 * min(1.0, scene.box_half_width)
 
 
-def grown(scene: SceneNumbers, work: Workspace, gap: float) -> float:
+def grown(scene: SceneNumbers, memory: Workspace, gap: float) -> float:
     """A gap [m] that doubles with every 64 gaps that a step evaluates, with loss every 1,024, up to :func:`deepest`.
 
     Loss ends most of what takes long, so it has more time before it is resolved less well.
     """
-    looks = work.looks if scene.restitution == 1.0 else 0.0625 * work.looks
+    looks = memory.looks if scene.restitution == 1.0 else 0.0625 * memory.looks
     return float(min(deepest(scene), gap * _GROWTH[min(int(looks), _GROWN)]))
 
 
-def resolution(scene: SceneNumbers, work: Workspace, touch: Touch) -> float:
+def resolution(scene: SceneNumbers, memory: Workspace, touch: Touch) -> float:
     """Gap within which feet rest and touch together [m]; with loss it grows with the step's work."""
-    return max(touch.together, grown(scene, work, touch.together)) if scene.restitution < 1.0 else touch.together
+    return max(touch.together, grown(scene, memory, touch.together)) if scene.restitution < 1.0 else touch.together
 
 
-def rests(scene: SceneNumbers, work: Workspace) -> bool:
+def rests(scene: SceneNumbers, memory: Workspace) -> bool:
     """Whether the jack is at rest, judged by the step's work: many gaps evaluated, for impacts of next to no impulse.
 
     Such a step looks ahead only as far as its next impacts are. Otherwise it would search all the rest of the step
     after each of thousands of impacts.
     """
-    if work.looks <= _RESTLESS:
+    if memory.looks <= _RESTLESS:
         return False
-    return bool(work.impulse <= 1e-3 * scene.jack_mass * scene.speed_scale * work.hits)
+    return bool(memory.impulse <= 1e-3 * scene.jack_mass * scene.speed_scale * memory.hits)
 
 
 def first_impact(
-    scene: SceneNumbers, work: Workspace, flight: Flight, piece: Piece, left: float, tolerance: float, rest: float
+    scene: SceneNumbers, memory: Workspace, flight: Flight, piece: Piece, left: float, tolerance: float, rest: float
 ) -> tuple[float, int]:
     """Find the first impact of a flight within ``left`` [s], which is at most what is left of its piece.
 
     Args:
         scene: the scene.
-        work: memory with the polynomial accelerations.
+        memory: with the polynomial accelerations.
         flight: what moves.
         piece: what acts on the box.
         left: [s].
@@ -162,12 +162,12 @@ def first_impact(
     limits = Limits(curvature, left, 0.5 * tolerance)
     view = view_of(frame, flight.jack_angle - flight.angle, flight.jack_omega - flight.omega, 0.0)
     if flight.held == 0 and (abs(flight.omega) + piece.spin_up * left) * left > _TURNED:
-        return first_in_a_turn(scene, work, flight, view, limits, rest, piece)
-    return first_of_all(scene, work, flight, view, walls, NONE, limits, rest)
+        return first_in_a_turn(scene, memory, flight, view, limits, rest, piece)
+    return first_of_all(scene, memory, flight, view, walls, NONE, limits, rest)
 
 
 def first_of_all(
-    scene: SceneNumbers, work: Workspace, flight: Flight, view: View, walls: int, likely: int, limits: Limits,
+    scene: SceneNumbers, memory: Workspace, flight: Flight, view: View, walls: int, likely: int, limits: Limits,
     rest: float,
 ) -> tuple[float, int]:  # fmt: skip
     """The first impact of any foot on any of these ``walls`` (as bits): see :func:`first_impact`.
@@ -182,7 +182,7 @@ def first_of_all(
         wall, foot = likely // 4, likely % 4
         ahead, speed = towards(frame, wall)
         gap, rate = foot_gap(scene, ahead, speed, cosine, sine, spin, foot - wall)
-        time = search(scene, work, flight, Approach(wall, foot, since, gap, rate), limits)
+        time = search(scene, memory, flight, Approach(wall, foot, since, gap, rate), limits)
         if time <= best:
             best, found = time, likely
     for wall in range(4):
@@ -204,14 +204,14 @@ def first_of_all(
             if may_rest(scene, flight, limits, gap, rate, rest):
                 return 0.0, AT_REST
             shorter = Limits(curvature, best, tolerance)
-            time = search(scene, work, flight, Approach(wall, foot, since, gap, rate), shorter)
+            time = search(scene, memory, flight, Approach(wall, foot, since, gap, rate), shorter)
             if time < best or (time == best and found == NONE):
                 best, found = time, 4 * wall + foot
-    return best, ENDLESS if work.looks > MOST_WORK else found
+    return best, ENDLESS if memory.looks > MOST_WORK else found
 
 
 def first_in_a_turn(
-    scene: SceneNumbers, work: Workspace, flight: Flight, view: View, limits: Limits, rest: float, piece: Piece
+    scene: SceneNumbers, memory: Workspace, flight: Flight, view: View, limits: Limits, rest: float, piece: Piece
 ) -> tuple[float, int]:
     """The first impact in a box that turns far: see :func:`first_impact`.
 
@@ -244,13 +244,13 @@ def first_in_a_turn(
             s = back
         if likely == NONE or s >= end:
             return end, NONE
-        work.looks += 1.0
-        pose = pose_at(flight, work, s)
+        memory.looks += 1.0
+        pose = pose_at(flight, memory, s)
         frame = box_frame(pose.x, pose.y, pose.vx, pose.vy, pose.angle, pose.omega)
         view = view_of(frame, pose.jack_angle - pose.angle, pose.jack_omega - pose.omega, s)
     if view.time == 0.0:
-        return first_of_all(scene, work, flight, view, ALL, NONE, limits, rest)
-    return first_of_all(scene, work, flight, view, ALL, likely, Limits(curvature, end, tolerance), -math.inf)
+        return first_of_all(scene, memory, flight, view, ALL, NONE, limits, rest)
+    return first_of_all(scene, memory, flight, view, ALL, likely, Limits(curvature, end, tolerance), -math.inf)
 
 
 def may_rest(scene: SceneNumbers, flight: Flight, limits: Limits, gap: float, rate: float, rest: float) -> bool:
@@ -269,7 +269,7 @@ def slowest(scene: SceneNumbers, flight: Flight, limits: Limits, rest: float) ->
     return rounding(scene, flight, limits.end) + 1e-15 * flight.speeds
 
 
-def search(scene: SceneNumbers, work: Workspace, flight: Flight, approach: Approach, limits: Limits) -> float:
+def search(scene: SceneNumbers, memory: Workspace, flight: Flight, approach: Approach, limits: Limits) -> float:
     """First time within ``limits.end`` [s] at which a foot touches a wall and approaches; infinity if there is none.
 
     A foot that touches and does not approach stays within ``sink`` until the parabola through its present gap does.
@@ -282,34 +282,34 @@ def search(scene: SceneNumbers, work: Workspace, flight: Flight, approach: Appro
     tolerance, s, gap, rate = limits.tolerance, approach.since, approach.gap, approach.rate
     while True:
         if gap > tolerance:
-            granted = deepest(scene) if rests(scene, work) else 0.0
+            granted = deepest(scene) if rests(scene, memory) else 0.0
             after = s + parabola_root(gap + granted, rate, limits.curvature)
         elif rate < -still:
             return s
         else:
-            sink = grown(scene, work, tolerance)
+            sink = grown(scene, memory, tolerance)
             least = 0.0 if rate > still else 0.1 * tolerance  # a foot that leaves takes its time to come back as deep
             after = s + parabola_root(max(gap + sink, least), max(rate, 0.0), limits.curvature)
-        if not after <= limits.end or work.looks > MOST_WORK:
+        if not after <= limits.end or memory.looks > MOST_WORK:
             return math.inf
         if after == s:
             if rate < 0.0:  # float64 does not resolve the time to the wall
                 return s
             after = s + 2.3e-16 * s
         s = after
-        gap, rate = gap_at(scene, flight, work, approach.wall, approach.foot, s)
+        gap, rate = gap_at(scene, flight, memory, approach.wall, approach.foot, s)
 
 
 def strike(
-    scene: SceneNumbers, work: Workspace, log: Array, flight: Flight, time: float, pair: int, together: float
+    scene: SceneNumbers, memory: Workspace, log: Array, flight: Flight, time: float, pair: int, together: float
 ) -> None:
     """Fly for ``time`` [s] to an impact of ``pair`` = 4 * wall + foot, and apply the law to all that touch there."""
-    evolve(work, flight, time)
-    work.elapsed += time
-    work.looks += 1.0
-    resolve(scene, work, log, together, pair // 4, pair % 4)
+    evolve(memory, flight, time)
+    memory.elapsed += time
+    memory.looks += 1.0
+    resolve(scene, memory, log, together, pair // 4, pair % 4)
 
 
-def why_endless(work: Workspace) -> Status:
+def why_endless(memory: Workspace) -> Status:
     """Why no impact could be told."""
-    return Status.TOO_MUCH_WORK if work.looks > MOST_WORK else Status.TOO_FAST
+    return Status.TOO_MUCH_WORK if memory.looks > MOST_WORK else Status.TOO_FAST

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from jackbox_env.compiled.advance import advance
 from jackbox_env.compiled.drives import DEGREE, TURN, chirp_piece, chirp_pieces, horner, integrate
-from jackbox_env.compiled.motion import curved_piece, flight_of, held_piece
+from jackbox_env.compiled.motion import constant_piece, curved_piece, flight_of
 from jackbox_env.compiled.rest import record_rest
 from jackbox_env.compiled.search import (
     AT_REST,
@@ -40,7 +40,7 @@ _FOUR_PLACES = 8.9e-16  # units in the last place of 1
 
 # What turns the box in a step: a torque held throughout (0 where nothing acts), the scene's chirp, the functions of its
 # drive, or a held torque beside the side forces of its drive.
-HELD, CHIRP, FUNCTIONS, HELD_BESIDE_FORCES = range(4)
+CONSTANT, CHIRP, FUNCTIONS, CONSTANT_BESIDE_FORCES = range(4)
 
 
 class Plan(NamedTuple):
@@ -80,7 +80,7 @@ def make_plan(scene: SceneNumbers, dt: float, kind: int) -> Plan:
 
 def step(
     scene: SceneNumbers, plan: Plan, before: Array, after: Array, time: float, torque: float, pieces: Pieces,
-    work: Workspace, log: Array,
+    memory: Workspace, log: Array,
 ) -> tuple[Status, float]:  # fmt: skip
     """Advance one state by ``plan.dt``.
 
@@ -92,14 +92,14 @@ def step(
         time: at the step's start [s].
         torque: held on the box [N m]; not looked at where a drive acts.
         pieces: of the drive's functions, none for other drives.
-        work: memory to work in.
+        memory: to work in.
         log: memory that records impacts, see ``workspace.new_log``.
 
     Returns:
         How it ended, and the mean torque [N m]. Unless it ended well ``after`` is unchanged.
     """
-    clear_tally(work)
-    if plan.kind == HELD:
+    clear_tally(memory)
+    if plan.kind == CONSTANT:
         alpha = torque / scene.box_inertia
         x, y = before[3] - before[0], before[4] - before[1]
         vx, vy = before[9] - before[6], before[10] - before[7]
@@ -107,54 +107,54 @@ def step(
         if stays_clear(x, y, vx, vy, fall, plan.dt, plan.clear) and abs(alpha) < STEEPEST:
             glide(before, after, fall, plan.dt, alpha)
             return Status.DONE, scene.box_inertia * alpha
-        return step_near(scene, plan, before, after, alpha, work, log), scene.box_inertia * alpha
+        return step_near(scene, plan, before, after, alpha, memory, log), scene.box_inertia * alpha
     if not told_apart(scene, before):
         return Status.TOO_FAST, 0.0
-    touch = start(plan, before, work)
+    touch = start(plan, before, memory)
     if plan.kind == CHIRP:
-        ended, impulse = advance_chirp(scene, plan, time, touch, work, log)
+        ended, impulse = advance_chirp(scene, plan, time, touch, memory, log)
     else:
-        ended, impulse = advance_pieces(scene, plan, torque, pieces, touch, work, log)
-    mean = torque if plan.kind == HELD_BESIDE_FORCES else impulse / plan.dt
-    return finish(ended, plan, before, after, work, log), mean
+        ended, impulse = advance_pieces(scene, plan, torque, pieces, touch, memory, log)
+    mean = torque if plan.kind == CONSTANT_BESIDE_FORCES else impulse / plan.dt
+    return finish(ended, plan, before, after, memory, log), mean
 
 
-def clear_tally(work: Workspace) -> None:
+def clear_tally(memory: Workspace) -> None:
     """Forget what the last step did."""
-    work.hits, work.impulse, work.looks, work.elapsed = 0, 0.0, 0.0, 0.0
+    memory.hits, memory.impulse, memory.looks, memory.elapsed = 0, 0.0, 0.0, 0.0
 
 
-def effort(work: Workspace) -> float:
+def effort(memory: Workspace) -> float:
     """What a step has cost, in gaps evaluated; a step with held feet takes as long as some forty of them."""
-    cost = work.looks
-    if work.hits > 0:
+    cost = memory.looks
+    if memory.hits > 0:
         for pair in range(16):
-            if work.resting[pair] > 0.0:
+            if memory.resting[pair] > 0.0:
                 return float(cost + _HOLDING)
     return float(cost)
 
 
 def step_near(
-    scene: SceneNumbers, plan: Plan, before: Array, after: Array, alpha: float, work: Workspace, log: Array
+    scene: SceneNumbers, plan: Plan, before: Array, after: Array, alpha: float, memory: Workspace, log: Array
 ) -> Status:
     """Step near a wall under a constant angular acceleration of the box; return how it ended."""
     if not (told_apart(scene, before) and abs(alpha) < STEEPEST):
         return Status.TOO_FAST
-    piece = held_piece(plan.dt, alpha)
+    piece = constant_piece(plan.dt, alpha)
     flight = flight_of(scene, before, piece, 0.0)
     touch = touch_of(plan, before)
-    time, pair = first_impact(scene, work, flight, piece, plan.dt, plan.tolerance, touch.together)
+    time, pair = first_impact(scene, memory, flight, piece, plan.dt, plan.tolerance, touch.together)
     if pair == ENDLESS:
-        return why_endless(work)
+        return why_endless(memory)
     if pair == NONE:
         glide(before, after, scene.gravity * plan.dt, plan.dt, alpha)
         return Status.DONE
-    start(plan, before, work)
+    start(plan, before, memory)
     if pair == AT_REST:
         time = 0.0
     else:
-        strike(scene, work, log, flight, time, pair, touch.together)
-    return finish(advance(scene, work, log, piece, touch, time), plan, before, after, work, log)
+        strike(scene, memory, log, flight, time, pair, touch.together)
+    return finish(advance(scene, memory, log, piece, touch, time), plan, before, after, memory, log)
 
 
 def stays_clear(x: float, y: float, vx: float, vy: float, fall: float, dt: float, clear: float) -> bool:
@@ -204,15 +204,15 @@ def touch_of(plan: Plan, before: Array) -> Touch:
     return Touch(tolerance, max(tolerance, _FOUR_PLACES * furthest))
 
 
-def start(plan: Plan, before: Array, work: Workspace) -> Touch:
+def start(plan: Plan, before: Array, memory: Workspace) -> Touch:
     """Take the state into the frame at the box's centre; return the gaps at which feet touch there.
 
     With loss angles are counted without whole turns, so that a foot at rest stays where it is however far the box has
     turned.
     """
-    state = work.state
+    state = memory.state
     for pair in range(16):
-        work.resting[pair] = 0.0
+        memory.resting[pair] = 0.0
     for place in range(12):
         state[place] = before[place]
     state[0] = state[1] = 0.0
@@ -236,11 +236,11 @@ def told_apart(scene: SceneNumbers, state: Array) -> bool:
     return bool(max(max(place, angle), speed) < _COARSEST)
 
 
-def finish(ended: Status, plan: Plan, before: Array, after: Array, work: Workspace, log: Array) -> Status:
+def finish(ended: Status, plan: Plan, before: Array, after: Array, memory: Workspace, log: Array) -> Status:
     """Take the state back to the world, unless the step failed or a number is too large; record what held feet took."""
     if ended != Status.DONE:
         return ended
-    state = work.state
+    state = memory.state
     total = 0.0
     for place in range(12):
         total += abs(state[place])
@@ -256,12 +256,12 @@ def finish(ended: Status, plan: Plan, before: Array, after: Array, work: Workspa
         after[2], after[5] = before[2] + (state[2] - angle), before[5] + (state[5] - jack_angle)
     for place in range(6, 12):
         after[place] = state[place]
-    record_rest(work, log, plan.dt)
+    record_rest(memory, log, plan.dt)
     return ended
 
 
 def advance_chirp(
-    scene: SceneNumbers, plan: Plan, time: float, touch: Touch, work: Workspace, log: Array
+    scene: SceneNumbers, plan: Plan, time: float, touch: Touch, memory: Workspace, log: Array
 ) -> tuple[Status, float]:
     """Advance through a step under the chirp; return how it ended and the torque's impulse [N m s]."""
     count = chirp_pieces(scene, time, plan.dt)
@@ -272,16 +272,16 @@ def advance_chirp(
     length = plan.dt / count
     impulse = 0.0
     for number in range(count):
-        chirp_piece(scene, turns, frequency, number * length, length, work)
-        impulse += horner(work.powers[3 * TURN + 1], DEGREE + 1, 1.0)
-        ended = advance(scene, work, log, curved_piece(work, length, False), touch, 0.0)
+        chirp_piece(scene, turns, frequency, number * length, length, memory)
+        impulse += horner(memory.powers[3 * TURN + 1], DEGREE + 1, 1.0)
+        ended = advance(scene, memory, log, curved_piece(memory, length, False), touch, 0.0)
         if ended != Status.DONE:
             return ended, 0.0
     return Status.DONE, scene.box_inertia * impulse
 
 
 def advance_pieces(
-    scene: SceneNumbers, plan: Plan, torque: float, pieces: Pieces, touch: Touch, work: Workspace, log: Array
+    scene: SceneNumbers, plan: Plan, torque: float, pieces: Pieces, touch: Touch, memory: Workspace, log: Array
 ) -> tuple[Status, float]:
     """Advance through a step under a drive of functions, or a held torque and its side forces."""
     impulse, table = 0.0, pieces.table
@@ -290,14 +290,14 @@ def advance_pieces(
         for axis in range(3):
             inertia = scene.box_inertia if axis == TURN else scene.box_mass
             for k in range(DEGREE + 1):
-                work.powers[3 * axis, k] = table[number, 2 + axis * (DEGREE + 1) + k] / inertia
-            if axis == TURN and plan.kind == HELD_BESIDE_FORCES:
+                memory.powers[3 * axis, k] = table[number, 2 + axis * (DEGREE + 1) + k] / inertia
+            if axis == TURN and plan.kind == CONSTANT_BESIDE_FORCES:
                 for k in range(DEGREE + 1):
-                    work.powers[3 * axis, k] = 0.0
-                work.powers[3 * axis, 0] = torque / inertia
-            integrate(work, axis, length)
-        impulse += horner(work.powers[3 * TURN + 1], DEGREE + 1, 1.0)
-        ended = advance(scene, work, log, curved_piece(work, length, True), touch, 0.0)
+                    memory.powers[3 * axis, k] = 0.0
+                memory.powers[3 * axis, 0] = torque / inertia
+            integrate(memory, axis, length)
+        impulse += horner(memory.powers[3 * TURN + 1], DEGREE + 1, 1.0)
+        ended = advance(scene, memory, log, curved_piece(memory, length, True), touch, 0.0)
         if ended != Status.DONE:
             return ended, 0.0
     return Status.DONE, scene.box_inertia * impulse
@@ -308,7 +308,7 @@ def step_one(
     workspaces: Workspaces, log: Array,
 ) -> tuple[int, int, float]:  # fmt: skip
     """Advance one state; return how it ended, the number of impacts and the mean torque [N m]."""
-    scene, work = make_numbers(values), workspaces[0]
+    scene, memory = make_numbers(values), workspaces[0]
     pieces = Pieces(table, 0, table.shape[0])
-    ended, mean = step(scene, make_plan(scene, dt, kind), before, after, time, torque, pieces, work, log)
-    return ended.value, work.hits, mean
+    ended, mean = step(scene, make_plan(scene, dt, kind), before, after, time, torque, pieces, memory, log)
+    return ended.value, memory.hits, mean

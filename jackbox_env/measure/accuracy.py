@@ -19,7 +19,7 @@ from jackbox_env.mechanics import energy_of
 from jackbox_env.scene import Scene
 from jackbox_env.simulators import Impact, JackLostError, Simulator, make_simulator
 from jackbox_env.simulators.replay import replayed
-from jackbox_env.states import Array, clearance, deepest_held
+from jackbox_env.states import Array, clearance, deepest_restored
 
 STEPS_PER_RESTART = 5  # control steps: 0.1 s by default
 _ASIDE = 1e-13  # by which the start of a reference's twin is moved, far off by 100 units in the last place [m]
@@ -146,7 +146,7 @@ def follow(simulator: Simulator, case: Case, look: Look | None = between) -> Cou
         before, state = state, simulator.state
         states.append(state)
         impacts += simulator.impacts
-        escaped = -clearance(scene, state.tolist()) > deepest_held(scene)
+        escaped = -clearance(scene, state.tolist()) > deepest_restored(scene)
         if look is not None:
             inside = look(simulator, before, time, torque)
             depth, work = float(np.maximum(depth, inside.depth)), work + inside.work  # a NaN stays

@@ -21,7 +21,7 @@ from jackbox_env.scene import Drive, Scene, scenes_of
 from jackbox_env.scoring import compiled_for
 from jackbox_env.simulators.base import end_of_step
 from jackbox_env.simulators.exact import drive_kind, failure, pieces_for
-from jackbox_env.states import LATEST_TIME, Array, as_held, deepest_held
+from jackbox_env.states import LATEST_TIME, Array, as_restored, deepest_restored
 from jackbox_env.tasks import Task, task_of
 
 Counts = NDArray[np.int64]
@@ -230,11 +230,11 @@ def _sequences(scenes: list[Scene], several: bool, states: ArrayLike, torques: A
         raise ValueError(f"scene must be one scene or a list of {count}, as many as rows, got {len(scenes)} of them")
     starts = np.ascontiguousarray(np.broadcast_to(starts, (count, 12)))
     # The quick check finds that a state is bad, the careful one says why.
-    deepest = np.array([deepest_held(one) for one in scenes])
+    deepest = np.array([deepest_restored(one) for one in scenes])
     if int(compiled(outside)(np.array([one.numbers for one in scenes]), starts, deepest)) >= 0:
         for number, state in enumerate(starts):
             try:
-                as_held(scenes[number if len(scenes) > 1 else 0], state)
+                as_restored(scenes[number if len(scenes) > 1 else 0], state)
             except (TypeError, ValueError) as error:
                 raise type(error)(f"states[{number}]: {error}") from error
     return starts, np.ascontiguousarray(np.broadcast_to(held, (count, held.shape[-1])))

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from jackbox_env import _validation as check
 from jackbox_env.scene import Scene
-from jackbox_env.states import LATEST_TIME, Array, Numbers, as_held
+from jackbox_env.states import LATEST_TIME, Array, Numbers, as_restored
 
 
 class JackLostError(RuntimeError):
@@ -152,7 +152,7 @@ class ContactModel(ABC):
         Raises:
             TypeError, ValueError: unusable values; the simulator stays as it was.
         """
-        values = self._held(as_held(self.scene, state))
+        values = self._held(as_restored(self.scene, state))
         self._present = Present(values, check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME))
 
     def _held(self, state: Array) -> Numbers:

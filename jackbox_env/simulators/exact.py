@@ -37,25 +37,25 @@ from jackbox_env.compiled.compiler import compiled
 from jackbox_env.compiled.drives import TABLE_WIDTH
 from jackbox_env.compiled.search import MOST_WORK
 from jackbox_env.compiled.status import Status
-from jackbox_env.compiled.step import CHIRP, FUNCTIONS, HELD, HELD_BESIDE_FORCES, step_one
+from jackbox_env.compiled.step import CHIRP, CONSTANT, CONSTANT_BESIDE_FORCES, FUNCTIONS, step_one
 from jackbox_env.compiled.workspace import new_log, new_workspaces
 from jackbox_env.scene import Chirp, Drive, Scene, too_many_turns
 from jackbox_env.simulators.base import ContactModel, Impact, JackLostError, Present, end_of_step
 from jackbox_env.simulators.functions import function_pieces
 from jackbox_env.states import Array
 
-WITH_PIECES = (FUNCTIONS, HELD_BESIDE_FORCES)  # kinds whose functions are cut into pieces
+WITH_PIECES = (FUNCTIONS, CONSTANT_BESIDE_FORCES)  # kinds whose functions are cut into pieces
 _NO_PIECES: Array = np.zeros((0, TABLE_WIDTH))
 
 
 def drive_kind(drive: Chirp | Drive | None, held: bool = False) -> int:
     """The compiled code's number for what turns the box in a step: a ``held`` torque, or the scene's drive."""
     if isinstance(drive, Chirp):
-        return HELD if held else CHIRP
+        return CONSTANT if held else CHIRP
     forced = drive is not None and drive.force_bound > 0.0
     if held:
-        return HELD_BESIDE_FORCES if forced else HELD
-    return FUNCTIONS if forced or (drive is not None and drive.torque_bound > 0.0) else HELD
+        return CONSTANT_BESIDE_FORCES if forced else CONSTANT
+    return FUNCTIONS if forced or (drive is not None and drive.torque_bound > 0.0) else CONSTANT
 
 
 def pieces_for(drive: Chirp | Drive | None, time: float, dt: float, torque: float | None) -> Array:

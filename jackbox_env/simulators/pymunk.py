@@ -54,7 +54,7 @@ from jackbox_env.simulators.base import ContactModel, JackLostError, Present, en
 from jackbox_env.simulators.contacts import Recorder, iterations_for
 from jackbox_env.simulators.flight import fly, reach
 from jackbox_env.simulators.replay import replayed
-from jackbox_env.states import Array, clearance, deepest_held
+from jackbox_env.states import Array, clearance, deepest_restored
 
 _WALL_THICKNESS = 100.0 / 6.0  # R over L: 100 m by default
 _HASH_CELL = 1000.0 / 6.0  # over L: 1000 m by default
@@ -272,7 +272,7 @@ class PymunkSimulator(ContactModel):
 
     @property
     def _deepest(self) -> float:
-        return deepest_held(self.scene)
+        return deepest_restored(self.scene)
 
     # -- the engine's space -------------------------------------------------------------------------------------------
 

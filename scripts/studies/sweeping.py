@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from agents.sweeps.in_process import Runner, Trial, Work
-from agents.sweeps.journal import TABLE, carry_out, new_sweep, read_sweep
+from agents.sweeps.results_log import TABLE, carry_out, new_sweep, read_sweep
 
 
 def swept(folder: Path, trials: list[Trial], work: Work, runner: Runner, progress: bool) -> list[dict[str, str]]:

@@ -11,7 +11,7 @@ import pytest
 
 from agents.evaluation import returns as evaluation
 from agents.evaluation.episodes import page_names, record_episode
-from agents.evaluation.notes import warn_of_other_training
+from agents.evaluation.provenance import warn_of_other_training
 from agents.policies.network import SHIPPED
 from agents.policies.registry import find_policy
 from agents.settings import EnvSettings

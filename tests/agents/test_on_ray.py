@@ -17,8 +17,8 @@ import pytest
 from agents.settings import EnvSettings
 from agents.sweeps import trials
 from agents.sweeps.in_process import InTurn, Runner, Trial
-from agents.sweeps.journal import TABLE, TIMES, Outcome, carry_out, new_sweep
 from agents.sweeps.on_ray import OnRay
+from agents.sweeps.results_log import TABLE, TIMES, Outcome, carry_out, new_sweep
 from jackbox_env.compiled import compiler
 from tests.agents.small_run import TINY
 from tests.agents.test_sweeping import GRID, rows_of

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from agents.files import LOCK, DamagedFileError, FolderInUseError, held, read_json
+from agents.files import LOCK, DamagedFileError, FolderInUseError, locked, read_json
 from jackbox_env.recording.files import new_file, new_folder, remove_partials, replacing, write_json, write_text
 from tests.agents.killing import ended, start
 
@@ -100,7 +100,7 @@ def test_json_that_is_damaged_is_told_by_its_name(content: bytes, tmp_path: Path
 
 def hold(folder: Path, ready: Path) -> None:
     """In a separate process: hold a folder for ever."""
-    with held(folder):
+    with locked(folder):
         ready.touch()
         time.sleep(60.0)
 
@@ -116,21 +116,21 @@ def test_a_folder_is_held_until_its_process_is_killed(tmp_path: Path) -> None:
     process = start(hold, tmp_path, tmp_path / "ready")
     wait_for(tmp_path / "ready")
     for _ in range(2):
-        with pytest.raises(FolderInUseError, match=f"^{tmp_path} is in use by another process: wait"), held(tmp_path):
+        with pytest.raises(FolderInUseError, match=f"^{tmp_path} is in use by another process: wait"), locked(tmp_path):
             pass
     process.kill()
     assert ended(process) == -9
     assert (tmp_path / LOCK).exists()  # it could not tidy up
-    with held(tmp_path):
+    with locked(tmp_path):
         pass
 
 
 def test_a_folder_is_held_against_a_second_use_in_the_same_process(tmp_path: Path) -> None:
-    with held(tmp_path):
+    with locked(tmp_path):
         for _ in range(2):  # being refused has not let go of it
-            with pytest.raises(FolderInUseError), held(tmp_path):
+            with pytest.raises(FolderInUseError), locked(tmp_path):
                 pass
-    with held(tmp_path):
+    with locked(tmp_path):
         pass
 
 
@@ -141,6 +141,6 @@ def test_where_there_are_no_locks_that_is_said(
         raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
 
     monkeypatch.setattr(fcntl, "flock", refuses)
-    with held(tmp_path), held(tmp_path):
+    with locked(tmp_path), locked(tmp_path):
         pass
     assert capsys.readouterr().err.count(f"{tmp_path} cannot be locked") == 2

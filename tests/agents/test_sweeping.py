@@ -13,13 +13,13 @@ from typing import Any
 import pytest
 
 from agents.evaluation.returns import evaluate
-from agents.files import FolderInUseError, held
+from agents.files import FolderInUseError, locked
 from agents.policies.registry import find_policy
 from agents.settings import EnvSettings
-from agents.sweeps import journal, trials
+from agents.sweeps import results_log, trials
 from agents.sweeps.in_process import Finished, InTurn, Trial, Work, nothing
-from agents.sweeps.journal import JOURNAL, SWEEP, TABLE, TIMES, carry_out, new_sweep, read_sweep
 from agents.sweeps.on_ray import OnRay
+from agents.sweeps.results_log import LOG, SWEEP, TABLE, TIMES, carry_out, new_sweep, read_sweep
 from tests.agents.small_run import TINY
 from tests.agents.test_commands import script
 
@@ -108,7 +108,7 @@ def test_a_line_that_a_kill_cut_short_is_run_again(
 ) -> None:
     folder = carried_out(tmp_path / "sweep")
     table = (folder / TABLE).read_bytes()
-    path, asked = folder / JOURNAL, []
+    path, asked = folder / LOG, []
     lines = path.read_bytes().splitlines(keepends=True)
     path.write_bytes(b"".join(lines[:-1]) + lines[-1][: min(left, len(lines[-1]) - 1)])
 
@@ -138,7 +138,7 @@ def test_a_failing_trial_is_reported_with_its_settings_and_tried_again(tmp_path:
     rows = rows_of(folder)
     assert [row["error"] for row in rows if row["number"] == "3"] == ["ValueError: number must not be 3"] * 2
     assert all(bool(row["error"]) == (row["share"] == "") for row in rows)
-    lines = [json.loads(line) for line in (folder / JOURNAL).read_text().splitlines()]
+    lines = [json.loads(line) for line in (folder / LOG).read_text().splitlines()]
     assert "test_sweeping.py" in next(line["details"] for line in lines if line["error"])
     broken[0] = False
     assert not carry_out(folder, GRID, failing, InTurn(), progress=False).failed
@@ -158,10 +158,10 @@ def test_folders_are_not_shared_overwritten_or_continued_by_other_code(
         new_sweep(folder, {}, GRID)
     with pytest.raises(FileNotFoundError, match="is no sweep: it has no sweep.json"):
         read_sweep(tmp_path)
-    with held(folder), pytest.raises(FolderInUseError, match="is in use by another process"):
+    with locked(folder), pytest.raises(FolderInUseError, match="is in use by another process"):
         carried_out(folder)
-    known = journal.made_with()
-    monkeypatch.setattr(journal, "made_with", lambda: {**known, "numpy": "1.0"})
+    known = results_log.made_with()
+    monkeypatch.setattr(results_log, "made_with", lambda: {**known, "numpy": "1.0"})
     with pytest.raises(ValueError, match=rf"begun with other code \(numpy {known['numpy']} there and 1.0 here\)"):
         read_sweep(folder)
     (folder / SWEEP).write_text("{")

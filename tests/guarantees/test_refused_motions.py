@@ -12,7 +12,7 @@ from jackbox_env import JackInBoxEnv, JackInBoxVectorEnv, JackLostError, Scene, 
 from jackbox_env.mechanics import energy, simultaneous_impact_map
 from jackbox_env.simulators import CONTACT_MODELS
 from jackbox_env.simulators.pymunk import PymunkSimulator
-from jackbox_env.states import as_held, as_start, clearance
+from jackbox_env.states import as_restored, as_start, clearance
 from tests.simulators.engine import impact_in_an_instant, relative_error
 from tests.states import Array, several_contacts
 
@@ -50,7 +50,7 @@ def test_far_off_places_and_small_boxes_have_their_own_tolerance() -> None:
     with pytest.raises(ValueError, match="at most 4.76837e-07 m outside"):
         as_start(Scene(), far)
     with pytest.raises(ValueError, match=r"at most 0.9 m outside, got 0.91 m"):
-        as_held(Scene(box_half_width=0.9, jack_arm=0.5), with_foot(1.41, 0.9))
+        as_restored(Scene(box_half_width=0.9, jack_arm=0.5), with_foot(1.41, 0.9))
 
 
 # Motion that cannot be followed: the place in the state, its value, and the action.

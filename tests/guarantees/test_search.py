@@ -59,7 +59,7 @@ def test_the_bounds_hold_over_the_whole_flight() -> None:
         alpha, left = rng.uniform(-50.0, 50.0), rng.choice([0.02, 0.2, 1.0])
         if number % 2:  # thrown up and back again: both ends say nothing of the way between
             state[6:9], state[10] = 0.0, 0.5 * scene.gravity * left
-        flight = motion.flight_of(n, state, motion.held_piece(left, alpha), 0.0)
+        flight = motion.flight_of(n, state, motion.constant_piece(left, alpha), 0.0)
         bound = bounds.bounds_of(n, flight, left, abs(alpha), 0.0)
         times, step = np.linspace(0.0, left, 41, retstep=True)
         for time in times.tolist():
@@ -107,7 +107,7 @@ def fast_flights(count: int, deep: bool = False) -> Iterator[tuple[Scene, motion
             state[3:5] += rng.uniform(-0.9, 0.9, 2)
             state[9:11] *= 0.2
         state[8] = rng.choice([-1.0, 1.0]) * rng.uniform(0.5, 10.0) / left
-        piece = motion.held_piece(left, alpha)
+        piece = motion.constant_piece(left, alpha)
         yield scene, motion.flight_of(scene.numbers, state, piece, 0.0), piece, left
 
 

@@ -23,7 +23,7 @@ from agents.policies.network import WEIGHTS, read_policy
 from agents.runs import EVALUATIONS, read_settings
 from agents.settings import TrainSettings
 from agents.sweeps.in_process import InTurn, Trial
-from agents.sweeps.journal import JOURNAL, TABLE, carry_out, new_sweep
+from agents.sweeps.results_log import LOG, TABLE, carry_out, new_sweep
 from agents.training.archives import unpacked
 from agents.training.best import read_evaluations
 from agents.training.models import load_model, make_ppo, make_vec_env
@@ -239,10 +239,10 @@ def test_a_lock_or_results_log_that_is_a_link_leads_nowhere(tmp_path: Path) -> N
     with pytest.raises(OSError, match=f"symbolic links: .*{folder / LOCK}"):
         carry_out(folder, grid, dict, InTurn(), progress=False)
     for link in (Path.symlink_to, Path.hardlink_to):
-        for name in (LOCK, JOURNAL):
+        for name in (LOCK, LOG):
             (folder / name).unlink(missing_ok=True)
         (folder / LOCK).hardlink_to(tmp_path / "mine")
-        link(folder / JOURNAL, tmp_path / "mine")
+        link(folder / LOG, tmp_path / "mine")
         assert carry_out(folder, grid, dict, InTurn(), progress=False).finished == 2
         assert (tmp_path / "mine").read_text() == "precious"
 
@@ -259,7 +259,7 @@ def test_a_damaged_line_of_a_results_log_is_named_and_its_trial_run_again(
         return {"share": settings["number"] / 7.0}
 
     carry_out(folder, grid, work, InTurn(), progress=False)
-    table, path = (folder / TABLE).read_bytes(), folder / JOURNAL
+    table, path = (folder / TABLE).read_bytes(), folder / LOG
     lines = path.read_text().splitlines()
     lines[1] = json.dumps({**json.loads(lines[1]), **harm}) if harm else "{]"
     path.write_text("\n".join([*lines, ""]))

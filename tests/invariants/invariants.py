@@ -20,7 +20,7 @@ import numpy as np
 from jackbox_env.mechanics import energy
 from jackbox_env.simulators import JackLostError, Simulator, make_simulator
 from jackbox_env.simulators.flight import reach
-from jackbox_env.states import Array, clearance, deepest_held, start_tolerance
+from jackbox_env.states import Array, clearance, deepest_restored, start_tolerance
 from tests.invariants.cases import Case, Wave
 
 ROUNDING = 1e-11  # of the largest number in a balance, over a case
@@ -82,7 +82,7 @@ def stepped(run: Simulator, dt: float, torque: float | None) -> bool:
 def assert_contained(case: Case, run: Simulator) -> None:
     """Containment, in the present state."""
     state = run.state.tolist()
-    allowed = start_tolerance(state) if case.contact == "exact" else deepest_held(case.scene)
+    allowed = start_tolerance(state) if case.contact == "exact" else deepest_restored(case.scene)
     assert clearance(case.scene, state) >= -allowed, "containment"
 
 

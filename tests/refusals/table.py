@@ -419,7 +419,7 @@ def constructors() -> Iterator[Row]:
 
     yield row(states.as_state, {"state": state()})
     yield row(states.as_start, {"scene": ONLY_A_SCENE, "state": state(1e-9)})
-    yield row(states.as_held, {"scene": ONLY_A_SCENE, "state": state(1.0)})
+    yield row(states.as_restored, {"scene": ONLY_A_SCENE, "state": state(1.0)})
     yield row(mechanics.gaps, IN_A_SCENE)
     yield row(mechanics.energy, IN_A_SCENE)
     yield row(mechanics.gap_jacobian, {**IN_A_SCENE, "wall": PLACE, "foot": PLACE})

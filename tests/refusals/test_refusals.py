@@ -209,7 +209,7 @@ def test_more_environments_than_there_is_room_for_are_refused_at_once() -> None:
 WITHOUT_ARGUMENTS = {"Impact", "Rollout", "JackLostError", "Simulator", "Task"}
 # These check nothing, for speed: their caller has checked the arguments.
 UNCHECKED = {
-    "contacts_of", "impact_maps", "energy_of", "clearance", "deepest_held", "start_tolerance", "refuse_no_scene",
+    "contacts_of", "impact_maps", "energy_of", "clearance", "deepest_restored", "start_tolerance", "refuse_no_scene",
 }  # fmt: skip
 # Gymnasium checks it, or there is no end to what is right.
 ELSEWHERE = {"JackInBoxEnv.reset": {"seed"}}

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from agents.sweeps.journal import JOURNAL
+from agents.sweeps.results_log import LOG
 from scripts.studies import fidelity
 
 TINY = {"total_steps": 512, "num_envs": 4, "rollout_steps": 64, "batch_size": 64, "eval_steps": 512}
@@ -26,11 +26,11 @@ def test_every_model_runs_on_every_fidelity_and_nothing_runs_twice(
         return capsys.readouterr().out
 
     shown = run()
-    journals = [tmp_path / "study" / name / JOURNAL for name in ("trainings", "returns")]
-    lines = [journal.read_text().splitlines() for journal in journals]
+    logs = [tmp_path / "study" / name / LOG for name in ("trainings", "returns")]
+    lines = [log.read_text().splitlines() for log in logs]
     assert [len(one) for one in lines] == [4, 8]  # two trainings on each of two fidelities, each run on both
     assert run() == shown
-    assert [journal.read_text().splitlines() for journal in journals] == lines
+    assert [log.read_text().splitlines() for log in logs] == lines
     for given, said in ((("--seeds", "3"), "other arguments"), (("--fidelities", "{}"), "fidelities")):
         with pytest.raises(SystemExit):
             run(*given)

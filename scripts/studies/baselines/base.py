@@ -10,7 +10,7 @@ from jackbox_env import _validation as check
 from jackbox_env.measure.accuracy import Between
 from jackbox_env.scene import Drive, Scene
 from jackbox_env.simulators.base import ContactModel, Impact, JackLostError, Present, Simulator, end_of_step
-from jackbox_env.states import Array, clearance, deepest_held
+from jackbox_env.states import Array, clearance, deepest_restored
 
 DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))  # of walls 0 to 3 and of feet 0 to 3
 Pair = tuple[int, int]  # wall, foot
@@ -52,7 +52,7 @@ class Baseline(ContactModel):
         end, h = end_of_step(now.time, dt), dt / self.substeps
         impacts = list(self._under_way)
         after, mean = self._simulate(list(now.state), now.time, h, torque, impacts)
-        outside, deepest = -clearance(self.scene, after), deepest_held(self.scene)
+        outside, deepest = -clearance(self.scene, after), deepest_restored(self.scene)
         if not (outside <= deepest and math.isfinite(sum(after))):
             raise JackLostError(
                 f"the jack would leave the box: after t = {now.time:g} s a foot ends {outside:.3g} m outside, at most "

@@ -15,8 +15,8 @@ from typing import Any
 
 from agents.settings import EnvSettings
 from agents.sweeps.in_process import InTurn, Runner, Trial
-from agents.sweeps.journal import JOURNAL, TABLE, TIMES, carry_out, new_sweep
 from agents.sweeps.on_ray import OnRay, sent_to_machines
+from agents.sweeps.results_log import LOG, TABLE, TIMES, carry_out, new_sweep
 from agents.sweeps.trials import policy_trials, run_trial
 from jackbox_env.commands.common import command_line
 from scripts.studies import timing
@@ -52,7 +52,7 @@ def swept(count: int, runner: Runner) -> tuple[dict[str, float], bytes]:
         outcome = carry_out(folder, trials, partial(run_trial, folder), timed)
         if outcome.failed:
             raise RuntimeError(f"{len(outcome.failed)} of {len(trials)} trials failed")
-        size = (folder / JOURNAL).stat().st_size / len(trials)
+        size = (folder / LOG).stat().st_size / len(trials)
         workers = len({line.split(",")[2] for line in (folder / TIMES).read_text().splitlines()[1:]})
         table = (folder / TABLE).read_bytes()
     own, tenth = (time.process_time() - began) / len(trials), len(trials) // 10
@@ -75,7 +75,7 @@ def overhead(count: int, runner: Runner) -> dict[str, float]:
     return {"passed": passed, "own": own}
 
 
-def journal_line(count: int) -> float:
+def log_line(count: int) -> float:
     """Seconds that the folder takes for a trial: a line on the disk, and the tables."""
     trials = [Trial({"n": n}) for n in range(count)]
     with tempfile.TemporaryDirectory(dir=Path.cwd()) as scratch:
@@ -130,7 +130,7 @@ def measured(trials: int, on_two_nodes: int) -> dict[str, Any]:
     return {
         "runs": runs,
         "empty": empty,
-        "journal": journal_line(1000),
+        "journal": log_line(1000),
         "sent": sent,
         "busy": [before, busy()],
         "made": timing.measured_with(PACKAGES),

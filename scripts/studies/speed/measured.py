@@ -282,7 +282,7 @@ def rolled(
 
 
 def first_of_all(
-    scene: SceneNumbers, work: Workspace, flight: Flight, view: View, walls: int, likely: int, limits: Limits,
+    scene: SceneNumbers, memory: Workspace, flight: Flight, view: View, walls: int, likely: int, limits: Limits,
     rest: float,
 ) -> tuple[float, int]:  # fmt: skip
     """How impacts are usually found: look at the step's end, then Newton's method. What happens in between is lost.
@@ -292,7 +292,7 @@ def first_of_all(
     """
     left = limits.end
     best, found = left, NONE
-    end = pose_at(flight, work, left)
+    end = pose_at(flight, memory, left)
     at_end = box_frame(end.x, end.y, end.vx, end.vy, end.angle, end.omega)
     cosine, sine = cos_sin(end.jack_angle - end.angle)
     for wall in range(4):
@@ -306,7 +306,7 @@ def first_of_all(
             s = left
             for _ in range(_MOST_ITERATIONS):
                 s = min(max(s - gap / rate, 0.0), left)
-                gap, rate = gap_at(scene, flight, work, wall, foot, s)
+                gap, rate = gap_at(scene, flight, memory, wall, foot, s)
                 if abs(gap) <= limits.tolerance or rate == 0.0:
                     break
             if s <= best and rate < 0.0:

@@ -25,12 +25,12 @@ from typing import Any, NamedTuple
 
 from tqdm import tqdm
 
-from agents.files import DamagedFileError, held, parsing, say_skipped
+from agents.files import DamagedFileError, locked, parsing, say_skipped
 from agents.runs import PACKAGES, installed, machine, versions
 from agents.sweeps.in_process import Finished, Runner, Trial, Work
 from jackbox_env.recording.files import new_folder, remove_partials, write_bytes, write_json, write_text
 
-SWEEP, JOURNAL, TABLE, TIMES = "sweep.json", "trials.jsonl", "table.csv", "times.csv"
+SWEEP, LOG, TABLE, TIMES = "sweep.json", "trials.jsonl", "table.csv", "times.csv"
 ENGINES = ("numpy", "numba", "pymunk", *PACKAGES[-2:])
 _TIMED = {"seconds": float | int, "place": str, "processor": str}
 _KEPT = {"result": dict | None, "error": str | None, "details": str, **_TIMED}  # of a finished trial
@@ -113,13 +113,13 @@ def read_sweep(
 
 
 def carry_out(folder: Path, trials: list[Trial], work: Work, runner: Runner, progress: bool = True) -> Outcome:
-    """Run what has not finished, and what has failed; the journal has each trial as soon as it finishes.
+    """Run what has not finished, and what has failed; the results log has each trial as soon as it finishes.
 
     Raises:
         FolderInUseError: another process works in the folder.
         OSError: it cannot be written to.
     """
-    with held(folder):
+    with locked(folder):
         remove_partials(folder)
         kept = _read_log(folder, trials)
         left = [trial for trial in trials if trial.key not in kept or kept[trial.key]["error"] is not None]
@@ -136,7 +136,7 @@ def _run(
 ) -> None:
     """Run what is left, and add it to the log and to ``kept``."""
     failed = 0
-    with (folder / JOURNAL).open("ab") as log, bar:
+    with (folder / LOG).open("ab") as log, bar:
         bar.update(bar.total - len(left))
         for done in runner.run(left, work, bar.refresh):
             kept[done.trial.key] = line = _line(done)
@@ -158,7 +158,7 @@ def _read_log(folder: Path, trials: Iterable[Trial]) -> dict[str, dict[str, Any]
 
     The log is written anew without the beginning of a line at its end, and in place of a link.
     """
-    path, kept, known = folder / JOURNAL, dict[str, dict[str, Any]](), {trial.key for trial in trials}
+    path, kept, known = folder / LOG, dict[str, dict[str, Any]](), {trial.key for trial in trials}
     content = path.read_bytes() if path.is_file() else b""
     whole = content[: content.rfind(b"\n") + 1]
     write_bytes(path, whole)
