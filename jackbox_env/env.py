@@ -138,19 +138,8 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
 
     ## Fidelity
 
-    `fidelity` names a contact model and its substeps; `contact` and `substeps` override it. The columns are: the time
-    error of the first impact (median, worst), the deepest penetration (worst), the impacts that are right before the
-    first wrong one (median), and the simulator's speed relative to `"balanced"`, the default. `make benchmark` measures
-    them over 102 seeded scenes of 10 s, the first impact of `"exact"` over ten trajectories known to 60 digits
-    (docs/accuracy.md).
-
-    | `fidelity`   | stands for          | first impact late by | deepest in a wall | right impacts | speed |
-    |--------------|---------------------|----------------------|-------------------|---------------|-------|
-    | `"coarse"`   | pymunk, 2 substeps  | 0.0045, 0.0099 s     | 0.22 m            | 2             | 1.1   |
-    | `"balanced"` | pymunk, 4 substeps  | 0.0025, 0.0049 s     | 0.11 m            | 3             | 1     |
-    | `"fine"`     | pymunk, 64 substeps | 1.7e-04, 3.1e-04 s   | 0.0067 m          | 4             | 0.21  |
-    | `"exact"`    | exact               | 4.4e-16, 1.3e-15 s   | 2.2e-14 m         | 11            | 7.8   |
-
+    `fidelity` names a contact model and its substeps: `"coarse"`, `"balanced"` (the default) and `"fine"` are pymunk
+    with 2, 4 and 64 substeps, `"exact"` is the exact model. docs/accuracy.md states the error and the speed of each.
     `jackbox_env.cheapest` measures which setting keeps given bounds for a scene of your own.
 
     >>> import gymnasium as gym, jackbox_env

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jackbox_env import JackInBoxEnv
 from scripts.studies.accuracy import benchmark, measured
 
 ROOT = Path(__file__).parents[2]
@@ -104,10 +103,6 @@ def test_the_page_is_written_again_from_the_stored_results(
     assert (tmp_path / benchmark.BESIDE / benchmark.PICTURE).read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_sweep_shown_is_a_full_one_and_the_environments_docstring_holds_its_table(stored: measured.Results) -> None:
+def test_the_sweep_shown_is_a_full_one(stored: measured.Results) -> None:
     assert stored.about["quick"] is False
     assert set(stored.settings) >= {setting.name for setting in measured.settings(quick=False)}
-    docstring = JackInBoxEnv.__doc__ or ""
-    for line in benchmark.fidelity_table(stored).splitlines():
-        assert line in docstring, "copy the table of docs/accuracy.md into JackInBoxEnv's docstring"
-    assert f" {stored.of(measured.DEFAULT, 'depth').n} seeded scenes" in " ".join(docstring.split())

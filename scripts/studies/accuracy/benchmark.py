@@ -132,15 +132,15 @@ TABLED = (EXACT, *(pymunk(n).name for n in (2, 4, 16, 64)), USUAL, *_ENGINES)
 COLUMNS = {
     "impacts": {
         "µs per simulated s": "cost", "first impact [s]": "first_1", "first 3 [s]": "first_3", "first 5 [s]": "first_5",
-        "right impacts": "prefix",
+        "correct impacts": "prefix",
     },
     "motion": {
-        "flight [m]": "flight", "restart [m]": "local", "energy": "imbalance", "deepest [m]": "depth",
+        "flight [m]": "flight", "restart [m]": "local", "energy": "imbalance", "penetration [m]": "depth",
         "lost": "escaped", "missed": "missed", "extra": "extra",
     },
     "loss": {
-        "first impact [s]": "first_1", "first 3 [s]": "first_3", "restart [m]": "local", "right impacts": "prefix",
-        "deepest [m]": "depth", "missed": "missed", "extra": "extra",
+        "first impact [s]": "first_1", "first 3 [s]": "first_3", "restart [m]": "local", "correct impacts": "prefix",
+        "penetration [m]": "depth", "missed": "missed", "extra": "extra",
     },
     "long_run": {
         "impacts per s": "rate", "mean speed [m/s]": "speed", "90 % of the time below [m/s]": "fast",
@@ -165,14 +165,14 @@ def page(results: Results) -> str:
 
 
 def fidelity_table(results: Results) -> str:
-    """What the environment's docstring and README hold; tests compare them."""
+    """What README holds too."""
     rows = []
     for name, (contact, substeps) in FIDELITIES.items():
         first, depth, right, cost = results.some(of_fidelity(name), "first_1", "depth", "prefix", "cost_over_default")
         late, deep = f"{figure(first.median)}, {figure(first.worst)} s", f"{figure(max(0.0, depth.worst))} m"
         stands = f"{contact}, {substeps} substeps" if substeps else contact
         rows.append((f'`"{name}"`', stands, late, deep, f"{right.median:g}", figure(1.0 / cost.median)))
-    heads = ("`fidelity`", "stands for", "first impact late by", "deepest in a wall", "right impacts", "speed")
+    heads = ("`fidelity`", "stands for", "first impact late by", "penetration", "correct impacts", "speed")
     return table(heads, rows)
 
 
