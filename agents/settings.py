@@ -13,7 +13,7 @@ from jackbox_env import _validation as check
 from jackbox_env.commands.common import json_object, scene_fields
 from jackbox_env.observation import BOUNDS
 from jackbox_env.randomization import NUMBERS
-from jackbox_env.simulators.fidelity import Setting, explicit, resolve
+from jackbox_env.simulators.fidelity import COMMANDS, Setting, as_stored, explicit, resolve
 from jackbox_env.tasks import TASKS
 
 if TYPE_CHECKING:
@@ -41,27 +41,29 @@ class EnvSettings:
     task: TaskName = "juggle"
     """What is rewarded."""
     contact: str | None = None
-    """Contact model: pymunk or exact; None: the fidelity's, or pymunk."""
+    """In place of a fidelity, the contact model: pymunk or exact."""
     substeps: int | None = None
-    """Engine steps per control step; None: the fidelity's, or the contact model's default."""
+    """Engine steps of pymunk per control step, beside contact; None: 4."""
     control_dt: float = 0.02
     """Duration of a control step [s]."""
     scene: str = "{}"
     """Fields of the scene that differ from the default, as JSON, e.g. '{"gravity": 1.62}'."""
     fidelity: str | None = None
-    """A name for contact and substeps: coarse, balanced, fine or exact; contact and substeps override it."""
+    """How impacts are computed: coarse, balanced, fine or exact; None: exact, unless contact or substeps is given."""
     randomize: str = "{}"
     """Ranges of the scene's fields, drawn anew in each episode, as JSON, e.g. '{"jack_mass": [2, 6]}'."""
 
     def __post_init__(self) -> None:
         """Raises ValueError for an unknown fidelity or an invalid scene; the environment checks the rest."""
         Scene.of(self.scene_fields)
+        if all(given is None for given in (self.fidelity, self.contact, self.substeps)):
+            object.__setattr__(self, "fidelity", COMMANDS)
         resolve(self.fidelity, self.contact, self.substeps)
         check.known_keys("randomize", self.randomized, NUMBERS)
 
     @classmethod
     def of(cls, values: Any) -> Self:
-        """Make settings from what a file's JSON holds.
+        """Make settings from what a file's JSON holds, of this version or an earlier one.
 
         Raises:
             TypeError, ValueError: it is no dict, has an unknown key, or a setting is out of its range.
@@ -71,7 +73,7 @@ class EnvSettings:
         check.known_keys("settings", values, [field.name for field in fields(cls)])
         if isinstance(values.get("hidden_units"), list):
             values = {**values, "hidden_units": tuple(values["hidden_units"])}
-        return cls(**values)
+        return cls(**as_stored({"contact": cls.contact, **values}))
 
     @property
     def scene_fields(self) -> dict[str, Any]:
@@ -107,8 +109,8 @@ class EnvSettings:
     @property
     def options(self) -> list[str]:
         """Options of a command line that mean this environment: the task, and what differs from the default."""
-        others = [part.name for part in fields(EnvSettings) if part.name != "task"]
-        given = [name for name in others if getattr(self, name) != getattr(EnvSettings, name)]
+        others, default = [part.name for part in fields(EnvSettings) if part.name != "task"], EnvSettings()
+        given = [name for name in others if getattr(self, name) not in (None, getattr(default, name))]
         named = [(f"--{name.replace('_', '-')}", str(getattr(self, name))) for name in given]
         return ["--task", self.task, *(word for pair in named for word in pair)]
 
@@ -225,7 +227,6 @@ class TrainSettings(EnvSettings):
 
 # What `make demo` trains by: about 3 minutes of one core, nearly all of them in the networks.
 DEMO = TrainSettings(
-    contact="exact",
     total_steps=4_000_000,
     num_envs=1024,
     rollout_steps=32,

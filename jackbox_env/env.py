@@ -108,9 +108,9 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
 
     | Parameter        | Default      | Meaning                                                                        |
     |------------------|--------------|--------------------------------------------------------------------------------|
-    | `contact`        | `None`       | contact model: `"pymunk"` (time stepping, the default) or `"exact"` (compiled) |
+    | `fidelity`       | `None`       | `"coarse"`, `"balanced"`, `"fine"` or `"exact"`, see below; None: `"balanced"` |
+    | `contact`        | `None`       | in place of a fidelity: `"pymunk"` (time stepping) or `"exact"` (compiled)     |
     | `substeps`       | `None`       | engine steps of pymunk per control step, >= 1; None: 4                         |
-    | `fidelity`       | `None`       | a name for `contact` and `substeps`, see below; these two override it          |
     | `scene`          | `None`       | a `Scene`, or a dict of some of its fields                                     |
     | `task`           | `"juggle"`   | `"juggle"`, `"spin"`, `"rattle"`, or a `jackbox_env.Task` of your own          |
     | `control_dt`     | `0.02`       | duration of a step [s], > 0                                                    |
@@ -138,8 +138,9 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
 
     ## Fidelity
 
-    `fidelity` names a contact model and its substeps: `"coarse"`, `"balanced"` (the default) and `"fine"` are pymunk
-    with 2, 4 and 64 substeps, `"exact"` is the exact model. docs/accuracy.md states the error and the speed of each.
+    `fidelity` chooses how impacts are computed: `"coarse"`, `"balanced"` (the default) and `"fine"` are pymunk with 2,
+    4 and 64 substeps, `"exact"` is the exact model. docs/accuracy.md states the error and the speed of each. `contact`
+    and `substeps` choose what has no name; beside a fidelity that stands for others they are refused.
     `jackbox_env.cheapest` measures which setting keeps given bounds for a scene of your own.
 
     >>> import gymnasium as gym, jackbox_env

@@ -1,6 +1,6 @@
 """Train a PPO agent on JackInBox-v0, compare it with the scripted baselines, and film it beside them and a planner.
 
-It trains on the exact contact model, and plays on that one and on pymunk, the default.
+It trains on fidelity exact, and plays on that and on balanced, what `gymnasium.make` gives.
 """
 
 from __future__ import annotations
@@ -59,22 +59,22 @@ def main() -> None:
     print(f"Training PPO for {settings.total_steps:,} steps of {settings.hold} control steps each{limit}")
     train(settings, folder)
 
-    print(f"Evaluating {arguments.episodes} episodes of each policy on each contact model")
+    print(f"Evaluating {arguments.episodes} episodes of each policy on fidelity exact, and on gym.make's balanced")
     acts = {name: find_policy(name, settings, arguments.seed) for name in SCRIPTED}
     acts["PPO"] = Baseline(load_model(folder), {})
-    on = {contact: {**settings.env_settings, "contact": contact} for contact in ("exact", "pymunk")}
+    on = {fidelity: {**settings.env_settings, "fidelity": fidelity} for fidelity in ("exact", "balanced")}
     rows: dict[str, list[Returns]] = {
-        contact: [
+        fidelity: [
             evaluate(name, act.policy, {**env_settings, **act.env_settings}, arguments.episodes, arguments.seed)
             for name, act in acts.items()
         ]
-        for contact, env_settings in on.items()
+        for fidelity, env_settings in on.items()
     }
     results = {
         "seed": arguments.seed,
         "machine": machine(),
         "versions": versions(),
-        "results": {contact: [row.as_json() for row in found] for contact, found in rows.items()},
+        "results": {fidelity: [row.as_json() for row in found] for fidelity, found in rows.items()},
     }
     write_json(folder / "results.json", results)
     learning_figure(folder, rows["exact"], settings.task)
@@ -83,11 +83,11 @@ def main() -> None:
     acts["planner"] = find_policy("planner", settings, arguments.seed)
     shown = {name: acts[name] for name in ("chirp", "level", "PPO", "planner")}
     film(shown, on["exact"], folder / "film.gif", seed=derived_seed("evaluation", arguments.seed), width=288)
-    for contact, found in rows.items():
-        print(f"\nOn contact model {contact}:\n\n{table(found)}")
+    for fidelity, found in rows.items():
+        print(f"\nFidelity {fidelity}:\n\n{table(found)}")
     print(f"\nModel, settings, results.json, results.png and film.gif: {folder}")
     print(f"Took {time.monotonic() - began:.0f} s")
-    print("; ".join(f"on {contact}, {above(found, 'PPO', 'level')}" for contact, found in rows.items()) + ".")
+    print("; ".join(f"on {fidelity}, {above(found, 'PPO', 'level')}" for fidelity, found in rows.items()) + ".")
 
 
 if __name__ == "__main__":

@@ -31,6 +31,7 @@ class Arguments:
 def main() -> None:
     """Parse, train, say where things are."""
     arguments = tyro.cli(Arguments, description=__doc__)
+    from agents.evaluation.provenance import describe_env
     from agents.training.models import make_vec_env
     from agents.training.ppo import train
 
@@ -44,6 +45,7 @@ def main() -> None:
         settings = arguments.settings
         make_vec_env(settings.env_settings, 1, 0).close()  # refuse before there is a folder
         folder = new_folder(arguments.folder, settings.task, lambda made: describe(made, settings))
+    print(f"Training on {describe_env(settings)}")
     try:
         train(settings, folder, progress=arguments.progress)
     except KeyboardInterrupt:

@@ -12,17 +12,17 @@ from agents.policies.registry import POLICIES, shipped_names
 from agents.runs import SETTINGS, read_settings
 from agents.settings import EnvSettings
 from agents.training.models import run_folder
+from jackbox_env.simulators.fidelity import words
 
 PLANNER = "planner"
 
 
 def describe_env(settings: EnvSettings) -> str:
     """The environment in one line: task, contact model, and what differs from the default."""
-    contact, substeps = settings.setting
-    told = [f"task {settings.task}", f"contact {contact}", *([f"substeps {substeps}"] * bool(substeps))]
     others = [part.name for part in fields(EnvSettings) if part.name not in ("task", "contact", "substeps", "fidelity")]
     differing = [name for name in others if getattr(settings, name) != getattr(EnvSettings, name)]
-    return ", ".join([*told, *(f"{name} {getattr(settings, name)}" for name in differing)])
+    more = (f"{name} {getattr(settings, name)}" for name in differing)
+    return ", ".join([f"task {settings.task}", words(settings.setting), *more])
 
 
 def _settings_of(name: str, here: EnvSettings) -> EnvSettings | None:

@@ -23,6 +23,8 @@ from jackbox_env import _validation as check
 if TYPE_CHECKING:
     import tyro as tyro
 
+    from jackbox_env.simulators.fidelity import Setting
+
 Kind = TypeVar("Kind", dict[str, Any], list[Any])
 JACKBOX = "jackbox"  # the command, and with a command's name the first word of what it was started by
 _UNREAD = 128 + 13  # exit status of what SIGPIPE ends
@@ -151,10 +153,20 @@ def parser_of(program: str | None, text: str | None) -> argparse.ArgumentParser:
 
 
 def add_model_options(parser: argparse.ArgumentParser) -> None:
-    """Add what chooses the scene and the contact model: scene, contact, substeps, fidelity."""
+    """Add what chooses the scene and the contact model: fidelity, contact, substeps, scene."""
     model = parser.add_argument_group("scene and contact model")
-    model.add_argument("--contact", metavar="NAME", help="pymunk or exact; default: the fidelity's, or pymunk")
-    model.add_argument("--substeps", type=int, metavar="N", help="engine steps of pymunk per step; default: 4")
-    model.add_argument("--fidelity", metavar="NAME", help="coarse, balanced, fine or exact: a name for both")
+    text = "how impacts are computed: coarse, balanced, fine or exact; default: exact"
+    model.add_argument("--fidelity", metavar="NAME", help=text)
+    model.add_argument("--contact", metavar="NAME", help="in place of a fidelity: pymunk or exact")
+    text = "engine steps of pymunk per step, beside --contact; default: 4"
+    model.add_argument("--substeps", type=int, metavar="N", help=text)
     text = """fields that differ from the default, as JSON, e.g. '{"gravity": 1.62}'"""
     model.add_argument("--scene", default="{}", metavar="JSON", help=text)
+
+
+def chosen_setting(arguments: argparse.Namespace) -> Setting:
+    """The contact model and substeps that these options mean; :func:`jackbox_env.simulators.fidelity.resolve`."""
+    from jackbox_env.simulators.fidelity import COMMANDS, resolve
+
+    given = arguments.fidelity, arguments.contact, arguments.substeps
+    return resolve(*given) if any(one is not None for one in given) else resolve(COMMANDS, None, None)

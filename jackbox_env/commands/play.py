@@ -12,6 +12,7 @@ import gymnasium as gym
 
 from jackbox_env.commands.common import (
     add_model_options,
+    chosen_setting,
     command_line,
     extras,
     in_checkout,
@@ -41,19 +42,20 @@ def play_with(trained: Callable[[str], Predicts] | None = None) -> None:
     """Parse and play; ``trained`` loads the agent of a task, of which there is none without a checkout."""
     arguments = _arguments()
     from jackbox_env.render.window import play
+    from jackbox_env.simulators.fidelity import words
 
     if find_spec("pygame") is None and not in_checkout():
         wanted = " ".join(f"'{requirement}'" for requirement in extras().get("render", ["pygame-ce"]))
         raise RuntimeError(f"play needs the render extra, which is not installed: pip install {wanted}")
+    setting = chosen_setting(arguments)
+    print(f"Playing {arguments.task}, {words(setting)}", flush=True)
     env = gym.make(
         "jackbox_env:JackInBox-v0",
         render_mode="rgb_array",
         task=arguments.task,
-        contact=arguments.contact,
-        substeps=arguments.substeps,
+        **setting._asdict(),
         control_dt=arguments.control_dt,
         scene=scene_fields(arguments.scene),
-        fidelity=arguments.fidelity,
     )
     play(env, arguments.seed, not arguments.quiet, None if trained is None else partial(trained, arguments.task))
 

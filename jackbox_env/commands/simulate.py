@@ -8,7 +8,14 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jackbox_env.commands.common import add_model_options, command_line, from_json, parser_of, scene_fields
+from jackbox_env.commands.common import (
+    add_model_options,
+    chosen_setting,
+    command_line,
+    from_json,
+    parser_of,
+    scene_fields,
+)
 
 if TYPE_CHECKING:
     from jackbox_env.recording.trajectory import Trajectory
@@ -82,11 +89,11 @@ def main() -> None:
     from jackbox_env import Scene, make_simulator
     from jackbox_env.recording.files import new_folder, stamped
     from jackbox_env.recording.trajectory import simulate
-    from jackbox_env.simulators.fidelity import resolve
+    from jackbox_env.simulators.fidelity import words
 
     arguments.folder = arguments.folder or stamped("simulate")
     _refuse_nonsense(arguments)
-    setting = resolve(arguments.fidelity, arguments.contact, arguments.substeps)
+    setting = chosen_setting(arguments)
     scene = Scene.of(scene_fields(arguments.scene))
     simulator = make_simulator(scene, **setting._asdict())
     simulator.reset(from_json("state", arguments.state, list), arguments.time)
@@ -98,7 +105,7 @@ def main() -> None:
     except KeyboardInterrupt:
         print("\nInterrupted: nothing was written", file=sys.stderr)
         raise
-    print(f"{len(trajectory.impacts)} impacts by t = {simulator.time:g} s; wrote")
+    print(f"{len(trajectory.impacts)} impacts by t = {simulator.time:g} s, {words(setting)}; wrote")
     for path in sorted(folder.iterdir()):
         print(f"  {path}")
     if trajectory.failure:

@@ -38,7 +38,7 @@ def main() -> None:
 
     arguments = tyro.cli(Arguments, description=__doc__)
     settings: dict[str, Any] = {
-        "contact": "exact", "control_dt": 0.05, "max_episode_steps": 200,  # 10 s
+        "fidelity": "exact", "control_dt": 0.05, "max_episode_steps": 200,  # 10 s
         "task": Task(terms=("left", "effort"), values=stay_left),
     }  # fmt: skip
     train_envs = make_sb3_vec_env(64, **settings)

@@ -16,7 +16,7 @@ NUM_ENVS, LENGTH, EPOCHS, MINIBATCH, GAMMA, LAMBDA, CLIP = 256, 32, 5, 1024, 0.9
 
 torch.manual_seed(0)
 torch.set_num_threads(1)  # small networks want one
-envs = gym.make_vec("JackInBox-v0", num_envs=NUM_ENVS, contact="exact", autoreset_mode="SAME_STEP", control_dt=0.08,
+envs = gym.make_vec("JackInBox-v0", num_envs=NUM_ENVS, fidelity="exact", autoreset_mode="SAME_STEP", control_dt=0.08,
                     max_episode_steps=125)  # fmt: skip  # 10 s, a decision every 0.08 s
 size = gym.spaces.flatdim(envs.single_observation_space)
 

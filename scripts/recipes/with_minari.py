@@ -16,7 +16,7 @@ with tempfile.TemporaryDirectory() as folder:
 
     import jackbox_env  # noqa: F401  # registers JackInBox-v0
 
-    env = minari.DataCollector(gym.make("JackInBox-v0", contact="exact"), record_infos=True)
+    env = minari.DataCollector(gym.make("JackInBox-v0", fidelity="exact"), record_infos=True)
     for seed in range(episodes):
         seen, _ = env.reset(seed=seed)
         over = False

@@ -19,7 +19,7 @@ steps = parser.parse_args().steps
 def make() -> gym.Env[Any, Any]:
     """One environment that shows its picture: box and jack alone, without ruler and readings."""
     picture: dict[str, Any] = {"render_mode": "rgb_array", "render_size": (84, 84), "render_overlay": False}
-    env = gym.make("JackInBox-v0", contact="exact", control_dt=0.08, max_episode_steps=125, **picture)
+    env = gym.make("JackInBox-v0", fidelity="exact", control_dt=0.08, max_episode_steps=125, **picture)
     return GrayscaleObservation(AddRenderObservation(env, render_only=True), keep_dim=True)
 
 

@@ -12,7 +12,7 @@ parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--steps", type=int, default=500_000)
 steps = parser.parse_args().steps
 
-envs = HoldingVecEnv(make_sb3_vec_env(64, contact="exact", task="juggle"), 4)  # an action for 4 control steps
+envs = HoldingVecEnv(make_sb3_vec_env(64, fidelity="exact", task="juggle"), 4)  # an action for 4 control steps
 model = PPO("MlpPolicy", envs, n_steps=64, batch_size=512, learning_rate=1e-3, gae_lambda=0.9, seed=0, device="cpu")
 model.learn(steps)
 mean, deviation = evaluate_policy(model, envs, n_eval_episodes=64)

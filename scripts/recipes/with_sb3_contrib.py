@@ -12,7 +12,7 @@ parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--steps", type=int, default=50_000)
 steps = parser.parse_args().steps
 
-envs = HoldingVecEnv(make_sb3_vec_env(8, contact="exact", task="juggle"), 5)
+envs = HoldingVecEnv(make_sb3_vec_env(8, fidelity="exact", task="juggle"), 5)
 model = TQC("MlpPolicy", envs, learning_starts=1000, gradient_steps=4, batch_size=256, seed=0, device="cpu")
 model.learn(steps)
 mean, deviation = evaluate_policy(model, envs, n_eval_episodes=16)

@@ -11,7 +11,7 @@ parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--steps", type=int, default=4_000)
 steps = parser.parse_args().steps
 
-envs = DummyVectorEnv([lambda: gym.make("JackInBox-v0", contact="exact") for _ in range(8)])
+envs = DummyVectorEnv([lambda: gym.make("JackInBox-v0", fidelity="exact") for _ in range(8)])
 envs.seed(list(range(8)))
 envs.reset()
 total = 0.0

@@ -93,6 +93,7 @@ def test_simulate_by_the_exact_model_gives_the_reference(tmp_path: Path) -> None
 
 def test_simulate_keeps_what_came_before_the_jack_left(tmp_path: Path) -> None:
     arguments = ["--scene", '{"box_mass": 0.01}', "--seconds", "5", "--folder", "out", "--no-plots"]
+    arguments += ["--fidelity", "balanced"]
     done = script("simulate", *arguments, cwd=tmp_path, status=2)
     assert "the jack would leave the box" in done.stderr
     assert (tmp_path / "out" / "states.csv").stat().st_size > 100
@@ -126,9 +127,9 @@ def test_evaluate_compares_policies_and_writes_json(tmp_path: Path, run: Path) -
     assert [row["policy"] for row in stored["results"]] == ["zero", "chirp", str(run)]
     assert all(len(row["returns"]) == row["episodes"] == 4 for row in stored["results"])
     assert f"{stored['results'][0]['mean']:.1f}" in done.stdout
-    assert "4 episodes each, seed 0, task spin, contact pymunk, substeps 2" in done.stdout
-    assert f"Note: {run} was trained in another environment (task juggle, contact pymunk, substeps 4)" in done.stderr
-    same = script("evaluate", "--policy", str(run), "--episodes", "2", "--fidelity", "balanced", cwd=tmp_path)
+    assert "4 episodes each, seed 0, task spin, fidelity coarse" in done.stdout
+    assert f"Note: {run} was trained in another environment (task juggle, fidelity exact)" in done.stderr
+    same = script("evaluate", "--policy", str(run), "--episodes", "2", "--contact", "exact", cwd=tmp_path)
     assert "Note:" not in same.stderr  # another word for the same
     assert "no cannot be used: " in script("evaluate", "--json", "no/out.json", cwd=tmp_path, status=2).stderr
     assert "never overwritten" in script("evaluate", *arguments, cwd=tmp_path, status=2).stderr
@@ -158,7 +159,7 @@ def test_train_prints_a_command_that_evaluates_in_the_same_environment(tmp_path:
     _, _, *options = shlex.split(line)
     again = script("evaluate", *options, "--episodes", "1", cwd=tmp_path)
     assert "Note:" not in again.stderr  # of a run that was trained elsewhere
-    assert "task spin, contact exact, control_dt 0.025, scene {" in again.stdout
+    assert "task spin, fidelity exact, control_dt 0.025, scene {" in again.stdout
     assert "| a run's" in again.stdout
 
 

@@ -81,7 +81,7 @@ def test_an_empty_file_is_no_model(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("contact", "is_noted"), [("pymunk", True), ("exact", False)])
 def test_shipped_networks_are_noted_that_were_trained_elsewhere(tmp_path: Path, contact: str, is_noted: bool) -> None:
     done = script("evaluate", "--policy", "ppo", "zero", "--contact", contact, "--episodes", "1", cwd=tmp_path)
-    assert ("Note: ppo was trained in another environment (task juggle, contact exact)" in done.stderr) == is_noted
+    assert ("Note: ppo was trained in another environment (task juggle, fidelity exact)" in done.stderr) == is_noted
     assert done.stderr.count("Note: ") == is_noted
 
 

@@ -56,7 +56,8 @@ def test_an_error_while_files_are_written_leaves_no_folder(
 def test_it_goes_on_from_its_own_last_row_with_a_foot_in_a_wall(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run(monkeypatch, tmp_path, "--seconds", "2", "--scene", '{"restitution": 0.3, "drive": null}', "--folder", "out")
+    scene = ["--scene", '{"restitution": 0.3, "drive": null}', "--fidelity", "balanced"]
+    run(monkeypatch, tmp_path, "--seconds", "2", *scene, "--folder", "out")
     with (tmp_path / "out" / "states.csv").open() as file:
         rows = [[float(cell) for cell in row] for row in list(csv.reader(file))[1:]]
     deep = next(row for row in rows if row[5] - row[2] < -5.0 - 1e-8)  # a foot is outside

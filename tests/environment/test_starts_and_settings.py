@@ -122,5 +122,5 @@ def test_scenes_with_functions_run_end_to_end_and_have_no_json_form() -> None:
 
 
 def test_a_contact_that_is_an_array_is_refused_beside_a_fidelity_too() -> None:
-    with pytest.raises(ValueError, match="^contact must be one of"):
+    with pytest.raises(ValueError, match="^fidelity='coarse' stands for contact='pymunk', got contact="):
         JackInBoxEnv(fidelity="coarse", contact=np.array(["pymunk", "exact"]))  # type: ignore[arg-type]

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
 
-from jackbox_env import FIDELITIES, JackInBoxVectorEnv, Scene, cheapest
+from agents.settings import EnvSettings
+from jackbox_env import FIDELITIES, JackInBoxEnv, JackInBoxVectorEnv, Scene, cheapest
 from jackbox_env.measure import choosing
 from jackbox_env.simulators.fidelity import Setting, resolve
 
@@ -24,16 +26,54 @@ WEIGHTLESS = {"gravity": 0.0, "drive": None}
         ({"fidelity": "balanced"}, Setting("pymunk", 4)),
         ({"fidelity": "fine"}, Setting("pymunk", 64)),
         ({"fidelity": "exact"}, Setting("exact", None)),
-        ({"fidelity": "coarse", "substeps": 8}, Setting("pymunk", 8)),
-        ({"fidelity": "fine", "contact": "pymunk"}, Setting("pymunk", 64)),
-        ({"fidelity": "fine", "contact": "exact"}, Setting("exact", None)),
-        ({"fidelity": "exact", "contact": "pymunk"}, Setting("pymunk", None)),
+        ({"fidelity": "fine", "contact": "pymunk", "substeps": np.int64(64)}, Setting("pymunk", 64)),
+        ({"fidelity": "exact", "contact": "exact"}, Setting("exact", None)),
         ({"contact": "exact"}, Setting("exact", None)),
     ],
 )
-def test_a_name_stands_for_a_setting_and_what_is_said_wins(given: dict[str, Any], meant: Setting) -> None:
+def test_a_name_stands_for_a_setting(given: dict[str, Any], meant: Setting) -> None:
     assert resolve(**{"fidelity": None, "contact": None, "substeps": None, **given}) == meant
     assert gym.make("JackInBox-v0", **given).unwrapped.contact == meant.contact  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("given", "named"),
+    [
+        ({"fidelity": "exact", "contact": "pymunk"}, "contact='exact', got contact='pymunk'"),
+        ({"fidelity": "fine", "contact": "exact"}, "contact='pymunk', got contact='exact'"),
+        ({"fidelity": "coarse", "substeps": 8}, "substeps=2, got substeps=8"),
+        ({"fidelity": "exact", "substeps": 4}, "substeps=None, got substeps=4"),
+    ],
+)
+def test_a_fidelity_and_what_contradicts_it_are_refused(given: dict[str, Any], named: str) -> None:
+    for make in (JackInBoxEnv, JackInBoxVectorEnv, EnvSettings):
+        with pytest.raises(ValueError, match=f"stands for {named} beside it"):
+            make(**given)
+
+
+@pytest.mark.parametrize(
+    ("stored", "meant"),
+    [
+        ({}, Setting("pymunk", 4)),
+        ({"contact": None, "substeps": None, "fidelity": None}, Setting("pymunk", 4)),
+        ({"contact": "exact", "fidelity": None}, Setting("exact")),
+        ({"contact": "pymunk", "substeps": None}, Setting("pymunk", 4)),
+        ({"contact": "pymunk", "fidelity": "exact"}, Setting("pymunk", 4)),
+        ({"contact": "exact", "fidelity": "fine"}, Setting("exact")),
+        ({"contact": "pymunk", "fidelity": "fine"}, Setting("pymunk", 64)),
+        ({"substeps": 8, "fidelity": "fine"}, Setting("pymunk", 8)),
+        ({"fidelity": "exact"}, Setting("exact")),
+    ],
+)
+def test_stored_settings_mean_what_they_meant_in_earlier_versions(stored: dict[str, Any], meant: Setting) -> None:
+    settings = EnvSettings.of(stored)
+    assert settings.setting == meant
+    assert EnvSettings.of(asdict(settings)) == settings
+
+
+def test_commands_use_the_exact_model_where_nothing_is_said() -> None:
+    assert EnvSettings().setting == EnvSettings(fidelity="exact").setting == Setting("exact")
+    assert EnvSettings(contact="pymunk").setting == EnvSettings(substeps=4).setting == Setting("pymunk", 4)
 
 
 @pytest.mark.parametrize("name", FIDELITIES)
