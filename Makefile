@@ -16,6 +16,7 @@ UNDER_OLD_GYMNASIUM := $(addprefix tests/,environment/test_env.py environment/te
 .DELETE_ON_ERROR:
 
 demo: .venv/usable
+	@$(BIN)/python -m jackbox_env check
 	@$(BIN)/python scripts/demo.py
 
 # The compiled code is made once, before the workers start (tests/conftest.py).

@@ -62,6 +62,7 @@ def evaluate(
     """Run whole episodes, up to 16 side by side, from starts that ``seed`` decides; training has not seen them."""
     starts = derived_seed("evaluation", seed)
     environments = make_vec_env(env_settings, min(16, episodes), starts)
+    environments.reset()  # whatever has to be compiled is compiled now, before the bar
     environments.seed(starts)
     steps = episodes * EPISODE_STEPS
     with tqdm(total=steps, desc=name, unit="step", unit_scale=True, disable=not progress, leave=False) as bar:

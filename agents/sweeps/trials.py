@@ -83,7 +83,9 @@ def environments(tasks: tuple[str, ...], settings: tuple[str, ...], scenes: tupl
         named = {"fidelity": setting} if setting in FIDELITIES else json_object("setting", setting)
         check.known_keys("setting", named, [name for name in _ENV if name not in ("task", "scene")])
         given = EnvSettings(task=task, scene=json.dumps(json_object("scene", scene), sort_keys=True), **named)
-        make_vec_env(given.env_settings, 1, 0).close()
+        environments = make_vec_env(given.env_settings, 1, 0)
+        environments.reset()  # whatever has to be compiled is compiled once and now, before any bar
+        environments.close()
         made.append(given)
     return made
 

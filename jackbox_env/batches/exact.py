@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -24,13 +25,19 @@ from jackbox_env.scoring import compiled_for
 from jackbox_env.simulators.base import end_of_step
 from jackbox_env.simulators.exact import failure, pieces_for
 from jackbox_env.states import Array
-from jackbox_env.tasks import Task
+from jackbox_env.tasks import TASKS, Task
 
 _FEWEST_PER_THREAD = 4096  # below that, waking a thread costs more than it saves
 _GRAIN = 4  # blocks that are worth a call
 _NO_ACTIONS: Array = np.zeros(0)
 _NO_TABLE: Array = np.zeros((0, TABLE_WIDTH))
 _NO_RANGES = np.zeros((0, 2), dtype=np.int64)
+
+
+@cache
+def ready() -> None:
+    """Compile the loop, or load it: at an episode's start, and not in its first step behind somebody's progress bar."""
+    ExactBatch([Scene()], 1, TASKS["juggle"], 0.02, 1).step(None)
 
 
 class ExactBatch:
@@ -120,6 +127,7 @@ class ExactBatch:
         self, numbers: Numbers, seeds: Sequence[int | None] | None = None, changes: Sequence[Change] | None = None
     ) -> Starts:
         """See :meth:`jackbox_env.batches.base.Batch.draw`."""
+        ready()
         words, table = self._generators[numbers], self._scenes
         for place, seed in enumerate(seeds or ()):
             if seed is not None:

@@ -12,8 +12,11 @@ from importlib import metadata
 import numpy as np
 
 from jackbox_env import Scene, __version__, make_simulator
+from jackbox_env.batches import exact as batches
 from jackbox_env.commands.common import command_line, extras, parser_of
 from jackbox_env.measure.accuracy import Case, follow
+from jackbox_env.planning import rollouts
+from jackbox_env.simulators import exact
 
 _DT = 0.02  # [s]
 _AGREES = 1e-9  # relative
@@ -43,10 +46,10 @@ def extra_lines() -> list[str]:
     return lines
 
 
-def _compiles() -> str:
+def _compiled(ready: Callable[[], None]) -> str:
+    """Compile a part of the exact model, or load it."""
     began = time.perf_counter()
-    simulator = make_simulator(contact="exact")
-    simulator.step(_DT)
+    ready()
     return f"ready after {time.perf_counter() - began:.1f} s; later processes load what was compiled"
 
 
@@ -81,7 +84,9 @@ def obeys_the_law() -> str:
 
 
 _CHECKS: dict[str, Callable[[], str]] = {
-    "exact model": _compiles,
+    "exact model, single environments": lambda: _compiled(exact.ready),
+    "exact model, batches": lambda: _compiled(batches.ready),
+    "exact model, rollouts": lambda: _compiled(rollouts.ready),
     "exact model, states": lambda: restores("exact"),
     "exact model, law": obeys_the_law,
     "pymunk, states": lambda: restores("pymunk"),

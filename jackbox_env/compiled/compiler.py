@@ -273,7 +273,6 @@ def cache_folders() -> list[Path]:
             if not folder.is_dir():
                 folder.mkdir(parents=True, exist_ok=True)
                 _tidy(place)
-                print("jackbox compiles its exact contact model, once: 25 to 45 s", file=sys.stderr)
         except OSError as error:
             refused.append(f"{place}: {error.strerror}")
             continue

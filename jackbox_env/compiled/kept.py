@@ -29,6 +29,8 @@ from numba.core.serialize import dumps
 from jackbox_env.recording import files
 
 _HEAD = hashlib.sha256().digest_size  # bytes of the checksum, which stands before the code
+# What takes long to compile, by its function, and what it is for.
+_LONG = {"step_one": "single environments", "step_blocks": "batches of environments", "roll": "rollouts"}
 
 
 @cache
@@ -55,10 +57,13 @@ class CodeCache(NullCache):
     def __init__(self, function: FunctionType, folders: Sequence[Path]) -> None:
         self._name = f"{Path(function.__code__.co_filename).stem}.{function.__name__.strip('<>')}"
         self._version = sys.version, numba.__version__, function.__qualname__
-        self._folders = folders
+        self._folders, self._for = folders, _LONG.get(function.__name__)
 
     def load_overload(self, signature: Any, context: Any) -> Any:
-        """Return what was compiled for this signature, or None where it is not kept or cannot be used."""
+        """Return what was compiled for this signature, or None where it is not kept or cannot be used.
+
+        What is compiled then takes long for some functions: standard error says so.
+        """
         context.refresh()
         for folder in self._folders:
             path = folder / self._file_name(signature, context.codegen())
@@ -71,6 +76,9 @@ class CodeCache(NullCache):
                 continue
             except Exception as error:  # whatever it is, compiling anew repairs it
                 say_once(f"compiled code kept in {folder} cannot be used ({error}), so it is compiled anew")
+        if self._for is not None:
+            said = f"jackbox compiles its exact contact model for {self._for}, once on this machine (half a minute)"
+            print(said, file=sys.stderr, flush=True)
         return None
 
     def save_overload(self, signature: Any, result: Any) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env import _validation as check
-from jackbox_env.planning.rollouts import play
+from jackbox_env.planning.rollouts import play, ready
 from jackbox_env.scene import Scene
 from jackbox_env.states import Array
 from jackbox_env.tasks import Task, task_of
@@ -82,6 +82,7 @@ class Search:
         self.seed = check.whole("seed", seed, at_least=0)
         self.num_threads = None if num_threads is None else check.whole("num_threads", num_threads, at_least=1)
         self.again = min(max(1, round(_KEPT * elites)), samples - 1)
+        ready()
 
     def begin(self, count: int) -> Plans:
         """Plans of no torque, for ``count`` jacks."""

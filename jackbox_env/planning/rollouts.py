@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cache
 from typing import Any, Literal, NamedTuple, overload
 
 import numpy as np
@@ -188,6 +189,12 @@ def play(
         played, energies if energy else None, hits if impacts else None, impulses if impacts else None,
         earned if task else None,
     )  # fmt: skip
+
+
+@cache
+def ready() -> None:
+    """Compile rollouts, or load them: when a search is made, and not behind somebody's progress bar."""
+    play([Scene()], np.zeros((1, 12)), np.zeros((1, 1)), 0.02)
 
 
 def _times(time: float, dt: float, steps: int) -> Array:

@@ -28,9 +28,11 @@ Reference: Lygeros et al. 2003, "Dynamical properties of hybrid automata"; the b
 
 from __future__ import annotations
 
+from functools import cache
 from typing import cast
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jackbox_env import _validation as check
 from jackbox_env.compiled.compiler import compiled
@@ -82,6 +84,14 @@ def failure(ended: int, scene: Scene, time: float, dt: float, who: str = "the ja
     )
 
 
+@cache
+def ready() -> None:
+    """Compile a step, or load it: at an episode's start, and not in its first step behind somebody's progress bar."""
+    numbers, state = np.array(Scene().numbers), np.zeros(12)
+    memory = new_workspaces(), new_log(64)
+    compiled(step_one)(numbers, 0.02, CONSTANT, state, state.copy(), 0.0, 0.0, _NO_PIECES, *memory)
+
+
 class ExactSimulator(ContactModel):
     """Event-driven simulation; the module's head states the law, :class:`Simulator` the methods."""
 
@@ -96,6 +106,11 @@ class ExactSimulator(ContactModel):
         self._prepare()
 
     # -- stepping -----------------------------------------------------------------------------------------------------
+
+    def reset(self, state: ArrayLike, time: float = 0.0) -> None:
+        """See :meth:`Simulator.reset`."""
+        ready()
+        super().reset(state, time)
 
     def step(self, dt: float, torque: float | None = None) -> None:
         """See :meth:`Simulator.step`."""

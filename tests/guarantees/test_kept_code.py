@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pickle
 import random
+import re
 import shutil
 import subprocess
 import sys
@@ -79,6 +80,21 @@ def test_a_later_process_loads_the_whole_exact_model() -> None:
     )
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert (ran.stdout, ran.stderr) == ("1 0\n", "")
+
+
+@pytest.mark.slow  # compiles anew
+def test_what_is_compiled_is_said_before_any_bar_and_once(tmp_path: Path) -> None:
+    root = Path(jackbox_env.__file__).parents[1]
+    command = [sys.executable, str(root / "scripts" / "evaluate.py"), "--policy", "planner", "--episodes", "1"]
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(root)}
+
+    def said() -> str:
+        return subprocess.run(command, capture_output=True, text=True, check=True, env=environment).stderr
+
+    before, bar = said().split("planner:", 1)
+    assert re.findall(r"for ([a-z ]+), once", before) == ["rollouts", "batches of environments"]
+    assert "compiles" not in bar
+    assert "compiles" not in said()
 
 
 # -- damage -----------------------------------------------------------------------------------------------------------
