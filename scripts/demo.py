@@ -6,10 +6,10 @@ It trains on fidelity exact, and plays on that and on balanced, what `gymnasium.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-from agents.settings import DEMO
+from agents.settings import TrainSettings
 from jackbox_env.commands.common import command_line
 
 
@@ -19,7 +19,7 @@ class Arguments:
 
     folder: Path | None = None
     """Run folder to make; None: runs/demo-<date>-<time>."""
-    total_steps: int = DEMO.total_steps
+    total_steps: int = TrainSettings.total_steps
     """Steps to train for, each an action held for `hold` control steps."""
     max_minutes: float | None = None
     """Stop training after this time at the latest [min]; None: after all steps."""
@@ -48,12 +48,7 @@ def main() -> None:
     from jackbox_env.recording.files import new_folder, write_json
 
     check.whole("episodes", arguments.episodes, at_least=2)
-    settings = replace(
-        DEMO,
-        total_steps=arguments.total_steps,
-        max_minutes=arguments.max_minutes,
-        seed=arguments.seed,
-    )
+    settings = TrainSettings(total_steps=arguments.total_steps, max_minutes=arguments.max_minutes, seed=arguments.seed)
     folder = new_folder(arguments.folder, "demo", lambda made: describe(made, settings))
     limit = "" if settings.max_minutes is None else f" (at most {settings.max_minutes:g} min)"
     print(f"Training PPO for {settings.total_steps:,} steps of {settings.hold} control steps each{limit}")

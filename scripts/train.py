@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -22,7 +22,8 @@ class Arguments:
     folder: Path | None = None
     """Run folder to make; None: runs/<task>-<date>-<time>."""
     resume: Path | None = None
-    """Run folder to resume, with its own settings, from its newest whole checkpoint."""
+    """Run folder to resume, with its own settings, from its newest whole checkpoint; with --total-steps N a run goes on
+    to N steps in all, a finished one too."""
     progress: bool = True
     """Show a progress bar."""
 
@@ -33,14 +34,17 @@ def main() -> None:
     arguments = tyro.cli(Arguments, description=__doc__)
     from agents.evaluation.provenance import describe_env
     from agents.training.models import make_vec_env
-    from agents.training.ppo import train
+    from agents.training.ppo import extended, train
 
     if arguments.resume is not None:
-        if arguments.settings != TrainSettings() or arguments.folder is not None:
-            raise ValueError("--resume uses the settings of its run folder: give no other settings")
+        others = replace(arguments.settings, total_steps=TrainSettings.total_steps)
+        if others != TrainSettings() or arguments.folder is not None:
+            raise ValueError("--resume uses the settings of its run folder: give no other settings than --total-steps")
         folder, settings = arguments.resume, read_settings(arguments.resume)
         if not (folder / RUN).is_file():
             raise FileNotFoundError(f"{folder} is no training run: it has no {RUN}, so there is nothing to resume")
+        if any(word.split("=")[0] in ("--total-steps", "--total_steps") for word in sys.argv):
+            settings = extended(folder, arguments.settings.total_steps)
     else:
         settings = arguments.settings
         make_vec_env(settings.env_settings, 1, 0).close()  # refuse before there is a folder

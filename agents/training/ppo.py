@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import time
+from dataclasses import asdict, replace
 from pathlib import Path
 
+import numpy as np
 import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback, ProgressBarCallback
@@ -14,7 +17,8 @@ from agents.files import first_line, locked
 from agents.policies.network import WEIGHTS
 from agents.runs import SETTINGS, TIME, describe, read_settings
 from agents.settings import TrainSettings
-from agents.training.best import KeepBest
+from agents.training.archives import unpacked
+from agents.training.best import KeepBest, read_evaluations
 from agents.training.checkpoints import (
     CHECKPOINTS,
     Checkpoint,
@@ -25,7 +29,7 @@ from agents.training.checkpoints import (
 )
 from agents.training.models import derived_seed, holding, make_ppo, make_vec_env
 from agents.training.timing import Spent, TimedVecEnv, formatted
-from jackbox_env.recording.files import new_folder, remove_partials, write_bytes, write_json
+from jackbox_env.recording.files import make_folder, new_folder, remove_partials, write_bytes, write_json
 
 MODEL = "model.zip"
 
@@ -59,8 +63,8 @@ def train(settings: TrainSettings, folder: Path, progress: bool = True) -> PPO:
         remove_partials(folder, folder / CHECKPOINTS)
         if is_whole(folder / MODEL):
             raise FileExistsError(
-                f"{folder} is finished: it has a {MODEL}, and runs are never overwritten. To train on from the last "
-                f"checkpoint, raise total_steps in its {SETTINGS} and move {MODEL} away"
+                f"{folder} is finished: it has a {MODEL}, and runs are never overwritten. To train it further, resume "
+                "it with more total steps"
             )
         model, spent = _where_it_was(settings, folder)
         done = model.num_timesteps
@@ -84,7 +88,39 @@ def train(settings: TrainSettings, folder: Path, progress: bool = True) -> PPO:
         write_json(folder / TIME, record)
         write_bytes(folder / MODEL, model_file(model))  # last: what has it is finished
         print(formatted(record))
+        print(reached(folder, settings))
         return model
+
+
+def extended(folder: Path, total_steps: int) -> TrainSettings:
+    """Give a run more steps to train for: its settings are changed, and its last model becomes a checkpoint.
+
+    Raises:
+        FolderInUseError: another process trains in the folder.
+        ValueError: ``total_steps`` is not above what the run has.
+    """
+    with locked(folder):
+        settings = read_settings(folder)
+        if total_steps <= settings.total_steps:
+            raise ValueError(f"total_steps must be above the run's {settings.total_steps:,}, got {total_steps:,}")
+        more = replace(settings, total_steps=total_steps)
+        if is_whole(folder / MODEL):
+            steps = json.loads(unpacked((folder / MODEL).read_bytes(), MODEL)["data"])["num_timesteps"]
+            make_folder(folder / CHECKPOINTS)
+            (folder / MODEL).replace(checkpoint_path(folder, int(steps)))
+        write_json(folder / SETTINGS, asdict(more))
+        return more
+
+
+def reached(folder: Path, settings: TrainSettings) -> str:
+    """What the best model of a run has earned where it was chosen, in a line."""
+    found = read_evaluations(folder, settings.eval_episodes)
+    if not found.results:
+        return "No evaluation was made: the run was shorter than eval_steps"
+    means = np.mean(found.results, axis=1)
+    best = int(means.argmax())
+    earned = f"{means[best]:.1f} on {settings.task}, the mean of {settings.eval_episodes} episodes"
+    return f"The best model earned {earned}, after {found.timesteps[best]:,} steps"
 
 
 def trained_in(folder: Path, settings: TrainSettings, progress: bool = True) -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from agents.settings import DEMO, TrainSettings
+from agents.settings import TrainSettings
 from agents.training.models import policy_kwargs
 
 
@@ -33,4 +33,4 @@ def zoo_settings(settings: TrainSettings) -> dict[str, Any]:
     }
 
 
-hyperparams = {"JackInBox-v0": zoo_settings(DEMO)}
+hyperparams = {"JackInBox-v0": zoo_settings(TrainSettings())}

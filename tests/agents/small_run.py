@@ -22,6 +22,8 @@ TINY = TrainSettings(
     eval_steps=1024,
     eval_episodes=4,
     hidden_units=(16,),
+    hold=1,
+    preview=False,
 )
 
 

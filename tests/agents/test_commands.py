@@ -6,6 +6,7 @@ import csv
 import dataclasses
 import io
 import json
+import re
 import runpy
 import shlex
 import signal
@@ -190,13 +191,14 @@ def test_training_survives_ctrl_c_and_resumes_from_the_command_line(tmp_path: Pa
     assert (tmp_path / "run" / "model.zip").exists()
     finished = script("train", "--resume", "run", cwd=tmp_path, status=2).stderr
     assert "is finished" in finished
-    assert "raise total_steps in its settings.json and move model.zip away" in finished
-    (tmp_path / "run" / "model.zip").unlink()
-    stored = json.loads((tmp_path / "run" / "settings.json").read_text())
-    (tmp_path / "run" / "settings.json").write_text(json.dumps({**stored, "total_steps": 5120}))
-    done = script("train", "--resume", "run", "--no-progress", cwd=tmp_path)  # as the sentence says
-    assert "Going on after" in done.stdout
+    assert "resume it with more total steps" in finished
+    fewer = script("train", "--resume", "run", "--total-steps", "4096", cwd=tmp_path, status=2).stderr
+    assert "total_steps must be above the run's 4,096, got 4,096" in fewer
+    done = script("train", "--resume", "run", "--total-steps", "8192", "--no-progress", cwd=tmp_path)
+    assert "Going on after 4,096 steps" in done.stdout
+    assert re.search(r"The best model earned \d+\.\d on juggle, the mean of 2 episodes, after 8,192 steps", done.stdout)
     assert (tmp_path / "run" / "model.zip").exists()
+    assert json.loads((tmp_path / "run" / "settings.json").read_text())["total_steps"] == 8192
 
 
 @pytest.mark.slow
@@ -207,8 +209,8 @@ def test_the_demo_runs_end_to_end_when_made_small(tmp_path: Path) -> None:
     for name in ("model.zip", "settings.json", "run.json", "results.json", "results.png", "film.gif"):
         assert (tmp_path / "demo" / name).stat().st_size > 100, name
     stored = json.loads((tmp_path / "demo" / "results.json").read_text())
-    for contact in ("exact", "pymunk"):
-        assert [row["policy"] for row in stored["results"][contact]] == [*SCRIPTED, "PPO"]
+    for fidelity in ("exact", "balanced"):
+        assert [row["policy"] for row in stored["results"][fidelity]] == [*SCRIPTED, "PPO"]
     verdict = done.stdout.strip().splitlines()[-1]
     assert verdict.count("PPO's interval") == verdict.count("above level's") == 2
 

@@ -124,7 +124,7 @@ def test_a_model_that_looks_ahead_is_trained_and_loaded(tmp_path: Path, capsys: 
     settings = replace(HELD, lookahead=8)
     folder = new_folder(tmp_path / "run", "run", lambda made: describe(made, settings))
     training.train(settings, folder, progress=False)
-    told = capsys.readouterr().out.strip().splitlines()[-1]  # what the time went to
+    told = capsys.readouterr().out.strip().splitlines()[-2]  # what the time went to
     found = re.fullmatch(r"([0-9,]+) steps in [0-9]+ s, [0-9,]+ per second: (.*)", told)
     assert found, told
     assert int(found[1].replace(",", "")) >= settings.total_steps

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -12,9 +13,10 @@ import pytest
 from stable_baselines3.common.evaluation import evaluate_policy
 
 from agents.runs import describe, read_settings
+from agents.settings import TrainSettings
 from agents.training import ppo as training
 from agents.training.best import choosing_seed
-from agents.training.checkpoints import Checkpoint, kept_steps
+from agents.training.checkpoints import Checkpoint, kept_steps, latest_checkpoint
 from agents.training.models import load_model, make_ppo, make_vec_env
 from jackbox_env.recording.files import new_folder
 from tests.agents.small_run import TINY
@@ -93,6 +95,25 @@ def test_a_resumed_run_goes_on_from_the_weights_it_had(tmp_path: Path, run: Path
             for name, value in parameters.items():
                 np.testing.assert_array_equal(value.numpy(), kept[group][name].numpy())
     assert kept["policy.optimizer"]["state"], "the optimiser's moments are part of a checkpoint"
+
+
+def test_a_run_that_is_given_more_steps_goes_on_from_its_last_model(tmp_path: Path, run: Path) -> None:
+    folder = tmp_path / "run"
+    shutil.copytree(run, folder)
+    last = load_model(folder / "model.zip").get_parameters()["policy"]
+    more = training.extended(folder, TINY.total_steps + 512)
+    assert more == read_settings(folder) == replace(TINY, total_steps=TINY.total_steps + 512)
+    steps, parameters = latest_checkpoint(folder)
+    assert steps == TINY.total_steps
+    assert parameters is not None
+    assert all(bool((value == parameters["policy"][name]).all()) for name, value in last.items())
+    assert training.train(more, folder, progress=False).num_timesteps == TINY.total_steps + 512
+
+
+def test_stored_settings_without_a_name_mean_what_the_version_before_it_did() -> None:
+    earlier = TrainSettings.of({"seed": 3})
+    assert (earlier.hold, earlier.preview, earlier.num_envs, earlier.fidelity) == (1, False, 16, "balanced")
+    assert TrainSettings.of(asdict(TrainSettings())) == TrainSettings()
 
 
 def test_a_deadline_ends_training(tmp_path: Path) -> None:

@@ -9,10 +9,11 @@ import pytest
 import torch
 from stable_baselines3 import PPO
 
-from agents.settings import DEMO
+from agents.settings import TrainSettings
 from agents.training.models import holding, make_ppo, make_vec_env
 from agents.training.zoo import hyperparams, zoo_settings
 
+DEMO = TrainSettings()
 SMALL = replace(DEMO, num_envs=2, rollout_steps=64, batch_size=128)
 OF_THE_ZOO = {"env_kwargs", "env_wrapper", "n_envs", "n_timesteps", "policy", "learning_rate"}
 

@@ -17,7 +17,7 @@ from agents.evaluation.returns import evaluate
 from agents.policies.playing import Playable, manner_of
 from agents.policies.registry import find_policy
 from agents.runs import TIME, machine, versions
-from agents.settings import DEMO, EPISODE_STEPS, EnvSettings, TrainSettings
+from agents.settings import EPISODE_STEPS, EnvSettings, TrainSettings
 from agents.sweeps.in_process import Trial
 from agents.training.models import derived_seed, load_model
 from agents.training.ppo import trained_in
@@ -41,14 +41,14 @@ RESTITUTIONS = (1.0, 0.9, 0.8, 0.7)
 MASSES = (2.0, 4.0, 8.0, 16.0)  # of the jack [kg]
 RANGES = {"jack_mass": [MASSES[0], MASSES[-1]], "restitution": [RESTITUTIONS[-1], RESTITUTIONS[0]]}
 TRAININGS: dict[str, TrainSettings] = {
-    "one scene": DEMO,
-    "varied scenes": dataclasses.replace(DEMO, randomize=json.dumps(RANGES)),
+    "one scene": TrainSettings(),
+    "varied scenes": TrainSettings(randomize=json.dumps(RANGES)),
 }
 
 # PPO that is shown a plan and corrects it.
 SEEDS = (0, 1, 2, 3, 4)
 AHEAD = TrainSettings(
-    contact="exact", lookahead=32, hold=5, num_envs=64, rollout_steps=64, batch_size=1024, total_steps=204_800,
+    lookahead=32, hold=5, preview=False, num_envs=64, rollout_steps=64, epochs=10, total_steps=204_800,
     learning_rate=1e-4, initial_log_std=-3.0, gae_lambda=0.9, hidden_units=(64, 64), checkpoint_steps=1_000_000,
     eval_steps=40_960, eval_episodes=64,
 )  # fmt: skip
@@ -112,7 +112,7 @@ def interquartile_mean(returns: Array, axis: int = -1) -> Any:
 
 def in_scene(folder: Path, scene: dict[str, float], policy: str, episodes: int) -> dict[str, Any]:
     """What a level box or one of the trainings earns in a scene."""
-    settings = dataclasses.replace(DEMO, scene=json.dumps(scene))
+    settings = EnvSettings(scene=json.dumps(scene))
     if policy in TRAININGS:
         run = folder / f"trained-on-{policy.replace(' ', '-')}"
         trained_in(run, TRAININGS[policy], progress=False)
