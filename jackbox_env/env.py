@@ -102,7 +102,8 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
 
     `reset` and `step` return the same keys: `state` (float64, (12,): x, y, angle of the box and of the jack, then their
     rates, SI units), `time` [s], `torque` (mean over the step) [N m], `impacts` (count in the step), `impulse` (their
-    sum) [N s] and `reward_<term>` for each term.
+    sum) [N s] and `reward_<term>` for each term. Under `randomize`, `scene` holds the numbers that were drawn, a dict
+    by field.
 
     ## Arguments
 
@@ -383,7 +384,12 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
             "impacts": impacts,
             "impulse": impulse,
             **dict(zip(self._terms, terms, strict=True)),
+            **self._drawn(),
         }
+
+    def _drawn(self) -> dict[str, Any]:
+        names = self._randomize.names if self._randomize else []
+        return {"scene": {name: getattr(self.scene, name) for name in names}} if names else {}
 
     def _start_picture(self) -> None:
         if self._renderer is not None:

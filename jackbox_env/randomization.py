@@ -32,6 +32,7 @@ class Randomization:
 
     def __init__(self, given: Any, scenes: Sequence[Scene], try_scene: Callable[[Scene], Any]) -> None:
         self.ranges: dict[str, tuple[float, float]] = {}
+        self._returned = set[str]()  # fields that the function has drawn so far
         self.function: Callable[[np.random.Generator], Mapping[str, Any]] | None = None
         if isinstance(given, Mapping):
             check.known_keys("randomize", given, NUMBERS)
@@ -66,7 +67,13 @@ class Randomization:
         if not isinstance(drawn, Mapping):
             raise TypeError(f"randomize must return a dict of the scene's fields, got {check.shown(drawn)}")
         check.names("randomize", drawn)
+        self._returned |= drawn.keys()
         return dict(drawn)
+
+    @property
+    def names(self) -> list[str]:
+        """The fields that are drawn and hold a number, in the order of Scene's; of a function those drawn so far."""
+        return [name for name in NUMBERS if name in self.ranges or name in self._returned]
 
     @property
     def table(self) -> Array:

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import _validation as check
 from jackbox_env.scene import Scene
+from jackbox_env.simulators import Impact
 from jackbox_env.states import Array
 from jackbox_env.vector_env import JackInBoxVectorEnv
 
@@ -139,11 +140,14 @@ class JackInBoxVecEnv(VecEnv):
     def _full_rows(self, infos: dict[str, Any], ended: list[int]) -> list[dict[str, Any]]:
         """Each environment's own info of the step; those of new starts go to ``reset_infos``."""
         if ended:
-            started = _rows({name: values[ended] for name, values in infos.items() if not name.startswith("final_")})
+            started = _rows(_some(infos, ended))
             for number, row in zip(ended, started, strict=True):
                 self.reset_infos[number] = row
             for name, values in infos["final_info"].items():
-                if not name.startswith("_"):
+                if name == "scene":
+                    for field, drawn in values.items():
+                        infos[name][field][ended] = drawn[ended]
+                elif not name.startswith("_"):
                     infos[name][ended] = values[ended]
         return _rows(infos)
 
@@ -232,6 +236,11 @@ class EnvView:
         return seen.copy()
 
     @property
+    def impacts(self) -> list[Impact]:
+        """The impacts of the last step, in time order; none where an episode has begun since."""
+        return self._vector_env.impacts(self._number)
+
+    @property
     def np_random_seed(self) -> int:
         """The seed, -1 where none was given."""
         return self._vector_env.np_random_seed[self._number]
@@ -258,8 +267,23 @@ class EnvView:
         return hasattr(self, name)
 
 
+def _some(infos: dict[str, Any], numbers: list[int]) -> dict[str, Any]:
+    """Infos of some environments; those within infos too."""
+    return {
+        name: _some(values, numbers) if isinstance(values, dict) else values[numbers]
+        for name, values in infos.items()
+        if not name.startswith("final_")
+    }
+
+
 def _rows(infos: dict[str, Any]) -> list[dict[str, Any]]:
     """Infos of arrays as a list of each environment's own."""
     names = [name for name in infos if not name.startswith(("_", "final_"))]
-    columns = [[row.copy() for row in infos[name]] if infos[name].ndim > 1 else infos[name].tolist() for name in names]
+    columns = [_column(infos[name]) for name in names]
     return [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
+
+
+def _column(values: Any) -> list[Any]:
+    if isinstance(values, dict):
+        return _rows(values)
+    return [row.copy() for row in values] if values.ndim > 1 else values.tolist()

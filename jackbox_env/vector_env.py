@@ -17,7 +17,7 @@ from jackbox_env.batches.given import Given
 from jackbox_env.env import JackInBoxEnv, Randomize
 from jackbox_env.randomization import Randomization
 from jackbox_env.scene import Scene
-from jackbox_env.simulators import contact_model
+from jackbox_env.simulators import Impact, contact_model
 from jackbox_env.states import Array, as_restored, as_start
 from jackbox_env.tasks import Task, task_of
 
@@ -146,6 +146,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
             self._batch = SingleBatch(
                 scenes, self.num_envs, limit, self._with_infos, drawn, render_mode=render_mode, **settings
             )
+        self._randomize = drawn
         self._seeds = [-1] * self.num_envs  # -1 where none was given
         self._started = np.zeros(self.num_envs, dtype=np.bool_)  # which have been reset
         self._ready, self._waiting = False, False  # whether all have been reset; whether an episode may be over
@@ -220,6 +221,16 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
             if chosen is None or not chosen.all():
                 raise RuntimeError("an interruption has left the environments half changed: reset all of them first")
             self._batch.mend()
+
+    def impacts(self, number: int) -> list[Impact]:
+        """The impacts of the last step of the environment of that number, in time order.
+
+        None where it has been reset, by itself or by you, or put into another state since.
+
+        Raises:
+            TypeError, ValueError: there is none of that number.
+        """
+        return self._batch.impacts(check.whole("number", number, at_least=0, at_most=self.num_envs - 1))
 
     # -- Gymnasium's methods ------------------------------------------------------------------------------------------
 
@@ -307,7 +318,8 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         self.changes += 1
         self._half = False
         if self._with_infos:
-            infos |= _marked(outcome.infos, np.ones(self.num_envs, dtype=np.bool_))
+            everyone = np.ones(self.num_envs, dtype=np.bool_)
+            infos |= _marked(outcome.infos | self._drawn(everyone), everyone)
         terminations = np.zeros(self.num_envs, dtype=np.bool_)
         return outcome.observations, outcome.rewards, terminations, outcome.truncations, infos
 
@@ -370,7 +382,12 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         infos["impacts"] = np.zeros(self.num_envs, dtype=np.int64)
         infos["state"] = np.where(chosen[:, None], self.states, 0.0)
         infos["time"] = np.where(chosen, self.times, 0.0)
-        return _marked(infos, chosen)
+        return _marked(infos | self._drawn(chosen), chosen)
+
+    def _drawn(self, chosen: Flags) -> Infos:
+        """What was drawn of some environments' scenes, if anything is: the values that hold now."""
+        names = self._randomize.names if self._randomize else []
+        return {"scene": _marked({name: self._batch.field(name) for name in names}, chosen)} if names else {}
 
     def _final_infos(self, outcome: Outcome) -> Infos:
         """The last observations, and infos if asked for, of the episodes that this step ended."""
@@ -382,6 +399,8 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         for name, values in outcome.infos.items():
             final[name] = np.zeros_like(values)
             final[name][ended] = values[ended]
+        if self._with_infos:
+            final |= self._drawn(ended)
         return _marked({"final_obs": last, "final_info": _marked(final, ended)}, ended)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.scene import Scene
+from jackbox_env.simulators import Impact
 from jackbox_env.states import Array
 
 Change = Mapping[str, Any]  # fields of a scene that change
@@ -68,6 +69,12 @@ class Batch(Protocol):
 
     def scene(self, number: int, starts: Starts | None = None) -> Scene:
         """The scene that an environment has now, or once ``starts`` have begun."""
+
+    def field(self, name: str) -> Array:
+        """A number of each environment's scene as it is now, by the name of its field, a fresh array, shape (N,)."""
+
+    def impacts(self, number: int) -> list[Impact]:
+        """The impacts of an environment's last step, in time order; none where it has been put somewhere since."""
 
     def step(self, actions: Array | None) -> Outcome:
         """Step all under ``actions``, shape (N,), or under the scene's drive; none is changed before :meth:`take`.

@@ -22,8 +22,8 @@ from jackbox_env.compiled.workspace import Workspaces, new_lanes, new_log, new_w
 from jackbox_env.randomization import Randomization
 from jackbox_env.scene import Scene
 from jackbox_env.scoring import compiled_for
-from jackbox_env.simulators.base import end_of_step
-from jackbox_env.simulators.exact import failure, pieces_for
+from jackbox_env.simulators.base import Impact, end_of_step
+from jackbox_env.simulators.exact import ExactSimulator, failure, pieces_for
 from jackbox_env.states import Array
 from jackbox_env.tasks import TASKS, Task
 
@@ -79,6 +79,8 @@ class ExactBatch:
         ranges = len(self._blocks) if num_threads else num_envs // _FEWEST_PER_THREAD
         self._threads = Threads(thread_count(num_threads, ranges))
         self._spare: Array | None = np.zeros_like(self._blocks)  # where the next step writes
+        self._stepped = False  # whether that holds where the last step began
+        self._acted: Array | None = None  # the actions of the last step, None: the drive
         self._workspaces: list[tuple[Array, Workspaces, Array]] | None = self._new_workspaces()
 
     def _new_workspaces(self) -> list[tuple[Array, Workspaces, Array]]:
@@ -188,6 +190,26 @@ class ExactBatch:
         """See :meth:`jackbox_env.batches.base.Batch.observe`."""
         compiled(restart.look_blocks)(self._scenes.rows(numbers), self._blocks, numbers, observations)
 
+    def field(self, name: str) -> Array:
+        """See :meth:`jackbox_env.batches.base.Batch.field`."""
+        return np.repeat(self._scenes.column(name), 1 if self._scenes.several else self._count)
+
+    def impacts(self, number: int) -> list[Impact]:
+        """See :meth:`jackbox_env.batches.base.Batch.impacts`.
+
+        The step is made once more, from the memory that the next step will write to.
+        """
+        block, lane = divmod(number, self._blocks.shape[2])
+        if self._spare is None or not self._stepped:
+            return []
+        before, after = self._spare[block, :, lane], self._blocks[block, :, lane]
+        simulator = ExactSimulator(self.scene(number))
+        limit = simulator.scene.torque_limit
+        torque = None if self._acted is None else min(max(float(self._acted[number]), -1.0), 1.0) * limit
+        simulator.reset(before[:12], float(before[glide.TIME]))
+        simulator.step(self._dt, torque)
+        return simulator.impacts if np.array_equal(simulator.state, after[:12]) else []
+
     # -- stepping -----------------------------------------------------------------------------------------------------
 
     def step(self, actions: Array | None) -> Outcome:
@@ -207,6 +229,7 @@ class ExactBatch:
         after = np.zeros_like(blocks) if after is None else after
         workspaces = self._new_workspaces() if workspaces is None else workspaces
         self._spare = self._workspaces = None
+        self._acted = None if actions is None else actions.copy()
 
         def work(thread: int, low: int, high: int) -> tuple[int, int]:
             finished = 0
@@ -230,7 +253,7 @@ class ExactBatch:
 
     def take(self, after: Array) -> None:
         """See :meth:`jackbox_env.batches.base.Batch.take`."""
-        self._blocks, self._spare = after, self._blocks
+        self._blocks, self._spare, self._stepped = after, self._blocks, True
 
     def _pieces(self, actions: Array | None) -> tuple[Array, NDArray[np.int64]]:
         """The pieces of drives of functions, once for each drive and time, and each environment's range of them."""

@@ -88,6 +88,11 @@ class SceneTable:
         """The numbers of the scenes that some environments were made with, a row each, to be changed."""
         return self._made_with[numbers if len(self.own) > 1 else np.zeros(len(numbers), dtype=np.int64)]
 
+    def column(self, name: str) -> Array:
+        """A field of the scenes, shape (1,) or (N,)."""
+        column: Array = self.values[:, SceneNumbers._fields.index(name)]
+        return column
+
     def rows(self, numbers: Counts) -> Array:
         """A copy of the rows of some environments; the only one where they have one scene."""
         return self.values[numbers] if self.several else self.values.copy()

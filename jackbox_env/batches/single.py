@@ -14,6 +14,7 @@ from jackbox_env.batches.base import Change, Flags, Floats, Numbers, Outcome, St
 from jackbox_env.env import JackInBoxEnv, put
 from jackbox_env.randomization import Randomization
 from jackbox_env.scene import Scene
+from jackbox_env.simulators import Impact
 from jackbox_env.states import Array
 from jackbox_env.tasks import sample_start
 
@@ -69,6 +70,15 @@ class SingleBatch:
             return self._scenes[number]
         scene: Scene = starts.scenes[int(np.searchsorted(starts.numbers, number))]
         return scene
+
+    def field(self, name: str) -> Array:
+        """See :meth:`jackbox_env.batches.base.Batch.field`."""
+        return np.array([getattr(scene, name) for scene in self._scenes], dtype=np.float64)
+
+    def impacts(self, number: int) -> list[Impact]:
+        """See :meth:`jackbox_env.batches.base.Batch.impacts`."""
+        self._gather()
+        return self._envs[number].impacts
 
     # -- episodes -----------------------------------------------------------------------------------------------------
 

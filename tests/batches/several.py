@@ -43,8 +43,17 @@ def play(env: JackInBoxVectorEnv, steps: int, seed: int) -> list[Any]:
     for step in range(steps):
         actions = rng.uniform(-1.0, 1.0, env.num_envs)
         seen, rewards, _, ends, infos = env.step(None if step % 7 == 0 else actions)
-        found.append((seen, rewards, ends, {name: values for name, values in infos.items() if name[0] != "_"}))
+        found.append((seen, rewards, ends, unmarked(infos)))
     return found
+
+
+def unmarked(infos: dict[str, Any]) -> dict[str, Any]:
+    """Infos without the marks of whose they are."""
+    return {
+        name: unmarked(values) if isinstance(values, dict) else values
+        for name, values in infos.items()
+        if name[0] != "_"
+    }
 
 
 def play_alone(envs: Sequence[JackInBoxEnv], steps: int, seed: int, limit: int = 10**9) -> list[Any]:
@@ -64,8 +73,14 @@ def step_alone(envs: Sequence[JackInBoxEnv], actions: Sequence[Any] | Any, step:
         steps = [env.step(action) for env, action in zip(envs, actions, strict=True)]
         rows = [(seen, reward, info) for seen, reward, _, _, info in steps]
     observations, rewards, infos = zip(*rows, strict=True)
-    columns = {name: np.array([info[name] for info in infos]) for name in infos[0]}
-    return np.array(observations), np.array(rewards), np.full(len(envs), step % (limit + 1) == limit - 1), columns
+    ends = np.full(len(envs), step % (limit + 1) == limit - 1)
+    return np.array(observations), np.array(rewards), ends, columns(infos)
+
+
+def columns(infos: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Infos of single environments as a batch has them."""
+    found = {name: [info[name] for info in infos] for name in infos[0]}
+    return {name: columns(one) if isinstance(one[0], dict) else np.array(one) for name, one in found.items()}
 
 
 def assert_same(found: Any, expected: Any, path: str = "") -> None:

@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode
 
 from jackbox_env import Chirp, JackInBoxEnv, JackInBoxVectorEnv, Scene
 from jackbox_env.sb3 import make_sb3_vec_env
-from tests.batches.several import EVERY_MODEL, RANGES, SCENES, SHAKEN, assert_same, choosy, play, play_alone
+from tests.batches.several import EVERY_MODEL, RANGES, SCENES, SHAKEN, actions_at, assert_same, choosy, play, play_alone
 
 EVERY_DRAW = pytest.mark.parametrize("randomize", [RANGES, choosy], ids=["ranges", "a function"])
 
@@ -55,6 +55,54 @@ def test_drawn_scenes_are_those_of_single_environments(contact: str, count: int,
         assert batch.scenes == [env.scene for env in singles]
         drawn.append(batch.scenes)
     assert drawn[0] != drawn[1] != drawn[2]
+
+
+@EVERY_MODEL
+def test_infos_hold_what_was_drawn_of_the_episode_that_ended_and_of_the_next(contact: str) -> None:
+    ranges = {name: RANGES[name] for name in ("gravity", "jack_mass")}
+    env = JackInBoxEnv(contact=contact, randomize=ranges)
+    drawn = [env.reset(seed=4)[1]["scene"]]
+    assert drawn[0] == {"jack_mass": env.scene.jack_mass, "gravity": env.scene.gravity} == env.step(None)[4]["scene"]
+    drawn.append(env.reset()[1]["scene"])
+    assert drawn[0] != drawn[1]
+    batch = JackInBoxVectorEnv(2, 3, "SAME_STEP", contact=contact, randomize=ranges, with_infos=True)
+    listed = make_sb3_vec_env(2, max_episode_steps=3, contact=contact, randomize=ranges, with_infos=True)
+    listed.seed(4)
+    listed.reset()
+    _, infos = batch.reset(seed=4)
+    assert listed.reset_infos[0]["scene"] == drawn[0] == {name: infos["scene"][name][0] for name in drawn[0]}
+    for _ in range(3):
+        infos = batch.step(None)[4]
+        rows = listed.step(np.zeros((2, 1)))[3]
+    for found, expected in ((infos["final_info"]["scene"], drawn[0]), (infos["scene"], drawn[1])):
+        assert {name: found[name][0] for name in ranges} == expected
+    assert (rows[0]["scene"], listed.reset_infos[0]["scene"]) == tuple(drawn)
+    turned = make_sb3_vec_env(2, contact=contact, randomize=lambda rng: {"drive": SHAKEN}, with_infos=True)
+    turned.reset()
+    assert "scene" not in turned.step(np.zeros((2, 1)))[3][0]  # no number is drawn
+
+
+@EVERY_MODEL
+def test_impacts_of_each_environment_are_those_of_the_single_one(contact: str) -> None:
+    scenes = [Scene(restitution=0.3), Scene(drive=SHAKEN), Scene(restitution=0.0, gravity=30.0)]  # two come to rest
+    batch = JackInBoxVectorEnv(3, 150, "SAME_STEP", contact=contact, scene=scenes)
+    singles = [JackInBoxEnv(contact=contact, scene=scene) for scene in scenes]
+    batch.reset(seed=0)
+    for number, env in enumerate(singles):
+        env.reset(seed=number)
+        assert batch.impacts(number) == []
+    most = [0, 0, 0]
+    for step in range(149):
+        actions = actions_at(step, 3) * (step < 60)
+        batch.step(actions if step % 5 else None)
+        for number, env in enumerate(singles):
+            env.step(actions[number] if step % 5 else None)
+            assert batch.impacts(number) == env.impacts
+            most[number] = max(most[number], len(env.impacts))
+    assert min(most) >= 1
+    assert max(most) >= 3
+    batch.step(None)
+    assert [batch.impacts(number) for number in range(3)] == [[], [], []]  # a new episode has begun
 
 
 def test_numbers_are_drawn_before_the_start_in_the_order_of_the_fields() -> None:

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from jackbox_env import JackInBoxEnv, JackInBoxVectorEnv, Task
 from jackbox_env.simulators import CONTACT_MODELS, JackLostError
-from tests.batches.several import assert_same, step_alone
+from tests.batches.several import assert_same, step_alone, unmarked
 from tests.invariants.cases import HypothesisDraw, draw_scene, draw_start
 
 STEPS, LIMIT = 15, 7  # control steps, and those of an episode
@@ -60,8 +60,7 @@ def assert_the_same(batch: JackInBoxVectorEnv, singles: list[JackInBoxEnv], step
         with pytest.raises(JackLostError):
             step_alone(singles, each, step, LIMIT)
         return -1
-    told = {name: values for name, values in infos.items() if name[0] != "_"}
-    assert_same((seen, rewards, ends, told), step_alone(singles, each, step, LIMIT))
+    assert_same((seen, rewards, ends, unmarked(infos)), step_alone(singles, each, step, LIMIT))
     assert_same(
         (batch.states, batch.scenes), (np.array([env.state for env in singles]), [env.scene for env in singles])
     )

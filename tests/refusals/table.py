@@ -16,8 +16,8 @@ import jackbox_env
 from agents.settings import EPISODE_STEPS, TrainSettings
 from jackbox_env import Chirp, Drive, JackInBoxEnv, JackInBoxVectorEnv, Scene, make_simulator, mechanics, states
 from jackbox_env.planning.icem import Search
-from jackbox_env.planning.sb3_wrappers import HoldingVecEnv, LookaheadVecEnv
 from jackbox_env.sb3 import JackInBoxVecEnv, make_sb3_vec_env
+from jackbox_env.sb3_wrappers import HoldingVecEnv, LookaheadVecEnv
 from jackbox_env.simulators import CONTACT_MODELS, Simulator
 from jackbox_env.simulators.fidelity import FIDELITIES
 from jackbox_env.states import STATE_NAMES
@@ -278,6 +278,7 @@ def methods_of(contact: str) -> Iterator[Row]:
     seen_first = {name: one for name, one in own.items() if name not in (FROM, "options.scene")}
     yield row("JackInBoxVectorEnv.check_reset", seen_first, vector)
     yield row("JackInBoxVectorEnv.scene_of", {"number": whole(1, 0, 2)}, vector)
+    yield row("JackInBoxVectorEnv.impacts", {"number": whole(1, 0, 2)}, vector)
     yield row("JackInBoxVectorEnv.step", {"actions": ACTIONS}, vector)
     placed = {"states": rows_of(array(ROWS), 1.0), "times": TIMES, "chosen": mask([True, False, True])}
     yield row("JackInBoxVectorEnv.set_states", placed, vector)
