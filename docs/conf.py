@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
 import jackbox_env
@@ -42,6 +43,19 @@ nb_merge_streams = True
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_class_signature = "mixed"
+autodoc_type_aliases = {name: name for name in ("Array", "ArrayLike", "Counts", "Flags", "Floats", "Infos", "Numbers")}
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
 napoleon_use_ivar = True
+
+
+def _plain(app, what, name, obj, options, signature, return_annotation):
+    """Names of types without what Sphinx makes of them inside a union."""
+    return tuple(
+        text and re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", text) for text in (signature, return_annotation)
+    )
+
+
+def setup(app):
+    """Connect the above."""
+    app.connect("autodoc-process-signature", _plain)

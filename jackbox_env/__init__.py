@@ -31,6 +31,7 @@ _LAZY = {
     "make_simulator": "simulators",
     "Rollout": "planning",
     "Task": "tasks",
+    "TaskError": "tasks",
     "cheapest": "measure.choosing",
     "rollout": "planning",
 }
@@ -48,6 +49,7 @@ __all__ = [
     "Scene",
     "Simulator",
     "Task",
+    "TaskError",
     "cheapest",
     "make_simulator",
     "rollout",

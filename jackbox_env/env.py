@@ -91,12 +91,13 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
 
     The box at rest at the origin, the jack at rest, its centre uniform in +-min(1 m, (L - l) / 5) on both axes, its
     angle uniform in +-0.5 rad; a jack with L <= l < sqrt(2) L starts in the middle at 45 degrees. The time starts at 0.
+    A task of your own may draw other starts.
 
     ## Episode End
 
-    The episode never terminates. The time limit that `gymnasium.make` adds truncates it after 500 steps (by default
-    10 s). A jack that would leave the box raises `JackLostError`, a RuntimeError. In the default scene 10 s of torque
-    cannot make it fast enough for that.
+    The episode never terminates, unless a task of your own ends it. The time limit that `gymnasium.make` adds truncates
+    it after 500 steps (by default 10 s). A jack that would leave the box raises `JackLostError`, a RuntimeError. In the
+    default scene 10 s of torque cannot make it fast enough for that.
 
     ## Information
 
@@ -206,6 +207,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         self.metadata = {**self.metadata, "render_fps": fps, "render_size": size}
         self.render_mode = render_mode
         self._renderer = None
+        self._started = False
         if render_mode is not None:
             from jackbox_env.render.renderer import Renderer
 
@@ -257,6 +259,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
             TypeError, ValueError: unusable values; the environment stays as it was.
         """
         self._simulator.reset(state, time)
+        self._started = True
         self._start_picture()
 
     # -- Gymnasium's methods ------------------------------------------------------------------------------------------
@@ -277,37 +280,37 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         check.known_keys("options", given, ("state", "time", "scene"))
         time = 0.0 if given.get("time") is None else given["time"]
         time = check.real("options['time']", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
-        scene, generator = self._next_scene(seed, given.get("scene"))
-        state = None if given.get("state") is None else as_start(scene, given["state"])
+        generator = copy.deepcopy(self.np_random) if seed is None else np_random(seed)[0]
+        scene = self._next_scene(generator, given.get("scene"))
+        if given.get("state") is None:
+            state = tasks.draw_start(self._task, scene, generator)
+        else:
+            state = as_start(scene, given["state"])
         parts = self._parts if scene == self.scene else self._made(scene)
         super().reset(seed=seed)
-        if generator is not None:
-            self._np_random = generator
-        if state is None:
-            state = tasks.sample_start(scene, self.np_random)
+        self._np_random = generator
         parts[0].reset(state, time)
         self._take(parts)
         if self.render_mode == "human":
             self.render()
-        observation, terms = parts[1](state, 0.0, 0.0)
+        observation, terms, _ = parts[1](state, 0.0, 0.0)
         return observation, self._info(state, 0, 0.0, [0.0] * len(terms))  # nothing is earned yet
 
-    def _next_scene(self, seed: int | None, changes: Any) -> tuple[Scene, np.random.Generator | None]:
-        """The scene of the next episode, and the generator after it was drawn; None if nothing is drawn."""
+    def _next_scene(self, generator: np.random.Generator, changes: Any) -> Scene:
+        """The scene of the next episode."""
         if changes is not None and not isinstance(changes, Mapping):
             raise TypeError(f"options['scene'] must be a dict of the scene's fields, got {check.shown(changes)}")
         check.names("options['scene']", changes or {})
         if self._randomize is None:
-            return (self.scene if changes is None else self._own.changed(**changes)), None
-        generator = copy.deepcopy(self.np_random) if seed is None else np_random(seed)[0]
+            return self.scene if changes is None else self._own.changed(**changes)
         drawn = self._randomize.draw(self._own, generator)
-        return self._own.changed(**{**drawn, **(changes or {})}), generator
+        return self._own.changed(**{**drawn, **(changes or {})})
 
     def _take(self, parts: tuple[Simulator, Score]) -> None:
         """Go on with a simulator that is in its state, and show it."""
         if self._renderer is not None and parts[0].scene != self.scene:
             self._renderer.show(parts[0].scene)
-        self._parts = parts
+        self._parts, self._started = parts, True
         self._start_picture()
 
     def step(self, action: Action) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -315,29 +318,33 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
 
         Raises:
             TypeError, ValueError: an unusable action.
-            JackLostError: the jack would leave the box, or cannot be followed. After any error the environment is as it
-                was.
+            gymnasium.error.ResetNeeded: there was no reset yet.
+            JackLostError: the jack would leave the box, or cannot be followed.
+            jackbox_env.TaskError: the reward of a task of your own is NaN or infinite. After any error the environment
+                is as it was.
         """
         torque = None
         if action is not None and self.torque_source == "agent":
             torque = self._torque_of(action)
+        if not self._started:
+            raise gym.error.ResetNeeded("step must come after a reset, got none yet")
         simulator, score = self._parts
         before = None if self._fails_never else (simulator.state, simulator.time)
         simulator.step(self.control_dt, torque)
         impacts, state = simulator.impacts, simulator.state
         impulse = total_impulse(impacts)
         try:
-            observation, terms = score(state, simulator.torque, impulse)
+            observation, terms, over = score(state, simulator.torque, impulse)
+            reward = tasks.checked_reward(self._task, terms)
         except Exception:
             if before is not None:
                 simulator.reset(*before)
             raise
-        reward = tasks.reward_of(terms)
         if self._renderer is not None:
             self._renderer.record(state, simulator.time, simulator.torque, impacts, reward)
             if self.render_mode == "human":
                 self.render()
-        return observation, reward, False, False, self._info(state, len(impacts), impulse, terms)
+        return observation, reward, over, False, self._info(state, len(impacts), impulse, terms)
 
     def render(self) -> NDArray[np.uint8] | None:
         """Return a fresh frame, uint8, shape (height, width, 3), or show it in a window ("human")."""

@@ -70,6 +70,7 @@ class JackInBoxVecEnv(VecEnv):
         self._views = [EnvView(self.vector_env, number, env_kwargs) for number in range(self.vector_env.num_envs)]
         self._began = time.time()
         self._actions: NDArray[Any] | None = None
+        self._repeat = 1
         space, actions = self.vector_env.single_observation_space, self.vector_env.single_action_space
         super().__init__(self.vector_env.num_envs, space, actions)
         self.metadata = self.vector_env.metadata
@@ -107,20 +108,23 @@ class JackInBoxVecEnv(VecEnv):
         self._reset_options()
         return observations
 
-    def step_async(self, actions: NDArray[Any]) -> None:
-        """Keep the actions, shape (N, 1), for ``step_wait``."""
-        self._actions = actions
+    def step_async(self, actions: NDArray[Any], repeat: int = 1) -> None:
+        """Keep the actions, shape (N, 1), for ``step_wait``; ``repeat``: control steps that they are held for."""
+        self._actions, self._repeat = actions, repeat
 
     def step_wait(self) -> VecEnvStepReturn:
         """Step; an episode that ends starts anew, and its info holds its last observation and its statistics.
+
+        An episode's length is in control steps.
 
         Raises:
             RuntimeError: an interruption, or a step of ``vector_env`` itself, has left other environments: reset first.
         """
         if self._changes != self.vector_env.changes:
             raise RuntimeError("the environments have changed beside step_wait, or in an interrupted one: reset them")
-        observations, rewards, _, dones, infos = self.vector_env.step(self._actions)
-        returns, lengths = self._returns + rewards, self._lengths + 1
+        observations, rewards, terminations, truncations, infos = self.vector_env.step(self._actions, self._repeat)
+        dones, in_time = terminations | truncations, truncations & ~terminations
+        returns, lengths = self._returns + rewards, self._lengths + infos.pop("steps", 1)
         ended = np.flatnonzero(dones).tolist()
         rows = self._full_rows(infos, ended) if self._with_infos else [{} for _ in range(self.num_envs)]
         for number in ended:
@@ -130,7 +134,7 @@ class JackInBoxVecEnv(VecEnv):
                 "t": round(time.time() - self._began, 6),
             }
         for number in range(self.num_envs) if self._with_infos else ended:
-            rows[number]["TimeLimit.truncated"] = bool(dones[number])
+            rows[number]["TimeLimit.truncated"] = bool(in_time[number])
         for number in ended:
             rows[number]["terminal_observation"] = infos["final_obs"][number]
         returns[ended], lengths[ended] = 0.0, 0

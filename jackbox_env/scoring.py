@@ -14,18 +14,22 @@ from typing import Any, Protocol, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from jackbox_env import _validation as check
 from jackbox_env.observation import observe
 from jackbox_env.scene import Scene
-from jackbox_env.simulators import contact_model
+from jackbox_env.simulators import Simulator, contact_model
+from jackbox_env.simulators.base import total_impulse
 from jackbox_env.states import Array
-from jackbox_env.tasks import TASKS, Task, checked_terms
+from jackbox_env.tasks import TASKS, Task, TaskError, checked_reward, checked_terms
+
+Scored = tuple[NDArray[np.float32], Sequence[float], bool]
 
 
 class Score(Protocol):
     """A function of the state, shape (12,), the mean torque [N m] and the impulse [N s] of a step."""
 
-    def __call__(self, state: Array, torque: float, impulse: float) -> tuple[NDArray[np.float32], Sequence[float]]:
-        """Return the observation, shape (10,), and the values of the reward's terms."""
+    def __call__(self, state: Array, torque: float, impulse: float) -> Scored:
+        """Return the observation, shape (10,), the values of the reward's terms, and whether the episode is over."""
 
     def of(self, scene: Scene) -> Score:
         """The same of another scene, with the task's function as it was read."""
@@ -35,7 +39,7 @@ def make_score(scene: Scene, task: Task, contact: str) -> Score:
     """Return the function that observes and rewards.
 
     Raises:
-        TypeError: the task's function cannot be compiled, or does not return one number for each term.
+        TypeError: a function of the task cannot be compiled, or does not return what it should.
     """
     return CompiledScore(scene, task) if contact_model(contact).compiled else PlainScore(scene, task)
 
@@ -46,11 +50,15 @@ class PlainScore:
     def __init__(self, scene: Scene, task: Task) -> None:
         self._scene, self._numbers, self._task = scene, scene.numbers, task
 
-    def __call__(self, state: Array, torque: float, impulse: float) -> tuple[NDArray[np.float32], Sequence[float]]:
+    def __call__(self, state: Array, torque: float, impulse: float) -> Scored:
         """See :class:`Score`."""
-        numbers = tuple(state.tolist())
+        numbers, over = tuple(state.tolist()), False
         terms = self._task.values(self._numbers, numbers, torque, impulse)
-        return observe(self._scene, numbers), checked_terms(self._task, terms)
+        if self._task.over is not None:
+            over = self._task.over(self._numbers, numbers, torque, impulse)
+            if not isinstance(over, bool):
+                raise TypeError(f"a task's over must return True or False, got {check.shown(over)}")
+        return observe(self._scene, numbers), checked_terms(self._task, terms), over
 
     def of(self, scene: Scene) -> PlainScore:
         """See :class:`Score`."""
@@ -70,50 +78,78 @@ class CompiledScore:
     def __reduce__(self) -> tuple[Any, ...]:
         return CompiledScore, self._given
 
-    def __call__(self, state: Array, torque: float, impulse: float) -> tuple[NDArray[np.float32], Sequence[float]]:
+    def __call__(self, state: Array, torque: float, impulse: float) -> Scored:
         """See :class:`Score`."""
         observation = np.empty(10, dtype=np.float32)
-        self._call(self._numbers, state, torque, impulse, observation, self._terms)
-        return observation, self._terms.tolist()
+        over = self._call(self._numbers, state, torque, impulse, observation, self._terms)
+        return observation, self._terms.tolist(), over
 
     def of(self, scene: Scene) -> CompiledScore:
         """See :class:`Score`."""
         return CompiledScore(scene, self._given[1], self._call)
 
 
+def bad_reward(task: Task, simulator: Simulator, where: str) -> TaskError:
+    """What to raise where the exact model's last step has earned a reward that is NaN or infinite."""
+    score = CompiledScore(simulator.scene, task)
+    _, terms, _ = score(simulator.state, simulator.torque, total_impulse(simulator.impacts))
+    try:
+        checked_reward(task, terms)
+    except TaskError as error:
+        return TaskError(f"{error}, in {where}")
+    return TaskError(f"the reward must be finite, got one that is not, in {where}")  # what the task reads has changed
+
+
 def compiled_for(task: Task, function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function of ``compiled.score``, compiled with the task's own as that is now.
+    """A function of ``compiled.score``, compiled with the task's own as they are now.
 
     Raises:
-        TypeError: the task's function cannot be compiled, or does not return one number for each term.
+        TypeError: a function of the task cannot be compiled, or does not return what it should.
     """
     from jackbox_env.compiled.compiler import compiled, compiled_for_users
 
     if task in TASKS.values():
         return compiled(function, task_terms=task.values)
     _refuse_unfit(task)
-    return compiled_for_users(function, task_terms=task.values)
+    ends = {} if task.over is None else {"task_over": task.over}
+    return compiled_for_users(function, task_terms=task.values, **ends)
 
 
 def _refuse_unfit(task: Task) -> None:
-    """Compile the function of a user's task, and look at what it returns."""
+    """Compile the functions of a user's task, and look at what they return."""
     from numba.core import types
 
-    from jackbox_env.compiled.compiler import returned_by
-
-    name = getattr(task.values, "__qualname__", "")
-    try:
-        found = returned_by(cast(FunctionType, task.values))
-    except Exception as error:
-        raise TypeError(
-            f"the task's function {name} cannot be compiled, as contact='exact' needs: {_reason(error)}"
-        ) from error
+    found: Any = _returned_by(task.values)
     fits = isinstance(found, types.UniTuple) and isinstance(found.dtype, types.Number | types.Boolean)
     if not (fits and len(found) == len(task.terms) and found.dtype not in types.complex_domain):
         raise TypeError(
-            f"the task's function {name} must return a tuple of {len(task.terms)} floats, one for each term, "
-            f"got what numba calls {found}"
+            f"the task's function {task.values.__qualname__} must return a tuple of {len(task.terms)} floats, one for "
+            f"each term, got what numba calls {found}"
         )
+    if task.over is not None and not isinstance(found := _returned_by(task.over), types.Boolean):
+        raise TypeError(
+            f"the task's function {task.over.__qualname__} must return True or False, got what numba calls {found}"
+        )
+
+
+def _returned_by(function: Callable[..., Any]) -> Any:
+    """Numba's type of what a function of a user's task returns."""
+    from jackbox_env.compiled.compiler import returned_by
+
+    try:
+        return returned_by(cast(FunctionType, function))
+    except Exception as error:
+        raise TypeError(
+            f"the task's function {function.__qualname__} cannot be compiled, as contact='exact' needs: "
+            f"{_reason(error)}{_without_numpy(function)}"
+        ) from error
+
+
+def _without_numpy(function: Callable[..., Any]) -> str:
+    """What to do instead, where a function uses numpy."""
+    modules = (function.__globals__.get(name) for name in function.__code__.co_names)
+    used = any(getattr(module, "__name__", "").split(".")[0] == "numpy" for module in modules)
+    return "; write it without numpy, with single numbers and math" if used else ""
 
 
 def _reason(error: Exception) -> str:

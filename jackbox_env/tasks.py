@@ -1,8 +1,9 @@
-"""What is asked of the agent: starts, and rewards as small pure functions of the state.
+"""What is asked of the agent: starts, and rewards and ends as small pure functions of the state.
 
-A task's function takes (scene, state after the step, mean torque over the step [N m], impulse of the step's impacts
-[N s]) and returns the values of the task's named terms. The reward is their sum. Every reward of the tasks here lies in
-[-1, 1]. The functions are plain arithmetic: with ``contact="exact"`` they are compiled as they stand.
+A task's functions take (scene, state after the step, mean torque over the step [N m], impulse of the step's impacts
+[N s]). One returns the values of the task's named terms, whose sum is the reward. The other says whether the episode is
+over. Every reward of the tasks here lies in [-1, 1], and none of them ends an episode. The functions are plain
+arithmetic: with ``contact="exact"`` they are compiled as they stand.
 """
 
 from __future__ import annotations
@@ -14,16 +15,21 @@ from types import FunctionType
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jackbox_env import _validation as check
 from jackbox_env.scene import Scene, SceneNumbers
-from jackbox_env.states import Array, Numbers
+from jackbox_env.states import Array, Numbers, as_start
 
 AnyScene = Scene | SceneNumbers
 
 
+class TaskError(RuntimeError):
+    """A task's reward is NaN or infinite."""
+
+
 class Task(NamedTuple):
-    """What is rewarded: the names of the reward's terms, and the function that gives their values.
+    """What is asked: the names of the reward's terms, the function that gives their values, ends and starts.
 
     A task of your own goes wherever the name of one does::
 
@@ -33,11 +39,12 @@ class Task(NamedTuple):
 
         env = gym.make("JackInBox-v0", contact="exact", task=jackbox_env.Task(("lift",), lift))
 
-    Under ``contact="exact"`` the function is compiled, together with the plain functions that it calls. So it must be
-    plain arithmetic on numbers, ``math`` included. An environment keeps what the function reads, globals for example,
-    as it was when the environment was made; a new environment reads it anew. ``/``, ``//`` and ``%`` by zero raise
-    ZeroDivisionError with every contact model. Powers and ``math`` out of their range give NaN or an infinity under
-    ``"exact"``, where Python raises an error.
+    Under ``contact="exact"`` ``values`` and ``over`` are compiled, together with the plain functions that they call. So
+    they must be plain arithmetic on numbers, with ``math`` and without numpy. An environment keeps what they read,
+    globals for example, as it was when the environment was made; a new environment reads it anew. ``/``, ``//`` and
+    ``%`` by zero raise ZeroDivisionError with every contact model. Powers and ``math`` out of their range give NaN or
+    an infinity under ``"exact"``, where Python raises an error. A reward that is NaN or infinite raises
+    :class:`TaskError`, and the step has not happened.
 
     Attributes:
         terms: names of the terms; ``info`` holds each as ``reward_<name>``.
@@ -45,10 +52,17 @@ class Task(NamedTuple):
             fields of :class:`jackbox_env.scene.SceneNumbers`. ``state`` is a tuple of 12 numbers in SI units (see
             :mod:`jackbox_env.states`), after the step. ``torque`` is the mean over the step [N m], ``impulse`` the sum
             over its impacts [N s].
+        over: function of the same that returns True where the step ends the episode: it is terminated. None: no step
+            does.
+        start: function of the :class:`jackbox_env.Scene` and the environment's ``numpy.random.Generator`` that draws
+            the state in which an episode starts, shape (12,), every foot inside the box. It is plain Python, called at
+            each reset. None: as :func:`sample_start`.
     """
 
     terms: tuple[str, ...]
     values: Callable[[SceneNumbers, Numbers, float, float], tuple[float, ...]]
+    over: Callable[[SceneNumbers, Numbers, float, float], bool] | None = None
+    start: Callable[[Scene, np.random.Generator], ArrayLike] | None = None
 
 
 EFFORT_COST = 0.01  # of a step at the torque limit, in knocks
@@ -64,6 +78,21 @@ def sample_start(scene: Scene, rng: np.random.Generator) -> Array:
     x, y, angle = rng.uniform(-1.0, 1.0, size=3)
     state[3:6] = start_pose(scene, x, y, angle)
     return state
+
+
+def draw_start(task: Task, scene: Scene, rng: np.random.Generator) -> Array:
+    """Draw a start of the task, shape (12,).
+
+    Raises:
+        TypeError, ValueError: the task's own start is no state with every foot inside the box.
+    """
+    if task.start is None:
+        return sample_start(scene, rng)
+    drawn = task.start(scene, rng)
+    try:
+        return as_start(scene, drawn)
+    except (TypeError, ValueError) as error:
+        raise type(error)(f"the task's start has drawn what is none: {error}") from error
 
 
 def start_pose(scene: AnyScene, x: float, y: float, angle: float) -> tuple[float, float, float]:
@@ -119,20 +148,25 @@ def task_of(given: str | Task, argument: str = "task") -> Task:
     """The task of that name, or one of the user's own, checked; ``argument`` is what errors call it.
 
     Raises:
-        TypeError, ValueError: an unknown name; terms that are not different words; values that are not a function.
+        TypeError, ValueError: an unknown name; terms that are not different words; what is not a function and should
+            be.
     """
     if isinstance(given, str):
         return TASKS[check.choice(argument, given, TASKS)]
     if not isinstance(given, Task):
         listed = ", ".join(repr(name) for name in TASKS)
         raise TypeError(f"{argument} must be one of {listed}, or a jackbox_env.Task, got {check.shown(given)}")
-    terms, values = given
+    terms, values, over, start = given
     listed = list(terms) if isinstance(terms, Sequence) and not isinstance(terms, str) else []
     if not listed or not all(isinstance(name, str) and name for name in listed) or len({*listed}) < len(listed):
         raise ValueError(f"a task's terms must be a tuple of different names, got {check.shown(terms)}")
     if not isinstance(values, FunctionType):
         raise TypeError(f"a task's values must be a plain Python function, got {check.shown(values)}")
-    return Task(tuple(listed), values)
+    if not isinstance(over, FunctionType | None):
+        raise TypeError(f"a task's over must be a plain Python function or None, got {check.shown(over)}")
+    if not (start is None or callable(start)):
+        raise TypeError(f"a task's start must be a function of scene and rng, or None, got {check.shown(start)}")
+    return Task(tuple(listed), values, over, start)
 
 
 def checked_terms(task: Task, values: object) -> tuple[float, ...]:
@@ -155,3 +189,17 @@ def reward_of(terms: Sequence[float]) -> float:
     for term in terms:
         total += term
     return total
+
+
+def checked_reward(task: Task, terms: Sequence[float]) -> float:
+    """The reward, if it is finite.
+
+    Raises:
+        TaskError: it is not.
+    """
+    reward = reward_of(terms)
+    if math.isfinite(reward):
+        return reward
+    listed = [f"{name!r} is {value}" for name, value in zip(task.terms, terms, strict=True)]
+    guilty = [one for one, value in zip(listed, terms, strict=True) if not math.isfinite(value)]
+    raise TaskError(f"the reward must be finite, got {reward}: the term {', '.join(guilty or listed)}")

@@ -22,7 +22,6 @@ from jackbox_env.states import Array, as_restored, as_start
 from jackbox_env.tasks import Task, task_of
 
 Infos = dict[str, Any]
-Step = tuple[Floats, Array, Flags, Flags, Infos]
 
 _MOST_ENVS = 1_000_000_000
 _NO_LIMIT = 10**15  # steps; float64 counts them all
@@ -56,16 +55,17 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
             not depend on it.
         with_infos: fill the step's infos with what the single environment's info holds, as arrays.
         render_mode: None or "rgb_array"; "human" for one environment.
-        contact: with the rest as in the single environment, :class:`jackbox_env.JackInBoxEnv`, same defaults.
-        substeps: as there.
-        scene: as there, or a list of N scenes, one for each environment.
-        task: as there.
-        control_dt: as there.
-        torque: as there.
-        fidelity: as there.
-        randomize: as there; each environment draws from its own generator.
-        render_size: as there; of each environment's frame.
-        render_overlay: as there.
+        contact: "pymunk" or "exact", in place of a fidelity. This and what follows means the same in the single
+            environment, whose page tells more.
+        substeps: engine steps of pymunk per control step; None: 4.
+        scene: a :class:`Scene`, a dict of some of its fields, or a list of N of them, one for each environment.
+        task: "juggle", "spin", "rattle", or a :class:`Task`.
+        control_dt: duration of a step [s].
+        torque: "agent": the actions are torques; "chirp": the scene's drive acts whatever they are.
+        fidelity: "coarse", "balanced", "fine" or "exact"; None: "balanced".
+        randomize: what of the scenes is drawn anew at each reset, by each environment's own generator.
+        render_size: width and height of each environment's frame [pixels].
+        render_overlay: False: frames show box, jack and ruled lines alone.
 
     ``step`` takes actions of shape (N, 1) or (N,), or None: the scene's drive turns all boxes. ``reset`` takes a seed
     (an int, or a list of ints and None) and ``options``: "state", shape (12,) or (N, 12), "time" [s], a number or shape
@@ -250,10 +250,13 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         plan = self.check_reset(seed, options)
         self._mend(plan.chosen)
         numbers = np.flatnonzero(plan.chosen)
-        starts = self._batch.draw(numbers, [plan.seeds[number] for number in numbers.tolist()], plan.changes)
-        states = None if plan.states is None else plan.states(lambda number: self._batch.scene(number, starts))
+        seeds = [plan.seeds[number] for number in numbers.tolist()]
+        starts = self._batch.draw(numbers, seeds, plan.changes, plan.states is not None)
+        if plan.states is not None:
+            placed = plan.states(lambda number: self._batch.scene(number, starts))
+            starts = starts._replace(states=placed[numbers])
         self._half = True
-        self._batch.start(starts, states)
+        self._batch.start(starts)
         if plan.times.any():
             self._batch.place(plan.chosen, self._batch.states, plan.times)
         for number in numbers.tolist():
@@ -290,12 +293,16 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         changes = None if given.get("scene") is None else self._given.changes(given["scene"], chosen)
         return ResetPlan(chosen, self._given.seeds(seed), changes, states, times)
 
-    def step(self, actions: ArrayLike | None) -> Step:
+    def step(self, actions: ArrayLike | None, repeat: int = 1) -> tuple[Floats, Array, Flags, Flags, Infos]:
         """Advance all environments by one control step under ``actions``, shape (N, 1) or (N,), or under the drive.
+
+        ``repeat`` holds them for so many control steps, 1 to 1,000,000, fewer where an episode ends before. Rewards are
+        summed, infos are of the last of these steps, and ``infos["steps"]`` counts them, shape (N,).
 
         Raises:
             TypeError, ValueError: unusable actions.
             JackLostError: a jack would leave its box, or cannot be followed.
+            jackbox_env.TaskError: a reward of a task of your own is NaN or infinite.
             RuntimeError: there was no reset yet, or an interruption has left the environments half changed. After any
                 other error all environments are as they were.
         """
@@ -303,13 +310,21 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
             raise RuntimeError("step must come after a reset of all environments, got none yet")
         self._mend()
         given = None if actions is None else self._given.actions(actions)
+        repeat = check.whole("repeat", repeat, at_least=1, at_most=1_000_000)
         waiting = self._over() if self._waiting else None
-        outcome = self._batch.step(None if self.torque_source == "chirp" else given)
+        saved = self._batch.saved() if repeat > 1 else None
         infos: Infos = {}
         restarting = waiting
-        if waiting is None and outcome.finished and self.autoreset_mode is AutoresetMode.SAME_STEP:
-            infos, restarting = self._final_infos(outcome), outcome.truncations
-        starts = None if restarting is None else self._batch.draw(np.flatnonzero(restarting))
+        try:
+            outcome, steps = self._repeated(None if self.torque_source == "chirp" else given, repeat, waiting)
+            if waiting is None and outcome.finished and self.autoreset_mode is AutoresetMode.SAME_STEP:
+                infos, restarting = self._final_infos(outcome), outcome.ended
+            starts = None if restarting is None else self._batch.draw(np.flatnonzero(restarting))
+        except BaseException:
+            if self._half:
+                self._batch.restore(saved)
+                self._half = False
+            raise
         self._half = True
         self._batch.take(outcome.after)
         if starts is not None:
@@ -320,8 +335,23 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         if self._with_infos:
             everyone = np.ones(self.num_envs, dtype=np.bool_)
             infos |= _marked(outcome.infos | self._drawn(everyone), everyone)
-        terminations = np.zeros(self.num_envs, dtype=np.bool_)
-        return outcome.observations, outcome.rewards, terminations, outcome.truncations, infos
+        if repeat > 1:
+            infos |= _marked({"steps": steps}, np.ones(self.num_envs, dtype=np.bool_))
+        return outcome.observations, outcome.rewards, outcome.terminations, outcome.truncations, infos
+
+    def _repeated(self, actions: Array | None, repeat: int, waiting: Flags | None) -> tuple[Outcome, Any]:
+        """Some steps under the same actions as one, all but the last taken, and how many each environment has made.
+
+        Episodes that are over wait for what comes after.
+        """
+        outcome = self._batch.step(actions)
+        steps = 1 if waiting is None else np.where(waiting, 0, 1)
+        for _ in range(1, repeat):
+            self._half = True
+            self._batch.take(outcome.after)
+            steps = steps + np.where(self._batch.over, 0, 1)
+            outcome = outcome.followed_by(self._batch.step(actions))
+        return outcome, steps
 
     def render(self) -> tuple[Any, ...] | None:
         """A frame of each environment, uint8, shape (height, width, 3)."""
@@ -391,7 +421,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
 
     def _final_infos(self, outcome: Outcome) -> Infos:
         """The last observations, and infos if asked for, of the episodes that this step ended."""
-        ended = outcome.truncations
+        ended = outcome.ended
         last = np.full(self.num_envs, None, dtype=object)
         for number in np.flatnonzero(ended):
             last[number] = outcome.observations[number].copy()

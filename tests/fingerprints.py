@@ -105,7 +105,7 @@ def rolled(scene: Scene) -> str:
     states = np.tile(FREE, (5, 1))
     states[:, 9:] += rng.normal(size=(5, 3))
     torques = rng.uniform(-9e4, 9e4, (5, 150))
-    return digest(rollout(scene, states, torques, 0.02, energy=True, impacts=True, rewards="rattle"))
+    return digest(rollout(scene, states, torques, 0.02, energy=True, impacts=True, rewards="rattle")[:5])
 
 
 def of_contact_model(contact: str, steps: int) -> Digests:

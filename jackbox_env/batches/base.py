@@ -25,10 +25,28 @@ class Outcome:
 
     observations: Floats  # (N, 10)
     rewards: Array  # (N,)
+    terminations: Flags  # (N,)
     truncations: Flags  # (N,)
     infos: dict[str, NDArray[Any]]  # numbers of each environment's step, (N,) or (N, 12); empty unless asked for
     finished: int  # episodes that this step ends
     after: Any  # the environments after the step, for :meth:`Batch.take`
+
+    @property
+    def ended(self) -> Flags:
+        """Which episodes this step ends, shape (N,)."""
+        return self.terminations | self.truncations
+
+    def followed_by(self, later: Outcome) -> Outcome:
+        """This step and a later one as one; episodes that this one has ended have waited in that."""
+        ended = self.ended
+        later.observations[ended] = self.observations[ended]
+        for name, values in later.infos.items():
+            values[ended] = self.infos[name][ended]
+        later.rewards += self.rewards
+        later.terminations |= self.terminations
+        later.truncations |= self.truncations
+        later.finished += self.finished
+        return later
 
 
 class Starts(NamedTuple):
@@ -37,6 +55,7 @@ class Starts(NamedTuple):
     numbers: Numbers  # (k,) of their environments
     generators: Any  # theirs from then on
     scenes: Any  # theirs from then on, as the batch keeps them; None: they stay
+    states: Array | None = None  # (k, 12) in which they start, checked; None: they are drawn when they begin
 
 
 def bad_action(action: float, number: int) -> ValueError:
@@ -80,29 +99,40 @@ class Batch(Protocol):
         """Step all under ``actions``, shape (N,), or under the scene's drive; none is changed before :meth:`take`.
 
         Raises:
-            ValueError, JackLostError: as the single environment does.
+            ValueError, JackLostError, TaskError: as the single environment does.
         """
 
     def take(self, after: Any) -> None:
         """Put an outcome's environments in place of the present ones."""
 
+    def saved(self) -> Any:
+        """The environments as they are now, for :meth:`restore`."""
+
+    def restore(self, saved: Any) -> None:
+        """Go back to environments that only steps have changed since."""
+
     def draw(
-        self, numbers: Numbers, seeds: Sequence[int | None] | None = None, changes: Sequence[Change] | None = None
+        self,
+        numbers: Numbers,
+        seeds: Sequence[int | None] | None = None,
+        changes: Sequence[Change] | None = None,
+        placed: bool = False,
     ) -> Starts:
-        """Seed generators and draw scenes for episodes to come.
+        """Seed generators, and draw scenes and starts for episodes to come.
 
         Args:
             numbers: of the environments, shape (k,).
             seeds: of each one's generator; None: it goes on.
             changes: what an option changes, for each of them: fields of the scene that it was made with. None: nothing;
                 then the scene stays, unless scenes are drawn at each reset.
+            placed: whether somebody else says in which states they start, so that no start is drawn.
 
         Raises:
-            TypeError, ValueError: a scene that is refused.
+            TypeError, ValueError: a scene, or a task's start, that is refused.
         """
 
-    def start(self, starts: Starts, states: Array | None = None) -> None:
-        """Begin episodes at time 0, at drawn starts or at ``states``, shape (N, 12), checked beforehand."""
+    def start(self, starts: Starts) -> None:
+        """Begin episodes at time 0."""
 
     def place(self, chosen: Flags, states: Array, times: Array) -> None:
         """Put the ``chosen`` environments into states, shape (N, 12), and times [s], checked beforehand.

@@ -21,11 +21,11 @@ from jackbox_env.compiled.status import Status
 from jackbox_env.compiled.workspace import Workspaces, new_lanes, new_log, new_workspaces
 from jackbox_env.randomization import Randomization
 from jackbox_env.scene import Scene
-from jackbox_env.scoring import compiled_for
+from jackbox_env.scoring import bad_reward, compiled_for
 from jackbox_env.simulators.base import Impact, end_of_step
 from jackbox_env.simulators.exact import ExactSimulator, failure, pieces_for
 from jackbox_env.states import Array
-from jackbox_env.tasks import TASKS, Task
+from jackbox_env.tasks import TASKS, Task, draw_start
 
 _FEWEST_PER_THREAD = 4096  # below that, waking a thread costs more than it saves
 _GRAIN = 4  # blocks that are worth a call
@@ -63,17 +63,18 @@ class ExactBatch:
         """Make environments of one scene, or with a scene each.
 
         Raises:
-            TypeError: the task's function cannot be compiled.
+            TypeError: a function of the task cannot be compiled.
         """
         self._dt, self._terms = control_dt, [f"reward_{name}" for name in task.terms]
         self._limit, self._with_infos, self._randomize = float(max_episode_steps), with_infos, randomize
+        self._task = task
         self._score = compiled_for(task, score.score_block)  # kept, because the loop calls it by its address
         self._score_address = address_of(self._score)
         width = min(glide.WIDEST, -(-num_envs // (num_threads or 1)))
         self._count, self._blocks = num_envs, np.zeros((-(-num_envs // width), glide.WIDTH, width))
         several = len(scenes) > 1 or randomize is not None
         self._scenes = SceneTable(scenes, several, self._blocks.shape, num_envs, control_dt)
-        by_function = randomize is not None and randomize.function is not None
+        by_function = (randomize is not None and randomize.function is not None) or task.start is not None
         self._generators = fresh(num_envs, WITH_HALVES if by_function else WHOLE)  # (N, 4 or 6)
         self._derived = np.array([randomize.derived(scene) for scene in scenes] if randomize else [], dtype=np.bool_)
         ranges = len(self._blocks) if num_threads else num_envs // _FEWEST_PER_THREAD
@@ -126,7 +127,11 @@ class ExactBatch:
         return given if isinstance(given, Scene) else self._scenes.scene_of(number, given)
 
     def draw(
-        self, numbers: Numbers, seeds: Sequence[int | None] | None = None, changes: Sequence[Change] | None = None
+        self,
+        numbers: Numbers,
+        seeds: Sequence[int | None] | None = None,
+        changes: Sequence[Change] | None = None,
+        placed: bool = False,
     ) -> Starts:
         """See :meth:`jackbox_env.batches.base.Batch.draw`."""
         ready()
@@ -134,28 +139,31 @@ class ExactBatch:
         for place, seed in enumerate(seeds or ()):
             if seed is not None:
                 words[place] = seeded(seed)[: words.shape[1]]
-        drawn = self._randomize
-        if changes is None and drawn is None:
+        drawn, starting = self._randomize, self._task.start is not None and not placed
+        if changes is None and drawn is None and not starting:
             return Starts(numbers, words, None)
         otherwise = table.driven_otherwise[numbers if table.several else 0].any()
-        if changes is None and drawn is not None and drawn.function is None and not otherwise:
+        if changes is None and drawn is not None and drawn.function is None and not (otherwise or starting):
             rows, derived = table.own_rows(numbers), self._derived
             follows = derived[numbers] if len(derived) > 1 else np.repeat(derived, len(numbers), axis=0)
             compiled(restart.draw_scenes)(rows, drawn.table, follows, words)
             return Starts(numbers, words, rows)
-        scenes = []
+        scenes, states = list[Scene](), list[Array]()
         for place, number in enumerate(numbers.tolist()):
-            own, fields = table.own_of(number), dict[str, Any]()
-            if drawn is not None:
-                generator = unpacked(words[place])
-                fields = drawn.draw(own, generator)
-                words[place] = packed(generator)[: words.shape[1]]
-            scenes.append(own.changed(**{**fields, **(changes[place] if changes else {})}))
-        return Starts(numbers, words, scenes)
+            generator, scene = unpacked(words[place]), table.scene(number)
+            if changes is not None or drawn is not None:
+                own = table.own_of(number)
+                fields = {} if drawn is None else drawn.draw(own, generator)
+                scene = own.changed(**{**fields, **(changes[place] if changes else {})})
+                scenes.append(scene)
+            if starting:
+                states.append(draw_start(self._task, scene, generator))
+            words[place] = packed(generator)[: words.shape[1]]
+        return Starts(numbers, words, scenes or None, np.array(states) if starting else None)
 
-    def start(self, starts: Starts, states: Array | None = None) -> None:
+    def start(self, starts: Starts) -> None:
         """See :meth:`jackbox_env.batches.base.Batch.start`."""
-        numbers, words, scenes = starts
+        numbers, words, scenes, states = starts
         if isinstance(scenes, list):
             if len(numbers) < self._count or any(scene != scenes[0] for scene in scenes):
                 self._scenes = self._scenes.spread_out(self._blocks.shape)
@@ -168,7 +176,7 @@ class ExactBatch:
         else:
             block, lane = np.divmod(numbers, self._blocks.shape[2])
             self._blocks[block, :, lane] = 0.0
-            self._blocks[block, :12, lane] = states[numbers]
+            self._blocks[block, :12, lane] = states
         self._generators[numbers] = words
 
     def place(self, chosen: Flags, states: Array, times: Array) -> None:
@@ -199,16 +207,21 @@ class ExactBatch:
 
         The step is made once more, from the memory that the next step will write to.
         """
-        block, lane = divmod(number, self._blocks.shape[2])
         if self._spare is None or not self._stepped:
             return []
-        before, after = self._spare[block, :, lane], self._blocks[block, :, lane]
+        block, lane = divmod(number, self._blocks.shape[2])
+        simulator = self._stepped_again(number, self._spare, self._acted)
+        return simulator.impacts if np.array_equal(simulator.state, self._blocks[block, :12, lane]) else []
+
+    def _stepped_again(self, number: int, before: Array, actions: Array | None) -> ExactSimulator:
+        """A simulator of one environment after the step from ``before`` under ``actions``."""
+        block, lane = divmod(number, before.shape[2])
         simulator = ExactSimulator(self.scene(number))
         limit = simulator.scene.torque_limit
-        torque = None if self._acted is None else min(max(float(self._acted[number]), -1.0), 1.0) * limit
-        simulator.reset(before[:12], float(before[glide.TIME]))
+        torque = None if actions is None else min(max(float(actions[number]), -1.0), 1.0) * limit
+        simulator.reset(before[block, :12, lane], float(before[block, glide.TIME, lane]))
         simulator.step(self._dt, torque)
-        return simulator.impacts if np.array_equal(simulator.state, after[:12]) else []
+        return simulator
 
     # -- stepping -----------------------------------------------------------------------------------------------------
 
@@ -217,13 +230,14 @@ class ExactBatch:
         count, halt = self._count, Halt()
         observations = np.empty((count, 10), dtype=np.float32)
         rewards, truncations = np.empty(count), np.empty(count, dtype=np.bool_)
+        terminations = np.zeros(count, dtype=np.bool_)
         reports = np.zeros((count if self._with_infos else 0, score.TERMS + len(self._terms)))
         given = _NO_ACTIONS if actions is None else actions
         table, torque = self._scenes, int(actions is not None)
         scenes = table.values, table.lanes, table.kinds[torque]
         rules = self._dt, self._limit, table.gliding[torque], self._score_address
         pieces, ranges = self._pieces(actions)
-        asked, filled = (given, pieces, ranges), (observations, rewards, truncations, reports)
+        asked, filled = (given, pieces, ranges), (observations, rewards, terminations, truncations, reports)
         step_blocks = compiled(loop.step_blocks)
         blocks, after, workspaces = self._blocks, self._spare, self._workspaces
         after = np.zeros_like(blocks) if after is None else after
@@ -246,14 +260,22 @@ class ExactBatch:
         self._spare, self._workspaces = after, workspaces
         for ended, number in results:
             if ended:
-                raise self._failure(ended, number, given)
+                raise self._failure(ended, number, actions)
         infos = self._infos(after, reports) if self._with_infos else {}
         finished = sum(finished for _, finished in results)
-        return Outcome(observations, rewards, truncations, infos, finished, after)
+        return Outcome(observations, rewards, terminations, truncations, infos, finished, after)
 
     def take(self, after: Array) -> None:
         """See :meth:`jackbox_env.batches.base.Batch.take`."""
         self._blocks, self._spare, self._stepped = after, self._blocks, True
+
+    def saved(self) -> Array:
+        """See :meth:`jackbox_env.batches.base.Batch.saved`."""
+        return self._blocks.copy()
+
+    def restore(self, saved: Array) -> None:
+        """See :meth:`jackbox_env.batches.base.Batch.restore`."""
+        self._blocks, self._stepped = saved, False
 
     def _pieces(self, actions: Array | None) -> tuple[Array, NDArray[np.int64]]:
         """The pieces of drives of functions, once for each drive and time, and each environment's range of them."""
@@ -286,9 +308,11 @@ class ExactBatch:
         ]
         return dict(zip(self.info_names, numbers, strict=True))
 
-    def _failure(self, ended: int, number: int, actions: Array) -> Exception:
-        if ended == Status.BAD_ACTION:
+    def _failure(self, ended: int, number: int, actions: Array | None) -> Exception:
+        if ended == Status.BAD_ACTION and actions is not None:
             return bad_action(float(actions[number]), number)
+        if ended == Status.BAD_REWARD:
+            return bad_reward(self._task, self._stepped_again(number, self._blocks, actions), f"environment {number}")
         time = float(self.times[number])
         if ended == Status.TOO_LATE:
             try:

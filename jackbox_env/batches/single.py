@@ -16,7 +16,7 @@ from jackbox_env.randomization import Randomization
 from jackbox_env.scene import Scene
 from jackbox_env.simulators import Impact
 from jackbox_env.states import Array
-from jackbox_env.tasks import sample_start
+from jackbox_env.tasks import TaskError, draw_start, sample_start, task_of
 
 
 class SingleBatch:
@@ -38,9 +38,12 @@ class SingleBatch:
         self._own = list(scenes) if len(scenes) > 1 else list(scenes) * num_envs
         self._envs = [JackInBoxEnv(scene=scene, **settings) for scene in self._own]
         self._with_infos, self._randomize, self._limit = with_infos, randomize, max_episode_steps
-        self._names = list(self._envs[0].reset()[1])
+        self._task = task_of(settings["task"])
+        plain = sample_start(self._own[0], np_random()[0])
+        self._names = list(self._envs[0].reset(options={"state": plain})[1])
         self._states = np.array([env.state for env in self._envs])
         self._times, self._steps = np.zeros(num_envs), np.zeros(num_envs, dtype=np.int64)
+        self._over = np.zeros(num_envs, dtype=np.bool_)
         self._generators, self._scenes = [np_random()[0] for _ in range(num_envs)], list(self._own)
         self._astray = False  # whether the environments may be elsewhere
 
@@ -57,7 +60,7 @@ class SingleBatch:
     @property
     def over(self) -> Flags:
         """Which episodes are over, shape (N,)."""
-        return self._steps >= self._limit
+        return self._over.copy()
 
     @property
     def info_names(self) -> list[str]:
@@ -83,10 +86,14 @@ class SingleBatch:
     # -- episodes -----------------------------------------------------------------------------------------------------
 
     def draw(
-        self, numbers: Numbers, seeds: Sequence[int | None] | None = None, changes: Sequence[Change] | None = None
+        self,
+        numbers: Numbers,
+        seeds: Sequence[int | None] | None = None,
+        changes: Sequence[Change] | None = None,
+        placed: bool = False,
     ) -> Starts:
         """See :meth:`jackbox_env.batches.base.Batch.draw`."""
-        generators, scenes = list[np.random.Generator](), list[Scene]()
+        generators, scenes, states = list[np.random.Generator](), list[Scene](), list[Array]()
         for place, number in enumerate(numbers.tolist()):
             seed = seeds[place] if seeds else None
             generators.append(copy.deepcopy(self._generators[number]) if seed is None else np_random(seed)[0])
@@ -94,24 +101,28 @@ class SingleBatch:
                 drawn = self._randomize.draw(self._own[number], generators[-1]) if self._randomize else {}
                 scenes.append(self._own[number].changed(**{**drawn, **(changes[place] if changes else {})}))
                 self._envs[number].simulator_of(scenes[-1])  # refuses now what its contact model does not take
-        return Starts(numbers, generators, scenes or None)
+            if not placed:
+                states.append(draw_start(self._task, scenes[-1] if scenes else self._scenes[number], generators[-1]))
+        return Starts(numbers, generators, scenes or None, None if placed else np.array(states))
 
-    def start(self, starts: Starts, states: Array | None = None) -> None:
+    def start(self, starts: Starts) -> None:
         """See :meth:`jackbox_env.batches.base.Batch.start`."""
-        for place, number in enumerate(starts.numbers.tolist()):
-            generator = self._generators[number] = starts.generators[place]
+        numbers = starts.numbers
+        for place, number in enumerate(numbers.tolist()):
+            self._generators[number] = starts.generators[place]
             if starts.scenes is not None:
                 self._scenes[number] = starts.scenes[place]
-            drawn = sample_start(self._scenes[number], generator) if states is None else states[number]
-            self._states[number], self._times[number], self._steps[number] = drawn, 0.0, 0
-        self._put(starts.numbers)
+        self._states[numbers], self._times[numbers] = starts.states, 0.0
+        self._steps[numbers], self._over[numbers] = 0, False
+        self._put(numbers)
         for env in self._envs if self._envs[0].render_mode == "human" else ():
             env.render()
 
     def place(self, chosen: Flags, states: Array, times: Array) -> None:
         """See :meth:`jackbox_env.batches.base.Batch.place`."""
         self._states[chosen], self._times[chosen] = states[chosen], times[chosen]
-        self._steps[chosen & self.over] = 0
+        anew = chosen & self._over
+        self._steps[anew], self._over[anew] = 0, False
         self._put(np.flatnonzero(chosen))
 
     def _put(self, numbers: Numbers) -> None:
@@ -146,20 +157,35 @@ class SingleBatch:
         self._gather()
         self._astray = True
         states, times, steps = self.states, self.times, self._steps.copy()
+        terminations = np.zeros(count, dtype=np.bool_)
         for number in going:
             action = None if actions is None else float(actions[number])
-            observations[number], rewards[number], _, _, info = self._envs[number].step(action)
+            try:
+                observations[number], rewards[number], terminations[number], _, info = self._envs[number].step(action)
+            except TaskError as error:
+                raise TaskError(f"{error}, in environment {number}") from error
             states[number], times[number] = info["state"], info["time"]
             for name, values in infos.items():
                 values[number] = info[name]
         steps[going] += 1
-        truncations = (steps >= self._limit) & ~self.over
-        return Outcome(observations, rewards, truncations, infos, int(truncations.sum()), (states, times, steps))
+        truncations = (steps >= self._limit) & ~self._over
+        ended = terminations | truncations
+        after = states, times, steps, self._over | ended
+        return Outcome(observations, rewards, terminations, truncations, infos, int(ended.sum()), after)
 
-    def take(self, after: tuple[Array, Array, NDArray[np.int64]]) -> None:
+    def take(self, after: tuple[Array, Array, NDArray[np.int64], Flags]) -> None:
         """See :meth:`jackbox_env.batches.base.Batch.take`."""
-        self._states, self._times, self._steps = after
+        self._states, self._times, self._steps, self._over = after
         self._astray = False
+
+    def saved(self) -> tuple[Array, Array, NDArray[np.int64], Flags]:
+        """See :meth:`jackbox_env.batches.base.Batch.saved`."""
+        return self._states, self._times, self._steps, self._over
+
+    def restore(self, saved: tuple[Array, Array, NDArray[np.int64], Flags]) -> None:
+        """See :meth:`jackbox_env.batches.base.Batch.restore`."""
+        self._states, self._times, self._steps, self._over = saved
+        self._astray = True
 
     def _refuse(self, actions: Array | None, going: list[int]) -> None:
         for number in going if actions is not None else []:

@@ -12,28 +12,29 @@ from types import FunctionType
 from typing import Any, cast
 
 
-def block_score(address: Any) -> Callable[..., None]:
+def block_score(address: Any) -> Callable[..., int]:
     """The function at an address, with the arguments of ``score.score_block``.
 
     Compiled code takes a number here. Uncompiled, the function itself is handed in.
     """
-    return cast(Callable[..., None], address)
+    return cast(Callable[..., int], address)
 
 
-def step_score(address: Any) -> Callable[..., None]:
+def step_score(address: Any) -> Callable[..., int]:
     """The function at an address, with the arguments of ``score.score_step``; see :func:`block_score`."""
-    return cast(Callable[..., None], address)
+    return cast(Callable[..., int], address)
 
 
 @cache
 def signature(name: str) -> Any:
-    """The types of ``score.score_block`` or ``score.score_step``: what it takes and that it returns nothing."""
+    """The types of ``score.score_block`` or ``score.score_step``: what it takes and returns."""
     from numba import types
 
     table, row = types.Array(types.float64, 2, "C"), types.Array(types.float64, 1, "C")
     if name == "score_step":
-        return types.void(row, row, types.float64, types.float64, row, types.int64)
-    return types.void(table, table, table, types.int64, types.int64, row, table)
+        return types.int64(row, row, types.float64, types.float64, row, types.int64)
+    flags = types.Array(types.boolean, 1, "C")
+    return types.int64(table, table, table, types.int64, types.int64, row, flags, table)
 
 
 CALLED = {block_score: "score_block", step_score: "score_step"}

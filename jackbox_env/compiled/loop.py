@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.compiled.address import block_score
-from jackbox_env.compiled.glide import LIMIT, OVER, STEPS, TIME, WIDTH, Block, glide_block, glide_under_chirp
+from jackbox_env.compiled.glide import LIMIT, OVER, STEPS, TIME, Block, glide_block, glide_under_chirp
 from jackbox_env.compiled.score import look_block
 from jackbox_env.compiled.status import Status
 from jackbox_env.compiled.step import (
@@ -72,13 +72,14 @@ class Results(NamedTuple):
 
     observations: Floats  # (N, 10)
     rewards: Array  # (N,)
+    terminations: Flags  # (N,), False before
     truncations: Flags  # (N,)
     reports: Array  # (N, TERMS + number of terms), or (0, ...) if nobody asks
 
 
 def step_blocks(
     scenes: tuple[Array, Array, Counts], rules: tuple[float, float, bool, int], blocks: tuple[Array, Array],
-    given: tuple[Array, Array, Counts], span: tuple[int, int], results: tuple[Floats, Array, Flags, Array],
+    given: tuple[Array, Array, Counts], span: tuple[int, int], results: tuple[Floats, Array, Flags, Flags, Array],
     memories: tuple[Array, Workspaces, Array],
 ) -> tuple[int, int, int]:  # fmt: skip
     """Step the environments of some blocks whose episodes are not over.
@@ -99,7 +100,7 @@ def step_blocks(
     played = Scenes(scenes[0], scenes[1], scenes[2])
     common, score = Rules(rules[0], rules[1], rules[2]), block_score(rules[3])
     asked = Given(given[0], given[1], given[2])
-    filled = Results(results[0], results[1], results[2], results[3])
+    filled = Results(results[0], results[1], results[2], results[3], results[4])
     before, after = blocks
     lanes, workspaces, log = memories
     memory = workspaces[0]
@@ -126,8 +127,15 @@ def step_blocks(
         if ended != Status.DONE:
             return ended.value, first + lane, finished
         worked += looks
-        score(played.values, block.after, lanes, first, size, filled.rewards, filled.reports)
-        finished += close_block(common, block, filled)
+        waiting = keep_waiting(block)
+        ends = score(
+            played.values, block.after, lanes, first, size, filled.rewards, filled.terminations, filled.reports
+        )
+        if ends < 0:
+            bad = first_unusable(block, filled.rewards)
+            if bad >= 0:
+                return Status.BAD_REWARD.value, first + bad, finished
+        finished += close_block(common, block, filled, waiting > 0, ends != 0)
         look_block(played.values, block.after, size, lanes, first, filled.observations)
     return Status.DONE.value, -1, finished
 
@@ -188,7 +196,7 @@ def take_actions(actions: Array, block: Block) -> int:
 
     An action for an episode that is over and waits is not looked at.
     """
-    torque, over, limit = block.lanes[TORQUE], block.before[OVER], block.scenes[LIMIT]
+    torque, limit = block.lanes[TORQUE], block.scenes[LIMIT]
     for k in range(block.size):
         torque[k] = asked_torque(actions, block.first + k, limit[k])
     if not actions.shape[0]:
@@ -196,8 +204,13 @@ def take_actions(actions: Array, block: Block) -> int:
     unusable = 0
     for k in range(block.size):
         unusable += 0 if abs(actions[block.first + k]) < math.inf else 1
-    for k in range(block.size if unusable else 0):
-        if not abs(actions[block.first + k]) < math.inf and over[k] == 0.0:
+    return first_unusable(block, actions) if unusable else -1
+
+
+def first_unusable(block: Block, numbers: Array) -> int:
+    """The first place in a block whose episode goes on and whose number, of (N,), is NaN or infinite; or -1."""
+    for k in range(block.size):
+        if not abs(numbers[block.first + k]) < math.inf and block.before[OVER, k] == 0.0:
             return k
     return -1
 
@@ -207,13 +220,29 @@ def asked_torque(actions: Array, number: int, limit: float) -> float:
     return max(-1.0, min(1.0, actions[number])) * limit if actions.shape[0] else 0.0
 
 
-def close_block(rules: Rules, block: Block, results: Results) -> int:
-    """Count a step; leave what is over as it was. Return the number of episodes that ended."""
+def keep_waiting(block: Block) -> int:
+    """Leave episodes that are over where they are. Return their number."""
+    over, waiting = block.before[OVER], 0
+    for k in range(block.size):
+        waiting += 1 if over[k] != 0.0 else 0
+    for k in range(block.size if waiting else 0):
+        if over[k] != 0.0:
+            for place in range(12):
+                block.after[place, k] = block.before[place, k]
+    return waiting
+
+
+def close_block(rules: Rules, block: Block, results: Results, waiting: bool, ends: bool) -> int:
+    """Count a step, where some are ``waiting`` not for those. Return the number of episodes that ended.
+
+    ``ends``: whether the task may have ended some.
+    """
     before, after, first, count = block.before, block.after, block.first, block.size
-    rewards, truncations, reports = results.rewards, results.truncations, results.reports
+    rewards, reports = results.rewards, results.reports
+    terminations, truncations = results.terminations, results.truncations
     time, steps, over = before[TIME], before[STEPS], before[OVER]
     new_time, new_steps, new_over = after[TIME], after[STEPS], after[OVER]
-    waiting = ended = 0
+    ended = 0
     for k in range(count):
         new_time[k] = time[k] + rules.dt
     for k in range(count):
@@ -221,18 +250,17 @@ def close_block(rules: Rules, block: Block, results: Results) -> int:
     for k in range(count):
         new_over[k] = 1.0 if new_steps[k] >= rules.limit else 0.0
     for k in range(count):
-        waiting += 1 if over[k] != 0.0 else 0
+        truncations[first + k] = new_over[k] != 0.0
+    for k in range(count if ends else 0):
+        new_over[k] = 1.0 if terminations[first + k] else new_over[k]
     for k in range(count):
         ended += 1 if new_over[k] != 0.0 else 0
-    for k in range(count):
-        truncations[first + k] = new_over[k] != 0.0
     if waiting:
         for k in range(count):
             if over[k] != 0.0:
-                ended -= 1 if truncations[first + k] else 0
-                rewards[first + k], truncations[first + k] = 0.0, False
-                for place in range(WIDTH):
-                    after[place, k] = before[place, k]
+                ended -= 1 if new_over[k] != 0.0 else 0
+                rewards[first + k], terminations[first + k], truncations[first + k] = 0.0, False, False
+                new_time[k], new_steps[k], new_over[k] = time[k], steps[k], over[k]
                 for place in range(reports.shape[1] if reports.shape[0] else 0):
                     reports[first + k, place] = 0.0
     return ended

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from jackbox_env.compiled.address import step_score
 from jackbox_env.compiled.loop import PATIENCE
+from jackbox_env.compiled.score import ENDS, UNUSABLE
 from jackbox_env.compiled.status import Status
 from jackbox_env.compiled.step import Pieces, effort, make_numbers, make_plan, step
 from jackbox_env.compiled.workspace import Workspaces
@@ -41,12 +42,13 @@ class Played(NamedTuple):
     hits: Counts  # (N, H) impacts in each step, or (0, H)
     impulses: Array  # (N, H) their sum [N s], or (0, H)
     energies: Array  # (N, H + 1) [J], or (0, H + 1)
-    rewards: Array  # (N, H), or (0, H)
+    rewards: Array  # (N, H), zeros, or (0, H)
+    lengths: Counts  # (N,) steps until the task ends an episode, H given
 
 
 def roll(
     scenes: tuple[Array, Counts, Counts], dt: float, torques: Array, drive: tuple[Array, Array, Counts],
-    span: tuple[int, int, int], results: tuple[Array, Counts, Array, Array, Array], score: int,
+    span: tuple[int, int, int], results: tuple[Array, Counts, Array, Array, Array, Counts], score: int,
     until_impact: bool, memories: tuple[Workspaces, Array],
 ) -> tuple[int, int, int]:  # fmt: skip
     """Fill in trajectories from their first states.
@@ -73,7 +75,8 @@ def roll(
     plan = make_plan(scene, dt, kinds[0])
     times, table, ends = drive
     low, high, first = span
-    played, pay = Played(results[0], results[1], results[2], results[3], results[4]), step_score(score)
+    played = Played(results[0], results[1], results[2], results[3], results[4], results[5])
+    pay = step_score(score)
     memory, log = memories[0][0], memories[1]
     worked, steps = 0.0, times.shape[0] - 1
     whole, repeat = played.trajectories.shape[1] > steps, max(1, steps // max(1, torques.shape[1]))
@@ -99,9 +102,13 @@ def roll(
                 played.hits[i, k], played.impulses[i, k] = memory.hits, memory.impulse
             if played.energies.shape[0]:
                 played.energies[i, k + 1] = energy_of(scene, after)
-            if played.rewards.shape[0]:
+            if played.rewards.shape[0] and k < played.lengths[i]:
                 row = values[i if values.shape[0] > 1 else 0]
-                pay(row, after, mean, memory.impulse, played.rewards[i], k)
+                became = pay(row, after, mean, memory.impulse, played.rewards[i], k)
+                if became == UNUSABLE:
+                    return Status.BAD_REWARD.value, i, k
+                if became == ENDS:
+                    played.lengths[i] = k + 1
             if until_impact and memory.hits > 0:
                 break
     return Status.DONE.value, -1, -1

@@ -1,12 +1,14 @@
 """What an agent sees and earns, in compiled code: the observation and the task's terms, of one state or of a block.
 
-The arithmetic is that of :mod:`jackbox_env.observation` and of the task's own function, compiled as it stands there. A
-task's function takes the place of :func:`task_terms`. ``score_one``, ``score_step`` and ``score_block`` are compiled
-for each task; the loops of batches and rollouts are not. They call the latter two by their addresses, see
+The arithmetic is that of :mod:`jackbox_env.observation` and of the task's own functions, compiled as they stand there.
+They take the places of :func:`task_terms` and :func:`task_over`. ``score_one``, ``score_step`` and ``score_block`` are
+compiled for each task; the loops of batches and rollouts are not. They call the latter two by their addresses, see
 :mod:`jackbox_env.compiled.address`.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +22,9 @@ from jackbox_env.states import Array
 from jackbox_env.tasks import reward_of
 
 Floats = NDArray[np.float32]
+Flags = NDArray[np.bool_]
+
+GOES_ON, ENDS, UNUSABLE = range(3)  # what becomes of an episode; its reward is NaN or infinite
 
 # Columns of a report: what a step's info holds beside state and time.
 REPORTED_TORQUE, REPORTED_HITS, REPORTED_IMPULSE, TERMS = range(4)
@@ -79,29 +84,42 @@ def task_terms(scene: SceneNumbers, state: tuple[float, ...], torque: float, imp
     raise NotImplementedError
 
 
+def task_over(scene: SceneNumbers, state: tuple[float, ...], torque: float, impulse: float) -> bool:
+    """The function of a task that ends episodes stands here in compiled code."""
+    return False
+
+
 def twelve(row: Array) -> tuple[float, ...]:
     """The state, shape (12,), as a task sees it: 12 numbers that nobody can write. A row may hold more behind it."""
     return row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9], row[10], row[11]
 
 
-def score_one(values: Array, state: Array, torque: float, impulse: float, observation: Floats, terms: Array) -> None:
-    """Observe one state; fill in the values of its reward's terms."""
+def score_one(values: Array, state: Array, torque: float, impulse: float, observation: Floats, terms: Array) -> bool:
+    """Observe one state; fill in the values of its reward's terms. Return whether the episode is over."""
     scene = make_numbers(values)
     look(scene, state, observation)
     earned = task_terms(scene, twelve(state), torque, impulse)
     for place in range(len(earned)):
         terms[place] = earned[place]
+    return task_over(scene, twelve(state), torque, impulse)
 
 
-def score_step(values: Array, state: Array, torque: float, impulse: float, rewards: Array, place: int) -> None:
-    """Write the reward of one step into its place."""
-    rewards[place] = reward_of(task_terms(make_numbers(values), twelve(state), torque, impulse))
+def score_step(values: Array, state: Array, torque: float, impulse: float, rewards: Array, place: int) -> int:
+    """Write the reward of one step into its place; return what becomes of the episode."""
+    scene = make_numbers(values)
+    rewards[place] = reward_of(task_terms(scene, twelve(state), torque, impulse))
+    if not abs(rewards[place]) < math.inf:
+        return UNUSABLE
+    return ENDS if task_over(scene, twelve(state), torque, impulse) else GOES_ON
 
 
 def score_block(
-    values: Array, after: Array, lanes: Array, first: int, count: int, rewards: Array, reports: Array
-) -> None:
+    values: Array, after: Array, lanes: Array, first: int, count: int, rewards: Array, terminations: Flags,
+    reports: Array,
+) -> int:  # fmt: skip
     """Reward a step of a block, and report it if asked.
+
+    Return how many episodes the task ends, or -1 where a reward is NaN or infinite.
 
     Args:
         values: the scenes' numbers, one row for all environments or one for each.
@@ -110,17 +128,28 @@ def score_block(
         first: number of the block's first environment.
         count: number of its environments.
         rewards: of all environments, shape (N,).
+        terminations: set where the task ends an episode, shape (N,).
         reports: of all environments, shape (N, TERMS + number of terms), or (0, ...) if nobody asks.
     """
-    torque, hits, impulses = lanes[TORQUE], lanes[HIT], lanes[IMPULSE_SUM]
+    torque, hits, impulses, unusable = lanes[TORQUE], lanes[HIT], lanes[IMPULSE_SUM], 0
+    ends = 0
     if values.shape[0] == 1:
         scene = make_numbers(values[0])
         for k in range(count):
             rewards[first + k] = reward_of(task_terms(scene, twelve(after[:, k]), torque[k], impulses[k]))
+        for k in range(count):
+            if task_over(scene, twelve(after[:, k]), torque[k], impulses[k]):
+                terminations[first + k] = True
+                ends += 1
     else:
         for k in range(count):
             own = make_numbers(values[first + k])
             rewards[first + k] = reward_of(task_terms(own, twelve(after[:, k]), torque[k], impulses[k]))
+            if task_over(own, twelve(after[:, k]), torque[k], impulses[k]):
+                terminations[first + k] = True
+                ends += 1
+    for k in range(count):
+        unusable += 0 if abs(rewards[first + k]) < math.inf else 1
     if reports.shape[0]:
         for k in range(count):
             report = reports[first + k]
@@ -129,3 +158,4 @@ def score_block(
             earned = task_terms(own, twelve(after[:, k]), torque[k], impulses[k])
             for place in range(len(earned)):
                 report[TERMS + place] = earned[place]
+    return -1 if unusable else ends

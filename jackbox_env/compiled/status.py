@@ -14,4 +14,5 @@ class Status(IntEnum):
     TOO_MANY_TURNS = 3  # of the chirp, within one step
     BAD_ACTION = 4  # NaN or infinite
     TOO_LATE = 5  # the time would not move, or would pass its limit
-    PAUSED = 6  # after long work, so that an interruption is heard: to be called again
+    BAD_REWARD = 6  # NaN or infinite
+    PAUSED = 7  # after long work, so that an interruption is heard: to be called again

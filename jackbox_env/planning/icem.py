@@ -150,7 +150,6 @@ class Search:
             scenes, np.repeat(states, many, axis=0), tried.reshape(count * many, -1) * limits, self.control_dt,
             driven=False, task=self.task, repeat=self.piece, num_threads=self.num_threads,
         )  # fmt: skip
-        assert found.rewards is not None
         return found.rewards.sum(axis=1).reshape(count, many), found.trajectories[:, 1].reshape(count, many, 12)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cache
-from typing import Any, Literal, NamedTuple, overload
+from typing import Any, Generic, Literal, NamedTuple, TypeVar, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,9 +19,9 @@ from jackbox_env.compiled.score import score_step
 from jackbox_env.compiled.status import Status
 from jackbox_env.compiled.workspace import new_log, new_workspaces
 from jackbox_env.scene import Drive, Scene, scenes_of
-from jackbox_env.scoring import compiled_for
+from jackbox_env.scoring import bad_reward, compiled_for
 from jackbox_env.simulators.base import end_of_step
-from jackbox_env.simulators.exact import drive_kind, failure, pieces_for
+from jackbox_env.simulators.exact import ExactSimulator, drive_kind, failure, pieces_for
 from jackbox_env.states import LATEST_TIME, Array, as_restored, deepest_restored
 from jackbox_env.tasks import Task, task_of
 
@@ -33,14 +33,28 @@ _GRAIN = 1000  # steps that are worth a call
 _FEWEST_PER_THREAD = 5000  # steps that are worth waking a thread
 
 
-class Rollout(NamedTuple):
-    """What ``rollout`` returns when more than trajectories is asked for; what was not asked for is None."""
+Rewards = TypeVar("Rewards")
+Lengths = TypeVar("Lengths")
 
-    trajectories: Array  # (N, H + 1, 12); without trajectories the first and the last states, (N, 2, 12)
-    energy: Array | None  # (N, H + 1) [J]
-    impacts: NDArray[np.int64] | None  # (N, H) impacts in each step
-    impulse: Array | None  # (N, H) sum of their impulses [N s]
-    rewards: Array | None = None  # (N, H)
+
+class Rollout(NamedTuple, Generic[Rewards, Lengths]):
+    """What ``rollout`` returns when more than trajectories is asked for; what was not asked for is None.
+
+    Attributes:
+        trajectories: shape (N, H + 1, 12); without trajectories the first and the last states, (N, 2, 12).
+        energy: of each state [J], shape (N, H + 1).
+        impacts: in each step, shape (N, H), int64.
+        impulse: their sum in each step [N s], shape (N, H).
+        rewards: of each step, shape (N, H); 0 after the step that ends the task's episode.
+        lengths: steps up to that one, H where there is none, shape (N,), int64; asked for with the rewards.
+    """
+
+    trajectories: Array
+    energy: Array | None
+    impacts: Counts | None
+    impulse: Array | None
+    rewards: Rewards
+    lengths: Lengths
 
 
 @overload
@@ -56,15 +70,15 @@ def rollout(
     scene: OneOrMore, states: ArrayLike, torques: ArrayLike, dt: float, time: float = 0.0,
     *, energy: bool = False, impacts: bool = False, rewards: str | Task, repeat: int = 1, trajectories: bool = True,
     num_threads: int | None = None,
-) -> Rollout: ...  # fmt: skip
+) -> Rollout[Array, Counts]: ...  # fmt: skip
 
 
 @overload
 def rollout(
     scene: OneOrMore, states: ArrayLike, torques: ArrayLike, dt: float, time: float = 0.0,
-    *, energy: bool = False, impacts: bool = False, rewards: str | Task | None = None, repeat: int = 1,
+    *, energy: bool = False, impacts: bool = False, rewards: None = None, repeat: int = 1,
     trajectories: Literal[False], num_threads: int | None = None,
-) -> Rollout: ...  # fmt: skip
+) -> Rollout[None, None]: ...  # fmt: skip
 
 
 @overload
@@ -72,7 +86,7 @@ def rollout(
     scene: OneOrMore, states: ArrayLike, torques: ArrayLike, dt: float, time: float = 0.0,
     *, energy: bool = False, impacts: bool = False, rewards: str | Task | None = None, repeat: int = 1,
     trajectories: bool = True, num_threads: int | None = None,
-) -> Array | Rollout: ...  # fmt: skip
+) -> Array | Rollout[Array | None, Counts | None]: ...  # fmt: skip
 
 
 def rollout(
@@ -88,7 +102,7 @@ def rollout(
     repeat: int = 1,
     trajectories: bool = True,
     num_threads: int | None = None,
-) -> Array | Rollout:
+) -> Array | Rollout[Any, Any]:
     """Play torques, each held for ``dt``, from each state, by ``contact="exact"``.
 
     Equal bit for bit to stepping ``make_simulator(scene, contact="exact")`` from each state.
@@ -102,7 +116,8 @@ def rollout(
         time: at which all start [s].
         energy: also return the energy of each state.
         impacts: also return the number of impacts in each step and their impulse.
-        rewards: also return what each step earns in this task, a name or a :class:`jackbox_env.Task`.
+        rewards: also return what each step earns in this task, a name or a :class:`jackbox_env.Task`. Where the task
+            ends an episode, ``lengths`` tells when. Later steps earn 0, and the states go on.
         repeat: steps that each torque is held for, 1 to 1,000,000; H below is then the number of all steps.
         trajectories: False: only the first and the last states are kept, which saves memory and time.
         num_threads: None: as many as the machine has. Results do not depend on it.
@@ -114,6 +129,7 @@ def rollout(
     Raises:
         TypeError, ValueError: unusable values.
         JackLostError: a jack moves too fast to be followed.
+        jackbox_env.TaskError: a reward is NaN or infinite.
     """
     scenes, several = scenes_of(scene)
     energy, impacts, whole = (
@@ -135,23 +151,23 @@ def play(
     scenes: list[Scene], starts: Array, held: Array, dt: float, time: float = 0.0, *, driven: bool = True,
     energy: bool = False, impacts: bool = False, task: Task | None = None, repeat: int = 1, whole: bool = False,
     until_impact: bool = False, num_threads: int | None = None,
-) -> Rollout:  # fmt: skip
+) -> Rollout[Any, Any]:  # fmt: skip
     """:func:`rollout` of what is checked: float64 rows, and one scene or one for each of them.
 
     Args:
         scenes: whose drives' side forces act if ``driven``.
         starts: shape (N, 12).
         held: torques [N m], shape (N, H / repeat).
-        dt: as in :func:`rollout`, with the rest.
-        time: as there.
+        dt: duration of a step [s].
+        time: at which all start [s].
         driven: whether the drives' side forces act.
-        energy: as there.
-        impacts: as there.
+        energy: whether the energies are asked for.
+        impacts: whether impacts and impulses are asked for.
         task: whose rewards are asked for; None: nobody's.
-        repeat: as there.
+        repeat: steps that each torque is held for.
         whole: whether all states are kept.
         until_impact: end each row with the step of its first impact; needs ``impacts``.
-        num_threads: as there.
+        num_threads: as many at most; None: as many as the machine has.
     """
     count, steps = len(held), held.shape[1] * repeat
     times = _times(time, dt, steps)
@@ -166,7 +182,8 @@ def play(
     threads = Threads(thread_count(num_threads, ranges))
     memories = [(new_workspaces(), new_log()) for _ in range(threads.count)]
     given, call, address = (np.array([one.numbers for one in scenes]), kinds, firsts), compiled(roll), address_of(score)
-    drive, results, halt = (times, table, ends), (played, hits, impulses, energies, earned), Halt()
+    lengths = np.full(count, steps)
+    drive, results, halt = (times, table, ends), (played, hits, impulses, energies, earned, lengths), Halt()
 
     def work(thread: int, low: int, high: int) -> tuple[int, int, int]:
         first = 0
@@ -178,6 +195,12 @@ def play(
             low, first = who, when  # after a while, so that an interruption is heard
 
     for ended, who, when in threads.run(work, count, grain=-(-_GRAIN // max(1, steps)), halt=halt):
+        if ended == Status.BAD_REWARD and task is not None:
+            scene = scenes[who if len(scenes) > 1 else 0]
+            simulator = ExactSimulator(scene if driven else scene.changed(drive=None))
+            simulator.reset(played[who, when if whole else when % 2], times[when])
+            simulator.step(dt, held[who, when // repeat])
+            raise bad_reward(task, simulator, f"step {when} of states[{who}]")
         if ended:
             raise failure(ended, scenes[who if len(scenes) > 1 else 0], times[when], dt, f"the jack of states[{who}]")
     if not whole:
@@ -187,7 +210,7 @@ def play(
         played = np.stack([starts, played[np.arange(count), taken % 2]], axis=1)
     return Rollout(
         played, energies if energy else None, hits if impacts else None, impulses if impacts else None,
-        earned if task else None,
+        earned if task else None, lengths if task else None,
     )  # fmt: skip
 
 

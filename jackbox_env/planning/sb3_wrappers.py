@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from jackbox_env import _validation as check
 from jackbox_env.planning.features import Features, WarmStart
 from jackbox_env.planning.wrappers import only_one, refuse_early_end, refuse_other_torques
+from jackbox_env.sb3 import JackInBoxVecEnv
 
 try:
     from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
@@ -26,7 +27,8 @@ class HoldingVecEnv(VecEnvWrapper):
     its length is in their steps.
 
     Args:
-        venv: the environments. Their episodes must last a multiple of ``hold`` steps.
+        venv: the environments. Those of :func:`jackbox_env.sb3.make_sb3_vec_env` may end at any step, which ends the
+            hold. Episodes of others must last a multiple of ``hold`` steps.
         hold: steps that each action is held for.
     """
 
@@ -47,8 +49,12 @@ class HoldingVecEnv(VecEnvWrapper):
         """Step ``hold`` times.
 
         Raises:
-            RuntimeError: an episode ended before the last of these steps.
+            RuntimeError: an episode ended before the last of these steps, in environments that are not of
+                ``make_sb3_vec_env``.
         """
+        if isinstance(self.venv, JackInBoxVecEnv):
+            self.venv.step_async(self._actions, self.hold)
+            return self.venv.step_wait()
         total = np.zeros(self.num_envs)
         for taken in range(1, self.hold + 1):
             observations, rewards, dones, infos = self.venv.step(self._actions)
@@ -61,15 +67,16 @@ class LookaheadVecEnv(HoldingVecEnv):
     """:class:`jackbox_env.Lookahead` of environments of Stable-Baselines3.
 
     Args:
-        venv: of :func:`jackbox_env.sb3.make_sb3_vec_env`, or of single environments. Their episodes must last a
-            multiple of ``hold`` steps.
-        hold: as in :class:`jackbox_env.Lookahead`, with the rest.
-        turns: as there.
-        samples: as there.
-        pieces: as there.
-        follow: as there.
-        seed: as there.
-        num_threads: as there.
+        venv: of :func:`jackbox_env.sb3.make_sb3_vec_env`, or of single environments. Episodes of the latter must last
+            a multiple of ``hold`` steps.
+        hold: control steps of a step here, 1 or more; more on all of these under
+            :class:`jackbox_env.Lookahead`.
+        turns: scripted rollouts, an odd number, or 0 for none.
+        samples: variations of the plan that are tried in each step, 8 or more, or 0 for no plan.
+        pieces: torques of a rollout, each held for ``hold`` control steps; 8 or more.
+        follow: whether an action is added to the plan's next torque.
+        seed: of the variations.
+        num_threads: that play the rollouts; None: as many as the machine has. Nothing else depends on it.
 
     Raises:
         TypeError, ValueError: an argument out of its range, or ``venv`` is not of ``JackInBox-v0``.
@@ -108,7 +115,7 @@ class LookaheadVecEnv(HoldingVecEnv):
         """Step ``hold`` times and look ahead; the ``terminal_observation`` of an episode's end looks ahead too.
 
         Raises:
-            RuntimeError: an episode ended before the last of these steps.
+            RuntimeError: as that of :class:`HoldingVecEnv`.
             JackLostError: a jack, or one in a rollout, cannot be followed. After either, reset before the next step.
         """
         scenes = self.venv.get_attr("scene")  # those of the episodes that may end now

@@ -16,6 +16,7 @@ from gymnasium.vector.utils import batch_space
 from jackbox_env import _validation as check
 from jackbox_env.planning.features import Features, Flags, Floats, WarmStart
 from jackbox_env.states import Array
+from jackbox_env.vector_env import JackInBoxVectorEnv
 
 
 class Lookahead(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
@@ -105,17 +106,18 @@ class LookaheadVector(VectorWrapper):
     """:class:`Lookahead` of a vector environment: the same numbers for each of its environments.
 
     All rollouts of a step are one compiled loop. Where ``hold`` is above 1 an episode must restart in the step that
-    ends it (``autoreset_mode="SAME_STEP"``), and last a multiple of ``hold`` steps.
+    ends it (``autoreset_mode="SAME_STEP"``). In vector environments of single ones it must last a multiple of ``hold``
+    steps.
 
     Args:
         env: the vector environment of ``JackInBox-v0``, native or of single ones.
-        hold: as in :class:`Lookahead`, with the rest.
-        turns: as there.
-        samples: as there.
-        pieces: as there.
-        follow: as there.
-        seed: as there.
-        num_threads: as there.
+        hold: control steps of a step here, 1 or more; more on all of these under :class:`Lookahead`.
+        turns: scripted rollouts, an odd number, or 0 for none.
+        samples: variations of the plan that are tried in each step, 8 or more, or 0 for no plan.
+        pieces: torques of a rollout, each held for ``hold`` control steps; 8 or more.
+        follow: whether an action is added to the plan's next torque.
+        seed: of the variations.
+        num_threads: that play the rollouts; None: as many as the machine has. Nothing else depends on it.
 
     Raises:
         TypeError, ValueError: an argument out of its range, or ``env`` is no ``JackInBox-v0``.
@@ -163,16 +165,12 @@ class LookaheadVector(VectorWrapper):
         """Take actions, shape (N, 1), for ``hold`` control steps and sum up the rewards; infos are of the last one.
 
         Raises:
-            RuntimeError: an episode ended before the last of these steps.
+            RuntimeError: an episode of single environments ended before the last of these steps.
             JackLostError: a jack, or one in a rollout, cannot be followed. After either, reset before the next step.
         """
-        total, hold = np.zeros(self.num_envs), self._warm.features.hold
-        torques, scenes = self._warm.torques(actions), self._of_each("scene")
-        for taken in range(1, hold + 1):
-            observations, rewards, terminations, truncations, infos = self.env.step(torques)
-            total += rewards
-            over = terminations | truncations
-            refuse_early_end(over, taken, hold)
+        scenes = self._of_each("scene")
+        observations, total, terminations, truncations, infos = self._held(self._warm.torques(actions))
+        over = terminations | truncations
         if self._same_step and over.any():
             numbers = np.flatnonzero(over)
             final = infos["final_obs"].copy()
@@ -186,6 +184,18 @@ class LookaheadVector(VectorWrapper):
         if not self._same_step:
             self._warm.start(over)  # the next step shows the start
         return seen, total, terminations, truncations, infos
+
+    def _held(self, torques: Any) -> tuple[Floats, Array, Flags, Flags, dict[str, Any]]:
+        """Step ``hold`` times under the same torques."""
+        hold = self._warm.features.hold
+        if isinstance(self.env, JackInBoxVectorEnv):
+            return self.env.step(torques, hold)
+        total = np.zeros(self.num_envs)
+        for taken in range(1, hold + 1):
+            observations, rewards, terminations, truncations, infos = self.env.step(torques)
+            total += rewards
+            refuse_early_end(terminations | truncations, taken, hold)
+        return observations, total, terminations, truncations, infos
 
 
 def only_one(name: str, found: list[Any]) -> Any:

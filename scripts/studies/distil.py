@@ -63,7 +63,6 @@ def advanced(states: Array, acting: Array) -> tuple[Array, Array, NDArray[np.boo
         repeat=SETTINGS.hold, trajectories=False, num_threads=1,
     )  # fmt: skip
     assert isinstance(found, Rollout)
-    assert found.rewards is not None
     assert found.impacts is not None
     return found.trajectories[:, 1], found.rewards.sum(axis=1), found.impacts.sum(axis=1) > 0
 

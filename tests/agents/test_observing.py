@@ -26,6 +26,5 @@ def test_mirrored_states_go_mirrored_ways() -> None:
         rollout(Scene(drive=None), start, torque, 0.02, rewards="juggle", trajectories=False)
         for start, torque in ((states, acting), (mirrored(states), -acting))
     )
-    assert one.rewards is not None
     np.testing.assert_allclose(mirrored(other.trajectories[:, 1]), one.trajectories[:, 1], atol=1e-9)
-    np.testing.assert_allclose(other.rewards, one.rewards, atol=1e-9)  # type: ignore[arg-type]
+    np.testing.assert_allclose(other.rewards, one.rewards, atol=1e-9)

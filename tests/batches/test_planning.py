@@ -88,4 +88,4 @@ def test_first_and_last_states_are_those_of_the_trajectories(steps: int) -> None
     expected = whole._replace(trajectories=whole.trajectories[:, [0, -1]])
     assert_same(ends, expected)
     only = rollout(Scene(), states, torques, 0.02, repeat=3, trajectories=False)
-    assert_same(only, Rollout(expected.trajectories, None, None, None, None))
+    assert_same(only, Rollout(expected.trajectories, None, None, None, None, None))

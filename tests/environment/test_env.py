@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from jackbox_env import Chirp, Scene, make_simulator
+from jackbox_env import Chirp, JackInBoxEnv, Scene, make_simulator
 from jackbox_env.observation import BOUNDS, observe
 from tests.environment.start import Env, make
 from tests.states import load
@@ -147,3 +147,11 @@ def test_an_episode_of_500_steps_earns_the_sum_of_its_terms_and_tells_the_same_f
     assert ends == [(False, False)] * 499 + [(False, True)]
     assert set(later) == set(info)
     assert not np.shares_memory(info["state"], later["state"])
+
+
+def test_a_step_before_the_first_reset_is_refused() -> None:
+    env = JackInBoxEnv()
+    with pytest.raises(gym.error.ResetNeeded, match="step must come after a reset, got none yet"):
+        env.step(0.0)
+    env.set_state(env.state)
+    assert env.step(0.0)[4]["time"] == 0.02

@@ -179,7 +179,8 @@ def test_a_reset_of_some_leaves_the_plans_of_the_others() -> None:
 
 
 def test_after_a_step_that_failed_only_a_reset_leads_on() -> None:
-    early = LookaheadVecEnv(make_sb3_vec_env(2, contact="exact", max_episode_steps=7), **SMALL)
+    made = [lambda: gym.make("JackInBox-v0", contact="exact", max_episode_steps=7)] * 2
+    early = LookaheadVecEnv(DummyVecEnv(made), **SMALL)
     wild: Any = single()
     wild.reset(seed=0)
     wild.unwrapped.set_state(np.where(np.arange(12) == 10, 1e30, 0.0))

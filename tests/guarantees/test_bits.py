@@ -134,7 +134,7 @@ def test_rows_of_a_rollout_are_environments_from_any_number_of_threads(task: str
         path = [info["state"], *(step[4]["state"] for step in steps)]
         energies = [energy(scene, state) for state in path]
         hits, impulses = ([step[4][name] for step in steps] for name in ("impacts", "impulse"))
-        expected = path, energies, hits, impulses, [step[1] for step in steps]
+        expected = path, energies, hits, impulses, [step[1] for step in steps], len(steps)
         assert_same([values[number] for values in found], [np.array(values) for values in expected])
     assert found.impacts.sum() > 100
     for threads in (1, 2, 3):

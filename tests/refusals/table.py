@@ -279,7 +279,7 @@ def methods_of(contact: str) -> Iterator[Row]:
     yield row("JackInBoxVectorEnv.check_reset", seen_first, vector)
     yield row("JackInBoxVectorEnv.scene_of", {"number": whole(1, 0, 2)}, vector)
     yield row("JackInBoxVectorEnv.impacts", {"number": whole(1, 0, 2)}, vector)
-    yield row("JackInBoxVectorEnv.step", {"actions": ACTIONS}, vector)
+    yield row("JackInBoxVectorEnv.step", {"actions": ACTIONS, "repeat": whole(2, 1, 1_000_000)}, vector)
     placed = {"states": rows_of(array(ROWS), 1.0), "times": TIMES, "chosen": mask([True, False, True])}
     yield row("JackInBoxVectorEnv.set_states", placed, vector)
     tiles = {"first": whole(2, 1, 1024), "size": size((16, 24), 16, 1024)}
