@@ -12,7 +12,7 @@ from jackbox_env.commands.common import command_line
 
 
 def through(scene: Any, state: Any, torque: float, impulse: float) -> bool:
-    """Whether the jack's centre is in the window: 2 m wide and high, 3 m above the box's middle, turning with it."""
+    """The jack's centre is in a window of 2 m by 2 m that turns with the box."""
     x, y = state[3] - state[0], state[4] - state[1]
     cosine, sine = math.cos(state[2]), math.sin(state[2])
     return bool(abs(cosine * x + sine * y) < 1.0 and abs(cosine * y - sine * x - 3.0) < 1.0)

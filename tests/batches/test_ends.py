@@ -75,6 +75,20 @@ def test_a_batch_ends_and_starts_as_single_environments_do(mode: AutoresetMode, 
     assert min(ends) >= 2
 
 
+@EVERY_MODEL
+def test_an_end_in_the_last_step_is_no_truncation_to_stable_baselines(contact: str) -> None:
+    task = Task(("height", "effort"), terms, lambda scene, state, torque, impulse: True)
+    made: dict[str, Any] = {"contact": contact, "task": task, "max_episode_steps": 1}
+    batch, alone = JackInBoxVectorEnv(2, **made), gym.make("JackInBox-v0", **made)
+    batch.reset(seed=0)
+    alone.reset(seed=0)
+    assert alone.step(np.zeros(1))[2:4] == (True, True)
+    assert [found.tolist() for found in batch.step(np.zeros(2))[2:4]] == [[True, True]] * 2
+    stable = make_sb3_vec_env(1, **made)
+    stable.reset()
+    assert stable.step(np.zeros((1, 1)))[3][0]["TimeLimit.truncated"] is False
+
+
 # -- actions that are held --------------------------------------------------------------------------------------------
 
 
