@@ -26,9 +26,9 @@ def struck(scene: Any, state: Any, torque: float, impulse: float) -> bool:
 
 
 def above(scene: Scene, rng: np.random.Generator) -> Any:
-    """Starts that need draws of 32 bits, of which numpy keeps a half for the next one."""
+    """Starts that need a draw of 32 bits, of which numpy keeps a half for the next one."""
     state = np.zeros(12)
-    state[3], state[4] = rng.uniform(-1.0, 1.0), rng.choice(np.array([0.3, 0.5])) * (scene.box_half_width - 1.0)
+    state[3], state[4] = rng.uniform(-1.0, 1.0), rng.uniform(0.3, 0.5) * (scene.box_half_width - 1.0)
     state[10] = float(rng.integers(-2, 1, dtype=np.int32))
     return state
 
