@@ -243,7 +243,7 @@ class ExactBatch:
         after = np.zeros_like(blocks) if after is None else after
         workspaces = self._new_workspaces() if workspaces is None else workspaces
         self._spare = self._workspaces = None
-        self._acted = None if actions is None else actions.copy()
+        self._acted = actions
 
         def work(thread: int, low: int, high: int) -> tuple[int, int]:
             finished = 0

@@ -137,6 +137,19 @@ def test_held_actions_end_with_the_episode(contact: str) -> None:
 
 
 @EVERY_MODEL
+def test_an_episode_that_ends_in_a_held_step_stays_where_it_ended(contact: str) -> None:
+    made: dict[str, Any] = {"contact": contact, "task": FALL}
+    batch, alone = JackInBoxVectorEnv(3, autoreset_mode="DISABLED", **made), [JackInBoxEnv(**made) for _ in range(3)]
+    batch.reset(seed=5)
+    batch.step(np.full(3, 0.2), repeat=70)
+    for number, env in enumerate(alone):
+        env.reset(seed=5 + number)
+        while not env.step(0.2)[2]:
+            pass
+        assert_same((batch.states[number], batch.times[number]), (env.state, np.float64(env.time)))
+
+
+@EVERY_MODEL
 def test_a_held_step_that_fails_has_not_happened(contact: str) -> None:
     def root(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float]:
         return (math.nan if state[10] < -5.0 and state[3] > 0.0 else 1.0,)
