@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from jackbox_env.env import JackInBoxEnv
     from jackbox_env.measure.choosing import cheapest
     from jackbox_env.planning import Rollout, rollout
+    from jackbox_env.planning.landing_control import LandingControl, LandingControlVector
     from jackbox_env.planning.wrappers import Lookahead, LookaheadVector
     from jackbox_env.simulators import Impact, JackLostError, Simulator, make_simulator
     from jackbox_env.simulators.fidelity import FIDELITIES
@@ -25,6 +26,8 @@ _LAZY = {
     "JackInBoxVectorEnv": "vector_env",
     "Impact": "simulators",
     "JackLostError": "simulators",
+    "LandingControl": "planning.landing_control",
+    "LandingControlVector": "planning.landing_control",
     "Lookahead": "planning.wrappers",
     "LookaheadVector": "planning.wrappers",
     "Simulator": "simulators",
@@ -43,6 +46,8 @@ __all__ = [
     "JackInBoxEnv",
     "JackInBoxVectorEnv",
     "JackLostError",
+    "LandingControl",
+    "LandingControlVector",
     "Lookahead",
     "LookaheadVector",
     "Rollout",

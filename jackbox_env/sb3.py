@@ -69,7 +69,7 @@ class JackInBoxVecEnv(VecEnv):
         self._with_infos = bool(env_kwargs.get("with_infos", False))
         self._views = [EnvView(self.vector_env, number, env_kwargs) for number in range(self.vector_env.num_envs)]
         self._began = time.time()
-        self._actions: NDArray[Any] | None = None
+        self._actions: Any = None
         self._repeat = 1
         space, actions = self.vector_env.single_observation_space, self.vector_env.single_action_space
         super().__init__(self.vector_env.num_envs, space, actions)
@@ -108,8 +108,8 @@ class JackInBoxVecEnv(VecEnv):
         self._reset_options()
         return observations
 
-    def step_async(self, actions: NDArray[Any], repeat: int = 1) -> None:
-        """Keep the actions, shape (N, 1), for ``step_wait``; ``repeat``: control steps that they are held for."""
+    def step_async(self, actions: Any, repeat: int = 1) -> None:
+        """Keep the actions, shape (N, 1), for ``step_wait``; ``repeat``: as for the step of ``vector_env``."""
         self._actions, self._repeat = actions, repeat
 
     def step_wait(self) -> VecEnvStepReturn:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from types import FunctionType
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -15,7 +16,7 @@ from jackbox_env import _validation as check
 from jackbox_env.batches.base import Batch, Change, Flags, Floats, Outcome, Starts
 from jackbox_env.batches.given import Given
 from jackbox_env.env import JackInBoxEnv, Randomize
-from jackbox_env.randomization import Randomization
+from jackbox_env.randomization import NUMBERS, Randomization
 from jackbox_env.scene import Scene
 from jackbox_env.simulators import Impact, contact_model
 from jackbox_env.states import Array, as_restored, as_start
@@ -222,6 +223,14 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
                 raise RuntimeError("an interruption has left the environments half changed: reset all of them first")
             self._batch.mend()
 
+    def field(self, name: str) -> Array:
+        """A number of each environment's scene as it holds now, by its name in :class:`Scene`, shape (N,).
+
+        Raises:
+            TypeError, ValueError: a scene has no such number.
+        """
+        return self._batch.field(check.choice("name", name, (*NUMBERS, "speed_scale")))
+
     def impacts(self, number: int) -> list[Impact]:
         """The impacts of the last step of the environment of that number, in time order.
 
@@ -293,11 +302,14 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         changes = None if given.get("scene") is None else self._given.changes(given["scene"], chosen)
         return ResetPlan(chosen, self._given.seeds(seed), changes, states, times)
 
-    def step(self, actions: ArrayLike | None, repeat: int = 1) -> tuple[Floats, Array, Flags, Flags, Infos]:
+    def step(
+        self, actions: ArrayLike | Callable[[Array], ArrayLike] | None, repeat: int = 1
+    ) -> tuple[Floats, Array, Flags, Flags, Infos]:
         """Advance all environments by one control step under ``actions``, shape (N, 1) or (N,), or under the drive.
 
         ``repeat`` holds them for so many control steps, 1 to 1,000,000, fewer where an episode ends before. Rewards are
-        summed, infos are of the last of these steps, and ``infos["steps"]`` counts them, shape (N,).
+        summed, infos are of the last of these steps, and ``infos["steps"]`` counts them, shape (N,). ``actions`` may be
+        a plain function of the states, shape (N, 12): it is asked before each of these steps.
 
         Raises:
             TypeError, ValueError: unusable actions.
@@ -309,7 +321,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         if not self._ready:
             raise RuntimeError("step must come after a reset of all environments, got none yet")
         self._mend()
-        given = None if actions is None else self._given.actions(actions)
+        given = actions if isinstance(actions, FunctionType | None) else self._given.actions(actions)  # type: ignore[arg-type]
         repeat = check.whole("repeat", repeat, at_least=1, at_most=1_000_000)
         waiting = self._over() if self._waiting else None
         saved = self._batch.saved() if repeat > 1 else None
@@ -339,18 +351,22 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
             infos |= _marked({"steps": steps}, np.ones(self.num_envs, dtype=np.bool_))
         return outcome.observations, outcome.rewards, outcome.terminations, outcome.truncations, infos
 
-    def _repeated(self, actions: Array | None, repeat: int, waiting: Flags | None) -> tuple[Outcome, Any]:
+    def _repeated(self, actions: Any, repeat: int, waiting: Flags | None) -> tuple[Outcome, Any]:
         """Some steps under the same actions as one, all but the last taken, and how many each environment has made.
 
         Episodes that are over wait for what comes after.
         """
-        outcome = self._batch.step(actions)
+
+        def asked() -> Array | None:
+            return self._given.actions(actions(self.states)) if isinstance(actions, FunctionType) else actions
+
+        outcome = self._batch.step(asked())
         steps = 1 if waiting is None else np.where(waiting, 0, 1)
         for _ in range(1, repeat):
             self._half = True
             self._batch.take(outcome.after)
             steps = steps + np.where(self._batch.over, 0, 1)
-            outcome = outcome.followed_by(self._batch.step(actions))
+            outcome = outcome.followed_by(self._batch.step(asked()))
         return outcome, steps
 
     def render(self) -> tuple[Any, ...] | None:

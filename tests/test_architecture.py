@@ -18,7 +18,7 @@ PACKAGE = """
     randomization
     complementarity
     mechanics
-    tasks observation
+    tasks observation landing
     compiled.kept compiled.status compiled.address
     compiled.compiler
     compiled.workspace compiled.trigonometry compiled.generator
@@ -56,6 +56,7 @@ PACKAGE = """
     planning.icem
     planning.features
     planning.wrappers
+    planning.landing_control
     planning.sb3_wrappers
     sb3_wrappers render.window
     measure.accuracy

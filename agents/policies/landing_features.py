@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env import Scene
-
-_TINY = float(np.finfo(np.float32).tiny)
+from jackbox_env.landing import LONGEST, WEAKEST, fall_time
 
 
 class Flight(NamedTuple):
@@ -29,7 +28,6 @@ class Flight(NamedTuple):
 # Beyond these float32 would overflow on the way.
 _STRONGEST, _FINEST = 1e20, 1e6
 
-LONGEST = 8.0  # [L / v0] a time to the landing is cut there: twice the flight from the floor at v0 up and back on Earth
 FEATURES = (
     "time",  # to the landing, in units of a fall of L on Earth, 2 L / v0
     "cosine_4",  # of 4 (theta_jack - theta_box) at the landing
@@ -67,15 +65,11 @@ def preview(flight: Flight, observations: NDArray[np.float32]) -> NDArray[np.flo
 
 def columns(flight: Flight, seen: Any, library: Any) -> tuple[Any, ...]:
     """The features, an array each, from the ten numbers of observations, an array each: by numpy or torch."""
-    sqrt, where, clip, atan2 = library.sqrt, library.where, library.clip, library.arctan2
+    clip, atan2 = library.clip, library.arctan2
     x, y, vx, vy, cosine, sine, omega_box, cosine_4, sine_4, omega_jack = seen
     height = clip(sine * x + cosine * y + flight.floor, 0.0, None)
     rise = sine * vx + cosine * vy
-    impact = sqrt(rise * rise + 2.0 * flight.gravity * height)
-    # of the two forms of the root, the one without cancellation
-    down = 2.0 * height / clip(impact - rise, _TINY, None)
-    up = (impact + rise) / flight.gravity if flight.gravity else LONGEST + 0.0 * rise
-    time = clip(where(rise > 0.0, up, down), None, LONGEST)
+    time = fall_time(max(flight.gravity, WEAKEST), height, rise, LONGEST, library)
     place = cosine * x - sine * y + (cosine * vx - sine * vy) * time
     theta = atan2(sine, cosine)
     turned, spun = omega_box * time, flight.spin * omega_jack * time

@@ -15,7 +15,6 @@ weights.npz     as in :mod:`agents.policies.value`
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,6 +32,7 @@ from agents.settings import EPISODE_STEPS, EnvSettings
 from jackbox_env import Scene
 from jackbox_env import _validation as check
 from jackbox_env.complementarity import dots
+from jackbox_env.landing import QUARTER, torques, upright
 from jackbox_env.mechanics import contacts_of, impact_maps
 from jackbox_env.observation import state_of
 from jackbox_env.states import Array
@@ -40,7 +40,6 @@ from jackbox_env.states import Array
 LANDING = "landing.json"
 FLOOR = 3  # the wall under the jack while the box is turned by less than an eighth of a turn
 AFTER = 0.25  # [s] after the landing of a level box a bounce is judged
-_QUARTER = 0.5 * math.pi
 _MOST_PAIRS = 1000  # each takes some kilobyte for each jack
 _SEARCHES = 3  # Newton steps to the moment of the contact
 _STEP = 0.25  # [s] the longest of them
@@ -64,7 +63,7 @@ class LandingSettings(EnvSettings):
         """Raises TypeError or ValueError for settings that make no policy."""
         super().__post_init__()
         check.whole("hold", self.hold, at_least=1, at_most=EPISODE_STEPS)
-        for name, most in (("angles", _QUARTER), ("rates", 100.0)):
+        for name, most in (("angles", QUARTER), ("rates", 100.0)):
             given = getattr(self, name)
             if not isinstance(given, list | tuple) or not 0 < len(given) <= _MOST_PAIRS:
                 raise ValueError(f"{name} must be a list of 1 to {_MOST_PAIRS} numbers, got {check.shown(given)}")
@@ -80,13 +79,6 @@ class LandingSettings(EnvSettings):
         """All pairs of an angle and a rate, shape (angles * rates, 2)."""
         angles, rates = np.meshgrid(self.angles, self.rates, indexing="ij")
         return np.stack([angles.ravel(), rates.ravel()], axis=1)
-
-
-def upright(states: Array) -> Array:
-    """The states with the box turned back by whole quarter turns, to within an eighth: it looks and acts the same."""
-    found = states.copy()
-    found[:, 2] -= _QUARTER * np.round(found[:, 2] / _QUARTER)
-    return found
 
 
 def landing_times(scene: Scene, states: Array) -> Array:
@@ -121,30 +113,12 @@ def bounced(scene: Scene, states: Array, times: Array, targets: Array) -> Array:
     floors, since = np.full(len(at), FLOOR), np.zeros(len(at))
     for search in range(_SEARCHES + 1):
         moved = flown(scene, at, since)
-        feet = np.round((moved[:, 2] - _QUARTER - moved[:, 5]) / _QUARTER).astype(np.int64) % 4  # nearest to the floor
+        feet = np.round((moved[:, 2] - QUARTER - moved[:, 5]) / QUARTER).astype(np.int64) % 4  # nearest to the floor
         if search < _SEARCHES:
             gap, jacobians = contacts_of(scene, moved, floors, feet)
             closing = np.maximum(-dots(jacobians, moved[:, 6:]), _SLOWEST)
             since = since + np.clip(gap / closing, -_STEP, _STEP)
     return flown(scene, impact_maps(scene, moved, floors, feet)[0], AFTER - since)
-
-
-def torques(scene: Scene, states: Array, times: Array, targets: Array, held: float) -> Array:
-    """Torques, in units of the limit, that move boxes to targets in the times to the landing, shape (n,).
-
-    Args:
-        scene: its torque limit and its box's inertia.
-        states: shape (n, 12).
-        times: to the landing [s], shape (n,); at least ``held`` is taken.
-        targets: angle [rad] and rate [rad/s] there, shape (n, 2).
-        held: how long each torque is held [s]; it is the cubic's mean over that time.
-    """
-    left, rate, wanted = np.maximum(times, held), states[:, 8], targets[:, 1]
-    missing = targets[:, 0] - states[:, 2]
-    first = 6.0 * missing / left**2 - (4.0 * rate + 2.0 * wanted) / left  # [rad/s^2]
-    growth = -12.0 * missing / left**3 + 6.0 * (rate + wanted) / left**2  # [rad/s^3]
-    found: Array = (first + 0.5 * held * growth) * scene.box_inertia / scene.torque_limit
-    return np.clip(found, -1.0, 1.0)
 
 
 class LandingPolicy(Playable):

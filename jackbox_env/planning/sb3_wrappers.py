@@ -1,4 +1,4 @@
-"""Wrappers for environments of Stable-Baselines3: actions that are held, and looking ahead."""
+"""Wrappers for environments of Stable-Baselines3: actions that are held or aim at landings, and looking ahead."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from jackbox_env import _validation as check
 from jackbox_env.planning.features import Features, WarmStart
+from jackbox_env.planning.landing_control import SPACE, Aiming
 from jackbox_env.planning.wrappers import only_one, refuse_early_end, refuse_other_torques
 from jackbox_env.sb3 import JackInBoxVecEnv
 
@@ -61,6 +62,38 @@ class HoldingVecEnv(VecEnvWrapper):
             total += rewards
             refuse_early_end(dones, taken, self.hold)
         return observations, total.astype(np.float32), dones, infos
+
+
+class LandingControlVecEnv(VecEnvWrapper):
+    """:class:`jackbox_env.LandingControl` of environments of Stable-Baselines3.
+
+    Args:
+        venv: of :func:`jackbox_env.sb3.make_sb3_vec_env`.
+        period: of an action [s], rounded to control steps.
+
+    Raises:
+        TypeError, ValueError: an argument out of its range, or other environments.
+    """
+
+    venv: JackInBoxVecEnv
+
+    def __init__(self, venv: JackInBoxVecEnv, *, period: float = 0.4) -> None:
+        if not isinstance(venv, JackInBoxVecEnv):
+            raise TypeError(f"landing control needs the environments of make_sb3_vec_env, got {check.shown(venv)}")
+        super().__init__(venv, action_space=SPACE)
+        self._aiming = Aiming(venv.vector_env, period)
+
+    def reset(self) -> Any:
+        """Start an episode in each environment."""
+        return self.venv.reset()
+
+    def step_async(self, actions: NDArray[Any]) -> None:
+        """Keep the actions, shape (N, 2), for ``step_wait``."""
+        self.venv.step_async(self._aiming.act(actions), self._aiming.hold)
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Aim for ``period``, less where an episode ends, and sum up the rewards."""
+        return self.venv.step_wait()
 
 
 class LookaheadVecEnv(HoldingVecEnv):

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 import torch
 
-from agents.policies.landing_features import FEATURES, LONGEST, columns, flight_of, preview
+from agents.policies.landing_features import FEATURES, columns, flight_of, preview
 from agents.settings import PREVIEWED
 from agents.training.models import make_ppo, make_vec_env
 from jackbox_env import Scene, make_simulator
+from jackbox_env.landing import LONGEST
 from jackbox_env.observation import BOUNDS, observe
 from jackbox_env.states import Array
 from jackbox_env.tasks import sample_start

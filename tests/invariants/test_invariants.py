@@ -68,7 +68,7 @@ def test_a_jack_of_any_speed_stays_in_the_box_or_is_refused(contact: str) -> Non
             seen["impacts"] += len(simulator.impacts)
 
     stays_or_is_refused()
-    assert seen["refused"] >= 0.1 * seen["cases"], seen
+    assert seen["refused"] >= 0.02 * seen["cases"], seen
     assert seen["impacts"] >= 0.3 * seen["cases"], seen
 
 

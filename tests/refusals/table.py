@@ -16,8 +16,9 @@ import jackbox_env
 from agents.settings import EPISODE_STEPS, TrainSettings
 from jackbox_env import Chirp, Drive, JackInBoxEnv, JackInBoxVectorEnv, Scene, make_simulator, mechanics, states
 from jackbox_env.planning.icem import Search
+from jackbox_env.randomization import NUMBERS
 from jackbox_env.sb3 import JackInBoxVecEnv, make_sb3_vec_env
-from jackbox_env.sb3_wrappers import HoldingVecEnv, LookaheadVecEnv
+from jackbox_env.sb3_wrappers import HoldingVecEnv, LandingControlVecEnv, LookaheadVecEnv
 from jackbox_env.simulators import CONTACT_MODELS, Simulator
 from jackbox_env.simulators.fidelity import FIDELITIES
 from jackbox_env.states import STATE_NAMES
@@ -278,6 +279,8 @@ def methods_of(contact: str) -> Iterator[Row]:
     seen_first = {name: one for name, one in own.items() if name not in (FROM, "options.scene")}
     yield row("JackInBoxVectorEnv.check_reset", seen_first, vector)
     yield row("JackInBoxVectorEnv.scene_of", {"number": whole(1, 0, 2)}, vector)
+    numbers = (*NUMBERS, "speed_scale")
+    yield row("JackInBoxVectorEnv.field", {"name": choice("gravity", numbers)}, vector)
     yield row("JackInBoxVectorEnv.impacts", {"number": whole(1, 0, 2)}, vector)
     yield row("JackInBoxVectorEnv.step", {"actions": ACTIONS, "repeat": whole(2, 1, 1_000_000)}, vector)
     placed = {"states": rows_of(array(ROWS), 1.0), "times": TIMES, "chosen": mask([True, False, True])}
@@ -447,6 +450,11 @@ def constructors() -> Iterator[Row]:
     yield row(jackbox_env.LookaheadVector, LOOKING, env=inner)
     yield row(LookaheadVecEnv, {**LOOKING, "hold": whole(5, 1)}, venv=make_sb3_vec_env(2))
     yield row(HoldingVecEnv, {"hold": whole(5, 1)}, venv=make_sb3_vec_env(2))
+    yield row(
+        jackbox_env.LandingControl, {"period": real(0.4, above=0.0, at_most=20000.0)}, env=gym.make("JackInBox-v0")
+    )
+    yield row(jackbox_env.LandingControlVector, {"period": real(0.4, above=0.0, at_most=20000.0)}, env=inner)
+    yield row(LandingControlVecEnv, {"period": real(0.4, above=0.0, at_most=20000.0)}, venv=make_sb3_vec_env(2))
     yield row(Search, SEARCHING)
     yield row(TrainSettings, TRAINING)
 

@@ -1,0 +1,99 @@
+"""Actions that say how the box meets the jack: what they do, the same in all wrappers, and what is refused."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env as check_single
+from stable_baselines3.common.env_checker import check_env
+
+from jackbox_env import JackInBoxVectorEnv, LandingControl, LandingControlVector
+from jackbox_env.sb3 import make_sb3_vec_env
+from jackbox_env.sb3_wrappers import LandingControlVecEnv
+from tests.batches.several import EVERY_MODEL
+from tests.batches.test_ends import FALL
+
+
+def single(period: float = 0.4, **made: Any) -> LandingControl:
+    return LandingControl(gym.make("JackInBox-v0", **made), period=period)
+
+
+@pytest.mark.parametrize("turns", [0, 3])
+@pytest.mark.parametrize(("angle", "rate"), [(0.0, 0.0), (0.8, -0.4), (-0.6, 0.6)])
+def test_the_box_meets_the_falling_jack_as_asked(angle: float, rate: float, turns: int) -> None:
+    env = single(0.02, contact="exact", scene={"gravity": 3.0, "torque_limit": 1e6})
+    state = np.zeros(12)
+    state[2], state[4] = turns * math.pi / 2.0, 2.0
+    env.reset(options={"state": state})
+    landing, time = math.sqrt(2.0 * 7.0 / 3.0), 0.0  # 7 m further down a foot would touch a level floor
+    while landing - time > 0.03:
+        _, _, _, _, info = env.step([angle, rate])
+        time = info["time"]
+        assert info["impacts"] == 0
+    left, state = landing - time, info["state"]
+    assert state[8] == pytest.approx(2.5 * rate, abs=0.1)
+    assert state[2] + left * state[8] - turns * math.pi / 2.0 == pytest.approx(0.5 * angle, abs=0.01)
+
+
+@EVERY_MODEL
+def test_all_wrappers_do_the_same_and_end_with_the_episode(contact: str) -> None:
+    made: dict[str, Any] = {
+        "contact": contact, "task": FALL, "max_episode_steps": 75,
+        "randomize": {"gravity": (5.0, 15.0), "box_half_width": (4.0, 8.0), "torque_limit": (1e4, 9e4)},
+    }  # fmt: skip
+    alone = single(0.3, **made)
+    vector = LandingControlVector(JackInBoxVectorEnv(3, autoreset_mode="SAME_STEP", **made), period=0.3)
+    stable = LandingControlVecEnv(make_sb3_vec_env(3, **made), period=0.3)
+    stable.seed(4)
+    np.testing.assert_array_equal(vector.reset(seed=4)[0], stable.reset())
+    alone.reset(seed=4)
+    rng, ends = np.random.default_rng(0), set()
+    for _ in range(60):
+        actions = rng.uniform(-1.3, 1.3, (3, 2)).astype(np.float32)
+        seen, rewards, terminations, truncations, infos = vector.step(actions)
+        seen_too, rewards_too, dones, rows = stable.step(actions)
+        last, reward, terminated, truncated, _ = alone.step(actions[0])
+        np.testing.assert_array_equal(seen, seen_too)
+        np.testing.assert_array_equal(rewards.astype(np.float32), rewards_too)
+        assert (rewards[0], terminations[0], truncations[0]) == (reward, terminated, truncated)
+        ends |= {(terminated, truncated)}
+        if dones[0]:
+            np.testing.assert_array_equal(rows[0]["terminal_observation"], last)
+            np.testing.assert_array_equal(infos["final_obs"][0], last)
+            last = alone.reset()[0]
+        np.testing.assert_array_equal(seen[0], last)
+    assert {(True, False), (False, True), (False, False)} <= ends
+
+
+@pytest.mark.filterwarnings("ignore:.*is different from the unwrapped version")
+def test_it_is_an_environment_of_gymnasium_and_stable_baselines() -> None:
+    env = single()
+    check_env(env)
+    check_single(env, skip_render_check=True)
+    assert env.spec is not None
+    again = gym.make(env.spec)
+    np.testing.assert_array_equal(env.reset(seed=1)[0], again.reset(seed=1)[0])
+    action = np.array([0.3, -0.2], dtype=np.float32)
+    np.testing.assert_array_equal(env.step(action)[0], again.step(action)[0])
+    assert env.get_wrapper_attr("time") == pytest.approx(0.4)
+
+
+def test_what_cannot_be_aimed_is_refused() -> None:
+    for refused, action in (("shape", [0.0]), ("finite", [0.0, math.nan]), ("numbers", None)):
+        env = single()
+        env.reset(seed=0)
+        with pytest.raises((TypeError, ValueError), match=refused):
+            env.step(action)
+        assert env.get_wrapper_attr("time") == 0.0
+    with pytest.raises(ValueError, match="torque"):
+        single(torque="chirp")
+    with pytest.raises(TypeError, match="JackInBox-v0"):
+        LandingControl(gym.make("CartPole-v1"))
+    with pytest.raises(TypeError, match="JackInBox-v0"):
+        LandingControlVector(gym.make_vec("CartPole-v1", 2))  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="action wrapper"):
+        LandingControl(gym.wrappers.RescaleAction(gym.make("JackInBox-v0"), np.float32(-2), np.float32(2)))
