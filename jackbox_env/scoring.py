@@ -56,9 +56,9 @@ class PlainScore:
         terms = self._task.values(self._numbers, numbers, torque, impulse)
         if self._task.over is not None:
             over = self._task.over(self._numbers, numbers, torque, impulse)
-            if not isinstance(over, bool):
+            if not isinstance(over, bool | np.bool_):
                 raise TypeError(f"a task's over must return True or False, got {check.shown(over)}")
-        return observe(self._scene, numbers), checked_terms(self._task, terms), over
+        return observe(self._scene, numbers), checked_terms(self._task, terms), bool(over)
 
     def of(self, scene: Scene) -> PlainScore:
         """See :class:`Score`."""
@@ -117,8 +117,11 @@ def compiled_for(task: Task, function: Callable[..., Any]) -> Callable[..., Any]
 
 def _refuse_unfit(task: Task) -> None:
     """Compile the functions of a user's task, and look at what they return."""
+    from numba import config
     from numba.core import types
 
+    if config.DISABLE_JIT:  # type: ignore[attr-defined]
+        return  # plain Python says itself what does not fit
     found: Any = _returned_by(task.values)
     fits = isinstance(found, types.UniTuple) and isinstance(found.dtype, types.Number | types.Boolean)
     if not (fits and len(found) == len(task.terms) and found.dtype not in types.complex_domain):

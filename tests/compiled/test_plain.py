@@ -6,11 +6,12 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 import pytest
 
-from jackbox_env import Scene, rollout
+from jackbox_env import Scene, Task, rollout
 from jackbox_env.env import JackInBoxEnv
 from jackbox_env.vector_env import JackInBoxVectorEnv
 from tests.fingerprints import digest
@@ -24,20 +25,31 @@ def test_plain_python_gives_the_bits_of_the_compiled_code(restitution: float) ->
     assert plain.stdout.split() == played(restitution)
 
 
+def height(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float]:
+    return (state[4] - state[1],)
+
+
+def struck(scene: Any, state: Any, torque: float, impulse: float) -> bool:
+    return bool(impulse > 0.0)
+
+
+OWN = Task(("height",), height, struck)
+
+
 def played(restitution: float) -> list[str]:
     """Digests of a batch that restarts, a rollout and a single environment under the chirp, 60 steps with impacts."""
     scene, rng = Scene(restitution=restitution), np.random.default_rng(0)
-    batch = JackInBoxVectorEnv(5, 40, contact="exact", scene=scene, with_infos=True)
+    batch = JackInBoxVectorEnv(5, 40, contact="exact", scene=scene, with_infos=True, task=OWN)
     batch.reset(seed=3)
     stepped = [batch.step(rng.uniform(-1.0, 1.0, (5, 1))) for _ in range(60)]
     states = np.zeros((2, 12))
     states[:, 9:] = [[13.0, -12.0, 4.0], [15.0, 1.0, -7.0]]
-    found = rollout(scene, states, rng.uniform(-9e4, 9e4, (2, 60)), 0.02, rewards="juggle", impacts=True, energy=True)
+    found = rollout(scene, states, rng.uniform(-9e4, 9e4, (2, 60)), 0.02, rewards=OWN, impacts=True, energy=True)
     assert found.impacts is not None
     assert found.impacts.sum(axis=1).min() > 0
-    env = JackInBoxEnv(contact="exact", scene=scene, torque="chirp")
+    env = JackInBoxEnv(contact="exact", scene=scene, torque="chirp", task=OWN)
     env.reset(seed=1)
-    alone = [env.step(0.0)[:2] for _ in range(60)]
+    alone = [env.step(0.0)[:3] for _ in range(60)]
     results: list[Iterable[object]] = [
         [part for seen, reward, _, _, infos in stepped for part in (seen, reward, infos["state"])],
         [part for part in found if part is not None],
