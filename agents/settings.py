@@ -124,7 +124,7 @@ class EnvSettings:
 _EARLIER: dict[str, Any] = {
     "total_steps": 1_000_000, "num_envs": 16, "rollout_steps": 256, "batch_size": 512, "epochs": 10,
     "learning_rate": 5e-4, "gae_lambda": 0.95, "hidden_units": (64, 64), "initial_log_std": 0.0, "hold": 1,
-    "preview": False, "checkpoint_steps": 100_000, "eval_steps": 100_000, "eval_episodes": 32,
+    "preview": False, "landing": False, "checkpoint_steps": 100_000, "eval_steps": 100_000, "eval_episodes": 32,
 }  # fmt: skip
 
 
@@ -167,6 +167,8 @@ class TrainSettings(EnvSettings):
     a checkout of this project can be imported; scripts/export.py makes a policy of it that needs numpy alone."""
     lookahead: int = 0
     """Rollouts by which a plan is improved before each action; the networks see what it and 9 scripted ones bring."""
+    landing: bool = False
+    """Actions say how the box meets the jack, in place of torques: jackbox_env.LandingControl. For juggle."""
     checkpoint_steps: int = 500_000
     """Steps between checkpoints, from which an interrupted run resumes."""
     eval_steps: int = 250_000
@@ -196,6 +198,8 @@ class TrainSettings(EnvSettings):
         if EPISODE_STEPS % self.hold:
             raise ValueError(f"hold must divide the {EPISODE_STEPS} control steps of an episode, got {self.hold}")
         check.flag("preview", self.preview)
+        if check.flag("landing", self.landing) and self.lookahead:
+            raise ValueError("landing must be off with a lookahead, whose plans are torques")
         shown = [name for name in PREVIEW_READS if name in self.randomized]
         if self.preview and shown:
             raise ValueError(f"preview must be off where {' and '.join(shown)} varies: it is computed for one scene")

@@ -60,7 +60,7 @@ class NetworkPolicy(Playable):
         self._flight = flight_of(Scene.of(settings.scene_fields)) if settings.preview else None
         self.manner = manner_of(settings)
         seen = len(BOUNDS) + FORESEEN * bool(settings.lookahead) + len(FEATURES) * settings.preview
-        check_layers(layers, [seen, *settings.hidden_units, 1])
+        check_layers(layers, [seen, *settings.hidden_units, 2 if settings.landing else 1])
 
     def act(self, seen: NDArray[Any]) -> Actions:
         """See :class:`.playing.Playable`."""

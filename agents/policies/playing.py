@@ -1,4 +1,4 @@
-"""How a policy plays in the ordinary environment: it holds its actions, and looks ahead if it was trained so.
+"""How a policy plays in the ordinary environment: it holds its actions, and looks ahead or aims if it was trained so.
 
 A policy that decides every control step can hardly tell what one of its actions did. One that holds each action for a
 few steps explores further and looks further ahead. The environment that it plays in still asks it at every control
@@ -15,15 +15,16 @@ from numpy.typing import NDArray
 
 from agents.settings import TrainSettings
 from jackbox_env import Scene
-from jackbox_env.observation import BOUNDS
+from jackbox_env.observation import BOUNDS, state_of
 from jackbox_env.planning.features import Features
 from jackbox_env.planning.icem import Plans
+from jackbox_env.planning.landing_control import aim
 
 
 class Playing(NamedTuple):
     """What a policy carries from call to call, for n environments."""
 
-    actions: NDArray[np.float32]  # (n, 1)
+    actions: NDArray[np.float32]  # (n, 1), or (n, 2) of a policy that aims
     left: NDArray[np.int64]  # (n,) for how many more calls each action holds
     plans: Plans | None  # of a policy that looks ahead
 
@@ -33,7 +34,8 @@ class Manner(NamedTuple):
 
     hold: int = 1  # calls that each action is held for
     features: Features | None = None  # by which it looks ahead
-    scene: Scene = Scene()  # that the rollouts are played in
+    scene: Scene = Scene()  # that the rollouts are played in, or that it aims in
+    aims: float | None = None  # control step [s] of a policy whose actions say how the box meets the jack
 
 
 def manner_of(settings: TrainSettings) -> Manner:
@@ -44,7 +46,8 @@ def manner_of(settings: TrainSettings) -> Manner:
             settings.task, settings.control_dt, hold=settings.hold, samples=settings.lookahead, follow=True,
             num_threads=1,
         )  # fmt: skip
-    return Manner(settings.hold, features, Scene.of(settings.scene_fields))
+    aims = settings.control_dt if settings.landing else None
+    return Manner(settings.hold, features, Scene.of(settings.scene_fields), aims)
 
 
 class Playable:
@@ -93,9 +96,9 @@ def play(
 ) -> tuple[NDArray[Any], Playing]:  # fmt: skip
     """Actions of a policy that plays in a ``manner``, and the state for the next call: see :func:`decide_now_and_then`.
 
-    ``choose`` gives its actions, shape (k, 1), for k observations as in training.
+    ``choose`` gives its actions, shape (k, 1), for k observations as in training; (k, 2) where the policy aims.
     """
-    features = manner.features
+    features, width = manner.features, 1 if manner.aims is None else 2
 
     def decide(seen: NDArray[Any], plans: Plans | None) -> tuple[NDArray[Any], Plans | None]:
         if features is None or plans is None:
@@ -105,12 +108,17 @@ def play(
         return features.torques(choose(seen), seen), next_plans
 
     begin = features.begin if features else None
-    return decide_now_and_then(decide, begin, manner.hold, observation, state, episode_start)
+    actions, state = decide_now_and_then(decide, begin, manner.hold, observation, state, episode_start, width)
+    if manner.aims is not None:
+        states = np.array([state_of(manner.scene, row) for row in ten_numbers(observation).tolist()])
+        torques = aim(manner.scene, manner.aims, actions, len(states))(states).astype(np.float32)
+        actions = torques[:, None] if np.ndim(observation) == 2 else torques
+    return actions, state
 
 
 def decide_now_and_then(
     decide: Callable[[NDArray[Any], Any], tuple[NDArray[Any], Any]], begin: Callable[[int], Plans] | None, repeat: int,
-    observation: Any, state: Playing | None, episode_start: Any,
+    observation: Any, state: Playing | None, episode_start: Any, width: int = 1,
 ) -> tuple[NDArray[Any], Playing]:  # fmt: skip
     """Return actions, shape (n, 1) for observations (n, 10) or (1,) for (10,), and the state for the next call.
 
@@ -122,6 +130,7 @@ def decide_now_and_then(
         state: what the last call returned; None: every environment chooses.
         episode_start: shape (n,), where an episode starts; an action is chosen there, with a plan begun anew; None:
             nowhere.
+        width: numbers of an action.
 
     Raises:
         ValueError: a state of another number of environments.
@@ -130,7 +139,7 @@ def decide_now_and_then(
     count = len(rows)
     if state is None:
         plans = begin(count) if begin else None
-        state = Playing(np.zeros((count, 1), np.float32), np.zeros(count, np.int64), plans)
+        state = Playing(np.zeros((count, width), np.float32), np.zeros(count, np.int64), plans)
     if len(state.left) != count:
         raise ValueError(f"state must be that of {count} environments, as observation is, got {len(state.left)}")
     actions, left, plans = state.actions.copy(), state.left.copy(), state.plans

@@ -58,7 +58,7 @@ class HoldingPPO(PPO):
         Raises:
             ValueError: a state of another number of environments.
         """
-        if self.manner.hold == 1 and self.manner.features is None:
+        if self.manner.hold == 1 and self.manner.features is None and self.manner.aims is None:
             return super().predict(observation, state, episode_start, deterministic)
 
         def choose(seen: NDArray[Any]) -> NDArray[Any]:

@@ -19,7 +19,7 @@ from agents.training.checkpoints import is_whole, read_parameters
 from agents.training.extractor import WithPreview
 from agents.training.holding import HoldingPPO
 from jackbox_env import Scene
-from jackbox_env.planning.sb3_wrappers import HoldingVecEnv, LookaheadVecEnv
+from jackbox_env.planning.sb3_wrappers import HoldingVecEnv, LandingControlVecEnv, LookaheadVecEnv
 from jackbox_env.sb3 import make_sb3_vec_env
 
 
@@ -36,10 +36,14 @@ def make_vec_env(env_settings: dict[str, Any], num_envs: int, seed: int) -> VecE
     return environments
 
 
-def holding(environments: VecEnv, hold: int, lookahead: int = 0, num_threads: int | None = None) -> VecEnv:
-    """The environments as training steps them: one action for ``hold`` control steps, with ``lookahead``."""
-    if lookahead:
-        return LookaheadVecEnv(environments, hold=hold, samples=lookahead, follow=True, num_threads=num_threads)
+def holding(environments: VecEnv, settings: TrainSettings, num_threads: int | None = None) -> VecEnv:
+    """The environments as training steps them: an action for ``hold`` control steps, with a look ahead, or aiming."""
+    hold = settings.hold
+    if settings.lookahead:
+        samples = settings.lookahead
+        return LookaheadVecEnv(environments, hold=hold, samples=samples, follow=True, num_threads=num_threads)
+    if settings.landing:
+        return LandingControlVecEnv(environments, period=hold * settings.control_dt)  # type: ignore[arg-type]
     return environments if hold == 1 else HoldingVecEnv(environments, hold)
 
 
@@ -118,7 +122,7 @@ def load_model(path: Path, trust: bool = False) -> HoldingPPO:
     settings = read_settings(folder)
     with _refusing(f"{folder / SETTINGS} makes no model"):
         environments = make_vec_env(settings.env_settings, 1, settings.seed)
-        model = make_ppo(settings, holding(environments, settings.hold, settings.lookahead))
+        model = make_ppo(settings, holding(environments, settings))
     with _refusing(f"{file} is no model of the settings beside it"):
         model.set_parameters(read_parameters(file), device="cpu")
     return model

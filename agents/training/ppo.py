@@ -27,8 +27,8 @@ from agents.training.checkpoints import (
     latest_checkpoint,
     model_file,
 )
-from agents.training.models import derived_seed, holding, make_ppo, make_vec_env
-from agents.training.timing import Spent, TimedVecEnv, formatted
+from agents.training.models import derived_seed, holding, make_ppo
+from agents.training.timing import Spent, TimedEnvironments, TimedVecEnv, formatted
 from jackbox_env.recording.files import make_folder, new_folder, remove_partials, write_bytes, write_json
 
 MODEL = "model.zip"
@@ -142,8 +142,8 @@ def _where_it_was(settings: TrainSettings, folder: Path) -> tuple[PPO, Spent]:
     torch.set_num_threads(settings.torch_threads)
     done, parameters = latest_checkpoint(folder)
     starts = derived_seed("training", settings.seed, done)
-    inner = TimedVecEnv(make_vec_env(settings.env_settings, settings.num_envs, starts))
-    environments = TimedVecEnv(holding(inner, settings.hold, settings.lookahead))
+    inner = TimedEnvironments(settings.num_envs, **settings.env_settings)
+    environments = TimedVecEnv(holding(inner, settings))
     model = make_ppo(settings, environments)
     environments.seed(starts)  # PPO has seeded them by its own seed
     if parameters is not None:

@@ -9,6 +9,8 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
+from jackbox_env.sb3 import JackInBoxVecEnv
+
 
 class TimedVecEnv(VecEnvWrapper):
     """Environments that add up how long their steps take: ``seconds``."""
@@ -29,6 +31,19 @@ class TimedVecEnv(VecEnvWrapper):
         return returned
 
 
+class TimedEnvironments(JackInBoxVecEnv):
+    """The environments alone that do so."""
+
+    seconds = 0.0
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Step."""
+        began = time.perf_counter()
+        returned = super().step_wait()
+        self.seconds += time.perf_counter() - began
+        return returned
+
+
 class Spent(BaseCallback):
     """Adds up where the time of a training goes.
 
@@ -38,7 +53,7 @@ class Spent(BaseCallback):
         between: what these wrappers do, in words.
     """
 
-    def __init__(self, inner: TimedVecEnv, outer: TimedVecEnv, between: str) -> None:
+    def __init__(self, inner: TimedEnvironments, outer: TimedVecEnv, between: str) -> None:
         super().__init__()
         self._inner, self._outer, self._between = inner, outer, between
         self._collecting = 0.0

@@ -36,7 +36,7 @@ def model() -> HoldingPPO:
 @pytest.mark.parametrize("contact", ["exact", "pymunk"])
 def test_held_environments_are_the_environments_stepped_by_hand(contact: str) -> None:
     count, settings = 3, {"contact": contact}
-    held, plain = holding(make_vec_env(settings, count, 7), HOLD), make_vec_env(settings, count, 7)
+    held, plain = holding(make_vec_env(settings, count, 7), HELD), make_vec_env(settings, count, 7)
     np.testing.assert_array_equal(held.reset(), plain.reset())
     rng = np.random.default_rng(0)
     ended = 0
@@ -97,9 +97,32 @@ def test_each_environment_chooses_where_its_own_episode_starts(model: HoldingPPO
         np.testing.assert_allclose(actions, held, atol=1e-6)
 
 
+def test_a_model_that_aims_plays_in_the_ordinary_environment_as_it_was_trained_to() -> None:
+    settings = replace(HELD, landing=True, hold=20)
+    trained_in, plain = (make_vec_env(settings.env_settings, 2, 0) for _ in range(2))
+    aiming = holding(trained_in, settings)
+    model = make_ppo(settings, aiming)
+    trained_in.seed(3)
+    plain.seed(3)
+    seen, shown = aiming.reset(), plain.reset()
+    state = None
+    for _ in range(5):
+        seen, rewards, _, _ = aiming.step(model.policy.predict(seen, deterministic=True)[0])  # type: ignore[arg-type]
+        total = np.zeros(2)
+        for _ in range(20):
+            torques, state = model.predict(shown, state, deterministic=True)
+            assert torques.shape == (2, 1)
+            shown, earned, _, _ = plain.step(torques)
+            total += earned
+        np.testing.assert_allclose(total, rewards, rtol=1e-3)
+        np.testing.assert_allclose(shown, seen, atol=1e-3)  # type: ignore[arg-type]
+    alone, _ = model.predict(shown[0], None, deterministic=True)  # type: ignore[index]
+    assert alone.shape == (1,)
+
+
 def test_a_model_that_looks_ahead_sees_in_the_ordinary_environment_what_it_was_trained_on() -> None:
     settings = replace(HELD, lookahead=8, preview=True)
-    trained_in = holding(make_vec_env(settings.env_settings, 2, 0), HOLD, 8)
+    trained_in = holding(make_vec_env(settings.env_settings, 2, 0), settings)
     looking, plain = make_ppo(settings, trained_in), make_vec_env(settings.env_settings, 2, 0)
     trained_in.seed(3)
     plain.seed(3)

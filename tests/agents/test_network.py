@@ -22,13 +22,14 @@ from tests.agents.small_run import TINY
 KINDS = {
     "plain": replace(TINY, contact="exact"),
     "held, with the landing": replace(TINY, contact="exact", hold=5, preview=True, hidden_units=(8, 6, 4)),
+    "aiming": replace(TINY, contact="exact", hold=20, landing=True),
     "looking ahead": replace(TINY, contact="exact", hold=5, lookahead=8),
 }
 
 
 def moving_model(settings: TrainSettings) -> Any:
     """An untrained model whose actions are not all near 0."""
-    environments = holding(make_vec_env(settings.env_settings, 1, 0), settings.hold, settings.lookahead)
+    environments = holding(make_vec_env(settings.env_settings, 1, 0), settings)
     model: Any = make_ppo(settings, environments)
     model.policy.action_net.weight.data.mul_(60.0)
     return model

@@ -19,7 +19,7 @@ OF_THE_ZOO = {"env_kwargs", "env_wrapper", "n_envs", "n_timesteps", "policy", "l
 
 
 def test_the_zoo_makes_the_same_model() -> None:
-    environments = holding(make_vec_env(SMALL.env_settings, 2, 0), SMALL.hold)
+    environments = holding(make_vec_env(SMALL.env_settings, 2, 0), SMALL)
     given: dict[str, Any] = {name: value for name, value in zoo_settings(SMALL).items() if name not in OF_THE_ZOO}
     ours, zoos = make_ppo(SMALL, environments), PPO("MlpPolicy", environments, seed=SMALL.seed, device="cpu", **given)
     for name in ("n_steps", "batch_size", "n_epochs", "gamma", "gae_lambda", "ent_coef"):
