@@ -24,6 +24,7 @@ else:
 EPISODE_STEPS = cast(int, gym.spec("JackInBox-v0").max_episode_steps)  # control steps of an episode
 PREVIEWED, FORESEEN = 11, 26  # numbers of a preview, and of looking ahead
 PREVIEW_READS = ("box_half_width", "jack_arm", "gravity")  # fields of the scene
+LANDING_READS = (*PREVIEW_READS, "box_mass", "box_inertia", "torque_limit")
 
 # Beyond these a run folder from a stranger could take all memory.
 MOST_COUNTED = 10**12  # of steps, episodes and samples
@@ -124,31 +125,41 @@ class EnvSettings:
 _EARLIER: dict[str, Any] = {
     "total_steps": 1_000_000, "num_envs": 16, "rollout_steps": 256, "batch_size": 512, "epochs": 10,
     "learning_rate": 5e-4, "gae_lambda": 0.95, "hidden_units": (64, 64), "initial_log_std": 0.0, "hold": 1,
-    "preview": False, "landing": False, "checkpoint_steps": 100_000, "eval_steps": 100_000, "eval_episodes": 32,
+    "preview": False, "landing": False, "gamma": 0.99, "checkpoint_steps": 100_000, "eval_steps": 100_000,
+    "eval_episodes": 32,
+}  # fmt: skip
+
+# How an agent is best trained whose actions are torques.
+_BY_TORQUES: dict[str, Any] = {
+    "landing": False, "hold": 4, "total_steps": 4_000_000, "num_envs": 1024, "epochs": 5, "gamma": 0.99,
+    "hidden_units": (128, 128),
 }  # fmt: skip
 
 
 @dataclass(frozen=True)
 class TrainSettings(EnvSettings):
-    """Everything that a training run depends on; `make demo` trains by the defaults, some 3 minutes on one core."""
+    """Everything that a training run depends on; `make demo` trains by the defaults, some 90 s on one core.
+
+    They are for juggle, where the agent says how the box meets the jack. :meth:`suited` has defaults for every task.
+    """
 
     seed: int = 0
     """Seed of the network, the environments and the noise."""
-    total_steps: int = 4_000_000
+    total_steps: int = 2_000_000
     """Steps to train for. Here and below a step is one action: `hold` control steps of one environment."""
     max_minutes: float | None = None
     """Stop earlier when this much time has passed [min]."""
-    num_envs: int = 1024
+    num_envs: int = 256
     """Environments stepped side by side."""
     rollout_steps: int = 32
     """Steps of each environment between updates."""
     batch_size: int = 1024
     """Samples per gradient step."""
-    epochs: int = 5
+    epochs: int = 10
     """Passes over each rollout."""
     learning_rate: float = 1e-3
     """Of Adam, falling linearly to 0 at total_steps."""
-    gamma: float = 0.99
+    gamma: float = 0.905
     """Discount per step."""
     gae_lambda: float = 0.9
     """Bias against variance of the advantage estimate."""
@@ -156,18 +167,18 @@ class TrainSettings(EnvSettings):
     """Of the probability ratio."""
     entropy_coefficient: float = 0.0
     """Weight of the entropy bonus."""
-    hidden_units: tuple[int, ...] = (128, 128)
+    hidden_units: tuple[int, ...] = (64, 64)
     """Width of each hidden layer, of the policy and of the value alike."""
     initial_log_std: float = -0.7
     """Logarithm of the actions' first standard deviation."""
-    hold: int = 4
+    hold: int = 20
     """Control steps that each action is held for; divides the 500 of an episode."""
     preview: bool = True
     """Show the networks, beside the observation, where and how the jack will land. Such a model.zip loads only where
     a checkout of this project can be imported; scripts/export.py makes a policy of it that needs numpy alone."""
     lookahead: int = 0
     """Rollouts by which a plan is improved before each action; the networks see what it and 9 scripted ones bring."""
-    landing: bool = False
+    landing: bool = True
     """Actions say how the box meets the jack, in place of torques: jackbox_env.LandingControl. For juggle."""
     checkpoint_steps: int = 500_000
     """Steps between checkpoints, from which an interrupted run resumes."""
@@ -177,6 +188,15 @@ class TrainSettings(EnvSettings):
     """Episodes of each of them."""
     torch_threads: int = 1
     """Threads of torch; small networks want one."""
+
+    @classmethod
+    def suited(cls, **given: Any) -> Self:
+        """Make settings from what is given of them; the rest is what trains best on that task, with those actions.
+
+        Actions are torques unless ``landing`` is given, except on juggle without a lookahead.
+        """
+        landing = given.setdefault("landing", given.get("task", cls.task) == "juggle" and not given.get("lookahead"))
+        return cls(**({} if landing else _BY_TORQUES) | given)
 
     @classmethod
     def of(cls, values: Any) -> Self:
@@ -198,13 +218,17 @@ class TrainSettings(EnvSettings):
         if EPISODE_STEPS % self.hold:
             raise ValueError(f"hold must divide the {EPISODE_STEPS} control steps of an episode, got {self.hold}")
         check.flag("preview", self.preview)
-        if check.flag("landing", self.landing) and self.lookahead:
-            raise ValueError("landing must be off with a lookahead, whose plans are torques")
-        shown = [name for name in PREVIEW_READS if name in self.randomized]
-        if self.preview and shown:
-            raise ValueError(f"preview must be off where {' and '.join(shown)} varies: it is computed for one scene")
+        check.flag("landing", self.landing)
+        for name, read in (("preview", PREVIEW_READS), ("landing", LANDING_READS)):
+            varied = [field for field in read if field in self.randomized]
+            if getattr(self, name) and varied:
+                raise ValueError(
+                    f"{name} must be off where {' and '.join(varied)} varies: it is computed for one scene"
+                )
         if check.whole("lookahead", self.lookahead, at_least=0, at_most=MOST_SAMPLES) in range(1, 8):
             raise ValueError(f"lookahead must be 0 or from 8 to {MOST_SAMPLES}, got {self.lookahead}")
+        if self.lookahead and self.landing:
+            raise ValueError("landing must be off with a lookahead, whose plans are torques")
         if self.lookahead and self.randomized:
             raise ValueError("lookahead must be 0 where scenes vary: a trained model plays its rollouts in one scene")
         check.real("learning_rate", self.learning_rate, above=0.0)

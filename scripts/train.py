@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import shlex
 import sys
 from dataclasses import dataclass, replace
@@ -28,10 +29,19 @@ class Arguments:
     """Show a progress bar."""
 
 
+def suited() -> TrainSettings:
+    """The defaults of the command line: they depend on the task and on what an action is."""
+    early = argparse.ArgumentParser(add_help=False, allow_abbrev=False, argument_default=argparse.SUPPRESS)
+    early.add_argument("--task")
+    early.add_argument("--lookahead", type=int)
+    early.add_argument("--landing", action=argparse.BooleanOptionalAction)
+    return TrainSettings.suited(**vars(early.parse_known_args()[0]))
+
+
 @command_line
 def main() -> None:
     """Parse, train, say where things are."""
-    arguments = tyro.cli(Arguments, description=__doc__)
+    arguments = tyro.cli(Arguments, description=__doc__, default=Arguments(suited()))
     from agents.evaluation.provenance import describe_env
     from agents.training.models import make_vec_env
     from agents.training.ppo import extended, train

@@ -132,7 +132,7 @@ def training_trials(varied: dict[str, Any], grid: list[EnvSettings], seeds: int,
     trials = []
     for values, given, seed in product(product(*varied.values()), grid, range(seeds)):
         named = dict(zip(varied, values, strict=True))
-        settings = TrainSettings(**{**dataclasses.asdict(given), **named, "seed": seed, "torch_threads": 1})
+        settings = TrainSettings.suited(**{**dataclasses.asdict(given), **named, "seed": seed, "torch_threads": 1})
         trials.append(Trial({**dataclasses.asdict(settings), "episodes": episodes}))
     return trials
 

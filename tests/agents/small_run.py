@@ -24,6 +24,7 @@ TINY = TrainSettings(
     hidden_units=(16,),
     hold=1,
     preview=False,
+    landing=False,
 )
 
 

@@ -247,3 +247,5 @@ def test_scenes_that_vary_are_settings_too(tmp_path: Path) -> None:
         dataclasses.replace(TINY, lookahead=8, hold=5, randomize='{"jack_mass": [2, 6]}')
     with pytest.raises(ValueError, match="preview must be off where gravity varies"):
         dataclasses.replace(TINY, preview=True, randomize='{"gravity": [1, 9]}')
+    with pytest.raises(ValueError, match="landing must be off where torque_limit varies"):
+        dataclasses.replace(TINY, landing=True, randomize='{"torque_limit": [80000, 90000]}')

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from agents.settings import EnvSettings, TrainSettings
 from agents.training.models import make_ppo, make_vec_env
 from jackbox_env import Scene, make_simulator
 from jackbox_env.recording.trajectory import simulate, write_npz
+from scripts import train as train_command
 
 # -- scripted policies -------------------------------------------------------------------------------------------------
 
@@ -86,13 +88,28 @@ def test_evaluation_is_repeatable_and_seeded() -> None:
 
 def test_the_untrained_policy_does_not_beat_zero_torque() -> None:
     # DESIGN: about 158 against 200; the demo's trained policy stands above 200 with intervals apart.
-    model = make_ppo(TrainSettings(), make_vec_env({}, 1, 0))
+    model = make_ppo(TrainSettings.suited(landing=False), make_vec_env({}, 1, 0))
     untrained = evaluate("untrained", model, {}, 32, seed=0, deterministic=False)
     zero = evaluate("zero", find_policy("zero", EnvSettings()).policy, {}, 32, seed=0)
     assert untrained.interval[1] < zero.interval[0], table([untrained, zero])
 
 
 # -- settings ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_defaults_suit_the_task_and_what_an_action_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    def of_the_command(*words: str) -> TrainSettings:
+        monkeypatch.setattr("sys.argv", ["train.py", "--seed", "3", *words])
+        return train_command.suited()
+
+    assert of_the_command() == TrainSettings.suited() == TrainSettings()
+    assert TrainSettings().landing
+    torques = TrainSettings.suited(task="spin")
+    assert (torques.landing, torques.hold, torques.gamma) == (False, 4, 0.99)
+    assert of_the_command("--task=spin") == torques
+    assert of_the_command("--no-landing") == replace(torques, task="juggle")
+    assert of_the_command("--lookahead", "32") == replace(torques, task="juggle", lookahead=32)
+    assert TrainSettings.suited(task="rattle", hold=5, gamma=0.9) == replace(torques, task="rattle", hold=5, gamma=0.9)
 
 
 @pytest.mark.parametrize(

@@ -33,9 +33,11 @@ def test_the_zoo_trains_as_long_in_the_same_environment() -> None:
     assert (zoo["n_timesteps"], zoo["n_envs"]) == (DEMO.total_steps, DEMO.num_envs)
     assert zoo["learning_rate"] == "lin_0.001"  # falls linearly to 0, as ours
     assert zoo["env_kwargs"] == DEMO.env_settings
-    assert zoo["env_wrapper"] == [{"rl_zoo3.wrappers.FrameSkip": {"skip": DEMO.hold}}]
+    assert zoo["env_wrapper"] == [{"jackbox_env.LandingControl": {"period": 0.4}}]
+    torques = zoo_settings(TrainSettings.suited(task="spin"))
+    assert torques["env_wrapper"] == [{"rl_zoo3.wrappers.FrameSkip": {"skip": 4}}]
 
 
 def test_the_zoo_does_not_look_ahead() -> None:
     with pytest.raises(ValueError, match="lookahead must be 0"):
-        zoo_settings(replace(DEMO, preview=False, hold=5, lookahead=8))
+        zoo_settings(replace(DEMO, landing=False, lookahead=8))

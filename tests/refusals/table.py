@@ -456,7 +456,7 @@ def constructors() -> Iterator[Row]:
     yield row(jackbox_env.LandingControlVector, {"period": real(0.4, above=0.0, at_most=20000.0)}, env=inner)
     yield row(LandingControlVecEnv, {"period": real(0.4, above=0.0, at_most=20000.0)}, venv=make_sb3_vec_env(2))
     yield row(Search, SEARCHING)
-    yield row(TrainSettings, TRAINING)
+    yield row(TrainSettings, TRAINING, landing=False)
 
 
 TABLE = [*constructors(), *(row for contact in CONTACT_MODELS for row in methods_of(contact))]

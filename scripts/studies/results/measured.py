@@ -47,7 +47,7 @@ TRAININGS: dict[str, TrainSettings] = {
 
 # PPO that is shown a plan and corrects it.
 SEEDS = (0, 1, 2, 3, 4)
-AHEAD = TrainSettings(
+AHEAD = TrainSettings.suited(
     lookahead=32, hold=5, preview=False, num_envs=64, rollout_steps=64, epochs=10, total_steps=204_800,
     learning_rate=1e-4, initial_log_std=-3.0, gae_lambda=0.9, hidden_units=(64, 64), checkpoint_steps=1_000_000,
     eval_steps=40_960, eval_episodes=64,
