@@ -65,6 +65,7 @@ register(
     entry_point="jackbox_env.env:JackInBoxEnv",
     vector_entry_point="jackbox_env.vector_env:JackInBoxVectorEnv",
     max_episode_steps=500,  # 10 s
+    reward_threshold=300.0,  # of juggle
 )
 
 

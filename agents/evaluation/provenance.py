@@ -8,13 +8,11 @@ from pathlib import Path
 
 from agents.policies.network import SHIPPED
 from agents.policies.one_bounce import LANDING, read_landing
-from agents.policies.registry import POLICIES, shipped_names
+from agents.policies.registry import POLICIES, SCRIPTED, shipped_names
 from agents.runs import SETTINGS, read_settings
 from agents.settings import EnvSettings
 from agents.training.models import run_folder
 from jackbox_env.simulators.fidelity import words
-
-PLANNER = "planner"
 
 
 def describe_env(settings: EnvSettings) -> str:
@@ -43,7 +41,7 @@ def _settings_of(name: str, here: EnvSettings) -> EnvSettings | None:
 
 def warn_of_other_training(name: str, here: EnvSettings) -> None:
     """Note which policies were trained in another environment, or plan in another scene than those that are drawn."""
-    if name == PLANNER and here.randomized:
+    if name in POLICIES and name not in SCRIPTED and here.randomized:
         print(f"Note: {name} plans in the scene that is given, not in those that randomize draws", file=sys.stderr)
     trained = _settings_of(name, here)
     if trained is None:

@@ -22,9 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.policies.landing_features import flight_of, preview
 from agents.policies.network import Layer, read_with_layers
-from agents.policies.observing import observations
 from agents.policies.playing import Manner, Playable
 from agents.policies.scripted import Actions
 from agents.policies.value import Value
@@ -32,7 +30,7 @@ from agents.settings import EPISODE_STEPS, EnvSettings
 from jackbox_env import Scene
 from jackbox_env import _validation as check
 from jackbox_env.complementarity import dots
-from jackbox_env.landing import QUARTER, torques, upright
+from jackbox_env.landing import QUARTER, landing_times, torques, upright
 from jackbox_env.mechanics import contacts_of, impact_maps
 from jackbox_env.observation import state_of
 from jackbox_env.states import Array
@@ -79,13 +77,6 @@ class LandingSettings(EnvSettings):
         """All pairs of an angle and a rate, shape (angles * rates, 2)."""
         angles, rates = np.meshgrid(self.angles, self.rates, indexing="ij")
         return np.stack([angles.ravel(), rates.ravel()], axis=1)
-
-
-def landing_times(scene: Scene, states: Array) -> Array:
-    """When the jack's centre comes so low that a foot pointing down touches a level box's floor [s], shape (n,)."""
-    unit = scene.box_half_width / scene.speed_scale
-    with np.errstate(over="ignore"):
-        return 2.0 * unit * preview(flight_of(scene), observations(scene, states))[:, 0].astype(np.float64)
 
 
 def flown(scene: Scene, states: Array, times: Array) -> Array:

@@ -1,4 +1,4 @@
-"""A planner: at each tenth of a second it plays many sequences of torques by the exact model and keeps the best."""
+"""Planners: at each tenth of a second they play many sequences of torques by the exact model and keep the best."""
 
 from __future__ import annotations
 
@@ -7,16 +7,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.policies.playing import Playing, decide_now_and_then
+from agents.policies.playing import Manner, Playable, Playing, decide_now_and_then
 from agents.policies.scripted import Actions
 from agents.policies.value import Value, ValuedSearch
+from agents.settings import EnvSettings
 from jackbox_env import Scene, Task
 from jackbox_env import _validation as check
 from jackbox_env.observation import state_of
+from jackbox_env.planning.features import Features
 from jackbox_env.planning.icem import Plans, Search
 
 DECISION = 0.1  # [s] between decisions, as the settings here were tried
 VALUED_PIECES = 20  # of a plan whose end has a value
+
+
+def decision_steps(settings: EnvSettings) -> int:
+    """Control steps between decisions."""
+    return max(1, round(DECISION / settings.control_dt))
 
 
 class Planner:
@@ -77,3 +84,20 @@ class Planner:
         states = np.array([state_of(self._scene, row) for row in seen.tolist()])
         found, next_plans = self._search.decide(self._scene, states, plans)
         return found.plans[:, :1], next_plans
+
+
+class PlanAlone(Playable):
+    """A policy that follows the plan of 32 samples that ``Lookahead`` shows, and corrects nothing.
+
+    Args:
+        settings: of the environment that it plays in.
+    """
+
+    def __init__(self, settings: EnvSettings) -> None:
+        hold = decision_steps(settings)
+        features = Features(settings.task, settings.control_dt, hold=hold, samples=32, follow=True, num_threads=1)
+        self.manner = Manner(hold, features, Scene.of(settings.scene_fields))
+
+    def act(self, seen: NDArray[Any]) -> Actions:
+        """No correction, see :class:`Playable`."""
+        return np.zeros((len(seen), 1), np.float32)

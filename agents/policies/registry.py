@@ -8,12 +8,14 @@ from typing import Any
 
 from agents.policies.network import SHIPPED, WEIGHTS, read_policy
 from agents.policies.one_bounce import LANDING, read_landing
-from agents.policies.planner import DECISION, VALUED_PIECES, Planner
+from agents.policies.planner import VALUED_PIECES, PlanAlone, Planner, decision_steps
 from agents.policies.scripted import Baseline, LevelPolicy, Policy, RandomPolicy, ZeroPolicy
 from agents.policies.value import VALUE, read_value
 from agents.settings import EnvSettings
 from agents.training.models import load_model
 from jackbox_env import Scene
+
+_FEW: dict[str, Any] = {"samples": 64, "elites": 6, "iterations": 1}  # a millisecond for each decision
 
 
 def _planner(settings: EnvSettings, scene: Scene, seed: int) -> Planner:
@@ -22,8 +24,7 @@ def _planner(settings: EnvSettings, scene: Scene, seed: int) -> Planner:
     Raises:
         FileNotFoundError, ValueError: the value that comes with the repository is damaged.
     """
-    piece = max(1, round(DECISION / settings.control_dt))
-    given: dict[str, Any] = {"piece": piece, "seed": seed}
+    given: dict[str, Any] = {"seed": seed}
     folder = SHIPPED / f"{settings.task}-value"
     if folder.is_dir():
         value = read_value(folder)
@@ -31,7 +32,12 @@ def _planner(settings: EnvSettings, scene: Scene, seed: int) -> Planner:
         made_for = made.task, made.control_dt, Scene.of(made.scene_fields).changed(drive=None)
         if made_for == (settings.task, settings.control_dt, scene.changed(drive=None)):
             given |= {"pieces": VALUED_PIECES, "value": value}
-    return Planner(scene, settings.task, settings.control_dt, **given)
+    return Planner(scene, settings.task, settings.control_dt, piece=decision_steps(settings), **given)
+
+
+def _fast_planner(settings: EnvSettings, scene: Scene, seed: int) -> Planner:
+    """A planner of few samples."""
+    return Planner(scene, settings.task, settings.control_dt, piece=decision_steps(settings), seed=seed, **_FEW)
 
 
 SCRIPTED: dict[str, Callable[[EnvSettings, Scene, int], Baseline]] = {  # of the environment, its scene, and a seed
@@ -42,6 +48,8 @@ SCRIPTED: dict[str, Callable[[EnvSettings, Scene, int], Baseline]] = {  # of the
 }
 POLICIES: dict[str, Callable[[EnvSettings, Scene, int], Baseline]] = {
     **SCRIPTED,
+    "lookahead": lambda settings, *_: Baseline(PlanAlone(settings), {}),
+    "planner-64": lambda settings, scene, seed: Baseline(_fast_planner(settings, scene, seed), {}),
     "planner": lambda settings, scene, seed: Baseline(_planner(settings, scene, seed), {}),
 }
 

@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 from tqdm import trange
 
 from agents.policies.network import SHIPPED, write_with_layers
-from agents.policies.one_bounce import LANDING, LandingPolicy, LandingSettings, landing_times
+from agents.policies.one_bounce import LANDING, LandingPolicy, LandingSettings
 from agents.policies.value import UNIT, Value, read_value
 from jackbox_env import Rollout, Scene, rollout
 from jackbox_env.commands.common import command_line
-from jackbox_env.landing import torques, upright
+from jackbox_env.landing import landing_times, torques, upright
 from jackbox_env.recording.files import make_folder
 from jackbox_env.states import Array
 from jackbox_env.tasks import sample_start

@@ -18,8 +18,8 @@ from jackbox_env.tasks import TASKS
 class Arguments:
     """Train and export the networks that come with the repository."""
 
-    runs: Path = Path("runs/networks")
-    """Folder of the trainings; made if there is none."""
+    runs: Path = Path("runs/results")
+    """Folder of the trainings; made if there is none. `make results` finds them there."""
     out: Path = Path("agents/trained")
     """Folder with a folder <task>-ppo for each task, which holds its settings; its other files are replaced."""
     progress: bool = True
@@ -33,10 +33,11 @@ def main() -> None:
     from agents.evaluation.exporting import export_policy
     from agents.runs import read_settings
     from agents.training.ppo import trained_in
+    from scripts.studies.results.measured import run_of
 
     for task in TASKS:
         folder = arguments.out / f"{task}-ppo"
-        run = arguments.runs / task
+        run = run_of(arguments.runs, task, 0)
         trained_in(run, read_settings(folder), arguments.progress)
         export_policy(run, folder)
         print(f"Written: {folder}", flush=True)

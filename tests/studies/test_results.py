@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from agents.evaluation.returns import evaluate
+from agents.policies.planner import PlanAlone
 from agents.policies.registry import find_policy
 from agents.settings import EnvSettings
 from jackbox_env import JackInBoxVectorEnv, Lookahead, Scene
@@ -19,7 +20,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 
 def test_the_plan_alone_is_what_the_wrapper_plays_to_an_agent_that_says_0() -> None:
-    policy, earned = measured.PlanAlone(), 0.0
+    policy, earned = PlanAlone(EnvSettings()), 0.0
     plain: Any = gym.make("JackInBox-v0", contact="exact")
     seen, _ = plain.reset(seed=4)
     state = None
@@ -36,11 +37,19 @@ def test_a_row_holds_what_evaluating_gives() -> None:
     row = measured.policy_row(Path(), "spin", "exact", "zero", 8)
     settings = EnvSettings(task="spin", contact="exact")
     policy, _ = find_policy("zero", settings, measured.SEED)
-    returns = evaluate("zero", policy, settings.env_settings, 8, measured.SEED).returns
-    assert row["mean"] == np.mean(returns)
-    assert row["iqm"] == pytest.approx(np.mean(np.sort(returns)[2:6]))
-    low, high = row["iqm_interval_95"]
-    assert low < row["iqm"] < high
+    found = evaluate("zero", policy, settings.env_settings, 8, measured.SEED)
+    assert (row["mean"], row["interval_95"]) == (found.mean, found.interval)
+    planned = measured.milliseconds(find_policy("planner-64", settings), settings)
+    assert 0.0 < row["milliseconds"] < planned  # by far
+
+
+def test_a_curve_is_the_interquartile_mean_of_the_trainings() -> None:
+    curves = np.random.default_rng(0).normal(size=(5, 3)) + np.array([0.0, 10.0, 20.0])
+    steps, middle, (low, high) = measured.curve_of([{"steps": [4, 8, 12], "curve": list(curve)} for curve in curves])
+    assert steps.tolist() == [4, 8, 12]
+    np.testing.assert_allclose(middle, np.sort(curves, axis=0)[1:4].mean(axis=0))
+    assert (low < middle).all()
+    assert (middle < high).all()
 
 
 def test_chirps_are_swept_from_the_same_starts_and_earn_what_the_environment_pays() -> None:

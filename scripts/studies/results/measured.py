@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import time
 from collections.abc import Callable
 from itertools import product
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import bootstrap, trim_mean
 
 from agents.evaluation.returns import evaluate
-from agents.policies.playing import Playable, manner_of
+from agents.policies.network import SHIPPED
 from agents.policies.registry import find_policy
-from agents.runs import TIME, machine, versions
+from agents.policies.scripted import Baseline
+from agents.runs import TIME, machine, read_settings, versions
 from agents.settings import EPISODE_STEPS, EnvSettings, TrainSettings
 from agents.sweeps.in_process import Trial
+from agents.training.best import read_evaluations
 from agents.training.models import derived_seed, load_model
 from agents.training.ppo import trained_in
 from jackbox_env import Chirp, JackInBoxVectorEnv, Scene
@@ -28,7 +32,8 @@ from jackbox_env.tasks import TASKS
 SEED = 1  # decides the starts
 RESAMPLES = 2000
 CONTACTS = ("exact", "pymunk")
-POLICIES = ("zero", "level", "chirp", "best chirp", "ppo", "distilled", "planner")
+POLICIES = ("zero", "level", "chirp", "best chirp", "ppo", "distilled", "lookahead", "planner-64", "planner")
+DECISION = 0.1  # [s] of an episode, for which policies' computing is timed
 
 # Chirps that are tried: amplitudes over the torque's limit, Hz, Hz/s; and starts of each, others than the evaluation's.
 AMPLITUDES = tuple(sign * share for share in (0.1, 0.2, 0.4, 0.7, 1.0) for sign in (1.0, -1.0))
@@ -36,73 +41,93 @@ FREQUENCIES = (0.05, 0.1, 0.2, 0.3, 0.5, 0.8, 1.2, 2.0)
 RATES = (0.0, 0.03, 0.1, 0.3, 0.9)
 STARTS = 32
 
-# Scenes that two trainings are tried in: on one scene, and on scenes that vary.
+SEEDS = (0, 1, 2, 3, 4)  # of trainings
+
+# Scenes that two trainings are tried in: the shipped one on the default scene, and one on scenes that vary.
 RESTITUTIONS = (1.0, 0.9, 0.8, 0.7)
 MASSES = (2.0, 4.0, 8.0, 16.0)  # of the jack [kg]
 RANGES = {"jack_mass": [MASSES[0], MASSES[-1]], "restitution": [RESTITUTIONS[-1], RESTITUTIONS[0]]}
-TRAININGS: dict[str, TrainSettings] = {
-    "one scene": TrainSettings(),
-    "varied scenes": TrainSettings(randomize=json.dumps(RANGES)),
-}
-
-# PPO that is shown a plan and corrects it.
-SEEDS = (0, 1, 2, 3, 4)
-AHEAD = TrainSettings.suited(
-    lookahead=32, hold=5, preview=False, num_envs=64, rollout_steps=64, epochs=10, total_steps=204_800,
-    learning_rate=1e-4, initial_log_std=-3.0, gae_lambda=0.9, hidden_units=(64, 64), checkpoint_steps=1_000_000,
-    eval_steps=40_960, eval_episodes=64,
-)  # fmt: skip
+VARIED = TrainSettings(randomize=json.dumps(RANGES))
 
 
-def trials(episodes: int, planner_episodes: int, across_episodes: int) -> list[Trial]:
+def trials(episodes: int, planner_episodes: int, across_episodes: int, training_episodes: int) -> list[Trial]:
     """All that the page shows."""
     asked: list[dict[str, Any]] = []
+    for seed, task in product(SEEDS, TASKS):
+        asked.append({"part": "learning", "task": task, "seed": seed, "episodes": training_episodes})
     for task, contact, policy in product(TASKS, CONTACTS, POLICIES):
-        if policy != "distilled" or task == "juggle":
-            count = planner_episodes if policy == "planner" else episodes
-            asked.append({"part": "rows", "task": task, "contact": contact, "policy": policy, "episodes": count})
-    for restitution, mass, policy in product(RESTITUTIONS, MASSES, ("level", *TRAININGS)):
+        count = planner_episodes if policy == "planner" else episodes
+        asked.append({"part": "rows", "task": task, "contact": contact, "policy": policy, "episodes": count})
+    for restitution, mass, policy in product(RESTITUTIONS, MASSES, ("level", "one scene", "varied scenes")):
         scene = {"restitution": restitution, "jack_mass": mass}
         asked.append({"part": "across", "scene": scene, "policy": policy, "episodes": across_episodes})
-    asked += [{"part": "ahead", "seed": seed, "episodes": episodes} for seed in (*SEEDS, None)]
     return [Trial(settings) for settings in asked]
 
 
 def measured(folder: Path, asked: dict[str, Any]) -> dict[str, Any]:
     """The work of a trial; trainings have their run folders in ``folder``."""
     parts: dict[str, Callable[..., dict[str, Any]]]
-    parts = {"rows": policy_row, "across": in_scene, "ahead": looking_ahead}
+    parts = {"learning": learning, "rows": policy_row, "across": in_scene}
     own = {name: value for name, value in asked.items() if name != "part"}
     return {"row": parts[asked["part"]](folder, **own)}
 
 
-def _evaluated(name: str, policy: Any, env_settings: dict[str, Any], episodes: int) -> tuple[dict[str, Any], Array]:
-    """What is stored of an evaluation, and its returns."""
+def _evaluated(name: str, policy: Any, env_settings: dict[str, Any], episodes: int) -> dict[str, Any]:
+    """What is stored of an evaluation."""
     row = evaluate(name, policy, env_settings, episodes, SEED).as_json()
-    return row, np.array(row.pop("returns"))
+    return {key: value for key, value in row.items() if key != "returns"}
+
+
+def run_of(folder: Path, task: str, seed: int) -> Path:
+    """Run folder of a training by the settings of the shipped network; that of seed 0 is what is shipped."""
+    return folder / f"{task}-{seed}"
+
+
+def learning(folder: Path, task: str, seed: int, episodes: int) -> dict[str, Any]:
+    """What a training earns, while it learns and at its end, and its time."""
+    settings = dataclasses.replace(read_settings(SHIPPED / f"{task}-ppo"), seed=seed)
+    run = run_of(folder, task, seed)
+    trained_in(run, settings, progress=False)
+    curve = read_evaluations(run, settings.eval_episodes)
+    return {
+        "task": task,
+        "seed": seed,
+        **_evaluated("ppo", load_model(run), settings.env_settings, episodes),
+        "steps": [settings.hold * int(steps) for steps in curve.timesteps],  # control steps
+        "curve": np.mean(curve.results, axis=1).tolist(),
+        "settings": dataclasses.asdict(settings),
+        "time": json.loads((run / TIME).read_text()),
+    }
 
 
 def policy_row(folder: Path, task: str, contact: str, policy: str, episodes: int) -> dict[str, Any]:
-    """What a policy earns on a task, with the interquartile mean and its bootstrap interval."""
+    """What a policy earns on a task, and how long it computes."""
     settings = EnvSettings(task=task, contact=contact)
     acting, more = find_policy("chirp" if policy == "best chirp" else policy, settings, SEED)
     drive = best_chirp(task) if policy == "best chirp" else None
     if drive is not None:
         more = {**more, "scene": {"drive": drive}}
-    row, returns = _evaluated(policy, acting, {**settings.env_settings, **more}, episodes)
-    found = bootstrap(
-        (returns,), interquartile_mean, n_resamples=RESAMPLES, method="percentile", rng=np.random.default_rng(0)
-    )
     return {
         "task": task,
         "contact": contact,
-        **row,
-        "iqm": float(interquartile_mean(returns)),
-        "iqm_interval_95": [float(end) for end in found.confidence_interval],
+        **_evaluated(policy, acting, {**settings.env_settings, **more}, episodes),
+        "milliseconds": milliseconds(Baseline(acting, more), settings),
         "drive": drive,
         "commit": versions()["commit"],
         "machine": machine(),
     }
+
+
+def milliseconds(act: Baseline, settings: EnvSettings) -> float:
+    """Processor time [ms] that a policy takes for 0.1 s of an episode, in one environment."""
+    env = gym.make("JackInBox-v0", **{**settings.env_settings, **act.env_settings})
+    (seen, _), memory, spent = env.reset(seed=SEED), None, 0.0
+    for step in range(EPISODE_STEPS):
+        began = time.process_time()
+        action, memory = act.policy.predict(seen, memory, np.array([step == 0]), deterministic=True)
+        spent += time.process_time() - began
+        seen = env.step(action)[0]
+    return 1e3 * spent * DECISION / (EPISODE_STEPS * settings.control_dt)
 
 
 def interquartile_mean(returns: Array, axis: int = -1) -> Any:
@@ -110,37 +135,26 @@ def interquartile_mean(returns: Array, axis: int = -1) -> Any:
     return trim_mean(returns, 0.25, axis=axis)
 
 
+def curve_of(rows: list[dict[str, Any]]) -> tuple[Array, Array, Array]:
+    """Learning curve of several trainings: control steps, shape (n,), interquartile mean of the returns, (n,), and the
+    ends of its 95 % interval by bootstrap over the trainings, (2, n)."""
+    curves = np.array([row["curve"] for row in rows])
+    found = bootstrap(
+        (curves,), interquartile_mean, axis=0, n_resamples=RESAMPLES, method="percentile", rng=np.random.default_rng(0)
+    )
+    return np.array(rows[0]["steps"]), interquartile_mean(curves, 0), np.array(found.confidence_interval)
+
+
 def in_scene(folder: Path, scene: dict[str, float], policy: str, episodes: int) -> dict[str, Any]:
     """What a level box or one of the trainings earns in a scene."""
     settings = EnvSettings(scene=json.dumps(scene))
-    if policy in TRAININGS:
-        run = folder / f"trained-on-{policy.replace(' ', '-')}"
-        trained_in(run, TRAININGS[policy], progress=False)
+    if policy == "varied scenes":
+        run = folder / "varied-scenes"
+        trained_in(run, VARIED, progress=False)
         acting: Any = load_model(run)
     else:
-        acting = find_policy(policy, settings, SEED).policy
-    return _evaluated(policy, acting, settings.env_settings, episodes)[0]
-
-
-def looking_ahead(folder: Path, seed: int | None, episodes: int) -> dict[str, Any]:
-    """What a training earns that corrects a plan, and its times; None: what the plan earns that nobody corrects."""
-    if seed is None:
-        return _evaluated("plan alone", PlanAlone(), AHEAD.env_settings, episodes)[0]
-    run = folder / f"lookahead-{seed}"
-    trained_in(run, dataclasses.replace(AHEAD, seed=seed), progress=False)
-    row, _ = _evaluated(f"lookahead {seed}", load_model(run), AHEAD.env_settings, episodes)
-    return {"seed": seed, **row, "time": json.loads((run / TIME).read_text())}
-
-
-class PlanAlone(Playable):
-    """A policy that follows the plan that `Lookahead` shows, and corrects nothing."""
-
-    def __init__(self) -> None:
-        self.manner = manner_of(AHEAD)
-
-    def act(self, seen: NDArray[Any]) -> NDArray[np.float32]:
-        """No correction, see :class:`Playable`."""
-        return np.zeros((len(seen), 1), np.float32)
+        acting = find_policy("ppo" if policy == "one scene" else policy, settings, SEED).policy
+    return _evaluated(policy, acting, settings.env_settings, episodes)
 
 
 # -- chirps ------------------------------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ from jackbox_env.tasks import TASKS
 from scripts.studies.pages import table
 from scripts.studies.results import measured as these
 
-LINES = ("planner", "level", "best chirp")  # in the picture
+LINES = {"planner": "-", "distilled": "--", "level": "-.", "best chirp": ":"}  # in the picture
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,8 @@ class Arguments:
     """Episodes of each policy."""
     planner_episodes: int = 64
     """Episodes of the planner on each task and contact model, a second or two of computing for each."""
+    training_episodes: int = 1024
+    """Episodes of each of the five trainings on a task."""
     across_episodes: int = 128
     """Episodes of each policy in each of the scenes that vary."""
     folder: Path = Path("runs/results")
@@ -51,6 +53,7 @@ def page(record: dict[str, Any]) -> str:
         "earned": earned,
         "seed": record["seed"],
         "resamples": record["resamples"],
+        "episodes": [best["juggle", policy]["episodes"] for policy in ("zero", "planner")],
         "rows": {task: _table([row for row in record["rows"] if row["task"] == task]) for task in TASKS},
         "tried": len(these.chirps()),
         "bound": record["spin_bound"],
@@ -61,42 +64,25 @@ def page(record: dict[str, Any]) -> str:
             ("task", "amplitude [N m]", "first frequency [Hz]", "rate [Hz/s]"),
             [(task, f"{d['amplitude']:,.0f}", f"{d['start_frequency']:g}", f"{d['rate']:g}") for task, d in drives],
         ),
-        **_ahead(record["ahead"], record["plan_alone"]),
         **_across(record["across"]),
         "commits": ", ".join(sorted({row["commit"] for row in record["rows"]})),
         "machines": "; ".join(sorted({row["machine"] for row in record["rows"]})),
-        "trained": _trained(record["trained"]),
+        "trained": _trained(record["learning"]),
     }
     return (Path(__file__).parent / "page.md").read_text().format(**fields)
 
 
-def _span(ends: list[float]) -> str:
-    return f"{ends[0]:.1f} to {ends[1]:.1f}"
+def _cell(row: dict[str, Any]) -> str:
+    return f"{row['mean']:.1f} ± {np.ptp(row['interval_95']) / 2.0:.1f}"
 
 
 def _table(rows: list[dict[str, Any]]) -> str:
-    heads = "policy", "contact", "mean return", "95 % interval", "interquartile mean", "95 % interval", "episodes"
-    lines = [
-        (row["policy"], row["contact"], f"{row['mean']:.1f}", _span(row["interval_95"]), f"{row['iqm']:.1f}",
-         _span(row["iqm_interval_95"]), str(row["episodes"]))
-        for row in rows
-    ]  # fmt: skip
-    return table(heads, lines)
-
-
-def _ahead(rows: list[dict[str, Any]], alone: dict[str, Any]) -> dict[str, Any]:
-    shares = [row["time"]["parts"]["looking ahead"] / row["time"]["seconds"] for row in rows]
-    lines = [
-        (str(row["seed"]), f"{row['mean']:.1f}", _span(row["interval_95"]), f"{row['time']['seconds'] / 60.0:.1f}")
-        for row in rows
-    ]
-    return {
-        "ahead": table(("seed", "mean return", "95 % interval", "minutes"), lines),
-        "above": sum(row["interval_95"][0] > 300.0 for row in rows),
-        "trainings": len(rows),
-        "alone": f"{alone['mean']:.1f} ({_span(alone['interval_95'])})",
-        "looking": [min(shares), max(shares)],
-    }
+    found = {(row["policy"], row["contact"]): row for row in rows}
+    lines = []
+    for name in dict.fromkeys(policy for policy, _ in found):
+        spent = found[name, "exact"]["milliseconds"]
+        lines.append((name, *(_cell(found[name, contact]) for contact in these.CONTACTS), f"{spent:.2g}"))
+    return table(("policy", *these.CONTACTS, "ms"), lines)
 
 
 def _across(rows: list[dict[str, Any]]) -> dict[str, Any]:
@@ -104,9 +90,8 @@ def _across(rows: list[dict[str, Any]]) -> dict[str, Any]:
     own = next(row["earned"] for row in rows if Scene.of(dict(row["scene"])) == Scene())
     lines = []
     for row in rows:
-        cells = [(earned["mean"], np.ptp(earned["interval_95"]) / 2.0) for earned in row["earned"].values()]
         fields = row["scene"]["restitution"], row["scene"]["jack_mass"]
-        lines.append([*(f"{field:g}" for field in fields), *(f"{mean:.1f} ± {half:.1f}" for mean, half in cells)])
+        lines.append([*(f"{field:g}" for field in fields), *(_cell(earned) for earned in row["earned"].values())])
     return {
         "scenes": len(rows),
         "across": table(("restitution", "jack's mass [kg]", *names), lines),
@@ -116,62 +101,48 @@ def _across(rows: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _trained(trained: dict[str, Any]) -> str:
+def _of_task(rows: list[dict[str, Any]], task: str) -> list[dict[str, Any]]:
+    return [row for row in rows if row["task"] == task]
+
+
+def _trained(rows: list[dict[str, Any]]) -> str:
     lines = []
-    for task, found in trained.items():
-        settings, spent = found["settings"], found["time"]
-        units = " x ".join(map(str, settings["hidden_units"]))
-        figures = f"{spent['seconds'] / 60.0:.1f}", f"{spent['steps'] / spent['seconds']:,.0f}"
-        lines.append((task, f"{settings['total_steps']:,}", str(settings["hold"]), units, *figures))
-    return table(("task", "steps", "control steps of each", "network", "minutes", "steps per second"), lines)
+    for task in TASKS:
+        found = _of_task(rows, task)
+        settings, means = found[0]["settings"], [row["mean"] for row in found]
+        minutes = [row["time"]["seconds"] / 60.0 for row in found]
+        ends = f"{min(means):.1f} to {max(means):.1f}", f"{min(minutes):.1f} to {max(minutes):.1f}"
+        lines.append((task, f"{np.mean(means):.1f}", ends[0], f"{settings['total_steps']:,}", ends[1]))
+    return table(("task", "mean of five", "lowest to highest", "decisions", "minutes"), lines)
 
 
-def draw(rows: list[dict[str, Any]], path: Path) -> None:
-    """Draw how the shipped networks learnt, and what others earn as lines, for the exact model."""
+def draw(rows: list[dict[str, Any]], learning: list[dict[str, Any]], path: Path) -> None:
+    """Draw how five trainings learn on each task, and what others earn as lines, for the exact model."""
     from matplotlib.figure import Figure
 
     from agents.evaluation.figures import ACCENT
-    from agents.policies.network import SHIPPED
-    from agents.runs import EVALUATIONS
     from jackbox_env.commands.plots import JACK
     from jackbox_env.recording.files import replacing
 
-    figure = Figure(figsize=(10.0, 3.4), layout="constrained")
+    figure = Figure(figsize=(10.0, 3.8), layout="constrained")
     panels = figure.subplots(1, len(TASKS))
     earned = {(row["task"], row["policy"]): row["mean"] for row in rows if row["contact"] == "exact"}
     for axes, task in zip(panels, TASKS, strict=True):
-        stored = np.load(SHIPPED / f"{task}-ppo" / EVALUATIONS)
-        steps, results = stored["timesteps"] / 1e6, stored["results"]
-        mean, error = results.mean(axis=1), 1.96 * results.std(axis=1, ddof=1) / np.sqrt(results.shape[1])
-        axes.plot(steps, mean, color=JACK)
-        axes.fill_between(steps, mean - error, mean + error, color=JACK, alpha=0.2, linewidth=0)
-        for name in LINES:
-            axes.axhline(earned[task, name], color=ACCENT, linewidth=0.8, linestyle=":")
-            place = 0.98, earned[task, name]
-            axes.annotate(
-                name, place, xycoords=("axes fraction", "data"), ha="right", va="bottom", color=ACCENT, fontsize=8
-            )
-        axes.set(title=task, xlabel="steps [million]", xlim=(0.0, steps[-1]))
+        steps, middle, (low, high) = these.curve_of(_of_task(learning, task))
+        axes.plot(steps / 1e6, middle, color=JACK, label="PPO, five seeds")
+        axes.fill_between(steps / 1e6, low, high, color=JACK, alpha=0.25, linewidth=0)
+        for name, style in LINES.items():
+            axes.axhline(earned[task, name], color=ACCENT, linewidth=1.2, linestyle=style, label=name)
+        axes.set(title=task, xlabel="control steps [million]", xlim=(0.0, steps[-1] / 1e6))
         axes.margins(y=0.12)
         axes.spines[["top", "right"]].set_visible(False)
-    panels[0].set_ylabel("return (95 % interval)")
+    panels[0].set_ylabel("return")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5, frameon=False)
     with replacing(path) as partial_file:
         figure.savefig(partial_file, dpi=120)
 
 
 # -- the command -------------------------------------------------------------------------------------------------------
-
-
-def trained() -> dict[str, Any]:
-    """Settings and times of the networks that come with the repository."""
-    from agents.policies.network import SHIPPED
-    from agents.runs import SETTINGS, TIME
-
-    files = {"settings": SETTINGS, "time": TIME}
-    return {
-        task: {key: json.loads((SHIPPED / f"{task}-ppo" / name).read_text()) for key, name in files.items()}
-        for task in TASKS
-    }
 
 
 def gathered(arguments: Arguments) -> dict[str, Any]:
@@ -182,24 +153,21 @@ def gathered(arguments: Arguments) -> dict[str, Any]:
 
     folder = arguments.folder.resolve()
     make_folder(folder)
-    asked = these.trials(arguments.episodes, arguments.planner_episodes, arguments.across_episodes)
+    counts = arguments.episodes, arguments.planner_episodes, arguments.across_episodes, arguments.training_episodes
+    asked = these.trials(*counts)
     found = swept(folder / "sweep", asked, partial(these.measured, folder), InTurn(), arguments.progress)
-    parts: dict[str, list[Any]] = {"rows": [], "across": [], "ahead": []}
+    parts: dict[str, list[Any]] = {"learning": [], "rows": [], "across": []}
     for row in found:
         parts[row["part"]].append((row, json.loads(row["row"])))
     across: dict[str, dict[str, Any]] = {}
     for row, earned in parts["across"]:
         across.setdefault(row["scene"], {})[row["policy"]] = earned
-    *ahead, (_, alone) = parts["ahead"]
     return {
         "seed": these.SEED,
         "resamples": these.RESAMPLES,
-        "rows": [row for _, row in parts["rows"]],
+        **{name: [row for _, row in parts[name]] for name in ("learning", "rows")},
         "across": [{"scene": json.loads(scene), "earned": earned} for scene, earned in across.items()],
-        "ahead": [row for _, row in ahead],
-        "plan_alone": alone,
         "spin_bound": these.spin_bound(arguments.episodes),
-        "trained": trained(),
     }
 
 
@@ -210,12 +178,12 @@ def main() -> None:
     from jackbox_env import _validation as check
     from jackbox_env.recording.files import check_writable, write_text
 
-    for name in ("episodes", "planner_episodes", "across_episodes"):
+    for name in ("episodes", "planner_episodes", "training_episodes", "across_episodes"):
         check.whole(name, getattr(arguments, name), at_least=4)
     check_writable(arguments.out)
     record = gathered(arguments)
     write_text(arguments.out / "results.md", page(record))
-    draw(record["rows"], arguments.out / "results.png")
+    draw(record["rows"], record["learning"], arguments.out / "results.png")
     write_text(arguments.out / "results.json", json.dumps(record, indent=1) + "\n")
     print(f"Written: {arguments.out / 'results.md'}")
 
