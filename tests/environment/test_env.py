@@ -44,6 +44,7 @@ def test_the_spaces_are_the_documented_ones(env: Env) -> None:
     assert env.action_space == gym.spaces.Box(-1.0, 1.0, (1,), np.float32)
     assert env.spec is not None
     assert env.spec.max_episode_steps == 500
+    assert env.spec.reward_threshold == 300.0
     assert make(control_dt=0.1).metadata["render_fps"] == 10
     assert make(control_dt=5.0).metadata["render_fps"] == 1
     assert env.metadata["render_fps"] == 50
