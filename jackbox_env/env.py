@@ -119,7 +119,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     | `torque`         | `"agent"`    | `"agent"`: the action, or the drive if it is None; `"chirp"`: always the drive |
     | `render_mode`    | `None`       | `"human"` or `"rgb_array"`; needs the `render` extra                           |
     | `randomize`      | `None`       | what of the scene is drawn anew at each reset, see below                       |
-    | `render_size`    | `(512, 512)` | width and height of a frame [pixels], each from 16 to 4096                     |
+    | `render_size`    | `(512, 512)` | width and height of a frame [pixels], from 16 to 4096; below 400 without text  |
     | `render_overlay` | `True`       | False: a frame shows box, jack and ruled lines alone, for learning from pixels |
 
     `reset(options={"state": ..., "time": ...})` starts from exactly these 12 numbers at that time. Every foot must be

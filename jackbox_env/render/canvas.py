@@ -30,6 +30,7 @@ PALE_INK: Colour = (112, 122, 138)
 TRACK: Colour = (205, 212, 222)
 BLUE: Colour = (31, 90, 180)
 
+_FINER = 4  # letters are set so many times as large: each stands on a whole pixel, which left uneven gaps
 _SMALL = 160  # [px] a frame less wide or high is drawn at four times its size: its walls are 1.5 px thick
 
 
@@ -57,11 +58,14 @@ def _font(size: int) -> pygame.font.Font:
 
 @lru_cache(maxsize=256)
 def _written(text: str, size: int, colour: Colour) -> pygame.Surface:
+    pygame = import_pygame()
     try:
-        return _font(size).render(text, True, colour)
-    except import_pygame().error:  # somebody else in this process has called pygame.quit()
+        large = _font(_FINER * size).render(text, True, colour)
+    except pygame.error:  # somebody else in this process has called pygame.quit()
         _font.cache_clear()
-        return _font(size).render(text, True, colour)
+        large = _font(_FINER * size).render(text, True, colour)
+    width, height = large.get_size()
+    return pygame.transform.smoothscale(large, (width // _FINER, height // _FINER)) if width else large
 
 
 def write(

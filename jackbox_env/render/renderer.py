@@ -2,8 +2,9 @@
 
 The camera follows the box's centre, so the box stays in the middle of the picture and turns there. Ruled lines fixed to
 the world move past it as it sinks, and the rulers on the left and at the bottom tell where it is. One foot of the jack
-has a colour of its own, so that a turn of the cross is seen. Without the overlay a frame is box, jack and ruled lines
-alone. pygame is imported when the first `Renderer` is made and used off-screen: only the human mode opens a window.
+has a colour of its own, so that a turn of the cross is seen. A small frame has no text. Without the overlay a frame is
+box, jack and ruled lines alone. pygame is imported when the first `Renderer` is made and used off-screen: only the
+human mode opens a window.
 
 Places in the frame and in the world are complex numbers; see `canvas.py` for those in the frame.
 """
@@ -37,6 +38,7 @@ _MARGIN = 10.0
 _BEAD = 1.75  # radius of the trail's beads
 _FOOT = 6.0  # greatest radius of a foot
 _GAUGE = 18.0  # radius
+_LETTERED = 400  # a frame less wide or high has neither rulers nor readings: their letters would be 6 px high
 _LEAST_WALL = 1.5  # of a small frame, so that the wall is seen
 GAP = 2  # between tiles, of any size
 
@@ -91,7 +93,7 @@ class Renderer:
         fps: frames per second of the window [Hz].
         task: its name, which is written into the frame.
         size: width and height of the frame [px].
-        overlay: draw rulers, readings, trail and flashes too.
+        overlay: draw rulers, readings, trail and flashes too; below 400 px only trail, flashes and the torque's gauge.
 
     Raises:
         gymnasium.error.DependencyNotInstalled: pygame is missing.
@@ -103,8 +105,11 @@ class Renderer:
     ) -> None:  # fmt: skip
         self._human, self._fps, self._size, self._overlay = render_mode == "human", fps, size, overlay
         self._task = task if len(task) <= _LONGEST_TASK else task[: _LONGEST_TASK - 1] + "…"
-        self._px = min(size) / SIZE if overlay else (0.485 * min(size) - 1.0) / _REACH  # what a pixel of 512 is here
-        self._ruler, self._floor = _RULER * self._px * overlay, size[1] - _FLOOR * self._px * overlay
+        self._lettered = overlay and min(size) >= _LETTERED
+        self._px = (
+            min(size) / SIZE if self._lettered else (0.485 * min(size) - 1.0) / _REACH
+        )  # what a pixel of 512 is here
+        self._ruler, self._floor = _RULER * self._px * self._lettered, size[1] - _FLOOR * self._px * self._lettered
         self._centre = complex(0.5 * (self._ruler + size[0]), 0.5 * size[1])  # of the box
         self._wall = max(_WALL * self._px, _LEAST_WALL)
         self._trail: deque[tuple[float, complex]] = deque(maxlen=_TRAIL_POINTS)  # time [s], the jack's place [m]
@@ -215,7 +220,7 @@ class Renderer:
         if self._overlay:
             self._draw_gauge(canvas)
         canvas.smooth()
-        if self._overlay:
+        if self._lettered:
             self._draw_rulers(canvas.surface)
             self._write_readings(canvas.surface)
         if self._human:
@@ -329,13 +334,15 @@ class Renderer:
         for pixel, y in self._rules(1):
             if pixel < floor:
                 surface.fill(TRACK, (left - tick, round(pixel), tick, one))
-                place = complex(self._ruler - 7.0 * self._px, pixel)
-                self._write(surface, f"{round(y / unit, digits):z.6g} {symbol}", place, 17, PALE_INK, 1.0)
+                if pixel > 8.0 * self._px:  # its label is not cut
+                    place = complex(self._ruler - 7.0 * self._px, pixel)
+                    self._write(surface, f"{round(y / unit, digits):z.6g} {symbol}", place, 17, PALE_INK, 1.0)
         for pixel, x in self._rules(0):
             if pixel > left:
                 surface.fill(TRACK, (round(pixel), floor, one, tick))
-                place = complex(pixel, self._floor + 12.0 * self._px)
-                self._write(surface, f"{round(x / unit, digits):z.6g}", place, 17, PALE_INK, 0.5)
+                if pixel < width - 16.0 * self._px:
+                    place = complex(pixel, self._floor + 12.0 * self._px)
+                    self._write(surface, f"{round(x / unit, digits):z.6g}", place, 17, PALE_INK, 0.5)
 
     def _write_readings(self, surface: pygame.Surface) -> None:
         unit, symbol = _unit(self._scene.torque_limit, "N m")

@@ -49,9 +49,7 @@ class Game:
     def __init__(self, env: gym.Env[Any, Any], seed: int | None = None, chirp: bool = True) -> None:
         self.env, self.chirp = env, chirp
         self.control_dt: float = env.unwrapped.control_dt  # type: ignore[attr-defined]
-        task = env.unwrapped.task  # type: ignore[attr-defined]
-        self.task: str = task if isinstance(task, str) else ", ".join(task.terms)
-        self.best: float | None = None  # return of a whole episode
+        self.best: float | None = None  # return of a whole episode that the player acted in
         self.paused = False
         self.push = 0.0  # of the player, from -1 to 1
         self.agent: Predicts | None = None
@@ -65,7 +63,7 @@ class Game:
     def restart(self, seed: int | None = None) -> None:
         """Start the next episode."""
         self._observation, _ = self.env.reset(seed=seed)
-        self.earned, self.steps, self.over, self._owed = 0.0, 0, "", 0.0
+        self.earned, self.steps, self.over, self._owed, self._played = 0.0, 0, "", 0.0, False
         self._memory: Any = None  # what the agent carries on
 
     def acting(self) -> str:
@@ -97,12 +95,13 @@ class Game:
         self.earned += float(reward)
         self.steps += 1
         if terminated or truncated:
-            is_best = self.best is None or self.earned > self.best
-            self.over = "Episode over: the best so far" if is_best else "Episode over"
-            self.best = self.earned if is_best else self.best
+            self.over = "Episode over"
+            if self._played and (self.best is None or self.earned > self.best):
+                self.best, self.over = self.earned, "Episode over: your best so far"
 
     def _action(self) -> Any:
         if self.push:
+            self._played = True
             self._memory = None  # the agent decides anew where it takes over
             return np.array([self.push], dtype=np.float32)
         if self.agent is not None:
@@ -222,7 +221,7 @@ class Window:
         self._draw_numbers()
         self._draw_keys()
         if self.game.over:
-            self._banner(self.game.over, f"return {self.game.earned:.1f}   -   R starts the next")
+            self._banner(self.game.over, "R starts the next")
         elif self.game.paused:
             self._banner("Paused", "the dot takes one step")
         self.pygame.display.flip()
@@ -234,16 +233,14 @@ class Window:
     def _draw_numbers(self) -> None:
         game, left, right = self.game, SIZE + _EDGE, SIZE + PANEL - _EDGE
         rows = (
-            ("task", game.task[:16], 26, 24, INK),
-            ("return", f"{game.earned:.1f}", 62, 46, INK),
-            ("best", "-" if game.best is None else f"{game.best:.1f}", 98, 30, INK),
-            ("acting", game.acting(), 128, 24, BLUE),
-            ("speed", f"{game.speed:g} \N{MULTIPLICATION SIGN}", 156, 24, INK),
+            ("your best", "-" if game.best is None else f"{game.best:.1f}", INK),
+            ("acting", game.acting(), BLUE),
+            ("speed", f"{game.speed:g} \N{MULTIPLICATION SIGN}", INK),
         )
-        for name, value, y, size, colour in rows:
-            self._write(name, left, y, 18, PALE_INK)
-            self._write(value, right, y, size, colour, align=1.0)
-        self._screen.fill(TRACK, (left, 178, PANEL - 2 * _EDGE, 1))
+        for number, (name, value, colour) in enumerate(rows):
+            self._write(name, left, 30 + 32 * number, 20, PALE_INK)
+            self._write(value, right, 30 + 32 * number, 24, colour, align=1.0)
+        self._screen.fill(TRACK, (left, 122, PANEL - 2 * _EDGE, 1))
 
     def _draw_keys(self) -> None:
         game = self.game
@@ -259,7 +256,7 @@ class Window:
             ("Esc", "quit", False),
         )
         for number, (key, meaning, is_on) in enumerate(rows):
-            y, colour = 200 + 30 * number, BLUE if is_on else INK
+            y, colour = 152 + 34 * number, BLUE if is_on else INK
             self._write(key, SIZE + _EDGE, y, 20, colour)
             self._write(meaning, SIZE + _EDGE + 66, y, 20, colour)
         self._write(self.note, SIZE + 0.5 * PANEL, 484, 18, _RED, align=0.5)

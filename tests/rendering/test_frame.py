@@ -86,6 +86,21 @@ def test_height_labels_of_other_sizes(half_width: float, height: float, label: s
     assert label in words
 
 
+@pytest.mark.parametrize("axis", [0, 1])
+def test_no_label_is_cut_at_the_edge(axis: int, words: Words) -> None:
+    """Wherever the camera is: at the top of the frame and at its right end."""
+    shown = set()
+    for part in np.linspace(0.0, 2.0, 60):
+        words.clear()
+        centre = (float(part), 0.0, 0.0) if axis == 0 else (0.0, float(part), 0.0)
+        draw(renderer_at(state(box=centre, jack=centre)))
+        for text, place in words.items():
+            if text.removesuffix(" m").lstrip("-").isdigit() and text.endswith(" m") == (axis == 1):
+                shown.add(round(place[axis]))
+    low, high = (54, 512 - 16) if axis == 0 else (8, 492)
+    assert low <= min(shown) < max(shown) <= high
+
+
 # -- the readings ------------------------------------------------------------------------------------------------------
 
 

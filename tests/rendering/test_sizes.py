@@ -23,7 +23,7 @@ BARE: dict[str, Any] = {"render_mode": "rgb_array", "render_overlay": False}
 @pytest.mark.parametrize("size", [(84, 84), (301, 97), (1024, 768), (16, 16)])
 def test_the_box_fits_into_a_frame_of_any_size(size: tuple[int, int], overlay: bool) -> None:
     renderer = Renderer(Scene(), "rgb_array", 50, size=size, overlay=overlay)
-    ruler = overlay * 54 * min(size) // 512
+    ruler = overlay * (min(size) >= 400) * 54 * min(size) // 512
     for angle in np.linspace(0.0, math.pi / 2.0, 7):
         renderer.reset(state(box=(5.0, -3.0, float(angle)), jack=(5.0, -3.0, 0.4)), 0.0)
         frame = draw(renderer)
@@ -63,6 +63,14 @@ def test_without_the_overlay_a_frame_is_a_function_of_the_state(words: Words) ->
     assert words == {}
     shown.reset(at, 0.0)
     assert not np.array_equal(draw(shown), draw(still))
+
+
+@pytest.mark.parametrize(("width", "lettered"), [(399, False), (400, True)])
+def test_a_small_frame_has_no_letters_to_squint_at(width: int, lettered: bool, words: Words) -> None:
+    renderer = Renderer(Scene(), "rgb_array", 50, size=(width, width), task="juggle")
+    renderer.record(state(jack=(0.5, 0.0, 0.0)), 0.02, 5e4, [Impact(0.02, 0, 0, 90.0)])
+    draw(renderer)
+    assert ("juggle" in words) == lettered
 
 
 # -- several environments ----------------------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ TOUCHING = state(jack=(0.0, ARM - L, 0.0))  # wall 3 with foot 3
 def changed(frame: Frame, other: Frame) -> NDArray[np.int_]:
     """How much each pixel differs, without the rows of text at the top and the gauge's corner."""
     difference: NDArray[np.int_] = np.abs(frame.astype(int) - other.astype(int)).sum(axis=2)
-    difference[:40] = 0
+    difference[:44] = 0
     difference[430:, :220] = 0
     return difference
 
