@@ -21,7 +21,7 @@ from jackbox_env.render.canvas import import_pygame
 Frame = NDArray[np.uint8]
 SUFFIXES = (".gif", ".mp4")
 WIDTH = 512  # of each picture [pixels]
-_CAPTION_HEIGHT = 36  # [pixels]
+_CAPTION_HEIGHT = 36  # [pixels] whatever the width: a page shows a wide film smaller
 
 
 def check_film(path: Path) -> None:
@@ -111,11 +111,11 @@ def film(
 
 def _captioned(picture: Any, caption: str, width: int) -> Frame:
     """Put the caption above."""
-    height = _CAPTION_HEIGHT * width // WIDTH
-    page = Image.new("RGB", (width, width + height), "white")
-    page.paste(Image.fromarray(picture), (0, height))
-    font = ImageFont.load_default(size=0.6 * height)
-    ImageDraw.Draw(page).text((width / 2, height / 2), caption, fill="#222222", font=font, anchor="mm")
+    page = Image.new("RGB", (width, width + _CAPTION_HEIGHT), "white")
+    page.paste(Image.fromarray(picture), (0, _CAPTION_HEIGHT))
+    font = ImageFont.load_default(size=0.6 * _CAPTION_HEIGHT)
+    place = width / 2, _CAPTION_HEIGHT / 2
+    ImageDraw.Draw(page).text(place, caption, fill="#222222", font=font, anchor="mm")
     return np.asarray(page)
 
 

@@ -53,7 +53,7 @@ function makeList() {
     foot.append(make("i", hit.foot === 0 ? "dot foot" : "dot"), String(hit.foot));
     const impulse = make("td", "", general(hit.impulse, 4));
     impulse.style.setProperty("--share", `${(100 * hit.impulse) / most}%`);
-    row.append(time, make("td", "", data.walls[hit.wall]), foot, impulse);
+    row.append(time, make("td", "", String(hit.wall)), foot, impulse);
     byId("impacts").append(row);
     return row;
   });
@@ -180,6 +180,10 @@ function listen() {
   });
   slider.addEventListener("change", seek.end);
   slider.addEventListener("pointerup", seek.end);
+  document.addEventListener("click", (event) => {
+    // What the mouse has pressed does not keep Space to itself.
+    if (event.detail) event.target.closest("button, input[type=checkbox]")?.blur();
+  });
   document.addEventListener("keydown", (event) => {
     if (event.target.matches("select") || event.ctrlKey || event.metaKey || event.altKey) return;
     const direction = { ArrowLeft: -1, ArrowRight: 1 }[event.key];

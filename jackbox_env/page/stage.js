@@ -63,13 +63,13 @@ function makeStage() {
     pen.font = `${Math.max(10, Math.min(12.5, 0.06 * distance))}px system-ui, sans-serif`;
     pen.textAlign = "center";
     pen.textBaseline = "middle";
-    data.walls.forEach((name, wall) => {
+    [0, 1, 2, 3].forEach((wall) => {
       pen.save();
       pen.rotate((-wall * Math.PI) / 2);
       pen.translate(distance + 11, 0);
       const turned = (1 - wall) * (Math.PI / 2) - state[COLUMN.theta_box]; // of the text, which never stands on its head
       pen.rotate(Math.cos(turned) < 0 ? -Math.PI / 2 : Math.PI / 2);
-      pen.fillText(name, 0, 0);
+      pen.fillText(`wall ${wall}`, 0, 0);
       pen.restore();
     });
   }
@@ -172,7 +172,7 @@ function makeStage() {
     }
     pen.stroke();
     feet.forEach(([ox, oy], foot) => {
-      pen.fillStyle = foot === 0 ? colours.foot : colours.jack;
+      pen.fillStyle = foot === 0 ? colours.foot : colours.box;
       pen.strokeStyle = colours.inside;
       pen.lineWidth = 1.5;
       pen.beginPath();

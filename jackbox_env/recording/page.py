@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from jackbox_env import colours
 from jackbox_env.recording.files import new_file
 from jackbox_env.recording.samples import Samples, samples_of
 from jackbox_env.recording.trajectory import Trajectory
@@ -24,7 +25,6 @@ from jackbox_env.scene import Chirp, Scene
 from jackbox_env.simulators.fidelity import Setting, explicit
 from jackbox_env.states import STATE_NAMES
 
-WALLS = ("right", "top", "left", "bottom")  # of the box, while it is level
 _MOST_LISTED = 2000  # impacts in the page's table: more would make a heavy page that nobody reads
 
 Facts = list[tuple[str, str]]  # what to call a fact, and its value with its unit
@@ -68,7 +68,6 @@ def _described(scene: Scene, trajectory: Trajectory, shown: Samples, title: str,
         "knock": 2.0 * scene.jack_mass * scene.speed_scale,  # the impulse of a hard impact [N s]
         "timeScale": scene.box_half_width / scene.speed_scale,  # of a fall across the box [s]
         "held": not trajectory.driven,
-        "walls": WALLS,
         "columns": ["time", *STATE_NAMES, "torque", "energy", "work"],
         "samples": _packed(columns, "<f8"),
         "listed": _MOST_LISTED,
@@ -84,7 +83,9 @@ def _packed(numbers: Any, kind: str) -> str:
 
 def _notes(scene: Scene, trajectory: Trajectory) -> list[str]:
     """What a reader must know about this trajectory in particular."""
-    notes = []
+    notes = [
+        "Wall 0 is on the right of a level box, 1 above, 2 on the left, 3 below. They keep their numbers as it turns."
+    ]
     if len(trajectory.impacts) > _MOST_LISTED:
         listed = f"{_MOST_LISTED:,} of {len(trajectory.impacts):,} impacts"
         notes.append(f"The table lists the first {listed}; the animation and the plots show all.")
@@ -131,7 +132,15 @@ def _assembled(data: dict[str, Any]) -> str:
     # "<" would let a title end the script that the data stands in.
     text = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
 
+    made = {"data": text, "colours": _colours()}
+
     def part(named: re.Match[str]) -> str:
-        return text if named[1] == "data" else (folder / named[1]).read_text(encoding="utf-8").strip()
+        return made.get(named[1]) or (folder / named[1]).read_text(encoding="utf-8").strip()
 
     return re.sub(r"\{\{([\w.]+)\}\}", part, (folder / "page.html").read_text(encoding="utf-8"))
+
+
+def _colours() -> str:
+    """The colours that the page shares with frames and plots, as properties of its style."""
+    shared = {"box": colours.WALL, "jack": colours.JACK, "foot": colours.FIRST_FOOT, "torque": colours.TORQUE}
+    return " ".join(f"--{name}: {colours.hexed(colour)};" for name, colour in shared.items())

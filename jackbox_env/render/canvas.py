@@ -17,18 +17,16 @@ from gymnasium.error import DependencyNotInstalled
 from numpy.typing import NDArray
 
 from jackbox_env import _validation as check
+from jackbox_env.colours import Colour
 
 if TYPE_CHECKING:
     import pygame
-
-Colour = tuple[int, int, int]
 
 SIZE = 512  # [px] width and height of a frame unless another is asked for
 
 INK: Colour = (38, 46, 60)
 PALE_INK: Colour = (112, 122, 138)
 TRACK: Colour = (205, 212, 222)
-BLUE: Colour = (31, 90, 180)
 
 _FINER = 4  # letters are set so many times as large: each stands on a whole pixel, which left uneven gaps
 _SMALL = 160  # [px] a frame less wide or high is drawn at four times its size: its walls are 1.5 px thick

@@ -20,7 +20,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.render.canvas import BLUE, INK, PALE_INK, SIZE, TRACK, Canvas, Colour, write
+from jackbox_env.colours import FIRST_FOOT, JACK, TORQUE, WALL, Colour
+from jackbox_env.render.canvas import INK, PALE_INK, SIZE, TRACK, Canvas, write
 from jackbox_env.scene import Scene
 from jackbox_env.simulators.base import Impact
 from jackbox_env.states import Array
@@ -53,9 +54,7 @@ _PAPER: Colour = (243, 245, 248)
 _INTERIOR: Colour = (255, 255, 255)
 _RULE: Colour = (215, 223, 236)
 _RULER_TINT: Colour = (236, 239, 244)
-_RED: Colour = (204, 36, 41)
-_AMBER: Colour = (255, 176, 0)
-_TEAL: Colour = (0, 128, 128)
+_FLASH: Colour = (255, 176, 0)
 _TRAIL: Colour = (120, 158, 214)
 
 # The trail's colours from new to old.
@@ -281,14 +280,14 @@ class Renderer:
         middle, end = self._scene.box_half_width + 0.5 * thickness, self._scene.box_half_width + thickness
         for normal in (turn * 1j**wall for wall in range(4)):
             ends = [self._in_frame(normal * complex(middle, sideways)) for sideways in (-end, end)]
-            canvas.band(ends[0], ends[1], self._wall, _RED)
+            canvas.band(ends[0], ends[1], self._wall, WALL)
 
     def _draw_flashes(self, canvas: Canvas, turn: complex) -> None:
         lasts = max(_FLASH_TIME * self._time_scale, _FLASH_STEPS * self._interval)
         for time, in_box, radius in self._flashes:
             place, share = self._in_frame(in_box * turn), 1.0 - max(0.0, self._time - time) / lasts
             if share > 0.0 and self._near(place):
-                canvas.glow(place, radius, share, _AMBER)
+                canvas.glow(place, radius, share, _FLASH)
 
     def _draw_jack(self, canvas: Canvas) -> None:
         jack = self._jack - self._box
@@ -300,9 +299,9 @@ class Renderer:
         for foot in feet:
             canvas.disc(foot, radius + 1.0, _INTERIOR)  # a rim sets a foot off against the wall
         for start, end in ((feet[0], feet[2]), (feet[1], feet[3])):
-            canvas.band(start, end, radius, BLUE)
-        canvas.disc(self._in_frame(jack), 0.8 * radius, BLUE)
-        for foot, colour in zip(feet, (_AMBER, _RED, _RED, _RED), strict=True):
+            canvas.band(start, end, radius, JACK)
+        canvas.disc(self._in_frame(jack), 0.8 * radius, JACK)
+        for foot, colour in zip(feet, (FIRST_FOOT, WALL, WALL, WALL), strict=True):
             canvas.disc(foot, radius, colour)
 
     def _draw_gauge(self, canvas: Canvas) -> None:
@@ -316,10 +315,10 @@ class Renderer:
         tip, sign = 140.0 * share, math.copysign(1.0, share)
         head = sign * min(26.0, abs(tip))
         for degrees in sorted(range(-140, 141, 4), key=abs, reverse=True):
-            canvas.disc(at(degrees), 2.0 * self._px, _TEAL if 0.0 <= sign * degrees < abs(tip - head) else TRACK)
+            canvas.disc(at(degrees), 2.0 * self._px, TORQUE if 0.0 <= sign * degrees < abs(tip - head) else TRACK)
         if share:
             side = 0.2 * radius * head * sign / 20.0
-            canvas.polygon([at(tip), at(tip - head, side), at(tip - head, -side)], _TEAL)
+            canvas.polygon([at(tip), at(tip - head, side), at(tip - head, -side)], TORQUE)
 
     def _draw_rulers(self, surface: pygame.Surface) -> None:
         """Draw the scales of heights, on the left, and of places along x, at the bottom, in the same unit."""

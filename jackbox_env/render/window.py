@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import gymnasium as gym
 import numpy as np
 
-from jackbox_env.render.canvas import BLUE, INK, PALE_INK, SIZE, TRACK, Colour, import_pygame, write
+from jackbox_env.colours import JACK, Colour
+from jackbox_env.render.canvas import INK, PALE_INK, SIZE, TRACK, import_pygame, write
 from jackbox_env.simulators import JackLostError
 
 if TYPE_CHECKING:
@@ -234,7 +235,7 @@ class Window:
         game, left, right = self.game, SIZE + _EDGE, SIZE + PANEL - _EDGE
         rows = (
             ("your best", "-" if game.best is None else f"{game.best:.1f}", INK),
-            ("acting", game.acting(), BLUE),
+            ("acting", game.acting(), JACK),
             ("speed", f"{game.speed:g} \N{MULTIPLICATION SIGN}", INK),
         )
         for number, (name, value, colour) in enumerate(rows):
@@ -256,7 +257,7 @@ class Window:
             ("Esc", "quit", False),
         )
         for number, (key, meaning, is_on) in enumerate(rows):
-            y, colour = 152 + 34 * number, BLUE if is_on else INK
+            y, colour = 152 + 34 * number, JACK if is_on else INK
             self._write(key, SIZE + _EDGE, y, 20, colour)
             self._write(meaning, SIZE + _EDGE + 66, y, 20, colour)
         self._write(self.note, SIZE + 0.5 * PANEL, 484, 18, _RED, align=0.5)
@@ -264,7 +265,7 @@ class Window:
     def _banner(self, title: str, below: str) -> None:
         """Write at the top of the picture, where it hides nothing of the box."""
         self._screen.fill(_PAPER, (140, 0, 270, 40))
-        self._write(title, 275, 12, 24, BLUE, align=0.5)
+        self._write(title, 275, 12, 24, JACK, align=0.5)
         self._write(below, 275, 31, 18, PALE_INK, align=0.5)
 
 

@@ -23,7 +23,7 @@ class Impact(NamedTuple):
 
     Attributes:
         time: absolute time [s].
-        wall: 0..3, outward normal at theta_box + wall pi/2.
+        wall: 0..3, counter-clockwise from the right one of a level box: outward normal at theta_box + wall pi/2.
         foot: 0..3, at theta_jack + foot pi/2.
         impulse: along the wall's normal [N s], > 0.
     """

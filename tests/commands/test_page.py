@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from jackbox_env import Scene, make_simulator
-from jackbox_env.recording.page import WALLS, write_page
+from jackbox_env.colours import FIRST_FOOT, JACK, TORQUE, WALL, hexed
+from jackbox_env.recording.page import write_page
 from jackbox_env.recording.trajectory import Trajectory, simulate
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -116,12 +117,24 @@ def test_the_list_names_each_impact_and_a_click_jumps_to_it(opened: Opened, traj
     for place in (0, 4, len(trajectory.impacts) - 1):
         hit, row = trajectory.impacts[place], listed.nth(place)
         cells = row.locator("td").all_inner_texts()
-        assert cells == [f"{hit.time:.4f}", WALLS[hit.wall], str(hit.foot), f"{hit.impulse:#.4g}"]
+        assert cells == [f"{hit.time:.4f}", str(hit.wall), str(hit.foot), f"{hit.impulse:#.4g}"]
         row.click()
         assert opened.time == pytest.approx(hit.time, abs=0.006)
         assert not opened.playing
         assert row.get_attribute("class") == "now"
         assert opened.page.locator("#hits").inner_text() == str(place + 1)
+
+
+@pytest.mark.parametrize("part", ["#impacts button >> nth=3", "#after", "#loop", "#play"])
+def test_space_plays_on_after_a_click(opened: Opened, part: str) -> None:
+    opened.pause()
+    opened.page.click(part)
+    opened.pause()
+    held = opened.time
+    opened.page.keyboard.press("Space")
+    assert opened.playing
+    opened.page.wait_for_timeout(300)
+    assert opened.time > held
 
 
 @pytest.mark.parametrize("plots", ["box-plots", "jack-plots", "torque-plots", "energy-plots"])
@@ -179,6 +192,17 @@ def test_impacts_beyond_the_list_are_counted_and_stepped_through(browser: Any, t
     assert opened.time == pytest.approx(trajectory.impacts[-2].time, abs=0.006)
     assert opened.complaints == []
     opened.page.close()
+
+
+def test_the_page_and_the_sketch_have_the_colours_of_frames_and_plots(opened: Opened) -> None:
+    root, shared = Path(__file__).parents[2], {"box": WALL, "jack": JACK, "foot": FIRST_FOOT, "torque": TORQUE}
+    for scheme in ("light", "dark"):
+        opened.page.emulate_media(color_scheme=scheme)
+        for name, colour in shared.items():
+            style = f"getComputedStyle(document.documentElement).getPropertyValue('--{name}')"
+            assert opened.page.evaluate(style) == hexed(colour)
+    sketch = (root / "docs" / "sketch.svg").read_text()
+    assert all(f'"{hexed(colour)}"' in sketch for colour in shared.values())
 
 
 def test_text_from_outside_is_shown_as_text(opened: Opened) -> None:
