@@ -168,7 +168,7 @@ def test_films_show_the_policies_side_by_side(tmp_path: Path, suffix: str) -> No
     assert earned.keys() == acts.keys()
     assert 0.0 < earned["zero"] < 60.0  # of 60 steps
     frames = imageio.imread(path)
-    assert (len(frames), *frames.shape[2:]) == (30, 256, 3)
+    assert frames.shape == (30, 128 + 36, 256, 3)  # a caption is as high over small pictures
     left, right = np.split(frames[-1].astype(int), 2, axis=1)
     assert np.abs(left - right).max() > 100  # the chirp turned its box
     with pytest.raises(FileExistsError, match="is never overwritten"):
