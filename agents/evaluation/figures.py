@@ -6,19 +6,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib import pyplot as plt
+from matplotlib.figure import Figure
 
-from jackbox_env.commands.plots import JACK, write_figure
+from jackbox_env.commands.plots import GREY, JACK, write_figure
 
 if TYPE_CHECKING:
     from agents.evaluation.returns import Returns
 
-ACCENT = "#666666"
+ACCENT = GREY
 
 
 def learning_figure(folder: Path, rows: list[Returns], task: str) -> Path:
     """Write results.png to a run folder: returns while learning beside the final table as bars."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(10.0, 4.2), layout="constrained", sharey=True)
+    figure = Figure(figsize=(10.0, 4.2), layout="constrained")
+    left, right = figure.subplots(1, 2, sharey=True)
     evaluations = folder / "evaluations.npz"
     if evaluations.exists():
         stored = np.load(evaluations)
@@ -35,8 +36,7 @@ def learning_figure(folder: Path, rows: list[Returns], task: str) -> Path:
     left.set_xlim(left=0.0)
     names = [row.policy for row in rows]
     colors = [JACK if name.startswith("PPO") else "#b8b8b8" for name in names]
-    right.bar(names, [row.mean for row in rows], yerr=[row.half_width for row in rows], color=colors, capsize=4)
+    errors = {"yerr": [row.half_width for row in rows], "ecolor": GREY, "capsize": 4}
+    right.bar(names, [row.mean for row in rows], color=colors, **errors)
     right.set(title=f"mean of {len(rows[0].returns)} episodes (95 % interval)")
-    for axes in (left, right):
-        axes.spines[["top", "right"]].set_visible(False)
     return write_figure(figure, folder / "results.png")

@@ -1,21 +1,28 @@
-"""Plots of a trajectory by matplotlib, which is not among what the package asks for."""
+"""Plots of a trajectory by matplotlib, which is not among what the package asks for; the style of all the project's."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import matplotlib
-
-matplotlib.use("Agg")
-
-from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from jackbox_env.colours import JACK as JACK_COLOUR
+from jackbox_env.colours import WALL, hexed
 from jackbox_env.recording.files import new_file
 from jackbox_env.recording.trajectory import Trajectory
 
-BOX, JACK = "#c23b3b", "#2f5fb3"
+BOX, JACK, GREY = hexed(WALL), hexed(JACK_COLOUR), "#787e86"
+
+# What importing this file sets: figures without a ground of their own, to be read on a white page and on a dark one.
+matplotlib.rcParams.update(
+    {
+        **dict.fromkeys(("figure.facecolor", "axes.facecolor"), "none"),
+        **dict.fromkeys(("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color"), GREY),
+        **{"axes.spines.top": False, "axes.spines.right": False, "grid.color": GREY, "grid.alpha": 0.3},
+    }
+)
 
 # columns of the state, and what to call them
 _PLOTS = {
@@ -27,10 +34,9 @@ _PLOTS = {
 
 
 def write_figure(figure: Figure, path: Path) -> Path:
-    """Write a figure to a new file, and close it."""
+    """Write a figure to a new file."""
     with new_file(path) as partial:
         figure.savefig(partial, dpi=150)
-    plt.close(figure)
     return path
 
 
@@ -38,7 +44,8 @@ def trajectory_figures(trajectory: Trajectory, folder: Path) -> list[Path]:
     """Write the four plots: positions and velocities of the box and of the jack, impacts marked by thin lines."""
     paths = []
     for name, (color, title, columns) in _PLOTS.items():
-        figure, rows = plt.subplots(len(columns), 1, figsize=(8.0, 6.0), sharex=True, layout="constrained")
+        figure = Figure(figsize=(8.0, 6.0), layout="constrained")
+        rows = figure.subplots(len(columns), 1, sharex=True)
         for axes, (column, label) in zip(rows, columns, strict=True):
             _draw_column(axes, trajectory, column, color)
             axes.set_ylabel(label)
@@ -51,7 +58,6 @@ def trajectory_figures(trajectory: Trajectory, folder: Path) -> list[Path]:
 
 def _draw_column(axes: Axes, trajectory: Trajectory, column: int, color: str) -> None:
     for impact in trajectory.impacts[:1000]:  # more would be one grey block
-        axes.axvline(impact.time, color="#cccccc", linewidth=0.6, zorder=0)
+        axes.axvline(impact.time, color=GREY, alpha=0.4, linewidth=0.6, zorder=0)
     axes.plot(trajectory.times, trajectory.states[:, column], color=color, linewidth=1.2)
     axes.margins(x=0.0)
-    axes.spines[["top", "right"]].set_visible(False)

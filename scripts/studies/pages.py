@@ -1,4 +1,4 @@
-"""What the studies' pages are made of: numbers in words, tables, templates, bars."""
+"""What the studies' pages are made of: numbers in words, tables, templates, dots."""
 
 from __future__ import annotations
 
@@ -37,15 +37,21 @@ def fill(page: str, mark: str, text: str) -> str:
     return pattern.sub(lambda match: f"{match[1]}{text}\n{match[2]}", page)
 
 
-def bars(path: Path, what: str, rows: Mapping[str, float], log: bool = False) -> None:
-    """Draw a bar for each row, and write its value beside it."""
+def dots(path: Path, what: str, rows: Mapping[str, float]) -> None:
+    """Draw a dot for each row on a logarithmic axis, the largest value on top, and write the value beside it."""
     from matplotlib.figure import Figure
 
+    from jackbox_env.commands.plots import GREY, JACK
+
+    shown = sorted(rows.items(), key=lambda row: row[1])
     drawn = Figure(figsize=(7.0, 1.0 + 0.36 * len(rows)), layout="constrained")
     axes = drawn.subplots()
-    axes.bar_label(axes.barh([name.replace("`", "") for name in rows], list(rows.values())), fmt=rough, padding=3)
-    axes.set(xlabel=what, xscale="log" if log else "linear")
+    for place, (_, value) in enumerate(shown):
+        axes.plot(value, place, "o", color=JACK)
+        axes.annotate(rough(value), (value, place), xytext=(8, 0), textcoords="offset points", va="center")
+    axes.set_yticks(range(len(shown)), [name.replace("`", "") for name, _ in shown])
+    axes.set(xlabel=what, xscale="log")
     axes.margins(x=0.15)
-    axes.invert_yaxis()
-    axes.spines[["top", "right"]].set_visible(False)
+    left, _ = axes.set_xlim(axes.get_xlim())
+    axes.hlines(range(len(shown)), left, [value for _, value in shown], color=GREY, alpha=0.3)
     drawn.savefig(path, dpi=110)

@@ -8,12 +8,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import imageio.v3 as imageio
 import numpy as np
 import pymunk
 import pytest
+from matplotlib.figure import Figure
 
 from jackbox_env import Scene, make_simulator
-from scripts.studies import timing
+from scripts.studies import pages, timing
 from scripts.studies.costs import costs
 from scripts.studies.costs import measured as cost_steps
 from scripts.studies.results import results
@@ -41,6 +43,24 @@ def test_a_page_holds_the_numbers_that_are_stored(name: str) -> None:
     assert PAGES[name]() == text
     for picture in re.findall(r"!\[.*?\]\((.+?)\)", text):
         assert (DOCS / picture).is_file()
+
+
+@pytest.mark.parametrize("name", ["speed.png", "costs.png", "results.png"])
+def test_a_picture_is_read_on_light_pages_and_on_dark_ones(name: str) -> None:
+    """It has no ground of its own, and whatever covers it stands out against white and against black."""
+    picture = imageio.imread(DOCS / name).astype(float) / 255.0
+    colours, shown = picture[..., :3], picture[..., 3] > 0.9
+    assert (picture[..., 3] == 0.0).mean() > 0.7
+    linear = np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
+    luminance = (linear @ [0.2126, 0.7152, 0.0722])[shown]
+    assert np.minimum(1.05 / (luminance + 0.05), (luminance + 0.05) / 0.05).min() > 2.7
+
+
+def test_dots_are_sorted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = list[Any]()
+    monkeypatch.setattr(Figure, "savefig", lambda figure, path, dpi: drawn.extend(figure.axes))
+    pages.dots(tmp_path / "dots.png", "what", {"middle": 10.0, "least": 1.0, "most": 1e5})
+    assert [label.get_text() for label in drawn[0].get_yticklabels()] == ["least", "middle", "most"]
 
 
 def test_other_numbers_would_make_another_page() -> None:

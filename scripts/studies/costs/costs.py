@@ -174,7 +174,7 @@ def _loss_table(loss: Figures, impacts: Mapping[str, float]) -> str:
 
 
 def pictured(results: Mapping[str, Any]) -> dict[str, float]:
-    """The bars of the picture: a step of one exact environment, plain and with one thing more [ns]."""
+    """The dots of the picture: a step of one exact environment, plain and with one thing more [ns]."""
     plain, costly = (
         _plain(results)[EXACT],
         {what: found[EXACT] for what, found in results["on_top"].items() if EXACT in found},
@@ -203,9 +203,7 @@ def main() -> None:
         timing.on_cores({max(os.sched_getaffinity(0))} if timing.PINNED else ())
         write_json(path, measured(rounds, seconds))
     results = json.loads(path.read_text())
-    pages.bars(
-        arguments.out / "costs.png", "ns of a control step of one exact environment", pictured(results), log=True
-    )
+    pages.dots(arguments.out / "costs.png", "ns of a control step of one exact environment", pictured(results))
     write_text(arguments.out / "costs.md", page(results))
     print(page(results))
 

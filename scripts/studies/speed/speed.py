@@ -175,7 +175,7 @@ def for_the_readme(results: Results) -> str:
 
 
 def pictured(results: Results) -> dict[str, float]:
-    """The bars of the picture: steps per second."""
+    """The dots of the picture: steps per second."""
     return {label: statistics.median(results[part]["rates"][name]) for label, (part, name) in PICTURE.items()}
 
 
@@ -199,7 +199,7 @@ def main() -> None:
     for part in arguments.parts:
         results[part] = measured(part, arguments.rounds, arguments.seconds, results.get(part, {}))
         write_json(path, results)
-    pages.bars(arguments.out / "speed.png", "control steps per second on one core", pictured(results), log=True)
+    pages.dots(arguments.out / "speed.png", "control steps per second on one core", pictured(results))
     write_text(arguments.out / "speed.md", page(results))
     print(_section(results["alone"]), results["alone"]["made"], sep="\n\n")
 
