@@ -205,5 +205,26 @@ def test_the_page_and_the_sketch_have_the_colours_of_frames_and_plots(opened: Op
     assert all(f'"{hexed(colour)}"' in sketch for colour in shared.values())
 
 
+def test_the_accuracy_chart_tells_of_the_point_under_the_pointer(browser: Any) -> None:
+    opened = Opened(browser, Path(__file__).parents[2] / "docs" / "accuracy" / "work_precision.svg")
+    texts = opened.page.locator("#title text")
+    usual = texts.all_text_contents()
+    told = {}
+    for place in range(opened.page.locator("[id^=ring]").count()):
+        box = opened.page.locator(f"#ring-{place}").bounding_box()
+        opened.page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
+        setting, error = texts.all_text_contents()
+        told[setting] = error
+    assert (
+        told["pymunk, 4 substeps: 513 µs of computing"] == "2.5 ms late, at worst 4.9 ms"
+    )  # docs/accuracy/results.csv
+    assert len(told) == 20
+    opened.page.mouse.move(2, 2)
+    assert texts.all_text_contents() == usual
+    assert opened.complaints == []
+    assert len(opened.asked) == 1
+    opened.page.close()
+
+
 def test_text_from_outside_is_shown_as_text(opened: Opened) -> None:
     assert "</script><b>a test" in opened.page.locator("#subtitle").inner_text()

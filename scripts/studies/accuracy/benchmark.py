@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,7 +34,7 @@ from scripts.studies.accuracy.measured import (
 )
 from scripts.studies.pages import table
 
-PAGE, BESIDE, PICTURE = "accuracy.md", "accuracy", "work_precision.png"
+PAGE, BESIDE, PICTURE = "accuracy.md", "accuracy", "work_precision.svg"
 LATER = " These trajectories were measured later, at commit {}; the rest of this page is older."
 
 
@@ -297,26 +298,75 @@ def points(results: Results, quantity: str) -> dict[str, dict[str, list[Any]]]:
     return lines
 
 
+_TOLD = """<style>[id^=ring] { opacity: 0 }</style>
+<script>
+const texts = [...document.querySelectorAll("#title text")], usual = texts.map((text) => text.textContent);
+const rings = Object.entries(TOLD).map(([id, lines]) => ({ ring: document.getElementById(id), lines }));
+addEventListener("pointermove", (event) => {
+  for (const one of rings) {
+    const { x, y, width, height } = one.ring.getBoundingClientRect();
+    one.away = Math.hypot(event.clientX - x - width / 2, event.clientY - y - height / 2);
+  }
+  const near = rings.reduce((best, one) => (best.away > one.away ? one : best), { away: 25, lines: usual }); // [px]
+  for (const one of rings) one.ring.style.opacity = one === near ? 1 : 0;
+  texts.forEach((text, line) => (text.textContent = near.lines[line]));
+});
+</script>
+</svg>"""
+
+
 def draw(results: Results, path: Path) -> None:
-    """The first impact's time error against cost, to be read at 390 pixels."""
+    """The first impact's time error against cost, to be read at 390 pixels; tells of the setting under the pointer."""
+    import matplotlib
     from matplotlib.figure import Figure
+
+    import jackbox_env.commands.plots  # noqa: F401  # the style of all plots
 
     figure = Figure(figsize=(4.0, 4.8), dpi=200, layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3.4, 1.0))
     for axis in (upper, lower):
         axis.set(xscale="log", yscale="log")
-        axis.grid(alpha=0.3)
+        axis.grid()
         _plot(axis, points(results, "first_1"))
-    upper.set(ylim=(1.5e-5, 0.1), title="How far off is the first impact?\nPoint: median. Line: to the worst case.")
+    title = "How far off is the first impact?\nPoint: median. Line: to the worst case."
+    figure.suptitle(title, x=0.04, ha="left", fontsize="medium", gid="title")  # lines of any length
+    upper.set(ylim=(1.5e-5, 0.1))
     upper.set_yticks([1e-4, 1e-3, 1e-2], ["0.1 ms", "1 ms", "10 ms"])
     upper.spines.bottom.set_visible(False)
     upper.tick_params(axis="x", which="both", length=0)
     lower.set(ylim=(_LEAST, 1e-14), xlabel="computing time per simulated second")
     lower.set_yticks([1e-15], ["$10^{-15}$ s"])
     lower.set_xticks([1e1, 1e2, 1e3, 1e4], ["10 µs", "0.1 ms", "1 ms", "10 ms"])
-    lower.spines.top.set_linestyle((0, (4, 4)))  # the axis is cut here
-    with replacing(path) as partial:
-        figure.savefig(partial)
+    lower.spines.top.set(visible=True, linestyle=(0, (4, 4)))  # the axis is cut here
+    told = _tell(results, upper, lower)
+    with replacing(path) as partial, matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": path.name}):
+        figure.savefig(partial, metadata={"Date": None})
+        script = _TOLD.replace("TOLD", json.dumps(told))
+        partial.write_text(partial.read_text().replace("</svg>", script))
+
+
+def _tell(results: Results, *axes: Any) -> dict[str, list[str]]:
+    """Put a ring around each point, unseen; return what it tells: the setting, its error and its cost."""
+    from jackbox_env.commands.plots import GREY
+
+    told = dict[str, list[str]]()
+    for name in results.settings:
+        error, cost = results.some(name, "first_1", "cost")
+        place = cost.median, max(error.median, _LEAST)
+        for axis in axes:
+            low, high = axis.get_ylim()
+            if low <= place[1] <= high and cost.family in _COLOURS:
+                ring = f"ring-{len(told)}"
+                axis.plot(*place, "o", markersize=9, fillstyle="none", color=GREY, gid=ring)
+                late = f"{_seconds(error.median)} late, at worst {_seconds(error.worst)}"
+                told[ring] = [f"{name}: {_seconds(1e-6 * cost.median)} of computing", late]
+    return told
+
+
+def _seconds(value: float) -> str:
+    """A time in the largest unit in which it is at least 1."""
+    unit, size = next(((unit, size) for unit, size in (("ms", 1e-3), ("µs", 1e-6)) if value >= size), ("s", 1.0))
+    return f"{figure(value / size)} {unit}"
 
 
 def _plot(axis: Any, lines: dict[str, dict[str, list[Any]]]) -> None:
