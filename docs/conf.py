@@ -56,6 +56,20 @@ def _plain(app, what, name, obj, options, signature, return_annotation):
     )
 
 
+def _write_episode(app, exception):
+    """The animated page that the site opens with: an episode of the planner."""
+    if exception or app.builder.format != "html":
+        return
+    from agents.evaluation.episodes import page_of_episode
+    from agents.policies.registry import find_policy
+    from agents.settings import EnvSettings
+
+    settings, path = EnvSettings(contact="exact"), Path(app.outdir, "planner.html")
+    path.unlink(missing_ok=True)
+    page_of_episode(path, "planner", find_policy("planner", settings, 0), settings, 0)
+
+
 def setup(app):
     """Connect the above."""
     app.connect("autodoc-process-signature", _plain)
+    app.connect("build-finished", _write_episode)

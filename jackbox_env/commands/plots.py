@@ -18,11 +18,13 @@ BOX, JACK, GREY = hexed(WALL), hexed(JACK_COLOUR), "#787e86"
 # What importing this file sets: figures without a ground of their own, to be read on a white page and on a dark one.
 matplotlib.rcParams.update(
     {
-        **dict.fromkeys(("figure.facecolor", "axes.facecolor"), "none"),
-        **dict.fromkeys(("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color"), GREY),
-        **{"axes.spines.top": False, "axes.spines.right": False, "grid.color": GREY, "grid.alpha": 0.3},
+        "figure.facecolor": "none", "axes.facecolor": "none", "text.color": GREY,
+        "axes.edgecolor": GREY, "axes.labelcolor": GREY, "xtick.color": GREY, "ytick.color": GREY,
+        "axes.spines.top": False, "axes.spines.right": False, "grid.color": GREY, "grid.alpha": 0.3,
+        "boxplot.boxprops.color": GREY, "boxplot.whiskerprops.color": GREY, "boxplot.capprops.color": GREY,
+        "boxplot.flierprops.markeredgecolor": GREY,
     }
-)
+)  # fmt: skip
 
 # columns of the state, and what to call them
 _PLOTS = {

@@ -44,14 +44,15 @@ def dots(path: Path, what: str, rows: Mapping[str, float]) -> None:
     from jackbox_env.commands.plots import GREY, JACK
 
     shown = sorted(rows.items(), key=lambda row: row[1])
-    drawn = Figure(figsize=(7.0, 1.0 + 0.36 * len(rows)), layout="constrained")
+    drawn = Figure(figsize=(5.0, 0.8 + 0.32 * len(rows)), layout="constrained")
     axes = drawn.subplots()
     for place, (_, value) in enumerate(shown):
         axes.plot(value, place, "o", color=JACK)
         axes.annotate(rough(value), (value, place), xytext=(8, 0), textcoords="offset points", va="center")
     axes.set_yticks(range(len(shown)), [name.replace("`", "") for name, _ in shown])
-    axes.set(xlabel=what, xscale="log")
+    drawn.suptitle(what, x=0.02, ha="left", fontsize="medium")
+    axes.set_xscale("log")
     axes.margins(x=0.15)
     left, _ = axes.set_xlim(axes.get_xlim())
     axes.hlines(range(len(shown)), left, [value for _, value in shown], color=GREY, alpha=0.3)
-    drawn.savefig(path, dpi=110)
+    drawn.savefig(path, dpi=150)
