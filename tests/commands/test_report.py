@@ -64,8 +64,9 @@ def test_a_page_of_very_many_impacts_lists_the_first_and_says_so(tmp_path: Path)
     trajectory = run(scene, 60.0, 0.005)
     page = write_page(tmp_path / "page.html", scene, trajectory, "a test", [])
     data = data_of(page)
-    assert len(data["notes"]) == 2
-    assert f"2,000 of {len(trajectory.impacts):,} " in data["notes"][0]
+    names, listed, _ = data["notes"]
+    assert "Wall 0 is on the right" in names
+    assert f"2,000 of {len(trajectory.impacts):,} " in listed
     assert impacts_of(data) == trajectory.impacts
 
 
