@@ -22,8 +22,8 @@ class Arguments:
     """random: uniform torques; chirp: the scene's drive; zero: no torque; level: a PD law that holds the box level;
     planner: plays many torques ahead by the exact model, 10 to 20 ms for each decision of 0.1 s; planner-64: fewer, 1
     ms; lookahead: follows the plan that Lookahead shows; ppo: the network of the task in agents/trained; distilled:
-    learnt from a planner, needs none; or run folders, exported policies or model files. All act in the environment
-    given here, whatever they were trained in."""
+    learnt from exact rollouts, plays without any; or run folders, exported policies or model files. All act in the
+    environment given here, whatever they were trained in."""
     episodes: int = 128
     """Episodes of each policy."""
     seed: int = 0
