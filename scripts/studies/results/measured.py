@@ -19,7 +19,7 @@ from agents.evaluation.returns import evaluate
 from agents.policies.network import SHIPPED
 from agents.policies.registry import find_policy
 from agents.policies.scripted import Baseline
-from agents.runs import TIME, machine, read_settings, versions
+from agents.runs import machine, read_settings, versions
 from agents.settings import EPISODE_STEPS, EnvSettings, TrainSettings
 from agents.sweeps.in_process import Trial
 from agents.training.best import read_evaluations
@@ -84,7 +84,7 @@ def run_of(folder: Path, task: str, seed: int) -> Path:
 
 
 def learning(folder: Path, task: str, seed: int, episodes: int) -> dict[str, Any]:
-    """What a training earns, while it learns and at its end, and its time."""
+    """What a training earns, while it learns and at its end."""
     settings = dataclasses.replace(read_settings(SHIPPED / f"{task}-ppo"), seed=seed)
     run = run_of(folder, task, seed)
     trained_in(run, settings, progress=False)
@@ -96,7 +96,6 @@ def learning(folder: Path, task: str, seed: int, episodes: int) -> dict[str, Any
         "steps": [settings.hold * int(steps) for steps in curve.timesteps],  # control steps
         "curve": np.mean(curve.results, axis=1).tolist(),
         "settings": dataclasses.asdict(settings),
-        "time": json.loads((run / TIME).read_text()),
     }
 
 

@@ -110,10 +110,9 @@ def _trained(rows: list[dict[str, Any]]) -> str:
     for task in TASKS:
         found = _of_task(rows, task)
         settings, means = found[0]["settings"], [row["mean"] for row in found]
-        minutes = [row["time"]["seconds"] / 60.0 for row in found]
-        ends = f"{min(means):.1f} to {max(means):.1f}", f"{min(minutes):.1f} to {max(minutes):.1f}"
-        lines.append((task, f"{np.mean(means):.1f}", ends[0], f"{settings['total_steps']:,}", ends[1]))
-    return table(("task", "mean of five", "lowest to highest", "decisions", "minutes"), lines)
+        ends = f"{min(means):.1f} to {max(means):.1f}"
+        lines.append((task, f"{np.mean(means):.1f}", ends, f"{settings['total_steps']:,}"))
+    return table(("task", "mean of five", "lowest to highest", "decisions"), lines)
 
 
 def draw(rows: list[dict[str, Any]], learning: list[dict[str, Any]], path: Path) -> None:
