@@ -226,6 +226,7 @@ def test_the_demo_runs_end_to_end_when_made_small(tmp_path: Path) -> None:
         "studies/scaling/scaling",
         "studies/value",
         "studies/distil",
+        "studies/vine",
         "recipes/run",
     ],
 )

@@ -1,0 +1,45 @@
+"""The script that makes `distilled` for spin and rattle, made small."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+
+from jackbox_env import rollout
+from jackbox_env.tasks import TASKS
+from scripts.studies import vine
+
+SMALL = (16,)
+
+
+def nets() -> tuple[Any, Any]:
+    torch.manual_seed(0)
+    return vine.network(SMALL), vine.network(SMALL)
+
+
+def test_a_torque_is_judged_by_what_it_and_the_network_after_it_earn() -> None:
+    (net, critic), rng = nets(), np.random.default_rng(0)
+    recipe = vine.RECIPES["rattle"]._replace(symmetric=False, ahead=1, discount=0.0, task=TASKS["spin"])
+    states = vine.starts(40, rng)
+    states[:, 11] = 5.0  # so that a torque matters at once
+    found = vine.judged(net, critic, recipe, states, rng)
+    np.testing.assert_allclose(found.advantages.mean(dim=1), 0.0, atol=1e-5)
+    torques = np.clip(found.tried.numpy().astype(float), -1.0, 1.0).reshape(-1, 1) * vine.SCENE.torque_limit
+    played = rollout(vine.SCENE, np.repeat(states, vine.TRIES, axis=0), torques, 0.02, rewards="spin", repeat=vine.HOLD)
+    earned = played.rewards.sum(axis=1).reshape(40, vine.TRIES)
+    assert np.abs(vine.UNIT * found.worth.numpy()[:, 0] - earned.mean(axis=1)).max() < 1e-5
+
+
+def test_improving_moves_the_network_to_better_torques() -> None:
+    both, rng = nets(), np.random.default_rng(0)
+    found = vine.judged(*both, vine.RECIPES["rattle"], vine.starts(600, rng), rng)
+    optimisers = torch.optim.Adam(both[0].parameters(), 1e-3), torch.optim.Adam(both[1].parameters(), 1e-3)
+    missed = ((both[1](found.seen) - found.worth) ** 2).mean()
+    for _ in range(10):
+        vine.improve(both, optimisers, found)
+    moved = both[0](found.seen) - found.means
+    towards = (moved * (found.tried - found.means) * found.advantages).mean()
+    assert towards > 1e-5
+    assert ((both[1](found.seen) - found.worth) ** 2).mean() < missed
