@@ -28,7 +28,7 @@ from agents.training.archives import unpacked
 from agents.training.best import read_evaluations
 from agents.training.models import load_model, make_ppo, make_vec_env
 
-TINY = TrainSettings(num_envs=1, rollout_steps=2, batch_size=2, hidden_units=(4,))
+TINY = TrainSettings.suited(landing=False, num_envs=1, rollout_steps=2, batch_size=2, hidden_units=(4,))
 MOST_TAKEN = 10_000_000  # [bytes]
 
 
