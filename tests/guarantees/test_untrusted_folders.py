@@ -105,7 +105,7 @@ def test_an_environment_that_can_not_be_made_names_the_settings(tmp_path: Path, 
 def saved(tmp_path: Path) -> Path:
     """A run folder with a model."""
     folder = folder_with(tmp_path, changed())
-    make_ppo(TINY, make_vec_env({}, 1, 0)).save(folder / "model.zip")
+    make_ppo(TINY, make_vec_env(TINY.env_settings, 1, 0)).save(folder / "model.zip")
     return folder
 
 

@@ -34,6 +34,8 @@ class Arguments:
     """Episodes of each policy in each of the scenes that vary."""
     folder: Path = Path("runs/results")
     """Folder to make, or to go on in; trainings that are finished there are not trained again."""
+    workers: int | None = None
+    """With Ray on this machine, so many evaluations side by side; None: in this process, without Ray."""
     out: Path = Path("docs")
     """Folder for results.md, results.json and results.png."""
     progress: bool = True
@@ -146,15 +148,15 @@ def draw(rows: list[dict[str, Any]], learning: list[dict[str, Any]], path: Path)
 
 def gathered(arguments: Arguments) -> dict[str, Any]:
     """Everything that the page shows; what has not finished in the folder is run."""
-    from agents.sweeps.in_process import InTurn
+    from agents.sweeps.on_ray import runner_for
     from jackbox_env.recording.files import make_folder
     from scripts.studies.sweeping import swept
 
-    folder = arguments.folder.resolve()
+    folder, runner = arguments.folder.resolve(), runner_for(arguments.workers, None)
     make_folder(folder)
     counts = arguments.episodes, arguments.planner_episodes, arguments.across_episodes, arguments.training_episodes
     asked = these.trials(*counts)
-    found = swept(folder / "sweep", asked, partial(these.measured, folder), InTurn(), arguments.progress)
+    found = swept(folder / "sweep", asked, partial(these.measured, folder), runner, arguments.progress)
     parts: dict[str, list[Any]] = {"learning": [], "rows": [], "across": []}
     for row in found:
         parts[row["part"]].append((row, json.loads(row["row"])))
