@@ -26,7 +26,7 @@ class Arguments:
 
     episodes: int = 256
     """Episodes of each policy."""
-    planner_episodes: int = 64
+    planner_episodes: int = 32
     """Episodes of the planner on each task and contact model, a second or two of computing for each."""
     training_episodes: int = 1024
     """Episodes of each of the five trainings on a task."""
