@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from agents.policies.network import SHIPPED, NetworkPolicy, read_policy
-from agents.policies.one_bounce import LandingPolicy, read_landing
+from agents.policies.one_bounce import LANDING, LandingPolicy, read_landing
 from jackbox_env.commands.common import command_line
 from jackbox_env.commands.play import play_with
 
 
 def trained(task: str) -> NetworkPolicy | LandingPolicy:
     """The best policy without a planner that comes with the repository."""
-    if (SHIPPED / f"{task}-distilled").is_dir():
-        return read_landing(SHIPPED / f"{task}-distilled")
-    return read_policy(SHIPPED / f"{task}-ppo")
+    folder = SHIPPED / f"{task}-distilled"
+    return read_landing(folder) if (folder / LANDING).is_file() else read_policy(folder)
 
 
 @command_line
