@@ -138,7 +138,7 @@ _BY_TORQUES: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class TrainSettings(EnvSettings):
-    """Everything that a training run depends on; `make demo` trains by the defaults, some 90 s on one core.
+    """Everything that a training run depends on; `make demo` trains by the defaults, some 2 minutes on one core.
 
     They are for juggle, where the agent says how the box meets the jack. :meth:`suited` has defaults for every task.
     """
