@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from jackbox_env.measure.choosing import cheapest
     from jackbox_env.planning import Rollout, rollout
     from jackbox_env.planning.landing_control import LandingControl, LandingControlVector
+    from jackbox_env.planning.linearization import Linearization, linearize
     from jackbox_env.planning.wrappers import Lookahead, LookaheadVector
     from jackbox_env.simulators import Impact, JackLostError, Simulator, make_simulator
     from jackbox_env.simulators.fidelity import FIDELITIES
@@ -28,6 +29,7 @@ _LAZY = {
     "JackLostError": "simulators",
     "LandingControl": "planning.landing_control",
     "LandingControlVector": "planning.landing_control",
+    "Linearization": "planning.linearization",
     "Lookahead": "planning.wrappers",
     "LookaheadVector": "planning.wrappers",
     "Simulator": "simulators",
@@ -36,6 +38,7 @@ _LAZY = {
     "Task": "tasks",
     "TaskError": "tasks",
     "cheapest": "measure.choosing",
+    "linearize": "planning.linearization",
     "rollout": "planning",
 }
 __all__ = [
@@ -48,6 +51,7 @@ __all__ = [
     "JackLostError",
     "LandingControl",
     "LandingControlVector",
+    "Linearization",
     "Lookahead",
     "LookaheadVector",
     "Rollout",
@@ -56,6 +60,7 @@ __all__ = [
     "Task",
     "TaskError",
     "cheapest",
+    "linearize",
     "make_simulator",
     "rollout",
 ]

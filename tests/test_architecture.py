@@ -36,6 +36,7 @@ PACKAGE = """
     compiled.loop
     compiled.restart
     compiled.rollouts
+    compiled.tangents
     simulators.base simulators.fidelity simulators.flight
     simulators.replay simulators.contacts simulators.functions
     simulators.pymunk simulators.exact
@@ -52,7 +53,7 @@ PACKAGE = """
     batches.exact batches.single
     vector_env
     sb3 planning.rollouts
-    planning
+    planning planning.linearization
     planning.icem
     planning.features
     planning.wrappers

@@ -24,6 +24,7 @@ from jackbox_env.scene import SceneNumbers
 
 Array = NDArray[np.float64]
 
+_SLOW = 1e-6  # of v0: an impact slower than this has no derivative that can be told
 _DEPENDENT = 1e-13  # a row that keeps less than this of its length beside the others depends on them
 
 
@@ -88,7 +89,7 @@ def list_touching(scene: SceneNumbers, memory: Workspace, tolerance: float, wall
         for i in range(4):
             gap = gradient(scene, frame, k, i, memory.gradients[count])
             if gap <= tolerance or (k == wall and i == foot):
-                memory.pairs[count], memory.impulses[count] = 4 * k + i, 0.0
+                memory.pairs[count], memory.impulses[count], memory.gaps[count] = 4 * k + i, 0.0, gap
                 count += 1
     return count
 
@@ -100,6 +101,9 @@ def resolve(scene: SceneNumbers, memory: Workspace, log: Array, tolerance: float
     """
     state = memory.state
     count = list_touching(scene, memory, tolerance, wall, foot)
+    slow = rate_of(state, memory.gradients[0]) > -_SLOW * scene.speed_scale
+    if count > 1 or slow or memory.gaps[0] < -tolerance:
+        memory.rough = 1
     if count == 1:
         memory.impulses[0] = bounce(scene, state, memory.gradients[0])
     else:

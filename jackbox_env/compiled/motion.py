@@ -108,6 +108,15 @@ def excursion(memory: Workspace, axis: int, flight: Flight, s: float) -> tuple[f
     return moved - horner(memory.powers[3 * axis + 2], DEGREE + 2, start) - before * s, rate - before
 
 
+def driven_at(flight: Flight, memory: Workspace, s: float) -> tuple[float, float, float]:
+    """What the drive gives the box ``s`` [s] into the flight: its angular acceleration, those along x and along y."""
+    u = (flight.since + s) / flight.half - 1.0
+    turn = horner(memory.powers[3 * TURN], DEGREE, u) if flight.curved else flight.alpha
+    if not flight.pushed:
+        return turn, 0.0, 0.0
+    return turn, horner(memory.powers[3 * PUSH_X], DEGREE, u), horner(memory.powers[3 * PUSH_Y], DEGREE, u)
+
+
 def pose_at(flight: Flight, memory: Workspace, s: float) -> Pose:
     """The relative motion ``s`` [s] into the flight."""
     x = flight.x + flight.vx * s

@@ -274,6 +274,7 @@ def hold(
     Returns:
         How it ended, and how long it took [s]. Feet that were let go at once are noted in ``memory.loose``.
     """
+    memory.rough = 1
     count, free = memory.holding, flight_of(scene, memory.state, piece, since)
     frame = box_frame(free.x, free.y, free.vx, free.vy, free.angle, free.omega)
     view = view_of(frame, free.jack_angle - free.angle, free.jack_omega - free.omega, 0.0)

@@ -18,6 +18,7 @@ from jackbox_env.states import clearance
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
 _ORDINARY = 1e9  # over L: below it a state's numbers need no closer look
 
@@ -49,7 +50,7 @@ class Played(NamedTuple):
 def roll(
     scenes: tuple[Array, Counts, Counts], dt: float, torques: Array, drive: tuple[Array, Array, Counts],
     span: tuple[int, int, int], results: tuple[Array, Counts, Array, Array, Array, Counts], score: int,
-    until_impact: bool, memories: tuple[Workspaces, Array],
+    until_impact: bool, memories: tuple[Workspaces, Array], tape: tuple[Array, Counts, Flags],
 ) -> tuple[int, int, int]:  # fmt: skip
     """Fill in trajectories from their first states.
 
@@ -64,11 +65,14 @@ def roll(
         results: the fields of :class:`Played`.
         score: address of the task's ``score_step``; called only where rewards are asked for.
         until_impact: end each trajectory with the step of its first impact.
-        memory: to work in: a workspace, and room to record impacts, of none.
+        memories: to work in: a workspace, and room to record a step's impacts, of none where nobody asks.
+        tape: where that record is kept for derivatives: the wide log's rows of one step after the other, shape
+            (rows, WIDE), how many there are, shape (1,), and which steps have no derivative, shape (N, H). Arrays of
+            length 0 where nobody asks.
 
     Returns:
-        How it ended: DONE, how a step that failed ended, or PAUSED after long work; the trajectory and step that failed
-        or is next.
+        How it ended: DONE, how a step that failed ended, PAUSED after long work or FULL where the record has no room;
+        the trajectory and step that failed or is next.
     """
     values, kinds, begins = scenes
     scene = make_numbers(values[0])
@@ -78,6 +82,7 @@ def roll(
     played = Played(results[0], results[1], results[2], results[3], results[4], results[5])
     pay = step_score(score)
     memory, log = memories[0][0], memories[1]
+    rows, used, rough = tape
     worked, steps = 0.0, times.shape[0] - 1
     whole, repeat = played.trajectories.shape[1] > steps, max(1, steps // max(1, torques.shape[1]))
     begin = begins[0]
@@ -98,6 +103,10 @@ def roll(
             if ended != Status.DONE:
                 return ended.value, i, k
             worked += 1.0 + effort(memory)
+            if rough.shape[0]:
+                if not keep(memory.hits, log, rows, used):
+                    return Status.FULL.value, i, k
+                rough[i, k] = memory.rough != 0
             if played.hits.shape[0]:
                 played.hits[i, k], played.impulses[i, k] = memory.hits, memory.impulse
             if played.energies.shape[0]:
@@ -112,3 +121,15 @@ def roll(
             if until_impact and memory.hits > 0:
                 break
     return Status.DONE.value, -1, -1
+
+
+def keep(hits: int, log: Array, rows: Array, used: Counts) -> bool:
+    """Keep the rows of a step's log behind the ``used`` ones; False where one of both has no room for them."""
+    first = used[0]
+    if hits > log.shape[0] or first + hits > rows.shape[0]:
+        return False
+    for hit in range(hits):
+        for place in range(rows.shape[1]):
+            rows[first + hit, place] = log[hit, place]
+    used[0] = first + hits
+    return True

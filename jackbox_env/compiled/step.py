@@ -121,7 +121,7 @@ def step(
 
 def clear_tally(memory: Workspace) -> None:
     """Forget what the last step did."""
-    memory.hits, memory.impulse, memory.looks, memory.elapsed = 0, 0.0, 0.0, 0.0
+    memory.hits, memory.impulse, memory.looks, memory.elapsed, memory.rough = 0, 0.0, 0.0, 0.0, 0
 
 
 def effort(memory: Workspace) -> float:

@@ -22,6 +22,7 @@ class Workspace(np.record):  # type: ignore[misc]
     impulse: float  # of them [N s]
     looks: float  # gaps evaluated
     elapsed: float  # since the step's start [s]
+    rough: int  # 1 where the step has no derivative, or none that can be told, see tangents.py
     state: Annotated[Array, 12]  # in a frame near the box
     before: Annotated[Array, 12]  # a state that is stepped, where it is gathered from many
     after: Annotated[Array, 12]  # where it goes
@@ -93,6 +94,12 @@ def new_workspaces(count: int = 1) -> Workspaces:
     return np.zeros(count, _LAYOUT)
 
 
-def new_log(impacts: int = 0) -> Array:
-    """Memory to record so many impacts of a step: time since the step's start [s], wall, foot, impulse [N s]."""
-    return np.zeros((impacts, 4))
+# Columns of a log: time since the step's start [s], wall, foot, impulse [N s]. A wide log, for derivatives,
+# adds the state at the impact with its rates before it, the rates after it, and the accelerations that the drive gives
+# the box: angular, along x and along y.
+AT_IMPACT, AFTER_IMPACT, DRIVEN_THERE, WIDE = 4, 16, 22, 25
+
+
+def new_log(impacts: int = 0, wide: bool = False) -> Array:
+    """Memory to record so many impacts of a step."""
+    return np.zeros((impacts, WIDE if wide else AT_IMPACT))

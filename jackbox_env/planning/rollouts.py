@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, Generic, Literal, NamedTuple, TypeVar, overload
 
@@ -26,11 +27,13 @@ from jackbox_env.states import LATEST_TIME, Array, as_restored, deepest_restored
 from jackbox_env.tasks import Task, task_of
 
 Counts = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 OneOrMore = Scene | Mapping[str, Any] | None | Sequence[Scene | Mapping[str, Any] | None]
 
 _NO_TABLE: Array = np.zeros((0, TABLE_WIDTH))
 _GRAIN = 1000  # steps that are worth a call
-_FEWEST_PER_THREAD = 5000  # steps that are worth waking a thread
+FEWEST_PER_THREAD = 5000  # steps that are worth waking a thread
+_ROOM = 64  # impacts; it grows
 
 
 Rewards = TypeVar("Rewards")
@@ -139,7 +142,7 @@ def rollout(
     task = None if rewards is None else task_of(rewards, "rewards")
     dt = check.real("dt", dt, above=0.0)
     time = check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
-    starts, held = _sequences(scenes, several, states, torques)
+    starts, held = sequences(scenes, several, states, torques)
     played = play(
         scenes, starts, held, dt, time, energy=energy, impacts=impacts, task=task, repeat=repeat, whole=whole,
         num_threads=num_threads,
@@ -147,10 +150,19 @@ def rollout(
     return played.trajectories if whole and not (energy or impacts or task) else played
 
 
+@dataclass
+class Tape:
+    """What the derivatives of a rollout need of it besides its states."""
+
+    rows: Array = field(default_factory=lambda: new_log(0, True))  # a wide log of all impacts, step by step
+    hits: Counts = field(default_factory=lambda: np.zeros((0, 0), np.int64))  # (N, H) how many of each step
+    rough: Flags = field(default_factory=lambda: np.zeros((0, 0), np.bool_))  # (N, H) steps without a derivative
+
+
 def play(
     scenes: list[Scene], starts: Array, held: Array, dt: float, time: float = 0.0, *, driven: bool = True,
     energy: bool = False, impacts: bool = False, task: Task | None = None, repeat: int = 1, whole: bool = False,
-    until_impact: bool = False, num_threads: int | None = None,
+    until_impact: bool = False, num_threads: int | None = None, free: bool = False, tape: Tape | None = None,
 ) -> Rollout[Any, Any]:  # fmt: skip
     """:func:`rollout` of what is checked: float64 rows, and one scene or one for each of them.
 
@@ -168,33 +180,43 @@ def play(
         whole: whether all states are kept.
         until_impact: end each row with the step of its first impact; needs ``impacts``.
         num_threads: as many at most; None: as many as the machine has.
+        free: whether the drives act and ``held`` does not.
+        tape: to be filled in; needs ``impacts`` and ``whole``.
     """
     count, steps = len(held), held.shape[1] * repeat
     times = _times(time, dt, steps)
-    kinds, firsts, table, ends = _drives(scenes, times, dt, driven)
+    kinds, firsts, table, ends = _drives(scenes, times, dt, driven, None if free else 0.0)
     played = np.empty((count, steps + 1 if whole else 2, 12))
     played[:, 0] = starts
     earned = np.zeros((0 if task is None else count, steps))
     score = compiled_for(task, score_step) if task else None  # kept alive, because it is called by its address
     hits = np.zeros((count, steps) if impacts else (0, steps), dtype=np.int64)
     impulses, energies = np.zeros(hits.shape), np.zeros((count, steps + 1) if energy else (0, steps + 1))
-    ranges = count if num_threads is not None else min(count, count * steps // _FEWEST_PER_THREAD)
+    ranges = count if num_threads is not None else min(count, count * steps // FEWEST_PER_THREAD)
     threads = Threads(thread_count(num_threads, ranges))
-    memories = [(new_workspaces(), new_log()) for _ in range(threads.count)]
+    noted = tape or Tape()
+    if tape is not None:
+        noted.hits, noted.rough = hits, np.zeros(hits.shape, np.bool_)
+    memories = [new_workspaces() for _ in range(threads.count)]
     given, call, address = (np.array([one.numbers for one in scenes]), kinds, firsts), compiled(roll), address_of(score)
     lengths = np.full(count, steps)
     drive, results, halt = (times, table, ends), (played, hits, impulses, energies, earned, lengths), Halt()
 
-    def work(thread: int, low: int, high: int) -> tuple[int, int, int]:
-        first = 0
+    def work(thread: int, low: int, high: int) -> tuple[int, int, int, Array]:
+        first, used = 0, np.zeros(1, np.int64)
+        log, rows = new_log(0 if tape is None else _ROOM, True), new_log(0 if tape is None else _ROOM, True)
         while True:
-            span = low, high, first
-            ended, who, when = call(given, dt, held, drive, span, results, address, until_impact, memories[thread])
-            if ended != Status.PAUSED or halt.asked:
-                return ended, who, when
+            span, memory, kept = (low, high, first), (memories[thread], log), (rows, used, noted.rough)
+            ended, who, when = call(given, dt, held, drive, span, results, address, until_impact, memory, kept)
+            if ended == Status.FULL:
+                log, rows = (np.concatenate([one, np.zeros_like(one)]) for one in (log, rows))
+            elif ended != Status.PAUSED or halt.asked:
+                return ended, who, when, rows[: used[0]]
             low, first = who, when  # after a while, so that an interruption is heard
 
-    for ended, who, when in threads.run(work, count, grain=-(-_GRAIN // max(1, steps)), halt=halt):
+    done = threads.run(work, count, grain=-(-_GRAIN // max(1, steps)), halt=halt)
+    noted.rows = np.concatenate([rows for *_, rows in done])
+    for ended, who, when, _ in done:
         if ended == Status.BAD_REWARD and task is not None:
             scene = scenes[who if len(scenes) > 1 else 0]
             simulator = ExactSimulator(scene if driven else scene.changed(drive=None))
@@ -229,21 +251,23 @@ def _times(time: float, dt: float, steps: int) -> Array:
     return times
 
 
-def _drives(scenes: list[Scene], times: Array, dt: float, driven: bool) -> tuple[Counts, Counts, Array, Counts]:
-    """What turns each scene's box besides torques, and the functions' pieces, as ``roll`` takes them."""
+def _drives(
+    scenes: list[Scene], times: Array, dt: float, driven: bool, torque: float | None
+) -> tuple[Counts, Counts, Array, Counts]:
+    """What turns each scene's box, besides a torque that is held, and the functions' pieces, as ``roll`` takes them."""
     drives = {id(one.drive): one.drive for one in scenes} if driven else {0: None}
     starts = (times[:-1] if len(times) > 1 else times).tolist()
     tables = [_NO_TABLE]
     for drive in drives.values():  # the functions of each are cut into pieces once
         cut = isinstance(drive, Drive)
-        tables += [pieces_for(drive, start, dt, 0.0) for start in starts] if cut else [_NO_TABLE] * len(starts)
+        tables += [pieces_for(drive, start, dt, torque) for start in starts] if cut else [_NO_TABLE] * len(starts)
     places = {key: number for number, key in enumerate(drives)}
-    kinds = np.array([drive_kind(drive, held=True) for drive in drives.values()])
+    kinds = np.array([drive_kind(drive, torque is not None) for drive in drives.values()])
     own = np.array([places[id(one.drive) if driven else 0] for one in scenes])
     return kinds[own], own * len(starts), np.concatenate(tables), np.cumsum(list(map(len, tables)))
 
 
-def _sequences(scenes: list[Scene], several: bool, states: ArrayLike, torques: ArrayLike) -> tuple[Array, Array]:
+def sequences(scenes: list[Scene], several: bool, states: ArrayLike, torques: ArrayLike) -> tuple[Array, Array]:
     """States, shape (N, 12), and torques, shape (N, H), checked against one scene, or ``several``: one for each row."""
     starts, held = _numbers("states", states), _numbers("torques", torques)
     if starts.ndim not in (1, 2) or starts.shape[-1] != 12:

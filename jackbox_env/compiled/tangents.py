@@ -1,0 +1,391 @@
+"""Derivatives of steps of the exact contact model: a tangent beside flight and law, in the order of a step's impacts.
+
+A tangent holds, in each of its columns, how the state changes with one number, and below how the torque and the scene
+change with that number, shape (ROWS, columns). Flight is linear in the state and in what acts. At an impact, with the
+time t*, the gap g, the reset R (the impact law at fixed places) and the flow f before and after, a tangent d becomes
+
+    d+ = (DR + (f+ - DR f-) Dg / (Dg f-)) d,
+
+the saltation matrix (Aizerman and Gantmacher 1958; Kong et al. 2024, "Saltation Matrices", Proceedings of the IEEE). It
+is applied as it is derived: to the moment of impact, dt* = -Dg d / (Dg f-), through the law there, and back.
+
+Exactness: rounding of the states and of the impacts' times, over the impact's rate.
+Fails: several contacts at one moment, an impact slower than 1e-6 v0, feet at rest, a foot that touches at the end of a
+    step. There no derivative exists, or none can be told: it is NaN.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jackbox_env.compiled.impacts import frame_of, gradient, rate_of
+from jackbox_env.compiled.rollouts import Counts, Flags
+from jackbox_env.compiled.step import (
+    CONSTANT,
+    CONSTANT_BESIDE_FORCES,
+    FUNCTIONS,
+    Plan,
+    make_numbers,
+    make_plan,
+    start,
+    touch_of,
+)
+from jackbox_env.compiled.workspace import AFTER_IMPACT, AT_IMPACT, DRIVEN_THERE, Workspace, Workspaces
+from jackbox_env.scene import SceneNumbers
+
+Array = NDArray[np.float64]
+
+# Rows of a tangent below the state's 12: a torque added throughout the step, and numbers of the scene.
+FIELDS = (
+    "gravity", "box_mass", "box_inertia", "jack_mass", "jack_inertia", "jack_arm", "box_half_width", "restitution",
+)  # fmt: skip
+TORQUE = 12
+GRAVITY, BOX_MASS, BOX_INERTIA, JACK_MASS, JACK_INERTIA, JACK_ARM, HALF_WIDTH, RESTITUTION = range(13, 21)
+ROWS = 21
+FIRST_FIELD = 13  # column
+
+
+def fly(scene: SceneNumbers, tangent: Array, s: float, drift: Array) -> None:
+    """Take a tangent through a flight of ``s`` [s].
+
+    ``drift`` is by how much the drive moves the box's centre and angle in that time, and their rates, shape (6,).
+    """
+    half, inertia, mass = 0.5 * s * s, scene.box_inertia, scene.box_mass
+    for place in range(6):
+        for column in range(tangent.shape[1]):
+            tangent[place, column] += s * tangent[6 + place, column]
+    for column in range(tangent.shape[1]):
+        tangent[2, column] += (half * tangent[TORQUE, column] - drift[2] * tangent[BOX_INERTIA, column]) / inertia
+        tangent[8, column] += (s * tangent[TORQUE, column] - drift[5] * tangent[BOX_INERTIA, column]) / inertia
+        tangent[4, column] -= half * tangent[GRAVITY, column]
+        tangent[10, column] -= s * tangent[GRAVITY, column]
+        tangent[0, column] -= drift[0] / mass * tangent[BOX_MASS, column]
+        tangent[1, column] -= drift[1] / mass * tangent[BOX_MASS, column]
+        tangent[6, column] -= drift[3] / mass * tangent[BOX_MASS, column]
+        tangent[7, column] -= drift[4] / mass * tangent[BOX_MASS, column]
+
+
+def strike(scene: SceneNumbers, tangent: Array, hit: Array, row: Array) -> None:
+    """Take a tangent through an impact, a row of a wide log; ``row`` is memory for the gap's gradient J, shape (6,)."""
+    at, after, wall, foot, push = hit[AT_IMPACT:], hit[AFTER_IMPACT:], int(hit[1]), int(hit[2]), hit[3]
+    frame = frame_of(at)
+    gap, rate = gradient(scene, frame, wall, foot, row), rate_of(at, row)
+    nx, ny, box_arm, jack_arm = row[0], row[1], row[2], row[5]
+    depth = nx * frame.x + ny * frame.y
+    extent = scene.box_half_width - depth - gap  # of the foot from the jack's centre, along the normal
+    vx, vy, omega, spin = at[9] - at[6], at[10] - at[7], at[8], at[11]
+    turning, push_x, push_y = hit[DRIVEN_THERE], hit[DRIVEN_THERE + 1], hit[DRIVEN_THERE + 2]
+    yielding = 1.0 / scene.box_mass + 1.0 / scene.jack_mass
+    yielding += box_arm * box_arm / scene.box_inertia + jack_arm * jack_arm / scene.jack_inertia
+    back = 1.0 + scene.restitution
+    for c in range(tangent.shape[1]):
+        d = tangent[:, c]
+        wider = d[HALF_WIDTH] - extent / scene.jack_arm * d[JACK_ARM]
+        closing = nx * (d[0] - d[3]) + ny * (d[1] - d[4]) + box_arm * d[2] + jack_arm * d[5] + wider
+        later = -closing / rate
+        # To the moment of impact.
+        for place in range(6):
+            d[place] += at[6 + place] * later
+        d[6] += push_x * later
+        d[7] += push_y * later
+        d[8] += turning * later
+        d[10] -= scene.gravity * later
+        # Through the law there.
+        dx, dy, angle = d[3] - d[0], d[4] - d[1], d[2]
+        turn_x, turn_y = -ny * angle, nx * angle  # of the normal
+        lever = extent * (d[5] - angle) + jack_arm / scene.jack_arm * d[JACK_ARM]
+        box_lever = -(nx * dy - ny * dx - depth * angle) - lever
+        faster = nx * (d[6] - d[9]) + ny * (d[7] - d[10]) + box_arm * d[8] + jack_arm * d[11]
+        faster += box_lever * omega + lever * spin - turn_x * vx - turn_y * vy
+        box_mass, jack_mass = d[BOX_MASS] / scene.box_mass, d[JACK_MASS] / scene.jack_mass  # relative changes
+        box_inertia, jack_inertia = d[BOX_INERTIA] / scene.box_inertia, d[JACK_INERTIA] / scene.jack_inertia
+        softer = box_arm * (2.0 * box_lever - box_arm * box_inertia) / scene.box_inertia
+        softer += jack_arm * (2.0 * lever - jack_arm * jack_inertia) / scene.jack_inertia
+        softer -= box_mass / scene.box_mass + jack_mass / scene.jack_mass
+        harder = -(back * faster + d[RESTITUTION] * rate + push * softer) / yielding
+        d[6] += (turn_x * push + nx * (harder - push * box_mass)) / scene.box_mass
+        d[7] += (turn_y * push + ny * (harder - push * box_mass)) / scene.box_mass
+        d[8] += (box_lever * push + box_arm * (harder - push * box_inertia)) / scene.box_inertia
+        d[9] -= (turn_x * push + nx * (harder - push * jack_mass)) / scene.jack_mass
+        d[10] -= (turn_y * push + ny * (harder - push * jack_mass)) / scene.jack_mass
+        d[11] += (lever * push + jack_arm * (harder - push * jack_inertia)) / scene.jack_inertia
+        # And back, with the rates after it.
+        for place in range(6):
+            d[place] -= after[place] * later
+        d[6] -= push_x * later
+        d[7] -= push_y * later
+        d[8] -= turning * later
+        d[10] += scene.gravity * later
+
+
+def drifted(plan: Plan, alpha: float, before: Array, after: Array, s: float, drift: Array) -> None:
+    """Write what the drive has done to the box between two states, ``s`` [s] apart and without an impact between."""
+    for place in range(6):
+        drift[place] = 0.0
+    if plan.kind == CONSTANT or plan.kind == CONSTANT_BESIDE_FORCES:
+        drift[2], drift[5] = 0.5 * alpha * s * s, alpha * s
+    else:
+        drift[2], drift[5] = after[2] - before[2] - before[8] * s, after[8] - before[8]
+    if plan.kind == FUNCTIONS or plan.kind == CONSTANT_BESIDE_FORCES:
+        for place in range(2):
+            drift[place] = after[place] - before[place] - before[6 + place] * s
+            drift[3 + place] = after[6 + place] - before[6 + place]
+
+
+def step_tangent(
+    scene: SceneNumbers, plan: Plan, torque: float, before: Array, after: Array, hits: Array, tangent: Array,
+    memory: Workspace,
+) -> None:  # fmt: skip
+    """Take a tangent through a step from one state to the next; ``hits`` are the step's rows of a wide log."""
+    alpha, since, state, drift = torque / scene.box_inertia, 0.0, memory.state, memory.point
+    start(plan, before, memory)
+    end = memory.after
+    for place in range(6):
+        end[place], end[6 + place] = state[place] + (after[place] - before[place]), after[6 + place]
+    for number in range(hits.shape[0]):
+        hit = hits[number]
+        drifted(plan, alpha, state, hit[AT_IMPACT:], hit[0] - since, drift)
+        fly(scene, tangent, hit[0] - since, drift)
+        strike(scene, tangent, hit, memory.gradients[0])
+        for place in range(6):
+            state[place], state[6 + place] = hit[AT_IMPACT + place], hit[AFTER_IMPACT + place]
+        since = hit[0]
+    drifted(plan, alpha, state, end, plan.dt - since, drift)
+    fly(scene, tangent, plan.dt - since, drift)
+
+
+class Played(NamedTuple):
+    """A rollout, as all of the functions below take it, in this order."""
+
+    values: Array  # numbers of the scenes, shape (1 or N, numbers of a scene)
+    kinds: Counts  # what turns the box in each of them
+    dt: float  # [s]
+    torques: Array  # [N m], shape (N, whole part of H)
+    trajectories: Array  # (N, H + 1, 12)
+    hits: Array  # rows of a wide log
+    begins: Counts  # where those of each step begin, and past the last one's, shape (N H + 1,)
+    smooth: Flags  # which steps have a derivative, shape (N, H)
+
+
+Given = tuple[Array, Counts, float, Array, Array, Array, Counts, Flags]
+
+
+def played_of(given: Given) -> Played:
+    """The rollout of a tuple."""
+    return Played(given[0], given[1], given[2], given[3], given[4], given[5], given[6], given[7])
+
+
+def scene_of(played: Played, i: int) -> tuple[SceneNumbers, Plan]:
+    """Scene and plan of a row."""
+    own = i if played.values.shape[0] > 1 else 0
+    scene = make_numbers(played.values[own])
+    return scene, make_plan(scene, played.dt, played.kinds[own])
+
+
+def torque_of(played: Played, k: int) -> int:
+    """Number of the torque that is held in step ``k``."""
+    return int(k // max(1, played.smooth.shape[1] // max(1, played.torques.shape[1])))
+
+
+def rows_of(played: Played, i: int, k: int) -> tuple[int, int]:
+    """The first of the log's rows of a step, and past the last."""
+    number = i * played.smooth.shape[1] + k
+    return played.begins[number], played.begins[number + 1]
+
+
+def flies(played: Played, i: int, k: int) -> bool:
+    """Whether a step has a derivative and no impact."""
+    first, last = rows_of(played, i, k)
+    return bool(played.smooth[i, k] and first == last)
+
+
+def touching(scene: SceneNumbers, plan: Plan, state: Array, row: Array) -> int:
+    """Whether a foot touches a wall: 2 if one that touches, or is outside, approaches; 1 if others touch; 0 if none."""
+    x, y = state[3] - state[0], state[4] - state[1]
+    room = scene.box_half_width * (1.0 - 1e-12) - scene.jack_arm
+    near = touch_of(plan, state).together
+    if room > near and x * x + y * y < (room - near) * (room - near):
+        return 0
+    frame, found = frame_of(state), 0
+    for wall in range(4):
+        for foot in range(4):
+            gap = gradient(scene, frame, wall, foot, row)
+            if gap <= near:
+                found = max(found, 2 if rate_of(state, row) < 0.0 else 1 if gap >= -near else 0)
+    return found
+
+
+def mark_smooth(given: Given, rough: Flags, workspaces: Workspaces) -> None:
+    """Fill in which steps have a derivative: neither ``rough`` nor with a foot that touches at an end of the step."""
+    played, row = played_of(given), workspaces[0].gradients[0]
+    for i in range(rough.shape[0]):
+        scene, plan = scene_of(played, i)
+        before = touching(scene, plan, played.trajectories[i, 0], row)
+        for k in range(rough.shape[1]):
+            after = touching(scene, plan, played.trajectories[i, k + 1], row)
+            first, last = rows_of(played, i, k)
+            most = 1 if first == last else 0  # the foot of an impact at the step's end touches there
+            played.smooth[i, k] = not (rough[i, k] or before > 1 or after > most)
+            before = after
+
+
+def follow(played: Played, scene: SceneNumbers, plan: Plan, i: int, k: int, tangent: Array, memory: Workspace) -> None:
+    """Take a tangent through a step; it is NaN if there is no derivative."""
+    if played.smooth[i, k]:
+        before, after = played.trajectories[i, k], played.trajectories[i, k + 1]
+        first, last = rows_of(played, i, k)
+        torque = played.torques[i, torque_of(played, k)]
+        step_tangent(scene, plan, torque, before, after, played.hits[first:last], tangent, memory)
+    else:
+        tangent[:] = math.nan
+
+
+def fill_identity(tangent: Array, seeds: Array) -> None:
+    """Fill in the tangent of no step at all: columns of the state, the torque, and the fields of ``seeds``.
+
+    ``seeds`` are how each field moves the scene's numbers, shape (fields, 8).
+    """
+    tangent[:] = 0.0
+    for place in range(FIRST_FIELD):
+        tangent[place, place] = 1.0
+    for column in range(seeds.shape[0]):
+        for place in range(seeds.shape[1]):
+            tangent[GRAVITY + place, FIRST_FIELD + column] = seeds[column, place]
+
+
+def matrices(
+    given: Given, seeds: Array, span: tuple[int, int], results: tuple[Array, Array, Array], tangent: Array,
+    workspaces: Workspaces,
+) -> None:  # fmt: skip
+    """Fill in the derivatives of all steps of some rows; NaN where there is none.
+
+    Args:
+        given: the rollout.
+        seeds: of :func:`fill_identity`, shape (1 or N, F, 8).
+        span: first row, past the last.
+        results: derivatives by state, (N, H, 12, 12), torque, (N, H, 12), and fields, (N, H, 12, F).
+        tangent: to work in, shape (ROWS, 13 + F).
+        workspaces: one, to work in.
+    """
+    played = played_of(given)
+    by_state, by_torque, by_field = results
+    for i in range(span[0], span[1]):
+        scene, plan = scene_of(played, i)
+        stale = True  # whether the tangent is another than that of a flight under a constant torque
+        for k in range(played.smooth.shape[1]):
+            same = plan.kind == CONSTANT and flies(played, i, k)
+            if stale or not same or by_field.shape[3] > 0:
+                fill_identity(tangent, seeds[i if seeds.shape[0] > 1 else 0])
+                follow(played, scene, plan, i, k, tangent, workspaces[0])
+                stale = not same
+            for row in range(12):
+                for column in range(12):
+                    by_state[i, k, row, column] = tangent[row, column]
+                by_torque[i, k, row] = tangent[row, TORQUE]
+                for column in range(by_field.shape[3]):
+                    by_field[i, k, row, column] = tangent[row, FIRST_FIELD + column]
+
+
+def push_forward(
+    given: Given, moved: tuple[Array, Array, Array], span: tuple[int, int], results: Array, tangent: Array,
+    workspaces: Workspaces,
+) -> None:  # fmt: skip
+    """Fill in how trajectories change, shape (N, H + 1, 12), with NaN after a step that has no derivative.
+
+    Args:
+        given: the rollout.
+        moved: how first states, (N, 12), torques, as they are given, and the scenes' numbers, (N, 8), change.
+        span: first row, past the last.
+        results: to be filled in.
+        tangent: to work in, shape (ROWS, 1).
+        workspaces: one, to work in.
+    """
+    played = played_of(given)
+    states, torques, numbers = moved
+    for i in range(span[0], span[1]):
+        scene, plan = scene_of(played, i)
+        for place in range(12):
+            tangent[place, 0] = results[i, 0, place] = states[i, place]
+        for place in range(numbers.shape[1]):
+            tangent[GRAVITY + place, 0] = numbers[i, place]
+        for k in range(played.smooth.shape[1]):
+            tangent[TORQUE, 0] = torques[i, torque_of(played, k)]
+            follow(played, scene, plan, i, k, tangent, workspaces[0])
+            for place in range(12):
+                results[i, k + 1, place] = tangent[place, 0]
+
+
+def pull_back(
+    given: Given, seeds: Array, span: tuple[int, int], weights: Array, results: tuple[Array, Array, Array],
+    tangent: Array, workspaces: Workspaces,
+) -> None:  # fmt: skip
+    """Fill in how a sum of weights times states changes with first states, torques and fields.
+
+    Args:
+        given: the rollout.
+        seeds: as in :func:`matrices`.
+        span: first row, past the last.
+        weights: shape (N, H + 1, 12).
+        results: zeros, shapes (N, 12), of the torques as they are given, and (N, F); NaN by all that acts before or in
+            a step that has no derivative.
+        tangent: to work in, shape (ROWS, 13 + F).
+        workspaces: one, to work in.
+    """
+    played, memory = played_of(given), workspaces[0]
+    by_start, by_torque, by_field = results
+    steps, drift = played.smooth.shape[1], memory.point
+    for i in range(span[0], span[1]):
+        scene, plan = scene_of(played, i)
+        seed, pulled = seeds[i if seeds.shape[0] > 1 else 0], by_start[i]
+        for place in range(12):
+            pulled[place] = weights[i, steps, place]
+        for k in range(steps - 1, -1, -1):
+            held = torque_of(played, k)
+            if flies(played, i, k):
+                before, after = played.trajectories[i, k], played.trajectories[i, k + 1]
+                drifted(plan, played.torques[i, held] / scene.box_inertia, before, after, plan.dt, drift)
+                by_torque[i, held] += fly_back(scene, pulled, plan.dt, drift, seed, by_field[i])
+            else:
+                fill_identity(tangent, seed)
+                follow(played, scene, plan, i, k, tangent, memory)
+                by_torque[i, held] += weighed(pulled, tangent, TORQUE)
+                for column in range(seed.shape[0]):
+                    by_field[i, column] += weighed(pulled, tangent, FIRST_FIELD + column)
+                for column in range(12):
+                    memory.before[column] = weighed(pulled, tangent, column)
+                for column in range(12):
+                    pulled[column] = memory.before[column]
+            for place in range(12):
+                pulled[place] += weights[i, k, place]
+
+
+def weighed(weights: Array, tangent: Array, column: int) -> float:
+    """Sum of the weights times the state's rows of one column."""
+    total = 0.0
+    for place in range(12):
+        total += weights[place] * tangent[place, column]
+    return total
+
+
+def fly_back(scene: SceneNumbers, weights: Array, s: float, drift: Array, seed: Array, by_field: Array) -> float:
+    """Take weights of the state after a flight to those of the state before it: :func:`fly`, transposed.
+
+    Adds to ``by_field`` what the fields do in it; returns what the torque does.
+    """
+    half = 0.5 * s * s
+    if seed.shape[0]:
+        gravity = -half * weights[4] - s * weights[10]
+        mass = drift[0] * weights[0] + drift[1] * weights[1] + drift[3] * weights[6] + drift[4] * weights[7]
+        inertia = drift[2] * weights[2] + drift[5] * weights[8]
+        for column in range(seed.shape[0]):
+            by_field[column] += gravity * seed[column, 0]
+            by_field[column] -= mass / scene.box_mass * seed[column, BOX_MASS - GRAVITY]
+            by_field[column] -= inertia / scene.box_inertia * seed[column, BOX_INERTIA - GRAVITY]
+    torque = (half * weights[2] + s * weights[8]) / scene.box_inertia
+    for place in range(6):
+        weights[6 + place] += s * weights[place]
+    return float(torque)

@@ -1,0 +1,218 @@
+"""Derivatives of trajectories of the exact model by states, torques and the scene, impacts included."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from jackbox_env import _validation as check
+from jackbox_env.batches.threads import Threads, thread_count
+from jackbox_env.compiled import tangents
+from jackbox_env.compiled.compiler import compiled
+from jackbox_env.compiled.workspace import new_workspaces
+from jackbox_env.planning.rollouts import FEWEST_PER_THREAD, OneOrMore, Tape, play, sequences
+from jackbox_env.scene import Scene, scenes_of
+from jackbox_env.simulators.exact import drive_kind
+from jackbox_env.states import LATEST_TIME, Array
+
+Flags = NDArray[np.bool_]
+_AT_ONCE = 100_000  # steps of one call: then an interruption is heard
+
+
+class Linearization:
+    """Trajectories and their derivatives, in SI units; ``linearize`` makes it.
+
+    The matrices are worked out when they are first read. ``vjp`` and ``jvp`` do without them. It unpacks as
+    ``trajectories, A, B, P, smooth``.
+
+    Attributes:
+        trajectories: shape (N, H + 1, 12), those of ``rollout`` bit for bit.
+        smooth: shape (N, H), False where a step has no derivative, or none that can be told: several contacts at one
+            moment, an impact slower than 1e-6 v0, a foot that rests or begins to, one that touches a wall and
+            approaches it at the step's start or end, an impact at the end. A, B and P of that step are NaN.
+    """
+
+    def __init__(
+        self, scenes: list[Scene], dt: float, torques: Array, kinds: NDArray[np.int64], seeds: Array,
+        trajectories: Array, tape: Tape, num_threads: int | None,
+    ) -> None:  # fmt: skip
+        self.trajectories, self.smooth = trajectories, np.zeros(tape.rough.shape, np.bool_)
+        self._seeds, self._num_threads = seeds, num_threads
+        begins = np.concatenate([[0], np.cumsum(tape.hits)])
+        numbers = np.array([scene.numbers for scene in scenes])
+        self._given = numbers, kinds, dt, torques, trajectories, tape.rows, begins, self.smooth
+        compiled(tangents.mark_smooth)(self._given, tape.rough, new_workspaces())
+
+    def __iter__(self) -> Iterator[Array | Flags]:
+        return iter((self.trajectories, self.A, self.B, self.P, self.smooth))
+
+    @property
+    def A(self) -> Array:  # noqa: N802
+        """By the state at the step's start: A[n, k, i, j] = d x_i(k + 1) / d x_j(k), shape (N, H, 12, 12)."""
+        return self._matrices[0]
+
+    @property
+    def B(self) -> Array:  # noqa: N802
+        """By the torque held in the step [1 / (N m)], shape (N, H, 12); under a drive, by a torque added to its own."""
+        return self._matrices[1]
+
+    @property
+    def P(self) -> Array:  # noqa: N802
+        """By the scene's ``fields`` in their order, shape (N, H, 12, F)."""
+        return self._matrices[2]
+
+    @cached_property
+    def _matrices(self) -> tuple[Array, Array, Array]:
+        shape, fields = (*self.smooth.shape, 12), self._seeds.shape[1]
+        results = np.empty((*shape, 12)), np.empty(shape), np.empty((*shape, fields))
+        call = compiled(tangents.matrices)
+        self._spread(13 + fields, lambda span, *memory: call(self._given, self._seeds, span, results, *memory))
+        return results
+
+    def vjp(self, g: ArrayLike) -> tuple[Array, Array, Array]:
+        """Pull weights of the trajectories' states back: the gradient of sum(g * trajectories).
+
+        Args:
+            g: shape (N, H + 1, 12).
+
+        Returns:
+            The gradient by the first states, (N, 12), by the torques as they were given, (N, H / repeat), and by the
+            fields, (N, F), of each row. NaN where a step without a derivative is on the way.
+
+        Raises:
+            TypeError, ValueError: unusable weights.
+        """
+        weights = _floats("g", g, self.trajectories.shape)
+        results = self._zeros()
+        call = compiled(tangents.pull_back)
+        self._spread(
+            13 + self._seeds.shape[1],
+            lambda span, *memory: call(self._given, self._seeds, span, weights, results, *memory),
+        )
+        return results
+
+    def jvp(
+        self, dstates: ArrayLike | None = None, dtorques: ArrayLike | None = None, dfields: ArrayLike | None = None
+    ) -> Array:
+        """Push changes forward: how the trajectories change with them, to first order, shape (N, H + 1, 12).
+
+        Args:
+            dstates: of the first states, (N, 12); None: no change.
+            dtorques: of the torques as they were given, (N, H / repeat) [N m]; None: no change.
+            dfields: of the fields, (N, F); None: no change.
+
+        Raises:
+            TypeError, ValueError: unusable changes.
+        """
+        names = ("dstates", "dtorques", "dfields")
+        states, torques, scene = (
+            zero if change is None else _floats(name, change, zero.shape)
+            for name, change, zero in zip(names, (dstates, dtorques, dfields), self._zeros(), strict=True)
+        )
+        numbers = np.zeros((len(scene), len(tangents.FIELDS)))
+        for field in range(scene.shape[1]):
+            numbers += scene[:, field, None] * self._seeds[:, field]
+        results, call = np.empty(self.trajectories.shape), compiled(tangents.push_forward)
+        self._spread(1, lambda span, *memory: call(self._given, (states, torques, numbers), span, results, *memory))
+        return results
+
+    def _zeros(self) -> tuple[Array, Array, Array]:
+        count = len(self.trajectories)
+        return np.zeros((count, 12)), np.zeros(self._given[3].shape), np.zeros((count, self._seeds.shape[1]))
+
+    def _spread(self, columns: int, call: Callable[..., None]) -> None:
+        """Work on ranges of rows, on some threads."""
+        count, steps = len(self.trajectories), self.trajectories.shape[1] - 1
+        ranges = count if self._num_threads is not None else min(count, count * steps // FEWEST_PER_THREAD)
+        threads = Threads(thread_count(self._num_threads, ranges))
+        at_once = max(1, _AT_ONCE // max(1, steps))
+
+        def work(thread: int, low: int, high: int) -> None:
+            memory = np.zeros((tangents.ROWS, columns)), new_workspaces()
+            for first in range(low, high, at_once):
+                call((first, min(first + at_once, high)), *memory)
+
+        threads.run(work, count)
+
+
+def linearize(
+    scene: OneOrMore,
+    states: ArrayLike,
+    torques: ArrayLike | None,
+    dt: float,
+    time: float = 0.0,
+    *,
+    fields: Sequence[str] = (),
+    repeat: int = 1,
+    steps: int | None = None,
+    num_threads: int | None = None,
+) -> Linearization:
+    """Play torques like ``rollout``, and differentiate each step by its state, its torque and the scene.
+
+    The derivatives are those of the motion with its impacts: the saltation matrices of ``compiled/tangents.py``, exact
+    but for rounding. They are multiplied by about 5 at each impact, as every error is.
+
+    Args:
+        scene: a Scene, a dict of some of its fields, or None; or a list of N, one for each row.
+        states: shape (N, 12), or (12,) for all sequences; a foot may be up to 1 m outside.
+        torques: on the box [N m], shape (N, H), or (H,) for all states; None: the scene's drive acts for ``steps``.
+        dt: duration of a step [s], > 0.
+        time: at which all start [s].
+        fields: by which of the scene's numbers to differentiate, at fixed torques in N m: any of gravity, box_mass,
+            box_inertia, jack_mass, jack_inertia, jack_arm, box_half_width, restitution. An inertia that the scene
+            derives follows its mass and length; one that was given stays. At restitution 1 the derivative by it is the
+            formula's, from below.
+        repeat: steps that each torque is held for; H below is then the number of all steps.
+        steps: H, where ``torques`` is None.
+        num_threads: None: as many as the machine has. Results do not depend on it.
+
+    Raises:
+        TypeError, ValueError: unusable values.
+        JackLostError: a jack moves too fast to be followed.
+    """
+    scenes, several = scenes_of(scene)
+    repeat = check.whole("repeat", repeat, at_least=1, at_most=1_000_000)
+    dt = check.real("dt", dt, above=0.0)
+    time = check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
+    free = torques is None
+    if torques is None:
+        torques, repeat = np.zeros(check.whole("steps", steps, at_least=0, at_most=1_000_000_000)), 1
+    elif steps is not None:
+        raise TypeError(f"steps goes with torques=None, where the scene's drive acts, got steps={steps} and torques")
+    seeds = np.array([_seeds(one, fields) for one in scenes])
+    starts, held = sequences(scenes, several, states, torques)
+    tape = Tape()
+    played = play(
+        scenes, starts, held, dt, time, impacts=True, repeat=repeat, whole=True, num_threads=num_threads, free=free,
+        tape=tape,
+    )  # fmt: skip
+    kinds = np.array([drive_kind(one.drive, held=not free) for one in scenes])
+    return Linearization(scenes, dt, held, kinds, seeds, played.trajectories, tape, num_threads)
+
+
+def _seeds(scene: Scene, fields: Sequence[str]) -> Array:
+    """How each field moves the numbers of ``tangents.FIELDS``, shape (F, 8): a derived inertia follows."""
+    if isinstance(fields, str) or not isinstance(fields, Sequence):
+        raise TypeError(f"fields must be a tuple of names, got {check.shown(fields)}")
+    seeds = np.zeros((len(fields), len(tangents.FIELDS)))
+    for row, name in zip(seeds, fields, strict=True):
+        row[tangents.FIELDS.index(check.choice("a field", name, tangents.FIELDS))] = 1.0
+        for inertia, mass, length in _INERTIAS:
+            if inertia in scene.derived and name in (mass, length):
+                m, r = getattr(scene, mass), getattr(scene, length)
+                row[tangents.FIELDS.index(inertia)] = r * r if name == mass else 2.0 * m * r
+    return seeds
+
+
+_INERTIAS = ("box_inertia", "box_mass", "box_half_width"), ("jack_inertia", "jack_mass", "jack_arm")
+
+
+def _floats(name: str, given: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """The numbers given, float64 and in one piece."""
+    numbers = np.ascontiguousarray(check.array(name, given, "hold numbers"), dtype=np.float64)
+    if numbers.shape != shape:
+        raise ValueError(f"{name} must have shape {shape}, got {numbers.shape}")
+    return numbers
