@@ -132,6 +132,31 @@ def rattle(scene: AnyScene, state: Numbers, torque: float, impulse: float) -> tu
     return knock * _calm(scene, state, 2.0), -EFFORT_COST * effort * effort
 
 
+def juggle_slope(scene: SceneNumbers, states: Array) -> Array:
+    """Derivative of :func:`juggle` by each state, (n, 12), in a scene whose numbers are (n,) or (1,); 0 at kinks."""
+    r, reach = (
+        states[:, 3:5] - states[:, :2],
+        np.maximum(scene.box_half_width - scene.jack_arm, scene.box_half_width / 6.0),
+    )
+    distance = np.hypot(*r.T)
+    slope = np.zeros_like(states)
+    inner = (distance > 0.0) & (distance < reach)
+    slope[:, :2] = np.where(inner, 1.0 / (reach * np.where(inner, distance, 1.0)), 0.0)[:, None] * r
+    slope[:, 3:5] = -slope[:, :2]
+    return slope
+
+
+def spin_slope(scene: SceneNumbers, states: Array) -> Array:
+    """The same of :func:`spin`."""
+    per_rate = np.asarray(scene.jack_arm) / scene.speed_scale
+    rate, calm = states[:, 11] * per_rate, 1.0 - abs(states[:, 8]) * scene.box_half_width / scene.speed_scale
+    slope = np.zeros_like(states)
+    slope[:, 11] = np.where(abs(rate) < 1.0, per_rate * np.maximum(calm, 0.0), 0.0)
+    slowing = np.sign(states[:, 8]) * scene.box_half_width / scene.speed_scale
+    slope[:, 8] = np.where(calm > 0.0, -np.clip(rate, -1.0, 1.0) * slowing, 0.0)
+    return slope
+
+
 def _calm(scene: AnyScene, state: Numbers, limit: float) -> float:
     """1 at a box at rest, falling linearly to 0 where its rate reaches ``limit`` v0 / L."""
     return float(max(0.0, 1.0 - abs(state[8]) * scene.box_half_width / (limit * scene.speed_scale)))
@@ -142,6 +167,7 @@ TASKS = {
     "spin": Task(("spin",), spin),
     "rattle": Task(("knock", "effort"), rattle),
 }
+SLOPES = {"juggle": juggle_slope, "spin": spin_slope}  # of the tasks whose reward is a function of the state
 
 
 def task_of(given: str | Task, argument: str = "task") -> Task:

@@ -54,6 +54,7 @@ PACKAGE = """
     vector_env
     sb3 planning.rollouts
     planning planning.linearization
+    torch
     planning.icem
     planning.features
     planning.wrappers

@@ -41,7 +41,7 @@ from jackbox_env.compiled.motion import (
     view_of,
 )
 from jackbox_env.compiled.status import Status
-from jackbox_env.compiled.workspace import AFTER_IMPACT, AT_IMPACT, DRIVEN_THERE, WIDE, Array, Workspace
+from jackbox_env.compiled.workspace import AT_IMPACT, DRIVEN_THERE, WIDE, Array, Workspace
 from jackbox_env.scene import SceneNumbers
 
 # In place of 4 * wall + foot: no impact, none to be found by reasonable work, or a foot may be at rest now.
@@ -308,12 +308,9 @@ def strike(
     evolve(memory, flight, time)
     memory.elapsed += time
     memory.looks += 1.0
-    number = memory.hits if memory.hits < log.shape[0] and log.shape[1] == WIDE else -1
-    if number >= 0:
-        note_state(log[number], flight, memory, time)
+    if memory.hits < log.shape[0] and log.shape[1] == WIDE:
+        note_state(log[memory.hits], flight, memory, time)
     resolve(scene, memory, log, together, pair // 4, pair % 4)
-    for place in range(6 if number >= 0 else 0):
-        log[number, AFTER_IMPACT + place] = memory.state[6 + place]
 
 
 def note_state(row: Array, flight: Flight, memory: Workspace, time: float) -> None:

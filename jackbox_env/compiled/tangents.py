@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.compiled.impacts import frame_of, gradient, rate_of
+from jackbox_env.compiled.impacts import frame_of, gradient, kick, rate_of
 from jackbox_env.compiled.rollouts import Counts, Flags
 from jackbox_env.compiled.step import (
     CONSTANT,
@@ -34,7 +34,7 @@ from jackbox_env.compiled.step import (
     start,
     touch_of,
 )
-from jackbox_env.compiled.workspace import AFTER_IMPACT, AT_IMPACT, DRIVEN_THERE, Workspace, Workspaces
+from jackbox_env.compiled.workspace import AT_IMPACT, DRIVEN_THERE, Workspace, Workspaces
 from jackbox_env.scene import SceneNumbers
 
 Array = NDArray[np.float64]
@@ -69,31 +69,60 @@ def fly(scene: SceneNumbers, tangent: Array, s: float, drift: Array) -> None:
         tangent[7, column] -= drift[4] / mass * tangent[BOX_MASS, column]
 
 
-def strike(scene: SceneNumbers, tangent: Array, hit: Array, row: Array) -> None:
-    """Take a tangent through an impact, a row of a wide log; ``row`` is memory for the gap's gradient J, shape (6,)."""
-    at, after, wall, foot, push = hit[AT_IMPACT:], hit[AFTER_IMPACT:], int(hit[1]), int(hit[2]), hit[3]
-    frame = frame_of(at)
-    gap, rate = gradient(scene, frame, wall, foot, row), rate_of(at, row)
+def accelerate(scene: SceneNumbers, hit: Array, rates: Array, s: float) -> None:
+    """Change six rates by what ``s`` [s] of the accelerations at an impact, a row of a wide log, do."""
+    rates[0] += hit[DRIVEN_THERE + 1] * s
+    rates[1] += hit[DRIVEN_THERE + 2] * s
+    rates[2] += hit[DRIVEN_THERE] * s
+    rates[4] -= scene.gravity * s
+
+
+def lateness(gap: float, rate: float) -> float:
+    """By how much later a gap closes that is wider by ``gap`` [m] and changes at ``rate`` [m/s]: -dg / (Dg f-) [s]."""
+    return -gap / rate
+
+
+def locate(scene: SceneNumbers, hit: Array, memory: Workspace) -> float:
+    """Write the state just before an impact, a row of a wide log, to ``memory.before``, and its gradient to the first.
+
+    The search ends where the gap is within the tolerance. Returns by how much later it is 0 [s]: there the state is.
+    """
+    at, row = memory.before, memory.gradients[0]
+    for place in range(12):
+        at[place] = hit[AT_IMPACT + place]
+    gap = gradient(scene, frame_of(at), int(hit[1]), int(hit[2]), row)
+    later = lateness(gap, rate_of(at, row))
+    for place in range(6):
+        at[place] += at[6 + place] * later
+    accelerate(scene, hit, at[6:], later)
+    gradient(scene, frame_of(at), int(hit[1]), int(hit[2]), row)
+    return later
+
+
+def strike(scene: SceneNumbers, tangent: Array, hit: Array, memory: Workspace) -> None:
+    """Take a tangent, and the state in ``memory.before``, through an impact that :func:`locate` has found."""
+    at, row = memory.before, memory.gradients[0]
+    frame, rate = frame_of(at), rate_of(at, row)
     nx, ny, box_arm, jack_arm = row[0], row[1], row[2], row[5]
     depth = nx * frame.x + ny * frame.y
-    extent = scene.box_half_width - depth - gap  # of the foot from the jack's centre, along the normal
+    extent = scene.box_half_width - depth  # of the foot from the jack's centre, along the normal
     vx, vy, omega, spin = at[9] - at[6], at[10] - at[7], at[8], at[11]
-    turning, push_x, push_y = hit[DRIVEN_THERE], hit[DRIVEN_THERE + 1], hit[DRIVEN_THERE + 2]
     yielding = 1.0 / scene.box_mass + 1.0 / scene.jack_mass
     yielding += box_arm * box_arm / scene.box_inertia + jack_arm * jack_arm / scene.jack_inertia
     back = 1.0 + scene.restitution
+    push, after = -back * rate / yielding, memory.rates
+    for place in range(6):
+        after[place] = at[6 + place]
+    kick(scene, after, row, push)
     for c in range(tangent.shape[1]):
         d = tangent[:, c]
         wider = d[HALF_WIDTH] - extent / scene.jack_arm * d[JACK_ARM]
         closing = nx * (d[0] - d[3]) + ny * (d[1] - d[4]) + box_arm * d[2] + jack_arm * d[5] + wider
-        later = -closing / rate
+        later = lateness(closing, rate)
         # To the moment of impact.
         for place in range(6):
             d[place] += at[6 + place] * later
-        d[6] += push_x * later
-        d[7] += push_y * later
-        d[8] += turning * later
-        d[10] -= scene.gravity * later
+        accelerate(scene, hit, d[6:], later)
         # Through the law there.
         dx, dy, angle = d[3] - d[0], d[4] - d[1], d[2]
         turn_x, turn_y = -ny * angle, nx * angle  # of the normal
@@ -116,10 +145,9 @@ def strike(scene: SceneNumbers, tangent: Array, hit: Array, row: Array) -> None:
         # And back, with the rates after it.
         for place in range(6):
             d[place] -= after[place] * later
-        d[6] -= push_x * later
-        d[7] -= push_y * later
-        d[8] -= turning * later
-        d[10] += scene.gravity * later
+        accelerate(scene, hit, d[6:], -later)
+    for place in range(6):
+        at[6 + place] = after[place]
 
 
 def drifted(plan: Plan, alpha: float, before: Array, after: Array, s: float, drift: Array) -> None:
@@ -148,12 +176,13 @@ def step_tangent(
         end[place], end[6 + place] = state[place] + (after[place] - before[place]), after[6 + place]
     for number in range(hits.shape[0]):
         hit = hits[number]
-        drifted(plan, alpha, state, hit[AT_IMPACT:], hit[0] - since, drift)
-        fly(scene, tangent, hit[0] - since, drift)
-        strike(scene, tangent, hit, memory.gradients[0])
-        for place in range(6):
-            state[place], state[6 + place] = hit[AT_IMPACT + place], hit[AFTER_IMPACT + place]
-        since = hit[0]
+        time = hit[0] + locate(scene, hit, memory)
+        drifted(plan, alpha, state, memory.before, time - since, drift)
+        fly(scene, tangent, time - since, drift)
+        strike(scene, tangent, hit, memory)
+        for place in range(12):
+            state[place] = memory.before[place]
+        since = time
     drifted(plan, alpha, state, end, plan.dt - since, drift)
     fly(scene, tangent, plan.dt - since, drift)
 

@@ -95,9 +95,9 @@ def new_workspaces(count: int = 1) -> Workspaces:
 
 
 # Columns of a log: time since the step's start [s], wall, foot, impulse [N s]. A wide log, for derivatives,
-# adds the state at the impact with its rates before it, the rates after it, and the accelerations that the drive gives
-# the box: angular, along x and along y.
-AT_IMPACT, AFTER_IMPACT, DRIVEN_THERE, WIDE = 4, 16, 22, 25
+# adds the state at the impact, with the rates before it, and the accelerations that the drive gives the box there:
+# angular, along x and along y.
+AT_IMPACT, DRIVEN_THERE, WIDE = 4, 16, 19
 
 
 def new_log(impacts: int = 0, wide: bool = False) -> Array:

@@ -40,6 +40,7 @@ RECIPES = {
     "torchrl": Recipe(_script("torchrl"), ("torchrl", TORCH)),
     "tianshou": Recipe(_script("tianshou"), ("tianshou", TORCH)),
     "minari": Recipe(_script("minari"), ("minari[create,hdf5]", "pillow")),
+    "jax": Recipe(_script("jax"), ("jax",)),
     "rllib": Recipe(_script("rllib", "--iterations", "4"), ("ray[rllib]==2.60.0", "gymnasium==1.2.2", TORCH)),
 }  # fmt: skip
 

@@ -354,6 +354,18 @@ ROLLOUT: Kinds = {
     "num_threads": THREADS,
 }
 ROLLOUT["torques"] = ROLLOUT["torques"].but(one_too_many=None, empty=None, scalar=out(1.0, "()"))
+LINEARIZING: Kinds = {
+    **{name: ROLLOUT[name] for name in ("scene", "states", "dt", "time", "repeat", "num_threads")},
+    "torques": ROLLOUT["torques"].but(nothing=None),
+    "fields": Argument(
+        ("gravity",),
+        {
+            **each(wrong, {"text": "gravity", "number": 3.0, "fails": FailsToConvert()}),
+            "unknown": out(("weight",), "'gravity'", "'weight'", named="field"),
+            "another": out((3,), "3", named="field"),
+        },
+    ),
+}
 CHOOSING: Kinds = {
     "scene": SCENES.but(many=out([None] * 3, "cases", "3", "2")),
     **{name: real(8.0, above=0.0).but(inf=None, float16_inf=None) for name in ("first_impact_error", "penetration")},
@@ -444,6 +456,7 @@ def constructors() -> Iterator[Row]:
     yield row(drawn_alone, {"randomize": DRAWN})
     yield row(drawn_together, {"randomize": DRAWN})
     yield row(jackbox_env.rollout, ROLLOUT)
+    yield row(jackbox_env.linearize, LINEARIZING, steps=None)
     yield row(cheapest, CHOOSING)
     inner = JackInBoxVectorEnv(2, autoreset_mode="SAME_STEP")
     yield row(jackbox_env.Lookahead, LOOKING, env=gym.make("JackInBox-v0"))

@@ -19,6 +19,7 @@ from scripts.studies.timing import Rates
 
 PACKAGES = ("jackbox", "gymnasium", "numpy", "pymunk", "numba")
 PASSES = 9  # through everything, in a round
+DERIVED = "with derivatives"
 MODELS = PYMUNK, EXACT, BATCH = "pymunk", "exact", "exact, batch"
 ARM, FRAME = "more impacts: an arm of 8 m", "a frame drawn in each step"
 FUNCTION = "a torque that is a Python function, in place of the chirp"
@@ -74,6 +75,7 @@ def measured(rounds: int, seconds: float) -> dict[str, Any]:
     for kind, scene in these.LOSS.items():
         timed[f"{EXACT}: {kind}"] = these.alone(scene, lossy[kind], seconds)
         timed[f"{BATCH}: {kind}"] = these.batched(EXACT, lossy[kind], seconds, scene=scene)
+        timed[f"{DERIVED}: {kind}"] = these.derived(scene, lossy[kind], seconds)
     found = figures(timing.measure(timed, rounds * PASSES), PASSES)
     found["loss"]["impacts"] = {kind: float(given.hits.mean()) for kind, given in lossy.items()}
     impacts = {"usual": float(usual.hits.mean()), "long arm": float(far.hits.mean())}
@@ -103,7 +105,7 @@ def figures(rates: Rates, passes: int) -> dict[str, Any]:
     return {
         "plain": {"a plain step": {model: of(model, "plain") for model in MODELS}},
         "on_top": {what: {model: of(model, *pair) for model in timed(pair)} for what, pair in THINGS.items()},
-        "loss": {"steps": {kind: {model: of(model, kind) for model in (EXACT, BATCH)} for kind in these.LOSS}},
+        "loss": {"steps": {kind: {model: of(model, kind) for model in (EXACT, BATCH, DERIVED)} for kind in these.LOSS}},
     }
 
 
@@ -166,10 +168,11 @@ def _loss_table(loss: Figures, impacts: Mapping[str, float]) -> str:
     rows = []
     for kind, found in loss.items():
         rows.append([kind, figure(impacts[kind])])
-        for model in (EXACT, BATCH):
+        for model in (EXACT, BATCH, DERIVED):
             ratios = (one / other for one, other in zip(found[model], loss[these.FLIGHT][model], strict=True))
             rows[-1] += [f"{figure(statistics.median(found[model]) / 1e3)} µs", figure(statistics.median(ratios))]
-    heads = "a step of exact", "impacts in it", "contact model alone", "of a flight", "in a batch", "of a flight"
+    heads = ["a step of exact", "impacts in it"]
+    heads += [head for what in ("contact model alone", "in a batch", DERIVED) for head in (what, "of a flight")]
     return table(heads, rows)
 
 

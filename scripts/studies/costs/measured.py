@@ -17,7 +17,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env import Drive, Scene, Task, make_simulator
+from jackbox_env import Drive, Scene, Task, linearize, make_simulator
 from jackbox_env.planning.rollouts import rollout
 from jackbox_env.tasks import TASKS, juggle, sample_start
 from scripts.studies.timing import Timed
@@ -153,6 +153,16 @@ def alone(scene: Scene, given: Moments, seconds: float) -> Timed:
     simulator = make_simulator(scene, "exact")
     step = partial(simulator.step, DT, 0.0)
     return timed([(partial(simulator.reset, state), step) for state in given.states[:64].reshape(-1, 12)], 1, seconds)
+
+
+def derived(scene: Scene, given: Moments, seconds: float) -> Timed:
+    """Steps per second of rollouts of one step, their derivatives by state and torque included, under no torque."""
+    torques = np.zeros((TOGETHER, 1))
+
+    def step(states: Array) -> None:
+        linearize(scene, states, torques, DT, num_threads=1).A  # noqa: B018
+
+    return timed([(int, partial(step, given.states[:, k])) for k in range(given.states.shape[1])], TOGETHER, seconds)
 
 
 def stepped(contact: str, given: Moments, seconds: float, kind: str) -> Timed:

@@ -25,7 +25,7 @@ import pymunk
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from jackbox_env import Scene, Task
+from jackbox_env import Scene, Task, linearize
 from jackbox_env.compiled.compiler import compiled, compiled_with
 from jackbox_env.compiled.motion import Flight, View, box_frame, foot_gap, gap_at, pose_at, towards
 from jackbox_env.compiled.rollouts import outside
@@ -43,6 +43,7 @@ LANDER, POLE = "LunarLander-v3", "CartPole-v1"
 FRAMES, LANDER_FRAMES = "JackInBox-v0, frames", "LunarLander-v3, frames"
 
 ROLLOUT, UNGUARDED = "`rollout`: physics alone", "the same, unguarded search"
+MATRICES, PULLED = "`linearize`, all A and B read", "`linearize` and `vjp`, without A"
 BATCH, BATCH_CHIRP = "JackInBox-v0, exact, 1,024", "the same under the chirp"
 BATCH_SCENES, BATCH_DRAWN = "the same, a scene for each", "the same, jacks drawn at each reset"
 BATCH_TASK = "the same, a task of one's own"
@@ -227,6 +228,8 @@ def together(seconds: float) -> dict[str, Timed]:
         BARE: bare_pymunk(seconds),
         ROLLOUT: physics,
         UNGUARDED: unguarded(physics),
+        MATRICES: rolled(TOGETHER, SOME, seconds, run=matrices),
+        PULLED: rolled(TOGETHER, SOME, seconds, run=pulled),
         **{name: many(env, seconds) for name, env in batches.items()},
     }
 
@@ -267,15 +270,27 @@ def moments(count: int) -> Array:
     return states
 
 
+def matrices(*given: Any, **settings: Any) -> object:
+    """``jackbox_env.linearize`` with the derivatives of all steps."""
+    return linearize(*given, **settings).A
+
+
+def pulled(*given: Any, **settings: Any) -> object:
+    """``jackbox_env.linearize`` with the gradient of a sum of all states."""
+    lin = linearize(*given, **settings)
+    return lin.vjp(np.ones_like(lin.trajectories))
+
+
 def rolled(
-    count: int, steps: int, seconds: float, threads: int = 1, clock: Callable[[], float] = time.process_time
-) -> Timed:
-    """Control steps per second of ``jackbox_env.rollout`` from moments of episodes."""
+    count: int, steps: int, seconds: float, threads: int = 1, clock: Callable[[], float] = time.process_time,
+    run: Callable[..., object] = rollouts.rollout,
+) -> Timed:  # fmt: skip
+    """Control steps per second of ``jackbox_env.rollout``, or what else ``run`` is, from moments of episodes."""
     scene, states = Scene(), moments(count)
     torques = np.random.default_rng(0).uniform(-scene.torque_limit, scene.torque_limit, (count, steps))
 
     def block() -> int:
-        rollouts.rollout(scene, states, torques, DT, num_threads=threads)
+        run(scene, states, torques, DT, num_threads=threads)
         return torques.size
 
     return repeat(block, seconds, clock=clock)

@@ -1,0 +1,97 @@
+"""One control step of the exact model as a differentiable function of PyTorch: extra ``train``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from jackbox_env import _validation as check
+
+try:
+    import torch
+    from torch import Tensor
+except ImportError as error:
+    raise ImportError(check.extra_needed("jackbox_env.torch", "torch", "train")) from error
+
+from jackbox_env.planning.linearization import linearize
+from jackbox_env.planning.rollouts import OneOrMore, rollout
+from jackbox_env.scene import SceneNumbers, scenes_of
+from jackbox_env.tasks import SLOPES
+
+
+def step(
+    scene: OneOrMore, states: Tensor, actions: Tensor, dt: float = 0.02, *, task: str = "juggle",
+    nonsmooth: str = "raise",
+) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
+    """Advance states by one control step, as an environment with ``contact="exact"`` does, differentiably.
+
+    Args:
+        scene: a Scene, a dict of some of its fields, or None; or a list of N. Its drive's side forces act, at time 0.
+        states: shape (N, 12).
+        actions: shape (N,) or (N, 1), shares of the torque limit, clipped to [-1, 1]; the gradient is 0 where clipped.
+        dt: control step [s].
+        task: whose reward is returned, "juggle" or "spin".
+        nonsmooth: what to do with rows that have no derivative (see :class:`jackbox_env.Linearization`) where one is
+            wanted: "raise" an error, or take "zero" for it.
+
+    Returns:
+        Next states, (N, 12), rewards, (N,), both float64, and which rows have a derivative, (N,), bool.
+
+    Raises:
+        TypeError, ValueError: unusable values; a row without a derivative, where one is wanted and not "zero".
+        JackLostError: a jack moves too fast to be followed.
+    """
+    check.choice("task", task, SLOPES)
+    check.choice("nonsmooth", nonsmooth, ("raise", "zero"))
+    for name, given in (("states", states), ("actions", actions)):
+        if not isinstance(given, Tensor):
+            raise TypeError(f"{name} must be a torch.Tensor, got {check.shown(given)}")
+    if states.ndim != 2 or states.shape[1] != 12 or actions.shape not in ((len(states),), (len(states), 1)):
+        shapes = tuple(states.shape), tuple(actions.shape)
+        raise ValueError(
+            f"states and actions must have shapes (N, 12) and (N,) or (N, 1), got {shapes[0]}, {shapes[1]}"
+        )
+    shares = actions.reshape(-1).to("cpu", torch.float64).clamp(-1.0, 1.0)
+    strict = nonsmooth == "raise" and torch.is_grad_enabled()
+    found = _Step.apply(scene, states.to("cpu", torch.float64), shares, dt, task, strict)  # type: ignore[no-untyped-call]
+    next_states, rewards, smooth = (one.to(states.device) for one in found)
+    return next_states, rewards, smooth
+
+
+class _Step(torch.autograd.Function):
+    """The step, and its gradient by ``Linearization.vjp``."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, scene: OneOrMore, states: Tensor, shares: Tensor, dt: float, task: str, strict: bool
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """The step."""
+        numbers = SceneNumbers(*np.array([one.numbers for one in scenes_of(scene)[0]]).T)  # each (1,) or (N,)
+        torques = (shares.numpy() * numbers.torque_limit)[:, None]
+        lin = linearize(scene, states.numpy(), torques, dt)
+        smooth = lin.smooth[:, 0]
+        if strict and any(ctx.needs_input_grad) and not smooth.all():
+            rough = np.flatnonzero(~smooth)
+            raise ValueError(
+                f"states must have a derivative, {len(rough)} of {len(smooth)} have none, the first is "
+                f'states[{rough[0]}]; nonsmooth="zero" takes 0 for it'
+            )
+        rewards = rollout(scene, states.numpy(), torques, dt, rewards=task).rewards[:, 0]
+        ctx.given = lin, numbers, task
+        told = torch.from_numpy(smooth)
+        ctx.mark_non_differentiable(told)
+        return torch.from_numpy(lin.trajectories[:, 1].copy()), torch.from_numpy(rewards), told
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, by_states: Tensor, by_rewards: Tensor, _: Any) -> tuple[Tensor | None, ...]:
+        """The gradient; 0 in rows that have none."""
+        lin, numbers, task = ctx.given
+        weights = np.zeros_like(lin.trajectories)
+        weights[:, 1] = by_states.numpy() + by_rewards.numpy()[:, None] * SLOPES[task](numbers, lin.trajectories[:, 1])
+        by_start, by_torque, _ = lin.vjp(weights)
+        for pulled in (by_start, by_torque):
+            pulled[~lin.smooth[:, 0]] = 0.0
+        by_share = by_torque[:, 0] * numbers.torque_limit
+        return None, torch.from_numpy(by_start), torch.from_numpy(by_share), None, None, None

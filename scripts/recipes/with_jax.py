@@ -1,0 +1,50 @@
+"""JAX differentiates the exact model: torques that throw the jack, in one bounce, to the middle of the box."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jackbox_env import Linearization, Scene, linearize
+
+jax.config.update("jax_enable_x64", True)
+SCENE, DT, REPEAT = Scene(drive=None), 0.02, 10
+
+
+def linearized(states: jax.Array, torques: jax.Array) -> Linearization:
+    """Ten torques in shares of the limit, each held for 10 steps of 0.02 s, by the exact model."""
+    return linearize(SCENE, np.asarray(states), np.asarray(torques) * SCENE.torque_limit, DT, repeat=REPEAT)
+
+
+def pulled_back(states: jax.Array, torques: jax.Array, g: jax.Array) -> tuple[np.ndarray, np.ndarray]:
+    """The gradient by states and torques."""
+    by_states, by_torques, _ = linearized(states, torques).vjp(np.asarray(g))
+    return by_states, by_torques * SCENE.torque_limit
+
+
+@jax.custom_vjp  # type: ignore[untyped-decorator]
+def trajectories(states: jax.Array, torques: jax.Array) -> jax.Array:
+    """From states, (n, 12), under torques, (n, 10): all states, (n, 101, 12)."""
+    shape = jax.ShapeDtypeStruct((len(states), 1 + REPEAT * torques.shape[1], 12), states.dtype)
+    return jax.pure_callback(lambda *given: linearized(*given).trajectories, shape, states, torques)
+
+
+trajectories.defvjp(
+    lambda states, torques: (trajectories(states, torques), (states, torques)),
+    lambda given, g: jax.pure_callback(pulled_back, given, *given, g),
+)
+
+
+def distances(torques: jax.Array) -> jax.Array:
+    """Of the jack from the middle of the box at the end [m]."""
+    starts = jnp.zeros((8, 12)).at[:, 3].set(jnp.linspace(0.3, 1.0, 8)).at[:, 5].set(0.1)
+    end = trajectories(starts, torques)[:, -1]
+    return jnp.hypot(end[:, 3] - end[:, 0], end[:, 4] - end[:, 1])
+
+
+improve = jax.jit(jax.grad(lambda torques: distances(torques).sum()))
+torques = jnp.zeros((8, 10))
+print("distances without torque [m]:", np.round(distances(torques), 2))
+for number in range(200):
+    gradient = improve(torques)
+    torques -= 0.05 * 0.98**number * gradient / jnp.linalg.norm(gradient, axis=1, keepdims=True)
+print("distances after 200 steps [m]:", np.round(distances(torques), 2))

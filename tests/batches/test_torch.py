@@ -1,0 +1,84 @@
+"""The differentiable step against PyTorch's own differences and against the environment."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+
+import jackbox_env.torch
+from jackbox_env import Scene, rollout
+from tests.states import inside
+
+SCENES = [Scene(jack_mass=mass, torque_limit=limit) for mass, limit in ((4.0, 9e4), (7.0, 5e4))] * 4
+
+
+def given(scenes: list[Scene], seed: int, dt: float) -> tuple[torch.Tensor, torch.Tensor, np.ndarray]:
+    """States and shares, and the number of impacts of each row."""
+    rng = np.random.default_rng(seed)
+    states, shares = np.array([inside(one, rng, 20.0) for one in scenes]), rng.uniform(-0.9, 0.9, len(scenes))
+    torques = (shares * [one.torque_limit for one in scenes])[:, None]
+    hits = rollout(scenes, states, torques, dt, impacts=True, rewards="juggle").impacts
+    assert hits is not None
+    return torch.tensor(states, requires_grad=True), torch.tensor(shares, requires_grad=True), hits[:, 0]
+
+
+@pytest.mark.parametrize("task", ["juggle", "spin"])
+def test_gradients_equal_differences_an_impact_among_them(task: str) -> None:
+    states, shares, hits = given(SCENES, 6, 0.1)
+    assert (hits > 0).any()
+    assert (hits == 0).any()
+
+    def step(states: torch.Tensor, shares: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        next_states, rewards, smooth = jackbox_env.torch.step(SCENES, states, shares, 0.1, task=task)
+        assert smooth.all()
+        return next_states, rewards
+
+    assert torch.autograd.gradcheck(step, (states, shares), atol=1e-9)
+
+
+@pytest.mark.parametrize("task", ["juggle", "spin"])
+def test_states_and_rewards_are_the_environments(task: str) -> None:
+    env = gym.make("JackInBox-v0", contact="exact", task=task)
+    env.reset(seed=0)
+    state = torch.tensor(env.unwrapped.state)[None]  # type: ignore[attr-defined]
+    for action in np.linspace(-1.5, 1.5, 100):
+        state, reward, _ = jackbox_env.torch.step(None, state, torch.tensor([action]), task=task)
+        _, expected, *_ = env.step(np.array([action]))
+        np.testing.assert_array_equal(state[0].numpy(), env.unwrapped.state)  # type: ignore[attr-defined]
+        assert reward.item() == expected
+
+
+def test_a_row_without_a_derivative_is_named_or_counts_as_0() -> None:
+    floor = [0.0] * 4 + [-5.0] + [0.0] * 5 + [-1.0, 0.0]  # an impact at the start
+    states = torch.tensor([[0.0] * 12, floor], dtype=torch.float64, requires_grad=True)
+    shares = torch.tensor([0.1, 0.1], dtype=torch.float64, requires_grad=True)
+    with pytest.raises(ValueError, match=r"1 of 2 have none, the first is states\[1\]"):
+        jackbox_env.torch.step(None, states, shares)
+    with torch.no_grad():
+        assert jackbox_env.torch.step(None, states, shares)[2].tolist() == [True, False]
+    next_states, rewards, smooth = jackbox_env.torch.step(None, states, shares, nonsmooth="zero")
+    (next_states.sum() + rewards.sum()).backward()
+    assert smooth.tolist() == [True, False]
+    for gradient in (states.grad, shares.grad):
+        assert gradient is not None
+        assert (gradient[0] != 0.0).any()
+        assert (gradient[1] == 0.0).all()
+
+
+def test_shapes_and_kinds() -> None:
+    states, shares = torch.zeros((3, 12)), torch.full((3, 1), 2.0, requires_grad=True)
+    next_states, rewards, smooth = jackbox_env.torch.step(None, states, shares)  # float32 is taken
+    assert [one.dtype for one in (next_states, rewards, smooth)] == [torch.float64, torch.float64, torch.bool]
+    next_states.sum().backward()
+    assert shares.grad is not None
+    assert (shares.grad == 0.0).all()  # clipped
+    with pytest.raises(ValueError, match="must have shapes"):
+        jackbox_env.torch.step(None, states[0], shares)
+    with pytest.raises(ValueError, match="task must be one of 'juggle', 'spin'"):
+        jackbox_env.torch.step(None, states, shares, task="rattle")
+    with pytest.raises(ValueError, match="nonsmooth must be one of"):
+        jackbox_env.torch.step(None, states, shares, nonsmooth="ignore")
+    with pytest.raises(TypeError, match=r"states must be a torch\.Tensor"):
+        jackbox_env.torch.step(None, np.zeros((3, 12)), shares)  # type: ignore[arg-type]

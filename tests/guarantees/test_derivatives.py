@@ -1,0 +1,387 @@
+"""Derivatives through impacts: against 60 digits, complex steps in long double, closed forms; where there are none."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+import sympy
+from numpy.typing import NDArray
+
+from jackbox_env import Linearization, Scene, linearize, make_simulator, rollout
+from jackbox_env.compiled import tangents
+from jackbox_env.compiled.compiler import compiled, compiled_with
+from tests.fingerprints import DRIVES
+from tests.states import Array, inside, load, lying
+
+FIELDS = tangents.FIELDS
+CASES = load("derivatives")
+Complex = NDArray[np.clongdouble]
+Exact = dict[str, Complex]  # a scene's numbers
+
+
+def product(lin: Linearization, row: int = 0) -> tuple[Array, Array, Array]:
+    """Of all steps of a row: derivatives of the last state by the first, by each torque, by the fields."""
+    by_start, by_fields, by_torques = np.eye(12), np.zeros((12, lin.P.shape[3])), np.zeros((12, 0))
+    for a, b, p in zip(lin.A[row], lin.B[row], lin.P[row], strict=True):
+        by_start, by_fields, by_torques = a @ by_start, a @ by_fields + p, np.column_stack([a @ by_torques, b])
+    return by_start, by_torques, by_fields
+
+
+def off(found: Array, expected: Array) -> float:
+    """Largest error, relative to the largest entry."""
+    return float(abs(found - expected).max() / max(abs(expected).max(), 1e-300))
+
+
+# -- against references ------------------------------------------------------------------------------------------------
+
+
+def linearized(case: dict[str, Any]) -> Linearization:
+    fields = [name for name in FIELDS if name in case["by_field"]]
+    scene = Scene(**case["scene"], drive=None)
+    return linearize(scene, case["start"], case["torques"], case["control_dt"], fields=fields)
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: f"{len(case['impacts'])} impacts")
+def test_products_of_steps_equal_the_60_digit_reference(case: dict[str, Any]) -> None:
+    lin = linearized(case)
+    by_start, by_torques, by_fields = product(lin)
+    expected = np.array(case["by_start"]).T
+    tolerance = 5e-14 * max(1.0, abs(expected).max())
+    assert lin.smooth.all()
+    assert off(by_start, expected) <= tolerance
+    for number, column in case["by_torque"].items():
+        assert off(by_torques[:, int(number)], np.array(column)) <= tolerance
+    for column, name in zip(by_fields.T, case["by_field"], strict=True):
+        assert name in FIELDS
+        assert off(column, np.array(case["by_field"][name])) <= tolerance
+
+
+def test_without_the_shift_of_the_impacts_time_the_reference_is_missed(monkeypatch: pytest.MonkeyPatch) -> None:
+    def never(closing: float, rate: float) -> float:
+        return 0.0
+
+    def without(function: Any) -> Any:
+        return compiled_with(function, lateness=never) if function is tangents.matrices else compiled(function)
+
+    monkeypatch.setattr("jackbox_env.planning.linearization.compiled", without)
+    for case in CASES:
+        if case["impacts"]:
+            assert off(product(linearized(case))[0], np.array(case["by_start"]).T) > 0.01
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: f"{len(case['impacts'])} impacts")
+def test_products_forward_and_backward_agree(case: dict[str, Any]) -> None:
+    lin, rng = linearized(case), np.random.default_rng(0)
+    g = rng.standard_normal(lin.trajectories.shape)
+    for one in range(3):  # one kind of change after the other, as their scales differ
+        changes = [
+            rng.standard_normal(shape) * (one == kind)
+            for kind, shape in enumerate([(1, 12), (1, lin.B.shape[1]), (1, lin.P.shape[3])])
+        ]
+        forward = (g * lin.jvp(*changes)).sum()
+        backward = sum((found * change).sum() for found, change in zip(lin.vjp(g), changes, strict=True))
+        size = (abs(g) * abs(lin.jvp(*changes))).sum()
+        assert abs(forward - backward) <= 1e-12 * size
+    by_start, _, _ = lin.vjp(np.eye(12)[3] * (np.arange(lin.trajectories.shape[1]) == lin.B.shape[1])[:, None][None])
+    np.testing.assert_allclose(by_start[0], product(lin)[0][3], rtol=1e-11, atol=1e-13 * abs(by_start).max())
+
+
+# -- against complex steps in long double ------------------------------------------------------------------------------
+
+
+def turned(cosine: Complex, sine: Complex, quarters: NDArray[np.int64]) -> tuple[Complex, Complex]:
+    """Cosine and sine of an angle and so many quarter turns."""
+    q = quarters % 4
+    return (np.choose(q, [cosine, -sine, -cosine, sine]), np.choose(q, [sine, cosine, -sine, -cosine]))
+
+
+def flown(scene: Exact, q: Complex, torque: Complex, s: Complex) -> Complex:
+    """States (n, 12) after free flight for ``s``."""
+    after, alpha = q.copy(), torque / scene["box_inertia"]
+    after[:, :6] += s[:, None] * q[:, 6:]
+    after[:, 2] += alpha * s * s / 2
+    after[:, 8] += alpha * s
+    after[:, 4] -= scene["gravity"] * s * s / 2
+    after[:, 10] -= scene["gravity"] * s
+    return after
+
+
+def contact(scene: Exact, q: Complex, pairs: NDArray[np.int64]) -> tuple[Complex, Complex]:
+    """Gap and its gradient (n, 6), from the place of the foot and the wall's normal."""
+    wall, foot = pairs.T
+    nx, ny = turned(np.cos(q[:, 2]), np.sin(q[:, 2]), wall)
+    ox, oy = turned(np.cos(q[:, 5]), np.sin(q[:, 5]), foot)
+    ox, oy = scene["jack_arm"] * ox, scene["jack_arm"] * oy
+    x, y = q[:, 3] - q[:, 0] + ox, q[:, 4] - q[:, 1] + oy
+    gap = scene["box_half_width"] - nx * x - ny * y
+    return gap, np.stack([nx, ny, ny * x - nx * y, -nx, -ny, nx * oy - ny * ox], axis=1)
+
+
+def bounced(scene: Exact, q: Complex, pairs: NDArray[np.int64]) -> Complex:
+    """The law of impact, with the masses as a matrix."""
+    _, row = contact(scene, q, pairs)
+    masses = np.stack(
+        [scene[name] for name in ("box_mass",) * 2 + ("box_inertia",) + ("jack_mass",) * 2 + ("jack_inertia",)], axis=1
+    )
+    push = -(1 + scene["restitution"]) * (row * q[:, 6:]).sum(1) / (row * row / masses).sum(1)
+    after = q.copy()
+    after[:, 6:] += push[:, None] * row / masses
+    return after
+
+
+def stepped(scene: Exact, q: Complex, torque: Complex, dt: float, impacts: Array) -> Complex:
+    """States after a step with the impacts (n, m, 3) whose time, wall and foot are known roughly, found by Newton."""
+    since = np.zeros(len(q), np.clongdouble)
+    for hit in impacts.transpose(1, 0, 2):
+        s, pairs = hit[:, 0] - since, hit[:, 1:].astype(int)
+        for _ in range(6):
+            there = flown(scene, q, torque, s)
+            gap, row = contact(scene, there, pairs)
+            s = s - gap / (row * there[:, 6:]).sum(1)
+        q, since = bounced(scene, flown(scene, q, torque, s), pairs), since + s
+    return flown(scene, q, torque, dt - since)
+
+
+def complex_steps(scenes: Sequence[Scene], states: Array, torques: Array, dt: float, impacts: Array) -> Array:
+    """Derivatives (n, 12, 13 + fields) of a step: imaginary parts of steps from states that are moved by 1e-30 i."""
+    columns, tiny = 13 + len(FIELDS), np.longdouble(1e-30)
+    found = np.empty((len(states), 12, columns))
+    for column in range(columns):
+        q, torque = states.astype(np.clongdouble), torques.astype(np.clongdouble)
+        numbers = {name: np.array([getattr(one, name) for one in scenes]).astype(np.clongdouble) for name in FIELDS}
+        moved = q[:, column] if column < 12 else torque if column == 12 else numbers[FIELDS[column - 13]]
+        moved += 1j * tiny
+        found[:, :, column] = (stepped(numbers, q, torque, dt, impacts).imag / tiny).astype(float)
+    return found
+
+
+def random_scene(rng: np.random.Generator) -> Scene:
+    box, jack = 10.0 ** rng.uniform(-1.0, 3.0, 2)
+    arm = rng.uniform(0.05, 0.9)
+    return Scene(
+        box_half_width=1.0, jack_arm=arm, box_mass=box, jack_mass=jack, box_inertia=box * rng.uniform(0.3, 2.0),
+        jack_inertia=jack * arm**2 * rng.uniform(0.3, 2.0), gravity=rng.uniform(0.0, 20.0),
+        restitution=rng.choice([1.0, rng.uniform(0.2, 1.0)]), drive=None,
+    )  # fmt: skip
+
+
+@pytest.mark.skipif(bool(np.finfo(np.longdouble).eps > 1e-18), reason="long double is no wider than double here")
+def test_random_steps_with_impacts_equal_complex_steps_in_long_double(cases: Any) -> None:
+    rng, dt, wanted = np.random.default_rng(0), 0.1, cases(10_000)
+    made: dict[int, list[tuple[Scene, Array, float, Array]]] = {}
+    while sum(map(len, made.values())) < wanted:
+        scene = random_scene(rng)
+        simulator, torque = make_simulator(scene, contact="exact"), scene.box_inertia * rng.uniform(-20.0, 20.0)
+        for _ in range(20):
+            start = inside(scene, rng, 3.0)
+            simulator.reset(start)
+            simulator.step(dt, torque)
+            hits = np.array([(hit.time, hit.wall, hit.foot) for hit in simulator.impacts])
+            if 0 < len(hits) <= 6:
+                made.setdefault(len(hits), []).append((scene, start, torque, hits))
+    smooth, errors = 0, []
+    for chosen in made.values():
+        scenes, states, torques, impacts = map(list, zip(*chosen, strict=True))
+        lin = linearize(scenes, np.array(states), np.array(torques)[:, None], dt, fields=FIELDS)
+        told = lin.smooth[:, 0]
+        every = np.concatenate([lin.A[:, 0], lin.B[:, 0, :, None], lin.P[:, 0]], axis=2)
+        assert (np.isfinite(every).all(axis=(1, 2)) == told).all()
+        assert (np.isnan(every).all(axis=(1, 2)) == ~told).all()
+        smooth += told.sum()
+        if told.any():
+            kept = [one for one, use in zip(scenes, told, strict=True) if use]
+            expected = complex_steps(kept, np.array(states)[told], np.array(torques)[told], dt, np.array(impacts)[told])
+            largest = abs(expected[:, :, :12]).max(axis=(1, 2))
+            error = abs(every[told] - expected).max(axis=1) / abs(expected).max(axis=1)
+            errors += list(zip(error.max(axis=1), largest, strict=True))
+    relative, largest = np.array(errors).T
+    assert smooth > 0.99 * wanted
+    assert (relative <= 5e-13 * np.maximum(1.0, largest)).all()
+    assert np.median(relative) < 1e-14
+
+
+# -- closed forms ------------------------------------------------------------------------------------------------------
+
+
+def upright(height: float, fall: float = 0.0) -> Array:
+    """A jack upright over the middle of the floor, its foot at a height [m], falling at a rate [m/s]."""
+    state = np.zeros(12)
+    state[4], state[10] = height - 5.0, -fall
+    return state
+
+
+def test_height_of_a_bouncing_ball_by_the_height_it_was_dropped_from() -> None:
+    # Height z after n bounces: z(T) = v s - g s^2 / 2 with v = sqrt(2 g z0) and s = T - (2 n - 1) v / g. It changes
+    # with z0 by (dv s + (v - g s) ds), dv = g / v, ds = -(2 n - 1) / v.
+    scene, z0, dt = Scene(drive=None), 0.3, 0.02
+    v, g = math.sqrt(2.0 * scene.gravity * z0), scene.gravity
+    lin = linearize(scene, upright(z0), np.zeros(150), dt)
+    hits = (
+        lin.trajectories[0, 1:, 10] > lin.trajectories[0, :-1, 10]
+    ).cumsum()  # steps in which the jack was thrown up
+    assert hits[-1] >= 5
+    changed = lin.jvp(np.eye(12)[[4]])[0]
+    for k in (10, 40, 90, 150):
+        n = hits[k - 1]
+        s = k * dt - (2 * n - 1) * v / g if n else k * dt
+        expected = g / v * s - (v - g * s) * (2 * n - 1) / v if n else 1.0
+        assert changed[k, 4] - changed[k, 1] == pytest.approx(expected, rel=1e-11)
+
+
+def test_one_impact_without_rotation_in_closed_form() -> None:
+    # z is the foot's height over the floor and w its rate, both relative to the box: z'' = -g. At the impact w turns
+    # to -e w and the box takes its share of the momentum.
+    y, fall, end = sympy.symbols("y fall end", positive=True)
+    names = "gravity box_mass jack_mass jack_arm box_half_width restitution"
+    g, box, jack, arm, half, e = sympy.symbols(names, positive=True)
+    z = y + half - arm
+    hit = sympy.sqrt(fall**2 + 2 * g * z)  # rate of the impact
+    start = (hit - fall) / g  # its time
+    box_rate = -jack / (box + jack) * (1 + e) * hit
+    box_place = box_rate * (end - start)
+    rate = e * hit + box_rate - g * (end - start)
+    place = -(half - arm) + (e * hit + box_rate) * (end - start) - g * (end - start) ** 2 / 2
+    scene, state = Scene(restitution=0.8, drive=None), upright(0.2, 1.0)
+    values = dict(zip((g, box, jack, arm, half, e), (getattr(scene, name) for name in names.split()), strict=True))
+    values |= {y: sympy.Float(state[4], 30), fall: 1, end: sympy.Rational(3, 10)}
+    lin = linearize(scene, state, np.zeros(1), 0.3, fields=names.split())
+    assert lin.smooth.all()
+    found = {y: lin.A[0, 0, :, 4], fall: -lin.A[0, 0, :, 10]} | dict(
+        zip((g, box, jack, arm, half, e), lin.P[0, 0].T, strict=True)
+    )
+    for symbol, column in found.items():
+        for number, form in ((1, box_place), (4, place), (7, box_rate), (10, rate)):
+            expected = float(sympy.diff(form, symbol).subs(values).evalf(30))
+            assert column[number] == pytest.approx(expected, rel=1e-12, abs=1e-14)
+
+
+# -- where there is none -----------------------------------------------------------------------------------------------
+
+OUTSIDE, SLOW, AT_ONCE = upright(-1e-6, -1.0), upright(1e-14, 1e-6), upright(0.0, 1.0)
+FLAT = np.array([*lying()[:10], -3.0, 0.0]) + np.eye(12)[4] * 0.02  # falls on two feet at once
+ROUGH = {
+    "two feet at one moment": (Scene(drive=None), FLAT, 0.02),
+    "a slow impact": (Scene(gravity=0.0, drive=None), SLOW, 0.02),
+    "an impact at the start": (Scene(drive=None), AT_ONCE, 0.02),
+    "a foot outside that approaches": (Scene(drive=None), upright(-1e-6, 1.0), 0.02),
+    "rest": (Scene(restitution=0.5, drive=None), lying(), 0.02),
+    "a pile of bounces that ends in rest": (Scene(restitution=0.5, drive=None), upright(0.01, 0.0), 0.5),
+    "an impact at the end": (Scene(gravity=0.0, drive=None), upright(0.25, 1.0), 0.25),
+}  # fmt: skip
+SMOOTH = {
+    "a foot that leaves": (Scene(drive=None), upright(0.0, -1.0), 0.02),
+    "a foot outside that leaves": (Scene(drive=None), OUTSIDE, 0.02),
+    "flight": (Scene(drive=None), upright(1.0), 0.02),
+}
+
+
+@pytest.mark.parametrize("case", [*ROUGH, *SMOOTH])
+def test_a_step_without_a_derivative_says_so_and_is_nan(case: str) -> None:
+    scene, state, dt = (ROUGH | SMOOTH)[case]
+    lin = linearize(scene, state, np.zeros((1, 1)), dt, fields=("gravity",))
+    assert lin.smooth[0, 0] == (case in SMOOTH)
+    for one in (lin.A, lin.B, lin.P, *lin.vjp(np.ones((1, 2, 12))), lin.jvp(np.ones((1, 12)))[:, 1]):
+        assert (np.isfinite(one) if case in SMOOTH else np.isnan(one)).all()
+
+
+def test_nan_reaches_what_goes_through_the_step_and_nothing_else() -> None:
+    states = np.array([upright(1.0), FLAT + np.eye(12)[4] * 0.3])
+    lin = linearize(Scene(drive=None), states, np.zeros((2, 20)), 0.02, fields=("gravity",))
+    (rough,) = np.flatnonzero(~lin.smooth[1])
+    assert lin.smooth[0].all()
+    forward, (by_start, by_torque, by_field) = lin.jvp(np.ones((2, 12))), lin.vjp(np.ones((2, 21, 12)))
+    assert np.isfinite(forward[0]).all()
+    assert np.isfinite(forward[1, : rough + 1]).all()
+    assert np.isnan(forward[1, rough + 1 :]).all()
+    assert (np.isnan(by_start).any(axis=1) == [False, True]).all()
+    assert (np.isnan(by_field).any(axis=1) == [False, True]).all()
+    assert np.isfinite(by_torque[0]).all()
+    assert np.isnan(by_torque[1, : rough + 1]).all()
+    assert np.isfinite(by_torque[1, rough + 1 :]).all()
+
+
+# -- the rollout's rows ------------------------------------------------------------------------------------------------
+
+
+def test_trajectories_are_those_of_rollout_and_threads_change_nothing() -> None:
+    rng = np.random.default_rng(1)
+    scenes = [Scene(drive=drive, restitution=e) for drive in DRIVES.values() for e in (1.0, 0.7)]
+    states = np.array([inside(one, rng) for one in scenes])
+    torques = rng.uniform(-9e4, 9e4, (len(scenes), 12))
+    given: dict[str, Any] = {"dt": 0.02, "time": 0.3, "repeat": 5}
+    made = [linearize(scenes, states, torques, **given, fields=FIELDS, num_threads=n) for n in (1, 3)]
+    np.testing.assert_array_equal(made[0].trajectories, rollout(scenes, states, torques, **given))
+    for one, other in zip(*made, strict=True):
+        np.testing.assert_array_equal(one, other)
+    for row, scene in enumerate(scenes):
+        alone = linearize(scene, states[row], torques[row], **given, fields=FIELDS)
+        for one, other in zip(alone, made[0], strict=True):
+            np.testing.assert_array_equal(one[0], other[row])
+
+
+@pytest.mark.parametrize("held", [True, False])
+@pytest.mark.parametrize("drive", ["chirp", "smooth functions"])
+def test_drives_equal_differences(drive: str, held: bool) -> None:
+    scene, state, dt, steps = Scene(drive=DRIVES[drive]), inside(Scene(), np.random.default_rng(3), 8.0), 0.02, 25
+    fields = ("box_mass", "box_half_width", "jack_arm", "gravity")
+
+    def ends(changed: Scene, start: Array, torque: float) -> Array:
+        run = make_simulator(changed, contact="exact")
+        run.reset(start, 0.1)
+        for _ in range(steps):
+            run.step(dt, torque if held else None)
+        return run.state
+
+    torques = np.full(steps, 3e4) if held else None
+    lin = linearize(scene, state, torques, dt, 0.1, fields=fields, steps=None if held else steps)
+    np.testing.assert_array_equal(lin.trajectories[0, -1], ends(scene, state, 3e4))
+    by_start, by_torques, by_fields = product(lin)
+    assert abs(np.diff(lin.trajectories[0, :, 9])).max() > 0.1  # there are impacts
+    for place in range(12):
+        h = 1e-7 * np.eye(12)[place]
+        difference = (ends(scene, state + h, 3e4) - ends(scene, state - h, 3e4)) / 2e-7
+        np.testing.assert_allclose(by_start[:, place], difference, atol=1e-5 * abs(by_start).max(), rtol=0.0)
+    for column, name in zip(by_fields.T, fields, strict=True):
+        h = 1e-7 * getattr(scene, name)
+        more, less = (scene.changed(**{name: getattr(scene, name) + sign * h}) for sign in (1.0, -1.0))
+        difference = (ends(more, state, 3e4) - ends(less, state, 3e4)) / (2.0 * h)
+        np.testing.assert_allclose(column, difference, atol=1e-5 * abs(column).max(), rtol=0.0)
+    if held:
+        difference = (ends(scene, state, 3e4 + 1.0) - ends(scene, state, 3e4 - 1.0)) / 2.0
+        np.testing.assert_allclose(by_torques.sum(axis=1), difference, atol=1e-5 * abs(difference).max(), rtol=0.0)
+
+
+def test_an_inertia_follows_what_it_is_derived_from_and_stays_where_it_is_given() -> None:
+    for given in ({}, {"box_inertia": 14400.0}):
+        scene = Scene(**given, drive=None)
+        lin = linearize(scene, upright(1.0), [3e4], 0.02, fields=("box_mass", "box_half_width"))
+        follows = 0.0 if given else -3e4 / 14400.0 * 0.02
+        np.testing.assert_allclose(lin.P[0, 0, 8], [follows / 400.0, 2.0 * follows / 6.0], rtol=1e-12)
+
+
+def test_many_impacts_in_one_step_find_room() -> None:
+    scene, state = Scene(drive=None, gravity=500.0), upright(0.01)
+    lin = linearize(scene, state, np.zeros((1, 1)), 2.0)
+    assert lin.smooth.all()
+    assert len(lin._given[5]) > 100
+
+
+# -- refusals ----------------------------------------------------------------------------------------------------------
+
+
+def test_what_cannot_be_linearized_or_multiplied_is_refused() -> None:
+    lin = linearize(None, np.zeros((2, 12)), np.zeros(3), 0.02)
+    with pytest.raises(ValueError, match=r"g must have shape \(2, 4, 12\), got \(2, 3, 12\)"):
+        lin.vjp(np.zeros((2, 3, 12)))
+    with pytest.raises(ValueError, match=r"dtorques must have shape \(2, 3\), got \(3,\)"):
+        lin.jvp(dtorques=np.zeros(3))
+    with pytest.raises(TypeError, match="g must hold numbers, got 'up'"):
+        lin.vjp("up")  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="steps must be a whole number"):
+        linearize(None, np.zeros(12), None, 0.02)
+    with pytest.raises(TypeError, match="steps goes with torques=None"):
+        linearize(None, np.zeros(12), np.zeros(3), 0.02, steps=3)
