@@ -12,7 +12,7 @@ UNDER_OLD_GYMNASIUM := $(addprefix tests/,environment/test_env.py environment/te
 	environment/test_tools.py batches/test_vector_env.py batches/test_episodes.py \
 	guarantees/test_bits.py refusals/test_refusals.py)
 
-.PHONY: demo test test-all test-slow benchmark benchmark-quick throughput speed costs soak extremes machines kills interruptions mutants fidelity results networks scaling readme docs recipes clean
+.PHONY: demo test test-all test-slow benchmark benchmark-quick throughput speed costs derivatives soak extremes machines kills interruptions mutants fidelity results networks scaling readme docs recipes clean
 .DELETE_ON_ERROR:
 
 demo: .venv/usable
@@ -51,6 +51,10 @@ speed: .venv/ready
 
 costs: .venv/ready
 	@$(BIN)/python scripts/studies/costs/costs.py
+
+# What derivatives are good for: iLQR, a bounce that repeats, Lyapunov exponents; half a minute.
+derivatives: .venv/ready
+	@$(BIN)/python scripts/studies/derivatives/derivatives.py
 
 # Random cases for hours, others in each round of some 40 minutes, until an invariant does not hold.
 soak: .venv/ready

@@ -153,7 +153,7 @@ def linearize(
     """Play torques like ``rollout``, and differentiate each step by its state, its torque and the scene.
 
     The derivatives are those of the motion with its impacts: the saltation matrices of ``compiled/tangents.py``, exact
-    but for rounding. They are multiplied by about 5 at each impact, as every error is.
+    but for rounding. Each impact multiplies them by about 10, as it does every error (docs/derivatives.md).
 
     Args:
         scene: a Scene, a dict of some of its fields, or None; or a list of N, one for each row.

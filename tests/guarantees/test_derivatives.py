@@ -380,7 +380,7 @@ def test_what_cannot_be_linearized_or_multiplied_is_refused() -> None:
     with pytest.raises(ValueError, match=r"dtorques must have shape \(2, 3\), got \(3,\)"):
         lin.jvp(dtorques=np.zeros(3))
     with pytest.raises(TypeError, match="g must hold numbers, got 'up'"):
-        lin.vjp("up")  # type: ignore[arg-type]
+        lin.vjp("up")
     with pytest.raises(TypeError, match="steps must be a whole number"):
         linearize(None, np.zeros(12), None, 0.02)
     with pytest.raises(TypeError, match="steps goes with torques=None"):

@@ -18,6 +18,7 @@ from jackbox_env import Scene, make_simulator
 from scripts.studies import pages, timing
 from scripts.studies.costs import costs
 from scripts.studies.costs import measured as cost_steps
+from scripts.studies.derivatives import derivatives
 from scripts.studies.results import results
 from scripts.studies.scaling import scaling
 from scripts.studies.speed import measured, speed
@@ -34,7 +35,11 @@ PAGES: dict[str, Callable[[], str]] = {
     "costs": lambda: costs.page(stored("costs")),
     "scaling": lambda: scaling.page((DOCS / "scaling.md").read_text(), stored("scaling")),
     "results": lambda: results.page(stored("results")),
+    "derivatives": lambda: derivatives.page(stored("derivatives")),
 }
+
+
+PICTURES = [f"derivatives/{name}.png" for name in derivatives.PARTS]
 
 
 @pytest.mark.parametrize("name", PAGES)
@@ -45,7 +50,7 @@ def test_a_page_holds_the_numbers_that_are_stored(name: str) -> None:
         assert (DOCS / picture).is_file()
 
 
-@pytest.mark.parametrize("name", ["speed.png", "costs.png", "results.png"])
+@pytest.mark.parametrize("name", ["speed.png", "costs.png", "results.png", *PICTURES])
 def test_a_picture_is_read_on_light_pages_and_on_dark_ones(name: str) -> None:
     """It has no ground of its own, and whatever covers it stands out against white and against black."""
     picture = imageio.imread(DOCS / name).astype(float) / 255.0

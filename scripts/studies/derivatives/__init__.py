@@ -1,0 +1,1 @@
+"""What derivatives through impacts are worth: studies of the guide to derivatives."""

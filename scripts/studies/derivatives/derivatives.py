@@ -1,0 +1,132 @@
+"""Write docs/derivatives.md: what derivatives through impacts are good for, with a picture of each use; two minutes."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from jackbox_env.commands.common import command_line
+from scripts.studies import timing
+from scripts.studies.derivatives import bounce, gradients, ilqr, lyapunov
+from scripts.studies.pages import figure, table
+
+PACKAGES = ("jackbox", "numpy", "numba", "torch")
+PARTS = {"ilqr": ilqr, "bounce": bounce, "lyapunov": lyapunov}  # each with a picture
+PLANS = {"level": "PD controller", "planner": "planner's iCEM, 3 iterations", "longer": "iCEM, 50 iterations"}
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Measure everything, and write the page."""
+
+    out: Path = Path("docs")
+    """Folder of the page derivatives.md, its results derivatives.json and the folder of its pictures, derivatives."""
+    render: bool = False
+    """Measure nothing: write the page from the results that are stored."""
+
+
+def spread(found: Mapping[str, float], places: int = 1) -> str:
+    """A mean with its 95 % interval."""
+    return f"{found['mean']:.{places}f} ± {found['half_width']:.{places}f}"
+
+
+def page(results: Mapping[str, Any]) -> str:
+    """docs/derivatives.md."""
+    rows = [
+        [f"{row['horizon']:g} s", *(_norm(row[name]) for name in ("median", "low", "high"))]
+        for row in results["gradients"]
+    ]
+    fields = {
+        "rows": gradients.ROWS,
+        "gradients": table(("horizon", "median", "5 %", "95 %"), rows),
+        "ilqr": _ilqr(results["ilqr"]),
+        "bounce": _bounce(results["bounce"]),
+        "lyapunov": _lyapunov(results["lyapunov"]),
+        "made": f"`make derivatives` measures this page. {results['made']}",
+    }
+    return (Path(__file__).parent / "page.md").read_text().format(**fields)
+
+
+def _norm(value: float) -> str:
+    return f"{value:.0e}" if value > 1e4 else figure(float(f"{value:.2g}"))
+
+
+def _ilqr(found: Mapping[str, Any]) -> dict[str, Any]:
+    rows = [
+        [PLANS[kind], spread(of["before"]), f"{of['planning']['mean']:.3f} s", spread(of["after"]),
+         f"{of['seconds']['mean']:.3f} s", f"{of['iterations']['mean']:.0f}"]
+        for kind, of in found.items()
+    ]  # fmt: skip
+    level, planner = found["level"], found["planner"]
+    count = len(level["returns"])
+    return {
+        "problems": count,
+        "level": {name: spread(level[name]) for name in ("before", "after")},
+        "planner": {"gain": spread(planner["gain"]), "beyond": spread(planner["beyond_longer_icem"])},
+        "table": table(("plan", "return", "its time", "after iLQR", "iLQR's time", "iterations"), rows),
+        "clean": sum(count if of["rough"]["mean"] == 0.0 else 0 for of in found.values()),
+        "all": count * len(found),
+    }
+
+
+def _bounce(found: Mapping[str, Any]) -> dict[str, Any]:
+    at = found["sizes"].index(0.1)
+    held = {name: f"{shares[at]:.0%}" for name, shares in found["share_held"].items()}
+    return {
+        "period": f"{bounce.PERIOD * bounce.DT:.2f}",
+        "residuals": ", ".join(f"{value:.1g}" for value in found["residuals"][:5]),
+        "largest": figure(math.hypot(*found["multipliers"][0])),
+        "pairs": f"{max(abs(pair - 1.0) for pair in found['pairs']):.0e}",
+        "seconds": f"{found['seconds']:g}",
+        "starts": found["starts"],
+        "held": held["by phase"],
+        "clock": held["by clock"],
+    }
+
+
+def _lyapunov(found: Mapping[str, Any]) -> dict[str, Any]:
+    factors = {policy: math.exp(of["log_per_impact"]["mean"]) for policy, of in found.items()}
+    rows = [
+        [f"`{policy}`", f"{spread(of['exponent'], 2)} / s", spread(of["impacts"]), figure(factors[policy]),
+         f"{of['forgotten_after']:.0f} s", f"{of['forgotten_after_impacts']:.0f}"]
+        for policy, of in found.items()
+    ]  # fmt: skip
+    heads = "torques of", "exponent", "impacts in 10 s", "growth per impact", "1e-16 is 0.1 after", "impacts"
+    return {
+        "starts": found["zero"]["starts"],
+        "table": table(heads, rows),
+        "growth": f"{min(factors.values()):.0f} to {max(factors.values()):.0f}",
+    }
+
+
+@command_line
+def main() -> None:
+    """Parse, measure, draw, write."""
+    import tyro
+
+    from jackbox_env.recording.files import check_writable, write_json, write_text
+
+    arguments = tyro.cli(Arguments, description=__doc__)
+    pictures, path = arguments.out / "derivatives", arguments.out / "derivatives.json"
+    check_writable(arguments.out)
+    if not arguments.render:
+        before = timing.others()
+        results: dict[str, Any] = {name: part.measure() for name, part in PARTS.items()}
+        results["gradients"] = gradients.measure()
+        results["made"] = f"{timing.measured_with(PACKAGES)}. {timing.meanwhile(before)}"
+        write_json(path, results)
+    results = json.loads(path.read_text())
+    pictures.mkdir(exist_ok=True)
+    for name, part in PARTS.items():
+        (pictures / f"{name}.png").unlink(missing_ok=True)
+        part.draw(results[name], pictures / f"{name}.png")
+    write_text(arguments.out / "derivatives.md", page(results))
+    print(f"Written: {arguments.out / 'derivatives.md'}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,124 @@
+"""How fast the jack in a box forgets its start: the largest Lyapunov exponent over an episode of 10 s.
+
+From each start the steps' derivatives are multiplied, in units of L, v0, v0/L and v0/l. The product's largest singular
+value sigma says how much the worst small error has grown. The exponent is log sigma(10 s) / 10 s. It is that of the
+motion along the torques that a policy chose: open loop, the policy does not answer to the error. The flight before the
+first impacts adds to it what is not exponential. The growth per impact leaves that out: it is taken between the moments
+before the second and before the last impact.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from scipy import stats
+from tqdm import tqdm
+
+from agents.policies.registry import find_policy
+from agents.settings import EPISODE_STEPS, EnvSettings
+from jackbox_env import JackInBoxVectorEnv, Scene, linearize
+from jackbox_env.commands.plots import BOX, GREY, JACK, write_figure
+from jackbox_env.states import Array
+
+SCENE, DT, STARTS, SEED = Scene(), 0.02, 256, 1
+LONG, FAST = SCENE.box_half_width, SCENE.speed_scale
+UNITS = np.array([LONG, LONG, 1.0] * 2 + [FAST, FAST, FAST / LONG, FAST, FAST, FAST / SCENE.jack_arm])
+COLORS = {"zero": GREY, "chirp": BOX, "ppo": JACK}  # of policies
+FORGOTTEN = math.log(0.1 / 1e-16)  # of sigma, when rounding has grown to a tenth
+
+
+def played(policy: str) -> tuple[Array, Array, Array]:
+    """First states (STARTS, 12), torques (STARTS, steps) [N m] and impacts so far after each step, of a policy."""
+    settings = EnvSettings(contact="exact")
+    act = find_policy(policy, settings)
+    env = JackInBoxVectorEnv(STARTS, with_infos=True, **{**settings.env_settings, **act.env_settings})
+    seen, _ = env.reset(seed=SEED)
+    starts, memory, torques, impacts = env.states, None, [], []
+    for step in range(EPISODE_STEPS):
+        actions, memory = act.policy.predict(seen, memory, np.full(STARTS, step == 0), deterministic=True)
+        seen, *_, infos = env.step(actions)
+        torques.append(infos["torque"])
+        impacts.append(infos["impacts"])
+    env.close()
+    return starts, np.stack(torques, axis=1), np.cumsum(impacts, axis=0, dtype=np.float64).T
+
+
+def growth(by_state: Array) -> Array:
+    """Log of sigma after each step, (n, steps), from derivatives (n, steps, 12, 12); the product is kept near 1."""
+    grown, scale, found = np.eye(12), np.zeros(len(by_state)), []
+    for k in range(by_state.shape[1]):
+        grown = (by_state[:, k] * UNITS / UNITS[:, None]) @ grown
+        sigma = np.linalg.norm(grown, 2, axis=(1, 2))
+        grown, scale = grown / sigma[:, None, None], scale + np.log(sigma)
+        found.append(scale)
+    return np.stack(found, axis=1)
+
+
+def with_interval(values: Array) -> dict[str, float]:
+    """The mean and the half width of its 95 % interval."""
+    half_width = float(stats.t.ppf(0.975, len(values) - 1) * stats.sem(values))
+    return {"mean": float(values.mean()), "half_width": half_width}
+
+
+def at_impacts(logs: Array, impacts: Array) -> Array:
+    """The log of sigma after 1, 2, ... impacts, at the end of the last step before the next; NaN if none comes."""
+    found = np.full((len(logs), int(impacts.max())), np.nan)
+    for count in range(1, found.shape[1]):
+        more = impacts > count
+        found[:, count - 1] = np.where(more[:, -1], logs[np.arange(len(logs)), more.argmax(axis=1) - 1], np.nan)
+    return found
+
+
+def figures(policy: str) -> dict[str, Any]:
+    """What is measured of the motion under a policy; starts with a step that has no derivative are left out."""
+    starts, torques, impacts = played(policy)
+    given = {"torques": None, "steps": EPISODE_STEPS} if policy == "chirp" else {"torques": torques}
+    found = linearize(SCENE, starts, dt=DT, **given)
+    smooth = found.smooth.all(axis=1)
+    logs, impacts = growth(found.A[smooth]), impacts[smooth]
+    by_impact = at_impacts(logs, impacts)
+    exponent = with_interval(logs[:, -1] / (DT * EPISODE_STEPS))
+    each = with_interval((np.nanmax(by_impact, axis=1) - by_impact[:, 0]) / (impacts[:, -1] - 2.0))
+    half = np.isfinite(by_impact).mean(axis=0) >= 0.5
+    return {
+        "starts": STARTS,
+        "skipped": int((~smooth).sum()),
+        "exponent": exponent,  # [1/s]
+        "log_per_impact": each,
+        "impacts": with_interval(impacts[:, -1]),
+        "forgotten_after": FORGOTTEN / exponent["mean"],  # [s]
+        "forgotten_after_impacts": 1.0 + (FORGOTTEN - float(by_impact[:, 0].mean())) / each["mean"],
+        "share_forgotten": float((logs[:, -1] > FORGOTTEN).mean()),
+        "by_time": np.quantile(logs, (0.1, 0.5, 0.9), axis=0)[:, 4::5].tolist(),
+        "by_impact": np.nanquantile(by_impact[:, half], (0.1, 0.5, 0.9), axis=0).tolist(),
+    }
+
+
+def measure() -> dict[str, Any]:
+    """The exponents of the motion under each policy, and how its errors grow with time."""
+    return {policy: figures(policy) for policy in tqdm(COLORS, desc="exponents", leave=False)}
+
+
+def draw(results: Mapping[str, Any], path: Path) -> None:
+    """Draw the growth of errors with time and with impacts: the median over the starts, and the middle 80 %."""
+    figure = Figure(figsize=(8.0, 4.0), layout="constrained")
+    rows = figure.subplots(1, 2, sharey=True)
+    for (policy, color), (axes, by) in product(COLORS.items(), zip(rows, ("by_time", "by_impact"), strict=True)):
+        low, middle, high = np.exp(results[policy][by])
+        along = np.arange(1, len(middle) + 1) * (5.0 * DT if by == "by_time" else 1.0)
+        axes.fill_between(along, low, high, color=color, alpha=0.2, linewidth=0.0)
+        axes.semilogy(along, middle, color=color, label=policy)
+    for axes, label in zip(rows, ("time [s]", "impacts"), strict=True):
+        axes.axhline(math.exp(FORGOTTEN), color=GREY, linestyle=":")
+        axes.set_xlabel(label)
+        axes.grid(True)
+    rows[0].text(0.0, math.exp(FORGOTTEN), "rounding has grown to 0.1", color=GREY, va="bottom")
+    rows[0].set_ylabel("growth of the worst error")
+    rows[1].legend(frameon=False, labelcolor=GREY, loc="lower right")
+    write_figure(figure, path)
