@@ -45,7 +45,8 @@ FIELDS = (
 )  # fmt: skip
 TORQUE = 12
 GRAVITY, BOX_MASS, BOX_INERTIA, JACK_MASS, JACK_INERTIA, JACK_ARM, HALF_WIDTH, RESTITUTION = range(13, 21)
-ROWS = 21
+LATER = 21  # by how much later the last impact comes [s]
+ROWS = 22
 FIRST_FIELD = 13  # column
 
 
@@ -118,7 +119,7 @@ def strike(scene: SceneNumbers, tangent: Array, hit: Array, memory: Workspace) -
         d = tangent[:, c]
         wider = d[HALF_WIDTH] - extent / scene.jack_arm * d[JACK_ARM]
         closing = nx * (d[0] - d[3]) + ny * (d[1] - d[4]) + box_arm * d[2] + jack_arm * d[5] + wider
-        later = lateness(closing, rate)
+        later = d[LATER] = lateness(closing, rate)
         # To the moment of impact.
         for place in range(6):
             d[place] += at[6 + place] * later
@@ -165,10 +166,14 @@ def drifted(plan: Plan, alpha: float, before: Array, after: Array, s: float, dri
 
 
 def step_tangent(
-    scene: SceneNumbers, plan: Plan, torque: float, before: Array, after: Array, hits: Array, tangent: Array,
-    memory: Workspace,
+    scene: SceneNumbers, plan: Plan, torque: float, before: Array, after: Array, hits: Array, by_time: Array,
+    tangent: Array, memory: Workspace,
 ) -> None:  # fmt: skip
-    """Take a tangent through a step from one state to the next; ``hits`` are the step's rows of a wide log."""
+    """Take a tangent through a step from one state to the next.
+
+    ``hits`` are the step's rows of a wide log, ``by_time`` is for how much later each of them comes, shape (hits or 0,
+    columns).
+    """
     alpha, since, state, drift = torque / scene.box_inertia, 0.0, memory.state, memory.point
     start(plan, before, memory)
     end = memory.after
@@ -183,6 +188,8 @@ def step_tangent(
         for place in range(12):
             state[place] = memory.before[place]
         since = time
+        for column in range(by_time.shape[1] if number < by_time.shape[0] else 0):
+            by_time[number, column] = tangent[LATER, column]
     drifted(plan, alpha, state, end, plan.dt - since, drift)
     fly(scene, tangent, plan.dt - since, drift)
 
@@ -262,13 +269,19 @@ def mark_smooth(given: Given, rough: Flags, workspaces: Workspaces) -> None:
             before = after
 
 
-def follow(played: Played, scene: SceneNumbers, plan: Plan, i: int, k: int, tangent: Array, memory: Workspace) -> None:
-    """Take a tangent through a step; it is NaN if there is no derivative."""
+def follow(
+    played: Played, scene: SceneNumbers, plan: Plan, i: int, k: int, by_time: Array, tangent: Array, memory: Workspace
+) -> None:
+    """Take a tangent through a step; it is NaN if there is no derivative.
+
+    ``by_time`` is for the impacts' times, shape (rows of the log or 0, columns).
+    """
     if played.smooth[i, k]:
         before, after = played.trajectories[i, k], played.trajectories[i, k + 1]
         first, last = rows_of(played, i, k)
         torque = played.torques[i, torque_of(played, k)]
-        step_tangent(scene, plan, torque, before, after, played.hits[first:last], tangent, memory)
+        own = by_time[first:last]
+        step_tangent(scene, plan, torque, before, after, played.hits[first:last], own, tangent, memory)
     else:
         tangent[:] = math.nan
 
@@ -287,7 +300,7 @@ def fill_identity(tangent: Array, seeds: Array) -> None:
 
 
 def matrices(
-    given: Given, seeds: Array, span: tuple[int, int], results: tuple[Array, Array, Array], tangent: Array,
+    given: Given, seeds: Array, span: tuple[int, int], results: tuple[Array, Array, Array, Array], tangent: Array,
     workspaces: Workspaces,
 ) -> None:  # fmt: skip
     """Fill in the derivatives of all steps of some rows; NaN where there is none.
@@ -296,12 +309,13 @@ def matrices(
         given: the rollout.
         seeds: of :func:`fill_identity`, shape (1 or N, F, 8).
         span: first row, past the last.
-        results: derivatives by state, (N, H, 12, 12), torque, (N, H, 12), and fields, (N, H, 12, F).
+        results: derivatives by state, (N, H, 12, 12), torque, (N, H, 12), and fields, (N, H, 12, F); of the times of
+            impacts by all of these, (rows of the log, 13 + F).
         tangent: to work in, shape (ROWS, 13 + F).
         workspaces: one, to work in.
     """
     played = played_of(given)
-    by_state, by_torque, by_field = results
+    by_state, by_torque, by_field, by_time = results
     for i in range(span[0], span[1]):
         scene, plan = scene_of(played, i)
         stale = True  # whether the tangent is another than that of a flight under a constant torque
@@ -309,7 +323,7 @@ def matrices(
             same = plan.kind == CONSTANT and flies(played, i, k)
             if stale or not same or by_field.shape[3] > 0:
                 fill_identity(tangent, seeds[i if seeds.shape[0] > 1 else 0])
-                follow(played, scene, plan, i, k, tangent, workspaces[0])
+                follow(played, scene, plan, i, k, by_time, tangent, workspaces[0])
                 stale = not same
             for row in range(12):
                 for column in range(12):
@@ -343,7 +357,7 @@ def push_forward(
             tangent[GRAVITY + place, 0] = numbers[i, place]
         for k in range(played.smooth.shape[1]):
             tangent[TORQUE, 0] = torques[i, torque_of(played, k)]
-            follow(played, scene, plan, i, k, tangent, workspaces[0])
+            follow(played, scene, plan, i, k, results[i, :0], tangent, workspaces[0])
             for place in range(12):
                 results[i, k + 1, place] = tangent[place, 0]
 
@@ -380,7 +394,7 @@ def pull_back(
                 by_torque[i, held] += fly_back(scene, pulled, plan.dt, drift, seed, by_field[i])
             else:
                 fill_identity(tangent, seed)
-                follow(played, scene, plan, i, k, tangent, memory)
+                follow(played, scene, plan, i, k, by_torque[:0], tangent, memory)
                 by_torque[i, held] += weighed(pulled, tangent, TORQUE)
                 for column in range(seed.shape[0]):
                     by_field[i, column] += weighed(pulled, tangent, FIRST_FIELD + column)

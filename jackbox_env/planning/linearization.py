@@ -40,7 +40,7 @@ class Linearization:
         trajectories: Array, tape: Tape, num_threads: int | None,
     ) -> None:  # fmt: skip
         self.trajectories, self.smooth = trajectories, np.zeros(tape.rough.shape, np.bool_)
-        self._seeds, self._num_threads = seeds, num_threads
+        self._seeds, self._num_threads, self._tape = seeds, num_threads, tape
         begins = np.concatenate([[0], np.cumsum(tape.hits)])
         numbers = np.array([scene.numbers for scene in scenes])
         self._given = numbers, kinds, dt, torques, trajectories, tape.rows, begins, self.smooth
@@ -65,12 +65,26 @@ class Linearization:
         return self._matrices[2]
 
     @cached_property
-    def _matrices(self) -> tuple[Array, Array, Array]:
-        shape, fields = (*self.smooth.shape, 12), self._seeds.shape[1]
-        results = np.empty((*shape, 12)), np.empty(shape), np.empty((*shape, fields))
+    def _matrices(self) -> tuple[Array, Array, Array, Array]:
+        shape, columns = (*self.smooth.shape, 12), 13 + self._seeds.shape[1]
+        by_time = np.full((len(self._tape.rows), columns), np.nan)
+        results = np.empty((*shape, 12)), np.empty(shape), np.empty((*shape, columns - 13)), by_time
         call = compiled(tangents.matrices)
-        self._spread(13 + fields, lambda span, *memory: call(self._given, self._seeds, span, results, *memory))
+        self._spread(columns, lambda span, *memory: call(self._given, self._seeds, span, results, *memory))
         return results
+
+    def impacts(self, row: int) -> tuple[NDArray[np.int64], Array, Array]:
+        """Impacts of a row, in time order, and how their times change; NaN in a step that has no derivative.
+
+        Returns:
+            In which step each is, (m,), how long after the step's start [s], (m,), and the derivatives of that time by
+            the state at the step's start, the torque and the fields, (m, 13 + F).
+        """
+        count, steps = len(self.trajectories), self.trajectories.shape[1] - 1
+        row, begins = range(count)[row], self._given[6]
+        own = slice(begins[row * steps], begins[(row + 1) * steps])
+        within = np.repeat(np.arange(steps), self._tape.hits[row])
+        return within, self._tape.rows[own, 0], self._matrices[3][own]
 
     def vjp(self, g: ArrayLike) -> tuple[Array, Array, Array]:
         """Pull weights of the trajectories' states back: the gradient of sum(g * trajectories).

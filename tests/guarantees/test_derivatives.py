@@ -259,6 +259,22 @@ def test_one_impact_without_rotation_in_closed_form() -> None:
             assert column[number] == pytest.approx(expected, rel=1e-12, abs=1e-14)
 
 
+def test_the_time_of_an_impact_in_closed_form() -> None:
+    # A foot at a height z over the floor that falls at w hits at t = (sqrt(w^2 + 2 g z) - w) / g.
+    scene, state, g = Scene(drive=None), upright(0.2, 1.0), 9.81
+    lin = linearize([scene] * 2, [upright(3.0), state], np.zeros((2, 20)), 0.02, fields=("gravity",))
+    hit = math.sqrt(1.0 + 2.0 * g * 0.2)  # rate of the impact
+    (step, *_), (since, *_), (by, *_) = lin.impacts(1)
+    assert len(lin.impacts(0)[0]) == 0
+    assert step * 0.02 + since == pytest.approx((hit - 1.0) / g, rel=1e-12)
+    # By height, and by the rate upwards, of what moves freely from the step's start on: dt = dz / hit.
+    z, w = 0.2 - step * 0.02 - 0.5 * g * (step * 0.02) ** 2, 1.0 + g * step * 0.02
+    assert by[4] == pytest.approx(1.0 / hit, rel=1e-12)
+    assert by[10] == pytest.approx(since / hit, rel=1e-12)
+    assert by[13] == pytest.approx(-0.5 * since**2 / hit, rel=1e-12)
+    assert since == pytest.approx((math.sqrt(w * w + 2.0 * g * z) - w) / g, rel=1e-10)
+
+
 # -- where there is none -----------------------------------------------------------------------------------------------
 
 OUTSIDE, SLOW, AT_ONCE = upright(-1e-6, -1.0), upright(1e-14, 1e-6), upright(0.0, 1.0)
