@@ -31,7 +31,7 @@ def step(
         states: shape (N, 12).
         actions: shape (N,) or (N, 1), shares of the torque limit, clipped to [-1, 1]; the gradient is 0 where clipped.
         dt: control step [s].
-        task: whose reward is returned, "juggle" or "spin".
+        task: whose reward is returned, "juggle" or "spin"; its gradient is 0 where the reward has a kink.
         nonsmooth: what to do with rows that have no derivative (see :class:`jackbox_env.Linearization`) where one is
             wanted: "raise" an error, or take "zero" for it.
 
@@ -45,8 +45,8 @@ def step(
     check.choice("task", task, SLOPES)
     check.choice("nonsmooth", nonsmooth, ("raise", "zero"))
     for name, given in (("states", states), ("actions", actions)):
-        if not isinstance(given, Tensor):
-            raise TypeError(f"{name} must be a torch.Tensor, got {check.shown(given)}")
+        if not (isinstance(given, Tensor) and given.is_floating_point()):
+            raise TypeError(f"{name} must be a torch.Tensor of floats, got {check.shown(given)}")
     if states.ndim != 2 or states.shape[1] != 12 or actions.shape not in ((len(states),), (len(states), 1)):
         shapes = tuple(states.shape), tuple(actions.shape)
         raise ValueError(
@@ -79,7 +79,7 @@ class _Step(torch.autograd.Function):
             )
         rewards = rollout(scene, states.numpy(), torques, dt, rewards=task).rewards[:, 0]
         ctx.given = lin, numbers, task
-        told = torch.from_numpy(smooth)
+        told = torch.from_numpy(smooth.copy())
         ctx.mark_non_differentiable(told)
         return torch.from_numpy(lin.trajectories[:, 1].copy()), torch.from_numpy(rewards), told
 

@@ -24,7 +24,7 @@ from jackbox_env.scene import SceneNumbers
 
 Array = NDArray[np.float64]
 
-_SLOW = 1e-6  # of v0: an impact slower than this has no derivative that can be told
+SLOW = 1e-6  # of v0: an impact slower than this has no derivative that can be told
 _DEEP = 2e-10  # [m] in boxes of 1 m and more: a foot deeper than any that strikes from inside
 _DEPENDENT = 1e-13  # a row that keeps less than this of its length beside the others depends on them
 
@@ -102,7 +102,7 @@ def resolve(scene: SceneNumbers, memory: Workspace, log: Array, tolerance: float
     """
     state = memory.state
     count = list_touching(scene, memory, tolerance, wall, foot)
-    slow = rate_of(state, memory.gradients[0]) > -_SLOW * scene.speed_scale
+    slow = rate_of(state, memory.gradients[0]) > -SLOW * scene.speed_scale
     if count > 1 or slow or memory.gaps[0] < -_DEEP * min(1.0, scene.box_half_width):
         memory.rough = 1
     if count == 1:

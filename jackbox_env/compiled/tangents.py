@@ -10,8 +10,10 @@ the saltation matrix (Aizerman and Gantmacher 1958; Kong et al. 2024, "Saltation
 is applied as it is derived: to the moment of impact, dt* = -Dg d / (Dg f-), through the law there, and back.
 
 Exactness: rounding of the states and of the impacts' times, over the impact's rate.
-Fails: several contacts at one moment, an impact slower than 1e-6 v0, feet at rest, a foot that touches at the end of a
-    step. There no derivative exists, or none can be told: it is NaN.
+Fails: several contacts at one moment, an impact slower than 1e-6 v0 or so slow for how its gap bends that rounding
+    decides, feet at rest, a foot that touches at an end of a step, a step whose impacts multiply errors by 1e10. No
+    derivative exists there, or none can be told: it is NaN. Under a drive, P by the box's mass and inertia comes from
+    differences of states: off by what rounding leaves of places and angles that are far from 0.
 """
 
 from __future__ import annotations
@@ -22,7 +24,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.compiled.impacts import frame_of, gradient, kick, rate_of
+from jackbox_env.compiled.impacts import SLOW, frame_of, gradient, kick, rate_of
+from jackbox_env.compiled.rest import bend
 from jackbox_env.compiled.rollouts import Counts, Flags
 from jackbox_env.compiled.step import (
     CONSTANT,
@@ -48,6 +51,12 @@ GRAVITY, BOX_MASS, BOX_INERTIA, JACK_MASS, JACK_INERTIA, JACK_ARM, HALF_WIDTH, R
 LATER = 21  # by how much later the last impact comes [s]
 ROWS = 22
 FIRST_FIELD = 13  # column
+
+CLEAR, LEAVING, OUTSIDE, APPROACHING = range(4)  # how feet touch walls
+_ROUNDING = 1e-2  # of the contact tolerance: what rounding leaves of a gap
+_GRAZE = 1e-4  # share of a derivative that may be rounding
+_FEW = 4  # impacts of a step, after which its derivative is looked at
+_LARGEST = 1e10  # of a derivative in the scene's units: rounding, 1e-16 at first, has grown as much
 
 
 def fly(scene: SceneNumbers, tangent: Array, s: float, drift: Array) -> None:
@@ -240,33 +249,85 @@ def flies(played: Played, i: int, k: int) -> bool:
 
 
 def touching(scene: SceneNumbers, plan: Plan, state: Array, row: Array) -> int:
-    """Whether a foot touches a wall: 2 if one that touches, or is outside, approaches; 1 if others touch; 0 if none."""
+    """How feet touch walls: ``CLEAR``, or the worst of ``LEAVING``, ``OUTSIDE`` and leaving, ``APPROACHING``."""
     x, y = state[3] - state[0], state[4] - state[1]
     room = scene.box_half_width * (1.0 - 1e-12) - scene.jack_arm
     near = touch_of(plan, state).together
     if room > near and x * x + y * y < (room - near) * (room - near):
-        return 0
-    frame, found = frame_of(state), 0
+        return CLEAR
+    frame, found = frame_of(state), CLEAR
     for wall in range(4):
         for foot in range(4):
             gap = gradient(scene, frame, wall, foot, row)
             if gap <= near:
-                found = max(found, 2 if rate_of(state, row) < 0.0 else 1 if gap >= -near else 0)
+                slow = rate_of(state, row) < SLOW * scene.speed_scale
+                found = max(found, APPROACHING if slow else OUTSIDE if gap < -near else LEAVING)
     return found
 
 
-def mark_smooth(given: Given, rough: Flags, workspaces: Workspaces) -> None:
-    """Fill in which steps have a derivative: neither ``rough`` nor with a foot that touches at an end of the step."""
-    played, row = played_of(given), workspaces[0].gradients[0]
+def grazes(scene: SceneNumbers, plan: Plan, hit: Array, memory: Workspace) -> bool:
+    """Whether an impact, a row of a wide log, is so slow for how its gap bends that rounding decides the derivative.
+
+    Rounding moves the place of the impact, and so changes its rate by as much again as the gap's second derivative
+    times the rounding over the rate.
+    """
+    at, row, free = memory.before, memory.gradients[0], memory.free
+    locate(scene, hit, memory)
+    frame, rate = frame_of(at), rate_of(at, row)
+    for place in range(6):
+        free[place] = 0.0
+    accelerate(scene, hit, free, 1.0)
+    bent = bend(scene, at, frame, row, 0.0)
+    for place in range(6):
+        bent += row[place] * free[place]
+    return bool(abs(bent) * _ROUNDING * touch_of(plan, at).together > _GRAZE * rate * rate)
+
+
+def mark_smooth(given: Given, rough: Flags, tangent: Array, workspaces: Workspaces) -> None:
+    """Fill in which steps have a derivative: not ``rough``, no foot that touches at an end, and not lost in rounding.
+
+    Args:
+        given: the rollout.
+        rough: steps that have none, shape (N, H).
+        tangent: to work in, shape (ROWS, 13).
+        workspaces: one, to work in.
+    """
+    played, memory, steps = played_of(given), workspaces[0], rough.shape[1]
+    row, none = memory.gradients[0], played.torques[:0]
     for i in range(rough.shape[0]):
         scene, plan = scene_of(played, i)
         before = touching(scene, plan, played.trajectories[i, 0], row)
-        for k in range(rough.shape[1]):
+        for k in range(steps):
             after = touching(scene, plan, played.trajectories[i, k + 1], row)
             first, last = rows_of(played, i, k)
-            most = 1 if first == last else 0  # the foot of an impact at the step's end touches there
-            played.smooth[i, k] = not (rough[i, k] or before > 1 or after > most)
+            at_ends = before == APPROACHING or after == APPROACHING
+            if last > first:  # a foot that strikes as the step ends touches there; one that is outside strikes there
+                at_ends |= before == OUTSIDE or after != CLEAR
+            played.smooth[i, k] = not (rough[i, k] or at_ends)
+            for hit in range(first, last if played.smooth[i, k] else first):
+                if grazes(scene, plan, played.hits[hit], memory):
+                    played.smooth[i, k] = False
+            if played.smooth[i, k] and last - first > _FEW:
+                fill_identity(tangent, none)
+                follow(played, scene, plan, i, k, none, tangent, memory)
+                played.smooth[i, k] = largest_growth(scene, tangent) < _LARGEST
             before = after
+
+
+def largest_growth(scene: SceneNumbers, tangent: Array) -> float:
+    """Largest derivative by the state, with places in units of L, speeds of v0, and rates of v0 / L; NaN if one is."""
+    largest, rate = 0.0, scene.speed_scale / scene.box_half_width
+    for row in range(12):
+        for column in range(12):
+            unit = 1.0
+            for place, sign in ((row, -1), (column, 1)):
+                if place % 3 != 2:
+                    unit *= scene.box_half_width if sign > 0 else 1.0 / scene.box_half_width
+                if place > 5:
+                    unit *= rate if sign > 0 else 1.0 / rate
+            grown = abs(tangent[row, column]) * unit
+            largest = grown if not grown <= largest else largest
+    return largest
 
 
 def follow(
@@ -387,7 +448,13 @@ def pull_back(
         for place in range(12):
             pulled[place] = weights[i, steps, place]
         for k in range(steps - 1, -1, -1):
-            held = torque_of(played, k)
+            held, weight = torque_of(played, k), 0.0
+            for place in range(12):
+                weight += abs(pulled[place])
+            if weight == 0.0:  # nothing has been asked of what comes after
+                for place in range(12):
+                    pulled[place] = weights[i, k, place]
+                continue
             if flies(played, i, k):
                 before, after = played.trajectories[i, k], played.trajectories[i, k + 1]
                 drifted(plan, played.torques[i, held] / scene.box_inertia, before, after, plan.dt, drift)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,8 +32,9 @@ class Linearization:
     Attributes:
         trajectories: shape (N, H + 1, 12), those of ``rollout`` bit for bit.
         smooth: shape (N, H), False where a step has no derivative, or none that can be told: several contacts at one
-            moment, an impact slower than 1e-6 v0, a foot that rests or begins to, one that touches a wall and
-            approaches it at the step's start or end, an impact at the end. A, B and P of that step are NaN.
+            moment, an impact slower than 1e-6 v0 or so slow that rounding decides, a foot that rests or begins to, one
+            that touches a wall and approaches it at the step's start or end, an impact at the end, impacts that
+            multiply an error by 1e10. A, B and P of that step are NaN.
     """
 
     def __init__(
@@ -44,7 +46,10 @@ class Linearization:
         begins = np.concatenate([[0], np.cumsum(tape.hits)])
         numbers = np.array([scene.numbers for scene in scenes])
         self._given = numbers, kinds, dt, torques, trajectories, tape.rows, begins, self.smooth
-        compiled(tangents.mark_smooth)(self._given, tape.rough, new_workspaces())
+        compiled(tangents.mark_smooth)(
+            self._given, tape.rough, np.zeros((tangents.ROWS, tangents.FIRST_FIELD)), new_workspaces()
+        )
+        _lock(self.trajectories, self.smooth)
 
     def __iter__(self) -> Iterator[Array | Flags]:
         return iter((self.trajectories, self.A, self.B, self.P, self.smooth))
@@ -71,6 +76,7 @@ class Linearization:
         results = np.empty((*shape, 12)), np.empty(shape), np.empty((*shape, columns - 13)), by_time
         call = compiled(tangents.matrices)
         self._spread(columns, lambda span, *memory: call(self._given, self._seeds, span, results, *memory))
+        _lock(*results)
         return results
 
     def impacts(self, row: int) -> tuple[NDArray[np.int64], Array, Array]:
@@ -81,7 +87,7 @@ class Linearization:
             the state at the step's start, the torque and the fields, (m, 13 + F).
         """
         count, steps = len(self.trajectories), self.trajectories.shape[1] - 1
-        row, begins = range(count)[row], self._given[6]
+        row, begins = check.whole("row", row, at_least=0, at_most=count - 1), self._given[6]
         own = slice(begins[row * steps], begins[(row + 1) * steps])
         within = np.repeat(np.arange(steps), self._tape.hits[row])
         return within, self._tape.rows[own, 0], self._matrices[3][own]
@@ -193,11 +199,14 @@ def linearize(
     time = check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
     free = torques is None
     if torques is None:
-        torques, repeat = np.zeros(check.whole("steps", steps, at_least=0, at_most=1_000_000_000)), 1
+        if repeat != 1:
+            raise ValueError(f"repeat goes with torques, got repeat={repeat} and torques=None")
+        torques = np.zeros(check.whole("steps", steps, at_least=0, at_most=10_000_000))
     elif steps is not None:
         raise TypeError(f"steps goes with torques=None, where the scene's drive acts, got steps={steps} and torques")
     seeds = np.array([_seeds(one, fields) for one in scenes])
     starts, held = sequences(scenes, several, states, torques)
+    held = held.copy()  # its owner may change it before a derivative is read
     tape = Tape()
     played = play(
         scenes, starts, held, dt, time, impacts=True, repeat=repeat, whole=True, num_threads=num_threads, free=free,
@@ -222,6 +231,12 @@ def _seeds(scene: Scene, fields: Sequence[str]) -> Array:
 
 
 _INERTIAS = ("box_inertia", "box_mass", "box_half_width"), ("jack_inertia", "jack_mass", "jack_arm")
+
+
+def _lock(*arrays: NDArray[Any]) -> None:
+    """Let nobody write to what later results are made of."""
+    for one in arrays:
+        one.flags.writeable = False
 
 
 def _floats(name: str, given: ArrayLike, shape: tuple[int, ...]) -> Array:

@@ -279,7 +279,11 @@ def test_the_time_of_an_impact_in_closed_form() -> None:
 
 OUTSIDE, SLOW, AT_ONCE = upright(-1e-6, -1.0), upright(1e-14, 1e-6), upright(0.0, 1.0)
 FLAT = np.array([*lying()[:10], -3.0, 0.0]) + np.eye(12)[4] * 0.02  # falls on two feet at once
+GRAZE = np.array([0, 0, 0, 5 + 5e-14, 0, -0.3, 0, 0, 0, 0, 0.3, 300.0])  # the foot passes the wall at 1e-4 m/s
 ROUGH = {
+    "a foot that lies on a wall without loss": (Scene(gravity=0.0, drive=None), upright(0.0), 0.02),
+    "a foot outside that turns round": (Scene(drive=None), upright(-1e-10, -3e-5), 1e-5),
+    "a graze": (Scene(gravity=0.0, drive=None), GRAZE, 2e-3),
     "two feet at one moment": (Scene(drive=None), FLAT, 0.02),
     "a slow impact": (Scene(gravity=0.0, drive=None), SLOW, 0.02),
     "an impact at the start": (Scene(drive=None), AT_ONCE, 0.02),
@@ -379,11 +383,32 @@ def test_an_inertia_follows_what_it_is_derived_from_and_stays_where_it_is_given(
         np.testing.assert_allclose(lin.P[0, 0, 8], [follows / 400.0, 2.0 * follows / 6.0], rtol=1e-12)
 
 
-def test_many_impacts_in_one_step_find_room() -> None:
-    scene, state = Scene(drive=None, gravity=500.0), upright(0.01)
-    lin = linearize(scene, state, np.zeros((1, 1)), 2.0)
-    assert lin.smooth.all()
-    assert len(lin._given[5]) > 100
+def test_many_impacts_in_one_step_find_room_and_grow_beyond_what_can_be_told() -> None:
+    lin = linearize(Scene(drive=None, gravity=500.0), [upright(0.01)] * 2, [[0.0, 0.0]] * 2, 2.0)
+    assert len(lin.impacts(0)[0]) > 300
+    assert not lin.smooth.any()
+
+
+def test_what_is_done_to_arrays_afterwards_changes_no_derivative() -> None:
+    torques = np.full(3, 3e4)
+    lin, twin = (linearize(Scene(drive=None), upright(1.0), torques, 0.02, fields=("box_mass",)) for _ in range(2))
+    torques *= 2.0
+    np.testing.assert_array_equal(lin.P, twin.P)
+    assert lin.P[0, 0, 8, 0] == pytest.approx(-3e4 / 14400.0 * 0.02 / 400.0)
+    for array in (lin.trajectories, lin.smooth, lin.A, lin.B, lin.P):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0
+
+
+def test_weights_before_a_step_without_a_derivative_have_a_gradient() -> None:
+    lin = linearize(Scene(drive=None), FLAT + np.eye(12)[4] * 0.3, np.zeros(20), 0.02)
+    (rough,) = np.flatnonzero(~lin.smooth[0])
+    weights = np.zeros((1, 21, 12))
+    weights[:, : rough + 1] = 1.0
+    by_start, by_torque, _ = lin.vjp(weights)
+    assert np.isfinite(by_start).all()
+    assert (by_torque[0, :rough] != 0.0).all()
+    assert (by_torque[0, rough:] == 0.0).all()
 
 
 # -- refusals ----------------------------------------------------------------------------------------------------------
@@ -401,3 +426,7 @@ def test_what_cannot_be_linearized_or_multiplied_is_refused() -> None:
         linearize(None, np.zeros(12), None, 0.02)
     with pytest.raises(TypeError, match="steps goes with torques=None"):
         linearize(None, np.zeros(12), np.zeros(3), 0.02, steps=3)
+    with pytest.raises(ValueError, match="repeat goes with torques, got repeat=2"):
+        linearize(None, np.zeros(12), None, 0.02, steps=3, repeat=2)
+    with pytest.raises(ValueError, match="row must be a whole number from 0 to 1, got 2"):
+        lin.impacts(2)
