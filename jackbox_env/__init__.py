@@ -12,6 +12,8 @@ from jackbox_env.scene import Chirp, Drive, Scene
 if TYPE_CHECKING:
     from jackbox_env.env import JackInBoxEnv
     from jackbox_env.measure.choosing import cheapest
+    from jackbox_env.measure.fitting import Fit, fit
+    from jackbox_env.measure.recordings import Recording
     from jackbox_env.planning import Rollout, rollout
     from jackbox_env.planning.landing_control import LandingControl, LandingControlVector
     from jackbox_env.planning.linearization import Linearization, linearize
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 _LAZY = {
     "FIDELITIES": "simulators.fidelity",
+    "Fit": "measure.fitting",
     "JackInBoxEnv": "env",
     "JackInBoxVectorEnv": "vector_env",
     "Impact": "simulators",
@@ -34,10 +37,12 @@ _LAZY = {
     "LookaheadVector": "planning.wrappers",
     "Simulator": "simulators",
     "make_simulator": "simulators",
+    "Recording": "measure.recordings",
     "Rollout": "planning",
     "Task": "tasks",
     "TaskError": "tasks",
     "cheapest": "measure.choosing",
+    "fit": "measure.fitting",
     "linearize": "planning.linearization",
     "rollout": "planning",
 }
@@ -45,6 +50,7 @@ __all__ = [
     "FIDELITIES",
     "Chirp",
     "Drive",
+    "Fit",
     "Impact",
     "JackInBoxEnv",
     "JackInBoxVectorEnv",
@@ -54,12 +60,14 @@ __all__ = [
     "Linearization",
     "Lookahead",
     "LookaheadVector",
+    "Recording",
     "Rollout",
     "Scene",
     "Simulator",
     "Task",
     "TaskError",
     "cheapest",
+    "fit",
     "linearize",
     "make_simulator",
     "rollout",

@@ -62,9 +62,11 @@ PACKAGE = """
     planning.sb3_wrappers
     sb3_wrappers render.window
     measure.accuracy
-    measure.choosing
+    measure.choosing measure.recordings
+    measure.shooting
+    measure.fitting
     commands.common commands.plots
-    commands.simulate commands.play commands.check
+    commands.simulate commands.play commands.fit commands.check
     commands.main
     __main__
 """

@@ -11,6 +11,7 @@ from jackbox_env.commands.common import JACKBOX, ROOT, command_line, in_checkout
 _OWN = {
     "simulate": "simulate the scene: CSV or npz, plots, an animated page",
     "play": "play with the keyboard (needs the render extra)",
+    "fit": "fit a scene's fields to recordings (needs the train extra)",
     "check": "does this installation work?",
 }
 _OF_A_CHECKOUT = {

@@ -99,36 +99,41 @@ def _bar(steps: Iterable[int], progress: bool) -> AbstractContextManager[Iterabl
 
 
 def write_csv(trajectory: Trajectory, folder: Path) -> list[Path]:
-    """Write states.csv (time and the 12 numbers) and impacts.csv (time, wall, foot, impulse), digits in full.
+    """Write states.csv (time, the 12 numbers, torque) and impacts.csv (time, wall, foot, impulse), digits in full.
 
-    The first line names each column with its unit.
+    The first line names each column with its unit. A row's torque is the mean over the step that begins there; the last
+    row's is empty.
 
     Raises:
         FileExistsError: a file is there already.
     """
     units = zip(STATE_NAMES, STATE_UNITS, strict=True)
-    states = ["time [s]", *(f"{name} [{unit}]" for name, unit in units)]
+    states = ["time [s]", *(f"{name} [{unit}]" for name, unit in units), "torque [N m]"]
+    torques: list[float | str] = [*trajectory.torques.tolist(), ""]
+    rows = np.column_stack([trajectory.times, trajectory.states]).tolist()
     impacts = ["time [s]", "wall", "foot", "impulse [N s]"]
     return [
-        _table(folder / "states.csv", states, np.column_stack([trajectory.times, trajectory.states]).tolist()),
+        _table(folder / "states.csv", states, [[*row, torque] for row, torque in zip(rows, torques, strict=True)]),
         _table(folder / "impacts.csv", impacts, trajectory.impacts),
     ]
 
 
-def _table(path: Path, names: Sequence[str], rows: Iterable[Sequence[float]]) -> Path:
+def _table(path: Path, names: Sequence[str], rows: Iterable[Sequence[float | str]]) -> Path:
     with new_file(path) as partial, partial.open("w", newline="") as file:
         csv.writer(file).writerows([names, *rows])
     return path
 
 
 def write_npz(trajectory: Trajectory, folder: Path) -> list[Path]:
-    """Write trajectory.npz: time (n,), state (n, 12), impact_time, impact_wall, impact_foot, impact_impulse (m,).
+    """Write trajectory.npz: time (n,), state (n, 12), torque (n - 1,), and impact_time, _wall, _foot, _impulse (m,).
 
     Raises:
         FileExistsError: the file is there already.
     """
     path = folder / "trajectory.npz"
-    named = {f"impact_{name}": np.array([getattr(hit, name) for hit in trajectory.impacts]) for name in Impact._fields}
+    arrays = {"time": trajectory.times, "state": trajectory.states, "torque": trajectory.torques}
+    for name in Impact._fields:
+        arrays[f"impact_{name}"] = np.array([getattr(hit, name) for hit in trajectory.impacts])
     with new_file(path) as partial:
-        np.savez(partial, time=trajectory.times, state=trajectory.states, **named)  # type: ignore[arg-type]
+        np.savez(partial, **arrays)  # type: ignore[arg-type]
     return [path]

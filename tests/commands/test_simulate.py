@@ -10,9 +10,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from jackbox_env import Chirp, make_simulator
 from jackbox_env.commands import simulate
+from jackbox_env.recording import trajectory as trajectories
 
 
 def run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, *arguments: str) -> None:
@@ -59,12 +62,26 @@ def test_it_goes_on_from_its_own_last_row_with_a_foot_in_a_wall(
     scene = ["--scene", '{"restitution": 0.3, "drive": null}', "--fidelity", "balanced"]
     run(monkeypatch, tmp_path, "--seconds", "2", *scene, "--folder", "out")
     with (tmp_path / "out" / "states.csv").open() as file:
-        rows = [[float(cell) for cell in row] for row in list(csv.reader(file))[1:]]
+        rows = [[float(cell) for cell in row[:13]] for row in list(csv.reader(file))[1:]]
     deep = next(row for row in rows if row[5] - row[2] < -5.0 - 1e-8)  # a foot is outside
     run(monkeypatch, tmp_path, "--seconds", "1", "--state", json.dumps(deep[1:]), "--time", str(deep[0]))
     (again,) = (tmp_path / "runs").glob("simulate-*/states.csv")
     with again.open() as file:
-        assert [float(cell) for cell in list(csv.reader(file))[1]] == deep
+        assert [float(cell) for cell in list(csv.reader(file))[1][:13]] == deep
+
+
+@pytest.mark.parametrize("contact", ["exact", "pymunk"])
+def test_the_files_hold_each_steps_torque(tmp_path: Path, contact: str) -> None:
+    simulator = make_simulator(contact=contact)
+    trajectory = trajectories.simulate(simulator, 0.5, 0.02, progress=False)
+    (states, _), (arrays,) = trajectories.write_csv(trajectory, tmp_path), trajectories.write_npz(trajectory, tmp_path)
+    with states.open() as file:
+        *rows, last = csv.DictReader(file)
+    assert last["torque [N m]"] == ""
+    torques = [float(row["torque [N m]"]) for row in rows]
+    assert torques == np.load(arrays)["torque"].tolist()
+    means = [0.5 * sum(Chirp().torque_means(0.02 * step, 0.02)) for step in range(25)]
+    np.testing.assert_allclose(torques, means, rtol=1e-6)
 
 
 def test_a_page_of_too_many_steps_is_refused(

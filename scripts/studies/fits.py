@@ -1,0 +1,168 @@
+"""Fit a thousand synthetic recordings, and fill in docs/fitting.md: how often 95 % intervals hold, how long it takes.
+
+Some fits are made again with finite differences in place of exact derivatives. It goes on where it was interrupted.
+"""
+
+from __future__ import annotations
+
+import json
+import statistics
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+from scipy import optimize, stats
+
+from jackbox_env import Recording, Scene, fit, make_simulator
+from jackbox_env.commands.common import command_line
+from jackbox_env.measure import fitting
+from jackbox_env.measure.shooting import units
+from jackbox_env.tasks import sample_start
+from scripts.studies import timing
+from scripts.studies.pages import fill, table
+
+DT, SECONDS, HEARD = 0.02, 4.0, 1e-4  # control step [s], length of a recording [s], noise of impacts' times [s]
+SEEN = {
+    "all 12 numbers": range(12),
+    "places and angles": range(6),
+    "the jack's places, angle and rates": (3, 4, 5, 9, 10, 11),
+    "the jack's place and angle": (3, 4, 5),
+    "the jack's place and angle, and impacts heard": (3, 4, 5),
+}
+NOISE = (3e-4, 1e-3, 3e-3)  # in units of L, v0, v0 / L and v0 / l
+FIELDS = (("jack_mass", "restitution"), ("restitution", "gravity"), ("jack_mass", "jack_arm", "restitution"))
+PACKAGES = ("jackbox", "numpy", "scipy", "numba")
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Fit, and write the page."""
+
+    count: int = 1000
+    """Recordings."""
+    again: int = 40
+    """How many of them are also fitted by finite differences."""
+    workers: int | None = None
+    """Processes; None: as many as cores."""
+    out: Path = Path("docs")
+    """Folder of the page fitting.md and of the results fits.jsonl."""
+
+
+def recorded(seed: int) -> tuple[Scene, Scene, tuple[str, ...], Recording, str, float]:
+    """A scene, where the search for it begins, fields, a recording with noise, what was seen and its noise."""
+    rng = np.random.default_rng(seed)
+    kind, noise = list(SEEN)[seed % len(SEEN)], NOISE[seed // len(SEEN) % len(NOISE)]
+    fields = FIELDS[int(rng.integers(len(FIELDS)))]
+    scene = Scene(
+        jack_mass=rng.uniform(4.0, 40.0), jack_arm=rng.uniform(0.8, 1.5), restitution=rng.uniform(0.75, 0.98),
+        gravity=rng.uniform(7.0, 12.0), drive=None,
+    )  # fmt: skip
+    start = scene.changed(**{name: getattr(scene, name) * rng.uniform(0.75, 1.0) for name in fields})
+    torques = np.repeat(rng.uniform(-3e4, 3e4, 20), 10)
+    simulator = make_simulator(scene, contact="exact")
+    simulator.reset(sample_start(scene, rng))
+    states, heard = [simulator.state], list[float]()
+    for torque in torques.tolist():
+        simulator.step(DT, torque)
+        states.append(simulator.state)
+        heard += [hit.time for hit in simulator.impacts]
+    seen = np.full((len(states), 12), np.nan)
+    columns = list(SEEN[kind])
+    seen[:, columns] = (np.array(states) + noise * units(scene) * rng.standard_normal(seen.shape))[:, columns]
+    impacts = np.sort(heard + HEARD * rng.standard_normal(len(heard))) if "heard" in kind else None
+    return scene, start, fields, Recording(seen, torques, DT, impacts=impacts), kind, noise
+
+
+def fitted(differences: bool, seed: int) -> dict[str, Any]:
+    """One fit: how long it took, and for each field the error over the interval's half width."""
+    scene, start, fields, recording, kind, noise = recorded(seed)
+    solve = optimize.least_squares
+
+    def by_differences(fun: Any, first: Any, jac: Any, **settings: Any) -> Any:
+        return solve(fun, first, "2-point", **settings)
+
+    began = time.process_time()
+    try:
+        with patch.object(optimize, "least_squares", by_differences if differences else solve):
+            found = fit(recording, fields, start)
+    except ValueError:  # nothing could be followed
+        found = fitting.Fit(start, {}, np.zeros(0), (), converged=False)
+    seconds, told = time.process_time() - began, {}
+    for name, (low, high) in found.intervals.items():
+        true, value = getattr(scene, name), getattr(found.scene, name)
+        told[name] = {"holds": bool(low <= true <= high), "told": bool(np.isfinite(high) and (low, high) != (0.0, 1.0))}
+        told[name]["error"] = abs(value - true) / true
+    held_out = float(np.mean(found.residuals**2)) if len(found.residuals) else None
+    return {
+        "seed": seed, "differences": differences, "seen": kind, "noise": noise, "seconds": seconds,
+        "converged": bool(found.converged), "fields": told, "held_out": held_out,
+    }  # fmt: skip
+
+
+def spread(rows: Iterable[dict[str, Any]]) -> list[str]:
+    """Fits, those that converged, how many intervals hold with a 95 % interval of that share, seconds, median error."""
+    rows = list(rows)
+    good = [row for row in rows if row["converged"]]
+    fields = [of for row in good for of in row["fields"].values() if of["told"]]
+    hold = sum(of["holds"] for of in fields)
+    low, high = stats.binomtest(hold, len(fields)).proportion_ci() if fields else (0.0, 1.0)
+    seconds = f"{statistics.median(row['seconds'] for row in rows):.1f} s" if rows else ""
+    return [
+        str(len(rows)), f"{len(good) / max(1, len(rows)):.0%}",
+        f"{hold / max(1, len(fields)):.1%} ({low:.1%} to {high:.1%})", seconds,
+        f"{statistics.median(of['error'] for of in fields):.1e}" if fields else "",
+    ]  # fmt: skip
+
+
+def tables(rows: list[dict[str, Any]]) -> str:
+    """What the page shows."""
+    exact, other = ([row for row in rows if row["differences"] is kind] for kind in (False, True))
+    heads = ("what was seen", "fits", "converged", "95 % intervals that hold", "time of a fit", "error")
+    lines = [[kind, *spread(row for row in exact if row["seen"] == kind)] for kind in SEEN]
+    again = {row["seed"] for row in other}
+    twins = [row for row in exact if row["seed"] in again]
+    compared = [["exact derivatives", *spread(twins)], ["finite differences", *spread(other)]]
+    return "\n\n".join(
+        [
+            table(heads, [*lines, ["**all**", *spread(exact)]]),
+            "The same recordings by exact derivatives and by SciPy's `2-point` differences:",
+            table(("derivatives", *heads[1:]), compared),
+        ]
+    )
+
+
+@command_line
+def main() -> None:
+    """Parse, fit what is missing, write the page."""
+    import multiprocessing
+
+    import tyro
+    from tqdm import tqdm
+
+    from jackbox_env.recording.files import check_writable, write_text
+
+    arguments = tyro.cli(Arguments, description=__doc__)
+    check_writable(arguments.out)
+    path, page = arguments.out / "fits.jsonl", arguments.out / "fitting.md"
+    rows = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+    done = {(row["seed"], row["differences"]) for row in rows}
+    context = multiprocessing.get_context("spawn")
+    with path.open("a") as file, context.Pool(arguments.workers) as pool:
+        for differences, count in ((False, arguments.count), (True, arguments.again)):
+            missing = [seed for seed in range(count) if (seed, differences) not in done]
+            finished = pool.imap_unordered(partial(fitted, differences), missing)
+            for row in tqdm(finished, total=len(missing), unit="fit"):
+                print(json.dumps(row), file=file, flush=True)
+                rows.append(row)
+    made = f"`python scripts/studies/fits.py` on {timing.measured_with(PACKAGES)}."
+    write_text(page, fill(page.read_text(), "fits", f"{tables(rows)}\n\n{made}"))
+    print(tables(rows))
+
+
+if __name__ == "__main__":
+    main()

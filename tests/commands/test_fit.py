@@ -1,0 +1,138 @@
+"""The command that fits a scene: the scene of what simulate wrote comes back; other files are refused in a sentence."""
+
+from __future__ import annotations
+
+import csv
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jackbox_env import Chirp, Scene, make_simulator
+from jackbox_env.commands import fit
+from jackbox_env.recording.trajectory import simulate, write_csv
+
+pytest.importorskip("scipy")
+
+TRUE = Scene(jack_mass=4.5, restitution=0.8)
+START = '{"restitution": 0.9}'
+NOISE = 0.005
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What simulate writes of 4 s, and noisy.csv, whose states have noise."""
+    made = tmp_path_factory.mktemp("recorded")
+    rng = np.random.default_rng(0)
+    with write_csv(simulate(make_simulator(TRUE, contact="exact"), 4.0, 0.02, progress=False), made)[0].open() as file:
+        head, *rows = csv.reader(file)
+    noisy = [[row[0], *(float(cell) + NOISE * rng.standard_normal() for cell in row[1:13]), row[13]] for row in rows]
+    with (made / "noisy.csv").open("w", newline="") as file:
+        csv.writer(file).writerows([head, *noisy])
+    return made
+
+
+def run(monkeypatch: pytest.MonkeyPatch, folder: Path, *arguments: str) -> None:
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(sys, "argv", ["jackbox fit", *arguments])
+    fit.main()
+
+
+def test_a_noisy_recording_tells_mass_and_restitution_and_the_page_shows_them(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fields = "--fields", "jack_mass", "restitution"
+    more = "--scene", START, "--impacts", "impacts.csv", "--noise", '{"impacts": 0.001}', "--html", "--folder", "out"
+    run(monkeypatch, folder, "noisy.csv", *fields, *more)
+    out, err = capsys.readouterr()
+    table = [re.split(r"  +", line) for line in out.splitlines()[:3]]
+    assert table[0] == ["field", "fitted", "95 % interval", "start"]
+    assert [(row[0], row[3]) for row in table[1:]] == [("jack_mass", "4"), ("restitution", "0.9")]
+    assert float(table[1][1]) == pytest.approx(4.5, abs=0.05)
+    assert float(table[2][1]) == pytest.approx(0.8, abs=0.002)
+    assert "Converged" in out
+    assert re.search(r"x_jack 0\.00[45]\d* m,", out)  # noise
+    assert "of 200 steps" in out
+    assert re.fullmatch(r"Fitting jack_mass, restitution to 200 steps \.\.\.\n(.*\n)*\.\.\. took [\d.]+ s\n", err)
+    page = (folder / "out" / "fit.html").read_text()
+    assert all(f"<td>{cell}</td>" in page for row in table[1:] for cell in row)
+    assert page.count("<svg") == 2
+    assert not re.search(r"(src|href)=.https?:|url\(.?https?:", page)  # nothing is fetched
+    with pytest.raises(SystemExit):
+        run(monkeypatch, folder, "noisy.csv", *fields, "--html", "--folder", "out")
+    assert "never overwritten" in capsys.readouterr().err
+
+
+def test_torques_that_are_the_drives_are_left_to_the_drive(folder: Path) -> None:
+    assert fit.read_recording(folder / "states.csv", Chirp()).torques is None
+    held = fit.read_recording(folder / "states.csv", Chirp(amplitude=80000.0)).torques
+    assert held is not None
+
+
+def test_names_without_units_and_empty_cells_are_read(tmp_path: Path) -> None:
+    (tmp_path / "seen.csv").write_text("\ufefftorque,x_jack,time\n5,1.5,2\n6,,2.5\n,nan,3.0\n\n", encoding="utf-8")
+    (tmp_path / "heard.csv").write_text("time\n2.25\n")
+    recording = fit.read_recording(tmp_path / "seen.csv", Chirp(), tmp_path / "heard.csv")
+    np.testing.assert_array_equal(np.asarray(recording.states)[:, 3], [1.5, np.nan, np.nan])
+    assert np.isnan(np.delete(np.asarray(recording.states), 3, axis=1)).all()
+    assert (recording.dt, recording.time) == (0.5, 2.0)
+    assert (np.asarray(recording.torques).tolist(), np.asarray(recording.impacts).tolist()) == ([5.0, 6.0], [2.25])
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("", "row 1: there must be a column time [s]"),
+        ("x_jack\n1\n", "row 1: there must be a column time [s]"),
+        ("time,x_jac\n0,1\n", "row 1: column 'x_jac' must be one of time [s], x_box [m], "),
+        ("time,theta_box [deg]\n0,1\n", "row 1: column 'theta_box [deg]' must be one of time [s], x_box [m], "),
+        ("time,x_box,x_box [m]\n0,1,2\n", "row 1: column 'x_box [m]' comes twice"),
+        ("time,x_box\n0,1\n", "row 2: there must be two rows of numbers at least"),
+        ("time,x_box\n", "row 1: there must be two rows of numbers at least"),
+        ("time,x_box\n0,1\n\n0.1,1\n0.2,left\n", "row 5, column x_box: must be a number or empty, got 'left'"),
+        ("time,x_box\n0,1\n0.1,inf\n", "row 3, column x_box: must be a number or empty, got 'inf'"),
+        ("time,x_box\n0,1\n0.1\n", "row 3: must have 2 cells like row 1, got 1"),
+        ("time,x_box\n0,1\n,2\n", "row 3, column time: must be a number, got none"),
+        (
+            "time,x_box\n0,1\n0.1,1\n0.2,1\n0.4,1\n",
+            "row 5, column time: must increase evenly, by 0.1 s in most rows and by 0.2 s here",
+        ),
+        ("time,x_box\n0.1,1\n0.1,1\n", "row 3, column time: must increase"),
+        ("time,x_box,torque\n0,1,5\n0.1,1,\n0.2,1,5\n", "row 3, column torque: must be a number, got none"),
+        ("time,x_box\n0,\n0.1,\n", "a recording must hold something that was observed"),
+    ],
+)
+def test_a_file_that_is_no_recording_is_refused_in_one_sentence(
+    text: str, sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "bad.csv").write_text(text)
+    with pytest.raises(SystemExit) as ended:
+        run(monkeypatch, tmp_path, "bad.csv", "--fields", "jack_mass")
+    said = capsys.readouterr().err
+    assert ended.value.code == 2
+    assert said.startswith("bad.csv")
+    assert sentence in said
+    assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--noise", "loud"], "noise must be a number or a JSON object, got 'loud'"),
+        (["--impacts", "impacts.csv", "impacts.csv"], "impacts must be 1 files, one for each recording, got 2"),
+        (["--impacts", "states.csv"], "states.csv, row 1: column 'x_box [m]' must be one of time [s], wall, foot, "),
+        (["--folder", "here"], "folder goes with --html"),
+        (["--scene", '{"jack_mas": 4}'], "did you mean 'jack_mass'?"),
+    ],
+)
+def test_options_that_mean_nothing_are_refused(
+    arguments: list[str], sentence: str, folder: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    with pytest.raises(SystemExit):
+        run(monkeypatch, folder, "states.csv", "--fields", "jack_mass", *arguments)
+    said = capsys.readouterr().err
+    assert sentence in said
+    assert said.count("\n") == 1

@@ -1,0 +1,170 @@
+"""Fits recover the scene of synthetic recordings, say what they cannot tell, and refuse what is no recording."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import jackbox_env
+from jackbox_env import Fit, Recording, Scene, fit, make_simulator
+from jackbox_env.measure.shooting import Parameters, Shooting, Window, units
+from jackbox_env.tasks import sample_start
+from tests.states import Array
+
+DT = 0.02
+TRUE = Scene(jack_mass=12.0, restitution=0.85, drive=None)
+START = Scene(jack_mass=9.0, drive=None)
+
+
+def recorded(scene: Scene = TRUE, seed: int = 0, steps: int = 200, noise: float = 1e-3) -> tuple[Array, Array, Array]:
+    """States with noise, torques and times of impacts."""
+    rng = np.random.default_rng(seed)
+    torques = np.repeat(rng.uniform(-3e4, 3e4, steps // 10), 10)
+    simulator = make_simulator(scene, contact="exact")
+    simulator.reset(sample_start(scene, rng))
+    states, heard = [simulator.state], list[float]()
+    for torque in torques.tolist():
+        simulator.step(DT, torque)
+        states.append(simulator.state)
+        heard += [hit.time for hit in simulator.impacts]
+    seen = np.array(states)
+    return seen + noise * units(scene) * rng.standard_normal(seen.shape), torques, np.array(heard)
+
+
+def holds(found: Fit, scene: Scene, wide: float = 2.0) -> bool:
+    """Whether the truth is within intervals ``wide`` times as wide."""
+    for name, (low, high) in found.intervals.items():
+        middle, half = 0.5 * (low + high), 0.5 * wide * (high - low)
+        if not abs(getattr(scene, name) - middle) <= half:
+            return False
+    return True
+
+
+def test_mass_and_restitution_from_everything_seen_with_noise() -> None:
+    states, torques, _ = recorded()
+    found = fit(Recording(states, torques, DT), ("jack_mass", "restitution"), START)
+    assert found.converged
+    assert not found.unidentified
+    assert holds(found, TRUE)
+    assert found.scene.jack_mass == pytest.approx(12.0, rel=5e-3)
+    assert found.scene.jack_inertia == found.scene.jack_mass  # follows: m l^2 with l = 1 m
+    assert found.noise["x_jack"] == pytest.approx(6e-3, rel=0.2)
+    assert 0.7 < np.sqrt(np.mean(found.residuals**2)) < 1.3
+    assert abs(found.motions[0] - states)[:, 3].max() < 0.05
+
+
+def test_the_jack_alone_seen_and_its_impacts_heard_with_known_noise() -> None:
+    states, torques, heard = recorded()
+    states[:, [0, 1, 2, 6, 7, 8, 9, 10, 11]] = np.nan
+    noise = {"x_jack": 6e-3, "y_jack": 6e-3, "theta_jack": 1e-3, "impacts": 1e-4}
+    found = fit(Recording(states, torques, DT, impacts=heard), ("jack_mass", "restitution"), START, noise=noise)
+    assert found.converged
+    assert holds(found, TRUE)
+    assert found.noise == noise
+
+
+def test_two_recordings_tell_more_than_one() -> None:
+    given = [Recording(*recorded(seed=seed)[:2], DT) for seed in (0, 1)]
+    one, both = (fit(several, ("jack_mass",), START.changed(restitution=0.85)) for several in (given[0], given))
+    widths = [found.intervals["jack_mass"][1] - found.intervals["jack_mass"][0] for found in (one, both)]
+    assert both.converged
+    assert holds(both, TRUE)
+    assert widths[1] < widths[0]
+
+
+def test_masses_without_any_known_force_are_told_up_to_one_factor() -> None:
+    states, _, _ = recorded(Scene(box_mass=300.0, jack_mass=12.0, drive=None), steps=150, noise=1e-4)
+    still = Scene(box_mass=300.0, jack_mass=12.0, drive=None)
+    simulator = make_simulator(still, contact="exact")
+    simulator.reset(states[0])
+    states = np.array([simulator.state, *(_stepped(simulator) for _ in range(150))])
+    states += 1e-4 * units(still) * np.random.default_rng(0).standard_normal(states.shape)
+    found = fit(Recording(states, np.zeros(150), DT), ("box_mass", "jack_mass"), still)
+    assert found.unidentified == ("the recordings tell box_mass and jack_mass only up to one common factor",)
+    assert found.intervals == dict.fromkeys(("box_mass", "jack_mass"), (0.0, np.inf))
+    assert found.scene.jack_mass / found.scene.box_mass == pytest.approx(12.0 / 300.0, rel=1e-2)
+
+
+def _stepped(simulator: Any) -> Array:
+    simulator.step(DT, 0.0)
+    state: Array = simulator.state
+    return state
+
+
+def test_rest_is_left_out_and_counted() -> None:
+    scene = Scene(jack_mass=12.0, restitution=0.3, drive=None)
+    states, _, _ = recorded(scene, steps=10, noise=0.0)
+    simulator = make_simulator(scene, contact="exact")
+    simulator.reset(states[0])
+    states = np.array([simulator.state, *(_stepped(simulator) for _ in range(250))])
+    found = fit(
+        Recording(states + 1e-5, np.zeros(250), DT), ("restitution",), scene.changed(restitution=0.4), noise=1e-3
+    )
+    assert found.left_out > 80
+    assert np.isnan(found.motions[0][-1]).all()
+    assert found.scene.restitution == pytest.approx(0.3, abs=2e-3)
+
+
+def test_what_does_not_fit_has_not_converged() -> None:
+    states, torques, _ = recorded()
+    with pytest.raises(ValueError, match="recordings must be followed for a while: the scene at the start leads"):
+        fit(Recording(states, -torques, DT), ("jack_mass", "restitution"), START)
+
+
+def test_derivatives_of_residuals_equal_differences() -> None:
+    states, torques, heard = recorded()
+    recording = Recording(states, torques, DT, impacts=heard)
+    parameters = Parameters(("jack_mass", "restitution", "gravity"), TRUE)
+    windows = [Window(0, 0, 60, True, states[0]), Window(0, 60, 90, False, states[60])]
+    shooting, noise = Shooting([recording], parameters, windows), 1e-3 * np.append(units(TRUE), 1.0)
+    at = shooting.unknowns(parameters.of(TRUE))
+    found = shooting.rows(at, noise, 1e-2)
+    assert found is not None
+    assert {-1, 12} <= {*found.column.tolist()}  # links and heard impacts among them
+    for place in range(len(at)):
+        step = 1e-7 * np.eye(len(at))[place]
+        more, less = (shooting.rows(at + sign * step, noise, 1e-2) for sign in (1.0, -1.0))
+        assert more is not None
+        assert less is not None
+        difference = (more.residuals - less.residuals) / 2e-7
+        np.testing.assert_allclose(found.by[:, place], difference, atol=1e-5 * abs(difference).max() + 1e-6, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"states": np.zeros((1, 12))}, r"states must have shape \(H \+ 1, 12\) with H >= 1, got \(1, 12\)"),
+        ({"states": np.full((4, 12), np.inf)}, "states must be finite or NaN, got x_box = inf in row 0"),
+        ({"states": np.full((4, 12), np.nan)}, "must hold something that was observed"),
+        ({"states": "up"}, "states must hold numbers, got 'up'"),
+        ({"torques": [1.0]}, r"torques must have shape \(3,\), one for each step, got \(1,\)"),
+        ({"torques": [np.nan] * 3}, "torques must be finite, got nan"),
+        ({"dt": 0.0}, "dt must be a finite number above 0, got 0.0"),
+        ({"time": np.nan}, "time must be"),
+        ({"impacts": [0.2, 0.1]}, "impacts must be times in order"),
+    ],
+)
+def test_what_is_no_recording_is_refused(change: dict[str, Any], complaint: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=complaint):
+        Recording(**{"states": np.zeros((4, 12)), "torques": np.zeros(3), "dt": DT, **change})
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"recordings": []}, "recordings must be a Recording or several, got \\[\\]"),
+        ({"recordings": 3}, "recordings must be a Recording or several, got 3"),
+        ({"fields": ()}, "fields must be different names, at least one"),
+        ({"fields": "gravity"}, "fields must be different names"),
+        ({"fields": ("weight",)}, "a field must be one of 'gravity'"),
+        ({"start": 3}, "scene must be a Scene"),
+        ({"noise": 0.0}, "noise must be above 0"),
+        ({"noise": {"x": 1.0}}, "noise takes only 'x_box'"),
+    ],
+)
+def test_what_cannot_be_fitted_is_refused(change: dict[str, Any], complaint: str) -> None:
+    given = {"recordings": Recording(np.zeros((4, 12)), np.zeros(3), DT), "fields": ("gravity",), **change}
+    with pytest.raises((TypeError, ValueError), match=complaint):
+        jackbox_env.fit(**given)
