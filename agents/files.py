@@ -1,8 +1,7 @@
 """Files that may be damaged, and folders that one process locks. :mod:`jackbox_env.recording.files` writes them.
 
-A folder is locked by ``flock`` on its file ``lock``. The kernel lets go of it when the process ends, however it ends.
-So a lock left behind holds nobody up. Windows has no such lock: there a folder is not locked, and standard error says
-so.
+A folder is locked by a lock on its file ``lock``: ``flock``, or on Windows ``LockFile`` of its first byte. The system
+lets go of it when the process ends, however it ends. So a file left behind holds nobody up.
 """
 
 from __future__ import annotations
@@ -15,8 +14,19 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-if sys.platform != "win32":
+if sys.platform == "win32":
+    import msvcrt
+
+    def _claim(descriptor: int) -> None:
+        """Lock an open file until it is closed, or raise PermissionError."""
+        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+else:
     import fcntl
+
+    def _claim(descriptor: int) -> None:
+        """Lock an open file until it is closed, or raise BlockingIOError; OSError where there are no locks."""
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
 
 LOCK = "lock"
 
@@ -86,22 +96,15 @@ def locked(folder: Path) -> Iterator[None]:
         FolderInUseError: another process has locked it.
         OSError: its lock is a link, or cannot be opened.
     """
-    if sys.platform == "win32":
-        _say_unlocked(folder)
-        yield
-        return
-    descriptor = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+    descriptor = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
     try:
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
+            _claim(descriptor)
+        except (BlockingIOError, PermissionError) as error:
             raise FolderInUseError(f"{folder} is in use by another process: wait until it ends, or end it") from error
         except OSError:  # a disk of a cluster, perhaps, that has no locks
-            _say_unlocked(folder)
+            said = f"{folder} cannot be locked on this system: take care that nothing else works in it"
+            print(said, file=sys.stderr)
         yield
     finally:
         os.close(descriptor)
-
-
-def _say_unlocked(folder: Path) -> None:
-    print(f"{folder} cannot be locked on this system: take care that nothing else works in it", file=sys.stderr)

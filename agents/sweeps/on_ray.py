@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import platform
 import shutil
 import socket
 import tempfile
@@ -95,7 +96,7 @@ class OnRay:
 
         def run(settings: dict[str, Any]) -> Finished | str:
             other = differing(expected, _made_with_once())
-            return f"{other} on {os.uname().nodename}" if other else attempt(work, Trial(settings))
+            return f"{other} on {platform.node()}" if other else attempt(work, Trial(settings))
 
         return self._ray.remote(num_cpus=1, max_retries=RETRIES)(run)
 

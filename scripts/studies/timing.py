@@ -71,7 +71,7 @@ def others() -> tuple[float, float]:
     """Core-seconds since the machine started: those that other processes used, and all; zeros if unknown."""
     if not Path("/proc/stat").exists():
         return 0.0, 0.0
-    ticks = [int(number) for number in Path("/proc/stat").read_text().split("\n", 1)[0].split()[1:9]]
+    ticks = [int(number) for number in Path("/proc/stat").read_text(encoding="utf-8").split("\n", 1)[0].split()[1:9]]
     idle = ticks[3] + ticks[4]  # and waiting for disks
     ours = sum(os.times()[:4])
     return (sum(ticks) - idle) / os.sysconf("SC_CLK_TCK") - ours, sum(ticks) / os.sysconf("SC_CLK_TCK")

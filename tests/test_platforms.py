@@ -1,0 +1,116 @@
+"""What macOS and Windows lack is hidden from a child process: it imports all, locks a folder, trains ten steps."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import pkgutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+# Libraries, imported before: they ask for the system by its name.
+LIBRARIES = "matplotlib.pyplot numba pygame pymunk rich.progress scipy.stats stable_baselines3 torch._dynamo tyro"
+MODULES = ("fcntl", "resource", "pwd", "grp", "termios", "tty", "pty")
+ATTRIBUTES = {
+    os: "O_NOFOLLOW register_at_fork sched_getaffinity sched_setaffinity fork uname sysconf getuid killpg setsid",
+    signal: "SIGKILL SIGALRM SIGHUP SIGPIPE alarm setitimer pthread_kill",
+}
+
+
+def hide() -> None:
+    """Take away what Windows lacks, and stand in for its locks by those of this system."""
+    if sys.platform == "win32":
+        return
+    import fcntl
+
+    def locking(descriptor: int, mode: int, count: int) -> None:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise PermissionError(13, "Permission denied") from error
+
+    windows = ModuleType("msvcrt")
+    vars(windows).update(locking=locking, LK_NBLCK=2)
+    sys.modules["msvcrt"] = windows
+    for name in MODULES:
+        sys.modules[name] = None  # type: ignore[assignment]  # importing it fails
+    for module, names in ATTRIBUTES.items():
+        for name in names.split():
+            if hasattr(module, name):  # macOS lacks some
+                delattr(module, name)
+    there = Path.exists
+    setattr(Path, "exists", lambda path: path.parts[:2] != ("/", "proc") and there(path))  # noqa: B010
+
+
+def import_all() -> int:
+    """Import every module of the package, of the agents and of the commands; return how many."""
+    system, sys.platform = sys.platform, "win32"
+    importlib.import_module("agents.files")  # with what Windows has in place of flock
+    sys.platform = system
+    names = [
+        module.name
+        for folder in ("jackbox_env", "agents", "scripts")
+        for module in pkgutil.walk_packages([str(ROOT / folder)], f"{folder}.")
+        if not module.name.startswith(("scripts.recipes", "scripts.studies"))
+    ]
+    for name in names:
+        importlib.import_module(name)
+    return len(names)
+
+
+def train(folder: Path) -> None:
+    """Train ten steps in a run folder, which is locked meanwhile."""
+    from agents.runs import describe
+    from agents.settings import TrainSettings
+    from agents.training import ppo
+    from jackbox_env.recording.files import new_folder
+
+    settings = TrainSettings(
+        total_steps=10, num_envs=2, rollout_steps=5, batch_size=10, epochs=1, eval_steps=10, eval_episodes=1
+    )
+    new_folder(folder, "test", lambda made: describe(made, settings))
+    assert ppo.train(settings, folder, progress=False).num_timesteps == 10
+
+
+def lock(folder: Path) -> None:
+    """A folder is locked once, and can be locked again afterwards."""
+    from agents import files
+
+    for _ in range(2):
+        with files.locked(folder), pytest.raises(files.FolderInUseError), files.locked(folder):
+            pass
+    with pytest.raises(files.FolderInUseError), files.locked(folder), files.locked(folder):
+        pass
+
+
+def without_what_others_lack(folder: Path) -> None:
+    """In a child process."""
+    for name in LIBRARIES.split():
+        importlib.import_module(name)
+    hide()
+    print(import_all(), "modules")
+    train(folder)
+    lock(folder)
+
+
+def test_nothing_needs_what_other_systems_lack(tmp_path: Path) -> None:
+    code = "import sys, pathlib, tests.test_platforms as here; here.without_what_others_lack(pathlib.Path(sys.argv[1]))"
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "run")], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout.split()[0]) > 100
+    assert "cannot be locked" not in done.stderr
+
+
+def test_every_text_file_names_its_encoding() -> None:
+    null = "jackbox_env/commands/common.py:PLW1514"  # opens only the null device
+    command = [sys.executable, "-m", "ruff", "check", "--preview", "--select", "PLW1514", "--per-file-ignores", null]
+    done = subprocess.run([*command, "jackbox_env", "agents", "scripts"], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout
