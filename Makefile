@@ -1,6 +1,7 @@
 # make demo: train, evaluate, film. make test: lint, types, tests. Both set themselves up in .venv first.
 # make test-all: the slow tests too. The other targets write the reports in docs/.
 # make machines: this machine against itself as older ones, each of its features taken away alone.
+# On Windows: make BIN=.venv/Scripts PYTHON=python ...
 PYTHON ?= python3
 BIN := .venv/bin
 OLD_GYMNASIUM := .venv/gymnasium-1.2.2
@@ -12,7 +13,7 @@ UNDER_OLD_GYMNASIUM := $(addprefix tests/,environment/test_env.py environment/te
 	environment/test_tools.py batches/test_vector_env.py batches/test_episodes.py \
 	guarantees/test_bits.py refusals/test_refusals.py)
 
-.PHONY: demo test test-all test-slow benchmark benchmark-quick throughput speed costs derivatives soak extremes machines kills interruptions mutants fidelity results networks scaling readme docs recipes clean
+.PHONY: demo test test-all test-slow benchmark benchmark-quick throughput speed costs derivatives soak extremes machines kills interruptions mutants fidelity results networks scaling readme docs recipes wheel clean
 .DELETE_ON_ERROR:
 
 demo: .venv/usable
@@ -98,6 +99,11 @@ docs: .venv/ready
 # Each recipe of docs/recipes.md, shortened; those of other libraries in environments of their own in runs/recipes.
 recipes: .venv/ready
 	@$(BIN)/python scripts/recipes/run.py
+
+# Two wheels in dist: one for any platform, and one for Linux with the exact model compiled, which is then tried.
+wheel: .venv/ready
+	@$(BIN)/python scripts/wheel.py
+	@JACKBOX_WHEEL=1 $(PYTEST) tests/commands/test_wheel.py -k shipped
 
 # What sweeps gain from more workers and machines, docs/scaling.md; some 5 minutes.
 scaling: .venv/ready

@@ -200,9 +200,9 @@ def _jitted(twin: FunctionType, inner: bool, checked: bool, keep: bool) -> Calla
     if inner:  # a third of the time to compile goes without ways in from Python
         settings |= {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     dispatcher = njit(**settings)(twin)
-    if keep and (folders := cache_folders()):
+    if keep:
         # where njit(cache=True) puts numba's own
-        dispatcher._cache = CodeCache(twin, folders)
+        dispatcher._cache = CodeCache(twin, cache_folders(), shipped_in(PACKAGE))
     return cast(Callable[..., Any], dispatcher)
 
 
@@ -240,6 +240,11 @@ def _digest(package: Path = PACKAGE) -> str:
     for source in sorted(package.rglob("*.py")):
         digest.update(source.read_bytes())
     return digest.hexdigest()[:16]
+
+
+def shipped_in(package: Path) -> Path:
+    """The folder of compiled code that comes with a wheel."""
+    return package / "compiled" / "shipped" / f"compiled-{_digest()}"
 
 
 def _cache_places() -> Iterator[Path]:

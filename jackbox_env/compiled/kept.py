@@ -5,6 +5,9 @@ flipped bit may crash or compute something else. Here a file is used only if its
 not at all. Whatever is wrong with the disk, the code is compiled anew and one warning names the folder. The checksum is
 against damage: whoever may write to the folder can put any code there, as in a package's ``__pycache__``.
 
+A wheel can ship such files (scripts/wheel.py), compiled for ``SHIPPED_FOR``. They serve every CPU that has what this
+target needs, where nothing is kept that was compiled for the CPU itself.
+
 Nothing here stands between a caller and compiled code: numba asks for kept code once for each signature, when a
 function is first called with it.
 """
@@ -15,12 +18,14 @@ import hashlib
 import pickle
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cache
+from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from types import FunctionType
 from typing import Any
 
+import llvmlite  # type: ignore[import-untyped]
 import numba
 from numba.core.caching import NullCache
 from numba.core.compiler import CompileResult
@@ -29,6 +34,8 @@ from numba.core.serialize import dumps
 from jackbox_env.recording import files
 
 _HEAD = hashlib.sha256().digest_size  # bytes of the checksum, which stands before the code
+SHIPPED_FOR = "x86-64-v3"  # Intel's CPUs from Haswell (2013) on, AMD's from Excavator (2015) on
+_NEEDS = {"+avx2", "+bmi", "+bmi2", "+cx16", "+f16c", "+fma", "+lzcnt", "+movbe", "+popcnt", "+sahf", "+xsave"}
 # What takes long to compile, by its function, and what it is for.
 _LONG = {"step_one": "single environments", "step_blocks": "batches of environments", "roll": "rollouts"}
 
@@ -47,17 +54,19 @@ def _checksum(path: Path, code: bytes) -> bytes:
 class CodeCache(NullCache):
     """The cache of one compiled function: what numba loads from before it compiles and saves to after.
 
-    One file for each signature, kind of processor, and version of Python and numba.
+    One file for each signature, kind of processor, version of numba, and binary interface of Python: what tells which
+    compiled extensions it loads.
 
     Args:
         function: the plain function, with a qualified name that tells its content.
-        folders: where to look, in this order; the last is where code is saved.
+        folders: where to look, in this order; the last is where code is saved, if there is one.
+        shipped: where to look then, for code compiled for ``SHIPPED_FOR``; it need not be there.
     """
 
-    def __init__(self, function: FunctionType, folders: Sequence[Path]) -> None:
+    def __init__(self, function: FunctionType, folders: Sequence[Path], shipped: Path) -> None:
         self._name = f"{Path(function.__code__.co_filename).stem}.{function.__name__.strip('<>')}"
-        self._version = sys.version, numba.__version__, function.__qualname__
-        self._folders, self._for = folders, _LONG.get(function.__name__)
+        self._version = EXTENSION_SUFFIXES[0], numba.__version__, llvmlite.__version__, function.__qualname__
+        self._folders, self._shipped, self._for = folders, shipped, _LONG.get(function.__name__)
 
     def load_overload(self, signature: Any, context: Any) -> Any:
         """Return what was compiled for this signature, or None where it is not kept or cannot be used.
@@ -65,17 +74,16 @@ class CodeCache(NullCache):
         What is compiled then takes long for some functions: standard error says so.
         """
         context.refresh()
-        for folder in self._folders:
-            path = folder / self._file_name(signature, context.codegen())
+        for path in self._paths(signature, context.codegen().magic_tuple()):
             try:
                 whole = path.read_bytes()
                 if _checksum(path, whole[_HEAD:]) != whole[:_HEAD]:
                     raise ValueError("damaged")
                 return CompileResult._rebuild(context, *pickle.loads(whole[_HEAD:]))  # type: ignore[no-untyped-call]
-            except FileNotFoundError:
+            except (FileNotFoundError, NotADirectoryError):
                 continue
             except Exception as error:  # whatever it is, compiling anew repairs it
-                say_once(f"compiled code kept in {folder} cannot be used ({error}), so it is compiled anew")
+                say_once(f"compiled code kept in {path.parent} cannot be used ({error}), so it is compiled anew")
         if self._for is not None:
             said = f"jackbox compiles its exact contact model for {self._for}, once on this machine (half a minute)"
             print(said, file=sys.stderr, flush=True)
@@ -83,9 +91,9 @@ class CodeCache(NullCache):
 
     def save_overload(self, signature: Any, result: Any) -> None:
         """Keep what was compiled for this signature, unless it holds addresses, which no other process shares."""
-        if result.library.has_dynamic_globals:
+        if result.library.has_dynamic_globals or not self._folders:
             return
-        path = self._folders[-1] / self._file_name(signature, result.library.codegen)
+        path = self._folders[-1] / self._file_name(signature, result.library.codegen.magic_tuple())
         code: bytes = dumps(result._reduce())  # type: ignore[no-untyped-call]
         try:
             path.parent.mkdir(parents=True, exist_ok=True)  # it may have been removed since this process looked
@@ -97,6 +105,17 @@ class CodeCache(NullCache):
                 "make room there or set NUMBA_CACHE_DIR to another folder"
             )
 
-    def _file_name(self, signature: Any, codegen: Any) -> str:
-        whole = repr((self._version, str(signature), codegen.magic_tuple()))
+    def _paths(self, signature: Any, target: tuple[str, str, str]) -> Iterator[Path]:
+        """Where to look, first for code compiled for this process's target: a triple, a CPU and its features.
+
+        Numba loads machine code as it is, whatever it was compiled for.
+        """
+        own = self._file_name(signature, target)
+        yield from (folder / own for folder in self._folders)
+        triple, _, features = target
+        if _NEEDS.issubset(features.split(",")):
+            yield self._shipped / self._file_name(signature, (triple, SHIPPED_FOR, ""))
+
+    def _file_name(self, signature: Any, target: tuple[str, str, str]) -> str:
+        whole = repr((self._version, str(signature), target))
         return f"{self._name}-{hashlib.sha256(whole.encode()).hexdigest()[:32]}.kept"

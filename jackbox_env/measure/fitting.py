@@ -28,6 +28,7 @@ _SLACKS = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3, 1e-5)  # of links, over the smallest
 _LOUDER = 1.3  # times the noise that third differences tell: what is left is not noise
 _LEFT = 0.2  # share of a motion's steps that a search may lose
 _SHORTER = 0.5, 0.25  # of a window that is not explained
+_UNSEEN = 1e-4  # slack of links at first, in units of the state, where impacts are all there is
 _MANY = 20  # third differences that tell the noise
 _ROUGH = 1e-2  # noise at first, in units of the state; of impacts' times [s]
 _UNTOLD = 5.0  # standard deviation of a logarithm beyond which a combination is not told
@@ -154,7 +155,7 @@ class _Search:
 
     def _slack(self, level: float) -> float:
         seen = (self._noise[:12] / self._units)[self._seen]
-        return level * float(seen.min() if len(seen) else _ROUGH)
+        return level * float(seen.min() if len(seen) else _UNSEEN)
 
     def _rows(self, shooting: Shooting, level: float) -> Rows:
         rows = shooting.rows(shooting.unknowns(self._numbers), self._noise, self._slack(level))
@@ -184,8 +185,10 @@ class _Search:
             lambda u: rows(u)[0], inside, lambda u: rows(u)[1], method=method, x_scale="jac", max_nfev=most, xtol=1e-10,
             ftol=1e-10,
         )  # fmt: skip
-        numbers = shooting.put(np.concatenate([held, solved.x]))
-        self._numbers = np.clip(numbers, self._parameters.low, self._parameters.high)
+        numbers = np.clip(shooting.put(np.concatenate([held, solved.x])), self._parameters.low, self._parameters.high)
+        if shooting.rows(shooting.unknowns(numbers), noise, slack) is None:  # the range of a field has cut it off
+            numbers = shooting.put(first)
+        self._numbers = numbers
         return solved
 
     def _begin(self) -> None:
@@ -305,7 +308,7 @@ class _Search:
             own = (rows.window == place) & (rows.column >= 0)
             if own.any():
                 square[place], most[place] = np.mean(rows.residuals[own] ** 2), highest(int(own.sum()))
-        usual = float(np.median(square[square > 0.0])) if (square > 0.0).any() else 1.0
+        usual = max(1.0, float(np.median(square[square > 0.0]))) if (square > 0.0).any() else 1.0
         wrong: NDArray[np.bool_] = square > most * usual
         return wrong
 
@@ -360,7 +363,7 @@ class _Search:
         return motions, covered
 
     def _held_out(self, covariance: Array) -> Array:
-        """Residuals of every fifth window, or the last of fewer, of fits without it, over their expected standard deviation."""
+        """Residuals of every fifth window, or the last of fewer, of fits without it, over what is expected of them."""
         numbers, windows = self._numbers.copy(), self._windows
         out = [place for place in range(len(windows)) if place % 5 == 4] or [len(windows) - 1][: len(windows) - 1]
         if not out:
@@ -424,7 +427,7 @@ def scaled(by: Array) -> tuple[Array, Array]:
 def leverage(rows: Rows) -> Array:
     """The share of each residual that the unknowns take, shape (rows,): the diagonal of J (J^T J)^+ J^T."""
     left, values, _ = np.linalg.svd(scaled(rows.by)[0], full_matrices=False)
-    share: Array = (left[:, values > 1e-9 * values.max()] ** 2).sum(axis=1)
+    share: Array = (left[:, values > 1e-9 * values.max(initial=0.0)] ** 2).sum(axis=1)
     return share
 
 
@@ -446,7 +449,7 @@ def studentised(rows: Rows, covariance: Array) -> Array:
     fields = len(covariance)
     starts = scaled(rows.by[:, fields:])[0]
     left, values, _ = np.linalg.svd(starts, full_matrices=False)
-    base = left[:, values > 1e-9 * values.max()]
+    base = left[:, values > 1e-9 * values.max(initial=0.0)]
     own = rows.by[:, :fields] - base @ (base.T @ rows.by[:, :fields])
     variance = 1.0 - (base**2).sum(axis=1) + np.einsum("if,fg,ig->i", own, covariance, own)
     kept = (rows.column >= 0) & (variance > 1e-6)

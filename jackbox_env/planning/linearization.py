@@ -206,7 +206,6 @@ def linearize(
         raise TypeError(f"steps goes with torques=None, where the scene's drive acts, got steps={steps} and torques")
     seeds = np.array([_seeds(one, fields) for one in scenes])
     starts, held = sequences(scenes, several, states, torques)
-    held = held.copy()  # its owner may change it before a derivative is read
     tape = Tape()
     played = play(
         scenes, starts, held, dt, time, impacts=True, repeat=repeat, whole=True, num_threads=num_threads, free=free,

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
 import sys
+from collections.abc import Iterable
 from importlib import metadata
 from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
+
+from jackbox_env import __version__
+from tests.fingerprints import fingerprints
 
 ROOT = Path(__file__).parents[2]
 
@@ -19,12 +24,17 @@ PYMUNK = "--fidelity", "balanced"  # which compiles nothing
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of packages as a plain ``pip install`` of the wheel makes it, with links to those installed here."""
-    built, folder = tmp_path_factory.mktemp("wheel"), tmp_path_factory.mktemp("site")
+    """The wheel for any platform, installed."""
+    built = tmp_path_factory.mktemp("wheel")
     build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(built), str(ROOT)]
     subprocess.run(build, capture_output=True, check=True)  # hatchling is among the packages here
+    return installed(built.glob("*.whl"), tmp_path_factory.mktemp("site"))
+
+
+def installed(wheels: Iterable[Path], folder: Path) -> Path:
+    """A folder of packages as a plain ``pip install`` of the wheel makes it, with links to those installed here."""
     install = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--target", str(folder)]
-    subprocess.run([*install, *map(str, built.glob("*.whl"))], check=True, capture_output=True)
+    subprocess.run([*install, *map(str, wheels)], check=True, capture_output=True)
     found = asked_by(*metadata.distributions(path=[str(folder)]))
     for package in found:  # grows meanwhile
         distribution = metadata.distribution(package)
@@ -90,3 +100,50 @@ def test_what_it_lacks_is_said_in_one_line(command: str, remedy: str, site: Path
     said = jackbox(site, tmp_path, command, status=2).stderr
     assert remedy in said
     assert said.count("\n") == 1
+
+
+# -- with the exact model compiled ------------------------------------------------------------------------------------
+
+FIRST = {
+    "single": "env = gym.make('JackInBox-v0', fidelity='exact'); env.reset(seed=0); env.step(np.zeros(1))",
+    "batch": "envs = jackbox_env.JackInBoxVectorEnv(1024, fidelity='exact'); envs.reset(); envs.step(None)",
+    "rollout": "jackbox_env.rollout(None, np.zeros(12), np.zeros((8, 100)), 0.02, rewards='juggle')",
+    "linearize": "d = jackbox_env.linearize(None, np.zeros(12), [0.0], 0.02); d.A; d.jvp(); d.vjp(np.ones((1, 2, 12)))",
+}
+NOTHING_COMPILES = """
+from numba.core.dispatcher import _FunctionCompiler
+def refuse(*_): raise SystemExit("something is compiled")
+_FunctionCompiler.compile = refuse
+"""
+
+
+@pytest.fixture(scope="module")
+def shipped(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel that ``make wheel`` has just made for this platform, installed."""
+    if "JACKBOX_WHEEL" not in os.environ:
+        pytest.skip("make wheel builds it first")
+    return installed((ROOT / "dist").glob(f"jackbox-{__version__}-cp*.whl"), tmp_path_factory.mktemp("site"))
+
+
+def first(site: Path, cwd: Path, code: str, **settings: str) -> subprocess.CompletedProcess[str]:
+    """Run code where the wheel is installed, nothing is kept and nothing can be compiled."""
+    env = {**os.environ, **settings, "PYTHONPATH": str(site), "NUMBA_CACHE_DIR": str(cwd)}
+    command = [sys.executable, "-S", "-c", f"{NOTHING_COMPILES}\n{code}"]
+    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, env=env, timeout=250, check=False)
+
+
+@pytest.mark.parametrize("kind", FIRST)
+def test_shipped_code_takes_the_first_steps_within_3_seconds(kind: str, shipped: Path, tmp_path: Path) -> None:
+    code = f"import time, gymnasium as gym, numpy as np, jackbox_env\n{FIRST[kind]}\nprint(time.process_time())"
+    done = first(shipped, tmp_path, code)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert float(done.stdout) < 3.0
+    refused = first(shipped, tmp_path, code, NUMBA_CPU_NAME="generic")  # for which the code is not
+    assert "something is compiled" in refused.stderr
+
+
+def test_shipped_code_gives_the_same_bits(shipped: Path, tmp_path: Path) -> None:
+    run = f"runpy.run_path({str(ROOT / 'tests' / 'fingerprints.py')!r})['fingerprints']"
+    done = first(shipped, tmp_path, f"import json, runpy; print(json.dumps({run}(['exact'])))")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert json.loads(done.stdout) == fingerprints(["exact"])

@@ -15,8 +15,10 @@ from types import FunctionType
 from typing import Any
 from unittest.mock import patch
 
+import llvmlite  # type: ignore[import-untyped]
 import numba
 import pytest
+from numba.core.codegen import JITCPUCodegen
 from numba.core.serialize import dumps
 
 import jackbox_env
@@ -245,6 +247,60 @@ def test_code_of_old_sources_is_tidied_away(place: Path) -> None:
     left = {path.name for path in place.iterdir()}
     assert left >= {f"compiled-{number:02d}" for number in range(5, 12)}
     assert len(left) == 8
+
+
+# -- shipped with a wheel ---------------------------------------------------------------------------------------------
+
+NEWER = "x86_64-unknown-linux-gnu", "newer", ",".join(sorted(kept._NEEDS))
+
+
+@pytest.fixture
+def shipped(place: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """What a wheel brings of ``quarter``, to a machine that has kept nothing."""
+    monkeypatch.setattr(JITCPUCodegen, "magic_tuple", lambda self: NEWER)
+    made = fresh(quarter)
+    made(*TURN[0])
+    (path,), (signature,) = files(place), made.signatures
+    moved: Path = list(made._cache._paths(signature, NEWER))[-1]
+    moved.parent.mkdir(parents=True)
+    write(moved, read(path))
+    path.unlink()
+    return moved
+
+
+@pytest.mark.parametrize("folders", [1, 0])
+def test_shipped_code_is_loaded_where_nothing_is_kept(
+    folders: int, shipped: Path, place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(compiler, "cache_folders", lambda: [place][:folders])
+    assert turned() == 1
+    assert fresh(cos_sin)(1.0) == cos_sin(1.0)  # is not shipped
+    assert len(list(place.glob("*.kept"))) == folders
+
+
+def test_code_compiled_here_comes_first(shipped: Path, place: Path) -> None:
+    cut(shipped)
+    with pytest.warns(UserWarning, match=f"{shipped.parent} cannot be used"):
+        assert turned() == 0
+    assert turned() == 1
+
+
+@pytest.mark.parametrize(
+    ("owner", "name", "other"),
+    [
+        (JITCPUCodegen, "magic_tuple", lambda self: (*NEWER[:2], NEWER[2].replace("+fma", "-fma"))),
+        (JITCPUCodegen, "magic_tuple", lambda self: (*NEWER[:2], "")),  # what a CPU is named for is not told
+        (JITCPUCodegen, "magic_tuple", lambda self: ("aarch64-unknown-linux-gnu", *NEWER[1:])),
+        (kept, "EXTENSION_SUFFIXES", [".cpython-312-x86_64-linux-gnu.so"]),
+        (numba, "__version__", "0.69.0"),
+        (llvmlite, "__version__", "0.51.0"),
+    ],
+)
+def test_shipped_code_that_does_not_fit_is_not_loaded(
+    owner: Any, name: str, other: Any, shipped: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(owner, name, other)
+    assert turned() == 0
 
 
 # -- found by content -------------------------------------------------------------------------------------------------

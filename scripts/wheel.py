@@ -1,0 +1,100 @@
+"""Build two wheels in dist: one for any platform, and one for Linux on x86-64 that brings the exact model compiled.
+
+The second is for this version of CPython. Its machine code is for ``SHIPPED_FOR`` and the version of numba here; where
+it does not fit, the exact model is compiled on first use, as from the first wheel.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tempfile
+from base64 import urlsafe_b64encode
+from hashlib import sha256
+from pathlib import Path
+from zipfile import ZIP_DEFLATED, ZipFile
+
+ROOT = Path(__file__).parents[1]
+# Of the C library the code calls fmod, memmove, memset and sincos, which every glibc has; numba's wheels ask for more.
+TAG = "cp{0}{1}-cp{0}{1}-manylinux_2_17_x86_64".format(*sys.version_info)
+
+
+def call_all() -> None:
+    """Call all that is kept on disk once it is compiled, and so keep it."""
+    import numpy as np
+
+    from jackbox_env import Drive, Scene, linearize, make_simulator, rollout
+    from jackbox_env.env import JackInBoxEnv
+    from jackbox_env.tasks import TASKS
+    from jackbox_env.vector_env import JackInBoxVectorEnv
+
+    make_simulator(Scene(drive=Drive(torque=lambda time: 1e4)), "exact").step(0.02)
+    for task in TASKS:
+        JackInBoxEnv(contact="exact", task=task).reset()
+        envs = JackInBoxVectorEnv(2, contact="exact", task=task, randomize={"jack_mass": (3.0, 5.0)})
+        envs.reset()
+        envs.step(np.zeros((2, 1)))
+        for count in (1, 2):  # one row is a view of what was given, which numba takes for another kind of array
+            rollout(None, np.zeros(12), np.zeros((count, 2)), 0.02, rewards=task)
+            rollout(None, np.zeros((count, 12)), np.zeros(2), 0.02, rewards=task)
+    derived = linearize(None, np.zeros(12), np.zeros(2), 0.02)
+    for weights in (derived.trajectories, derived.trajectories.copy()):  # can be written, or not
+        derived.vjp(weights)
+    derived.jvp()
+    assert derived.A.shape == (1, 2, 12, 12)
+
+
+def compiled_code(package: Path, kept: Path) -> None:
+    """Fill a folder with the code of an unpacked package, compiled in a process of its own."""
+    from jackbox_env.compiled.kept import SHIPPED_FOR
+
+    target = {"NUMBA_CPU_NAME": SHIPPED_FOR, "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(kept)}
+    command = [sys.executable, "-c", "from scripts.wheel import call_all; call_all()"]
+    paths = os.pathsep.join(map(str, (package, ROOT)))
+    subprocess.run(command, check=True, cwd=kept, env={**os.environ, **target, "PYTHONPATH": paths})
+
+
+def with_code(pure: Path, kept: Path, made: Path) -> None:
+    """Write a wheel like ``pure``, with compiled code, for this platform."""
+    with ZipFile(pure) as given:
+        files = {name: given.read(name) for name in given.namelist()}
+    (record,) = (name for name in files if name.endswith(".dist-info/RECORD"))
+    del files[record]
+    kind = f"Wheel-Version: 1.0\nGenerator: jackbox\nRoot-Is-Purelib: false\nTag: {TAG}\n"
+    files[record.replace("RECORD", "WHEEL")] = kind.encode()
+    for path in sorted(kept.rglob("*.kept")):
+        files[f"jackbox_env/compiled/shipped/{path.relative_to(kept).as_posix()}"] = path.read_bytes()
+    lines = list[str]()
+    for name, content in files.items():
+        digest = urlsafe_b64encode(sha256(content).digest()).decode().rstrip("=")
+        lines.append(f"{name},sha256={digest},{len(content)}\n")
+    files[record] = "".join([*lines, f"{record},,\n"]).encode()
+    with ZipFile(made, "w", ZIP_DEFLATED) as wheel:
+        for name, content in files.items():
+            wheel.writestr(name, content)
+
+
+def main() -> None:
+    """Build both, or refuse where this is no Linux on x86-64."""
+    if sysconfig.get_platform() != "linux-x86_64":
+        raise SystemExit("compiled code is for Linux on x86-64; for any platform: python -m build --wheel")
+    made = ROOT / "dist"
+    made.mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory() as scratch:
+        built, package, kept = (Path(scratch) / name for name in ("built", "package", "kept"))
+        kept.mkdir()
+        build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(built), str(ROOT)]
+        subprocess.run(build, check=True, stdout=subprocess.DEVNULL)
+        (pure,) = built.iterdir()
+        shutil.unpack_archive(pure, package, "zip")
+        compiled_code(package, kept)
+        shutil.copy(pure, made)
+        with_code(pure, kept, made / pure.name.replace("py3-none-any", TAG))
+    print(f"Both are in {made}")
+
+
+if __name__ == "__main__":
+    main()
