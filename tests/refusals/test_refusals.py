@@ -206,7 +206,8 @@ def test_more_environments_than_there_is_room_for_are_refused_at_once() -> None:
 # -- that nothing is left out, and that the checks can fail ------------------------------------------------------------
 
 # Records and errors; a protocol; checked where it is used.
-WITHOUT_ARGUMENTS = {"Impact", "Linearization", "Rollout", "JackLostError", "Simulator", "Task", "TaskError"}
+WITHOUT_ARGUMENTS = {"Impact", "Fit", "Linearization", "Rollout", "JackLostError", "Simulator", "Task", "TaskError"}
+WITHOUT_ARGUMENTS |= {"Recording", "fit"}  # tests/measuring/test_fitting.py
 # These check nothing, for speed: their caller has checked the arguments.
 UNCHECKED = {
     "contacts_of", "impact_maps", "energy_of", "clearance", "deepest_restored", "start_tolerance", "refuse_no_scene",
