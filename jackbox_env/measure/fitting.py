@@ -36,16 +36,8 @@ _LOST = 1e6  # residual of a motion that cannot be followed, in units of the noi
 _PAUSE = 0.2  # [s] after which rest is looked at again
 _VAGUE = 0.5  # standard deviation of what is not known yet: logarithms of fields, the jack's angle [rad]
 _GUESSED = 0.02  # the same of a recording's other first numbers, in units of the state
-_ANGLES = (
-    -0.6,
-    -0.4,
-    -0.2,
-    0.0,
-    0.2,
-    0.4,
-    0.6,
-    0.8,
-)  # [rad] to try where the jack's was not seen; it repeats each quarter
+# [rad] to try where the jack's angle was not seen; it looks the same after a quarter turn.
+_ANGLES = (-0.6, -0.4, -0.2, 0.0, 0.2, 0.4, 0.6, 0.8)
 
 
 @dataclass(frozen=True)
@@ -54,7 +46,8 @@ class Fit:
 
     Attributes:
         scene: the scene.
-        intervals: of each field, the 95 % interval; (-inf, inf) or (0, inf) where the recordings do not tell it.
+        intervals: of each field, the 95 % interval; (0, inf), of restitution (0, 1), where the recordings do not
+            tell it.
         residuals: of the windows that were held out, (observed - fitted) over the standard deviation that is expected
             there, shape (n,): about normal, where the model is right. A held-out window's start is its own.
         unidentified: the combinations of fields that the recordings do not tell, each in a sentence.
@@ -336,7 +329,8 @@ class _Search:
         low, high = (self._parameters.values(np.clip(numbers + sign * wide, *self._reach())) for sign in (-1.0, 1.0))
         motions, covered = self._motions()
         right = solved.status > 0 and not self._misfits(rows).any() and not (rows.column == UNHEARD).any()
-        right &= bool((self._noise <= _LOUDER * self._rough).all()) and self._lost <= _LEFT * covered
+        louder = self._noise > _LOUDER * self._rough  # what is given may be
+        right &= not (louder & ~np.isfinite(self._known)).any() and self._lost <= _LEFT * covered
         residuals = self._held_out(covariance)
         right &= not len(residuals) or bool(np.mean(residuals**2) < highest(len(residuals)))
         scene = self._parameters.scene(numbers)
