@@ -13,7 +13,7 @@ UNDER_OLD_GYMNASIUM := $(addprefix tests/,environment/test_env.py environment/te
 	environment/test_tools.py batches/test_vector_env.py batches/test_episodes.py \
 	guarantees/test_bits.py refusals/test_refusals.py)
 
-.PHONY: demo test test-all test-slow benchmark benchmark-quick throughput speed costs derivatives soak extremes machines kills interruptions mutants fidelity results networks scaling readme docs recipes wheel clean
+.PHONY: demo test test-all test-slow benchmark benchmark-quick throughput speed costs derivatives soak extremes machines kills interruptions mutants fidelity results networks scaling readme docs recipes wheel dataset ranges clean
 .DELETE_ON_ERROR:
 
 demo: .venv/usable
@@ -104,6 +104,14 @@ recipes: .venv/ready
 wheel: .venv/ready
 	@$(BIN)/python scripts/wheel.py
 	@JACKBOX_WHEEL=1 $(PYTEST) tests/commands/test_wheel.py -k shipped
+
+# The core of the tests under the oldest and the newest dependencies allowed, and whether the bits are the same; 6 minutes.
+ranges: .venv/ready
+	@$(BIN)/python scripts/ranges.py
+
+# Minari datasets of random torques, PPO and the planner on each task, in runs/dataset; some 3 minutes.
+dataset: .venv/ready
+	@OMP_NUM_THREADS=1 $(BIN)/python scripts/dataset.py
 
 # What sweeps gain from more workers and machines, docs/scaling.md; some 5 minutes.
 scaling: .venv/ready

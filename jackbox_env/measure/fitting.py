@@ -82,7 +82,8 @@ def fit(
             jack_arm, box_half_width, restitution. An inertia that the scene derives follows its mass and length.
         start: where the search begins; its other fields and its drive are taken as they are.
         noise: standard deviations of what was observed: one number, 12 in the order of a state, or by name ("x_jack",
-            "impacts" [s]); None, and what is not named: estimated from the residuals.
+            "impacts" [s]); None, and what is not named: estimated from the residuals. That takes some dozens of
+            observations of a kind: tell the noise of a handful of impacts' times.
 
     Raises:
         TypeError, ValueError: unusable values; recordings that no motion of the scene at the start can follow.
@@ -319,12 +320,9 @@ class _Search:
     # -- what is known then -------------------------------------------------------------------------------------------
 
     def _result(self, whole: Shooting, rows: Rows, solved: Any) -> Fit:
-        numbers, names, observed = self._numbers.copy(), self._parameters.fields, rows.column >= 0
-        left = float((1.0 - leverage(rows))[observed].sum())
-        estimated = not np.isfinite(self._known[np.unique(rows.column[observed])]).all()
-        quantile = float(stats.t.ppf(0.975, max(left, 1.0)) if estimated else stats.norm.ppf(0.975))
+        numbers, names = self._numbers.copy(), self._parameters.fields
         covariance, untold = told(rows, len(names))
-        wide = quantile * np.sqrt(np.diag(covariance))
+        wide = self._quantiles(rows, covariance) * np.sqrt(np.diag(covariance))
         wide[(abs(untold) > 0.05).any(axis=0)] = np.inf
         low, high = (self._parameters.values(np.clip(numbers + sign * wide, *self._reach())) for sign in (-1.0, 1.0))
         motions, covered = self._motions()
@@ -340,6 +338,24 @@ class _Search:
             {name: float(self._noise[k]) for k, name in enumerate((*STATE_NAMES, IMPACT)) if (rows.column == k).any()},
             motions, sum(len(one.states) - 1 for one in self._recordings) - covered, right,
         )  # fmt: skip
+
+    def _quantiles(self, rows: Rows, covariance: Array) -> Array:
+        """Half widths of the fields' intervals over their standard deviations, (F,).
+
+        Student's, with the degrees of freedom that Welch (1947) and Satterthwaite (1946) give a sum of variances of
+        which each, that of one kind of observation, was estimated by itself.
+        """
+        own, left = beside(rows, len(covariance)), 1.0 - leverage(rows)
+        shares, spread = np.zeros(len(covariance)), np.zeros(len(covariance))
+        for column in np.unique(rows.column[rows.column >= 0]):
+            part = rows.column == column
+            variance = ((own[part] @ covariance) ** 2).sum(axis=0)
+            shares += variance
+            if not np.isfinite(self._known[column]):
+                spread += variance**2 / max(float(left[part].sum()), 1e-3)
+        freedom = shares**2 / np.maximum(spread, 1e-300)
+        found: Array = stats.t.ppf(0.975, np.clip(freedom, 1.0, 1e9))
+        return found
 
     def _reach(self) -> tuple[Array, Array]:
         """Between which numbers an interval lies."""
@@ -425,12 +441,16 @@ def leverage(rows: Rows) -> Array:
     return share
 
 
+def beside(rows: Rows, fields: int) -> Array:
+    """Derivatives by the fields, (rows, F), less what the starts can take of them."""
+    starts, own = scaled(rows.by[:, fields:])[0], rows.by[:, :fields]
+    rest: Array = own - starts @ np.linalg.lstsq(starts, own, rcond=1e-10)[0]
+    return rest
+
+
 def told(rows: Rows, fields: int) -> tuple[Array, Array]:
     """Covariance of the fields' numbers, (F, F), and the combinations of length 1 that are not told, (k, F)."""
-    starts = scaled(rows.by[:, fields:])[0]
-    own = rows.by[:, :fields]
-    own = own - starts @ np.linalg.lstsq(starts, own, rcond=1e-10)[0]
-    _, values, ways = np.linalg.svd(np.linalg.qr(own, mode="r"), full_matrices=True)
+    _, values, ways = np.linalg.svd(np.linalg.qr(beside(rows, fields), mode="r"), full_matrices=True)
     deviations = np.full(fields, np.inf)
     deviations[: len(values)] = 1.0 / np.maximum(values, 1e-300)
     lost = (deviations > _UNTOLD) | (deviations > 1e8 * deviations.min())

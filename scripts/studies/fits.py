@@ -89,7 +89,7 @@ def fitted(differences: bool, seed: int) -> dict[str, Any]:
     began = time.process_time()
     try:
         with patch.object(optimize, "least_squares", by_differences if differences else solve):
-            found = fit(recording, fields, start)
+            found = fit(recording, fields, start, noise=None if recording.impacts is None else {"impacts": HEARD})
     except ValueError:  # nothing could be followed
         found = fitting.Fit(start, {}, np.zeros(0), (), converged=False)
     seconds, told = time.process_time() - began, {}
