@@ -1,0 +1,109 @@
+"""Write Minari datasets of each task on the exact model, played by random torques, the shipped PPO and the planner.
+
+They are called jackbox/juggle-random-v0 and so on. The infos hold state, time, torque, count and impulse of the impacts
+and the reward's terms, the metadata each episode's seed and the versions. Minari, in an environment of its own, loads
+each dataset, and every episode is replayed: the bits must be the same. A dataset that is there is not replaced.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import warnings
+from importlib.util import find_spec
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from agents.policies.network import SHIPPED, read_policy
+from agents.policies.planner import VALUED_PIECES, Planner
+from agents.policies.scripted import Policy, RandomPolicy
+from agents.policies.value import read_value
+from agents.runs import versions
+from jackbox_env import Scene
+from jackbox_env import _validation as check
+from jackbox_env.commands.common import ROOT, command_line, parser_of
+from jackbox_env.tasks import TASKS
+
+PACKAGES = ("jackbox", "gymnasium", "numpy", "numba", "pymunk", "minari")
+TEXT = """The jack in a box, task {}, policy {}: episodes of 10 s on the exact contact model. infos/state holds x, y and
+angle of the box and of the jack, then their rates, float64, SI units. An episode's seed and actions reproduce it."""
+
+
+def policies(task: str) -> dict[str, Policy]:
+    """The policies by name; the registry's need torch, these do not."""
+    ppo, value = (SHIPPED / f"{task}-{name}" for name in ("ppo", "value"))
+    more: dict[str, Any] = {"pieces": VALUED_PIECES, "value": read_value(value)} if value.is_dir() else {}
+    return {"random": RandomPolicy(0), "ppo": read_policy(ppo), "planner": Planner(Scene(), task, **more)}
+
+
+def record(env: gym.Env[Any, Any], policy: Policy, episodes: int) -> None:
+    """Play episodes from the seeds 0, 1, 2 and so on."""
+    for seed in range(episodes):
+        (observation, _), memory, first, over = env.reset(seed=seed), None, True, False
+        while not over:
+            action, memory = policy.predict(observation, memory, np.array([first]), deterministic=True)
+            observation, _, terminated, truncated, _ = env.step(action)
+            first, over = False, terminated or truncated
+
+
+def replay(env: Any, seed: int, episode: Any) -> None:
+    """Play an episode's actions from its seed, and those of its second half from the state there.
+
+    Raises:
+        RuntimeError: a state, an observation or a reward has other bits.
+    """
+    stored = episode.infos["state"], episode.observations, episode.rewards
+    env.reset(seed=seed)
+    for first in (0, len(episode.actions) // 2):
+        if first:
+            env.set_state(stored[0][first], episode.infos["time"][first])
+        state, observation = env.state, env.observation
+        steps = [(env.state, *outcome[:2]) for outcome in map(env.step, episode.actions[first:])]
+        states, seen, rewards = zip(*steps, strict=True)
+        for found, numbers in zip(((state, *states), (observation, *seen), rewards), stored, strict=True):
+            if np.array(found).tobytes() != numbers[first:].tobytes():
+                raise RuntimeError(f"episode {episode.id} has other bits when it is played from step {first}")
+
+
+def write(task: str, name: str, policy: Policy, episodes: int) -> None:
+    """Write one dataset, load it, replay it, and say what it holds."""
+    import minari
+
+    dataset_id, author = f"jackbox/{task}-{name}-v0", "The jackbox developers"
+    env = minari.DataCollector(gym.make("JackInBox-v0", task=task, fidelity="exact"), record_infos=True)
+    record(env, policy, episodes)
+    made = env.create_dataset(dataset_id, algorithm_name=name, author=author, description=TEXT.format(task, name))
+    made.storage.update_metadata({"versions": json.dumps(versions(PACKAGES))})
+    dataset = minari.load_dataset(dataset_id)
+    inner, earned = dataset.recover_environment().unwrapped, []
+    for episode in dataset.iterate_episodes():
+        (about,) = dataset.storage.get_episode_metadata([episode.id])
+        replay(inner, about["seed"], episode)
+        earned.append(episode.rewards.sum())
+    print(f"{dataset_id}: {len(earned)} episodes replayed bit for bit, mean return {np.mean(earned):.1f}", flush=True)
+
+
+@command_line
+def main() -> None:
+    """Parse, go on in Minari's environment, write all datasets."""
+    parser = parser_of(None, __doc__)
+    parser.add_argument("--steps", type=int, default=100_000, help="of random and of ppo; of the planner a tenth")
+    episodes = check.whole("steps", parser.parse_args().steps, at_least=500) // 500
+    if find_spec("minari") is None:
+        from scripts.recipes.run import RECIPES, python_for
+
+        python = python_for(RECIPES["minari"], ROOT / "runs" / "recipes" / "minari")
+        sys.exit(subprocess.run([python, *sys.argv], check=False).returncode)
+    os.environ.setdefault("MINARI_DATASETS_PATH", str(ROOT / "runs" / "dataset"))  # before it is imported
+    warnings.filterwarnings("ignore", "`(code_permalink|author_email|eval_env)` is set to None")
+    for task in TASKS:
+        for name, policy in policies(task).items():
+            write(task, name, policy, max(1, episodes // 10) if name == "planner" else episodes)
+
+
+if __name__ == "__main__":
+    main()
