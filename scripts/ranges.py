@@ -1,0 +1,78 @@
+"""Run the core of the tests with the oldest and the newest dependencies that pyproject.toml allows; compare the bits.
+
+Two environments are made anew, ``.venv/ranges-lowest`` and ``.venv/ranges-newest``. Each gets the package's own
+dependencies and what these tests need, no extras: a test that needs an extra is skipped. The lowest releases exist for
+Python 3.11 and 3.12.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tomllib
+import venv
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+CORE = [
+    "tests/environment/test_env.py",
+    "tests/batches/test_vector_env.py",
+    "tests/guarantees/test_bits.py",
+    "tests/guarantees/test_exact_impacts.py",
+    "tests/guarantees/test_flight.py",
+    "tests/guarantees/test_derivatives.py",
+]
+TOOLS = ["mpmath", "pytest", "pytest-timeout", "pytest-xdist", "sympy"]
+
+
+def dependencies(kind: str) -> list[str]:
+    """Requirements of the package, ``numba>=0.61,<0.70``; the ``lowest`` as ``numba==0.61``."""
+    given: list[str] = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["dependencies"]
+    return [one.split(",")[0].replace(">=", "==") for one in given] if kind == "lowest" else given
+
+
+def environment(kind: str) -> str:
+    """Make an environment of this kind and say what it holds; the path of its Python."""
+    place = ROOT / ".venv" / f"ranges-{kind}"
+    venv.create(place, clear=True, with_pip=True)
+    python = str(place / Path(sys.executable).relative_to(sys.prefix))
+    pip = [python, "-m", "pip", "--disable-pip-version-check"]
+    subprocess.run([*pip, "install", "--quiet", "--editable", str(ROOT), *dependencies(kind), *TOOLS], check=True)
+    listed = subprocess.run([*pip, "list", "--format=json"], check=True, capture_output=True, text=True).stdout
+    versions = {one["name"]: one["version"] for one in json.loads(listed)}
+    print(kind, ", ".join(f"{name} {versions[name]}" for name in ("gymnasium", "numba", "numpy", "pymunk")), flush=True)
+    return python
+
+
+def settings(python: str) -> dict[str, str]:
+    """One thread, and compiled code kept in the environment of this Python, or where this one finds it already."""
+    kept = {} if python == sys.executable else {"NUMBA_CACHE_DIR": str(Path(python).parents[1] / "kept")}
+    return {**os.environ, "OMP_NUM_THREADS": "1", **kept}
+
+
+def bits(python: str) -> dict[str, str]:
+    """Digests of what both contact models compute under this Python."""
+    command = [python, "-m", "tests.fingerprints", "exact", "pymunk"]
+    done = subprocess.run(command, cwd=ROOT, env=settings(python), check=True, stdout=subprocess.PIPE, text=True)
+    found: dict[str, str] = json.loads(done.stdout)
+    return found
+
+
+def main() -> None:
+    """Test both; fail if a test fails or a bit differs from this environment's."""
+    here, failed = bits(sys.executable), False
+    for kind in ("lowest", "newest"):
+        python = environment(kind)
+        found = bits(python)
+        differing = [name for name in here if found[name] != here[name]]
+        print(f"{len(here) - len(differing)} of {len(here)} digests are equal to those here; not:", differing or "none")
+        tests = [python, "-m", "pytest", "-q", "-m", "not slow", *CORE]
+        code = subprocess.run(tests, cwd=ROOT, env=settings(python), check=False).returncode
+        failed |= bool(differing) or code != 0
+    raise SystemExit(int(failed))
+
+
+if __name__ == "__main__":
+    main()
