@@ -101,7 +101,7 @@ def test_names_without_units_and_empty_cells_are_read(tmp_path: Path) -> None:
         ),
         ("time,x_box\n0.1,1\n0.1,1\n", "row 3, column time: must increase"),
         ("time,x_box,torque\n0,1,5\n0.1,1,\n0.2,1,5\n", "row 3, column torque: must be a number, got none"),
-        ("time,x_box\n0,\n0.1,\n", "a recording must hold something that was observed"),
+        ("time,x_box\n0,\n0.1,\n", "states must hold something that was observed"),
     ],
 )
 def test_a_file_that_is_no_recording_is_refused_in_one_sentence(
