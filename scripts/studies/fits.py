@@ -45,7 +45,7 @@ class Arguments:
 
     count: int = 1000
     """Recordings."""
-    again: int = 40
+    again: int = 30
     """How many of them are also fitted by finite differences."""
     workers: int | None = None
     """Processes; None: as many as cores."""
