@@ -281,7 +281,7 @@ OUTSIDE, SLOW, AT_ONCE = upright(-1e-6, -1.0), upright(1e-14, 1e-6), upright(0.0
 FLAT = np.array([*lying()[:10], -3.0, 0.0]) + np.eye(12)[4] * 0.02  # falls on two feet at once
 GRAZE = np.array([0, 0, 0, 5 + 5e-14, 0, -0.3, 0, 0, 0, 0, 0.3, 300.0])  # the foot passes the wall at 1e-4 m/s
 ROUGH = {
-    "a foot that lies on a wall without loss": (Scene(gravity=0.0, drive=None), upright(0.0), 0.02),
+    "a foot on a wall that leaves at a rate of rounding": (Scene(gravity=0.0, drive=None), upright(0.0, -1e-12), 0.02),
     "a foot outside that turns round": (Scene(drive=None), upright(-1e-10, -3e-5), 1e-5),
     "a graze": (Scene(gravity=0.0, drive=None), GRAZE, 2e-3),
     "two feet at one moment": (Scene(drive=None), FLAT, 0.02),
