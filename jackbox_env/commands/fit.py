@@ -19,7 +19,7 @@ import numpy as np
 
 from jackbox_env import _validation as check
 from jackbox_env.commands.common import command_line, parser_of, scene_fields
-from jackbox_env.states import STATE_NAMES, STATE_UNITS, Array
+from jackbox_env.states import LATEST_TIME, STATE_NAMES, STATE_UNITS, Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,6 +33,7 @@ _RECORDING = {"time": "s", **_UNITS, "torque": "N m"}  # columns and their units
 _IMPACTS = {"time": "s", "wall": "", "foot": "", "impulse": "N s"}
 _EVEN = 1e-6  # relative, of steps of time
 _SAME = 1e-6  # relative, of torques
+_LATEST = 1e10  # [s] of a row; Unix times are below
 _MOST_DOTS = 2000  # of a column; more are drawn as pixels
 _PAGE = """<!DOCTYPE html>
 <html lang="en">
@@ -83,7 +84,8 @@ def _arguments() -> argparse.Namespace:
 def read_recording(path: Path, drive: Chirp | Drive | None, impacts: Path | None = None) -> Recording:
     """The recording of a CSV file, and of another with the times of impacts that were heard.
 
-    Where the torques are the drive's means, the drive acts: a torque held at its mean through a step leads elsewhere.
+    If the torques are the drive's means, the drive acts: a torque held at its mean through a step leads elsewhere.
+    Held torques do not depend on the time, so Unix times then count from the first row.
 
     Raises:
         ValueError: a file holds something else; the sentence names the file, the row's line and the column.
@@ -100,6 +102,8 @@ def read_recording(path: Path, drive: Chirp | Drive | None, impacts: Path | None
         torques = None if _is_of(drive, times, torques) else torques
     if impacts is not None:
         heard = _columns(impacts, _IMPACTS)[0]["time"]
+    if torques is not None and abs(times).max() > LATEST_TIME:
+        times, heard = times - times[0], None if heard is None else heard - times[0]
     nothing = np.full(len(times), np.nan)
     states = np.column_stack([columns.get(name, nothing) for name in STATE_NAMES])
     try:
@@ -163,25 +167,48 @@ def _filled(path: Path, lines: Sequence[int], name: str, values: Array) -> Array
 
 def _step(path: Path, lines: Sequence[int], times: Array) -> float:
     """The step of evenly spaced times [s]."""
+    far = abs(times) > _LATEST
+    if far.any():
+        row = int(far.argmax())
+        raise ValueError(f"{path}, row {lines[row]}, column time: must be within +-{_LATEST:g} s, got {times[row]:g} s")
     steps = np.diff(times)
     usual, rounding = float(np.median(steps)), 4.0 * float(np.spacing(abs(times).max()))
-    wrong = (steps <= 0.0) | (abs(steps - usual) > _EVEN * abs(usual) + rounding)
-    if wrong.any():
-        place = int(wrong.argmax())
+    backward, uneven = steps <= 0.0, abs(steps - usual) > _EVEN * abs(usual) + rounding
+    if backward.any():
+        row = int(backward.argmax())
         raise ValueError(
-            f"{path}, row {lines[place + 1]}, column time: must increase evenly, by {usual:g} s in most rows and by "
-            f"{steps[place]:g} s here; a row that was not observed stays, with empty cells"
+            f"{path}, row {lines[row + 1]}, column time: must increase, got {times[row + 1]:.10g} s after "
+            f"{times[row]:.10g} s"
+        )
+    if uneven.any():
+        row = int(uneven.argmax())
+        raise ValueError(
+            f"{path}, row {lines[row + 1]}, column time: must increase evenly, by {usual:g} s in most rows and by "
+            f"{steps[row]:g} s here; a row that was not observed stays, with empty cells"
         )
     return float(times[-1] - times[0]) / len(steps)
 
 
+def _refuse_coarse(path: Path, recording: Recording, scene: Scene) -> None:
+    """Raise ValueError if a jack at the scene's speed scale would cross half the box in one step."""
+    coarsest, end = scene.box_half_width / scene.speed_scale, recording.dt * (len(recording.states) - 1)
+    if recording.dt > coarsest:
+        raise ValueError(
+            f"{path}, column time: rows must be at most {coarsest:.2g} s apart, got {end:g} s in steps of "
+            f"{recording.dt:g} s; is the time in milliseconds?"
+        )
+
+
 def _is_of(drive: Chirp | Drive | None, times: Array, torques: Array) -> bool:
-    """Whether torques [N m] are the means of a drive between times [s]."""
+    """Whether torques [N m] are the means of a drive between times [s]; not, if the drive cannot be evaluated there."""
     if drive is None:
         return False
-    steps = zip(times[:-1].tolist(), np.diff(times).tolist(), strict=True)
-    means = [0.5 * sum(drive.torque_means(*step)) for step in steps]
-    return bool((abs(torques - means) <= _SAME * abs(torques).max()).all())
+    tolerance = _SAME * float(abs(torques).max())
+    steps = zip(torques.tolist(), times[:-1].tolist(), np.diff(times).tolist(), strict=True)
+    try:
+        return all(abs(torque - 0.5 * sum(drive.torque_means(*step))) <= tolerance for torque, *step in steps)
+    except ValueError:
+        return False
 
 
 def _noise(text: str | None) -> Any:
@@ -219,9 +246,9 @@ def sentences(found: Fit, recordings: Sequence[Recording]) -> list[str]:
     said.append(f"Noise (standard deviations): {', '.join(noise)}.")
     said.append(f"Left out: {found.left_out} of {steps} steps, where the jack rests or could not be followed.")
     if found.converged:
-        said.append("Converged: the search ended, and every window fits within the noise.")
+        said.append("Converged: the search ended, every window fits within the noise, and the residuals are white.")
     else:
-        said.append("Not converged: the search did not end, or a window does not fit; do not trust the intervals.")
+        said.append(f"Not converged, do not trust the intervals: {'; '.join(found.problems)}.")
     return said
 
 
@@ -369,6 +396,8 @@ def main() -> None:
     start, noise = Scene.of(scene_fields(arguments.scene)), _noise(arguments.noise)
     impacts = arguments.impacts or [None] * len(paths)
     recordings = [read_recording(path, start.drive, heard) for path, heard in zip(paths, impacts, strict=True)]
+    for path, recording in zip(paths, recordings, strict=True):
+        _refuse_coarse(path, recording, start)
     steps = sum(len(np.asarray(one.states)) - 1 for one in recordings)
     print(f"Fitting {', '.join(arguments.fields)} to {steps} steps ...", file=sys.stderr, flush=True)
     began = time.perf_counter()

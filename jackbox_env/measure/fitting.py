@@ -25,12 +25,14 @@ except ImportError as error:
 IMPACT = "impacts"  # the name of the noise of impacts' times
 _BLOCKS = 4, 12  # windows that are fitted together while a recording is taken in: all was seen, or not all
 _SLACKS = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3, 1e-5)  # of links, over the smallest noise
-_LOUDER = 1.3  # times the noise that third differences tell: what is left is not noise
-_LEFT = 0.2  # share of a motion's steps that a search may lose
+_LAGS = 4  # rows: residuals further apart are not compared
+_CORRELATED = 4.5  # standard deviations of white noise's autocorrelation beyond which residuals are not white
+_LOST_SHARE = 0.2  # of the steps in windows, which the search may lose
 _SHORTER = 0.5, 0.25  # of a window that is not explained
 _UNSEEN = 1e-4  # slack of links at first, in units of the state, where impacts are all there is
 _MANY = 20  # third differences that tell the noise
 _ROUGH = 1e-2  # noise at first, in units of the state; of impacts' times [s]
+_LEAST = 1e-9  # noise that is estimated, at least, in the same units: rounding grows to about this within a window
 _UNTOLD = 5.0  # standard deviation of a logarithm beyond which a combination is not told
 _LOST = 1e6  # residual of a motion that cannot be followed, in units of the noise
 _PAUSE = 0.2  # [s] after which rest is looked at again
@@ -54,7 +56,8 @@ class Fit:
         noise: standard deviation of each number that was observed, by its name, and of "impacts" [s].
         motions: the fitted motion of each recording, shape (H + 1, 12), NaN where it was left out.
         left_out: steps that were left out because the jack is at rest there, or cannot be followed.
-        converged: whether the search ended, and every window fits within the noise.
+        problems: why the intervals are not to be trusted, each in a sentence without a full stop; empty if the search
+            ended, every window fits within the noise, and the residuals are white.
     """
 
     scene: Scene
@@ -64,7 +67,12 @@ class Fit:
     noise: dict[str, float] = field(default_factory=dict)
     motions: tuple[Array, ...] = ()
     left_out: int = 0
-    converged: bool = True
+    problems: tuple[str, ...] = ()
+
+    @property
+    def converged(self) -> bool:
+        """Whether there are no problems."""
+        return not self.problems
 
 
 def fit(
@@ -120,12 +128,11 @@ class _Search:
     def __init__(self, recordings: list[Recording], parameters: Parameters, known: Array) -> None:
         self._recordings, self._parameters, self._known = recordings, parameters, known
         self._units = units(parameters.start)
-        self._rough = rough_noise(recordings, np.append(self._units, 1.0))
-        self._noise = np.where(np.isfinite(known), known, self._rough)
+        self._noise = np.where(np.isfinite(known), known, rough_noise(recordings, np.append(self._units, 1.0)))
         self._seen = np.isfinite(np.concatenate([one.states for one in recordings])).mean(axis=0) > 0.5
         self._block = _BLOCKS[0] if self._seen.all() else _BLOCKS[1]
         self._windows: list[Window] = []
-        self._lost = 0  # steps in which the search lost the motion
+        self._rested = 0  # steps that no window has because the jack is at rest there
         self._numbers = parameters.of(parameters.start)
 
     def fit(self) -> Fit:
@@ -189,14 +196,14 @@ class _Search:
         """Take in the first recording from several starts, until one follows it to its end; keep the furthest."""
         furthest, found = -1, (self._numbers, self._windows, 0)
         for numbers, state in list(self._guesses()):
-            self._numbers, self._windows, self._lost = numbers, [], 0
-            self._grow(0, state)
+            self._numbers, self._windows, self._rested = numbers, [], 0
+            ended = self._grow(0, state)
             reached = sum(window.last - window.first for window in self._windows)
             if reached > furthest:
-                furthest, found = reached, (self._numbers, self._windows, self._lost)
-            if not self._lost:
+                furthest, found = reached, (self._numbers, self._windows, self._rested)
+            if ended:
                 break
-        self._numbers, self._windows, self._lost = found
+        self._numbers, self._windows, self._rested = found
 
     def _guesses(self) -> Iterator[tuple[Array, Array]]:
         """Fields' numbers and first states to begin with."""
@@ -207,8 +214,8 @@ class _Search:
             scaled = np.clip(numbers * factor, 0.0, self._parameters.high)
             yield np.where(positive, numbers + math.log(factor), scaled), first
 
-    def _grow(self, number: int, state: Array) -> None:
-        """Cut a recording into windows, each from where the last one before it has led to."""
+    def _grow(self, number: int, state: Array) -> bool:
+        """Cut a recording into windows, each from the end of the one before it; whether its end was reached."""
         recording = self._recordings[number]
         first, end, linked = 0, state, False
         while first < len(recording.states) - 1:
@@ -216,6 +223,7 @@ class _Search:
             if window is None:  # at rest
                 pause = max(1, round(_PAUSE / recording.dt))
                 window = Window(number, first, min(first + pause, len(recording.states) - 1), start=end)
+                self._rested += window.last - first
                 end, first, linked = self._end(window), window.last, False
                 continue
             if linked:
@@ -232,11 +240,11 @@ class _Search:
                 if linked:
                     self._windows[-1].linked = False
                 if not np.isfinite(recording.states[whole]).all():
-                    self._lost += len(recording.states) - 1 - first
-                    return
+                    return False
             first, linked = self._windows[-1].last if followed else whole, followed
             seen = recording.states[first]
             end = seen if np.isfinite(seen).all() else self._end(self._windows[-1])
+        return True
 
     def _lock(self) -> bool:
         """Fit the last window, with those before it; whether it is explained.
@@ -288,12 +296,13 @@ class _Search:
 
     def _estimate(self, rows: Rows) -> None:
         """Estimate the noise that is not known from residuals, less what the unknowns have taken."""
-        taken = leverage(rows)
+        taken, least = leverage(rows), _LEAST * np.append(self._units, 1.0)
         for column in np.flatnonzero(~np.isfinite(self._known)):
             own = rows.column == column
             left = float((1.0 - taken[own]).sum())
             if left > 1.0:
-                self._noise[column] *= max(math.sqrt(float((rows.residuals[own] ** 2).sum()) / left), 1e-9)
+                scale = math.sqrt(float((rows.residuals[own] ** 2).sum()) / left)
+                self._noise[column] = max(scale * self._noise[column], least[column])
 
     def _misfits(self, rows: Rows) -> NDArray[np.bool_]:
         """Which windows do not fit: their mean square residual is far above that of most."""
@@ -326,18 +335,33 @@ class _Search:
         wide[(abs(untold) > 0.05).any(axis=0)] = np.inf
         low, high = (self._parameters.values(np.clip(numbers + sign * wide, *self._reach())) for sign in (-1.0, 1.0))
         motions, covered = self._motions()
-        right = solved.status > 0 and not self._misfits(rows).any() and not (rows.column == UNHEARD).any()
-        louder = self._noise > _LOUDER * self._rough  # what is given may be
-        right &= not (louder & ~np.isfinite(self._known)).any() and self._lost <= _LEFT * covered
+        left_out = sum(len(one.states) - 1 for one in self._recordings) - covered
         residuals = self._held_out(covariance)
-        right &= not len(residuals) or bool(np.mean(residuals**2) < highest(len(residuals)))
-        scene = self._parameters.scene(numbers)
         return Fit(
-            scene, {name: (float(a), float(b)) for name, a, b in zip(names, low, high, strict=True)}, residuals,
+            self._parameters.scene(numbers),
+            {name: (float(a), float(b)) for name, a, b in zip(names, low, high, strict=True)}, residuals,
             tuple(sentence(names, row, self._parameters.logarithmic) for row in untold),
             {name: float(self._noise[k]) for k, name in enumerate((*STATE_NAMES, IMPACT)) if (rows.column == k).any()},
-            motions, sum(len(one.states) - 1 for one in self._recordings) - covered, right,
+            motions, left_out, tuple(self._problems(rows, solved, residuals, left_out - self._rested, covered)),
         )  # fmt: skip
+
+    def _problems(self, rows: Rows, solved: Any, held_out: Array, lost: int, covered: int) -> Iterator[str]:
+        """Why the intervals are not to be trusted, in sentences."""
+        if solved.status <= 0:
+            yield "the search did not end"
+        wrong, unheard = int(self._misfits(rows).sum()), int((rows.column == UNHEARD).sum())
+        if wrong:
+            yield f"{wrong} of {len(self._windows)} windows do not fit within the noise"
+        if unheard:
+            yield f"the fitted motion lacks {unheard} of the impacts that were heard"
+        names, deviations = (*STATE_NAMES, IMPACT, "all numbers together"), autocorrelations(rows)
+        correlated = [name for name, value in zip(names, deviations, strict=True) if value > _CORRELATED]
+        if correlated:
+            yield f"residuals of {', '.join(correlated)} are correlated in time: something that is not fitted is wrong"
+        if lost > _LOST_SHARE * covered:
+            yield f"{lost} steps could not be followed"
+        if len(held_out) and not np.mean(held_out**2) < highest(len(held_out)):
+            yield "windows that were held out do not fit within the noise"
 
     def _quantiles(self, rows: Rows, covariance: Array) -> Array:
         """Half widths of the fields' intervals over their standard deviations, (F,).
@@ -401,14 +425,29 @@ def highest(count: int) -> float:
 
 
 def rough_noise(recordings: Sequence[Recording], units: Array) -> Array:
-    """Noise of the state's numbers and of impacts' times, (13,), by third differences: flight leaves little of them."""
+    """Noise of the state's numbers and of impacts' times, shape (13,), by third differences, nearly 0 in free flight.
+
+    They are divided differences of the rows that were observed, over the standard deviation at unit noise.
+    """
     noise = _ROUGH * units
     for column in range(12):
-        ones = np.concatenate([np.diff(one.states[:, column], 3) for one in recordings])
-        ones = abs(ones[np.isfinite(ones)])
-        if len(ones) > _MANY:
-            noise[column] = max(float(np.median(ones)) / (0.6745 * math.sqrt(20.0)), 1e-6 * units[column])
+        parts = [_third_differences(one.states[:, column]) for one in recordings]
+        sizes = abs(np.concatenate(parts))
+        if len(sizes) > _MANY:
+            noise[column] = max(float(np.median(sizes)) / 0.6745, 1e-6 * units[column])
     return noise
+
+
+def _third_differences(values: Array) -> Array:
+    """Third divided differences of the values that are not NaN, of variance 1 if the values have; at most (n - 3,)."""
+    rows = np.flatnonzero(np.isfinite(values))
+    if len(rows) < 4:
+        return np.zeros(0)
+    four = np.lib.stride_tricks.sliding_window_view(rows, 4).astype(np.float64)
+    weights = 1.0 / np.prod(four[:, :, None] - four[:, None, :] + np.eye(4), axis=2)
+    weights /= np.linalg.norm(weights, axis=1, keepdims=True)
+    found: Array = (weights * np.lib.stride_tricks.sliding_window_view(values[rows], 4)).sum(axis=1)
+    return found
 
 
 def first_state(recording: Recording) -> Array:
@@ -434,11 +473,35 @@ def scaled(by: Array) -> tuple[Array, Array]:
     return by / lengths, lengths
 
 
-def leverage(rows: Rows) -> Array:
-    """The share of each residual that the unknowns take, shape (rows,): the diagonal of J (J^T J)^+ J^T."""
+def _fitted_space(rows: Rows) -> Array:
+    """An orthonormal basis of what the unknowns can change of the residuals, shape (rows, rank)."""
     left, values, _ = np.linalg.svd(scaled(rows.by)[0], full_matrices=False)
-    share: Array = (left[:, values > 1e-9 * values.max(initial=0.0)] ** 2).sum(axis=1)
+    basis: Array = left[:, values > 1e-9 * values.max(initial=0.0)]
+    return basis
+
+
+def leverage(rows: Rows) -> Array:
+    """The share of each residual that the unknowns take, shape (rows,): the diagonal of H = J (J^T J)^+ J^T."""
+    share: Array = (_fitted_space(rows) ** 2).sum(axis=1)
     return share
+
+
+def autocorrelations(rows: Rows) -> Array:
+    """Autocorrelation of the residuals of each column and of all, lags 1 to 4 together, shape (14,).
+
+    In units of its standard deviation for white noise: products r_i r_j have the mean -H_ij in a right model (Durbin
+    and Watson 1950), H as in :func:`leverage`, and a variance of about 1. 0 for columns of fewer than 12 residuals.
+    """
+    basis, sums, counts = _fitted_space(rows), np.zeros(14), np.zeros(14)
+    for column in range(13):
+        own = rows.column == column
+        off, base = rows.residuals[own], basis[own]
+        for lag in range(1, _LAGS + 1) if len(off) >= 12 else ():
+            sums[column] += (off[lag:] * off[:-lag]).sum() + (base[lag:] * base[:-lag]).sum()
+            counts[column] += len(off) - lag
+    sums[13], counts[13] = sums.sum(), counts.sum()
+    found: Array = sums / np.sqrt(np.maximum(counts, 1.0))
+    return found
 
 
 def beside(rows: Rows, fields: int) -> Array:

@@ -10,6 +10,8 @@ from numpy.typing import ArrayLike
 from jackbox_env import _validation as check
 from jackbox_env.states import LATEST_TIME, STATE_NAMES, Array
 
+SHORTEST = 1e-9  # [s] between states
+
 
 class Recording:
     """What was seen and heard of a jack in a box.
@@ -17,7 +19,7 @@ class Recording:
     Args:
         states: shape (H + 1, 12), NaN where something was not observed.
         torques: on the box [N m], each held for ``dt``, shape (H,); None: the scene's drive acted.
-        dt: between states [s].
+        dt: between states [s], from 1e-9 to 1e9.
         time: of the first state [s].
         impacts: times at which impacts were heard [s], in order; None: nobody listened.
 
@@ -39,7 +41,7 @@ class Recording:
             row, column = np.argwhere(np.isinf(self.states))[0]
             value = f"{STATE_NAMES[column]} = {self.states[row, column]} in row {row}"
             raise ValueError(f"states must be finite or NaN, got {value}")
-        self.dt = check.real("dt", dt, above=0.0)
+        self.dt = check.real("dt", dt, at_least=SHORTEST, at_most=LATEST_TIME)
         self.time = check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
         steps = len(self.states) - 1
         self.torques = None if torques is None else _finite("torques", torques)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
+import shlex
 import sys
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 
 from jackbox_env import Chirp, Scene, make_simulator
 from jackbox_env.commands import fit
+from jackbox_env.commands import simulate as simulating
 from jackbox_env.recording.trajectory import simulate, write_csv
 
 pytest.importorskip("scipy")
@@ -71,6 +73,49 @@ def test_torques_that_are_the_drives_are_left_to_the_drive(folder: Path) -> None
     assert held is not None
 
 
+def test_a_torque_column_that_is_not_the_drives_is_compared_up_to_the_first_difference(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    means, evaluated = Chirp.torque_means, list[float]()
+
+    def counted(self: Chirp, time: float, duration: float) -> tuple[float, float]:
+        evaluated.append(time)
+        return means(self, time, duration)
+
+    monkeypatch.setattr(Chirp, "torque_means", counted)
+    head, *rows = (folder / "states.csv").read_text().splitlines()
+    later = [",".join([str(float(row.split(",")[0]) + 1e5), *row.split(",")[1:]]) for row in rows]
+    (folder / "later.csv").write_text("\n".join([head, *later]))
+    assert fit.read_recording(folder / "later.csv", Chirp()).torques is not None
+    assert len(evaluated) <= 2
+
+
+def test_unix_times_count_from_the_first_row_if_the_torques_are_held(folder: Path) -> None:
+    (folder / "unix.csv").write_text("time,x_jack,torque\n1700000000.0,1,5\n1700000000.02,1,6\n")
+    (folder / "heard.csv").write_text("time\n1700000000.01\n")
+    recording = fit.read_recording(folder / "unix.csv", Chirp(), folder / "heard.csv")
+    assert (recording.time, recording.torques is None) == (0.0, False)
+    assert np.asarray(recording.impacts) == pytest.approx([0.01], abs=1e-6)
+    (folder / "unix.csv").write_text("time,x_jack\n1700000000.0,1\n1700000000.02,1\n")
+    with pytest.raises(ValueError, match=r"unix\.csv: time must be .* at most 1e\+09, got 1700000000\.0"):
+        fit.read_recording(folder / "unix.csv", Chirp())
+
+
+def test_the_documented_commands_converge(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "fitting.md").read_text()
+    commands = re.findall(r"^jackbox (\w+) ([^#\n]*)", page, re.M)
+    assert [name for name, _ in commands] == ["simulate", "fit"]
+    monkeypatch.chdir(tmp_path)
+    for name, options in commands:
+        monkeypatch.setattr(sys, "argv", [f"jackbox {name}", *shlex.split(options)])
+        {"simulate": simulating, "fit": fit}[name].main()
+    out = capsys.readouterr().out
+    assert "Converged: the search ended" in out
+    assert len(list((tmp_path / "runs").glob("fit-*/fit.html"))) == 1
+
+
 def test_names_without_units_and_empty_cells_are_read(tmp_path: Path) -> None:
     (tmp_path / "seen.csv").write_text("\ufefftorque,x_jack,time\n5,1.5,2\n6,,2.5\n,nan,3.0\n\n", encoding="utf-8")
     (tmp_path / "heard.csv").write_text("time\n2.25\n")
@@ -99,7 +144,11 @@ def test_names_without_units_and_empty_cells_are_read(tmp_path: Path) -> None:
             "time,x_box\n0,1\n0.1,1\n0.2,1\n0.4,1\n",
             "row 5, column time: must increase evenly, by 0.1 s in most rows and by 0.2 s here",
         ),
-        ("time,x_box\n0.1,1\n0.1,1\n", "row 3, column time: must increase"),
+        ("time,x_box\n0.1,1\n0.1,1\n", "row 3, column time: must increase, got 0.1 s after 0.1 s"),
+        ("time,x_box\n0.3,1\n0.2,1\n0.1,1\n", "row 3, column time: must increase, got 0.2 s after 0.3 s"),
+        ("time,x_box\n0,1\n1.7e308,1\n", "row 3, column time: must be within +-1e+10 s, got 1.7e+308 s"),
+        ("time,x_box\n0,1\n1e-300,1\n", "dt must be a finite number at least 1e-09 and at most 1e+09, got 1e-300"),
+        ("time,x_box\n0,1\n16.7,1\n33.4,1\n", "rows must be at most 0.55 s apart, got 33.4 s in steps of 16.7 s"),
         ("time,x_box,torque\n0,1,5\n0.1,1,\n0.2,1,5\n", "row 3, column torque: must be a number, got none"),
         ("time,x_box\n0,\n0.1,\n", "states must hold something that was observed"),
     ],

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,7 +11,8 @@ import pytest
 
 import jackbox_env
 from jackbox_env import Fit, Recording, Scene, fit, make_simulator
-from jackbox_env.measure.shooting import Parameters, Shooting, Window, units
+from jackbox_env.measure.fitting import autocorrelations, rough_noise
+from jackbox_env.measure.shooting import Parameters, Rows, Shooting, Window, units
 from jackbox_env.tasks import sample_start
 from tests.states import Array
 
@@ -113,6 +116,73 @@ def test_what_does_not_fit_has_not_converged() -> None:
         fit(Recording(states, -torques, DT), ("jack_mass", "restitution"), START)
 
 
+@pytest.mark.parametrize("every", [1, 2])
+@pytest.mark.parametrize("wrong", [{"gravity": 1.01}, {"jack_arm": 1.02}, {"box_mass": 1.05}])
+def test_a_wrong_model_does_not_converge_to_wrong_intervals(
+    wrong: dict[str, float], every: int, cases: Callable[[int], int]
+) -> None:
+    fields = ("jack_mass", "restitution")
+    for seed in range(cases(8)):
+        rng = np.random.default_rng(seed)
+        scene = Scene(
+            jack_mass=rng.uniform(4.0, 40.0), jack_arm=rng.uniform(0.8, 1.5), restitution=rng.uniform(0.75, 0.98),
+            drive=None,
+        )  # fmt: skip
+        states, torques, _ = recorded(scene, seed)
+        states[:, 6:] = np.nan
+        states[np.arange(len(states)) % every > 0] = np.nan
+        right = scene.changed(**{name: getattr(scene, name) * rng.uniform(0.8, 1.0) for name in fields})
+        start = right.changed(**{name: getattr(right, name) * factor for name, factor in wrong.items()})
+        found = fit(Recording(states, torques, DT), fields, start)
+        assert holds(found, scene, wide=2.0) or not found.converged
+        if seed == 0:
+            assert not found.converged
+            assert any("correlated in time" in problem for problem in found.problems)
+            assert fit(Recording(states, torques, DT), fields, right).converged
+
+
+def test_noise_is_estimated_from_the_rows_that_were_observed() -> None:
+    rng, rows = np.random.default_rng(0), np.sort(np.random.default_rng(1).choice(4000, 1500, replace=False))
+    states = np.full((4001, 12), np.nan)
+    states[rows, 4] = 2.0 - 2e-5 * rows**2 + 0.01 * rng.standard_normal(1500)
+    noise = rough_noise([Recording(states, None, DT)], np.ones(13))
+    assert noise[4] == pytest.approx(0.01, rel=0.15)
+    assert noise[3] == 1e-2  # not observed: a guess
+
+
+def test_white_residuals_have_no_autocorrelation_and_a_fit_with_many_unknowns_is_allowed_for() -> None:
+    rng = np.random.default_rng(0)
+    by = np.cos(np.outer(np.arange(200), np.arange(40)) * math.pi / 200.0)  # 40 smooth unknowns
+    hat = by @ np.linalg.pinv(by)
+    found = []
+    for _ in range(300):
+        noise = rng.standard_normal(200)
+        found.append(autocorrelations(Rows(noise - hat @ noise, by, np.zeros(200, np.intp), np.zeros(200, np.intp)))[0])
+    assert abs(np.mean(found)) < 0.2  # without what the unknowns take it is about -5
+    assert 0.4 < np.std(found) < 1.2
+    slow = np.sin(np.arange(200) / 15.0)
+    wrong = Rows(rng.standard_normal(200) + slow, by[:, :1], np.zeros(200, np.intp), np.zeros(200, np.intp))
+    assert autocorrelations(wrong)[0] > 4.5
+
+
+def test_a_recording_without_noise_converges() -> None:
+    states, torques, _ = recorded(noise=0.0)
+    found = fit(Recording(states, torques, DT), ("jack_mass", "restitution"), START)
+    assert found.problems == ()
+    assert found.scene.jack_mass == pytest.approx(12.0, rel=1e-8)
+    assert found.scene.restitution == pytest.approx(0.85, rel=1e-8)
+    assert holds(found, TRUE)
+
+
+def test_a_fit_that_left_most_steps_out_has_not_converged() -> None:
+    states, torques, _ = recorded()
+    states[60:, 3:5] += 0.3  # a camera that was pushed, and pushed again
+    states[120:, 3:5] -= 0.5
+    found = fit(Recording(states, np.where(np.arange(200) < 60, torques, -torques), DT), ("jack_mass",), START)
+    assert found.left_out > 60
+    assert any("steps could not be followed" in problem for problem in found.problems)
+
+
 def test_derivatives_of_residuals_equal_differences() -> None:
     states, torques, heard = recorded()
     recording = Recording(states, torques, DT, impacts=heard)
@@ -141,7 +211,8 @@ def test_derivatives_of_residuals_equal_differences() -> None:
         ({"states": "up"}, "states must hold numbers, got 'up'"),
         ({"torques": [1.0]}, r"torques must have shape \(3,\), one for each step, got \(1,\)"),
         ({"torques": [np.nan] * 3}, "torques must be finite, got nan"),
-        ({"dt": 0.0}, "dt must be a finite number above 0, got 0.0"),
+        ({"dt": 0.0}, "dt must be a finite number at least 1e-09 and at most 1e\\+09, got 0.0"),
+        ({"dt": 1e-300}, "dt must be a finite number at least 1e-09 and at most 1e\\+09, got 1e-300"),
         ({"time": np.nan}, "time must be"),
         ({"impacts": [0.2, 0.1]}, "impacts must be times in order"),
     ],
