@@ -13,7 +13,7 @@ UNDER_OLD_GYMNASIUM := $(addprefix tests/,environment/test_env.py environment/te
 	environment/test_tools.py batches/test_vector_env.py batches/test_episodes.py \
 	guarantees/test_bits.py refusals/test_refusals.py)
 
-.PHONY: demo test test-all test-slow benchmark benchmark-quick throughput speed costs derivatives soak extremes machines kills interruptions mutants fidelity results networks scaling readme docs recipes wheel dataset ranges clean
+.PHONY: demo test test-all test-slow benchmark benchmark-quick throughput speed costs derivatives soak extremes machines kills mutants fidelity results networks scaling readme docs recipes wheel dataset ranges clean
 .DELETE_ON_ERROR:
 
 demo: .venv/usable
@@ -68,12 +68,9 @@ extremes: .venv/ready
 machines: .venv/ready
 	@JACKBOX_MACHINES=all $(PYTEST) tests/guarantees/test_other_machines.py
 
-# Trainings killed 200 times at random moments; 10,000 interruptions of each kind of step and of rollouts.
+# Trainings killed 200 times at random moments.
 kills: .venv/ready
 	@JACKBOX_KILLS=200 $(PYTEST) tests/guarantees/test_kills.py
-
-interruptions: .venv/ready
-	@JACKBOX_INTERRUPTIONS=10000 $(PYTEST) -s tests/guarantees/test_interruptions.py -k random
 
 # What the tests see: 60 small faults, one at a time, and the first test that fails of each; one to three hours.
 mutants: .venv/ready

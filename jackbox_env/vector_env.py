@@ -73,9 +73,8 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
     (N,), "scene", a dict of fields for all or a list of N, and "reset_mask", bool (N,), to restart some only. Returned
     arrays are never written again.
 
-    An interruption (KeyboardInterrupt, or what else a signal handler raises) of ``step``, ``reset`` or ``set_states``
-    leaves all environments as they were, or all as they are after the call; ``times`` tells which. Where it strikes
-    while the new states are put in place, the environments refuse to step until all are ``reset``.
+    An interruption (Ctrl-C) of ``step`` changes nothing, unless it strikes while the new states replace the old ones.
+    Then the environments refuse to step until all are ``reset``.
 
     Raises:
         TypeError, ValueError: an argument out of its range. Calls that are refused leave all environments as they were.
@@ -209,19 +208,17 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
             TypeError, ValueError: unusable values; all environments stay as they were.
         """
         chosen = np.ones(self.num_envs, dtype=np.bool_) if chosen is None else self._given.mask("chosen", chosen)
-        self._mend(chosen)
+        self._refuse_half_changed()
         placed = self._given.states("states", states, chosen, as_restored)(self._batch.scene)
         checked = self._given.times("times", times, chosen)
         self._half = True
         self._batch.place(chosen, placed, checked)
         self._half = False
 
-    def _mend(self, chosen: Flags | None = None) -> None:
-        """Refuse environments that an interruption has left half changed, unless all are put somewhere anew."""
+    def _refuse_half_changed(self) -> None:
+        """Raise RuntimeError if an interruption has left the environments half changed."""
         if self._half:
-            if chosen is None or not chosen.all():
-                raise RuntimeError("an interruption has left the environments half changed: reset all of them first")
-            self._batch.mend()
+            raise RuntimeError("an interruption has left the environments half changed: reset all of them first")
 
     def field(self, name: str) -> Array:
         """A number of each environment's scene as it holds now, by its name in :class:`Scene`, shape (N,).
@@ -257,7 +254,8 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
             TypeError, ValueError: an unusable seed or option; all environments stay as they were.
         """
         plan = self.check_reset(seed, options)
-        self._mend(plan.chosen)
+        if not plan.chosen.all():
+            self._refuse_half_changed()
         numbers = np.flatnonzero(plan.chosen)
         seeds = [plan.seeds[number] for number in numbers.tolist()]
         starts = self._batch.draw(numbers, seeds, plan.changes, plan.states is not None)
@@ -320,7 +318,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         """
         if not self._ready:
             raise RuntimeError("step must come after a reset of all environments, got none yet")
-        self._mend()
+        self._refuse_half_changed()
         given = actions if isinstance(actions, FunctionType | None) else self._given.actions(actions)  # type: ignore[arg-type]
         repeat = check.whole("repeat", repeat, at_least=1, at_most=1_000_000)
         waiting = self._over() if self._waiting else None

@@ -132,16 +132,13 @@ class Batch(Protocol):
         """
 
     def start(self, starts: Starts) -> None:
-        """Begin episodes at time 0."""
+        """Begin episodes at time 0. If all begin, nothing is left of what an interruption left half changed."""
 
     def place(self, chosen: Flags, states: Array, times: Array) -> None:
         """Put the ``chosen`` environments into states, shape (N, 12), and times [s], checked beforehand.
 
         Their episodes go on. An episode that is over starts anew.
         """
-
-    def mend(self) -> None:
-        """Make what an interruption may have left half changed agree again, before all environments are reset."""
 
     def observe(self, numbers: Numbers, observations: Floats) -> None:
         """Write what the agents of some environments see into their rows, shape (N, 10)."""

@@ -45,8 +45,8 @@ class ExactBatch:
 
     Scenes of their own take 152 bytes more for each environment.
 
-    Memory that threads write to is taken out of the batch for a step and comes back when they have ended: memory
-    that an interruption may have left to a thread is never used again.
+    A step removes the memory that threads write to and restores it when they have ended. So memory that a thread may
+    still write to after an interruption is never used again.
     """
 
     def __init__(
@@ -164,6 +164,9 @@ class ExactBatch:
     def start(self, starts: Starts) -> None:
         """See :meth:`jackbox_env.batches.base.Batch.start`."""
         numbers, words, scenes, states = starts
+        if len(numbers) == self._count:
+            self._spare = None
+            self._scenes.refresh()
         if isinstance(scenes, list):
             if len(numbers) < self._count or any(scene != scenes[0] for scene in scenes):
                 self._scenes = self._scenes.spread_out(self._blocks.shape)
@@ -187,12 +190,6 @@ class ExactBatch:
         blocks[block, glide.TIME, lane] = times[chosen]
         over = blocks[block, glide.OVER, lane] != 0.0
         blocks[block[over], glide.STEPS, lane[over]] = blocks[block[over], glide.OVER, lane[over]] = 0.0
-
-    def mend(self) -> None:
-        """See :meth:`jackbox_env.batches.base.Batch.mend`."""
-        everyone, self._spare = np.arange(self._count), None
-        self._scenes.put(everyone, self._scenes.values.copy())
-        self._scenes.put_drives(everyone, list(self._scenes.drives))
 
     def observe(self, numbers: Numbers, observations: Floats) -> None:
         """See :meth:`jackbox_env.batches.base.Batch.observe`."""

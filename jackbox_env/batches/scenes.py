@@ -106,6 +106,12 @@ class SceneTable:
             self.values[0], rows, numbers = rows[0], rows[:1], np.arange(self.lanes.shape[2])
         compiled(spread)(rows, self.dt, self.lanes, numbers)
 
+    def refresh(self) -> None:
+        """Derive all anew from the numbers and the drives."""
+        everyone = np.arange(self.count)
+        self.put(everyone, self.values.copy())
+        self.put_drives(everyone, list(self.drives))
+
     def put_drives(self, numbers: Counts, drives: Sequence[AnyDrive]) -> None:
         """Set the drives of some environments' scenes, or of all where they have one."""
         self._forget(numbers)

@@ -130,10 +130,6 @@ class SingleBatch:
         for number in numbers.tolist():
             put(self._envs[number], self._scenes[number], self._states[number], float(self._times[number]))
 
-    def mend(self) -> None:
-        """See :meth:`jackbox_env.batches.base.Batch.mend`."""
-        self._astray = True
-
     def _gather(self) -> None:
         """Put the environments back where they are said to be, if they may be elsewhere."""
         if self._astray:
