@@ -1,140 +1,137 @@
-"""The complementarity problem of contacts that act at once: 0 <= x _|_ W (W^T x + c) >= 0.
+"""The complementarity problem of contacts that act at once, in coordinates v = M^1/2 qdot:
 
-Method: the solution minimises |W^T x + c|^2 / 2 over x >= 0, found by the active-set method of Lawson and Hanson (1974,
-    Solving Least Squares Problems, ch. 23).
-Exactness: rounding. W^T x is unique. Where rows depend on each other x is one of several; at most three are above 0.
-Bits: the same on every processor. The sums are written out, because those of a linear algebra library differ in their
-    last bits from one processor to the next, and where rows depend on each other such a bit decides which rows enter.
-Fails: rows of rank 4 or more, which a jack and a box can not make.
+    0 <= x  _|_  W (v + W^T x) + bias >= 0,    W the rows of J M^-1/2, each at length 1.
+
+Method: v + W^T x is the nearest point to v with W v + bias >= 0. Gradients of gaps have rank 3 at most, each being a
+    combination of (n_x, n_y, n^perp . o). So all sets of one, two and three rows are tried. Each gives a point by
+    projection, and the right one needs no negative push and closes no gap.
+Exactness: rounding. The point is unique; if rows depend on each other, x is one of several.
+Cost: n^3 / 6 projections for n contacts; a jack and a box have four at most outside special poses.
+Bits: the same on every processor, because the sums are written out. The functions are plain Python here, for
+    :func:`jackbox_env.mechanics.simultaneous_impact_map`, and compiled for the exact contact model.
+
+The functions work in ``memory``, with fields of :class:`jackbox_env.compiled.workspace.Workspace`: ``gradients``
+(n, 6), ``units`` W (n, 6), ``lengths`` (n,), ``bias`` (n,), ``rates`` v (6,), ``point`` (6,), ``pushes`` (3,), ``best``
+(3,), and ``basis`` (3, 6), ``tall`` (3, 3), ``goals`` (3,) for Gram-Schmidt.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from jackbox_env.scene import SceneNumbers
 
-_RANK = 3  # every gradient of a gap is a combination of three: (n_x, n_y, n^perp . o)
-_DEPENDENT = 1e-12  # of a row's length: if less of it is left beside other rows, it depends on them
+Array = NDArray[np.float64]
+
+_DEPENDENT = 1e-13  # a row that keeps less than this of its length beside the others depends on them
+
+
+def root_mass(scene: SceneNumbers, place: int) -> float:
+    """Square root of a diagonal element of M."""
+    mass = scene.box_mass if place < 2 else scene.box_inertia if place == 2 else scene.jack_mass
+    return math.sqrt(scene.jack_inertia if place == 5 else mass)
+
+
+def weigh(scene: SceneNumbers, memory: Any, count: int, rates: Array) -> None:
+    """Fill in v = M^1/2 ``rates``, the rows of J M^-1/2 at length 1, and their lengths."""
+    for place in range(6):
+        root = root_mass(scene, place)
+        memory.rates[place] = root * rates[place]
+        for i in range(count):
+            memory.units[i, place] = memory.gradients[i, place] / root
+    for i in range(count):
+        memory.lengths[i] = math.sqrt(dot(memory.units[i], memory.units[i]))
+        for place in range(6):
+            memory.units[i, place] /= memory.lengths[i]
+
+
+def nearest(memory: Any, count: int) -> tuple[int, int, int]:
+    """The contacts, -1 for none, that push the weighted rates v to the nearest point with w v + bias >= 0 everywhere.
+
+    Their pushes are in ``memory.best``. By trying all sets of one, two and three of ``count`` contacts.
+    """
+    lowest = 0.0
+    for i in range(count):
+        lowest = min(lowest, dot(memory.units[i], memory.rates) + memory.bias[i])
+    if lowest >= 0.0:
+        return -1, -1, -1  # nothing approaches
+    least = math.inf
+    one = two = three = -1
+    for i in range(count):
+        for j in range(i, count):
+            for k in range(j, count):
+                if k == j and j != i:
+                    continue  # sets of one (i, i, i), two (i, i, k) and three (i, j, k)
+                size = 1 if k == i else 2 if j == i else 3
+                violation = violation_of(memory, count, size, k, i, j)
+                if violation < least:
+                    least = violation
+                    one, two, three = k, i if size > 1 else -1, j if size > 2 else -1
+                    for place in range(3):
+                        memory.best[place] = memory.pushes[place]
+    return one, two, three
+
+
+def violation_of(memory: Any, count: int, size: int, one: int, two: int, three: int) -> float:
+    """By how much a set's projection closes gaps; infinity if its rows depend on each other or a push pulls."""
+    if not (project(memory, size, one, two, three) and pushing(memory, size)):
+        return math.inf
+    violation = 0.0
+    for other in range(count):
+        violation = max(violation, -(dot(memory.units[other], memory.point) + memory.bias[other]))
+    return violation
 
 
 def dot(a: Array, b: Array) -> float:
-    """Sum of the products in the order written."""
-    total = 0.0
-    for product in (a * b).tolist():
-        total += product
-    return total
+    """Scalar product of six numbers."""
+    return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] + a[4] * b[4] + a[5] * b[5])
 
 
-def dots(a: Array, b: Array) -> Array:
-    """:func:`dot` of each row of two arrays, shape (n,)."""
-    total = np.zeros(len(a))
-    for products in (a * b).T:
-        total += products
-    return total
+def project(memory: Any, size: int, one: int, two: int, three: int) -> bool:
+    """Project the weighted rates v on where ``size`` rows have w v + bias = 0: the point v + sum of pushes times rows.
 
-
-def combined(rows: Array, factors: Array) -> Array:
-    """Sum of the rows times their factors, shape (6,)."""
-    return np.array([dot(column, factors) for column in rows.T])
-
-
-def complementary(rows: Array, velocity: Array) -> Array:
-    """Solve 0 <= x _|_ W (W^T x + c) >= 0.
-
-    A row within the span of the active ones has a gradient of 0, as they have, and what is computed of it is only
-    rounding. So it is barred, and the active rows stay independent. No set of active rows is tried twice.
-
-    Args:
-        rows: W, each of length 1, shape (n, 6).
-        velocity: c, shape (6,).
-
-    Returns:
-        x, shape (n,).
+    Returns whether the rows are independent. By modified Gram-Schmidt, rows = tall^T base.
     """
-    x, active = np.zeros(len(rows)), np.zeros(len(rows), dtype=bool)
-    barred = np.zeros(len(rows), dtype=bool)  # tried in vain since x last moved
-    seen = {active.tobytes()}
-    while True:
-        point = velocity + combined(rows, x)
-        descent = np.array([-dot(row, point) for row in rows])
-        promising = ~active & ~barred & (descent > 0.0)
-        if not promising.any():
-            return x
-        chosen = int(np.argmax(np.where(promising, descent, -np.inf)))
-        if _spanned(rows[active], rows[chosen]):
-            barred[chosen] = True
-            continue
-        joined = active.copy()
-        joined[chosen] = True
-        trial, kept = _minimum_within(rows, velocity, x, joined)
-        if trial[chosen] > 0.0 and kept.tobytes() not in seen:
-            x, active = trial, kept
-            seen.add(kept.tobytes())
-            barred[:] = False
-        else:
-            barred[chosen] = True
+    point, pushes = memory.point, memory.pushes
+    for place in range(6):
+        point[place] = memory.rates[place]
+    for a in range(size):
+        picked = one if a == 0 else two if a == 1 else three
+        for place in range(6):
+            memory.basis[a, place] = memory.units[picked, place]
+        for turn in range(2):  # twice is enough to be orthogonal to rounding (Giraud et al. 2005)
+            for b in range(a):
+                share = dot(memory.basis[b], memory.basis[a])
+                memory.tall[b, a] = share if turn == 0 else memory.tall[b, a] + share
+                for place in range(6):
+                    memory.basis[a, place] -= share * memory.basis[b, place]
+        length = math.sqrt(dot(memory.basis[a], memory.basis[a]))
+        if length < _DEPENDENT:
+            return False
+        memory.tall[a, a] = length
+        for place in range(6):
+            memory.basis[a, place] /= length
+        goal = memory.bias[picked]
+        for b in range(a):
+            goal += memory.tall[b, a] * memory.goals[b]
+        memory.goals[a] = 0.0 - goal / length
+        pushes[a] = -(dot(memory.basis[a], point) - memory.goals[a])
+        for place in range(6):
+            point[place] += pushes[a] * memory.basis[a, place]
+    for a in range(size - 1, -1, -1):
+        for b in range(a + 1, size):
+            pushes[a] -= memory.tall[a, b] * pushes[b]
+        pushes[a] /= memory.tall[a, a]
+    return True
 
 
-def _minimum_within(rows: Array, velocity: Array, x: Array, active: Mask) -> tuple[Array, Mask]:
-    """Move x towards the minimum over the active indices, dropping each index that reaches zero on the way."""
-    active = active.copy()
-    while True:
-        trial = np.zeros_like(x)
-        trial[active] = _minimum(rows[active], velocity)
-        falling = active & (trial <= 0.0)
-        if not falling.any():
-            return trial, active
-        fractions = np.where(falling, x / np.where(x > trial, x - trial, 1.0), np.inf)
-        first = int(np.argmin(fractions))
-        x = np.where(active, np.maximum(x + fractions[first] * (trial - x), 0.0), 0.0)
-        active[first], x[first] = False, 0.0
-
-
-def _minimum(rows: Array, velocity: Array) -> Array:
-    """The x at which W^T x + c is least, for independent rows W: with W^T = Q R, R x = -Q^T c.
-
-    W W^T x = -W c would have the square of W's condition number.
-    """
-    base, tall = _orthonormal(rows)
-    _, shares = _apart(base, velocity)
-    x = np.zeros(len(rows))
-    for a in reversed(range(len(rows))):
-        x[a] = -(shares[a] + dot(tall[a, a + 1 :], x[a + 1 :])) / tall[a, a]
-    return x
-
-
-def _orthonormal(rows: Array) -> tuple[Array, Array]:
-    """Q^T and R of W^T = Q R, for independent rows W."""
-    base, tall = np.zeros_like(rows), np.zeros((len(rows), len(rows)))
-    for a, row in enumerate(rows):
-        left, tall[:a, a] = _apart(base[:a], row)
-        tall[a, a] = math.sqrt(dot(left, left))
-        base[a] = left / tall[a, a]
-    return base, tall
-
-
-def _apart(base: Array, row: Array) -> tuple[Array, Array]:
-    """What is left of a row beside an orthonormal base, and its shares in it, by modified Gram-Schmidt.
-
-    Twice is enough to be orthogonal to rounding (Giraud et al. 2005).
-    """
-    shares = np.zeros(len(base))
-    for _ in range(2):
-        for place, direction in enumerate(base):
-            share = dot(direction, row)
-            shares[place] += share
-            row = row - share * direction
-    return row, shares
-
-
-def _spanned(rows: Array, row: Array) -> bool:
-    """Whether a row is within the span of independent ones."""
-    if len(rows) >= _RANK:
-        return True
-    left, _ = _apart(_orthonormal(rows)[0], row)
-    return dot(left, left) < _DEPENDENT**2
+def pushing(memory: Any, size: int) -> bool:
+    """Whether no push of a projection pulls."""
+    pulling = False
+    for a in range(size):
+        pulling |= memory.pushes[a] < 0.0
+    return not pulling

@@ -25,12 +25,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from types import SimpleNamespace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import _validation as check
-from jackbox_env.complementarity import combined, complementary, dot, dots
+from jackbox_env.complementarity import nearest, weigh
 from jackbox_env.scene import Scene, SceneNumbers
 from jackbox_env.states import Array, Numbers, as_state, refuse_no_scene
 
@@ -130,9 +131,9 @@ def impact_maps(scene: Scene, states: Array, walls: Indices, feet: Indices) -> t
     """
     _, jacobians = contacts_of(scene, states, walls, feet)
     kicks = jacobians / np.array(scene.mass_diagonal)  # change of qdot per impulse
-    gap_rates = dots(jacobians, states[:, 6:])
+    gap_rates = _dots(jacobians, states[:, 6:])
     struck, after, impulses = gap_rates < 0.0, states.copy(), np.zeros(len(states))
-    impulses[struck] = -(1.0 + scene.restitution) * gap_rates[struck] / dots(jacobians, kicks)[struck]
+    impulses[struck] = -(1.0 + scene.restitution) * gap_rates[struck] / _dots(jacobians, kicks)[struck]
     after[struck, 6:] += (impulses[:, None] * kicks)[struck]
     return after, impulses
 
@@ -172,14 +173,19 @@ def simultaneous_impact_map(scene: Scene, state: ArrayLike, contacts: Sequence[t
     if not pairs:
         return before, np.zeros(0)
     jacobian = np.array([_gap_jacobian(scene, before, wall, foot) for wall, foot in pairs])  # (n, 6)
-    root = np.sqrt(np.array(scene.mass_diagonal))
-    weighted = jacobian / root  # J M^-1/2
-    lengths = np.array([math.sqrt(dot(row, row)) for row in weighted])
-    rows = weighted / lengths[:, None]
-    pushes = complementary(rows, (1.0 + scene.restitution) * root * before[6:])
-    after = before.copy()
-    after[6:] += combined(rows, pushes) / root
-    return after, pushes / lengths
+    count = len(pairs)
+    memory = SimpleNamespace(
+        gradients=jacobian, units=np.zeros((count, 6)), lengths=np.zeros(count), bias=np.zeros(count),
+        rates=np.zeros(6), point=np.zeros(6), pushes=np.zeros(3), best=np.zeros(3), basis=np.zeros((3, 6)),
+        tall=np.zeros((3, 3)), goals=np.zeros(3),
+    )  # fmt: skip
+    weigh(scene.numbers, memory, count, before[6:])
+    after, impulses, masses = before.copy(), np.zeros(count), np.array(scene.mass_diagonal)
+    for place, number in enumerate(nearest(memory, count)):
+        if number >= 0:
+            impulses[number] = (1.0 + scene.restitution) * memory.best[place] / memory.lengths[number]
+            after[6:] += jacobian[number] * impulses[number] / masses
+    return after, impulses
 
 
 def _pair(contact: tuple[int, int]) -> tuple[int, int]:
@@ -188,6 +194,14 @@ def _pair(contact: tuple[int, int]) -> tuple[int, int]:
     except Exception as error:
         raise TypeError(f"a contact must be a pair (wall, foot), got {check.shown(contact)}") from error
     return check.whole("wall", wall, at_least=0, at_most=3), check.whole("foot", foot, at_least=0, at_most=3)
+
+
+def _dots(a: Array, b: Array) -> Array:
+    """Scalar product of each row of two arrays in the order written, shape (n,)."""
+    total = np.zeros(len(a))
+    for products in (a * b).T:
+        total += products
+    return total
 
 
 def energy(scene: Scene, state: ArrayLike) -> float:

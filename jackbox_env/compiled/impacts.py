@@ -12,7 +12,6 @@ gives a point by projection. The right point needs no negative push and closes n
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -20,13 +19,13 @@ from numpy.typing import NDArray
 
 from jackbox_env.compiled.trigonometry import cos_sin
 from jackbox_env.compiled.workspace import Workspace
+from jackbox_env.complementarity import nearest, weigh
 from jackbox_env.scene import SceneNumbers
 
 Array = NDArray[np.float64]
 
 SLOW = 1e-6  # of v0: an impact slower than this has no derivative that can be told
 _DEEP = 2e-10  # [m] in boxes of 1 m and more: a foot deeper than any that strikes from inside
-_DEPENDENT = 1e-13  # a row that keeps less than this of its length beside the others depends on them
 
 
 def quarter(cosine: float, sine: float, quarters: int) -> tuple[float, float]:
@@ -172,110 +171,3 @@ def bounce_together(scene: SceneNumbers, memory: Workspace, count: int) -> None:
             impulse = (1.0 + scene.restitution) * memory.best[place] / memory.lengths[number]
             memory.impulses[number] = impulse
             kick(scene, memory.state[6:], memory.gradients[number], impulse)
-
-
-def nearest(memory: Workspace, count: int) -> tuple[int, int, int]:
-    """The contacts, -1 for none, that push the weighted rates v to the nearest point with w v + bias >= 0 everywhere.
-
-    Their pushes are in ``memory.best``. By trying all sets of one, two and three of ``count`` contacts.
-    """
-    lowest = 0.0
-    for i in range(count):
-        lowest = min(lowest, dot(memory.units[i], memory.rates) + memory.bias[i])
-    if lowest >= 0.0:
-        return -1, -1, -1  # nothing approaches
-    least = math.inf
-    one = two = three = -1
-    for i in range(count):
-        for j in range(i, count):
-            for k in range(j, count):
-                if k == j and j != i:
-                    continue  # sets of one (i, i, i), two (i, i, k) and three (i, j, k)
-                size = 1 if k == i else 2 if j == i else 3
-                violation = violation_of(memory, count, size, k, i, j)
-                if violation < least:
-                    least = violation
-                    one, two, three = k, i if size > 1 else -1, j if size > 2 else -1
-                    for place in range(3):
-                        memory.best[place] = memory.pushes[place]
-    return one, two, three
-
-
-def violation_of(memory: Workspace, count: int, size: int, one: int, two: int, three: int) -> float:
-    """By how much a set's projection closes gaps; infinity if its rows depend on each other or a push pulls."""
-    if not (project(memory, size, one, two, three) and pushing(memory, size)):
-        return math.inf
-    violation = 0.0
-    for other in range(count):
-        violation = max(violation, -(dot(memory.units[other], memory.point) + memory.bias[other]))
-    return violation
-
-
-def root_mass(scene: SceneNumbers, place: int) -> float:
-    """Square root of a diagonal element of M."""
-    mass = scene.box_mass if place < 2 else scene.box_inertia if place == 2 else scene.jack_mass
-    return math.sqrt(scene.jack_inertia if place == 5 else mass)
-
-
-def weigh(scene: SceneNumbers, memory: Workspace, count: int, rates: Array) -> None:
-    """Fill in v = M^1/2 ``rates``, the rows of J M^-1/2 at length 1, and their lengths."""
-    for place in range(6):
-        root = root_mass(scene, place)
-        memory.rates[place] = root * rates[place]
-        for i in range(count):
-            memory.units[i, place] = memory.gradients[i, place] / root
-    for i in range(count):
-        memory.lengths[i] = math.sqrt(dot(memory.units[i], memory.units[i]))
-        for place in range(6):
-            memory.units[i, place] /= memory.lengths[i]
-
-
-def dot(a: Array, b: Array) -> float:
-    """Scalar product of six numbers."""
-    return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] + a[4] * b[4] + a[5] * b[5])
-
-
-def project(memory: Workspace, size: int, one: int, two: int, three: int) -> bool:
-    """Project the weighted rates v on where ``size`` rows have w v + bias = 0: the point v + sum of pushes times rows.
-
-    Returns whether the rows are independent. By modified Gram-Schmidt, rows = tall^T base.
-    """
-    point, pushes = memory.point, memory.pushes
-    for place in range(6):
-        point[place] = memory.rates[place]
-    for a in range(size):
-        picked = one if a == 0 else two if a == 1 else three
-        for place in range(6):
-            memory.basis[a, place] = memory.units[picked, place]
-        for turn in range(2):  # twice is enough to be orthogonal to rounding (Giraud et al. 2005)
-            for b in range(a):
-                share = dot(memory.basis[b], memory.basis[a])
-                memory.tall[b, a] = share if turn == 0 else memory.tall[b, a] + share
-                for place in range(6):
-                    memory.basis[a, place] -= share * memory.basis[b, place]
-        length = math.sqrt(dot(memory.basis[a], memory.basis[a]))
-        if length < _DEPENDENT:
-            return False
-        memory.tall[a, a] = length
-        for place in range(6):
-            memory.basis[a, place] /= length
-        goal = memory.bias[picked]
-        for b in range(a):
-            goal += memory.tall[b, a] * memory.goals[b]
-        memory.goals[a] = 0.0 - goal / length
-        pushes[a] = -(dot(memory.basis[a], point) - memory.goals[a])
-        for place in range(6):
-            point[place] += pushes[a] * memory.basis[a, place]
-    for a in range(size - 1, -1, -1):
-        for b in range(a + 1, size):
-            pushes[a] -= memory.tall[a, b] * pushes[b]
-        pushes[a] /= memory.tall[a, a]
-    return True
-
-
-def pushing(memory: Workspace, size: int) -> bool:
-    """Whether no push of a projection pulls."""
-    pulling = False
-    for a in range(size):
-        pulling |= memory.pushes[a] < 0.0
-    return not pulling

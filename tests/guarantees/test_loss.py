@@ -10,7 +10,7 @@ import pytest
 
 from jackbox_env.compiled import advance as course
 from jackbox_env.compiled import constrained, rest, search
-from jackbox_env.compiled.impacts import project
+from jackbox_env.complementarity import project
 from jackbox_env.mechanics import energy, gaps
 from jackbox_env.scene import Drive, Scene
 from jackbox_env.simulators import Impact

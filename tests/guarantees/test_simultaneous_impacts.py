@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jackbox_env import complementarity
 from jackbox_env.compiled import impacts
 from jackbox_env.compiled.workspace import new_log, new_workspaces
 from jackbox_env.mechanics import energy, gap_jacobian, gaps, impact_map, simultaneous_impact_map
@@ -252,7 +251,7 @@ MOTIONS = ["at rest", "along the diagonal", "along a wall", "in step", "turning"
 def test_ties_among_any_contacts_end_and_obey_the_law(cases: Cases) -> None:
     # The law is local: it may be asked about contacts that no pose closes together. Any number of them has rank 3.
     rng = np.random.default_rng(18)
-    for case in range(cases(3000)):
+    for case in range(cases(400)):
         scene = SCENES[("nominal", "plastic", "light jack inertia")[case % 3]]
         turn = rng.choice([0.0, math.pi / 2.0, math.pi / 4.0, rng.uniform(-3.0, 3.0)])
         state, _ = corner_pose(scene, turn)
@@ -347,20 +346,3 @@ def test_a_wedged_jack_gets_the_velocities_of_the_exact_model_and_keeps_its_ener
         assert np.count_nonzero(impulses) <= 3
         several += int(np.count_nonzero(impulses) > 1)
     assert several > 100
-
-
-def test_contacts_that_depend_on_those_that_push_stay_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    # Beside the contacts that push only rounding is left of their gradients. Let in, they share the impulse arbitrarily
-    # or divide by 0.
-    def most_pushing() -> int:
-        rng, most = np.random.default_rng(18), 0
-        for _ in range(60):
-            state = np.array([0.0, 0.0, 0.0, 3.0, 4.0, math.pi / 4.0, *rng.integers(-2, 3, 6)])
-            listed = [(int(place) // 4, int(place) % 4) for place in rng.permutation(16)[:10]]
-            most = max(most, int(np.count_nonzero(simultaneous_impact_map(Scene(), state, listed)[1])))
-        return most
-
-    assert most_pushing() == 3
-    monkeypatch.setattr(complementarity, "_spanned", lambda rows, row: False)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        assert most_pushing() > 3
