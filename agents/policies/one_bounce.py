@@ -29,7 +29,6 @@ from agents.policies.value import Value
 from agents.settings import EPISODE_STEPS, EnvSettings
 from jackbox_env import Scene
 from jackbox_env import _validation as check
-from jackbox_env.complementarity import dots
 from jackbox_env.landing import QUARTER, landing_times, torques, upright
 from jackbox_env.mechanics import contacts_of, impact_maps
 from jackbox_env.observation import state_of
@@ -107,7 +106,7 @@ def bounced(scene: Scene, states: Array, times: Array, targets: Array) -> Array:
         feet = np.round((moved[:, 2] - QUARTER - moved[:, 5]) / QUARTER).astype(np.int64) % 4  # nearest to the floor
         if search < _SEARCHES:
             gap, jacobians = contacts_of(scene, moved, floors, feet)
-            closing = np.maximum(-dots(jacobians, moved[:, 6:]), _SLOWEST)
+            closing = np.maximum(-(jacobians * moved[:, 6:]).sum(axis=1), _SLOWEST)
             since = since + np.clip(gap / closing, -_STEP, _STEP)
     return flown(scene, impact_maps(scene, moved, floors, feet)[0], AFTER - since)
 
