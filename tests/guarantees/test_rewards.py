@@ -337,8 +337,24 @@ def test_functions_that_differ_only_in_what_they_hold_are_paid_apart() -> None:
         return Task(("paid",), lambda scene, state, torque, impulse: (math.copysign(weight + 1.0, weight),))
 
     assert [paid_now(holding(weight)) for weight in (0.0, -0.0, 2, True)] == [1.0, -1.0, 3.0, 2.0]
-    tasks = [Task(("paid",), lambda scene, state, torque, impulse, by=by: (by,)) for by in (1.0, 2.0)]
-    assert [paid_now(task) for task in tasks] == [1.0, 2.0]
+
+
+def test_functions_that_differ_only_in_a_default_are_paid_apart() -> None:
+    def sign(by: Any) -> Any:
+        return lambda scene, state, torque, impulse, by=by: (math.copysign(1.0 + by, by),)
+
+    def first(by: Any) -> Any:
+        return lambda scene, state, torque, impulse, by=(by, 1): (math.copysign(by[1], by[0]),)
+
+    def helped(by: float) -> Any:
+        def helper(value: float, by: float = by) -> float:
+            return math.copysign(value, by)
+
+        return lambda scene, state, torque, impulse: (helper(1.0),)
+
+    assert [paid_now(Task(("paid",), sign(by))) for by in (0.0, -0.0, 1.0, 2)] == [1.0, -1.0, 2.0, 3.0]
+    for made in (first, helped):
+        assert [paid_now(Task(("paid",), made(by))) for by in (0.0, -0.0)] == [1.0, -1.0]
 
 
 def test_nothing_of_a_users_task_is_kept_on_disk(monkeypatch: pytest.MonkeyPatch) -> None:
