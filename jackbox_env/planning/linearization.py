@@ -47,7 +47,7 @@ class Linearization:
         numbers = np.array([scene.numbers for scene in scenes])
         self._given = numbers, kinds, dt, torques, trajectories, tape.rows, begins, self.smooth
         compiled(tangents.mark_smooth)(
-            self._given, tape.rough, np.zeros((tangents.ROWS, tangents.FIRST_FIELD)), new_workspaces()
+            self._given, tape.rough, np.zeros((tangents.ROWS, len(tangents.GROWING))), new_workspaces()
         )
         _lock(self.trajectories, self.smooth)
 
@@ -239,8 +239,8 @@ def _lock(*arrays: NDArray[Any]) -> None:
 
 
 def _floats(name: str, given: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """The numbers given, float64 and in one piece."""
-    numbers = np.ascontiguousarray(check.array(name, given, "hold numbers"), dtype=np.float64)
+    """The numbers given, as an array of the one type for which the code is compiled."""
+    numbers = np.require(check.array(name, given, "hold numbers"), np.float64, ("C", "A", "W"))
     if numbers.shape != shape:
         raise ValueError(f"{name} must have shape {shape}, got {numbers.shape}")
     return numbers
