@@ -17,6 +17,8 @@ from hashlib import sha256
 from pathlib import Path
 from zipfile import ZIP_DEFLATED, ZipFile
 
+from jackbox_env.commands.common import parser_of
+
 ROOT = Path(__file__).parents[1]
 # Of the C library the code calls fmod, memmove, memset and sincos, which every glibc has; numba's wheels ask for more.
 TAG = "cp{0}{1}-cp{0}{1}-manylinux_2_17_x86_64".format(*sys.version_info)
@@ -74,6 +76,7 @@ def with_code(pure: Path, kept: Path, made: Path) -> None:
     files[record] = "".join([*lines, f"{record},,\n"]).encode()
     with ZipFile(made, "w", ZIP_DEFLATED) as wheel:
         for name, content in files.items():
+    parser_of(None, __doc__).parse_args()
             wheel.writestr(name, content)
 
 
