@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -213,6 +213,15 @@ def linearize(
     )  # fmt: skip
     kinds = np.array([drive_kind(one.drive, held=not free) for one in scenes])
     return Linearization(scenes, dt, held, kinds, seeds, played.trajectories, tape, num_threads)
+
+
+@cache
+def ready() -> None:
+    """Compile all derivatives, or load them."""
+    found = linearize(None, np.zeros(12), np.zeros(1), 0.02)
+    found.vjp(found.trajectories)
+    found.jvp()
+    _ = found.A
 
 
 def _seeds(scene: Scene, fields: Sequence[str]) -> Array:
