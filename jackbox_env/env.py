@@ -195,8 +195,8 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
             make_simulator, contact=self.contact, substeps=substeps
         )
         self._parts = self.simulator_of(self._own), make_score(self._own, self._task, self.contact)
-        if not self._fails_never:
-            self._parts[1](self.state, 0.0, 0.0)  # an unfit task is refused now
+        if not self._fails_never:  # an unfit task is refused now
+            self._parts[1].observe(tasks.sample_start(self._own, np_random(0)[0]))
         self._randomize = None
         if randomize is not None:
             self._randomize = Randomization(randomize, [self._own], self.simulator_of)
@@ -248,7 +248,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     @property
     def observation(self) -> Observation:
         """What the agent sees of the present state: a fresh float32 array, shape (10,)."""
-        return self._parts[1](self.state, 0.0, 0.0)[0]
+        return self._parts[1].observe(self.state)
 
     def set_state(self, state: ArrayLike, time: float = 0.0) -> None:
         """Put the system into ``state``, shape (12,), at ``time`` [s], exactly; the episode goes on.
@@ -287,14 +287,14 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         else:
             state = as_start(scene, given["state"])
         parts = self._parts if scene == self.scene else self._made(scene)
+        observation = parts[1].observe(state)
         super().reset(seed=seed)
         self._np_random = generator
         parts[0].reset(state, time)
         self._take(parts)
         if self.render_mode == "human":
             self.render()
-        observation, terms, _ = parts[1](state, 0.0, 0.0)
-        return observation, self._info(state, 0, 0.0, [0.0] * len(terms))  # nothing is earned yet
+        return observation, self._info(state, 0, 0.0, [0.0] * len(self._terms))  # nothing is earned yet
 
     def _next_scene(self, generator: np.random.Generator, changes: Any) -> Scene:
         """The scene of the next episode."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from types import FunctionType
 from typing import Any, Protocol, cast
 
@@ -23,6 +24,7 @@ from jackbox_env.states import Array
 from jackbox_env.tasks import TASKS, Task, TaskError, checked_reward, checked_terms
 
 Scored = tuple[NDArray[np.float32], Sequence[float], bool]
+_ARITHMETIC = ArithmeticError, ValueError  # math.log(0.0) raises a ValueError
 
 
 class Score(Protocol):
@@ -30,6 +32,15 @@ class Score(Protocol):
 
     def __call__(self, state: Array, torque: float, impulse: float) -> Scored:
         """Return the observation, shape (10,), the values of the reward's terms, and whether the episode is over."""
+
+    def observe(self, state: Array) -> NDArray[np.float32]:
+        """Return the observation of a state, shape (10,), and try the task there, without torque and impulse.
+
+        An arithmetic error of the task does not count: perhaps no step ends so.
+
+        Raises:
+            TypeError: the task does not return what it should.
+        """
 
     def of(self, scene: Scene) -> Score:
         """The same of another scene, with the task's function as it was read."""
@@ -53,12 +64,18 @@ class PlainScore:
     def __call__(self, state: Array, torque: float, impulse: float) -> Scored:
         """See :class:`Score`."""
         numbers, over = tuple(state.tolist()), False
-        terms = self._task.values(self._numbers, numbers, torque, impulse)
+        terms = checked_terms(self._task, self._task.values(self._numbers, numbers, torque, impulse))
         if self._task.over is not None:
             over = self._task.over(self._numbers, numbers, torque, impulse)
             if not isinstance(over, bool | np.bool_):
                 raise TypeError(f"a task's over must return True or False, got {check.shown(over)}")
-        return observe(self._scene, numbers), checked_terms(self._task, terms), bool(over)
+        return observe(self._scene, numbers), terms, bool(over)
+
+    def observe(self, state: Array) -> NDArray[np.float32]:
+        """See :class:`Score`."""
+        with suppress(*_ARITHMETIC):
+            self(state, 0.0, 0.0)
+        return observe(self._scene, state.tolist())
 
     def of(self, scene: Scene) -> PlainScore:
         """See :class:`Score`."""
@@ -83,6 +100,13 @@ class CompiledScore:
         observation = np.empty(10, dtype=np.float32)
         over = self._call(self._numbers, state, torque, impulse, observation, self._terms)
         return observation, self._terms.tolist(), over
+
+    def observe(self, state: Array) -> NDArray[np.float32]:
+        """See :class:`Score`."""
+        observation = np.empty(10, dtype=np.float32)
+        with suppress(*_ARITHMETIC):  # the observation comes first
+            self._call(self._numbers, state, 0.0, 0.0, observation, self._terms)
+        return observation
 
     def of(self, scene: Scene) -> CompiledScore:
         """See :class:`Score`."""

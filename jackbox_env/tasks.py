@@ -46,6 +46,9 @@ class Task(NamedTuple):
     an infinity under ``"exact"``, where Python raises an error. A reward that is NaN or infinite raises
     :class:`TaskError`, and the step has not happened.
 
+    An environment tries the task when it is made, in a start of :func:`sample_start`, and where an episode starts, both
+    without torque and impulse. What does not fit raises TypeError. Arithmetic errors do not count there.
+
     Attributes:
         terms: names of the terms; ``info`` holds each as ``reward_<name>``.
         values: function of (scene, state, torque, impulse) that returns a tuple of as many floats. ``scene`` has the

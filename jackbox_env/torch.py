@@ -26,10 +26,13 @@ def step(
 ) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
     """Advance states by one control step, as an environment with ``contact="exact"`` does, differentiably.
 
+    Not supported: ``torch.func``, ``torch.vmap``, ``torch.compile``, second derivatives.
+
     Args:
         scene: a Scene, a dict of some of its fields, or None; or a list of N. Its drive's side forces act, at time 0.
         states: shape (N, 12).
-        actions: shape (N,) or (N, 1), shares of the torque limit, clipped to [-1, 1]; the gradient is 0 where clipped.
+        actions: shape (N,) or (N, 1), shares of the torque limit; finite, and clipped to [-1, 1], where the gradient of
+            a clipped one is 0.
         dt: control step [s].
         task: whose reward is returned, "juggle" or "spin"; its gradient is 0 where the reward has a kink.
         nonsmooth: what to do with rows that have no derivative (see :class:`jackbox_env.Linearization`) where one is
@@ -52,7 +55,10 @@ def step(
         raise ValueError(
             f"states and actions must have shapes (N, 12) and (N,) or (N, 1), got {shapes[0]}, {shapes[1]}"
         )
-    shares = actions.reshape(-1).to("cpu", torch.float64).clamp(-1.0, 1.0)
+    shares = actions.reshape(-1).to("cpu", torch.float64)
+    if not (finite := shares.isfinite()).all():
+        raise ValueError(f"actions must be finite numbers (clipped to [-1, 1]), got {shares[~finite][0].item()}")
+    shares = shares.clamp(-1.0, 1.0)
     strict = nonsmooth == "raise" and torch.is_grad_enabled()
     found = _Step.apply(scene, states.to("cpu", torch.float64), shares, dt, task, strict)  # type: ignore[no-untyped-call]
     next_states, rewards, smooth = (one.to(states.device) for one in found)

@@ -15,6 +15,8 @@ import tomllib
 import venv
 from pathlib import Path
 
+from jackbox_env.commands.common import parser_of
+
 ROOT = Path(__file__).parents[1]
 CORE = [
     "tests/environment/test_env.py",
@@ -62,6 +64,7 @@ def bits(python: str) -> dict[str, str]:
 
 def main() -> None:
     """Test both; fail if a test fails or a bit differs from this environment's."""
+    parser_of(None, __doc__).parse_args()
     here, failed = bits(sys.executable), False
     for kind in ("lowest", "newest"):
         python = environment(kind)

@@ -17,6 +17,8 @@ from hashlib import sha256
 from pathlib import Path
 from zipfile import ZIP_DEFLATED, ZipFile
 
+from jackbox_env.commands.common import parser_of
+
 ROOT = Path(__file__).parents[1]
 # Of the C library the code calls fmod, memmove, memset and sincos, which every glibc has; numba's wheels ask for more.
 TAG = "cp{0}{1}-cp{0}{1}-manylinux_2_17_x86_64".format(*sys.version_info)
@@ -26,8 +28,9 @@ def call_all() -> None:
     """Call all that is kept on disk once it is compiled, and so keep it."""
     import numpy as np
 
-    from jackbox_env import Drive, Scene, linearize, make_simulator, rollout
+    from jackbox_env import Drive, Scene, make_simulator, rollout
     from jackbox_env.env import JackInBoxEnv
+    from jackbox_env.planning import linearization
     from jackbox_env.tasks import TASKS
     from jackbox_env.vector_env import JackInBoxVectorEnv
 
@@ -37,14 +40,8 @@ def call_all() -> None:
         envs = JackInBoxVectorEnv(2, contact="exact", task=task, randomize={"jack_mass": (3.0, 5.0)})
         envs.reset()
         envs.step(np.zeros((2, 1)))
-        for count in (1, 2):  # one row is a view of what was given, which numba takes for another kind of array
-            rollout(None, np.zeros(12), np.zeros((count, 2)), 0.02, rewards=task)
-            rollout(None, np.zeros((count, 12)), np.zeros(2), 0.02, rewards=task)
-    derived = linearize(None, np.zeros(12), np.zeros(2), 0.02)
-    for weights in (derived.trajectories, derived.trajectories.copy()):  # can be written, or not
-        derived.vjp(weights)
-    derived.jvp()
-    assert derived.A.shape == (1, 2, 12, 12)
+        rollout(None, np.zeros(12), np.zeros(2), 0.02, rewards=task)
+    linearization.ready()
 
 
 def compiled_code(package: Path, kept: Path) -> None:
@@ -79,6 +76,7 @@ def with_code(pure: Path, kept: Path, made: Path) -> None:
 
 def main() -> None:
     """Build both, or refuse where this is no Linux on x86-64."""
+    parser_of(None, __doc__).parse_args()
     if sysconfig.get_platform() != "linux-x86_64":
         raise SystemExit("compiled code is for Linux on x86-64; for any platform: python -m build --wheel")
     made = ROOT / "dist"

@@ -15,7 +15,7 @@ from jackbox_env import Scene, __version__, make_simulator
 from jackbox_env.batches import exact as batches
 from jackbox_env.commands.common import command_line, extras, parser_of
 from jackbox_env.measure.accuracy import Case, follow
-from jackbox_env.planning import rollouts
+from jackbox_env.planning import linearization, rollouts
 from jackbox_env.simulators import exact
 
 _DT = 0.02  # [s]
@@ -87,6 +87,7 @@ _CHECKS: dict[str, Callable[[], str]] = {
     "exact model, single environments": lambda: _compiled(exact.ready),
     "exact model, batches": lambda: _compiled(batches.ready),
     "exact model, rollouts": lambda: _compiled(rollouts.ready),
+    "exact model, derivatives": lambda: _compiled(linearization.ready),
     "exact model, states": lambda: restores("exact"),
     "exact model, law": obeys_the_law,
     "pymunk, states": lambda: restores("pymunk"),

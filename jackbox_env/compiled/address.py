@@ -34,7 +34,8 @@ def signature(name: str) -> Any:
     if name == "score_step":
         return types.int64(row, row, types.float64, types.float64, row, types.int64)
     flags = types.Array(types.boolean, 1, "C")
-    return types.int64(table, table, table, types.int64, types.int64, row, flags, table)
+    whole = types.int64
+    return whole(table, table, table, row, whole, whole, whole, row, flags, table)
 
 
 CALLED = {block_score: "score_block", step_score: "score_step"}

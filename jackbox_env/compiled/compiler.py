@@ -77,7 +77,7 @@ def returned_by(function: FunctionType) -> Any:
         scene = typeof(Scene().numbers)  # type: ignore[no-untyped-call]
         state = types.UniTuple(types.float64, 12)  # type: ignore[no-untyped-call]
         given = scene, state, types.float64, types.float64
-        defaults, more = function.__defaults__ or (), function.__code__.co_argcount - len(given)
+        defaults, more = dispatcher.py_func.__defaults__ or (), function.__code__.co_argcount - len(given)
         left_out = map(types.Omitted, defaults[len(defaults) - more :] if more > 0 else ())
         dispatcher.compile((*given, *left_out))
         (result,) = dispatcher.overloads.values()
@@ -196,6 +196,7 @@ def _jitted(twin: FunctionType, inner: bool, checked: bool, keep: bool) -> Calla
         return twin if inner else np.errstate(all="ignore")(twin)  # compiled integers wrap around in silence
     # Without the runtime that counts references to arrays: nothing compiled here makes an array, and counting took
     # two thirds of a step.
+    twin.__defaults__ = _apart(twin.__defaults__) if checked else twin.__defaults__
     settings: dict[str, Any] = {"nogil": True, "error_model": "python" if checked else "numpy", "_nrt": False}
     if inner:  # a third of the time to compile goes without ways in from Python
         settings |= {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
@@ -204,6 +205,19 @@ def _jitted(twin: FunctionType, inner: bool, checked: bool, keep: bool) -> Calla
         # where njit(cache=True) puts numba's own
         dispatcher._cache = CodeCache(twin, cache_folders(), shipped_in(PACKAGE))
     return cast(Callable[..., Any], dispatcher)
+
+
+class _Float(float):
+    """A default that numba identifies by its address. It identifies others by their values, and -0.0 equals 0.0."""
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+def _apart(value: Any) -> Any:
+    """A default, or a tuple of them, with its floats as :class:`_Float`."""
+    if isinstance(value, float):
+        return _Float(value)
+    return tuple(map(_apart, value)) if type(value) is tuple else value
 
 
 @cache

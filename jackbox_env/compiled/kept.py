@@ -36,14 +36,26 @@ from jackbox_env.recording import files
 _HEAD = hashlib.sha256().digest_size  # bytes of the checksum, which stands before the code
 SHIPPED_FOR = "x86-64-v3"  # Intel's CPUs from Haswell (2013) on, AMD's from Excavator (2015) on
 _NEEDS = {"+avx2", "+bmi", "+bmi2", "+cx16", "+f16c", "+fma", "+lzcnt", "+movbe", "+popcnt", "+sahf", "+xsave"}
-# What takes long to compile, by its function, and what it is for.
-_LONG = {"step_one": "single environments", "step_blocks": "batches of environments", "roll": "rollouts"}
+# What takes long to compile, by its function: what it is for, and how long that takes.
+_LONG = {
+    "step_one": ("single environments", "half a minute"),
+    "step_blocks": ("batches of environments", "half a minute"),
+    "roll": ("rollouts", "half a minute"),
+    **dict.fromkeys(("mark_smooth", "matrices", "pull_back", "push_forward"), ("derivatives", "15 seconds")),
+}
 
 
 @cache
 def say_once(text: str) -> None:
     """Warn, if this has not been said in this process."""
     warnings.warn(text, stacklevel=3)
+
+
+@cache
+def _announce(purpose: str, time: str) -> None:
+    """Print to standard error that compiling for this purpose begins, once in this process."""
+    said = f"jackbox compiles its exact contact model for {purpose}, once on this machine ({time})"
+    print(said, file=sys.stderr, flush=True)
 
 
 def _checksum(path: Path, code: bytes) -> bytes:
@@ -66,7 +78,7 @@ class CodeCache(NullCache):
     def __init__(self, function: FunctionType, folders: Sequence[Path], shipped: Path) -> None:
         self._name = f"{Path(function.__code__.co_filename).stem}.{function.__name__.strip('<>')}"
         self._version = EXTENSION_SUFFIXES[0], numba.__version__, llvmlite.__version__, function.__qualname__
-        self._folders, self._shipped, self._for = folders, shipped, _LONG.get(function.__name__)
+        self._folders, self._shipped, self._long = folders, shipped, _LONG.get(function.__name__)
 
     def load_overload(self, signature: Any, context: Any) -> Any:
         """Return what was compiled for this signature, or None where it is not kept or cannot be used.
@@ -84,9 +96,8 @@ class CodeCache(NullCache):
                 continue
             except Exception as error:  # whatever it is, compiling anew repairs it
                 say_once(f"compiled code kept in {path.parent} cannot be used ({error}), so it is compiled anew")
-        if self._for is not None:
-            said = f"jackbox compiles its exact contact model for {self._for}, once on this machine (half a minute)"
-            print(said, file=sys.stderr, flush=True)
+        if self._long is not None:
+            _announce(*self._long)
         return None
 
     def save_overload(self, signature: Any, result: Any) -> None:

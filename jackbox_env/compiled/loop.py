@@ -74,7 +74,7 @@ class Results(NamedTuple):
     rewards: Array  # (N,)
     terminations: Flags  # (N,), False before
     truncations: Flags  # (N,)
-    reports: Array  # (N, TERMS + number of terms), or (0, ...) if nobody asks
+    reports: Array  # (N, TERMS + number of terms), 0 before, or (0, ...) if nobody asks
 
 
 def step_blocks(
@@ -129,12 +129,11 @@ def step_blocks(
         worked += looks
         waiting = keep_waiting(block)
         ends = score(
-            played.values, block.after, lanes, first, size, filled.rewards, filled.terminations, filled.reports
-        )
+            played.values, block.after, lanes, block.before[OVER], waiting, first, size, filled.rewards,
+            filled.terminations, filled.reports,
+        )  # fmt: skip
         if ends < 0:
-            bad = first_unusable(block, filled.rewards)
-            if bad >= 0:
-                return Status.BAD_REWARD.value, first + bad, finished
+            return Status.BAD_REWARD.value, first + first_unusable(block, filled.rewards), finished
         finished += close_block(common, block, filled, waiting > 0, ends != 0)
         look_block(played.values, block.after, size, lanes, first, filled.observations)
     return Status.DONE.value, -1, finished
@@ -238,7 +237,6 @@ def close_block(rules: Rules, block: Block, results: Results, waiting: bool, end
     ``ends``: whether the task may have ended some.
     """
     before, after, first, count = block.before, block.after, block.first, block.size
-    rewards, reports = results.rewards, results.reports
     terminations, truncations = results.terminations, results.truncations
     time, steps, over = before[TIME], before[STEPS], before[OVER]
     new_time, new_steps, new_over = after[TIME], after[STEPS], after[OVER]
@@ -259,8 +257,6 @@ def close_block(rules: Rules, block: Block, results: Results, waiting: bool, end
         for k in range(count):
             if over[k] != 0.0:
                 ended -= 1 if new_over[k] != 0.0 else 0
-                rewards[first + k], terminations[first + k], truncations[first + k] = 0.0, False, False
+                truncations[first + k] = False
                 new_time[k], new_steps[k], new_over[k] = time[k], steps[k], over[k]
-                for place in range(reports.shape[1] if reports.shape[0] else 0):
-                    reports[first + k, place] = 0.0
     return ended

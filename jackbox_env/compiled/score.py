@@ -114,10 +114,10 @@ def score_step(values: Array, state: Array, torque: float, impulse: float, rewar
 
 
 def score_block(
-    values: Array, after: Array, lanes: Array, first: int, count: int, rewards: Array, terminations: Flags,
-    reports: Array,
+    values: Array, after: Array, lanes: Array, over: Array, waiting: int, first: int, count: int, rewards: Array,
+    terminations: Flags, reports: Array,
 ) -> int:  # fmt: skip
-    """Reward a step of a block, and report it if asked.
+    """Reward a step of a block, and report it if asked. The task is not evaluated for episodes that wait.
 
     Return how many episodes the task ends, or -1 where a reward is NaN or infinite.
 
@@ -125,6 +125,8 @@ def score_block(
         values: the scenes' numbers, one row for all environments or one for each.
         after: the block after the step.
         lanes: what the step noted, shape (LANES, width).
+        over: not 0 where an episode was over before the step and waits, shape (width,).
+        waiting: number of those.
         first: number of the block's first environment.
         count: number of its environments.
         rewards: of all environments, shape (N,).
@@ -132,8 +134,8 @@ def score_block(
         reports: of all environments, shape (N, TERMS + number of terms), or (0, ...) if nobody asks.
     """
     torque, hits, impulses, unusable = lanes[TORQUE], lanes[HIT], lanes[IMPULSE_SUM], 0
-    ends = 0
-    if values.shape[0] == 1:
+    ends, several = 0, values.shape[0] > 1
+    if not (several or waiting):
         scene = make_numbers(values[0])
         for k in range(count):
             rewards[first + k] = reward_of(task_terms(scene, twelve(after[:, k]), torque[k], impulses[k]))
@@ -143,18 +145,20 @@ def score_block(
                 ends += 1
     else:
         for k in range(count):
-            own = make_numbers(values[first + k])
-            rewards[first + k] = reward_of(task_terms(own, twelve(after[:, k]), torque[k], impulses[k]))
-            if task_over(own, twelve(after[:, k]), torque[k], impulses[k]):
-                terminations[first + k] = True
-                ends += 1
+            rewards[first + k] = 0.0
+            if over[k] == 0.0:
+                own = make_numbers(values[first + k if several else 0])
+                rewards[first + k] = reward_of(task_terms(own, twelve(after[:, k]), torque[k], impulses[k]))
+                if task_over(own, twelve(after[:, k]), torque[k], impulses[k]):
+                    terminations[first + k] = True
+                    ends += 1
     for k in range(count):
         unusable += 0 if abs(rewards[first + k]) < math.inf else 1
-    if reports.shape[0]:
-        for k in range(count):
+    for k in range(count if reports.shape[0] else 0):
+        if over[k] == 0.0:
             report = reports[first + k]
             report[REPORTED_TORQUE], report[REPORTED_HITS], report[REPORTED_IMPULSE] = torque[k], hits[k], impulses[k]
-            own = make_numbers(values[first + k if values.shape[0] > 1 else 0])
+            own = make_numbers(values[first + k if several else 0])
             earned = task_terms(own, twelve(after[:, k]), torque[k], impulses[k])
             for place in range(len(earned)):
                 report[TERMS + place] = earned[place]

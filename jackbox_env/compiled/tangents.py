@@ -55,7 +55,7 @@ FIRST_FIELD = 13  # column
 CLEAR, LEAVING, OUTSIDE, APPROACHING = range(4)  # how feet touch walls
 _ROUNDING = 1e-2  # of the contact tolerance: what rounding leaves of a gap
 _GRAZE = 1e-4  # share of a derivative that may be rounding
-_FEW = 4  # impacts of a step, after which its derivative is looked at
+GROWING = 2, 3, 4, 5, 8, 9, 10, 11  # of a state's numbers; by those of the box's centre: the same, as both move alike
 _LARGEST = 1e10  # of a derivative in the scene's units: rounding, 1e-16 at first, has grown as much
 
 
@@ -289,7 +289,7 @@ def mark_smooth(given: Given, rough: Flags, tangent: Array, workspaces: Workspac
     Args:
         given: the rollout.
         rough: steps that have none, shape (N, H).
-        tangent: to work in, shape (ROWS, 13).
+        tangent: to work in, shape (ROWS, len(GROWING)).
         workspaces: one, to work in.
     """
     played, memory, steps = played_of(given), workspaces[0], rough.shape[1]
@@ -307,27 +307,29 @@ def mark_smooth(given: Given, rough: Flags, tangent: Array, workspaces: Workspac
             for hit in range(first, last if played.smooth[i, k] else first):
                 if grazes(scene, plan, played.hits[hit], memory):
                     played.smooth[i, k] = False
-            if played.smooth[i, k] and last - first > _FEW:
-                fill_identity(tangent, none)
+            if played.smooth[i, k] and last > first:
+                tangent[:] = 0.0
+                for column in range(len(GROWING)):
+                    tangent[GROWING[column], column] = 1.0
                 follow(played, scene, plan, i, k, none, tangent, memory)
                 played.smooth[i, k] = largest_growth(scene, tangent) < _LARGEST
             before = after
 
 
 def largest_growth(scene: SceneNumbers, tangent: Array) -> float:
-    """Largest derivative by the state, with places in units of L, speeds of v0, and rates of v0 / L; NaN if one is."""
-    largest, rate = 0.0, scene.speed_scale / scene.box_half_width
+    """Largest derivative by ``GROWING``, in units of L, v0 and v0 / L; NaN if one is."""
+    largest = 0.0
     for row in range(12):
-        for column in range(12):
-            unit = 1.0
-            for place, sign in ((row, -1), (column, 1)):
-                if place % 3 != 2:
-                    unit *= scene.box_half_width if sign > 0 else 1.0 / scene.box_half_width
-                if place > 5:
-                    unit *= rate if sign > 0 else 1.0 / rate
-            grown = abs(tangent[row, column]) * unit
+        for column in range(len(GROWING)):
+            grown = abs(tangent[row, column]) * unit_of(scene, GROWING[column]) / unit_of(scene, row)
             largest = grown if not grown <= largest else largest
     return largest
+
+
+def unit_of(scene: SceneNumbers, place: int) -> float:
+    """The scene's unit of a number of the state: L, 1 rad, v0 or v0 / L."""
+    length = scene.box_half_width if place % 3 != 2 else 1.0
+    return length if place < 6 else length * scene.speed_scale / scene.box_half_width
 
 
 def follow(

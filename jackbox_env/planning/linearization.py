@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -47,7 +47,7 @@ class Linearization:
         numbers = np.array([scene.numbers for scene in scenes])
         self._given = numbers, kinds, dt, torques, trajectories, tape.rows, begins, self.smooth
         compiled(tangents.mark_smooth)(
-            self._given, tape.rough, np.zeros((tangents.ROWS, tangents.FIRST_FIELD)), new_workspaces()
+            self._given, tape.rough, np.zeros((tangents.ROWS, len(tangents.GROWING))), new_workspaces()
         )
         _lock(self.trajectories, self.smooth)
 
@@ -215,6 +215,15 @@ def linearize(
     return Linearization(scenes, dt, held, kinds, seeds, played.trajectories, tape, num_threads)
 
 
+@cache
+def ready() -> None:
+    """Compile all derivatives, or load them."""
+    found = linearize(None, np.zeros(12), np.zeros(1), 0.02)
+    found.vjp(found.trajectories)
+    found.jvp()
+    _ = found.A
+
+
 def _seeds(scene: Scene, fields: Sequence[str]) -> Array:
     """How each field moves the numbers of ``tangents.FIELDS``, shape (F, 8): a derived inertia follows."""
     if isinstance(fields, str) or not isinstance(fields, Sequence):
@@ -239,8 +248,8 @@ def _lock(*arrays: NDArray[Any]) -> None:
 
 
 def _floats(name: str, given: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """The numbers given, float64 and in one piece."""
-    numbers = np.ascontiguousarray(check.array(name, given, "hold numbers"), dtype=np.float64)
+    """The numbers given, as an array of the one type for which the code is compiled."""
+    numbers = np.require(check.array(name, given, "hold numbers"), np.float64, ("C", "A", "W"))
     if numbers.shape != shape:
         raise ValueError(f"{name} must have shape {shape}, got {numbers.shape}")
     return numbers

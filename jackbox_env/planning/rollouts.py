@@ -282,7 +282,8 @@ def sequences(scenes: list[Scene], several: bool, states: ArrayLike, torques: Ar
     count = counts[0]
     if several and len(scenes) != count:
         raise ValueError(f"scene must be one scene or a list of {count}, as many as rows, got {len(scenes)} of them")
-    starts = np.array(np.broadcast_to(starts, (count, 12)))  # a view that cannot be written is another type for numba
+    # Views that cannot be written and other orders of the axes are other types to numba, which compiles anew for each.
+    starts = np.array(np.broadcast_to(starts, (count, 12)), order="C")
     # The quick check finds that a state is bad, the careful one says why.
     deepest = np.array([deepest_restored(one) for one in scenes])
     if int(compiled(outside)(np.array([one.numbers for one in scenes]), starts, deepest)) >= 0:
@@ -291,7 +292,7 @@ def sequences(scenes: list[Scene], several: bool, states: ArrayLike, torques: Ar
                 as_restored(scenes[number if len(scenes) > 1 else 0], state)
             except (TypeError, ValueError) as error:
                 raise type(error)(f"states[{number}]: {error}") from error
-    return starts, np.array(np.broadcast_to(held, (count, held.shape[-1])))
+    return starts, np.array(np.broadcast_to(held, (count, held.shape[-1])), order="C")
 
 
 def _numbers(name: str, given: ArrayLike) -> Array:

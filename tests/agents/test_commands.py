@@ -27,6 +27,11 @@ from tests.agents.small_run import TINY
 from tests.states import load
 
 ROOT = Path(__file__).parents[2]
+SCRIPTS = {
+    path.relative_to(ROOT / "scripts").with_suffix("").as_posix(): path.read_text(encoding="utf-8")
+    for path in sorted((ROOT / "scripts").rglob("*.py"))
+}
+COMMANDS = [name for name, text in SCRIPTS.items() if "__main__" in text]
 
 
 class Done(NamedTuple):
@@ -215,21 +220,7 @@ def test_the_demo_runs_end_to_end_when_made_small(tmp_path: Path) -> None:
     assert verdict.count("PPO's interval") == verdict.count("above level's") == 2
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["train", "evaluate", "export", "simulate", "play", "demo", "sweep"]
-    + [f"studies/{name}" for name in ("accuracy/benchmark", "readme", "speed/speed", "costs/costs")]
-    + [
-        "studies/fidelity",
-        "studies/results/results",
-        "studies/networks",
-        "studies/scaling/scaling",
-        "studies/value",
-        "studies/distil",
-        "studies/vine",
-        "recipes/run",
-    ],
-)
+@pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_line_explains_itself(name: str, tmp_path: Path) -> None:
     assert "show this help message" in script(name, "--help", cwd=tmp_path).stdout
 

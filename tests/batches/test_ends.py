@@ -11,7 +11,18 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
-from jackbox_env import JackInBoxEnv, JackInBoxVectorEnv, Lookahead, LookaheadVector, Scene, Task, TaskError, rollout
+from jackbox_env import (
+    JackInBoxEnv,
+    JackInBoxVectorEnv,
+    LandingControlVector,
+    Lookahead,
+    LookaheadVector,
+    Scene,
+    Task,
+    TaskError,
+    rollout,
+)
+from jackbox_env.planning.landing_control import Aiming
 from jackbox_env.sb3 import make_sb3_vec_env
 from jackbox_env.sb3_wrappers import HoldingVecEnv, LookaheadVecEnv
 from tests.batches.several import EVERY_MODEL, RANGES, assert_same
@@ -87,6 +98,52 @@ def test_an_end_in_the_last_step_is_no_truncation_to_stable_baselines(contact: s
     stable = make_sb3_vec_env(1, **made)
     stable.reset()
     assert stable.step(np.zeros((1, 1)))[3][0]["TimeLimit.truncated"] is False
+
+
+def dividing(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float]:
+    """What an environment that turns its box clockwise with all its might cannot earn."""
+    return (1e-4 / (torque + 9e4),)
+
+
+def high(scene: Any, state: Any, torque: float, impulse: float) -> bool:
+    return bool(state[4] > 0.0)
+
+
+ENDING = np.zeros((3, 12))
+ENDING[:, 4] = 1.0, -1.0, 1.5  # the first and the last episode end at once
+
+
+@EVERY_MODEL
+@pytest.mark.parametrize("several", [False, True])
+def test_the_reward_of_an_episode_that_waits_is_not_evaluated(several: bool, contact: str) -> None:
+    task, pay = Task(("part",), dividing, high), 1e-4 / 9e4
+    made: dict[str, Any] = {"contact": contact, "task": task, "with_infos": True}
+    scenes = [Scene(jack_mass=mass) for mass in (4.0, 5.0, 6.0)] if several else None
+    batch = JackInBoxVectorEnv(3, scene=scenes, **made)
+    batch.reset(options={"state": ENDING})
+    assert batch.step(np.zeros(3))[2].tolist() == [True, False, True]
+    _, rewards, terminations, _, infos = batch.step(np.array([-1.0, 0.0, -1.0]))
+    assert rewards.tolist() == infos["reward_part"].tolist() == [0.0, pay, 0.0]
+    assert not terminations.any()
+    actions = iter(([0.0, 0.0, 0.0], [-1.0, 0.0, -1.0]))
+    batch.reset(options={"state": ENDING})
+    _, rewards, terminations, _, infos = batch.step(lambda states: next(actions), repeat=2)
+    assert rewards.tolist() == [pay, 2.0 * pay, pay]
+    assert infos["reward_part"].tolist() == [pay, pay, pay]
+    assert terminations.tolist() == [True, False, True]
+
+
+@EVERY_MODEL
+def test_landing_control_does_not_evaluate_the_reward_of_an_episode_that_waits(contact: str) -> None:
+    batch, aims = JackInBoxVectorEnv(3, contact=contact), np.full((3, 2), 0.5)
+    batch.reset(options={"state": ENDING})
+    act = Aiming(batch, 0.04).act(aims)
+    batch.step(act(batch.states))
+    ignored = act(batch.states)[0] * 9e4
+    task = Task(("part",), lambda scene, state, torque, impulse: (1.0 / (torque - ignored),), high)
+    wrapped = LandingControlVector(JackInBoxVectorEnv(3, contact=contact, task=task), period=0.04)
+    wrapped.reset(options={"state": ENDING})
+    assert wrapped.step(aims)[2].tolist() == [True, False, True]
 
 
 # -- actions that are held --------------------------------------------------------------------------------------------

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+import re
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -65,6 +68,33 @@ def test_a_row_without_a_derivative_is_named_or_counts_as_0() -> None:
         assert gradient is not None
         assert (gradient[0] != 0.0).any()
         assert (gradient[1] == 0.0).all()
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_actions_that_the_environment_refuses_are_refused(bad: float) -> None:
+    with pytest.raises(ValueError, match=re.escape(f"actions must be finite numbers (clipped to [-1, 1]), got {bad}")):
+        jackbox_env.torch.step(None, torch.zeros((2, 12)), torch.tensor([0.0, bad]))
+    env = gym.make("JackInBox-v0", contact="exact")
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=re.escape(f"finite number (clipped to [-1, 1]), got {bad}")):
+        env.step(np.array([bad]))
+
+
+def test_what_the_page_names_as_not_supported_raises() -> None:
+    states, shares = torch.rand((3, 12), dtype=torch.float64), torch.full((3,), 0.5, dtype=torch.float64)
+
+    def earned(states: torch.Tensor) -> torch.Tensor:
+        return jackbox_env.torch.step(None, states, shares)[1].sum()
+
+    with pytest.raises(RuntimeError):
+        torch.func.grad(earned)(states)
+    with pytest.raises(RuntimeError):
+        torch.vmap(lambda state, share: jackbox_env.torch.step(None, state[None], share[None])[1])(states, shares)
+    states.requires_grad = True
+    (slope,) = torch.autograd.grad(earned(states), states, create_graph=True)
+    assert (slope != 0.0).any()
+    with pytest.raises(RuntimeError):
+        torch.autograd.grad(slope.sum(), states)
 
 
 def test_shapes_and_kinds() -> None:

@@ -87,7 +87,7 @@ def test_simulate_writes_files_without_plots_and_refuses_to_draw_them(site: Path
 @pytest.mark.slow  # compiles anew
 def test_check_finds_that_it_works_and_which_extras_are_missing(site: Path, tmp_path: Path) -> None:
     out = jackbox(site, tmp_path, "check").stdout
-    assert out.count("ok      ") == 6
+    assert out.count("ok      ") == 7
     assert re.search(r'extra render: not installed; to get it: pip install "pygame-ce>=2.5"', out)
     assert re.search(r'extra train: not installed; to get it: pip install .*"torch', out)
     assert not list(tmp_path.iterdir())

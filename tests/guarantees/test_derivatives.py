@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from jackbox_env import Linearization, Scene, linearize, make_simulator, rollout
 from jackbox_env.compiled import tangents
 from jackbox_env.compiled.compiler import compiled, compiled_with
+from jackbox_env.compiled.rollouts import outside, roll
 from tests.fingerprints import DRIVES
 from tests.states import Array, inside, load, lying
 
@@ -387,6 +388,43 @@ def test_many_impacts_in_one_step_find_room_and_grow_beyond_what_can_be_told() -
     lin = linearize(Scene(drive=None, gravity=500.0), [upright(0.01)] * 2, [[0.0, 0.0]] * 2, 2.0)
     assert len(lin.impacts(0)[0]) > 300
     assert not lin.smooth.any()
+
+
+def test_no_derivative_grows_beyond_what_can_be_told_however_few_the_impacts() -> None:
+    # A jack much smaller than its box spins fast after an impact, so a few impacts multiply an error by 1e10.
+    scene, rng = (
+        Scene(box_half_width=1.0, jack_arm=0.01, jack_mass=1.0, jack_inertia=1e-5, drive=None),
+        np.random.default_rng(0),
+    )
+    lin = linearize(scene, [inside(scene, rng, 10.0) for _ in range(2000)], np.zeros(1), 0.2)
+    hits, smooth = np.array([len(lin.impacts(row)[0]) for row in range(2000)]), lin.smooth[:, 0]
+    unit = np.array([1.0] * 6 + [scene.speed_scale] * 6)  # L is 1 m
+    grown = abs(lin.A[smooth, 0] * unit / unit[:, None]).max(axis=(1, 2))
+    assert 1e9 < grown.max() < 1e10
+    assert (hits[~smooth] <= 4).sum() > 10
+
+
+def test_arrays_of_any_kind_are_one_type_to_the_compiled_code() -> None:
+    states, torques = np.zeros((3, 12)), np.zeros((3, 5))
+    filled = tangents.mark_smooth, tangents.matrices, tangents.pull_back, tangents.push_forward
+    functions: list[Any] = [compiled(function) for function in (roll, outside, *filled)]
+
+    def types(kind: Any) -> list[int]:
+        lin = linearize(None, kind(states), kind(torques), 0.02)
+        lin.vjp(kind(np.ones((3, 6, 12))))
+        lin.jvp(kind(states), kind(torques), kind(np.zeros((3, 0))))
+        assert lin.A.shape == (3, 5, 12, 12)
+        return [len(function.signatures) for function in functions]
+
+    def read_only(array: Array) -> Array:
+        array = array.copy()
+        array.flags.writeable = False
+        return array
+
+    kinds: list[Any] = [np.asfortranarray, lambda array: array[::-1], read_only, lambda array: array.astype(np.float32)]
+    before = types(np.array)
+    for kind in kinds:
+        assert types(kind) == before
 
 
 def test_what_is_done_to_arrays_afterwards_changes_no_derivative() -> None:

@@ -22,7 +22,7 @@ from numba.core.codegen import JITCPUCodegen
 from numba.core.serialize import dumps
 
 import jackbox_env
-from jackbox_env.compiled import compiler, kept
+from jackbox_env.compiled import compiler, kept, tangents
 from jackbox_env.compiled.impacts import quarter
 from jackbox_env.compiled.trigonometry import cos_sin
 
@@ -97,6 +97,16 @@ def test_what_is_compiled_is_said_before_any_bar_and_once(tmp_path: Path) -> Non
     assert re.findall(r"for ([a-z ]+), once", before) == ["rollouts", "batches of environments"]
     assert "compiles" not in bar
     assert "compiles" not in said()
+
+
+def test_compiling_derivatives_is_announced_once(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    kept._announce.cache_clear()
+    context = fresh(quarter).targetctx
+    for function in (tangents.mark_smooth, tangents.matrices, tangents.pull_back, tangents.push_forward):
+        assert kept.CodeCache(function, [place], place).load_overload("numbers", context) is None  # type: ignore[arg-type]
+    assert capsys.readouterr().err.count("for derivatives, once on this machine") == 1
+    assert kept.CodeCache(quarter, [place], place).load_overload("numbers", context) is None  # type: ignore[arg-type]
+    assert capsys.readouterr().err == ""
 
 
 # -- damage -----------------------------------------------------------------------------------------------------------

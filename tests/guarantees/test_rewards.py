@@ -227,11 +227,61 @@ def test_what_cannot_be_compiled_is_refused_at_once_in_one_sentence(values: Any,
         assert "\n" not in str(caught.value)
 
 
+WITHOUT_TORQUE: dict[str, Any] = {
+    "division": lambda scene, state, torque, impulse: (1.0 / torque,),
+    "logarithm": lambda scene, state, torque, impulse: (math.log(torque),),
+    "overflow": lambda scene, state, torque, impulse: (math.exp(1e3 - torque),),
+    "infinite": lambda scene, state, torque, impulse: (math.inf if torque == 0.0 else 1.0,),
+}
+
+
+@EVERY_MODEL
+@pytest.mark.parametrize("case", WITHOUT_TORQUE)
+def test_arithmetic_that_fails_before_the_first_step_is_no_verdict(case: str, contact: str) -> None:
+    values = WITHOUT_TORQUE[case]
+    for make in MAKERS:
+        env = make(contact=contact, task=Task(("part",), values))
+        env.reset(seed=0)
+        (expected,) = values(None, None, Scene().torque_limit, 0.0)
+        np.testing.assert_allclose(env.step(np.ones(env.action_space.shape))[1], expected)
+        seen = env.observation if make is JackInBoxEnv else env.observations
+        assert np.isfinite(seen).all()
+
+
+def test_a_task_is_tried_where_an_episode_may_start() -> None:
+    states = []
+
+    def noting(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float]:
+        states.append(state)
+        return (0.0,)
+
+    env = JackInBoxEnv(task=Task(("nothing",), noting))
+    assert len(states) == 1
+    assert 0.0 < math.hypot(*states[0][3:5]) < math.hypot(1.0, 1.0)
+    env.reset(seed=0)
+    assert states[1] == tuple(env.state)
+
+
+def test_a_reset_that_finds_an_unfit_task_changes_nothing() -> None:
+    task = Task(("a",), lambda scene, state, torque, impulse: (0.0,) if abs(state[3]) <= 1.0 else 0.0)
+    env, right = JackInBoxEnv(task=task), 2.0 * (np.arange(12) == 3)
+    env.reset(seed=0)
+    before = env.state
+    with pytest.raises(TypeError, match="must return a tuple of 1 numbers"):
+        env.reset(options={"state": right})
+    np.testing.assert_array_equal(env.state, before)
+
+
+def divided(scene: Any, state: Any, torque: float, impulse: float) -> bool:
+    """An end that fails without torque, as the terms are tried."""
+    return 1.0 / torque > 0.0
+
+
 @pytest.mark.parametrize("returned", [1.0, (1.0,), (1j, 2j), [1.0, 2.0]])
 def test_what_is_no_tuple_of_numbers_is_refused_where_nothing_is_compiled(returned: Any) -> None:
     for make in MAKERS:
         with pytest.raises(TypeError, match="must return a tuple of 2 numbers, one for each term, got"):
-            make(contact="pymunk", task=Task(("a", "b"), lambda scene, state, torque, impulse: returned))
+            make(contact="pymunk", task=Task(("a", "b"), lambda scene, state, torque, impulse: returned, divided))
 
 
 # -- nobody is paid another's ------------------------------------------------------------------------------------------
@@ -287,8 +337,24 @@ def test_functions_that_differ_only_in_what_they_hold_are_paid_apart() -> None:
         return Task(("paid",), lambda scene, state, torque, impulse: (math.copysign(weight + 1.0, weight),))
 
     assert [paid_now(holding(weight)) for weight in (0.0, -0.0, 2, True)] == [1.0, -1.0, 3.0, 2.0]
-    tasks = [Task(("paid",), lambda scene, state, torque, impulse, by=by: (by,)) for by in (1.0, 2.0)]
-    assert [paid_now(task) for task in tasks] == [1.0, 2.0]
+
+
+def test_functions_that_differ_only_in_a_default_are_paid_apart() -> None:
+    def sign(by: Any) -> Any:
+        return lambda scene, state, torque, impulse, by=by: (math.copysign(1.0 + by, by),)
+
+    def first(by: Any) -> Any:
+        return lambda scene, state, torque, impulse, by=(by, 1): (math.copysign(by[1], by[0]),)
+
+    def helped(by: float) -> Any:
+        def helper(value: float, by: float = by) -> float:
+            return math.copysign(value, by)
+
+        return lambda scene, state, torque, impulse: (helper(1.0),)
+
+    assert [paid_now(Task(("paid",), sign(by))) for by in (0.0, -0.0, 1.0, 2)] == [1.0, -1.0, 2.0, 3.0]
+    for made in (first, helped):
+        assert [paid_now(Task(("paid",), made(by))) for by in (0.0, -0.0)] == [1.0, -1.0]
 
 
 def test_nothing_of_a_users_task_is_kept_on_disk(monkeypatch: pytest.MonkeyPatch) -> None:
