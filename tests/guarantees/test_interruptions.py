@@ -71,6 +71,7 @@ def struck(call: Callable[[], Any], at: int) -> bool:
         return trace
 
     before = sys.gettrace()
+    sys._getframe().f_trace_opcodes = True  # without it Python 3.12 sends no instructions of the first call
     sys.settrace(trace)
     try:
         call()
