@@ -1,13 +1,15 @@
 """What all tests share.
 
 The compiled code is ready before several workers ask for it at once. Sweeps over random cases draw a quarter of them,
-and all under ``--whole``, as ``make test-slow`` runs them.
+and all under ``--whole``, as ``make test-slow`` runs them. A module is skipped if an optional library that it needs is
+missing.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -17,7 +19,32 @@ os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # pictures need no display
 
 import jackbox_env
 
+# What the extras and make test install beyond the package's dependencies, pytest and Hypothesis.
+OPTIONAL = {"imageio", "matplotlib", "mpmath", "pygame", "scipy", "stable_baselines3", "sympy", "torch", "tqdm", "tyro"}
 
+
+class Module(pytest.Module):
+    """A test module that is skipped where a library of ``OPTIONAL`` is missing, and names it."""
+
+    def collect(self) -> Iterable[pytest.Item | pytest.Collector]:
+        """The tests of the module."""
+        try:
+            return super().collect()
+        except self.CollectError as failed:
+            cause: BaseException | None = failed
+            while cause and not (isinstance(cause, ModuleNotFoundError) and cause.name in OPTIONAL):
+                cause = cause.__cause__
+            if cause:
+                pytest.skip(str(cause), allow_module_level=True)
+            raise
+
+
+def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> Module:
+    """Use the class above for every test module."""
+    return Module.from_parent(parent, path=module_path)
+
+
+@pytest.hookimpl(optionalhook=True)
 def pytest_xdist_setupnodes() -> None:
     """Compile what is kept on disk, once, before the workers start."""
     jackbox_env.make_simulator(contact="exact").step(0.02)

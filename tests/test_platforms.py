@@ -1,8 +1,12 @@
-"""What macOS and Windows lack is hidden from a child process: it imports all, locks a folder, trains ten steps."""
+"""What macOS and Windows lack is hidden from a child process: it imports all, locks a folder, trains ten steps.
+
+From another, all that a base install lacks: it collects the tests.
+"""
 
 from __future__ import annotations
 
 import importlib
+import importlib.metadata
 import os
 import pkgutil
 import signal
@@ -12,6 +16,8 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parents[1]
 # Libraries, imported before: they ask for the system by its name.
@@ -114,3 +120,44 @@ def test_every_text_file_names_its_encoding() -> None:
     command = [sys.executable, "-m", "ruff", "check", "--preview", "--select", "PLW1514", "--per-file-ignores", null]
     done = subprocess.run([*command, "jackbox_env", "agents", "scripts"], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout
+
+
+def installed_with(*names: str) -> set[str]:
+    """These distributions and all that they require without extras."""
+    found: set[str] = set()
+    missing = list(names)
+    while missing:
+        name = canonicalize_name(missing.pop())
+        if name not in found:
+            found.add(name)
+            requirements = map(Requirement, importlib.metadata.requires(name) or [])
+            missing += [one.name for one in requirements if not one.marker or one.marker.evaluate({"extra": ""})]
+    return found
+
+
+class Missing:
+    """Finds no library that a base install with pytest and Hypothesis lacks."""
+
+    def __init__(self) -> None:
+        base = installed_with("jackbox", "pytest", "hypothesis")
+        owners = importlib.metadata.packages_distributions().items()
+        self.names = {name for name, owned in owners if base.isdisjoint(map(canonicalize_name, owned))}
+
+    def find_spec(self, name: str, *_: object) -> None:
+        if name in self.names:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+
+def collect() -> int:
+    """Collect all tests as a base install does, also without pytest's plugins."""
+    sys.meta_path.insert(0, Missing())
+    os.environ["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"
+    return pytest.main(["--collect-only", "-q", "-p", "no:cacheprovider", str(ROOT / "tests")])
+
+
+def test_every_test_module_is_collected_in_a_base_install() -> None:
+    code = "import tests.test_platforms as here; raise SystemExit(here.collect())"
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
+    assert "tests/guarantees/test_bits.py::" in done.stdout
+    assert "tests/batches/test_torch.py::" not in done.stdout  # the libraries were hidden

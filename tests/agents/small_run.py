@@ -8,7 +8,6 @@ import pytest
 
 from agents.runs import describe
 from agents.settings import TrainSettings
-from agents.training import ppo as training
 from jackbox_env.recording.files import new_folder
 
 # Seconds instead of minutes: an update every 64 steps of 4 environments.
@@ -31,6 +30,8 @@ TINY = TrainSettings(
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A finished run of training."""
+    from agents.training import ppo as training  # conftest.py imports this module where PyTorch is missing too
+
     folder = new_folder(tmp_path_factory.mktemp("runs") / "run", "test")
     describe(folder, TINY)
     training.train(TINY, folder, progress=False)

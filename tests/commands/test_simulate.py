@@ -25,6 +25,7 @@ def run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, *arguments: str) -> Non
 
 
 def test_ctrl_c_leaves_no_folder_and_says_so(tmp_path: Path) -> None:
+    pytest.importorskip("tqdm")  # shows the progress that is awaited
     command = [sys.executable, "-m", "jackbox_env", "simulate", "--seconds", "1e5"]
     at_work = subprocess.Popen(
         command, cwd=tmp_path, stderr=subprocess.PIPE, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)

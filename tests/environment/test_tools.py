@@ -69,6 +69,7 @@ def test_the_chirp_passes_vector_environments_and_action_wrappers() -> None:
 )  # moviepy leaves its pipe to the collector
 def test_record_video_writes_a_film_one_can_read(tmp_path: Path) -> None:
     pytest.importorskip("moviepy")
+    pytest.importorskip("pygame")
     imageio = pytest.importorskip("imageio.v3")
     from gymnasium.wrappers import RecordVideo
 
@@ -86,6 +87,7 @@ def test_record_video_writes_a_film_one_can_read(tmp_path: Path) -> None:
 
 
 def test_human_mode_needs_no_render_calls_and_no_mode_no_picture() -> None:
+    pytest.importorskip("pygame")
     env = gym.make("JackInBox-v0", render_mode="human", control_dt=0.005)
     env.reset(seed=0)
     for _ in range(3):
@@ -145,8 +147,7 @@ def test_a_missing_extra_says_how_to_get_it_from_a_checkout() -> None:
 
 def played(presses: list[tuple[float, int, int]], seconds: float, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """Play without a display; each press is (after seconds, event type, key). Return (action, info) per step."""
-    import pygame
-
+    pygame = pytest.importorskip("pygame")
     backend = pytest.importorskip("matplotlib")
     monkeypatch.setattr(backend, "use", lambda *arguments, **settings: None)  # play asks for a Tk window at import
     from gymnasium.utils.play import play
@@ -171,8 +172,7 @@ def played(presses: list[tuple[float, int, int]], seconds: float, monkeypatch: p
 
 
 def test_play_drives_by_the_chirp_until_an_arrow_key_pushes(monkeypatch: pytest.MonkeyPatch) -> None:
-    import pygame
-
+    pygame = pytest.importorskip("pygame")
     seen = played([(0.4, pygame.KEYDOWN, pygame.K_LEFT), (0.8, pygame.KEYUP, pygame.K_LEFT)], 1.2, monkeypatch)
     actions = [None if action is None else float(action[0]) for action, _ in seen]
     assert actions[0] is None

@@ -1,8 +1,9 @@
-"""The same bits on every x86-64 CPU: this machine against itself as an older one.
+"""The same bits on other machines: this one against itself as an older one, newer Pythons and an emulated ARM.
 
 Four settings take from a process what newer CPUs have: NumPy's and OpenBLAS's instructions, numba's, and the fused
 multiply-add of the C library's sine and cosine. The default run takes all at once. ``JACKBOX_MACHINES=all`` takes them
-one by one as well.
+one by one as well, and runs the newer Pythons on ``PATH`` and a Debian for ARM. ARM needs root, and Debian's packages
+debootstrap and qemu-user-static. QEMU's own emulation of a process needs no chroot and no registered binary format.
 """
 
 from __future__ import annotations
@@ -11,9 +12,12 @@ import importlib
 import json
 import os
 import platform
+import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import mpmath as mp
 import numpy as np
@@ -28,6 +32,9 @@ from tests.fingerprints import Digests, fingerprints
 ROOT = Path(__file__).parents[2]
 
 x86 = pytest.mark.skipif(platform.machine().lower() not in ("x86_64", "amd64"), reason="settings for x86-64 CPUs")
+on_request = pytest.mark.skipif(
+    os.environ.get("JACKBOX_MACHINES") != "all", reason="JACKBOX_MACHINES=all takes minutes"
+)
 
 
 def numpy_features() -> str:
@@ -62,16 +69,18 @@ OLDEST = OLD_BLAS | PLAIN_NUMPY | PLAIN_NUMBA | WITHOUT_FMA
 SAME_LIBRARY = OLD_BLAS | PLAIN_NUMPY | PLAIN_NUMBA
 
 
-def start(kinds: list[str], settings: dict[str, str]) -> subprocess.Popen[str]:
+def start(kinds: list[str], settings: dict[str, str], python: tuple[str, ...]) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        [sys.executable, "-m", "tests.fingerprints", *kinds],
+        [*python, "-m", "tests.fingerprints", *kinds],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT, env={**os.environ, **settings},
     )  # fmt: skip
 
 
-def differing(kinds: list[str], settings: dict[str, str]) -> tuple[list[str], Digests]:
-    """Names of the digests in which this process and one with ``settings`` differ; all of this process's."""
-    other = start(kinds, settings)
+def differing(
+    kinds: list[str], settings: dict[str, str], python: tuple[str, ...] = (sys.executable,)
+) -> tuple[list[str], Digests]:
+    """Names of the digests in which this process and one of ``python`` with ``settings`` differ; this process's."""
+    other = start(kinds, settings, python)
     here = fingerprints(kinds)
     printed, failed = other.communicate()
     assert other.returncode == 0, failed
@@ -114,7 +123,7 @@ def test_the_settings_make_other_machines() -> None:
 
 
 @x86
-@pytest.mark.skipif(os.environ.get("JACKBOX_MACHINES") != "all", reason="JACKBOX_MACHINES=all takes minutes")
+@on_request
 @pytest.mark.parametrize("machine", MACHINES)
 def test_each_setting_alone_leaves_the_bits(machine: str) -> None:
     if machine == "OpenBLAS as on Skylake" and "avx512f" not in flags():
@@ -122,6 +131,57 @@ def test_each_setting_alone_leaves_the_bits(machine: str) -> None:
     kinds = ["exact", "scenes"] if machine == "C library without FMA" else ["exact", "scenes", "pymunk"]
     differ, _ = differing(kinds, MACHINES[machine])
     assert differ == []
+
+
+# -- newer Pythons and ARM --------------------------------------------------------------------------------------------
+
+PINNED = ["--quiet", "--constraint", str(ROOT / "constraints.txt"), str(ROOT)]
+
+
+@pytest.fixture
+def folder() -> Iterator[Path]:
+    """A folder in runs: temporary folders often allow no device files, without which debootstrap refuses."""
+    (ROOT / "runs").mkdir(exist_ok=True)
+    with TemporaryDirectory(dir=ROOT / "runs") as made:
+        yield Path(made)
+
+
+def assert_same(kinds: list[str], settings: dict[str, str], *python: str) -> None:
+    """The digests are equal to those here, and the installation works."""
+    differ, _ = differing(kinds, settings, python)
+    assert differ == []
+    subprocess.run([*python, "-m", "jackbox_env", "check"], cwd=ROOT, env={**os.environ, **settings}, check=True)
+
+
+@on_request
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("version", ["3.12", "3.13", "3.14"])
+def test_other_pythons_give_the_same_bits(version: str, folder: Path) -> None:
+    command = [f"python{version}", "-m", "venv", str(folder)]
+    if not shutil.which(command[0]) or subprocess.run(command, check=False).returncode != 0:
+        pytest.skip(f"no python{version} on PATH makes virtual environments")
+    python = str(folder / "bin" / "python")
+    subprocess.run([python, "-m", "pip", "install", *PINNED], check=True)
+    assert_same(["exact", "scenes", "pymunk"], {"NUMBA_CACHE_DIR": str(folder / "kept")}, python)
+
+
+@on_request
+@pytest.mark.timeout(5400)
+def test_an_emulated_arm_gives_the_same_bits(folder: Path) -> None:
+    missing = [name for name in ("debootstrap", "dpkg-deb", "qemu-aarch64-static") if not shutil.which(name)]
+    if missing or os.geteuid() != 0:
+        pytest.skip(f"an emulated ARM needs {', '.join(missing) or 'root'}, which is missing here")
+    debian = ["--arch=arm64", "--foreign", "--variant=minbase", "--include=python3", "bookworm", str(folder)]
+    subprocess.run(["debootstrap", *debian], check=True)
+    for package in folder.glob("var/cache/apt/archives/*.deb"):
+        subprocess.run(["dpkg-deb", "--extract", package, folder], check=True)
+    packages = str(folder / "packages")
+    wheels = [f"--platform=manylinux_2_{minor}_aarch64" for minor in range(17, 37)]  # for glibc 2.36, bookworm's
+    target = ["--target", packages, "--python-version=3.11", "--only-binary=:all:", *wheels]
+    subprocess.run([sys.executable, "-m", "pip", "install", *target, *PINNED], check=True)
+    kinds = ["exact", "scenes", "pymunk"] if platform.libc_ver() == ("glibc", "2.36") else ["exact", "scenes"]
+    settings = {"NUMBA_CACHE_DIR": str(folder / "kept"), "PYTHONPATH": packages}
+    assert_same(kinds, settings, "qemu-aarch64-static", "-L", str(folder), str(folder / "usr" / "bin" / "python3"))
 
 
 # -- numbers that were the C library's or BLAS's ----------------------------------------------------------------------

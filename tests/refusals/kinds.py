@@ -107,7 +107,7 @@ THINGS: dict[str, Any] = {
     "complex": 1.0 + 2.0j,
     "true": True,
     "numpy_bool": np.bool_(True),
-    "datetime": np.datetime64("NaT"),
+    "datetime": np.datetime64("NaT", "s"),
 }
 LISTS: dict[str, Any] = {"list": [1.0], "ragged": [[1.0], [1.0, 2.0]], "array": np.zeros((2, 2)), "set": {1.0}}
 
