@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from types import FunctionType
 from typing import Any, Protocol, cast
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,8 @@ from jackbox_env.states import Array
 from jackbox_env.tasks import TASKS, Task, TaskError, checked_reward, checked_terms
 
 Scored = tuple[NDArray[np.float32], Sequence[float], bool]
+# What has been compiled for each user's task, as long as the task lives.
+_compiled: WeakKeyDictionary[Task, dict[Callable[..., Any], Callable[..., Any]]] = WeakKeyDictionary()
 _ARITHMETIC = ArithmeticError, ValueError  # math.log(0.0) raises a ValueError
 
 
@@ -125,7 +128,7 @@ def bad_reward(task: Task, simulator: Simulator, where: str) -> TaskError:
 
 
 def compiled_for(task: Task, function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function of ``compiled.score``, compiled with the task's own as they are now.
+    """A function of ``compiled.score``, compiled once for each Task, with the task's functions as they are then.
 
     Raises:
         TypeError: a function of the task cannot be compiled, or does not return what it should.
@@ -134,9 +137,12 @@ def compiled_for(task: Task, function: Callable[..., Any]) -> Callable[..., Any]
 
     if task in TASKS.values():
         return compiled(function, task_terms=task.values)
-    _refuse_unfit(task)
-    ends = {} if task.over is None else {"task_over": task.over}
-    return compiled_for_users(function, task_terms=task.values, **ends)
+    made = _compiled.setdefault(task, {})
+    if function not in made:
+        _refuse_unfit(task)
+        ends = {} if task.over is None else {"task_over": task.over}
+        made[function] = compiled_for_users(function, task_terms=task.values, **ends)
+    return made[function]
 
 
 def _refuse_unfit(task: Task) -> None:

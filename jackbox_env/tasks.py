@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from numbers import Real
 from types import FunctionType
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,7 +29,8 @@ class TaskError(RuntimeError):
     """A task's reward is NaN or infinite."""
 
 
-class Task(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Task:
     """What is asked: the names of the reward's terms, the function that gives their values, ends and starts.
 
     A task of your own goes wherever the name of one does::
@@ -40,8 +42,8 @@ class Task(NamedTuple):
         env = gym.make("JackInBox-v0", contact="exact", task=jackbox_env.Task(("lift",), lift))
 
     Under ``contact="exact"`` ``values`` and ``over`` are compiled, together with the plain functions that they call. So
-    they must be plain arithmetic on numbers, with ``math`` and without numpy. An environment keeps what they read,
-    globals for example, as it was when the environment was made; a new environment reads it anew. ``/``, ``//`` and
+    they must be plain arithmetic on numbers, with ``math`` and without numpy. That happens once for each Task, when it
+    is first used. A function that reads other values later, globals for example, needs a new Task. ``/``, ``//`` and
     ``%`` by zero raise ZeroDivisionError with every contact model. Powers and ``math`` out of their range give NaN or
     an infinity under ``"exact"``, where Python raises an error. A reward that is NaN or infinite raises
     :class:`TaskError`, and the step has not happened.
@@ -66,6 +68,13 @@ class Task(NamedTuple):
     values: Callable[[SceneNumbers, Numbers, float, float], tuple[float, ...]]
     over: Callable[[SceneNumbers, Numbers, float, float], bool] | None = None
     start: Callable[[Scene, np.random.Generator], ArrayLike] | None = None
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Task:
+        return self  # so that copies of an environment share what is compiled
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        name = next((name for name, task in TASKS.items() if task is self), None)
+        return (task_of, (name,)) if name else (Task, (self.terms, self.values, self.over, self.start))
 
 
 EFFORT_COST = 0.01  # of a step at the torque limit, in knocks
@@ -185,7 +194,7 @@ def task_of(given: str | Task, argument: str = "task") -> Task:
     if not isinstance(given, Task):
         listed = ", ".join(repr(name) for name in TASKS)
         raise TypeError(f"{argument} must be one of {listed}, or a jackbox_env.Task, got {check.shown(given)}")
-    terms, values, over, start = given
+    terms, values, over, start = given.terms, given.values, given.over, given.start
     listed = list(terms) if isinstance(terms, Sequence) and not isinstance(terms, str) else []
     if not listed or not all(isinstance(name, str) and name for name in listed) or len({*listed}) < len(listed):
         raise ValueError(f"a task's terms must be a tuple of different names, got {check.shown(terms)}")
@@ -195,7 +204,7 @@ def task_of(given: str | Task, argument: str = "task") -> Task:
         raise TypeError(f"a task's over must be a plain Python function or None, got {check.shown(over)}")
     if not (start is None or callable(start)):
         raise TypeError(f"a task's start must be a function of scene and rng, or None, got {check.shown(start)}")
-    return Task(tuple(listed), values, over, start)
+    return given if isinstance(terms, tuple) else Task(tuple(listed), values, over, start)
 
 
 def checked_terms(task: Task, values: object) -> tuple[float, ...]:

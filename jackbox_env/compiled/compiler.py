@@ -1,15 +1,15 @@
 """Plain functions, compiled by numba together with the plain functions that they call.
 
 The functions stay plain Python where they are written: readable, importable without numba, and testable without it.
-
-What is compiled is found by its content, in this process and on disk: the code, constants, defaults, closure and
-globals of a function, and those of all functions that it calls. Names, modules and files do not count.
+What is compiled of this package is kept on disk for later processes (``kept.py``); what is compiled for a task of a
+user's, or with a substitution for a comparison, lives as long as its process needs it.
 """
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
+import itertools
 import os
 import shutil
 import sys
@@ -17,7 +17,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
-from types import CellType, CodeType, FunctionType, ModuleType, NoneType
+from types import CellType, CodeType, FunctionType, ModuleType
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -26,13 +26,12 @@ from jackbox_env.compiled import address
 from jackbox_env.scene import Scene
 
 PACKAGE = Path(__file__).parents[1]
-_OWN = "jackbox_env"
 F = TypeVar("F", bound=Callable[..., Any])
 _LOCK = threading.RLock()  # a function is compiled once, whichever threads ask for it
-_NOT_READ = {"numba", "numpy", *sys.stdlib_module_names}  # numba knows what these do, or refuses it
-_PLAIN = (bool, int, float, complex, str, bytes, NoneType)
-_KEPT = 8  # folders of compiled code that are kept, one for each version of the source
-_made: dict[str, Callable[..., Any]] = {}  # all that is compiled, by names that tell the content
+_NOT_READ = {"numba", "numpy", *sys.stdlib_module_names}  # numba knows these functions, or refuses them
+_MOST_FOLDERS = 8  # of compiled code, one for each version of the source
+_shared: dict[str, Callable[..., Any]] = {}  # compiled functions that no substitution reaches, by their names
+_numbers = itertools.count()
 
 
 def compiled(function: F, **instead: Callable[..., Any]) -> F:
@@ -42,10 +41,10 @@ def compiled(function: F, **instead: Callable[..., Any]) -> F:
     infinity.
 
     Args:
-        function: a plain function of this package. A process reads it once.
+        function: a plain function of this package.
         **instead: functions of this package to call in place of those of these names.
     """
-    return cast(F, _compile(cast(FunctionType, function), tuple(instead.items()), True))
+    return cast(F, _compiled_once(function, tuple(sorted(instead.items())), True))
 
 
 def compiled_with(function: F, **instead: Any) -> F:
@@ -53,7 +52,7 @@ def compiled_with(function: F, **instead: Any) -> F:
 
     Not kept on disk.
     """
-    return cast(F, _compile(cast(FunctionType, function), tuple(instead.items()), False))
+    return cast(F, _compiled_once(function, tuple(sorted(instead.items())), False))
 
 
 def compiled_for_users(function: F, **instead: Callable[..., Any]) -> F:
@@ -61,7 +60,8 @@ def compiled_for_users(function: F, **instead: Callable[..., Any]) -> F:
 
     A division by zero raises ZeroDivisionError in them, as in Python. Not kept on disk.
     """
-    return cast(F, _compile(cast(FunctionType, function), tuple(instead.items()), False, users=True))
+    with _LOCK:
+        return cast(F, _Compilation(instead, str(next(_numbers)), users=True).compiled(function, False, inner=False)[0])
 
 
 def returned_by(function: FunctionType) -> Any:
@@ -73,118 +73,91 @@ def returned_by(function: FunctionType) -> Any:
     from numba import typeof, types
 
     with _LOCK:
-        dispatcher: Any = _Reading(False, users=True).compiled(function, None)[0]
+        dispatcher: Any = _Compilation({}, str(next(_numbers)), users=True).compiled(function, True)[0]
         scene = typeof(Scene().numbers)  # type: ignore[no-untyped-call]
         state = types.UniTuple(types.float64, 12)  # type: ignore[no-untyped-call]
-        given = scene, state, types.float64, types.float64
-        defaults, more = dispatcher.py_func.__defaults__ or (), function.__code__.co_argcount - len(given)
+        arguments = scene, state, types.float64, types.float64
+        defaults, more = dispatcher.py_func.__defaults__ or (), function.__code__.co_argcount - len(arguments)
         left_out = map(types.Omitted, defaults[len(defaults) - more :] if more > 0 else ())
-        dispatcher.compile((*given, *left_out))
+        dispatcher.compile((*arguments, *left_out))
         (result,) = dispatcher.overloads.values()
         return result.signature.return_type
 
 
-def _compile(
-    function: FunctionType, instead: tuple[tuple[str, Any], ...], keep: bool, users: bool = False
-) -> Callable[..., Any]:
+def _compiled_once(function: Callable[..., Any], instead: tuple[tuple[str, Any], ...], keep: bool) -> Any:
     with _LOCK:
-        return (_compile_now if users else _compile_once)(function, instead, keep, users)
+        return _compiled_now(function, instead, keep)
 
 
-def _compile_now(
-    function: FunctionType, instead: tuple[tuple[str, Any], ...], keep: bool, users: bool = False
-) -> Callable[..., Any]:
-    return cast(Callable[..., Any], _Reading(keep, users).compiled(function, dict(instead), inner=False)[0])
+@cache
+def _compiled_now(function: Any, instead: tuple[tuple[str, Any], ...], keep: bool) -> Any:
+    label = ", ".join(f"{name}={_name(by)}" for name, by in instead) if keep else str(next(_numbers))
+    return _Compilation(dict(instead), label, keep).compiled(function, False, inner=False)[0]
 
 
-_compile_once = cache(_compile_now)
+class _Compilation:
+    """Compiles a function with some functions or constants of other names in place of its globals.
 
+    Numba makes symbols of the functions' names, and finds machine code by its symbol. So each name is unique: that of
+    the function in this package, with the ``label`` if a substitution reaches it or it is a user's.
 
-class _Reading:
-    """Reads a function and all that it uses, as they are at this moment, and compiles what is new.
-
-    For each thing that is read there is what stands for it in compiled code, and a text that nothing else has. The text
-    of a function is its name there. Numba makes symbols of these names, and finds machine code by its symbol. So a
-    process that loads what several others have kept does not take one function for another.
+    Args:
+        instead: what to use in place of globals of these names.
+        label: unique for these substitutions.
+        keep: whether to keep the code on disk.
+        users: whether functions in ``instead`` are a user's.
     """
 
-    def __init__(self, keep: bool, users: bool) -> None:
-        self._keep, self._users = keep, users
-        self._read: dict[Any, tuple[Any, str]] = {}  # also what is being read: numba refuses it where it uses itself
+    def __init__(self, instead: Mapping[str, Any], label: str, keep: bool = False, users: bool = False) -> None:
+        self._instead, self._label, self._keep, self._users = instead, label, keep, users
+        self._made: dict[tuple[Any, bool], tuple[Any, bool]] = {}  # compiled, and whether a substitution reaches it
 
-    def compiled(
-        self, function: FunctionType, instead: Mapping[str, Any] | None, inner: bool = True
-    ) -> tuple[Any, str]:
-        """A function compiled, and its name.
+    def compiled(self, function: Any, own: bool, inner: bool = True) -> tuple[Any, bool]:
+        """A function compiled, and whether a substitution reaches it.
 
         Args:
             function: to be compiled.
-            instead: what this function and those it calls use in place of their globals of these names. None: this one
-                is in another's place, and uses its own.
+            own: whether it is in another's place, and so uses its own globals.
             inner: whether only compiled code calls it.
         """
-        place = function, instead is None
-        if place not in self._read:
-            self._read[place] = function, "itself"
-            code, defaults = function.__code__, function.__defaults__ or ()
-            used = self._used(_names(code), function.__globals__, instead)
-            cells = [self._taken(cell.cell_contents, (), instead) for cell in function.__closure__ or ()]
-            texts = [text for _, text in (*cells, *(self._taken(value, (), instead) for value in defaults))]
-            checked = self._users and instead is None
-            whole = repr((_told(code), [(name, used[name][1]) for name in used], len(cells), texts, inner, checked))
-            name = f"{function.__qualname__}[{hashlib.sha256(whole.encode()).hexdigest()[:32]}]"
-            if name not in _made:
-                known, closure = {name: used[name][0] for name in used}, tuple(CellType(value) for value, _ in cells)
-                twin = FunctionType(code, known, function.__name__, function.__defaults__, closure)
+        if (function, own) not in self._made:
+            self._made[function, own] = function, False  # numba refuses a function that calls itself
+            checked = self._users and own
+            known, reached = self._globals(_names(function.__code__), function.__globals__, own)
+            cells = [self._value(cell.cell_contents, (), own)[0] for cell in function.__closure__ or ()]
+            apart = reached or checked or bool(cells)
+            name = f"{_name(function)}{'' if inner else '()'}{f'[{self._label}]' if apart else ''}"
+            if apart or name not in _shared:
+                closure = tuple(map(CellType, cells))
+                twin = FunctionType(function.__code__, known, function.__name__, function.__defaults__, closure)
                 twin.__qualname__, twin.__module__, twin.__doc__ = name, function.__module__, function.__doc__
-                _made[name] = _jitted(twin, inner, checked, self._keep and not inner)
-            self._read[place] = _made[name], name
-        return self._read[place]
+                made = _jitted(twin, inner, checked, self._keep and not inner)
+                if not apart:
+                    _shared[name] = made
+            self._made[function, own] = made if apart else _shared[name], reached
+        return self._made[function, own]
 
-    def _used(
-        self, names: tuple[str, ...], known: Mapping[str, Any], instead: Mapping[str, Any] | None
-    ) -> dict[str, tuple[Any, str]]:
-        """What code that uses these names finds under them."""
-        given = instead or {}
-        return {
-            name: self._taken(given[name], names, None) if name in given else self._taken(known[name], names, instead)
-            for name in names
-            if name in given or name in known
-        }
+    def _globals(self, names: tuple[str, ...], known: Mapping[str, Any], own: bool) -> tuple[dict[str, Any], bool]:
+        """The globals of code that uses these names, and whether a substitution reaches any."""
+        instead = {} if own else self._instead
+        found = {name: self._value(known[name], names, own) for name in names if name in known and name not in instead}
+        used = {name: self._value(instead[name], names, True)[0] for name in names if name in instead}
+        return {name: value for name, (value, _) in found.items()} | used, bool(used) or any(
+            r for _, r in found.values()
+        )
 
-    def _taken(self, value: Any, names: tuple[str, ...], instead: Mapping[str, Any] | None) -> tuple[Any, str]:
-        """What stands in compiled code for something that a function uses, and its text."""
+    def _value(self, value: Any, names: tuple[str, ...], own: bool) -> tuple[Any, bool]:
+        """What stands in compiled code for a value that a function uses, and whether a substitution reaches it."""
         if isinstance(value, FunctionType) and value in address.CALLED:
-            return address.compiled_call(value), address.CALLED[value]
+            return address.compiled_call(value), False
         if isinstance(value, FunctionType) and _root(value.__globals__) not in _NOT_READ:
-            return self.compiled(value, instead)
-        if isinstance(value, ModuleType):
-            return self._module(value, names, instead)
-        if isinstance(value, tuple):
-            parts = value if type(value) is tuple else (type(value), *value)
-            return value, repr([self._taken(part, names, instead)[1] for part in parts])
-        if isinstance(value, np.ndarray | np.generic) and not value.dtype.hasobject:
-            digest = hashlib.sha256(value.tobytes()).hexdigest()
-            return value.copy(), f"{type(value)} {value.dtype} {value.shape} {digest}"
-        if type(value) in _PLAIN:
-            return value, repr(value)
-        if isinstance(value, type) and _is_ours(value):
-            return value, f"{value.__module__}.{value.__qualname__}"  # the folder tells the version of the package
-        self._keep = False
-        return value, f"at {id(value)}"  # it stays there, because the compiled function holds it
-
-    def _module(self, module: ModuleType, names: tuple[str, ...], instead: Mapping[str, Any] | None) -> tuple[Any, str]:
-        """A module of the user's with what a function that uses these names may use of it; others as they are."""
-        if _root(vars(module)) in _NOT_READ:
-            return module, module.__name__
-        place = module, names, instead is None
-        if place not in self._read:
-            self._read[place] = module, "itself"
-            used = self._used(names, vars(module), instead)
-            twin = ModuleType(module.__name__)
-            vars(twin).update({name: value for name, (value, _) in used.items()})
-            self._read[place] = twin, repr([(name, text) for name, (_, text) in used.items()])
-        return self._read[place]
+            return self.compiled(value, own)
+        if isinstance(value, ModuleType) and _root(vars(value)) not in _NOT_READ:
+            twin = ModuleType(value.__name__)
+            known, reached = self._globals(names, vars(value), own)
+            vars(twin).update(known)
+            return twin, reached
+        return value, False
 
 
 def _jitted(twin: FunctionType, inner: bool, checked: bool, keep: bool) -> Callable[..., Any]:
@@ -227,19 +200,8 @@ def _names(code: CodeType) -> tuple[str, ...]:
     return tuple(sorted({*code.co_names, *(name for names in inner for name in names)}))
 
 
-@cache
-def _told(code: CodeType) -> str:
-    """All of a code that counts: not its file and lines."""
-    constants = [_told(one) if isinstance(one, CodeType) else repr(one) for one in code.co_consts]
-    counts = code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags
-    variables = code.co_varnames, code.co_cellvars, code.co_freevars
-    return repr((code.co_code, code.co_exceptiontable, code.co_names, variables, counts, constants))
-
-
-def _is_ours(kind: type) -> bool:
-    """Whether a class is what stands under its name in this package."""
-    home = vars(sys.modules.get(kind.__module__, ModuleType("")))
-    return _root(home) == _OWN and home.get(kind.__qualname__) is kind
+def _name(function: Callable[..., Any]) -> str:
+    return f"{function.__module__}.{function.__qualname__}"
 
 
 def _root(named: Mapping[str, Any]) -> str:
@@ -273,7 +235,7 @@ def _cache_places() -> Iterator[Path]:
 def _tidy(place: Path) -> None:
     """Remove code that was compiled from old versions of the source."""
     with contextlib.suppress(OSError):  # another process may be tidying too
-        for old in sorted(place.glob("compiled-*"), key=lambda folder: folder.stat().st_mtime)[:-_KEPT]:
+        for old in sorted(place.glob("compiled-*"), key=lambda folder: folder.stat().st_mtime)[:-_MOST_FOLDERS]:
             shutil.rmtree(old, ignore_errors=True)
 
 

@@ -24,7 +24,7 @@ from numba.core.serialize import dumps
 import jackbox_env
 from jackbox_env.compiled import compiler, kept, tangents
 from jackbox_env.compiled.impacts import quarter
-from jackbox_env.compiled.trigonometry import cos_sin
+from jackbox_env.compiled.trigonometry import cos_sin, cos_sin_within
 
 TURN = (0.8, 0.6, 1), (-0.6, 0.8)  # what ``quarter`` is given and returns
 
@@ -41,9 +41,8 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def fresh(function: Callable[..., Any]) -> Any:
     """``function`` compiled as in a process that has not compiled it yet."""
-    assert isinstance(function, FunctionType)
-    with patch.dict(compiler._made, clear=True):
-        return compiler._compile_now(function, (), True)
+    with patch.dict(compiler._shared, clear=True):
+        return compiler._compiled_now.__wrapped__(function, (), True)
 
 
 def turned() -> int:
@@ -167,15 +166,14 @@ def test_damaged_code_is_compiled_anew_and_replaced_and_one_warning_names_the_fo
 
 
 def test_another_functions_code_is_damage_and_would_run_without_the_checksum(place: Path) -> None:
-    halves, quarters = scaling(0.5), scaling(0.25)
-    assert (fresh(halves)(4.0), fresh(quarters)(4.0)) == (2.0, 1.0)
+    fresh(cos_sin)(1.0), fresh(cos_sin_within)(1.0)
     one, other = files(place)
     content = read(other)
     shutil.copy(other, one)
     with pytest.warns(UserWarning, match="damaged"):
-        assert (fresh(halves)(4.0), fresh(quarters)(4.0)) == (2.0, 1.0)
+        fresh(cos_sin)(1.0), fresh(cos_sin_within)(1.0)
     write(one, content)
-    assert fresh(halves)(4.0) == fresh(quarters)(4.0)
+    assert fresh(cos_sin)(1e15) == fresh(cos_sin_within)(1e15) != cos_sin(1e15)
 
 
 # -- writing fails ----------------------------------------------------------------------------------------------------
@@ -194,29 +192,6 @@ def test_a_folder_that_can_no_longer_be_written_is_named_once(
     assert len(said) == 1
     assert str(place) in str(said[0].message)
     assert not list(place.glob("*/*"))
-
-
-def test_a_folder_removed_while_the_process_runs_is_made_again(place: Path) -> None:
-    made = fresh(quarter)
-    shutil.rmtree(place)
-    assert made(*TURN[0]) == TURN[1]
-    assert turned() == 1
-
-
-@pytest.mark.slow
-def test_processes_that_compile_at_once_do_not_disturb_each_other(place: Path) -> None:
-    # Two kinds of processor among them, as where the folder lies on a network.
-    code = (
-        "from jackbox_env.compiled.compiler import compiled; from jackbox_env.compiled.impacts import quarter\n"
-        f"assert compiled(quarter)(*{TURN[0]}) == {TURN[1]}"
-    )
-    started = [
-        subprocess.Popen([sys.executable, "-W", "error", "-c", code], env={**os.environ, **more})
-        for more in ({}, {}, {"NUMBA_CPU_NAME": "generic"})
-    ]
-    assert [process.wait() for process in started] == [0, 0, 0]
-    assert len(list(place.glob("compiled-*/*"))) == len(files(place)) == 2
-    assert turned() == 1
 
 
 # -- which folder -----------------------------------------------------------------------------------------------------
@@ -288,13 +263,6 @@ def test_shipped_code_is_loaded_where_nothing_is_kept(
     assert len(list(place.glob("*.kept"))) == folders
 
 
-def test_code_compiled_here_comes_first(shipped: Path, place: Path) -> None:
-    cut(shipped)
-    with pytest.warns(UserWarning, match=f"{shipped.parent} cannot be used"):
-        assert turned() == 0
-    assert turned() == 1
-
-
 @pytest.mark.parametrize(
     ("owner", "name", "other"),
     [
@@ -313,25 +281,7 @@ def test_shipped_code_that_does_not_fit_is_not_loaded(
     assert turned() == 0
 
 
-# -- found by content -------------------------------------------------------------------------------------------------
-
-
-def scaling(by: float) -> FunctionType:
-    def scaled(x: float) -> float:
-        return by * x
-
-    return scaled  # type: ignore[return-value]
-
-
-def test_functions_that_differ_in_anything_do_not_share_code(place: Path) -> None:
-    made = []
-    for by, more in ((2.0, 0.0), (3.0, 0.0), (3.0, 1.0)):  # another global, and another function that is called
-        read: dict[str, Any] = {"__name__": "scaling"}
-        exec(f"BY = {by}\ndef more(x):\n    return x + {more}\ndef scaled(x):\n    return more(BY * x)\n", read)
-        made.append(fresh(read["scaled"]))
-    made += [fresh(scaling(by)) for by in (5.0, 6.0, 5.0)]  # held in a closure
-    assert [scaled(1.0) for scaled in made] == [2.0, 3.0, 4.0, 5.0, 6.0, 5.0]
-    assert [sum(scaled.stats.cache_hits.values()) for scaled in made] == [0, 0, 0, 0, 0, 1]
+# -- named by its source ----------------------------------------------------------------------------------------------
 
 
 def test_a_change_in_any_source_of_the_package_is_seen(tmp_path: Path) -> None:

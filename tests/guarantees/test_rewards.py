@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import copy
 import functools
+import gc
 import math
 import os
 import shutil
 import subprocess
 import sys
+import weakref
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -16,8 +19,8 @@ import numpy as np
 import pytest
 
 import jackbox_env
-from jackbox_env import JackInBoxEnv, JackInBoxVectorEnv, Scene, Task
-from jackbox_env.compiled import kept
+from jackbox_env import JackInBoxEnv, JackInBoxVectorEnv, Scene, Task, scoring
+from jackbox_env.compiled import compiler, kept
 from jackbox_env.compiled.compiler import cache_folders
 from jackbox_env.scene import SceneNumbers
 from jackbox_env.scoring import CompiledScore, PlainScore
@@ -314,22 +317,30 @@ def reading(scene: Any, state: Any, torque: float, impulse: float, more: float =
     return (WEIGHT + TABLE[0] + PAIR[0] + inner(1.0) + module.weight,)
 
 
-def test_a_new_environment_sees_every_change_of_what_the_function_reads(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_environments_of_one_task_share_what_is_compiled_and_a_new_task_sees_every_change(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     here, task = sys.modules[__name__], Task(("paid",), reading)
     assert paid_now(task) == 111111.0
-    old = {"weight": JackInBoxEnv(contact="exact", task=task, randomize={"jack_mass": (3.0, 5.0)})}
     changes: list[tuple[Any, str, Any]] = [
         (here, "WEIGHT", 2.0), (here, "TABLE", np.array([20.0, 20.0])), (here, "PAIR", (200.0, 1.0)),
         (here, "helper", lambda value: 2000.0 * value), (reading, "__defaults__", (20000.0,)), (module, "weight", 2e5),
     ]  # fmt: skip
     for number, change in enumerate(changes):
         monkeypatch.setattr(*change)
-        assert paid_now(task) == float("111111"[: 5 - number] + "222222"[: number + 1])
-    TABLE[0] = 30.0  # in place
-    monkeypatch.setattr(reading, "__code__", (lambda scene, state, torque, impulse: (TABLE[0] + 7.0,)).__code__)
-    assert paid_now(task) == 37.0
-    old["weight"].reset()  # draws another scene
-    assert old["weight"].step(0.0)[1] == 111111.0
+        assert paid_now(Task(("paid",), reading)) == float("111111"[: 5 - number] + "222222"[: number + 1])
+    monkeypatch.setattr(compiler, "compiled_for_users", lambda *_, **__: pytest.fail("compiled again"))
+    assert paid_now(copy.deepcopy(task)) == 111111.0
+
+
+def test_what_is_compiled_for_a_task_is_freed_with_it() -> None:
+    task = Task(("paid",), lambda scene, state, torque, impulse: (1.0,))
+    assert paid_now(task) == 1.0
+    alive, before = weakref.ref(task), len(scoring._compiled)
+    del task
+    gc.collect()
+    assert alive() is None
+    assert len(scoring._compiled) < before
 
 
 def test_functions_that_differ_only_in_what_they_hold_are_paid_apart() -> None:
