@@ -35,6 +35,7 @@ def test_it_names_its_commands_and_refuses_another(tmp_path: Path) -> None:
 
 
 def test_it_names_itself_in_the_command_to_go_on_with(tmp_path: Path) -> None:
+    pytest.importorskip("stable_baselines3")
     settings = "--num-envs 4 --rollout-steps 64 --batch-size 64 --total-steps 256 --eval-episodes 2 --no-progress"
     out = jackbox("train", "--folder", "run", *settings.split(), cwd=tmp_path).stdout
     assert "  jackbox evaluate --task juggle --policy zero run\n" in out

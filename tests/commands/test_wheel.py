@@ -25,6 +25,7 @@ PYMUNK = "--fidelity", "balanced"  # which compiles nothing
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The wheel for any platform, installed."""
+    pytest.importorskip("build")
     built = tmp_path_factory.mktemp("wheel")
     build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(built), str(ROOT)]
     subprocess.run(build, capture_output=True, check=True)  # hatchling is among the packages here
