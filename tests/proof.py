@@ -45,6 +45,7 @@ class Impact(NamedTuple):
     wall: int
     foot: int
     impulse: arb  # [N s]
+    rate: arb  # of the gap before it [m/s]
 
 
 class Proof(NamedTuple):
@@ -146,11 +147,11 @@ class Motion:
             for one in rows
         ]
         pushes = complementary(yielding, [(1 + arb(scene.restitution)) * rate for rate in rates])
-        for row, push, (wall, foot) in zip(rows, pushes, pairs, strict=True):
+        for row, rate, push, (wall, foot) in zip(rows, rates, pushes, pairs, strict=True):
             if push > 0:
-                self.impacts.append(Impact(time, wall, foot, push))
+                self.impacts.append(Impact(time, wall, foot, push, rate))
                 kicks = [j * push / mass for j, mass in zip(row, masses, strict=True)]
-                state = state[:6] + [rate + kick for rate, kick in zip(state[6:], kicks, strict=True)]
+                state = state[:6] + [old + kick for old, kick in zip(state[6:], kicks, strict=True)]
         if scene.restitution == 0.0:
             raise UndecidedError("an impact without restitution", final=True)
         return self.known(state)
