@@ -224,11 +224,14 @@ def chirp_turn(chirp: Chirp, inertia: arb, start: arb) -> Turn:
     if chirp.rate < 0.0:  # sin(2 pi (f0 t + k t^2 / 2)) is odd in (f0, k)
         size, f0, k = -size, -f0, -k
     integrals = fresnel_integrals(f0, k) if chirp.rate else sine_integrals(f0)
-    twice_before, once_before = integrals(start)
+    with ctx.extraprec(32):  # their difference is smaller than they are
+        twice_before, once_before = integrals(start)
 
     def gain(s: arb) -> tuple[arb, arb]:
-        twice, once = integrals(start + s)
-        return size * (twice - twice_before - once_before * s), size * (once - once_before)
+        with ctx.extraprec(32):
+            twice, once = integrals(start + s)
+            twice, once = twice - twice_before - once_before * s, once - once_before
+        return size * twice, size * once
 
     def acceleration(s: arb) -> arb:
         t = start + s
@@ -375,7 +378,7 @@ class Flight:
 
         None if it is after ``until``.
         """
-        if start == 0 and not all(form.gap > 0 for form in self.forms(start, pairs).values()):
+        if not all(form.gap > 0 for form in self.forms(start, pairs).values()):
             raise UndecidedError("a foot that approaches from within a wall")
         roots = {pair: self.root(pair, start.union(stop)) for pair in pairs}
         last = min(root.upper() for root in roots.values())
