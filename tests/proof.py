@@ -18,9 +18,9 @@ Order: the first impact is proven if its root's enclosure ends before any other 
 Law: M (qdot+ - qdot-) = J^T lambda with 0 <= lambda _|_ J qdot+ + e J qdot- >= 0, for all feet whose gap is
     proven to be at most ``together`` at the first root. The active set is proven by strict inequalities.
 
-Where a comparison of balls is undecided, all is repeated with twice the bits, then given up with a reason. Out of reach
-are exact tangency, rest, bounces that pile up, impacts without restitution, impacts at the very end of a step, corners
-with four dependent contacts, feet that start inside a wall and approach it, and drives of functions.
+If a comparison of balls is undecided, all is repeated with twice the bits, in the end given up with a reason. Out of
+reach are exact tangency, rest, bounces that pile up, impacts without restitution, impacts at the very end of a step,
+corners with four dependent contacts, feet that start inside a wall and approach it, and drives of functions.
 """
 
 from __future__ import annotations
@@ -111,15 +111,13 @@ class Motion:
 
     def step(self, torque: float | None, dt: arb) -> None:
         """Enclose a step of ``dt`` [s] under a held torque [N m] or the drive: flights and impacts in turn."""
-        state, since = self.states[-1], arb(0)
-        while True:
-            flight = Flight(self.scene, state, turn_of(self.scene, torque, self.time + since))
-            found = flight.first_impact(dt - since)
-            if found is None:
-                break
+        since = arb(0)
+        flight = Flight(self.scene, self.states[-1], turn_of(self.scene, torque, self.time, since))
+        while found := flight.first_impact(dt - since):
             root, pairs = found
             since += root
             state = self.strike(flight.state_at(root), self.touching(flight, root, pairs), self.time + since)
+            flight = Flight(self.scene, state, turn_of(self.scene, torque, self.time, since))
         self.states.append(self.known(flight.state_at(dt - since)))
         self.time += dt
 
@@ -162,9 +160,8 @@ class Motion:
 
 def gradient(scene: Scene, state: list[arb], wall: int, foot: int) -> list[arb]:
     """J = d gap / d q, shape (6,), of gap = L - n . (r + o)."""
-    toe = arb(scene.jack_arm)
     n_x, n_y = quarter_turns(state[2].cos(), state[2].sin(), wall)
-    o_x, o_y = quarter_turns(toe * state[5].cos(), toe * state[5].sin(), foot)
+    o_x, o_y = quarter_turns(scene.jack_arm * state[5].cos(), scene.jack_arm * state[5].sin(), foot)
     p_x, p_y = state[3] - state[0] + o_x, state[4] - state[1] + o_y
     # With the box's angle n turns by n^perp = (-n_y, n_x), with the jack's o turns by o^perp = (-o_y, o_x).
     return [n_x, n_y, n_y * p_x - n_x * p_y, -n_x, -n_y, n_x * o_y - n_y * o_x]
@@ -208,36 +205,43 @@ class Turn(NamedTuple):
     acceleration: Callable[[arb], arb]  # [rad/s^2]
 
 
-def turn_of(scene: Scene, torque: float | None, start: arb) -> Turn:
-    """The box's rotation by a held torque [N m], or by the scene's drive, in a flight from ``start`` [s]."""
+def turn_of(scene: Scene, torque: float | None, start: arb, since: arb) -> Turn:
+    """The box's rotation by a held torque [N m] or by the drive, in a flight from ``since`` [s] after ``start`` [s]."""
     if isinstance(scene.drive, Drive) and (torque is None or scene.drive.force_bound > 0.0):
         raise UndecidedError("a drive of functions", final=True)
     if torque is None and isinstance(scene.drive, Chirp):
-        return chirp_turn(scene.drive, arb(scene.box_inertia), start)
+        return chirp_turn(scene.drive, arb(scene.box_inertia), start, since)
     alpha = arb(torque or 0.0) / scene.box_inertia
     return Turn(lambda s: (alpha * s * s / 2, alpha * s), lambda s: alpha)
 
 
-def chirp_turn(chirp: Chirp, inertia: arb, start: arb) -> Turn:
-    """The rotation by a chirp: a difference of closed integrals."""
+def chirp_turn(chirp: Chirp, inertia: arb, start: arb, since: arb) -> Turn:
+    """The rotation by a chirp: differences of closed integrals, as Taylor forms in the time after an exact start."""
     size, f0, k = arb(chirp.amplitude) / inertia, arb(chirp.start_frequency), arb(chirp.rate)
     if chirp.rate < 0.0:  # sin(2 pi (f0 t + k t^2 / 2)) is odd in (f0, k)
         size, f0, k = -size, -f0, -k
-    integrals = fresnel_integrals(f0, k) if chirp.rate else sine_integrals(f0)
-    with ctx.extraprec(32):  # their difference is smaller than they are
-        twice_before, once_before = integrals(start)
+    with ctx.extraprec(32):  # the differences are small
+        integrals = fresnel_integrals(f0, k) if chirp.rate else sine_integrals(f0)
+        twice_start, once_start = integrals(start)
 
-    def gain(s: arb) -> tuple[arb, arb]:
+    def acceleration(u: arb) -> arb:
+        return size * ((2 * f0 + k * (start + u)) * (start + u)).sin_pi()
+
+    def gain(u: arb) -> tuple[arb, arb]:
+        middle = u.mid()
         with ctx.extraprec(32):
-            twice, once = integrals(start + s)
-            twice, once = twice - twice_before - once_before * s, once - once_before
-        return size * twice, size * once
+            twice, once = integrals(start + middle)
+            angle, rate = twice - twice_start - once_start * middle, once - once_start
+        angle, rate, rest, alpha = size * angle, size * rate, u - middle, acceleration(u)
+        return angle + rate * rest + alpha * rest * rest / 2, rate + alpha * rest
 
-    def acceleration(s: arb) -> arb:
-        t = start + s
-        return size * ((2 * f0 + k * t) * t).sin_pi()
+    angle_since, rate_since = gain(since)
 
-    return Turn(gain, acceleration)
+    def gain_since(s: arb) -> tuple[arb, arb]:
+        angle, rate = gain(since + s)
+        return angle - angle_since - rate_since * s, rate - rate_since
+
+    return Turn(gain_since, lambda s: acceleration(since + s))
 
 
 def fresnel_integrals(f0: arb, k: arb) -> Callable[[arb], tuple[arb, arb]]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import copy
 import math
 from collections.abc import Callable
 from fractions import Fraction
@@ -22,7 +21,7 @@ from tests import proof, proving
 from tests.proof import prove
 from tests.proving import Case, Seen, Tally, simulated
 from tests.simulators.exact_runs import plain_step
-from tests.states import lying, load
+from tests.states import load, lying
 
 RECORDS = [*load("exact_trajectories"), *load("loss_trajectories"), *load("seed_scene")]
 
@@ -48,7 +47,7 @@ def in_decimals(record: dict[str, Any]) -> Scene:
 
 def assert_contained(ball: arb, rounded: float) -> None:
     """A ball contains a number of which the nearest float64 is known."""
-    assert arb(rounded, math.ulp(rounded)).contains(ball), (ball, rounded)
+    assert arb(rounded, 0.5 * math.ulp(rounded)).contains(ball), (ball, rounded)
 
 
 @pytest.mark.parametrize("record", RECORDS, ids=lambda record: record["name"])
@@ -90,7 +89,7 @@ def judged(steps: list[tuple[Case, Seen]]) -> Tally:
         tally.enter(case, seen)
     assert tally.proven == len(steps) > 0
     assert not tally.grazes
-    assert not tally.at_limit
+    assert not tally.ties
     return tally
 
 
@@ -139,7 +138,7 @@ REASONS: dict[str, tuple[Scene, Any, float]] = {
     "a tangency or rest": (STILL, SLIDING, 0.5),
     "an impact without restitution": (STILL.changed(restitution=0.0), ARRIVING, 1.0),
     "a drive of functions": (Scene(drive=Drive(torque=math.sin)), ARRIVING, 0.5),
-    "a foot that approaches from within a wall": (Scene(drive=None), lying(), 0.5),
+    "a foot that approaches from within a wall": (STILL, [0, 0, 0, 5.001, *ARRIVING[4:]], 0.5),
 }
 
 
@@ -154,7 +153,7 @@ def test_two_feet_that_strike_at_once_are_decided_by_what_counts_as_together() -
     # A jack that turns with nothing and falls on two feet, as float64 has 45 degrees: one is 1e-16 m lower.
     state = lying()
     state[4] += 0.5
-    apart, together = (prove(Scene(drive=None), state, [0.0], 0.5, together=within) for within in (0.0, 1e-13))
+    apart, together = (prove(Scene(drive=None), state.tolist(), [0.0], 0.5, together=within) for within in (0.0, 1e-13))
     assert apart.decided
     assert together.decided
     assert [hit.time.overlaps(together.impacts[0].time) for hit in together.impacts] == [True, True]
@@ -163,7 +162,7 @@ def test_two_feet_that_strike_at_once_are_decided_by_what_counts_as_together() -
 
 
 def test_balls_wider_than_the_radius_take_more_bits() -> None:
-    record = next(record for record in RECORDS if record["name"] == "chirp-2")
+    record = next(record for record in RECORDS if record["name"] == "chirp-e0.6")
     scene, steps = Scene(), [None] * 250
     found = {
         radius: prove(scene, record["q"] + record["qdot"], steps, 0.02, radius=radius, most_bits=most)
