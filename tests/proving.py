@@ -6,8 +6,8 @@ with these. ``--quick`` does a twentieth, and only prints. One seed gives one ta
 A step is refuted if float64 has other impacts, another order, a first impact whose foot is farther than twice
 ``CLOSE`` from its wall at that time, or a last state too far off. Balls of radius r at a precision of ``bits`` would
 have about r 2^(bits - 52) at float64's precision; more than ``FAR`` times that is too far. Counted instead are grazes,
-where a foot bounces that only comes nearer than ``CLOSE``, and ties, where a second foot is nearer
-than twice ``CLOSE`` at the first impact.
+where a foot bounces that only comes nearer than ``CLOSE``, and ties, where a second foot is nearer than twice ``CLOSE``
+at the first impact.
 """
 
 from __future__ import annotations

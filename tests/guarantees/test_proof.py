@@ -18,10 +18,10 @@ from jackbox_env.compiled import bounds, search
 from jackbox_env.scene import Chirp, Drive, Scene
 from jackbox_env.simulators import Impact
 from tests import proof, proving
-from tests.proof import prove
+from tests.proof import EVERY_PAIR, Flight, prove, turn_of
 from tests.proving import Case, Seen, Tally, simulated
 from tests.simulators.exact_runs import plain_step
-from tests.states import load, lying
+from tests.states import inside, load, lying
 
 RECORDS = [*load("exact_trajectories"), *load("loss_trajectories"), *load("seed_scene")]
 
@@ -64,6 +64,27 @@ def test_the_60_digit_references_lie_inside_their_enclosures(record: dict[str, A
     for known in record["states"]:
         for ball, number in zip(proven.states[round(known["time"] / 0.02)], known["state"], strict=True):
             assert_contained(ball, number)
+
+
+@pytest.mark.parametrize("chirp", [False, True])
+def test_taylor_forms_contain_the_gaps_and_rates_within_their_interval(chirp: bool) -> None:
+    rng, tightest = np.random.default_rng(3), math.inf
+    with ctx.workprec(128):
+        for _ in range(100):
+            state = [arb(number) for number in inside(Scene(), rng).tolist()]
+            flight = Flight(
+                Scene(), state, turn_of(Scene(), None if chirp else 9e4, arb(0), arb(rng.uniform(0.0, 0.1)))
+            )
+            start, length = rng.uniform(0.0, 0.5), 10.0 ** rng.uniform(-6.0, -0.5)
+            forms = flight.forms(arb(start).union(arb(start + length)), EVERY_PAIR)
+            points = [flight.forms(arb(start + share * length), EVERY_PAIR) for share in (0.0, 0.2, 0.5, 0.8, 1.0)]
+            for pair, form in forms.items():
+                assert all(
+                    form.gap.contains(point[pair].gap) and form.rate.contains(point[pair].rate) for point in points
+                )
+                spread = abs(points[0][pair].rate - points[-1][pair].rate)
+                tightest = min(tightest, float(form.rate.rad() / spread.upper()))
+    assert tightest < 0.6  # half at best
 
 
 def test_the_proof_shares_only_the_scene_with_what_it_proves() -> None:
@@ -162,11 +183,10 @@ def test_two_feet_that_strike_at_once_are_decided_by_what_counts_as_together() -
 
 
 def test_balls_wider_than_the_radius_take_more_bits() -> None:
-    record = next(record for record in RECORDS if record["name"] == "chirp-e0.6")
-    scene, steps = Scene(), [None] * 250
+    start = next(record["q"] + record["qdot"] for record in RECORDS if record["name"] == "chirp-2")
     found = {
-        radius: prove(scene, record["q"] + record["qdot"], steps, 0.02, radius=radius, most_bits=most)
-        for radius, most in ((1e-3, 128), (1e-20, 4096), (1e-200, 256))
+        radius: prove(Scene(), start, [None] * 250, 0.02, radius=radius, most_bits=most)
+        for radius, most in ((1e-10, 4096), (1e-50, 4096), (1e-200, 256))
     }
     assert [(one.decided, one.bits) for one in found.values()] == [(True, 128), (True, 256), (False, 256)]
     assert found[1e-200].why == "more impacts than the bits follow"
