@@ -154,20 +154,29 @@ def test_a_search_with_a_tenth_of_its_bound_is_refuted(monkeypatch: pytest.Monke
 STILL = Scene(gravity=0.0, drive=None)
 SLIDING = [0, 0, 0, 5.0, 0, 0, 0, 0, 0, 0, 1.0, 0]  # a foot that touches a wall and neither approaches nor leaves
 ARRIVING = [0, 0, 0, 4.5, 0, 0, 0, 0, 0, 1.0, 0, 0]  # a foot half a metre from a wall
-REASONS: dict[str, tuple[Scene, Any, float]] = {
-    "an impact at a step's very end": (STILL, ARRIVING, 0.5),
-    "a tangency or rest": (STILL, SLIDING, 0.5),
-    "an impact without restitution": (STILL.changed(restitution=0.0), ARRIVING, 1.0),
-    "a drive of functions": (Scene(drive=Drive(torque=math.sin)), ARRIVING, 0.5),
-    "a foot that approaches from within a wall": (STILL, [0, 0, 0, 5.001, *ARRIVING[4:]], 0.5),
-}
+CORNERED = [0, 0, 0, 4.5, 4.5, 0, 0, 0, 0, 3.0, 3.0, 0]  # two feet, each half a metre from a wall
+REASONS: list[tuple[str, Scene, Any, float]] = [
+    ("an impact at a step's very end", STILL, ARRIVING, 0.5),
+    ("an impact at a step's very end", STILL, ARRIVING, 10.5),  # the second: across the box at 1 m/s
+    ("a tangency or rest", STILL, SLIDING, 0.5),
+    ("feet at the limit of striking together", STILL, CORNERED, 0.2),
+    ("an impact without restitution", STILL.changed(restitution=0.0), ARRIVING, 1.0),
+    ("a drive of functions", Scene(drive=Drive(torque=math.sin)), ARRIVING, 0.5),
+    ("a foot that approaches from within a wall", STILL, [0, 0, 0, 5.001, *ARRIVING[4:]], 0.5),
+]
 
 
-@pytest.mark.parametrize("reason", REASONS)
-def test_what_is_out_of_reach_has_its_reason(reason: str) -> None:
-    scene, state, dt = REASONS[reason]
+@pytest.mark.parametrize(("reason", "scene", "state", "dt"), REASONS)
+def test_what_is_out_of_reach_has_its_reason(reason: str, scene: Scene, state: Any, dt: float) -> None:
     found = prove(scene, state, [None], dt, most_bits=256)
     assert (found.decided, found.why) == (False, reason)
+
+
+def test_feet_that_strike_at_exactly_the_same_time_strike_together() -> None:
+    found = prove(STILL, CORNERED, [None], 0.2, together=1e-13)
+    assert found.decided
+    assert [(hit.wall, hit.foot) for hit in found.impacts] == [(0, 0), (1, 1)]
+    assert all(hit.time.overlaps(arb(1) / 6) for hit in found.impacts)
 
 
 def test_two_feet_that_strike_at_once_are_decided_by_what_counts_as_together() -> None:
