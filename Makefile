@@ -13,7 +13,7 @@ UNDER_OLD_GYMNASIUM := $(addprefix tests/,environment/test_env.py environment/te
 	environment/test_tools.py batches/test_vector_env.py batches/test_episodes.py \
 	guarantees/test_bits.py refusals/test_refusals.py)
 
-.PHONY: demo test test-all test-slow benchmark benchmark-quick throughput speed costs derivatives soak extremes machines kills mutants fidelity results networks scaling readme docs recipes wheel dataset ranges clean
+.PHONY: demo test test-all test-slow benchmark benchmark-quick throughput speed costs derivatives prove prove-quick soak extremes machines kills mutants fidelity results networks scaling readme docs recipes wheel dataset ranges clean
 .DELETE_ON_ERROR:
 
 demo: .venv/usable
@@ -56,6 +56,14 @@ costs: .venv/ready
 # What derivatives are good for: iLQR, a bounce that repeats, Lyapunov exponents; half a minute.
 derivatives: .venv/ready
 	@$(BIN)/python scripts/studies/derivatives/derivatives.py
+
+# Each step of many motions proven by interval arithmetic, the table of docs/trust.md, some 5 minutes; quick: in small,
+# only printed.
+prove: .venv/ready
+	@OMP_NUM_THREADS=1 $(BIN)/python -m tests.proving $(PROVE)
+
+prove-quick: .venv/ready
+	@OMP_NUM_THREADS=1 $(BIN)/python -m tests.proving --quick
 
 # Random cases for hours, others in each round of some 40 minutes, until an invariant does not hold.
 soak: .venv/ready
