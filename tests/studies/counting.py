@@ -60,7 +60,7 @@ def uncompiled() -> Iterator[None]:
         return FunctionType(function.__code__, {**function.__globals__, **dict(instead)}) if instead else function
 
     before = _compiled._compiled_once
-    _compiled._compiled_once = plain
+    _compiled._compiled_once = plain  # type: ignore[assignment]
     try:
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # compiled generators wrap around
             yield
