@@ -300,7 +300,6 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         """The scene of the next episode."""
         if changes is not None and not isinstance(changes, Mapping):
             raise TypeError(f"options['scene'] must be a dict of the scene's fields, got {check.shown(changes)}")
-        check.names("options['scene']", changes or {})
         if self._randomize is None:
             return self.scene if changes is None else self._own.changed(**changes)
         drawn = self._randomize.draw(self._own, generator)

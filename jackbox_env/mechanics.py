@@ -165,7 +165,7 @@ def simultaneous_impact_map(scene: Scene, state: ArrayLike, contacts: Sequence[t
     before = as_state(state)
     try:
         listed = list(contacts)
-    except Exception as error:
+    except TypeError as error:
         raise TypeError(f"contacts must be a list of (wall, foot) pairs, got {check.shown(contacts)}") from error
     pairs = [_pair(contact) for contact in listed]
     if len(set(pairs)) < len(pairs):
@@ -191,7 +191,7 @@ def simultaneous_impact_map(scene: Scene, state: ArrayLike, contacts: Sequence[t
 def _pair(contact: tuple[int, int]) -> tuple[int, int]:
     try:
         wall, foot = contact
-    except Exception as error:
+    except (TypeError, ValueError) as error:
         raise TypeError(f"a contact must be a pair (wall, foot), got {check.shown(contact)}") from error
     return check.whole("wall", wall, at_least=0, at_most=3), check.whole("foot", foot, at_least=0, at_most=3)
 

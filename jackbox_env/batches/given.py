@@ -44,11 +44,9 @@ class Given:
 
     def mask(self, name: str, given: Any) -> Flags:
         """Which environments, bool, shape (N,): a copy."""
-        if check.masked(given):
-            raise ValueError(f"{name} must be an array of bool, none of them masked, got {check.shown(given)}")
         try:
             mask = np.asarray(given)
-        except Exception as error:
+        except ValueError as error:  # a ragged list
             raise TypeError(f"{name} must be an array of bool, got {check.shown(given)}") from error
         if mask.dtype != np.bool_:
             raise TypeError(f"{name} must be an array of bool, got {check.shown(given)}")
@@ -108,7 +106,6 @@ class Given:
     def changes(self, given: Any, chosen: Flags) -> list[Change]:
         """Fields of the scene that change, for each of the ``chosen`` environments."""
         if isinstance(given, Mapping):
-            check.names("options['scene']", given)
             return [given] * int(chosen.sum())
         several = isinstance(given, Sequence) and not isinstance(given, str)
         if not several or len(given) != self.num_envs or not all(isinstance(one, Mapping | None) for one in given):
@@ -116,7 +113,4 @@ class Given:
                 f"options['scene'] must be a dict of the scene's fields or a list of {self.num_envs}, "
                 f"got {check.shown(given)}"
             )
-        changes: list[Change] = [given[number] or {} for number in np.flatnonzero(chosen).tolist()]
-        for change in changes:
-            check.names("options['scene']", change)
-        return changes
+        return [given[number] or {} for number in np.flatnonzero(chosen).tolist()]

@@ -168,7 +168,7 @@ def _starts(scenes: list[Scene], states: Sequence[ArrayLike] | None) -> list[Arr
         return None
     try:
         listed = list(states)
-    except Exception as error:
+    except TypeError as error:
         raise TypeError(f"states must be a list of starts, got {check.shown(states)}") from error
     if not listed:
         raise ValueError("states must hold at least one start, got none")

@@ -20,14 +20,5 @@ def test_a_card_holds_what_was_measured(folder: Path) -> None:
     yaml: Any = pytest.importorskip("yaml")
     page = (folder / "README.md").read_text()
     assert page == card(folder, RECORD), "python scripts/cards.py"
-    head = yaml.safe_load(page.split("---\n")[1])
-    assert head["library_name"] == "jackbox"
-    assert folder.name.split("-")[0] in head["tags"]
-    task, policy = folder.name.replace("value", "planner").split("-")
-    rows = [row for row in RECORD["rows"] if (row["task"], row["policy"]) == (task, policy)]
-    (model,) = head["model-index"]
-    values = [result["metrics"][0]["value"] for result in model["results"]]
-    assert values == [round(row["mean"], 1) for row in rows]
-    assert len(values) == 2  # exact and pymunk
-    for row in rows:
-        assert f"{row['mean']:.1f} ± {row['mean'] - row['interval_95'][0]:.1f} | {row['episodes']} |" in page
+    (model,) = yaml.safe_load(page.split("---\n")[1])["model-index"]
+    assert len(model["results"]) == 2  # exact and pymunk

@@ -215,10 +215,7 @@ def test_the_accuracy_chart_tells_of_the_point_under_the_pointer(browser: Any) -
         opened.page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
         setting, error = texts.all_text_contents()
         told[setting] = error
-    assert (
-        told["pymunk, 4 substeps: 513 µs of computing"] == "2.5 ms late, at worst 4.9 ms"
-    )  # docs/accuracy/results.csv
-    assert len(told) == 20
+    assert len(told) == opened.page.locator("[id^=ring]").count() > 1
     opened.page.mouse.move(2, 2)
     assert texts.all_text_contents() == usual
     assert opened.complaints == []

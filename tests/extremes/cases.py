@@ -1,8 +1,8 @@
-"""All cases, in the order of the page."""
+"""All cases."""
 
 from __future__ import annotations
 
-from tests.extremes import impacts, long_runs, motion, numbers, rest, starts
+from tests.extremes import contacts, long_runs, motion
 from tests.extremes.page import CASES
 
-__all__ = ["CASES", "impacts", "long_runs", "motion", "numbers", "rest", "starts"]
+__all__ = ["CASES", "contacts", "long_runs", "motion"]

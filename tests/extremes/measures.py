@@ -2,40 +2,27 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from itertools import groupby
+from typing import NamedTuple
 
 import numpy as np
 
-from jackbox_env.compiled.step import make_numbers
 from jackbox_env.mechanics import energy, simultaneous_impact_map
 from jackbox_env.scene import Scene
-from jackbox_env.simulators import Impact, Simulator, make_simulator
+from jackbox_env.simulators import Simulator, make_simulator
 from jackbox_env.states import clearance
-from tests.extremes.page import Bound, Finding, within
+from tests.extremes.page import Bound, Finding, Measure, within
 from tests.states import Array
+
+WEIGHTLESS = Scene(gravity=0.0, drive=None)
+DEEPEST = {"pymunk": 1.0, "exact": 1e-9}  # a foot outside at a step's end [m]: after a substep, and rounding
 
 
 def started(scene: Scene, contact: str, state: Array | list[float], time: float = 0.0) -> Simulator:
     simulator = make_simulator(scene, contact)
     simulator.reset(state, time)
     return simulator
-
-
-def deepest_allowed(contact: str) -> float:
-    """How far a foot may be outside at a step's end [m]: 1 m after a substep of pymunk, rounding for exact."""
-    return 1.0 if contact == "pymunk" else 1e-9
-
-
-def least_clearance(values: Array, states: Array) -> float:
-    """Smallest gap [m] in any of the states, shape (N, 12); to be compiled."""
-    numbers = make_numbers(values)
-    least = math.inf
-    for i in range(states.shape[0]):
-        least = min(least, clearance(numbers, states[i]))
-    return least
 
 
 def momentum(scene: Scene, state: Array) -> Array:
@@ -54,48 +41,36 @@ def angular_momentum(scene: Scene, state: Array) -> float:
     return float(scene.box_inertia * state[8] + scene.jack_inertia * state[11] + reduced * (x * vy - y * vx))
 
 
-@dataclass
-class Course:
-    """What happened over some steps without torque, and how far it was from the laws.
+class Course(NamedTuple):
+    """What happened over some steps without torque, and how far it was from the laws."""
 
-    Momentum changes by m_j g t, energy not at all.
-    """
-
-    scene: Scene
-    start: Array
-    hits: int = 0
-    deepest: float = -math.inf  # [m] outside
-    momentum: float = 0.0  # largest error, relative to the largest momentum of a body
-    energy: float = 0.0  # largest error, relative to the kinetic energy at the start and the fall's
-    scale: float = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.scale = momentum_scale(self.scene, self.start)
-
-    def look(self, state: Array, time: float) -> None:
-        scene, start = self.scene, self.start
-        fallen = np.array([0.0, scene.jack_mass * scene.gravity * time])
-        self.scale = max(self.scale, momentum_scale(scene, state))
-        error = np.abs(momentum(scene, state) + fallen - momentum(scene, start)).max()
-        self.momentum = max(self.momentum, float(error) / self.scale)
-        height = scene.jack_mass * scene.gravity * max(abs(state[4]), abs(start[4]))
-        most = max(energy(scene, start) - scene.jack_mass * scene.gravity * start[4], height)
-        self.energy = max(self.energy, abs(energy(scene, state) - energy(scene, start)) / most)
-        self.deepest = max(self.deepest, -clearance(scene, state.tolist()))
+    hits: int
+    deepest: float  # [m] outside
+    momentum: float  # largest error, relative to the largest momentum of a body
+    energy: float  # largest error, relative to the kinetic energy at the start and the fall's
 
 
-def follow(simulator: Simulator, steps: int, dt: float, course: Course | None = None) -> Course:
-    """Step without torque and look at every state."""
-    course = course or Course(simulator.scene, simulator.state)
-    begun = simulator.time
+def follow(simulator: Simulator, steps: int, dt: float) -> Course:
+    """Step without torque: momentum changes by m_j g t, energy not at all."""
+    scene, states, falls, hits = simulator.scene, [simulator.state], [0.0], 0
+    weight, begun = scene.jack_mass * scene.gravity, simulator.time
     for _ in range(steps):
         simulator.step(dt, torque=0.0)
-        course.hits += len(simulator.impacts)
-        course.look(simulator.state, simulator.time - begun)
-    return course
+        hits += len(simulator.impacts)
+        states.append(simulator.state)
+        falls.append(weight * (simulator.time - begun))
+    pushed = np.array([momentum(scene, state) for state in states]) + np.outer(falls, [0.0, 1.0])
+    energies = np.array([energy(scene, state) for state in states])
+    most = max(energies[0] - weight * states[0][4], weight * max(abs(state[4]) for state in states))
+    return Course(
+        hits,
+        max(-clearance(scene, state.tolist()) for state in states),
+        float(np.abs(pushed - pushed[0]).max()) / max(momentum_scale(scene, state) for state in states),
+        float(np.abs(energies - energies[0]).max() / most),
+    )
 
 
-def kept(courses: list[Course], contact: str, hits: int, *more: Bound, unit: str = "m") -> Finding:
+def kept(courses: list[Course], contact: str, hits: int, *more: Bound) -> Finding:
     """The bounds ``more``, then momentum, energy and containment; each course has at least ``hits`` impacts."""
     fewest = min(course.hits for course in courses)
     assert fewest >= hits
@@ -103,33 +78,32 @@ def kept(courses: list[Course], contact: str, hits: int, *more: Bound, unit: str
         *more,
         Bound("momentum", max(course.momentum for course in courses), 1e-12),
         Bound("energy", max(course.energy for course in courses), 1e-11),
-        Bound("a foot outside", max(0.0, *(course.deepest for course in courses)), deepest_allowed(contact), unit),
+        Bound("a foot outside", max(0.0, *(course.deepest for course in courses)), DEEPEST[contact], "m"),
         note=f"; {fewest:,} impacts or more",
     )
 
 
-def replayed(scene: Scene, state: Array, begun: float, end: float, impacts: Iterable[Impact]) -> Array:
-    """Fly without forces between the recorded impacts, apply the law at each, and return the final state.
+def courses(starts: Callable[[], list[tuple[Scene, Array]]], steps: int, dt: float, hits: int) -> Measure:
+    """Follow each start for some steps of dt [s], with at least so many impacts."""
+    return lambda contact: kept(
+        [follow(started(scene, contact, state), steps, dt) for scene, state in starts()], contact, hits
+    )
 
-    Impacts at the same moment are taken by the simultaneous law.
-    """
-    state, now = state.copy(), begun
-    for time, together in groupby(impacts, key=lambda hit: hit.time):
-        state[:6] += state[6:] * (time - now)
-        state, _ = simultaneous_impact_map(scene, state, [hit[1:3] for hit in together])
-        now = time
-    state[:6] += state[6:] * (end - now)
-    return state
+
+def flown(state: Array, seconds: float) -> Array:
+    """The state after a flight without forces."""
+    return np.concatenate([state[:6] + seconds * state[6:], state[6:]])
 
 
 def off_the_law(simulator: Simulator, dt: float) -> float:
-    """Take a step without forces and compare the rates after it with the law applied to its recorded impacts."""
-    before, begun = simulator.state, simulator.time
+    """Step without forces; the largest error of a rate, over the largest rate, by the law at the recorded impacts.
+
+    Impacts at the same moment are resolved by the simultaneous law.
+    """
+    state, now = simulator.state, simulator.time
     simulator.step(dt, torque=0.0)
-    expected = replayed(simulator.scene, before, begun, simulator.time, simulator.impacts)
-    return relative(simulator.state, expected)
-
-
-def relative(found: Array, expected: Array) -> float:
-    """Largest error of a rate over the largest rate."""
-    return float(np.abs(found[6:] - expected[6:]).max() / np.abs(expected[6:]).max())
+    for time, together in groupby(simulator.impacts, key=lambda hit: hit.time):
+        contacts = [hit[1:3] for hit in together]
+        state, _ = simultaneous_impact_map(simulator.scene, flown(state, time - now), contacts)
+        now = time
+    return float(np.abs(simulator.state[6:] - state[6:]).max() / np.abs(state[6:]).max())

@@ -46,15 +46,6 @@ def test_a_planted_order_of_convergence_is_found_within_its_interval(order: floa
     assert high - low < 0.2
 
 
-def test_what_is_stored_comes_back(stored: measured.Results, tmp_path: Path) -> None:
-    stored.save(tmp_path)
-    for name in (measured.TABLE, measured.ABOUT):
-        assert (tmp_path / name).read_bytes() == (STORED / name).read_bytes()
-    assert stored.of("usual way, RK4 at 0.01 s", "local").worst == math.inf
-    assert stored.of(measured.EXACT, "first_1").kind == measured.DIGITS
-    assert stored.of(measured.EXACT, "depth").kind == measured.ALL
-
-
 # -- claims ------------------------------------------------------------------------------------------------------------
 
 
@@ -100,9 +91,3 @@ def test_the_page_is_written_again_from_the_stored_results(
     benchmark.main()
     again = "python scripts/studies/accuracy/benchmark.py --page-from docs/accuracy/results.json"
     assert (tmp_path / benchmark.PAGE).read_text() == (ROOT / "docs" / benchmark.PAGE).read_text(), again
-    assert (tmp_path / benchmark.BESIDE / benchmark.PICTURE).read_text().endswith("</svg>\n")
-
-
-def test_the_sweep_shown_is_a_full_one(stored: measured.Results) -> None:
-    assert stored.about["quick"] is False
-    assert set(stored.settings) >= {setting.name for setting in measured.settings(quick=False)}

@@ -1,21 +1,18 @@
-"""Pages of studies show the numbers stored beside them, and the figures are what they are said to be."""
+"""Pages of studies show the numbers stored beside them, and what is timed is what the page says."""
 
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import imageio.v3 as imageio
 import numpy as np
 import pymunk
 import pytest
-from matplotlib.figure import Figure
 
 from jackbox_env import Scene, make_simulator
-from scripts.studies import pages, timing
+from scripts.studies import timing
 from scripts.studies.costs import costs
 from scripts.studies.costs import measured as cost_steps
 from scripts.studies.derivatives import derivatives
@@ -39,33 +36,9 @@ PAGES: dict[str, Callable[[], str]] = {
 }
 
 
-PICTURES = [f"derivatives/{name}.png" for name in derivatives.PARTS]
-
-
 @pytest.mark.parametrize("name", PAGES)
 def test_a_page_holds_the_numbers_that_are_stored(name: str) -> None:
-    text = (DOCS / f"{name}.md").read_text()
-    assert PAGES[name]() == text
-    for picture in re.findall(r"!\[.*?\]\((.+?)\)", text):
-        assert (DOCS / picture).is_file()
-
-
-@pytest.mark.parametrize("name", ["speed.png", "costs.png", "results.png", *PICTURES])
-def test_a_picture_is_read_on_light_pages_and_on_dark_ones(name: str) -> None:
-    """It has no ground of its own, and whatever covers it stands out against white and against black."""
-    picture = imageio.imread(DOCS / name).astype(float) / 255.0
-    colours, shown = picture[..., :3], picture[..., 3] > 0.9
-    assert (picture[..., 3] == 0.0).mean() > 0.7
-    linear = np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
-    luminance = (linear @ [0.2126, 0.7152, 0.0722])[shown]
-    assert np.minimum(1.05 / (luminance + 0.05), (luminance + 0.05) / 0.05).min() > 2.7
-
-
-def test_dots_are_sorted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    drawn = list[Any]()
-    monkeypatch.setattr(Figure, "savefig", lambda figure, path, dpi: drawn.extend(figure.axes))
-    pages.dots(tmp_path / "dots.png", "what", {"middle": 10.0, "least": 1.0, "most": 1e5})
-    assert [label.get_text() for label in drawn[0].get_yticklabels()] == ["least", "middle", "most"]
+    assert PAGES[name]() == (DOCS / f"{name}.md").read_text()
 
 
 def test_other_numbers_would_make_another_page() -> None:
@@ -77,34 +50,8 @@ def test_other_numbers_would_make_another_page() -> None:
 # -- figures -----------------------------------------------------------------------------------------------------------
 
 
-def test_rates_are_taken_in_turn_and_ratios_within_a_round() -> None:
-    order: list[str] = []
-
-    def timed(name: str, rates: list[float]) -> timing.Timed:
-        def run() -> float:
-            order.append(name)
-            return rates.pop(0)
-
-        return run
-
-    rates = timing.measure({"a": timed("a", [9.0, 1.0, 4.0]), "b": timed("b", [9.0, 2.0, 2.0])}, 2, progress=False)
-    assert order == ["a", "b"] * 3
-    assert rates == {"a": [1.0, 4.0], "b": [2.0, 2.0]}  # the first is the warm-up
-    assert timing.ratios(rates, "a", "b") == [0.5, 2.0]
-
-
-def test_a_rate_is_what_a_block_did_over_the_time_that_it_took() -> None:
-    now = [0.0]
-
-    def block() -> int:
-        now[0] += 0.5
-        return 10
-
-    def prepare() -> None:
-        now[0] += 100.0  # is not timed
-
-    assert timing.repeat(block, 1.9, prepare, lambda: now[0])() == 20.0
-    assert now[0] == 4 * 100.5
+def test_ratios_are_taken_within_a_round() -> None:
+    assert timing.ratios({"a": [1.0, 4.0], "b": [2.0, 2.0]}, "a", "b") == [0.5, 2.0]
 
 
 def test_differences_are_taken_within_passes_and_noise_is_told() -> None:
@@ -133,7 +80,6 @@ def test_the_bare_pymunk_loop_steps_the_scene_of_the_default(monkeypatch: pytest
         simulator.step(0.02, torque)
     assert box.angular_velocity == pytest.approx(simulator.state[8], rel=1e-12)
     assert jack.velocity.y == pytest.approx(simulator.state[10], rel=1e-12)
-    assert len(space.shapes) == 8
 
 
 @pytest.mark.slow
@@ -142,14 +88,6 @@ def test_only_the_unguarded_search_loses_impacts_and_feet() -> None:
     assert found["certified"] == 0
     assert found["missed"] > 10
     assert found["escaped"] > 10
-
-
-@pytest.mark.parametrize("contact", ["pymunk", "exact"])
-def test_each_kind_of_step_is_timed(contact: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    usual, far = cost_steps.moments(2, 100), cost_steps.moments(2, 100, cost_steps.LONG)
-    for kind in cost_steps.KINDS:
-        assert cost_steps.stepped(contact, far if kind == "long arm" else usual, 0.0, kind)() > 0.0
 
 
 @pytest.mark.parametrize("kind", cost_steps.LOSS)
