@@ -116,7 +116,7 @@ def array(name: str, value: Any, wanted: str) -> NDArray[Any]:
         raise TypeError(f"{name} must {wanted}, got a tensor that requires grad: pass its detach()")
     try:
         given = np.asarray(value)
-    except (TypeError, ValueError, RuntimeError) as error:  # ragged lists; tensors on a GPU or, in a list, with gradients
+    except (TypeError, ValueError, RuntimeError) as error:  # ragged lists; tensors on a GPU, or with gradients
         raise TypeError(f"{name} must {wanted}, got {shown(value)}") from error
     if given.dtype.kind not in "fiu":
         raise TypeError(f"{name} must {wanted}, got {shown(value)}")
