@@ -1,32 +1,18 @@
 """Files that may be damaged, and folders that one process locks. :mod:`jackbox_env.recording.files` writes them.
 
-A folder is locked by a lock on its file ``lock``: ``flock``, or on Windows ``LockFile`` of its first byte. The system
-lets go of it when the process ends, however it ends. So a file left behind holds nobody up.
+A folder is locked by a system lock on its file ``lock`` (filelock), which ends with its process, however that ends.
 """
 
 from __future__ import annotations
 
 import json
-import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-if sys.platform == "win32":
-    import msvcrt
-
-    def _claim(descriptor: int) -> None:
-        """Lock an open file until it is closed, or raise PermissionError."""
-        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
-else:
-    import fcntl
-
-    def _claim(descriptor: int) -> None:
-        """Lock an open file until it is closed, or raise BlockingIOError; OSError where there are no locks."""
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
+from filelock import FileLock, Timeout
 
 LOCK = "lock"
 
@@ -96,15 +82,12 @@ def locked(folder: Path) -> Iterator[None]:
         FolderInUseError: another process has locked it.
         OSError: its lock is a link, or cannot be opened.
     """
-    descriptor = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
+    lock = FileLock(folder / LOCK, timeout=0)
     try:
-        try:
-            _claim(descriptor)
-        except (BlockingIOError, PermissionError) as error:
-            raise FolderInUseError(f"{folder} is in use by another process: wait until it ends, or end it") from error
-        except OSError:  # a disk of a cluster, perhaps, that has no locks
-            said = f"{folder} cannot be locked on this system: take care that nothing else works in it"
-            print(said, file=sys.stderr)
+        lock.acquire()
+    except Timeout as error:
+        raise FolderInUseError(f"{folder} is in use by another process: wait until it ends, or end it") from error
+    try:
         yield
     finally:
-        os.close(descriptor)
+        lock.release()

@@ -13,7 +13,6 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 from packaging.requirements import Requirement
@@ -21,7 +20,9 @@ from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parents[1]
 # Libraries, imported before: they ask for the system by its name.
-LIBRARIES = "matplotlib.pyplot numba pygame pymunk rich.progress scipy.stats stable_baselines3 torch._dynamo tyro"
+LIBRARIES = (
+    "filelock matplotlib.pyplot numba pygame pymunk rich.progress scipy.stats stable_baselines3 torch._dynamo tyro"
+)
 MODULES = ("fcntl", "resource", "pwd", "grp", "termios", "tty", "pty")
 ATTRIBUTES = {
     os: "O_NOFOLLOW register_at_fork sched_getaffinity sched_setaffinity fork uname sysconf getuid killpg setsid",
@@ -30,20 +31,9 @@ ATTRIBUTES = {
 
 
 def hide() -> None:
-    """Take away what Windows lacks, and stand in for its locks by those of this system."""
+    """Hide what Windows lacks."""
     if sys.platform == "win32":
         return
-    import fcntl
-
-    def locking(descriptor: int, mode: int, count: int) -> None:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise PermissionError(13, "Permission denied") from error
-
-    windows = ModuleType("msvcrt")
-    vars(windows).update(locking=locking, LK_NBLCK=2)
-    sys.modules["msvcrt"] = windows
     for name in MODULES:
         sys.modules[name] = None  # type: ignore[assignment]  # importing it fails
     for module, names in ATTRIBUTES.items():
@@ -56,9 +46,6 @@ def hide() -> None:
 
 def import_all() -> int:
     """Import every module of the package, of the agents and of the commands; return how many."""
-    system, sys.platform = sys.platform, "win32"
-    importlib.import_module("agents.files")  # with what Windows has in place of flock
-    sys.platform = system
     names = [
         module.name
         for folder in ("jackbox_env", "agents", "scripts")
@@ -112,7 +99,6 @@ def test_nothing_needs_what_other_systems_lack(tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     assert int(done.stdout.split()[0]) > 100
-    assert "cannot be locked" not in done.stderr
 
 
 def test_every_text_file_names_its_encoding() -> None:

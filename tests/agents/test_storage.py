@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import fcntl
 import json
 import os
 import time
@@ -132,15 +131,3 @@ def test_a_folder_is_held_against_a_second_use_in_the_same_process(tmp_path: Pat
                 pass
     with locked(tmp_path):
         pass
-
-
-def test_where_there_are_no_locks_that_is_said(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def refuses(descriptor: int, operation: int) -> None:
-        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
-
-    monkeypatch.setattr(fcntl, "flock", refuses)
-    with locked(tmp_path), locked(tmp_path):
-        pass
-    assert capsys.readouterr().err.count(f"{tmp_path} cannot be locked") == 2
