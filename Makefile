@@ -81,7 +81,7 @@ machines: .venv/ready
 kills: .venv/ready
 	@JACKBOX_KILLS=200 $(PYTEST) tests/guarantees/test_kills.py
 
-# What the tests see: 60 small faults, one at a time, and the first test that fails of each; one to three hours.
+# What the tests see: 60 small faults, one at a time, and the first test that fails of each; some hours.
 mutants: .venv/ready
 	@$(BIN)/python -m tests.mutants $(MUTANTS)
 
