@@ -13,7 +13,7 @@ UNDER_OLD_GYMNASIUM := $(addprefix tests/,environment/test_env.py environment/te
 	environment/test_tools.py batches/test_vector_env.py batches/test_episodes.py \
 	guarantees/test_bits.py refusals/test_refusals.py)
 
-.PHONY: demo test test-all test-slow benchmark benchmark-quick throughput speed costs derivatives soak extremes machines kills interruptions mutants fidelity results networks scaling readme docs recipes wheel dataset ranges clean
+.PHONY: demo test test-all test-slow benchmark benchmark-quick throughput speed costs derivatives soak extremes machines kills interruptions mutants results networks scaling readme docs recipes wheel dataset ranges clean
 .DELETE_ON_ERROR:
 
 demo: .venv/usable
@@ -78,10 +78,6 @@ interruptions: .venv/ready
 # What the tests see: 60 small faults, one at a time, and the first test that fails of each; one to three hours.
 mutants: .venv/ready
 	@$(BIN)/python -m tests.mutants $(MUTANTS)
-
-# What a fidelity does to a learner: 20 trainings of a million steps, some hours; it goes on where it was interrupted.
-fidelity: .venv/ready
-	@$(BIN)/python scripts/studies/fidelity.py
 
 # What every policy earns, docs/results.md; goes on where it was interrupted. The planner takes most of its 15 minutes.
 results: .venv/ready

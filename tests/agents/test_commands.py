@@ -220,7 +220,6 @@ def test_the_demo_runs_end_to_end_when_made_small(tmp_path: Path) -> None:
     ["train", "evaluate", "export", "simulate", "play", "demo", "sweep"]
     + [f"studies/{name}" for name in ("accuracy/benchmark", "readme", "speed/speed", "costs/costs")]
     + [
-        "studies/fidelity",
         "studies/results/results",
         "studies/networks",
         "studies/scaling/scaling",
