@@ -13,7 +13,7 @@ UNDER_OLD_GYMNASIUM := $(addprefix tests/,environment/test_env.py environment/te
 	environment/test_tools.py batches/test_vector_env.py batches/test_episodes.py \
 	guarantees/test_bits.py refusals/test_refusals.py)
 
-.PHONY: demo test test-all test-slow benchmark benchmark-quick throughput speed costs derivatives soak extremes machines kills interruptions mutants results networks scaling readme docs recipes wheel dataset ranges clean
+.PHONY: demo test test-all test-slow benchmark benchmark-quick throughput speed costs derivatives soak extremes machines kills interruptions mutants results networks readme docs recipes wheel dataset ranges clean
 .DELETE_ON_ERROR:
 
 demo: .venv/usable
@@ -108,10 +108,6 @@ ranges: .venv/ready
 # Minari datasets of random torques, PPO and the planner on each task, in runs/dataset; some 3 minutes.
 dataset: .venv/ready
 	@OMP_NUM_THREADS=1 $(BIN)/python scripts/dataset.py
-
-# What sweeps gain from more workers and machines, docs/scaling.md; some 5 minutes.
-scaling: .venv/ready
-	@$(BIN)/python scripts/studies/scaling/scaling.py
 
 readme: .venv/ready
 	@$(BIN)/python scripts/studies/readme.py

@@ -222,7 +222,6 @@ def test_the_demo_runs_end_to_end_when_made_small(tmp_path: Path) -> None:
     + [
         "studies/results/results",
         "studies/networks",
-        "studies/scaling/scaling",
         "studies/value",
         "studies/distil",
         "studies/vine",
