@@ -13,7 +13,7 @@ UNDER_OLD_GYMNASIUM := $(addprefix tests/,environment/test_env.py environment/te
 	environment/test_tools.py batches/test_vector_env.py batches/test_episodes.py \
 	guarantees/test_bits.py refusals/test_refusals.py)
 
-.PHONY: demo test test-all test-slow benchmark benchmark-quick throughput speed costs derivatives prove prove-quick soak extremes machines kills mutants fidelity results networks scaling readme docs recipes wheel dataset ranges clean
+.PHONY: demo test test-all test-slow benchmark benchmark-quick throughput speed costs derivatives prove prove-quick soak extremes machines kills mutants results networks readme docs recipes wheel dataset ranges clean
 .DELETE_ON_ERROR:
 
 demo: .venv/usable
@@ -85,10 +85,6 @@ kills: .venv/ready
 mutants: .venv/ready
 	@$(BIN)/python -m tests.mutants $(MUTANTS)
 
-# What a fidelity does to a learner: 20 trainings of a million steps, some hours; it goes on where it was interrupted.
-fidelity: .venv/ready
-	@$(BIN)/python scripts/studies/fidelity.py
-
 # What every policy earns, docs/results.md; goes on where it was interrupted. The planner takes most of its 15 minutes.
 results: .venv/ready
 	@$(BIN)/python scripts/studies/results/results.py
@@ -118,10 +114,6 @@ ranges: .venv/ready
 # Minari datasets of random torques, PPO and the planner on each task, in runs/dataset; some 3 minutes.
 dataset: .venv/ready
 	@OMP_NUM_THREADS=1 $(BIN)/python scripts/dataset.py
-
-# What sweeps gain from more workers and machines, docs/scaling.md; some 5 minutes.
-scaling: .venv/ready
-	@$(BIN)/python scripts/studies/scaling/scaling.py
 
 readme: .venv/ready
 	@$(BIN)/python scripts/studies/readme.py

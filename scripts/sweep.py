@@ -1,6 +1,6 @@
 """Run a grid of policies or of trainings over tasks, settings, scenes and seeds: one table, whatever it ran on.
 
-In this process, or with Ray (the extra `scale`) on this machine's cores or on a cluster, with the same results.
+In this process, on this machine's cores, or on a cluster with Ray (the extra `scale`): the table is the same.
 """
 
 from __future__ import annotations
@@ -50,9 +50,9 @@ class Arguments:
     resume: Path | None = None
     """Folder of a sweep to go on with: what has not finished, and what has failed."""
     workers: int | None = None
-    """With Ray on this machine, so many trials side by side; None: in this process, without Ray."""
+    """So many trials side by side, each in a process of its own; None: one after the other in this process."""
     address: str | None = None
-    """With Ray on a cluster: the address of its head, or auto on one of its machines."""
+    """On a cluster of Ray: the address of its head, or auto on one of its machines."""
     progress: bool = True
     """Show a progress bar."""
 
@@ -61,33 +61,29 @@ class Arguments:
 def main() -> None:
     """Parse, run what is to be run, say what failed and where the table is."""
     arguments = tyro.cli(Arguments, description=__doc__)
-    from agents.sweeps import trials as kinds
-    from agents.sweeps.on_ray import runner_for
-    from agents.sweeps.results_log import LOG, TABLE, carry_out, new_sweep, read_sweep
+    from agents.sweep import LOG, TABLE, carry_out, grid, new_sweep, read_sweep, run_trial
+    from agents.sweep_ray import runner_for
 
     runner = runner_for(arguments.workers, arguments.address)
     if arguments.grid.train is not None and arguments.grid.policy != Grid.policy:
         raise ValueError("--train runs trainings in place of policies: give no --policy")
     if arguments.resume is None:
-        trials = kinds.grid_trials(**asdict(arguments.grid))
-        folder = new_sweep(arguments.folder, asdict(arguments.grid), trials)
+        trials = grid(**asdict(arguments.grid))
+        folder = new_sweep(arguments.folder, trials)
+    elif arguments.grid == Grid() and arguments.folder is None:
+        trials, folder = read_sweep(arguments.resume), arguments.resume
     else:
-        if arguments.grid != Grid() or arguments.folder is not None:
-            raise ValueError("--resume runs the sweep of its folder: give no other grid")
-        folder = arguments.resume
-        _, trials = read_sweep(folder, kinds.check_trial)
-    work = partial(kinds.run_trial, folder.resolve())
+        raise ValueError("--resume runs the sweep of its folder: give no other grid")
     command = shlex.join(["python", "scripts/sweep.py", "--resume", str(folder)])
     try:
-        outcome = carry_out(folder, trials, work, runner, arguments.progress)
+        rows = carry_out(folder, trials, partial(run_trial, folder.resolve()), runner, arguments.progress)
     except KeyboardInterrupt:
         print(f"\nInterrupted. Go on with: {command}", file=sys.stderr)
         raise
-    if len(outcome.processors) > 1:
-        print(f"Ran on {len(outcome.processors)} kinds of processor, so the last bits may differ from one kind's")
-    print(f"{outcome.finished} trials: {folder / TABLE}")
-    if outcome.failed:
-        said = f"{len(outcome.failed)} of {len(trials)} trials failed: {folder / TABLE} says which"
+    print(f"{len(rows)} trials: {folder / TABLE}")
+    failed = sum(row["error"] is not None for row in rows)
+    if failed:
+        said = f"{failed} of {len(trials)} trials failed: {folder / TABLE} says which"
         print(f"{said}, {folder / LOG} where. Try them again with: {command}", file=sys.stderr)
         sys.exit(1)
 

@@ -76,24 +76,21 @@ AGENTS = """
     policies.playing
     training.holding
     runs evaluation.film training.checkpoints
-    sweeps.in_process
-    sweeps.results_log
-    sweeps.on_ray
     training.models policies.network
     policies.value
     policies.planner policies.one_bounce
     policies.registry
     training.best evaluation.returns evaluation.exporting evaluation.episodes training.zoo
     training.ppo evaluation.provenance
-    sweeps.trials
-    evaluation.figures
+    sweep evaluation.figures
+    sweep_ray
 """
 
 
 EMPTY = {
     f"jackbox_env.{name}" for name in ("batches", "commands", "compiled", "measure", "recording", "render")
 }  # a docstring at most
-EMPTY |= {f"agents.{name}" for name in ("evaluation", "policies", "sweeps", "training")}
+EMPTY |= {f"agents.{name}" for name in ("evaluation", "policies", "training")}
 EMPTY |= {"jackbox_env", "agents", "scripts", "scripts.studies"}  # the first: lazy names
 FLOORS = {
     f"{package}.{name}": ground + floor

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import csv
 import sys
 from pathlib import Path
+from typing import Any
 
-from agents.sweeps.in_process import Runner, Trial, Work
-from agents.sweeps.results_log import TABLE, carry_out, new_sweep, read_sweep
+from agents.sweep import TABLE, Runner, Work, carry_out, new_sweep, read_sweep
 
 
-def swept(folder: Path, trials: list[Trial], work: Work, runner: Runner, progress: bool) -> list[dict[str, str]]:
+def swept(
+    folder: Path, trials: list[dict[str, Any]], work: Work, runner: Runner, progress: bool
+) -> list[dict[str, Any]]:
     """Run what has not finished of the trials in ``folder``, and return the rows of its table, in their order.
 
     Raises:
@@ -18,16 +19,15 @@ def swept(folder: Path, trials: list[Trial], work: Work, runner: Runner, progres
         ValueError: the folder's sweep was begun with other trials or other code.
     """
     if not folder.exists():
-        new_sweep(folder, {}, trials)
-    elif [trial.key for trial in read_sweep(folder)[1]] != [trial.key for trial in trials]:
+        new_sweep(folder, trials)
+    elif read_sweep(folder) != trials:
         raise ValueError(f"{folder} was begun with other arguments: choose another folder")
     try:
-        outcome = carry_out(folder, trials, work, runner, progress)
+        rows = carry_out(folder, trials, work, runner, progress)
     except KeyboardInterrupt:
         print(f"\nInterrupted; what has finished is kept in {folder}, where --folder goes on", file=sys.stderr)
         raise
-    if outcome.failed:
-        raise RuntimeError(f"{len(outcome.failed)} of {len(trials)} trials failed: {folder / TABLE} says which")
-    csv.field_size_limit(sys.maxsize)  # a result may be long
-    with (folder / TABLE).open(newline="") as file:
-        return list(csv.DictReader(file))
+    failed = sum(row["error"] is not None for row in rows)
+    if failed:
+        raise RuntimeError(f"{failed} of {len(trials)} trials failed: {folder / TABLE} says which")
+    return rows

@@ -22,8 +22,7 @@ from agents.files import LOCK
 from agents.policies.network import WEIGHTS, read_policy
 from agents.runs import EVALUATIONS, read_settings
 from agents.settings import TrainSettings
-from agents.sweeps.in_process import InTurn, Trial
-from agents.sweeps.results_log import LOG, TABLE, carry_out, new_sweep
+from agents.sweep import LOG, TABLE, carry_out, in_turn, new_sweep
 from agents.training.archives import unpacked
 from agents.training.best import read_evaluations
 from agents.training.models import load_model, make_ppo, make_vec_env
@@ -233,37 +232,37 @@ print(base64.b64encode(cloudpickle.dumps(Bomb())).decode())
 
 def test_a_lock_or_results_log_that_is_a_link_leads_nowhere(tmp_path: Path) -> None:
     (tmp_path / "mine").write_text("precious")
-    folder, grid = tmp_path / "run", [Trial({"number": number}) for number in range(2)]
-    new_sweep(folder, {}, grid)
+    folder, grid = tmp_path / "run", [{"number": number} for number in range(2)]
+    new_sweep(folder, grid)
     (folder / LOCK).symlink_to(tmp_path / "mine")
     with pytest.raises(OSError, match=f"symbolic links: .*{folder / LOCK}"):
-        carry_out(folder, grid, dict, InTurn(), progress=False)
+        carry_out(folder, grid, dict, in_turn, progress=False)
     for link in (Path.symlink_to, Path.hardlink_to):
         for name in (LOCK, LOG):
             (folder / name).unlink(missing_ok=True)
         (folder / LOCK).hardlink_to(tmp_path / "mine")
         link(folder / LOG, tmp_path / "mine")
-        assert carry_out(folder, grid, dict, InTurn(), progress=False).finished == 2
+        assert len(carry_out(folder, grid, dict, in_turn, progress=False)) == 2
         assert (tmp_path / "mine").read_text() == "precious"
 
 
-@pytest.mark.parametrize("harm", [{"result": 5}, {"seconds": None}, {"key": []}, {"result": {"share": "\ud800"}}, None])
+@pytest.mark.parametrize("harm", [{"result": 5}, {"settings": []}, {"more": 1}, {"result": {"share": "\ud800"}}, None])
 def test_a_damaged_line_of_a_results_log_is_named_and_its_trial_run_again(
     harm: dict[str, Any] | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    grid = [Trial({"number": number}) for number in range(3)]
-    folder, asked = new_sweep(tmp_path / "sweep", {}, grid), list[int]()
+    grid = [{"number": number} for number in range(3)]
+    folder, asked = new_sweep(tmp_path / "sweep", grid), list[int]()
 
     def work(settings: dict[str, Any]) -> dict[str, Any]:
         asked.append(settings["number"])
         return {"share": settings["number"] / 7.0}
 
-    carry_out(folder, grid, work, InTurn(), progress=False)
+    carry_out(folder, grid, work, in_turn, progress=False)
     table, path = (folder / TABLE).read_bytes(), folder / LOG
     lines = path.read_text().splitlines()
     lines[1] = json.dumps({**json.loads(lines[1]), **harm}) if harm else "{]"
     path.write_text("\n".join([*lines, ""]))
-    carry_out(folder, grid, work, InTurn(), progress=False)
+    carry_out(folder, grid, work, in_turn, progress=False)
     assert asked == [0, 1, 2, 1]
     assert f"Skipped: {path}, line 2, is damaged" in capsys.readouterr().err
     assert (folder / TABLE).read_bytes() == table

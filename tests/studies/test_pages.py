@@ -17,7 +17,6 @@ from scripts.studies.costs import costs
 from scripts.studies.costs import measured as cost_steps
 from scripts.studies.derivatives import derivatives
 from scripts.studies.results import results
-from scripts.studies.scaling import scaling
 from scripts.studies.speed import measured, speed
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -30,7 +29,6 @@ def stored(name: str) -> Any:
 PAGES: dict[str, Callable[[], str]] = {
     "speed": lambda: speed.page(stored("speed")),
     "costs": lambda: costs.page(stored("costs")),
-    "scaling": lambda: scaling.page((DOCS / "scaling.md").read_text(), stored("scaling")),
     "results": lambda: results.page(stored("results")),
     "derivatives": lambda: derivatives.page(stored("derivatives")),
 }

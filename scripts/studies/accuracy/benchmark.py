@@ -55,7 +55,7 @@ class Arguments:
     page_from: Path | None = None
     """Do not sweep: write page and pictures again from this results.json and the results.csv beside it."""
     workers: int | None = None
-    """Settings measured side by side with Ray on this machine; None: one after the other. Costs are measured alone."""
+    """So many settings measured side by side; None: one after the other. Costs are measured alone."""
     address: str | None = None
     """With Ray on a cluster: the address of its head, or auto on one of its machines."""
     out: Path | None = None
@@ -401,7 +401,7 @@ def main() -> None:
     arguments = tyro.cli(Arguments, description=__doc__)
     import matplotlib  # noqa: F401  # refused now rather than after the sweep
 
-    from agents.sweeps.on_ray import runner_for
+    from agents.sweep_ray import runner_for
     from jackbox_env import _validation as check
 
     few = arguments.quick

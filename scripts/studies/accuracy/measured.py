@@ -11,7 +11,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Iterable
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,7 +20,7 @@ from scipy import stats
 
 from agents.files import read_json
 from agents.runs import PACKAGES, machine, versions
-from agents.sweeps.in_process import Runner, Trial
+from agents.sweep import Runner
 from jackbox_env import Scene, make_simulator, rollout
 from jackbox_env.measure.accuracy import Case, Reference, between, compare, follow, quantities, reference_of, restarts
 from jackbox_env.recording.files import replacing, write_json
@@ -308,17 +308,16 @@ def run(folder: Path, quick: bool, count: int, rounds: int, seconds: float, bars
     """Sweep, or go on with an interrupted sweep of the same code in ``folder``."""
     before, chosen = others(), settings(quick)
     trials = [
-        Trial({"setting": setting.name, "kind": kind, "count": count})
+        {"setting": setting.name, "kind": kind, "count": count}
         for kind in (DIGITS, LOSS, *KINDS)
         for setting in chosen
         if (setting.takes_loss if kind == LOSS else setting.make)
     ]
-    work = partial(_measured_kind, {setting.name: setting for setting in chosen}, {})
-    rows = swept(folder, trials, work, runner, bars)
+    rows = swept(folder, trials, _measured_kind, runner, bars)
     rates = measure({setting.name: cost_of(setting, seconds) for setting in chosen}, rounds, bars)
     found = list[Row]()
     for setting in chosen:
-        records = [record for row in rows if row["setting"] == setting.name for record in json.loads(row["records"])]
+        records = [record for row in rows if row["setting"] == setting.name for record in row["records"]]
         costs = [1e6 / rate for rate in rates[setting.name]], ratios(rates, DEFAULT, setting.name)
         found += rows_of(setting, records, *costs)
     taken, there = others()
@@ -335,14 +334,17 @@ def run(folder: Path, quick: bool, count: int, rounds: int, seconds: float, bars
     return Results(found, about)
 
 
-def _measured_kind(
-    chosen: dict[str, Setting], known: dict[str, list[tuple[Case, Reference]]], asked: dict[str, Any]
-) -> dict[str, Any]:
-    """All errors of one setting on the cases of a kind; ``known`` keeps the references from one call to the next."""
+def _measured_kind(asked: dict[str, Any]) -> dict[str, Any]:
+    """All errors of one setting on the cases of a kind."""
+    (setting,) = (setting for setting in settings(quick=False) if setting.name == asked["setting"])
     kind = asked["kind"]
-    if kind not in known:
-        known[kind] = with_references(kind, asked["count"])
-    return {"records": [measured(chosen[asked["setting"]], kind, *case) for case in known[kind]]}
+    return {"records": [measured(setting, kind, *case) for case in _references(kind, asked["count"])]}
+
+
+@cache
+def _references(kind: str, count: int) -> list[tuple[Case, Reference]]:
+    """As :func:`with_references`, once for each process."""
+    return with_references(kind, count)
 
 
 def measured(setting: Setting, kind: str, case: Case, reference: Reference) -> Record:

@@ -21,7 +21,6 @@ from agents.policies.registry import find_policy
 from agents.policies.scripted import Baseline
 from agents.runs import machine, read_settings, versions
 from agents.settings import EPISODE_STEPS, EnvSettings, TrainSettings
-from agents.sweeps.in_process import Trial
 from agents.training.best import read_evaluations
 from agents.training.models import derived_seed, load_model
 from agents.training.ppo import trained_in
@@ -50,7 +49,7 @@ RANGES = {"jack_mass": [MASSES[0], MASSES[-1]], "restitution": [RESTITUTIONS[-1]
 VARIED = TrainSettings(randomize=json.dumps(RANGES))
 
 
-def trials(episodes: int, planner_episodes: int, across_episodes: int, training_episodes: int) -> list[Trial]:
+def trials(episodes: int, planner_episodes: int, across_episodes: int, training_episodes: int) -> list[dict[str, Any]]:
     """All that the page shows."""
     asked: list[dict[str, Any]] = []
     for seed, task in product(SEEDS, TASKS):
@@ -61,7 +60,7 @@ def trials(episodes: int, planner_episodes: int, across_episodes: int, training_
     for restitution, mass, policy in product(RESTITUTIONS, MASSES, ("level", "one scene", "varied scenes")):
         scene = {"restitution": restitution, "jack_mass": mass}
         asked.append({"part": "across", "scene": scene, "policy": policy, "episodes": across_episodes})
-    return [Trial(settings) for settings in asked]
+    return asked
 
 
 def measured(folder: Path, asked: dict[str, Any]) -> dict[str, Any]:

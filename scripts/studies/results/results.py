@@ -35,7 +35,7 @@ class Arguments:
     folder: Path = Path("runs/results")
     """Folder to make, or to go on in; trainings that are finished there are not trained again."""
     workers: int | None = None
-    """With Ray on this machine, so many evaluations side by side; None: in this process, without Ray."""
+    """So many evaluations side by side, each in a process of its own; None: one after the other in this process."""
     out: Path = Path("docs")
     """Folder for results.md, results.json and results.png."""
     progress: bool = True
@@ -148,7 +148,7 @@ def draw(rows: list[dict[str, Any]], learning: list[dict[str, Any]], path: Path)
 
 def gathered(arguments: Arguments) -> dict[str, Any]:
     """Everything that the page shows; what has not finished in the folder is run."""
-    from agents.sweeps.on_ray import runner_for
+    from agents.sweep_ray import runner_for
     from jackbox_env.recording.files import make_folder
     from scripts.studies.sweeping import swept
 
@@ -159,10 +159,10 @@ def gathered(arguments: Arguments) -> dict[str, Any]:
     found = swept(folder / "sweep", asked, partial(these.measured, folder), runner, arguments.progress)
     parts: dict[str, list[Any]] = {"learning": [], "rows": [], "across": []}
     for row in found:
-        parts[row["part"]].append((row, json.loads(row["row"])))
+        parts[row["part"]].append((row, row["row"]))
     across: dict[str, dict[str, Any]] = {}
     for row, earned in parts["across"]:
-        across.setdefault(row["scene"], {})[row["policy"]] = earned
+        across.setdefault(json.dumps(row["scene"]), {})[row["policy"]] = earned
     return {
         "seed": these.SEED,
         "resamples": these.RESAMPLES,

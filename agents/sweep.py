@@ -1,0 +1,345 @@
+"""Many trials in one folder: policies that are evaluated, or trainings whose best model is.
+
+sweep.json     the trials, and the versions and the code that they are run with
+trials.jsonl   a line for each trial that has finished, in the order in which they did, on the disk at once
+table.csv      a row for each finished trial, in the order of the grid: the same bytes wherever the trials ran
+runs/          the trainings' run folders
+lock           locked by the process that works here
+
+A trial is its settings. Its work is a function from settings to a result; both are plain JSON. A runner calls the work
+for each trial and yields the trials as they finish, in any order: in this process (:func:`in_turn`), on this machine's
+cores (:func:`on_cores`) or on a cluster (:mod:`agents.sweep_ray`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import hashlib
+import io
+import json
+import os
+import shutil
+import sys
+import threading
+import traceback
+from collections import Counter
+from collections.abc import Callable, Generator, Iterable
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from dataclasses import asdict, fields
+from functools import cache, partial
+from itertools import product
+from multiprocessing import active_children, get_context, parent_process
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from tqdm import tqdm
+
+from agents.evaluation.returns import evaluate
+from agents.files import DamagedFileError, first_line, locked, parsing, read_json, say_skipped
+from agents.policies.registry import find_policy
+from agents.runs import PACKAGES, installed, machine
+from agents.settings import EnvSettings, TrainSettings
+from agents.training.checkpoints import is_whole
+from agents.training.models import load_model, make_vec_env
+from agents.training.ppo import MODEL, trained_in
+from jackbox_env import FIDELITIES
+from jackbox_env import _validation as check
+from jackbox_env.commands.common import json_object
+from jackbox_env.recording.files import new_folder, remove_partials, write_bytes, write_json, write_text
+
+SWEEP, LOG, TABLE, RUNS = "sweep.json", "trials.jsonl", "table.csv", "runs"
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+_ROOT = Path(__file__).parents[1]
+_ENV, _TRAIN = ([part.name for part in fields(kind)] for kind in (EnvSettings, TrainSettings))
+
+
+class Finished(NamedTuple):
+    """A trial that has ended: a line of the log."""
+
+    settings: dict[str, Any]
+    result: dict[str, Any] | None = None  # None if it failed
+    error: str | None = None  # why it failed, in one line
+    details: str = ""  # where it failed: the traceback
+
+
+Trials = Iterable[dict[str, Any]]
+Work = Callable[[dict[str, Any]], dict[str, Any]]
+Results = Generator[Finished, None, None]
+Runner = Callable[[Trials, Work], Results]
+
+
+# -- runners -----------------------------------------------------------------------------------------------------------
+
+
+def attempt(work: Work, settings: dict[str, Any]) -> Finished:
+    """Run a trial here and now; what it raises becomes its error."""
+    try:
+        return Finished(settings, work(settings))
+    except Exception as error:
+        return Finished(settings, None, first_line(error), traceback.format_exc())
+
+
+def in_turn(trials: Trials, work: Work) -> Results:
+    """Run trials in this process, one after the other."""
+    return (attempt(work, settings) for settings in trials)
+
+
+def on_cores(workers: int, trials: Trials, work: Work) -> Results:
+    """Run trials in so many processes of this machine, each in one thread.
+
+    Each process has an executor of its own, so one that dies fails the trial that it ran and no other. Closing the
+    iterator ends the processes, and so does the end of this process, even by SIGKILL.
+    """
+    os.environ.update(ONE_THREAD)  # of the processes to come; this one has loaded numpy
+    new, before = partial(ProcessPoolExecutor, 1, get_context("spawn"), _start), active_children()
+    waiting, idle = iter(trials), [new() for _ in range(workers)]
+    running = dict[Future[Finished], tuple[dict[str, Any], ProcessPoolExecutor]]()
+    try:
+        while True:
+            while idle and (settings := next(waiting, None)) is not None:
+                pool = idle.pop()
+                running[pool.submit(attempt, work, settings)] = settings, pool
+            if not running:
+                return
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                settings, pool = running.pop(future)
+                try:
+                    done = future.result()
+                except Exception as error:  # its process has ended, or could not be given the work
+                    done, pool = Finished(settings, error=first_line(error)), new()
+                idle.append(pool)
+                yield done
+    finally:
+        for process in active_children():
+            if process not in before:
+                process.kill()
+        for pool in (*idle, *(pool for _, pool in running.values())):
+            pool.shutdown()
+
+
+def _start() -> None:
+    """Let a worker end with its parent, however that ends."""
+
+    def end() -> None:
+        parent_process().join()  # type: ignore[union-attr]
+        os._exit(1)
+
+    tqdm.set_lock(threading.RLock())  # one for many processes would outlive a worker that is killed
+    threading.Thread(target=end, daemon=True).start()
+
+
+# -- the folder --------------------------------------------------------------------------------------------------------
+
+
+def key_of(settings: dict[str, Any]) -> str:
+    """What two trials of the same settings share, whatever the order of their keys."""
+    return json.dumps(settings, sort_keys=True)
+
+
+@cache
+def made_with() -> dict[str, str]:
+    """Versions, and a digest of the code, that results depend on."""
+    text = hashlib.sha256()
+    for path in sorted(path for folder in ("jackbox_env", "agents") for path in (_ROOT / folder).rglob("*.py")):
+        text.update(path.relative_to(_ROOT).as_posix().encode() + path.read_bytes())
+    return {**installed((*PACKAGES, "numba")), "code": text.hexdigest()[:12]}
+
+
+def differing(there: dict[str, str]) -> str:
+    """What :func:`made_with` returned elsewhere and does not return here, in words; empty if they are the same."""
+    return ", ".join(" ".join(part) for part in sorted(there.items() - made_with().items()))
+
+
+def new_sweep(path: Path | None, trials: list[dict[str, Any]]) -> Path:
+    """Make the folder of a sweep; None: ``runs/sweep-<date>-<time>``.
+
+    Raises:
+        FileExistsError: there is something at ``path`` already.
+        ValueError: there is no trial, or one twice.
+    """
+    for key, count in Counter(map(key_of, trials)).most_common(1) or [("any", 0)]:
+        if count != 1:
+            raise ValueError(f"a sweep must have at least one trial, and each once, got {count} times {key}")
+    record = {"command": sys.argv, "machine": machine(), "made_with": made_with(), "trials": trials}
+    return new_folder(path, "sweep", lambda made: write_json(made / SWEEP, record))
+
+
+def read_sweep(folder: Path) -> list[dict[str, Any]]:
+    """The trials of a sweep.
+
+    Raises:
+        FileNotFoundError: it is no sweep.
+        ValueError: its file is damaged, or it was begun with other code or versions, so that its rows and new ones do
+            not belong together.
+    """
+    record = read_json(folder / SWEEP)
+    with parsing(folder / SWEEP):
+        trials, other = [dict(settings) for settings in record["trials"]], differing(record["made_with"])
+    if other:
+        raise ValueError(f"{folder} was begun with other code ({other}), so it cannot be continued: make another sweep")
+    return trials
+
+
+def carry_out(
+    folder: Path, trials: list[dict[str, Any]], work: Work, runner: Runner, progress: bool = True
+) -> list[dict[str, Any]]:
+    """Run what has not finished and what has failed, and write the table; the log has each trial as it finishes.
+
+    Returns:
+        The rows of the table: settings, result and error (None if there is none) of each trial, in the given order.
+
+    Raises:
+        FolderInUseError: another process works in the folder.
+        OSError: it cannot be written to.
+    """
+    with locked(folder):
+        remove_partials(folder)
+        rows, keys = _read_log(folder / LOG), [key_of(settings) for settings in trials]
+        left = [trial for trial, key in zip(trials, keys, strict=True) if key not in rows or rows[key]["error"]]
+        bar = tqdm(total=len(trials), initial=len(trials) - len(left), unit="trial", disable=not progress)
+        try:
+            with (folder / LOG).open("ab") as log, bar, contextlib.closing(runner(left, work)) as ended:
+                for done in ended:
+                    line = json.dumps(done._asdict()).encode()
+                    log.write(line + b"\n")
+                    log.flush()
+                    os.fsync(log.fileno())
+                    rows |= _row(line)
+                    bar.update()
+        finally:
+            found = [rows[key] for key in keys if key in rows]
+            write_text(folder / TABLE, _csv(found))
+    return found
+
+
+def _read_log(path: Path) -> dict[str, dict[str, Any]]:
+    """The log's rows, the last of each trial; says which lines are skipped because they are damaged.
+
+    The log is written anew without the beginning of a line at its end, and in place of a link.
+    """
+    content, rows = path.read_bytes() if path.is_file() else b"", dict[str, dict[str, Any]]()
+    whole = content[: content.rfind(b"\n") + 1]
+    write_bytes(path, whole)
+    for number, line in enumerate(whole.splitlines(), 1):
+        try:
+            with parsing(Path(f"{path}, line {number},")):
+                rows |= _row(line)
+        except DamagedFileError as error:
+            say_skipped(error)
+    return rows
+
+
+def _row(line: bytes) -> dict[str, dict[str, Any]]:
+    """The row of the table that a line of the log makes, by its trial's key; raises some error if it makes none."""
+    done = Finished(**json.loads(line))
+    row = {**done.settings, **(done.result or {}), "error": done.error}
+    _csv([row]).encode()  # fails for half a character
+    return {key_of(done.settings): row}
+
+
+def _csv(rows: list[dict[str, Any]]) -> str:
+    """Rows with every column that any of them has, in the order of their first appearance, errors last."""
+    file = io.StringIO()
+    names = dict.fromkeys(name for row in rows for name in row if name != "error")
+    writer = csv.DictWriter(file, [*names, "error"], lineterminator="\n")
+    writer.writeheader()
+    for row in rows:
+        plain = {name: json.dumps(value) if isinstance(value, dict | list) else value for name, value in row.items()}
+        writer.writerow(plain)
+    return file.getvalue()
+
+
+# -- what is run -------------------------------------------------------------------------------------------------------
+
+
+def grid(
+    *,
+    policy: tuple[str, ...],
+    train: str | None,
+    task: tuple[str, ...],
+    setting: tuple[str, ...],
+    scene: tuple[str, ...],
+    seeds: int,
+    episodes: int,
+) -> list[dict[str, Any]]:
+    """The trials of a grid, as ``scripts/sweep.py`` names its sides: of policies, or with ``train`` of trainings.
+
+    Raises:
+        FileNotFoundError: there is no such policy.
+        TypeError, ValueError: one of the sides is unknown or out of its range.
+    """
+    check.whole("seeds", seeds, at_least=1, at_most=2**32)
+    check.whole("episodes", episodes, at_least=2)
+    environments = [_environment(*given) for given in product(task, setting, scene)]
+    if train is not None:
+        return [
+            {**asdict(given), "episodes": episodes}
+            for varied in _varied(json_object("train", train))
+            for env, seed in product(environments, range(seeds))
+            for given in [TrainSettings.suited(**{**asdict(env), **varied, "seed": seed, "torch_threads": 1})]
+        ]
+    names = [str(Path(name).resolve()) if Path(name).exists() else name for name in policy]
+    for name, env in product(names, environments):
+        find_policy(name, env, 0)
+    return [
+        {"policy": name, **asdict(env), "seed": seed, "episodes": episodes}
+        for name, env, seed in product(names, environments, range(seeds))
+    ]
+
+
+def _environment(task: str, setting: str, scene: str) -> EnvSettings:
+    """An environment of a task, a fidelity or fields of EnvSettings as JSON, and fields of the scene as JSON.
+
+    It is made once: what cannot be made is refused, and whatever has to be compiled is compiled before any bar.
+    """
+    named = {"fidelity": setting} if setting in FIDELITIES else json_object("setting", setting)
+    check.known_keys("setting", named, [name for name in _ENV if name not in ("task", "scene")])
+    given = EnvSettings(task=task, scene=json.dumps(json_object("scene", scene), sort_keys=True), **named)
+    environments = make_vec_env(given.env_settings, 1, 0)
+    environments.reset()
+    environments.close()
+    return given
+
+
+def _varied(train: dict[str, Any]) -> list[dict[str, Any]]:
+    """Every combination of settings of training, each given with the list of its values."""
+    check.known_keys("train", train, [name for name in _TRAIN if name not in (*_ENV, "seed", "torch_threads")])
+    for name, values in train.items():
+        if not isinstance(values, list) or not values:
+            raise TypeError(f"train must have a list of values for each setting, got {check.shown(values)} for {name}")
+    return [dict(zip(train, values, strict=True)) for values in product(*train.values())]
+
+
+def run_trial(folder: Path, settings: dict[str, Any]) -> dict[str, Any]:
+    """What a policy earns, or a training's best model: the columns of the table. ``folder`` is the sweep's."""
+    if "policy" in settings:
+        env, starts = EnvSettings(**{name: settings[name] for name in _ENV}), settings["seed"]
+        policy, more = find_policy(settings["policy"], env, starts)
+    else:  # evaluated from the same starts, whatever the training's seed
+        env, starts, more = TrainSettings.of({name: settings[name] for name in _TRAIN}), 0, {}
+        policy = load_model(_trained(folder, env))
+    found = evaluate("", policy, {**env.env_settings, **more}, settings["episodes"], starts)
+    low, high = found.interval
+    return {"mean": found.mean, "interval_low": low, "interval_high": high, "worst": min(found.returns)}
+
+
+def _trained(folder: Path, settings: TrainSettings) -> Path:
+    """Train in a run folder below a sweep's.
+
+    A training that was interrupted starts over: going on from a checkpoint would take other starts than an
+    uninterrupted run, and the table would depend on what was killed when.
+
+    Raises:
+        FileNotFoundError: the sweep's folder is not on this machine.
+    """
+    if not folder.is_dir():
+        raise FileNotFoundError(f"{folder} must be on a disk that all machines share: it is not on this one")
+    run = folder / RUNS / hashlib.sha256(key_of(asdict(settings)).encode()).hexdigest()[:16]
+    with contextlib.redirect_stdout(io.StringIO()):  # its times, which are in its folder too
+        if run.exists() and not is_whole(run / MODEL):
+            with locked(run):  # by a training that was taken for lost, perhaps
+                shutil.rmtree(run)
+        run.parent.mkdir(exist_ok=True)
+        trained_in(run, settings, progress=False)
+    return run

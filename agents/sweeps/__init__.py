@@ -1,1 +1,0 @@
-"""Many trainings and evaluations, in this process or on Ray."""

@@ -1,1 +1,0 @@
-"""What sweeps gain from more workers and machines: docs/scaling.md."""

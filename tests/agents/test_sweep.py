@@ -1,0 +1,214 @@
+"""Sweeps: the same table in this process, on cores, and after interruptions and kills; failures, refusals."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import asdict, replace
+from functools import partial
+from multiprocessing import active_children
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from agents import sweep
+from agents.evaluation.returns import evaluate
+from agents.files import FolderInUseError, locked
+from agents.policies.registry import find_policy
+from agents.settings import EnvSettings
+from agents.sweep import LOG, RUNS, SWEEP, TABLE, Runner, Work, carry_out, in_turn, new_sweep, on_cores, read_sweep
+from tests.agents.small_run import TINY
+from tests.agents.test_commands import ROOT, script
+
+GRID = [{"name": name, "number": number} for name in ("one", "other") for number in range(5)]
+
+
+def shares(settings: dict[str, Any]) -> dict[str, Any]:
+    """A work that takes no time, with floats that need all their digits."""
+    return {"share": (settings["number"] + len(settings["name"])) / 7.0, "list": [1, settings["name"]]}
+
+
+def fragile(notes: Path, settings: dict[str, Any]) -> dict[str, Any]:
+    """The same, but at first one trial fails, and another kills its process."""
+    assert os.environ["OPENBLAS_NUM_THREADS"] == "1"  # which nobody else sets
+    note = notes / f"{settings['name']} {settings['number']}"
+    if settings["number"] == 2 and not note.exists():
+        note.touch()
+        if settings["name"] == "one":
+            os.kill(os.getpid(), signal.SIGKILL)
+        raise ValueError("number must not be 2\nthe first time")
+    return shares(settings)
+
+
+def carried_out(folder: Path, work: Work = shares, runner: Runner = in_turn) -> bytes:
+    """The table after a sweep that begins or goes on in a folder."""
+    if not folder.exists():
+        new_sweep(folder, GRID)
+    carry_out(folder, GRID, work, runner, progress=False)
+    return (folder / TABLE).read_bytes()
+
+
+def rows_of(folder: Path) -> list[dict[str, str]]:
+    with (folder / TABLE).open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_a_row_for_each_trial_in_the_order_of_the_grid_whatever_finishes_first(tmp_path: Path) -> None:
+    table = carried_out(tmp_path / "sweep")
+    rows = rows_of(tmp_path / "sweep")
+    assert list(rows[0]) == ["name", "number", "share", "list", "error"]
+    assert [{"name": row["name"], "number": int(row["number"])} for row in rows] == GRID
+    assert [float(row["share"]) for row in rows] == [shares(settings)["share"] for settings in GRID]  # every bit
+    assert json.loads(rows[0]["list"]) == [1, "one"]
+    assert table == carried_out(tmp_path / "other", runner=lambda trials, work: in_turn(list(trials)[::-1], work))
+
+
+def test_what_has_finished_is_not_run_again_and_a_line_that_a_kill_cut_short_is(tmp_path: Path) -> None:
+    asked, log = list[dict[str, Any]](), tmp_path / "cut" / LOG
+
+    def interrupted(settings: dict[str, Any]) -> dict[str, Any]:
+        asked.append(settings)
+        if len(asked) == 7:
+            raise KeyboardInterrupt
+        return shares(settings)
+
+    with pytest.raises(KeyboardInterrupt):
+        carried_out(tmp_path / "cut", interrupted)
+    assert len(rows_of(tmp_path / "cut")) == 6
+    log.write_bytes(log.read_bytes()[:-3])
+    assert carried_out(tmp_path / "cut", interrupted) == carried_out(tmp_path / "whole")
+    assert asked == [*GRID[:7], *GRID[5:]]
+
+
+def test_a_process_that_is_killed_and_a_trial_that_fails_stop_no_other(tmp_path: Path) -> None:
+    work, folder = partial(fragile, tmp_path), tmp_path / "sweep"
+    carried_out(folder, work, partial(on_cores, 1))
+    errors = [row["error"] for row in rows_of(folder)]
+    assert errors[2].startswith("BrokenProcessPool")
+    assert errors[7] == "ValueError: number must not be 2"
+    assert errors.count("") == 8
+    assert (folder / LOG).read_text().count("in fragile") == 1
+    assert carried_out(folder, work) == carried_out(tmp_path / "whole")
+
+
+def hanging(settings: dict[str, Any]) -> dict[str, Any]:
+    """The same, but only the first trial of each name finishes soon."""
+    time.sleep(1000.0 * settings["number"])
+    return shares(settings)
+
+
+def test_an_interruption_does_not_wait_for_trials_under_way() -> None:
+    before, results = active_children(), on_cores(2, GRID, hanging)
+    assert next(results).result == shares(GRID[0])
+    assert len(active_children()) == len(before) + 2
+    results.close()
+    assert active_children() == before
+
+
+def test_folders_are_not_shared_overwritten_or_continued_by_other_code(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, known = new_sweep(tmp_path / "sweep", GRID), sweep.made_with()
+    assert read_sweep(folder) == GRID
+    with pytest.raises(FileExistsError, match="sweep exists, and is never overwritten"):
+        new_sweep(folder, GRID)
+    with locked(folder), pytest.raises(FolderInUseError, match="is in use by another process"):
+        carried_out(folder)
+    monkeypatch.setattr(sweep, "made_with", lambda: {**known, "numpy": "1.0"})
+    with pytest.raises(ValueError, match=rf"begun with other code \(numpy {known['numpy']}\)"):
+        read_sweep(folder)
+    (folder / SWEEP).write_text("{")
+    with pytest.raises(ValueError, match="sweep.json is damaged"):
+        read_sweep(folder)
+    for grid, said in (([], "at least one trial, .* got 0"), ([*GRID, GRID[3]], "each once, got 2 times {.*3}")):
+        with pytest.raises(ValueError, match=said):
+            new_sweep(tmp_path / "new", grid)
+
+
+# -- the command -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ("--policy nobody", "policy"),
+        ("--setting fast", "got 'fast'"),
+        ("""--scene {"gravity":-1}""", "gravity"),
+        ("--episodes 1", "episodes must be a whole number >= 2, got 1"),
+        ("--setting exact exact", "got 2 times"),
+        ("--workers 0", "workers must be a whole number from 1 to 100, got 0"),
+        ("--workers 2 --address auto", "workers must be None with an address"),
+        ("""--train {"hold":4}""", "got 4 for hold"),
+        ("""--train {"hold":[3]}""", "hold"),
+        ("""--train {} --policy zero""", "--policy"),
+        ("--resume nowhere", "nowhere"),
+        ("--resume nowhere --seeds 3", "--resume"),
+    ],
+)
+def test_the_command_refuses_in_one_sentence_before_it_makes_a_folder(
+    tmp_path: Path, arguments: str, sentence: str
+) -> None:
+    done = script("sweep", *arguments.split(), cwd=tmp_path, status=2)
+    assert sentence in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert not list(tmp_path.iterdir())
+
+
+FEW = ["--policy", "chirp", "level", "--setting", "balanced", "exact", "--scene", "{}", '{"box_mass": 0.01}']
+FEW += ["--seeds", "3", "--episodes", "2", "--no-progress"]
+
+
+@pytest.mark.slow
+def test_the_command_is_killed_and_interrupted_on_two_cores_and_goes_on_to_the_same_table(tmp_path: Path) -> None:
+    log = tmp_path / "s" / LOG
+
+    def stopped(after: int, number: int, *arguments: str) -> tuple[int, str]:
+        """Exit status and standard error of the command, which gets a signal after so many lines of its log."""
+        command = [sys.executable, str(ROOT / "scripts" / "sweep.py"), *arguments, "--workers", "2"]
+        # In a process group of its own, as in a terminal. A shell's background jobs ignore SIGINT.
+        own: Any = {"start_new_session": True, "preexec_fn": lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)}
+        at_work = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, **own)
+        while at_work.poll() is None and not (log.exists() and log.read_bytes().count(b"\n") >= after):
+            time.sleep(0.01)
+        (os.kill if number == signal.SIGKILL else os.killpg)(at_work.pid, number)
+        _, errors = at_work.communicate(timeout=60)  # until its workers have let go of standard error
+        return at_work.returncode, errors
+
+    assert stopped(2, signal.SIGKILL, *FEW, "--folder", "s")[0] == -signal.SIGKILL
+    finished, again = log.read_bytes().count(b"\n"), "python scripts/sweep.py --resume s\n"
+    said = f"\nInterrupted. Go on with: {again}"
+    assert stopped(finished + 4, signal.SIGINT, "--resume", "s", "--no-progress") == (130, said)
+    assert finished < len(rows_of(tmp_path / "s")) < 24  # three may have failed and begun again
+    said = f"3 of 24 trials failed: s/table.csv says which, s/trials.jsonl where. Try them again with: {again}"
+    assert script("sweep", "--resume", "s", "--no-progress", cwd=tmp_path, status=1) == (
+        f"24 trials: s/{TABLE}\n",
+        said,
+    )
+    script("sweep", *FEW, "--folder", "whole", cwd=tmp_path, status=1)
+    assert (tmp_path / "s" / TABLE).read_bytes() == (tmp_path / "whole" / TABLE).read_bytes()
+    row, given = rows_of(tmp_path / "s")[19], EnvSettings(fidelity="exact")
+    assert (row["policy"], row["scene"], row["seed"], row["error"]) == ("level", "{}", "1", "")
+    assert float(row["mean"]) == evaluate("", find_policy("level", given, 1).policy, given.env_settings, 2, 1).mean
+
+
+def test_a_training_that_was_cut_short_starts_over_to_the_same_row(tmp_path: Path) -> None:
+    small = asdict(replace(TINY, total_steps=768, eval_steps=256, checkpoint_steps=256))
+    fixed = {*asdict(EnvSettings()), "seed", "torch_threads"}
+    varied = {name: [value] for name, value in small.items() if name not in fixed} | {"learning_rate": [1e-3, 5e-4]}
+    script("sweep", "--train", json.dumps(varied), "--episodes", "2", "--folder", "s", "--no-progress", cwd=tmp_path)
+    table, rows = (tmp_path / "s" / TABLE).read_bytes(), rows_of(tmp_path / "s")
+    assert [row["learning_rate"] for row in rows] == ["0.001", "0.0005"]
+    assert rows[0]["mean"] != rows[1]["mean"]
+    (tmp_path / "s" / LOG).unlink()
+    for run in (tmp_path / "s" / RUNS).iterdir():
+        _, *checkpoints = sorted((run / "checkpoints").iterdir(), key=lambda path: path.stat().st_mtime_ns)
+        for path in (run / "model.zip", run / "best_model.zip", run / "evaluations.npz", *checkpoints):
+            path.unlink()  # as a kill soon after its start leaves it
+    script("sweep", "--resume", "s", "--no-progress", cwd=tmp_path)
+    assert (tmp_path / "s" / TABLE).read_bytes() == table

@@ -1,0 +1,82 @@
+"""Sweeps on a cluster of Ray: the same table, also with a worker and a node killed in the middle."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from agents.sweep import TABLE, carry_out, grid, in_turn, new_sweep, run_trial
+from agents.sweep_ray import runner_for
+from jackbox_env.compiled import compiler
+from tests.agents.small_run import TINY
+from tests.agents.test_sweep import carried_out
+
+pytest.importorskip("ray", reason='NOTHING ON RAY IS TESTED: Ray is missing, pip install -e ".[scale]"')
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning", "ignore::ResourceWarning"),
+]
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Any]:
+    """Two nodes of one core each, on loopback."""
+    from ray.cluster_utils import Cluster
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+        patch.delenv("PYTHONPATH", raising=False)  # the nodes have what they are sent
+        made = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+        made.add_node(num_cpus=1)
+    yield made
+    made.shutdown()
+
+
+def test_policies_and_trainings_give_the_same_table_as_in_one_process(tmp_path: Path, cluster: Any) -> None:
+    sides: dict[str, Any] = {"policy": ("ppo", "random"), "train": None, "task": ("juggle",), "scene": ("{}",)}
+    small = {**asdict(replace(TINY, total_steps=512, eval_steps=256, checkpoint_steps=256)), "episodes": 2}
+    trials = [*grid(**sides, setting=("exact", "balanced"), seeds=2, episodes=2), small]
+    for name, runner in (("alone", in_turn), ("cluster", runner_for(None, cluster.address))):
+        work = partial(run_trial, new_sweep(tmp_path / name, trials))
+        assert not any(row["error"] for row in carry_out(tmp_path / name, trials, work, runner, progress=False))
+    assert (tmp_path / "alone" / TABLE).read_bytes() == (tmp_path / "cluster" / TABLE).read_bytes()
+
+
+def test_a_worker_and_a_node_killed_in_the_middle_lose_nothing(tmp_path: Path, cluster: Any) -> None:
+    node, here = cluster.add_node(num_cpus=1), compiler.cache_folders()[-1]
+    lost, there = node.node_id, sorted(os.listdir(here))
+
+    def hanging(settings: dict[str, Any]) -> dict[str, Any]:
+        import ray
+
+        what = "node" if ray.get_runtime_context().get_node_id() == lost else "worker"
+        if not (tmp_path / what).exists():
+            (tmp_path / what).touch()
+            if what == "worker":
+                os.kill(os.getpid(), signal.SIGKILL)
+            time.sleep(250.0)
+        sent = compiler.cache_folders()[-1]
+        assert sent != here
+        assert sorted(os.listdir(sent)) == there
+        return {"share": settings["number"] / 7.0}
+
+    def kill() -> None:
+        while not (tmp_path / "node").exists():
+            time.sleep(0.05)
+        cluster.remove_node(node, allow_graceful=False)
+
+    killer = threading.Thread(target=kill, daemon=True)
+    killer.start()
+    table = carried_out(tmp_path / "killed", hanging, runner_for(None, cluster.address))
+    assert (tmp_path / "worker").exists()
+    assert not killer.is_alive()
+    assert table == carried_out(tmp_path / "alone", lambda settings: {"share": settings["number"] / 7.0})
