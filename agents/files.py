@@ -1,4 +1,4 @@
-"""Files that may be damaged, and folders that one process locks. :mod:`jackbox_env.recording.files` writes them.
+"""Files that may be damaged, and folders that one process locks. :mod:`jackbox_env.files` writes them.
 
 A folder is locked by a system lock on its file ``lock`` (filelock), which ends with its process, however that ends.
 """

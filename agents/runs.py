@@ -27,7 +27,7 @@ from pathlib import Path
 
 from agents.files import read_bounded
 from agents.settings import TrainSettings
-from jackbox_env.recording.files import write_json
+from jackbox_env.files import write_json
 
 SETTINGS, RUN, EVALUATIONS, TIME = "settings.json", "run.json", "evaluations.npz", "time.json"
 _LARGEST_SETTINGS = 1_000_000  # [bytes]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self, cast
 import gymnasium as gym
 
 from jackbox_env import Scene
-from jackbox_env import _validation as check
+from jackbox_env import checks as check
 from jackbox_env.commands.common import json_object, scene_fields
 from jackbox_env.observation import BOUNDS
 from jackbox_env.randomization import NUMBERS

@@ -44,9 +44,9 @@ from agents.training.checkpoints import is_whole
 from agents.training.models import load_model, make_vec_env
 from agents.training.ppo import MODEL, trained_in
 from jackbox_env import FIDELITIES
-from jackbox_env import _validation as check
+from jackbox_env import checks as check
 from jackbox_env.commands.common import json_object
-from jackbox_env.recording.files import new_folder, remove_partials, write_bytes, write_json, write_text
+from jackbox_env.files import new_folder, remove_partials, write_bytes, write_json, write_text
 
 SWEEP, LOG, TABLE, RUNS = "sweep.json", "trials.jsonl", "table.csv", "runs"
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")

@@ -29,7 +29,7 @@ from agents.sweep import (
     made_with,
     on_cores,
 )
-from jackbox_env import _validation as check
+from jackbox_env import checks as check
 from jackbox_env.compiled.compiler import cache_folders
 
 RETRIES = 4  # of a trial whose worker has died; then it has failed

@@ -13,7 +13,7 @@ import numpy as np
 from gymnasium.utils.seeding import np_random
 from numpy.typing import ArrayLike, NDArray
 
-from jackbox_env import _validation as check
+from jackbox_env import checks as check
 from jackbox_env import tasks
 from jackbox_env.observation import BOUNDS
 from jackbox_env.randomization import Randomization

@@ -30,7 +30,7 @@ from types import SimpleNamespace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from jackbox_env import _validation as check
+from jackbox_env import checks as check
 from jackbox_env.complementarity import nearest, weigh
 from jackbox_env.scene import Scene, SceneNumbers
 from jackbox_env.states import Array, Numbers, as_state, refuse_no_scene

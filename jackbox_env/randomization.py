@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from jackbox_env import _validation as check
+from jackbox_env import checks as check
 from jackbox_env.scene import Scene, SceneNumbers, between
 from jackbox_env.states import Array
 

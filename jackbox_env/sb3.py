@@ -16,7 +16,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import OrderEnforcing, TimeLimit
 from numpy.typing import ArrayLike, NDArray
 
-from jackbox_env import _validation as check
+from jackbox_env import checks as check
 from jackbox_env.scene import Scene
 from jackbox_env.simulators import Impact
 from jackbox_env.states import Array

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, fields
 from functools import partial
 from typing import Any, NamedTuple
 
-from jackbox_env import _validation as check
+from jackbox_env import checks as check
 
 # Gauss-Legendre nodes and weights with five points on [0, 1]: exact for polynomials of degree 9.
 _GAUSS = (

@@ -16,7 +16,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env import _validation as check
+from jackbox_env import checks as check
 from jackbox_env.observation import observe
 from jackbox_env.scene import Scene
 from jackbox_env.simulators import Simulator, contact_model

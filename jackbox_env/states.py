@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from jackbox_env import _validation as check
+from jackbox_env import checks as check
 from jackbox_env.scene import Scene, SceneNumbers
 
 STATE_NAMES = (

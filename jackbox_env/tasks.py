@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jackbox_env import _validation as check
+from jackbox_env import checks as check
 from jackbox_env.scene import Scene, SceneNumbers
 from jackbox_env.states import Array, Numbers, as_start
 

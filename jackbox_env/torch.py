@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from jackbox_env import _validation as check
+from jackbox_env import checks as check
 
 try:
     import torch

@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from jackbox_env import _validation as check
+from jackbox_env import checks as check
 from jackbox_env.batches.base import Batch, Change, Flags, Floats, Outcome, Starts
 from jackbox_env.batches.given import Given
 from jackbox_env.env import JackInBoxEnv, Randomize

@@ -8,7 +8,7 @@ from typing import Any
 
 from agents.policies.network import SHIPPED
 from jackbox_env.commands.common import ROOT, command_line, parser_of
-from jackbox_env.recording.files import write_text
+from jackbox_env.files import write_text
 
 SEEN = "From the observation, and eleven numbers about the jack's next landing that follow from it,"
 MADE = {  # what it is, and how it was trained

@@ -24,7 +24,7 @@ from agents.policies.scripted import Policy, RandomPolicy
 from agents.policies.value import read_value
 from agents.runs import versions
 from jackbox_env import Scene
-from jackbox_env import _validation as check
+from jackbox_env import checks as check
 from jackbox_env.commands.common import ROOT, command_line, parser_of
 from jackbox_env.tasks import TASKS
 

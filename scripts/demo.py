@@ -44,8 +44,8 @@ def main() -> None:
     from agents.runs import describe, machine, versions
     from agents.training.models import derived_seed, load_model
     from agents.training.ppo import train
-    from jackbox_env import _validation as check
-    from jackbox_env.recording.files import new_folder, write_json
+    from jackbox_env import checks as check
+    from jackbox_env.files import new_folder, write_json
 
     check.whole("episodes", arguments.episodes, at_least=2)
     settings = TrainSettings(total_steps=arguments.total_steps, max_minutes=arguments.max_minutes, seed=arguments.seed)

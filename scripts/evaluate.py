@@ -40,8 +40,8 @@ class Arguments:
 
 def _refuse_nonsense(arguments: Arguments) -> None:
     """Refuse what would fail after minutes of computing."""
-    from jackbox_env import _validation as check
-    from jackbox_env.recording.files import check_new, check_writable
+    from jackbox_env import checks as check
+    from jackbox_env.files import check_new, check_writable
 
     check.whole("episodes", arguments.episodes, at_least=1)
     check.whole("seed", arguments.seed, at_least=0, at_most=2**32 - 1)
@@ -68,7 +68,7 @@ def main() -> None:
     from agents.policies.registry import find_policy
     from agents.runs import versions
     from agents.training.models import derived_seed
-    from jackbox_env.recording.files import write_json
+    from jackbox_env.files import write_json
 
     env_settings = arguments.settings.env_settings
     found = [
@@ -95,7 +95,7 @@ def main() -> None:
 def _write_pages(folder: Path, acts: dict[str, Baseline], settings: EnvSettings, seed: int) -> None:
     """Write an animated page of each policy into a new folder, and say where."""
     from agents.evaluation.episodes import write_pages
-    from jackbox_env.recording.files import new_folder
+    from jackbox_env.files import new_folder
 
     earned = dict[str, float]()
     new_folder(folder, "evaluate", lambda made: earned.update(write_pages(made, acts, settings, seed)))

@@ -25,7 +25,7 @@ def main() -> None:
     from agents.evaluation.exporting import export_policy
     from agents.policies.network import WEIGHTS
     from agents.runs import read_settings
-    from jackbox_env.recording.files import new_folder
+    from jackbox_env.files import new_folder
 
     folder = new_folder(arguments.folder, "export", lambda made: export_policy(arguments.run, made))
     size = (folder / WEIGHTS).stat().st_size

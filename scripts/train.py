@@ -12,7 +12,7 @@ from typing import Annotated
 from agents.runs import RUN, describe, read_settings
 from agents.settings import TrainSettings
 from jackbox_env.commands.common import called, command_line, tyro
-from jackbox_env.recording.files import new_folder
+from jackbox_env.files import new_folder
 
 
 @dataclass(frozen=True)

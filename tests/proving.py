@@ -30,8 +30,8 @@ from flint import arb
 from agents.evaluation.episodes import record_episode
 from agents.policies.registry import find_policy
 from agents.settings import EnvSettings
+from jackbox_env.files import write_text
 from jackbox_env.mechanics import gap_jacobian, gaps
-from jackbox_env.recording.files import write_text
 from jackbox_env.scene import Drive, Scene
 from jackbox_env.simulators import Impact, JackLostError, make_simulator
 from jackbox_env.states import Array

@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[1]
 
 # From the ground up. A module may import what stands above it in this list, which is below it in the house.
 PACKAGE = """
-    _validation recording.files colours
+    checks files colours
     scene
     states
     randomization

@@ -62,7 +62,7 @@ def train(folder: Path) -> None:
     from agents.runs import describe
     from agents.settings import TrainSettings
     from agents.training import ppo
-    from jackbox_env.recording.files import new_folder
+    from jackbox_env.files import new_folder
 
     settings = TrainSettings(
         total_steps=10, num_envs=2, rollout_steps=5, batch_size=10, epochs=1, eval_steps=10, eval_episodes=1

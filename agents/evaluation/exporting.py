@@ -7,7 +7,7 @@ from pathlib import Path
 from agents.policies.network import layers_of, write_with_layers
 from agents.runs import EVALUATIONS, SETTINGS, TIME, read_settings
 from agents.training.models import load_model, run_folder
-from jackbox_env.recording.files import write_bytes
+from jackbox_env.files import write_bytes
 
 
 def export_policy(run: Path, folder: Path) -> None:

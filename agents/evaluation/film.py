@@ -15,7 +15,7 @@ from tqdm import tqdm
 import jackbox_env  # noqa: F401
 from agents.policies.scripted import Baseline
 from agents.settings import EPISODE_STEPS
-from jackbox_env.recording.files import check_new, check_writable, replacing
+from jackbox_env.files import check_new, check_writable, replacing
 from jackbox_env.render.canvas import import_pygame
 
 Frame = NDArray[np.uint8]

@@ -30,8 +30,8 @@ from agents.runs import SETTINGS
 from agents.settings import FORESEEN, MOST_LAYERS, MOST_WEIGHTS, EnvSettings, TrainSettings
 from agents.training.archives import unpacked_arrays
 from jackbox_env import Scene
+from jackbox_env.files import write_bytes, write_json
 from jackbox_env.observation import BOUNDS
-from jackbox_env.recording.files import write_bytes, write_json
 
 if TYPE_CHECKING:
     from stable_baselines3 import PPO

@@ -28,7 +28,7 @@ from agents.policies.scripted import Actions
 from agents.policies.value import Value
 from agents.settings import EPISODE_STEPS, EnvSettings
 from jackbox_env import Scene
-from jackbox_env import _validation as check
+from jackbox_env import checks as check
 from jackbox_env.landing import QUARTER, landing_times, torques, upright
 from jackbox_env.mechanics import contacts_of, impact_maps
 from jackbox_env.observation import state_of

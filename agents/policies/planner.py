@@ -12,7 +12,7 @@ from agents.policies.scripted import Actions
 from agents.policies.value import Value, ValuedSearch
 from agents.settings import EnvSettings
 from jackbox_env import Scene, Task
-from jackbox_env import _validation as check
+from jackbox_env import checks as check
 from jackbox_env.observation import state_of
 from jackbox_env.planning.features import Features
 from jackbox_env.planning.icem import Plans, Search

@@ -17,7 +17,7 @@ from agents.settings import TrainSettings
 from agents.training.archives import unpacked_arrays
 from agents.training.checkpoints import Checkpoint, is_whole, model_file
 from agents.training.models import derived_seed, make_vec_env
-from jackbox_env.recording.files import replacing, write_bytes
+from jackbox_env.files import replacing, write_bytes
 
 BEST = "best_model.zip"
 

@@ -13,7 +13,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from agents.files import DamagedFileError, parsing, say_skipped
 from agents.training.archives import unpacked
-from jackbox_env.recording.files import make_folder, write_bytes
+from jackbox_env.files import make_folder, write_bytes
 
 CHECKPOINTS = "checkpoints"
 _GROUPS = ("policy", "policy.optimizer")  # of parameters

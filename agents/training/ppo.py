@@ -29,7 +29,7 @@ from agents.training.checkpoints import (
 )
 from agents.training.models import derived_seed, holding, make_ppo
 from agents.training.timing import Spent, TimedEnvironments, TimedVecEnv, formatted
-from jackbox_env.recording.files import make_folder, new_folder, remove_partials, write_bytes, write_json
+from jackbox_env.files import make_folder, new_folder, remove_partials, write_bytes, write_json
 
 MODEL = "model.zip"
 

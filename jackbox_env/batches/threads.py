@@ -8,7 +8,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Any, TypeVar
 
-from jackbox_env import _validation as check
+from jackbox_env import checks as check
 
 R = TypeVar("R")
 

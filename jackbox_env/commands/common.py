@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from gymnasium.error import DependencyNotInstalled
 from gymnasium.error import Error as GymnasiumError
 
-from jackbox_env import _validation as check
+from jackbox_env import checks as check
 
 if TYPE_CHECKING:
     import tyro as tyro

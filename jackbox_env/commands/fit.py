@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jackbox_env import _validation as check
+from jackbox_env import checks as check
 from jackbox_env.commands.common import command_line, parser_of, scene_fields
 from jackbox_env.states import LATEST_TIME, STATE_NAMES, STATE_UNITS, Array
 
@@ -273,7 +273,7 @@ def write_page(path: Path, found: Fit, start: Scene, recordings: Sequence[Record
     Raises:
         FileExistsError: there is something at ``path``.
     """
-    from jackbox_env.recording.files import new_file
+    from jackbox_env.files import new_file
 
     head, *rows = ("".join(f"<td>{cell}</td>" for cell in row) for row in table_of(found, start))
     body = [f"<table><tr>{head.replace('td>', 'th>')}</tr>", *(f"<tr>{row}</tr>" for row in rows), "</table>"]
@@ -381,8 +381,8 @@ def main() -> None:
     """Read, fit, tell, and write the page."""
     arguments = _arguments()
     from jackbox_env import Scene
+    from jackbox_env.files import check_new, new_folder, stamped
     from jackbox_env.measure.fitting import fit
-    from jackbox_env.recording.files import check_new, new_folder, stamped
 
     paths, folder = arguments.recordings, arguments.folder or stamped("fit")
     if arguments.impacts and len(arguments.impacts) != len(paths):

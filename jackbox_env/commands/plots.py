@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from jackbox_env.colours import JACK as JACK_COLOUR
 from jackbox_env.colours import WALL, hexed
-from jackbox_env.recording.files import new_file
+from jackbox_env.files import new_file
 from jackbox_env.recording.trajectory import Trajectory
 
 BOX, JACK, GREY = hexed(WALL), hexed(JACK_COLOUR), "#787e86"

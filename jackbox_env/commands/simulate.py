@@ -48,8 +48,8 @@ def _arguments() -> argparse.Namespace:
 
 def _refuse_nonsense(arguments: argparse.Namespace) -> None:
     """Raise ValueError for a duration that cannot be simulated, and for files that cannot be written."""
-    from jackbox_env import _validation as check
-    from jackbox_env.recording.files import check_new
+    from jackbox_env import checks as check
+    from jackbox_env.files import check_new
 
     check.real("seconds", arguments.seconds, above=0.0, at_most=1e6)
     check.real("dt", arguments.dt, above=0.0)
@@ -87,7 +87,7 @@ def main() -> None:
     """Parse, simulate, write."""
     arguments = _arguments()
     from jackbox_env import Scene, make_simulator
-    from jackbox_env.recording.files import new_folder, stamped
+    from jackbox_env.files import new_folder, stamped
     from jackbox_env.recording.trajectory import simulate
     from jackbox_env.simulators.fidelity import words
 

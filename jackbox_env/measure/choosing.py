@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jackbox_env import _validation as check
+from jackbox_env import checks as check
 from jackbox_env.measure.accuracy import Case, at_ends, between, follow
 from jackbox_env.scene import Scene, scenes_of
 from jackbox_env.simulators import CONTACT_MODELS, Impact, Simulator, make_simulator

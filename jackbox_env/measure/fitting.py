@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from jackbox_env import _validation as check
+from jackbox_env import checks as check
 from jackbox_env.compiled.tangents import FIELDS
 from jackbox_env.measure.recordings import Recording
 from jackbox_env.measure.shooting import UNHEARD, Parameters, Rows, Shooting, Window, motion, next_window, units

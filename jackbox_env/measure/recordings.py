@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jackbox_env import _validation as check
+from jackbox_env import checks as check
 from jackbox_env.states import LATEST_TIME, STATE_NAMES, Array
 
 SHORTEST = 1e-9  # [s] between states

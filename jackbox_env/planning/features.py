@@ -14,7 +14,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env import _validation as check
+from jackbox_env import checks as check
 from jackbox_env.observation import BOUNDS, observe, state_of
 from jackbox_env.planning.icem import Plans, Search
 from jackbox_env.planning.rollouts import play

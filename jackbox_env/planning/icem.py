@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env import _validation as check
+from jackbox_env import checks as check
 from jackbox_env.planning.rollouts import play, ready
 from jackbox_env.scene import Scene
 from jackbox_env.states import Array

@@ -15,7 +15,7 @@ from gymnasium.vector import VectorWrapper
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike
 
-from jackbox_env import _validation as check
+from jackbox_env import checks as check
 from jackbox_env.landing import landing_times, torques, upright
 from jackbox_env.planning.features import Flags, Floats
 from jackbox_env.planning.wrappers import changed_actions, refuse_other_torques

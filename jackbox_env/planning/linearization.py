@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from jackbox_env import _validation as check
+from jackbox_env import checks as check
 from jackbox_env.batches.threads import Threads, thread_count
 from jackbox_env.compiled import tangents
 from jackbox_env.compiled.compiler import compiled

@@ -10,7 +10,7 @@ from typing import Any, Generic, Literal, NamedTuple, TypeVar, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from jackbox_env import _validation as check
+from jackbox_env import checks as check
 from jackbox_env.batches.threads import Halt, Threads, thread_count
 from jackbox_env.compiled.address import address_of
 from jackbox_env.compiled.compiler import compiled

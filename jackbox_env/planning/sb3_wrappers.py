@@ -8,7 +8,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env import _validation as check
+from jackbox_env import checks as check
 from jackbox_env.planning.features import Features, WarmStart
 from jackbox_env.planning.landing_control import SPACE, Aiming
 from jackbox_env.planning.wrappers import only_one, refuse_early_end, refuse_other_torques

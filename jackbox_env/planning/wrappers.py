@@ -13,7 +13,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorActionWrapper, VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
 
-from jackbox_env import _validation as check
+from jackbox_env import checks as check
 from jackbox_env.planning.features import Features, Flags, Floats, WarmStart
 from jackbox_env.states import Array
 from jackbox_env.vector_env import JackInBoxVectorEnv

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from jackbox_env import colours
-from jackbox_env.recording.files import new_file
+from jackbox_env.files import new_file
 from jackbox_env.recording.samples import Samples, samples_of
 from jackbox_env.recording.trajectory import Trajectory
 from jackbox_env.scene import Chirp, Scene

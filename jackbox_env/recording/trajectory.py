@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.recording.files import new_file
+from jackbox_env.files import new_file
 from jackbox_env.simulators import Impact, JackLostError, Simulator
 from jackbox_env.states import STATE_NAMES, STATE_UNITS, Array
 

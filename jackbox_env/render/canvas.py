@@ -16,7 +16,7 @@ import numpy as np
 from gymnasium.error import DependencyNotInstalled
 from numpy.typing import NDArray
 
-from jackbox_env import _validation as check
+from jackbox_env import checks as check
 from jackbox_env.colours import Colour
 
 if TYPE_CHECKING:

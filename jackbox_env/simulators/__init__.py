@@ -6,7 +6,7 @@ import importlib
 from types import MappingProxyType
 from typing import Any
 
-from jackbox_env import _validation as check
+from jackbox_env import checks as check
 from jackbox_env.scene import Scene
 from jackbox_env.simulators.base import ContactModel, Impact, JackLostError, Simulator
 

@@ -35,7 +35,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jackbox_env import _validation as check
+from jackbox_env import checks as check
 from jackbox_env.compiled.compiler import compiled
 from jackbox_env.compiled.drives import TABLE_WIDTH
 from jackbox_env.compiled.search import MOST_WORK

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jackbox_env import _validation as check
+from jackbox_env import checks as check
 
 DEFAULT = "pymunk"  # the contact model where none is named
 

@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env import _validation as check
+from jackbox_env import checks as check
 from jackbox_env.compiled.compiler import compiled
 from jackbox_env.compiled.drives import DEGREE, TABLE_WIDTH
 from jackbox_env.compiled.interpolation import POINTS, interpolate

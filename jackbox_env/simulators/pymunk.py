@@ -47,7 +47,7 @@ from typing import NamedTuple, cast
 import pymunk
 from pymunk.batch import BodyFields, Buffer, get_space_bodies
 
-from jackbox_env import _validation as check
+from jackbox_env import checks as check
 from jackbox_env.mechanics import energy_of
 from jackbox_env.scene import Drive, Scene
 from jackbox_env.simulators.base import ContactModel, JackLostError, Present, end_of_step

@@ -26,8 +26,8 @@ from agents.policies.one_bounce import LANDING, LandingPolicy, LandingSettings
 from agents.policies.value import UNIT, Value, read_value
 from jackbox_env import Rollout, Scene, rollout
 from jackbox_env.commands.common import command_line
+from jackbox_env.files import make_folder
 from jackbox_env.landing import landing_times, torques, upright
-from jackbox_env.recording.files import make_folder
 from jackbox_env.states import Array
 from jackbox_env.tasks import sample_start
 from scripts.studies.fitting import epoch, layers_of, network, seen_and_worth

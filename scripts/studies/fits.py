@@ -147,7 +147,7 @@ def main() -> None:
     import tyro
     from tqdm import tqdm
 
-    from jackbox_env.recording.files import check_writable, write_text
+    from jackbox_env.files import check_writable, write_text
 
     arguments = tyro.cli(Arguments, description=__doc__)
     check_writable(arguments.out)

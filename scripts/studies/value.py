@@ -24,8 +24,8 @@ from agents.policies.value import INPUTS, VALUE, Value, ValuedSearch
 from agents.settings import EnvSettings
 from jackbox_env import Scene
 from jackbox_env.commands.common import command_line
+from jackbox_env.files import make_folder
 from jackbox_env.planning.icem import Search
-from jackbox_env.recording.files import make_folder
 from jackbox_env.states import Array
 from jackbox_env.tasks import sample_start
 from scripts.studies.fitting import BATCH, epoch, layers_of, seen_and_worth

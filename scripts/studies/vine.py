@@ -32,8 +32,8 @@ from agents.runs import SETTINGS
 from agents.settings import TrainSettings
 from jackbox_env import Rollout, Scene, Task, rollout
 from jackbox_env.commands.common import command_line
+from jackbox_env.files import make_folder
 from jackbox_env.observation import BOUNDS
-from jackbox_env.recording.files import make_folder
 from jackbox_env.states import Array
 from jackbox_env.tasks import TASKS, sample_start
 from scripts.studies.fitting import layers_of

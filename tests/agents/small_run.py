@@ -8,7 +8,7 @@ import pytest
 
 from agents.runs import describe
 from agents.settings import TrainSettings
-from jackbox_env.recording.files import new_folder
+from jackbox_env.files import new_folder
 
 # Seconds instead of minutes: an update every 64 steps of 4 environments.
 TINY = TrainSettings(

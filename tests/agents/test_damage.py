@@ -17,7 +17,7 @@ from agents.training.best import BEST, read_evaluations
 from agents.training.checkpoints import CHECKPOINTS, Checkpoint, checkpoint_path, kept_steps, read_parameters
 from agents.training.models import load_model
 from agents.training.ppo import MODEL
-from jackbox_env.recording.files import new_folder
+from jackbox_env.files import new_folder
 from tests.agents.killing import SMALL, expected_steps, short_episodes
 
 STOPPED = 80  # steps done of the 96, two evaluations among them

@@ -17,7 +17,7 @@ from agents.runs import describe
 from agents.training import ppo as training
 from agents.training.holding import HoldingPPO
 from agents.training.models import holding, load_model, make_ppo, make_vec_env
-from jackbox_env.recording.files import new_folder
+from jackbox_env.files import new_folder
 from tests.agents.small_run import TINY
 
 HOLD = 5

@@ -23,8 +23,8 @@ from agents.policies.one_bounce import (
 from agents.policies.registry import find_policy
 from agents.settings import EnvSettings
 from jackbox_env import Scene, make_simulator
+from jackbox_env.files import write_json
 from jackbox_env.landing import landing_times, torques, upright
-from jackbox_env.recording.files import write_json
 from jackbox_env.states import Array
 from jackbox_env.tasks import sample_start
 from tests.agents.untrained import layers_for, states_in

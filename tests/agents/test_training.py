@@ -19,7 +19,7 @@ from agents.training import ppo as training
 from agents.training.best import choosing_seed
 from agents.training.checkpoints import Checkpoint, kept_steps, latest_checkpoint
 from agents.training.models import load_model, make_ppo, make_vec_env
-from jackbox_env.recording.files import new_folder
+from jackbox_env.files import new_folder
 from tests.agents.small_run import TINY
 
 # -- training ----------------------------------------------------------------------------------------------------------

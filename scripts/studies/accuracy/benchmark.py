@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from jackbox_env.commands.common import command_line
-from jackbox_env.recording.files import check_writable, replacing, stamped, write_text
+from jackbox_env.files import check_writable, replacing, stamped, write_text
 from jackbox_env.simulators.fidelity import FIDELITIES
 from scripts.studies.accuracy.measured import (
     ALL,
@@ -402,7 +402,7 @@ def main() -> None:
     import matplotlib  # noqa: F401  # refused now rather than after the sweep
 
     from agents.sweep_ray import runner_for
-    from jackbox_env import _validation as check
+    from jackbox_env import checks as check
 
     few = arguments.quick
     cases = check.whole("cases", (5 if few else 34) if arguments.cases is None else arguments.cases, at_least=2)

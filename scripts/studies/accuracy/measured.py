@@ -22,8 +22,8 @@ from agents.files import read_json
 from agents.runs import PACKAGES, machine, versions
 from agents.sweep import Runner
 from jackbox_env import Scene, make_simulator, rollout
+from jackbox_env.files import replacing, write_json
 from jackbox_env.measure.accuracy import Case, Reference, between, compare, follow, quantities, reference_of, restarts
-from jackbox_env.recording.files import replacing, write_json
 from jackbox_env.simulators import Impact, Simulator
 from jackbox_env.simulators.fidelity import FIDELITIES
 from jackbox_env.states import Array

@@ -6,7 +6,7 @@ import math
 from abc import abstractmethod
 from typing import ClassVar
 
-from jackbox_env import _validation as check
+from jackbox_env import checks as check
 from jackbox_env.measure.accuracy import Between
 from jackbox_env.scene import Drive, Scene
 from jackbox_env.simulators.base import ContactModel, Impact, JackLostError, Present, Simulator, end_of_step

@@ -108,7 +108,7 @@ def main() -> None:
     """Parse, measure, draw, write."""
     import tyro
 
-    from jackbox_env.recording.files import check_writable, write_json, write_text
+    from jackbox_env.files import check_writable, write_json, write_text
 
     arguments = tyro.cli(Arguments, description=__doc__)
     pictures, path = arguments.out / "derivatives", arguments.out / "derivatives.json"

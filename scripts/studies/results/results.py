@@ -123,7 +123,7 @@ def draw(rows: list[dict[str, Any]], learning: list[dict[str, Any]], path: Path)
 
     from agents.evaluation.figures import ACCENT
     from jackbox_env.commands.plots import JACK
-    from jackbox_env.recording.files import replacing
+    from jackbox_env.files import replacing
 
     figure = Figure(figsize=(10.0, 3.8), layout="constrained")
     panels = figure.subplots(1, len(TASKS))
@@ -149,7 +149,7 @@ def draw(rows: list[dict[str, Any]], learning: list[dict[str, Any]], path: Path)
 def gathered(arguments: Arguments) -> dict[str, Any]:
     """Everything that the page shows; what has not finished in the folder is run."""
     from agents.sweep_ray import runner_for
-    from jackbox_env.recording.files import make_folder
+    from jackbox_env.files import make_folder
     from scripts.studies.sweeping import swept
 
     folder, runner = arguments.folder.resolve(), runner_for(arguments.workers, None)
@@ -176,8 +176,8 @@ def gathered(arguments: Arguments) -> dict[str, Any]:
 def main() -> None:
     """Parse, evaluate what is missing, write the page."""
     arguments = tyro.cli(Arguments, description=__doc__)
-    from jackbox_env import _validation as check
-    from jackbox_env.recording.files import check_writable, write_text
+    from jackbox_env import checks as check
+    from jackbox_env.files import check_writable, write_text
 
     for name in ("episodes", "planner_episodes", "training_episodes", "across_episodes"):
         check.whole(name, getattr(arguments, name), at_least=4)

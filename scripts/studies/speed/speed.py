@@ -186,8 +186,8 @@ def main() -> None:
     """Parse, measure, write, print."""
     import tyro
 
-    from jackbox_env import _validation as check
-    from jackbox_env.recording.files import check_writable, write_json, write_text
+    from jackbox_env import checks as check
+    from jackbox_env.files import check_writable, write_json, write_text
 
     arguments = tyro.cli(Arguments, description=__doc__)
     check.whole("rounds", arguments.rounds, at_least=1)
