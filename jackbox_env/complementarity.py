@@ -6,6 +6,8 @@ Method: v + W^T x is the nearest point to v with W v + bias >= 0. Gradients of g
     combination of (n_x, n_y, n^perp . o). So all sets of one, two and three rows are tried. Each gives a point by
     projection, and the right one needs no negative push and closes no gap.
 Exactness: rounding. The point is unique; if rows depend on each other, x is one of several.
+Fails: contacts whose rows are dependent and nearly parallel, as those of feet on opposite walls: pushes then cancel,
+    and rounding grows with them. A jack smaller than the box has no such contacts.
 Cost: n^3 / 6 projections for n contacts; a jack and a box have four at most outside special poses.
 Bits: the same on every processor, because the sums are written out. The functions are plain Python here, for
     :func:`jackbox_env.mechanics.simultaneous_impact_map`, and compiled for the exact contact model.

@@ -32,6 +32,7 @@ _SHORTER = 0.5, 0.25  # of a window that is not explained
 _UNSEEN = 1e-4  # slack of links at first, in units of the state, where impacts are all there is
 _MANY = 20  # third differences that tell the noise
 _ROUGH = 1e-2  # noise at first, in units of the state; of impacts' times [s]
+_SMALLEST = 1e-12  # noise that can be given, in SI units
 _LEAST = 1e-9  # noise that is estimated, at least, in the same units: rounding grows to about this within a window
 _UNTOLD = 5.0  # standard deviation of a logarithm beyond which a combination is not told
 _LOST = 1e6  # residual of a motion that cannot be followed, in units of the noise
@@ -99,10 +100,12 @@ def fit(
     given = [recordings] if isinstance(recordings, Recording) else recordings
     if not isinstance(given, Sequence) or not given or not all(isinstance(one, Recording) for one in given):
         raise TypeError(f"recordings must be a Recording or several, got {check.shown(recordings)}")
-    if isinstance(fields, str) or not len(fields) or len({*fields}) < len(fields):
+    if isinstance(fields, str) or not isinstance(fields, Sequence) or not len(fields):
         raise ValueError(f"fields must be different names, at least one, got {check.shown(fields)}")
     for name in fields:
         check.choice("a field", name, FIELDS)
+    if len({*fields}) < len(fields):
+        raise ValueError(f"fields must be different names, at least one, got {check.shown(fields)}")
     parameters = Parameters(fields, Scene.of(start))
     return _Search(list(given), parameters, _known_noise(noise)).fit()
 
@@ -113,11 +116,12 @@ def _known_noise(noise: Any) -> Array:
     if isinstance(noise, Mapping):
         check.known_keys("noise", noise, names)
         for name, value in noise.items():
-            known[names.index(name)] = check.real(f"noise[{name!r}]", value, above=0.0)
+            known[names.index(name)] = check.real(f"noise[{name!r}]", value, at_least=_SMALLEST)
     elif noise is not None:
         given = np.array(check.array("noise", noise, "hold numbers"), dtype=np.float64)
-        if given.shape not in ((), (12,)) or not (np.isfinite(given).all() and (given > 0.0).all()):
-            raise ValueError(f"noise must be above 0, one number or 12 or by name, got {check.shown(noise)}")
+        if given.shape not in ((), (12,)) or not (np.isfinite(given).all() and (given >= _SMALLEST).all()):
+            wanted = f"noise must be finite and at least {_SMALLEST:g}, one number or 12 or by name"
+            raise ValueError(f"{wanted}, got {check.shown(noise)}")
         known[: 13 if given.ndim == 0 else 12] = given
     return known
 
@@ -141,9 +145,10 @@ class _Search:
         for number, recording in enumerate(self._recordings[1:], start=1):
             self._grow(number, first_state(recording))
         if not self._windows:
-            raise ValueError(
-                "recordings must be followed for a while: the scene at the start leads elsewhere, or they are at rest"
-            )
+            reasons = "the scene at the start leads elsewhere, or they are at rest"
+            if np.isfinite(self._known).any():
+                reasons += ", or the noise is larger than given"
+            raise ValueError(f"recordings must be followed for a while: {reasons}")
         whole = Shooting(self._recordings, self._parameters, self._windows)
         whole = self._without_misfits(whole)
         for level in (*range(len(_SLACKS)), -1):
@@ -342,10 +347,10 @@ class _Search:
             {name: (float(a), float(b)) for name, a, b in zip(names, low, high, strict=True)}, residuals,
             tuple(sentence(names, row, self._parameters.logarithmic) for row in untold),
             {name: float(self._noise[k]) for k, name in enumerate((*STATE_NAMES, IMPACT)) if (rows.column == k).any()},
-            motions, left_out, tuple(self._problems(rows, solved, residuals, left_out - self._rested, covered)),
+            motions, left_out, tuple(self._problems(rows, solved, residuals, left_out, covered)),
         )  # fmt: skip
 
-    def _problems(self, rows: Rows, solved: Any, held_out: Array, lost: int, covered: int) -> Iterator[str]:
+    def _problems(self, rows: Rows, solved: Any, held_out: Array, left_out: int, covered: int) -> Iterator[str]:
         """Why the intervals are not to be trusted, in sentences."""
         if solved.status <= 0:
             yield "the search did not end"
@@ -358,8 +363,10 @@ class _Search:
         correlated = [name for name, value in zip(names, deviations, strict=True) if value > _CORRELATED]
         if correlated:
             yield f"residuals of {', '.join(correlated)} are correlated in time: something that is not fitted is wrong"
-        if lost > _LOST_SHARE * covered:
-            yield f"{lost} steps could not be followed"
+        if left_out - self._rested > _LOST_SHARE * covered:
+            yield f"{left_out - self._rested} steps could not be followed"
+        elif left_out > covered:
+            yield f"the motion was followed for {covered} steps only, and taken for rest in {left_out}"
         if len(held_out) and not np.mean(held_out**2) < highest(len(held_out)):
             yield "windows that were held out do not fit within the noise"
 

@@ -100,6 +100,7 @@ def units(scene: Scene) -> Array:
 def motion(recording: Recording, window: Window, parameters: Parameters, numbers: Array) -> Motion | None:
     """The motion of a window from its start; None if the model cannot follow it."""
     steps, count = slice(window.first, window.last), window.last - window.first
+    inside = (numbers >= parameters.low) & (numbers <= parameters.high)  # beyond it nothing changes
     numbers = np.clip(numbers, parameters.low, parameters.high)
     torques = None if recording.torques is None else recording.torques[steps]
     time = recording.time + window.first * recording.dt
@@ -113,7 +114,7 @@ def motion(recording: Recording, window: Window, parameters: Parameters, numbers
     smooth = count if lin.smooth.all() else int(np.argmin(lin.smooth[0]))
     by = np.zeros((count + 1, 12, 12 + len(numbers)))
     by[0, :, :12] = np.eye(12)
-    slopes = parameters.slopes(numbers)
+    slopes = parameters.slopes(numbers) * inside
     for k in range(smooth):
         by[k + 1] = lin.A[0, k] @ by[k]
         by[k + 1, :, 12:] += lin.P[0, k] * slopes

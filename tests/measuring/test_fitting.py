@@ -183,6 +183,21 @@ def test_a_fit_that_left_most_steps_out_has_not_converged() -> None:
     assert any("steps could not be followed" in problem for problem in found.problems)
 
 
+def test_a_fit_that_takes_most_of_a_recording_for_rest_has_not_converged() -> None:
+    states, torques, _ = recorded()
+    states[:30] = np.nan  # a search from nothing ends at restitution 0, where all is rest
+    found = fit(Recording(states, torques, DT), ("jack_mass", "restitution"), START.changed(restitution=0.9))
+    assert not (found.converged and found.left_out > 100)
+
+
+def test_a_restitution_at_the_end_of_its_range_converges() -> None:
+    for seed in range(3):
+        states, torques, _ = recorded(Scene(jack_mass=12.0, drive=None), seed)
+        found = fit(Recording(states, torques, DT), ("jack_mass", "restitution"), Scene(jack_mass=11.0, drive=None))
+        assert found.problems == ()
+        assert found.intervals["restitution"][1] == 1.0
+
+
 def test_derivatives_of_residuals_equal_differences() -> None:
     states, torques, heard = recorded()
     recording = Recording(states, torques, DT, impacts=heard)
@@ -231,7 +246,11 @@ def test_what_is_no_recording_is_refused(change: dict[str, Any], complaint: str)
         ({"fields": "gravity"}, "fields must be different names"),
         ({"fields": ("weight",)}, "a field must be one of 'gravity'"),
         ({"start": 3}, "scene must be a Scene"),
-        ({"noise": 0.0}, "noise must be above 0"),
+        ({"noise": 0.0}, "noise must be finite and at least 1e-12"),
+        ({"noise": {"x_jack": 5e-324}}, r"noise\['x_jack'\] must be a finite number at least 1e-12, got 5e-324"),
+        ({"fields": None}, "fields must be different names, at least one, got None"),
+        ({"fields": [["gravity"]]}, "a field must be one of 'gravity'"),
+        ({"fields": ("gravity", "gravity")}, "fields must be different names"),
         ({"noise": {"x": 1.0}}, "noise takes only 'x_box'"),
     ],
 )
