@@ -78,9 +78,9 @@ SUBSTEPS = whole(2, 1, 1_000_000, none=True)
 UNNAMED = jackbox_env.Task(("a", "a"), lambda scene, state, torque, impulse: (1.0, 1.0))
 TASK = instance(
     "spin", "text", "empty_text", unknown=out("fly", "'fly'", *map(repr, TASKS)),
-    no_names=out(UNNAMED._replace(terms=()), "terms", "()", named="task"),
+    no_names=out(replace(UNNAMED, terms=()), "terms", "()", named="task"),
     same_names=out(UNNAMED, "terms", "('a', 'a')", named="task"),
-    no_plain_function=wrong(UNNAMED._replace(terms=("a",), values=math.sin), "values", named="task"),
+    no_plain_function=wrong(replace(UNNAMED, terms=("a",), values=math.sin), "values", named="task"),
 )  # fmt: skip
 
 
