@@ -238,7 +238,8 @@ class Renderer:
         try:
             shown = self._window and self._window.get_surface()
         except pygame.error:  # somebody else has called pygame.quit()
-            shown = None
+            # Released before the next one is made: that may get its address, and would be destroyed with it.
+            self._window = shown = None
         if shown is None:
             self._window, self._clock = pygame.Window("Jack in a box", self._size), pygame.time.Clock()
             shown = self._window.get_surface()

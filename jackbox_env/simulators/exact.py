@@ -19,9 +19,9 @@ Fails: a step that wants more than 1,000,000 gap evaluations raises JackLostErro
     the last place: beyond 1e6 rad a foot may be outside by up to 4 L times that unit (5e-10 L at 1e6 rad, 5e-4 L at
     1e12 rad). A drive's functions are interpolated, see ``functions.py``: a pulse that begins and ends between two of
     the 13 points of a piece is not seen.
-Bits: the same on every x86-64 CPU and under Linux on ARM, whatever its C library, for states, impacts, observations
-    and rewards. Compiled code computes every sum in the order written, fuses no product with a sum, and has its own
-    cosines (``trigonometry.py``).
+Bits: the same on every x86-64 CPU and under Linux on ARM, whatever the C library, for states, impacts, observations and
+    rewards. Compiled code adds in the order written, fuses no product with a sum, and has its own cosines
+    (``trigonometry.py``).
     Three things are the C library's: what a drive's own function takes from it (``math.sin``), the cosine of an angle
     beyond 2^53 rad, and whether a state at the very limit of what is accepted is refused.
 Reference: Lygeros et al. 2003, "Dynamical properties of hybrid automata"; the bound stands in ``compiled/bounds.py``.
