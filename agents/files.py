@@ -12,8 +12,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from filelock import FileLock, Timeout
-
 LOCK = "lock"
 
 
@@ -82,6 +80,8 @@ def locked(folder: Path) -> Iterator[None]:
         FolderInUseError: another process has locked it.
         OSError: its lock is a link, or cannot be opened.
     """
+    from filelock import FileLock, Timeout  # of the extra train, which shipped networks do not need
+
     lock = FileLock(folder / LOCK, timeout=0)
     try:
         lock.acquire()

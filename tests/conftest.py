@@ -20,7 +20,8 @@ os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # pictures need no display
 import jackbox_env
 
 # What the extras and make test install beyond the package's dependencies, pytest and Hypothesis.
-OPTIONAL = {"imageio", "matplotlib", "mpmath", "pygame", "scipy", "stable_baselines3", "sympy", "torch", "tqdm", "tyro"}
+OPTIONAL = {"flint", "imageio", "matplotlib", "mpmath", "pygame", "scipy", "stable_baselines3", "sympy"}
+OPTIONAL |= {"torch", "tqdm", "tyro"}
 
 
 class Module(pytest.Module):

@@ -166,7 +166,7 @@ class ExactBatch:
         numbers, words, scenes, states = starts
         if len(numbers) == self._count:
             self._spare = None
-            self._scenes.refresh()
+            self._scenes.repair()
         if isinstance(scenes, list):
             if len(numbers) < self._count or any(scene != scenes[0] for scene in scenes):
                 self._scenes = self._scenes.spread_out(self._blocks.shape)

@@ -49,6 +49,7 @@ class SceneTable:
         numbers = np.arange(count if several else shape[2])
         compiled(spread)(self.values, dt, self.lanes, numbers)
         self._find_kinds()
+        self._changing = False  # whether an interruption has left a change half made
 
     def _find_kinds(self) -> None:
         kinds = [(drive_kind(drive), drive_kind(drive, held=True)) for drive in self.drives]
@@ -99,27 +100,32 @@ class SceneTable:
 
     def put(self, numbers: Counts, rows: Array) -> None:
         """Set the numbers of some environments' scenes, or of all where they have one."""
+        self._changing = True
         self._forget(numbers)
         if self.several:
             self.values[numbers] = rows
         else:
             self.values[0], rows, numbers = rows[0], rows[:1], np.arange(self.lanes.shape[2])
         compiled(spread)(rows, self.dt, self.lanes, numbers)
+        self._changing = False
 
-    def refresh(self) -> None:
-        """Derive all anew from the numbers and the drives."""
-        everyone = np.arange(self.count)
-        self.put(everyone, self.values.copy())
-        self.put_drives(everyone, list(self.drives))
+    def repair(self) -> None:
+        """If an interruption has left a change half made, derive all anew from the numbers and the drives."""
+        if self._changing:
+            everyone = np.arange(self.count)
+            self.put(everyone, self.values.copy())
+            self.put_drives(everyone, list(self.drives))
 
     def put_drives(self, numbers: Counts, drives: Sequence[AnyDrive]) -> None:
         """Set the drives of some environments' scenes, or of all where they have one."""
+        self._changing = True
         self._forget(numbers)
         if not self.several:
             self.drives = [drives[0]]
         for number, drive in zip(numbers.tolist(), drives, strict=True) if self.several else ():
             self.drives[number] = drive
         self._find_kinds()
+        self._changing = False
 
     def _forget(self, numbers: Counts) -> None:
         for number in numbers.tolist() if self._scenes else ():

@@ -395,17 +395,6 @@ def named():
         return (-5.0,)
     mine.__name__, mine.__qualname__, mine.__module__ = "spin", "spin", "jackbox_env.tasks"
     return Task(("spin",), mine)
-def put_in_its_place():
-    tasks.juggle = wrapped().values
-    tasks.TASKS["juggle"] = Task(("centre",), tasks.juggle)
-    return "juggle"
-def with_another_constant():
-    tasks.EFFORT_COST = 99.0
-    return "rattle"
-def with_another_helper():
-    tasks._calm = functools.wraps(tasks._calm)(lambda scene, state, limit: 1.0)
-    tasks._calm.__module__ = "jackbox_env.tasks"
-    return "rattle"
 print(*[paid(globals()[name]() if name in globals() else name) for name in sys.argv[1:]])
 """
 
@@ -424,8 +413,6 @@ def test_a_later_process_is_never_paid_what_another_process_has_made_of_a_task(t
         return [float(word) for word in done.stdout.split()]
 
     assert paid("wrapped", "named") == [-900.0, -5.0]
-    assert paid("put_in_its_place", "with_another_constant") == [-900.0, -99.0]
-    assert paid("with_another_helper") == [-0.01]
     # Each compiles one task, so numba counts them alike; the last process loads both.
     (centre,), (knocked,) = paid("juggle"), paid("rattle")
     assert paid("juggle", "spin", "rattle") == [centre, 0.0, knocked]
