@@ -214,7 +214,7 @@ def carry_out(
 
 
 def _read_log(path: Path) -> dict[str, dict[str, Any]]:
-    """The log's rows, the last of each trial; says which lines are skipped because they are damaged.
+    """The log's rows, the last of each trial; damaged lines are skipped and named on standard error.
 
     The log is written anew without the beginning of a line at its end, and in place of a link.
     """
