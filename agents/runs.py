@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
+import io
 import json
 import os
 import platform
@@ -24,12 +25,17 @@ from collections.abc import Iterable
 from functools import cache
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
-from agents.files import read_bounded
+from agents.files import DamagedFileError, parsing, read_bounded, say_skipped, unpacked
 from agents.settings import TrainSettings
 from jackbox_env.files import write_json
 
 SETTINGS, RUN, EVALUATIONS, TIME = "settings.json", "run.json", "evaluations.npz", "time.json"
+BEST, MODEL = "best_model.zip", "model.zip"
+TRAINED_BY = "trained_by"  # attribute of a saved model: its settings
+_GROUPS = ("policy", "policy.optimizer")  # of parameters
+Parameters = dict[str, Any]
 _LARGEST_SETTINGS = 1_000_000  # [bytes]
 PACKAGES = ("jackbox", "gymnasium", "numpy", "pymunk", "stable-baselines3", "torch")
 
@@ -84,3 +90,65 @@ def read_settings(folder: Path) -> TrainSettings:
         return TrainSettings.of(json.loads(read_bounded(path, _LARGEST_SETTINGS)))
     except (RecursionError, TypeError, ValueError) as error:
         raise ValueError(f"{path} holds no settings of a run: {error}") from error
+
+
+# -- models ------------------------------------------------------------------------------------------------------------
+
+
+def run_folder(file: Path) -> Path | None:
+    """The run folder that contains a model file, or that ``file`` is; None if there is none."""
+    return next((folder for folder in (file, *file.parents[:2]) if (folder / SETTINGS).is_file()), None)
+
+
+def model_in(path: Path) -> Path:
+    """The best model of a run folder, else its last; or ``path`` itself if it is a model file.
+
+    A damaged best model is skipped, and standard error says so.
+
+    Raises:
+        FileNotFoundError: there is no model.
+        ValueError: the file is that of an exported policy.
+    """
+    file = path
+    if path.is_dir():
+        file = path / BEST if is_whole(path / BEST) else path / MODEL
+    if not file.is_file():
+        raise FileNotFoundError(f"{path} holds no model: {BEST} or {MODEL} was looked for")
+    if file.suffix == ".npz":
+        raise ValueError(f"{file} holds weights alone: give its folder, {file.parent}")
+    return file
+
+
+def read_parameters(path: Path) -> Parameters:
+    """The parameters in a model file, every byte of it checked; nothing is unpickled.
+
+    Raises:
+        DamagedFileError: it is no whole model file.
+        FileNotFoundError: it is not there.
+    """
+    import torch  # shipped networks do without
+
+    content = path.read_bytes()
+    with parsing(path):
+        members, parameters = unpacked(content, path.name), {}
+        for group in _GROUPS:
+            tensors = members[f"{group}.pth"]
+            unpacked(tensors, f"{group}.pth in {path.name}")  # refuses what torch would inflate to many times its size
+            parameters[group] = torch.load(io.BytesIO(tensors), map_location="cpu", weights_only=True)
+    return parameters
+
+
+def read_if_whole(path: Path) -> Parameters | None:
+    """The parameters in a model file; None if it is not there, or is damaged, which standard error then says."""
+    try:
+        return read_parameters(path)
+    except FileNotFoundError:
+        return None
+    except DamagedFileError as error:
+        say_skipped(error)
+        return None
+
+
+def is_whole(path: Path) -> bool:
+    """Whether there is a model file with nothing missing; says so if it is damaged."""
+    return read_if_whole(path) is not None

@@ -57,6 +57,7 @@ class EnvSettings:
     def __post_init__(self) -> None:
         """Raises ValueError for an unknown fidelity or an invalid scene; the environment checks the rest."""
         Scene.of(self.scene_fields)
+        check.real("control_dt", self.control_dt, above=0.0)
         if all(given is None for given in (self.fidelity, self.contact, self.substeps)):
             object.__setattr__(self, "fidelity", COMMANDS)
         resolve(self.fidelity, self.contact, self.substeps)
@@ -71,6 +72,8 @@ class EnvSettings:
         """
         if not isinstance(values, dict):
             raise TypeError(f"settings must be a JSON object, got {check.shown(values)}")
+        if "hold" in values:  # the name of earlier versions
+            values = {**{name: value for name, value in values.items() if name != "hold"}, "repeat": values["hold"]}
         check.known_keys("settings", values, [field.name for field in fields(cls)])
         if isinstance(values.get("hidden_units"), list):
             values = {**values, "hidden_units": tuple(values["hidden_units"])}
@@ -124,14 +127,14 @@ class EnvSettings:
 # What stored settings mean that lack a name: the defaults of the versions that did not know it.
 _EARLIER: dict[str, Any] = {
     "total_steps": 1_000_000, "num_envs": 16, "rollout_steps": 256, "batch_size": 512, "epochs": 10,
-    "learning_rate": 5e-4, "gae_lambda": 0.95, "hidden_units": (64, 64), "initial_log_std": 0.0, "hold": 1,
+    "learning_rate": 5e-4, "gae_lambda": 0.95, "hidden_units": (64, 64), "initial_log_std": 0.0, "repeat": 1,
     "preview": False, "landing": False, "gamma": 0.99, "checkpoint_steps": 100_000, "eval_steps": 100_000,
     "eval_episodes": 32,
 }  # fmt: skip
 
 # How an agent is best trained whose actions are torques.
 _BY_TORQUES: dict[str, Any] = {
-    "landing": False, "hold": 4, "total_steps": 4_000_000, "num_envs": 1024, "epochs": 5, "gamma": 0.99,
+    "landing": False, "repeat": 4, "total_steps": 4_000_000, "num_envs": 1024, "epochs": 5, "gamma": 0.99,
     "hidden_units": (128, 128),
 }  # fmt: skip
 
@@ -146,7 +149,7 @@ class TrainSettings(EnvSettings):
     seed: int = 0
     """Seed of the network, the environments and the noise."""
     total_steps: int = 2_000_000
-    """Steps to train for. Here and below a step is one action: `hold` control steps of one environment."""
+    """Steps to train for. Here and below a step is one action: `repeat` control steps of one environment."""
     max_minutes: float | None = None
     """Stop earlier when this much time has passed [min]."""
     num_envs: int = 256
@@ -171,8 +174,8 @@ class TrainSettings(EnvSettings):
     """Width of each hidden layer, of the policy and of the value alike."""
     initial_log_std: float = -0.7
     """Logarithm of the actions' first standard deviation."""
-    hold: int = 20
-    """Control steps that each action is held for; divides the 500 of an episode."""
+    repeat: int = 20
+    """Action repeat: control steps of each action; divides the 500 of an episode. Also --hold."""
     preview: bool = True
     """Show the networks, beside the observation, where and how the jack will land. Such a model.zip loads only where
     a checkout of this project can be imported; scripts/export.py makes a policy of it that needs numpy alone."""
@@ -214,9 +217,9 @@ class TrainSettings(EnvSettings):
         counts = "total_steps num_envs rollout_steps batch_size epochs checkpoint_steps eval_steps eval_episodes"
         for name in [*counts.split(), "torch_threads"]:
             check.whole(name, getattr(self, name), at_least=2 if name == "batch_size" else 1)
-        check.whole("hold", self.hold, at_least=1, at_most=EPISODE_STEPS)
-        if EPISODE_STEPS % self.hold:
-            raise ValueError(f"hold must divide the {EPISODE_STEPS} control steps of an episode, got {self.hold}")
+        check.whole("repeat", self.repeat, at_least=1, at_most=EPISODE_STEPS)
+        if EPISODE_STEPS % self.repeat:
+            raise ValueError(f"repeat must divide the {EPISODE_STEPS} control steps of an episode, got {self.repeat}")
         check.flag("preview", self.preview)
         check.flag("landing", self.landing)
         for name, read in (("preview", PREVIEW_READS), ("landing", LANDING_READS)):

@@ -38,11 +38,10 @@ from tqdm import tqdm
 from agents.evaluation.returns import evaluate
 from agents.files import DamagedFileError, first_line, locked, parsing, read_json, say_skipped
 from agents.policies.registry import find_policy
-from agents.runs import PACKAGES, installed, machine
+from agents.runs import MODEL, PACKAGES, installed, is_whole, machine
 from agents.settings import EnvSettings, TrainSettings
-from agents.training.checkpoints import is_whole
-from agents.training.models import load_model, make_vec_env
-from agents.training.ppo import MODEL, trained_in
+from agents.training.models import make_vec_env
+from agents.training.ppo import trained_in
 from jackbox_env import FIDELITIES
 from jackbox_env import checks as check
 from jackbox_env.commands.common import json_object
@@ -318,7 +317,7 @@ def run_trial(folder: Path, settings: dict[str, Any]) -> dict[str, Any]:
         policy, more = find_policy(settings["policy"], env, starts)
     else:  # evaluated from the same starts, whatever the training's seed
         env, starts, more = TrainSettings.of({name: settings[name] for name in _TRAIN}), 0, {}
-        policy = load_model(_trained(folder, env))
+        policy = find_policy(str(_trained(folder, env)), env).policy
     found = evaluate("", policy, {**env.env_settings, **more}, settings["episodes"], starts)
     low, high = found.interval
     return {"mean": found.mean, "interval_low": low, "interval_high": high, "worst": min(found.returns)}

@@ -20,7 +20,7 @@ class Arguments:
     folder: Path | None = None
     """Run folder to make; None: runs/demo-<date>-<time>."""
     total_steps: int = TrainSettings.total_steps
-    """Steps to train for, each an action held for `hold` control steps."""
+    """Steps to train for, each an action held for `repeat` control steps."""
     max_minutes: float | None = None
     """Stop training after this time at the latest [min]; None: after all steps."""
     episodes: int = 128
@@ -40,9 +40,8 @@ def main() -> None:
     from agents.evaluation.film import film
     from agents.evaluation.returns import Returns, above, evaluate, table
     from agents.policies.registry import SCRIPTED, find_policy
-    from agents.policies.scripted import Baseline
     from agents.runs import describe, machine, versions
-    from agents.training.models import derived_seed, load_model
+    from agents.training.models import derived_seed
     from agents.training.ppo import train
     from jackbox_env import checks as check
     from jackbox_env.files import new_folder, write_json
@@ -51,12 +50,12 @@ def main() -> None:
     settings = TrainSettings(total_steps=arguments.total_steps, max_minutes=arguments.max_minutes, seed=arguments.seed)
     folder = new_folder(arguments.folder, "demo", lambda made: describe(made, settings))
     limit = "" if settings.max_minutes is None else f" (at most {settings.max_minutes:g} min)"
-    print(f"Training PPO for {settings.total_steps:,} steps of {settings.hold} control steps each{limit}")
+    print(f"Training PPO for {settings.total_steps:,} steps of {settings.repeat} control steps each{limit}")
     train(settings, folder)
 
     print(f"Evaluating {arguments.episodes} episodes of each policy on fidelity exact, and on gym.make's balanced")
     acts = {name: find_policy(name, settings, arguments.seed) for name in SCRIPTED}
-    acts["PPO"] = Baseline(load_model(folder), {})
+    acts["PPO"] = find_policy(str(folder), settings)
     on = {fidelity: {**settings.env_settings, "fidelity": fidelity} for fidelity in ("exact", "balanced")}
     rows: dict[str, list[Returns]] = {
         fidelity: [

@@ -1,108 +1,62 @@
-"""The house: every import goes down the list below, also those inside functions."""
+"""The architecture: imports between packages go one way, also those inside functions, and no modules form a circle."""
 
 from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[1]
 
-# From the ground up. A module may import what stands above it in this list, which is below it in the house.
-PACKAGE = """
+# From the ground up: a module imports only from its own line and from those above it in this list. A name is a file or
+# a folder.
+ORDER = """
     checks files colours
-    scene
-    states
-    randomization
-    complementarity
-    mechanics
-    tasks observation landing
-    compiled.kept compiled.status compiled.address
-    compiled.compiler
-    compiled.workspace compiled.trigonometry compiled.generator
-    compiled.drives compiled.impacts
-    compiled.interpolation
-    compiled.motion
-    compiled.bounds
-    compiled.search
-    compiled.constrained
-    compiled.rest
-    compiled.advance
-    compiled.step
-    compiled.score
-    compiled.glide
-    compiled.loop
-    compiled.restart
-    compiled.rollouts
-    compiled.tangents
-    simulators.base simulators.fidelity simulators.flight
-    simulators.replay simulators.contacts simulators.functions
-    simulators.pymunk simulators.exact
+    scene states randomization complementarity mechanics tasks observation landing
+    compiled
     simulators
     scoring
-    recording.trajectory
-    recording.samples
-    recording.page
-    render.canvas
-    render.renderer
+    recording
+    render
     env
-    batches.base batches.threads
-    batches.scenes batches.given
-    batches.exact batches.single
+    batches
     vector_env
-    sb3 planning.rollouts
-    planning planning.linearization
-    torch
-    planning.icem
-    planning.features
-    planning.wrappers
-    planning.landing_control
-    planning.sb3_wrappers
-    sb3_wrappers render.window
-    measure.accuracy
-    measure.choosing measure.recordings
-    measure.shooting
-    measure.fitting
-    commands.common commands.plots
-    commands.simulate commands.play commands.fit commands.check
-    commands.main
+    sb3
+    planning
+    torch sb3_wrappers
+    measure
+    commands
     __main__
+    agents.files agents.settings agents.runs
+    agents.policies
+    agents.training
+    agents.evaluation
+    agents.sweep agents.sweep_ray
+    scripts
+    scripts.studies
 """
-AGENTS = """
-    policies.scripted policies.landing_features files training.archives training.timing policies.observing
-    settings training.extractor
-    policies.playing
-    training.holding
-    runs evaluation.film training.checkpoints
-    training.models policies.network
-    policies.value
-    policies.planner policies.one_bounce
-    policies.registry
-    training.best evaluation.returns evaluation.exporting evaluation.episodes training.zoo
-    training.ppo evaluation.provenance
-    sweep evaluation.figures
-    sweep_ray
-"""
-
-
-EMPTY = {
-    f"jackbox_env.{name}" for name in ("batches", "commands", "compiled", "measure", "recording", "render")
-}  # a docstring at most
-EMPTY |= {f"agents.{name}" for name in ("evaluation", "policies", "training")}
-EMPTY |= {"jackbox_env", "agents", "scripts", "scripts.studies"}  # the first: lazy names
-FLOORS = {
-    f"{package}.{name}": ground + floor
-    for package, listed, ground in (("jackbox_env", PACKAGE, 0), ("agents", AGENTS, 100))
-    for floor, line in enumerate(listed.strip().splitlines())
+LEVELS = {
+    name if name.startswith(("agents", "scripts")) else f"jackbox_env.{name}": level
+    for level, line in enumerate(ORDER.strip().splitlines())
     for name in line.split()
 }
+LAZY = {"jackbox_env", "agents", "scripts"}  # names that load modules when they are read
 
 
-def _floor(name: str) -> int:
-    """Above the package and the agents stand the scripts, and above those the studies."""
-    return FLOORS[name] if not name.startswith("scripts") else 300 if name.startswith("scripts.studies") else 200
+def _level(name: str) -> int:
+    """That of the longest listed name which a module's name begins with.
+
+    Raises:
+        KeyError: there is none.
+    """
+    while name not in LEVELS:
+        if "." not in name:
+            raise KeyError(name)
+        name = name.rpartition(".")[0]
+    return LEVELS[name]
 
 
 def _sources() -> dict[str, Path]:
@@ -121,22 +75,42 @@ def _imports(tree: ast.AST, known: set[str]) -> Iterator[str]:
             yield from (name if name in known else node.module for name in inner)
 
 
+def _graph(sources: dict[str, Path]) -> dict[str, set[str]]:
+    """The modules that each module imports."""
+    known = set(sources)
+    return {
+        name: set(_imports(ast.parse(path.read_text()), known)) - LAZY - {name}
+        for name, path in sources.items()
+        if name not in LAZY
+    }
+
+
 def _violations(sources: dict[str, Path]) -> list[str]:
-    """Imports that do not go down; scripts may import each other, and studies too."""
+    """Imports that go up."""
     return [
         f"{name} imports {imported}"
-        for name in set(sources) - EMPTY
-        for imported in set(_imports(ast.parse(sources[name].read_text()), set(sources))) - EMPTY
-        if not _floor(imported) < _floor(name) + name.startswith("scripts")
+        for name, all_imported in _graph(sources).items()
+        for imported in all_imported
+        if _level(imported) > _level(name)
     ]
 
 
-def test_every_module_has_its_floor() -> None:
-    assert {name for name in set(_sources()) - EMPTY if not name.startswith("scripts")} == set(FLOORS)
+def _circle(sources: dict[str, Path]) -> list[str]:
+    """Modules that import each other in a circle; empty if there are none."""
+    try:
+        TopologicalSorter(_graph(sources)).prepare()
+    except CycleError as error:
+        return list(error.args[1])
+    return []
 
 
-def test_imports_go_down() -> None:
+def test_every_name_of_the_order_is_a_module() -> None:
+    assert set(LEVELS) <= set(_sources())
+
+
+def test_imports_go_down_and_not_in_circles() -> None:
     assert _violations(_sources()) == []
+    assert _circle(_sources()) == []
 
 
 # -- privates ---------------------------------------------------------------------------------------------------------
@@ -195,6 +169,7 @@ def test_a_private_name_that_is_read_is_seen(tmp_path: Path, line: str) -> None:
         ("jackbox_env.scene", "import jackbox_env.env"),
         ("jackbox_env.scene", "def f():\n    from jackbox_env.env import JackInBoxEnv"),
         ("jackbox_env.env", "from agents import runs"),
+        ("agents.policies.network", "from agents.training import models"),
         ("agents.runs", "import scripts.train"),
         ("scripts.train", "from scripts.studies import timing"),
     ],
@@ -203,3 +178,9 @@ def test_an_import_that_goes_up_is_seen(tmp_path: Path, name: str, line: str) ->
     bad = tmp_path / "bad.py"
     bad.write_text(line)
     assert len(_violations(_sources() | {name: bad})) == 1
+
+
+def test_a_circle_within_a_package_is_seen(tmp_path: Path) -> None:
+    bad = tmp_path / "bad.py"
+    bad.write_text("from agents.policies import registry")
+    assert "agents.policies.registry" in _circle(_sources() | {"agents.policies.playing": bad})

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from agents.policies.network import layers_of, write_with_layers
-from agents.runs import EVALUATIONS, SETTINGS, TIME, read_settings
-from agents.training.models import load_model, run_folder
+from agents.runs import EVALUATIONS, SETTINGS, TIME, read_settings, run_folder
+from agents.training.models import load_model
 from jackbox_env.files import write_bytes
 
 
@@ -20,7 +20,7 @@ def export_policy(run: Path, folder: Path) -> None:
     Raises:
         FileNotFoundError, ValueError: as :func:`load_model`.
     """
-    layers = layers_of(load_model(run))
+    layers = layers_of(load_model(run).get_parameters()["policy"])
     source = run_folder(run) or run
     write_with_layers(folder, SETTINGS, read_settings(source), layers)
     for name in (EVALUATIONS, TIME):

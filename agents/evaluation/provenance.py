@@ -9,9 +9,8 @@ from pathlib import Path
 from agents.policies.network import SHIPPED
 from agents.policies.one_bounce import LANDING, read_landing
 from agents.policies.registry import POLICIES, SCRIPTED, shipped_names
-from agents.runs import SETTINGS, read_settings
+from agents.runs import SETTINGS, read_settings, run_folder
 from agents.settings import EnvSettings
-from agents.training.models import run_folder
 from jackbox_env.simulators.fidelity import words
 
 

@@ -14,27 +14,25 @@ from __future__ import annotations
 import dataclasses
 import io
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.files import read_bounded
+from agents.files import read_bounded, unpacked_arrays
 from agents.policies.landing_features import FEATURES, flight_of, preview
-from agents.policies.playing import Playable, manner_of
-from agents.policies.scripted import Actions
+from agents.policies.playing import Actions, RepeatingPolicy
 from agents.runs import SETTINGS
 from agents.settings import FORESEEN, MOST_LAYERS, MOST_WEIGHTS, EnvSettings, TrainSettings
-from agents.training.archives import unpacked_arrays
 from jackbox_env import Scene
 from jackbox_env.files import write_bytes, write_json
-from jackbox_env.observation import BOUNDS
-
-if TYPE_CHECKING:
-    from stable_baselines3 import PPO
+from jackbox_env.observation import BOUNDS, state_of
+from jackbox_env.planning.features import Features
+from jackbox_env.planning.icem import Plans
+from jackbox_env.planning.landing_control import aim
 
 WEIGHTS = "weights.npz"
 SHIPPED = Path(__file__).parents[1] / "trained"  # a folder <task>-<name> of each policy that comes with the repository
@@ -44,11 +42,11 @@ _MOST_SETTINGS = 100_000  # [bytes] of a JSON file
 _SPARE = 65_536  # [bytes] of a file beside its numbers
 
 
-class NetworkPolicy(Playable):
-    """A trained policy with Stable-Baselines3's ``predict``: it does the mean of its actions.
+class NetworkPolicy(RepeatingPolicy):
+    """A trained policy with Stable-Baselines3's ``predict``: it acts by the mean of its distribution.
 
     Args:
-        settings: what it was trained by; they say what it sees and how long it holds its actions.
+        settings: of its training: what the network observes, what an action is, and for how many control steps it acts.
         layers: weight, shape (outputs, inputs), and bias, shape (outputs,), of each layer.
 
     Raises:
@@ -56,18 +54,43 @@ class NetworkPolicy(Playable):
     """
 
     def __init__(self, settings: TrainSettings, layers: list[Layer]) -> None:
-        self.settings, self._layers = settings, layers
-        self._flight = flight_of(Scene.of(settings.scene_fields)) if settings.preview else None
-        self.manner = manner_of(settings)
+        self.settings, self.repeat, self._layers = settings, settings.repeat, layers
+        self._scene, self.action_size = Scene.of(settings.scene_fields), 2 if settings.landing else 1
+        self._flight, self._features = flight_of(self._scene) if settings.preview else None, None
+        if settings.lookahead:
+            self._features = Features(
+                settings.task, settings.control_dt, hold=settings.repeat, samples=settings.lookahead, follow=True,
+                num_threads=1,
+            )  # fmt: skip
         seen = len(BOUNDS) + FORESEEN * bool(settings.lookahead) + len(FEATURES) * settings.preview
-        check_layers(layers, [seen, *settings.hidden_units, 2 if settings.landing else 1])
+        check_layers(layers, [seen, *settings.hidden_units, self.action_size])
+
+    def begin(self, count: int) -> Plans | None:
+        """Plans of no torque, if the network looks ahead."""
+        return self._features.begin(count) if self._features else None
+
+    def decide(self, observations: NDArray[Any], plans: Any) -> tuple[NDArray[Any], Any]:
+        """The network's actions; if it looks ahead, they correct its plans."""
+        if self._features is None:
+            return self.act(observations), None
+        appended, next_plans = self._features.look([self._scene], observations, plans)
+        seen = np.concatenate([observations, appended], axis=1)
+        return self._features.torques(self.act(seen), seen), next_plans
 
     def act(self, seen: NDArray[Any]) -> Actions:
-        """See :class:`.playing.Playable`."""
+        """The network's outputs, shape (n, action_size), for observations as in training, shape (n, 10 or more)."""
         values = np.asarray(seen, dtype=np.float32)
         if self._flight:
             values = np.concatenate([values, preview(self._flight, values[:, : len(BOUNDS)])], axis=1)
         return np.clip(outputs(self._layers, values), -1.0, 1.0)
+
+    def torques(self, actions: Actions, observations: NDArray[Any]) -> Actions:
+        """If actions are landings of the box, the torques that steer to them now; else the actions."""
+        if not self.settings.landing:
+            return actions
+        states = np.array([state_of(self._scene, row) for row in observations.tolist()])
+        found = aim(self._scene, self.settings.control_dt, actions, len(states))(states)
+        return found.astype(np.float32)[:, None]
 
 
 def check_layers(layers: list[Layer], sizes: list[int]) -> None:
@@ -88,12 +111,15 @@ def outputs(layers: list[Layer], values: NDArray[np.float32]) -> NDArray[np.floa
     return values
 
 
-def layers_of(model: PPO) -> list[Layer]:
-    """The layers of a model's policy: copies."""
-    numbers = model.policy.state_dict()
-    inner = [name[: -len(".weight")] for name in numbers if name.startswith("mlp_extractor.policy_net.")]
-    names = [*sorted({name for name in inner if f"{name}.weight" in numbers}, key=_place), "action_net"]
-    return [(_copy(numbers[f"{name}.weight"]), _copy(numbers[f"{name}.bias"])) for name in names]
+def layers_of(parameters: Mapping[str, Any]) -> list[Layer]:
+    """Copies of the layers of a policy, from its parameters in Stable-Baselines3's names.
+
+    Raises:
+        KeyError: the parameters are not those of an MLP policy.
+    """
+    inner = [name[: -len(".weight")] for name in parameters if name.startswith("mlp_extractor.policy_net.")]
+    names = [*sorted({name for name in inner if f"{name}.weight" in parameters}, key=_place), "action_net"]
+    return [(_copy(parameters[f"{name}.weight"]), _copy(parameters[f"{name}.bias"])) for name in names]
 
 
 def _place(name: str) -> int:

@@ -23,8 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.policies.network import Layer, read_with_layers
-from agents.policies.playing import Manner, Playable
-from agents.policies.scripted import Actions
+from agents.policies.playing import RepeatingPolicy
 from agents.policies.value import Value
 from agents.settings import EPISODE_STEPS, EnvSettings
 from jackbox_env import Scene
@@ -49,8 +48,8 @@ class LandingSettings(EnvSettings):
 
     contact: str | None = "exact"
     """Contact model that it was made on."""
-    hold: int = 5
-    """Control steps that each torque is held for."""
+    repeat: int = 5
+    """Control steps between decisions."""
     angles: tuple[float, ...] = (0.0,)
     """Angles of the box at the landing that are judged [rad]."""
     rates: tuple[float, ...] = (0.0,)
@@ -59,7 +58,7 @@ class LandingSettings(EnvSettings):
     def __post_init__(self) -> None:
         """Raises TypeError or ValueError for settings that make no policy."""
         super().__post_init__()
-        check.whole("hold", self.hold, at_least=1, at_most=EPISODE_STEPS)
+        check.whole("repeat", self.repeat, at_least=1, at_most=EPISODE_STEPS)
         for name, most in (("angles", QUARTER), ("rates", 100.0)):
             given = getattr(self, name)
             if not isinstance(given, list | tuple) or not 0 < len(given) <= _MOST_PAIRS:
@@ -111,7 +110,7 @@ def bounced(scene: Scene, states: Array, times: Array, targets: Array) -> Array:
     return flown(scene, impact_maps(scene, moved, floors, feet)[0], AFTER - since)
 
 
-class LandingPolicy(Playable):
+class LandingPolicy(RepeatingPolicy):
     """A policy with Stable-Baselines3's ``predict``.
 
     Args:
@@ -125,19 +124,19 @@ class LandingPolicy(Playable):
     def __init__(self, settings: LandingSettings, layers: list[Layer]) -> None:
         self.settings, self.value = settings, Value(settings, layers)
         self._scene, self._pairs = Scene.of(settings.scene_fields).changed(drive=None), settings.pairs
-        self.manner, self._held = Manner(settings.hold), settings.hold * settings.control_dt
+        self.repeat, self._duration = settings.repeat, settings.repeat * settings.control_dt
 
-    def act(self, rows: NDArray[Any]) -> Actions:
-        """See :class:`agents.policies.playing.Playable`."""
-        states = np.array([state_of(self._scene, row) for row in np.asarray(rows, dtype=np.float64).tolist()])
-        return self.torques(states).astype(np.float32)[:, None]
+    def decide(self, observations: NDArray[Any], plans: Any) -> tuple[NDArray[Any], Any]:
+        """Torques towards the best pair of angle and rate."""
+        states = np.array([state_of(self._scene, row) for row in observations.tolist()])
+        return self.towards_best(states)[:, None], None
 
-    def torques(self, states: Array) -> Array:
+    def towards_best(self, states: Array) -> Array:
         """Torques in units of the limit, shape (n,), for states, shape (n, 12)."""
         states = upright(states)
         times = landing_times(self._scene, states)
         chosen = self._pairs[self.worth(states, times).argmax(axis=1)]
-        return torques(self._scene, states, times, chosen, self._held)
+        return torques(self._scene, states, times, chosen, self._duration)
 
     def worth(self, states: Array, times: Array) -> Array:
         """What each pair is worth, shape (n, pairs), for states, shape (n, 12), and times to the landing, (n,)."""

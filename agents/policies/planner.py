@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.policies.playing import Manner, Playable, Playing, decide_now_and_then
-from agents.policies.scripted import Actions
+from agents.policies.playing import RepeatingPolicy
 from agents.policies.value import Value, ValuedSearch
 from agents.settings import EnvSettings
 from jackbox_env import Scene, Task
@@ -26,7 +25,7 @@ def decision_steps(settings: EnvSettings) -> int:
     return max(1, round(DECISION / settings.control_dt))
 
 
-class Planner:
+class Planner(RepeatingPolicy):
     """A policy with Stable-Baselines3's ``predict`` that carries on plans by :mod:`jackbox_env.planning.icem`.
 
     It reads the state off the ten numbers of the observation, so it plays on both contact models; on pymunk its model
@@ -64,29 +63,20 @@ class Planner:
         self._search = (
             ValuedSearch(value, task, control_dt, **settings) if value else Search(task, control_dt, **settings)
         )
+        self.repeat = self._search.piece
 
-    def predict(
-        self, observation: Any, state: Playing | None = None, episode_start: Any = None, deterministic: bool = False
-    ) -> tuple[Actions, Playing]:
-        """Return the actions, shape (n, 1) or (1,), and what the next call takes as ``state``.
+    def begin(self, count: int) -> Plans:
+        """Plans of no torque."""
+        return self._search.begin(count)
 
-        Without ``state`` each call plans from nothing. Where ``episode_start`` is set, a plan is begun anew.
-
-        Raises:
-            ValueError: a state of another number of environments.
-        """
-        return decide_now_and_then(
-            self._decide, self._search.begin, self._search.piece, observation, state, episode_start
-        )
-
-    def _decide(self, seen: NDArray[Any], plans: Plans) -> tuple[NDArray[Any], Plans]:
-        """The first torques of the best plans, shape (k, 1), and the plans of the next decision."""
-        states = np.array([state_of(self._scene, row) for row in seen.tolist()])
+    def decide(self, observations: NDArray[Any], plans: Any) -> tuple[NDArray[Any], Any]:
+        """The first torques of the best plans."""
+        states = np.array([state_of(self._scene, row) for row in observations.tolist()])
         found, next_plans = self._search.decide(self._scene, states, plans)
         return found.plans[:, :1], next_plans
 
 
-class PlanAlone(Playable):
+class PlanAlone(RepeatingPolicy):
     """A policy that follows the plan of 32 samples that ``Lookahead`` shows, and corrects nothing.
 
     Args:
@@ -94,10 +84,16 @@ class PlanAlone(Playable):
     """
 
     def __init__(self, settings: EnvSettings) -> None:
-        hold = decision_steps(settings)
-        features = Features(settings.task, settings.control_dt, hold=hold, samples=32, follow=True, num_threads=1)
-        self.manner = Manner(hold, features, Scene.of(settings.scene_fields))
+        self.repeat, self._scene = decision_steps(settings), Scene.of(settings.scene_fields)
+        self._features = Features(
+            settings.task, settings.control_dt, hold=self.repeat, samples=32, follow=True, num_threads=1
+        )
 
-    def act(self, seen: NDArray[Any]) -> Actions:
-        """No correction, see :class:`Playable`."""
-        return np.zeros((len(seen), 1), np.float32)
+    def begin(self, count: int) -> Plans:
+        """Plans of no torque."""
+        return self._features.begin(count)
+
+    def decide(self, observations: NDArray[Any], plans: Any) -> tuple[NDArray[Any], Any]:
+        """The plans' next torques."""
+        appended, next_plans = self._features.look([self._scene], observations, plans)
+        return self._features.torques(np.zeros((len(observations), 1)), appended), next_plans

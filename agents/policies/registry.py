@@ -6,13 +6,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from agents.policies.network import SHIPPED, WEIGHTS, read_policy
+from agents.files import first_line
+from agents.policies.network import SHIPPED, WEIGHTS, NetworkPolicy, layers_of, read_policy
 from agents.policies.one_bounce import LANDING, read_landing
 from agents.policies.planner import VALUED_PIECES, PlanAlone, Planner, decision_steps
 from agents.policies.scripted import Baseline, LevelPolicy, Policy, RandomPolicy, ZeroPolicy
 from agents.policies.value import VALUE, read_value
-from agents.settings import EnvSettings
-from agents.training.models import load_model
+from agents.runs import SETTINGS, TRAINED_BY, model_in, read_parameters, read_settings, run_folder
+from agents.settings import EnvSettings, TrainSettings
 from jackbox_env import Scene
 
 _FEW: dict[str, Any] = {"samples": 64, "elites": 6, "iterations": 1}  # a millisecond for each decision
@@ -69,7 +70,41 @@ def find_policy(name: str, settings: EnvSettings, seed: int = 0, trust: bool = F
         raise FileNotFoundError(f"a policy must be one of {known}, or a run folder or model file, got {name!r}")
     if (Path(name) / WEIGHTS).is_file():
         return Baseline(_read(Path(name)), {})
-    return Baseline(load_model(Path(name), trust), {})
+    return Baseline(_trained(model_in(Path(name)), trust), {})
+
+
+def _trained(file: Path, trust: bool) -> Policy:
+    """The policy in a model file of Stable-Baselines3, by the settings of its run folder, else those that it stores.
+
+    In a run folder nothing is unpickled. A model without settings decides at every control step.
+
+    Args:
+        file: the model.
+        trust: unpickle a model that has no settings.json.
+
+    Raises:
+        FileNotFoundError: the model has no settings.json, and ``trust`` is off.
+        ValueError: the file is damaged, or no model of these settings.
+    """
+    folder = run_folder(file)
+    if folder is None and not trust:
+        raise FileNotFoundError(
+            f"{file} has no {SETTINGS} beside it to rebuild the model from; if you trust its author, use --trust"
+        )
+    settings = None if folder is None else read_settings(folder)
+    of = "of Stable-Baselines3" if settings is None else "of the settings beside it"
+    try:
+        if settings is not None:
+            return NetworkPolicy(settings, layers_of(read_parameters(file)["policy"]))
+        from stable_baselines3 import PPO
+
+        model = PPO.load(file, device="cpu")
+        trained_by = getattr(model, TRAINED_BY, None)
+        if trained_by is None:
+            return model
+        return NetworkPolicy(TrainSettings.of(trained_by), layers_of(model.get_parameters()["policy"]))
+    except Exception as error:
+        raise ValueError(f"{file} is no model {of}: {first_line(error)}") from error
 
 
 def _read(folder: Path) -> Policy:

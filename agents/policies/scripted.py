@@ -7,9 +7,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.policies.playing import Actions
 from jackbox_env import Scene
-
-Actions = NDArray[np.float32]
 
 
 class Policy(Protocol):

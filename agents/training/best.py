@@ -11,15 +11,12 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.evaluation import evaluate_policy
 
-from agents.files import DamagedFileError, parsing, say_skipped
-from agents.runs import EVALUATIONS
+from agents.files import DamagedFileError, parsing, say_skipped, unpacked_arrays
+from agents.runs import BEST, EVALUATIONS, is_whole
 from agents.settings import TrainSettings
-from agents.training.archives import unpacked_arrays
-from agents.training.checkpoints import Checkpoint, is_whole, model_file
-from agents.training.models import derived_seed, make_vec_env
+from agents.training.checkpoints import Checkpoint, model_file
+from agents.training.models import derived_seed, make_vec_env, wrapped
 from jackbox_env.files import replacing, write_bytes
-
-BEST = "best_model.zip"
 
 
 def choosing_seed(settings: TrainSettings) -> int:
@@ -69,7 +66,8 @@ class KeepBest(BaseCallback):
         self._evaluations = Evaluations(*(column[:count] for column in found))
         self._every = max(1, settings.eval_steps // settings.num_envs)
         num_envs = min(settings.num_envs, settings.eval_episodes)
-        self._environments = make_vec_env(settings.env_settings, num_envs, choosing_seed(settings))
+        environments = make_vec_env(settings.env_settings, num_envs, choosing_seed(settings))
+        self._environments = wrapped(environments, settings)
 
     def _init_callback(self) -> None:
         # evaluate at the same steps as an uninterrupted run

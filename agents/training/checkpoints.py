@@ -1,27 +1,18 @@
-"""Model files of a run: written in one stroke, read whole or not at all, and the checkpoints among them."""
+"""Checkpoints of a run, and how its model files are written: in one stroke. :mod:`agents.runs` reads them."""
 
 from __future__ import annotations
 
 import io
 import re
 from pathlib import Path
-from typing import Any
 
-import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 
-from agents.files import DamagedFileError, parsing, say_skipped
-from agents.training.archives import unpacked
+from agents.runs import Parameters, read_if_whole
 from jackbox_env.files import make_folder, write_bytes
 
 CHECKPOINTS = "checkpoints"
-_GROUPS = ("policy", "policy.optimizer")  # of parameters
-
-Parameters = dict[str, Any]
-
-
-# -- model files ------------------------------------------------------------------------------------------------------
 
 
 def model_file(model: PPO) -> bytes:
@@ -29,42 +20,6 @@ def model_file(model: PPO) -> bytes:
     file = io.BytesIO()
     model.save(file)
     return file.getvalue()
-
-
-def read_parameters(path: Path) -> Parameters:
-    """The parameters in a model file, every byte of it checked; nothing is unpickled.
-
-    Raises:
-        DamagedFileError: it is no whole model file.
-        FileNotFoundError: it is not there.
-    """
-    content = path.read_bytes()
-    with parsing(path):
-        members, parameters = unpacked(content, path.name), {}
-        for group in _GROUPS:
-            tensors = members[f"{group}.pth"]
-            unpacked(tensors, f"{group}.pth in {path.name}")  # refuses what torch would inflate to many times its size
-            parameters[group] = torch.load(io.BytesIO(tensors), map_location="cpu", weights_only=True)
-    return parameters
-
-
-def read_if_whole(path: Path) -> Parameters | None:
-    """The parameters in a model file; None if it is not there, or is damaged, which standard error then says."""
-    try:
-        return read_parameters(path)
-    except FileNotFoundError:
-        return None
-    except DamagedFileError as error:
-        say_skipped(error)
-        return None
-
-
-def is_whole(path: Path) -> bool:
-    """Whether there is a model file with nothing missing; says so if it is damaged."""
-    return read_if_whole(path) is not None
-
-
-# -- checkpoints ------------------------------------------------------------------------------------------------------
 
 
 def checkpoint_path(folder: Path, steps: int) -> Path:

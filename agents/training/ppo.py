@@ -13,25 +13,21 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback, ProgressBarCallback
 from stable_baselines3.common.logger import configure
 
-from agents.files import first_line, locked
+from agents.files import first_line, locked, unpacked
 from agents.policies.network import WEIGHTS
-from agents.runs import SETTINGS, TIME, describe, read_settings
+from agents.runs import MODEL, SETTINGS, TIME, describe, is_whole, read_settings
 from agents.settings import TrainSettings
-from agents.training.archives import unpacked
 from agents.training.best import KeepBest, read_evaluations
 from agents.training.checkpoints import (
     CHECKPOINTS,
     Checkpoint,
     checkpoint_path,
-    is_whole,
     latest_checkpoint,
     model_file,
 )
-from agents.training.models import derived_seed, holding, make_ppo
+from agents.training.models import derived_seed, make_ppo, wrapped
 from agents.training.timing import Spent, TimedEnvironments, TimedVecEnv, formatted
 from jackbox_env.files import make_folder, new_folder, remove_partials, write_bytes, write_json
-
-MODEL = "model.zip"
 
 
 class Deadline(BaseCallback):
@@ -143,7 +139,7 @@ def _where_it_was(settings: TrainSettings, folder: Path) -> tuple[PPO, Spent]:
     done, parameters = latest_checkpoint(folder)
     starts = derived_seed("training", settings.seed, done)
     inner = TimedEnvironments(settings.num_envs, **settings.env_settings)
-    environments = TimedVecEnv(holding(inner, settings))
+    environments = TimedVecEnv(wrapped(inner, settings))
     model = make_ppo(settings, environments)
     environments.seed(starts)  # PPO has seeded them by its own seed
     if parameters is not None:
@@ -153,4 +149,4 @@ def _where_it_was(settings: TrainSettings, folder: Path) -> tuple[PPO, Spent]:
             said = f"{checkpoint_path(folder, done)} was made by other settings than its run's"
             raise ValueError(f"{said}: {first_line(error)}") from error
         model.num_timesteps = done
-    return model, Spent(inner, environments, "looking ahead" if settings.lookahead else "holding actions")
+    return model, Spent(inner, environments, "looking ahead" if settings.lookahead else "action repeat")

@@ -15,9 +15,9 @@ def zoo_settings(settings: TrainSettings) -> dict[str, Any]:
     """The same training in the zoo's words; it makes single environments and steps them in turn."""
     if settings.lookahead:
         raise ValueError("lookahead must be 0: the zoo's environments do not look ahead")
-    wrapper: dict[str, Any] = {"rl_zoo3.wrappers.FrameSkip": {"skip": settings.hold}}
+    wrapper: dict[str, Any] = {"rl_zoo3.wrappers.FrameSkip": {"skip": settings.repeat}}
     if settings.landing:
-        wrapper = {"jackbox_env.LandingControl": {"period": settings.hold * settings.control_dt}}
+        wrapper = {"jackbox_env.LandingControl": {"period": settings.repeat * settings.control_dt}}
     return {
         "env_kwargs": settings.env_settings,
         "env_wrapper": [wrapper],

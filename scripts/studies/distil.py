@@ -35,7 +35,7 @@ from scripts.studies.fitting import epoch, layers_of, network, seen_and_worth
 ANGLES = 0.4 * np.sign(np.linspace(-1.0, 1.0, 31)) * np.abs(np.linspace(-1.0, 1.0, 31)) ** 1.4  # finer near level
 SETTINGS = LandingSettings(angles=tuple(ANGLES.round(4).tolist()), rates=(-1.0, -0.5, 0.0, 0.5, 1.0))
 FEWER = replace(SETTINGS, angles=SETTINGS.angles[1::2], rates=(-0.8, 0.0, 0.8))  # by which the rounds are played
-SCENE, HELD = Scene(drive=None), SETTINGS.hold * SETTINGS.control_dt  # [s] of a decision
+SCENE, HELD = Scene(drive=None), SETTINGS.repeat * SETTINGS.control_dt  # [s] of a decision
 JACKS = 600  # in each round
 FIRST, COUNTED, HORIZON = 24, 22, 40  # decisions: to the first landing at most, from which states are fitted, ahead
 DISCOUNT = 0.975  # of a decision
@@ -61,7 +61,7 @@ def advanced(states: Array, acting: Array) -> tuple[Array, Array, NDArray[np.boo
     """States a decision later, what was earned, and where something was struck."""
     found = rollout(
         SCENE, states, acting[:, None] * SCENE.torque_limit, SETTINGS.control_dt, impacts=True, rewards=SETTINGS.task,
-        repeat=SETTINGS.hold, trajectories=False, num_threads=1,
+        repeat=SETTINGS.repeat, trajectories=False, num_threads=1,
     )  # fmt: skip
     assert isinstance(found, Rollout)
     assert found.impacts is not None
@@ -96,7 +96,7 @@ def played(policy: LandingPolicy, states: Array, rng: np.random.Generator) -> tu
     for decision in range(FIRST + COUNTED + HORIZON):
         now, free = upright(seen[-1]), (landed < 0) & (decision < FIRST)
         acting = np.zeros(len(now))
-        acting[~free] = policy.torques(now[~free])
+        acting[~free] = policy.towards_best(now[~free])
         acting[free] = torques(SCENE, now[free], landing_times(SCENE, now[free]), pairs[free], HELD)
         after, rewards, struck = advanced(seen[-1], acting)
         landed[free & struck] = decision + 1
@@ -127,7 +127,7 @@ def mean_return(policy: LandingPolicy, count: int, rng: np.random.Generator) -> 
     """Mean return of an episode."""
     states, total = starts(count, rng), 0.0
     for _ in range(100):
-        states, rewards, _ = advanced(states, policy.torques(states))
+        states, rewards, _ = advanced(states, policy.towards_best(states))
         total += float(rewards.mean())
     return total
 

@@ -39,7 +39,7 @@ from jackbox_env.tasks import TASKS, sample_start
 from scripts.studies.fitting import layers_of
 
 SCENE, FLIGHT, INPUTS = Scene(drive=None), flight_of(Scene()), len(BOUNDS) + len(FEATURES)
-HOLD, CONTROL_DT, EPISODE = 5, 0.02, 100  # control steps of a decision, [s], decisions
+REPEAT, CONTROL_DT, EPISODE = 5, 0.02, 100  # control steps of a decision, [s], decisions
 WIDTHS, CRITIC, STEEPER = (256, 256), (128, 128), 3.0  # layers; factor of the first one's weights
 JACKS, DECISIONS = 512, 16  # side by side; of each in a round
 TRIES, SPREAD, STRAYING = 4, 0.3, 0.2  # torques from a state; their deviation [limits]; share of noisy decisions
@@ -117,7 +117,7 @@ def told(net: Any, states: Array) -> NDArray[np.float32]:
 def advanced(task: Task, states: Array, acting: NDArray[Any]) -> tuple[Array, Array]:
     """States a decision later, shape (n, 12), and what was earned, (n,), by torques (n,) in units of the limit."""
     torques = np.clip(acting, -1.0, 1.0)[:, None] * SCENE.torque_limit
-    found = rollout(SCENE, states, torques, CONTROL_DT, rewards=task, repeat=HOLD, trajectories=False, num_threads=1)
+    found = rollout(SCENE, states, torques, CONTROL_DT, rewards=task, repeat=REPEAT, trajectories=False, num_threads=1)
     assert isinstance(found, Rollout)
     return found.trajectories[:, 1].copy(), found.rewards.sum(axis=1)
 
@@ -198,7 +198,13 @@ def main() -> None:
     torch.manual_seed(arguments.seed)
     rng, recipe, task = np.random.default_rng(arguments.seed), RECIPES[arguments.task], arguments.task
     settings = TrainSettings(
-        task=task, fidelity="exact", seed=arguments.seed, hold=HOLD, preview=True, landing=False, hidden_units=WIDTHS
+        task=task,
+        fidelity="exact",
+        seed=arguments.seed,
+        repeat=REPEAT,
+        preview=True,
+        landing=False,
+        hidden_units=WIDTHS,
     )
     trials, states = starts(256, np.random.default_rng([arguments.seed, 1])), starts(JACKS, rng)
     ages, nets = rng.integers(0, EPISODE, JACKS), (network(WIDTHS), network(CRITIC))

@@ -20,13 +20,12 @@ import torch._dynamo  # noqa: F401  # Adam does so at its first use, which takes
 from stable_baselines3.common.vec_env import VecEnv
 
 from agents.files import read_json
-from agents.runs import EVALUATIONS
+from agents.runs import BEST, EVALUATIONS, MODEL, read_parameters
 from agents.settings import TrainSettings
 from agents.training import best
-from agents.training.best import BEST, read_evaluations
-from agents.training.checkpoints import checkpoint_path, kept_steps, read_parameters
+from agents.training.best import read_evaluations
+from agents.training.checkpoints import checkpoint_path, kept_steps
 from agents.training.models import make_vec_env
-from agents.training.ppo import MODEL
 from scripts import train as command
 
 # Six rollouts, three evaluations, three checkpoints, the first for an evaluation: a fraction of a second.

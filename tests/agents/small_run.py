@@ -21,7 +21,7 @@ TINY = TrainSettings(
     eval_steps=1024,
     eval_episodes=4,
     hidden_units=(16,),
-    hold=1,
+    repeat=1,
     preview=False,
     landing=False,
 )

@@ -236,7 +236,7 @@ def test_scenes_that_vary_are_settings_too(tmp_path: Path) -> None:
         done = script("evaluate", "--randomize", given, cwd=tmp_path, status=2)
         assert said in done.stderr, done.stderr
     with pytest.raises(ValueError, match="lookahead must be 0 where scenes vary"):
-        dataclasses.replace(TINY, lookahead=8, hold=5, randomize='{"jack_mass": [2, 6]}')
+        dataclasses.replace(TINY, lookahead=8, repeat=5, randomize='{"jack_mass": [2, 6]}')
     with pytest.raises(ValueError, match="preview must be off where gravity varies"):
         dataclasses.replace(TINY, preview=True, randomize='{"gravity": [1, 9]}')
     with pytest.raises(ValueError, match="landing must be off where torque_limit varies"):

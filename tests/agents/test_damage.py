@@ -10,13 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.runs import EVALUATIONS, describe
+from agents.runs import BEST, EVALUATIONS, MODEL, describe, read_parameters
 from agents.training import best
 from agents.training import ppo as training
-from agents.training.best import BEST, read_evaluations
-from agents.training.checkpoints import CHECKPOINTS, Checkpoint, checkpoint_path, kept_steps, read_parameters
+from agents.training.best import read_evaluations
+from agents.training.checkpoints import CHECKPOINTS, Checkpoint, checkpoint_path, kept_steps
 from agents.training.models import load_model
-from agents.training.ppo import MODEL
 from jackbox_env.files import new_folder
 from tests.agents.killing import SMALL, expected_steps, short_episodes
 

@@ -71,14 +71,14 @@ def test_a_box_turned_by_quarters_is_the_same_box() -> None:
     turned = states.copy()
     turned[:, 2] += np.arange(-6, 6) * 0.5 * np.pi
     np.testing.assert_allclose(upright(turned), states, atol=1e-12)
-    np.testing.assert_allclose(policy.torques(turned), policy.torques(states), atol=1e-9)
+    np.testing.assert_allclose(policy.towards_best(turned), policy.towards_best(states), atol=1e-9)
 
 
 def test_the_box_is_turned_to_the_pair_that_is_worth_most(monkeypatch: pytest.MonkeyPatch) -> None:
     policy, states = LandingPolicy(SMALL, layers_for()), starts(5)
     monkeypatch.setattr(policy, "worth", lambda states, times: np.tile(np.eye(15)[13], (5, 1)))  # the pair (0.3, 0.0)
     expected = torques(FREE, states, landing_times(FREE, states), np.tile([[0.3, 0.0]], (5, 1)), 0.1)
-    np.testing.assert_array_equal(policy.torques(states), expected)
+    np.testing.assert_array_equal(policy.towards_best(states), expected)
 
 
 def test_a_policy_is_written_read_and_held(tmp_path: Path) -> None:
@@ -87,13 +87,13 @@ def test_a_policy_is_written_read_and_held(tmp_path: Path) -> None:
     assert isinstance(policy, LandingPolicy)
     seen = observations(Scene(), states_in(Scene(), 6))
     actions, state = policy.predict(seen)
-    np.testing.assert_array_equal(actions, LandingPolicy(SMALL, layers_for()).act(seen))
+    np.testing.assert_array_equal(actions, LandingPolicy(SMALL, layers_for()).predict(seen)[0])
     others = np.roll(seen, 1, axis=0)
     for _ in range(4):
         held, state = policy.predict(others, state)
         np.testing.assert_array_equal(held, actions)
     anew = policy.predict(others, state)[0]
-    np.testing.assert_array_equal(anew, policy.act(others))
+    np.testing.assert_array_equal(anew, policy.predict(others)[0])
     assert not np.array_equal(anew, actions)
 
 
@@ -110,7 +110,7 @@ def test_damage_and_misfits_are_told(tmp_path: Path) -> None:
         read_landing(tmp_path)
     write_with_layers(tmp_path, "landing.json", SMALL, layers_for())
     damaged: list[tuple[dict[str, Any], str]] = [
-        ({"hold": 0}, "hold must .* got 0"),
+        ({"repeat": 0}, "repeat must .* got 0"),
         ({"angles": []}, r"angles must .* got \[\]"),
         ({"angles": [0.0] * 40, "rates": [0.0] * 40}, "1,000 pairs, got 1,600"),
         ({"angles": [3.0]}, "angles must .* got 3.0"),

@@ -15,45 +15,51 @@ from agents.evaluation.returns import evaluate
 from agents.policies.network import NetworkPolicy, layers_of, read_policy, write_with_layers
 from agents.policies.registry import find_policy
 from agents.settings import EnvSettings, TrainSettings
-from agents.training.models import holding, make_ppo, make_vec_env
+from agents.training.models import make_ppo, make_vec_env, wrapped
 from jackbox_env.tasks import TASKS
 from tests.agents.small_run import TINY
 
 KINDS = {
     "plain": replace(TINY, contact="exact"),
-    "held, with the landing": replace(TINY, contact="exact", hold=5, preview=True, hidden_units=(8, 6, 4)),
-    "aiming": replace(TINY, contact="exact", hold=20, landing=True),
-    "looking ahead": replace(TINY, contact="exact", hold=5, lookahead=8),
+    "held, with the landing": replace(TINY, contact="exact", repeat=5, preview=True, hidden_units=(8, 6, 4)),
+    "aiming": replace(TINY, contact="exact", repeat=20, landing=True),
+    "looking ahead": replace(TINY, contact="exact", repeat=5, lookahead=8),
 }
 
 
 def moving_model(settings: TrainSettings) -> Any:
     """An untrained model whose actions are not all near 0."""
-    environments = holding(make_vec_env(settings.env_settings, 1, 0), settings)
+    environments = wrapped(make_vec_env(settings.env_settings, 1, 0), settings)
     model: Any = make_ppo(settings, environments)
     model.policy.action_net.weight.data.mul_(60.0)
     return model
 
 
 @pytest.mark.parametrize("settings", KINDS.values(), ids=KINDS)
-def test_it_plays_as_the_model_does(settings: TrainSettings, tmp_path: Path) -> None:
+def test_it_plays_in_the_ordinary_environment_as_the_model_does_in_that_of_its_settings(
+    settings: TrainSettings, tmp_path: Path
+) -> None:
     model = moving_model(settings)
-    write_with_layers(tmp_path, "settings.json", settings, layers_of(model))
+    write_with_layers(tmp_path, "settings.json", settings, layers_of(model.get_parameters()["policy"]))
     policy = read_policy(tmp_path)
-    environments = make_vec_env(settings.env_settings, 3, 0)
-    environments.seed(1)
-    seen: Any = environments.reset()
+    plain, inner = (make_vec_env(settings.env_settings, 3, 1) for _ in range(2))
+    environments = wrapped(inner, settings)
+    observed: Any = environments.reset()
+    seen: Any = plain.reset()
     state: Any = None
-    own: Any = None
-    start, moved = np.ones(3, dtype=bool), 0.0
-    for _ in range(25):
-        expected, state = model.predict(seen, state, start, deterministic=True)
-        actions, own = policy.predict(seen, own, start)
-        assert actions.dtype == np.float32
-        np.testing.assert_allclose(actions, expected, atol=1e-4)
-        moved += float(np.abs(actions).sum())
-        seen, _, start, _ = environments.step(expected)
-    assert moved > 5.0
+    moved = 0.0
+    for _ in range(5):
+        observed, rewards, _, _ = environments.step(model.predict(observed, deterministic=True)[0])
+        total = np.zeros(3)
+        for _ in range(settings.repeat):
+            actions, state = policy.predict(seen, state)
+            assert actions.dtype == np.float32
+            moved += float(np.abs(actions).sum())
+            seen, earned, _, _ = plain.step(actions)
+            total += earned
+        np.testing.assert_allclose(total, rewards, rtol=1e-3)
+        np.testing.assert_allclose(seen, observed[:, :10], atol=1e-3)
+    assert moved > 2.0
     assert policy.predict(seen[0])[0].shape == (1,)
 
 
@@ -85,7 +91,7 @@ def test_a_policy_is_shipped_for_each_task_and_does_better_than_the_level_box(ta
 
 def test_damage_and_misfits_are_told(tmp_path: Path) -> None:
     settings, weights = KINDS["plain"], tmp_path / "weights.npz"
-    layers = layers_of(moving_model(settings))
+    layers = layers_of(moving_model(settings).get_parameters()["policy"])
     with pytest.raises(ValueError, match=r"have shapes \[\(\(8, 10\), \(8,\)\).* got \[\(\(16, 10\)"):
         NetworkPolicy(replace(settings, hidden_units=(8,)), layers)
     with pytest.raises(ValueError, match="finite"):

@@ -107,11 +107,13 @@ def test_the_defaults_suit_the_task_and_what_an_action_is(monkeypatch: pytest.Mo
     assert of_the_command() == TrainSettings.suited() == TrainSettings()
     assert TrainSettings().landing
     torques = TrainSettings.suited(task="spin")
-    assert (torques.landing, torques.hold, torques.gamma) == (False, 4, 0.99)
+    assert (torques.landing, torques.repeat, torques.gamma) == (False, 4, 0.99)
     assert of_the_command("--task=spin") == torques
     assert of_the_command("--no-landing") == replace(torques, task="juggle")
     assert of_the_command("--lookahead", "32") == replace(torques, task="juggle", lookahead=32)
-    assert TrainSettings.suited(task="rattle", hold=5, gamma=0.9) == replace(torques, task="rattle", hold=5, gamma=0.9)
+    assert TrainSettings.suited(task="rattle", repeat=5, gamma=0.9) == replace(
+        torques, task="rattle", repeat=5, gamma=0.9
+    )
 
 
 @pytest.mark.parametrize(
@@ -125,8 +127,8 @@ def test_the_defaults_suit_the_task_and_what_an_action_is(monkeypatch: pytest.Mo
         ("gamma", 1.1),
         ("hidden_units", (0,)),
         ("max_minutes", 0.0),
-        ("hold", 3),
-        ("hold", 1000),
+        ("repeat", 3),
+        ("repeat", 1000),
         ("preview", "yes"),
         ("lookahead", 3),
         ("lookahead", 5000),

@@ -41,7 +41,7 @@ def test_a_run_folder_holds_what_the_run_was_made_from(run: Path) -> None:
     spent = json.loads((run / "time.json").read_text())
     assert spent["steps"] == TINY.total_steps
     assert sum(spent["parts"].values()) == pytest.approx(spent["seconds"])
-    assert all(seconds > 0.0 for name, seconds in spent["parts"].items() if name != "holding actions")
+    assert all(seconds > 0.0 for name, seconds in spent["parts"].items() if name != "action repeat")
 
 
 def test_training_learns_from_its_rollouts(run: Path) -> None:
@@ -113,8 +113,9 @@ def test_a_run_that_is_given_more_steps_goes_on_from_its_last_model(tmp_path: Pa
 
 def test_stored_settings_without_a_name_mean_what_the_version_before_it_did() -> None:
     earlier = TrainSettings.of({"seed": 3})
-    assert (earlier.hold, earlier.preview, earlier.num_envs, earlier.fidelity) == (1, False, 16, "balanced")
+    assert (earlier.repeat, earlier.preview, earlier.num_envs, earlier.fidelity) == (1, False, 16, "balanced")
     assert TrainSettings.of(asdict(TrainSettings())) == TrainSettings()
+    assert TrainSettings.of({"hold": 4}).repeat == 4
 
 
 def test_a_deadline_ends_training(tmp_path: Path) -> None:
@@ -134,7 +135,7 @@ def test_models_that_are_not_there_or_do_not_fit_are_refused(run: Path, tmp_path
     lonely = tmp_path / "a" / "b" / "model.zip"
     lonely.parent.mkdir(parents=True)
     lonely.write_bytes((run / "model.zip").read_bytes())
-    with pytest.raises(FileNotFoundError, match="has no settings.json beside it .* use --trust"):
+    with pytest.raises(FileNotFoundError, match="has no settings.json beside it to rebuild"):
         load_model(lonely)
     (lonely.parent / "settings.json").write_text(json.dumps(asdict(replace(TINY, hidden_units=(8, 8)))))
     with pytest.raises(ValueError, match="is no model of the settings beside it"):

@@ -10,7 +10,7 @@ import torch
 from stable_baselines3 import PPO
 
 from agents.settings import TrainSettings
-from agents.training.models import holding, make_ppo, make_vec_env
+from agents.training.models import make_ppo, make_vec_env, wrapped
 from agents.training.zoo import hyperparams, zoo_settings
 
 DEMO = TrainSettings()
@@ -19,7 +19,7 @@ OF_THE_ZOO = {"env_kwargs", "env_wrapper", "n_envs", "n_timesteps", "policy", "l
 
 
 def test_the_zoo_makes_the_same_model() -> None:
-    environments = holding(make_vec_env(SMALL.env_settings, 2, 0), SMALL)
+    environments = wrapped(make_vec_env(SMALL.env_settings, 2, 0), SMALL)
     given: dict[str, Any] = {name: value for name, value in zoo_settings(SMALL).items() if name not in OF_THE_ZOO}
     ours, zoos = make_ppo(SMALL, environments), PPO("MlpPolicy", environments, seed=SMALL.seed, device="cpu", **given)
     for name in ("n_steps", "batch_size", "n_epochs", "gamma", "gae_lambda", "ent_coef"):

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.training.ppo import MODEL
+from agents.runs import MODEL
 from tests.agents import killing
 from tests.agents.killing import KILLS, check_finished, check_whole, ended, start
 

@@ -334,7 +334,7 @@ TRAINING: Kinds = {
     **{name: whole(4, 1).but(absurd=out(10**13, str(10**13))) for name in COUNTS},
     "batch_size": whole(4, 2),
     "torch_threads": whole(2, 1).but(absurd=out(1025, "1024", "1025")),
-    "hold": whole(5, 1, EPISODE_STEPS).but(odd=out(3, "divide", "500", "3")),
+    "repeat": whole(5, 1, EPISODE_STEPS).but(odd=out(3, "divide", "500", "3")),
     "preview": flag(True),
     "lookahead": whole(8, 0, 4096).but(few=out(7, "8", "7")),
     **{name: real(0.5, above=0.0) for name in ("learning_rate", "clip_range")},

@@ -27,7 +27,9 @@ def test_a_torque_is_judged_by_what_it_and_the_network_after_it_earn() -> None:
     found = vine.judged(net, critic, recipe, states, rng)
     np.testing.assert_allclose(found.advantages.mean(dim=1), 0.0, atol=1e-5)
     torques = np.clip(found.tried.numpy().astype(float), -1.0, 1.0).reshape(-1, 1) * vine.SCENE.torque_limit
-    played = rollout(vine.SCENE, np.repeat(states, vine.TRIES, axis=0), torques, 0.02, rewards="spin", repeat=vine.HOLD)
+    played = rollout(
+        vine.SCENE, np.repeat(states, vine.TRIES, axis=0), torques, 0.02, rewards="spin", repeat=vine.REPEAT
+    )
     earned = played.rewards.sum(axis=1).reshape(40, vine.TRIES)
     assert np.abs(vine.UNIT * found.worth.numpy()[:, 0] - earned.mean(axis=1)).max() < 1e-5
 

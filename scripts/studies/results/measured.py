@@ -22,7 +22,7 @@ from agents.policies.scripted import Baseline
 from agents.runs import machine, read_settings, versions
 from agents.settings import EPISODE_STEPS, EnvSettings, TrainSettings
 from agents.training.best import read_evaluations
-from agents.training.models import derived_seed, load_model
+from agents.training.models import derived_seed
 from agents.training.ppo import trained_in
 from jackbox_env import Chirp, JackInBoxVectorEnv, Scene
 from jackbox_env.states import Array
@@ -91,8 +91,8 @@ def learning(folder: Path, task: str, seed: int, episodes: int) -> dict[str, Any
     return {
         "task": task,
         "seed": seed,
-        **_evaluated("ppo", load_model(run), settings.env_settings, episodes),
-        "steps": [settings.hold * int(steps) for steps in curve.timesteps],  # control steps
+        **_evaluated("ppo", find_policy(str(run), settings).policy, settings.env_settings, episodes),
+        "steps": [settings.repeat * int(steps) for steps in curve.timesteps],  # control steps
         "curve": np.mean(curve.results, axis=1).tolist(),
         "settings": dataclasses.asdict(settings),
     }
@@ -149,9 +149,8 @@ def in_scene(folder: Path, scene: dict[str, float], policy: str, episodes: int) 
     if policy == "varied scenes":
         run = folder / "varied-scenes"
         trained_in(run, VARIED, progress=False)
-        acting: Any = load_model(run)
-    else:
-        acting = find_policy("ppo" if policy == "one scene" else policy, settings, SEED).policy
+        policy = str(run)
+    acting = find_policy("ppo" if policy == "one scene" else policy, settings, SEED).policy
     return _evaluated(policy, acting, settings.env_settings, episodes)
 
 

@@ -1,0 +1,125 @@
+"""Action repeat: in training, and by a trained policy in the ordinary environment."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from stable_baselines3.common.evaluation import evaluate_policy
+
+from agents.evaluation.returns import evaluate
+from agents.policies.network import NetworkPolicy, layers_of
+from agents.policies.registry import find_policy
+from agents.runs import describe
+from agents.settings import EnvSettings
+from agents.training import ppo as training
+from agents.training.models import derived_seed, make_ppo, make_vec_env, wrapped
+from jackbox_env.files import new_folder
+from tests.agents.small_run import TINY
+
+REPEAT = 5
+REPEATED = replace(TINY, contact="exact", repeat=REPEAT, preview=True)
+
+
+# -- training ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("contact", ["exact", "pymunk"])
+def test_repeating_environments_are_the_environments_stepped_by_hand(contact: str) -> None:
+    count, settings = 3, {"contact": contact}
+    repeating, plain = wrapped(make_vec_env(settings, count, 7), REPEATED), make_vec_env(settings, count, 7)
+    np.testing.assert_array_equal(repeating.reset(), plain.reset())
+    rng = np.random.default_rng(0)
+    ended = 0
+    for _ in range(2 * 500 // REPEAT):
+        actions = rng.uniform(-1.0, 1.0, (count, 1)).astype(np.float32)
+        observations, rewards, dones, infos = repeating.step(actions)
+        by_hand = [plain.step(actions) for _ in range(REPEAT)]
+        total = np.sum([step[1] for step in by_hand], axis=0)
+        np.testing.assert_allclose(rewards, total, rtol=1e-6)
+        assert rewards.dtype == np.float32
+        np.testing.assert_array_equal(observations, by_hand[-1][0])
+        np.testing.assert_array_equal(dones, by_hand[-1][2])
+        for mine, other in zip(infos, by_hand[-1][3], strict=True):
+            assert set(mine) == set(other)
+            if "episode" in mine:
+                ended += 1
+                assert mine["episode"]["l"] == other["episode"]["l"] == 500
+                assert mine["episode"]["r"] == other["episode"]["r"]
+                assert mine["TimeLimit.truncated"] is other["TimeLimit.truncated"] is True
+                np.testing.assert_array_equal(mine["terminal_observation"], other["terminal_observation"])
+    assert ended == 2 * count
+
+
+# -- playing -----------------------------------------------------------------------------------------------------------
+
+
+def test_each_environment_decides_where_its_own_episode_starts() -> None:
+    model = make_ppo(REPEATED, make_vec_env(REPEATED.env_settings, 1, 0))
+    policy = NetworkPolicy(REPEATED, layers_of(model.get_parameters()["policy"]))
+    rng = np.random.default_rng(1)
+    observations = rng.uniform(-1.0, 1.0, (23, 3, 10)).astype(np.float32)
+    starts = np.zeros((23, 3), dtype=bool)
+    starts[0] = True
+    starts[7, 1] = starts[9, 1] = starts[10, 2] = True
+    state: Any = None
+    age, repeated = np.zeros(3, dtype=int), np.zeros((3, 1), dtype=np.float32)
+    for seen, start in zip(observations, starts, strict=True):
+        actions, state = policy.predict(seen, state, start)
+        for number in range(3):
+            age[number] = 0 if start[number] else age[number]
+            if age[number] % REPEAT == 0:
+                repeated[number] = model.predict(seen[number], deterministic=True)[0]
+            age[number] += 1
+        np.testing.assert_allclose(actions, repeated, atol=1e-6)
+    with pytest.raises(ValueError, match="state must be that of 2 environments, as observation is, got 3"):
+        policy.predict(np.zeros((2, 10), dtype=np.float32), state)
+
+
+def test_a_model_that_looks_ahead_is_trained_and_loaded(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    settings = replace(REPEATED, lookahead=8)
+    folder = new_folder(tmp_path / "run", "run", lambda made: describe(made, settings))
+    training.train(settings, folder, progress=False)
+    told = capsys.readouterr().out.strip().splitlines()[-2]  # what the time went to
+    found = re.fullmatch(r"([0-9,]+) steps in [0-9]+ s, [0-9,]+ per second: (.*)", told)
+    assert found, told
+    assert int(found[1].replace(",", "")) >= settings.total_steps
+    shares = {name: float(share) for name, share in re.findall(r"([a-z ,]+) ([0-9.]+)%", found[2])}
+    assert sum(shares.values()) == pytest.approx(100.0, abs=0.5)
+    assert shares[", looking ahead"] > shares["environment"] > 0.0
+    (earned,) = evaluate("PPO", find_policy(str(folder), settings).policy, settings.env_settings, 1, 0).returns
+    assert earned > 0.0
+    with pytest.raises(ValueError, match="lookahead must be 0 or from 8 to 4096, got 3"):
+        replace(REPEATED, lookahead=3)
+
+
+# -- run folders -------------------------------------------------------------------------------------------------------
+
+
+def test_training_with_repeat_and_preview_saves_loads_and_resumes(tmp_path: Path) -> None:
+    folder = new_folder(tmp_path / "run", "test")
+    describe(folder, REPEATED)
+    half = replace(REPEATED, total_steps=1024)
+    training.train(half, folder, progress=False)
+    (folder / "model.zip").unlink()
+    model = training.train(REPEATED, folder, progress=False)
+    assert model.num_timesteps == REPEATED.total_steps
+    assert [episode["l"] for episode in model.ep_info_buffer or ()] == [500] * 12  # from 768 on: 320 actions each
+    stored = np.load(folder / "evaluations.npz")
+    assert stored["timesteps"].tolist() == [1024, 2048]
+    assert np.all(stored["ep_lengths"] == 500)
+    played = find_policy(str(folder / "model.zip"), REPEATED).policy
+    returns = evaluate("PPO", played, REPEATED.env_settings, 2, seed=0).returns
+    environments = wrapped(make_vec_env(REPEATED.env_settings, 2, derived_seed("evaluation", 0)), REPEATED)
+    earned, _ = evaluate_policy(model, environments, 2, return_episode_rewards=True)
+    np.testing.assert_allclose(returns, earned, rtol=0.2)  # torch and numpy round in different ways
+    trusted = tmp_path / "alone.zip"
+    trusted.write_bytes((folder / "model.zip").read_bytes())
+    with pytest.raises(FileNotFoundError, match="has no settings.json beside it .* use --trust"):
+        find_policy(str(trusted), REPEATED)
+    again = find_policy(str(trusted), EnvSettings(), trust=True).policy
+    assert evaluate("PPO", again, REPEATED.env_settings, 2, seed=0).returns == returns
