@@ -13,8 +13,8 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import checks as check
+from jackbox_env.batches.arguments import Arguments
 from jackbox_env.batches.base import Batch, Change, Flags, Floats, Outcome, Starts
-from jackbox_env.batches.given import Given
 from jackbox_env.env import JackInBoxEnv, Randomize
 from jackbox_env.randomization import NUMBERS, Randomization
 from jackbox_env.scene import Scene
@@ -115,8 +115,8 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
             raise ValueError(f'render_mode must be None or "rgb_array" for several environments, got {render_mode!r}')
         self.autoreset_mode = _autoreset_mode(autoreset_mode)  # TorchRL reads it here, Gymnasium in the metadata
         self._with_infos = check.flag("with_infos", with_infos)
-        self._given = Given(self.num_envs)
-        scenes = self._given.scenes(scene)
+        self._arguments = Arguments(self.num_envs)
+        scenes = self._arguments.scenes(scene)
         settings: dict[str, Any] = {
             "contact": contact, "substeps": substeps, "task": task, "control_dt": control_dt, "torque": torque,
             "fidelity": fidelity, "render_size": render_size, "render_overlay": render_overlay,
@@ -207,10 +207,10 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         Raises:
             TypeError, ValueError: unusable values; all environments stay as they were.
         """
-        chosen = np.ones(self.num_envs, dtype=np.bool_) if chosen is None else self._given.mask("chosen", chosen)
+        chosen = np.ones(self.num_envs, dtype=np.bool_) if chosen is None else self._arguments.mask("chosen", chosen)
         self._refuse_half_changed()
-        placed = self._given.states("states", states, chosen, as_restored)(self._batch.scene)
-        checked = self._given.times("times", times, chosen)
+        placed = self._arguments.states("states", states, chosen, as_restored)(self._batch.scene)
+        checked = self._arguments.times("times", times, chosen)
         self._half = True
         self._batch.place(chosen, placed, checked)
         self._half = False
@@ -290,15 +290,15 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         check.known_keys("options", given, ("state", "time", "scene", "reset_mask"))
         chosen = np.ones(self.num_envs, dtype=np.bool_)
         if given.get("reset_mask") is not None:
-            chosen = self._given.mask("options['reset_mask']", given["reset_mask"])
+            chosen = self._arguments.mask("options['reset_mask']", given["reset_mask"])
             if not chosen.any():
                 raise ValueError("options['reset_mask'] must choose at least one environment, got none")
-        times = self._given.times("options['time']", 0.0 if given.get("time") is None else given["time"], chosen)
+        times = self._arguments.times("options['time']", 0.0 if given.get("time") is None else given["time"], chosen)
         states = None
         if given.get("state") is not None:
-            states = self._given.states("options['state']", given["state"], chosen, as_start)
-        changes = None if given.get("scene") is None else self._given.changes(given["scene"], chosen)
-        return ResetPlan(chosen, self._given.seeds(seed), changes, states, times)
+            states = self._arguments.states("options['state']", given["state"], chosen, as_start)
+        changes = None if given.get("scene") is None else self._arguments.changes(given["scene"], chosen)
+        return ResetPlan(chosen, self._arguments.seeds(seed), changes, states, times)
 
     def step(
         self, actions: ArrayLike | Callable[[Array], ArrayLike] | None, repeat: int = 1
@@ -319,7 +319,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         if not self._ready:
             raise RuntimeError("step must come after a reset of all environments, got none yet")
         self._refuse_half_changed()
-        given = actions if isinstance(actions, FunctionType | None) else self._given.actions(actions)  # type: ignore[arg-type]
+        given = actions if isinstance(actions, FunctionType | None) else self._arguments.actions(actions)  # type: ignore[arg-type]
         repeat = check.whole("repeat", repeat, at_least=1, at_most=1_000_000)
         waiting = self._over() if self._waiting else None
         saved = self._batch.saved() if repeat > 1 else None
@@ -356,7 +356,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         """
 
         def asked() -> Array | None:
-            return self._given.actions(actions(self.states)) if isinstance(actions, FunctionType) else actions
+            return self._arguments.actions(actions(self.states)) if isinstance(actions, FunctionType) else actions
 
         outcome = self._batch.step(asked())
         steps = 1 if waiting is None else np.where(waiting, 0, 1)

@@ -112,12 +112,12 @@ class Motion:
     def step(self, torque: float | None, dt: arb) -> None:
         """Enclose a step of ``dt`` [s] under a held torque [N m] or the drive: flights and impacts in turn."""
         since = arb(0)
-        flight = Flight(self.scene, self.states[-1], turn_of(self.scene, torque, self.time, since))
+        flight = FreeFlight(self.scene, self.states[-1], turn_of(self.scene, torque, self.time, since))
         while found := flight.first_impact(dt - since):
             root, pairs = found
             since += root
-            state = self.strike(flight.state_at(root), self.touching(flight, root, pairs), self.time + since)
-            flight = Flight(self.scene, state, turn_of(self.scene, torque, self.time, since))
+            state = self.impact(flight.state_at(root), self.touching(flight, root, pairs), self.time + since)
+            flight = FreeFlight(self.scene, state, turn_of(self.scene, torque, self.time, since))
         self.states.append(self.known(flight.state_at(dt - since)))
         self.time += dt
 
@@ -127,14 +127,14 @@ class Motion:
             raise UndecidedError("more impacts than the bits follow")
         return state
 
-    def touching(self, flight: Flight, root: arb, first: list[Pair]) -> list[Pair]:
+    def touching(self, flight: FreeFlight, root: arb, first: list[Pair]) -> list[Pair]:
         """The pairs that strike at the time ``root`` of the first [s]: those within ``together``."""
         gaps = {pair: form.gap for pair, form in flight.forms(root, EVERY_PAIR).items() if [pair] != first}
         if not all(gap > self.together or gap <= self.together for gap in gaps.values()):
             raise UndecidedError("feet at the limit of striking together")
         return [pair for pair in EVERY_PAIR if [pair] == first or gaps[pair] <= self.together]
 
-    def strike(self, state: list[arb], pairs: list[Pair], time: arb) -> list[arb]:
+    def impact(self, state: list[arb], pairs: list[Pair], time: arb) -> list[arb]:
         """Apply the law to the pairs, note the impacts, and return the state after them."""
         scene = self.scene
         masses = [scene.box_mass] * 2 + [scene.box_inertia] + [scene.jack_mass] * 2 + [scene.jack_inertia]
@@ -281,7 +281,7 @@ class Form(NamedTuple):
     rate: arb  # [m/s]
 
 
-class Flight:
+class FreeFlight:
     """A motion without impacts, from a state on."""
 
     def __init__(self, scene: Scene, state: list[arb], turn: Turn) -> None:

@@ -38,7 +38,7 @@ from jackbox_env.states import Array
 from jackbox_env.tasks import TASKS, sample_start
 from scripts.studies.pages import fill, table
 from tests.invariants.cases import draw_case
-from tests.proof import EVERY_PAIR, Flight, Proof, Turn, prove
+from tests.proof import EVERY_PAIR, FreeFlight, Proof, Turn, prove
 from tests.proof import Impact as ProvenImpact
 from tests.states import inside, several_contacts
 
@@ -262,7 +262,7 @@ def gaps_at(case: Case, time: float) -> dict[tuple[int, int], arb]:
     """The enclosed gaps at a time of a case's only step [s]."""
     there = proof_of(case._replace(dt=time - case.time)).states[-1]
     still = Turn(lambda s: (arb(0), arb(0)), lambda s: arb(0))
-    return {pair: form.gap for pair, form in Flight(case.scene, there, still).forms(arb(0), EVERY_PAIR).items()}
+    return {pair: form.gap for pair, form in FreeFlight(case.scene, there, still).forms(arb(0), EVERY_PAIR).items()}
 
 
 def is_tie(case: Case, proof: Proof) -> bool:

@@ -16,7 +16,7 @@ from agents.settings import EnvSettings
 from agents.training.models import derived_seed
 from jackbox_env import Scene
 from jackbox_env.recording.page import model_facts, write_page
-from jackbox_env.recording.trajectory import Recording, Trajectory
+from jackbox_env.recording.trajectory import Trajectory, TrajectoryRecorder
 
 _LONGEST = 80  # letters of a file's name
 
@@ -44,15 +44,15 @@ def record_episode(act: Baseline, env_settings: dict[str, Any], seed: int) -> Ep
     inner: Any = env.unwrapped
     observation, info = env.reset(seed=seed)
     scene = inner.scene  # as it was drawn
-    recording = Recording(info["state"], info["time"], driven=act.env_settings.get("torque") == "chirp")
+    recorder = TrajectoryRecorder(info["state"], info["time"], driven=act.env_settings.get("torque") == "chirp")
     earned, memory, first, done = 0.0, None, True, False
     while not done:
         action, memory = act.policy.predict(observation, memory, np.array([first]), deterministic=True)
         observation, reward, terminated, truncated, info = env.step(action)
-        recording.add(info["state"], info["time"], info["torque"], inner.impacts)
+        recorder.add(info["state"], info["time"], info["torque"], inner.impacts)
         earned, first, done = earned + float(reward), False, terminated or truncated
     env.close()
-    return Episode(recording.trajectory(), scene, earned)
+    return Episode(recorder.trajectory(), scene, earned)
 
 
 def page_of_episode(path: Path, name: str, act: Baseline, settings: EnvSettings, seed: int) -> float:

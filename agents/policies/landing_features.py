@@ -17,7 +17,7 @@ from jackbox_env import Scene
 from jackbox_env.landing import LONGEST, WEAKEST, fall_time
 
 
-class Flight(NamedTuple):
+class LandingNumbers(NamedTuple):
     """What the preview needs of a scene, in units of L, v0 = sqrt(2 * 9.81 * L) and L / v0."""
 
     gravity: float  # g L / v0^2, 1/2 on Earth
@@ -43,36 +43,36 @@ FEATURES = (
 )
 
 
-def flight_of(scene: Scene) -> Flight:
+def landing_numbers(scene: Scene) -> LandingNumbers:
     """The numbers of a scene that the preview needs; those too large for float32 are cut."""
     length = scene.box_half_width
-    return Flight(
+    return LandingNumbers(
         gravity=min(_STRONGEST, scene.gravity / (2.0 * 9.81)),
         floor=(length - scene.jack_arm) / length,
         spin=min(_FINEST, length / scene.jack_arm),
     )
 
 
-def preview(flight: Flight, observations: NDArray[np.float32]) -> NDArray[np.float32]:
+def preview(numbers: LandingNumbers, observations: NDArray[np.float32]) -> NDArray[np.float32]:
     """The features of ``FEATURES``, float32, shape (n, 11), for observations, float32, shape (n, 10).
 
     The landing is that of a jack whose box does not move but turns at its present rate. Walls on the way do not count.
     Without gravity a jack that does not fall lands after ``LONGEST``.
     """
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # cut or not taken, see ``columns``
-        return np.stack(columns(flight, observations.T, np), axis=1)
+        return np.stack(columns(numbers, observations.T, np), axis=1)
 
 
-def columns(flight: Flight, seen: Any, library: Any) -> tuple[Any, ...]:
+def columns(numbers: LandingNumbers, seen: Any, library: Any) -> tuple[Any, ...]:
     """The features, an array each, from the ten numbers of observations, an array each: by numpy or torch."""
     clip, atan2 = library.clip, library.arctan2
     x, y, vx, vy, cosine, sine, omega_box, cosine_4, sine_4, omega_jack = seen
-    height = clip(sine * x + cosine * y + flight.floor, 0.0, None)
+    height = clip(sine * x + cosine * y + numbers.floor, 0.0, None)
     rise = sine * vx + cosine * vy
-    time = fall_time(max(flight.gravity, WEAKEST), height, rise, LONGEST, library)
+    time = fall_time(max(numbers.gravity, WEAKEST), height, rise, LONGEST, library)
     place = cosine * x - sine * y + (cosine * vx - sine * vy) * time
     theta = atan2(sine, cosine)
-    turned, spun = omega_box * time, flight.spin * omega_jack * time
+    turned, spun = omega_box * time, numbers.spin * omega_jack * time
     relative = atan2(sine_4, cosine_4) + 4.0 * (spun - turned)
     world = relative + 4.0 * (theta + turned)
     return (
@@ -84,7 +84,7 @@ def columns(flight: Flight, seen: Any, library: Any) -> tuple[Any, ...]:
         library.cos(world),
         library.sin(world),
         clip(place, -2.0, 2.0),
-        clip(flight.gravity * time - rise, -10.0, 10.0),
+        clip(numbers.gravity * time - rise, -10.0, 10.0),
         clip(spun / (0.5 * math.pi), -10.0, 10.0),
         clip(theta + turned, -10.0, 10.0),
     )

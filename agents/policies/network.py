@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.files import read_bounded, unpacked_arrays
-from agents.policies.landing_features import FEATURES, flight_of, preview
+from agents.policies.landing_features import FEATURES, landing_numbers, preview
 from agents.policies.playing import Actions, RepeatingPolicy
 from agents.runs import SETTINGS
 from agents.settings import FORESEEN, MOST_LAYERS, MOST_WEIGHTS, EnvSettings, TrainSettings
@@ -56,7 +56,7 @@ class NetworkPolicy(RepeatingPolicy):
     def __init__(self, settings: TrainSettings, layers: list[Layer]) -> None:
         self.settings, self.repeat, self._layers = settings, settings.repeat, layers
         self._scene, self.action_size = Scene.of(settings.scene_fields), 2 if settings.landing else 1
-        self._flight, self._features = flight_of(self._scene) if settings.preview else None, None
+        self._numbers, self._features = landing_numbers(self._scene) if settings.preview else None, None
         if settings.lookahead:
             self._features = Features(
                 settings.task, settings.control_dt, hold=settings.repeat, samples=settings.lookahead, follow=True,
@@ -80,8 +80,8 @@ class NetworkPolicy(RepeatingPolicy):
     def act(self, seen: NDArray[Any]) -> Actions:
         """The network's outputs, shape (n, action_size), for observations as in training, shape (n, 10 or more)."""
         values = np.asarray(seen, dtype=np.float32)
-        if self._flight:
-            values = np.concatenate([values, preview(self._flight, values[:, : len(BOUNDS)])], axis=1)
+        if self._numbers:
+            values = np.concatenate([values, preview(self._numbers, values[:, : len(BOUNDS)])], axis=1)
         return np.clip(outputs(self._layers, values), -1.0, 1.0)
 
     def torques(self, actions: Actions, observations: NDArray[Any]) -> Actions:

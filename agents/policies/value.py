@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.policies.landing_features import FEATURES, flight_of, preview
+from agents.policies.landing_features import FEATURES, landing_numbers, preview
 from agents.policies.network import Layer, check_layers, outputs, read_with_layers
 from agents.policies.observing import observations
 from agents.settings import EnvSettings
@@ -44,13 +44,13 @@ class Value:
 
     def __init__(self, settings: EnvSettings, layers: list[Layer]) -> None:
         self.settings, self.layers, self._scene = settings, layers, Scene.of(settings.scene_fields)
-        self._flight = flight_of(self._scene)
+        self._numbers = landing_numbers(self._scene)
         check_layers(layers, [INPUTS, *(bias.size for _, bias in layers[:-1]), 1])
 
     def inputs(self, states: Array) -> NDArray[np.float32]:
         """What the network sees of states, shape (n, 12): (n, ``INPUTS``)."""
         seen = observations(self._scene, states)
-        return np.concatenate([seen, preview(self._flight, seen)], axis=1)
+        return np.concatenate([seen, preview(self._numbers, seen)], axis=1)
 
     def of(self, states: Array) -> Array:
         """The sum of rewards that is to come, shape (n,), for states, shape (n, 12)."""

@@ -8,18 +8,18 @@ import gymnasium as gym
 import torch
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
-from agents.policies.landing_features import FEATURES, Flight, columns
+from agents.policies.landing_features import FEATURES, LandingNumbers, columns
 from jackbox_env.observation import BOUNDS
 
 
 class WithPreview(BaseFeaturesExtractor):
     """An observation, of ten numbers and perhaps more, then the preview of the landing. It has nothing to learn."""
 
-    def __init__(self, observation_space: gym.Space[Any], flight: Flight) -> None:
+    def __init__(self, observation_space: gym.Space[Any], flight: LandingNumbers) -> None:
         super().__init__(observation_space, features_dim=gym.spaces.utils.flatdim(observation_space) + len(FEATURES))
-        self._flight = Flight(*flight)
+        self._numbers = LandingNumbers(*flight)
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         """Features, shape (n, k + 11), of observations of shape (n, k), k at least 10."""
-        found = columns(self._flight, observations[:, : len(BOUNDS)].unbind(1), torch)
+        found = columns(self._numbers, observations[:, : len(BOUNDS)].unbind(1), torch)
         return torch.cat((observations, torch.stack(found, dim=1)), dim=1)

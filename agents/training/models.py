@@ -14,7 +14,7 @@ from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv
 
 from agents.files import first_line
-from agents.policies.landing_features import flight_of
+from agents.policies.landing_features import landing_numbers
 from agents.runs import SETTINGS, TRAINED_BY, model_in, read_parameters, read_settings, run_folder
 from agents.settings import TrainSettings
 from agents.training.extractor import WithPreview
@@ -51,7 +51,7 @@ def policy_kwargs(settings: TrainSettings) -> dict[str, Any]:
     """What Stable-Baselines3's policy is made with: its layers, the first deviation, the preview."""
     found: dict[str, Any] = {"net_arch": list(settings.hidden_units), "log_std_init": settings.initial_log_std}
     if settings.preview:
-        flight = flight_of(Scene.of(settings.scene_fields))
+        flight = tuple(landing_numbers(Scene.of(settings.scene_fields)))
         found |= {"features_extractor_class": WithPreview, "features_extractor_kwargs": {"flight": flight}}
     return found
 

@@ -349,7 +349,7 @@ def _residuals(found: Fit, recording: Recording, motion: Array, impacts: Sequenc
     from matplotlib.figure import Figure
 
     from jackbox_env.commands.plots import BOX, GREY, JACK
-    from jackbox_env.measure.shooting import matched
+    from jackbox_env.measure.shooting import nearest_pairs
 
     figure = Figure(figsize=(9.0, 2.4), layout="constrained")
     axes = figure.subplots()
@@ -367,7 +367,7 @@ def _residuals(found: Fit, recording: Recording, motion: Array, impacts: Sequenc
     if recording.impacts is not None and "impacts" in found.noise:
         heard, fitted = np.asarray(recording.impacts), np.array(impacts)
         heard = heard[np.isfinite(np.interp(heard, times, motion[:, 0]))]  # where there is a fit
-        ours, theirs = matched(heard, fitted)
+        ours, theirs = nearest_pairs(heard, fitted)
         left = (heard[ours] - fitted[theirs]) / found.noise["impacts"]
         axes.plot(heard[ours], left, "x", color=GREY, markersize=5, label="impacts", zorder=4)
     if len(axes.lines) > 2:  # than the edges

@@ -59,7 +59,7 @@ class Rules(NamedTuple):
     gliding: bool  # whether a held torque turns any of the boxes
 
 
-class Given(NamedTuple):
+class Inputs(NamedTuple):
     """What a step is given."""
 
     actions: Array  # (N,), clipped to [-1, 1]; (0,): the drive acts
@@ -88,7 +88,7 @@ def step_blocks(
         scenes: the fields of :class:`Scenes`. Plain tuples are handed in because numba takes them in faster.
         rules: the fields of :class:`Rules`, and the address of the task's ``score_block``.
         blocks: environments, shape (blocks, 16, width), and where they go, likewise.
-        given: the fields of :class:`Given`.
+        given: the fields of :class:`Inputs`.
         span: first block, and past the last.
         results: the fields of :class:`Results`.
         memory: to work in: lanes, shape (LANES, width), a workspace, and room to record impacts, of none.
@@ -99,7 +99,7 @@ def step_blocks(
     """
     played = Scenes(scenes[0], scenes[1], scenes[2])
     common, score = Rules(rules[0], rules[1], rules[2]), block_score(rules[3])
-    asked = Given(given[0], given[1], given[2])
+    asked = Inputs(given[0], given[1], given[2])
     filled = Results(results[0], results[1], results[2], results[3], results[4])
     before, after = blocks
     lanes, workspaces, log = memories
@@ -144,7 +144,7 @@ def step_lanes(
     plan: Plan,
     scenes: Scenes,
     block: Block,
-    given: Given,
+    given: Inputs,
     glided: bool,
     memory: Workspace,
     log: Array,

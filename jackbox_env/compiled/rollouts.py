@@ -36,7 +36,7 @@ def outside(values: Array, states: Array, deepest: Array) -> int:
     return -1
 
 
-class Played(NamedTuple):
+class RolloutArrays(NamedTuple):
     """Where a rollout is written; arrays of length 0 where nobody asks."""
 
     trajectories: Array  # (N, H + 1, 12), the first states given; (N, 2, 12): states of even and of odd steps, in turn
@@ -62,7 +62,7 @@ def roll(
         drive: times [s], shape (H + 1,); pieces of the drives' functions, shape (pieces, TABLE_WIDTH); the first piece
             of each step of the first drive, of the next drive and so on, and past the last one's.
         span: first trajectory, past the last, and the step of the first one to begin with.
-        results: the fields of :class:`Played`.
+        results: the fields of :class:`RolloutArrays`.
         score: address of the task's ``score_step``; called only where rewards are asked for.
         until_impact: end each trajectory with the step of its first impact.
         memories: to work in: a workspace, and room to record a step's impacts, of none where nobody asks.
@@ -79,7 +79,7 @@ def roll(
     plan = make_plan(scene, dt, kinds[0])
     times, table, ends = drive
     low, high, first = span
-    played = Played(results[0], results[1], results[2], results[3], results[4], results[5])
+    played = RolloutArrays(results[0], results[1], results[2], results[3], results[4], results[5])
     pay = step_score(score)
     memory, log = memories[0][0], memories[1]
     rows, used, rough = tape

@@ -132,7 +132,13 @@ def rests(scene: SceneNumbers, memory: Workspace) -> bool:
 
 
 def first_impact(
-    scene: SceneNumbers, memory: Workspace, flight: Flight, piece: Piece, left: float, tolerance: float, rest: float
+    scene: SceneNumbers,
+    memory: Workspace,
+    flight: Flight,
+    piece: Piece,
+    left: float,
+    tolerance: float,
+    rest: float,
 ) -> tuple[float, int]:
     """Find the first impact of a flight within ``left`` [s], which is at most what is left of its piece.
 
@@ -212,7 +218,13 @@ def first_of_all(
 
 
 def first_in_a_turn(
-    scene: SceneNumbers, memory: Workspace, flight: Flight, view: View, limits: Limits, rest: float, piece: Piece
+    scene: SceneNumbers,
+    memory: Workspace,
+    flight: Flight,
+    view: View,
+    limits: Limits,
+    rest: float,
+    piece: Piece,
 ) -> tuple[float, int]:
     """The first impact in a box that turns far: see :func:`first_impact`.
 

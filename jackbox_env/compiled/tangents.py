@@ -109,7 +109,7 @@ def locate(scene: SceneNumbers, hit: Array, memory: Workspace) -> float:
     return later
 
 
-def strike(scene: SceneNumbers, tangent: Array, hit: Array, memory: Workspace) -> None:
+def saltate(scene: SceneNumbers, tangent: Array, hit: Array, memory: Workspace) -> None:
     """Take a tangent, and the state in ``memory.before``, through an impact that :func:`locate` has found."""
     at, row = memory.before, memory.gradients[0]
     frame, rate = frame_of(at), rate_of(at, row)
@@ -193,7 +193,7 @@ def step_tangent(
         time = hit[0] + locate(scene, hit, memory)
         drifted(plan, alpha, state, memory.before, time - since, drift)
         fly(scene, tangent, time - since, drift)
-        strike(scene, tangent, hit, memory)
+        saltate(scene, tangent, hit, memory)
         for place in range(12):
             state[place] = memory.before[place]
         since = time
@@ -216,10 +216,10 @@ class Played(NamedTuple):
     smooth: Flags  # which steps have a derivative, shape (N, H)
 
 
-Given = tuple[Array, Counts, float, Array, Array, Array, Counts, Flags]
+RolloutData = tuple[Array, Counts, float, Array, Array, Array, Counts, Flags]
 
 
-def played_of(given: Given) -> Played:
+def rollout_of(given: RolloutData) -> Played:
     """The rollout of a tuple."""
     return Played(given[0], given[1], given[2], given[3], given[4], given[5], given[6], given[7])
 
@@ -283,7 +283,7 @@ def grazes(scene: SceneNumbers, plan: Plan, hit: Array, memory: Workspace) -> bo
     return bool(abs(bent) * _ROUNDING * touch_of(plan, at).together > _GRAZE * rate * rate)
 
 
-def mark_smooth(given: Given, rough: Flags, tangent: Array, workspaces: Workspaces) -> None:
+def mark_smooth(given: RolloutData, rough: Flags, tangent: Array, workspaces: Workspaces) -> None:
     """Fill in which steps have a derivative: not ``rough``, no foot that touches at an end, and not lost in rounding.
 
     Args:
@@ -292,7 +292,7 @@ def mark_smooth(given: Given, rough: Flags, tangent: Array, workspaces: Workspac
         tangent: to work in, shape (ROWS, len(GROWING)).
         workspaces: one, to work in.
     """
-    played, memory, steps = played_of(given), workspaces[0], rough.shape[1]
+    played, memory, steps = rollout_of(given), workspaces[0], rough.shape[1]
     row, none = memory.gradients[0], played.torques[:0]
     for i in range(rough.shape[0]):
         scene, plan = scene_of(played, i)
@@ -311,7 +311,7 @@ def mark_smooth(given: Given, rough: Flags, tangent: Array, workspaces: Workspac
                 tangent[:] = 0.0
                 for column in range(len(GROWING)):
                     tangent[GROWING[column], column] = 1.0
-                follow(played, scene, plan, i, k, none, tangent, memory)
+                propagate(played, scene, plan, i, k, none, tangent, memory)
                 played.smooth[i, k] = largest_growth(scene, tangent) < _LARGEST
             before = after
 
@@ -332,8 +332,15 @@ def unit_of(scene: SceneNumbers, place: int) -> float:
     return length if place < 6 else length * scene.speed_scale / scene.box_half_width
 
 
-def follow(
-    played: Played, scene: SceneNumbers, plan: Plan, i: int, k: int, by_time: Array, tangent: Array, memory: Workspace
+def propagate(
+    played: Played,
+    scene: SceneNumbers,
+    plan: Plan,
+    i: int,
+    k: int,
+    by_time: Array,
+    tangent: Array,
+    memory: Workspace,
 ) -> None:
     """Take a tangent through a step; it is NaN if there is no derivative.
 
@@ -363,7 +370,7 @@ def fill_identity(tangent: Array, seeds: Array) -> None:
 
 
 def matrices(
-    given: Given, seeds: Array, span: tuple[int, int], results: tuple[Array, Array, Array, Array], tangent: Array,
+    given: RolloutData, seeds: Array, span: tuple[int, int], results: tuple[Array, Array, Array, Array], tangent: Array,
     workspaces: Workspaces,
 ) -> None:  # fmt: skip
     """Fill in the derivatives of all steps of some rows; NaN where there is none.
@@ -377,7 +384,7 @@ def matrices(
         tangent: to work in, shape (ROWS, 13 + F).
         workspaces: one, to work in.
     """
-    played = played_of(given)
+    played = rollout_of(given)
     by_state, by_torque, by_field, by_time = results
     for i in range(span[0], span[1]):
         scene, plan = scene_of(played, i)
@@ -386,7 +393,7 @@ def matrices(
             same = plan.kind == CONSTANT and flies(played, i, k)
             if stale or not same or by_field.shape[3] > 0:
                 fill_identity(tangent, seeds[i if seeds.shape[0] > 1 else 0])
-                follow(played, scene, plan, i, k, by_time, tangent, workspaces[0])
+                propagate(played, scene, plan, i, k, by_time, tangent, workspaces[0])
                 stale = not same
             for row in range(12):
                 for column in range(12):
@@ -397,7 +404,7 @@ def matrices(
 
 
 def push_forward(
-    given: Given, moved: tuple[Array, Array, Array], span: tuple[int, int], results: Array, tangent: Array,
+    given: RolloutData, moved: tuple[Array, Array, Array], span: tuple[int, int], results: Array, tangent: Array,
     workspaces: Workspaces,
 ) -> None:  # fmt: skip
     """Fill in how trajectories change, shape (N, H + 1, 12), with NaN after a step that has no derivative.
@@ -410,7 +417,7 @@ def push_forward(
         tangent: to work in, shape (ROWS, 1).
         workspaces: one, to work in.
     """
-    played = played_of(given)
+    played = rollout_of(given)
     states, torques, numbers = moved
     for i in range(span[0], span[1]):
         scene, plan = scene_of(played, i)
@@ -420,13 +427,13 @@ def push_forward(
             tangent[GRAVITY + place, 0] = numbers[i, place]
         for k in range(played.smooth.shape[1]):
             tangent[TORQUE, 0] = torques[i, torque_of(played, k)]
-            follow(played, scene, plan, i, k, results[i, :0], tangent, workspaces[0])
+            propagate(played, scene, plan, i, k, results[i, :0], tangent, workspaces[0])
             for place in range(12):
                 results[i, k + 1, place] = tangent[place, 0]
 
 
 def pull_back(
-    given: Given, seeds: Array, span: tuple[int, int], weights: Array, results: tuple[Array, Array, Array],
+    given: RolloutData, seeds: Array, span: tuple[int, int], weights: Array, results: tuple[Array, Array, Array],
     tangent: Array, workspaces: Workspaces,
 ) -> None:  # fmt: skip
     """Fill in how a sum of weights times states changes with first states, torques and fields.
@@ -441,7 +448,7 @@ def pull_back(
         tangent: to work in, shape (ROWS, 13 + F).
         workspaces: one, to work in.
     """
-    played, memory = played_of(given), workspaces[0]
+    played, memory = rollout_of(given), workspaces[0]
     by_start, by_torque, by_field = results
     steps, drift = played.smooth.shape[1], memory.point
     for i in range(span[0], span[1]):
@@ -463,7 +470,7 @@ def pull_back(
                 by_torque[i, held] += fly_back(scene, pulled, plan.dt, drift, seed, by_field[i])
             else:
                 fill_identity(tangent, seed)
-                follow(played, scene, plan, i, k, by_torque[:0], tangent, memory)
+                propagate(played, scene, plan, i, k, by_torque[:0], tangent, memory)
                 by_torque[i, held] += weighed(pulled, tangent, TORQUE)
                 for column in range(seed.shape[0]):
                     by_field[i, column] += weighed(pulled, tangent, FIRST_FIELD + column)

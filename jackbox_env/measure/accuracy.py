@@ -184,7 +184,7 @@ def reference_of(case: Case) -> Reference:
     by = max(_ASIDE, 100.0 * math.ulp(float(aside[3])))
     aside[3] += by * (1.0 if aside[0] > aside[3] else -1.0)  # towards the middle, so that it stays inside
     twin = follow(simulator, case._replace(state=aside), look=None)
-    errors = matched(twin.impacts, course.impacts)
+    errors = prefix_errors(twin.impacts, course.impacts)
     sure = next((number for number, error in enumerate(errors) if error > _APART), len(errors))
     times: Array = case.dt * np.arange(case.steps + 1, dtype=np.float64)
     return Reference(times, course.states, course.impacts, sure)
@@ -193,7 +193,7 @@ def reference_of(case: Case) -> Reference:
 # -- comparing --------------------------------------------------------------------------------------------------------
 
 
-def matched(impacts: Sequence[Impact], reference: Sequence[Impact]) -> list[float]:
+def prefix_errors(impacts: Sequence[Impact], reference: Sequence[Impact]) -> list[float]:
     """Errors of the impact times [s] over the longest common start of both, by wall and foot.
 
     Impacts recorded at one time (a substep's end, two feet at once) have no order.
@@ -232,7 +232,7 @@ def pose_errors(scene: Scene, states: Array, reference: Array) -> Array:
 
 def compare(case: Case, course: Course, reference: Reference) -> Comparison:
     """Hold a course against its reference."""
-    errors = matched(course.impacts, reference.impacts[: reference.sure])
+    errors = prefix_errors(course.impacts, reference.impacts[: reference.sure])
     first = min((impact.time for impact in [*course.impacts[:1], *reference.impacts[:1]]), default=math.inf)
     rows = np.rint(reference.times / case.dt).astype(int)
     flying = (reference.times < first) & (rows < len(course.states)) & (rows > 0)

@@ -126,7 +126,7 @@ def motion(recording: Recording, window: Window, parameters: Parameters, numbers
     return Motion(lin.trajectories[0], by, smooth, time + within * recording.dt + since, times_by)
 
 
-def matched(heard: Array, times: Array) -> tuple[Places, Places]:
+def nearest_pairs(heard: Array, times: Array) -> tuple[Places, Places]:
     """Numbers of impacts that were heard and of the model's that may be the same, each at most once, in order."""
     pairs, taken = [], -1
     for number, time in enumerate(heard):
@@ -216,7 +216,7 @@ class Shooting:
         if recording.impacts is not None:
             begin, end = (recording.time + step * recording.dt for step in (window.first, window.last))
             heard = recording.impacts[(recording.impacts >= begin) & (recording.impacts < end)]
-            one, other = matched(heard, found.times)
+            one, other = nearest_pairs(heard, found.times)
             late, late_by = np.full(len(heard), _NEAR), np.zeros((len(heard), by.shape[1]))
             late[one], late_by[one] = found.times[other] - heard[one], found.times_by[other]
             off, by = np.concatenate([off, late / noise[12]]), np.concatenate([by, late_by / noise[12]])

@@ -41,7 +41,7 @@ class Trajectory:
     failure: str | None = None
 
 
-class Recording:
+class TrajectoryRecorder:
     """A trajectory while it is made.
 
     Args:
@@ -77,15 +77,15 @@ class Recording:
 
 def simulate(simulator: Simulator, seconds: float, dt: float, progress: bool = True) -> Trajectory:
     """Step under the scene's drive for ``seconds`` in steps of ``dt`` [s]; a jack that leaves the box ends it early."""
-    recording = Recording(simulator.state, simulator.time)
+    recorder = TrajectoryRecorder(simulator.state, simulator.time)
     with _bar(range(max(1, round(seconds / dt))), progress) as steps:
         for _ in steps:
             try:
                 simulator.step(dt)
             except JackLostError as error:
-                return recording.trajectory(str(error))
-            recording.add(simulator.state, simulator.time, simulator.torque, simulator.impacts)
-    return recording.trajectory()
+                return recorder.trajectory(str(error))
+            recorder.add(simulator.state, simulator.time, simulator.torque, simulator.impacts)
+    return recorder.trajectory()
 
 
 def _bar(steps: Iterable[int], progress: bool) -> AbstractContextManager[Iterable[int]]:

@@ -128,7 +128,7 @@ def open_display(pygame: Any) -> None:
         raise RuntimeError("there is no display to play on: start this on a desktop")
 
 
-class Window:
+class GameWindow:
     """Shows a game and obeys the keys.
 
     Args:
@@ -284,7 +284,7 @@ def play(
         gymnasium.error.DependencyNotInstalled: pygame is missing.
         RuntimeError: there is no display.
     """
-    window = Window(Game(env, seed, chirp), trained)
+    window = GameWindow(Game(env, seed, chirp), trained)
     clock = window.pygame.time.Clock()
     try:
         while window.open:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from torch import nn
 from tqdm import trange
 
-from agents.policies.landing_features import FEATURES, flight_of, preview
+from agents.policies.landing_features import FEATURES, landing_numbers, preview
 from agents.policies.network import write_with_layers
 from agents.policies.observing import mirrored, observations
 from agents.runs import SETTINGS
@@ -38,7 +38,7 @@ from jackbox_env.states import Array
 from jackbox_env.tasks import TASKS, sample_start
 from scripts.studies.fitting import layers_of
 
-SCENE, FLIGHT, INPUTS = Scene(drive=None), flight_of(Scene()), len(BOUNDS) + len(FEATURES)
+SCENE, FLIGHT, INPUTS = Scene(drive=None), landing_numbers(Scene()), len(BOUNDS) + len(FEATURES)
 REPEAT, CONTROL_DT, EPISODE = 5, 0.02, 100  # control steps of a decision, [s], decisions
 WIDTHS, CRITIC, STEEPER = (256, 256), (128, 128), 3.0  # layers; factor of the first one's weights
 JACKS, DECISIONS = 512, 16  # side by side; of each in a round

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from agents.policies.landing_features import FEATURES, columns, flight_of, preview
+from agents.policies.landing_features import FEATURES, columns, landing_numbers, preview
 from agents.settings import PREVIEWED
 from agents.training.models import make_ppo, make_vec_env
 from jackbox_env import Scene, make_simulator
@@ -24,7 +24,7 @@ SCENES = [Scene(), Scene(gravity=1.62), Scene(box_half_width=3.0, jack_arm=0.5),
 
 
 def features(scene: Scene, state: Array) -> list[float]:
-    values: list[float] = preview(flight_of(scene), observe(scene, state.tolist())[None])[0].tolist()
+    values: list[float] = preview(landing_numbers(scene), observe(scene, state.tolist())[None])[0].tolist()
     return values
 
 
@@ -70,8 +70,8 @@ def test_every_observation_has_a_finite_preview(given: dict[str, float]) -> None
     corners, tiny = rng.choice([-1.0, 0.0, 1.0], (4000, 10)), rng.choice([-1e-45, 0.0, 1e-45], (200, 10))
     inside = rng.uniform(-1.0, 1.0, (1000, 10))
     rows = (np.concatenate([corners, tiny, inside]) * BOUNDS).astype(np.float32)
-    values = preview(flight_of(scene), rows)
-    by_torch = torch.stack(columns(flight_of(scene), torch.from_numpy(rows).unbind(1), torch), dim=1)
+    values = preview(landing_numbers(scene), rows)
+    by_torch = torch.stack(columns(landing_numbers(scene), torch.from_numpy(rows).unbind(1), torch), dim=1)
     assert values.dtype == np.float32
     for found in (values, by_torch.numpy()):
         assert found.shape == (len(rows), len(FEATURES))
@@ -95,7 +95,7 @@ def test_the_networks_see_the_observation_and_the_preview_of_their_scene() -> No
     model = make_ppo(settings, environments)
     rows = torch.from_numpy(np.random.default_rng(0).uniform(-1.0, 1.0, (5, 10)).astype(np.float32))
     seen: Any = model.policy.extract_features(rows)
-    expected = np.concatenate([rows.numpy(), preview(flight_of(Scene(gravity=1.62)), rows.numpy())], axis=1)
+    expected = np.concatenate([rows.numpy(), preview(landing_numbers(Scene(gravity=1.62)), rows.numpy())], axis=1)
     np.testing.assert_allclose(seen.numpy(), expected, atol=1e-3)
     assert len(FEATURES) == PREVIEWED
     assert model.observation_space == make_ppo(TINY, environments).observation_space

@@ -12,7 +12,7 @@ import pytest
 from jackbox_env import Chirp, Drive, Scene, make_simulator
 from jackbox_env.mechanics import gaps, impact_map
 from jackbox_env.recording.samples import SPACING, Samples, samples_of
-from jackbox_env.recording.trajectory import Recording, Trajectory, simulate, write_csv
+from jackbox_env.recording.trajectory import Trajectory, TrajectoryRecorder, simulate, write_csv
 from tests.states import load
 
 
@@ -101,18 +101,18 @@ def test_a_foot_at_rest_is_not_let_fall_between_the_stored_states(drive: Any) ->
 def test_held_torques_are_shown_as_they_were_held() -> None:
     simulator = make_simulator(Scene(), contact="exact")
     simulator.reset([0.0] * 12)
-    recording = Recording(simulator.state, 0.0, driven=False)
+    recorder = TrajectoryRecorder(simulator.state, 0.0, driven=False)
     torques = [50000.0, -30000.0, 10000.0]
     for torque in torques:
         simulator.step(0.02, torque)
-        recording.add(simulator.state, simulator.time, simulator.torque, simulator.impacts)
-    samples = samples_of(Scene(), recording.trajectory())
+        recorder.add(simulator.state, simulator.time, simulator.torque, simulator.impacts)
+    samples = samples_of(Scene(), recorder.trajectory())
     np.testing.assert_allclose(samples.torques[1:], np.repeat(torques, 4), rtol=1e-15)
     np.testing.assert_allclose(samples.energies, samples.work, atol=1e-9)
 
 
 def test_an_early_end_without_a_step_is_one_sample(tmp_path: Path) -> None:
-    trajectory = Recording(np.zeros(12), 2.0).trajectory("why")
+    trajectory = TrajectoryRecorder(np.zeros(12), 2.0).trajectory("why")
     samples = samples_of(Scene(), trajectory)
     assert samples.times.tolist() == [2.0]
     assert write_csv(trajectory, tmp_path)[0].read_text().count("\n") == 2

@@ -125,7 +125,7 @@ WITHOUT = [
     "import scripts.evaluate",
     "gymnasium.make('JackInBox-v0', render_mode='rgb_array')",
     "jackbox_env.JackInBoxVectorEnv(2).tiled()",
-    "from jackbox_env.render.window import Window; Window(None)",
+    "from jackbox_env.render.window import GameWindow; GameWindow(None)",
     "import scripts.play; scripts.play.main()",
 ]
 

@@ -50,7 +50,7 @@ class Course(NamedTuple):
     energy: float  # largest error, relative to the kinetic energy at the start and the fall's
 
 
-def follow(simulator: Simulator, steps: int, dt: float) -> Course:
+def course_of(simulator: Simulator, steps: int, dt: float) -> Course:
     """Step without torque: momentum changes by m_j g t, energy not at all."""
     scene, states, falls, hits = simulator.scene, [simulator.state], [0.0], 0
     weight, begun = scene.jack_mass * scene.gravity, simulator.time
@@ -86,7 +86,7 @@ def kept(courses: list[Course], contact: str, hits: int, *more: Bound) -> Findin
 def courses(starts: Callable[[], list[tuple[Scene, Array]]], steps: int, dt: float, hits: int) -> Measure:
     """Follow each start for some steps of dt [s], with at least so many impacts."""
     return lambda contact: kept(
-        [follow(started(scene, contact, state), steps, dt) for scene, state in starts()], contact, hits
+        [course_of(started(scene, contact, state), steps, dt) for scene, state in starts()], contact, hits
     )
 
 

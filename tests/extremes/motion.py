@@ -15,9 +15,9 @@ from tests.extremes.measures import (
     DEEPEST,
     WEIGHTLESS,
     angular_momentum,
+    course_of,
     courses,
     flown,
-    follow,
     kept,
     started,
 )
@@ -38,7 +38,7 @@ def spun(place: int, dt: float, contact: str) -> Finding:
     simulator = started(WEIGHTLESS, contact, state)
     if contact == "pymunk" and dt == 0.02:
         return refuses(lambda: simulator.step(dt, 0.0), TOO_FAST_FOR_SUBSTEPS)
-    course = follow(simulator, round(0.2 / dt), dt)
+    course = course_of(simulator, round(0.2 / dt), dt)
     error = abs(angular_momentum(WEIGHTLESS, simulator.state) / angular_momentum(WEIGHTLESS, state) - 1.0)
     return kept([course], contact, 1, Bound("angular momentum", error, 1e-11))
 
@@ -79,7 +79,7 @@ def an_impact_amid_steps_of_any_length(contact: str) -> Finding:
             impact, _, _ = one_foot_on_wall(WEIGHTLESS, rng)
             impact[6:] *= min(1.0, 0.02 / dt)
             start = flown(impact, -2.5 * dt)
-        found.append(follow(started(WEIGHTLESS, contact, start), 5, dt))
+        found.append(course_of(started(WEIGHTLESS, contact, start), 5, dt))
     return kept(found, contact, int(contact == "exact"))  # pymunk does not see a foot that dips in and out in a substep
 
 
@@ -119,7 +119,7 @@ case(STEPS, "arm from the half width to its sqrt(2)-fold less 1e-4 m, 1 s")(cour
 def a_thousandfold_gravity(contact: str) -> Finding:
     # Relative to the box it is a point that falls 5 m and comes back: the relative velocity turns round at each impact.
     simulator = started(Scene(gravity=9810.0, drive=None), contact, np.zeros(12))
-    course = follow(simulator, 90, 2.0 * math.sqrt(2.0 * 5.0 / 9810.0) / 3.0)
+    course = course_of(simulator, 90, 2.0 * math.sqrt(2.0 * 5.0 / 9810.0) / 3.0)
     height = abs(simulator.state[4] - simulator.state[1])
     bound = Bound("height after 30 whole periods off the closed form", height, 1e-9, "m")
     return kept([course], contact, 30, *[bound] * (contact == "exact"))

@@ -18,7 +18,7 @@ from jackbox_env.compiled import bounds, search
 from jackbox_env.scene import Chirp, Drive, Scene
 from jackbox_env.simulators import Impact
 from tests import proof, proving
-from tests.proof import EVERY_PAIR, Flight, prove, turn_of
+from tests.proof import EVERY_PAIR, FreeFlight, prove, turn_of
 from tests.proving import Case, Seen, Tally, simulated
 from tests.simulators.exact_runs import plain_step
 from tests.states import inside, load, lying
@@ -72,7 +72,7 @@ def test_taylor_forms_contain_the_gaps_and_rates_within_their_interval(chirp: bo
     with ctx.workprec(128):
         for _ in range(100):
             state = [arb(number) for number in inside(Scene(), rng).tolist()]
-            flight = Flight(
+            flight = FreeFlight(
                 Scene(), state, turn_of(Scene(), None if chirp else 9e4, arb(0), arb(rng.uniform(0.0, 0.1)))
             )
             start, length = rng.uniform(0.0, 0.5), 10.0 ** rng.uniform(-6.0, -0.5)

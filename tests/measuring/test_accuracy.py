@@ -16,8 +16,8 @@ from jackbox_env.measure.accuracy import (
     at_ends,
     compare,
     follow,
-    matched,
     pose_errors,
+    prefix_errors,
     quantities,
     reference_of,
     restarts,
@@ -66,7 +66,7 @@ CLOSE = [ONE, (1.001, 0, 1), (2.0, 1, 1)]
 def test_impacts_are_matched_as_far_as_walls_and_feet_agree(
     found: list[Hit], reference: list[Hit], errors: list[float]
 ) -> None:
-    assert matched(hits(*found), hits(*reference)) == pytest.approx(errors)
+    assert prefix_errors(hits(*found), hits(*reference)) == pytest.approx(errors)
 
 
 def test_pose_errors_are_the_farthest_that_a_wall_or_a_foot_is_off() -> None:

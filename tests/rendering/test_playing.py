@@ -12,7 +12,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from jackbox_env.render.window import LOADING, NO_AGENT, PANEL, Game, Window
+from jackbox_env.render.window import LOADING, NO_AGENT, PANEL, Game, GameWindow
 from jackbox_env.simulators import JackLostError
 
 pygame = pytest.importorskip("pygame")
@@ -34,10 +34,10 @@ def a_game() -> Game:
 
 
 @pytest.fixture
-def window(monkeypatch: pytest.MonkeyPatch) -> Iterator[Window]:
+def window(monkeypatch: pytest.MonkeyPatch) -> Iterator[GameWindow]:
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     pygame.display.quit()
-    made = Window(a_game(), Constant)
+    made = GameWindow(a_game(), Constant)
     yield made
     made.close()
 
@@ -46,25 +46,25 @@ def window(monkeypatch: pytest.MonkeyPatch) -> Iterator[Window]:
 def written(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Every string written into the panel and onto the picture."""
     strings: list[str] = []
-    monkeypatch.setattr(Window, "_write", lambda self, text, *rest, **more: strings.append(text))
+    monkeypatch.setattr(GameWindow, "_write", lambda self, text, *rest, **more: strings.append(text))
     return strings
 
 
-def press(window: Window, *keys: int, seconds: float = 0.0, kind: int = pygame.KEYDOWN) -> None:
+def press(window: GameWindow, *keys: int, seconds: float = 0.0, kind: int = pygame.KEYDOWN) -> None:
     """Press keys, and show a frame after so much time."""
     for key in keys:
         pygame.event.post(pygame.event.Event(kind, key=key))
     window.frame(seconds)
 
 
-def torque(window: Window) -> float:
+def torque(window: GameWindow) -> float:
     """What the next step's torque is, in units of its limit."""
     env: Any = window.game.env.unwrapped
     window.game.step()
     return float(env._simulator.torque / env.scene.torque_limit)
 
 
-def test_arrows_push_as_long_as_they_are_held(window: Window) -> None:
+def test_arrows_push_as_long_as_they_are_held(window: GameWindow) -> None:
     press(window, pygame.K_LEFT)
     assert (torque(window), window.game.acting()) == (1.0, "you")
     press(window, pygame.K_RIGHT)
@@ -76,7 +76,7 @@ def test_arrows_push_as_long_as_they_are_held(window: Window) -> None:
     assert window.game.acting() == "chirp"
 
 
-def test_the_chirp_acts_without_a_key_until_c(window: Window) -> None:
+def test_the_chirp_acts_without_a_key_until_c(window: GameWindow) -> None:
     assert torque(window) != 0.0
     press(window, pygame.K_c)
     assert (torque(window), window.game.acting()) == (0.0, "nobody")
@@ -85,7 +85,7 @@ def test_the_chirp_acts_without_a_key_until_c(window: Window) -> None:
 
 
 @pytest.mark.parametrize(("key", "presses", "speed"), [("EQUALS", 1, 2.0), ("PLUS", 9, 4.0), ("MINUS", 9, 0.25)])
-def test_time_passes_at_the_speed_that_is_chosen(window: Window, key: str, presses: int, speed: float) -> None:
+def test_time_passes_at_the_speed_that_is_chosen(window: GameWindow, key: str, presses: int, speed: float) -> None:
     press(window, *[getattr(pygame, f"K_{key}")] * presses)
     assert window.game.speed == speed
     for _ in range(40):
@@ -95,7 +95,7 @@ def test_time_passes_at_the_speed_that_is_chosen(window: Window, key: str, press
     assert window.game.steps <= 40 * speed + 0.1 * speed / 0.02 + 1
 
 
-def test_space_pauses_and_the_dot_takes_a_step(window: Window, written: list[str]) -> None:
+def test_space_pauses_and_the_dot_takes_a_step(window: GameWindow, written: list[str]) -> None:
     press(window, pygame.K_SPACE, seconds=0.1)
     assert window.game.steps == 0
     assert any(text.startswith("Paused") for text in written)
@@ -106,7 +106,7 @@ def test_space_pauses_and_the_dot_takes_a_step(window: Window, written: list[str
     assert window.game.steps == 7
 
 
-def test_an_episodes_end_is_shown_and_r_starts_the_next(window: Window, written: list[str]) -> None:
+def test_an_episodes_end_is_shown_and_r_starts_the_next(window: GameWindow, written: list[str]) -> None:
     game, alike = window.game, gym.make("JackInBox-v0")
     env: Any = game.env.unwrapped
     alike.reset(seed=1)
@@ -126,7 +126,7 @@ def test_an_episodes_end_is_shown_and_r_starts_the_next(window: Window, written:
     assert (env.state != start).any()
 
 
-def test_the_best_is_of_episodes_that_the_player_acted_in(window: Window, written: list[str]) -> None:
+def test_the_best_is_of_episodes_that_the_player_acted_in(window: GameWindow, written: list[str]) -> None:
     game = window.game
     press(window, pygame.K_LEFT, seconds=0.1)
     press(window, pygame.K_LEFT, kind=pygame.KEYUP)
@@ -142,13 +142,13 @@ def test_the_best_is_of_episodes_that_the_player_acted_in(window: Window, writte
         assert (game.best, game.over) == (best, over)
 
 
-def test_the_panel_does_not_say_again_what_the_picture_says(window: Window, written: list[str]) -> None:
+def test_the_panel_does_not_say_again_what_the_picture_says(window: GameWindow, written: list[str]) -> None:
     window.frame(0.1)
     assert window.game.earned > 0.0
     assert {"juggle", f"{window.game.earned:.1f}"}.isdisjoint(written)
 
 
-def test_p_hands_over_to_the_trained_agent_and_back(window: Window, written: list[str]) -> None:
+def test_p_hands_over_to_the_trained_agent_and_back(window: GameWindow, written: list[str]) -> None:
     press(window, pygame.K_p)
     assert LOADING in written
     assert (window.note, window.game.acting()) == ("", "trained agent")
@@ -161,7 +161,7 @@ def test_p_hands_over_to_the_trained_agent_and_back(window: Window, written: lis
     assert window.game.acting() == "chirp"
 
 
-def test_p_says_what_it_needs_where_there_is_no_agent(window: Window, written: list[str]) -> None:
+def test_p_says_what_it_needs_where_there_is_no_agent(window: GameWindow, written: list[str]) -> None:
     def missing() -> Any:
         raise FileNotFoundError("no such folder")
 
@@ -174,7 +174,7 @@ def test_p_says_what_it_needs_where_there_is_no_agent(window: Window, written: l
     assert window.game.agent is None
 
 
-def test_a_lost_jack_ends_the_episode(window: Window, written: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lost_jack_ends_the_episode(window: GameWindow, written: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     def lost(action: Any) -> Any:
         raise JackLostError("the jack would leave the box")
 
@@ -186,7 +186,7 @@ def test_a_lost_jack_ends_the_episode(window: Window, written: list[str], monkey
     assert window.game.steps == 5
 
 
-def test_the_picture_is_the_environments_beside_the_panel_until_escape(window: Window) -> None:
+def test_the_picture_is_the_environments_beside_the_panel_until_escape(window: GameWindow) -> None:
     window.frame(0.0)
     shown = np.transpose(pygame.surfarray.array3d(pygame.display.get_surface()), (1, 0, 2))
     assert shown.shape == (512, 512 + PANEL, 3)
@@ -203,16 +203,16 @@ def test_without_a_display_it_says_so(driver: str, named: str, monkeypatch: pyte
     if driver:
         monkeypatch.setenv("SDL_VIDEODRIVER", driver)
     with pytest.raises(RuntimeError, match=f"no display .*{named}"):
-        Window(a_game())
+        GameWindow(a_game())
     assert not pygame.display.get_init()
 
 
 def test_the_command_plays_with_the_shipped_agent(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "argv", ["play.py", "--seed", "3", "--quiet", "--task", "spin"])
     seen: list[str] = []
-    frame, pressed = Window.frame, {1: pygame.K_p, 3: pygame.K_ESCAPE}
+    frame, pressed = GameWindow.frame, {1: pygame.K_p, 3: pygame.K_ESCAPE}
 
-    def acted(self: Window, seconds: float) -> None:
+    def acted(self: GameWindow, seconds: float) -> None:
         if len(seen) in pressed:
             pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=pressed[len(seen)]))
         frame(self, seconds)
@@ -220,7 +220,7 @@ def test_the_command_plays_with_the_shipped_agent(monkeypatch: pytest.MonkeyPatc
         seen.append(f"{env.task}: {self.game.acting()}")
 
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    monkeypatch.setattr(Window, "frame", acted)
+    monkeypatch.setattr(GameWindow, "frame", acted)
     runpy.run_path(str(ROOT / "scripts" / "play.py"), run_name="__main__")
     assert seen == ["spin: nobody", *["spin: trained agent"] * 3]
     assert not pygame.display.get_init()

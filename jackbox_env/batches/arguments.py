@@ -14,7 +14,7 @@ from jackbox_env.scene import Scene, scenes_of
 from jackbox_env.states import LATEST_TIME, Array
 
 
-class Given:
+class Arguments:
     """Checks for so many environments; each method raises TypeError or ValueError in one sentence."""
 
     def __init__(self, num_envs: int) -> None:
