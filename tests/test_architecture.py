@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[1]
 
 # From the ground up. A module may import what stands above it in this list, which is below it in the house.
 PACKAGE = """
-    checks files colours
+    checks files colours command_line
     scene
     states
     randomization
@@ -65,7 +65,7 @@ PACKAGE = """
     measure.choosing measure.recordings
     measure.shooting
     measure.fitting
-    commands.common commands.plots
+    commands.options commands.plots
     commands.simulate commands.play commands.fit commands.check
     commands.main
     __main__

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from jackbox_env.commands.common import command_line
+from jackbox_env.command_line import command_line
 
 
 def through(scene: Any, state: Any, torque: float, impulse: float) -> bool:

@@ -143,7 +143,7 @@ def test_evaluate_compares_policies_and_writes_json(tmp_path: Path, run: Path) -
 
 def test_evaluate_writes_an_episode_of_each_policy_as_a_page(tmp_path: Path, run: Path) -> None:
     arguments = ["--policy", "level", "chirp", str(run), "--episodes", "1", "--task", "spin", "--fidelity", "exact"]
-    done = script("evaluate", *arguments, "--json", "out.json", "--html", "pages", cwd=tmp_path)
+    done = script("evaluate", *arguments, "--json", "out.json", "--html", "--folder", "pages", cwd=tmp_path)
     stored = json.loads((tmp_path / "out.json").read_text())
     pages = sorted((tmp_path / "pages").iterdir())
     assert [page.suffix for page in pages] == [".html"] * 3
@@ -154,7 +154,10 @@ def test_evaluate_writes_an_episode_of_each_policy_as_a_page(tmp_path: Path, run
     data = json.loads(text.split('id="data">')[1].split("</script>")[0])
     assert data["held"]
     assert ["task", "spin"] in data["facts"]
-    assert "never overwritten" in script("evaluate", *arguments, "--html", "pages", cwd=tmp_path, status=2).stderr
+    assert (
+        "never overwritten"
+        in script("evaluate", *arguments, "--html", "--folder", "pages", cwd=tmp_path, status=2).stderr
+    )
 
 
 def test_train_prints_a_command_that_evaluates_in_the_same_environment(tmp_path: Path) -> None:
