@@ -39,7 +39,7 @@ class Arguments:
     episodes: int = 64
     """Episodes of each policy, run side by side."""
     seed: int = 0
-    """Of the network and of the training's starts; evaluation starts from others."""
+    """Seed of the network and of the training's starts; evaluation starts from others."""
 
 
 @command_line

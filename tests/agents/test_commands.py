@@ -31,6 +31,12 @@ SCRIPTS = {
     path.relative_to(ROOT / "scripts").with_suffix("").as_posix(): path.read_text(encoding="utf-8")
     for path in sorted((ROOT / "scripts").rglob("*.py"))
 }
+MEANINGS = {  # of options, in every command that has them
+    "--folder": "new folder for",
+    "--html": "also write",
+    "--seed": "seed of",
+    "--dt": "duration of a control step",
+}
 COMMANDS = [name for name, text in SCRIPTS.items() if "__main__" in text]
 
 
@@ -225,7 +231,15 @@ def test_the_demo_runs_end_to_end_when_made_small(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_line_explains_itself(name: str, tmp_path: Path) -> None:
-    assert "show this help message" in script(name, "--help", cwd=tmp_path).stdout
+    out = re.sub(r"[│\s]+", " ", script(name, "--help", cwd=tmp_path).stdout).lower()
+    assert "show this help message" in out
+    for option, meaning in MEANINGS.items():
+        assert meaning in out or not re.search(rf"{option}\b", out), option
+
+
+def test_the_help_of_training_shows_the_tasks_own_defaults(tmp_path: Path) -> None:
+    out = script("train", "--task", "spin", "--help", cwd=tmp_path).stdout
+    assert re.search(r"--hold INT[^(]*\(default: 4\)", out)
 
 
 def test_scenes_that_vary_are_settings_too(tmp_path: Path) -> None:
