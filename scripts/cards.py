@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from agents.policies.network import SHIPPED
-from jackbox_env.command_line import command_line
+from jackbox_env.command_line import ROOT, command_line
 from jackbox_env.files import write_text
 
-ROOT = Path(__file__).parents[1]
 SEEN = "From the observation, and eleven numbers about the jack's next landing that follow from it,"
 MADE = {  # what it is, and how it was trained
     "ppo": f"""A network with two layers of {{hidden_units[0]}} neurons. {SEEN} it chooses {{chosen}}, for {{hold}} control steps of {{control_dt}} s each time.

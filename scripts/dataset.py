@@ -14,7 +14,6 @@ import sys
 import warnings
 from dataclasses import dataclass
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -27,10 +26,9 @@ from agents.policies.value import read_value
 from agents.runs import versions
 from jackbox_env import Scene
 from jackbox_env import checks as check
-from jackbox_env.command_line import command_line
+from jackbox_env.command_line import ROOT, command_line
 from jackbox_env.tasks import TASKS
 
-ROOT = Path(__file__).parents[1]
 PACKAGES = ("jackbox", "gymnasium", "numpy", "numba", "pymunk", "minari")
 TEXT = """The jack in a box, task {}, policy {}: episodes of 10 s on the exact contact model. infos/state holds x, y and
 angle of the box and of the jack, then their rates, float64, SI units. An episode's seed and actions reproduce it."""

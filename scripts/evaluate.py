@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from agents.settings import EnvSettings
+from jackbox_env import checks as check
 from jackbox_env.command_line import command_line
+from jackbox_env.files import check_new, check_writable, new_folder, write_json
 
 if TYPE_CHECKING:
     from agents.policies.scripted import Baseline
@@ -42,9 +44,6 @@ class Arguments:
 
 def _refuse_nonsense(arguments: Arguments) -> None:
     """Refuse what would fail after minutes of computing."""
-    from jackbox_env import checks as check
-    from jackbox_env.files import check_new, check_writable
-
     check.whole("episodes", arguments.episodes, at_least=1)
     check.whole("seed", arguments.seed, at_least=0, at_most=2**32 - 1)
     if not arguments.policy:
@@ -74,7 +73,6 @@ def main() -> None:
     from agents.policies.registry import find_policy
     from agents.runs import versions
     from agents.training.models import derived_seed
-    from jackbox_env.files import write_json
 
     env_settings = arguments.settings.env_settings
     found = [
@@ -101,7 +99,6 @@ def main() -> None:
 def _write_pages(path: Path | None, acts: dict[str, Baseline], settings: EnvSettings, seed: int) -> None:
     """Write an animated page of each policy into a new folder, and say where."""
     from agents.evaluation.episodes import write_pages
-    from jackbox_env.files import new_folder
 
     earned = dict[str, float]()
     folder = new_folder(path, "evaluate", lambda made: earned.update(write_pages(made, acts, settings, seed)))

@@ -15,9 +15,8 @@ import tomllib
 import venv
 from pathlib import Path
 
-from jackbox_env.command_line import command_line
+from jackbox_env.command_line import ROOT, command_line
 
-ROOT = Path(__file__).parents[1]
 CORE = [
     "tests/environment/test_env.py",
     "tests/batches/test_vector_env.py",

@@ -17,9 +17,8 @@ from hashlib import sha256
 from pathlib import Path
 from zipfile import ZIP_DEFLATED, ZipFile
 
-from jackbox_env.command_line import command_line
+from jackbox_env.command_line import ROOT, command_line
 
-ROOT = Path(__file__).parents[1]
 # Of the C library the code calls fmod, memmove, memset and sincos, which every glibc has; numba's wheels ask for more.
 TAG = "cp{0}{1}-cp{0}{1}-manylinux_2_17_x86_64".format(*sys.version_info)
 

@@ -109,7 +109,7 @@ _CHECKS: dict[str, Callable[[], str]] = {
 @command_line
 def main() -> None:
     """Check one thing after the other; exit with 1 if any fails."""
-    parser_of(None, __doc__).parse_args()
+    parser_of(__doc__).parse_args()
     print(_versions())
     for line in extra_lines():
         print(f"  extra {line}")

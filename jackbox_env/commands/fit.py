@@ -58,7 +58,7 @@ svg {{ width: 100%; height: auto; }}
 
 
 def _arguments() -> argparse.Namespace:
-    parser = parser_of(None, __doc__)
+    parser = parser_of(__doc__)
     text = "files of one scene: time, any of the 12 numbers of a state (an empty cell: not observed), and torque, held "
     text += "from each row to the next; the scene's drive acts if there is none, or if it is the drive's"
     parser.add_argument("recordings", nargs="+", type=Path, metavar="CSV", help=text)

@@ -7,9 +7,9 @@ import argparse
 from jackbox_env.simulators.fidelity import COMMANDS, Setting, resolve
 
 
-def parser_of(program: str | None, text: str | None) -> argparse.ArgumentParser:
+def parser_of(text: str | None) -> argparse.ArgumentParser:
     """A parser that shows defaults and takes whole names only."""
-    return argparse.ArgumentParser(program, description=text, allow_abbrev=False)
+    return argparse.ArgumentParser(description=text, allow_abbrev=False)
 
 
 def add_model_options(parser: argparse.ArgumentParser) -> None:

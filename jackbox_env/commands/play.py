@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 def _arguments() -> argparse.Namespace:
     from jackbox_env.tasks import TASKS
 
-    parser = parser_of(None, __doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--task", choices=tuple(TASKS), default="juggle", help="what is rewarded; default: juggle")
     add_model_options(parser)
     text = "let the box coast instead of the chirp while no key is pressed"

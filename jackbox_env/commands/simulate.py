@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from jackbox_env import checks as check
 from jackbox_env.command_line import command_line
 from jackbox_env.commands.options import add_model_options, chosen_setting, parser_of
+from jackbox_env.files import check_new, new_folder, stamped
 
 if TYPE_CHECKING:
     from jackbox_env.recording.trajectory import Trajectory
@@ -21,7 +22,7 @@ _MOST_ON_PAGE = 20_000  # steps: a page of some 10 MB
 
 
 def _arguments() -> argparse.Namespace:
-    parser = parser_of(None, __doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--seconds", type=float, default=10.0, metavar="S", help="simulated time [s]; default: 10")
     add_model_options(parser)
     start = parser.add_argument_group("start")
@@ -42,8 +43,6 @@ def _arguments() -> argparse.Namespace:
 
 def _refuse_nonsense(arguments: argparse.Namespace) -> None:
     """Raise ValueError for a duration that cannot be simulated, and for files that cannot be written."""
-    from jackbox_env.files import check_new
-
     check.real("seconds", arguments.seconds, above=0.0, at_most=1e6)
     check.real("dt", arguments.dt, above=0.0)
     if arguments.dt > arguments.seconds:
@@ -80,7 +79,6 @@ def main() -> None:
     """Parse, simulate, write."""
     arguments = _arguments()
     from jackbox_env import Scene, make_simulator
-    from jackbox_env.files import new_folder, stamped
     from jackbox_env.recording.trajectory import simulate
     from jackbox_env.simulators.fidelity import words
 
