@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TypedDict
 
 from agents.runs import RUN, describe, read_settings
-from agents.settings import TrainSettings
+from agents.settings import TaskName, TrainSettings
 from jackbox_env.command_line import called, command_line
 from jackbox_env.files import new_folder
 
@@ -31,7 +31,7 @@ class Arguments:
 class Early(TypedDict, total=False):
     """What the defaults depend on, as far as it is given."""
 
-    task: str
+    task: TaskName
     lookahead: int
     landing: bool
 
