@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, fields
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Literal, Self, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, cast
 
 import gymnasium as gym
 
 from jackbox_env import Scene
 from jackbox_env import checks as check
-from jackbox_env.commands.common import json_object, scene_fields
 from jackbox_env.observation import BOUNDS
 from jackbox_env.randomization import NUMBERS
 from jackbox_env.simulators.fidelity import COMMANDS, Setting, as_stored, explicit, resolve
 from jackbox_env.tasks import TASKS
+
+with suppress(ImportError):  # command lines need it; settings are also read without it
+    import tyro
 
 if TYPE_CHECKING:
     TaskName = str
@@ -45,7 +48,7 @@ class EnvSettings:
     """In place of a fidelity, the contact model: pymunk or exact."""
     substeps: int | None = None
     """Engine steps of pymunk per control step, beside contact; None: 4."""
-    control_dt: float = 0.02
+    control_dt: Annotated[float, tyro.conf.arg(name="dt", aliases=["--control-dt"])] = 0.02
     """Duration of a control step [s]."""
     scene: str = "{}"
     """Fields of the scene that differ from the default, as JSON, e.g. '{"gravity": 1.62}'."""
@@ -86,7 +89,7 @@ class EnvSettings:
         Raises:
             ValueError: it is not a JSON object.
         """
-        return scene_fields(self.scene)
+        return check.from_json("scene", self.scene, dict)
 
     @property
     def randomized(self) -> dict[str, Any]:
@@ -95,7 +98,7 @@ class EnvSettings:
         Raises:
             ValueError: it is not a JSON object.
         """
-        return json_object("randomize", self.randomize)
+        return check.from_json("randomize", self.randomize, dict)
 
     @property
     def env_settings(self) -> dict[str, Any]:
@@ -115,7 +118,7 @@ class EnvSettings:
         """Options of a command line that mean this environment: the task, and what differs from the default."""
         others, default = [part.name for part in fields(EnvSettings) if part.name != "task"], EnvSettings()
         given = [name for name in others if getattr(self, name) not in (None, getattr(default, name))]
-        named = [(f"--{name.replace('_', '-')}", str(getattr(self, name))) for name in given]
+        named = [(f"--{'dt' if name == 'control_dt' else name}", str(getattr(self, name))) for name in given]
         return ["--task", self.task, *(word for pair in named for word in pair)]
 
     @property
@@ -174,8 +177,8 @@ class TrainSettings(EnvSettings):
     """Width of each hidden layer, of the policy and of the value alike."""
     initial_log_std: float = -0.7
     """Logarithm of the actions' first standard deviation."""
-    repeat: int = 20
-    """Action repeat: control steps of each action; divides the 500 of an episode. Also --hold."""
+    repeat: Annotated[int, tyro.conf.arg(aliases=["--hold"])] = 20
+    """Action repeat: control steps of each action; divides the 500 of an episode."""
     preview: bool = True
     """Show the networks, beside the observation, where and how the jack will land. Such a model.zip loads only where
     a checkout of this project can be imported; scripts/export.py makes a policy of it that needs numpy alone."""

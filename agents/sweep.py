@@ -44,7 +44,6 @@ from agents.training.models import make_vec_env
 from agents.training.ppo import trained_in
 from jackbox_env import FIDELITIES
 from jackbox_env import checks as check
-from jackbox_env.commands.common import json_object
 from jackbox_env.files import new_folder, remove_partials, write_bytes, write_json, write_text
 
 SWEEP, LOG, TABLE, RUNS = "sweep.json", "trials.jsonl", "table.csv", "runs"
@@ -274,7 +273,7 @@ def grid(
     if train is not None:
         return [
             {**asdict(given), "episodes": episodes}
-            for varied in _varied(json_object("train", train))
+            for varied in _varied(check.from_json("train", train, dict))
             for env, seed in product(environments, range(seeds))
             for given in [TrainSettings.suited(**{**asdict(env), **varied, "seed": seed, "torch_threads": 1})]
         ]
@@ -292,9 +291,9 @@ def _environment(task: str, setting: str, scene: str) -> EnvSettings:
 
     It is made once: what cannot be made is refused, and whatever has to be compiled is compiled before any bar.
     """
-    named = {"fidelity": setting} if setting in FIDELITIES else json_object("setting", setting)
+    named = {"fidelity": setting} if setting in FIDELITIES else check.from_json("setting", setting, dict)
     check.known_keys("setting", named, [name for name in _ENV if name not in ("task", "scene")])
-    given = EnvSettings(task=task, scene=json.dumps(json_object("scene", scene), sort_keys=True), **named)
+    given = EnvSettings(task=task, scene=json.dumps(check.from_json("scene", scene, dict), sort_keys=True), **named)
     environments = make_vec_env(given.env_settings, 1, 0)
     environments.reset()
     environments.close()

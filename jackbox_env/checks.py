@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import difflib
+import json
 import math
 import numbers
 import operator
 from collections.abc import Callable, Iterable, Mapping
 from functools import wraps
 from inspect import signature
-from typing import Any, ParamSpec
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 _Arguments = ParamSpec("_Arguments")
+_Kind = TypeVar("_Kind", dict[str, Any], list[Any])
 
 
 def real(
@@ -127,6 +129,21 @@ def shown(value: Any) -> str:
     """A value as one short line."""
     line = " ".join(repr(value).split())
     return line if len(line) <= 80 else line[:77] + "..."
+
+
+def from_json(name: str, text: str, kind: type[_Kind]) -> _Kind:
+    """Return the object (dict) or list that a text of JSON is.
+
+    Raises:
+        ValueError: it is something else, or no JSON.
+    """
+    try:
+        values = json.loads(text)
+    except (RecursionError, TypeError, ValueError):
+        values = None
+    if not isinstance(values, kind):
+        raise ValueError(f"{name} must be a JSON {'object' if kind is dict else 'list'}, got {shown(text)}")
+    return values
 
 
 def choice(name: str, value: Any, allowed: Iterable[str]) -> str:

@@ -117,7 +117,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     | `task`           | `"juggle"`   | `"juggle"`, `"spin"`, `"rattle"`, or a `jackbox_env.Task` of your own          |
     | `control_dt`     | `0.02`       | duration of a step [s], > 0                                                    |
     | `torque`         | `"agent"`    | `"agent"`: the action, or the drive if it is None; `"chirp"`: always the drive |
-    | `render_mode`    | `None`       | `"human"` or `"rgb_array"`; needs the `render` extra                           |
+    | `render_mode`    | `None`       | `"human"` or `"rgb_array"`                                                     |
     | `randomize`      | `None`       | what of the scene is drawn anew at each reset, see below                       |
     | `render_size`    | `(512, 512)` | width and height of a frame [pixels], from 16 to 4096; below 400 without text  |
     | `render_overlay` | `True`       | False: a frame shows box, jack and ruled lines alone, for learning from pixels |

@@ -378,7 +378,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         """One picture of the ``first`` environments as they are now, row by row in a grid, uint8, shape (H, W, 3).
 
         It needs no ``render_mode``, so a compiled batch is shown too. Each tile is box, jack and ruled lines, drawn
-        from the state. ``size`` is width and height of a tile [pixels], from 16 to 1024. Needs the ``render`` extra.
+        from the state. ``size`` is width and height of a tile [pixels], from 16 to 1024.
 
         Raises:
             TypeError, ValueError: an argument out of its range.

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.policies.network import SHIPPED
-from jackbox_env.commands.common import ROOT, command_line, parser_of
+from jackbox_env.command_line import ROOT, command_line
 from jackbox_env.files import write_text
 
 SEEN = "From the observation, and eleven numbers about the jack's next landing that follow from it,"
@@ -70,7 +70,9 @@ def card(folder: Path, record: dict[str, Any]) -> str:
 @command_line
 def main() -> None:
     """Write all cards."""
-    parser_of(None, __doc__).parse_args()
+    import tyro
+
+    tyro.cli(lambda: None, description=__doc__)
     record = json.loads((ROOT / "docs" / "results.json").read_text())
     for folder in sorted(path for path in SHIPPED.iterdir() if path.is_dir()):
         write_text(folder / "README.md", card(folder, record))

@@ -12,6 +12,7 @@ import os
 import subprocess
 import sys
 import warnings
+from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Any
 
@@ -25,12 +26,20 @@ from agents.policies.value import read_value
 from agents.runs import versions
 from jackbox_env import Scene
 from jackbox_env import checks as check
-from jackbox_env.commands.common import ROOT, command_line, parser_of
+from jackbox_env.command_line import ROOT, command_line
 from jackbox_env.tasks import TASKS
 
 PACKAGES = ("jackbox", "gymnasium", "numpy", "numba", "pymunk", "minari")
 TEXT = """The jack in a box, task {}, policy {}: episodes of 10 s on the exact contact model. infos/state holds x, y and
 angle of the box and of the jack, then their rates, float64, SI units. An episode's seed and actions reproduce it."""
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Write all datasets."""
+
+    steps: int = 100_000
+    """Control steps of random and of ppo on each task; of the planner a tenth."""
 
 
 def policies(task: str) -> dict[str, Policy]:
@@ -90,9 +99,10 @@ def write(task: str, name: str, policy: Policy, episodes: int) -> None:
 @command_line
 def main() -> None:
     """Parse, go on in Minari's environment, write all datasets."""
-    parser = parser_of(None, __doc__)
-    parser.add_argument("--steps", type=int, default=100_000, help="of random and of ppo; of the planner a tenth")
-    episodes = check.whole("steps", parser.parse_args().steps, at_least=500) // 500
+    import tyro
+
+    arguments = tyro.cli(Arguments, description=__doc__)
+    episodes = check.whole("steps", arguments.steps, at_least=500) // 500
     if find_spec("minari") is None:
         from scripts.recipes.run import RECIPES, python_for
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from agents.settings import TrainSettings
-from jackbox_env.commands.common import command_line
+from jackbox_env.command_line import command_line
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,7 @@ class Arguments:
     """Train, evaluate, plot and film."""
 
     folder: Path | None = None
-    """Run folder to make; None: runs/demo-<date>-<time>."""
+    """New folder for all that is written; None: runs/demo-<date>-<time>."""
     total_steps: int = TrainSettings.total_steps
     """Steps to train for, each an action held for `repeat` control steps."""
     max_minutes: float | None = None
@@ -26,7 +26,7 @@ class Arguments:
     episodes: int = 128
     """Episodes of each policy."""
     seed: int = 0
-    """Of everything; evaluation starts from others than training."""
+    """Seed of all that is drawn; evaluation starts from others than training."""
 
 
 @command_line

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 from agents.settings import EnvSettings
-from jackbox_env.commands.common import command_line, tyro
+from jackbox_env import checks as check
+from jackbox_env.command_line import command_line
+from jackbox_env.files import check_new, check_writable, new_folder, write_json
 
 if TYPE_CHECKING:
     from agents.policies.scripted import Baseline
@@ -17,7 +19,7 @@ if TYPE_CHECKING:
 class Arguments:
     """Evaluate policies on JackInBox-v0."""
 
-    settings: Annotated[EnvSettings, tyro.conf.arg(name="")]
+    settings: EnvSettings
     policy: tuple[str, ...] = ("random", "chirp", "zero", "level")
     """random: uniform torques; chirp: the scene's drive; zero: no torque; level: a PD law that holds the box level;
     planner: plays many torques ahead by the exact model, 10 to 20 ms for each decision of 0.1 s; planner-64: fewer, 1
@@ -27,11 +29,13 @@ class Arguments:
     episodes: int = 128
     """Episodes of each policy."""
     seed: int = 0
-    """Decides the starts."""
+    """Seed of the starts, and of all else that is drawn."""
     json: Path | None = None
     """Also write the results, every return included, to this new file."""
-    html: Path | None = None
-    """Also write an animated page of each policy's first start to this new folder."""
+    html: bool = False
+    """Also write an animated page of each policy's first start."""
+    folder: Path | None = None
+    """New folder for the pages; None: runs/evaluate-<date>-<time>."""
     film: Path | None = None
     """Also film an episode of all policies side by side, in this new .mp4 or .gif file."""
     trust: bool = False
@@ -40,9 +44,6 @@ class Arguments:
 
 def _refuse_nonsense(arguments: Arguments) -> None:
     """Refuse what would fail after minutes of computing."""
-    from jackbox_env import checks as check
-    from jackbox_env.files import check_new, check_writable
-
     check.whole("episodes", arguments.episodes, at_least=1)
     check.whole("seed", arguments.seed, at_least=0, at_most=2**32 - 1)
     if not arguments.policy:
@@ -50,8 +51,10 @@ def _refuse_nonsense(arguments: Arguments) -> None:
     if arguments.json is not None:
         check_writable(arguments.json.parent)
         check_new(arguments.json)
-    if arguments.html is not None:
-        check_new(arguments.html)
+    if arguments.folder is not None:
+        if not arguments.html:
+            raise ValueError("folder goes with --html, whose pages are written into it")
+        check_new(arguments.folder)
     if arguments.film is not None:
         from agents.evaluation.film import check_film
 
@@ -61,14 +64,15 @@ def _refuse_nonsense(arguments: Arguments) -> None:
 @command_line
 def main() -> None:
     """Parse, evaluate, print the table."""
-    arguments = tyro.cli(Arguments, description=__doc__)
+    import tyro
+
+    arguments = tyro.cli(Arguments, description=__doc__, config=(tyro.conf.OmitArgPrefixes,))
     _refuse_nonsense(arguments)
     from agents.evaluation.provenance import describe_env, warn_of_other_training
     from agents.evaluation.returns import evaluate, table
     from agents.policies.registry import find_policy
     from agents.runs import versions
     from agents.training.models import derived_seed
-    from jackbox_env.files import write_json
 
     env_settings = arguments.settings.env_settings
     found = [
@@ -88,17 +92,16 @@ def main() -> None:
     if arguments.json is not None:
         record = {"env": env_settings, "seed": arguments.seed, "versions": versions()}
         write_json(arguments.json, {**record, "results": [row.as_json() for row in rows]})
-    if arguments.html is not None:
-        _write_pages(arguments.html, dict(found), arguments.settings, arguments.seed)
+    if arguments.html:
+        _write_pages(arguments.folder, dict(found), arguments.settings, arguments.seed)
 
 
-def _write_pages(folder: Path, acts: dict[str, Baseline], settings: EnvSettings, seed: int) -> None:
+def _write_pages(path: Path | None, acts: dict[str, Baseline], settings: EnvSettings, seed: int) -> None:
     """Write an animated page of each policy into a new folder, and say where."""
     from agents.evaluation.episodes import write_pages
-    from jackbox_env.files import new_folder
 
     earned = dict[str, float]()
-    new_folder(folder, "evaluate", lambda made: earned.update(write_pages(made, acts, settings, seed)))
+    folder = new_folder(path, "evaluate", lambda made: earned.update(write_pages(made, acts, settings, seed)))
     print("One episode of each, as a page that any browser opens:")
     for page, one in earned.items():
         print(f"  {folder / page}: return {one:.1f}")

@@ -5,23 +5,25 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from jackbox_env.commands.common import called, command_line, tyro
+from jackbox_env.command_line import called, command_line
 
 
 @dataclass(frozen=True)
 class Arguments:
     """Write the policy of a training run as plain arrays."""
 
-    run: tyro.conf.Positional[Path]
+    run: Path
     """Run folder, or a model file in it."""
-    folder: tyro.conf.Positional[Path]
+    folder: Path
     """New folder to write settings.json, weights.npz and what is known of the training to."""
 
 
 @command_line
 def main() -> None:
     """Parse, convert, write."""
-    arguments = tyro.cli(Arguments, description=__doc__)
+    import tyro
+
+    arguments = tyro.cli(Arguments, description=__doc__, config=(tyro.conf.PositionalRequiredArgs,))
     from agents.evaluation.exporting import export_policy
     from agents.policies.network import WEIGHTS
     from agents.runs import read_settings

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from agents.policies.network import SHIPPED, NetworkPolicy, read_policy
 from agents.policies.one_bounce import LANDING, LandingPolicy, read_landing
-from jackbox_env.commands.common import command_line
+from jackbox_env.command_line import command_line
 from jackbox_env.commands.play import play_with
 
 

@@ -15,9 +15,8 @@ import tomllib
 import venv
 from pathlib import Path
 
-from jackbox_env.commands.common import parser_of
+from jackbox_env.command_line import ROOT, command_line
 
-ROOT = Path(__file__).parents[1]
 CORE = [
     "tests/environment/test_env.py",
     "tests/batches/test_vector_env.py",
@@ -62,9 +61,12 @@ def bits(python: str) -> dict[str, str]:
     return found
 
 
+@command_line
 def main() -> None:
     """Test both; fail if a test fails or a bit differs from this environment's."""
-    parser_of(None, __doc__).parse_args()
+    import tyro
+
+    tyro.cli(lambda: None, description=__doc__)
     here, failed = bits(sys.executable), False
     for kind in ("lowest", "newest"):
         python = environment(kind)

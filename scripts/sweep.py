@@ -11,12 +11,11 @@ import sys
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated
 
 os.environ["OMP_NUM_THREADS"] = "1"  # before numpy is there: one thread for each trial
 
 from agents.settings import TaskName
-from jackbox_env.commands.common import command_line, tyro
+from jackbox_env.command_line import command_line
 
 
 @dataclass(frozen=True)
@@ -44,9 +43,9 @@ class Grid:
 class Arguments:
     """Run a sweep."""
 
-    grid: Annotated[Grid, tyro.conf.arg(name="")]
+    grid: Grid
     folder: Path | None = None
-    """Folder to make; None: runs/sweep-<date>-<time>."""
+    """New folder for all that is written; None: runs/sweep-<date>-<time>."""
     resume: Path | None = None
     """Folder of a sweep to go on with: what has not finished, and what has failed."""
     workers: int | None = None
@@ -60,7 +59,9 @@ class Arguments:
 @command_line
 def main() -> None:
     """Parse, run what is to be run, say what failed and where the table is."""
-    arguments = tyro.cli(Arguments, description=__doc__)
+    import tyro
+
+    arguments = tyro.cli(Arguments, description=__doc__, config=(tyro.conf.OmitArgPrefixes,))
     from agents.sweep import LOG, TABLE, carry_out, grid, new_sweep, read_sweep, run_trial
     from agents.sweep_ray import runner_for
 

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
 import shlex
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import TypedDict
 
 from agents.runs import RUN, describe, read_settings
-from agents.settings import TrainSettings
-from jackbox_env.commands.common import called, command_line, tyro
+from agents.settings import TaskName, TrainSettings
+from jackbox_env.command_line import called, command_line
 from jackbox_env.files import new_folder
 
 
@@ -19,9 +18,9 @@ from jackbox_env.files import new_folder
 class Arguments:
     """Train PPO on JackInBox-v0."""
 
-    settings: Annotated[TrainSettings, tyro.conf.arg(name="")]
+    settings: TrainSettings
     folder: Path | None = None
-    """Run folder to make; None: runs/<task>-<date>-<time>."""
+    """New folder for all that is written; None: runs/<task>-<date>-<time>."""
     resume: Path | None = None
     """Run folder to resume, with its own settings, from its newest whole checkpoint; with --total-steps N a run goes on
     to N steps in all, a finished one too."""
@@ -29,19 +28,29 @@ class Arguments:
     """Show a progress bar."""
 
 
+class Early(TypedDict, total=False):
+    """What the defaults depend on, as far as it is given."""
+
+    task: TaskName
+    lookahead: int
+    landing: bool
+
+
 def suited() -> TrainSettings:
     """The defaults of the command line: they depend on the task and on what an action is."""
-    early = argparse.ArgumentParser(add_help=False, allow_abbrev=False, argument_default=argparse.SUPPRESS)
-    early.add_argument("--task")
-    early.add_argument("--lookahead", type=int)
-    early.add_argument("--landing", action=argparse.BooleanOptionalAction)
-    return TrainSettings.suited(**vars(early.parse_known_args()[0]))
+    import tyro
+
+    given, _ = tyro.cli(Early, add_help=False, return_unknown_args=True)
+    return TrainSettings.suited(**given)
 
 
 @command_line
 def main() -> None:
     """Parse, train, say where things are."""
-    arguments = tyro.cli(Arguments, description=__doc__, default=Arguments(suited()))
+    import tyro
+
+    config = (tyro.conf.OmitArgPrefixes,)
+    arguments = tyro.cli(Arguments, description=__doc__, default=Arguments(suited()), config=config)
     from agents.evaluation.provenance import describe_env
     from agents.training.models import make_vec_env
     from agents.training.ppo import extended, train

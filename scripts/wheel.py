@@ -17,9 +17,8 @@ from hashlib import sha256
 from pathlib import Path
 from zipfile import ZIP_DEFLATED, ZipFile
 
-from jackbox_env.commands.common import parser_of
+from jackbox_env.command_line import ROOT, command_line
 
-ROOT = Path(__file__).parents[1]
 # Of the C library the code calls fmod, memmove, memset and sincos, which every glibc has; numba's wheels ask for more.
 TAG = "cp{0}{1}-cp{0}{1}-manylinux_2_17_x86_64".format(*sys.version_info)
 
@@ -74,9 +73,12 @@ def with_code(pure: Path, kept: Path, made: Path) -> None:
             wheel.writestr(name, content)
 
 
+@command_line
 def main() -> None:
     """Build both, or refuse where this is no Linux on x86-64."""
-    parser_of(None, __doc__).parse_args()
+    import tyro
+
+    tyro.cli(lambda: None, description=__doc__)
     if sysconfig.get_platform() != "linux-x86_64":
         raise SystemExit("compiled code is for Linux on x86-64; for any platform: python -m build --wheel")
     made = ROOT / "dist"

@@ -20,7 +20,7 @@ os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # pictures need no display
 import jackbox_env
 
 # What the extras and make test install beyond the package's dependencies, pytest and Hypothesis.
-OPTIONAL = {"flint", "imageio", "matplotlib", "mpmath", "pygame", "scipy", "stable_baselines3", "sympy"}
+OPTIONAL = {"flint", "imageio", "matplotlib", "mpmath", "scipy", "stable_baselines3", "sympy"}
 OPTIONAL |= {"torch", "tqdm", "tyro"}
 
 

@@ -13,7 +13,8 @@ import numpy as np
 
 from jackbox_env import Scene, __version__, make_simulator
 from jackbox_env.batches import exact as batches
-from jackbox_env.commands.common import command_line, extras, parser_of
+from jackbox_env.command_line import command_line
+from jackbox_env.commands.options import parser_of
 from jackbox_env.measure.accuracy import Case, follow
 from jackbox_env.planning import linearization, rollouts
 from jackbox_env.simulators import exact
@@ -36,10 +37,21 @@ def _installed(requirement: str) -> bool:
     return True
 
 
+def _extras() -> dict[str, list[str]]:
+    """What each extra asks for, e.g. {"scale": ["ray<3,>=2.50"]}, by the installed package's own record."""
+    asked = dict[str, list[str]]()
+    for line in metadata.requires("jackbox") or []:
+        requirement, _, condition = line.partition(";")
+        named = re.search(r"extra == ['\"](\w+)['\"]", condition)
+        if named and not requirement.startswith("jackbox["):
+            asked.setdefault(named[1], []).append(requirement.strip())
+    return asked
+
+
 def extra_lines() -> list[str]:
     """A line for each extra: installed, or how to get what is missing."""
     lines = []
-    for name, asked in extras().items():
+    for name, asked in _extras().items():
         missing = " ".join(f'"{requirement}"' for requirement in asked if not _installed(requirement))
         if name not in ("all", "dev", "docs", "peers"):  # the others together; for work on the project itself
             lines.append(f"{name}: {f'not installed; to get it: pip install {missing}' if missing else 'installed'}")
@@ -97,7 +109,7 @@ _CHECKS: dict[str, Callable[[], str]] = {
 @command_line
 def main() -> None:
     """Check one thing after the other; exit with 1 if any fails."""
-    parser_of(None, __doc__).parse_args()
+    parser_of(__doc__).parse_args()
     print(_versions())
     for line in extra_lines():
         print(f"  extra {line}")

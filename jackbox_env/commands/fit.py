@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jackbox_env import checks as check
-from jackbox_env.commands.common import command_line, parser_of, scene_fields
+from jackbox_env.command_line import command_line
+from jackbox_env.commands.options import parser_of
 from jackbox_env.states import LATEST_TIME, STATE_NAMES, STATE_UNITS, Array
 
 if TYPE_CHECKING:
@@ -57,7 +58,7 @@ svg {{ width: 100%; height: auto; }}
 
 
 def _arguments() -> argparse.Namespace:
-    parser = parser_of(None, __doc__)
+    parser = parser_of(__doc__)
     text = "files of one scene: time, any of the 12 numbers of a state (an empty cell: not observed), and torque, held "
     text += "from each row to the next; the scene's drive acts if there is none, or if it is the drive's"
     parser.add_argument("recordings", nargs="+", type=Path, metavar="CSV", help=text)
@@ -73,7 +74,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--impacts", nargs="+", type=Path, default=[], metavar="CSV", help=text)
     text = "also write fit.html: recordings against the fit, and residuals, in one page that any browser opens"
     parser.add_argument("--html", action="store_true", help=text)
-    text = "new folder for the page; default: runs/fit-<date>-<time>"
+    text = "new folder for all that is written; default: runs/fit-<date>-<time>"
     parser.add_argument("--folder", type=Path, help=text)
     return parser.parse_args()
 
@@ -393,7 +394,7 @@ def main() -> None:
         raise ValueError("html needs matplotlib: pip install matplotlib, or leave --html out")
     if arguments.html:
         check_new(folder)
-    start, noise = Scene.of(scene_fields(arguments.scene)), _noise(arguments.noise)
+    start, noise = Scene.of(check.from_json("scene", arguments.scene, dict)), _noise(arguments.noise)
     impacts = arguments.impacts or [None] * len(paths)
     recordings = [read_recording(path, start.drive, heard) for path, heard in zip(paths, impacts, strict=True)]
     for path, recording in zip(paths, recordings, strict=True):

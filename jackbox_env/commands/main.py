@@ -6,11 +6,11 @@ import importlib
 import sys
 
 from jackbox_env import __version__
-from jackbox_env.commands.common import JACKBOX, ROOT, command_line, in_checkout
+from jackbox_env.command_line import JACKBOX, ROOT, command_line, in_checkout
 
 _OWN = {
     "simulate": "simulate the scene: CSV or npz, plots, an animated page",
-    "play": "play with the keyboard (needs the render extra)",
+    "play": "play with the keyboard",
     "fit": "fit a scene's fields to recordings (needs the train extra)",
     "check": "does this installation work?",
 }

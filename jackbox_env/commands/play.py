@@ -5,20 +5,13 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from functools import partial
-from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 import gymnasium as gym
 
-from jackbox_env.commands.common import (
-    add_model_options,
-    chosen_setting,
-    command_line,
-    extras,
-    in_checkout,
-    parser_of,
-    scene_fields,
-)
+from jackbox_env import checks as check
+from jackbox_env.command_line import command_line
+from jackbox_env.commands.options import add_model_options, chosen_setting, parser_of
 
 if TYPE_CHECKING:
     from jackbox_env.render.window import Predicts
@@ -27,14 +20,12 @@ if TYPE_CHECKING:
 def _arguments() -> argparse.Namespace:
     from jackbox_env.tasks import TASKS
 
-    parser = parser_of(None, __doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--task", choices=tuple(TASKS), default="juggle", help="what is rewarded; default: juggle")
-    text = "duration of a control step [s]; default: 0.02"
-    parser.add_argument("--control-dt", type=float, default=0.02, metavar="S", help=text)
     add_model_options(parser)
     text = "let the box coast instead of the chirp while no key is pressed"
     parser.add_argument("--quiet", action="store_true", help=text)
-    parser.add_argument("--seed", type=int, help="of the start")
+    parser.add_argument("--seed", type=int, help="seed of all that is drawn; default: another each time")
     return parser.parse_args()
 
 
@@ -44,9 +35,6 @@ def play_with(trained: Callable[[str], Predicts] | None = None) -> None:
     from jackbox_env.render.window import play
     from jackbox_env.simulators.fidelity import words
 
-    if find_spec("pygame") is None and not in_checkout():
-        wanted = " ".join(f"'{requirement}'" for requirement in extras().get("render", ["pygame-ce"]))
-        raise RuntimeError(f"play needs the render extra, which is not installed: pip install {wanted}")
     setting = chosen_setting(arguments)
     print(f"Playing {arguments.task}, {words(setting)}", flush=True)
     env = gym.make(
@@ -54,8 +42,8 @@ def play_with(trained: Callable[[str], Predicts] | None = None) -> None:
         render_mode="rgb_array",
         task=arguments.task,
         **setting._asdict(),
-        control_dt=arguments.control_dt,
-        scene=scene_fields(arguments.scene),
+        control_dt=arguments.dt,
+        scene=check.from_json("scene", arguments.scene, dict),
     )
     play(env, arguments.seed, not arguments.quiet, None if trained is None else partial(trained, arguments.task))
 

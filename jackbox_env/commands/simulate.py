@@ -1,4 +1,4 @@
-"""Simulate the scene under its own drive: states and impacts as CSV or npz, plots, and an animated page."""
+"""Simulate the scene under its own drive: the state after each step and the impacts, plots, and an animated page."""
 
 from __future__ import annotations
 
@@ -8,14 +8,10 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jackbox_env.commands.common import (
-    add_model_options,
-    chosen_setting,
-    command_line,
-    from_json,
-    parser_of,
-    scene_fields,
-)
+from jackbox_env import checks as check
+from jackbox_env.command_line import command_line
+from jackbox_env.commands.options import add_model_options, chosen_setting, parser_of
+from jackbox_env.files import check_new, new_folder, stamped
 
 if TYPE_CHECKING:
     from jackbox_env.recording.trajectory import Trajectory
@@ -26,9 +22,8 @@ _MOST_ON_PAGE = 20_000  # steps: a page of some 10 MB
 
 
 def _arguments() -> argparse.Namespace:
-    parser = parser_of(None, __doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--seconds", type=float, default=10.0, metavar="S", help="simulated time [s]; default: 10")
-    parser.add_argument("--dt", type=float, default=0.02, metavar="S", help="between stored states [s]; default: 0.02")
     add_model_options(parser)
     start = parser.add_argument_group("start")
     text = "the 12 numbers to start from, as a JSON list, e.g. a row of states.csv; default: all 0"
@@ -36,7 +31,7 @@ def _arguments() -> argparse.Namespace:
     text = "time at the start [s], which the drive sees; default: 0"
     start.add_argument("--time", type=float, default=0.0, metavar="S", help=text)
     files = parser.add_argument_group("files")
-    text = "new folder for the files; default: runs/simulate-<date>-<time>"
+    text = "new folder for all that is written; default: runs/simulate-<date>-<time>"
     files.add_argument("--folder", type=Path, help=text)
     files.add_argument("--format", choices=("csv", "npz"), default="csv", help="of states and impacts; default: csv")
     text = "draw positions and velocities of the box and of the jack; default: where matplotlib is installed"
@@ -48,9 +43,6 @@ def _arguments() -> argparse.Namespace:
 
 def _refuse_nonsense(arguments: argparse.Namespace) -> None:
     """Raise ValueError for a duration that cannot be simulated, and for files that cannot be written."""
-    from jackbox_env import checks as check
-    from jackbox_env.files import check_new
-
     check.real("seconds", arguments.seconds, above=0.0, at_most=1e6)
     check.real("dt", arguments.dt, above=0.0)
     if arguments.dt > arguments.seconds:
@@ -87,16 +79,15 @@ def main() -> None:
     """Parse, simulate, write."""
     arguments = _arguments()
     from jackbox_env import Scene, make_simulator
-    from jackbox_env.files import new_folder, stamped
     from jackbox_env.recording.trajectory import simulate
     from jackbox_env.simulators.fidelity import words
 
     arguments.folder = arguments.folder or stamped("simulate")
     _refuse_nonsense(arguments)
     setting = chosen_setting(arguments)
-    scene = Scene.of(scene_fields(arguments.scene))
+    scene = Scene.of(check.from_json("scene", arguments.scene, dict))
     simulator = make_simulator(scene, **setting._asdict())
-    simulator.reset(from_json("state", arguments.state, list), arguments.time)
+    simulator.reset(check.from_json("state", arguments.state, list), arguments.time)
     try:
         trajectory = simulate(simulator, arguments.seconds, arguments.dt)
         folder = new_folder(

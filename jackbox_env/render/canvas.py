@@ -16,7 +16,6 @@ import numpy as np
 from gymnasium.error import DependencyNotInstalled
 from numpy.typing import NDArray
 
-from jackbox_env import checks as check
 from jackbox_env.colours import Colour
 
 if TYPE_CHECKING:
@@ -42,7 +41,7 @@ def import_pygame() -> ModuleType:
         import pygame
         import pygame.font
     except ImportError as error:
-        raise DependencyNotInstalled(check.extra_needed("drawing", "pygame", "render")) from error
+        raise DependencyNotInstalled("drawing needs pygame: pip install pygame-ce") from error
     return pygame
 
 

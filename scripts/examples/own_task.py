@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from jackbox_env.commands.common import command_line
+from jackbox_env.command_line import command_line
 
 
 def through(scene: Any, state: Any, torque: float, impulse: float) -> bool:
@@ -39,7 +39,7 @@ class Arguments:
     episodes: int = 64
     """Episodes of each policy, run side by side."""
     seed: int = 0
-    """Of the network and of the training's starts; evaluation starts from others."""
+    """Seed of the network and of the training's starts; evaluation starts from others."""
 
 
 @command_line

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from jackbox_env.commands.common import command_line
+from jackbox_env.command_line import command_line
 
 RANGES = {"jack_mass": (1.0, 40.0), "restitution": (0.8, 1.0)}
 
@@ -19,7 +19,7 @@ class Arguments:
     episodes: int = 64
     """Episodes of each policy in each scene, run side by side."""
     seed: int = 0
-    """Of the network and of the training's starts; evaluation starts from others."""
+    """Seed of the network and of the training's starts; evaluation starts from others."""
 
 
 @command_line

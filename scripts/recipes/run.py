@@ -10,9 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-import tyro
-
-from jackbox_env.commands.common import command_line
+from jackbox_env.command_line import command_line
 
 HERE, ROOT = Path(__file__).parent, Path(__file__).parents[2]
 TORCH = "torch==2.13.0"  # else the newest build comes, of several GB
@@ -39,7 +37,7 @@ RECIPES = {
                       ("rl_zoo3", "stable-baselines3", TORCH)),
     "torchrl": Recipe(_script("torchrl"), ("torchrl", TORCH)),
     "tianshou": Recipe(_script("tianshou"), ("tianshou", TORCH)),
-    "minari": Recipe(_script("minari"), ("minari[create,hdf5]", "pillow")),
+    "minari": Recipe(_script("minari"), ("minari[create,hdf5]", "pillow", "tyro")),
     "jax": Recipe(_script("jax"), ("jax",)),
     "rllib": Recipe(_script("rllib", "--iterations", "4"), ("ray[rllib]==2.60.0", "gymnasium==1.2.2", TORCH)),
 }  # fmt: skip
@@ -49,9 +47,9 @@ RECIPES = {
 class Arguments:
     """Run recipes."""
 
-    names: tyro.conf.Positional[tuple[str, ...]] = tuple(RECIPES)
-    """Which."""
-    folder: Path = Path("runs/recipes")
+    names: tuple[str, ...]
+    """Which; none: all."""
+    environments: Path = Path("runs/recipes")
     """Folder of the environments that are made; one that is ready is used again."""
 
 
@@ -70,23 +68,26 @@ def python_for(recipe: Recipe, folder: Path) -> str:
 @command_line
 def main() -> None:
     """Parse, run, say which failed."""
-    arguments = tyro.cli(Arguments, description=__doc__)
-    unknown = [name for name in arguments.names if name not in RECIPES]
+    import tyro
+
+    arguments = tyro.cli(Arguments, description=__doc__, config=(tyro.conf.PositionalRequiredArgs,))
+    names = arguments.names or tuple(RECIPES)
+    unknown = [name for name in names if name not in RECIPES]
     if unknown:
         raise ValueError(f"a recipe must be one of {', '.join(RECIPES)}, got {unknown[0]!r}")
     failed = []
-    for name in arguments.names:
+    for name in names:
         recipe, began = RECIPES[name], time.monotonic()
         print(f"== {name}", flush=True)
         try:
-            python = python_for(recipe, arguments.folder.absolute() / name)
+            python = python_for(recipe, arguments.environments.absolute() / name)
             without = {key: value for key, value in os.environ.items() if not recipe.needs or key != "PYTHONPATH"}
             subprocess.run([python, *recipe.arguments], cwd=ROOT, env=without, check=True)
         except subprocess.CalledProcessError:
             failed.append(name)
         print(f"{'FAILED' if name in failed else 'done'} after {time.monotonic() - began:.0f} s", flush=True)
     if failed:
-        raise RuntimeError(f"{len(failed)} of {len(arguments.names)} recipes failed: {', '.join(failed)}")
+        raise RuntimeError(f"{len(failed)} of {len(names)} recipes failed: {', '.join(failed)}")
 
 
 if __name__ == "__main__":

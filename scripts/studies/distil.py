@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 import torch
-import tyro
 from numpy.typing import NDArray
 from tqdm import trange
 
@@ -25,7 +24,7 @@ from agents.policies.network import SHIPPED, write_with_layers
 from agents.policies.one_bounce import LANDING, LandingPolicy, LandingSettings
 from agents.policies.value import UNIT, Value, read_value
 from jackbox_env import Rollout, Scene, rollout
-from jackbox_env.commands.common import command_line
+from jackbox_env.command_line import command_line
 from jackbox_env.files import make_folder
 from jackbox_env.landing import landing_times, torques, upright
 from jackbox_env.states import Array
@@ -54,7 +53,7 @@ class Arguments:
     rounds: int = 30
     """Of playing and fitting."""
     seed: int = 0
-    """Decides starts, ways and the order of fitting."""
+    """Seed of the starts, ways and the order of fitting."""
 
 
 def advanced(states: Array, acting: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
@@ -135,6 +134,8 @@ def mean_return(policy: LandingPolicy, count: int, rng: np.random.Generator) -> 
 @command_line
 def main() -> None:
     """Parse, play, fit, write."""
+    import tyro
+
     arguments = tyro.cli(Arguments, description=__doc__)
     torch.set_num_threads(1)
     torch.manual_seed(arguments.seed)

@@ -19,7 +19,7 @@ import numpy as np
 from scipy import optimize, stats
 
 from jackbox_env import Recording, Scene, fit, make_simulator
-from jackbox_env.commands.common import command_line
+from jackbox_env.command_line import command_line
 from jackbox_env.measure import fitting
 from jackbox_env.measure.shooting import units
 from jackbox_env.tasks import sample_start

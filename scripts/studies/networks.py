@@ -8,9 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import tyro
-
-from jackbox_env.commands.common import command_line
+from jackbox_env.command_line import command_line
 from jackbox_env.tasks import TASKS
 
 
@@ -29,6 +27,8 @@ class Arguments:
 @command_line
 def main() -> None:
     """Parse, train what is not finished, export."""
+    import tyro
+
     arguments = tyro.cli(Arguments, description=__doc__)
     from agents.evaluation.exporting import export_policy
     from agents.runs import read_settings

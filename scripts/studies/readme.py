@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from jackbox_env.commands.common import command_line
+from jackbox_env.command_line import command_line
 from jackbox_env.env import JackInBoxEnv
 from jackbox_env.tasks import TASKS
 from scripts.studies.pages import fill

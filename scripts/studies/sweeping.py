@@ -25,7 +25,7 @@ def swept(
     try:
         rows = carry_out(folder, trials, work, runner, progress)
     except KeyboardInterrupt:
-        print(f"\nInterrupted; what has finished is kept in {folder}, where --folder goes on", file=sys.stderr)
+        print(f"\nInterrupted; what has finished is kept in {folder}, where --runs goes on", file=sys.stderr)
         raise
     failed = sum(row["error"] is not None for row in rows)
     if failed:

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import torch
-import tyro
 from torch import nn
 from tqdm import trange
 
@@ -23,7 +22,7 @@ from agents.policies.network import Layer, write_with_layers
 from agents.policies.value import INPUTS, VALUE, Value, ValuedSearch
 from agents.settings import EnvSettings
 from jackbox_env import Scene
-from jackbox_env.commands.common import command_line
+from jackbox_env.command_line import command_line
 from jackbox_env.files import make_folder
 from jackbox_env.planning.icem import Search
 from jackbox_env.states import Array
@@ -51,7 +50,7 @@ class Arguments:
     states: int = 8000
     """That are judged in each round."""
     seed: int = 0
-    """Decides starts, candidates, states and the network."""
+    """Seed of the starts, candidates, states and the network."""
 
 
 class Watched(ValuedSearch):
@@ -115,6 +114,8 @@ def fitted(settings: EnvSettings, states: Array, worth: Array) -> list[Layer]:
 @command_line
 def main() -> None:
     """Parse, play, judge, fit, write."""
+    import tyro
+
     arguments = tyro.cli(Arguments, description=__doc__)
     torch.set_num_threads(1)
     torch.manual_seed(arguments.seed)

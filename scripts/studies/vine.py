@@ -20,7 +20,6 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import torch
-import tyro
 from numpy.typing import NDArray
 from torch import nn
 from tqdm import trange
@@ -31,7 +30,7 @@ from agents.policies.observing import mirrored, observations
 from agents.runs import SETTINGS
 from agents.settings import TrainSettings
 from jackbox_env import Rollout, Scene, Task, rollout
-from jackbox_env.commands.common import command_line
+from jackbox_env.command_line import command_line
 from jackbox_env.files import make_folder
 from jackbox_env.observation import BOUNDS
 from jackbox_env.states import Array
@@ -92,7 +91,7 @@ class Arguments:
     rounds: int = 600
     """Of playing and improving."""
     seed: int = 0
-    """Decides the network, starts, noise, torques and the order of fitting."""
+    """Seed of the network, starts, noise, torques and the order of fitting."""
 
 
 def network(widths: tuple[int, ...]) -> Any:
@@ -193,6 +192,8 @@ def improve(nets: tuple[Any, Any], optimisers: tuple[Any, Any], found: Judged) -
 @command_line
 def main() -> None:
     """Parse, play, improve, write."""
+    import tyro
+
     arguments = tyro.cli(Arguments, description=__doc__)
     torch.set_num_threads(1)
     torch.manual_seed(arguments.seed)

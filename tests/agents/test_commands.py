@@ -31,6 +31,12 @@ SCRIPTS = {
     path.relative_to(ROOT / "scripts").with_suffix("").as_posix(): path.read_text(encoding="utf-8")
     for path in sorted((ROOT / "scripts").rglob("*.py"))
 }
+MEANINGS = {  # of options, in every command that has them
+    "--folder": "new folder for",
+    "--html": "also write",
+    "--seed": "seed of",
+    "--dt": "duration of a control step",
+}
 COMMANDS = [name for name, text in SCRIPTS.items() if "__main__" in text]
 
 
@@ -143,7 +149,7 @@ def test_evaluate_compares_policies_and_writes_json(tmp_path: Path, run: Path) -
 
 def test_evaluate_writes_an_episode_of_each_policy_as_a_page(tmp_path: Path, run: Path) -> None:
     arguments = ["--policy", "level", "chirp", str(run), "--episodes", "1", "--task", "spin", "--fidelity", "exact"]
-    done = script("evaluate", *arguments, "--json", "out.json", "--html", "pages", cwd=tmp_path)
+    done = script("evaluate", *arguments, "--json", "out.json", "--html", "--folder", "pages", cwd=tmp_path)
     stored = json.loads((tmp_path / "out.json").read_text())
     pages = sorted((tmp_path / "pages").iterdir())
     assert [page.suffix for page in pages] == [".html"] * 3
@@ -154,7 +160,10 @@ def test_evaluate_writes_an_episode_of_each_policy_as_a_page(tmp_path: Path, run
     data = json.loads(text.split('id="data">')[1].split("</script>")[0])
     assert data["held"]
     assert ["task", "spin"] in data["facts"]
-    assert "never overwritten" in script("evaluate", *arguments, "--html", "pages", cwd=tmp_path, status=2).stderr
+    assert (
+        "never overwritten"
+        in script("evaluate", *arguments, "--html", "--folder", "pages", cwd=tmp_path, status=2).stderr
+    )
 
 
 def test_train_prints_a_command_that_evaluates_in_the_same_environment(tmp_path: Path) -> None:
@@ -222,7 +231,15 @@ def test_the_demo_runs_end_to_end_when_made_small(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_line_explains_itself(name: str, tmp_path: Path) -> None:
-    assert "show this help message" in script(name, "--help", cwd=tmp_path).stdout
+    out = re.sub(r"[│\s]+", " ", script(name, "--help", cwd=tmp_path).stdout).lower()
+    assert "show this help message" in out
+    for option, meaning in MEANINGS.items():
+        assert meaning in out or not re.search(rf"{option}\b", out), option
+
+
+def test_the_help_of_training_shows_the_tasks_own_defaults(tmp_path: Path) -> None:
+    out = script("train", "--task", "spin", "--help", cwd=tmp_path).stdout
+    assert re.search(r"--hold INT[^(]*\(default: 4\)", out)
 
 
 def test_scenes_that_vary_are_settings_too(tmp_path: Path) -> None:

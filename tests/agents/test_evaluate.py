@@ -23,7 +23,7 @@ from tests.agents.test_commands import script
 
 def test_a_page_shows_the_scene_that_was_drawn(tmp_path: Path) -> None:
     varied = '{"box_half_width": [3.0, 9.0], "gravity": [1.0, 20.0]}'
-    arguments = ["--policy", "level", "--episodes", "1", "--randomize", varied, "--html", "pages"]
+    arguments = ["--policy", "level", "--episodes", "1", "--randomize", varied, "--html", "--folder", "pages"]
     script("evaluate", *arguments, cwd=tmp_path)
     page = (tmp_path / "pages" / "level.html").read_text()
     data = json.loads(page.split('id="data">')[1].split("</script>")[0])
@@ -46,7 +46,9 @@ def test_an_error_leaves_no_pages(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         raise OSError(28, "No space left on device", "pages/level.html")
 
     monkeypatch.setattr(episodes, "write_page", full)
-    done = script("evaluate", "--policy", "level", "--episodes", "1", "--html", "pages", cwd=tmp_path, status=2)
+    done = script(
+        "evaluate", "--policy", "level", "--episodes", "1", "--html", "--folder", "pages", cwd=tmp_path, status=2
+    )
     assert done.stderr.splitlines()[-1].endswith("pages/level.html cannot be used: No space left on device")
     assert not list(tmp_path.iterdir())
 
@@ -55,7 +57,8 @@ def test_an_error_leaves_no_pages(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     ("arguments", "named"),
     [
         (["--policy"], "policy must name at least one"),
-        (["--html", "/dev/null/pages"], "/dev/null cannot be used: Not a directory"),
+        (["--html", "--folder", "/dev/null/pages"], "/dev/null cannot be used: Not a directory"),
+        (["--folder", "pages"], "folder goes with --html"),
         (["--film", "/proc/film.GIF"], "/proc cannot be used: "),
         (["--json", "/proc/out.json"], "/proc cannot be used: "),
         (["--policy", str(SHIPPED / "juggle-ppo" / "weights.npz")], f"give its folder, {SHIPPED / 'juggle-ppo'}"),

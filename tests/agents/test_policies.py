@@ -13,6 +13,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+import tyro
 from stable_baselines3.common.evaluation import evaluate_policy
 
 from agents.evaluation import film as filming
@@ -105,6 +106,7 @@ def test_the_defaults_suit_the_task_and_what_an_action_is(monkeypatch: pytest.Mo
         return train_command.suited()
 
     assert of_the_command() == TrainSettings.suited() == TrainSettings()
+    assert tyro.cli(TrainSettings, args=["--hold", "4"]).repeat == 4  # the name of earlier versions
     assert TrainSettings().landing
     torques = TrainSettings.suited(task="spin")
     assert (torques.landing, torques.repeat, torques.gamma) == (False, 4, 0.99)

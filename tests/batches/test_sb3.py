@@ -123,7 +123,6 @@ def test_single_environments_can_be_looked_at_and_set(contact: str) -> None:
 
 @EVERY_MODEL
 def test_images_are_those_of_single_environments(contact: str) -> None:
-    pytest.importorskip("pygame")
     native, plain = (make(2, contact=contact, render_mode="rgb_array") for make in (make_sb3_vec_env, dummy))
     for env in (native, plain):
         env.seed(3)

@@ -89,7 +89,6 @@ def test_memory_is_a_few_hundred_bytes_per_environment() -> None:
 
 @EVERY_MODEL
 def test_pictures_are_those_of_single_environments(contact: str) -> None:
-    pytest.importorskip("pygame")
     env = JackInBoxVectorEnv(2, contact=contact, render_mode="rgb_array")
     single = gym.make("JackInBox-v0", contact=contact, render_mode="rgb_array")
     env.reset(seed=4)

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from jackbox_env.command_line import command_line
 from jackbox_env.commands import check
-from jackbox_env.commands.common import command_line
 from jackbox_env.simulators.exact import ExactSimulator
 from jackbox_env.simulators.pymunk import PymunkSimulator
 from jackbox_env.states import Array
@@ -61,7 +61,7 @@ def test_check_passes_here(capsys: pytest.CaptureFixture[str], monkeypatch: pyte
     assert out.count("ok      ") == 7
     assert "derivatives: ready after" in out
     extras = [line.split()[1] for line in out.splitlines() if line.startswith("  extra")]
-    assert extras == ["render:", "scale:", "train:", "video:"]
+    assert extras == ["scale:", "train:", "video:"]
     assert "over 3 impacts energy and work agree" in out
 
 

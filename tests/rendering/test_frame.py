@@ -13,8 +13,6 @@ from jackbox_env.scene import Scene
 from jackbox_env.simulators import Impact
 from tests.rendering.pixels import ARM, L, Mask, Words, blue, draw, pixel, red, renderer_at, state
 
-pytest.importorskip("pygame")
-
 
 def test_each_call_returns_a_fresh_array() -> None:
     renderer = renderer_at(state())

@@ -10,12 +10,12 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+import pygame
 import pytest
 
 from jackbox_env.render.window import LOADING, NO_AGENT, PANEL, Game, GameWindow
 from jackbox_env.simulators import JackLostError
 
-pygame = pytest.importorskip("pygame")
 ROOT = Path(__file__).parents[2]
 
 
@@ -188,7 +188,7 @@ def test_a_lost_jack_ends_the_episode(window: GameWindow, written: list[str], mo
 
 def test_the_picture_is_the_environments_beside_the_panel_until_escape(window: GameWindow) -> None:
     window.frame(0.0)
-    shown = np.transpose(pygame.surfarray.array3d(pygame.display.get_surface()), (1, 0, 2))
+    shown = np.transpose(pygame.surfarray.array3d(pygame.display.get_surface()), (1, 0, 2))  # type: ignore[arg-type]
     assert shown.shape == (512, 512 + PANEL, 3)
     np.testing.assert_array_equal(shown[:, :512], window.game.env.render())
     press(window, pygame.K_ESCAPE)
@@ -208,7 +208,7 @@ def test_without_a_display_it_says_so(driver: str, named: str, monkeypatch: pyte
 
 
 def test_the_command_plays_with_the_shipped_agent(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "argv", ["play.py", "--seed", "3", "--quiet", "--task", "spin"])
+    monkeypatch.setattr(sys, "argv", ["play.py", "--seed", "3", "--quiet", "--task", "spin", "--dt", "0.04"])
     seen: list[str] = []
     frame, pressed = GameWindow.frame, {1: pygame.K_p, 3: pygame.K_ESCAPE}
 
@@ -217,10 +217,10 @@ def test_the_command_plays_with_the_shipped_agent(monkeypatch: pytest.MonkeyPatc
             pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=pressed[len(seen)]))
         frame(self, seconds)
         env: Any = self.game.env.unwrapped
-        seen.append(f"{env.task}: {self.game.acting()}")
+        seen.append(f"{env.task} by {env.control_dt} s: {self.game.acting()}")
 
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     monkeypatch.setattr(GameWindow, "frame", acted)
     runpy.run_path(str(ROOT / "scripts" / "play.py"), run_name="__main__")
-    assert seen == ["spin: nobody", *["spin: trained agent"] * 3]
+    assert seen == ["spin by 0.04 s: nobody", *["spin by 0.04 s: trained agent"] * 3]
     assert not pygame.display.get_init()

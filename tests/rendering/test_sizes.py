@@ -16,8 +16,6 @@ from jackbox_env.sb3 import make_sb3_vec_env
 from jackbox_env.simulators import Impact
 from tests.rendering.pixels import Words, blue, draw, red, state
 
-pytest.importorskip("pygame")
-
 BARE: dict[str, Any] = {"render_mode": "rgb_array", "render_overlay": False}
 
 

@@ -14,8 +14,6 @@ from jackbox_env.render.renderer import Renderer
 from jackbox_env.simulators import Impact
 from tests.rendering.pixels import ARM, Frame, L, draw, pixel, renderer_at, state
 
-pytest.importorskip("pygame")
-
 TOUCHING = state(jack=(0.0, ARM - L, 0.0))  # wall 3 with foot 3
 
 

@@ -41,7 +41,7 @@ def test_an_interrupted_sweep_continues_to_the_results_of_an_uninterrupted_one(
         return one_case(*given)
 
     def run(folder: Path) -> measured.Results:
-        monkeypatch.setattr(sys, "argv", ["benchmark.py", *FEW, "--folder", str(folder)])
+        monkeypatch.setattr(sys, "argv", ["benchmark.py", *FEW, "--runs", str(folder)])
         benchmark.main()
         return measured.Results.load(folder / benchmark.BESIDE)
 

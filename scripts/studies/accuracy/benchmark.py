@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from jackbox_env.commands.common import command_line
+from jackbox_env.command_line import command_line
 from jackbox_env.files import check_writable, replacing, stamped, write_text
 from jackbox_env.simulators.fidelity import FIDELITIES
 from scripts.studies.accuracy.measured import (
@@ -50,8 +50,9 @@ class Arguments:
     """Rounds in which the costs are measured; None: 7, or 3 when quick."""
     seconds: float = 0.3
     """Time per measurement of cost [s]."""
-    folder: Path | None = None
-    """Run folder to make, or of an interrupted sweep to go on with; None: runs/benchmark-<date>-<time>."""
+    runs: Path | None = None
+    """Folder of the sweep; made if there is none. What is finished there is not done again. None:
+    runs/benchmark-<date>-<time>."""
     page_from: Path | None = None
     """Do not sweep: write page and pictures again from this results.json and the results.csv beside it."""
     workers: int | None = None
@@ -413,7 +414,7 @@ def main() -> None:
     if arguments.page_from is not None:
         results, folder = Results.load(arguments.page_from.parent), arguments.page_from.resolve().parents[1]
     else:
-        folder, runner = arguments.folder or stamped("benchmark"), runner_for(arguments.workers, arguments.address)
+        folder, runner = arguments.runs or stamped("benchmark"), runner_for(arguments.workers, arguments.address)
         results = run(folder, few, cases, rounds, seconds, arguments.progress, runner)
     write(results, arguments.out or folder)
     found = claims(results)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from jackbox_env.commands.common import command_line
+from jackbox_env.command_line import command_line
 from scripts.studies import pages, timing
 from scripts.studies.costs import measured as these
 from scripts.studies.pages import figure, rough, table

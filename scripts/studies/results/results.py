@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tyro
 
-from jackbox_env.commands.common import command_line
+from jackbox_env.command_line import command_line
 from jackbox_env.scene import Scene
 from jackbox_env.tasks import TASKS
 from scripts.studies.pages import table
@@ -32,8 +31,8 @@ class Arguments:
     """Episodes of each of the five trainings on a task."""
     across_episodes: int = 128
     """Episodes of each policy in each of the scenes that vary."""
-    folder: Path = Path("runs/results")
-    """Folder to make, or to go on in; trainings that are finished there are not trained again."""
+    runs: Path = Path("runs/results")
+    """Folder of trainings and evaluations; made if there is none. What is finished there is not done again."""
     workers: int | None = None
     """So many evaluations side by side, each in a process of its own; None: one after the other in this process."""
     out: Path = Path("docs")
@@ -152,7 +151,7 @@ def gathered(arguments: Arguments) -> dict[str, Any]:
     from jackbox_env.files import make_folder
     from scripts.studies.sweeping import swept
 
-    folder, runner = arguments.folder.resolve(), runner_for(arguments.workers, None)
+    folder, runner = arguments.runs.resolve(), runner_for(arguments.workers, None)
     make_folder(folder)
     counts = arguments.episodes, arguments.planner_episodes, arguments.across_episodes, arguments.training_episodes
     asked = these.trials(*counts)
@@ -175,6 +174,8 @@ def gathered(arguments: Arguments) -> dict[str, Any]:
 @command_line
 def main() -> None:
     """Parse, evaluate what is missing, write the page."""
+    import tyro
+
     arguments = tyro.cli(Arguments, description=__doc__)
     from jackbox_env import checks as check
     from jackbox_env.files import check_writable, write_text

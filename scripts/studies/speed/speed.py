@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from jackbox_env.commands.common import command_line
+from jackbox_env.command_line import command_line
 from scripts.studies import pages, timing
 from scripts.studies.pages import figure, rough, table
 from scripts.studies.speed import measured as these
