@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jackbox_env.command_line import command_line
+from jackbox_env.command_line import called, command_line
 from jackbox_env.commands import check
 from jackbox_env.simulators.exact import ExactSimulator
 from jackbox_env.simulators.pymunk import PymunkSimulator
@@ -32,15 +32,18 @@ def test_it_names_its_commands_and_refuses_another(tmp_path: Path) -> None:
         for name in ("simulate", "play", "check", "demo", "train", "evaluate", "export"):
             assert f"\n  {name} " in out
             assert name in refused
+    assert "usage: jackbox evaluate" in jackbox("evaluate", "--help", cwd=tmp_path).stdout
 
 
-def test_it_names_itself_in_the_command_to_go_on_with(tmp_path: Path) -> None:
-    pytest.importorskip("stable_baselines3")
-    settings = "--num-envs 4 --rollout-steps 64 --batch-size 64 --total-steps 256 --eval-episodes 2 --no-progress"
-    out = jackbox("train", "--folder", "run", *settings.split(), cwd=tmp_path).stdout
-    assert "  jackbox evaluate --task juggle --policy zero run\n" in out
-    out = jackbox("export", "run", "arrays", cwd=tmp_path).stdout
-    assert "  jackbox evaluate --task juggle --policy level arrays\n" in out
+@pytest.mark.parametrize(
+    ("started_by", "command"),
+    [("jackbox train", "jackbox evaluate run"), ("scripts/train.py", "python scripts/evaluate.py run")],
+)
+def test_it_names_itself_in_the_command_to_go_on_with(
+    started_by: str, command: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "argv", [started_by])
+    assert called("evaluate", "run") == command
 
 
 @pytest.mark.parametrize(("leads", "status"), [("2>&-", 0), (">&-", 0), ("| true", 141), (">/dev/full", 2)])
