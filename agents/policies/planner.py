@@ -18,7 +18,7 @@ from jackbox_env.planning.features import Features
 from jackbox_env.planning.icem import Plans, Search
 
 DECISION = 0.1  # [s] between decisions, as the settings here were tried
-VALUED_PIECES = 20  # of a plan whose end has a value
+VALUED_KNOTS = 20  # of a plan whose end has a value
 
 
 def decision_steps(settings: EnvSettings) -> int:
@@ -36,8 +36,8 @@ class Planner:
         scene: that it plans in.
         task: whose rewards it sums, a name or a :class:`jackbox_env.Task`.
         control_dt: the environment's control step [s].
-        piece: control steps that each torque of a plan is held for; a decision is made as often.
-        pieces: of a plan, 2 or more.
+        repeat: control steps that each torque of a plan is repeated for; a decision is made as often.
+        knots: torques of a plan, 2 or more.
         samples: candidates in each iteration, 2 or more.
         elites: best candidates that make the next mean, 1 to ``samples``.
         iterations: of each decision.
@@ -50,13 +50,13 @@ class Planner:
     """
 
     def __init__(
-        self, scene: Scene, task: str | Task = "juggle", control_dt: float = 0.02, *, piece: int = 5, pieces: int = 32,
+        self, scene: Scene, task: str | Task = "juggle", control_dt: float = 0.02, *, repeat: int = 5, knots: int = 32,
         samples: int = 256, elites: int = 20, iterations: int = 3, seed: int = 0, num_threads: int | None = 1,
         value: Value | None = None,
     ) -> None:  # fmt: skip
         self._scene = scene.changed(drive=None)
         settings: dict[str, Any] = {
-            "piece": piece, "pieces": pieces, "samples": samples, "elites": elites, "iterations": iterations,
+            "repeat": repeat, "knots": knots, "samples": samples, "elites": elites, "iterations": iterations,
             "seed": seed, "num_threads": num_threads,
         }  # fmt: skip
         if value is not None and not isinstance(value, Value):
@@ -76,7 +76,7 @@ class Planner:
             ValueError: a state of another number of environments.
         """
         return decide_now_and_then(
-            self._decide, self._search.begin, self._search.piece, observation, state, episode_start
+            self._decide, self._search.begin, self._search.repeat, observation, state, episode_start
         )
 
     def _decide(self, seen: NDArray[Any], plans: Plans) -> tuple[NDArray[Any], Plans]:

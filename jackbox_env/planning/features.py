@@ -67,7 +67,7 @@ class Features:
         if follow and not self.planned:
             raise ValueError("follow needs a plan to follow, got samples = 0")
         self._search = Search(
-            task, control_dt, piece=self.hold, pieces=pieces, samples=max(2, samples + self.turns),
+            task, control_dt, repeat=self.hold, knots=pieces, samples=max(2, samples + self.turns),
             elites=max(1, samples // 6), iterations=1, seed=seed, num_threads=num_threads,
         )  # fmt: skip
         self._steps = pieces * self.hold  # control steps of a rollout
@@ -149,8 +149,8 @@ class Features:
         """When the next impact comes without torque, in shares of a rollout, 1 for none; what is seen after it."""
         search = self._search
         found = play(
-            scenes, states, np.zeros((len(states), search.pieces)), search.control_dt, driven=False, impacts=True,
-            repeat=search.piece, until_impact=True, num_threads=search.num_threads,
+            scenes, states, np.zeros((len(states), search.knots)), search.control_dt, driven=False, impacts=True,
+            repeat=search.repeat, until_impact=True, num_threads=search.num_threads,
         )  # fmt: skip
         assert found.impacts is not None
         struck = found.impacts > 0
@@ -166,13 +166,13 @@ class Features:
         torque's limit can make of a box at rest.
         """
         search = self._search
-        half = _HALF_TURN * search.piece * search.control_dt  # [s]
+        half = _HALF_TURN * search.repeat * search.control_dt  # [s]
         strongest = np.array([one.torque_limit / one.box_inertia for one in each])[:, None]  # [rad/s^2]
         share = np.linspace(-1.0, 1.0, self.turns) if self.turns > 1 else np.zeros(self.turns)
         omega = states[:, 8:9]
         first = share * strongest - 1.5 * omega / half  # so that the box has turned by share * strongest * half^2
         last = -omega / half - first
-        torques = np.zeros((len(states), self.turns, search.pieces))
+        torques = np.zeros((len(states), self.turns, search.knots))
         torques[:, :, :_HALF_TURN] = (first / strongest)[:, :, None]
         torques[:, :, _HALF_TURN : 2 * _HALF_TURN] = (last / strongest)[:, :, None]
         return np.clip(torques, -1.0, 1.0)
