@@ -14,7 +14,7 @@ from agents.settings import EnvSettings
 from jackbox_env import Scene, Task
 from jackbox_env import checks as check
 from jackbox_env.observation import state_of
-from jackbox_env.planning.features import Features
+from jackbox_env.planning.features import Features, LookaheadOptions
 from jackbox_env.planning.icem import Plans, Search
 
 DECISION = 0.1  # [s] between decisions, as the settings here were tried
@@ -94,9 +94,10 @@ class PlanAlone(Playable):
     """
 
     def __init__(self, settings: EnvSettings) -> None:
-        hold = decision_steps(settings)
-        features = Features(settings.task, settings.control_dt, hold=hold, samples=32, follow=True, num_threads=1)
-        self.manner = Manner(hold, features, Scene.of(settings.scene_fields))
+        repeat = decision_steps(settings)
+        options = LookaheadOptions(repeat, samples=32, follow=True, num_threads=1)
+        features = Features(settings.task, settings.control_dt, options)
+        self.manner = Manner(repeat, features, Scene.of(settings.scene_fields))
 
     def act(self, seen: NDArray[Any]) -> Actions:
         """No correction, see :class:`Playable`."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from agents.settings import TrainSettings
 from jackbox_env import Scene
 from jackbox_env.observation import BOUNDS, state_of
-from jackbox_env.planning.features import Features
+from jackbox_env.planning.features import Features, LookaheadOptions
 from jackbox_env.planning.icem import Plans
 from jackbox_env.planning.landing_control import aim
 
@@ -42,10 +42,8 @@ def manner_of(settings: TrainSettings) -> Manner:
     """How a policy plays that was trained by these settings."""
     features = None
     if settings.lookahead:
-        features = Features(
-            settings.task, settings.control_dt, hold=settings.hold, samples=settings.lookahead, follow=True,
-            num_threads=1,
-        )  # fmt: skip
+        options = LookaheadOptions(settings.hold, samples=settings.lookahead, follow=True, num_threads=1)
+        features = Features(settings.task, settings.control_dt, options)
     aims = settings.control_dt if settings.landing else None
     return Manner(settings.hold, features, Scene.of(settings.scene_fields), aims)
 
