@@ -47,7 +47,7 @@ def aim(scene: Any, control_dt: float, actions: ArrayLike, count: int) -> Callab
 
 
 class Aiming(Control):
-    """The actions of N environments aim.
+    """Turns the targets of landings that N agents choose into torques, anew in each control step.
 
     Args:
         env: a single environment or a native vector environment.

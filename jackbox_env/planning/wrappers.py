@@ -1,7 +1,7 @@
-"""How agents act and observe, the adapters that wrap environments so, and looking ahead as an observation.
+"""Controls, which change how agents act and observe; their adapters to environments; looking ahead as an observation.
 
-:mod:`jackbox_env.planning.features` has what is appended, :mod:`jackbox_env.planning.landing_control` actions that aim,
-and :mod:`jackbox_env.planning.sb3_wrappers` the same for Stable-Baselines3.
+:mod:`jackbox_env.planning.features` computes what is appended. :mod:`jackbox_env.planning.landing_control` is the
+other control, and :mod:`jackbox_env.planning.sb3_wrappers` the adapter for Stable-Baselines3.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _TORQUES = gym.spaces.Box(-1.0, 1.0, (1,))
 
 
 class Control:
-    """How the agents of N environments act and observe: as the environments themselves, each action repeated.
+    """How the agents of N environments act and observe. This one repeats actions; derived ones change more.
 
     Args:
         repeat: control steps that an action is repeated for.
@@ -57,7 +57,7 @@ class Control:
 
 
 class LookingAhead(Control):
-    """Agents observe what rollouts return, too; the plans of N environments are warm-started.
+    """Appends what rollouts return to the observations of N environments, whose plans are warm-started.
 
     After :meth:`act` the next call must be :meth:`observe`. If a step fails in between, only a reset leads on.
 
@@ -206,7 +206,7 @@ class ControlledVectorEnv(VectorWrapper):
 class Lookahead(ControlledEnv):
     """Observe ``JackInBox-v0`` together with what rollouts from its present state return.
 
-    A step takes one action for ``hold`` control steps and returns the sum of their rewards. Beside the ten numbers an
+    A step repeats one action for ``hold`` control steps and returns the sum of their rewards. Beside the ten numbers an
     observation holds (float32)
 
     ======  ==============================================================================  ==============
