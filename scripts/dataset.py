@@ -20,7 +20,7 @@ import gymnasium as gym
 import numpy as np
 
 from agents.policies.network import SHIPPED, read_policy
-from agents.policies.planner import VALUED_PIECES, Planner
+from agents.policies.planner import VALUED_KNOTS, Planner
 from agents.policies.scripted import Policy, RandomPolicy
 from agents.policies.value import read_value
 from agents.runs import versions
@@ -45,7 +45,7 @@ class Arguments:
 def policies(task: str) -> dict[str, Policy]:
     """The policies by name; the registry's need torch, these do not."""
     ppo, value = (SHIPPED / f"{task}-{name}" for name in ("ppo", "value"))
-    more: dict[str, Any] = {"pieces": VALUED_PIECES, "value": read_value(value)} if value.is_dir() else {}
+    more: dict[str, Any] = {"knots": VALUED_KNOTS, "value": read_value(value)} if value.is_dir() else {}
     return {"random": RandomPolicy(0), "ppo": read_policy(ppo), "planner": Planner(Scene(), task, **more)}
 
 

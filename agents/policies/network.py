@@ -30,7 +30,7 @@ from agents.settings import FORESEEN, MOST_LAYERS, MOST_WEIGHTS, EnvSettings, Tr
 from jackbox_env import Scene
 from jackbox_env.files import write_bytes, write_json
 from jackbox_env.observation import BOUNDS, state_of
-from jackbox_env.planning.features import Features
+from jackbox_env.planning.features import Features, LookaheadOptions
 from jackbox_env.planning.icem import Plans
 from jackbox_env.planning.landing_control import aim
 
@@ -58,10 +58,8 @@ class NetworkPolicy(RepeatingPolicy):
         self._scene, self.action_size = Scene.of(settings.scene_fields), 2 if settings.landing else 1
         self._numbers, self._features = landing_numbers(self._scene) if settings.preview else None, None
         if settings.lookahead:
-            self._features = Features(
-                settings.task, settings.control_dt, hold=settings.repeat, samples=settings.lookahead, follow=True,
-                num_threads=1,
-            )  # fmt: skip
+            options = LookaheadOptions(settings.repeat, samples=settings.lookahead, follow=True, num_threads=1)
+            self._features = Features(settings.task, settings.control_dt, options)
         seen = len(BOUNDS) + FORESEEN * bool(settings.lookahead) + len(FEATURES) * settings.preview
         check_layers(layers, [seen, *settings.hidden_units, self.action_size])
 

@@ -13,11 +13,11 @@ from agents.settings import EnvSettings
 from jackbox_env import Scene, Task
 from jackbox_env import checks as check
 from jackbox_env.observation import state_of
-from jackbox_env.planning.features import Features
+from jackbox_env.planning.features import Features, LookaheadOptions
 from jackbox_env.planning.icem import Plans, Search
 
 DECISION = 0.1  # [s] between decisions, as the settings here were tried
-VALUED_PIECES = 20  # of a plan whose end has a value
+VALUED_KNOTS = 20  # of a plan whose end has a value
 
 
 def decision_steps(settings: EnvSettings) -> int:
@@ -35,8 +35,8 @@ class Planner(RepeatingPolicy):
         scene: that it plans in.
         task: whose rewards it sums, a name or a :class:`jackbox_env.Task`.
         control_dt: the environment's control step [s].
-        piece: control steps that each torque of a plan is held for; a decision is made as often.
-        pieces: of a plan, 2 or more.
+        repeat: control steps that each torque of a plan is repeated for; a decision is made as often.
+        knots: torques of a plan, 2 or more.
         samples: candidates in each iteration, 2 or more.
         elites: best candidates that make the next mean, 1 to ``samples``.
         iterations: of each decision.
@@ -49,13 +49,13 @@ class Planner(RepeatingPolicy):
     """
 
     def __init__(
-        self, scene: Scene, task: str | Task = "juggle", control_dt: float = 0.02, *, piece: int = 5, pieces: int = 32,
+        self, scene: Scene, task: str | Task = "juggle", control_dt: float = 0.02, *, repeat: int = 5, knots: int = 32,
         samples: int = 256, elites: int = 20, iterations: int = 3, seed: int = 0, num_threads: int | None = 1,
         value: Value | None = None,
     ) -> None:  # fmt: skip
         self._scene = scene.changed(drive=None)
         settings: dict[str, Any] = {
-            "piece": piece, "pieces": pieces, "samples": samples, "elites": elites, "iterations": iterations,
+            "repeat": repeat, "knots": knots, "samples": samples, "elites": elites, "iterations": iterations,
             "seed": seed, "num_threads": num_threads,
         }  # fmt: skip
         if value is not None and not isinstance(value, Value):
@@ -63,7 +63,7 @@ class Planner(RepeatingPolicy):
         self._search = (
             ValuedSearch(value, task, control_dt, **settings) if value else Search(task, control_dt, **settings)
         )
-        self.repeat = self._search.piece
+        self.repeat = self._search.repeat
 
     def begin(self, count: int) -> Plans:
         """Plans of no torque."""
@@ -85,9 +85,8 @@ class PlanAlone(RepeatingPolicy):
 
     def __init__(self, settings: EnvSettings) -> None:
         self.repeat, self._scene = decision_steps(settings), Scene.of(settings.scene_fields)
-        self._features = Features(
-            settings.task, settings.control_dt, hold=self.repeat, samples=32, follow=True, num_threads=1
-        )
+        options = LookaheadOptions(self.repeat, samples=32, follow=True, num_threads=1)
+        self._features = Features(settings.task, settings.control_dt, options)
 
     def begin(self, count: int) -> Plans:
         """Plans of no torque."""

@@ -9,7 +9,7 @@ from typing import Any
 from agents.files import first_line
 from agents.policies.network import SHIPPED, WEIGHTS, NetworkPolicy, layers_of, read_policy
 from agents.policies.one_bounce import LANDING, read_landing
-from agents.policies.planner import VALUED_PIECES, PlanAlone, Planner, decision_steps
+from agents.policies.planner import VALUED_KNOTS, PlanAlone, Planner, decision_steps
 from agents.policies.scripted import Baseline, LevelPolicy, Policy, RandomPolicy, ZeroPolicy
 from agents.policies.value import VALUE, read_value
 from agents.runs import SETTINGS, TRAINED_BY, model_in, read_parameters, read_settings, run_folder
@@ -32,13 +32,13 @@ def _planner(settings: EnvSettings, scene: Scene, seed: int) -> Planner:
         made = value.settings
         made_for = made.task, made.control_dt, Scene.of(made.scene_fields).changed(drive=None)
         if made_for == (settings.task, settings.control_dt, scene.changed(drive=None)):
-            given |= {"pieces": VALUED_PIECES, "value": value}
-    return Planner(scene, settings.task, settings.control_dt, piece=decision_steps(settings), **given)
+            given |= {"knots": VALUED_KNOTS, "value": value}
+    return Planner(scene, settings.task, settings.control_dt, repeat=decision_steps(settings), **given)
 
 
 def _fast_planner(settings: EnvSettings, scene: Scene, seed: int) -> Planner:
     """A planner of few samples."""
-    return Planner(scene, settings.task, settings.control_dt, piece=decision_steps(settings), seed=seed, **_FEW)
+    return Planner(scene, settings.task, settings.control_dt, repeat=decision_steps(settings), seed=seed, **_FEW)
 
 
 SCRIPTED: dict[str, Callable[[EnvSettings, Scene, int], Baseline]] = {  # of the environment, its scene, and a seed

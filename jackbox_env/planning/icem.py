@@ -27,17 +27,17 @@ _SMOOTHING = 0.1  # share of the old mean and deviation in the new ones
 class Plans(NamedTuple):
     """What a decision starts from, of N jacks."""
 
-    means: Array  # (N, pieces) torques in units of the limit
-    kept: Array  # (N, kept, pieces) good candidates
+    means: Array  # (N, knots) torques in units of the limit
+    elites: Array  # (N, kept, knots) the best candidates, tried again
     decisions: NDArray[np.int64]  # (N,) made since the plan was begun
 
     def of(self, numbers: NDArray[np.int64]) -> Plans:
         """Those of some jacks."""
-        return Plans(self.means[numbers], self.kept[numbers], self.decisions[numbers])
+        return Plans(self.means[numbers], self.elites[numbers], self.decisions[numbers])
 
     def replaced(self, numbers: NDArray[np.int64], plans: Plans) -> Plans:
         """All, with those of some jacks replaced."""
-        parts = self.means.copy(), self.kept.copy(), self.decisions.copy()
+        parts = self.means.copy(), self.elites.copy(), self.decisions.copy()
         for part, new in zip(parts, plans, strict=True):
             part[numbers] = new
         return Plans(*parts)
@@ -46,7 +46,7 @@ class Plans(NamedTuple):
 class Found(NamedTuple):
     """What a decision found, for n jacks."""
 
-    plans: Array  # (n, pieces) the best torques in units of the limit
+    plans: Array  # (n, knots) the best torques in units of the limit
     returns: Array  # (n,) the sum of rewards that they bring
     scripted: Array  # (n, k) those of the scripted candidates
 
@@ -57,8 +57,8 @@ class Search:
     Args:
         task: whose rewards are summed, a name or a :class:`jackbox_env.Task`.
         control_dt: control step [s].
-        piece: control steps that each torque of a plan is held for; a decision is made as often.
-        pieces: of a plan, 2 or more.
+        repeat: control steps that each torque of a plan is repeated for; a decision is made as often.
+        knots: torques of a plan, 2 or more.
         samples: candidates in each iteration, 2 or more.
         elites: best candidates that make the next mean, 1 to ``samples``.
         iterations: of each decision.
@@ -70,76 +70,76 @@ class Search:
     """
 
     def __init__(
-        self, task: str | Task, control_dt: float, *, piece: int, pieces: int, samples: int, elites: int,
+        self, task: str | Task, control_dt: float, *, repeat: int, knots: int, samples: int, elites: int,
         iterations: int, seed: int = 0, num_threads: int | None = None,
     ) -> None:  # fmt: skip
         self.task, self.control_dt = task_of(task, "task"), check.real("control_dt", control_dt, above=0.0)
-        self.piece = check.whole("piece", piece, at_least=1)
-        self.pieces = check.whole("pieces", pieces, at_least=2)
+        self.repeat = check.whole("repeat", repeat, at_least=1)
+        self.knots = check.whole("knots", knots, at_least=2)
         self.samples = check.whole("samples", samples, at_least=2)
         self.elites = check.whole("elites", elites, at_least=1, at_most=samples)
         self.iterations = check.whole("iterations", iterations, at_least=1)
         self.seed = check.whole("seed", seed, at_least=0)
         self.num_threads = None if num_threads is None else check.whole("num_threads", num_threads, at_least=1)
-        self.again = min(max(1, round(_KEPT * elites)), samples - 1)
+        self.kept = min(max(1, round(_KEPT * elites)), samples - 1)
         ready()
 
     def begin(self, count: int) -> Plans:
         """Plans of no torque, for ``count`` jacks."""
-        kept = np.zeros((count, self.again, self.pieces))
-        return Plans(np.zeros((count, self.pieces)), kept, np.zeros(count, dtype=np.int64))
+        elites = np.zeros((count, self.kept, self.knots))
+        return Plans(np.zeros((count, self.knots)), elites, np.zeros(count, dtype=np.int64))
 
     def decide(
         self, scene: Scene | list[Scene], states: Array, plans: Plans, scripted: Array | None = None
     ) -> tuple[Found, Plans]:
-        """Improve plans from states, shape (n, 12); return what was found, and the plans a piece later.
+        """Improve plans from states, shape (n, 12); return what was found, and the plans one knot later.
 
         Args:
             scene: of all, or a list of n.
             states: from which they are played, shape (n, 12).
             plans: the last ones, of n jacks.
-            scripted: further candidates of the first iteration, shape (n, k, pieces).
+            scripted: further candidates of the first iteration, shape (n, k, knots).
         """
-        count, fixed = len(states), 1 + self.again + (0 if scripted is None else scripted.shape[1])
-        means, kept, spreads = plans.means, plans.kept, np.full((count, self.pieces), _SPREAD)
+        count, fixed = len(states), 1 + self.kept + (0 if scripted is None else scripted.shape[1])
+        means, elites, spreads = plans.means, plans.elites, np.full((count, self.knots), _SPREAD)
         returns_scripted = np.zeros((count, 0))
         for iteration in range(self.iterations):
             tried = means[:, None] + self._noise(plans.decisions, iteration) * spreads[:, None]
-            tried[:, 0], tried[:, 1 : 1 + self.again] = means, kept
+            tried[:, 0], tried[:, 1 : 1 + self.kept] = means, elites
             if scripted is not None and iteration == 0:
-                tried[:, 1 + self.again : fixed] = scripted
+                tried[:, 1 + self.kept : fixed] = scripted
             tried = np.clip(tried, -1.0, 1.0)
             returns, _ = self.play(scene, states, tried)
             if scripted is not None and iteration == 0:
-                returns_scripted = returns[:, 1 + self.again : fixed]
+                returns_scripted = returns[:, 1 + self.kept : fixed]
             order = np.argsort(-returns, axis=1, kind="stable")[:, : self.elites]
             best = np.take_along_axis(tried, order[:, :, None], axis=1)
-            kept = best[:, : self.again]
+            elites = best[:, : self.kept]
             means = (1.0 - _SMOOTHING) * best.mean(axis=1) + _SMOOTHING * means
             spreads = (1.0 - _SMOOTHING) * best.std(axis=1) + _SMOOTHING * spreads
         first, rows = order[:, 0], np.arange(count)
         found = Found(best[:, 0], returns[rows, first], returns_scripted)
         last = np.zeros((count, 1))
-        new = self._noise(plans.decisions, self.iterations)[:, : self.again, :1] * 0.5 * _SPREAD
+        new = self._noise(plans.decisions, self.iterations)[:, : self.kept, :1] * 0.5 * _SPREAD
         next_plans = Plans(
             np.concatenate([means[:, 1:], last], axis=1),
-            np.clip(np.concatenate([kept[:, :, 1:], new], axis=2), -1.0, 1.0),
+            np.clip(np.concatenate([elites[:, :, 1:], new], axis=2), -1.0, 1.0),
             plans.decisions + 1,
         )
         return found, next_plans
 
     def _noise(self, decisions: NDArray[np.int64], iteration: int) -> Array:
-        """Noise of the candidates, shape (n, samples, pieces): alike where as many decisions were made."""
+        """Noise of the candidates, shape (n, samples, knots): alike where as many decisions were made."""
         numbers, place = np.unique(decisions, return_inverse=True)
         drawn = [
-            coloured_noise(np.random.default_rng([self.seed, number, iteration]), self.samples, self.pieces, _COLOUR)
+            coloured_noise(np.random.default_rng([self.seed, number, iteration]), self.samples, self.knots, _COLOUR)
             for number in numbers.tolist()
         ]
-        noise: Array = np.array(drawn).reshape(-1, self.samples, self.pieces)[place]
+        noise: Array = np.array(drawn).reshape(-1, self.samples, self.knots)[place]
         return noise
 
     def play(self, scene: Scene | list[Scene], states: Array, tried: Array) -> tuple[Array, Array]:
-        """Play candidates, shape (n, k, pieces), from states, (n, 12): sums of rewards (n, k), and ends (n, k, 12).
+        """Play candidates, shape (n, k, knots), from states, (n, 12): sums of rewards (n, k), and ends (n, k, 12).
 
         No drive acts.
         """
@@ -148,7 +148,7 @@ class Search:
         limits = np.array([[one.torque_limit] for one in scenes])
         found = play(
             scenes, np.repeat(states, many, axis=0), tried.reshape(count * many, -1) * limits, self.control_dt,
-            driven=False, task=self.task, repeat=self.piece, num_threads=self.num_threads,
+            driven=False, task=self.task, repeat=self.repeat, num_threads=self.num_threads,
         )  # fmt: skip
         return found.rewards.sum(axis=1).reshape(count, many), found.trajectories[:, 1].reshape(count, many, 12)
 

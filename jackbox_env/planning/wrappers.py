@@ -1,28 +1,212 @@
-"""Looking ahead as an observation: the wrappers for single and vector environments.
+"""Controls, which change how agents act and observe; their adapters to environments; looking ahead as an observation.
 
-:class:`jackbox_env.sb3_wrappers.LookaheadVecEnv` is that for Stable-Baselines3. All append the same numbers, those of
-:mod:`jackbox_env.planning.features`.
+:mod:`jackbox_env.planning.features` computes what is appended. :mod:`jackbox_env.planning.landing_control` is the
+other control, and :mod:`jackbox_env.planning.sb3_wrappers` the adapter for Stable-Baselines3.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from types import FunctionType
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorActionWrapper, VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
 
 from jackbox_env import checks as check
-from jackbox_env.planning.features import Features, Flags, Floats, WarmStart
+from jackbox_env.batches.base import Flags, Floats
+from jackbox_env.observation import BOUNDS
+from jackbox_env.planning.features import Features, LookaheadOptions
+from jackbox_env.planning.icem import Plans
+from jackbox_env.scene import Scene
 from jackbox_env.states import Array
 from jackbox_env.vector_env import JackInBoxVectorEnv
 
+_TORQUES = gym.spaces.Box(-1.0, 1.0, (1,))
 
-class Lookahead(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
+
+class Control:
+    """How the agents of N environments act and observe. This one repeats actions; derived ones change more.
+
+    Args:
+        repeat: control steps that an action is repeated for.
+    """
+
+    action_space: gym.Space[Any] | None = None  # of one agent; None: the environment's
+    observation_space: gym.Space[Any] | None = None
+
+    def __init__(self, repeat: int) -> None:
+        self.repeat = repeat
+
+    def act(self, actions: Any) -> Any:
+        """The environments' actions for those of the agents, or a function from states, shape (N, 12), to them."""
+        return actions
+
+    def observe(self, observations: Any, begun: Flags | bool, chosen: Flags | None = None) -> Any:
+        """What N agents observe, for the environments' observations.
+
+        Args:
+            observations: of N environments.
+            begun: whether an episode has begun, one for all or shape (N,).
+            chosen: environments whose observations are new, shape (N,); None: all.
+        """
+        return observations
+
+
+class LookingAhead(Control):
+    """Appends what rollouts return to the observations of N environments, whose plans are warm-started.
+
+    After :meth:`act` the next call must be :meth:`observe`. If a step fails in between, only a reset leads on.
+
+    Args:
+        env: single, or several of Gymnasium or Stable-Baselines3.
+        options: how far and how widely to look.
+
+    Raises:
+        TypeError, ValueError: they are not of ``JackInBox-v0``, or differ, or ``options.follow`` needs others.
+    """
+
+    def __init__(self, env: Any, options: LookaheadOptions) -> None:
+        super().__init__(options.repeat)
+        try:
+            tasks, control_dts = of_each(env, "task"), of_each(env, "control_dt")
+        except AttributeError as error:
+            raise TypeError(f"looking ahead needs JackInBox-v0, got {check.shown(env)}") from error
+        for name, found in (("task", tasks), ("control_dt", control_dts)):
+            if any(value is not found[0] and value != found[0] for value in found):
+                raise ValueError(f"all environments must have one {name}, got {check.shown(found)}")
+        if options.follow:
+            refuse_other_torques(env)
+        self._features = Features(tasks[0], control_dts[0], options)
+        space = getattr(env, "single_observation_space", env.observation_space)
+        if not isinstance(space, gym.spaces.Box) or space != gym.spaces.Box(-BOUNDS, BOUNDS):
+            raise TypeError(f"looking ahead needs the ten numbers of JackInBox-v0, got observations in {space}")
+        low, high = np.append(space.low, self._features.low), np.append(space.high, self._features.high)
+        self.observation_space = gym.spaces.Box(low, high, dtype=np.float32)
+        self._env, self._alone = env, isinstance(env, gym.Env)
+        count = 1 if self._alone else env.num_envs
+        self._plans, self._begun = self._features.begin(count), np.zeros(count, dtype=np.bool_)
+        self._scenes: list[Scene] = []  # of the last observations
+        self._last: Floats | None = None  # what was observed last, (N, 10 + F)
+
+    def act(self, actions: Any) -> Any:
+        """Torques for actions, shape (N, 1), or (1,) of one alone.
+
+        Raises:
+            RuntimeError: there was no reset yet, or none since a step failed.
+            TypeError, ValueError: unusable actions.
+        """
+        if self._last is None:
+            raise RuntimeError("step must come after a reset, got none yet or none since a step failed")
+        torques = self._features.torques(actions, self._last[0] if self._alone else self._last)
+        self._last = None
+        return torques
+
+    def observe(self, observations: Any, begun: Flags | bool, chosen: Flags | None = None) -> Floats:
+        """Observations, shape (N, 10), with what is appended; those that are not ``chosen`` stay as they were."""
+        count, self._begun = len(self._begun), self._begun | begun
+        if chosen is None or self._last is None:
+            chosen = np.ones(count, dtype=np.bool_)
+            self._last = np.zeros((count, len(BOUNDS) + len(self._features.high)), dtype=np.float32)
+        shown, self._last = self._last, None
+        new, numbers = np.flatnonzero(self._begun), np.flatnonzero(chosen)
+        self._plans = self._plans.replaced(new, self._features.begin(len(new)))
+        self._scenes = of_each(self._env, "scene")
+        shown[numbers], next_plans = self.appended(np.asarray(observations)[numbers], numbers)
+        self._plans, self._begun = self._plans.replaced(numbers, next_plans), np.zeros(count, dtype=np.bool_)
+        self._last = shown
+        return shown.copy()
+
+    def appended(self, observations: Floats, numbers: NDArray[np.int64]) -> tuple[Floats, Plans]:
+        """Observations of some environments, shape (k, 10), with what is appended, and their next plans."""
+        scenes = [self._scenes[number] for number in numbers.tolist()] if len(self._scenes) > 1 else self._scenes
+        appended, next_plans = self._features.look(scenes, observations, self._plans.of(numbers))
+        return np.concatenate([observations, appended], axis=1), next_plans
+
+
+class ControlledEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
+    """A single environment under a control; ``recorded`` are the keyword arguments for Gymnasium's spec."""
+
+    def __init__(self, env: gym.Env[Any, Any], control: Control, **recorded: Any) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self, **recorded)
+        gym.Wrapper.__init__(self, env)
+        self._control = control
+        self.action_space = control.action_space or env.action_space
+        self.observation_space = control.observation_space or env.observation_space
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Start an episode."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        return self._control.observe([observation], True)[0], info
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Repeat an action until the episode ends, and sum the rewards; the info is that of the last control step.
+
+        Raises:
+            TypeError, ValueError: an unusable action.
+            JackLostError: the jack, or one in a rollout, cannot be followed. Reset before the next step.
+        """
+        act, total, inner = self._control.act(action), 0.0, self.env.unwrapped
+        for _ in range(self._control.repeat):
+            torque = act(inner.state[None]) if isinstance(act, FunctionType) else act  # type: ignore[attr-defined]
+            observation, reward, terminated, truncated, info = self.env.step(torque)
+            total += float(reward)
+            if terminated or truncated:
+                break
+        return self._control.observe([observation], False)[0], total, terminated, truncated, info
+
+
+class ControlledVectorEnv(VectorWrapper):
+    """A vector environment under a control."""
+
+    def __init__(self, env: VectorEnv[Any, Any, Any], control: Control) -> None:
+        super().__init__(env)
+        self._control, self._over = control, np.zeros(env.num_envs, dtype=np.bool_)  # whose episodes begin in a step
+        for name in ("action_space", "observation_space"):
+            space = getattr(control, name)
+            if space is not None:
+                setattr(self, f"single_{name}", space)
+                setattr(self, name, batch_space(space, env.num_envs))
+
+    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
+        """Start an episode in each environment, or in those of ``options["reset_mask"]``."""
+        mask = options.get("reset_mask") if isinstance(options, Mapping) else None  # SyncVectorEnv removes it
+        observations, infos = self.env.reset(seed=seed, options=options)
+        chosen = np.ones(self.num_envs, dtype=np.bool_) if mask is None else np.asarray(mask, dtype=np.bool_)
+        self._over = self._over & ~chosen
+        return self._control.observe(observations, chosen, chosen), infos
+
+    def step(self, actions: Any) -> tuple[Floats, Array, Flags, Flags, dict[str, Any]]:
+        """Repeat actions, less where an episode ends, and sum the rewards; see ``JackInBoxVectorEnv.step``.
+
+        Raises:
+            TypeError, ValueError: unusable actions.
+            RuntimeError: an episode of single environments ended before the last of these control steps.
+            JackLostError: a jack, or one in a rollout, cannot be followed. After either, reset before the next step.
+        """
+        act, repeat = self._control.act(actions), self._control.repeat
+        native = isinstance(self.env, JackInBoxVectorEnv)
+        outcome = self.env.step(act, repeat) if native else repeated(self.env.step, act, repeat)  # type: ignore[call-arg]
+        observations, rewards, terminations, truncations, infos = outcome
+        over = terminations | truncations
+        same_step = self.env.metadata.get("autoreset_mode") is AutoresetMode.SAME_STEP
+        if same_step and isinstance(self._control, LookingAhead) and over.any():
+            numbers, final = np.flatnonzero(over), infos["final_obs"].copy()
+            rows, _ = self._control.appended(np.stack(list(final[numbers])), numbers)
+            for number, row in zip(numbers, rows, strict=True):
+                final[number] = row
+            infos = {**infos, "final_obs": final}
+        begun, self._over = (over, self._over) if same_step else (self._over, over)
+        return self._control.observe(observations, begun), rewards, terminations, truncations, infos
+
+
+class Lookahead(ControlledEnv):
     """Observe ``JackInBox-v0`` together with what rollouts from its present state return.
 
-    A step takes one action for ``hold`` control steps and returns the sum of their rewards. Beside the ten numbers an
+    A step repeats one action for ``hold`` control steps and returns the sum of their rewards. Beside the ten numbers an
     observation holds (float32)
 
     ======  ==============================================================================  ==============
@@ -59,50 +243,14 @@ class Lookahead(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs
         self, env: gym.Env[Any, Any], *, hold: int = 5, turns: int = 9, samples: int = 32, pieces: int = 32,
         follow: bool = False, seed: int = 0, num_threads: int | None = 1,
     ) -> None:  # fmt: skip
-        gym.utils.RecordConstructorArgs.__init__(
-            self, hold=hold, turns=turns, samples=samples, pieces=pieces, follow=follow, seed=seed,
-            num_threads=num_threads,
-        )  # fmt: skip
-        gym.Wrapper.__init__(self, env)
-        inner: Any = env.unwrapped
-        if not hasattr(inner, "scene"):
-            raise TypeError(f"looking ahead needs JackInBox-v0, got {check.shown(env)}")
-        if follow is True:
-            refuse_other_torques([inner.torque_source], changed_actions(env))
-        self.features = Features(
-            inner.task, inner.control_dt, hold=hold, turns=turns, samples=samples, pieces=pieces, follow=follow,
+        options = LookaheadOptions(hold, turns, samples, pieces, follow, seed, num_threads)
+        super().__init__(
+            env, LookingAhead(env, options), hold=hold, turns=turns, samples=samples, pieces=pieces, follow=follow,
             seed=seed, num_threads=num_threads,
         )  # fmt: skip
-        self.observation_space = self.features.space(env.observation_space)
-        self._warm = WarmStart(self.features, 1)
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
-        """Start an episode, with a plan of no torque that is then improved."""
-        observation, info = self.env.reset(seed=seed, options=options)
-        self._warm.start(np.ones(1, dtype=np.bool_))
-        return self._seen(observation), info
-
-    def step(self, action: Any) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
-        """Take an action for ``hold`` control steps, fewer where the episode ends; the info is that of the last.
-
-        Raises:
-            JackLostError: the jack, or one in a rollout, cannot be followed. Reset before the next step.
-        """
-        total, torque = 0.0, self._warm.torques(action, alone=True)
-        for _ in range(self.features.hold):
-            observation, reward, terminated, truncated, info = self.env.step(torque)
-            total += float(reward)
-            if terminated or truncated:
-                break
-        return self._seen(observation), total, terminated, truncated, info
-
-    def _seen(self, observation: Floats) -> Floats:
-        inner: Any = self.env.unwrapped
-        seen: Floats = self._warm.seen([inner.scene], observation[None])[0]
-        return seen
 
 
-class LookaheadVector(VectorWrapper):
+class LookaheadVector(ControlledVectorEnv):
     """:class:`Lookahead` of a vector environment: the same numbers for each of its environments.
 
     All rollouts of a step are one compiled loop. Where ``hold`` is above 1 an episode must restart in the step that
@@ -110,14 +258,8 @@ class LookaheadVector(VectorWrapper):
     steps.
 
     Args:
-        env: the vector environment of ``JackInBox-v0``, native or of single ones.
-        hold: control steps of a step here, 1 or more; more on all of these under :class:`Lookahead`.
-        turns: scripted rollouts, an odd number, or 0 for none.
-        samples: variations of the plan that are tried in each step, 8 or more, or 0 for no plan.
-        pieces: torques of a rollout, each held for ``hold`` control steps; 8 or more.
-        follow: whether an action is added to the plan's next torque.
-        seed: of the variations.
-        num_threads: that play the rollouts; None: as many as the machine has. Nothing else depends on it.
+        env: the vector environment of ``JackInBox-v0``, native or of single ones. The others are those of
+            :class:`Lookahead`.
 
     Raises:
         TypeError, ValueError: an argument out of its range, or ``env`` is no ``JackInBox-v0``.
@@ -127,129 +269,60 @@ class LookaheadVector(VectorWrapper):
         self, env: VectorEnv[Any, Any, Any], *, hold: int = 5, turns: int = 9, samples: int = 32, pieces: int = 32,
         follow: bool = False, seed: int = 0, num_threads: int | None = None,
     ) -> None:  # fmt: skip
-        super().__init__(env)
-        mode = env.metadata.get("autoreset_mode")
-        self._same_step = mode is AutoresetMode.SAME_STEP
-        if not self._same_step and hold != 1:
+        control = LookingAhead(env, LookaheadOptions(hold, turns, samples, pieces, follow, seed, num_threads))
+        if control.repeat > 1 and env.metadata.get("autoreset_mode") is not AutoresetMode.SAME_STEP:
             raise ValueError(f"hold must be 1 where autoreset_mode is not SAME_STEP, got {check.shown(hold)}")
-        task, control_dt = only_one("task", self._of_each("task")), only_one("control_dt", self._of_each("control_dt"))
-        if follow is True:
-            refuse_other_torques(self._of_each("torque_source"), _changed_actions_of_several(env))
-        features = Features(
-            task, control_dt, hold=hold, turns=turns, samples=samples,
-            pieces=pieces, follow=follow, seed=seed, num_threads=num_threads,
-        )  # fmt: skip
-        self.single_observation_space = features.space(env.single_observation_space)
-        self.observation_space = batch_space(self.single_observation_space, env.num_envs)
-        self._warm = WarmStart(features, env.num_envs)
-
-    def _of_each(self, name: str) -> list[Any]:
-        """An attribute of each environment, or of all."""
-        inner: Any = self.env.unwrapped
-        if hasattr(inner, "scenes"):
-            return inner.scenes if name == "scene" else [getattr(inner, name)]
-        try:
-            return list(inner.get_attr(name))
-        except AttributeError as error:
-            raise TypeError(f"looking ahead needs JackInBox-v0, got {check.shown(self.env)}") from error
-
-    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
-        """Start an episode in each environment, or in those of ``options["reset_mask"]``."""
-        mask = (options or {}).get("reset_mask")
-        observations, infos = self.env.reset(seed=seed, options=options)
-        chosen = np.ones(self.num_envs, dtype=np.bool_) if mask is None else np.asarray(mask)
-        self._warm.start(chosen)
-        return self._warm.seen(self._of_each("scene"), observations, chosen), infos
-
-    def step(self, actions: Any) -> tuple[Floats, Array, Flags, Flags, dict[str, Any]]:
-        """Take actions, shape (N, 1), for ``hold`` control steps and sum up the rewards; infos are of the last one.
-
-        Raises:
-            RuntimeError: an episode of single environments ended before the last of these steps.
-            JackLostError: a jack, or one in a rollout, cannot be followed. After either, reset before the next step.
-        """
-        scenes = self._of_each("scene")
-        observations, total, terminations, truncations, infos = self._held(self._warm.torques(actions))
-        over = terminations | truncations
-        if self._same_step and over.any():
-            numbers = np.flatnonzero(over)
-            final = infos["final_obs"].copy()
-            for number, row in zip(
-                numbers, self._warm.last_seen(scenes, np.stack(list(final[numbers])), numbers), strict=True
-            ):
-                final[number] = row
-            infos = {**infos, "final_obs": final}
-            self._warm.start(over)
-        seen = self._warm.seen(self._of_each("scene"), observations)
-        if not self._same_step:
-            self._warm.start(over)  # the next step shows the start
-        return seen, total, terminations, truncations, infos
-
-    def _held(self, torques: Any) -> tuple[Floats, Array, Flags, Flags, dict[str, Any]]:
-        """Step ``hold`` times under the same torques."""
-        hold = self._warm.features.hold
-        if isinstance(self.env, JackInBoxVectorEnv):
-            return self.env.step(torques, hold)
-        total = np.zeros(self.num_envs)
-        for taken in range(1, hold + 1):
-            observations, rewards, terminations, truncations, infos = self.env.step(torques)
-            total += rewards
-            refuse_early_end(terminations | truncations, taken, hold)
-        return observations, total, terminations, truncations, infos
+        super().__init__(env, control)
 
 
-def only_one(name: str, found: list[Any]) -> Any:
-    """The value that all environments have.
+def repeated(step: Callable[[Any], tuple[Any, ...]], actions: Any, repeat: int) -> tuple[Any, ...]:
+    """Step several environments ``repeat`` times; return what the last step does, with the sums of rewards.
 
     Raises:
-        ValueError: they have several.
+        RuntimeError: an episode ended before the last of these steps.
     """
-    if any(value is not found[0] and value != found[0] for value in found):
-        raise ValueError(f"all environments must have one {name}, got {check.shown(found)}")
-    return found[0]
+    total: Any = 0.0
+    for made in range(1, repeat + 1):
+        observations, rewards, *ends, infos = step(actions)
+        total = total + np.asarray(rewards, dtype=np.float64)
+        if made < repeat and np.any(ends):
+            raise RuntimeError(
+                f"episodes must last a multiple of hold = {repeat} steps, got one that ended {made} steps after an "
+                "action was chosen"
+            )
+    return observations, total, *ends, infos
 
 
-def changed_actions(env: Any) -> str:
-    """The first wrapper around an environment, single or of several, that changes actions; "" if there is none."""
-    while isinstance(env, gym.Wrapper | VectorWrapper):
-        if isinstance(env, gym.ActionWrapper | VectorActionWrapper):
-            return type(env).__name__
-        env = env.env
-    return ""
+def of_each(env: Any, name: str) -> list[Any]:
+    """An attribute of each environment in ``env``, single or several, or of all of them."""
+    inner = env.unwrapped
+    if hasattr(inner, "get_attr"):
+        return list(inner.get_attr(name))
+    return inner.scenes if name == "scene" and hasattr(inner, "scenes") else [getattr(inner, name)]
 
 
-def _changed_actions_of_several(env: VectorEnv[Any, Any, Any]) -> str:
-    inner: Any = env.unwrapped
-    found = [changed_actions(one) for one in (env, *getattr(inner, "envs", ()))]
-    if not any(found) and inner.single_action_space != gym.spaces.Box(-1.0, 1.0, (1,)):  # in other processes
-        found.append(f"one that acts in {inner.single_action_space}")
-    return next(filter(None, found), "")
-
-
-def refuse_other_torques(sources: list[str], wrapper: str) -> None:
-    """Refuse to follow plans in environments where an action is not the torque.
-
-    Args:
-        sources: of their torque.
-        wrapper: that changes actions; "": none.
+def refuse_other_torques(env: Any) -> None:
+    """Refuse environments, single or several, where an action is not the torque.
 
     Raises:
-        ValueError: one is driven by the chirp, or there is a wrapper.
+        ValueError: one is driven by the chirp, or there is a wrapper that changes actions.
     """
-    if "chirp" in sources:
+    if "chirp" in of_each(env, "torque_source"):
         raise ValueError('follow needs an environment with torque="agent", for it steers, got torque="chirp"')
+    wrapper = _action_wrapper(env)
     if wrapper:
         raise ValueError(f"follow needs actions that are torques, without an action wrapper inside, got {wrapper}")
 
 
-def refuse_early_end(over: Flags, taken: int, hold: int) -> None:
-    """Refuse episodes that are ``over``, shape (N,), before the last of the steps that an action is held for.
-
-    Raises:
-        RuntimeError: one is.
-    """
-    if taken < hold and over.any():
-        raise RuntimeError(
-            f"episodes must last a multiple of hold = {hold} steps, got one that ended {taken} steps after an action "
-            "was chosen"
-        )
+def _action_wrapper(env: Any) -> str:
+    """The first wrapper that changes actions, of an environment or of several; "" if there is none."""
+    inner = env.unwrapped
+    if hasattr(inner, "env_is_wrapped"):  # of Stable-Baselines3
+        return "an action wrapper" * any(env.env_is_wrapped(gym.ActionWrapper))
+    for one in (env, *getattr(inner, "envs", ())):
+        while isinstance(one, gym.Wrapper | VectorWrapper):
+            if isinstance(one, gym.ActionWrapper | VectorActionWrapper):
+                return type(one).__name__
+            one = one.env
+    space = getattr(inner, "single_action_space", _TORQUES)
+    return "" if space == _TORQUES else f"one that acts in {space}"  # in other processes

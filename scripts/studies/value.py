@@ -29,9 +29,10 @@ from jackbox_env.states import Array
 from jackbox_env.tasks import sample_start
 from scripts.studies.fitting import BATCH, epoch, layers_of, seen_and_worth
 
-SCENE, PIECE, CONTROL_DT = Scene(drive=None), 5, 0.02
-PLAYING: dict[str, Any] = {"piece": PIECE, "pieces": 20, "samples": 96, "elites": 10, "iterations": 1, "num_threads": 1}
-JUDGING: dict[str, Any] = {"piece": PIECE, "pieces": 32, "samples": 64, "elites": 5, "iterations": 3, "num_threads": 1}
+SCENE, CONTROL_DT = Scene(drive=None), 0.02
+COMMON: dict[str, Any] = {"repeat": 5, "num_threads": 1}
+PLAYING: dict[str, Any] = {**COMMON, "knots": 20, "samples": 96, "elites": 10, "iterations": 1}
+JUDGING: dict[str, Any] = {**COMMON, "knots": 32, "samples": 64, "elites": 5, "iterations": 3}
 EPISODES, DECISIONS = 80, 100  # of the search that plays, in each round
 VISITED = 0.15  # share of visited states
 TOGETHER = 250  # states that are judged together

@@ -19,7 +19,7 @@ from jackbox_env.observation import observe, state_of
 from jackbox_env.planning.icem import coloured_noise
 from tests.agents.untrained import layers_for, states_in
 
-SMALL: dict[str, Any] = {"samples": 24, "elites": 4, "iterations": 2, "pieces": 16}
+SMALL: dict[str, Any] = {"samples": 24, "elites": 4, "iterations": 2, "knots": 16}
 
 
 @pytest.mark.parametrize("scene", [Scene(), Scene(box_half_width=2.0, jack_arm=0.5, gravity=1.62)])
@@ -100,7 +100,7 @@ def test_noise_has_its_variance_and_colour() -> None:
 def test_it_juggles_better_than_the_level_box(contact: str) -> None:
     settings = EnvSettings(contact=contact)
     level = evaluate("level", find_policy("level", settings, 0).policy, settings.env_settings, 3, 0)
-    planner = evaluate("planner", Planner(Scene(), **{**SMALL, "pieces": 32}), settings.env_settings, 3, 0)
+    planner = evaluate("planner", Planner(Scene(), **{**SMALL, "knots": 32}), settings.env_settings, 3, 0)
     assert planner.mean > level.mean + 15.0
 
 
@@ -109,7 +109,7 @@ def test_it_is_found_by_its_name_and_plans_in_the_environment_given() -> None:
     planner = find_policy("planner", settings, 7).policy
     assert isinstance(planner, Planner)
     search = planner._search
-    assert (planner._scene.gravity, search.piece, search.seed, search.task.terms) == (3.0, 2, 7, ("spin",))
+    assert (planner._scene.gravity, search.repeat, search.seed, search.task.terms) == (3.0, 2, 7, ("spin",))
     assert Planner(Scene(drive=Drive(force_x=lambda t: t)))._scene.drive is None
 
 

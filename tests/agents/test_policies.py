@@ -144,7 +144,7 @@ def test_impossible_settings_are_refused(field: str, bad: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    "given", [{"samples": 1}, {"elites": 300}, {"pieces": 1}, {"piece": 0}, {"num_threads": 0}, {"control_dt": 0.0}]
+    "given", [{"samples": 1}, {"elites": 300}, {"knots": 1}, {"repeat": 0}, {"num_threads": 0}, {"control_dt": 0.0}]
 )
 def test_a_planner_of_impossible_settings_is_refused(given: dict[str, Any]) -> None:
     ((name, bad),) = given.items()

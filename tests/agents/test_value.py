@@ -21,7 +21,7 @@ from jackbox_env.files import write_json
 from jackbox_env.planning.icem import Search
 from tests.agents.untrained import layers_for, states_in
 
-SMALL: dict[str, Any] = {"piece": 5, "samples": 24, "elites": 4, "iterations": 2, "pieces": 10}
+SMALL: dict[str, Any] = {"repeat": 5, "samples": 24, "elites": 4, "iterations": 2, "knots": 10}
 EXACT = EnvSettings(contact="exact")
 
 
@@ -92,9 +92,9 @@ def test_the_planner_counts_the_value_where_one_was_made() -> None:
     assert "value" not in shipped_names("juggle")
     assert sum(path.stat().st_size for path in (SHIPPED / "juggle-value").iterdir()) < 150_000
     for search in (search_in(), search_in(contact="exact"), search_in(scene='{"drive": null}')):
-        assert (isinstance(search, ValuedSearch), search.pieces) == (True, 20)
+        assert (isinstance(search, ValuedSearch), search.knots) == (True, 20)
     for search in (search_in(scene='{"gravity": 3.0}'), search_in(control_dt=0.05)):
-        assert (isinstance(search, ValuedSearch), search.pieces) == (False, 32)
+        assert (isinstance(search, ValuedSearch), search.knots) == (False, 32)
 
 
 def test_a_value_of_another_task_is_not_used_and_a_damaged_one_is_an_error(
@@ -111,7 +111,7 @@ def test_a_value_of_another_task_is_not_used_and_a_damaged_one_is_an_error(
 
 
 def test_short_plans_juggle_better_with_the_value() -> None:
-    given: dict[str, Any] = {**SMALL, "samples": 64, "iterations": 1, "pieces": 20}
+    given: dict[str, Any] = {**SMALL, "samples": 64, "iterations": 1, "knots": 20}
     value = read_value(SHIPPED / "juggle-value")
     with_it, without = (
         evaluate("planner", Planner(Scene(), **given, value=end), EXACT.env_settings, 4, 0) for end in (value, None)

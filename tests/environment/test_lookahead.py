@@ -14,7 +14,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from jackbox_env import JackInBoxVectorEnv, JackLostError, Lookahead, LookaheadVector, Rollout, Scene, Task, rollout
 from jackbox_env.observation import observe, state_of
-from jackbox_env.planning.features import Features
+from jackbox_env.planning.features import Features, LookaheadOptions
 from jackbox_env.planning.sb3_wrappers import LookaheadVecEnv
 from jackbox_env.sb3 import make_sb3_vec_env
 from tests.states import inside
@@ -52,7 +52,7 @@ def test_all_wrappers_show_and_do_the_same(follow: bool) -> None:
     stable = LookaheadVecEnv(make_sb3_vec_env(3, **made), **given)
     stable.seed(4)
     seen, seen_too, seen_alone = vector.reset(seed=4)[0], stable.reset(), one.reset(seed=4)[0]
-    rng, ends = np.random.default_rng(0), 0
+    rng, ends, fresh = np.random.default_rng(0), 0, Features("juggle", 0.02, LookaheadOptions(5, 3, 8, 8))
     for _ in range(10):
         np.testing.assert_array_equal(seen, seen_too)
         np.testing.assert_array_equal(seen[0], seen_alone)
@@ -71,6 +71,8 @@ def test_all_wrappers_show_and_do_the_same(follow: bool) -> None:
             for number in range(3):
                 np.testing.assert_array_equal(infos["final_obs"][number], infos_too[number]["terminal_observation"])
             seen_alone = one.reset()[0]
+            appended, _ = fresh.look([one.get_wrapper_attr("scene")], seen_alone[None, :10], fresh.begin(1))
+            np.testing.assert_array_equal(seen_alone[10:], appended[0])
     assert ends == 2
 
 
@@ -87,7 +89,7 @@ def test_an_environment_sees_its_own_scene_the_same_beside_others_and_with_threa
 
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED])
 def test_a_plan_is_begun_anew_where_an_episode_starts(mode: AutoresetMode) -> None:
-    inner = JackInBoxVectorEnv(2, contact="exact", max_episode_steps=3, autoreset_mode=mode)
+    inner = JackInBoxVectorEnv(2, contact="exact", task=STEERED, max_episode_steps=3, autoreset_mode=mode)
     env = LookaheadVector(inner, hold=1, **SMALL)
     env.reset(seed=1)
     for _ in range(3):
@@ -96,14 +98,17 @@ def test_a_plan_is_begun_anew_where_an_episode_starts(mode: AutoresetMode) -> No
         seen = env.step(np.zeros((2, 1)))[0]
     else:
         seen = env.reset(options={"reset_mask": np.array([True, True])})[0]
-    fresh = Features("juggle", 0.02, hold=1, **SMALL)
-    appended, _ = fresh.look([Scene()], seen[:, :10], fresh.begin(2))
-    np.testing.assert_array_equal(seen[:, 10:], appended)
+    fresh = Features(STEERED, 0.02, LookaheadOptions(1, 3, 8, 8))
+    plans = fresh.begin(2)
+    for _ in range(2):  # begun anew once
+        appended, plans = fresh.look([Scene()], seen[:, :10], plans)
+        np.testing.assert_array_equal(seen[:, 10:], appended)
+        seen = env.step(np.zeros((2, 1)))[0]
 
 
 def test_the_next_impact_is_that_of_a_rollout_without_torque() -> None:
     scene, rng = Scene(drive=None), np.random.default_rng(3)
-    features = Features("juggle", 0.02, samples=0, turns=0, pieces=16)
+    features = Features("juggle", 0.02, LookaheadOptions(samples=0, manoeuvres=0, knots=16))
     seen = np.stack([observe(scene, inside(scene, rng).tolist()) for _ in range(20)])
     appended, _ = features.look([scene], seen, features.begin(20))
     struck = 0
@@ -120,10 +125,10 @@ def test_the_next_impact_is_that_of_a_rollout_without_torque() -> None:
 
 
 @pytest.mark.parametrize("scene", [Scene(drive=None), Scene(box_half_width=2.0, jack_arm=0.5, drive=None)])
-def test_turns_stop_the_box_where_they_should(scene: Scene) -> None:
-    features = Features("juggle", 0.02, turns=5)
+def test_manoeuvres_stop_the_box_where_they_should(scene: Scene) -> None:
+    features = Features("juggle", 0.02, LookaheadOptions(manoeuvres=5))
     state = np.array([0, 0, 0.3, 0, 0, 0, 0, 0, 0.4, 0, 0, 0.0])
-    torques = features._turns([scene], state[None])[0, 1:4]  # the outermost are cut by the limit
+    torques = features._manoeuvres([scene], state[None])[0, 1:4]  # the outermost are cut by the limit
     repeated = np.repeat(torques, 5, axis=1) * scene.torque_limit
     ends = rollout(scene.changed(gravity=0.0), state, repeated, 0.02)[:, -1]
     np.testing.assert_allclose(ends[:, 8], 0.0, atol=1e-9)
@@ -134,14 +139,14 @@ def test_turns_stop_the_box_where_they_should(scene: Scene) -> None:
 def test_the_plan_earns_what_it_says() -> None:
     env = JackInBoxVectorEnv(4, contact="exact", autoreset_mode="SAME_STEP")
     seen, _ = env.reset(seed=2)
-    features = Features("juggle", 0.02, samples=16, num_threads=1)
+    features = Features("juggle", 0.02, LookaheadOptions(samples=16, num_threads=1))
     appended, _ = features.look([Scene()], seen, features.begin(4))
-    turns = features._turns([Scene()] * 4, env.states)
-    found, _ = features._search.decide(Scene(drive=None), env.states, features.begin(4), turns)
+    scripted = features._manoeuvres([Scene()] * 4, env.states)
+    found, _ = features._search.decide(Scene(drive=None), env.states, features.begin(4), scripted)
     earned = np.zeros(4)
-    for piece in range(32):
+    for knot in range(32):
         for _ in range(5):
-            earned += env.step(found.plans[:, piece])[1]
+            earned += env.step(found.plans[:, knot])[1]
     np.testing.assert_allclose(earned, found.returns, atol=1e-9)
     np.testing.assert_allclose(appended[:, -4], found.returns / 160, atol=1e-3)  # the observation is float32
 

@@ -394,7 +394,7 @@ FUNCTIONS: list[tuple[Callable[..., Any], Kinds]] = [
     (cheapest, CHOOSING),
     (jackbox_env.Lookahead, {**LOOKING, **WRAPPED}),
     (jackbox_env.LookaheadVector, {**LOOKING, **VECTOR}),
-    (LookaheadVecEnv, {**LOOKING, "hold": whole(5, 1), **SB3}),
+    (LookaheadVecEnv, {**LOOKING, **SB3}),
     (HoldingVecEnv, {"hold": whole(5, 1), **SB3}),
     (jackbox_env.LandingControl, {**PERIOD, **WRAPPED}),
     (jackbox_env.LandingControlVector, {**PERIOD, **VECTOR}),

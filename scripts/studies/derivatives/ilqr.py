@@ -54,7 +54,7 @@ def level(start: Array) -> Array:
 def searched(start: Array, iterations: int, seed: int) -> Array:
     """The best plan of iCEM, begun from no torque, shape (PIECES,)."""
     search = Search(
-        "juggle", DT, piece=REPEAT, pieces=PIECES, samples=256, elites=20, iterations=iterations, seed=seed,
+        "juggle", DT, repeat=REPEAT, knots=PIECES, samples=256, elites=20, iterations=iterations, seed=seed,
         num_threads=1,
     )  # fmt: skip
     plan: Array = search.decide(SCENE, start[None], search.begin(1))[0].plans[0]
