@@ -40,7 +40,7 @@ def call_all() -> None:
         envs.reset()
         envs.step(np.zeros((2, 1)))
         rollout(None, np.zeros(12), np.zeros(2), 0.02, rewards=task)
-    linearization.ready()
+    linearization.ensure_compiled()
 
 
 def compiled_code(package: Path, kept: Path) -> None:

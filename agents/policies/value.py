@@ -68,9 +68,9 @@ class ValuedSearch(Search):
         super().__init__(*given, **more)
         self.value = value
 
-    def play(self, scene: Scene | list[Scene], states: Array, tried: Array) -> tuple[Array, Array]:
-        """As :meth:`Search.play`, the values of the ends added to the sums of rewards."""
-        returns, ends = super().play(scene, states, tried)
+    def evaluate(self, scene: Scene | list[Scene], states: Array, tried: Array) -> tuple[Array, Array]:
+        """As :meth:`Search.evaluate`, the values of the ends added to the sums of rewards."""
+        returns, ends = super().evaluate(scene, states, tried)
         return returns + np.array([self.value.of(own) for own in ends]).reshape(returns.shape), ends
 
 

@@ -35,7 +35,7 @@ _NO_RANGES = np.zeros((0, 2), dtype=np.int64)
 
 
 @cache
-def ready() -> None:
+def ensure_compiled() -> None:
     """Compile the loop, or load it: at an episode's start, and not in its first step behind somebody's progress bar."""
     ExactBatch([Scene()], 1, TASKS["juggle"], 0.02, 1).step(None)
 
@@ -134,7 +134,7 @@ class ExactBatch:
         placed: bool = False,
     ) -> Starts:
         """See :meth:`jackbox_env.batches.base.Batch.draw`."""
-        ready()
+        ensure_compiled()
         words, table = self._generators[numbers], self._scenes
         for place, seed in enumerate(seeds or ()):
             if seed is not None:

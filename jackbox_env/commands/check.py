@@ -96,10 +96,10 @@ def obeys_the_law() -> str:
 
 
 _CHECKS: dict[str, Callable[[], str]] = {
-    "exact model, single environments": lambda: _compiled(exact.ready),
-    "exact model, batches": lambda: _compiled(batches.ready),
-    "exact model, rollouts": lambda: _compiled(rollouts.ready),
-    "exact model, derivatives": lambda: _compiled(linearization.ready),
+    "exact model, single environments": lambda: _compiled(exact.ensure_compiled),
+    "exact model, batches": lambda: _compiled(batches.ensure_compiled),
+    "exact model, rollouts": lambda: _compiled(rollouts.ensure_compiled),
+    "exact model, derivatives": lambda: _compiled(linearization.ensure_compiled),
     "exact model, states": lambda: restores("exact"),
     "exact model, law": obeys_the_law,
     "pymunk, states": lambda: restores("pymunk"),

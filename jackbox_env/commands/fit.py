@@ -261,7 +261,7 @@ def _printed(rows: Sequence[Sequence[str]]) -> str:
 # -- the page ----------------------------------------------------------------------------------------------------------
 
 
-def write_page(path: Path, found: Fit, start: Scene, recordings: Sequence[Recording], names: Sequence[str]) -> Path:
+def write_fit_page(path: Path, found: Fit, start: Scene, recordings: Sequence[Recording], names: Sequence[str]) -> Path:
     """Write a fit as a page.
 
     Args:
@@ -407,7 +407,7 @@ def main() -> None:
     print(_printed(table_of(found, start)), *sentences(found, recordings), sep="\n")
     if arguments.html:
         names = [str(path) for path in paths]
-        new_folder(folder, "fit", lambda made: write_page(made / "fit.html", found, start, recordings, names))
+        new_folder(folder, "fit", lambda made: write_fit_page(made / "fit.html", found, start, recordings, names))
         print(f"Wrote {folder / 'fit.html'}")
 
 

@@ -17,7 +17,7 @@ from jackbox_env import checks as check
 from jackbox_env.batches.base import Floats
 from jackbox_env.observation import BOUNDS, observe, state_of
 from jackbox_env.planning.icem import Plans, Search
-from jackbox_env.planning.rollouts import play
+from jackbox_env.planning.rollouts import run_rollouts
 from jackbox_env.scene import Scene
 from jackbox_env.states import Array
 from jackbox_env.tasks import Task
@@ -126,7 +126,7 @@ class Features:
             found, plans = self._search.decide(scene, states, plans, manoeuvres)
             returns = found.scripted
         elif self.options.manoeuvres:
-            returns, _ = self._search.play(scene, states, manoeuvres)
+            returns, _ = self._search.evaluate(scene, states, manoeuvres)
         if self.options.manoeuvres:
             mean = returns.mean(axis=1, keepdims=True) / self._steps
             deviation = returns.std(axis=1, keepdims=True) / self._steps
@@ -139,7 +139,7 @@ class Features:
     def _next_impact(self, scenes: list[Scene], each: list[Scene], states: Array) -> Array:
         """When the next impact comes without torque, in shares of a rollout, 1 for none; what is seen after it."""
         search = self._search
-        found = play(
+        found = run_rollouts(
             scenes, states, np.zeros((len(states), search.knots)), search.control_dt, driven=False, impacts=True,
             repeat=search.repeat, until_impact=True, num_threads=search.num_threads,
         )  # fmt: skip

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env import checks as check
-from jackbox_env.planning.rollouts import play, ready
+from jackbox_env.planning.rollouts import ensure_compiled, run_rollouts
 from jackbox_env.scene import Scene
 from jackbox_env.states import Array
 from jackbox_env.tasks import Task, task_of
@@ -82,7 +82,7 @@ class Search:
         self.seed = check.whole("seed", seed, at_least=0)
         self.num_threads = None if num_threads is None else check.whole("num_threads", num_threads, at_least=1)
         self.kept = min(max(1, round(_KEPT * elites)), samples - 1)
-        ready()
+        ensure_compiled()
 
     def begin(self, count: int) -> Plans:
         """Plans of no torque, for ``count`` jacks."""
@@ -109,7 +109,7 @@ class Search:
             if scripted is not None and iteration == 0:
                 tried[:, 1 + self.kept : fixed] = scripted
             tried = np.clip(tried, -1.0, 1.0)
-            returns, _ = self.play(scene, states, tried)
+            returns, _ = self.evaluate(scene, states, tried)
             if scripted is not None and iteration == 0:
                 returns_scripted = returns[:, 1 + self.kept : fixed]
             order = np.argsort(-returns, axis=1, kind="stable")[:, : self.elites]
@@ -138,7 +138,7 @@ class Search:
         noise: Array = np.array(drawn).reshape(-1, self.samples, self.knots)[place]
         return noise
 
-    def play(self, scene: Scene | list[Scene], states: Array, tried: Array) -> tuple[Array, Array]:
+    def evaluate(self, scene: Scene | list[Scene], states: Array, tried: Array) -> tuple[Array, Array]:
         """Play candidates, shape (n, k, knots), from states, (n, 12): sums of rewards (n, k), and ends (n, k, 12).
 
         No drive acts.
@@ -146,7 +146,7 @@ class Search:
         count, many = tried.shape[:2]
         scenes = [scene] if isinstance(scene, Scene) else [one for one in scene for _ in range(many)]
         limits = np.array([[one.torque_limit] for one in scenes])
-        found = play(
+        found = run_rollouts(
             scenes, np.repeat(states, many, axis=0), tried.reshape(count * many, -1) * limits, self.control_dt,
             driven=False, task=self.task, repeat=self.repeat, num_threads=self.num_threads,
         )  # fmt: skip

@@ -14,7 +14,7 @@ from jackbox_env.batches.threads import Threads, thread_count
 from jackbox_env.compiled import tangents
 from jackbox_env.compiled.compiler import compiled
 from jackbox_env.compiled.workspace import new_workspaces
-from jackbox_env.planning.rollouts import FEWEST_PER_THREAD, OneOrMore, Tape, play, sequences
+from jackbox_env.planning.rollouts import FEWEST_PER_THREAD, OneOrMore, Tape, run_rollouts, sequences
 from jackbox_env.scene import Scene, scenes_of
 from jackbox_env.simulators.exact import drive_kind
 from jackbox_env.states import LATEST_TIME, Array
@@ -207,7 +207,7 @@ def linearize(
     seeds = np.array([_seeds(one, fields) for one in scenes])
     starts, held = sequences(scenes, several, states, torques)
     tape = Tape()
-    played = play(
+    played = run_rollouts(
         scenes, starts, held, dt, time, impacts=True, repeat=repeat, whole=True, num_threads=num_threads, free=free,
         tape=tape,
     )  # fmt: skip
@@ -216,7 +216,7 @@ def linearize(
 
 
 @cache
-def ready() -> None:
+def ensure_compiled() -> None:
     """Compile all derivatives, or load them."""
     found = linearize(None, np.zeros(12), np.zeros(1), 0.02)
     found.vjp(found.trajectories)

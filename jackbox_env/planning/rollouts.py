@@ -143,7 +143,7 @@ def rollout(
     dt = check.real("dt", dt, above=0.0)
     time = check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
     starts, held = sequences(scenes, several, states, torques)
-    played = play(
+    played = run_rollouts(
         scenes, starts, held, dt, time, energy=energy, impacts=impacts, task=task, repeat=repeat, whole=whole,
         num_threads=num_threads,
     )  # fmt: skip
@@ -159,7 +159,7 @@ class Tape:
     rough: Flags = field(default_factory=lambda: np.zeros((0, 0), np.bool_))  # (N, H) steps without a derivative
 
 
-def play(
+def run_rollouts(
     scenes: list[Scene], starts: Array, held: Array, dt: float, time: float = 0.0, *, driven: bool = True,
     energy: bool = False, impacts: bool = False, task: Task | None = None, repeat: int = 1, whole: bool = False,
     until_impact: bool = False, num_threads: int | None = None, free: bool = False, tape: Tape | None = None,
@@ -237,9 +237,9 @@ def play(
 
 
 @cache
-def ready() -> None:
+def ensure_compiled() -> None:
     """Compile rollouts, or load them: when a search is made, and not behind somebody's progress bar."""
-    play([Scene()], np.zeros((1, 12)), np.zeros((1, 1)), 0.02)
+    run_rollouts([Scene()], np.zeros((1, 12)), np.zeros((1, 1)), 0.02)
 
 
 def _times(time: float, dt: float, steps: int) -> Array:

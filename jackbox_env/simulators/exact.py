@@ -86,7 +86,7 @@ def failure(ended: int, scene: Scene, time: float, dt: float, who: str = "the ja
 
 
 @cache
-def ready() -> None:
+def ensure_compiled() -> None:
     """Compile a step, or load it: at an episode's start, and not in its first step behind somebody's progress bar."""
     numbers, state = np.array(Scene().numbers), np.zeros(12)
     memory = new_workspaces(), new_log(64)
@@ -110,7 +110,7 @@ class ExactSimulator(ContactModel):
 
     def reset(self, state: ArrayLike, time: float = 0.0) -> None:
         """See :meth:`Simulator.reset`."""
-        ready()
+        ensure_compiled()
         super().reset(state, time)
 
     def step(self, dt: float, torque: float | None = None) -> None:

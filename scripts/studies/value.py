@@ -57,9 +57,9 @@ class Arguments:
 class Watched(ValuedSearch):
     """A search that keeps what its last candidates brought, and where they ended."""
 
-    def play(self, scene: Scene | list[Scene], states: Array, tried: Array) -> tuple[Array, Array]:
+    def evaluate(self, scene: Scene | list[Scene], states: Array, tried: Array) -> tuple[Array, Array]:
         """See :class:`ValuedSearch`."""
-        self.returns, self.ends = super().play(scene, states, tried)
+        self.returns, self.ends = super().evaluate(scene, states, tried)
         return self.returns, self.ends
 
 
@@ -72,7 +72,7 @@ def visited(search: Watched, rng: np.random.Generator) -> tuple[Array, Array]:
         good = np.argsort(-search.returns, axis=1)[rows, rng.integers(0, search.samples // 8, EPISODES)]
         ends += [search.ends[rows, good], search.ends[rows, rng.integers(0, search.samples, EPISODES)]]
         seen.append(states)
-        states = Search.play(search, SCENE, states, found.plans[:, None, :1])[1][:, 0]
+        states = Search.evaluate(search, SCENE, states, found.plans[:, None, :1])[1][:, 0]
     return np.concatenate(ends), np.concatenate(seen)
 
 

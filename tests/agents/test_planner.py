@@ -35,7 +35,7 @@ def test_a_plan_earns_what_the_environment_pays() -> None:
     env = gym.make("JackInBox-v0", contact="exact", task="spin")
     start = env.reset(seed=3)[1]["state"]
     plan = np.round(np.random.default_rng(1).uniform(-1.0, 1.0, 16) * 64.0) / 64.0
-    returns, ends = search.play(Scene(), start[None], plan[None, None])
+    returns, ends = search.evaluate(Scene(), start[None], plan[None, None])
     earned = sum(float(env.step(np.array([torque]))[1]) for torque in plan.repeat(5))
     assert earned == pytest.approx(returns[0, 0], abs=1e-9)
     np.testing.assert_allclose(ends[0, 0], env.unwrapped.state, atol=1e-9)  # type: ignore[attr-defined]
@@ -46,7 +46,7 @@ def test_scripted_candidates_are_played_too_and_the_best_of_all_is_found() -> No
     scripted = np.random.default_rng(2).uniform(-1.0, 1.0, (2, 3, 16))
     search.iterations = 1
     found, _ = search.decide(Scene(), states, search.begin(2), scripted)
-    returns, _ = search.play(Scene(), states, scripted)
+    returns, _ = search.evaluate(Scene(), states, scripted)
     np.testing.assert_array_equal(found.scripted, returns)
     assert (found.returns >= returns.max(axis=1)).all()
 
