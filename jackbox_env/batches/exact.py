@@ -232,7 +232,7 @@ class ExactBatch:
         given = _NO_ACTIONS if actions is None else actions
         table, torque = self._scenes, int(actions is not None)
         scenes = table.values, table.lanes, table.kinds[torque]
-        rules = self._dt, self._limit, table.gliding[torque], self._score_address
+        rules = self._dt, self._limit, table.gliding[torque], loop.PATIENCE, self._score_address
         pieces, ranges = self._pieces(actions)
         asked, filled = (given, pieces, ranges), (observations, rewards, terminations, truncations, reports)
         step_blocks = compiled(loop.step_blocks)

@@ -40,7 +40,7 @@ Floats = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 Counts = NDArray[np.int64]
 
-PATIENCE = 2_000_000  # gaps evaluated before it pauses: 0.3 s, 1.2 s where most are followed by impacts
+PATIENCE = 2e6  # gaps evaluated before it pauses: 0.3 s, 1.2 s where most are followed by impacts
 
 
 class Scenes(NamedTuple):
@@ -57,6 +57,7 @@ class Rules(NamedTuple):
     dt: float  # control step [s]
     limit: float  # steps after which an episode is truncated
     gliding: bool  # whether a held torque turns any of the boxes
+    patience: float  # gaps evaluated before the call pauses
 
 
 class Inputs(NamedTuple):
@@ -78,7 +79,7 @@ class Results(NamedTuple):
 
 
 def step_blocks(
-    scenes: tuple[Array, Array, Counts], rules: tuple[float, float, bool, int], blocks: tuple[Array, Array],
+    scenes: tuple[Array, Array, Counts], rules: tuple[float, float, bool, float, int], blocks: tuple[Array, Array],
     given: tuple[Array, Array, Counts], span: tuple[int, int], results: tuple[Floats, Array, Flags, Flags, Array],
     memories: tuple[Array, Workspaces, Array],
 ) -> tuple[int, int, int]:  # fmt: skip
@@ -98,7 +99,7 @@ def step_blocks(
         block that is next; and the number of episodes that ended.
     """
     played = Scenes(scenes[0], scenes[1], scenes[2])
-    common, score = Rules(rules[0], rules[1], rules[2]), block_score(rules[3])
+    common, score = Rules(rules[0], rules[1], rules[2], rules[3]), block_score(rules[4])
     asked = Inputs(given[0], given[1], given[2])
     filled = Results(results[0], results[1], results[2], results[3], results[4])
     before, after = blocks
@@ -108,7 +109,7 @@ def step_blocks(
     plan = make_plan(scene, common.dt, played.kinds[0])
     finished, worked, width = 0, 0.0, before.shape[2]
     for number in range(span[0], span[1]):
-        if number > span[0] and worked > PATIENCE:
+        if number > span[0] and worked > common.patience:
             return Status.PAUSED.value, number, finished
         first = number * width
         size = min(width, filled.rewards.shape[0] - first)

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.compiled.address import step_score
-from jackbox_env.compiled.loop import PATIENCE
 from jackbox_env.compiled.score import ENDS, UNUSABLE
 from jackbox_env.compiled.status import Status
 from jackbox_env.compiled.step import Pieces, effort, make_numbers, make_plan, step
@@ -50,7 +49,7 @@ class RolloutArrays(NamedTuple):
 def roll(
     scenes: tuple[Array, Counts, Counts], dt: float, torques: Array, drive: tuple[Array, Array, Counts],
     span: tuple[int, int, int], results: tuple[Array, Counts, Array, Array, Array, Counts], score: int,
-    until_impact: bool, memories: tuple[Workspaces, Array], tape: tuple[Array, Counts, Flags],
+    until_impact: bool, patience: float, memories: tuple[Workspaces, Array], tape: tuple[Array, Counts, Flags],
 ) -> tuple[int, int, int]:  # fmt: skip
     """Fill in trajectories from their first states.
 
@@ -65,6 +64,7 @@ def roll(
         results: the fields of :class:`RolloutArrays`.
         score: address of the task's ``score_step``; called only where rewards are asked for.
         until_impact: end each trajectory with the step of its first impact.
+        patience: gaps evaluated before the call pauses.
         memories: to work in: a workspace, and room to record a step's impacts, of none where nobody asks.
         tape: where that record is kept for derivatives: the wide log's rows of one step after the other, shape
             (rows, WIDE), how many there are, shape (1,), and which steps have no derivative, shape (N, H). Arrays of
@@ -93,7 +93,7 @@ def roll(
         if played.energies.shape[0]:
             played.energies[i, 0] = energy_of(scene, played.trajectories[i, 0])
         for k in range(first if i == low else 0, steps):
-            if worked > PATIENCE:
+            if worked > patience:
                 return Status.PAUSED.value, i, k
             torque = torques[i, k if repeat == 1 else k // repeat]
             before = played.trajectories[i, k if whole else k & 1]

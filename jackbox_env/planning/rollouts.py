@@ -15,6 +15,7 @@ from jackbox_env.batches.threads import Halt, Threads, thread_count
 from jackbox_env.compiled.address import address_of
 from jackbox_env.compiled.compiler import compiled
 from jackbox_env.compiled.drives import TABLE_WIDTH
+from jackbox_env.compiled.loop import PATIENCE
 from jackbox_env.compiled.rollouts import outside, roll
 from jackbox_env.compiled.score import score_step
 from jackbox_env.compiled.status import Status
@@ -207,7 +208,9 @@ def run_rollouts(
         log, rows = new_log(0 if tape is None else _ROOM, True), new_log(0 if tape is None else _ROOM, True)
         while True:
             span, memory, kept = (low, high, first), (memories[thread], log), (rows, used, noted.rough)
-            ended, who, when = call(given, dt, held, drive, span, results, address, until_impact, memory, kept)
+            ended, who, when = call(
+                given, dt, held, drive, span, results, address, until_impact, PATIENCE, memory, kept
+            )
             if ended == Status.FULL:
                 log, rows = (np.concatenate([one, np.zeros_like(one)]) for one in (log, rows))
             elif ended != Status.PAUSED or halt.asked:

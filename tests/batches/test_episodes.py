@@ -10,8 +10,7 @@ from gymnasium.vector import AutoresetMode
 
 import jackbox_env
 from jackbox_env import Drive, JackInBoxVectorEnv, JackLostError, Scene
-from jackbox_env.batches import exact
-from jackbox_env.compiled.compiler import compiled_with
+from jackbox_env.compiled import loop
 from jackbox_env.env import JackInBoxEnv
 from jackbox_env.planning import rollouts
 from tests.batches.several import EVERY_MODEL, EVERY_SIZE, assert_same, play
@@ -116,7 +115,6 @@ def test_a_jack_that_a_single_environment_loses_a_batch_loses_too(scene: Scene, 
     np.testing.assert_array_equal(batch.states, [state] * 3)
 
 
-@pytest.mark.slow
 def test_long_work_that_pauses_comes_to_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     def run() -> list[Any]:
         env = JackInBoxVectorEnv(200, contact="exact", max_episode_steps=30, num_threads=1, with_infos=True)
@@ -125,6 +123,6 @@ def test_long_work_that_pauses_comes_to_the_same(monkeypatch: pytest.MonkeyPatch
         return [play(env, 70, 0), jackbox_env.rollout({}, np.zeros(12), torques, 0.02, energy=True)]
 
     straight = run()
-    monkeypatch.setattr(exact, "compiled", lambda function: compiled_with(function, PATIENCE=-1))
-    monkeypatch.setattr(rollouts, "compiled", lambda function: compiled_with(function, PATIENCE=3))
+    monkeypatch.setattr(loop, "PATIENCE", -1.0)
+    monkeypatch.setattr(rollouts, "PATIENCE", 3.0)
     assert_same(run(), straight)
