@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from gymnasium.envs.registration import register
 
 from jackbox_env.scene import Chirp, Drive, Scene
+from jackbox_env.states import State
 
 if TYPE_CHECKING:
     from jackbox_env.env import JackInBoxEnv
@@ -64,6 +65,7 @@ __all__ = [
     "Rollout",
     "Scene",
     "Simulator",
+    "State",
     "Task",
     "TaskError",
     "cheapest",

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.scene import Scene, SceneNumbers
-from jackbox_env.states import Array, Numbers
+from jackbox_env.states import Array, State
 
 BOUNDS = np.array([1, 1, 10, 10, 1, 1, 10, 1, 1, 10], dtype=np.float32)
 
@@ -34,17 +34,18 @@ def observe(scene: Scene, state: Sequence[float]) -> NDArray[np.float32]:
     The C library's cosines differ between machines in the last place of float64, which float32 hides all but once in
     1e12 numbers.
     """
-    relative = 4.0 * (state[5] - state[2])
-    angles = math.cos(state[2]), math.sin(state[2]), math.cos(relative), math.sin(relative)
-    return np.array(seen(scene, state, *angles), dtype=np.float32)
+    named = State(*state)
+    angle, relative = named.theta_box, 4.0 * (named.theta_jack - named.theta_box)
+    angles = math.cos(angle), math.sin(angle), math.cos(relative), math.sin(relative)
+    return np.array(seen(scene, named, *angles), dtype=np.float32)
 
 
 def seen(
-    scene: Scene | SceneNumbers, state: Numbers, cosine: float, sine: float, cosine_4: float, sine_4: float
+    scene: Scene | SceneNumbers, state: State, cosine: float, sine: float, cosine_4: float, sine_4: float
 ) -> tuple[float, float, float, float, float, float, float, float, float, float]:
     """The ten numbers, given cosine and sine of theta_box and of 4 (theta_jack - theta_box)."""
-    x, y = state[3] - state[0], state[4] - state[1]
-    vx, vy = state[9] - state[6], state[10] - state[7]
+    x, y = state.x_jack - state.x_box, state.y_jack - state.y_box
+    vx, vy = state.vx_jack - state.vx_box, state.vy_jack - state.vy_box
     per_length = 1.0 / scene.box_half_width
     per_speed = 1.0 / scene.speed_scale
     return (
@@ -54,10 +55,10 @@ def seen(
         _clip((cosine * vy - sine * vx) * per_speed, 10.0),
         cosine,
         sine,
-        _clip(state[8] * scene.box_half_width * per_speed, 10.0),
+        _clip(state.omega_box * scene.box_half_width * per_speed, 10.0),
         cosine_4,
         sine_4,
-        _clip(state[11] * scene.jack_arm * per_speed, 10.0),
+        _clip(state.omega_jack * scene.jack_arm * per_speed, 10.0),
     )
 
 

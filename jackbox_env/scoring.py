@@ -21,7 +21,7 @@ from jackbox_env.observation import observe
 from jackbox_env.scene import Scene
 from jackbox_env.simulators import Simulator, contact_model
 from jackbox_env.simulators.base import total_impulse
-from jackbox_env.states import Array
+from jackbox_env.states import Array, State
 from jackbox_env.tasks import TASKS, Task, TaskError, checked_reward, checked_terms
 
 Scored = tuple[NDArray[np.float32], Sequence[float], bool]
@@ -66,13 +66,13 @@ class PlainScore:
 
     def __call__(self, state: Array, torque: float, impulse: float) -> Scored:
         """See :class:`Score`."""
-        numbers, over = tuple(state.tolist()), False
-        terms = checked_terms(self._task, self._task.values(self._numbers, numbers, torque, impulse))
+        after, over = State(*state.tolist()), False
+        terms = checked_terms(self._task, self._task.values(self._numbers, after, torque, impulse))
         if self._task.over is not None:
-            over = self._task.over(self._numbers, numbers, torque, impulse)
+            over = self._task.over(self._numbers, after, torque, impulse)
             if not isinstance(over, bool | np.bool_):
                 raise TypeError(f"a task's over must return True or False, got {check.shown(over)}")
-        return observe(self._scene, numbers), terms, bool(over)
+        return observe(self._scene, after), terms, bool(over)
 
     def observe(self, state: Array) -> NDArray[np.float32]:
         """See :class:`Score`."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,21 +17,29 @@ from numpy.typing import ArrayLike, NDArray
 from jackbox_env import checks as check
 from jackbox_env.scene import Scene, SceneNumbers
 
-STATE_NAMES = (
-    "x_box",
-    "y_box",
-    "theta_box",
-    "x_jack",
-    "y_jack",
-    "theta_jack",
-    "vx_box",
-    "vy_box",
-    "omega_box",
-    "vx_jack",
-    "vy_jack",
-    "omega_jack",
-)
 
+class State(NamedTuple):
+    """The 12 numbers by name: what a task's functions read, e.g. ``state.y_jack - state.y_box``.
+
+    >>> State(*range(12)).omega_box
+    8
+    """
+
+    x_box: float  # of the box's centre [m]
+    y_box: float
+    theta_box: float  # counter-clockwise [rad]
+    x_jack: float  # [m]
+    y_jack: float
+    theta_jack: float  # [rad]
+    vx_box: float  # [m/s]
+    vy_box: float
+    omega_box: float  # [rad/s]
+    vx_jack: float  # [m/s]
+    vy_jack: float
+    omega_jack: float  # [rad/s]
+
+
+STATE_NAMES = State._fields
 STATE_UNITS = ("m", "m", "rad") * 2 + ("m/s", "m/s", "rad/s") * 2
 
 # A start is inside when no foot is further out than this [m], or than 4 units in the last place of a far-off position.

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from jackbox_env import checks as check
 from jackbox_env.scene import Scene, SceneNumbers
-from jackbox_env.states import Array, Numbers, as_start
+from jackbox_env.states import Array, State, as_start
 
 AnyScene = Scene | SceneNumbers
 
@@ -36,7 +36,7 @@ class Task:
     A task of your own goes wherever the name of one does::
 
         def lift(scene, state, torque, impulse):
-            return ((state[4] - state[1]) / scene.box_half_width,)
+            return ((state.y_jack - state.y_box) / scene.box_half_width,)
 
 
         env = gym.make("JackInBox-v0", contact="exact", task=jackbox_env.Task(("lift",), lift))
@@ -54,9 +54,9 @@ class Task:
     Attributes:
         terms: names of the terms; ``info`` holds each as ``reward_<name>``.
         values: function of (scene, state, torque, impulse) that returns a tuple of as many floats. ``scene`` has the
-            fields of :class:`jackbox_env.scene.SceneNumbers`. ``state`` is a tuple of 12 numbers in SI units (see
-            :mod:`jackbox_env.states`), after the step. ``torque`` is the mean over the step [N m], ``impulse`` the sum
-            over its impacts [N s].
+            fields of :class:`jackbox_env.scene.SceneNumbers`. ``state`` is the :class:`jackbox_env.State` after the
+            step, a tuple of 12 numbers. ``torque`` is the mean over the step [N m], ``impulse`` the sum over its
+            impacts [N s].
         over: function of the same that returns True where the step ends the episode: it is terminated. None: no step
             does.
         start: function of the :class:`jackbox_env.Scene` and the environment's ``numpy.random.Generator`` that draws
@@ -65,8 +65,8 @@ class Task:
     """
 
     terms: tuple[str, ...]
-    values: Callable[[SceneNumbers, Numbers, float, float], tuple[float, ...]]
-    over: Callable[[SceneNumbers, Numbers, float, float], bool] | None = None
+    values: Callable[[SceneNumbers, State, float, float], tuple[float, ...]]
+    over: Callable[[SceneNumbers, State, float, float], bool] | None = None
     start: Callable[[Scene, np.random.Generator], ArrayLike] | None = None
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Task:
@@ -116,24 +116,24 @@ def start_pose(scene: AnyScene, x: float, y: float, angle: float) -> tuple[float
     return spread * x, spread * y, 0.5 * angle
 
 
-def juggle(scene: AnyScene, state: Numbers, torque: float, impulse: float) -> tuple[float]:
+def juggle(scene: AnyScene, state: State, torque: float, impulse: float) -> tuple[float]:
     """Keep the jack near the middle of the box: ``centre`` = 1 - |r| / max(L - l, L / 6), at least 0."""
     half_width = scene.box_half_width
-    x, y = state[3] - state[0], state[4] - state[1]
+    x, y = state.x_jack - state.x_box, state.y_jack - state.y_box
     return (max(0.0, 1.0 - math.sqrt(x * x + y * y) / max(half_width - scene.jack_arm, half_width / 6.0)),)
 
 
-def spin(scene: AnyScene, state: Numbers, torque: float, impulse: float) -> tuple[float]:
+def spin(scene: AnyScene, state: State, torque: float, impulse: float) -> tuple[float]:
     """Spin the jack counter-clockwise while the box keeps calm.
 
     ``spin`` = omega_jack l / v0, clipped to [-1, 1], times calm = 1 - |omega_box| L / v0, at least 0. Spinning the
     other way costs as much as it earns, so luck averages out; spinning the box up ends all pay.
     """
-    rate = state[11] * scene.jack_arm / scene.speed_scale
+    rate = state.omega_jack * scene.jack_arm / scene.speed_scale
     return (max(-1.0, min(1.0, rate)) * _calm(scene, state, 1.0),)
 
 
-def rattle(scene: AnyScene, state: Numbers, torque: float, impulse: float) -> tuple[float, float]:
+def rattle(scene: AnyScene, state: State, torque: float, impulse: float) -> tuple[float, float]:
     """Knock hard at little torque.
 
     ``knock`` = impulse / (4 m_j v0), at most 1, times 1 - |omega_box| L / (2 v0), at least 0: a jack turned back at v0
@@ -169,9 +169,9 @@ def spin_slope(scene: SceneNumbers, states: Array) -> Array:
     return slope
 
 
-def _calm(scene: AnyScene, state: Numbers, limit: float) -> float:
+def _calm(scene: AnyScene, state: State, limit: float) -> float:
     """1 at a box at rest, falling linearly to 0 where its rate reaches ``limit`` v0 / L."""
-    return float(max(0.0, 1.0 - abs(state[8]) * scene.box_half_width / (limit * scene.speed_scale)))
+    return float(max(0.0, 1.0 - abs(state.omega_box) * scene.box_half_width / (limit * scene.speed_scale)))
 
 
 TASKS = {

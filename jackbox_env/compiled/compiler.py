@@ -24,6 +24,7 @@ import numpy as np
 
 from jackbox_env.compiled import address
 from jackbox_env.scene import Scene
+from jackbox_env.states import State
 
 PACKAGE = Path(__file__).parents[1]
 F = TypeVar("F", bound=Callable[..., Any])
@@ -75,7 +76,7 @@ def returned_by(function: FunctionType) -> Any:
     with _LOCK:
         dispatcher: Any = _Compilation({}, str(next(_numbers)), users=True).compiled(function, True)[0]
         scene = typeof(Scene().numbers)  # type: ignore[no-untyped-call]
-        state = types.UniTuple(types.float64, 12)  # type: ignore[no-untyped-call]
+        state = types.NamedUniTuple(types.float64, 12, State)  # type: ignore[no-untyped-call]
         arguments = scene, state, types.float64, types.float64
         defaults, more = dispatcher.py_func.__defaults__ or (), function.__code__.co_argcount - len(arguments)
         left_out = map(types.Omitted, defaults[len(defaults) - more :] if more > 0 else ())

@@ -18,7 +18,7 @@ from jackbox_env.compiled.trigonometry import LARGEST, cos_sin, cos_sin_within
 from jackbox_env.compiled.workspace import HIT, IMPULSE_SUM, TORQUE
 from jackbox_env.observation import seen
 from jackbox_env.scene import SceneNumbers
-from jackbox_env.states import Array
+from jackbox_env.states import Array, State
 from jackbox_env.tasks import reward_of
 
 Floats = NDArray[np.float32]
@@ -32,9 +32,10 @@ REPORTED_TORQUE, REPORTED_HITS, REPORTED_IMPULSE, TERMS = range(4)
 
 def look(scene: SceneNumbers, state: Array, observation: Floats) -> None:
     """Write the observation of a state, shape (10,)."""
-    cosine, sine = cos_sin(state[2])
-    cosine_4, sine_4 = cos_sin(4.0 * (state[5] - state[2]))
-    write(scene, state, cosine, sine, cosine_4, sine_4, observation)
+    named = state_in(state)
+    cosine, sine = cos_sin(named.theta_box)
+    cosine_4, sine_4 = cos_sin(4.0 * (named.theta_jack - named.theta_box))
+    write(scene, named, cosine, sine, cosine_4, sine_4, observation)
 
 
 def look_block(values: Array, block: Array, count: int, lanes: Array, low: int, observations: Floats) -> None:
@@ -63,15 +64,15 @@ def look_block(values: Array, block: Array, count: int, lanes: Array, low: int, 
     if values.shape[0] == 1:
         scene = make_numbers(values[0])
         for k in range(count):
-            write(scene, block[:, k], cosine[k], sine[k], cosine_4[k], sine_4[k], observations[low + k])
+            write(scene, state_in(block[:, k]), cosine[k], sine[k], cosine_4[k], sine_4[k], observations[low + k])
     else:
         for k in range(count):
             own = make_numbers(values[low + k])
-            write(own, block[:, k], cosine[k], sine[k], cosine_4[k], sine_4[k], observations[low + k])
+            write(own, state_in(block[:, k]), cosine[k], sine[k], cosine_4[k], sine_4[k], observations[low + k])
 
 
 def write(
-    scene: SceneNumbers, state: Array, cosine: float, sine: float, cosine_4: float, sine_4: float, observation: Floats
+    scene: SceneNumbers, state: State, cosine: float, sine: float, cosine_4: float, sine_4: float, observation: Floats
 ) -> None:
     """Write the ten numbers."""
     a, b, c, d, e, f, g, h, i, j = seen(scene, state, cosine, sine, cosine_4, sine_4)
@@ -79,38 +80,38 @@ def write(
     observation[5], observation[6], observation[7], observation[8], observation[9] = f, g, h, i, j
 
 
-def task_terms(scene: SceneNumbers, state: tuple[float, ...], torque: float, impulse: float) -> tuple[float, ...]:
+def task_terms(scene: SceneNumbers, state: State, torque: float, impulse: float) -> tuple[float, ...]:
     """The task's function stands here in compiled code."""
     raise NotImplementedError
 
 
-def task_over(scene: SceneNumbers, state: tuple[float, ...], torque: float, impulse: float) -> bool:
+def task_over(scene: SceneNumbers, state: State, torque: float, impulse: float) -> bool:
     """The function of a task that ends episodes stands here in compiled code."""
     return False
 
 
-def twelve(row: Array) -> tuple[float, ...]:
-    """The state, shape (12,), as a task sees it: 12 numbers that nobody can write. A row may hold more behind it."""
-    return row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9], row[10], row[11]
+def state_in(row: Array) -> State:
+    """The state in the first 12 numbers of a row."""
+    return State(row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9], row[10], row[11])
 
 
 def score_one(values: Array, state: Array, torque: float, impulse: float, observation: Floats, terms: Array) -> bool:
     """Observe one state; fill in the values of its reward's terms. Return whether the episode is over."""
     scene = make_numbers(values)
     look(scene, state, observation)
-    earned = task_terms(scene, twelve(state), torque, impulse)
+    earned = task_terms(scene, state_in(state), torque, impulse)
     for place in range(len(earned)):
         terms[place] = earned[place]
-    return task_over(scene, twelve(state), torque, impulse)
+    return task_over(scene, state_in(state), torque, impulse)
 
 
 def score_step(values: Array, state: Array, torque: float, impulse: float, rewards: Array, place: int) -> int:
     """Write the reward of one step into its place; return what becomes of the episode."""
     scene = make_numbers(values)
-    rewards[place] = reward_of(task_terms(scene, twelve(state), torque, impulse))
+    rewards[place] = reward_of(task_terms(scene, state_in(state), torque, impulse))
     if not abs(rewards[place]) < math.inf:
         return UNUSABLE
-    return ENDS if task_over(scene, twelve(state), torque, impulse) else GOES_ON
+    return ENDS if task_over(scene, state_in(state), torque, impulse) else GOES_ON
 
 
 def score_block(
@@ -138,9 +139,9 @@ def score_block(
     if not (several or waiting):
         scene = make_numbers(values[0])
         for k in range(count):
-            rewards[first + k] = reward_of(task_terms(scene, twelve(after[:, k]), torque[k], impulses[k]))
+            rewards[first + k] = reward_of(task_terms(scene, state_in(after[:, k]), torque[k], impulses[k]))
         for k in range(count):
-            if task_over(scene, twelve(after[:, k]), torque[k], impulses[k]):
+            if task_over(scene, state_in(after[:, k]), torque[k], impulses[k]):
                 terminations[first + k] = True
                 ends += 1
     else:
@@ -148,8 +149,8 @@ def score_block(
             rewards[first + k] = 0.0
             if over[k] == 0.0:
                 own = make_numbers(values[first + k if several else 0])
-                rewards[first + k] = reward_of(task_terms(own, twelve(after[:, k]), torque[k], impulses[k]))
-                if task_over(own, twelve(after[:, k]), torque[k], impulses[k]):
+                rewards[first + k] = reward_of(task_terms(own, state_in(after[:, k]), torque[k], impulses[k]))
+                if task_over(own, state_in(after[:, k]), torque[k], impulses[k]):
                     terminations[first + k] = True
                     ends += 1
     for k in range(count):
@@ -159,7 +160,7 @@ def score_block(
             report = reports[first + k]
             report[REPORTED_TORQUE], report[REPORTED_HITS], report[REPORTED_IMPULSE] = torque[k], hits[k], impulses[k]
             own = make_numbers(values[first + k if several else 0])
-            earned = task_terms(own, twelve(after[:, k]), torque[k], impulses[k])
+            earned = task_terms(own, state_in(after[:, k]), torque[k], impulses[k])
             for place in range(len(earned)):
                 report[TERMS + place] = earned[place]
     return -1 if unusable else ends

@@ -13,8 +13,8 @@ from jackbox_env.command_line import command_line
 
 def through(scene: Any, state: Any, torque: float, impulse: float) -> bool:
     """The jack's centre is in a window of 2 m by 2 m that turns with the box."""
-    x, y = state[3] - state[0], state[4] - state[1]
-    cosine, sine = math.cos(state[2]), math.sin(state[2])
+    x, y = state.x_jack - state.x_box, state.y_jack - state.y_box
+    cosine, sine = math.cos(state.theta_box), math.sin(state.theta_box)
     return bool(abs(cosine * x + sine * y) < 1.0 and abs(cosine * y - sine * x - 3.0) < 1.0)
 
 
