@@ -118,17 +118,16 @@ dataset: .venv/ready
 readme: .venv/ready
 	@$(BIN)/python scripts/studies/readme.py
 
-# What the package's user installs; .venv/ready adds what tests and reports need.
+# What the package's user installs; .venv/ready has that too, and what tests and reports need.
 .venv/usable: EXTRA := all
 .venv/ready: EXTRA := dev
-.venv/ready: .venv/usable
 .venv/usable .venv/ready: pyproject.toml constraints.txt
 	@start=$$(date +%s); set -e; \
 	echo "Setting up .venv for $(EXTRA)"; \
 	$(PYTHON) -m venv .venv; \
 	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[$(EXTRA)]'; \
 	echo "Set-up took $$(( $$(date +%s) - start )) s"
-	@touch $@
+	@touch .venv/usable $@
 
 # The same tests under the oldest Gymnasium that CI covers, laid over the environment without its extras.
 $(OLD_GYMNASIUM)/ready: .venv/ready

@@ -30,9 +30,9 @@ def _script(name: str, *arguments: str) -> tuple[str, ...]:
 _ZOO = "-m rl_zoo3.train --algo ppo --env JackInBox-v0 --gym-packages jackbox_env --conf-file agents.training.zoo"
 RECIPES = {
     "sb3": Recipe(_script("sb3", "--steps", "16384")),
-    "sb3_contrib": Recipe(_script("sb3_contrib", "--steps", "1600")),
+    "sb3_contrib": Recipe(_script("sb3_contrib", "--steps", "1200")),
     "cleanrl": Recipe(_script("cleanrl", "--steps", "80000")),
-    "pixels": Recipe(_script("pixels", "--steps", "600")),
+    "pixels": Recipe(_script("pixels", "--steps", "512")),
     "rl_zoo3": Recipe((*_ZOO.split(), "-n", "32768", "--eval-freq", "-1", "-f", "runs/recipes/zoo-logs"),
                       ("rl_zoo3", "stable-baselines3", TORCH)),
     "torchrl": Recipe(_script("torchrl"), ("torchrl", TORCH)),
