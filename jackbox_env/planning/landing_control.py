@@ -60,7 +60,7 @@ class Aiming(Control):
     action_space = SPACE
 
     def __init__(self, env: Any, period: float) -> None:
-        refuse_other_torques(env)
+        refuse_other_torques("landing control", env)
         self._inner = env.unwrapped
         control_dt = self._inner.control_dt
         period = check.real("period", period, above=0.0, at_most=1e6 * control_dt)

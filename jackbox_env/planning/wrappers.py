@@ -79,7 +79,7 @@ class LookingAhead(Control):
             if any(value is not found[0] and value != found[0] for value in found):
                 raise ValueError(f"all environments must have one {name}, got {check.shown(found)}")
         if options.follow:
-            refuse_other_torques(env)
+            refuse_other_torques("follow", env)
         self._features = Features(tasks[0], control_dts[0], options)
         space = getattr(env, "single_observation_space", env.observation_space)
         if not isinstance(space, gym.spaces.Box) or space != gym.spaces.Box(-BOUNDS, BOUNDS):
@@ -301,17 +301,17 @@ def of_each(env: Any, name: str) -> list[Any]:
     return inner.scenes if name == "scene" and hasattr(inner, "scenes") else [getattr(inner, name)]
 
 
-def refuse_other_torques(env: Any) -> None:
-    """Refuse environments, single or several, where an action is not the torque.
+def refuse_other_torques(who: str, env: Any) -> None:
+    """Refuse environments, single or several, where an action is not the torque that ``who`` needs.
 
     Raises:
         ValueError: one is driven by the chirp, or there is a wrapper that changes actions.
     """
     if "chirp" in of_each(env, "torque_source"):
-        raise ValueError('follow needs an environment with torque="agent", for it steers, got torque="chirp"')
+        raise ValueError(f'{who} needs an environment with torque="agent", for it steers, got torque="chirp"')
     wrapper = _action_wrapper(env)
     if wrapper:
-        raise ValueError(f"follow needs actions that are torques, without an action wrapper inside, got {wrapper}")
+        raise ValueError(f"{who} needs actions that are torques, without an action wrapper inside, got {wrapper}")
 
 
 def _action_wrapper(env: Any) -> str:
