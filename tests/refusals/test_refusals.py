@@ -139,7 +139,7 @@ def test_a_wrong_name_or_combination_is_refused(call: Any, error: type[Exception
 
 # Records and errors; a protocol; checked where it is used.
 WITHOUT_ARGUMENTS = {
-    "Impact", "Fit", "Linearization", "Rollout", "JackLostError", "Simulator", "Task", "TaskError",
+    "Impact", "Fit", "Linearization", "Rollout", "State", "JackLostError", "Simulator", "Task", "TaskError",
     "Recording", "fit",  # tests/measuring/test_fitting.py
 }  # fmt: skip
 # These check nothing, for speed: their caller has checked the arguments.
