@@ -78,7 +78,7 @@ def blocks(path: Path) -> list[str]:
     return re.findall(r"```python\n(.*?)```", path.read_text(), re.DOTALL)
 
 
-@pytest.mark.parametrize("number", range(2))
+@pytest.mark.parametrize("number", [pytest.param(0, marks=pytest.mark.slow), 1])
 def test_each_block_of_the_readme_runs_on_its_own(number: int) -> None:
     pytest.importorskip("stable_baselines3")
     found = blocks(ROOT / "README.md")

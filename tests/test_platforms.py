@@ -92,6 +92,7 @@ def without_what_others_lack(folder: Path) -> None:
     lock(folder)
 
 
+@pytest.mark.slow
 def test_nothing_needs_what_other_systems_lack(tmp_path: Path) -> None:
     code = "import sys, pathlib, tests.test_platforms as here; here.without_what_others_lack(pathlib.Path(sys.argv[1]))"
     done = subprocess.run(
@@ -141,6 +142,7 @@ def collect() -> int:
     return pytest.main(["--collect-only", "-q", "-p", "no:cacheprovider", str(ROOT / "tests")])
 
 
+@pytest.mark.slow
 def test_every_test_module_is_collected_in_a_base_install() -> None:
     code = "import tests.test_platforms as here; raise SystemExit(here.collect())"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)

@@ -178,6 +178,7 @@ def test_train_prints_a_command_that_evaluates_in_the_same_environment(tmp_path:
     assert "| a run's" in again.stdout
 
 
+@pytest.mark.slow
 def test_training_survives_ctrl_c_and_resumes_from_the_command_line(tmp_path: Path) -> None:
     small = "--num-envs 4 --rollout-steps 64 --batch-size 64 --checkpoint-steps 256 --eval-steps 8192 --eval-episodes 2"
     command = [sys.executable, str(ROOT / "scripts" / "train.py"), "--folder", "run", "--no-progress", *small.split()]

@@ -63,6 +63,7 @@ def test_a_training_killed_at_random_moments_comes_to_its_end(tmp_path: Path, un
     print(f"{kills} kills at random moments, {runs} runs finished")
 
 
+@pytest.mark.slow
 def test_a_training_killed_before_any_operation_on_the_disk_comes_to_its_end(
     tmp_path: Path, uninterrupted: Uninterrupted
 ) -> None:
