@@ -38,6 +38,12 @@ MOST_WEIGHTS = 20_000_000  # of one network; there are two
 MOST_THREADS = 1024
 
 
+def renamed(values: dict[str, Any]) -> dict[str, Any]:
+    """Settings by their present names: ``repeat`` was called ``hold``."""
+    old = {} if "repeat" in values else {"hold": "repeat"}
+    return {old.get(name, name): value for name, value in values.items()}
+
+
 @dataclass(frozen=True)
 class EnvSettings:
     """The environment, in words that are also JSON."""
@@ -75,8 +81,7 @@ class EnvSettings:
         """
         if not isinstance(values, dict):
             raise TypeError(f"settings must be a JSON object, got {check.shown(values)}")
-        if "hold" in values:  # the name of earlier versions
-            values = {**{name: value for name, value in values.items() if name != "hold"}, "repeat": values["hold"]}
+        values = renamed(values)
         check.known_keys("settings", values, [field.name for field in fields(cls)])
         if isinstance(values.get("hidden_units"), list):
             values = {**values, "hidden_units": tuple(values["hidden_units"])}
@@ -207,7 +212,7 @@ class TrainSettings(EnvSettings):
     @classmethod
     def of(cls, values: Any) -> Self:
         """See :meth:`EnvSettings.of`."""
-        return super().of({**_EARLIER, **values} if isinstance(values, dict) else values)
+        return super().of({**_EARLIER, **renamed(values)} if isinstance(values, dict) else values)
 
     def __post_init__(self) -> None:
         """Refuse settings that cannot train.

@@ -39,7 +39,7 @@ from agents.evaluation.returns import evaluate
 from agents.files import DamagedFileError, first_line, locked, parsing, read_json, say_skipped
 from agents.policies.registry import find_policy
 from agents.runs import MODEL, PACKAGES, installed, is_whole, machine
-from agents.settings import EnvSettings, TrainSettings
+from agents.settings import EnvSettings, TrainSettings, renamed
 from agents.training.models import make_vec_env
 from agents.training.ppo import trained_in
 from jackbox_env import FIDELITIES
@@ -273,7 +273,7 @@ def grid(
     if train is not None:
         return [
             {**asdict(given), "episodes": episodes}
-            for varied in _varied(check.from_json("train", train, dict))
+            for varied in _varied(renamed(check.from_json("train", train, dict)))
             for env, seed in product(environments, range(seeds))
             for given in [TrainSettings.suited(**{**asdict(env), **varied, "seed": seed, "torch_threads": 1})]
         ]

@@ -25,6 +25,8 @@ class LandingNumbers(NamedTuple):
     spin: float  # L / l, by which omega_jack in units of v0 / l becomes one in units of v0 / L
 
 
+Flight = LandingNumbers  # its name in models that earlier versions saved
+
 # Beyond these float32 would overflow on the way.
 _STRONGEST, _FINEST = 1e20, 1e6
 

@@ -33,8 +33,9 @@ def aim(scene: Any, control_dt: float, actions: ArrayLike, count: int) -> Callab
         TypeError, ValueError: unusable actions.
     """
     given = check.array("actions", actions, "hold numbers (clipped to [-1, 1])")
-    if given.shape not in ((count, 2), (2,) * (count == 1)):
-        raise ValueError(f"actions must have shape ({count}, 2), got {given.shape}")
+    shapes = [(count, 2)] if count > 1 else [(1, 2), (2,)]
+    if given.shape not in shapes:
+        raise ValueError(f"actions must have shape {shapes[-1]}, got {given.shape}")
     if not np.isfinite(given).all():
         raise ValueError(f"actions must be finite numbers (clipped to [-1, 1]), got {given[~np.isfinite(given)][0]}")
     targets = np.clip(given.astype(np.float64).reshape(count, 2), -1.0, 1.0) * SCALE

@@ -116,6 +116,8 @@ def test_stored_settings_without_a_name_mean_what_the_version_before_it_did() ->
     assert (earlier.repeat, earlier.preview, earlier.num_envs, earlier.fidelity) == (1, False, 16, "balanced")
     assert TrainSettings.of(asdict(TrainSettings())) == TrainSettings()
     assert TrainSettings.of({"hold": 4}).repeat == 4
+    with pytest.raises(ValueError, match="'hold'"):
+        TrainSettings.of({"hold": 4, "repeat": 5})
 
 
 def test_a_deadline_ends_training(tmp_path: Path) -> None:

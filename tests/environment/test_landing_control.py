@@ -89,6 +89,10 @@ def test_what_cannot_be_aimed_is_refused() -> None:
         with pytest.raises((TypeError, ValueError), match=refused):
             env.step(action)
         assert env.get_wrapper_attr("time") == 0.0
+    several = LandingControlVector(JackInBoxVectorEnv(4, contact="exact"))
+    several.reset(seed=0)
+    with pytest.raises(ValueError, match=r"actions must have shape \(4, 2\), got \(\)"):
+        several.step(0.0)
     with pytest.raises(ValueError, match="torque"):
         single(torque="chirp")
     with pytest.raises(TypeError, match="JackInBox-v0"):
