@@ -18,7 +18,7 @@ import hashlib
 import pickle
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import cache
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
@@ -54,8 +54,10 @@ def say_once(text: str) -> None:
 @cache
 def _announce(purpose: str, time: str) -> None:
     """Print to standard error that compiling for this purpose begins, once in this process."""
-    said = f"jackbox compiles its exact contact model for {purpose}, once on this machine ({time})"
-    print(said, file=sys.stderr, flush=True)
+    print(
+        f"jackbox compiles its exact contact model for {purpose}, once on this machine ({time})",
+        file=sys.stderr, flush=True,
+    )  # fmt: skip
 
 
 def _checksum(path: Path, code: bytes) -> bytes:
@@ -71,7 +73,7 @@ class CodeCache(NullCache):
 
     Args:
         function: the plain function, with a qualified name that tells its content.
-        folders: where to look, in this order; the last is where code is saved, if there is one.
+        folders: where to look, in this order; the last is where code is saved.
         shipped: where to look then, for code compiled for ``SHIPPED_FOR``; it need not be there.
     """
 
@@ -86,7 +88,11 @@ class CodeCache(NullCache):
         What is compiled then takes long for some functions: standard error says so.
         """
         context.refresh()
-        for path in self._paths(signature, context.codegen().magic_tuple()):
+        triple, _, features = target = context.codegen().magic_tuple()  # numba loads code whatever it was compiled for
+        paths = [folder / self._file_name(signature, target) for folder in self._folders]
+        if _NEEDS.issubset(features.split(",")):
+            paths.append(self._shipped / self._file_name(signature, (triple, SHIPPED_FOR, "")))
+        for path in paths:
             try:
                 whole = path.read_bytes()
                 if _checksum(path, whole[_HEAD:]) != whole[:_HEAD]:
@@ -102,7 +108,7 @@ class CodeCache(NullCache):
 
     def save_overload(self, signature: Any, result: Any) -> None:
         """Keep what was compiled for this signature, unless it holds addresses, which no other process shares."""
-        if result.library.has_dynamic_globals or not self._folders:
+        if result.library.has_dynamic_globals:
             return
         path = self._folders[-1] / self._file_name(signature, result.library.codegen.magic_tuple())
         code: bytes = dumps(result._reduce())  # type: ignore[no-untyped-call]
@@ -115,17 +121,6 @@ class CodeCache(NullCache):
                 f"compiled code cannot be kept in {path.parent} ({error.strerror}), so each process compiles it anew; "
                 "make room there or set NUMBA_CACHE_DIR to another folder"
             )
-
-    def _paths(self, signature: Any, target: tuple[str, str, str]) -> Iterator[Path]:
-        """Where to look, first for code compiled for this process's target: a triple, a CPU and its features.
-
-        Numba loads machine code as it is, whatever it was compiled for.
-        """
-        own = self._file_name(signature, target)
-        yield from (folder / own for folder in self._folders)
-        triple, _, features = target
-        if _NEEDS.issubset(features.split(",")):
-            yield self._shipped / self._file_name(signature, (triple, SHIPPED_FOR, ""))
 
     def _file_name(self, signature: Any, target: tuple[str, str, str]) -> str:
         whole = repr((self._version, str(signature), target))

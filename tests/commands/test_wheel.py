@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterable
+from functools import partial
 from importlib import metadata
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from packaging.requirements import Requirement
 
 from jackbox_env import __version__
 from tests.fingerprints import fingerprints
+from tests.guarantees.test_other_machines import OLDEST, differing, x86
 
 ROOT = Path(__file__).parents[2]
 
@@ -52,9 +54,11 @@ def asked_by(package: metadata.Distribution) -> list[str]:
     return [one.name for one in asked if one.marker is None or one.marker.evaluate({"extra": ""})]
 
 
-def jackbox(site: Path, cwd: Path, *arguments: str, status: int = 0) -> subprocess.CompletedProcess[str]:
+def jackbox(
+    site: Path, cwd: Path, *arguments: str, status: int = 0, **settings: str
+) -> subprocess.CompletedProcess[str]:
     """Run the command that the wheel installs; -S leaves this environment's own packages out."""
-    env = {**os.environ, "PYTHONPATH": str(site)}
+    env = {**os.environ, **settings, "PYTHONPATH": str(site)}
     command = [sys.executable, "-S", str(site / "bin" / "jackbox"), *arguments]
     done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, env=env, timeout=250, check=False)
     assert done.returncode == status, done.stderr
@@ -85,12 +89,30 @@ def test_simulate_writes_files_without_plots_and_refuses_to_draw_them(site: Path
     assert [path.name for path in (tmp_path / "arrays").iterdir()] == ["trajectory.npz"]
 
 
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the tests below keep what they compile."""
+    return tmp_path_factory.mktemp("kept")
+
+
 @pytest.mark.slow  # compiles anew
-def test_check_finds_that_it_works_and_which_extras_are_missing(site: Path, tmp_path: Path) -> None:
-    out = jackbox(site, tmp_path, "check").stdout
-    assert out.count("ok      ") == 7
-    assert re.search(r'extra train: not installed; to get it: pip install .*"torch', out)
+def test_check_finds_that_it_works_and_which_extras_are_missing(site: Path, kept: Path, tmp_path: Path) -> None:
+    run = partial(jackbox, site, tmp_path, "check", status=0, **OLDEST, NUMBA_CACHE_DIR=str(kept))
+    done, again = run(), run()
+    assert done.stdout.count("ok      ") == again.stdout.count("ok      ") == 7
+    assert re.search(r'extra train: not installed; to get it: pip install .*"torch', done.stdout)
+    said = re.findall(r"jackbox compiles .* for ([a-z ]+), once on this machine", done.stderr)
+    assert said == ["single environments", "batches of environments", "rollouts", "derivatives"]
+    assert "compiles" not in again.stderr
     assert not list(tmp_path.iterdir())
+
+
+@x86
+@pytest.mark.slow  # compiles anew if it runs without the test above
+def test_the_exact_model_gives_the_same_bits_on_the_oldest_machine(kept: Path) -> None:
+    differ, compared = differing(["exact"], OLDEST | {"NUMBA_CACHE_DIR": str(kept)})
+    assert differ == []
+    assert len(compared) > 25
 
 
 def test_play_opens_its_window(site: Path, tmp_path: Path) -> None:
