@@ -30,7 +30,7 @@ from agents.sweep import (
     on_cores,
 )
 from jackbox_env import checks as check
-from jackbox_env.compiled.compiler import cache_folders
+from jackbox_env.exact.compiler import cache_folders
 
 RETRIES = 4  # of a trial whose worker has died; then it has failed
 AHEAD = 8  # trials given to the cluster for each of its cores: short ones do not wait for this process

@@ -12,7 +12,7 @@ Cost: n^3 / 6 projections for n contacts; a jack and a box have four at most out
 Bits: the same on every processor, because the sums are written out. The functions are plain Python here, for
     :func:`jackbox_env.mechanics.simultaneous_impact_map`, and compiled for the exact contact model.
 
-The functions work in ``memory``, with fields of :class:`jackbox_env.compiled.workspace.Workspace`: ``gradients``
+The functions work in ``memory``, with fields of :class:`jackbox_env.exact.workspace.Workspace`: ``gradients``
 (n, 6), ``units`` W (n, 6), ``lengths`` (n,), ``bias`` (n,), ``rates`` v (6,), ``point`` (6,), ``pushes`` (3,), ``best``
 (3,), and ``basis`` (3, 6), ``tall`` (3, 3), ``goals`` (3,) for Gram-Schmidt.
 """

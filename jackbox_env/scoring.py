@@ -89,7 +89,7 @@ class CompiledScore:
     """Compiled."""
 
     def __init__(self, scene: Scene, task: Task, call: Callable[..., Any] | None = None) -> None:
-        from jackbox_env.compiled.score import score_one
+        from jackbox_env.exact.score import score_one
 
         self._given = scene, task
         self._call, self._numbers = call or compiled_for(task, score_one), np.array(scene.numbers)
@@ -128,12 +128,12 @@ def bad_reward(task: Task, simulator: Simulator, where: str) -> TaskError:
 
 
 def compiled_for(task: Task, function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function of ``compiled.score``, compiled once for each Task, with the task's functions as they are then.
+    """A function of ``exact.score``, compiled once for each Task, with the task's functions as they are then.
 
     Raises:
         TypeError: a function of the task cannot be compiled, or does not return what it should.
     """
-    from jackbox_env.compiled.compiler import compiled, compiled_for_users
+    from jackbox_env.exact.compiler import compiled, compiled_for_users
 
     if task in TASKS.values():
         return compiled(function, task_terms=task.values)
@@ -167,7 +167,7 @@ def _refuse_unfit(task: Task) -> None:
 
 def _returned_by(function: Callable[..., Any]) -> Any:
     """Numba's type of what a function of a user's task returns."""
-    from jackbox_env.compiled.compiler import returned_by
+    from jackbox_env.exact.compiler import returned_by
 
     try:
         return returned_by(cast(FunctionType, function))

@@ -45,7 +45,7 @@ def call_all() -> None:
 
 def compiled_code(package: Path, kept: Path) -> None:
     """Fill a folder with the code of an unpacked package, compiled in a process of its own."""
-    from jackbox_env.compiled.kept import SHIPPED_FOR
+    from jackbox_env.exact.kept import SHIPPED_FOR
 
     target = {"NUMBA_CPU_NAME": SHIPPED_FOR, "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(kept)}
     command = [sys.executable, "-c", "from scripts.wheel import call_all; call_all()"]
@@ -62,7 +62,7 @@ def with_code(pure: Path, kept: Path, made: Path) -> None:
     kind = f"Wheel-Version: 1.0\nGenerator: jackbox\nRoot-Is-Purelib: false\nTag: {TAG}\n"
     files[record.replace("RECORD", "WHEEL")] = kind.encode()
     for path in sorted(kept.rglob("*.kept")):
-        files[f"jackbox_env/compiled/shipped/{path.relative_to(kept).as_posix()}"] = path.read_bytes()
+        files[f"jackbox_env/exact/shipped/{path.relative_to(kept).as_posix()}"] = path.read_bytes()
     lines = list[str]()
     for name, content in files.items():
         digest = urlsafe_b64encode(sha256(content).digest()).decode().rstrip("=")

@@ -16,8 +16,8 @@ import numpy as np
 from numba.core.registry import cpu_target
 
 from jackbox_env import Chirp, Drive, Scene, make_simulator, rollout
-from jackbox_env.compiled.trigonometry import cos_sin
 from jackbox_env.env import JackInBoxEnv
+from jackbox_env.exact.trigonometry import cos_sin
 from jackbox_env.simulators.contacts import iterations_for
 from jackbox_env.vector_env import JackInBoxVectorEnv
 

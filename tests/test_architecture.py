@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1]
 ORDER = """
     checks files colours command_line
     scene states randomization complementarity mechanics tasks observation landing
-    compiled
+    exact
     simulators
     scoring
     recording

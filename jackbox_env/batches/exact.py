@@ -12,13 +12,11 @@ from numpy.typing import NDArray
 from jackbox_env.batches.base import Change, Flags, Floats, Numbers, Outcome, Starts, bad_action
 from jackbox_env.batches.scenes import SceneTable
 from jackbox_env.batches.threads import Halt, Threads, thread_count
-from jackbox_env.compiled import glide, loop, restart, score
-from jackbox_env.compiled.address import address_of
-from jackbox_env.compiled.compiler import compiled
-from jackbox_env.compiled.drives import TABLE_WIDTH
-from jackbox_env.compiled.generator import WHOLE, WITH_HALVES, fresh, packed, seeded, unpacked
-from jackbox_env.compiled.status import Status
-from jackbox_env.compiled.workspace import Workspaces, new_lanes, new_log, new_workspaces
+from jackbox_env.exact import glide, restart, run, score
+from jackbox_env.exact.compiler import address_of, compiled
+from jackbox_env.exact.drives import TABLE_WIDTH
+from jackbox_env.exact.restart import WHOLE, WITH_HALVES, fresh, packed, seeded, unpacked
+from jackbox_env.exact.workspace import Status, Workspaces, new_lanes, new_log, new_workspaces
 from jackbox_env.randomization import Randomization
 from jackbox_env.scene import Scene
 from jackbox_env.scoring import bad_reward, compiled_for
@@ -232,10 +230,10 @@ class ExactBatch:
         given = _NO_ACTIONS if actions is None else actions
         table, torque = self._scenes, int(actions is not None)
         scenes = table.values, table.lanes, table.kinds[torque]
-        rules = self._dt, self._limit, table.gliding[torque], loop.PATIENCE, self._score_address
+        rules = self._dt, self._limit, table.gliding[torque], run.PATIENCE, self._score_address
         pieces, ranges = self._pieces(actions)
         asked, filled = (given, pieces, ranges), (observations, rewards, terminations, truncations, reports)
-        step_blocks = compiled(loop.step_blocks)
+        step_blocks = compiled(run.step_blocks)
         blocks, after, workspaces = self._blocks, self._spare, self._workspaces
         after = np.zeros_like(blocks) if after is None else after
         workspaces = self._new_workspaces() if workspaces is None else workspaces

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.batches.base import Flags
-from jackbox_env.compiled.compiler import compiled
-from jackbox_env.compiled.glide import SCENE_LANES
-from jackbox_env.compiled.restart import spread
-from jackbox_env.compiled.step import CONSTANT
+from jackbox_env.exact.compiler import compiled
+from jackbox_env.exact.glide import SCENE_LANES
+from jackbox_env.exact.restart import spread
+from jackbox_env.exact.step import CONSTANT
 from jackbox_env.scene import Chirp, Drive, Scene, SceneNumbers
 from jackbox_env.simulators.exact import WITH_PIECES, drive_kind
 from jackbox_env.states import Array

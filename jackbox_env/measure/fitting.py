@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import checks as check
-from jackbox_env.compiled.tangents import FIELDS
+from jackbox_env.exact.tangents import FIELDS
 from jackbox_env.measure.recordings import Recording
 from jackbox_env.measure.shooting import UNHEARD, Parameters, Rows, Shooting, Window, motion, next_window, units
 from jackbox_env.scene import Scene

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import checks as check
 from jackbox_env.batches.threads import Threads, thread_count
-from jackbox_env.compiled import tangents
-from jackbox_env.compiled.compiler import compiled
-from jackbox_env.compiled.workspace import new_workspaces
+from jackbox_env.exact import tangents
+from jackbox_env.exact.compiler import compiled
+from jackbox_env.exact.workspace import new_workspaces
 from jackbox_env.planning.rollouts import FEWEST_PER_THREAD, OneOrMore, Tape, run_rollouts, sequences
 from jackbox_env.scene import Scene, scenes_of
 from jackbox_env.simulators.exact import drive_kind
@@ -172,7 +172,7 @@ def linearize(
 ) -> Linearization:
     """Play torques like ``rollout``, and differentiate each step by its state, its torque and the scene.
 
-    The derivatives are those of the motion with its impacts: the saltation matrices of ``compiled/tangents.py``, exact
+    The derivatives are those of the motion with its impacts: the saltation matrices of ``exact/tangents.py``, exact
     but for rounding. Each impact multiplies them by about 10, as it does every error (docs/derivatives.md).
 
     Args:

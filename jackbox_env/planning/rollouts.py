@@ -12,14 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import checks as check
 from jackbox_env.batches.threads import Halt, Threads, thread_count
-from jackbox_env.compiled.address import address_of
-from jackbox_env.compiled.compiler import compiled
-from jackbox_env.compiled.drives import TABLE_WIDTH
-from jackbox_env.compiled.loop import PATIENCE
-from jackbox_env.compiled.rollouts import outside, roll
-from jackbox_env.compiled.score import score_step
-from jackbox_env.compiled.status import Status
-from jackbox_env.compiled.workspace import new_log, new_workspaces
+from jackbox_env.exact.compiler import address_of, compiled
+from jackbox_env.exact.drives import TABLE_WIDTH
+from jackbox_env.exact.run import PATIENCE, outside, roll
+from jackbox_env.exact.score import score_step
+from jackbox_env.exact.workspace import Status, new_log, new_workspaces
 from jackbox_env.scene import Drive, Scene, scenes_of
 from jackbox_env.scoring import bad_reward, compiled_for
 from jackbox_env.simulators.base import end_of_step

@@ -1,11 +1,11 @@
 """``contact="exact"``: from impact to impact, each found with a guarantee, in compiled code.
 
-Law: flight in closed form (``motion.py``); at an impact all feet that touch, within 1e-13 m or 4 units in the last
-    place of a far-off position, take the simultaneous Newton law of
+Law: flight in closed form (``exact/flight.py``); at an impact all feet that touch, within 1e-13 m or 4 units in the
+    last place of a far-off position, take the simultaneous Newton law of
     :func:`jackbox_env.mechanics.simultaneous_impact_map`. With loss, bounces pile up. A foot that would rise by 1e-13 m
     at most comes to rest; where a step takes more than 1,024 gap evaluations this limit grows, to 1e-10 m. The law too
     would take that bounce's energy, at the end of the pile. The wall then holds the foot until it would have to pull
-    (``compiled/rest.py``). A held foot is one impact per wall and step: at the step's end, with the impulse of the
+    (``exact/rest.py``). A held foot is one impact per wall and step: at the step's end, with the impulse of the
     whole step. So ``impacts``, the environment's counts and impulses, and the task rattle see the weight that rests on
     a wall, m_j g dt in a step.
 Order: none; the error is rounding, whatever the control step. The system is chaotic and multiplies any error by about 5
@@ -24,7 +24,7 @@ Bits: the same on every x86-64 CPU and under Linux on ARM, whatever the C librar
     (``trigonometry.py``).
     Three things are the C library's: what a drive's own function takes from it (``math.sin``), the cosine of an angle
     beyond 2^53 rad, and whether a state at the very limit of what is accepted is refused.
-Reference: Lygeros et al. 2003, "Dynamical properties of hybrid automata"; the bound stands in ``compiled/bounds.py``.
+Reference: Lygeros et al. 2003, "Dynamical properties of hybrid automata"; the bound stands in ``exact/bounds.py``.
 """
 
 from __future__ import annotations
@@ -36,12 +36,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jackbox_env import checks as check
-from jackbox_env.compiled.compiler import compiled
-from jackbox_env.compiled.drives import TABLE_WIDTH
-from jackbox_env.compiled.search import MOST_WORK
-from jackbox_env.compiled.status import Status
-from jackbox_env.compiled.step import CHIRP, CONSTANT, CONSTANT_BESIDE_FORCES, FUNCTIONS, step_one
-from jackbox_env.compiled.workspace import new_log, new_workspaces
+from jackbox_env.exact.compiler import compiled
+from jackbox_env.exact.drives import TABLE_WIDTH
+from jackbox_env.exact.search import MOST_WORK
+from jackbox_env.exact.step import CHIRP, CONSTANT, CONSTANT_BESIDE_FORCES, FUNCTIONS, step_one
+from jackbox_env.exact.workspace import Status, new_log, new_workspaces
 from jackbox_env.scene import Chirp, Drive, Scene, too_many_turns
 from jackbox_env.simulators.base import ContactModel, Impact, JackLostError, Present, end_of_step
 from jackbox_env.simulators.functions import function_pieces

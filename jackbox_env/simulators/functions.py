@@ -27,9 +27,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env import checks as check
-from jackbox_env.compiled.compiler import compiled
-from jackbox_env.compiled.drives import DEGREE, TABLE_WIDTH
-from jackbox_env.compiled.interpolation import POINTS, interpolate
+from jackbox_env.exact.compiler import compiled
+from jackbox_env.exact.drives import DEGREE, POINTS, TABLE_WIDTH, interpolate
 from jackbox_env.scene import Drive
 
 Array = NDArray[np.float64]

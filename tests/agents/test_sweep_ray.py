@@ -16,7 +16,7 @@ import pytest
 
 from agents.sweep import TABLE, carry_out, grid, in_turn, new_sweep, run_trial
 from agents.sweep_ray import runner_for
-from jackbox_env.compiled import compiler
+from jackbox_env.exact import compiler
 from tests.agents.small_run import TINY
 from tests.agents.test_sweep import carried_out
 

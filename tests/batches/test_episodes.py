@@ -10,8 +10,8 @@ from gymnasium.vector import AutoresetMode
 
 import jackbox_env
 from jackbox_env import Drive, JackInBoxVectorEnv, JackLostError, Scene
-from jackbox_env.compiled import loop
 from jackbox_env.env import JackInBoxEnv
+from jackbox_env.exact import run as loop
 from jackbox_env.planning import rollouts
 from tests.batches.several import EVERY_MODEL, EVERY_SIZE, assert_same, play
 

@@ -12,9 +12,9 @@ import sympy
 from numpy.typing import NDArray
 
 from jackbox_env import Linearization, Scene, linearize, make_simulator, rollout
-from jackbox_env.compiled import tangents
-from jackbox_env.compiled.compiler import compiled, compiled_with
-from jackbox_env.compiled.rollouts import outside, roll
+from jackbox_env.exact import tangents
+from jackbox_env.exact.compiler import compiled, compiled_with
+from jackbox_env.exact.run import outside, roll
 from tests.fingerprints import DRIVES
 from tests.states import Array, inside, load, lying
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from jackbox_env import JackLostError
-from jackbox_env.compiled import impacts
-from jackbox_env.compiled.status import Status
+from jackbox_env.exact import contact
+from jackbox_env.exact.workspace import Status
 from jackbox_env.mechanics import energy, simultaneous_impact_map
 from jackbox_env.scene import Chirp, Drive, Scene
 from jackbox_env.simulators import Impact
@@ -98,13 +98,13 @@ def test_one_contact_after_the_other_would_break_the_simultaneous_law(monkeypatc
     # Resolved one by one, two feet on a floor give another, also energy-keeping, answer.
     def one_by_one(n: Any, w: Any, count: int) -> None:
         for number in range(count):
-            w.impulses[number] = impacts.bounce(n, w.state, w.gradients[number])
+            w.impulses[number] = contact.bounce(n, w.state, w.gradients[number])
 
     rng = np.random.default_rng(2)
     state, contacts = several_contacts(WEIGHTLESS, rng, "one wall")
     expected, _ = simultaneous_impact_map(WEIGHTLESS, state, contacts)
     assert relative_error(plain_step(WEIGHTLESS, state, 1e-13, 0.0)[1], expected) < 1e-9
-    monkeypatch.setattr(impacts, "bounce_together", one_by_one)
+    monkeypatch.setattr(contact, "bounce_together", one_by_one)
     assert relative_error(plain_step(WEIGHTLESS, state, 1e-13, 0.0)[1], expected) > 0.01
 
 

@@ -13,9 +13,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from jackbox_env import Drive, JackLostError, Lookahead, Scene, rollout
-from jackbox_env.compiled import constrained
-from jackbox_env.compiled.trigonometry import without_turns
-from jackbox_env.compiled.workspace import OMEGA_SQUARED
+from jackbox_env.exact import constrained
+from jackbox_env.exact.trigonometry import without_turns
+from jackbox_env.exact.workspace import OMEGA_SQUARED
 from jackbox_env.mechanics import energy, gap_jacobian
 from jackbox_env.states import Array, clearance
 from jackbox_env.tasks import sample_start

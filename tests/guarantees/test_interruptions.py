@@ -15,8 +15,8 @@ import pytest
 
 from jackbox_env import JackInBoxVectorEnv, Scene
 from jackbox_env.batches import exact, threads
-from jackbox_env.compiled import compiler, glide, loop
-from jackbox_env.compiled.status import Status
+from jackbox_env.exact import compiler, glide, run
+from jackbox_env.exact.workspace import Status
 from tests.states import lying
 
 ACTIONS = np.array([-0.5, 0.3, 1.0])
@@ -71,7 +71,7 @@ def test_an_interruption_of_a_long_step_is_noticed_soon(monkeypatch: pytest.Monk
     states = np.tile(lying(), (count, 1))
     states[:, 3] = np.linspace(-4.0, 4.0, count)
     env.set_states(states, 0.0)
-    step_blocks, ends = compiler.compiled(loop.step_blocks), list[int]()
+    step_blocks, ends = compiler.compiled(run.step_blocks), list[int]()
 
     def interrupted_step(*arguments: Any) -> Any:
         ends.append(step_blocks(*arguments)[0])
@@ -89,7 +89,7 @@ def test_a_thread_that_a_second_interruption_left_at_work_changes_no_later_step(
 ) -> None:
     env, twin = made(num_envs=640), made(num_envs=640)
     main, begun, gate, left = threading.get_ident(), threading.Event(), threading.Event(), list[Any]()
-    step_blocks = compiler.compiled(loop.step_blocks)
+    step_blocks = compiler.compiled(run.step_blocks)
 
     def late(*arguments: Any) -> Any:
         if threading.get_ident() == main:

@@ -20,9 +20,9 @@ import pytest
 from numba.core.codegen import JITCPUCodegen
 
 import jackbox_env
-from jackbox_env.compiled import compiler, kept
-from jackbox_env.compiled.impacts import quarter
-from jackbox_env.compiled.trigonometry import cos_sin, cos_sin_within
+from jackbox_env.exact import compiler, kept
+from jackbox_env.exact.contact import quarter
+from jackbox_env.exact.trigonometry import cos_sin, cos_sin_within
 
 TURN = (0.8, 0.6, 1), (-0.6, 0.8)  # what ``quarter`` is given and returns
 
@@ -73,7 +73,7 @@ def test_a_later_process_loads_the_whole_exact_model() -> None:
     jackbox_env.make_simulator(contact="exact").step(0.02, 1.0)
     code = (
         "import jackbox_env; jackbox_env.make_simulator(contact='exact').step(0.02, 1.0)\n"
-        "from jackbox_env.compiled.compiler import compiled; from jackbox_env.compiled.step import step_one\n"
+        "from jackbox_env.exact.compiler import compiled; from jackbox_env.exact.step import step_one\n"
         "stats = compiled(step_one).stats; print(sum(stats.cache_hits.values()), sum(stats.cache_misses.values()))"
     )
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -83,7 +83,7 @@ def test_a_later_process_loads_the_whole_exact_model() -> None:
 # Announces what takes long to compile where it is loaded, too.
 _ANNOUNCING = """
 import runpy, sys
-from jackbox_env.compiled import kept
+from jackbox_env.exact import kept
 load = kept.CodeCache.load_overload
 def announcing(self, *given):
     if self._long is not None:
@@ -242,5 +242,5 @@ def test_a_change_in_any_source_of_the_package_is_seen(tmp_path: Path) -> None:
     shutil.copytree(Path(jackbox_env.__file__).parent, package, ignore=shutil.ignore_patterns("__pycache__"))
     name = compiler._folder_name.__wrapped__
     assert name(package) == name(Path(jackbox_env.__file__).parent)
-    (package / "compiled" / "impacts.py").write_text("")
+    (package / "exact" / "contact.py").write_text("")
     assert name(package) != name(Path(jackbox_env.__file__).parent)

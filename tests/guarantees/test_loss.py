@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jackbox_env.compiled import advance as course
-from jackbox_env.compiled import constrained, rest, search
 from jackbox_env.complementarity import project
+from jackbox_env.exact import constrained, rest, search
+from jackbox_env.exact import step as course
 from jackbox_env.mechanics import energy, gaps
 from jackbox_env.scene import Drive, Scene
 from jackbox_env.simulators import Impact

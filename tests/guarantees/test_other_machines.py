@@ -25,7 +25,7 @@ import numpy as np
 import pytest
 
 from jackbox_env import Scene
-from jackbox_env.compiled import search as kernel
+from jackbox_env.exact import search as kernel
 from jackbox_env.mechanics import gap_jacobian
 from jackbox_env.simulators.contacts import iterations_for
 from tests.fingerprints import Digests, fingerprints

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from flint import arb, ctx, fmpq
 
-from jackbox_env.compiled import bounds, search
+from jackbox_env.exact import bounds, search
 from jackbox_env.scene import Chirp, Drive, Scene
 from jackbox_env.simulators import Impact
 from tests import proof, proving

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from jackbox_env.compiled import search as kernel
-from jackbox_env.compiled.constrained import let_go
-from jackbox_env.compiled.workspace import FORCE, new_workspaces
+from jackbox_env.exact import search as kernel
+from jackbox_env.exact.constrained import let_go
+from jackbox_env.exact.workspace import FORCE, new_workspaces
 from jackbox_env.mechanics import energy
 from jackbox_env.scene import Scene
 from jackbox_env.simulators.exact import ExactSimulator

@@ -20,8 +20,8 @@ import pytest
 
 import jackbox_env
 from jackbox_env import JackInBoxEnv, JackInBoxVectorEnv, Scene, Task, scoring
-from jackbox_env.compiled import compiler, kept
-from jackbox_env.compiled.compiler import cache_folders
+from jackbox_env.exact import compiler, kept
+from jackbox_env.exact.compiler import cache_folders
 from jackbox_env.scene import SceneNumbers
 from jackbox_env.scoring import CompiledScore, PlainScore
 from jackbox_env.simulators import CONTACT_MODELS

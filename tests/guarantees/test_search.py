@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jackbox_env.compiled import bounds, motion
-from jackbox_env.compiled import search as kernel
-from jackbox_env.compiled.status import Status
-from jackbox_env.compiled.workspace import new_workspaces
+from jackbox_env.exact import bounds
+from jackbox_env.exact import flight as motion
+from jackbox_env.exact import search as kernel
+from jackbox_env.exact.workspace import Status, new_workspaces
 from jackbox_env.scene import Scene
 from jackbox_env.states import clearance
 from scripts.studies.speed import measured

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jackbox_env.compiled import impacts
-from jackbox_env.compiled.workspace import new_log, new_workspaces
+from jackbox_env.exact import contact
+from jackbox_env.exact.workspace import new_log, new_workspaces
 from jackbox_env.mechanics import energy, gap_jacobian, gaps, impact_map, simultaneous_impact_map
 from jackbox_env.scene import Scene
 from jackbox_env.simulators import CONTACT_MODELS, make_simulator
@@ -331,7 +331,7 @@ def compiled_law(scene: Scene, state: Array) -> Array:
     """The velocities after, by the exact contact model's own projection."""
     w = new_workspaces()[0]
     w.state[:12] = state
-    impacts.resolve(scene.numbers, w, new_log(), 1e-9, 0, 0)
+    contact.resolve(scene.numbers, w, new_log(), 1e-9, 0, 0)
     found: Array = w.state[6:12].copy()
     return found
 

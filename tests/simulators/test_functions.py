@@ -12,10 +12,9 @@ import pytest
 from numpy.typing import NDArray
 
 from jackbox_env import Drive, Scene, make_simulator
-from jackbox_env.compiled import interpolation
-from jackbox_env.compiled.compiler import compiled
-from jackbox_env.compiled.drives import DEGREE
-from jackbox_env.compiled.interpolation import POINTS, interpolate
+from jackbox_env.exact import drives
+from jackbox_env.exact.compiler import compiled
+from jackbox_env.exact.drives import DEGREE, POINTS, interpolate
 from jackbox_env.simulators import functions
 from jackbox_env.simulators.functions import function_pieces
 
@@ -63,13 +62,13 @@ def integrals(table: Array) -> tuple[float, float]:
 
 def test_points_and_weights_are_rounded_right() -> None:
     with mp.workdps(40):
-        for k, cosine in enumerate(interpolation._COSINES[:6]):
+        for k, cosine in enumerate(drives._COSINES[:6]):
             assert cosine == float(mp.cos(k * mp.pi / 12))
         for j, share in enumerate(functions._SHARES):
             assert share == pytest.approx(float(mp.sin(j * mp.pi / 24) ** 2), rel=1e-16, abs=1e-16)
     assert functions._SHARES[0] == 0.0
     assert functions._SHARES[-1] == 1.0
-    for k, powers in enumerate(interpolation._TO_POWERS):  # T_k = cos(k arccos u)
+    for k, powers in enumerate(drives._TO_POWERS):  # T_k = cos(k arccos u)
         for u in np.linspace(-1.0, 1.0, 9):
             assert np.polynomial.polynomial.polyval(u, powers) == pytest.approx(math.cos(k * math.acos(u)), abs=1e-12)
 

@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jackbox_env.compiled import compiler as _compiled
 from jackbox_env.env import JackInBoxEnv
+from jackbox_env.exact import compiler as _compiled
 from jackbox_env.scene import Drive, Scene
 from jackbox_env.tasks import Task
 from jackbox_env.vector_env import JackInBoxVectorEnv

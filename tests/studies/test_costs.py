@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from jackbox_env.batches import exact as batches
-from jackbox_env.compiled import compiler as _compiled
-from jackbox_env.compiled import step
-from jackbox_env.compiled.workspace import new_log
+from jackbox_env.exact import compiler as _compiled
+from jackbox_env.exact import step
+from jackbox_env.exact.workspace import new_log
 from jackbox_env.scene import Drive, Scene
 from jackbox_env.simulators import make_simulator
 from jackbox_env.vector_env import JackInBoxVectorEnv

@@ -26,12 +26,12 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from jackbox_env import Scene, Task, linearize
-from jackbox_env.compiled.compiler import compiled, compiled_with
-from jackbox_env.compiled.motion import Flight, View, box_frame, foot_gap, gap_at, pose_at, towards
-from jackbox_env.compiled.rollouts import outside
-from jackbox_env.compiled.search import NONE, Limits
-from jackbox_env.compiled.trigonometry import cos_sin
-from jackbox_env.compiled.workspace import Workspace
+from jackbox_env.exact.compiler import compiled, compiled_with
+from jackbox_env.exact.flight import Flight, View, box_frame, foot_gap, gap_at, pose_at, towards
+from jackbox_env.exact.run import outside
+from jackbox_env.exact.search import NONE, Limits
+from jackbox_env.exact.trigonometry import cos_sin
+from jackbox_env.exact.workspace import Workspace
 from jackbox_env.planning import rollouts
 from jackbox_env.scene import SceneNumbers
 from jackbox_env.tasks import sample_start
@@ -302,7 +302,7 @@ def first_of_all(
 ) -> tuple[float, int]:  # fmt: skip
     """How impacts are usually found: look at the step's end, then Newton's method. What happens in between is lost.
 
-    It replaces the certified search of ``jackbox_env.compiled.search`` and returns values like it: the earliest root of
+    It replaces the certified search of ``jackbox_env.exact.search`` and returns values like it: the earliest root of
     the gaps that are closed at the end. This shows the price of the guarantee, and what is missed without it.
     """
     left = limits.end

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from jackbox_env.batches.threads import Threads, thread_count
-from jackbox_env.compiled.compiler import compiled, compiled_with
-from jackbox_env.compiled.generator import fresh, packed, seeded, uniform
-from jackbox_env.compiled.motion import foot_gap
-from jackbox_env.compiled.trigonometry import _TURNS, _TURNS_OVER, FARTHEST, LARGEST, cos_sin, cos_sin_within
+from jackbox_env.exact.compiler import compiled, compiled_with
+from jackbox_env.exact.flight import foot_gap
+from jackbox_env.exact.restart import fresh, packed, seeded, uniform
+from jackbox_env.exact.trigonometry import _TURNS, _TURNS_OVER, FARTHEST, LARGEST, cos_sin, cos_sin_within
 from jackbox_env.scene import Scene
 
 

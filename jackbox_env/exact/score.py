@@ -3,7 +3,7 @@
 The arithmetic is that of :mod:`jackbox_env.observation` and of the task's own functions, compiled as they stand there.
 They take the places of :func:`task_terms` and :func:`task_over`. ``score_one``, ``score_step`` and ``score_block`` are
 compiled for each task; the loops of batches and rollouts are not. They call the latter two by their addresses, see
-:mod:`jackbox_env.compiled.address`.
+:mod:`jackbox_env.exact.compiler`.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.compiled.step import make_numbers
-from jackbox_env.compiled.trigonometry import LARGEST, cos_sin, cos_sin_within
-from jackbox_env.compiled.workspace import HIT, IMPULSE_SUM, TORQUE
+from jackbox_env.exact.step import make_numbers
+from jackbox_env.exact.trigonometry import LARGEST, cos_sin, cos_sin_within
+from jackbox_env.exact.workspace import HIT, IMPULSE_SUM, TORQUE
 from jackbox_env.observation import seen
 from jackbox_env.scene import SceneNumbers
 from jackbox_env.states import Array, State

@@ -19,7 +19,7 @@ from tests.fingerprints import digest
 
 @pytest.mark.parametrize("restitution", [1.0, 0.8])
 def test_plain_python_gives_the_bits_of_the_compiled_code(restitution: float) -> None:
-    command = [sys.executable, "-W", "error", "-m", "tests.compiled.test_plain", str(restitution)]
+    command = [sys.executable, "-W", "error", "-m", "tests.exact.test_plain", str(restitution)]
     given = os.environ | {"NUMBA_DISABLE_JIT": "1"}
     plain = subprocess.run(command, env=given, capture_output=True, text=True, check=True)
     assert plain.stdout.split() == played(restitution)

@@ -1,38 +1,40 @@
-"""One step of the exact contact model: its drive cut into pieces, each given to the kernel.
+"""One step of the exact contact model: its drive is cut into pieces, and :func:`advance` goes through each.
 
+A piece is cut where feet strike walls, come to rest on them or leave. It reads detect -> evolve -> resolve, in
+``search.py``, ``flight.py`` and ``contact.py``; ``rest.py`` treats feet at rest.
 The step works in a frame that starts at the box's centre, so it is as good far from the origin as near it.
-Everything here is compiled as it stands, see :mod:`jackbox_env.compiled.compiler`.
+Everything here is compiled as it stands, see :mod:`jackbox_env.exact.compiler`.
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-from jackbox_env.compiled.advance import advance
-from jackbox_env.compiled.drives import DEGREE, TURN, chirp_piece, chirp_pieces, horner, integrate
-from jackbox_env.compiled.motion import constant_piece, curved_piece, flight_of
-from jackbox_env.compiled.rest import record_rest
-from jackbox_env.compiled.search import (
+from jackbox_env.exact.bounds import curvature_of
+from jackbox_env.exact.drives import DEGREE, TURN, chirp_piece, chirp_pieces, horner, integrate
+from jackbox_env.exact.flight import Piece, constant_piece, curved_piece, evolve, flight_of, glide, stays_clear
+from jackbox_env.exact.rest import hold, record_rest, settle
+from jackbox_env.exact.search import (
     AT_REST,
     ENDLESS,
+    GLANCE,
     NONE,
     STEEPEST,
+    Limits,
     Touch,
     contact_tolerance,
     first_impact,
+    resolution,
+    rests,
+    slowest,
     strike,
     why_endless,
 )
-from jackbox_env.compiled.status import Status
-from jackbox_env.compiled.trigonometry import without_turns
-from jackbox_env.compiled.workspace import Workspace, Workspaces
+from jackbox_env.exact.trigonometry import without_turns
+from jackbox_env.exact.workspace import Array, Status, Workspace, Workspaces
 from jackbox_env.scene import SceneNumbers, chirp_turns
 from jackbox_env.states import LARGEST
-
-Array = NDArray[np.float64]
 
 _HOLDING = 40.0  # gaps that take as long as holding feet through a step
 _COARSEST = 4.5e12  # whose unit in the last place is 1e-3
@@ -157,46 +159,6 @@ def step_near(
     return finish(advance(scene, memory, log, piece, touch, time), plan, before, after, memory, log)
 
 
-def stays_clear(x: float, y: float, vx: float, vy: float, fall: float, dt: float, clear: float) -> bool:
-    """Whether both ends of the jack's path are so near the box's centre that no foot can touch a wall on the way.
-
-    ``clear`` is that distance's square, see :class:`Plan`.
-    """
-    end_x, end_y = moved(x, vx, dt), fallen(y, vy, fall, dt)
-    return bool((x * x + y * y < clear) & (end_x * end_x + end_y * end_y < clear))
-
-
-def moved(place: float, rate: float, dt: float) -> float:
-    """A coordinate after ``dt`` [s] at a constant rate."""
-    return place + rate * dt
-
-
-def fallen(place: float, rate: float, fall: float, dt: float) -> float:
-    """A height after ``dt`` [s], in which gravity takes ``fall`` [m/s] from its rate."""
-    return place + (rate - 0.5 * fall) * dt
-
-
-def turned(angle: float, omega: float, alpha: float, dt: float) -> float:
-    """An angle after ``dt`` [s] at a constant angular acceleration."""
-    return angle + (omega + 0.5 * alpha * dt) * dt
-
-
-def glide(before: Array, after: Array, fall: float, dt: float, alpha: float) -> None:
-    """Fly for ``dt`` [s], in which the jack's fall gains ``fall`` [m/s], without looking for impacts."""
-    after[0] = moved(before[0], before[6], dt)
-    after[1] = moved(before[1], before[7], dt)
-    after[2] = turned(before[2], before[8], alpha, dt)
-    after[3] = moved(before[3], before[9], dt)
-    after[4] = fallen(before[4], before[10], fall, dt)
-    after[5] = moved(before[5], before[11], dt)
-    after[6] = before[6]
-    after[7] = before[7]
-    after[8] = before[8] + alpha * dt
-    after[9] = before[9]
-    after[10] = before[10] - fall
-    after[11] = before[11]
-
-
 def touch_of(plan: Plan, before: Array) -> Touch:
     """The gaps at which feet touch in a step from a state."""
     furthest = max(max(abs(before[0]), abs(before[1])), max(abs(before[3]), abs(before[4])))
@@ -312,3 +274,45 @@ def step_one(
     pieces = Pieces(table, 0, table.shape[0])
     ended, mean = step(scene, make_plan(scene, dt, kind), before, after, time, torque, pieces, memory, log)
     return ended.value, memory.hits, mean
+
+
+def advance(scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, touch: Touch, since: float) -> Status:
+    """Advance the state ``memory.state`` from ``since`` [s] to the end of a piece; return how it ended.
+
+    The state is in a frame near the box; ``memory`` holds the polynomial accelerations.
+    """
+    memory.loose = 0
+    restless = False  # whether the state has been found to be without a foot at rest
+    while since < piece.length:
+        remaining = piece.length - since
+        near = resolution(scene, memory, touch)
+        left = min(remaining, GLANCE * piece.length) if rests(scene, memory) else remaining
+        flight = flight_of(scene, memory.state, piece, since)
+        rest = -math.inf if restless else near
+        time, pair = first_impact(scene, memory, flight, piece, left, touch.tolerance, rest)
+        if pair == AT_REST:
+            limits = Limits(curvature_of(scene, flight, left, piece), left, touch.tolerance)
+            slow = slowest(scene, flight, limits, near)
+            held = settle(scene, memory, piece, since, touch, near, slow)
+            if held == 0:
+                restless = True
+                continue
+            ended, time = hold(scene, memory, log, piece, touch, near, since, held)
+            if ended != Status.DONE:
+                return ended
+            since += time
+            continue
+        restless = False
+        memory.loose = 0
+        if pair == ENDLESS:
+            return why_endless(memory)
+        if pair == NONE:
+            evolve(memory, flight, left)
+            memory.elapsed += left
+            if left == remaining:
+                return Status.DONE
+            since += left
+            continue
+        strike(scene, memory, log, flight, time, pair, near)
+        since += time
+    return Status.DONE

@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.compiled.drives import DEGREE, PUSH_X, PUSH_Y, TURN, horner
-from jackbox_env.compiled.impacts import gap_and_lever
-from jackbox_env.compiled.trigonometry import cos_sin
-from jackbox_env.compiled.workspace import PLACE_X, PLACE_Y, PSI, RATE_X, RATE_Y, SPIN, Workspace
+from jackbox_env.exact.contact import gap_and_lever
+from jackbox_env.exact.drives import DEGREE, PUSH_X, PUSH_Y, TURN, horner
+from jackbox_env.exact.trigonometry import cos_sin
+from jackbox_env.exact.workspace import PLACE_X, PLACE_Y, PSI, RATE_X, RATE_Y, SPIN, Workspace
 from jackbox_env.scene import SceneNumbers
 
 Array = NDArray[np.float64]
@@ -156,6 +156,46 @@ def evolve(memory: Workspace, flight: Flight, s: float) -> None:
     state[5] += state[11] * s
 
 
+def stays_clear(x: float, y: float, vx: float, vy: float, fall: float, dt: float, clear: float) -> bool:
+    """Whether both ends of the jack's path are so near the box's centre that no foot can touch a wall on the way.
+
+    ``clear`` is that distance's square, see ``step.Plan``.
+    """
+    end_x, end_y = moved(x, vx, dt), fallen(y, vy, fall, dt)
+    return bool((x * x + y * y < clear) & (end_x * end_x + end_y * end_y < clear))
+
+
+def moved(place: float, rate: float, dt: float) -> float:
+    """A coordinate after ``dt`` [s] at a constant rate."""
+    return place + rate * dt
+
+
+def fallen(place: float, rate: float, fall: float, dt: float) -> float:
+    """A height after ``dt`` [s], in which gravity takes ``fall`` [m/s] from its rate."""
+    return place + (rate - 0.5 * fall) * dt
+
+
+def turned(angle: float, omega: float, alpha: float, dt: float) -> float:
+    """An angle after ``dt`` [s] at a constant angular acceleration."""
+    return angle + (omega + 0.5 * alpha * dt) * dt
+
+
+def glide(before: Array, after: Array, fall: float, dt: float, alpha: float) -> None:
+    """Fly for ``dt`` [s], in which the jack's fall gains ``fall`` [m/s], without looking for impacts."""
+    after[0] = moved(before[0], before[6], dt)
+    after[1] = moved(before[1], before[7], dt)
+    after[2] = turned(before[2], before[8], alpha, dt)
+    after[3] = moved(before[3], before[9], dt)
+    after[4] = fallen(before[4], before[10], fall, dt)
+    after[5] = moved(before[5], before[11], dt)
+    after[6] = before[6]
+    after[7] = before[7]
+    after[8] = before[8] + alpha * dt
+    after[9] = before[9]
+    after[10] = before[10] - fall
+    after[11] = before[11]
+
+
 class BoxFrame(NamedTuple):
     """The jack's centre on the box's axes, as it is seen turning with the box."""
 
@@ -208,7 +248,7 @@ def towards(frame: BoxFrame, wall: int) -> tuple[float, float]:
 def foot_gap(
     scene: SceneNumbers, ahead: float, speed: float, cosine: float, sine: float, spin: float, turn: int
 ) -> tuple[float, float]:
-    """Gap between a wall and a foot [m], and its rate [m/s]: see :func:`impacts.gap_and_lever`.
+    """Gap between a wall and a foot [m], and its rate [m/s]: see :func:`contact.gap_and_lever`.
 
     ``ahead`` grows at the rate ``speed`` [m/s], the angle at the rate ``spin`` [rad/s].
     """

@@ -25,14 +25,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.compiled.constrained import carry, curvature_while_held, first_let_go, impulse_of, stretch
-from jackbox_env.compiled.drives import DEGREE, PUSH_X, PUSH_Y, TURN, horner
-from jackbox_env.compiled.impacts import Frame, frame_of, gradient, kick, note, rate_of, resolve
-from jackbox_env.compiled.motion import Flight, Piece, box_frame, flight_of, view_of
-from jackbox_env.compiled.search import ALL, ENDLESS, NONE, Limits, Touch, first_of_all, why_endless
-from jackbox_env.compiled.status import Status
-from jackbox_env.compiled.workspace import Workspace
 from jackbox_env.complementarity import dot, nearest, project, violation_of, weigh
+from jackbox_env.exact.constrained import carry, curvature_while_held, first_let_go, impulse_of, stretch
+from jackbox_env.exact.contact import Frame, frame_of, gradient, kick, note, rate_of, resolve
+from jackbox_env.exact.drives import DEGREE, PUSH_X, PUSH_Y, TURN, horner
+from jackbox_env.exact.flight import Flight, Piece, box_frame, flight_of, view_of
+from jackbox_env.exact.search import ALL, ENDLESS, NONE, Limits, Touch, first_of_all, why_endless
+from jackbox_env.exact.workspace import Status, Workspace
 from jackbox_env.scene import SceneNumbers
 
 Array = NDArray[np.float64]

@@ -1,8 +1,8 @@
 """The exact contact model's physics: one piece of a step, cut at every impact.
 
 It reads detect -> evolve -> resolve: :func:`first_impact` finds the next impact or proves that there is none,
-``motion.evolve`` flies there, ``impacts.resolve`` applies the law and records. All of it is plain Python of scalars,
-compiled as it stands (:mod:`jackbox_env.compiled.compiler`). The head of ``exact.py`` states order, cost and limits.
+``flight.evolve`` flies there, ``contact.resolve`` applies the law and records. All of it is plain Python of scalars,
+compiled as it stands (:mod:`jackbox_env.exact.compiler`). The head of ``exact.py`` states order, cost and limits.
 
 Guarantee: with |d2 gap / dt2| <= K over what is left of the piece (``bounds.py``), gap(t + s) >= gap + gap' s -
 K s^2 / 2. So walking to the first positive root of that parabola never passes an impact. Where a foot arrives at speed
@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jackbox_env.compiled.bounds import (
+from jackbox_env.exact.bounds import (
     bounds_of,
     bounds_to_impact,
     inside,
@@ -26,8 +26,8 @@ from jackbox_env.compiled.bounds import (
     rounding,
     walls_in_reach,
 )
-from jackbox_env.compiled.impacts import resolve
-from jackbox_env.compiled.motion import (
+from jackbox_env.exact.contact import resolve
+from jackbox_env.exact.flight import (
     Flight,
     Piece,
     View,
@@ -40,8 +40,7 @@ from jackbox_env.compiled.motion import (
     towards,
     view_of,
 )
-from jackbox_env.compiled.status import Status
-from jackbox_env.compiled.workspace import AT_IMPACT, DRIVEN_THERE, WIDE, Array, Workspace
+from jackbox_env.exact.workspace import AT_IMPACT, DRIVEN_THERE, WIDE, Array, Status, Workspace
 from jackbox_env.scene import SceneNumbers
 
 # In place of 4 * wall + foot: no impact, none to be found by reasonable work, or a foot may be at rest now.

@@ -1,7 +1,7 @@
 """Environments in free flight, moved many at a time: one coordinate per loop is what the compiler makes wide.
 
-The law is that of ``compiled.step``: under a held torque that of ``glide``, under the chirp that of
-``motion.evolve``. Sums have the same order, so every environment gets the bits that it would get alone.
+The law is that of ``exact.step``: under a held torque that of ``glide``, under the chirp that of
+``flight.evolve``. Sums have the same order, so every environment gets the bits that it would get alone.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.compiled.bounds import bend_of, farthest, stays_off
-from jackbox_env.compiled.drives import DEGREE, TURN, chirp_piece, chirp_pieces, horner
-from jackbox_env.compiled.motion import on_axes
-from jackbox_env.compiled.search import STEEPEST
-from jackbox_env.compiled.step import Plan, fallen, moved, stays_clear, turned
-from jackbox_env.compiled.trigonometry import LARGEST, cos_sin_within
-from jackbox_env.compiled.workspace import (
+from jackbox_env.exact.bounds import bend_of, farthest, stays_off
+from jackbox_env.exact.drives import DEGREE, TURN, chirp_piece, chirp_pieces, horner
+from jackbox_env.exact.flight import fallen, moved, on_axes, stays_clear, turned
+from jackbox_env.exact.search import STEEPEST
+from jackbox_env.exact.step import Plan
+from jackbox_env.exact.trigonometry import LARGEST, cos_sin_within
+from jackbox_env.exact.workspace import (
     AHEAD,
     APART,
     ASIDE,
@@ -64,7 +64,7 @@ class Block(NamedTuple):
 def glide_block(dt: float, block: Block) -> None:
     """Fly all lanes of a block for ``dt`` [s], many at a time, and mark those where a foot may touch a wall.
 
-    The law is that of ``compiled.step.glide``.
+    The law is that of ``exact.step.glide``.
     """
     before, after, lanes, count = block.before, block.after, block.lanes, block.size
     inertia, fall, torque = block.scenes[INERTIA], block.scenes[FALL], lanes[TORQUE]
@@ -243,7 +243,7 @@ def mark_under_chirp(scene: SceneNumbers, plan: Plan, block: Block, time: float)
 
 
 def drift(block: Block, gravity: float, length: float, angle: float, rate: float) -> None:
-    """Fly all lanes for ``length`` [s], in which the chirp adds to the box's angle and rate: see ``motion.evolve``."""
+    """Fly all lanes for ``length`` [s], in which the chirp adds to the box's angle and rate: see ``flight.evolve``."""
     after, lanes, count = block.after, block.lanes, block.size
     for place in (0, 1):
         there, speed = after[place], after[6 + place]

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from jackbox_env.compiled.motion import BoxFrame, Flight, Piece, towards
+from jackbox_env.exact.flight import BoxFrame, Flight, Piece, towards
 from jackbox_env.scene import SceneNumbers
 
 _SLACK = 1.0 + 1e-12  # on bounds, for their rounding

@@ -24,10 +24,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.compiled.impacts import SLOW, frame_of, gradient, kick, rate_of
-from jackbox_env.compiled.rest import bend
-from jackbox_env.compiled.rollouts import Counts, Flags
-from jackbox_env.compiled.step import (
+from jackbox_env.exact.contact import SLOW, frame_of, gradient, kick, rate_of
+from jackbox_env.exact.rest import bend
+from jackbox_env.exact.run import Counts, Flags
+from jackbox_env.exact.step import (
     CONSTANT,
     CONSTANT_BESIDE_FORCES,
     FUNCTIONS,
@@ -37,7 +37,7 @@ from jackbox_env.compiled.step import (
     start,
     touch_of,
 )
-from jackbox_env.compiled.workspace import AT_IMPACT, DRIVEN_THERE, Workspace, Workspaces
+from jackbox_env.exact.workspace import AT_IMPACT, DRIVEN_THERE, Workspace, Workspaces
 from jackbox_env.scene import SceneNumbers
 
 Array = NDArray[np.float64]

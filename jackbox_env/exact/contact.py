@@ -17,9 +17,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.compiled.trigonometry import cos_sin
-from jackbox_env.compiled.workspace import Workspace
 from jackbox_env.complementarity import nearest, weigh
+from jackbox_env.exact.trigonometry import cos_sin
+from jackbox_env.exact.workspace import Workspace
 from jackbox_env.scene import SceneNumbers
 
 Array = NDArray[np.float64]

@@ -26,13 +26,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.compiled.bounds import parabola_root
-from jackbox_env.compiled.drives import DEGREE, PUSH_X, PUSH_Y, SHARES, TURN, horner
-from jackbox_env.compiled.impacts import quarter
-from jackbox_env.compiled.motion import Flight, Piece, View, excursion, held_view, on_axes
-from jackbox_env.compiled.search import MOST_WORK
-from jackbox_env.compiled.trigonometry import cos_sin
-from jackbox_env.compiled.workspace import (
+from jackbox_env.exact.bounds import parabola_root
+from jackbox_env.exact.contact import quarter
+from jackbox_env.exact.drives import DEGREE, PUSH_X, PUSH_Y, SHARES, TURN, horner
+from jackbox_env.exact.flight import Flight, Piece, View, excursion, held_view, on_axes
+from jackbox_env.exact.search import MOST_WORK
+from jackbox_env.exact.trigonometry import cos_sin
+from jackbox_env.exact.workspace import (
     ALPHA,
     BOX_COSINE,
     BOX_LEVER,

@@ -1,0 +1,167 @@
+"""Between the steps of a batch: scenes and starts are drawn, states observed.
+
+Everything here is compiled as it stands. Scenes come in rows of numbers, one for all environments or one for each. The
+random numbers are numpy's PCG64, bit for bit, in 32 bytes per environment: O'Neill 2014, "PCG: A family of simple fast
+space-efficient statistically good algorithms" (PCG XSL RR 128/64). A test compares draws with numpy's own generator.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jackbox_env.exact.glide import CLEAR, FALL, INERTIA, LIMIT, ORDINARY, ROOM, WIDTH, ordinary
+from jackbox_env.exact.score import look
+from jackbox_env.exact.step import CONSTANT, make_numbers, make_plan
+from jackbox_env.scene import SceneNumbers, between, fall_speed, square_inertia
+from jackbox_env.tasks import start_pose
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+Counts = NDArray[np.int64]
+
+(HALF_WIDTH, BOX_MASS, BOX_INERTIA, ARM, JACK_MASS, JACK_INERTIA, SPEED_SCALE) = (
+    SceneNumbers._fields.index(name)
+    for name in (
+        "box_half_width", "box_mass", "box_inertia", "jack_arm", "jack_mass", "jack_inertia", "speed_scale",
+    )
+)  # fmt: skip
+
+
+def draw_scenes(values: Array, ranges: Array, derived: NDArray[np.bool_], words: Words) -> None:
+    """Draw the numbers of some scenes, as :meth:`jackbox_env.randomization.Randomization.draw` does.
+
+    Args:
+        values: the scenes, one row each, to be changed.
+        ranges: rows of place in a scene, least value, largest value, in the order in which they are drawn.
+        derived: whether the inertia of box and jack follows mass and size, shape (scenes, 2).
+        words: their generators.
+    """
+    for i in range(values.shape[0]):
+        row = values[i]
+        for k in range(ranges.shape[0]):
+            row[int(ranges[k, 0])] = between(ranges[k, 1], ranges[k, 2], uniform(words[i]))
+        if derived[i, 0]:
+            row[BOX_INERTIA] = square_inertia(row[BOX_MASS], row[HALF_WIDTH])
+        if derived[i, 1]:
+            row[JACK_INERTIA] = square_inertia(row[JACK_MASS], row[ARM])
+        row[SPEED_SCALE] = fall_speed(row[HALF_WIDTH])
+
+
+def spread(values: Array, dt: float, lanes: Array, numbers: Counts) -> None:
+    """Write what environments that are moved together need of their scenes, see ``glide.SCENE_LANES``.
+
+    Args:
+        values: the scenes' numbers, a row for each of ``numbers`` or one for all.
+        dt: control step [s].
+        lanes: shape (blocks, SCENE_LANES, width), to be written.
+        numbers: of the environments.
+    """
+    for i in range(numbers.shape[0]):
+        scene = make_numbers(values[i if values.shape[0] > 1 else 0])
+        lane = lanes[numbers[i] // lanes.shape[2], :, numbers[i] % lanes.shape[2]]
+        lane[LIMIT], lane[INERTIA], lane[FALL] = scene.torque_limit, scene.box_inertia, scene.gravity * dt
+        lane[CLEAR] = make_plan(scene, dt, CONSTANT).clear
+        lane[ROOM], lane[ORDINARY] = scene.box_half_width * (1.0 - 1e-12) - scene.jack_arm, ordinary(scene)
+
+
+def restart_blocks(values: Array, blocks: Array, numbers: Counts, words: Words) -> None:
+    """Draw a start for each environment of ``numbers``, at time 0.
+
+    Args:
+        values: the scenes' numbers, a row for each of ``numbers`` or one for all.
+        blocks: shape (blocks, 16, width), to be changed.
+        numbers: of the environments.
+        words: their generators.
+    """
+    width = blocks.shape[2]
+    for k in range(numbers.shape[0]):
+        scene = make_numbers(values[k if values.shape[0] > 1 else 0])
+        row = blocks[numbers[k] // width, :, numbers[k] % width]
+        for place in range(WIDTH):
+            row[place] = 0.0
+        x = -1.0 + 2.0 * uniform(words[k])
+        y = -1.0 + 2.0 * uniform(words[k])
+        angle = -1.0 + 2.0 * uniform(words[k])
+        row[3], row[4], row[5] = start_pose(scene, x, y, angle)
+
+
+def look_blocks(values: Array, blocks: Array, numbers: Counts, observations: Floats) -> None:
+    """Write the observations of some environments, with a row of ``values`` for each of ``numbers`` or one for all."""
+    width = blocks.shape[2]
+    for k in range(numbers.shape[0]):
+        scene = make_numbers(values[k if values.shape[0] > 1 else 0])
+        look(scene, blocks[numbers[k] // width, :, numbers[k] % width], observations[numbers[k]])
+
+
+Words = NDArray[np.uint64]
+
+# Of the generator's words: state and increment, each a high and a low word. Then what numpy keeps of a word of which a
+# draw of 32 bits has used one half: whether there is one, and which. Compiled code draws whole words and needs neither.
+STATE_HIGH, STATE_LOW, INCREMENT_HIGH, INCREMENT_LOW, HALF_KEPT, HALF = range(6)
+WHOLE, WITH_HALVES = 4, 6  # words that are kept of a generator
+_LOW = np.uint64(0xFFFFFFFF)
+_HALF = np.uint64(32)
+_MULTIPLIER_HIGH = np.uint64(2549297995355413924)
+_MULTIPLIER_LOW = np.uint64(4865540595714422341)
+_ONE = np.uint64(1)
+
+
+def high_product(a: np.uint64, b: np.uint64) -> np.uint64:
+    """Upper 64 bits of the product of two words."""
+    a_low, a_high, b_low, b_high = a & _LOW, a >> _HALF, b & _LOW, b >> _HALF
+    middle = a_high * b_low + (a_low * b_low >> _HALF)
+    other = a_low * b_high + (middle & _LOW)
+    return a_high * b_high + (middle >> _HALF) + (other >> _HALF)
+
+
+def uniform(words: Words) -> float:
+    """Draw a number in [0, 1) and move the generator, shape (4,) or (6,), on."""
+    high, low = words[STATE_HIGH], words[STATE_LOW]
+    next_low = low * _MULTIPLIER_LOW
+    next_high = high_product(low, _MULTIPLIER_LOW) + high * _MULTIPLIER_LOW + low * _MULTIPLIER_HIGH
+    low = next_low + words[INCREMENT_LOW]
+    carry = _ONE if low < next_low else np.uint64(0)
+    high = next_high + words[INCREMENT_HIGH] + carry
+    words[STATE_HIGH], words[STATE_LOW] = high, low
+    mixed = high ^ low
+    turn = high >> np.uint64(58)
+    word = (mixed >> turn) | (mixed << ((np.uint64(64) - turn) & np.uint64(63)))
+    return float(word >> np.uint64(11)) * (1.0 / 9007199254740992.0)
+
+
+def seeded(seed: int) -> Words:
+    """The words of ``numpy.random.PCG64(seed)``, shape (6,)."""
+    return packed(np.random.Generator(np.random.PCG64(seed)))
+
+
+def packed(generator: np.random.Generator) -> Words:
+    """The words of a PCG64 generator, shape (6,)."""
+    kept: Any = generator.bit_generator.state
+    state, increment = int(kept["state"]["state"]), int(kept["state"]["inc"])
+    low = (1 << 64) - 1
+    words = [state >> 64, state & low, increment >> 64, increment & low, kept["has_uint32"], kept["uinteger"]]
+    return np.array(words, dtype=np.uint64)
+
+
+def unpacked(words: Words) -> np.random.Generator:
+    """numpy's generator of these words, shape (6,), or (4,) where no half of a word is kept."""
+    high, low, increment_high, increment_low, kept, half = [*map(int, words), 0, 0][:WITH_HALVES]
+    generator = np.random.PCG64(0)
+    generator.state = {
+        "bit_generator": "PCG64",
+        "state": {"state": high << 64 | low, "inc": increment_high << 64 | increment_low},
+        "has_uint32": kept,
+        "uinteger": half,
+    }
+    return np.random.Generator(generator)
+
+
+def fresh(count: int, width: int = WHOLE) -> Words:
+    """Independent generators from the system's entropy, shape (count, width)."""
+    words: Words = np.zeros((count, width), dtype=np.uint64)
+    words[:, :HALF_KEPT] = np.random.SeedSequence().generate_state(4 * count, np.uint64).reshape(count, 4)
+    words[:, INCREMENT_LOW] |= _ONE  # increments are odd
+    return words
