@@ -35,7 +35,7 @@ def look(scene: SceneNumbers, state: Array, observation: Floats) -> None:
     named = state_in(state)
     cosine, sine = cos_sin(named.theta_box)
     cosine_4, sine_4 = cos_sin(4.0 * (named.theta_jack - named.theta_box))
-    write(scene, named, cosine, sine, cosine_4, sine_4, observation)
+    write(scene, state, cosine, sine, cosine_4, sine_4, observation)
 
 
 def look_block(values: Array, block: Array, count: int, lanes: Array, low: int, observations: Floats) -> None:
@@ -64,15 +64,15 @@ def look_block(values: Array, block: Array, count: int, lanes: Array, low: int, 
     if values.shape[0] == 1:
         scene = make_numbers(values[0])
         for k in range(count):
-            write(scene, state_in(block[:, k]), cosine[k], sine[k], cosine_4[k], sine_4[k], observations[low + k])
+            write(scene, block[:, k], cosine[k], sine[k], cosine_4[k], sine_4[k], observations[low + k])
     else:
         for k in range(count):
             own = make_numbers(values[low + k])
-            write(own, state_in(block[:, k]), cosine[k], sine[k], cosine_4[k], sine_4[k], observations[low + k])
+            write(own, block[:, k], cosine[k], sine[k], cosine_4[k], sine_4[k], observations[low + k])
 
 
 def write(
-    scene: SceneNumbers, state: State, cosine: float, sine: float, cosine_4: float, sine_4: float, observation: Floats
+    scene: SceneNumbers, state: Array, cosine: float, sine: float, cosine_4: float, sine_4: float, observation: Floats
 ) -> None:
     """Write the ten numbers."""
     a, b, c, d, e, f, g, h, i, j = seen(scene, state, cosine, sine, cosine_4, sine_4)
