@@ -82,7 +82,7 @@ def unpacked(content: bytes, name: str) -> dict[str, bytes]:
 
     Raises:
         ValueError: it would inflate to many times its size.
-        zipfile.BadZipFile: it is no zip file, or a member is damaged or longer than it says.
+        zipfile.BadZipFile: it is no zip file, or a member is damaged or longer than declared.
     """
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         members, most = archive.infolist(), _MOST_TIMES * len(content) + _SPARE

@@ -103,7 +103,7 @@ def run_folder(file: Path) -> Path | None:
 def model_in(path: Path) -> Path:
     """The best model of a run folder, else its last; or ``path`` itself if it is a model file.
 
-    A damaged best model is skipped, and standard error says so.
+    A damaged best model is skipped, with a note on standard error.
 
     Raises:
         FileNotFoundError: there is no model.
@@ -139,7 +139,7 @@ def read_parameters(path: Path) -> Parameters:
 
 
 def read_if_whole(path: Path) -> Parameters | None:
-    """The parameters in a model file; None if it is not there, or is damaged, which standard error then says."""
+    """The parameters in a model file; None if it is missing or damaged; damage is reported on standard error."""
     try:
         return read_parameters(path)
     except FileNotFoundError:
@@ -150,5 +150,5 @@ def read_if_whole(path: Path) -> Parameters | None:
 
 
 def is_whole(path: Path) -> bool:
-    """Whether there is a model file with nothing missing; says so if it is damaged."""
+    """Whether there is an intact model file; damage is reported on standard error."""
     return read_if_whole(path) is not None

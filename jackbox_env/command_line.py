@@ -69,7 +69,7 @@ def _drop_unwritten() -> None:
 
 
 def _sentence(error: Exception) -> str:
-    """What an error says; one of the system's own says which file it is about, without its number."""
+    """The error's message; for an error of the system, with the file's name and without the error number."""
     if isinstance(error, OSError) and error.strerror and (error.filename is not None or error.errno in _UNWRITABLE):
         return f"{error.filename or 'standard output, or a file,'} cannot be used: {error.strerror}"
     return str(error)

@@ -91,7 +91,7 @@ def load_model(path: Path) -> PPO:
 
     Args:
         path: run folder, or a .zip in it (or in a folder below it). A damaged best model in a run folder is skipped,
-            and standard error says so.
+            with a note on standard error.
 
     Raises:
         FileNotFoundError: there is no model, or no settings.json above it.

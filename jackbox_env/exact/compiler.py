@@ -1,8 +1,8 @@
 """Plain functions, compiled by numba together with the plain functions that they call.
 
 The functions stay plain Python where they are written: readable, importable without numba, and testable without it.
-What is compiled of this package is kept on disk for later processes (``kept.py``); what is compiled for a task of a
-user's, or with a substitution for a comparison, lives as long as its process needs it.
+Compiled functions of this package are kept on disk for later processes (``kept.py``). Those compiled for a user's task,
+or with a substitution for a comparison, live as long as their process needs them.
 
 The loops call a task's compiled functions by their address, so they are compiled once for all tasks. Numba can hand a
 compiled function to another one, but looks its address up in Python at each call, which takes longer than a step of a

@@ -147,7 +147,7 @@ def packed(generator: np.random.Generator) -> Words:
 
 
 def unpacked(words: Words) -> np.random.Generator:
-    """numpy's generator of these words, shape (6,), or (4,) where no half of a word is kept."""
+    """numpy's generator of these words, shape (6,), or (4,) without a stored half word."""
     high, low, increment_high, increment_low, kept, half = [*map(int, words), 0, 0][:WITH_HALVES]
     generator = np.random.PCG64(0)
     generator.state = {

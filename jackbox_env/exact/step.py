@@ -265,17 +265,6 @@ def advance_pieces(
     return Status.DONE, scene.box_inertia * impulse
 
 
-def step_one(
-    values: Array, dt: float, kind: int, before: Array, after: Array, time: float, torque: float, table: Array,
-    workspaces: Workspaces, log: Array,
-) -> tuple[int, int, float]:  # fmt: skip
-    """Advance one state; return how it ended, the number of impacts and the mean torque [N m]."""
-    scene, memory = make_numbers(values), workspaces[0]
-    pieces = Pieces(table, 0, table.shape[0])
-    ended, mean = step(scene, make_plan(scene, dt, kind), before, after, time, torque, pieces, memory, log)
-    return ended.value, memory.hits, mean
-
-
 def advance(scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, touch: Touch, since: float) -> Status:
     """Advance the state ``memory.state`` from ``since`` [s] to the end of a piece; return how it ended.
 
@@ -316,3 +305,14 @@ def advance(scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, to
         strike(scene, memory, log, flight, time, pair, near)
         since += time
     return Status.DONE
+
+
+def step_one(
+    values: Array, dt: float, kind: int, before: Array, after: Array, time: float, torque: float, table: Array,
+    workspaces: Workspaces, log: Array,
+) -> tuple[int, int, float]:  # fmt: skip
+    """Advance one state; return how it ended, the number of impacts and the mean torque [N m]."""
+    scene, memory = make_numbers(values), workspaces[0]
+    pieces = Pieces(table, 0, table.shape[0])
+    ended, mean = step(scene, make_plan(scene, dt, kind), before, after, time, torque, pieces, memory, log)
+    return ended.value, memory.hits, mean
