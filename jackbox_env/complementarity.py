@@ -22,20 +22,16 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from jackbox_env.scene import SceneNumbers
-
-Array = NDArray[np.float64]
+from jackbox_env.states import THETA_BOX, THETA_JACK, Array
 
 _DEPENDENT = 1e-13  # a row that keeps less than this of its length beside the others depends on them
 
 
 def root_mass(scene: SceneNumbers, place: int) -> float:
     """Square root of a diagonal element of M."""
-    mass = scene.box_mass if place < 2 else scene.box_inertia if place == 2 else scene.jack_mass
-    return math.sqrt(scene.jack_inertia if place == 5 else mass)
+    mass = scene.box_mass if place < THETA_BOX else scene.box_inertia if place == THETA_BOX else scene.jack_mass
+    return math.sqrt(scene.jack_inertia if place == THETA_JACK else mass)
 
 
 def weigh(scene: SceneNumbers, memory: Any, count: int, rates: Array) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from jackbox_env.states import Array
+from jackbox_env.states import OMEGA_BOX, THETA_BOX, VY_BOX, VY_JACK, Y_BOX, Y_JACK, Array
 
 LONGEST = 8.0  # [L / v0] a time to the landing is cut there: twice the flight from the floor at v0 up and back on Earth
 QUARTER = 0.5 * math.pi
@@ -35,11 +35,11 @@ def fall_time(gravity: Any, height: Any, rise: Any, longest: Any, library: Any =
 def landing_times(scene: Any, states: Array) -> Array:
     """When the jack lands [s], shape (n,), from states, shape (n, 12), in a scene or in one whose fields are arrays."""
     depth = scene.box_half_width - scene.jack_arm
-    height = np.maximum(states[:, 4] - states[:, 1] + depth, 0.0)
+    height = np.maximum(states[:, Y_JACK] - states[:, Y_BOX] + depth, 0.0)
     longest = LONGEST * scene.box_half_width / scene.speed_scale
     with np.errstate(over="ignore"):
         found: Array = fall_time(
-            np.maximum(scene.gravity, WEAKEST), height, states[:, 10] - states[:, 7], longest
+            np.maximum(scene.gravity, WEAKEST), height, states[:, VY_JACK] - states[:, VY_BOX], longest
         )  # fmt: skip
     return found
 
@@ -47,7 +47,7 @@ def landing_times(scene: Any, states: Array) -> Array:
 def upright(states: Array) -> Array:
     """The states with the box turned back by whole quarter turns, to within an eighth: it looks and acts the same."""
     found = states.copy()
-    found[:, 2] -= QUARTER * np.round(found[:, 2] / QUARTER)
+    found[:, THETA_BOX] -= QUARTER * np.round(found[:, THETA_BOX] / QUARTER)
     return found
 
 
@@ -63,8 +63,8 @@ def torques(scene: Any, states: Array, times: Array, targets: Array, held: float
         targets: angle [rad] and rate [rad/s] there, shape (n, 2).
         held: how long each torque is held [s]; it is the cubic's mean over that time.
     """
-    left, rate, wanted = np.maximum(times, held), states[:, 8], targets[:, 1]
-    missing = targets[:, 0] - states[:, 2]
+    left, rate, wanted = np.maximum(times, held), states[:, OMEGA_BOX], targets[:, 1]
+    missing = targets[:, 0] - states[:, THETA_BOX]
     first = 6.0 * missing / left**2 - (4.0 * rate + 2.0 * wanted) / left  # [rad/s^2]
     growth = -12.0 * missing / left**3 + 6.0 * (rate + wanted) / left**2  # [rad/s^3]
     found: Array = (first + 0.5 * held * growth) * scene.box_inertia / scene.torque_limit

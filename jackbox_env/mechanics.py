@@ -33,7 +33,25 @@ from numpy.typing import ArrayLike, NDArray
 from jackbox_env import checks as check
 from jackbox_env.complementarity import nearest, weigh
 from jackbox_env.scene import Scene, SceneNumbers
-from jackbox_env.states import Array, Numbers, as_state, refuse_no_scene
+from jackbox_env.states import (
+    OMEGA_BOX,
+    OMEGA_JACK,
+    RATES,
+    THETA_BOX,
+    THETA_JACK,
+    VX_BOX,
+    VX_JACK,
+    VY_BOX,
+    VY_JACK,
+    X_BOX,
+    X_JACK,
+    Y_BOX,
+    Y_JACK,
+    Array,
+    Numbers,
+    as_state,
+    refuse_no_scene,
+)
 
 Indices = NDArray[np.int64]
 _QUARTERS = np.arange(4) * (math.pi / 2.0)
@@ -53,8 +71,9 @@ def gaps(scene: Scene, state: ArrayLike) -> Array:
     """
     refuse_no_scene(scene)
     q = as_state(state)
-    feet = q[3:5] - q[0:2] + scene.jack_arm * _directions(q[5])  # (4, 2) from the box's centre
-    normals = _directions(q[2])
+    jack = np.array([q[X_JACK] - q[X_BOX], q[Y_JACK] - q[Y_BOX]])
+    feet = jack + scene.jack_arm * _directions(q[THETA_JACK])  # (4, 2) from the box's centre
+    normals = _directions(q[THETA_BOX])
     return scene.box_half_width - (np.outer(normals[:, 0], feet[:, 0]) + np.outer(normals[:, 1], feet[:, 1]))
 
 
@@ -91,9 +110,9 @@ def contacts_of(scene: Scene, states: Array, walls: Indices, feet: Indices) -> t
         feet: shape (n,), each from 0 to 3.
     """
     every, q = np.arange(len(states)), states.T
-    nx, ny = _directions(q[2])[every, walls].T
-    ox, oy = (scene.jack_arm * _directions(q[5])[every, feet]).T
-    x, y = q[3] - q[0] + ox, q[4] - q[1] + oy  # of the foot, from the box's centre
+    nx, ny = _directions(q[THETA_BOX])[every, walls].T
+    ox, oy = (scene.jack_arm * _directions(q[THETA_JACK])[every, feet]).T
+    x, y = q[X_JACK] - q[X_BOX] + ox, q[Y_JACK] - q[Y_BOX] + oy  # of the foot, from the box's centre
     box_turns = ny * x - nx * y  # -n^perp . (r + o)
     jack_turns = nx * oy - ny * ox  # -n . o^perp
     jacobians = np.stack([nx, ny, box_turns, -nx, -ny, jack_turns], axis=1)
@@ -131,7 +150,7 @@ def impact_maps(scene: Scene, states: Array, walls: Indices, feet: Indices) -> t
     """
     _, jacobians = contacts_of(scene, states, walls, feet)
     kicks = jacobians / np.array(scene.mass_diagonal)  # change of qdot per impulse
-    gap_rates = _dots(jacobians, states[:, 6:])
+    gap_rates = _dots(jacobians, states[:, RATES:])
     struck, after, impulses = gap_rates < 0.0, states.copy(), np.zeros(len(states))
     impulses[struck] = -(1.0 + scene.restitution) * gap_rates[struck] / _dots(jacobians, kicks)[struck]
     after[struck, 6:] += (impulses[:, None] * kicks)[struck]
@@ -179,12 +198,12 @@ def simultaneous_impact_map(scene: Scene, state: ArrayLike, contacts: Sequence[t
         rates=np.zeros(6), point=np.zeros(6), pushes=np.zeros(3), best=np.zeros(3), basis=np.zeros((3, 6)),
         tall=np.zeros((3, 3)), goals=np.zeros(3),
     )  # fmt: skip
-    weigh(scene.numbers, memory, count, before[6:])
+    weigh(scene.numbers, memory, count, before[RATES:])
     after, impulses, masses = before.copy(), np.zeros(count), np.array(scene.mass_diagonal)
     for place, number in enumerate(nearest(memory, count)):
         if number >= 0:
             impulses[number] = (1.0 + scene.restitution) * memory.best[place] / memory.lengths[number]
-            after[6:] += jacobian[number] * impulses[number] / masses
+            after[RATES:] += jacobian[number] * impulses[number] / masses
     return after, impulses
 
 
@@ -216,6 +235,8 @@ def energy(scene: Scene, state: ArrayLike) -> float:
 
 def energy_of(scene: Scene | SceneNumbers, state: Numbers) -> float:
     """:func:`energy` of 12 numbers taken as they are."""
-    box = scene.box_mass * (state[6] * state[6] + state[7] * state[7]) + scene.box_inertia * state[8] * state[8]
-    jack = scene.jack_mass * (state[9] * state[9] + state[10] * state[10]) + scene.jack_inertia * state[11] * state[11]
-    return 0.5 * (box + jack) + scene.jack_mass * scene.gravity * state[4]
+    vx_box, vy_box, omega_box = state[VX_BOX], state[VY_BOX], state[OMEGA_BOX]
+    vx_jack, vy_jack, omega_jack = state[VX_JACK], state[VY_JACK], state[OMEGA_JACK]
+    box = scene.box_mass * (vx_box * vx_box + vy_box * vy_box) + scene.box_inertia * omega_box * omega_box
+    jack = scene.jack_mass * (vx_jack * vx_jack + vy_jack * vy_jack) + scene.jack_inertia * omega_jack * omega_jack
+    return 0.5 * (box + jack) + scene.jack_mass * scene.gravity * state[Y_JACK]

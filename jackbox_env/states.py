@@ -39,6 +39,14 @@ class State(NamedTuple):
     omega_jack: float  # [rad/s]
 
 
+# The same order as indices into arrays of states: state[X_BOX], states[:, OMEGA_JACK]. Gradients of gaps, and rates or
+# accelerations on their own, have six numbers in the order of the first six.
+(
+    X_BOX, Y_BOX, THETA_BOX, X_JACK, Y_JACK, THETA_JACK,
+    VX_BOX, VY_BOX, OMEGA_BOX, VX_JACK, VY_JACK, OMEGA_JACK,
+) = range(len(State._fields))  # fmt: skip
+RATES = VX_BOX  # where the rates begin
+
 STATE_NAMES = State._fields
 STATE_UNITS = ("m", "m", "rad") * 2 + ("m/s", "m/s", "rad/s") * 2
 
@@ -89,18 +97,18 @@ def clearance(scene: Scene | SceneNumbers, state: Numbers) -> float:
     In the box frame the jack reaches |x| + l max(|cos|, |sin|) of the relative angle along x, and likewise along y.
     NaN for a state that is not finite.
     """
-    x, y = state[3] - state[0], state[4] - state[1]
-    relative = state[5] - state[2]
-    if not (abs(state[2]) < math.inf and abs(relative) < math.inf):
+    x, y = state[X_JACK] - state[X_BOX], state[Y_JACK] - state[Y_BOX]
+    relative = state[THETA_JACK] - state[THETA_BOX]
+    if not (abs(state[THETA_BOX]) < math.inf and abs(relative) < math.inf):
         return math.nan
-    cosine, sine = math.cos(state[2]), math.sin(state[2])
+    cosine, sine = math.cos(state[THETA_BOX]), math.sin(state[THETA_BOX])
     reach = scene.jack_arm * max(abs(math.cos(relative)), abs(math.sin(relative)))
     return scene.box_half_width - reach - max(abs(cosine * x + sine * y), abs(cosine * y - sine * x))
 
 
 def start_tolerance(state: Sequence[float]) -> float:
     """How far a foot of a start may be outside [m]: 1e-9, or 4 units in the last place of a far-off position."""
-    furthest = max(abs(state[0]), abs(state[1]), abs(state[3]), abs(state[4]))
+    furthest = max(abs(state[X_BOX]), abs(state[Y_BOX]), abs(state[X_JACK]), abs(state[Y_JACK]))
     return max(START_TOLERANCE, 4.0 * math.ulp(furthest))
 
 
@@ -147,6 +155,6 @@ def as_restored(scene: Scene, state: ArrayLike) -> Array:
 
 
 def _refuse_far_off(scene: Scene, values: Sequence[float]) -> None:
-    furthest = max(abs(values[place]) for place in (0, 1, 3, 4))
+    furthest = max(abs(values[place]) for place in (X_BOX, Y_BOX, X_JACK, Y_JACK))
     if not math.ulp(furthest) <= 1e-3 * scene.box_half_width:
         raise ValueError(f"state must be near enough to the origin for float64 to resolve L / 1000, got {furthest:g} m")

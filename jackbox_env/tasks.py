@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from jackbox_env import checks as check
 from jackbox_env.scene import Scene, SceneNumbers
-from jackbox_env.states import Array, State, as_start
+from jackbox_env.states import OMEGA_BOX, OMEGA_JACK, THETA_JACK, X_BOX, X_JACK, Y_BOX, Y_JACK, Array, State, as_start
 
 AnyScene = Scene | SceneNumbers
 
@@ -88,7 +88,7 @@ def sample_start(scene: Scene, rng: np.random.Generator) -> Array:
     """
     state = np.zeros(12)
     x, y, angle = rng.uniform(-1.0, 1.0, size=3)
-    state[3:6] = start_pose(scene, x, y, angle)
+    state[X_JACK], state[Y_JACK], state[THETA_JACK] = start_pose(scene, x, y, angle)
     return state
 
 
@@ -146,26 +146,25 @@ def rattle(scene: AnyScene, state: State, torque: float, impulse: float) -> tupl
 
 def juggle_slope(scene: SceneNumbers, states: Array) -> Array:
     """Derivative of :func:`juggle` by each state, (n, 12), in a scene whose numbers are (n,) or (1,); 0 at kinks."""
-    r, reach = (
-        states[:, 3:5] - states[:, :2],
-        np.maximum(scene.box_half_width - scene.jack_arm, scene.box_half_width / 6.0),
-    )
-    distance = np.hypot(*r.T)
-    slope = np.zeros_like(states)
+    x, y = states[:, X_JACK] - states[:, X_BOX], states[:, Y_JACK] - states[:, Y_BOX]
+    reach = np.maximum(scene.box_half_width - scene.jack_arm, scene.box_half_width / 6.0)
+    distance, slope = np.hypot(x, y), np.zeros_like(states)
     inner = (distance > 0.0) & (distance < reach)
-    slope[:, :2] = np.where(inner, 1.0 / (reach * np.where(inner, distance, 1.0)), 0.0)[:, None] * r
-    slope[:, 3:5] = -slope[:, :2]
+    steep = np.where(inner, 1.0 / (reach * np.where(inner, distance, 1.0)), 0.0)
+    slope[:, X_BOX], slope[:, Y_BOX] = steep * x, steep * y
+    slope[:, X_JACK], slope[:, Y_JACK] = -slope[:, X_BOX], -slope[:, Y_BOX]
     return slope
 
 
 def spin_slope(scene: SceneNumbers, states: Array) -> Array:
     """The same of :func:`spin`."""
     per_rate = np.asarray(scene.jack_arm) / scene.speed_scale
-    rate, calm = states[:, 11] * per_rate, 1.0 - abs(states[:, 8]) * scene.box_half_width / scene.speed_scale
+    rate = states[:, OMEGA_JACK] * per_rate
+    calm = 1.0 - abs(states[:, OMEGA_BOX]) * scene.box_half_width / scene.speed_scale
     slope = np.zeros_like(states)
-    slope[:, 11] = np.where(abs(rate) < 1.0, per_rate * np.maximum(calm, 0.0), 0.0)
-    slowing = np.sign(states[:, 8]) * scene.box_half_width / scene.speed_scale
-    slope[:, 8] = np.where(calm > 0.0, -np.clip(rate, -1.0, 1.0) * slowing, 0.0)
+    slope[:, OMEGA_JACK] = np.where(abs(rate) < 1.0, per_rate * np.maximum(calm, 0.0), 0.0)
+    slowing = np.sign(states[:, OMEGA_BOX]) * scene.box_half_width / scene.speed_scale
+    slope[:, OMEGA_BOX] = np.where(calm > 0.0, -np.clip(rate, -1.0, 1.0) * slowing, 0.0)
     return slope
 
 

@@ -7,9 +7,10 @@ from numpy.typing import NDArray
 
 from jackbox_env import Scene
 from jackbox_env.observation import BOUNDS
-from jackbox_env.states import Array
+from jackbox_env.states import OMEGA_BOX, OMEGA_JACK, THETA_BOX, THETA_JACK, VX_BOX, VX_JACK, X_BOX, X_JACK, Array
 
-_TURNED = np.array([0, 2, 3, 5, 6, 8, 9, 11])  # what changes its sign where left and right are exchanged
+# What changes its sign where left and right are exchanged.
+_TURNED = np.array([X_BOX, THETA_BOX, X_JACK, THETA_JACK, VX_BOX, OMEGA_BOX, VX_JACK, OMEGA_JACK])
 
 
 def observations(scene: Scene, states: Array) -> NDArray[np.float32]:

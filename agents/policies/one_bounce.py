@@ -31,7 +31,7 @@ from jackbox_env import checks as check
 from jackbox_env.landing import QUARTER, landing_times, torques, upright
 from jackbox_env.mechanics import contacts_of, impact_maps
 from jackbox_env.observation import state_of
-from jackbox_env.states import Array
+from jackbox_env.states import OMEGA_BOX, RATES, THETA_BOX, THETA_JACK, VY_JACK, Y_JACK, Array
 
 LANDING = "landing.json"
 FLOOR = 3  # the wall under the jack while the box is turned by less than an eighth of a turn
@@ -80,9 +80,9 @@ class LandingSettings(EnvSettings):
 def flown(scene: Scene, states: Array, times: Array) -> Array:
     """States, shape (n, 12), after times [s], shape (n,), in which nothing is struck and no torque acts."""
     found, left = states.copy(), times[:, None]
-    found[:, :6] += found[:, 6:] * left
-    found[:, 4] -= 0.5 * scene.gravity * times * times
-    found[:, 10] -= scene.gravity * times
+    found[:, :RATES] += found[:, RATES:] * left
+    found[:, Y_JACK] -= 0.5 * scene.gravity * times * times
+    found[:, VY_JACK] -= scene.gravity * times
     return found
 
 
@@ -98,14 +98,15 @@ def bounced(scene: Scene, states: Array, times: Array, targets: Array) -> Array:
         targets: the box's angle [rad] and rate [rad/s] at those times, shape (n, 2).
     """
     at = flown(scene, states, times)
-    at[:, 2], at[:, 8] = targets.T
+    at[:, THETA_BOX], at[:, OMEGA_BOX] = targets.T
     floors, since = np.full(len(at), FLOOR), np.zeros(len(at))
     for search in range(_SEARCHES + 1):
         moved = flown(scene, at, since)
-        feet = np.round((moved[:, 2] - QUARTER - moved[:, 5]) / QUARTER).astype(np.int64) % 4  # nearest to the floor
+        turns = np.round((moved[:, THETA_BOX] - QUARTER - moved[:, THETA_JACK]) / QUARTER)
+        feet = turns.astype(np.int64) % 4  # nearest to the floor
         if search < _SEARCHES:
             gap, jacobians = contacts_of(scene, moved, floors, feet)
-            closing = np.maximum(-(jacobians * moved[:, 6:]).sum(axis=1), _SLOWEST)
+            closing = np.maximum(-(jacobians * moved[:, RATES:]).sum(axis=1), _SLOWEST)
             since = since + np.clip(gap / closing, -_STEP, _STEP)
     return flown(scene, impact_maps(scene, moved, floors, feet)[0], AFTER - since)
 

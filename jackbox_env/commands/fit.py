@@ -20,7 +20,7 @@ import numpy as np
 from jackbox_env import checks as check
 from jackbox_env.command_line import command_line
 from jackbox_env.commands.options import parser_of
-from jackbox_env.states import LATEST_TIME, STATE_NAMES, STATE_UNITS, Array
+from jackbox_env.states import LATEST_TIME, STATE_NAMES, STATE_UNITS, THETA_BOX, X_JACK, Y_JACK, Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -321,7 +321,7 @@ def _compared(recording: Recording, motion: Array, impacts: Sequence[float]) -> 
 
     states = np.asarray(recording.states)
     times = recording.time + recording.dt * np.arange(len(states))
-    columns = np.flatnonzero(np.isfinite(states).any(axis=0))[:6].tolist() or [2, 3, 4]
+    columns = np.flatnonzero(np.isfinite(states).any(axis=0))[:6].tolist() or [THETA_BOX, X_JACK, Y_JACK]
     figure = Figure(figsize=(9.0, 0.6 + 1.7 * math.ceil(len(columns) / 2)), layout="constrained")
     panels = figure.subplots(math.ceil(len(columns) / 2), 2, sharex=True, squeeze=False)
     for axes in panels.flat[len(columns) :]:
@@ -361,10 +361,11 @@ def _residuals(found: Fit, recording: Recording, motion: Array, impacts: Sequenc
     axes.axhspan(-2.0, 2.0, color=GREY, alpha=0.15, linewidth=0.0)
     for edge in (-2.0, 2.0):
         axes.axhline(edge, color=GREY, linewidth=0.8, zorder=3)
-    for columns, color, label in (([0, 1, 2, 6, 7, 8], BOX, "box"), ([3, 4, 5, 9, 10, 11], JACK, "jack")):
+    for body, color in (("box", BOX), ("jack", JACK)):
+        columns = [number for number, name in enumerate(STATE_NAMES) if name.endswith(body)]
         if np.isfinite(scaled[:, columns]).any():
             own, many = scaled[:, columns], len(states) > _MOST_DOTS
-            axes.plot(np.tile(times, 6), own.T.ravel(), ".", color=color, markersize=2.5, label=label, rasterized=many)
+            axes.plot(np.tile(times, 6), own.T.ravel(), ".", color=color, markersize=2.5, label=body, rasterized=many)
     if recording.impacts is not None and "impacts" in found.noise:
         heard, fitted = np.asarray(recording.impacts), np.array(impacts)
         heard = heard[np.isfinite(np.interp(heard, times, motion[:, 0]))]  # where there is a fit

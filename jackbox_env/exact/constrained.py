@@ -59,6 +59,20 @@ from jackbox_env.exact.workspace import (
     Workspace,
 )
 from jackbox_env.scene import SceneNumbers
+from jackbox_env.states import (
+    OMEGA_BOX,
+    OMEGA_JACK,
+    THETA_BOX,
+    THETA_JACK,
+    VX_BOX,
+    VX_JACK,
+    VY_BOX,
+    VY_JACK,
+    X_BOX,
+    X_JACK,
+    Y_BOX,
+    Y_JACK,
+)
 
 Array = NDArray[np.float64]
 
@@ -264,13 +278,13 @@ def stretch(scene: SceneNumbers, memory: Workspace, piece: Piece, since: float, 
     state, length = memory.state, piece.length - since
     frame = view.frame
     speed = scene.speed_scale + abs(frame.vx) + abs(frame.vy)
-    speed += scene.box_half_width * abs(state[8]) + scene.jack_arm * abs(view.spin)
-    turning = abs(state[8]) + abs(view.spin) + math.sqrt(piece.spin_up)
+    speed += scene.box_half_width * abs(state[OMEGA_BOX]) + scene.jack_arm * abs(view.spin)
+    turning = abs(state[OMEGA_BOX]) + abs(view.spin) + math.sqrt(piece.spin_up)
     turning += math.sqrt((scene.gravity + piece.push) / scene.jack_arm)
     if turning * length > 1.0:
         length = 1.0 / turning
     drive_series(memory, piece, since, length)
-    begin(memory, view, state[2], state[8], state[5] - state[2], length)
+    begin(memory, view, state[THETA_BOX], state[OMEGA_BOX], state[THETA_JACK] - state[THETA_BOX], length)
     invert(memory, memory.holding)
     if memory.holding == 3:
         expand_rigid(scene, memory, length, piece.pushed)
@@ -331,10 +345,10 @@ def carry(scene: SceneNumbers, memory: Workspace, flight: Flight, free: Flight, 
     mass = scene.box_mass + scene.jack_mass
     share = scene.jack_mass / mass  # of the way between the centres, from the box's to the common one
     turned, omega = horner(series[TURNED], DEGREE + 2, u), horner(series[OMEGA], DEGREE + 1, u) / flight.half
-    state[2] += turned
-    state[5] += turned + (horner(series[PSI], DEGREE + 2, u) - series[PSI, 0])
+    state[THETA_BOX] += turned
+    state[THETA_JACK] += turned + (horner(series[PSI], DEGREE + 2, u) - series[PSI, 0])
     view = held_view(flight, memory, s)
-    cosine, sine = cos_sin(state[2])
+    cosine, sine = cos_sin(state[THETA_BOX])
     x, y = on_axes(cosine, -sine, view.frame.x, view.frame.y)
     vx, vy = view.frame.vx - omega * view.frame.y, view.frame.vy + omega * view.frame.x
     vx, vy = on_axes(cosine, -sine, vx, vy)
@@ -345,14 +359,14 @@ def carry(scene: SceneNumbers, memory: Workspace, flight: Flight, free: Flight, 
         drifted, drifting = (1.0 - share) * way, (1.0 - share) * rate
         way, rate = excursion(memory, PUSH_Y, free, s)
         fallen, falling = fallen + (1.0 - share) * way, falling + (1.0 - share) * rate
-    common_x = state[6] + share * (state[9] - state[6])
-    common_y = state[7] + share * (state[10] - state[7])
-    state[0] += (common_x * s + drifted) - share * (x - (state[3] - state[0]))
-    state[1] += (common_y * s + fallen) - share * (y - (state[4] - state[1]))
-    state[3], state[4] = state[0] + x, state[1] + y
-    state[6], state[7] = common_x + drifting - share * vx, common_y + falling - share * vy
-    state[9], state[10] = state[6] + vx, state[7] + vy
-    state[8], state[11] = omega, omega + view.spin
+    common_x = state[VX_BOX] + share * (state[VX_JACK] - state[VX_BOX])
+    common_y = state[VY_BOX] + share * (state[VY_JACK] - state[VY_BOX])
+    state[X_BOX] += (common_x * s + drifted) - share * (x - (state[X_JACK] - state[X_BOX]))
+    state[Y_BOX] += (common_y * s + fallen) - share * (y - (state[Y_JACK] - state[Y_BOX]))
+    state[X_JACK], state[Y_JACK] = state[X_BOX] + x, state[Y_BOX] + y
+    state[VX_BOX], state[VY_BOX] = common_x + drifting - share * vx, common_y + falling - share * vy
+    state[VX_JACK], state[VY_JACK] = state[VX_BOX] + vx, state[VY_BOX] + vy
+    state[OMEGA_BOX], state[OMEGA_JACK] = omega, omega + view.spin
 
 
 def first_let_go(memory: Workspace, count: int, length: float) -> tuple[float, int]:

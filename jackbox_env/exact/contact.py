@@ -21,6 +21,21 @@ from jackbox_env.complementarity import nearest, weigh
 from jackbox_env.exact.trigonometry import cos_sin
 from jackbox_env.exact.workspace import Workspace
 from jackbox_env.scene import SceneNumbers
+from jackbox_env.states import (
+    OMEGA_BOX,
+    OMEGA_JACK,
+    RATES,
+    THETA_BOX,
+    THETA_JACK,
+    VX_BOX,
+    VX_JACK,
+    VY_BOX,
+    VY_JACK,
+    X_BOX,
+    X_JACK,
+    Y_BOX,
+    Y_JACK,
+)
 
 Array = NDArray[np.float64]
 
@@ -70,15 +85,16 @@ def gradient(scene: SceneNumbers, frame: Frame, wall: int, foot: int, row: Array
     nx, ny = quarter(frame.cosine, frame.sine, wall)
     depth, side = nx * frame.x + ny * frame.y, nx * frame.y - ny * frame.x  # n . r and n^perp . r
     gap, arm = gap_and_lever(scene, depth, frame.relative_cosine, frame.relative_sine, foot - wall)
-    row[0], row[1], row[2], row[3], row[4], row[5] = nx, ny, -side - arm, -nx, -ny, arm
+    row[X_BOX], row[Y_BOX], row[THETA_BOX] = nx, ny, -side - arm
+    row[X_JACK], row[Y_JACK], row[THETA_JACK] = -nx, -ny, arm
     return gap
 
 
 def frame_of(state: Array) -> Frame:
     """Place and angles of a state."""
-    c, s = cos_sin(state[2])
-    cp, sp = cos_sin(state[5] - state[2])
-    return Frame(state[3] - state[0], state[4] - state[1], c, s, cp, sp)
+    c, s = cos_sin(state[THETA_BOX])
+    cp, sp = cos_sin(state[THETA_JACK] - state[THETA_BOX])
+    return Frame(state[X_JACK] - state[X_BOX], state[Y_JACK] - state[Y_BOX], c, s, cp, sp)
 
 
 def list_touching(scene: SceneNumbers, memory: Workspace, tolerance: float, wall: int, foot: int) -> int:
@@ -135,33 +151,37 @@ def bounce(scene: SceneNumbers, state: Array, row: Array) -> float:
     impulse = 0.0
     rate = rate_of(state, row)
     if rate < 0.0:
+        box_arm, jack_arm = row[THETA_BOX], row[THETA_JACK]
         yielding = 1.0 / scene.box_mass + 1.0 / scene.jack_mass
-        yielding += row[2] * row[2] / scene.box_inertia + row[5] * row[5] / scene.jack_inertia
+        yielding += box_arm * box_arm / scene.box_inertia + jack_arm * jack_arm / scene.jack_inertia
         impulse = -(1.0 + scene.restitution) * rate / yielding
-        kick(scene, state[6:], row, impulse)
+        kick(scene, state[RATES:], row, impulse)
     return impulse
 
 
 def rate_of(state: Array, row: Array) -> float:
     """J qdot [m/s], with the gap's gradient J in ``row``."""
     return float(
-        row[0] * (state[6] - state[9]) + row[1] * (state[7] - state[10]) + row[2] * state[8] + row[5] * state[11]
+        row[X_BOX] * (state[VX_BOX] - state[VX_JACK])
+        + row[Y_BOX] * (state[VY_BOX] - state[VY_JACK])
+        + row[THETA_BOX] * state[OMEGA_BOX]
+        + row[THETA_JACK] * state[OMEGA_JACK]
     )
 
 
 def kick(scene: SceneNumbers, rates: Array, row: Array, impulse: float) -> None:
     """Change six rates, those of box and jack, by M^-1 J^T lambda."""
-    rates[0] += row[0] * impulse / scene.box_mass
-    rates[1] += row[1] * impulse / scene.box_mass
-    rates[2] += row[2] * impulse / scene.box_inertia
-    rates[3] += row[3] * impulse / scene.jack_mass
-    rates[4] += row[4] * impulse / scene.jack_mass
-    rates[5] += row[5] * impulse / scene.jack_inertia
+    rates[X_BOX] += row[X_BOX] * impulse / scene.box_mass
+    rates[Y_BOX] += row[Y_BOX] * impulse / scene.box_mass
+    rates[THETA_BOX] += row[THETA_BOX] * impulse / scene.box_inertia
+    rates[X_JACK] += row[X_JACK] * impulse / scene.jack_mass
+    rates[Y_JACK] += row[Y_JACK] * impulse / scene.jack_mass
+    rates[THETA_JACK] += row[THETA_JACK] * impulse / scene.jack_inertia
 
 
 def bounce_together(scene: SceneNumbers, memory: Workspace, count: int) -> None:
     """Several contacts: reflect the rates at their projection on the cone of rates that close no gap."""
-    weigh(scene, memory, count, memory.state[6:])
+    weigh(scene, memory, count, memory.state[RATES:])
     for i in range(count):
         memory.bias[i] = 0.0
     chosen = nearest(memory, count)
@@ -170,4 +190,4 @@ def bounce_together(scene: SceneNumbers, memory: Workspace, count: int) -> None:
         if number >= 0:
             impulse = (1.0 + scene.restitution) * memory.best[place] / memory.lengths[number]
             memory.impulses[number] = impulse
-            kick(scene, memory.state[6:], memory.gradients[number], impulse)
+            kick(scene, memory.state[RATES:], memory.gradients[number], impulse)

@@ -17,6 +17,20 @@ from jackbox_env.exact.drives import DEGREE, PUSH_X, PUSH_Y, TURN, horner
 from jackbox_env.exact.trigonometry import cos_sin
 from jackbox_env.exact.workspace import PLACE_X, PLACE_Y, PSI, RATE_X, RATE_Y, SPIN, Workspace
 from jackbox_env.scene import SceneNumbers
+from jackbox_env.states import (
+    OMEGA_BOX,
+    OMEGA_JACK,
+    THETA_BOX,
+    THETA_JACK,
+    VX_BOX,
+    VX_JACK,
+    VY_BOX,
+    VY_JACK,
+    X_BOX,
+    X_JACK,
+    Y_BOX,
+    Y_JACK,
+)
 
 Array = NDArray[np.float64]
 
@@ -88,9 +102,11 @@ def largest(memory: Workspace, axis: int) -> float:
 def flight_of(scene: SceneNumbers, state: Array, piece: Piece, since: float) -> Flight:
     """The relative motion of a state ``since`` [s] after the start of a piece."""
     return Flight(
-        state[3] - state[0], state[4] - state[1], state[9] - state[6], state[10] - state[7], state[2], state[8],
-        state[5], state[11], scene.gravity, piece.alpha, since, 0.5 * piece.length, piece.curved, piece.pushed, 0,
-        abs(state[6]) + abs(state[7]) + abs(state[9]) + abs(state[10]),
+        state[X_JACK] - state[X_BOX], state[Y_JACK] - state[Y_BOX],
+        state[VX_JACK] - state[VX_BOX], state[VY_JACK] - state[VY_BOX],
+        state[THETA_BOX], state[OMEGA_BOX], state[THETA_JACK], state[OMEGA_JACK],
+        scene.gravity, piece.alpha, since, 0.5 * piece.length, piece.curved, piece.pushed, 0,
+        abs(state[VX_BOX]) + abs(state[VY_BOX]) + abs(state[VX_JACK]) + abs(state[VY_JACK]),
     )  # fmt: skip
 
 
@@ -141,19 +157,19 @@ def evolve(memory: Workspace, flight: Flight, s: float) -> None:
     turned, spun = 0.5 * flight.alpha * s * s, flight.alpha * s
     if flight.curved:
         turned, spun = excursion(memory, TURN, flight, s)
-    state[0] += state[6] * s
-    state[1] += state[7] * s
+    state[X_BOX] += state[VX_BOX] * s
+    state[Y_BOX] += state[VY_BOX] * s
     if flight.pushed:
         moved, pushed = excursion(memory, PUSH_X, flight, s)
-        state[0], state[6] = state[0] + moved, state[6] + pushed
+        state[X_BOX], state[VX_BOX] = state[X_BOX] + moved, state[VX_BOX] + pushed
         moved, pushed = excursion(memory, PUSH_Y, flight, s)
-        state[1], state[7] = state[1] + moved, state[7] + pushed
-    state[2] += state[8] * s + turned
-    state[8] += spun
-    state[3] += state[9] * s
-    state[4] += (state[10] - 0.5 * flight.gravity * s) * s
-    state[10] -= flight.gravity * s
-    state[5] += state[11] * s
+        state[Y_BOX], state[VY_BOX] = state[Y_BOX] + moved, state[VY_BOX] + pushed
+    state[THETA_BOX] += state[OMEGA_BOX] * s + turned
+    state[OMEGA_BOX] += spun
+    state[X_JACK] += state[VX_JACK] * s
+    state[Y_JACK] += (state[VY_JACK] - 0.5 * flight.gravity * s) * s
+    state[VY_JACK] -= flight.gravity * s
+    state[THETA_JACK] += state[OMEGA_JACK] * s
 
 
 def stays_clear(x: float, y: float, vx: float, vy: float, fall: float, dt: float, clear: float) -> bool:
@@ -182,18 +198,18 @@ def turned(angle: float, omega: float, alpha: float, dt: float) -> float:
 
 def glide(before: Array, after: Array, fall: float, dt: float, alpha: float) -> None:
     """Fly for ``dt`` [s], in which the jack's fall gains ``fall`` [m/s], without looking for impacts."""
-    after[0] = moved(before[0], before[6], dt)
-    after[1] = moved(before[1], before[7], dt)
-    after[2] = turned(before[2], before[8], alpha, dt)
-    after[3] = moved(before[3], before[9], dt)
-    after[4] = fallen(before[4], before[10], fall, dt)
-    after[5] = moved(before[5], before[11], dt)
-    after[6] = before[6]
-    after[7] = before[7]
-    after[8] = before[8] + alpha * dt
-    after[9] = before[9]
-    after[10] = before[10] - fall
-    after[11] = before[11]
+    after[X_BOX] = moved(before[X_BOX], before[VX_BOX], dt)
+    after[Y_BOX] = moved(before[Y_BOX], before[VY_BOX], dt)
+    after[THETA_BOX] = turned(before[THETA_BOX], before[OMEGA_BOX], alpha, dt)
+    after[X_JACK] = moved(before[X_JACK], before[VX_JACK], dt)
+    after[Y_JACK] = fallen(before[Y_JACK], before[VY_JACK], fall, dt)
+    after[THETA_JACK] = moved(before[THETA_JACK], before[OMEGA_JACK], dt)
+    after[VX_BOX] = before[VX_BOX]
+    after[VY_BOX] = before[VY_BOX]
+    after[OMEGA_BOX] = before[OMEGA_BOX] + alpha * dt
+    after[VX_JACK] = before[VX_JACK]
+    after[VY_JACK] = before[VY_JACK] - fall
+    after[OMEGA_JACK] = before[OMEGA_JACK]
 
 
 class BoxFrame(NamedTuple):

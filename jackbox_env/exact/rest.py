@@ -33,6 +33,21 @@ from jackbox_env.exact.flight import Flight, Piece, box_frame, flight_of, view_o
 from jackbox_env.exact.search import ALL, ENDLESS, NONE, Limits, Touch, first_of_all, why_endless
 from jackbox_env.exact.workspace import Status, Workspace
 from jackbox_env.scene import SceneNumbers
+from jackbox_env.states import (
+    OMEGA_BOX,
+    OMEGA_JACK,
+    RATES,
+    THETA_BOX,
+    THETA_JACK,
+    VX_BOX,
+    VX_JACK,
+    VY_BOX,
+    VY_JACK,
+    X_BOX,
+    X_JACK,
+    Y_BOX,
+    Y_JACK,
+)
 
 Array = NDArray[np.float64]
 
@@ -43,9 +58,10 @@ _ROUNDED = 4e-16  # of L: what rounding leaves of a gap
 
 def bend(scene: SceneNumbers, state: Array, frame: Frame, row: Array, gap: float) -> float:
     """Jdot qdot of a gap with the gradient ``row``: its second derivative where nothing accelerates [m/s^2]."""
-    omega, spin = state[8], state[11] - state[8]
-    depth = row[0] * frame.x + row[1] * frame.y  # n . r
-    sideways = row[0] * (state[10] - state[7]) - row[1] * (state[9] - state[6])  # n^perp . v
+    nx, ny = row[X_BOX], row[Y_BOX]
+    vx, vy = state[VX_JACK] - state[VX_BOX], state[VY_JACK] - state[VY_BOX]
+    omega, spin = state[OMEGA_BOX], state[OMEGA_JACK] - state[OMEGA_BOX]
+    depth, sideways = nx * frame.x + ny * frame.y, nx * vy - ny * vx  # n . r and n^perp . v
     along = scene.box_half_width - depth - gap  # of the foot from the jack's centre, on n
     return float(-2.0 * omega * sideways + omega * omega * depth + spin * spin * along)
 
@@ -54,13 +70,13 @@ def accelerations(scene: SceneNumbers, memory: Workspace, piece: Piece, since: f
     """Fill in the accelerations that gravity and the drive give box and jack ``since`` [s] after the piece's start."""
     u = 2.0 * since / piece.length - 1.0
     free = memory.free
-    free[0] = free[1] = free[3] = free[5] = 0.0
-    free[2], free[4] = piece.alpha, -scene.gravity
+    free[X_BOX] = free[Y_BOX] = free[X_JACK] = free[THETA_JACK] = 0.0
+    free[THETA_BOX], free[Y_JACK] = piece.alpha, -scene.gravity
     if piece.curved:
-        free[2] = horner(memory.powers[3 * TURN], DEGREE, u)
+        free[THETA_BOX] = horner(memory.powers[3 * TURN], DEGREE, u)
     if piece.pushed:
-        free[0] = horner(memory.powers[3 * PUSH_X], DEGREE, u)
-        free[1] = horner(memory.powers[3 * PUSH_Y], DEGREE, u)
+        free[X_BOX] = horner(memory.powers[3 * PUSH_X], DEGREE, u)
+        free[Y_BOX] = horner(memory.powers[3 * PUSH_Y], DEGREE, u)
 
 
 def list_contacts(scene: SceneNumbers, memory: Workspace, state: Array, count: int) -> Frame:
@@ -222,18 +238,18 @@ def bring_back(scene: SceneNumbers, memory: Workspace) -> None:
     off = 0.0
     for number in range(count):
         off = max(off, abs(memory.gaps[number] - memory.targets[number]))
-    weigh(scene, memory, count, state[6:])
+    weigh(scene, memory, count, state[RATES:])
     if off > _ROUNDED * scene.box_half_width:
         for place in range(6):
             memory.rates[place] = 0.0
         for number in range(count):
             memory.bias[number] = (memory.gaps[number] - memory.targets[number]) / memory.lengths[number]
-        move_held(scene, memory, count, 0)
+        move_held(scene, memory, count, X_BOX)
         list_contacts(scene, memory, state, count)
-        weigh(scene, memory, count, state[6:])
+        weigh(scene, memory, count, state[RATES:])
     for number in range(count):
         memory.bias[number] = 0.0
-    move_held(scene, memory, count, 6)
+    move_held(scene, memory, count, RATES)
 
 
 def move_held(scene: SceneNumbers, memory: Workspace, count: int, first: int) -> None:

@@ -39,6 +39,21 @@ from jackbox_env.exact.step import (
 )
 from jackbox_env.exact.workspace import AT_IMPACT, DRIVEN_THERE, Workspace, Workspaces
 from jackbox_env.scene import SceneNumbers
+from jackbox_env.states import (
+    OMEGA_BOX,
+    OMEGA_JACK,
+    RATES,
+    THETA_BOX,
+    THETA_JACK,
+    VX_BOX,
+    VX_JACK,
+    VY_BOX,
+    VY_JACK,
+    X_BOX,
+    X_JACK,
+    Y_BOX,
+    Y_JACK,
+)
 
 Array = NDArray[np.float64]
 
@@ -55,7 +70,8 @@ FIRST_FIELD = 13  # column
 CLEAR, LEAVING, OUTSIDE, APPROACHING = range(4)  # how feet touch walls
 _ROUNDING = 1e-2  # of the contact tolerance: what rounding leaves of a gap
 _GRAZE = 1e-4  # share of a derivative that may be rounding
-GROWING = 2, 3, 4, 5, 8, 9, 10, 11  # of a state's numbers; by those of the box's centre: the same, as both move alike
+# Of a state's numbers; by those of the box's centre: the same, as both move alike.
+GROWING = THETA_BOX, X_JACK, Y_JACK, THETA_JACK, OMEGA_BOX, VX_JACK, VY_JACK, OMEGA_JACK
 _LARGEST = 1e10  # of a derivative in the scene's units: rounding, 1e-16 at first, has grown as much
 
 
@@ -67,24 +83,25 @@ def fly(scene: SceneNumbers, tangent: Array, s: float, drift: Array) -> None:
     half, inertia, mass = 0.5 * s * s, scene.box_inertia, scene.box_mass
     for place in range(6):
         for column in range(tangent.shape[1]):
-            tangent[place, column] += s * tangent[6 + place, column]
+            tangent[place, column] += s * tangent[RATES + place, column]
     for column in range(tangent.shape[1]):
-        tangent[2, column] += (half * tangent[TORQUE, column] - drift[2] * tangent[BOX_INERTIA, column]) / inertia
-        tangent[8, column] += (s * tangent[TORQUE, column] - drift[5] * tangent[BOX_INERTIA, column]) / inertia
-        tangent[4, column] -= half * tangent[GRAVITY, column]
-        tangent[10, column] -= s * tangent[GRAVITY, column]
-        tangent[0, column] -= drift[0] / mass * tangent[BOX_MASS, column]
-        tangent[1, column] -= drift[1] / mass * tangent[BOX_MASS, column]
-        tangent[6, column] -= drift[3] / mass * tangent[BOX_MASS, column]
-        tangent[7, column] -= drift[4] / mass * tangent[BOX_MASS, column]
+        torque, box_inertia = tangent[TORQUE, column], tangent[BOX_INERTIA, column]
+        tangent[THETA_BOX, column] += (half * torque - drift[2] * box_inertia) / inertia
+        tangent[OMEGA_BOX, column] += (s * torque - drift[5] * box_inertia) / inertia
+        tangent[Y_JACK, column] -= half * tangent[GRAVITY, column]
+        tangent[VY_JACK, column] -= s * tangent[GRAVITY, column]
+        tangent[X_BOX, column] -= drift[0] / mass * tangent[BOX_MASS, column]
+        tangent[Y_BOX, column] -= drift[1] / mass * tangent[BOX_MASS, column]
+        tangent[VX_BOX, column] -= drift[3] / mass * tangent[BOX_MASS, column]
+        tangent[VY_BOX, column] -= drift[4] / mass * tangent[BOX_MASS, column]
 
 
 def accelerate(scene: SceneNumbers, hit: Array, rates: Array, s: float) -> None:
     """Change six rates by what ``s`` [s] of the accelerations at an impact, a row of a wide log, do."""
-    rates[0] += hit[DRIVEN_THERE + 1] * s
-    rates[1] += hit[DRIVEN_THERE + 2] * s
-    rates[2] += hit[DRIVEN_THERE] * s
-    rates[4] -= scene.gravity * s
+    rates[X_BOX] += hit[DRIVEN_THERE + 1] * s
+    rates[Y_BOX] += hit[DRIVEN_THERE + 2] * s
+    rates[THETA_BOX] += hit[DRIVEN_THERE] * s
+    rates[Y_JACK] -= scene.gravity * s
 
 
 def lateness(gap: float, rate: float) -> float:
@@ -103,8 +120,8 @@ def locate(scene: SceneNumbers, hit: Array, memory: Workspace) -> float:
     gap = gradient(scene, frame_of(at), int(hit[1]), int(hit[2]), row)
     later = lateness(gap, rate_of(at, row))
     for place in range(6):
-        at[place] += at[6 + place] * later
-    accelerate(scene, hit, at[6:], later)
+        at[place] += at[RATES + place] * later
+    accelerate(scene, hit, at[RATES:], later)
     gradient(scene, frame_of(at), int(hit[1]), int(hit[2]), row)
     return later
 
@@ -113,32 +130,43 @@ def saltate(scene: SceneNumbers, tangent: Array, hit: Array, memory: Workspace) 
     """Take a tangent, and the state in ``memory.before``, through an impact that :func:`locate` has found."""
     at, row = memory.before, memory.gradients[0]
     frame, rate = frame_of(at), rate_of(at, row)
-    nx, ny, box_arm, jack_arm = row[0], row[1], row[2], row[5]
+    nx, ny, box_arm, jack_arm = row[X_BOX], row[Y_BOX], row[THETA_BOX], row[THETA_JACK]
     depth = nx * frame.x + ny * frame.y
     extent = scene.box_half_width - depth  # of the foot from the jack's centre, along the normal
-    vx, vy, omega, spin = at[9] - at[6], at[10] - at[7], at[8], at[11]
+    vx, vy, omega, spin = at[VX_JACK] - at[VX_BOX], at[VY_JACK] - at[VY_BOX], at[OMEGA_BOX], at[OMEGA_JACK]
     yielding = 1.0 / scene.box_mass + 1.0 / scene.jack_mass
     yielding += box_arm * box_arm / scene.box_inertia + jack_arm * jack_arm / scene.jack_inertia
     back = 1.0 + scene.restitution
     push, after = -back * rate / yielding, memory.rates
     for place in range(6):
-        after[place] = at[6 + place]
+        after[place] = at[RATES + place]
     kick(scene, after, row, push)
     for c in range(tangent.shape[1]):
         d = tangent[:, c]
         wider = d[HALF_WIDTH] - extent / scene.jack_arm * d[JACK_ARM]
-        closing = nx * (d[0] - d[3]) + ny * (d[1] - d[4]) + box_arm * d[2] + jack_arm * d[5] + wider
+        closing = (
+            nx * (d[X_BOX] - d[X_JACK])
+            + ny * (d[Y_BOX] - d[Y_JACK])
+            + box_arm * d[THETA_BOX]
+            + jack_arm * d[THETA_JACK]
+            + wider
+        )
         later = d[LATER] = lateness(closing, rate)
         # To the moment of impact.
         for place in range(6):
-            d[place] += at[6 + place] * later
-        accelerate(scene, hit, d[6:], later)
+            d[place] += at[RATES + place] * later
+        accelerate(scene, hit, d[RATES:], later)
         # Through the law there.
-        dx, dy, angle = d[3] - d[0], d[4] - d[1], d[2]
+        dx, dy, angle = d[X_JACK] - d[X_BOX], d[Y_JACK] - d[Y_BOX], d[THETA_BOX]
         turn_x, turn_y = -ny * angle, nx * angle  # of the normal
-        lever = extent * (d[5] - angle) + jack_arm / scene.jack_arm * d[JACK_ARM]
+        lever = extent * (d[THETA_JACK] - angle) + jack_arm / scene.jack_arm * d[JACK_ARM]
         box_lever = -(nx * dy - ny * dx - depth * angle) - lever
-        faster = nx * (d[6] - d[9]) + ny * (d[7] - d[10]) + box_arm * d[8] + jack_arm * d[11]
+        faster = (
+            nx * (d[VX_BOX] - d[VX_JACK])
+            + ny * (d[VY_BOX] - d[VY_JACK])
+            + box_arm * d[OMEGA_BOX]
+            + jack_arm * d[OMEGA_JACK]
+        )
         faster += box_lever * omega + lever * spin - turn_x * vx - turn_y * vy
         box_mass, jack_mass = d[BOX_MASS] / scene.box_mass, d[JACK_MASS] / scene.jack_mass  # relative changes
         box_inertia, jack_inertia = d[BOX_INERTIA] / scene.box_inertia, d[JACK_INERTIA] / scene.jack_inertia
@@ -146,18 +174,18 @@ def saltate(scene: SceneNumbers, tangent: Array, hit: Array, memory: Workspace) 
         softer += jack_arm * (2.0 * lever - jack_arm * jack_inertia) / scene.jack_inertia
         softer -= box_mass / scene.box_mass + jack_mass / scene.jack_mass
         harder = -(back * faster + d[RESTITUTION] * rate + push * softer) / yielding
-        d[6] += (turn_x * push + nx * (harder - push * box_mass)) / scene.box_mass
-        d[7] += (turn_y * push + ny * (harder - push * box_mass)) / scene.box_mass
-        d[8] += (box_lever * push + box_arm * (harder - push * box_inertia)) / scene.box_inertia
-        d[9] -= (turn_x * push + nx * (harder - push * jack_mass)) / scene.jack_mass
-        d[10] -= (turn_y * push + ny * (harder - push * jack_mass)) / scene.jack_mass
-        d[11] += (lever * push + jack_arm * (harder - push * jack_inertia)) / scene.jack_inertia
+        d[VX_BOX] += (turn_x * push + nx * (harder - push * box_mass)) / scene.box_mass
+        d[VY_BOX] += (turn_y * push + ny * (harder - push * box_mass)) / scene.box_mass
+        d[OMEGA_BOX] += (box_lever * push + box_arm * (harder - push * box_inertia)) / scene.box_inertia
+        d[VX_JACK] -= (turn_x * push + nx * (harder - push * jack_mass)) / scene.jack_mass
+        d[VY_JACK] -= (turn_y * push + ny * (harder - push * jack_mass)) / scene.jack_mass
+        d[OMEGA_JACK] += (lever * push + jack_arm * (harder - push * jack_inertia)) / scene.jack_inertia
         # And back, with the rates after it.
         for place in range(6):
             d[place] -= after[place] * later
-        accelerate(scene, hit, d[6:], -later)
+        accelerate(scene, hit, d[RATES:], -later)
     for place in range(6):
-        at[6 + place] = after[place]
+        at[RATES + place] = after[place]
 
 
 def drifted(plan: Plan, alpha: float, before: Array, after: Array, s: float, drift: Array) -> None:
@@ -167,11 +195,12 @@ def drifted(plan: Plan, alpha: float, before: Array, after: Array, s: float, dri
     if plan.kind == CONSTANT or plan.kind == CONSTANT_BESIDE_FORCES:
         drift[2], drift[5] = 0.5 * alpha * s * s, alpha * s
     else:
-        drift[2], drift[5] = after[2] - before[2] - before[8] * s, after[8] - before[8]
+        drift[2] = after[THETA_BOX] - before[THETA_BOX] - before[OMEGA_BOX] * s
+        drift[5] = after[OMEGA_BOX] - before[OMEGA_BOX]
     if plan.kind == FUNCTIONS or plan.kind == CONSTANT_BESIDE_FORCES:
         for place in range(2):
-            drift[place] = after[place] - before[place] - before[6 + place] * s
-            drift[3 + place] = after[6 + place] - before[6 + place]
+            drift[place] = after[place] - before[place] - before[RATES + place] * s
+            drift[3 + place] = after[RATES + place] - before[RATES + place]
 
 
 def step_tangent(
@@ -187,7 +216,7 @@ def step_tangent(
     start(plan, before, memory)
     end = memory.after
     for place in range(6):
-        end[place], end[6 + place] = state[place] + (after[place] - before[place]), after[6 + place]
+        end[place], end[RATES + place] = state[place] + (after[place] - before[place]), after[RATES + place]
     for number in range(hits.shape[0]):
         hit = hits[number]
         time = hit[0] + locate(scene, hit, memory)
@@ -250,7 +279,7 @@ def flies(played: Played, i: int, k: int) -> bool:
 
 def touching(scene: SceneNumbers, plan: Plan, state: Array, row: Array) -> int:
     """How feet touch walls: ``CLEAR``, or the worst of ``LEAVING``, ``OUTSIDE`` and leaving, ``APPROACHING``."""
-    x, y = state[3] - state[0], state[4] - state[1]
+    x, y = state[X_JACK] - state[X_BOX], state[Y_JACK] - state[Y_BOX]
     room = scene.box_half_width * (1.0 - 1e-12) - scene.jack_arm
     near = touch_of(plan, state).together
     if room > near and x * x + y * y < (room - near) * (room - near):
@@ -329,7 +358,7 @@ def largest_growth(scene: SceneNumbers, tangent: Array) -> float:
 def unit_of(scene: SceneNumbers, place: int) -> float:
     """The scene's unit of a number of the state: L, 1 rad, v0 or v0 / L."""
     length = scene.box_half_width if place % 3 != 2 else 1.0
-    return length if place < 6 else length * scene.speed_scale / scene.box_half_width
+    return length if place < RATES else length * scene.speed_scale / scene.box_half_width
 
 
 def propagate(
@@ -497,14 +526,19 @@ def fly_back(scene: SceneNumbers, weights: Array, s: float, drift: Array, seed: 
     """
     half = 0.5 * s * s
     if seed.shape[0]:
-        gravity = -half * weights[4] - s * weights[10]
-        mass = drift[0] * weights[0] + drift[1] * weights[1] + drift[3] * weights[6] + drift[4] * weights[7]
-        inertia = drift[2] * weights[2] + drift[5] * weights[8]
+        gravity = -half * weights[Y_JACK] - s * weights[VY_JACK]
+        mass = (
+            drift[0] * weights[X_BOX]
+            + drift[1] * weights[Y_BOX]
+            + drift[3] * weights[VX_BOX]
+            + drift[4] * weights[VY_BOX]
+        )
+        inertia = drift[2] * weights[THETA_BOX] + drift[5] * weights[OMEGA_BOX]
         for column in range(seed.shape[0]):
             by_field[column] += gravity * seed[column, 0]
             by_field[column] -= mass / scene.box_mass * seed[column, BOX_MASS - GRAVITY]
             by_field[column] -= inertia / scene.box_inertia * seed[column, BOX_INERTIA - GRAVITY]
-    torque = (half * weights[2] + s * weights[8]) / scene.box_inertia
+    torque = (half * weights[THETA_BOX] + s * weights[OMEGA_BOX]) / scene.box_inertia
     for place in range(6):
-        weights[6 + place] += s * weights[place]
+        weights[RATES + place] += s * weights[place]
     return float(torque)

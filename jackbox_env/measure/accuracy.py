@@ -19,7 +19,19 @@ from jackbox_env.mechanics import energy_of
 from jackbox_env.scene import Scene
 from jackbox_env.simulators import Impact, JackLostError, Simulator, make_simulator
 from jackbox_env.simulators.replay import replayed
-from jackbox_env.states import Array, clearance, deepest_restored
+from jackbox_env.states import (
+    THETA_BOX,
+    THETA_JACK,
+    VX_JACK,
+    VY_JACK,
+    X_BOX,
+    X_JACK,
+    Y_BOX,
+    Y_JACK,
+    Array,
+    clearance,
+    deepest_restored,
+)
 
 STEPS_PER_RESTART = 5  # control steps: 0.1 s by default
 _ASIDE = 1e-13  # by which the start of a reference's twin is moved, far off by 100 units in the last place [m]
@@ -152,7 +164,7 @@ def follow(simulator: Simulator, case: Case, look: Look | None = between) -> Cou
             depth, work = float(np.maximum(depth, inside.depth)), work + inside.work  # a NaN stays
             now = energy_of(scene, state.tolist())
             imbalance = float(np.maximum(imbalance, abs(now - start - work)))
-            largest = max(largest, now - scene.jack_mass * scene.gravity * float(state[4]))
+            largest = max(largest, now - scene.jack_mass * scene.gravity * float(state[Y_JACK]))
         if escaped:
             break
     if look is None:
@@ -181,8 +193,8 @@ def reference_of(case: Case) -> Reference:
             f"of {case.dt:g} s; use a smaller time step, less speed or less torque"
         )
     aside = case.state.copy()
-    by = max(_ASIDE, 100.0 * math.ulp(float(aside[3])))
-    aside[3] += by * (1.0 if aside[0] > aside[3] else -1.0)  # towards the middle, so that it stays inside
+    by = max(_ASIDE, 100.0 * math.ulp(float(aside[X_JACK])))
+    aside[X_JACK] += by * (1.0 if aside[X_BOX] > aside[X_JACK] else -1.0)  # towards the middle, so that it stays inside
     twin = follow(simulator, case._replace(state=aside), look=None)
     errors = prefix_errors(twin.impacts, course.impacts)
     sure = next((number for number, error in enumerate(errors) if error > _APART), len(errors))
@@ -221,10 +233,10 @@ def pose_errors(scene: Scene, states: Array, reference: Array) -> Array:
     """
     off = np.abs(np.asarray(states) - reference)
     parts = [
-        np.hypot(off[:, 0], off[:, 1]),
-        scene.box_half_width * off[:, 2],
-        np.hypot(off[:, 3], off[:, 4]),
-        scene.jack_arm * off[:, 5],
+        np.hypot(off[:, X_BOX], off[:, Y_BOX]),
+        scene.box_half_width * off[:, THETA_BOX],
+        np.hypot(off[:, X_JACK], off[:, Y_JACK]),
+        scene.jack_arm * off[:, THETA_JACK],
     ]
     largest: Array = np.max(parts, axis=0)
     return largest
@@ -280,7 +292,7 @@ def _unpaired(impacts: Sequence[Impact], others: Sequence[Impact], late: float) 
 def quantities(course: Course, comparison: Comparison, again: Restarts, dt: float) -> dict[str, Any]:
     """Everything measured on one case, as plain numbers for JSON: SI units, the imbalance over the kinetic energy."""
     duration = dt * (len(course.states) - 1)
-    speeds = np.hypot(course.states[:, 9], course.states[:, 10])
+    speeds = np.hypot(course.states[:, VX_JACK], course.states[:, VY_JACK])
     impulses = [abs(impact.impulse) for impact in course.impacts]  # a model that pulls has some below 0
     return {
         "flight": comparison.flight,

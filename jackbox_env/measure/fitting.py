@@ -15,7 +15,7 @@ from jackbox_env.exact.tangents import FIELDS
 from jackbox_env.measure.recordings import Recording
 from jackbox_env.measure.shooting import UNHEARD, Parameters, Rows, Shooting, Window, motion, next_window, units
 from jackbox_env.scene import Scene
-from jackbox_env.states import STATE_NAMES, Array
+from jackbox_env.states import RATES, STATE_NAMES, THETA_JACK, Array
 
 try:
     from scipy import optimize, stats
@@ -213,8 +213,8 @@ class _Search:
     def _guesses(self) -> Iterator[tuple[Array, Array]]:
         """Fields' numbers and first states to begin with."""
         first, numbers, positive = first_state(self._recordings[0]), self._numbers, self._parameters.logarithmic
-        for angle in (0.0,) if np.isfinite(self._recordings[0].states[0, 5]) else _ANGLES:
-            yield numbers, first + angle * np.eye(12)[5]
+        for angle in (0.0,) if np.isfinite(self._recordings[0].states[0, THETA_JACK]) else _ANGLES:
+            yield numbers, first + angle * np.eye(12)[THETA_JACK]
         for factor in (0.7, 1.4):
             scaled = np.clip(numbers * factor, 0.0, self._parameters.high)
             yield np.where(positive, numbers + math.log(factor), scaled), first
@@ -259,8 +259,8 @@ class _Search:
         if self._joined(self._windows[-self._block :], len(self._windows) <= self._block):
             return True
         last, numbers = self._windows[-1], self._numbers
-        for angle in () if self._seen[5] else _ANGLES:
-            turned = replace(last, start=last.start + angle * np.eye(12)[5])
+        for angle in () if self._seen[THETA_JACK] else _ANGLES:
+            turned = replace(last, start=last.start + angle * np.eye(12)[THETA_JACK])
             if self._joined([turned], False):
                 self._windows[-1] = turned
                 if self._joined(self._windows[-self._block :], len(self._windows) <= self._block):
@@ -280,7 +280,7 @@ class _Search:
         """Fields within half of what they are, and a first start near what was guessed where it was not seen."""
         count, units = len(self._numbers), self._units
         place, width = np.concatenate([self._numbers, windows[0].start / units]), np.full(count + 12, _GUESSED)
-        width[:count], width[count + 5] = _VAGUE, _VAGUE
+        width[:count], width[count + THETA_JACK] = _VAGUE, _VAGUE
         return place, width
 
     def _explained(self, block: Shooting) -> bool:
@@ -460,16 +460,16 @@ def _third_differences(values: Array) -> Array:
 def first_state(recording: Recording) -> Array:
     """A guess of a recording's first state: what was observed, rates from the first places, else 0."""
     seen, state = recording.states, np.zeros(12)
-    for column in range(6):
+    for column in range(RATES):
         rows = np.flatnonzero(np.isfinite(seen[:, column]))[:5]
-        rates = np.isfinite(seen[:1, column + 6])
+        rates = np.isfinite(seen[:1, column + RATES])
         if len(rows):
             times, places = rows * recording.dt, seen[rows, column]
             slope = np.polyfit(times, places, 1)[0] if len(rows) > 1 and rows[-1] < 10 else 0.0
             state[column] = places[0] - slope * times[0]
-            state[column + 6] = slope
+            state[column + RATES] = slope
         if rates.all():
-            state[column + 6] = seen[0, column + 6]
+            state[column + RATES] = seen[0, column + RATES]
     return state
 
 

@@ -19,7 +19,7 @@ from jackbox_env.observation import BOUNDS, observe, state_of
 from jackbox_env.planning.icem import Plans, Search
 from jackbox_env.planning.rollouts import run_rollouts
 from jackbox_env.scene import Scene
-from jackbox_env.states import Array
+from jackbox_env.states import OMEGA_BOX, Array
 from jackbox_env.tasks import Task
 
 _AHEAD = 3  # torques of the plan that are shown
@@ -160,7 +160,7 @@ class Features:
         half = _HALF * search.repeat * search.control_dt  # [s]
         strongest = np.array([one.torque_limit / one.box_inertia for one in each])[:, None]  # [rad/s^2]
         share = np.linspace(-1.0, 1.0, count) if count > 1 else np.zeros(count)
-        omega = states[:, 8:9]
+        omega = states[:, OMEGA_BOX, None]
         first = share * strongest - 1.5 * omega / half  # so that the box has turned by share * strongest * half^2
         last = -omega / half - first
         torques = np.zeros((len(states), count, search.knots))

@@ -23,7 +23,7 @@ from jackbox_env.recording.trajectory import Trajectory
 from jackbox_env.scene import Drive, Scene
 from jackbox_env.simulators import Impact
 from jackbox_env.simulators.replay import Moment, box_energy, flown, replayed
-from jackbox_env.states import Array
+from jackbox_env.states import THETA_BOX, X_BOX, X_JACK, Y_BOX, Y_JACK, Array
 
 SPACING = 0.005  # between samples in flight, at most [s]
 _ELSEWHERE = 1e-6  # over L: a replay that ends this far off has met a foot at rest
@@ -90,12 +90,12 @@ class _Step(NamedTuple):
         """
         drive, length = scene.drive or Drive(), self.end - self.start
         turning = drive.torque_means if self.torque is None else lambda *_: (self.torque, self.torque)
-        averages = ((2, turning), *enumerate(drive.force_means))
+        averages = ((THETA_BOX, turning), *zip((X_BOX, Y_BOX), drive.force_means, strict=False))
         return sum(means(self.start, length)[1] * (self.after[axis] - ended[axis]) for axis, means in averages)
 
     def _rests(self, scene: Scene, moment: Moment) -> bool:
         """Whether it is the one record of a foot at rest, at the step's end: the replay has let that foot fall."""
-        off = max(abs(a - b) for a, b in zip(moment.before[3:5], self.after[3:5], strict=True))
+        off = max(abs(moment.before[place] - self.after[place]) for place in (X_JACK, Y_JACK))
         return moment.time >= self.end and off > _ELSEWHERE * scene.box_half_width
 
 

@@ -24,7 +24,7 @@ from jackbox_env.colours import FIRST_FOOT, JACK, TORQUE, WALL, Colour
 from jackbox_env.render.canvas import INK, PALE_INK, SIZE, TRACK, Canvas, write
 from jackbox_env.scene import Scene
 from jackbox_env.simulators.base import Impact
-from jackbox_env.states import Array
+from jackbox_env.states import RATES, Array
 
 if TYPE_CHECKING:
     import pygame
@@ -141,7 +141,7 @@ class Renderer:
         self._set(state, time)
 
     def _set(self, state: Sequence[float] | Array, time: float) -> None:
-        x, y, self._angle, jack_x, jack_y, self._jack_angle = map(float, state[:6])
+        x, y, self._angle, jack_x, jack_y, self._jack_angle = map(float, state[:RATES])
         self._box, self._jack, self._time = complex(x, y), complex(jack_x, jack_y), float(time)
         since = self._time - self._trail[-1][0] if self._trail else math.inf
         if self._overlay and since >= 0.99 * _TRAIL_TIME * self._time_scale / _TRAIL_POINTS:
@@ -174,7 +174,7 @@ class Renderer:
 
         The pose is carried back from the end of the step by the velocities after the impact, and put onto the wall.
         """
-        pose = [float(state[i]) - float(state[i + 6]) * (self._time - impact.time) for i in range(6)]
+        pose = [float(state[i]) - float(state[i + RATES]) * (self._time - impact.time) for i in range(RATES)]
         if not all(map(math.isfinite, pose)):
             return complex(math.nan, math.nan)  # rates too large for a float
         x, y, angle, jack_x, jack_y, jack_angle = pose

@@ -11,6 +11,7 @@ import math
 from collections.abc import Sequence
 
 from jackbox_env.scene import Scene
+from jackbox_env.states import OMEGA_BOX, OMEGA_JACK, VX_BOX, VX_JACK, VY_BOX, VY_JACK, X_BOX, X_JACK, Y_BOX, Y_JACK
 
 
 def reach(scene: Scene, state: list[float], dt: float, torque_bound: float, force_bound: float) -> float:
@@ -28,11 +29,11 @@ def reach(scene: Scene, state: list[float], dt: float, torque_bound: float, forc
         force_bound: upper bound of the side force on the box [N]; may be infinite.
     """
     spun_up = torque_bound * dt / scene.box_inertia
-    speed = math.hypot(state[9] - state[6], state[10] - state[7])
+    speed = math.hypot(state[VX_JACK] - state[VX_BOX], state[VY_JACK] - state[VY_BOX])
     speed += (scene.gravity + force_bound / scene.box_mass) * dt
-    distance = math.hypot(state[3] - state[0], state[4] - state[1]) + speed * dt
-    spin = abs(state[11] - state[8]) + spun_up
-    return dt * (speed + (abs(state[8]) + spun_up) * distance + scene.jack_arm * spin)
+    distance = math.hypot(state[X_JACK] - state[X_BOX], state[Y_JACK] - state[Y_BOX]) + speed * dt
+    spin = abs(state[OMEGA_JACK] - state[OMEGA_BOX]) + spun_up
+    return dt * (speed + (abs(state[OMEGA_BOX]) + spun_up) * distance + scene.jack_arm * spin)
 
 
 def fly(
@@ -56,8 +57,8 @@ def fly(
         pushed = 0.5 * dt / scene.box_mass
         x, y = x + pushed * falling_x * dt, y + pushed * falling_y * dt
         after = fly(scene, [x, y, *state[2:]], dt, falling, rising)
-        after[6] += pushed * (falling_x + rising_x)
-        after[7] += pushed * (falling_y + rising_y)
+        after[VX_BOX] += pushed * (falling_x + rising_x)
+        after[VY_BOX] += pushed * (falling_y + rising_y)
         return after
     return [
         x + vx * dt,

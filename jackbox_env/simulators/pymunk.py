@@ -54,7 +54,21 @@ from jackbox_env.simulators.base import ContactModel, JackLostError, Present, en
 from jackbox_env.simulators.contacts import Recorder, iterations_for
 from jackbox_env.simulators.flight import fly, reach
 from jackbox_env.simulators.replay import replayed
-from jackbox_env.states import Array, clearance, deepest_restored
+from jackbox_env.states import (
+    OMEGA_BOX,
+    RATES,
+    VX_BOX,
+    VX_JACK,
+    VY_BOX,
+    VY_JACK,
+    X_BOX,
+    X_JACK,
+    Y_BOX,
+    Y_JACK,
+    Array,
+    clearance,
+    deepest_restored,
+)
 
 _WALL_THICKNESS = 100.0 / 6.0  # R over L: 100 m by default
 _HASH_CELL = 1000.0 / 6.0  # over L: 1000 m by default
@@ -202,14 +216,14 @@ class PymunkSimulator(ContactModel):
         """Whether the contact solver kept the energy of an elastic step with contacts that strain it."""
         scene, before, time = self.scene, self._numbers, self.time
         work = replayed(scene, before, time, self._recorder.impacts, time + dt, torque).work
-        kinetic = energy_of(scene, before) - scene.jack_mass * scene.gravity * before[4]
+        kinetic = energy_of(scene, before) - scene.jack_mass * scene.gravity * before[Y_JACK]
         gained = energy_of(scene, after) - energy_of(scene, before)
         return abs(gained - work) <= _UNRESOLVED * (kinetic + abs(work))
 
     def _refuse_runaway(self, dt: float) -> None:
         """Refuse motion that would overflow the engine's spatial hash, which may loop forever on it."""
         state, farthest = self._numbers, _FARTHEST * self.scene.box_half_width
-        travel = dt * max(abs(state[6]), abs(state[7]), abs(state[9]), abs(state[10]))
+        travel = dt * max(abs(state[VX_BOX]), abs(state[VY_BOX]), abs(state[VX_JACK]), abs(state[VY_JACK]))
         if not travel <= farthest:
             raise JackLostError(
                 f"the jack would leave the box: it or the box moves {travel:.3g} m within dt = {dt:g} s, at most "
@@ -253,15 +267,15 @@ class PymunkSimulator(ContactModel):
             step(h)
         recorder.check()
         after = self._read()
-        after[0] += x
-        after[1] += y
-        after[3] += x
-        after[4] += y
-        after[8] -= half_turn * load.last
-        after[10] += half_fall
+        after[X_BOX] += x
+        after[Y_BOX] += y
+        after[X_JACK] += x
+        after[Y_JACK] += y
+        after[OMEGA_BOX] -= half_turn * load.last
+        after[VY_JACK] += half_fall
         if push:
-            after[6] -= half_push * push[0].last
-            after[7] -= half_push * push[1].last
+            after[VX_BOX] -= half_push * push[0].last
+            after[VY_BOX] -= half_push * push[1].last
         return after
 
     def _read(self) -> list[float]:
@@ -303,7 +317,7 @@ class PymunkSimulator(ContactModel):
         """A step's end with the correction of its last substep, which the engine makes only in its next step."""
         if self.scene.elastic:
             return after
-        return [place + h * rate for place, rate in zip(after[:6], rates, strict=True)] + after[6:]
+        return [place + h * rate for place, rate in zip(after[:RATES], rates, strict=True)] + after[RATES:]
 
     def _build(self) -> None:
         scene = self.scene

@@ -16,7 +16,7 @@ from jackbox_env.mechanics import gap_jacobian
 from jackbox_env.scene import Drive, Scene
 from jackbox_env.simulators.base import Impact
 from jackbox_env.simulators.flight import fly
-from jackbox_env.states import clearance
+from jackbox_env.states import OMEGA_BOX, RATES, VX_BOX, VY_BOX, clearance
 
 
 class Moment(NamedTuple):
@@ -56,7 +56,7 @@ def replayed(
         time = max(time, impact.time)
         depth = max(depth, -clearance(scene, before))
         kick = impact.impulse * gap_jacobian(scene, before, impact.wall, impact.foot) / np.array(scene.mass_diagonal)
-        now = before[:6] + (np.array(before[6:]) + kick).tolist()
+        now = before[:RATES] + (np.array(before[RATES:]) + kick).tolist()
         if moments and moments[-1].time == time:
             moments[-1] = moments[-1]._replace(after=now)
         else:
@@ -67,5 +67,5 @@ def replayed(
 
 def box_energy(scene: Scene, state: Sequence[float]) -> float:
     """Kinetic energy of the box [J]."""
-    moving = scene.box_mass * (state[6] * state[6] + state[7] * state[7])
-    return 0.5 * (moving + scene.box_inertia * state[8] * state[8])
+    vx, vy, omega = state[VX_BOX], state[VY_BOX], state[OMEGA_BOX]
+    return 0.5 * (scene.box_mass * (vx * vx + vy * vy) + scene.box_inertia * omega * omega)

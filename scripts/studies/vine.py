@@ -50,9 +50,9 @@ LEVEL = 0.1  # reward that a step loses in the shaped task where the box lies on
 
 def spin_level(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float, float]:
     """The task ``spin``, and a box that does not turn over: so the network need not learn all of its sides."""
-    rate = state[11] * scene.jack_arm / scene.speed_scale
-    calm = max(0.0, 1.0 - abs(state[8]) * scene.box_half_width / scene.speed_scale)
-    return max(-1.0, min(1.0, rate)) * calm, -LEVEL * (1.0 - math.cos(state[2]))
+    rate = state.omega_jack * scene.jack_arm / scene.speed_scale
+    calm = max(0.0, 1.0 - abs(state.omega_box) * scene.box_half_width / scene.speed_scale)
+    return max(-1.0, min(1.0, rate)) * calm, -LEVEL * (1.0 - math.cos(state.theta_box))
 
 
 class Recipe(NamedTuple):

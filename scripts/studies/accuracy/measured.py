@@ -26,7 +26,7 @@ from jackbox_env.files import replacing, write_json
 from jackbox_env.measure.accuracy import Case, Reference, between, compare, follow, quantities, reference_of, restarts
 from jackbox_env.simulators import Impact, Simulator
 from jackbox_env.simulators.fidelity import FIDELITIES
-from jackbox_env.states import Array
+from jackbox_env.states import OMEGA_BOX, Array
 from jackbox_env.tasks import sample_start
 from scripts.studies import baselines
 from scripts.studies.sweeping import swept
@@ -56,7 +56,7 @@ def seeded(kind: str, seed: int) -> Case:
     if kind == "held":
         torques = rng.uniform(-scene.torque_limit, scene.torque_limit, STEPS).tolist()
     if kind == "weightless":
-        state[8:] = np.array([1.0, 5.0, 5.0, 5.0]) * rng.standard_normal(4)
+        state[OMEGA_BOX:] = np.array([1.0, 5.0, 5.0, 5.0]) * rng.standard_normal(4)
     return Case(f"{kind} {seed}", scene, state, STEPS, torques, DT)
 
 

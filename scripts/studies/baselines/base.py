@@ -10,7 +10,7 @@ from jackbox_env import checks as check
 from jackbox_env.measure.accuracy import Between
 from jackbox_env.scene import Drive, Scene
 from jackbox_env.simulators.base import ContactModel, Impact, JackLostError, Present, Simulator, end_of_step
-from jackbox_env.states import Array, clearance, deepest_restored
+from jackbox_env.states import OMEGA_BOX, Array, clearance, deepest_restored
 
 DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))  # of walls 0 to 3 and of feet 0 to 3
 Pair = tuple[int, int]  # wall, foot
@@ -90,7 +90,7 @@ class Baseline(ContactModel):
         after, _ = self._simulate(list(start.state), start.time, h, torque, [], trace)
         assert after == self._present.state, "the step gave another state when it was repeated"
         works = (
-            h * self._torque(start.time + number * h, h, torque) * 0.5 * (left[8] + right[8])
+            h * self._torque(start.time + number * h, h, torque) * 0.5 * (left[OMEGA_BOX] + right[OMEGA_BOX])
             for number, (left, right) in enumerate(trace)
         )
         return Between(max(-clearance(self.scene, right) for _, right in trace), sum(works))

@@ -28,6 +28,7 @@ import numpy as np
 
 from jackbox_env.mechanics import gap_jacobian
 from jackbox_env.simulators.base import JackLostError
+from jackbox_env.states import OMEGA_BOX, OMEGA_JACK, RATES, VX_BOX, VX_JACK, VY_BOX, VY_JACK, X_JACK
 from scripts.studies.baselines.base import DIRECTIONS, Engine, Pair
 
 _VELOCITY_ITERATIONS, _POSITION_ITERATIONS = 8, 3
@@ -77,14 +78,17 @@ class Model(Engine):
         self._world = world
 
     def _place(self, state: list[float], h: float) -> None:
-        x, y, angle, _, _, jack_angle = state[:6]
+        x, y, angle, _, _, jack_angle = state[:RATES]
         whole, jack_whole = (turned - math.remainder(turned, 2.0 * math.pi) for turned in (angle, jack_angle))
         self._origin = [x, y, whole, x, y, jack_whole]
         self._h = h
         self._jack.transform = (_FAR_OFF * self.scene.box_half_width, 0.0), 0.0  # out of reach: contacts are dropped
         self._world.Step(0.0, 1, 1)
-        q = [place - start for place, start in zip(state[:6], self._origin, strict=True)]
-        for body, at, rate in ((self._box, q[0:3], state[6:9]), (self._jack, q[3:6], state[9:12])):
+        q = [place - start for place, start in zip(state[:RATES], self._origin, strict=True)]
+        for body, at, rate in (
+            (self._box, q[:X_JACK], state[VX_BOX:VX_JACK]),
+            (self._jack, q[X_JACK:], state[VX_JACK:]),
+        ):
             body.transform = (at[0], at[1]), at[2]
             body.linearVelocity = rate[0], rate[1]
             body.angularVelocity = rate[2]
@@ -98,7 +102,7 @@ class Model(Engine):
 
     def _is_over(self, state: list[float], wall: int, foot: int) -> bool:
         """True when the foot moves away. The rate of a foot that sticks is only float32's rounding."""
-        return bool(gap_jacobian(self.scene, state, wall, foot) @ np.array(state[6:]) > _LEAVING)
+        return bool(gap_jacobian(self.scene, state, wall, foot) @ np.array(state[RATES:]) > _LEAVING)
 
     def _read(self) -> list[float]:
         q, v = list[float](), list[float]()
@@ -112,8 +116,8 @@ class Model(Engine):
 
     def _refuse_cuts(self, state: list[float]) -> None:
         """Refuse a speed that the engine has clipped to its bound."""
-        travel = self._h * max(math.hypot(*state[6:8]), math.hypot(*state[9:11]))
-        turn = self._h * max(abs(state[8]), abs(state[11]))
+        travel = self._h * max(math.hypot(state[VX_BOX], state[VY_BOX]), math.hypot(state[VX_JACK], state[VY_JACK]))
+        turn = self._h * max(abs(state[OMEGA_BOX]), abs(state[OMEGA_JACK]))
         if not (travel < _SLACK * _FARTHEST and turn < _SLACK * _FURTHEST_TURN):
             raise JackLostError(
                 f"box2d cannot follow the jack: {travel:.3g} m and {turn:.3g} rad per substep, its limits "

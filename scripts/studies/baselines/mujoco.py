@@ -36,6 +36,7 @@ import numpy as np
 
 from jackbox_env.mechanics import gaps
 from jackbox_env.scene import Scene
+from jackbox_env.states import RATES
 from scripts.studies.baselines.base import DIRECTIONS, Engine, Pair
 
 _STIFFNESS = 2.0  # k h^2
@@ -90,8 +91,8 @@ class Model(Engine):
             self._model.opt.timestep = h
             self._model.geom_solref[:] = -_STIFFNESS / h**2, 0.0
             self._h = h
-        self._data.qpos[:] = state[:6]
-        self._data.qvel[:] = state[6:]
+        self._data.qpos[:] = state[:RATES]
+        self._data.qvel[:] = state[RATES:]
 
     def _substep(self, h: float, torque: float) -> dict[Pair, float]:
         data = self._data

@@ -23,7 +23,7 @@ from jackbox_env.mechanics import gaps, impact_map
 from jackbox_env.scene import Scene
 from jackbox_env.simulators.base import Impact
 from jackbox_env.simulators.flight import fly
-from jackbox_env.states import Array, clearance
+from jackbox_env.states import RATES, Array, clearance
 from scripts.studies.baselines.base import Baseline, Trace
 
 BAND = 0.1  # [m] a foot this near a wall, on either side, counts as hitting it
@@ -37,9 +37,9 @@ def reflect(scene: Scene, state: Array, wall: int, foot: int) -> tuple[Array, fl
     after, impulse = impact_map(scene, state, wall, foot)
     if impulse > 0.0:
         return after, impulse
-    turned = np.concatenate([state[:6], -state[6:]])
+    turned = np.concatenate([state[:RATES], -state[RATES:]])
     after, impulse = impact_map(scene, turned, wall, foot)
-    after[6:] *= -1.0
+    after[RATES:] *= -1.0
     return after, -impulse
 
 

@@ -28,7 +28,21 @@ from tqdm import trange
 
 from jackbox_env import Scene, linearize, rollout
 from jackbox_env.commands.plots import BOX, GREY, JACK, write_figure
-from jackbox_env.states import Array
+from jackbox_env.states import (
+    OMEGA_BOX,
+    OMEGA_JACK,
+    THETA_BOX,
+    THETA_JACK,
+    VX_BOX,
+    VX_JACK,
+    VY_BOX,
+    VY_JACK,
+    X_BOX,
+    X_JACK,
+    Y_BOX,
+    Y_JACK,
+    Array,
+)
 
 SCENE = Scene(drive=None)
 DT, PERIOD = 0.02, 51  # control step [s]; control steps of the bounce
@@ -36,9 +50,9 @@ FLOOR = SCENE.jack_arm - SCENE.box_half_width  # y at the impact [m]
 SPEED = (SCENE.gravity * SCENE.jack_arm) ** 0.5  # unit of speeds [m/s]
 UNITS = np.array([SCENE.jack_arm] * 2 + [1.0] * 2 + [SPEED] * 2 + [SPEED / SCENE.jack_arm] * 2)
 SIDEWAYS, DISTURBED = [0, 2, 3, 4, 6, 7], [0, 3, 4, 7]  # all but the height; those of the jack
-_ORDER = [3, 4, 2, 5, 9, 10, 8, 11]
+_ORDER = [X_JACK, Y_JACK, THETA_BOX, THETA_JACK, VX_JACK, VY_JACK, OMEGA_BOX, OMEGA_JACK]
 REDUCE, LIFT = np.eye(12)[_ORDER], np.eye(12)[:, _ORDER]
-REDUCE[[0, 1, 4, 5], [0, 1, 6, 7]] = -1.0
+REDUCE[[0, 1, 4, 5], [X_BOX, Y_BOX, VX_BOX, VY_BOX]] = -1.0
 
 WEIGHTS = np.array([0.01, 0.0, 1.0, 1.0, 0.01, 0.0, 1.0, 1.0])  # of z^2 in UNITS; place and sideways speed may wait
 EFFORT = 100.0  # weight of a torque^2 in units of the limit

@@ -21,7 +21,7 @@ from agents.policies.scripted import LevelPolicy
 from jackbox_env import Scene, linearize, rollout
 from jackbox_env.commands.plots import GREY, JACK, write_figure
 from jackbox_env.planning.icem import Search
-from jackbox_env.states import Array
+from jackbox_env.states import THETA_BOX, THETA_JACK, X_BOX, X_JACK, Array
 from jackbox_env.tasks import sample_start
 from scripts.studies.derivatives.lyapunov import with_interval
 
@@ -89,7 +89,7 @@ def expanded(start: Array, torques: Array) -> tuple[tuple[Array, Array, Array], 
     ends = found.trajectories[0, 1:]
     by_state = np.nan_to_num(found.A).reshape(PIECES, REPEAT, 12, 12)
     by_torque = np.nan_to_num(found.B).reshape(PIECES, REPEAT, 12) * SCENE.torque_limit
-    off = (ends[:, 3:5] - ends[:, :2]).reshape(PIECES, REPEAT, 2, 1)
+    off = (ends[:, X_JACK:THETA_JACK] - ends[:, X_BOX:THETA_BOX]).reshape(PIECES, REPEAT, 2, 1)
     far = np.linalg.norm(off, axis=2, keepdims=True)
     weights = (far < ROOM) / (ROOM * np.maximum(far, CLOSEST))
     motion = np.repeat(np.eye(12, 13)[None], PIECES, axis=0)
@@ -97,7 +97,7 @@ def expanded(start: Array, torques: Array) -> tuple[tuple[Array, Array, Array], 
     for step in range(REPEAT):
         motion = by_state[:, step] @ motion
         motion[:, :, 12] += by_torque[:, step]
-        moved = motion[:, 3:5] - motion[:, :2]
+        moved = motion[:, X_JACK:THETA_JACK] - motion[:, X_BOX:THETA_BOX]
         slopes += (weights[:, step] * off[:, step] * moved).sum(axis=1)
         curvatures += weights[:, step] * moved.transpose(0, 2, 1) @ moved
     return (motion, slopes, curvatures), int((~found.smooth).sum())

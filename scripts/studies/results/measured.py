@@ -25,7 +25,7 @@ from agents.training.best import read_evaluations
 from agents.training.models import derived_seed
 from agents.training.ppo import trained_in
 from jackbox_env import Chirp, JackInBoxVectorEnv, Scene
-from jackbox_env.states import Array
+from jackbox_env.states import X_BOX, X_JACK, Y_BOX, Y_JACK, Array
 from jackbox_env.tasks import TASKS
 
 SEED = 1  # decides the starts
@@ -193,9 +193,9 @@ def unpaid_steps(states: Array) -> Array:
     its centre is L - l from the box's centre.
     """
     scene = Scene()
-    place = states[:, 3:5] - states[:, 0:2]  # [m] from the box's centre
+    x, y = states[:, X_JACK] - states[:, X_BOX], states[:, Y_JACK] - states[:, Y_BOX]  # [m]
     room = scene.box_half_width - scene.jack_arm
-    fall = place[:, 1] + np.sqrt(room**2 - place[:, 0] ** 2)  # [m] until then
+    fall = y + np.sqrt(room**2 - x**2)  # [m] until then
     steps: Array = np.floor(np.sqrt(2.0 * fall / scene.gravity) / EnvSettings().control_dt)
     return steps
 

@@ -164,7 +164,7 @@ def jacks(count: int) -> list[Scene]:
 
 def lift(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float]:
     """A task of one's own: the jack's height in the box, over L."""
-    return ((state[4] - state[1]) / scene.box_half_width,)
+    return ((state.y_jack - state.y_box) / scene.box_half_width,)
 
 
 def envpool() -> dict[str, Any]:
