@@ -153,7 +153,7 @@ def impact_maps(scene: Scene, states: Array, walls: Indices, feet: Indices) -> t
     gap_rates = _dots(jacobians, states[:, RATES:])
     struck, after, impulses = gap_rates < 0.0, states.copy(), np.zeros(len(states))
     impulses[struck] = -(1.0 + scene.restitution) * gap_rates[struck] / _dots(jacobians, kicks)[struck]
-    after[struck, 6:] += (impulses[:, None] * kicks)[struck]
+    after[struck, RATES:] += (impulses[:, None] * kicks)[struck]
     return after, impulses
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from jackbox_env.command_line import command_line
+from jackbox_env.states import THETA_JACK, X_JACK, Y_JACK
 
 
 def through(scene: Any, state: Any, torque: float, impulse: float) -> bool:
@@ -26,7 +27,8 @@ def reward(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float
 def below(scene: Any, rng: np.random.Generator) -> Any:
     """The jack at rest in the lower half of a box at rest."""
     state = np.zeros(12)
-    state[3:6] = rng.uniform(-2.0, 2.0), rng.uniform(-3.0, -1.0), rng.uniform(-0.5, 0.5)
+    state[X_JACK], state[Y_JACK] = rng.uniform(-2.0, 2.0), rng.uniform(-3.0, -1.0)
+    state[THETA_JACK] = rng.uniform(-0.5, 0.5)
     return state
 
 

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jackbox_env import Linearization, Scene, linearize
+from jackbox_env.states import THETA_JACK, X_BOX, X_JACK, Y_BOX, Y_JACK
 
 jax.config.update("jax_enable_x64", True)
 SCENE, DT, REPEAT = Scene(drive=None), 0.02, 10
@@ -36,9 +37,9 @@ trajectories.defvjp(
 
 def distances(torques: jax.Array) -> jax.Array:
     """Of the jack from the middle of the box at the end [m]."""
-    starts = jnp.zeros((8, 12)).at[:, 3].set(jnp.linspace(0.3, 1.0, 8)).at[:, 5].set(0.1)
+    starts = jnp.zeros((8, 12)).at[:, X_JACK].set(jnp.linspace(0.3, 1.0, 8)).at[:, THETA_JACK].set(0.1)
     end = trajectories(starts, torques)[:, -1]
-    return jnp.hypot(end[:, 3] - end[:, 0], end[:, 4] - end[:, 1])
+    return jnp.hypot(end[:, X_JACK] - end[:, X_BOX], end[:, Y_JACK] - end[:, Y_BOX])
 
 
 improve = jax.jit(jax.grad(lambda torques: distances(torques).sum()))

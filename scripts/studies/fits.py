@@ -22,18 +22,20 @@ from jackbox_env import Recording, Scene, fit, make_simulator
 from jackbox_env.command_line import command_line
 from jackbox_env.measure import fitting
 from jackbox_env.measure.shooting import units
+from jackbox_env.states import OMEGA_JACK, RATES, THETA_JACK, VX_JACK, VY_JACK, X_JACK, Y_JACK
 from jackbox_env.tasks import sample_start
 from scripts.studies import timing
 from scripts.studies.pages import fill, table
 
 DT, SECONDS, HEARD = 0.02, 4.0, 1e-4  # control step [s], length of a recording [s], noise of impacts' times [s]
+_JACK = X_JACK, Y_JACK, THETA_JACK
 SEEN: dict[str, Sequence[int]] = {
     "all 12 numbers": range(12),
-    "positions and angles": range(6),
-    "positions and angles in every second row": range(6),
-    "the jack's position, angle and rates": (3, 4, 5, 9, 10, 11),
-    "the jack's position and angle": (3, 4, 5),
-    "the jack's position and angle, and impacts heard": (3, 4, 5),
+    "positions and angles": range(RATES),
+    "positions and angles in every second row": range(RATES),
+    "the jack's position, angle and rates": (*_JACK, VX_JACK, VY_JACK, OMEGA_JACK),
+    "the jack's position and angle": _JACK,
+    "the jack's position and angle, and impacts heard": _JACK,
 }
 NOISE = (3e-4, 1e-3, 3e-3)  # in units of L, v0, v0 / L and v0 / l
 FIELDS = (("jack_mass", "restitution"), ("restitution", "gravity"), ("jack_mass", "jack_arm", "restitution"))
