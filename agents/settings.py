@@ -13,7 +13,7 @@ from jackbox_env import Scene
 from jackbox_env import checks as check
 from jackbox_env.observation import BOUNDS
 from jackbox_env.randomization import NUMBERS
-from jackbox_env.simulators.fidelity import COMMANDS, Setting, as_stored, explicit, resolve
+from jackbox_env.simulators.fidelity import Setting, as_stored, chosen, explicit, resolve
 from jackbox_env.tasks import TASKS
 
 with suppress(ImportError):  # command lines need it; settings are also read without it
@@ -67,9 +67,8 @@ class EnvSettings:
         """Raises ValueError for an unknown fidelity or an invalid scene; the environment checks the rest."""
         Scene.of(self.scene_fields)
         check.real("control_dt", self.control_dt, above=0.0)
-        if all(given is None for given in (self.fidelity, self.contact, self.substeps)):
-            object.__setattr__(self, "fidelity", COMMANDS)
-        resolve(self.fidelity, self.contact, self.substeps)
+        object.__setattr__(self, "fidelity", chosen(self).get("fidelity"))  # of commands, where nothing is chosen
+        resolve(**chosen(self))
         check.known_keys("randomize", self.randomized, NUMBERS)
 
     @classmethod
@@ -108,15 +107,8 @@ class EnvSettings:
     @property
     def env_settings(self) -> dict[str, Any]:
         """Keyword arguments for ``gymnasium.make("JackInBox-v0", ...)``."""
-        return {
-            "task": self.task,
-            "contact": self.contact,
-            "substeps": self.substeps,
-            "control_dt": self.control_dt,
-            "scene": self.scene_fields,
-            "fidelity": self.fidelity,
-            "randomize": self.randomized or None,
-        }
+        words = {part.name: getattr(self, part.name) for part in fields(EnvSettings)}
+        return {**words, "scene": self.scene_fields, "randomize": self.randomized or None}
 
     @property
     def options(self) -> list[str]:
@@ -128,8 +120,8 @@ class EnvSettings:
 
     @property
     def setting(self) -> Setting:
-        """The contact model and substeps that these settings mean, in one form."""
-        return explicit(resolve(self.fidelity, self.contact, self.substeps))
+        """The contact model and settings of it that these settings mean, in one form."""
+        return explicit(resolve(**chosen(self)))
 
 
 # What stored settings mean that lack a name: the defaults of the versions that did not know it.

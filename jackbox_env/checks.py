@@ -184,17 +184,18 @@ def extra_needed(what: str, package: str, extra: str) -> str:
 
 
 def refuse_unknown(
-    owner: str, elsewhere: Mapping[str, str]
+    owner: str, elsewhere: Mapping[str, str], further: Iterable[str] = ()
 ) -> Callable[[Callable[_Arguments, None]], Callable[_Arguments, None]]:
     """Let an ``__init__`` refuse unknown keywords in a sentence that lists the known ones.
 
     Args:
         owner: whose arguments they are.
         elsewhere: keywords of others, and what the sentence says of them.
+        further: keywords that the ``__init__`` accepts as ``**settings``.
     """
 
     def refusing(init: Callable[_Arguments, None]) -> Callable[_Arguments, None]:
-        names = [*signature(init).parameters][1:]
+        names = [*(name for name in [*signature(init).parameters][1:] if name != "settings"), *further]
 
         @wraps(init)
         def checked(*args: _Arguments.args, **given: _Arguments.kwargs) -> None:

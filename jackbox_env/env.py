@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from typing import Any
 
 import gymnasium as gym
@@ -19,9 +18,9 @@ from jackbox_env.observation import BOUNDS
 from jackbox_env.randomization import Randomization
 from jackbox_env.scene import Scene
 from jackbox_env.scoring import Score, make_score
-from jackbox_env.simulators import Impact, Simulator, make_simulator
+from jackbox_env.simulators import Impact, Simulator
 from jackbox_env.simulators.base import total_impulse
-from jackbox_env.simulators.fidelity import resolve
+from jackbox_env.simulators.fidelity import FURTHER, resolve
 from jackbox_env.states import LATEST_TIME, Array, as_start
 
 Observation = NDArray[np.float32]
@@ -114,7 +113,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     | `contact`        | `None`       | in place of a fidelity: `"pymunk"` (time stepping) or `"exact"` (compiled)     |
     | `substeps`       | `None`       | engine steps of pymunk per control step, >= 1; None: 4                         |
     | `scene`          | `None`       | a `Scene`, or a dict of some of its fields                                     |
-    | `task`           | `"juggle"`   | `"juggle"`, `"spin"`, `"rattle"`, or a `jackbox_env.Task` of your own          |
+    | `task`           | `"juggle"`   | the name of one under Rewards, or a `jackbox_env.Task` of your own             |
     | `control_dt`     | `0.02`       | duration of a step [s], > 0                                                    |
     | `torque`         | `"agent"`    | `"agent"`: the action, or the drive if it is None; `"chirp"`: always the drive |
     | `render_mode`    | `None`       | `"human"` or `"rgb_array"`                                                     |
@@ -166,7 +165,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         "render_modes": ["human", "rgb_array"], "render_fps": 50, "render_size": (512, 512),
     }  # fmt: skip
 
-    @check.refuse_unknown("JackInBox-v0", VECTOR_ONLY)
+    @check.refuse_unknown("JackInBox-v0", VECTOR_ONLY, FURTHER)
     def __init__(
         self,
         contact: str | None = None,
@@ -180,8 +179,10 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         randomize: Randomize = None,
         render_size: tuple[int, int] = (512, 512),
         render_overlay: bool = True,
+        **settings: Any,
     ) -> None:
-        self.contact, substeps = resolve(fidelity, contact, substeps)
+        setting = resolve(fidelity, contact, substeps=substeps, **settings)
+        self.contact = setting.contact
         self.control_dt = check.real("control_dt", control_dt, above=0.0)
         self.torque_source = check.choice("torque", torque, ("agent", "chirp"))
         if render_mode is not None:
@@ -191,9 +192,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         self.task, self._task = task, tasks.task_of(task)
         self._fails_never = self._task in tasks.TASKS.values()  # a task of the user's own may
         self._own = Scene.of(scene)
-        self.simulator_of: Callable[[Scene], Simulator] = partial(
-            make_simulator, contact=self.contact, substeps=substeps
-        )
+        self.simulator_of: Callable[[Scene], Simulator] = setting.simulator
         self._parts = self.simulator_of(self._own), make_score(self._own, self._task, self.contact)
         if not self._fails_never:  # an unfit task is refused now
             self._parts[1].observe(tasks.sample_start(self._own, np_random(0)[0]))

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from jackbox_env import checks as check
 from jackbox_env.scene import Scene
 from jackbox_env.simulators import Impact
+from jackbox_env.simulators.fidelity import FURTHER
 from jackbox_env.states import Array
 from jackbox_env.vector_env import JackInBoxVectorEnv
 
@@ -30,7 +31,9 @@ except ModuleNotFoundError as error:
     raise ModuleNotFoundError(check.extra_needed("jackbox_env.sb3", "Stable-Baselines3", "train")) from error
 
 _KNOWN = [
-    name for name in inspect.signature(JackInBoxVectorEnv).parameters if name not in ("num_envs", "autoreset_mode")
+    name
+    for name in (*inspect.signature(JackInBoxVectorEnv).parameters, *FURTHER)
+    if name not in ("num_envs", "autoreset_mode", "settings")
 ]
 _SHARED = {"num_threads", "with_infos", "max_episode_steps"}  # no arguments of the single environment
 

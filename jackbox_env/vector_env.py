@@ -19,6 +19,7 @@ from jackbox_env.env import JackInBoxEnv, Randomize
 from jackbox_env.randomization import NUMBERS, Randomization
 from jackbox_env.scene import Scene
 from jackbox_env.simulators import Impact, contact_model
+from jackbox_env.simulators.fidelity import FURTHER
 from jackbox_env.states import Array, as_restored, as_start
 from jackbox_env.tasks import Task, task_of
 
@@ -60,7 +61,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
             environment, whose page tells more.
         substeps: engine steps of pymunk per control step; None: 4.
         scene: a :class:`Scene`, a dict of some of its fields, or a list of N of them, one for each environment.
-        task: "juggle", "spin", "rattle", or a :class:`Task`.
+        task: the name of one, or a :class:`Task`.
         control_dt: duration of a step [s].
         torque: "agent": the actions are torques; "chirp": the scene's drive acts whatever they are.
         fidelity: "coarse", "balanced", "fine" or "exact"; None: "balanced".
@@ -83,7 +84,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
 
     metadata: dict[str, Any] = {**JackInBoxEnv.metadata, "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
 
-    @check.refuse_unknown("the vector environment of JackInBox-v0", {})
+    @check.refuse_unknown("the vector environment of JackInBox-v0", {}, FURTHER)
     def __init__(
         self,
         num_envs: int = 1,
@@ -102,6 +103,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         randomize: Randomize = None,
         render_size: tuple[int, int] = (512, 512),
         render_overlay: bool = True,
+        **settings: Any,
     ) -> None:
         self.num_envs = check.whole("num_envs", num_envs, at_least=1, at_most=_MOST_ENVS)
         limit = _NO_LIMIT
@@ -117,7 +119,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         self._with_infos = check.flag("with_infos", with_infos)
         self._arguments = Arguments(self.num_envs)
         scenes = self._arguments.scenes(scene)
-        settings: dict[str, Any] = {
+        settings |= {
             "contact": contact, "substeps": substeps, "task": task, "control_dt": control_dt, "torque": torque,
             "fidelity": fidelity, "render_size": render_size, "render_overlay": render_overlay,
         }  # fmt: skip

@@ -19,7 +19,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from agents.policies.network import SHIPPED, read_policy
+from agents.policies.network import SHIPPED, TRAINED, read_policy
 from agents.policies.planner import VALUED_KNOTS, Planner
 from agents.policies.scripted import Policy, RandomPolicy
 from agents.policies.value import read_value
@@ -27,7 +27,6 @@ from agents.runs import versions
 from jackbox_env import Scene
 from jackbox_env import checks as check
 from jackbox_env.command_line import ROOT, command_line
-from jackbox_env.tasks import TASKS
 
 PACKAGES = ("jackbox", "gymnasium", "numpy", "numba", "pymunk", "minari")
 TEXT = """The jack in a box, task {}, policy {}: episodes of 10 s on the exact contact model. infos/state holds x, y and
@@ -110,7 +109,7 @@ def main() -> None:
         sys.exit(subprocess.run([python, *sys.argv], check=False).returncode)
     os.environ.setdefault("MINARI_DATASETS_PATH", str(ROOT / "runs" / "dataset"))  # before it is imported
     warnings.filterwarnings("ignore", "`(code_permalink|author_email|eval_env)` is set to None")
-    for task in TASKS:
+    for task in TRAINED:
         for name, policy in policies(task).items():
             write(task, name, policy, max(1, episodes // 10) if name == "planner" else episodes)
 

@@ -28,6 +28,7 @@ import numpy as np
 from flint import arb
 
 from agents.evaluation.episodes import record_episode
+from agents.policies.network import TRAINED
 from agents.policies.registry import find_policy
 from agents.settings import EnvSettings
 from jackbox_env.files import write_text
@@ -35,7 +36,7 @@ from jackbox_env.mechanics import gap_jacobian, gaps
 from jackbox_env.scene import Drive, Scene
 from jackbox_env.simulators import Impact, JackLostError, make_simulator
 from jackbox_env.states import Array
-from jackbox_env.tasks import TASKS, sample_start
+from jackbox_env.tasks import sample_start
 from scripts.studies.pages import fill, table
 from tests.invariants.cases import draw_case
 from tests.proof import EVERY_PAIR, FreeFlight, Proof, Turn, prove
@@ -91,7 +92,7 @@ def chirped(rng: np.random.Generator) -> Iterator[Case]:
 def trained(rng: np.random.Generator) -> Iterator[Case]:
     """Play of the trained networks on all tasks in turn."""
     while True:
-        for task in TASKS:
+        for task in TRAINED:
             settings = EnvSettings(task=task)
             seed = int(rng.integers(2**31))
             path, scene, _ = record_episode(find_policy("ppo", settings), settings.env_settings, seed)

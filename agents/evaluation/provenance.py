@@ -11,12 +11,12 @@ from agents.policies.one_bounce import LANDING, read_landing
 from agents.policies.registry import POLICIES, SCRIPTED, shipped_names
 from agents.runs import SETTINGS, read_settings, run_folder
 from agents.settings import EnvSettings
-from jackbox_env.simulators.fidelity import words
+from jackbox_env.simulators.fidelity import KEYWORDS, words
 
 
 def describe_env(settings: EnvSettings) -> str:
     """The environment in one line: task, contact model, and what differs from the default."""
-    others = [part.name for part in fields(EnvSettings) if part.name not in ("task", "contact", "substeps", "fidelity")]
+    others = [part.name for part in fields(EnvSettings) if part.name not in ("task", *KEYWORDS)]
     differing = [name for name in others if getattr(settings, name) != getattr(EnvSettings, name)]
     more = (f"{name} {getattr(settings, name)}" for name in differing)
     return ", ".join([f"task {settings.task}", words(settings.setting), *more])
@@ -45,6 +45,6 @@ def warn_of_other_training(name: str, here: EnvSettings) -> None:
     trained = _settings_of(name, here)
     if trained is None:
         return
-    same = replace(trained, contact=here.contact, substeps=here.substeps, fidelity=here.fidelity) == here
+    same = replace(trained, **{name: getattr(here, name) for name in KEYWORDS}) == here
     if trained.setting != here.setting or not same:  # one setting can be written in several ways
         print(f"Note: {name} was trained in another environment ({describe_env(trained)})", file=sys.stderr)

@@ -33,9 +33,11 @@ from jackbox_env.observation import BOUNDS, state_of
 from jackbox_env.planning.features import Features, LookaheadOptions
 from jackbox_env.planning.icem import Plans
 from jackbox_env.planning.landing_control import aim
+from jackbox_env.tasks import TASKS
 
 WEIGHTS = "weights.npz"
 SHIPPED = Path(__file__).parents[1] / "trained"  # a folder <task>-<name> of each policy that comes with the repository
+TRAINED = tuple(task for task in TASKS if (SHIPPED / f"{task}-ppo").is_dir())  # tasks with a network by PPO
 _Made = TypeVar("_Made")
 Layer = tuple[NDArray[np.float32], NDArray[np.float32]]  # weight and bias
 _MOST_SETTINGS = 100_000  # [bytes] of a JSON file

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
+from typing import get_args, get_type_hints
 
-from jackbox_env.simulators.fidelity import COMMANDS, Setting, resolve
+from jackbox_env.simulators.fidelity import Setting, chosen, resolve
 
 
 def parser_of(text: str | None) -> argparse.ArgumentParser:
@@ -13,13 +14,15 @@ def parser_of(text: str | None) -> argparse.ArgumentParser:
 
 
 def add_model_options(parser: argparse.ArgumentParser) -> None:
-    """Add what chooses the scene, the contact model and its step: fidelity, contact, substeps, dt, scene."""
+    """Add what chooses the scene, the contact model and its step: fidelity, contact and its settings, dt, scene."""
     model = parser.add_argument_group("scene and contact model")
     text = "how impacts are computed: coarse, balanced, fine or exact; default: exact"
     model.add_argument("--fidelity", metavar="NAME", help=text)
     model.add_argument("--contact", metavar="NAME", help="in place of a fidelity: pymunk or exact")
-    text = "engine steps of pymunk per step, beside --contact; default: 4"
-    model.add_argument("--substeps", type=int, metavar="N", help=text)
+    hints = get_type_hints(Setting, include_extras=True)
+    for name in Setting._fields[1:]:
+        kind, text = get_args(hints[name])
+        model.add_argument(f"--{name}", type=get_args(kind)[0], metavar="N", help=text)
     text = "duration of a control step [s]; default: 0.02"
     model.add_argument("--dt", "--control-dt", type=float, default=0.02, metavar="S", help=text)
     text = """fields that differ from the default, as JSON, e.g. '{"gravity": 1.62}'"""
@@ -27,6 +30,5 @@ def add_model_options(parser: argparse.ArgumentParser) -> None:
 
 
 def chosen_setting(arguments: argparse.Namespace) -> Setting:
-    """The contact model and substeps that these options mean; :func:`jackbox_env.simulators.fidelity.resolve`."""
-    given = arguments.fidelity, arguments.contact, arguments.substeps
-    return resolve(*given) if any(one is not None for one in given) else resolve(COMMANDS, None, None)
+    """The contact model and settings that these options mean; :func:`jackbox_env.simulators.fidelity.resolve`."""
+    return resolve(**chosen(arguments))

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from jackbox_env import checks as check
 from jackbox_env.measure.accuracy import Case, at_ends, between, follow
 from jackbox_env.scene import Scene, scenes_of
-from jackbox_env.simulators import CONTACT_MODELS, Impact, Simulator, make_simulator
+from jackbox_env.simulators import Impact, Simulator, make_simulator
 from jackbox_env.simulators.fidelity import Setting
 from jackbox_env.states import Array, as_start
 from jackbox_env.tasks import sample_start
@@ -81,11 +81,11 @@ def cheapest(
         JackLostError: the exact model cannot follow a case to its first impact.
 
     >>> from jackbox_env import cheapest
-    >>> cheapest({"restitution": 0.5}, first_impact_error=0.005, penetration=0.2, contact="pymunk").setting
-    Setting(contact='pymunk', substeps=4)
+    >>> cheapest({"restitution": 0.5}, first_impact_error=0.005, penetration=0.2, contact="pymunk").setting.substeps
+    4
     """
     if contact is not None:
-        check.choice("contact", contact, CONTACT_MODELS)
+        check.choice("contact", contact, ("pymunk", "exact"))
     bounds = _bound("first_impact_error", first_impact_error), _bound("penetration", penetration)
     scenes = scenes_of(scene)[0]
     drawn = _cases(scenes, states, cases, steps, control_dt, seed)
@@ -220,7 +220,7 @@ def _measured(setting: Setting, drawn: list[tuple[Case, list[Impact]]], bounds: 
 def _simulators(setting: Setting, cases: list[Case]) -> list[Simulator]:
     """A simulator for each case, the same one for all cases of a scene."""
     scenes = {id(case.scene): case.scene for case in cases}
-    made = {number: make_simulator(scene, **setting._asdict()) for number, scene in scenes.items()}
+    made = {number: setting.simulator(scene) for number, scene in scenes.items()}
     return [made[id(case.scene)] for case in cases]
 
 

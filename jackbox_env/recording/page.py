@@ -31,9 +31,9 @@ Facts = list[tuple[str, str]]  # what to call a fact, and its value with its uni
 
 
 def model_facts(setting: Setting) -> Facts:
-    """The contact model and its substeps, in words."""
-    contact, substeps = explicit(setting)
-    return [("contact model", contact), *([] if substeps is None else [("substeps", str(substeps))])]
+    """The contact model and its settings, in words."""
+    contact, *settings = explicit(setting)._asdict().items()
+    return [("contact model", contact[1]), *((name, str(value)) for name, value in settings if value is not None)]
 
 
 def write_page(path: Path, scene: Scene, trajectory: Trajectory, title: str, facts: Iterable[tuple[str, str]]) -> Path:

@@ -1,4 +1,4 @@
-"""Names for contact models with their substeps: what ``fidelity=`` stands for.
+"""Names for contact models with their settings: what ``fidelity=`` stands for.
 
 docs/accuracy.md shows where they lie among all settings measured.
 """
@@ -6,23 +6,33 @@ docs/accuracy.md shows where they lie among all settings measured.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from numbers import Real
 from types import MappingProxyType
-from typing import Any, NamedTuple
-
-import numpy as np
+from typing import Annotated, Any, NamedTuple
 
 from jackbox_env import checks as check
+from jackbox_env.scene import Scene
+from jackbox_env.simulators import Simulator, make_simulator
 
 DEFAULT = "pymunk"  # the contact model where none is named
 
 
 class Setting(NamedTuple):
-    """A contact model and its substeps, as the environment's keywords: ``**setting._asdict()``."""
+    """A contact model and its settings, as the environment's keywords: ``**setting._asdict()``; None: the default.
+
+    A field here is a keyword of the environments and, with this help, an option of the commands.
+    """
 
     contact: str
-    substeps: int | None = None
+    substeps: Annotated[int | None, "engine steps of pymunk per step, beside --contact; default: 4"] = None
+
+    def simulator(self, scene: Scene) -> Simulator:
+        """A simulator of the scene."""
+        return make_simulator(scene, **self._asdict())
 
 
+KEYWORDS = ("fidelity", *Setting._fields)  # which choose how impacts are computed
+FURTHER = Setting._fields[2:]  # keywords that environments accept as **settings
 FIDELITIES = MappingProxyType(
     {
         "coarse": Setting("pymunk", 2),
@@ -41,23 +51,30 @@ def explicit(setting: Setting) -> Setting:
     return FIDELITIES["balanced"] if setting == Setting(DEFAULT) else setting
 
 
-def resolve(fidelity: str | None, contact: str | None, substeps: int | None) -> Setting:
-    """The contact model and substeps that the arguments mean.
+def resolve(fidelity: str | None = None, contact: str | None = None, **settings: Any) -> Setting:
+    """The contact model and settings that :data:`KEYWORDS` mean.
 
     Raises:
-        TypeError, ValueError: an unknown fidelity, or one that stands for another contact model or other substeps than
+        TypeError, ValueError: an unknown fidelity, or one that stands for another contact model or other settings than
             those that are given beside it.
     """
     if fidelity is None:
-        return Setting(DEFAULT if contact is None else contact, substeps)
+        return Setting(DEFAULT if contact is None else contact, **settings)
     named = FIDELITIES[check.choice("fidelity", fidelity, FIDELITIES)]
-    for name, given, meant in (("contact", contact, named.contact), ("substeps", substeps, named.substeps)):
-        if given is not None and not (isinstance(given, str | int | np.integer) and given == meant):
+    for name, given in {"contact": contact, **settings}.items():
+        meant = getattr(named, name)
+        if given is not None and not (isinstance(given, str | Real) and given == meant):
             raise ValueError(
                 f"fidelity={fidelity!r} stands for {name}={meant!r}, got {name}={check.shown(given)} beside it: leave "
                 "one of them out"
             )
     return named
+
+
+def chosen(by: object) -> dict[str, Any]:
+    """The :data:`KEYWORDS` that an object's attributes give; where all are None, the fidelity of commands."""
+    given = {name: getattr(by, name) for name in KEYWORDS if getattr(by, name) is not None}
+    return given or {"fidelity": COMMANDS}
 
 
 def as_stored(stored: Mapping[str, Any]) -> dict[str, Any]:
@@ -79,5 +96,5 @@ def as_stored(stored: Mapping[str, Any]) -> dict[str, Any]:
 def words(setting: Setting) -> str:
     """A setting by its fidelity's name if it has one: "fidelity exact", "contact pymunk, substeps 8"."""
     found = [name for name, named in FIDELITIES.items() if named == explicit(setting)]
-    contact, substeps = setting
-    return f"fidelity {found[0]}" if found else f"contact {contact}, substeps {substeps}"
+    given = [f"{name} {value}" for name, value in setting._asdict().items() if value is not None]
+    return f"fidelity {found[0]}" if found else ", ".join(given)

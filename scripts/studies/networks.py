@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from agents.policies.network import TRAINED
 from jackbox_env.command_line import command_line
-from jackbox_env.tasks import TASKS
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ def main() -> None:
     from agents.training.ppo import trained_in
     from scripts.studies.results.measured import run_of
 
-    for task in TASKS:
+    for task in TRAINED:
         folder = arguments.out / f"{task}-ppo"
         run = run_of(arguments.runs, task, 0)
         trained_in(run, read_settings(folder), arguments.progress)

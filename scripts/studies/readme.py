@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from agents.policies.network import TRAINED
 from jackbox_env.command_line import command_line
 from jackbox_env.env import JackInBoxEnv
-from jackbox_env.tasks import TASKS
 from scripts.studies.pages import fill
 
 ROOT = Path(__file__).parents[2]
@@ -33,10 +33,10 @@ class Arguments:
 def returns_table(record: dict[str, Any]) -> str:
     """What each policy earns on each task, on the exact model."""
     rows = {(row["policy"], row["task"]): row for row in record["rows"] if row["contact"] == "exact"}
-    lines = [f"| policy | {' | '.join(TASKS)} |", f"|---|{'---:|' * len(TASKS)}"]
+    lines = [f"| policy | {' | '.join(TRAINED)} |", f"|---|{'---:|' * len(TRAINED)}"]
     for policy in dict.fromkeys(name for name, _ in rows):
         cells = []
-        for task in TASKS:
+        for task in TRAINED:
             if (policy, task) not in rows:
                 cells.append("")
                 continue

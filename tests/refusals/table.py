@@ -326,7 +326,7 @@ CHOOSING: Kinds = {
     "steps": replace(whole(60, 1, 1_000_000), taken=()),
     "control_dt": DT,
     "seed": Argument(5, SEED.refused, {"numpy": np.int64(5), "0-d": np.array(5)}),
-    "contact": CONTACT,
+    "contact": choice("pymunk", ("pymunk", "exact"), none=True),
 }
 COUNTS = ("total_steps", "num_envs", "rollout_steps", "epochs", "checkpoint_steps", "eval_steps", "eval_episodes")
 TRAINING: Kinds = {

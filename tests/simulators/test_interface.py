@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from jackbox_env import simulators
 from jackbox_env.scene import Drive, Scene
 from jackbox_env.simulators import CONTACT_MODELS, make_simulator
+from jackbox_env.simulators.exact import ExactSimulator
 from tests.states import inside
 
 EVERY_MODEL = pytest.mark.parametrize("contact", CONTACT_MODELS)
@@ -66,3 +68,26 @@ def test_a_drive_that_fails_or_answers_nonsense_leaves_the_simulator_usable(cont
     simulator.step(0.02)
     assert simulator.torque == pytest.approx(5.0, rel=1e-15)
     assert simulator.time == 0.02
+
+
+class Soft(ExactSimulator):
+    """A contact model with a setting of its own."""
+
+    name = "soft"
+    settings = ("softness",)
+
+    def __init__(self, scene: Scene, softness: float = 0.0) -> None:
+        super().__init__(scene)
+        self.softness = softness
+
+
+def test_a_model_declares_its_settings(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(simulators, "CONTACT_MODELS", {**CONTACT_MODELS, "soft": f"{__name__}.Soft"})
+    soft: Any = make_simulator(None, "soft", softness=0.5)
+    assert (soft.softness, pickle.loads(pickle.dumps(soft)).softness) == (0.5, 0.5)
+    soft = make_simulator(None, "soft", softness=None, substeps=None)
+    assert soft.softness == 0.0
+    with pytest.raises(ValueError, match="^contact='exact' has no softness, got softness=0.5$"):
+        make_simulator(None, "exact", softness=0.5)
+    with pytest.raises(ValueError, match="takes only 'substeps', 'iterations', 'softness', got 'sofness' "):
+        make_simulator(None, "soft", sofness=0.5)

@@ -169,10 +169,10 @@ def page(results: Results) -> str:
 def fidelity_table(results: Results) -> str:
     """What README holds too."""
     rows = []
-    for name, (contact, substeps) in FIDELITIES.items():
+    for name, setting in FIDELITIES.items():
         first, depth, right, cost = results.some(of_fidelity(name), "first_1", "depth", "prefix", "cost_over_default")
         late, deep = f"{figure(first.median)}, {figure(first.worst)} s", f"{figure(max(0.0, depth.worst))} m"
-        stands = f"{contact}, {substeps} substeps" if substeps else contact
+        stands = f"{setting.contact}, {setting.substeps} substeps" if setting.substeps else setting.contact
         rows.append((f'`"{name}"`', stands, late, deep, f"{right.median:g}", figure(1.0 / cost.median)))
     heads = ("`fidelity`", "stands for", "first impact late by", "penetration", "correct impacts", "speed")
     return table(heads, rows)

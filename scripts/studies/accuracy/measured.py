@@ -138,8 +138,8 @@ def settings(quick: bool) -> list[Setting]:
 
 def of_fidelity(fidelity: str) -> str:
     """Name of the setting that a fidelity stands for."""
-    contact, substeps = FIDELITIES[fidelity]
-    return EXACT if contact == "exact" else pymunk(substeps or 4).name
+    named = FIDELITIES[fidelity]
+    return EXACT if named.contact == "exact" else pymunk(named.substeps or 4).name
 
 
 DEFAULT = of_fidelity("balanced")

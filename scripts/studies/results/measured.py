@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.stats import bootstrap, trim_mean
 
 from agents.evaluation.returns import evaluate
-from agents.policies.network import SHIPPED
+from agents.policies.network import SHIPPED, TRAINED
 from agents.policies.registry import find_policy
 from agents.policies.scripted import Baseline
 from agents.runs import machine, read_settings, versions
@@ -26,7 +26,6 @@ from agents.training.models import derived_seed
 from agents.training.ppo import trained_in
 from jackbox_env import Chirp, JackInBoxVectorEnv, Scene
 from jackbox_env.states import X_BOX, X_JACK, Y_BOX, Y_JACK, Array
-from jackbox_env.tasks import TASKS
 
 SEED = 1  # decides the starts
 RESAMPLES = 2000
@@ -52,9 +51,9 @@ VARIED = TrainSettings(randomize=json.dumps(RANGES))
 def trials(episodes: int, planner_episodes: int, across_episodes: int, training_episodes: int) -> list[dict[str, Any]]:
     """All that the page shows."""
     asked: list[dict[str, Any]] = []
-    for seed, task in product(SEEDS, TASKS):
+    for seed, task in product(SEEDS, TRAINED):
         asked.append({"part": "learning", "task": task, "seed": seed, "episodes": training_episodes})
-    for task, contact, policy in product(TASKS, CONTACTS, POLICIES):
+    for task, contact, policy in product(TRAINED, CONTACTS, POLICIES):
         count = planner_episodes if policy == "planner" else episodes
         asked.append({"part": "rows", "task": task, "contact": contact, "policy": policy, "episodes": count})
     for restitution, mass, policy in product(RESTITUTIONS, MASSES, ("level", "one scene", "varied scenes")):

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from agents.policies.network import TRAINED
 from jackbox_env.command_line import command_line
 from jackbox_env.scene import Scene
-from jackbox_env.tasks import TASKS
 from scripts.studies.pages import table
 from scripts.studies.results import measured as these
 
@@ -47,15 +47,15 @@ class Arguments:
 def page(record: dict[str, Any]) -> str:
     """The page."""
     best = {(row["task"], row["policy"]): row for row in record["rows"] if row["contact"] == "exact"}
-    earned = {task: {name: row["mean"] for (of, name), row in best.items() if of == task} for task in TASKS}
-    drives = [(task, best[task, "best chirp"]["drive"]) for task in TASKS]
+    earned = {task: {name: row["mean"] for (of, name), row in best.items() if of == task} for task in TRAINED}
+    drives = [(task, best[task, "best chirp"]["drive"]) for task in TRAINED]
     fast = 2.0 * Scene().speed_scale
     fields = {
         "earned": earned,
         "seed": record["seed"],
         "resamples": record["resamples"],
         "episodes": [best["juggle", policy]["episodes"] for policy in ("zero", "planner")],
-        "rows": {task: _table([row for row in record["rows"] if row["task"] == task]) for task in TASKS},
+        "rows": {task: _table([row for row in record["rows"] if row["task"] == task]) for task in TRAINED},
         "tried": len(these.chirps()),
         "bound": record["spin_bound"],
         "reached": earned["spin"]["planner"] / record["spin_bound"],
@@ -108,7 +108,7 @@ def _of_task(rows: list[dict[str, Any]], task: str) -> list[dict[str, Any]]:
 
 def _trained(rows: list[dict[str, Any]]) -> str:
     lines = []
-    for task in TASKS:
+    for task in TRAINED:
         found = _of_task(rows, task)
         settings, means = found[0]["settings"], [row["mean"] for row in found]
         ends = f"{min(means):.1f} to {max(means):.1f}"
@@ -125,9 +125,9 @@ def draw(rows: list[dict[str, Any]], learning: list[dict[str, Any]], path: Path)
     from jackbox_env.files import replacing
 
     figure = Figure(figsize=(10.0, 3.8), layout="constrained")
-    panels = figure.subplots(1, len(TASKS))
+    panels = figure.subplots(1, len(TRAINED))
     earned = {(row["task"], row["policy"]): row["mean"] for row in rows if row["contact"] == "exact"}
-    for axes, task in zip(panels, TASKS, strict=True):
+    for axes, task in zip(panels, TRAINED, strict=True):
         steps, middle, (low, high) = these.curve_of(_of_task(learning, task))
         axes.plot(steps / 1e6, middle, color=JACK, label="PPO, five seeds")
         axes.fill_between(steps / 1e6, low, high, color=JACK, alpha=0.25, linewidth=0)
