@@ -284,6 +284,9 @@ def slowest(scene: SceneNumbers, flight: Flight, limits: Limits, rest: float) ->
 def search(scene: SceneNumbers, memory: Workspace, flight: Flight, approach: Approach, limits: Limits) -> float:
     """First time within ``limits.end`` [s] at which a foot touches a wall and approaches; infinity if there is none.
 
+    One more step to the parabola's root ends the walk. The gap stays above that parabola, so the foot is not in the
+    wall there. The step s is at most sqrt(2 gap / K), so the gap is at most K s^2, which is twice the tolerance.
+
     A foot that touches and does not approach stays within ``sink`` until the parabola through its present gap does.
     Without that depth the time would not advance while a foot rests on a wall. ``sink`` is the tolerance at first. It
     grows with the step's work, up to 1e-10 m. So a jack that rests on a wall or slides along it
@@ -297,7 +300,7 @@ def search(scene: SceneNumbers, memory: Workspace, flight: Flight, approach: App
             granted = deepest(scene) if rests(scene, memory) else 0.0
             after = s + parabola_root(gap + granted, rate, limits.curvature)
         elif rate < -still:
-            return s
+            return min(s + parabola_root(max(gap, 0.0), rate, limits.curvature), limits.end)
         else:
             sink = grown(scene, memory, tolerance)
             least = 0.0 if rate > still else 0.1 * tolerance  # a foot that leaves takes its time to come back as deep

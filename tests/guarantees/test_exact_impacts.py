@@ -151,6 +151,17 @@ def test_a_foot_that_slides_along_a_wall_is_let_slide(dt: float, angle: float) -
     assert clearance(scene, run.state.tolist()) > -1e-9
 
 
+@pytest.mark.parametrize("depth", [1e-12, 1e-11])
+def test_a_grazing_foot_bounces_when_it_reaches_the_wall(depth: float) -> None:
+    # Foot 0 turns at 10 rad/s on an arm of 1 m: it reaches the wall at the angle -phi, with 1 - cos phi = depth.
+    state = np.array([0.0, 0.0, 0.0, 5.0 + depth, 0.0, -0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 10.0])
+    phi = 2.0 * math.asin(math.sqrt(0.5 * (state[3] - 5.0)))
+    run = simulator(WEIGHTLESS, state)
+    run.step(0.02)
+    resolved = 2e-15 / (10.0 * math.sin(phi))  # of the time, by a gap that is rounded [s]
+    assert run.impacts[0].time == pytest.approx(0.1 * (0.1 - phi), rel=0.0, abs=resolved)
+
+
 # -- limits ------------------------------------------------------------------------------------------------------------
 
 
