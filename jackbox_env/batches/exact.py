@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -14,28 +13,27 @@ from jackbox_env.batches.scenes import SceneTable
 from jackbox_env.batches.threads import Halt, Threads, thread_count
 from jackbox_env.exact import glide, restart, run, score
 from jackbox_env.exact.compiler import address_of, compiled
-from jackbox_env.exact.drives import TABLE_WIDTH
 from jackbox_env.exact.restart import WHOLE, WITH_HALVES, fresh, packed, seeded, unpacked
-from jackbox_env.exact.workspace import Status, Workspaces, new_lanes, new_log, new_workspaces
+from jackbox_env.exact.run import NOTHING, Call, Results, Rules, Scenes
+from jackbox_env.exact.workspace import Status
 from jackbox_env.randomization import Randomization
 from jackbox_env.scene import Scene
 from jackbox_env.scoring import bad_reward, compiled_for
 from jackbox_env.simulators.base import Impact, end_of_step
-from jackbox_env.simulators.exact import ExactSimulator, failure, pieces_for
+from jackbox_env.simulators.exact import (
+    NO_PIECES,
+    ExactSimulator,
+    ensure_compiled,
+    failure,
+    joined,
+    pieces_for,
+)
 from jackbox_env.states import Array
-from jackbox_env.tasks import TASKS, Task, draw_start
+from jackbox_env.tasks import Task, draw_start
 
 _FEWEST_PER_THREAD = 4096  # below that, waking a thread costs more than it saves
 _GRAIN = 4  # blocks that are worth a call
-_NO_ACTIONS: Array = np.zeros(0)
-_NO_TABLE: Array = np.zeros((0, TABLE_WIDTH))
-_NO_RANGES = np.zeros((0, 2), dtype=np.int64)
-
-
-@cache
-def ensure_compiled() -> None:
-    """Compile the loop, or load it: at an episode's start, and not in its first step behind somebody's progress bar."""
-    ExactBatch([Scene()], 1, TASKS["juggle"], 0.02, 1).step(None)
+_NO_ACTIONS: Array = np.zeros((0, 0))
 
 
 class ExactBatch:
@@ -80,11 +78,10 @@ class ExactBatch:
         self._spare: Array | None = np.zeros_like(self._blocks)  # where the next step writes
         self._stepped = False  # whether that holds where the last step began
         self._acted: Array | None = None  # the actions of the last step, None: the drive
-        self._workspaces: list[tuple[Array, Workspaces, Array]] | None = self._new_workspaces()
+        self._calls: list[Call] | None = self._new_calls()
 
-    def _new_workspaces(self) -> list[tuple[Array, Workspaces, Array]]:
-        width = self._blocks.shape[2]
-        return [(new_lanes(width), new_workspaces(), new_log()) for _ in range(self._threads.count)]
+    def _new_calls(self) -> list[Call]:
+        return [Call(self._blocks.shape[2]) for _ in range(self._threads.count)]
 
     @property
     def nbytes(self) -> int:
@@ -223,42 +220,41 @@ class ExactBatch:
     def step(self, actions: Array | None) -> Outcome:
         """See :meth:`jackbox_env.batches.base.Batch.step`."""
         count, halt = self._count, Halt()
-        observations = np.empty((count, 10), dtype=np.float32)
-        rewards, truncations = np.empty(count), np.empty(count, dtype=np.bool_)
-        terminations = np.zeros(count, dtype=np.bool_)
-        reports = np.zeros((count if self._with_infos else 0, score.TERMS + len(self._terms)))
-        given = _NO_ACTIONS if actions is None else actions
-        table, torque = self._scenes, int(actions is not None)
-        scenes = table.values, table.lanes, table.kinds[torque]
-        rules = self._dt, self._limit, table.gliding[torque], run.PATIENCE, self._score_address
-        pieces, ranges = self._pieces(actions)
-        asked, filled = (given, pieces, ranges), (observations, rewards, terminations, truncations, reports)
-        step_blocks = compiled(run.step_blocks)
-        blocks, after, workspaces = self._blocks, self._spare, self._workspaces
+        filled = Results(
+            np.empty((count, 10), dtype=np.float32), np.empty((1, count)), np.zeros(count, dtype=np.bool_),
+            np.empty(count, dtype=np.bool_),
+            np.zeros((count if self._with_infos else 0, score.TERMS + len(self._terms))), *NOTHING[5:],
+        )  # fmt: skip
+        scenes, given = self._scenes_of_step(actions), _NO_ACTIONS if actions is None else actions.reshape(1, -1)
+        rules = Rules(self._dt, 1, self._limit, True, False, False, self._score_address, run.PATIENCE)
+        blocks, after, calls = self._blocks, self._spare, self._calls
         after = np.zeros_like(blocks) if after is None else after
-        workspaces = self._new_workspaces() if workspaces is None else workspaces
-        self._spare = self._workspaces = None
+        calls = self._new_calls() if calls is None else calls
+        for call in calls:
+            call.prepare(scenes, rules, blocks, after, given, filled)
+        self._spare = self._calls = None
         self._acted = actions
+        step = compiled(run.run)
 
         def work(thread: int, low: int, high: int) -> tuple[int, int]:
             finished = 0
             while True:
-                ended, number, now = step_blocks(
-                    scenes, rules, (blocks, after), asked, (low, high), filled, workspaces[thread]
-                )
+                ended, number, _, now, _ = step(calls[thread].place, low, high, 0)
                 finished += now
                 if ended != Status.PAUSED or halt.asked:
                     return ended, number if ended else finished
                 low = number  # after a while, so that an interruption is heard
 
         results = self._threads.run(work, len(blocks), grain=_GRAIN, halt=halt)
-        self._spare, self._workspaces = after, workspaces
+        self._spare, self._calls = after, calls
         for ended, number in results:
             if ended:
                 raise self._failure(ended, number, actions)
-        infos = self._infos(after, reports) if self._with_infos else {}
+        infos = self._infos(after, filled.reports) if self._with_infos else {}
         finished = sum(finished for _, finished in results)
-        return Outcome(observations, rewards, terminations, truncations, infos, finished, after)
+        return Outcome(
+            filled.observations, filled.rewards[0], filled.terminations, filled.truncations, infos, finished, after
+        )
 
     def take(self, after: Array) -> None:
         """See :meth:`jackbox_env.batches.base.Batch.take`."""
@@ -272,25 +268,21 @@ class ExactBatch:
         """See :meth:`jackbox_env.batches.base.Batch.restore`."""
         self._blocks, self._stepped = saved, False
 
-    def _pieces(self, actions: Array | None) -> tuple[Array, NDArray[np.int64]]:
-        """The pieces of drives of functions, once for each drive and time, and each environment's range of them."""
-        scenes = self._scenes
-        if not scenes.cutting[actions is not None]:
-            return _NO_TABLE, _NO_RANGES
-        going = np.flatnonzero(scenes.cut[actions is not None] & ~self.over).tolist()
-        times, drives = self.times.tolist(), scenes.drives
-        torque = None if actions is None else 0.0  # whatever is held
-        tables, found = [_NO_TABLE], dict[tuple[int, float], tuple[int, int]]()
-        ranges, end = np.zeros((self._count, 2), dtype=np.int64), 0
-        for number in going:
+    def _scenes_of_step(self, actions: Array | None) -> Scenes:
+        """The scenes, with the pieces of drives of functions, which are cut once for each drive and time."""
+        scenes, torque = self._scenes, int(actions is not None)
+        if not scenes.cutting[torque]:
+            return Scenes(scenes.values, scenes.lanes, scenes.kinds[torque], *NO_PIECES)
+        tables, found = list[Array](), dict[tuple[int, float], int]()
+        begins, times, drives = np.zeros(self._count, np.int64), self.times.tolist(), scenes.drives
+        for number in np.flatnonzero(scenes.cut[torque] & ~self.over).tolist():
             drive, time = drives[number if scenes.several else 0], times[number]
             if (id(drive), time) not in found:
                 end_of_step(time, self._dt)
-                tables.append(pieces_for(drive, time, self._dt, torque))
-                found[id(drive), time] = end, end + len(tables[-1])
-                end += len(tables[-1])
-            ranges[number] = found[id(drive), time]
-        return np.concatenate(tables), ranges
+                found[id(drive), time] = len(tables)
+                tables.append(pieces_for(drive, time, self._dt, 0.0 if torque else None))  # whatever is held
+            begins[number] = found[id(drive), time]
+        return Scenes(scenes.values, scenes.lanes, scenes.kinds[torque], *joined(tables, begins))
 
     def _infos(self, after: Array, reports: Array) -> dict[str, NDArray[Any]]:
         numbers = [

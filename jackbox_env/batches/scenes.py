@@ -13,7 +13,6 @@ from jackbox_env.batches.base import Flags
 from jackbox_env.exact.compiler import compiled
 from jackbox_env.exact.glide import SCENE_LANES
 from jackbox_env.exact.restart import spread
-from jackbox_env.exact.step import CONSTANT
 from jackbox_env.scene import Chirp, Drive, Scene, SceneNumbers
 from jackbox_env.simulators.exact import WITH_PIECES, drive_kind
 from jackbox_env.states import Array
@@ -56,14 +55,13 @@ class SceneTable:
         columns = np.array(kinds, dtype=np.int64).T
         # Of each environment, or of all: whether its drive is another than the one it was made with; what turns the box
         # under the drive, and under a held torque; whether a drive's functions are cut into pieces then. Of all
-        # together: whether any is, whether any is turned by a held torque.
+        # together: whether any is.
         self.driven_otherwise: Flags = np.array(
             [drive is not self.own_of(number).drive for number, drive in enumerate(self.drives)]
         )
         self.kinds: tuple[Counts, Counts] = columns[0].copy(), columns[1].copy()
         self.cut: tuple[Flags, Flags] = np.isin(columns[0], WITH_PIECES), np.isin(columns[1], WITH_PIECES)
         self.cutting: tuple[bool, bool] = bool(self.cut[0].any()), bool(self.cut[1].any())
-        self.gliding: tuple[bool, bool] = bool((columns[0] == CONSTANT).any()), bool((columns[1] == CONSTANT).any())
 
     def spread_out(self, shape: tuple[int, ...]) -> SceneTable:
         """This table with a row for each environment."""

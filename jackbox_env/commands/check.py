@@ -12,11 +12,10 @@ from importlib import metadata
 import numpy as np
 
 from jackbox_env import Scene, __version__, make_simulator
-from jackbox_env.batches import exact as batches
 from jackbox_env.command_line import command_line
 from jackbox_env.commands.options import parser_of
 from jackbox_env.measure.accuracy import Case, follow
-from jackbox_env.planning import linearization, rollouts
+from jackbox_env.planning import linearization
 from jackbox_env.simulators import exact
 
 _DT = 0.02  # [s]
@@ -96,9 +95,7 @@ def obeys_the_law() -> str:
 
 
 _CHECKS: dict[str, Callable[[], str]] = {
-    "exact model, single environments": lambda: _compiled(exact.ensure_compiled),
-    "exact model, batches": lambda: _compiled(batches.ensure_compiled),
-    "exact model, rollouts": lambda: _compiled(rollouts.ensure_compiled),
+    "exact model, environments": lambda: _compiled(exact.ensure_compiled),
     "exact model, derivatives": lambda: _compiled(linearization.ensure_compiled),
     "exact model, states": lambda: restores("exact"),
     "exact model, law": obeys_the_law,

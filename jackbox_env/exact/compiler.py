@@ -32,6 +32,7 @@ from jackbox_env.states import State
 
 PACKAGE = Path(__file__).parents[1]
 F = TypeVar("F", bound=Callable[..., Any])
+T = TypeVar("T")
 Instead = tuple[tuple[str, Any], ...]  # names, each with what to use in its place
 _LOCK = threading.RLock()  # a function is compiled once, whichever threads ask for it
 _NOT_READ = {"numba", "numpy", *sys.stdlib_module_names}  # numba knows these functions, or refuses them
@@ -85,6 +86,7 @@ def returned_by(function: Callable[..., Any]) -> Any:
     return dispatcher.nopython_signatures[0].return_type
 
 
+@cache
 def _compiled_once(function: Callable[..., Any], instead: Instead, keep: bool) -> Any:
     with _LOCK:
         return _compilation(instead, keep).compiled(function)
@@ -128,8 +130,8 @@ class _Compilation:
 
     def _value(self, value: Any, names: set[str]) -> Any:
         """What stands in compiled code for a value that a function uses, which uses attributes of these names."""
-        if isinstance(value, FunctionType) and value in CALLED:
-            return compiled_call(value)
+        if isinstance(value, FunctionType) and (native := _native(value)) is not None:
+            return native
         if isinstance(value, FunctionType) and _root(value.__globals__) not in _NOT_READ:
             return self.compiled(value, inner=True)
         if isinstance(value, ModuleType) and _root(vars(value)) not in _NOT_READ:
@@ -154,11 +156,50 @@ def _jitted(twin: FunctionType, inner: bool, checked: bool, keep: bool) -> Any:
     # compile goes into them.
     dispatcher = cast(Any, njit)(
         nogil=True, error_model="python" if checked else "numpy", _nrt=False,
-        no_cpython_wrapper=inner, no_cfunc_wrapper=inner,
+        no_cpython_wrapper=inner, no_cfunc_wrapper=inner, pipeline_class=_pipeline(inner),
     )(twin)  # fmt: skip
     if keep:  # where njit(cache=True) puts numba's own
         dispatcher._cache = CodeCache(twin, cache_folders(), PACKAGE / "compiled" / "shipped" / _folder_name())
     return dispatcher
+
+
+@cache
+def _pipeline(inner: bool) -> Any:
+    """Numba's compiler; for ``inner`` functions without machine code, which is made of whole entries only.
+
+    Numba would optimize and emit each function with all that it calls, at every level of calls again.
+    """
+    from numba.core.codegen import JITCodeLibrary
+    from numba.core.compiler import Compiler
+
+    class NoEnvironment:
+        @staticmethod
+        def set_env(name: str, environment: Any) -> None:
+            pass
+
+    class IntermediateCode(JITCodeLibrary):
+        def _optimize_final_module(self) -> None:
+            pass
+
+        def _finalize_final_module(self) -> None:
+            self._finalize_dynamic_globals()  # type: ignore[no-untyped-call]
+            self._verify_declare_only_symbols()  # type: ignore[no-untyped-call]
+            self._finalized = True
+
+        def get_pointer_to_function(self, name: str) -> int:
+            return 0
+
+        @property
+        def codegen(self) -> Any:
+            return NoEnvironment
+
+    class InnerCompiler(Compiler):
+        def __init__(self, typing: Any, target: Any, library: Any, *rest: Any) -> None:
+            library = IntermediateCode(target.codegen(), f"inner{next(_numbers)}")  # type: ignore[no-untyped-call]
+            library.enable_object_caching()
+            super().__init__(typing, target, library, *rest)  # type: ignore[no-untyped-call]
+
+    return InnerCompiler if inner else Compiler
 
 
 def _names(code: CodeType) -> set[str]:
@@ -222,34 +263,72 @@ def block_score(address: Any) -> Callable[..., int]:
     return cast(Callable[..., int], address)
 
 
-def step_score(address: Any) -> Callable[..., int]:
-    """The function at an address, with the arguments of ``score.score_step``; see :func:`block_score`."""
-    return cast(Callable[..., int], address)
+_SCORE = "i8(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1], i8, i8, i8, f8[::1], b1[::1], f8[:, ::1])"  # score_block's
+PACKED = 512  # float64 numbers that have room for the arguments of ``run.run``
 
 
-# What ``score.score_block`` and ``score.score_step`` return and take, as numba writes it.
-_TYPES = {
-    "score_block": "i8(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1], i8, i8, i8, f8[::1], b1[::1], f8[:, ::1])",
-    "score_step": "i8(f8[::1], f8[::1], f8, f8, f8[::1], i8)",
-}
-CALLED = {block_score: _TYPES["score_block"], step_score: _TYPES["score_step"]}
+def packed(memory: Any, value: T) -> T:
+    """Store a value in ``memory``, shape (PACKED,), and return the address; uncompiled, the value itself.
+
+    To pass an address to compiled code takes less time than to pass 30 arrays. The arrays must live as long.
+    """
+    return value
+
+
+def unpacked_as(example: Callable[[], T]) -> Callable[[Any], T]:
+    """A function that returns the value of an address from :func:`packed`, of the type of ``example()``."""
+
+    def unpacked(place: Any) -> T:
+        return cast(T, place)
+
+    _EXAMPLES[unpacked] = example
+    return unpacked
+
+
+_EXAMPLES: dict[Callable[..., Any], Callable[[], Any]] = {}
+
+
+def _native(function: Any) -> Any:
+    """The compiled counterpart of :func:`block_score`, :func:`packed` or a function of :func:`unpacked_as`, or None."""
+    known = function in (block_score, packed) or function in _EXAMPLES
+    return _native_once(function) if known else None
 
 
 @cache
-def compiled_call(function: Any) -> Any:
-    """What :func:`block_score` or :func:`step_score` is in compiled code; itself under NUMBA_DISABLE_JIT."""
-    from numba import config, types
+def _native_once(function: Any) -> Any:
+    """Itself under NUMBA_DISABLE_JIT."""
+    from numba import config, typeof, types
     from numba.core import cgutils, sigutils
+    from numba.core.typing.templates import Signature
     from numba.extending import intrinsic
 
     if config.DISABLE_JIT:  # type: ignore[attr-defined]
         return function
-    arguments, result = sigutils.normalize_signature(CALLED[function])  # type: ignore[no-untyped-call]
-    kind = types.FunctionType(result(*arguments))
 
     @intrinsic
-    def at_address(typing: Any, address: Any) -> Any:
+    def store(typing: Any, memory: Any, value: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Signature, given: Any) -> Any:
+            if context.get_abi_sizeof(given[1].type) > 8 * PACKED:
+                raise ValueError(f"{value} has no room in {PACKED} numbers")
+            place = context.make_array(memory)(context, builder, given[0]).data
+            builder.store(given[1], builder.bitcast(place, given[1].type.as_pointer()))
+            return builder.ptrtoint(place, context.get_value_type(types.int64))
+
+        return types.int64(memory, value), generate
+
+    if function is packed:
+        return store
+    if function is block_score:
+        arguments, result = sigutils.normalize_signature(_SCORE)  # type: ignore[no-untyped-call]
+        kind: Any = types.FunctionType(result(*arguments))
+    else:
+        kind = typeof(_EXAMPLES[function]())  # type: ignore[no-untyped-call]
+
+    @intrinsic
+    def load(typing: Any, address: Any) -> Any:
         def generate(context: Any, builder: Any, _: Any, given: Any) -> Any:
+            if function is not block_score:
+                return builder.load(builder.inttoptr(given[0], context.get_value_type(kind).as_pointer()))
             called = cgutils.create_struct_proxy(kind)(context, builder)  # type: ignore[no-untyped-call]
             # Numba's own way to call, in which errors come back. Its other two addresses stay 0.
             called.jit_addr = builder.inttoptr(given[0], cgutils.voidptr_t)
@@ -257,11 +336,11 @@ def compiled_call(function: Any) -> Any:
 
         return kind(types.int64), generate
 
-    return at_address
+    return load
 
 
 def address_of(dispatcher: Any) -> int:
-    """Where a task's compiled ``score_block`` or ``score_step`` lies; it lies there as long as the dispatcher lives.
+    """Where a task's compiled ``score_block`` lies; it lies there as long as the dispatcher lives.
 
     Uncompiled, the function itself is handed on. None lies at 0 and is never called. The dispatcher keeps the result,
     because numba finds it under a lock, for which a forked child waits for ever if another thread held it at the fork.
@@ -269,7 +348,7 @@ def address_of(dispatcher: Any) -> int:
     if dispatcher is None or isinstance(dispatcher, FunctionType):
         return cast(int, dispatcher or 0)
     if not hasattr(dispatcher, "address"):
-        dispatcher.compile(_TYPES[dispatcher.__name__])
+        dispatcher.compile(_SCORE)
         (made,) = dispatcher.overloads.values()
         dispatcher.address = made.library.get_pointer_to_function(made.fndesc.llvm_func_name)
     return cast(int, dispatcher.address)

@@ -38,10 +38,8 @@ SHIPPED_FOR = "x86-64-v3"  # Intel's CPUs from Haswell (2013) on, AMD's from Exc
 _NEEDS = {"+avx2", "+bmi", "+bmi2", "+cx16", "+f16c", "+fma", "+lzcnt", "+movbe", "+popcnt", "+sahf", "+xsave"}
 # What takes long to compile, by its function: what it is for, and how long that takes.
 _LONG = {
-    "step_one": ("single environments", "half a minute"),
-    "step_blocks": ("batches of environments", "half a minute"),
-    "roll": ("rollouts", "half a minute"),
-    **dict.fromkeys(("mark_smooth", "matrices", "pull_back", "push_forward"), ("derivatives", "15 seconds")),
+    "run": ("all environments", "20 seconds"),
+    **dict.fromkeys(("mark_smooth", "matrices", "pull_back", "push_forward"), ("derivatives", "5 seconds")),
 }
 
 

@@ -1,36 +1,37 @@
-"""The loops of the exact contact model: many environments by one step, many trajectories by many.
+"""The one loop of the exact contact model: many rows, each a jack in its box, through one or many control steps.
 
-Environments are held in blocks, shape (blocks, 16, width): row k of a block has the k-th number of each environment,
-its state first, then what ``glide.py`` names, so that one machine instruction moves several environments. A step reads
-one array of blocks and writes another: a step that fails leaves all as it was. Environments in free flight are moved
-together, those near a wall one by one by ``exact.step``. All have one scene, or each its own. Everything here is
-compiled as it stands; the task's function is called by its address.
+A single environment is one row and one step, a batch is N rows and one step, a rollout is N rows and H steps. Rows are
+held in blocks, shape (blocks, 16, width): number k of every row of a block lies side by side, its state first, then the
+columns named in ``glide.py``. One machine instruction then moves several rows. A step reads one array of blocks and
+writes another, so a step that fails changes nothing. Rows in free flight are moved together; rows near a wall are
+stepped one by one by ``exact.step``. The task's function is called by its address.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.exact.compiler import block_score, step_score
+from jackbox_env.exact.compiler import PACKED, block_score, compiled, packed, unpacked_as
 from jackbox_env.exact.glide import LIMIT, OVER, STEPS, TIME, Block, glide_block, glide_under_chirp
-from jackbox_env.exact.score import ENDS, UNUSABLE, look_block
-from jackbox_env.exact.step import (
-    CHIRP,
-    CONSTANT,
-    Pieces,
-    Plan,
-    clear_tally,
-    effort,
-    make_numbers,
-    make_plan,
-    step,
-    step_near,
+from jackbox_env.exact.score import look_block
+from jackbox_env.exact.step import CHIRP, CONSTANT, Pieces, Plan, effort, make_numbers, make_plan, step
+from jackbox_env.exact.workspace import (
+    HIT,
+    IMPULSE_SUM,
+    NEAR,
+    TORQUE,
+    UNPAID,
+    Status,
+    Workspace,
+    Workspaces,
+    new_lanes,
+    new_log,
+    new_workspaces,
 )
-from jackbox_env.exact.workspace import HIT, IMPULSE_SUM, NEAR, TORQUE, TURNING, Status, Workspace, Workspaces
 from jackbox_env.mechanics import energy_of
 from jackbox_env.scene import SceneNumbers
 from jackbox_env.states import LATEST_TIME, clearance
@@ -44,192 +45,319 @@ PATIENCE = 2e6  # gaps evaluated before it pauses: 0.3 s, 1.2 s where most are f
 
 
 class Scenes(NamedTuple):
-    """The scenes: one row for all environments, or one for each."""
+    """The scenes: one for all rows, or one for each, with what drives their boxes."""
 
     values: Array  # (1 or N, numbers of a scene)
-    lanes: Array  # (1 or blocks, SCENE_LANES, width)
+    lanes: Array  # (1 or blocks, SCENE_LANES, width), see ``restart.spread``
     kinds: Counts  # (1 or N,), what turns the box, see exact.step
+    table: Array  # pieces of the drives' functions, (pieces, TABLE_WIDTH)
+    begins: Counts  # (1 or N,), where the steps of a row's drive begin in ``ends``
+    ends: Counts  # past the last piece of each step, after a leading 0 or the end of the step before
 
 
 class Rules(NamedTuple):
-    """What all environments of a call have in common besides the scene."""
+    """What holds for all rows and steps."""
 
     dt: float  # control step [s]
-    limit: float  # steps after which an episode is truncated
-    gliding: bool  # whether a held torque turns any of the boxes
+    steps: int
+    longest: float  # steps after which an episode is truncated
+    actions: bool  # whether controls are shares of the torque limit, clipped to [-1, 1], and not torques [N m]
+    goes_on: bool  # whether a row is stepped on after its episode's end, without rewards
+    until_impact: bool  # whether a row stops after the step of its first impact
+    score: Any  # address of the task's ``score_block``; called only where rewards are filled in
     patience: float  # gaps evaluated before the call pauses
 
 
-class Inputs(NamedTuple):
-    """What a step is given."""
-
-    actions: Array  # (N,), clipped to [-1, 1]; (0,): the drive acts
-    table: Array  # pieces of a drive of functions, (pieces, TABLE_WIDTH)
-    ranges: Counts  # first and past the last of each environment's, (N, 2), or (0, 2) where there are none
-
-
 class Results(NamedTuple):
-    """What a step fills in."""
+    """What a call fills in. Arrays of length 0 are not filled."""
 
-    observations: Floats  # (N, 10)
-    rewards: Array  # (N,)
-    terminations: Flags  # (N,), False before
+    observations: Floats  # after the last step, (N, 10)
+    rewards: Array  # (steps, N), zeros before
+    terminations: Flags  # (N,), False before; whether the task has ended the episode
     truncations: Flags  # (N,)
-    reports: Array  # (N, TERMS + number of terms), 0 before, or (0, ...) if nobody asks
+    reports: Array  # of the last step, (N, TERMS + number of terms), zeros before
+    lengths: Counts  # steps until the task ends the episode, (N,), all steps before
+    trajectories: Array  # (N, steps + 1, 12), without the first states
+    energies: Array  # of the states [J], (N, steps + 1)
+    hits: Counts  # impacts in each step, (steps, N), zeros before
+    impulses: Array  # their sum [N s], (steps, N), zeros before
+    rough: Flags  # whether a step has no derivative, (N, steps)
 
 
-def step_blocks(
-    scenes: tuple[Array, Array, Counts], rules: tuple[float, float, bool, float, int], blocks: tuple[Array, Array],
-    given: tuple[Array, Array, Counts], span: tuple[int, int], results: tuple[Floats, Array, Flags, Flags, Array],
-    memories: tuple[Array, Workspaces, Array],
-) -> tuple[int, int, int]:  # fmt: skip
-    """Step the environments of some blocks whose episodes are not over.
+class Memory(NamedTuple):
+    """What one thread works in."""
+
+    lanes: Array  # (LANES, width)
+    workspaces: Workspaces  # (1,)
+    log: Array  # (impacts, AT_IMPACT or WIDE), records of impacts; (0, ...): they are not recorded
+
+
+class Arguments(NamedTuple):
+    """All arguments of :func:`run`."""
+
+    scenes: Scenes
+    rules: Rules
+    before: Array  # (blocks, 16, width): the rows; scratch where there are several steps
+    after: Array  # (blocks, 16, width): where they go; after an even number of steps they are back in ``before``
+    controls: Array  # (whole part of the steps, N), each held for as many steps; (0, 0): the drives act
+    results: Results
+    memory: Memory
+
+
+NOTHING = Results(
+    np.zeros((0, 10), np.float32), np.zeros((0, 0)), np.zeros(0, np.bool_), np.zeros(0, np.bool_), np.zeros((0, 0)),
+    np.zeros(0, np.int64), np.zeros((0, 0, 12)), np.zeros((0, 0)), np.zeros((0, 0), np.int64), np.zeros((0, 0)),
+    np.zeros((0, 0), np.bool_),
+)  # fmt: skip
+"""Results of no rows, of which nothing is filled in."""
+
+
+def example() -> Arguments:
+    """Empty arguments of the types that :func:`run` is compiled for."""
+    none, cube, counts = np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(0, np.int64)
+    rules = Rules(0.02, 1, math.inf, False, False, False, 0, PATIENCE)
+    memory = Memory(none, new_workspaces(), none)
+    return Arguments(Scenes(none, cube, counts, none, counts, counts), rules, cube, cube, none, NOTHING, memory)
+
+
+arguments_at = unpacked_as(example)
+
+
+class Call:
+    """The arguments of a call of :func:`run`, at the address ``place``, and the memory of the thread that calls.
 
     Args:
-        scenes: the fields of :class:`Scenes`. Plain tuples are handed in because numba takes them in faster.
-        rules: the fields of :class:`Rules`, and the address of the task's ``score_block``.
-        blocks: environments, shape (blocks, 16, width), and where they go, likewise.
-        given: the fields of :class:`Inputs`.
-        span: first block, and past the last.
-        results: the fields of :class:`Results`.
-        memory: to work in: lanes, shape (LANES, width), a workspace, and room to record impacts, of none.
+        width: rows in a block.
+        impacts: how many can be recorded at first.
+        wide: whether each is recorded with the state at the impact, for derivatives.
+    """
+
+    def __init__(self, width: int, impacts: int = 0, wide: bool = False) -> None:
+        self.memory = Memory(new_lanes(width), new_workspaces(), new_log(impacts, wide))
+        self._packed = np.zeros(PACKED)  # arguments as compiled code holds them
+        self.place, self._pack = 0, compiled(pack)
+
+    def prepare(
+        self, scenes: Scenes, rules: Rules, before: Array, after: Array, controls: Array, results: Results
+    ) -> None:
+        """Set the arguments. Numba unpacks plain tuples faster than named ones."""
+        self._arguments = scenes, rules, before, after, controls, results  # keeps the arrays alive
+        self.place = self._pack(
+            self._packed, tuple(scenes), tuple(rules), before, after, controls, tuple(results), tuple(self.memory)
+        )
+
+    def make_room(self) -> None:
+        """Double the number of impacts that can be recorded."""
+        log = self.memory.log
+        self.memory = self.memory._replace(log=np.zeros((2 * len(log), log.shape[1])))
+        self.prepare(*self._arguments)
+
+
+def pack(
+    memory: Array, scenes: Any, rules: Any, before: Array, after: Array, controls: Array, results: Any, work: Any
+) -> Any:
+    """Store the arguments of :func:`run` in ``memory``; return the address there."""
+    return packed(
+        memory,
+        Arguments(
+            Scenes(scenes[0], scenes[1], scenes[2], scenes[3], scenes[4], scenes[5]),
+            Rules(rules[0], rules[1], rules[2], rules[3], rules[4], rules[5], rules[6], rules[7]),
+            before, after, controls,
+            Results(
+                results[0], results[1], results[2], results[3], results[4], results[5], results[6], results[7],
+                results[8], results[9], results[10],
+            ),
+            Memory(work[0], work[1], work[2]),
+        ),
+    )  # fmt: skip
+
+
+def run(place: Any, low: int, high: int, first: int) -> tuple[int, int, int, int, int]:
+    """Step the rows of some blocks through all steps.
+
+    Args:
+        place: address of the :class:`Arguments`.
+        low: first block.
+        high: past the last block.
+        first: step of the first block to begin with.
 
     Returns:
-        How it ended: DONE, how a step that failed ended, or PAUSED after long work; the environment that failed or the
-        block that is next; and the number of episodes that ended.
+        How it ended: DONE, how a step that failed ended, PAUSED after long work, FULL where the log has no room for a
+        step's impacts; the row that failed, or the block to go on with; the step that failed or is next; how many
+        episodes ended; how many impacts were recorded.
     """
-    played = Scenes(scenes[0], scenes[1], scenes[2])
-    common, score = Rules(rules[0], rules[1], rules[2], rules[3]), block_score(rules[4])
-    asked = Inputs(given[0], given[1], given[2])
-    filled = Results(results[0], results[1], results[2], results[3], results[4])
-    before, after = blocks
-    lanes, workspaces, log = memories
-    memory = workspaces[0]
-    scene = make_numbers(played.values[0])
-    plan = make_plan(scene, common.dt, played.kinds[0])
-    finished, worked, width = 0, 0.0, before.shape[2]
-    for number in range(span[0], span[1]):
-        if number > span[0] and worked > common.patience:
-            return Status.PAUSED.value, number, finished
-        first = number * width
-        size = min(width, filled.rewards.shape[0] - first)
-        own = played.lanes[number if played.lanes.shape[0] > 1 else 0]
-        block = Block(before[number], after[number], lanes, own, first, size)
-        bad = take_actions(asked.actions, block)
-        if bad >= 0:
-            return Status.BAD_ACTION.value, first + bad, finished
-        glided = common.gliding
-        if glided:
-            glide_block(plan.dt, block)
-        elif plan.kind == CHIRP and played.values.shape[0] == 1 and plan.per_radian == 0.0:
-            # Not with loss: a single step then takes whole turns off the angles, which rounds otherwise.
-            glided = glide_under_chirp(scene, plan, block, memory)
-        ended, lane, looks = step_lanes(scene, plan, played, block, asked, glided, memory, log)
-        if ended != Status.DONE:
-            return ended.value, first + lane, finished
-        worked += looks
-        waiting = keep_waiting(block)
-        ends = score(
-            played.values, block.after, lanes, block.before[OVER], waiting, first, size, filled.rewards,
-            filled.terminations, filled.reports,
-        )  # fmt: skip
-        if ends < 0:
-            return Status.BAD_REWARD.value, first + first_unusable(block, filled.rewards), finished
-        finished += close_block(common, block, filled, waiting > 0, ends != 0)
-        look_block(played.values, block.after, size, lanes, first, filled.observations)
-    return Status.DONE.value, -1, finished
+    call = arguments_at(place)
+    scenes, rules, results, lanes = call.scenes, call.rules, call.results, call.memory.lanes
+    memory, pay = call.memory.workspaces[0], block_score(rules.score)
+    scene = make_numbers(scenes.values[0])
+    plan = make_plan(scene, rules.dt, scenes.kinds[0])
+    width, count = call.before.shape[2], results.terminations.shape[0]
+    finished, recorded, worked = 0, 0, 0.0
+    for number in range(low, high):
+        for k in range(first if number == low else 0, rules.steps):
+            if worked > rules.patience and worked > 0.0:
+                return Status.PAUSED.value, number, k, finished, recorded
+            block = Block(
+                (call.after if k & 1 else call.before)[number], (call.before if k & 1 else call.after)[number], lanes,
+                scenes.lanes[number if scenes.lanes.shape[0] > 1 else 0], number * width,
+                min(width, count - number * width),
+            )  # fmt: skip
+            bad = set_torques(place, block, k)
+            if bad >= 0:
+                return Status.BAD_ACTION.value, block.first + bad, k, finished, recorded
+            glided = glide(scene, plan, scenes, block, memory)
+            ended, lane, looks, recorded = step_lanes(scene, plan, place, block, k, glided, recorded)
+            if ended == Status.FULL:
+                return ended.value, number, k, finished, recorded
+            if ended != Status.DONE:
+                return ended.value, block.first + lane, k, finished, recorded
+            worked += block.size + looks
+            waiting = keep_waiting(block)
+            unpaid, skipped, ends = block.before[OVER], waiting, 0
+            if rules.goes_on:
+                unpaid, skipped = lanes[UNPAID], mark_unpaid(block, results.terminations)
+            if results.rewards.shape[0]:
+                ends = pay(
+                    scenes.values, block.after, lanes, unpaid, skipped, block.first, block.size, results.rewards[k],
+                    results.terminations, results.reports,
+                )  # fmt: skip
+            if ends < 0:
+                bad = first_unusable(block, results.rewards[k])
+                return Status.BAD_REWARD.value, block.first + bad, k, finished, recorded
+            finished += close_block(rules, block, results, waiting > 0, ends != 0)
+            record(place, scene, block, k)
+        if results.observations.shape[0]:
+            after = (call.after if rules.steps & 1 else call.before)[number]
+            size = min(width, count - number * width)
+            look_block(scenes.values, after, size, lanes, number * width, results.observations)
+    return Status.DONE.value, -1, rules.steps, finished, recorded
 
 
-def step_lanes(
-    scene: SceneNumbers,
-    plan: Plan,
-    scenes: Scenes,
-    block: Block,
-    given: Inputs,
-    glided: bool,
-    memory: Workspace,
-    log: Array,
-) -> tuple[Status, int, float]:
-    """Step one by one what has not been ``glided``; return how it ended, the last lane, gaps evaluated.
+def set_torques(place: Any, block: Block, k: int) -> int:
+    """Fill in the torques of a step, 0 where the drive acts; return the index of an unusable control, or -1.
 
-    ``scene`` and ``plan`` are the first environment's, and all others' where they have one scene.
+    A control for an episode that is over and waits is not checked.
     """
-    before, after, lanes, looks = block.before, block.after, block.lanes, 0.0
-    varied = scenes.values.shape[0] > 1
-    own_before, own_after = memory.before[:], memory.after[:]  # plain arrays to numba, for which step is compiled
-    for k in range(block.size):
-        if before[OVER, k] != 0.0:
-            continue
-        time = before[TIME, k]
-        if time + plan.dt == time or time + plan.dt > LATEST_TIME:
-            return Status.TOO_LATE, k, looks
-        number = block.first + k
-        kind = scenes.kinds[number] if varied else plan.kind
-        if glided and lanes[NEAR, k] == 0.0 and (kind == CONSTANT or not varied):
-            continue
-        own, its = scene, plan
-        if varied:
-            own = make_numbers(scenes.values[number])
-            its = make_plan(own, plan.dt, kind)
-        for place in range(12):
-            own_before[place] = before[place, k]
-        if kind == CONSTANT:
-            clear_tally(memory)
-            ended = step_near(own, its, own_before, own_after, lanes[TURNING, k], memory, log)
-        else:
-            lanes[TORQUE, k] = asked_torque(given.actions, number, own.torque_limit)  # gliding has rounded it
-            pieces = Pieces(given.table, 0, 0)
-            if given.ranges.shape[0]:
-                pieces = Pieces(given.table, given.ranges[number, 0], given.ranges[number, 1])
-            ended, lanes[TORQUE, k] = step(own, its, own_before, own_after, time, lanes[TORQUE, k], pieces, memory, log)
-        if ended != Status.DONE:
-            return ended, k, looks
-        for place in range(12):
-            after[place, k] = own_after[place]
-        lanes[HIT, k], lanes[IMPULSE_SUM, k] = memory.hits, memory.impulse
-        looks += effort(memory)
-    return Status.DONE, -1, looks
-
-
-def take_actions(actions: Array, block: Block) -> int:
-    """Fill in the torques, 0 where the drive acts; return the place of an unusable action, or -1.
-
-    An action for an episode that is over and waits is not looked at.
-    """
-    torque, limit = block.lanes[TORQUE], block.scenes[LIMIT]
-    for k in range(block.size):
-        torque[k] = asked_torque(actions, block.first + k, limit[k])
-    if not actions.shape[0]:
+    call = arguments_at(place)
+    torque, limit, controls = block.lanes[TORQUE], block.scenes[LIMIT], call.controls
+    if not controls.shape[0]:
+        for lane in range(block.size):
+            torque[lane] = 0.0
         return -1
+    asked = controls[k // (call.rules.steps // controls.shape[0])]
+    for lane in range(block.size):
+        torque[lane] = torque_of(call.rules, asked[block.first + lane], limit[lane])
     unusable = 0
-    for k in range(block.size):
-        unusable += 0 if abs(actions[block.first + k]) < math.inf else 1
-    return first_unusable(block, actions) if unusable else -1
+    for lane in range(block.size):
+        unusable += 0 if abs(asked[block.first + lane]) < math.inf else 1
+    return first_unusable(block, asked) if unusable else -1
+
+
+def torque_of(rules: Rules, control: float, limit: float) -> float:
+    """The torque of a control [N m]."""
+    return max(-1.0, min(1.0, control)) * limit if rules.actions else control
 
 
 def first_unusable(block: Block, numbers: Array) -> int:
-    """The first place in a block whose episode goes on and whose number, of (N,), is NaN or infinite; or -1."""
-    for k in range(block.size):
-        if not abs(numbers[block.first + k]) < math.inf and block.before[OVER, k] == 0.0:
-            return k
+    """The first lane of a block whose episode goes on and whose number, of (N,), is NaN or infinite; or -1."""
+    for lane in range(block.size):
+        if not abs(numbers[block.first + lane]) < math.inf and block.before[OVER, lane] == 0.0:
+            return lane
     return -1
 
 
-def asked_torque(actions: Array, number: int, limit: float) -> float:
-    """The torque that an environment's action asks for [N m], 0 where the drive acts."""
-    return max(-1.0, min(1.0, actions[number])) * limit if actions.shape[0] else 0.0
+def glide(scene: SceneNumbers, plan: Plan, scenes: Scenes, block: Block, memory: Workspace) -> bool:
+    """Move the rows of a block that are in free flight, if it has several; return whether they were moved.
+
+    ``scene`` and ``plan`` are those of the first row, and of all rows where they have one scene.
+    """
+    if block.before.shape[1] == 1:
+        return False
+    constant = plan.kind == CONSTANT
+    if scenes.values.shape[0] > 1:
+        for lane in range(block.size):
+            constant = constant or scenes.kinds[block.first + lane] == CONSTANT
+    elif plan.kind == CHIRP and plan.per_radian == 0.0:
+        # Not with loss: a single step then takes whole turns off the angles, which rounds otherwise.
+        return glide_under_chirp(scene, plan, block, memory)
+    if constant:
+        glide_block(plan.dt, block)
+    return constant
+
+
+def step_lanes(
+    scene: SceneNumbers, plan: Plan, place: Any, block: Block, k: int, glided: bool, recorded: int
+) -> tuple[Status, int, float, int]:
+    """Step one by one the rows that have not been ``glided``.
+
+    Returns:
+        How it ended, the last lane, gaps evaluated, and how many impacts the log has now.
+    """
+    before, after, lanes, looks, already = block.before, block.after, block.lanes, 0.0, recorded
+    call = arguments_at(place)
+    scenes, memory, log, rough = call.scenes, call.memory.workspaces[0], call.memory.log, call.results.rough
+    varied = scenes.values.shape[0] > 1
+    own_before, own_after = memory.before[:], memory.after[:]  # plain arrays to numba, for which step is compiled
+    for lane in range(block.size):
+        if before[OVER, lane] != 0.0:
+            continue
+        time = before[TIME, lane]
+        if time + plan.dt == time or time + plan.dt > LATEST_TIME:
+            return Status.TOO_LATE, lane, looks, recorded
+        row = block.first + lane
+        kind = scenes.kinds[row] if varied else plan.kind
+        if glided and lanes[NEAR, lane] == 0.0 and (kind == CONSTANT or not varied):
+            continue
+        own, its = scene, plan
+        if varied:
+            own = make_numbers(scenes.values[row])
+            its = make_plan(own, plan.dt, kind)
+        for column in range(12):
+            own_before[column] = before[column, lane]
+        torque = 0.0
+        if call.controls.shape[0]:  # not from the lanes: gliding has rounded it
+            control = call.controls[k // (call.rules.steps // call.controls.shape[0]), row]
+            torque = torque_of(call.rules, control, own.torque_limit)
+        pieces = Pieces(scenes.table, 0, 0)
+        if scenes.begins.shape[0]:
+            begin = scenes.begins[row if scenes.begins.shape[0] > 1 else 0] + k
+            pieces = Pieces(scenes.table, scenes.ends[begin], scenes.ends[begin + 1])
+        room = log[recorded:]
+        ended, lanes[TORQUE, lane] = step(own, its, own_before, own_after, time, torque, pieces, memory, room)
+        if ended != Status.DONE:
+            return ended, lane, looks, recorded
+        if log.shape[0]:
+            if memory.hits > room.shape[0]:
+                return Status.FULL, lane, looks, already
+            recorded += memory.hits
+        if rough.shape[0]:
+            rough[row, k] = memory.rough != 0
+        for column in range(12):
+            after[column, lane] = own_after[column]
+        lanes[HIT, lane], lanes[IMPULSE_SUM, lane] = memory.hits, memory.impulse
+        looks += effort(memory)
+    return Status.DONE, -1, looks, recorded
 
 
 def keep_waiting(block: Block) -> int:
     """Leave episodes that are over where they are. Return their number."""
     over, waiting = block.before[OVER], 0
-    for k in range(block.size):
-        waiting += 1 if over[k] != 0.0 else 0
-    for k in range(block.size if waiting else 0):
-        if over[k] != 0.0:
-            for place in range(12):
-                block.after[place, k] = block.before[place, k]
+    for lane in range(block.size):
+        waiting += 1 if over[lane] != 0.0 else 0
+    for lane in range(block.size if waiting else 0):
+        if over[lane] != 0.0:
+            for column in range(12):
+                block.after[column, lane] = block.before[column, lane]
     return waiting
+
+
+def mark_unpaid(block: Block, terminations: Flags) -> int:
+    """Mark the rows that wait or whose episode the task has ended; return their number."""
+    over, unpaid, count = block.before[OVER], block.lanes[UNPAID], 0
+    for lane in range(block.size):
+        unpaid[lane] = 1.0 if over[lane] != 0.0 or terminations[block.first + lane] else 0.0
+        count += 1 if unpaid[lane] != 0.0 else 0
+    return count
 
 
 def close_block(rules: Rules, block: Block, results: Results, waiting: bool, ends: bool) -> int:
@@ -247,11 +375,13 @@ def close_block(rules: Rules, block: Block, results: Results, waiting: bool, end
     for k in range(count):
         new_steps[k] = steps[k] + 1.0
     for k in range(count):
-        new_over[k] = 1.0 if new_steps[k] >= rules.limit else 0.0
+        new_over[k] = 1.0 if new_steps[k] >= rules.longest else 0.0
     for k in range(count):
         truncations[first + k] = new_over[k] != 0.0
-    for k in range(count if ends else 0):
+    for k in range(count if ends and not rules.goes_on else 0):
         new_over[k] = 1.0 if terminations[first + k] else new_over[k]
+    for k in range(count if rules.until_impact else 0):
+        new_over[k] = 1.0 if block.lanes[HIT, k] > 0.0 else new_over[k]
     for k in range(count):
         ended += 1 if new_over[k] != 0.0 else 0
     if waiting:
@@ -263,6 +393,30 @@ def close_block(rules: Rules, block: Block, results: Results, waiting: bool, end
     return ended
 
 
+def record(place: Any, scene: SceneNumbers, block: Block, k: int) -> None:
+    """Record states, energies, impacts and the ends of episodes, where they are filled in."""
+    call = arguments_at(place)
+    results, steps = call.results, call.rules.steps
+    trajectories, energies, hits, lengths = results.trajectories, results.energies, results.hits, results.lengths
+    if not trajectories.shape[0] + energies.shape[0] + hits.shape[0] + lengths.shape[0]:
+        return
+    values = call.scenes.values
+    for lane in range(block.size):
+        row = block.first + lane
+        if trajectories.shape[0]:
+            for column in range(12):
+                trajectories[row, k + 1, column] = block.after[column, lane]
+        if energies.shape[0]:
+            own = make_numbers(values[row]) if values.shape[0] > 1 else scene
+            if k == 0:
+                energies[row, 0] = energy_of(own, block.before[:, lane])
+            energies[row, k + 1] = energy_of(own, block.after[:, lane])
+        if hits.shape[0] and block.before[OVER, lane] == 0.0:
+            hits[k, row], results.impulses[k, row] = int(block.lanes[HIT, lane]), block.lanes[IMPULSE_SUM, lane]
+        if lengths.shape[0] and results.terminations[row] and lengths[row] == steps:
+            lengths[row] = k + 1
+
+
 _ORDINARY = 1e9  # over L: below it a state's numbers need no closer look
 
 
@@ -271,109 +425,9 @@ def outside(values: Array, states: Array, deepest: Array) -> int:
     for i in range(states.shape[0]):
         row = i if values.shape[0] > 1 else 0
         scene = make_numbers(values[row])
-        for place in range(12):
-            if not abs(states[i, place]) < _ORDINARY * scene.box_half_width:
+        for column in range(12):
+            if not abs(states[i, column]) < _ORDINARY * scene.box_half_width:
                 return i
         if not -clearance(scene, states[i]) <= deepest[row]:
             return i
     return -1
-
-
-class RolloutArrays(NamedTuple):
-    """Where a rollout is written; arrays of length 0 where nobody asks."""
-
-    trajectories: Array  # (N, H + 1, 12), the first states given; (N, 2, 12): states of even and of odd steps, in turn
-    hits: Counts  # (N, H) impacts in each step, or (0, H)
-    impulses: Array  # (N, H) their sum [N s], or (0, H)
-    energies: Array  # (N, H + 1) [J], or (0, H + 1)
-    rewards: Array  # (N, H), zeros, or (0, H)
-    lengths: Counts  # (N,) steps until the task ends an episode, H given
-
-
-def roll(
-    scenes: tuple[Array, Counts, Counts], dt: float, torques: Array, drive: tuple[Array, Array, Counts],
-    span: tuple[int, int, int], results: tuple[Array, Counts, Array, Array, Array, Counts], score: int,
-    until_impact: bool, patience: float, memories: tuple[Workspaces, Array], tape: tuple[Array, Counts, Flags],
-) -> tuple[int, int, int]:  # fmt: skip
-    """Fill in trajectories from their first states.
-
-    Args:
-        scenes: one row for all trajectories or one for each: numbers, shape (1 or N, numbers of a scene); what turns
-            the box besides the torques; where the pieces of its drive begin in the list of first pieces.
-        dt: [s].
-        torques: [N m], shape (N, whole part of H), each held for as many steps as H has of them.
-        drive: times [s], shape (H + 1,); pieces of the drives' functions, shape (pieces, TABLE_WIDTH); the first piece
-            of each step of the first drive, of the next drive and so on, and past the last one's.
-        span: first trajectory, past the last, and the step of the first one to begin with.
-        results: the fields of :class:`RolloutArrays`.
-        score: address of the task's ``score_step``; called only where rewards are asked for.
-        until_impact: end each trajectory with the step of its first impact.
-        patience: gaps evaluated before the call pauses.
-        memories: to work in: a workspace, and room to record a step's impacts, of none where nobody asks.
-        tape: where that record is kept for derivatives: the wide log's rows of one step after the other, shape
-            (rows, WIDE), how many there are, shape (1,), and which steps have no derivative, shape (N, H). Arrays of
-            length 0 where nobody asks.
-
-    Returns:
-        How it ended: DONE, how a step that failed ended, PAUSED after long work or FULL where the record has no room;
-        the trajectory and step that failed or is next.
-    """
-    values, kinds, begins = scenes
-    scene = make_numbers(values[0])
-    plan = make_plan(scene, dt, kinds[0])
-    times, table, ends = drive
-    low, high, first = span
-    played = RolloutArrays(results[0], results[1], results[2], results[3], results[4], results[5])
-    pay = step_score(score)
-    memory, log = memories[0][0], memories[1]
-    rows, used, rough = tape
-    worked, steps = 0.0, times.shape[0] - 1
-    whole, repeat = played.trajectories.shape[1] > steps, max(1, steps // max(1, torques.shape[1]))
-    begin = begins[0]
-    for i in range(low, high):
-        if values.shape[0] > 1:
-            scene = make_numbers(values[i])
-            plan, begin = make_plan(scene, dt, kinds[i]), begins[i]
-        if played.energies.shape[0]:
-            played.energies[i, 0] = energy_of(scene, played.trajectories[i, 0])
-        for k in range(first if i == low else 0, steps):
-            if worked > patience:
-                return Status.PAUSED.value, i, k
-            torque = torques[i, k if repeat == 1 else k // repeat]
-            before = played.trajectories[i, k if whole else k & 1]
-            after = played.trajectories[i, k + 1 if whole else (k + 1) & 1]
-            pieces = Pieces(table, ends[begin + k], ends[begin + k + 1])
-            ended, mean = step(scene, plan, before, after, times[k], torque, pieces, memory, log)
-            if ended != Status.DONE:
-                return ended.value, i, k
-            worked += 1.0 + effort(memory)
-            if rough.shape[0]:
-                if not keep(memory.hits, log, rows, used):
-                    return Status.FULL.value, i, k
-                rough[i, k] = memory.rough != 0
-            if played.hits.shape[0]:
-                played.hits[i, k], played.impulses[i, k] = memory.hits, memory.impulse
-            if played.energies.shape[0]:
-                played.energies[i, k + 1] = energy_of(scene, after)
-            if played.rewards.shape[0] and k < played.lengths[i]:
-                row = values[i if values.shape[0] > 1 else 0]
-                became = pay(row, after, mean, memory.impulse, played.rewards[i], k)
-                if became == UNUSABLE:
-                    return Status.BAD_REWARD.value, i, k
-                if became == ENDS:
-                    played.lengths[i] = k + 1
-            if until_impact and memory.hits > 0:
-                break
-    return Status.DONE.value, -1, -1
-
-
-def keep(hits: int, log: Array, rows: Array, used: Counts) -> bool:
-    """Keep the rows of a step's log behind the ``used`` ones; False where one of both has no room for them."""
-    first = used[0]
-    if hits > log.shape[0] or first + hits > rows.shape[0]:
-        return False
-    for hit in range(hits):
-        for place in range(rows.shape[1]):
-            rows[first + hit, place] = log[hit, place]
-    used[0] = first + hits
-    return True

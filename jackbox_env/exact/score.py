@@ -1,8 +1,8 @@
 """What an agent sees and earns, in compiled code: the observation and the task's terms, of one state or of a block.
 
 The arithmetic is that of :mod:`jackbox_env.observation` and of the task's own functions, compiled as they stand there.
-They take the places of :func:`task_terms` and :func:`task_over`. ``score_one``, ``score_step`` and ``score_block`` are
-compiled for each task; the loops of batches and rollouts are not. They call the latter two by their addresses, see
+They take the places of :func:`task_terms` and :func:`task_over`. ``score_one`` and ``score_block`` are compiled for
+each task. The loop of ``exact.run`` is not; it calls ``score_block`` by its address, see
 :mod:`jackbox_env.exact.compiler`.
 """
 
@@ -23,8 +23,6 @@ from jackbox_env.tasks import reward_of
 
 Floats = NDArray[np.float32]
 Flags = NDArray[np.bool_]
-
-GOES_ON, ENDS, UNUSABLE = range(3)  # what becomes of an episode; its reward is NaN or infinite
 
 # Columns of a report: what a step's info holds beside state and time.
 REPORTED_TORQUE, REPORTED_HITS, REPORTED_IMPULSE, TERMS = range(4)
@@ -105,15 +103,6 @@ def score_one(values: Array, state: Array, torque: float, impulse: float, observ
     return task_over(scene, state_in(state), torque, impulse)
 
 
-def score_step(values: Array, state: Array, torque: float, impulse: float, rewards: Array, place: int) -> int:
-    """Write the reward of one step into its place; return what becomes of the episode."""
-    scene = make_numbers(values)
-    rewards[place] = reward_of(task_terms(scene, state_in(state), torque, impulse))
-    if not abs(rewards[place]) < math.inf:
-        return UNUSABLE
-    return ENDS if task_over(scene, state_in(state), torque, impulse) else GOES_ON
-
-
 def score_block(
     values: Array, after: Array, lanes: Array, over: Array, waiting: int, first: int, count: int, rewards: Array,
     terminations: Flags, reports: Array,
@@ -126,7 +115,7 @@ def score_block(
         values: the scenes' numbers, one row for all environments or one for each.
         after: the block after the step.
         lanes: what the step noted, shape (LANES, width).
-        over: not 0 where an episode was over before the step and waits, shape (width,).
+        over: not 0 where an episode was over before the step, shape (width,).
         waiting: number of those.
         first: number of the block's first environment.
         count: number of its environments.

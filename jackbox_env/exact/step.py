@@ -32,7 +32,7 @@ from jackbox_env.exact.search import (
     why_endless,
 )
 from jackbox_env.exact.trigonometry import without_turns
-from jackbox_env.exact.workspace import Array, Status, Workspace, Workspaces
+from jackbox_env.exact.workspace import Array, Status, Workspace
 from jackbox_env.scene import SceneNumbers, chirp_turns
 from jackbox_env.states import LARGEST
 
@@ -305,14 +305,3 @@ def advance(scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, to
         strike(scene, memory, log, flight, time, pair, near)
         since += time
     return Status.DONE
-
-
-def step_one(
-    values: Array, dt: float, kind: int, before: Array, after: Array, time: float, torque: float, table: Array,
-    workspaces: Workspaces, log: Array,
-) -> tuple[int, int, float]:  # fmt: skip
-    """Advance one state; return how it ended, the number of impacts and the mean torque [N m]."""
-    scene, memory = make_numbers(values), workspaces[0]
-    pieces = Pieces(table, 0, table.shape[0])
-    ended, mean = step(scene, make_plan(scene, dt, kind), before, after, time, torque, pieces, memory, log)
-    return ended.value, memory.hits, mean

@@ -73,7 +73,8 @@ TORQUE, TURNING = 4, 5  # [N m]; angular acceleration of the box [rad/s^2], or a
 NEAR, HIT, IMPULSE_SUM = 6, 7, 8  # whether a foot may touch a wall; impacts, their impulse [N s]
 # Where lanes near a wall are brought together, see ``glide.look_at_walls``.
 AT_MOST, LANE_COSINE, LANE_SINE, AHEAD, ASIDE, LANE_OMEGA, BEND, LANE, APART, PULL, OFF = range(9, 20)
-LANES = 20
+UNPAID = 20  # whether a row earns nothing, because its episode is over
+LANES = 21
 
 
 def _field(name: str, hint: Any) -> tuple[Any, ...]:

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env import checks as check
-from jackbox_env.planning.rollouts import ensure_compiled, run_rollouts
+from jackbox_env.planning.rollouts import run_rollouts
 from jackbox_env.scene import Scene
+from jackbox_env.simulators.exact import ensure_compiled
 from jackbox_env.states import Array
 from jackbox_env.tasks import Task, task_of
 

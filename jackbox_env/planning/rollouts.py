@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
 from typing import Any, Generic, Literal, NamedTuple, TypeVar, overload
 
 import numpy as np
@@ -13,14 +13,23 @@ from numpy.typing import ArrayLike, NDArray
 from jackbox_env import checks as check
 from jackbox_env.batches.threads import Halt, Threads, thread_count
 from jackbox_env.exact.compiler import address_of, compiled
-from jackbox_env.exact.drives import TABLE_WIDTH
-from jackbox_env.exact.run import PATIENCE, outside, roll
-from jackbox_env.exact.score import score_step
-from jackbox_env.exact.workspace import Status, new_log, new_workspaces
-from jackbox_env.scene import Drive, Scene, scenes_of
+from jackbox_env.exact.glide import SCENE_LANES, TIME, WIDEST, WIDTH
+from jackbox_env.exact.restart import spread
+from jackbox_env.exact.run import NOTHING, PATIENCE, Call, Rules, Scenes, outside, run
+from jackbox_env.exact.score import score_block
+from jackbox_env.exact.workspace import Status, new_log
+from jackbox_env.scene import Scene, scenes_of
 from jackbox_env.scoring import bad_reward, compiled_for
 from jackbox_env.simulators.base import end_of_step
-from jackbox_env.simulators.exact import ExactSimulator, drive_kind, failure, pieces_for
+from jackbox_env.simulators.exact import (
+    NO_PIECES,
+    WITH_PIECES,
+    ExactSimulator,
+    drive_kind,
+    failure,
+    joined,
+    pieces_for,
+)
 from jackbox_env.states import LATEST_TIME, Array, as_restored, deepest_restored
 from jackbox_env.tasks import Task, task_of
 
@@ -28,10 +37,9 @@ Counts = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 OneOrMore = Scene | Mapping[str, Any] | None | Sequence[Scene | Mapping[str, Any] | None]
 
-_NO_TABLE: Array = np.zeros((0, TABLE_WIDTH))
 _GRAIN = 1000  # steps that are worth a call
 FEWEST_PER_THREAD = 5000  # steps that are worth waking a thread
-_ROOM = 64  # impacts; it grows
+_ROOM = 256  # impacts; it grows
 
 
 Rewards = TypeVar("Rewards")
@@ -183,63 +191,83 @@ def run_rollouts(
     """
     count, steps = len(held), held.shape[1] * repeat
     times = _times(time, dt, steps)
-    kinds, firsts, table, ends = _drives(scenes, times, dt, driven, None if free else 0.0)
-    played = np.empty((count, steps + 1 if whole else 2, 12))
-    played[:, 0] = starts
-    earned = np.zeros((0 if task is None else count, steps))
-    score = compiled_for(task, score_step) if task else None  # kept alive, because it is called by its address
-    hits = np.zeros((count, steps) if impacts else (0, steps), dtype=np.int64)
-    impulses, energies = np.zeros(hits.shape), np.zeros((count, steps + 1) if energy else (0, steps + 1))
     ranges = count if num_threads is not None else min(count, count * steps // FEWEST_PER_THREAD)
     threads = Threads(thread_count(num_threads, ranges))
-    noted = tape or Tape()
-    if tape is not None:
-        noted.hits, noted.rough = hits, np.zeros(hits.shape, np.bool_)
-    memories = [new_workspaces() for _ in range(threads.count)]
-    given, call, address = (np.array([one.numbers for one in scenes]), kinds, firsts), compiled(roll), address_of(score)
-    lengths = np.full(count, steps)
-    drive, results, halt = (times, table, ends), (played, hits, impulses, energies, earned, lengths), Halt()
+    width = max(1, min(WIDEST, -(-count // threads.count)))
+    blocks = np.zeros((2, -(-count // width), WIDTH, width))
+    _put_rows(blocks[0], starts, time)
+    played = _scenes_played(scenes, times, dt, driven, None if free else 0.0, blocks.shape)
+    score = compiled_for(task, score_block) if task else None  # kept alive, because it is called by its address
+    filled = NOTHING._replace(
+        terminations=np.zeros(count, np.bool_),
+        truncations=np.empty(count, np.bool_),
+        rewards=np.zeros((0 if task is None else steps, count)),
+        lengths=np.full(0 if task is None else count, steps),
+        trajectories=np.empty((count if whole else 0, steps + 1, 12)),
+        energies=np.empty((count if energy else 0, steps + 1)),
+        hits=np.zeros((steps if impacts else 0, count), np.int64),
+        impulses=np.zeros((steps if impacts else 0, count)),
+        rough=np.zeros((0 if tape is None else count, steps), np.bool_),
+    )
+    filled.trajectories[:, :1] = starts[: len(filled.trajectories), None]
+    rules = Rules(dt, steps, math.inf, False, True, until_impact, address_of(score), PATIENCE)
+    controls = np.zeros((0, 0)) if free else np.ascontiguousarray(held.T)
+    calls = [Call(width, 0 if tape is None else _ROOM, tape is not None) for _ in range(threads.count)]
+    for call in calls:
+        call.prepare(played, rules, blocks[0], blocks[1], controls, filled)
+    loop, halt = compiled(run), Halt()
 
-    def work(thread: int, low: int, high: int) -> tuple[int, int, int, Array]:
-        first, used = 0, np.zeros(1, np.int64)
-        log, rows = new_log(0 if tape is None else _ROOM, True), new_log(0 if tape is None else _ROOM, True)
+    def work(thread: int, low: int, high: int) -> tuple[int, int, int, list[Array]]:
+        first, rows = 0, list[Array]()
         while True:
-            span, memory, kept = (low, high, first), (memories[thread], log), (rows, used, noted.rough)
-            ended, who, when = call(
-                given, dt, held, drive, span, results, address, until_impact, PATIENCE, memory, kept
-            )
+            ended, who, when, _, recorded = loop(calls[thread].place, low, high, first)
+            if recorded:
+                rows.append(calls[thread].memory.log[:recorded].copy())
             if ended == Status.FULL:
-                log, rows = (np.concatenate([one, np.zeros_like(one)]) for one in (log, rows))
-            elif ended != Status.PAUSED or halt.asked:
-                return ended, who, when, rows[: used[0]]
+                calls[thread].make_room()
+            if ended not in (Status.PAUSED, Status.FULL) or halt.asked:
+                return ended, who, when, rows
             low, first = who, when  # after a while, so that an interruption is heard
 
-    done = threads.run(work, count, grain=-(-_GRAIN // max(1, steps)), halt=halt)
-    noted.rows = np.concatenate([rows for *_, rows in done])
+    done = threads.run(work, len(blocks[0]), grain=-(-_GRAIN // max(1, steps * width)), halt=halt)
     for ended, who, when, _ in done:
         if ended == Status.BAD_REWARD and task is not None:
             scene = scenes[who if len(scenes) > 1 else 0]
             simulator = ExactSimulator(scene if driven else scene.changed(drive=None))
-            simulator.reset(played[who, when if whole else when % 2], times[when])
+            simulator.reset(blocks[when % 2, who // width, :12, who % width], times[when])
             simulator.step(dt, held[who, when // repeat])
             raise bad_reward(task, simulator, f"step {when} of states[{who}]")
         if ended:
             raise failure(ended, scenes[who if len(scenes) > 1 else 0], times[when], dt, f"the jack of states[{who}]")
+    hits, trajectories = np.ascontiguousarray(filled.hits.T), filled.trajectories
+    if tape is not None:
+        rows = np.concatenate([new_log(0, True), *(part for *_, parts in done for part in parts)])
+        tape.rows, tape.hits, tape.rough = rows[_by_row(hits, width)], hits, filled.rough
     if not whole:
-        taken = np.full(count, steps)
-        if until_impact:
-            taken = np.where(hits.any(axis=1), (hits > 0).argmax(axis=1) + 1, steps)
-        played = np.stack([starts, played[np.arange(count), taken % 2]], axis=1)
+        ends = blocks[steps % 2, :, :12].transpose(0, 2, 1).reshape(-1, 12)[:count]
+        trajectories = np.stack([starts, ends], axis=1)
     return Rollout(
-        played, energies if energy else None, hits if impacts else None, impulses if impacts else None,
-        earned if task else None, lengths if task else None,
+        trajectories, filled.energies if energy else None, hits if impacts else None,
+        np.ascontiguousarray(filled.impulses.T) if impacts else None,
+        np.ascontiguousarray(filled.rewards.T) if task else None, filled.lengths if task else None,
     )  # fmt: skip
 
 
-@cache
-def ensure_compiled() -> None:
-    """Compile rollouts, or load them: when a search is made, and not behind somebody's progress bar."""
-    run_rollouts([Scene()], np.zeros((1, 12)), np.zeros((1, 1)), 0.02)
+def _by_row(hits: Counts, width: int) -> Counts:
+    """The order that sorts impacts, recorded block by block and step by step, by row; ``hits`` has shape (N, H)."""
+    blocks = -(-len(hits) // width)
+    padded = np.zeros((blocks * width, hits.shape[1]), np.int64)
+    padded[: len(hits)] = hits
+    recorded = padded.reshape(blocks, width, hits.shape[1]).transpose(0, 2, 1)
+    row = np.broadcast_to(np.arange(blocks * width).reshape(blocks, 1, width), recorded.shape)
+    return np.argsort(np.repeat(row.reshape(-1), recorded.reshape(-1)), kind="stable")
+
+
+def _put_rows(blocks: Array, starts: Array, time: float) -> None:
+    """Write states, shape (N, 12), and their time into blocks, shape (blocks, 16, width)."""
+    width = blocks.shape[2]
+    number, lane = np.divmod(np.arange(len(starts)), width)
+    blocks[number, :12, lane], blocks[number, TIME, lane] = starts, time
 
 
 def _times(time: float, dt: float, steps: int) -> Array:
@@ -251,20 +279,26 @@ def _times(time: float, dt: float, steps: int) -> Array:
     return times
 
 
-def _drives(
-    scenes: list[Scene], times: Array, dt: float, driven: bool, torque: float | None
-) -> tuple[Counts, Counts, Array, Counts]:
-    """What turns each scene's box, besides a torque that is held, and the functions' pieces, as ``roll`` takes them."""
-    drives = {id(one.drive): one.drive for one in scenes} if driven else {0: None}
-    starts = (times[:-1] if len(times) > 1 else times).tolist()
-    tables = [_NO_TABLE]
-    for drive in drives.values():  # the functions of each are cut into pieces once
-        cut = isinstance(drive, Drive)
-        tables += [pieces_for(drive, start, dt, torque) for start in starts] if cut else [_NO_TABLE] * len(starts)
-    places = {key: number for number, key in enumerate(drives)}
-    kinds = np.array([drive_kind(drive, torque is not None) for drive in drives.values()])
-    own = np.array([places[id(one.drive) if driven else 0] for one in scenes])
-    return kinds[own], own * len(starts), np.concatenate(tables), np.cumsum(list(map(len, tables)))
+def _scenes_played(
+    scenes: list[Scene], times: Array, dt: float, driven: bool, torque: float | None, shape: tuple[int, ...]
+) -> Scenes:
+    """The scenes of rows in blocks, shape (2, blocks, 16, width), with their drives cut into pieces.
+
+    A ``torque`` that is held acts in place of the drives'.
+    """
+    values = np.array([one.numbers for one in scenes])
+    lanes = np.zeros((shape[1] if len(scenes) > 1 else 1, SCENE_LANES, shape[3]))
+    compiled(spread)(values, dt, lanes, np.arange(len(scenes) if len(scenes) > 1 else shape[3]))
+    drives = [one.drive if driven else None for one in scenes]
+    kinds = [drive_kind(drive, torque is not None) for drive in drives]
+    if not any(kind in WITH_PIECES for kind in kinds):
+        return Scenes(values, lanes, np.array(kinds), *NO_PIECES)
+    starts, tables, begins = (times[:-1] if len(times) > 1 else times).tolist(), list[Array](), dict[int, int]()
+    for drive in drives:
+        if id(drive) not in begins:
+            begins[id(drive)] = len(tables)
+            tables += [pieces_for(drive, start, dt, torque) for start in starts]
+    return Scenes(values, lanes, np.array(kinds), *joined(tables, np.array([begins[id(drive)] for drive in drives])))
 
 
 def sequences(scenes: list[Scene], several: bool, states: ArrayLike, torques: ArrayLike) -> tuple[Array, Array]:

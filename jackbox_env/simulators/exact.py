@@ -29,25 +29,30 @@ Reference: Lygeros et al. 2003, "Dynamical properties of hybrid automata"; the b
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from functools import cache
 from typing import cast
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import checks as check
 from jackbox_env.exact.compiler import compiled
 from jackbox_env.exact.drives import TABLE_WIDTH
+from jackbox_env.exact.glide import SCENE_LANES, TIME, WIDTH
+from jackbox_env.exact.run import NOTHING, Call, Rules, Scenes, run
 from jackbox_env.exact.search import MOST_WORK
-from jackbox_env.exact.step import CHIRP, CONSTANT, CONSTANT_BESIDE_FORCES, FUNCTIONS, step_one
-from jackbox_env.exact.workspace import Status, new_log, new_workspaces
+from jackbox_env.exact.step import CHIRP, CONSTANT, CONSTANT_BESIDE_FORCES, FUNCTIONS
+from jackbox_env.exact.workspace import TORQUE, Status
 from jackbox_env.scene import Chirp, Drive, Scene, too_many_turns
 from jackbox_env.simulators.base import ContactModel, Impact, JackLostError, Present, end_of_step
 from jackbox_env.simulators.functions import function_pieces
-from jackbox_env.states import Array
+from jackbox_env.states import Array, Numbers
 
 WITH_PIECES = (FUNCTIONS, CONSTANT_BESIDE_FORCES)  # kinds whose functions are cut into pieces
-_NO_PIECES: Array = np.zeros((0, TABLE_WIDTH))
+_NO_TABLE: Array = np.zeros((0, TABLE_WIDTH))
+NO_PIECES = _NO_TABLE, np.zeros(0, np.int64), np.zeros(1, np.int64)  # as of ``joined``, where no function acts
 
 
 def drive_kind(drive: Chirp | Drive | None, held: bool = False) -> int:
@@ -63,10 +68,16 @@ def drive_kind(drive: Chirp | Drive | None, held: bool = False) -> int:
 def pieces_for(drive: Chirp | Drive | None, time: float, dt: float, torque: float | None) -> Array:
     """The pieces of a drive of functions over a step; none for any other drive, or where no function acts."""
     if not isinstance(drive, Drive) or drive_kind(drive, torque is not None) not in WITH_PIECES:
-        return _NO_PIECES
+        return _NO_TABLE
     if torque is not None:
         drive = Drive(force_x=drive.force_x, force_y=drive.force_y)
     return function_pieces(drive, time, dt)
+
+
+def joined(tables: list[Array], begins: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+    """Pieces as ``exact.run.Scenes`` has them, of tables for one step each; rows begin with the table ``begins``."""
+    ends = np.cumsum([0, *map(len, tables)])
+    return np.concatenate([_NO_TABLE, *tables]), begins, ends
 
 
 def failure(ended: int, scene: Scene, time: float, dt: float, who: str = "the jack") -> Exception:
@@ -87,9 +98,8 @@ def failure(ended: int, scene: Scene, time: float, dt: float, who: str = "the ja
 @cache
 def ensure_compiled() -> None:
     """Compile a step, or load it: at an episode's start, and not in its first step behind somebody's progress bar."""
-    numbers, state = np.array(Scene().numbers), np.zeros(12)
-    memory = new_workspaces(), new_log(64)
-    compiled(step_one)(numbers, 0.02, CONSTANT, state, state.copy(), 0.0, 0.0, _NO_PIECES, *memory)
+    simulator = ExactSimulator(Scene())
+    simulator.step(0.02, 0.0)
 
 
 class ExactSimulator(ContactModel):
@@ -98,48 +108,77 @@ class ExactSimulator(ContactModel):
     name = "exact"
     room = 500
     compiled = True
-    _log: Array  # grows to what a step has recorded
+    _states: Sequence[Array] = ()
 
     def __init__(self, scene: Scene) -> None:
         """Start at rest in the middle of the box, each foot facing a corner."""
         super().__init__(scene)
         self._prepare()
 
-    # -- stepping -----------------------------------------------------------------------------------------------------
+    def step(self, dt: float, torque: float | None = None) -> None:
+        """See :meth:`Simulator.step`."""
+        dt = check.real("dt", dt, above=0.0)
+        if torque is not None:
+            torque = check.real("torque", torque)
+            self._controls[0, 0] = torque
+        present, held = self._present, torque is not None
+        if self._prepared != (dt, held) or self._cut[held]:
+            self._prepare_step(dt, torque)
+        into = 1 if present.state is self._states[0] else 0  # the state in the other block stays as it is
+        if present.state is not self._states[1 - into]:
+            self._states[1 - into][:] = present.state
+        call, self._times[1 - into][0] = self._calls[into], present.time
+        while True:
+            ended, _, _, _, hits = self._run(call.place, 0, 1, 0)
+            if not ended:
+                break
+            if ended != Status.FULL:
+                end_of_step(present.time, dt)
+                raise failure(ended, self.scene, present.time, dt)
+            call.make_room()  # and repeat the step
+        memory = call.memory
+        impacts = recorded(memory.log[:hits], present.time) if hits else ()
+        self._present = Present(self._states[into], present.time + dt, memory.lanes.item(TORQUE, 0), impacts)
 
     def reset(self, state: ArrayLike, time: float = 0.0) -> None:
         """See :meth:`Simulator.reset`."""
         ensure_compiled()
         super().reset(state, time)
 
-    def step(self, dt: float, torque: float | None = None) -> None:
-        """See :meth:`Simulator.step`."""
-        dt = check.real("dt", dt, above=0.0)
-        if torque is not None:
-            torque = check.real("torque", torque)
-        before, time = cast(Array, self._present.state), self.time
-        end = end_of_step(time, dt)
-        kind = self._kinds[torque is not None]
-        pieces = pieces_for(self.scene.drive, time, dt, torque) if kind in WITH_PIECES else _NO_PIECES
-        after = np.empty(12)
-        held = 0.0 if torque is None else torque
-        while True:
-            ended, hits, mean = self._step(
-                self._numbers, dt, kind, before, after, time, held, pieces, self._workspaces, self._log
-            )  # fmt: skip
-            if ended:
-                raise failure(ended, self.scene, time, dt)
-            if hits <= len(self._log):
-                break
-            self._log = new_log(2 * hits)  # more impacts than there was room for: repeat the step with room
-        self._present = Present(after, end, mean, self._recorded(time, hits) if hits else ())
-
-    def _recorded(self, time: float, hits: int) -> tuple[Impact, ...]:
-        rows = self._log[:hits].tolist()
-        return tuple(Impact(time + since, int(wall), int(foot), impulse) for since, wall, foot, impulse in rows)
+    def _held(self, state: Array) -> Numbers:
+        """The state in the block that the present state is not in, once there are blocks."""
+        if not self._states:
+            return state
+        into = 1 if self._present.state is self._states[0] else 0
+        self._states[into][:] = state
+        return self._states[into]
 
     def _prepare(self) -> None:
-        self._step = compiled(step_one)
-        self._numbers = np.array(self.scene.numbers)
-        self._kinds = drive_kind(self.scene.drive), drive_kind(self.scene.drive, held=True)
-        self._workspaces, self._log = new_workspaces(), new_log(64)
+        blocks = np.zeros((2, 1, WIDTH, 1))  # before and after a step, in turn
+        self._blocks, self._states, self._times = blocks, list(blocks[:, 0, :12, 0]), list(blocks[:, 0, TIME])
+        self._run, self._calls, self._controls = compiled(run), [Call(1, 64), Call(1, 64)], np.zeros((1, 1))
+        self._kinds = [np.array([drive_kind(self.scene.drive, held)]) for held in (False, True)]
+        self._cut = [kind[0] in WITH_PIECES for kind in self._kinds]
+        self._prepared: tuple[float, bool] | None = None  # dt, and whether a torque is held
+        self._present = self._present._replace(state=self._held(cast(Array, self._present.state)))
+
+    def _prepare_step(self, dt: float, torque: float | None) -> None:
+        """Set the arguments of steps from one block to the other, and back."""
+        held = torque is not None
+        pieces = NO_PIECES
+        if self._cut[held]:
+            pieces = joined([pieces_for(self.scene.drive, self.time, dt, torque)], np.zeros(1, np.int64))
+        numbers, lanes = np.array([self.scene.numbers]), np.zeros((1, SCENE_LANES, 1))
+        scenes = Scenes(numbers, lanes, self._kinds[held], *pieces)
+        rules = Rules(dt, 1, math.inf, False, False, False, 0, math.inf)
+        controls = self._controls if held else np.zeros((0, 0))
+        results = NOTHING._replace(terminations=np.zeros(1, np.bool_), truncations=np.zeros(1, np.bool_))
+        self._prepared = None
+        for into, call in enumerate(self._calls):
+            call.prepare(scenes, rules, self._blocks[1 - into], self._blocks[into], controls, results)
+        self._prepared = dt, held
+
+
+def recorded(log: Array, time: float) -> tuple[Impact, ...]:
+    """The impacts in the rows of a step's log, which started at ``time`` [s]."""
+    return tuple(Impact(time + since, int(wall), int(foot), impulse) for since, wall, foot, impulse in log.tolist())

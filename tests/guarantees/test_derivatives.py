@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from jackbox_env import Linearization, Scene, linearize, make_simulator, rollout
 from jackbox_env.exact import tangents
 from jackbox_env.exact.compiler import compiled, compiled_with
-from jackbox_env.exact.run import outside, roll
+from jackbox_env.exact.run import outside, run
 from tests.fingerprints import DRIVES
 from tests.states import Array, inside, load, lying
 
@@ -407,7 +407,7 @@ def test_no_derivative_grows_beyond_what_can_be_told_however_few_the_impacts() -
 def test_arrays_of_any_kind_are_one_type_to_the_compiled_code() -> None:
     states, torques = np.zeros((3, 12)), np.zeros((3, 5))
     filled = tangents.mark_smooth, tangents.matrices, tangents.pull_back, tangents.push_forward
-    functions: list[Any] = [compiled(function) for function in (roll, outside, *filled)]
+    functions: list[Any] = [compiled(function) for function in (run, outside, *filled)]
 
     def types(kind: Any) -> list[int]:
         lin = linearize(None, kind(states), kind(torques), 0.02)

@@ -71,10 +71,10 @@ def test_an_interruption_of_a_long_step_is_noticed_soon(monkeypatch: pytest.Monk
     states = np.tile(lying(), (count, 1))
     states[:, 3] = np.linspace(-4.0, 4.0, count)
     env.set_states(states, 0.0)
-    step_blocks, ends = compiler.compiled(run.step_blocks), list[int]()
+    loop, ends = compiler.compiled(run.run), list[int]()
 
     def interrupted_step(*arguments: Any) -> Any:
-        ends.append(step_blocks(*arguments)[0])
+        ends.append(loop(*arguments)[0])
         raise KeyboardInterrupt
 
     monkeypatch.setattr(exact, "compiled", lambda _: interrupted_step)
@@ -89,7 +89,7 @@ def test_a_thread_that_a_second_interruption_left_at_work_changes_no_later_step(
 ) -> None:
     env, twin = made(num_envs=640), made(num_envs=640)
     main, begun, gate, left = threading.get_ident(), threading.Event(), threading.Event(), list[Any]()
-    step_blocks = compiler.compiled(run.step_blocks)
+    loop = compiler.compiled(run.run)
 
     def late(*arguments: Any) -> Any:
         if threading.get_ident() == main:
@@ -97,7 +97,7 @@ def test_a_thread_that_a_second_interruption_left_at_work_changes_no_later_step(
             raise KeyboardInterrupt
         begun.set()
         assert gate.wait(20.0)
-        return step_blocks(*arguments)
+        return loop(*arguments)
 
     def interrupted_wait(futures: list[Any]) -> None:
         left.extend(futures)

@@ -73,8 +73,8 @@ def test_a_later_process_loads_the_whole_exact_model() -> None:
     jackbox_env.make_simulator(contact="exact").step(0.02, 1.0)
     code = (
         "import jackbox_env; jackbox_env.make_simulator(contact='exact').step(0.02, 1.0)\n"
-        "from jackbox_env.exact.compiler import compiled; from jackbox_env.exact.step import step_one\n"
-        "stats = compiled(step_one).stats; print(sum(stats.cache_hits.values()), sum(stats.cache_misses.values()))"
+        "from jackbox_env.exact.compiler import compiled; from jackbox_env.exact.run import run\n"
+        "stats = compiled(run).stats; print(sum(stats.cache_hits.values()), sum(stats.cache_misses.values()))"
     )
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert (ran.stdout, ran.stderr) == ("1 0\n", "")
@@ -102,7 +102,7 @@ def test_what_is_compiled_is_announced_before_any_bar() -> None:
     command = [sys.executable, "-c", _ANNOUNCING, *evaluate]
     said = subprocess.run(command, capture_output=True, text=True, check=True, env=environment).stderr
     before, bar = said.split("planner:", 1)
-    assert re.findall(r"for ([a-z ]+), once", before) == ["rollouts", "batches of environments"]
+    assert re.findall(r"for ([a-z ]+), once", before) == ["all environments"]
     assert "compiles" not in bar
 
 

@@ -344,7 +344,7 @@ def test_what_is_compiled_for_a_task_is_freed_with_it() -> None:
     alive = [weakref.ref(task), *map(weakref.ref, scoring._compiled[task].values())]
     del task
     gc.collect()
-    assert [one() for one in alive] == [None] * 4
+    assert [one() for one in alive] == [None] * 3
 
 
 def test_functions_that_differ_only_in_what_they_hold_are_paid_apart() -> None:

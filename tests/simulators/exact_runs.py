@@ -29,3 +29,8 @@ def plain_step(scene: Scene, state: Any, dt: float, torque: float | None = None,
         ended, _ = step.step(n, plan, before, after, time, held, step.Pieces(pieces, 0, len(pieces)), w, log)
     rows = log[: w.hits, :3]
     return ended, after, [(row[0], int(row[1]), int(row[2])) for row in rows]
+
+
+def gaps_evaluated(simulator: ExactSimulator) -> float:
+    """In each of the last two steps, at most."""
+    return float(max(call.memory.workspaces[0].looks for call in simulator._calls))

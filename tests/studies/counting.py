@@ -164,7 +164,6 @@ PROOFS = (
     Proof("drive", EXACT, "a polynomial is evaluated", "horner", {}, _CHIRP),
     Proof("drive", EXACT, "a function is interpolated", "function_pieces", _TURNED, {**_TURNED, "driven": True}),
     Proof("drive", BATCH, "the chirp's powers are worked out", "chirp_piece", {}, _CHIRP),
-    Proof("drive", BATCH, "environments in free flight are moved one by one", "step", {}, _CHIRP, "step_lanes"),
     Proof("side forces", PYMUNK, "a force is averaged", "Drive._means", {}, _PUSHED),
     Proof("side forces", EXACT, "pieces of functions are followed", "advance_pieces", {}, _PUSHED),
     Proof("side forces", BATCH, "pieces of functions are followed", "advance_pieces", {}, _PUSHED),

@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jackbox_env.batches import exact as batches
 from jackbox_env.exact import compiler as _compiled
-from jackbox_env.exact import step
+from jackbox_env.exact import run
 from jackbox_env.exact.workspace import new_log
 from jackbox_env.scene import Drive, Scene
 from jackbox_env.simulators import make_simulator
@@ -95,11 +94,11 @@ def test_in_mid_air_no_wall_is_looked_at(contact: str, function: str) -> None:
 
 def test_a_batch_records_no_impacts(monkeypatch: pytest.MonkeyPatch) -> None:
     for room in (0, 8):
-        monkeypatch.setattr(batches, "new_log", lambda room=room: new_log(room))
+        monkeypatch.setattr(run, "new_log", lambda _, wide, room=room: new_log(room, wide))
         batch = JackInBoxVectorEnv(4, contact="exact", num_threads=1, with_infos=True)
         batch.reset(options={"state": NEAR_A_WALL})
         assert (batch.step(np.zeros(4))[4]["impacts"] > 0).all()
-        ((_, _, log),) = batch._batch._workspaces  # type: ignore[attr-defined]
+        ((_, _, log),) = [call.memory for call in batch._batch._calls]  # type: ignore[attr-defined]
         assert len(log) == room
         assert log.any() == (room > 0)  # with room it would record
 
@@ -131,5 +130,5 @@ def test_the_counters_count() -> None:
     assert times_called(calls_of(twice), "mass_diagonal", "thrice") == 0
     assert times_called(calls_of(twice), "diagonal") == 0
     with uncompiled():
-        assert _compiled.compiled(step.step_one) is step.step_one
-    assert _compiled.compiled(step.step_one) is not step.step_one
+        assert _compiled.compiled(run.run) is run.run
+    assert _compiled.compiled(run.run) is not run.run
