@@ -15,8 +15,6 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from jackbox_env.exact.bounds import (
     bounds_of,
     bounds_to_impact,
@@ -53,21 +51,7 @@ ALL = 15  # walls, as bits
 _TURNED = 0.25  # [rad] of the box's turn in what is left of a piece, beyond which all feet are followed together
 _CLOSING = 4.0  # rate^2 / (K gap) beyond which a foot is about to arrive
 _SHORT = 2.0**-12  # of what is left of a piece: steps shorter than that are left to each pair's own search
-_GROWN = 64 * 11  # gaps evaluated until ``sink`` has reached its bound, see search()
-
-
-def _growth() -> list[float]:
-    """2^(k / 64) for k up to ``_GROWN``, rounded from integer roots: the last place of an exp2 is the C library's."""
-    roots = []
-    for k in range(64):
-        root = 1 << (k + 64 * 80)
-        for _ in range(6):
-            root = math.isqrt(root)
-        roots.append(root / (1 << 80))
-    return [math.ldexp(roots[k % 64], k // 64) for k in range(_GROWN + 1)]
-
-
-_GROWTH = np.array(_growth())
+_OFTEN, _OFTEN_WITH_LOSS = 32, 256  # impacts of a step, see grown()
 
 
 class Touch(NamedTuple):
@@ -106,16 +90,18 @@ def deepest(scene: SceneNumbers) -> float:
 
 
 def grown(scene: SceneNumbers, memory: Workspace, gap: float) -> float:
-    """A gap [m] that doubles with every 64 gaps that a step evaluates, with loss every 1,024, up to :func:`deepest`.
+    """A gap [m] that doubles with every 32 impacts of a step, with loss every 256, up to :func:`deepest`.
 
-    Loss ends most of what takes long, so it has more time before it is resolved less well.
+    Loss ends most of what bounces often, so it has more time before it is resolved less well.
     """
-    looks = memory.looks if scene.restitution == 1.0 else 0.0625 * memory.looks
-    return float(min(deepest(scene), gap * _GROWTH[min(int(looks), _GROWN)]))
+    often = _OFTEN if scene.restitution == 1.0 else _OFTEN_WITH_LOSS
+    doublings = memory.hits // often
+    part = memory.hits / often - doublings
+    return float(min(deepest(scene), gap * (1 << min(doublings, 60)) * (1.0 + part)))
 
 
 def resolution(scene: SceneNumbers, memory: Workspace, touch: Touch) -> float:
-    """Gap within which feet rest and touch together [m]; with loss it grows with the step's work."""
+    """Gap within which feet rest and touch together [m]; with loss it grows with the step's impacts."""
     return max(touch.together, grown(scene, memory, touch.together)) if scene.restitution < 1.0 else touch.together
 
 
@@ -288,10 +274,10 @@ def search(scene: SceneNumbers, memory: Workspace, flight: Flight, approach: App
     wall there. The step s is at most sqrt(2 gap / K), so the gap is at most K s^2, which is twice the tolerance.
 
     A foot that touches and does not approach stays within ``sink`` until the parabola through its present gap does.
-    Without that depth the time would not advance while a foot rests on a wall. ``sink`` is the tolerance at first. It
-    grows with the step's work, up to 1e-10 m. So a jack that rests on a wall or slides along it
-    costs thousands of gap evaluations and impacts, and not millions. A step at rest grants that depth to a foot near
-    the wall too.
+    Without that depth the time would not advance while a foot rests on a wall. For a foot that leaves, ``sink`` is the
+    tolerance at first and grows with the step's impacts, up to 1e-10 m. A foot that slides along the wall is granted
+    1e-10 m at once. So a jack that rests on a wall or slides along it costs thousands of gap evaluations and impacts,
+    and not millions. A step at rest grants that depth to a foot near the wall too.
     """
     still = rounding(scene, flight, limits.end) + 1e-15 * flight.speeds
     tolerance, s, gap, rate = limits.tolerance, approach.since, approach.gap, approach.rate
@@ -302,7 +288,7 @@ def search(scene: SceneNumbers, memory: Workspace, flight: Flight, approach: App
         elif rate < -still:
             return min(s + parabola_root(max(gap, 0.0), rate, limits.curvature), limits.end)
         else:
-            sink = grown(scene, memory, tolerance)
+            sink = grown(scene, memory, tolerance) if rate > still else deepest(scene)
             least = 0.0 if rate > still else 0.1 * tolerance  # a foot that leaves takes its time to come back as deep
             after = s + parabola_root(max(gap + sink, least), max(rate, 0.0), limits.curvature)
         if not after <= limits.end or memory.looks > MOST_WORK:

@@ -20,12 +20,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import mpmath as mp
 import numpy as np
 import pytest
 
 from jackbox_env import Scene
-from jackbox_env.exact import search as kernel
 from jackbox_env.mechanics import gap_jacobian
 from jackbox_env.simulators.contacts import iterations_for
 from tests.fingerprints import Digests, fingerprints
@@ -186,13 +184,6 @@ def test_inertias_are_rounded_products() -> None:
         scene = Scene(box_half_width=width, jack_arm=width / 7.0)
         assert scene.box_inertia == scene.box_mass * (width * width)
         assert scene.jack_inertia == scene.jack_mass * ((width / 7.0) * (width / 7.0))
-
-
-def test_what_a_foot_at_rest_may_sink_grows_by_powers_rounded_right() -> None:
-    with mp.workdps(40):
-        assert kernel._GROWTH.tolist() == [float(mp.mpf(2) ** (mp.mpf(k) / 64)) for k in range(len(kernel._GROWTH))]
-    smallest = 0.5 * kernel.contact_tolerance(Scene().numbers)  # the tolerance of the search
-    assert smallest * kernel._GROWTH[-1] >= 1e-10  # growth beyond the table would change nothing
 
 
 def test_iterations_are_those_of_the_eigenvalues() -> None:

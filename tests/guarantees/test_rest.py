@@ -69,6 +69,22 @@ def test_a_rattle_is_not_taken_for_rest(monkeypatch: pytest.MonkeyPatch) -> None
     assert not np.array_equal(plain_step(scene, state, 0.005, 0.0)[1], without[1])
 
 
+def test_the_resolution_of_rest_grows_with_impacts_not_with_work() -> None:
+    touch = kernel.Touch(1e-13, 1e-13)
+    for restitution, hits, near, sink in (
+        (1.0, 0, 1e-13, 1e-13),
+        (1.0, 16, 1e-13, 1.5e-13),
+        (1.0, 32, 1e-13, 2e-13),
+        (0.5, 0, 1e-13, 1e-13),
+        (0.5, 256, 2e-13, 2e-13),
+        (0.5, 100_000, 1e-10, 1e-10),
+    ):
+        scene, w = Scene(restitution=restitution).numbers, new_workspaces()[0]
+        w.looks, w.hits = 900_000.0, hits
+        found = kernel.resolution(scene, w, touch), kernel.grown(scene, w, 1e-13)
+        assert found == pytest.approx((near, sink), rel=1e-15, abs=0.0)
+
+
 def test_rest_is_much_work_for_little_impulse() -> None:
     scene, w = Scene(), new_workspaces()[0]
     light = 1e-4 * scene.jack_mass * scene.speed_scale  # [N s]
