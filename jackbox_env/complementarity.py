@@ -13,8 +13,8 @@ Bits: the same on every processor, because the sums are written out. The functio
     :func:`jackbox_env.mechanics.simultaneous_impact_map`, and compiled for the exact contact model.
 
 The functions work in ``memory``, with fields of :class:`jackbox_env.exact.workspace.Workspace`: ``gradients``
-(n, 6), ``units`` W (n, 6), ``lengths`` (n,), ``bias`` (n,), ``rates`` v (6,), ``point`` (6,), ``pushes`` (3,), ``best``
-(3,), and ``basis`` (3, 6), ``tall`` (3, 3), ``goals`` (3,) for Gram-Schmidt.
+(n, 6), ``units`` W (n, 6), ``lengths`` (n,), ``bias`` (n,), ``rates`` v (6,), ``projected`` (6,), ``pushes`` (3,),
+``best`` (3,), and ``basis`` (3 or 4, 6), ``triangle`` (3, 3), ``goals`` (3,) for Gram-Schmidt.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def violation_of(memory: Any, count: int, size: int, one: int, two: int, three: 
         return math.inf
     violation = 0.0
     for other in range(count):
-        violation = max(violation, -(dot(memory.units[other], memory.point) + memory.bias[other]))
+        violation = max(violation, -(dot(memory.units[other], memory.projected) + memory.bias[other]))
     return violation
 
 
@@ -92,9 +92,9 @@ def dot(a: Array, b: Array) -> float:
 def project(memory: Any, size: int, one: int, two: int, three: int) -> bool:
     """Project the weighted rates v on where ``size`` rows have w v + bias = 0: the point v + sum of pushes times rows.
 
-    Returns whether the rows are independent. By modified Gram-Schmidt, rows = tall^T base.
+    Returns whether the rows are independent. By modified Gram-Schmidt, rows = triangle^T basis.
     """
-    point, pushes = memory.point, memory.pushes
+    point, pushes = memory.projected, memory.pushes
     for place in range(6):
         point[place] = memory.rates[place]
     for a in range(size):
@@ -104,26 +104,26 @@ def project(memory: Any, size: int, one: int, two: int, three: int) -> bool:
         for turn in range(2):  # twice is enough to be orthogonal to rounding (Giraud et al. 2005)
             for b in range(a):
                 share = dot(memory.basis[b], memory.basis[a])
-                memory.tall[b, a] = share if turn == 0 else memory.tall[b, a] + share
+                memory.triangle[b, a] = share if turn == 0 else memory.triangle[b, a] + share
                 for place in range(6):
                     memory.basis[a, place] -= share * memory.basis[b, place]
         length = math.sqrt(dot(memory.basis[a], memory.basis[a]))
         if length < _DEPENDENT:
             return False
-        memory.tall[a, a] = length
+        memory.triangle[a, a] = length
         for place in range(6):
             memory.basis[a, place] /= length
         goal = memory.bias[picked]
         for b in range(a):
-            goal += memory.tall[b, a] * memory.goals[b]
+            goal += memory.triangle[b, a] * memory.goals[b]
         memory.goals[a] = 0.0 - goal / length
         pushes[a] = -(dot(memory.basis[a], point) - memory.goals[a])
         for place in range(6):
             point[place] += pushes[a] * memory.basis[a, place]
     for a in range(size - 1, -1, -1):
         for b in range(a + 1, size):
-            pushes[a] -= memory.tall[a, b] * pushes[b]
-        pushes[a] /= memory.tall[a, a]
+            pushes[a] -= memory.triangle[a, b] * pushes[b]
+        pushes[a] /= memory.triangle[a, a]
     return True
 
 

@@ -205,18 +205,18 @@ def write_levers(scene: SceneNumbers, memory: Workspace, place: int, k: int) -> 
 
 
 def invert(memory: Workspace, count: int) -> None:
-    """Fill in (J M^-1 J^T)^-1 = R^-1 R^-T, from R = ``memory.tall`` times ``memory.lengths``, upper triangular."""
+    """Fill in (J M^-1 J^T)^-1 = R^-1 R^-T, from R = ``memory.triangle`` times ``memory.lengths``, upper triangular."""
     for a in range(count):
         for b in range(a + 1):
-            memory.spare[b] = 1.0 if a == b else 0.0
+            memory.column[b] = 1.0 if a == b else 0.0
         for b in range(a, -1, -1):  # column a of R^-1
             for c in range(b + 1, a + 1):
-                memory.spare[b] -= memory.tall[b, c] * memory.lengths[c] * memory.spare[c]
-            memory.spare[b] /= memory.tall[b, b] * memory.lengths[b]
+                memory.column[b] -= memory.triangle[b, c] * memory.lengths[c] * memory.column[c]
+            memory.column[b] /= memory.triangle[b, b] * memory.lengths[b]
         for b in range(a + 1):
             for c in range(a + 1):
                 before = memory.inverse[b, c] if b < a and c < a else 0.0
-                memory.inverse[b, c] = before + memory.spare[b] * memory.spare[c]
+                memory.inverse[b, c] = before + memory.column[b] * memory.column[c]
 
 
 def solve(scene: SceneNumbers, memory: Workspace, count: int, k: int) -> None:

@@ -37,6 +37,21 @@ from jackbox_env.exact.workspace import (
     Workspace,
 )
 from jackbox_env.scene import SceneNumbers, chirp_turns
+from jackbox_env.states import (
+    OMEGA_BOX,
+    OMEGA_JACK,
+    RATES,
+    THETA_BOX,
+    THETA_JACK,
+    VX_BOX,
+    VX_JACK,
+    VY_BOX,
+    VY_JACK,
+    X_BOX,
+    X_JACK,
+    Y_BOX,
+    Y_JACK,
+)
 
 Array = NDArray[np.float64]
 
@@ -75,21 +90,21 @@ def glide_block(dt: float, block: Block) -> None:
         torque[k] = inertia[k] * alpha[k]
         hits[k] = impulses[k] = 0.0
     mark_near(dt, block)
-    for place in (0, 1, 3, 5):
-        here, rate, there = before[place], before[6 + place], after[place]
+    for place in (X_BOX, Y_BOX, X_JACK, THETA_JACK):
+        here, rate, there = before[place], before[RATES + place], after[place]
         for k in range(count):
             there[k] = moved(here[k], rate[k], dt)
-    angle, omega, new_angle, new_omega = before[2], before[8], after[2], after[8]
+    angle, omega, new_angle, new_omega = before[THETA_BOX], before[OMEGA_BOX], after[THETA_BOX], after[OMEGA_BOX]
     for k in range(count):
         new_angle[k] = turned(angle[k], omega[k], alpha[k], dt)
     for k in range(count):
         new_omega[k] = omega[k] + alpha[k] * dt
-    height, climb, new_height, new_climb = before[4], before[10], after[4], after[10]
+    height, climb, new_height, new_climb = before[Y_JACK], before[VY_JACK], after[Y_JACK], after[VY_JACK]
     for k in range(count):
         new_height[k] = fallen(height[k], climb[k], fall[k], dt)
     for k in range(count):
         new_climb[k] = climb[k] - fall[k]
-    for place in (6, 7, 9, 11):
+    for place in (VX_BOX, VY_BOX, VX_JACK, OMEGA_JACK):
         here, there = before[place], after[place]
         for k in range(count):
             there[k] = here[k]
@@ -105,8 +120,8 @@ def mark_near(dt: float, block: Block) -> None:
     fall, clear, alpha, near = block.scenes[FALL], block.scenes[CLEAR], lanes[TURNING], lanes[NEAR]
     x, y, vx, vy = lanes[0], lanes[1], lanes[2], lanes[3]
     for place in range(2):
-        own, other, difference = before[place], before[3 + place], lanes[place]
-        rate, other_rate, rates = before[6 + place], before[9 + place], lanes[2 + place]
+        own, other, difference = before[place], before[X_JACK + place], lanes[place]
+        rate, other_rate, rates = before[RATES + place], before[VX_JACK + place], lanes[2 + place]
         for k in range(count):
             difference[k] = other[k] - own[k]
         for k in range(count):
@@ -134,7 +149,7 @@ def look_at_walls(dt: float, block: Block) -> None:
     for j in range(count):
         k = int(lane[j])
         x[j], y[j], vx[j], vy[j] = x[k], y[k], vx[k], vy[k]
-        cosine[j], omega[j], alpha[j] = before[2, k], before[8, k], abs(lanes[TURNING, k])
+        cosine[j], omega[j], alpha[j] = before[THETA_BOX, k], before[OMEGA_BOX, k], abs(lanes[TURNING, k])
         room[j], pull[j] = scenes[ROOM, k], scenes[FALL, k] / dt
         off[j] = 1.0 if is_ordinary(before[:, k], scenes[ORDINARY, k]) and alpha[j] < STEEPEST else 0.0
     for j in range(count):
@@ -164,7 +179,7 @@ def is_ordinary(state: Array, most: float) -> bool:
     largest = 0.0
     for place in range(12):
         largest = max(largest, abs(state[place]))
-    return bool((largest < most) & (max(abs(state[2]), abs(state[5])) < LARGEST))
+    return bool((largest < most) & (max(abs(state[THETA_BOX]), abs(state[THETA_JACK])) < LARGEST))
 
 
 def ordinary(scene: SceneNumbers) -> float:
@@ -193,11 +208,11 @@ def glide_under_chirp(scene: SceneNumbers, plan: Plan, block: Block, memory: Wor
     x, y = lanes[0], lanes[1]
     for k in range(count):
         hits[k] = impulses[k] = 0.0
-        after[0, k] = after[1, k] = 0.0
+        after[X_BOX, k] = after[Y_BOX, k] = 0.0
     for k in range(count):
-        x[k] = before[3, k] - before[0, k]
-        y[k] = before[4, k] - before[1, k]
-    for place in (2, 5, 6, 7, 8, 9, 10, 11):
+        x[k] = before[X_JACK, k] - before[X_BOX, k]
+        y[k] = before[Y_JACK, k] - before[Y_BOX, k]
+    for place in (THETA_BOX, THETA_JACK, VX_BOX, VY_BOX, OMEGA_BOX, VX_JACK, VY_JACK, OMEGA_JACK):
         here, there = before[place], after[place]
         for k in range(count):
             there[k] = here[k]
@@ -214,13 +229,13 @@ def glide_under_chirp(scene: SceneNumbers, plan: Plan, block: Block, memory: Wor
     for k in range(count):
         torque[k] = mean
     for k in range(count):
-        x[k] = before[3, k] + (x[k] - (before[3, k] - before[0, k]))
-        y[k] = before[4, k] + (y[k] - (before[4, k] - before[1, k]))
+        x[k] = before[X_JACK, k] + (x[k] - (before[X_JACK, k] - before[X_BOX, k]))
+        y[k] = before[Y_JACK, k] + (y[k] - (before[Y_JACK, k] - before[Y_BOX, k]))
     for place in (0, 1):
         here, there, jack = before[place], after[place], lanes[place]
         for k in range(count):
             there[k] = here[k] + there[k]
-        there = after[3 + place]
+        there = after[X_JACK + place]
         for k in range(count):
             there[k] = jack[k]
     return True
@@ -246,21 +261,21 @@ def drift(block: Block, gravity: float, length: float, angle: float, rate: float
     """Fly all lanes for ``length`` [s], in which the chirp adds to the box's angle and rate: see ``flight.evolve``."""
     after, lanes, count = block.after, block.lanes, block.size
     for place in (0, 1):
-        there, speed = after[place], after[6 + place]
+        there, speed = after[place], after[RATES + place]
         for k in range(count):
             there[k] += speed[k] * length
-    box_angle, omega = after[2], after[8]
+    box_angle, omega = after[THETA_BOX], after[OMEGA_BOX]
     for k in range(count):
         box_angle[k] += omega[k] * length + angle
     for k in range(count):
         omega[k] += rate
-    x, y, vx, vy = lanes[0], lanes[1], after[9], after[10]
+    x, y, vx, vy = lanes[0], lanes[1], after[VX_JACK], after[VY_JACK]
     for k in range(count):
         x[k] += vx[k] * length
     for k in range(count):
         y[k] += (vy[k] - 0.5 * gravity * length) * length
     for k in range(count):
         vy[k] -= gravity * length
-    jack_angle, spin = after[5], after[11]
+    jack_angle, spin = after[THETA_JACK], after[OMEGA_JACK]
     for k in range(count):
         jack_angle[k] += spin[k] * length

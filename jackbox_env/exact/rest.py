@@ -192,15 +192,15 @@ def hold_these(
     faint, held = _FAINT * strongest, 0
     for number in range(count):
         row = memory.units[number]
-        parting = dot(row, memory.point) + memory.bias[number]
+        parting = dot(row, memory.projected) + memory.bias[number]
         rate = rate_of(memory.state, memory.gradients[number]) / memory.lengths[number]
-        beside = aside(memory, size, row)
-        if beside < _ALONG:
+        remainder = orthogonalized(memory, size, row)
+        if remainder < _ALONG:
             held |= 1 << memory.pairs[number]
         elif size < 3 and abs(parting) <= faint and rate * rate <= 2.0 * near * faint:
-            beside = math.sqrt(beside)
+            length = math.sqrt(remainder)
             for place in range(6):
-                memory.basis[size, place] = memory.spare[place] / beside
+                memory.basis[size, place] /= length
             memory.order[size] = number
             size += 1
             held |= 1 << memory.pairs[number]
@@ -215,23 +215,23 @@ def hold_these(
     return held
 
 
-def aside(memory: Workspace, size: int, row: Array) -> float:
-    """Square of what a unit row keeps beside the first ``size`` rows of the base; that is left in ``memory.spare``."""
-    spare = memory.spare
+def orthogonalized(memory: Workspace, size: int, row: Array) -> float:
+    """Write a unit row's part orthogonal to the first ``size`` rows of the basis behind them; return its square."""
+    part = memory.basis[size]
     for place in range(6):
-        spare[place] = row[place]
-    for base in range(size):
-        share = dot(spare, memory.basis[base])
+        part[place] = row[place]
+    for number in range(size):
+        share = dot(part, memory.basis[number])
         for place in range(6):
-            spare[place] -= share * memory.basis[base, place]
-    return dot(spare, spare)
+            part[place] -= share * memory.basis[number, place]
+    return dot(part, part)
 
 
 def bring_back(scene: SceneNumbers, memory: Workspace) -> None:
     """Bring the held gaps to their targets and their rates to 0, each by the nearest change in the norm of M.
 
     The gaps by one step of Newton, where more than rounding is left of them. Factors of the held rows stay in
-    ``memory.tall``.
+    ``memory.triangle``.
     """
     state, count = memory.state, memory.holding
     list_contacts(scene, memory, state, count)

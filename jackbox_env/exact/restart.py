@@ -16,6 +16,7 @@ from jackbox_env.exact.glide import CLEAR, FALL, INERTIA, LIMIT, ORDINARY, ROOM,
 from jackbox_env.exact.score import look
 from jackbox_env.exact.step import CONSTANT, make_numbers, make_plan
 from jackbox_env.scene import SceneNumbers, between, fall_speed, square_inertia
+from jackbox_env.states import THETA_JACK, X_JACK, Y_JACK
 from jackbox_env.tasks import start_pose
 
 Array = NDArray[np.float64]
@@ -85,7 +86,7 @@ def restart_blocks(values: Array, blocks: Array, numbers: Counts, words: Words) 
         x = -1.0 + 2.0 * uniform(words[k])
         y = -1.0 + 2.0 * uniform(words[k])
         angle = -1.0 + 2.0 * uniform(words[k])
-        row[3], row[4], row[5] = start_pose(scene, x, y, angle)
+        row[X_JACK], row[Y_JACK], row[THETA_JACK] = start_pose(scene, x, y, angle)
 
 
 def look_blocks(values: Array, blocks: Array, numbers: Counts, observations: Floats) -> None:

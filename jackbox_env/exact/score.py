@@ -18,7 +18,7 @@ from jackbox_env.exact.trigonometry import LARGEST, cos_sin, cos_sin_within
 from jackbox_env.exact.workspace import HIT, IMPULSE_SUM, TORQUE
 from jackbox_env.observation import seen
 from jackbox_env.scene import SceneNumbers
-from jackbox_env.states import Array, State
+from jackbox_env.states import THETA_BOX, THETA_JACK, Array, State
 from jackbox_env.tasks import reward_of
 
 Floats = NDArray[np.float32]
@@ -41,7 +41,7 @@ def look_block(values: Array, block: Array, count: int, lanes: Array, low: int, 
 
     ``values`` are the scenes' numbers, one row for all environments or one for each.
     """
-    angle, jack_angle = block[2], block[5]
+    angle, jack_angle = block[THETA_BOX], block[THETA_JACK]
     cosine, sine, cosine_4, sine_4 = lanes[0], lanes[1], lanes[2], lanes[3]
     beyond = 0
     for k in range(count):

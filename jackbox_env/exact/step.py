@@ -34,7 +34,20 @@ from jackbox_env.exact.search import (
 from jackbox_env.exact.trigonometry import without_turns
 from jackbox_env.exact.workspace import Array, Status, Workspace
 from jackbox_env.scene import SceneNumbers, chirp_turns
-from jackbox_env.states import LARGEST
+from jackbox_env.states import (
+    LARGEST,
+    RATES,
+    THETA_BOX,
+    THETA_JACK,
+    VX_BOX,
+    VX_JACK,
+    VY_BOX,
+    VY_JACK,
+    X_BOX,
+    X_JACK,
+    Y_BOX,
+    Y_JACK,
+)
 
 _HOLDING = 40.0  # gaps that take as long as holding feet through a step
 _COARSEST = 4.5e12  # whose unit in the last place is 1e-3
@@ -103,14 +116,20 @@ def step(
     clear_tally(memory)
     if plan.kind == CONSTANT:
         alpha = torque / scene.box_inertia
-        x, y = before[3] - before[0], before[4] - before[1]
-        vx, vy = before[9] - before[6], before[10] - before[7]
+        x, y = before[X_JACK] - before[X_BOX], before[Y_JACK] - before[Y_BOX]
+        vx, vy = before[VX_JACK] - before[VX_BOX], before[VY_JACK] - before[VY_BOX]
         fall = scene.gravity * plan.dt
-        if stays_clear(x, y, vx, vy, fall, plan.dt, plan.clear) and abs(alpha) < STEEPEST:
+        clear = stays_clear(x, y, vx, vy, fall, plan.dt, plan.clear)
+        if not abs(alpha) < STEEPEST or not (clear or is_resolved(scene, before)):
+            return Status.TOO_FAST, 0.0
+        ended = Status.FREE
+        if not clear:
+            ended = advance(scene, memory, log, constant_piece(plan.dt, alpha), start(plan, before, memory))
+        if ended == Status.FREE:
             glide(before, after, fall, plan.dt, alpha)
             return Status.DONE, scene.box_inertia * alpha
-        return step_near(scene, plan, before, after, alpha, memory, log), scene.box_inertia * alpha
-    if not told_apart(scene, before):
+        return finish(ended, plan, before, after, memory, log), scene.box_inertia * alpha
+    if not is_resolved(scene, before):
         return Status.TOO_FAST, 0.0
     touch = start(plan, before, memory)
     if plan.kind == CHIRP:
@@ -136,33 +155,10 @@ def effort(memory: Workspace) -> float:
     return float(cost)
 
 
-def step_near(
-    scene: SceneNumbers, plan: Plan, before: Array, after: Array, alpha: float, memory: Workspace, log: Array
-) -> Status:
-    """Step near a wall under a constant angular acceleration of the box; return how it ended."""
-    if not (told_apart(scene, before) and abs(alpha) < STEEPEST):
-        return Status.TOO_FAST
-    piece = constant_piece(plan.dt, alpha)
-    flight = flight_of(scene, before, piece, 0.0)
-    touch = touch_of(plan, before)
-    time, pair = first_impact(scene, memory, flight, piece, plan.dt, plan.tolerance, touch.together)
-    if pair == ENDLESS:
-        return why_endless(memory)
-    if pair == NONE:
-        glide(before, after, scene.gravity * plan.dt, plan.dt, alpha)
-        return Status.DONE
-    start(plan, before, memory)
-    if pair == AT_REST:
-        time = 0.0
-    else:
-        strike(scene, memory, log, flight, time, pair, touch.together)
-    return finish(advance(scene, memory, log, piece, touch, time), plan, before, after, memory, log)
-
-
 def touch_of(plan: Plan, before: Array) -> Touch:
     """The gaps at which feet touch in a step from a state."""
-    furthest = max(max(abs(before[0]), abs(before[1])), max(abs(before[3]), abs(before[4])))
-    tolerance = max(plan.tolerance, plan.per_radian * max(abs(before[2]), abs(before[5])))
+    furthest = max(max(abs(before[X_BOX]), abs(before[Y_BOX])), max(abs(before[X_JACK]), abs(before[Y_JACK])))
+    tolerance = max(plan.tolerance, plan.per_radian * max(abs(before[THETA_BOX]), abs(before[THETA_JACK])))
     return Touch(tolerance, max(tolerance, _FOUR_PLACES * furthest))
 
 
@@ -177,24 +173,30 @@ def start(plan: Plan, before: Array, memory: Workspace) -> Touch:
         memory.resting[pair] = 0.0
     for place in range(12):
         state[place] = before[place]
-    state[0] = state[1] = 0.0
-    state[3], state[4] = before[3] - before[0], before[4] - before[1]
+    state[X_BOX] = state[Y_BOX] = 0.0
+    state[X_JACK], state[Y_JACK] = before[X_JACK] - before[X_BOX], before[Y_JACK] - before[Y_BOX]
     if plan.per_radian > 0.0:
-        state[2], state[5] = angles_in_step(before)
+        state[THETA_BOX], state[THETA_JACK] = angles_in_step(before)
     return touch_of(plan, before)
 
 
 def angles_in_step(before: Array) -> tuple[float, float]:
     """The angles of box and jack without the box's whole turns, nor the jack's in it."""
-    angle = without_turns(before[2])
-    return angle, angle + without_turns(before[5] - before[2])
+    angle = without_turns(before[THETA_BOX])
+    return angle, angle + without_turns(before[THETA_JACK] - before[THETA_BOX])
 
 
-def told_apart(scene: SceneNumbers, state: Array) -> bool:
-    """Whether float64 still tells places, angles and speeds apart by a thousandth of what matters here."""
-    place = max(max(abs(state[0]), abs(state[1])), max(abs(state[3]), abs(state[4]))) / scene.box_half_width
-    angle = max(abs(state[2]), abs(state[5]))
-    speed = max(max(abs(state[6]), abs(state[7])), max(abs(state[9]), abs(state[10]))) / scene.speed_scale
+def is_resolved(scene: SceneNumbers, state: Array) -> bool:
+    """Whether float64 resolves places, angles and speeds to a thousandth of what matters here."""
+    place = (
+        max(max(abs(state[X_BOX]), abs(state[Y_BOX])), max(abs(state[X_JACK]), abs(state[Y_JACK])))
+        / scene.box_half_width
+    )
+    angle = max(abs(state[THETA_BOX]), abs(state[THETA_JACK]))
+    speed = (
+        max(max(abs(state[VX_BOX]), abs(state[VY_BOX])), max(abs(state[VX_JACK]), abs(state[VY_JACK])))
+        / scene.speed_scale
+    )
     return bool(max(max(place, angle), speed) < _COARSEST)
 
 
@@ -208,15 +210,18 @@ def finish(ended: Status, plan: Plan, before: Array, after: Array, memory: Works
         total += abs(state[place])
     if not total < LARGEST:
         return Status.TOO_FAST
-    jack_x = before[3] + (state[3] - (before[3] - before[0]))
-    jack_y = before[4] + (state[4] - (before[4] - before[1]))
-    after[0], after[1] = before[0] + state[0], before[1] + state[1]
-    after[3], after[4] = jack_x, jack_y
-    after[2], after[5] = state[2], state[5]
+    jack_x = before[X_JACK] + (state[X_JACK] - (before[X_JACK] - before[X_BOX]))
+    jack_y = before[Y_JACK] + (state[Y_JACK] - (before[Y_JACK] - before[Y_BOX]))
+    after[X_BOX], after[Y_BOX] = before[X_BOX] + state[X_BOX], before[Y_BOX] + state[Y_BOX]
+    after[X_JACK], after[Y_JACK] = jack_x, jack_y
+    after[THETA_BOX], after[THETA_JACK] = state[THETA_BOX], state[THETA_JACK]
     if plan.per_radian > 0.0:
         angle, jack_angle = angles_in_step(before)
-        after[2], after[5] = before[2] + (state[2] - angle), before[5] + (state[5] - jack_angle)
-    for place in range(6, 12):
+        after[THETA_BOX], after[THETA_JACK] = (
+            before[THETA_BOX] + (state[THETA_BOX] - angle),
+            before[THETA_JACK] + (state[THETA_JACK] - jack_angle),
+        )
+    for place in range(RATES, 12):
         after[place] = state[place]
     record_rest(memory, log, plan.dt)
     return ended
@@ -236,7 +241,7 @@ def advance_chirp(
     for number in range(count):
         chirp_piece(scene, turns, frequency, number * length, length, memory)
         impulse += horner(memory.powers[3 * TURN + 1], DEGREE + 1, 1.0)
-        ended = advance(scene, memory, log, curved_piece(memory, length, False), touch, 0.0)
+        ended = advance(scene, memory, log, curved_piece(memory, length, False), touch)
         if ended != Status.DONE:
             return ended, 0.0
     return Status.DONE, scene.box_inertia * impulse
@@ -259,18 +264,20 @@ def advance_pieces(
                 memory.powers[3 * axis, 0] = torque / inertia
             integrate(memory, axis, length)
         impulse += horner(memory.powers[3 * TURN + 1], DEGREE + 1, 1.0)
-        ended = advance(scene, memory, log, curved_piece(memory, length, True), touch, 0.0)
+        ended = advance(scene, memory, log, curved_piece(memory, length, True), touch)
         if ended != Status.DONE:
             return ended, 0.0
     return Status.DONE, scene.box_inertia * impulse
 
 
-def advance(scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, touch: Touch, since: float) -> Status:
-    """Advance the state ``memory.state`` from ``since`` [s] to the end of a piece; return how it ended.
+def advance(scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, touch: Touch) -> Status:
+    """Advance the state ``memory.state`` through a piece; return how it ended.
 
-    The state is in a frame near the box; ``memory`` holds the polynomial accelerations.
+    FREE: no foot touches a wall under a constant acceleration, and the state is as it was, because :func:`glide` needs
+    no frame near the box. ``memory`` has the polynomial accelerations.
     """
     memory.loose = 0
+    since, untouched = 0.0, not piece.curved
     restless = False  # whether the state has been found to be without a foot at rest
     while since < piece.length:
         remaining = piece.length - since
@@ -286,6 +293,7 @@ def advance(scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, to
             if held == 0:
                 restless = True
                 continue
+            untouched = False
             ended, time = hold(scene, memory, log, piece, touch, near, since, held)
             if ended != Status.DONE:
                 return ended
@@ -296,12 +304,15 @@ def advance(scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, to
         if pair == ENDLESS:
             return why_endless(memory)
         if pair == NONE:
+            if untouched and left == remaining:
+                return Status.FREE
             evolve(memory, flight, left)
             memory.elapsed += left
             if left == remaining:
                 return Status.DONE
             since += left
             continue
+        untouched = False
         strike(scene, memory, log, flight, time, pair, near)
         since += time
     return Status.DONE

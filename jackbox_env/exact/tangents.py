@@ -212,7 +212,7 @@ def step_tangent(
     ``hits`` are the step's rows of a wide log, ``by_time`` is for how much later each of them comes, shape (hits or 0,
     columns).
     """
-    alpha, since, state, drift = torque / scene.box_inertia, 0.0, memory.state, memory.point
+    alpha, since, state, drift = torque / scene.box_inertia, 0.0, memory.state, memory.drift
     start(plan, before, memory)
     end = memory.after
     for place in range(6):
@@ -479,7 +479,7 @@ def pull_back(
     """
     played, memory = rollout_of(given), workspaces[0]
     by_start, by_torque, by_field = results
-    steps, drift = played.smooth.shape[1], memory.point
+    steps, drift = played.smooth.shape[1], memory.drift
     for i in range(span[0], span[1]):
         scene, plan = scene_of(played, i)
         seed, pulled = seeds[i if seeds.shape[0] > 1 else 0], by_start[i]

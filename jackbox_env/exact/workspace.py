@@ -37,11 +37,11 @@ class Workspace(np.record):  # type: ignore[misc]
     bias: Annotated[Array, 17]  # what is added to the gaps' rates, in units of the weighted gradients
     impulses: Annotated[Array, 17]  # [N s]
     rates: Annotated[Array, 6]  # weighted
-    point: Annotated[Array, 6]  # the weighted rates' projection
+    projected: Annotated[Array, 6]  # the weighted rates' projection
     pushes: Annotated[Array, 3]  # that lead to it
     best: Annotated[Array, 3]  # of the pushes
-    basis: Annotated[Array, 3, 6]  # of Gram-Schmidt, with tall and goals
-    tall: Annotated[Array, 3, 3]
+    basis: Annotated[Array, 4, 6]  # of Gram-Schmidt, orthonormal rows, with triangle and goals
+    triangle: Annotated[Array, 3, 3]
     goals: Annotated[Array, 3]
 
     holding: int  # how many feet are held; they are first in pairs
@@ -50,7 +50,8 @@ class Workspace(np.record):  # type: ignore[misc]
     order: Annotated[Counts, 3]  # of held feet among the listed gaps
     targets: Annotated[Array, 3]  # to which their gaps are brought back [m]
     free: Annotated[Array, 6]  # accelerations without contact
-    spare: Annotated[Array, 6]  # in passing
+    column: Annotated[Array, 3]  # of the inverse of a triangle, see constrained.invert
+    drift: Annotated[Array, 6]  # of a tangent's free flight, see tangents.py
     series: Annotated[Array, 31, 16]  # powers of time over a stretch, in the rows below
     inverse: Annotated[Array, 3, 3]  # of J M^-1 J^T at held feet
     lack: Annotated[Array, 3]  # of J qddot there
@@ -108,7 +109,7 @@ def new_log(impacts: int = 0, wide: bool = False) -> Array:
 
 
 class Status(IntEnum):
-    """How a step ended; all but DONE, PAUSED and FULL are refusals, after which the state is as it was."""
+    """How a step ended; all but DONE, PAUSED, FULL and FREE are refusals, after which the state is as it was."""
 
     DONE = 0
     TOO_MUCH_WORK = 1  # more gap evaluations than a step may take
@@ -119,3 +120,4 @@ class Status(IntEnum):
     BAD_REWARD = 6  # NaN or infinite
     PAUSED = 7  # after long work, so that an interruption is heard: to be called again
     FULL = 8  # no room for a step's impacts: to be called again with more
+    FREE = 9  # of a piece: no foot touches a wall, and the state is as it was
