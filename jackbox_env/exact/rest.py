@@ -313,6 +313,6 @@ def hold(
 
 def record_rest(memory: Workspace, log: Array, dt: float) -> None:
     """Record the impulse of each held foot over the step, at its end."""
-    for pair in range(16):
+    for pair in range(16 if memory.holding > 0 else 0):
         if memory.resting[pair] > 0.0:
             note(memory, log, dt, pair, memory.resting[pair])

@@ -297,7 +297,6 @@ def step_lanes(
     call = arguments_at(place)
     scenes, memory, log, rough = call.scenes, call.memory.workspaces[0], call.memory.log, call.results.rough
     varied = scenes.values.shape[0] > 1
-    own_before, own_after = memory.before[:], memory.after[:]  # plain arrays to numba, for which step is compiled
     for lane in range(block.size):
         if before[OVER, lane] != 0.0:
             continue
@@ -312,8 +311,6 @@ def step_lanes(
         if varied:
             own = make_numbers(scenes.values[row])
             its = make_plan(own, plan.dt, kind)
-        for column in range(12):
-            own_before[column] = before[column, lane]
         torque = 0.0
         if call.controls.shape[0]:  # not from the lanes: gliding has rounded it
             control = call.controls[k // (call.rules.steps // call.controls.shape[0]), row]
@@ -323,7 +320,9 @@ def step_lanes(
             begin = scenes.begins[row if scenes.begins.shape[0] > 1 else 0] + k
             pieces = Pieces(scenes.table, scenes.ends[begin], scenes.ends[begin + 1])
         room = log[recorded:]
-        ended, lanes[TORQUE, lane] = step(own, its, own_before, own_after, time, torque, pieces, memory, room)
+        ended, lanes[TORQUE, lane] = step(
+            own, its, before[:, lane], after[:, lane], time, torque, pieces, memory, room
+        )  # fmt: skip
         if ended != Status.DONE:
             return ended, lane, looks, recorded
         if log.shape[0]:
@@ -332,8 +331,6 @@ def step_lanes(
             recorded += memory.hits
         if rough.shape[0]:
             rough[row, k] = memory.rough != 0
-        for column in range(12):
-            after[column, lane] = own_after[column]
         lanes[HIT, lane], lanes[IMPULSE_SUM, lane] = memory.hits, memory.impulse
         looks += effort(memory)
     return Status.DONE, -1, looks, recorded

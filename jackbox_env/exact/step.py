@@ -143,16 +143,15 @@ def step(
 def clear_tally(memory: Workspace) -> None:
     """Forget what the last step did."""
     memory.hits, memory.impulse, memory.looks, memory.elapsed, memory.rough = 0, 0.0, 0.0, 0.0, 0
+    if memory.holding > 0:
+        memory.holding = 0
+        for pair in range(16):
+            memory.resting[pair] = 0.0
 
 
 def effort(memory: Workspace) -> float:
     """What a step has cost, in gaps evaluated; a step with held feet takes as long as some forty of them."""
-    cost = memory.looks
-    if memory.hits > 0:
-        for pair in range(16):
-            if memory.resting[pair] > 0.0:
-                return float(cost + _HOLDING)
-    return float(cost)
+    return float(memory.looks + (_HOLDING if memory.holding > 0 else 0.0))
 
 
 def touch_of(plan: Plan, before: Array) -> Touch:
@@ -169,8 +168,6 @@ def start(plan: Plan, before: Array, memory: Workspace) -> Touch:
     turned.
     """
     state = memory.state
-    for pair in range(16):
-        memory.resting[pair] = 0.0
     for place in range(12):
         state[place] = before[place]
     state[X_BOX] = state[Y_BOX] = 0.0

@@ -25,8 +25,8 @@ class Workspace(np.record):  # type: ignore[misc]
     elapsed: float  # since the step's start [s]
     rough: int  # 1 where the step has no derivative, or none that can be told, see tangents.py
     state: Annotated[Array, 12]  # in a frame near the box
-    before: Annotated[Array, 12]  # a state that is stepped, where it is gathered from many
-    after: Annotated[Array, 12]  # where it goes
+    before: Annotated[Array, 12]  # of a tangent: the state just before an impact
+    after: Annotated[Array, 12]  # of a tangent: the state at the step's end, in the same frame
     powers: Annotated[Array, 9, 16]  # accelerations of the box, see drives.py
 
     pairs: Annotated[Counts, 17]  # 4 * wall + foot of the listed gaps
@@ -44,7 +44,7 @@ class Workspace(np.record):  # type: ignore[misc]
     triangle: Annotated[Array, 3, 3]
     goals: Annotated[Array, 3]
 
-    holding: int  # how many feet are held; they are first in pairs
+    holding: int  # how many feet are held, or were last in this step; they are first in pairs
     loose: int  # feet that were let go at this moment, bit 4 * wall + foot of each
     resting: Annotated[Array, 16]  # impulses of held feet in this step [N s], by 4 * wall + foot
     order: Annotated[Counts, 3]  # of held feet among the listed gaps
