@@ -1,6 +1,7 @@
-"""Files that may be damaged, and folders that one process locks. :mod:`jackbox_env.files` writes them.
+"""Reading files that may be damaged, and locking folders; for runs, policies and sweeps.
 
 A folder is locked by a system lock on its file ``lock`` (filelock), which ends with its process, however that ends.
+:mod:`jackbox_env.files` writes files.
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ from numpy.typing import NDArray
 LOCK = "lock"
 
 # Weights do not compress, and Stable-Baselines3 and torch store them as they are.
-_MOST_TIMES = 4  # the size of a file that it may inflate to
-_SPARE = 2**20  # [bytes] beyond that, for members that are text
+_MOST_INFLATION = 4  # times the size of the file
+_TEXT_ALLOWANCE = 2**20  # [bytes] beyond that, for members that are text
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # others may take gigabytes to begin with
 
 
@@ -35,10 +36,10 @@ class FolderInUseError(RuntimeError):
 
 @contextmanager
 def parsing(path: Path) -> Iterator[None]:
-    """Take any failure in the block for damage of the file at ``path``.
+    """A block that parses the file at ``path``.
 
     Raises:
-        DamagedFileError: it failed.
+        DamagedFileError: the block raised an exception.
     """
     try:
         yield
@@ -47,27 +48,27 @@ def parsing(path: Path) -> Iterator[None]:
 
 
 def first_line(error: Exception) -> str:
-    """The kind of an error, and the beginning of what it says, in one line."""
-    said = next(iter(str(error).splitlines()), "")[:200]
-    return f"{type(error).__name__}{': ' * bool(said)}{said}"
+    """The class of an error and the beginning of its message, in one line."""
+    message = next(iter(str(error).splitlines()), "")[:200]
+    return f"{type(error).__name__}{': ' * bool(message)}{message}"
 
 
-def read_bounded(path: Path, most: int) -> bytes:
+def read_bounded(path: Path, max_bytes: int) -> bytes:
     """The content of a file.
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: it has more than ``most`` bytes.
+        ValueError: it has more than ``max_bytes`` bytes.
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path.parent} holds no {path.name}")
-    if path.stat().st_size > most:
-        raise ValueError(f"{path} must be at most {most:,} bytes, got {path.stat().st_size:,}")
+    if path.stat().st_size > max_bytes:
+        raise ValueError(f"{path} must be at most {max_bytes:,} bytes, got {path.stat().st_size:,}")
     return path.read_bytes()
 
 
 def read_json(path: Path) -> Any:
-    """What a JSON file holds.
+    """The parsed content of a JSON file.
 
     Raises:
         DamagedFileError: it is cut short, or not JSON.
@@ -85,13 +86,13 @@ def unpacked(content: bytes, name: str) -> dict[str, bytes]:
         zipfile.BadZipFile: it is no zip file, or a member is damaged or longer than declared.
     """
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
-        members, most = archive.infolist(), _MOST_TIMES * len(content) + _SPARE
+        members, max_bytes = archive.infolist(), _MOST_INFLATION * len(content) + _TEXT_ALLOWANCE
         if any(member.compress_type not in _METHODS for member in members):
             raise ValueError(f"{name} must be stored or deflated")
         inflated = sum(member.file_size for member in members)
-        if inflated > most:
-            raise ValueError(f"{name} must inflate to at most {most:,} bytes, got {inflated:,}")
-        # no more than a declared size: a full read would first inflate all that there is beyond it
+        if inflated > max_bytes:
+            raise ValueError(f"{name} must inflate to at most {max_bytes:,} bytes, got {inflated:,}")
+        # a read without a size would also inflate what lies beyond the declared size
         return {member.filename: archive.open(member).read(member.file_size) for member in members}
 
 
@@ -107,8 +108,8 @@ def unpacked_arrays(content: bytes, name: str) -> dict[str, NDArray[Any]]:
     }
 
 
-def say_skipped(error: DamagedFileError) -> None:
-    """Say on standard error that a damaged file was skipped."""
+def report_skipped(error: DamagedFileError) -> None:
+    """Print on standard error that a damaged file was skipped."""
     print(f"Skipped: {error}", file=sys.stderr)
 
 

@@ -1,4 +1,6 @@
-"""Run folders: one folder holds everything a run was made from and made. A folder is never used for another run.
+"""Run folders: what a training started from and everything that it wrote. A folder is never used for another run.
+
+Training writes these files; evaluation, export and resuming read them.
 
 settings.json            resolved settings, from which a model is rebuilt
 run.json                 command line, seed, versions, date
@@ -8,7 +10,7 @@ model.zip                the last
 evaluations.npz          the separate evaluations
 time.json                how long the process that finished the run took for its steps, and for what
 tensorboard/             curves
-lock                     held by the process that works here
+lock                     locked by the process that works here
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from agents.files import DamagedFileError, parsing, read_bounded, say_skipped, unpacked
+from agents.files import DamagedFileError, parsing, read_bounded, report_skipped, unpacked
 from agents.settings import TrainSettings
 from jackbox_env.files import write_json
 
@@ -42,13 +44,13 @@ PACKAGES = ("jackbox", "gymnasium", "numpy", "pymunk", "stable-baselines3", "tor
 
 def installed(packages: Iterable[str]) -> dict[str, str]:
     """Versions of Python and of these packages."""
-    found = {"python": platform.python_version()}
+    numbers = {"python": platform.python_version()}
     for package in packages:
         try:
-            found[package] = metadata.version(package)
+            numbers[package] = metadata.version(package)
         except metadata.PackageNotFoundError:
-            found[package] = "not installed"
-    return found
+            numbers[package] = "not installed"
+    return numbers
 
 
 def versions(packages: Iterable[str] = PACKAGES) -> dict[str, str]:
@@ -71,11 +73,11 @@ def machine() -> str:
 
 
 def describe(folder: Path, settings: TrainSettings) -> None:
-    """Write down what the run is made from."""
+    """Write run.json and settings.json into a new run folder."""
     started = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
     record = {"command": sys.argv, "seed": settings.seed, "started": started, "machine": machine()}
     write_json(folder / RUN, {**record, "versions": versions()})
-    write_json(folder / SETTINGS, dataclasses.asdict(settings))  # last: what has settings is a run folder
+    write_json(folder / SETTINGS, dataclasses.asdict(settings))  # last: a folder with settings is a run folder
 
 
 def read_settings(folder: Path) -> TrainSettings:
@@ -83,7 +85,7 @@ def read_settings(folder: Path) -> TrainSettings:
 
     Raises:
         FileNotFoundError: it is no run folder.
-        ValueError: the file holds no settings, or one that is unknown or out of range.
+        ValueError: the file is no settings file, or a setting is unknown or out of range.
     """
     path = folder / SETTINGS
     try:
@@ -96,7 +98,7 @@ def read_settings(folder: Path) -> TrainSettings:
 
 
 def run_folder(file: Path) -> Path | None:
-    """The run folder that contains a model file, or that ``file`` is; None if there is none."""
+    """The run folder of a model file, or ``file`` itself if it is one; None if there is none."""
     return next((folder for folder in (file, *file.parents[:2]) if (folder / SETTINGS).is_file()), None)
 
 
@@ -133,7 +135,7 @@ def read_parameters(path: Path) -> Parameters:
         members, parameters = unpacked(content, path.name), {}
         for group in _GROUPS:
             tensors = members[f"{group}.pth"]
-            unpacked(tensors, f"{group}.pth in {path.name}")  # refuses what torch would inflate to many times its size
+            unpacked(tensors, f"{group}.pth in {path.name}")  # raises if torch would inflate it to many times its size
             parameters[group] = torch.load(io.BytesIO(tensors), map_location="cpu", weights_only=True)
     return parameters
 
@@ -145,7 +147,7 @@ def read_if_whole(path: Path) -> Parameters | None:
     except FileNotFoundError:
         return None
     except DamagedFileError as error:
-        say_skipped(error)
+        report_skipped(error)
         return None
 
 

@@ -1,4 +1,4 @@
-"""All settings of the environment and of PPO, each with a line of help; command lines are made from them."""
+"""All settings of the environment and of PPO, each with a line of help. The command lines derive from them."""
 
 from __future__ import annotations
 
@@ -25,28 +25,28 @@ else:
     TaskName = Literal[tuple(TASKS)]  # command lines show and check the names
 
 EPISODE_STEPS = cast(int, gym.spec("JackInBox-v0").max_episode_steps)  # control steps of an episode
-PREVIEWED, FORESEEN = 11, 26  # numbers of a preview, and of looking ahead
-PREVIEW_READS = ("box_half_width", "jack_arm", "gravity")  # fields of the scene
-LANDING_READS = (*PREVIEW_READS, "box_mass", "box_inertia", "torque_limit")
+PREVIEW_SIZE, LOOKAHEAD_SIZE = 11, 26  # numbers that they append to an observation
+PREVIEW_FIELDS = ("box_half_width", "jack_arm", "gravity")  # of the scene, which the preview depends on
+LANDING_FIELDS = (*PREVIEW_FIELDS, "box_mass", "box_inertia", "torque_limit")
 
-# Beyond these a run folder from a stranger could take all memory.
-MOST_COUNTED = 10**12  # of steps, episodes and samples
-MOST_TOGETHER = 5_000_000  # samples that are kept between updates
+# Beyond these an untrusted run folder could fill all memory.
+MOST_STEPS = 10**12  # also of episodes and samples
+MOST_ROLLOUT_SAMPLES = 5_000_000  # between updates
 MOST_LAYERS = 32
-MOST_SAMPLES = 4096
+MOST_LOOKAHEAD = 4096
 MOST_WEIGHTS = 20_000_000  # of one network; there are two
 MOST_THREADS = 1024
 
 
 def renamed(values: dict[str, Any]) -> dict[str, Any]:
-    """Settings by their present names: ``repeat`` was called ``hold``."""
+    """Settings under their present names: ``repeat`` was called ``hold``."""
     old = {} if "repeat" in values else {"hold": "repeat"}
     return {old.get(name, name): value for name, value in values.items()}
 
 
 @dataclass(frozen=True)
 class EnvSettings:
-    """The environment, in words that are also JSON."""
+    """Settings of the environment, each of a type that JSON has."""
 
     task: TaskName = "juggle"
     """What is rewarded."""
@@ -67,13 +67,13 @@ class EnvSettings:
         """Raises ValueError for an unknown fidelity or an invalid scene; the environment checks the rest."""
         Scene.of(self.scene_fields)
         check.real("control_dt", self.control_dt, above=0.0)
-        object.__setattr__(self, "fidelity", chosen(self).get("fidelity"))  # of commands, where nothing is chosen
+        object.__setattr__(self, "fidelity", chosen(self).get("fidelity"))  # exact if none is chosen
         resolve(**chosen(self))
         check.known_keys("randomize", self.randomized, NUMBERS)
 
     @classmethod
     def of(cls, values: Any) -> Self:
-        """Make settings from what a file's JSON holds, of this version or an earlier one.
+        """Make settings from a file's JSON, of this version or an earlier one.
 
         Raises:
             TypeError, ValueError: it is no dict, has an unknown key, or a setting is out of its range.
@@ -107,33 +107,33 @@ class EnvSettings:
     @property
     def env_settings(self) -> dict[str, Any]:
         """Keyword arguments for ``gymnasium.make("JackInBox-v0", ...)``."""
-        words = {part.name: getattr(self, part.name) for part in fields(EnvSettings)}
-        return {**words, "scene": self.scene_fields, "randomize": self.randomized or None}
+        keywords = {part.name: getattr(self, part.name) for part in fields(EnvSettings)}
+        return {**keywords, "scene": self.scene_fields, "randomize": self.randomized or None}
 
     @property
     def options(self) -> list[str]:
-        """Options of a command line that mean this environment: the task, and what differs from the default."""
+        """Command-line options that select this environment: the task, and what differs from the default."""
         others, default = [part.name for part in fields(EnvSettings) if part.name != "task"], EnvSettings()
-        given = [name for name in others if getattr(self, name) not in (None, getattr(default, name))]
-        named = [(f"--{'dt' if name == 'control_dt' else name}", str(getattr(self, name))) for name in given]
-        return ["--task", self.task, *(word for pair in named for word in pair)]
+        changed = [name for name in others if getattr(self, name) not in (None, getattr(default, name))]
+        pairs = [(f"--{'dt' if name == 'control_dt' else name}", str(getattr(self, name))) for name in changed]
+        return ["--task", self.task, *(word for pair in pairs for word in pair)]
 
     @property
     def setting(self) -> Setting:
-        """The contact model and settings of it that these settings mean, in one form."""
+        """The contact model and its settings, in one form."""
         return explicit(resolve(**chosen(self)))
 
 
-# What stored settings mean that lack a name: the defaults of the versions that did not know it.
-_EARLIER: dict[str, Any] = {
+# Defaults for stored settings that lack a name: those of the versions that did not know it.
+_EARLIER_DEFAULTS: dict[str, Any] = {
     "total_steps": 1_000_000, "num_envs": 16, "rollout_steps": 256, "batch_size": 512, "epochs": 10,
     "learning_rate": 5e-4, "gae_lambda": 0.95, "hidden_units": (64, 64), "initial_log_std": 0.0, "repeat": 1,
     "preview": False, "landing": False, "gamma": 0.99, "checkpoint_steps": 100_000, "eval_steps": 100_000,
     "eval_episodes": 32,
 }  # fmt: skip
 
-# How an agent is best trained whose actions are torques.
-_BY_TORQUES: dict[str, Any] = {
+# What trains best if actions are torques.
+_TORQUE_DEFAULTS: dict[str, Any] = {
     "landing": False, "repeat": 4, "total_steps": 4_000_000, "num_envs": 1024, "epochs": 5, "gamma": 0.99,
     "hidden_units": (128, 128),
 }  # fmt: skip
@@ -143,7 +143,7 @@ _BY_TORQUES: dict[str, Any] = {
 class TrainSettings(EnvSettings):
     """Everything that a training run depends on; `make demo` trains by the defaults, some 2 minutes on one core.
 
-    They are for juggle, where the agent says how the box meets the jack. :meth:`suited` has defaults for every task.
+    They are for juggle with landing control. :meth:`suited` has defaults for every task.
     """
 
     seed: int = 0
@@ -180,9 +180,9 @@ class TrainSettings(EnvSettings):
     """Show the networks, beside the observation, where and how the jack will land. Such a model.zip loads only where
     a checkout of this project can be imported; scripts/export.py makes a policy of it that needs numpy alone."""
     lookahead: int = 0
-    """Rollouts by which a plan is improved before each action; the networks see what it and 9 scripted ones bring."""
+    """Rollouts that improve a plan before each action; the networks observe its return and those of 9 scripted ones."""
     landing: bool = True
-    """Actions say how the box meets the jack, in place of torques: jackbox_env.LandingControl. For juggle."""
+    """Actions are the box's angle and rate at the landing, not torques: jackbox_env.LandingControl. For juggle."""
     checkpoint_steps: int = 500_000
     """Steps between checkpoints, from which an interrupted run resumes."""
     eval_steps: int = 250_000
@@ -193,21 +193,22 @@ class TrainSettings(EnvSettings):
     """Threads of torch; small networks want one."""
 
     @classmethod
-    def suited(cls, **given: Any) -> Self:
-        """Make settings from what is given of them; the rest is what trains best on that task, with those actions.
+    def suited(cls, **settings: Any) -> Self:
+        """Complete ``settings`` by the defaults that train best on their task with their kind of actions.
 
-        Actions are torques unless ``landing`` is given, except on juggle without a lookahead.
+        Without ``landing`` actions are torques, except on juggle without a lookahead.
         """
-        landing = given.setdefault("landing", given.get("task", cls.task) == "juggle" and not given.get("lookahead"))
-        return cls(**({} if landing else _BY_TORQUES) | given)
+        by_landing = settings.get("task", cls.task) == "juggle" and not settings.get("lookahead")
+        landing = settings.setdefault("landing", by_landing)
+        return cls(**({} if landing else _TORQUE_DEFAULTS) | settings)
 
     @classmethod
     def of(cls, values: Any) -> Self:
-        """See :meth:`EnvSettings.of`."""
-        return super().of({**_EARLIER, **renamed(values)} if isinstance(values, dict) else values)
+        """As :meth:`EnvSettings.of`; what is missing has the default of an earlier version."""
+        return super().of({**_EARLIER_DEFAULTS, **renamed(values)} if isinstance(values, dict) else values)
 
     def __post_init__(self) -> None:
-        """Refuse settings that cannot train.
+        """Check all settings.
 
         Raises:
             TypeError, ValueError: a setting out of its range.
@@ -222,14 +223,14 @@ class TrainSettings(EnvSettings):
             raise ValueError(f"repeat must divide the {EPISODE_STEPS} control steps of an episode, got {self.repeat}")
         check.flag("preview", self.preview)
         check.flag("landing", self.landing)
-        for name, read in (("preview", PREVIEW_READS), ("landing", LANDING_READS)):
-            varied = [field for field in read if field in self.randomized]
+        for name, scene_fields in (("preview", PREVIEW_FIELDS), ("landing", LANDING_FIELDS)):
+            varied = [field for field in scene_fields if field in self.randomized]
             if getattr(self, name) and varied:
                 raise ValueError(
                     f"{name} must be off where {' and '.join(varied)} varies: it is computed for one scene"
                 )
-        if check.whole("lookahead", self.lookahead, at_least=0, at_most=MOST_SAMPLES) in range(1, 8):
-            raise ValueError(f"lookahead must be 0 or from 8 to {MOST_SAMPLES}, got {self.lookahead}")
+        if check.whole("lookahead", self.lookahead, at_least=0, at_most=MOST_LOOKAHEAD) in range(1, 8):
+            raise ValueError(f"lookahead must be 0 or from 8 to {MOST_LOOKAHEAD}, got {self.lookahead}")
         if self.lookahead and self.landing:
             raise ValueError("landing must be off with a lookahead, whose plans are torques")
         if self.lookahead and self.randomized:
@@ -251,17 +252,17 @@ class TrainSettings(EnvSettings):
             raise ValueError("num_envs * rollout_steps must be at least 2 for PPO, got 1")
 
     def _refuse_absurd_sizes(self, counts: list[str]) -> None:
-        """Refuse sizes that no memory holds, before anything is allocated."""
+        """Raise ValueError for sizes that fit in no memory, before anything is allocated."""
         for name in counts:
-            check.whole(name, getattr(self, name), at_least=1, at_most=MOST_COUNTED)
+            check.whole(name, getattr(self, name), at_least=1, at_most=MOST_STEPS)
         check.whole("torch_threads", self.torch_threads, at_least=1, at_most=MOST_THREADS)
-        if self.num_envs * self.rollout_steps > MOST_TOGETHER:
-            together = self.num_envs * self.rollout_steps
-            raise ValueError(f"num_envs * rollout_steps must be at most {MOST_TOGETHER:,}, got {together:,}")
+        samples = self.num_envs * self.rollout_steps
+        if samples > MOST_ROLLOUT_SAMPLES:
+            raise ValueError(f"num_envs * rollout_steps must be at most {MOST_ROLLOUT_SAMPLES:,}, got {samples:,}")
         if len(self.hidden_units) > MOST_LAYERS:
             raise ValueError(f"hidden_units must be at most {MOST_LAYERS} layers, got {len(self.hidden_units):,}")
-        seen = len(BOUNDS) + PREVIEWED * self.preview + FORESEEN * bool(self.lookahead)
-        weights = sum(before * after for before, after in pairwise((seen, *self.hidden_units, 1)))
+        inputs = len(BOUNDS) + PREVIEW_SIZE * self.preview + LOOKAHEAD_SIZE * bool(self.lookahead)
+        weights = sum(before * after for before, after in pairwise((inputs, *self.hidden_units, 1)))
         if weights > MOST_WEIGHTS:
             raise ValueError(
                 f"hidden_units must make a network of at most {MOST_WEIGHTS:,} weights, got "

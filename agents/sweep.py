@@ -1,7 +1,9 @@
-"""Many trials in one folder: policies that are evaluated, or trainings whose best model is.
+"""Run many trials in one folder: evaluations of policies, or trainings whose best model is evaluated.
+
+``scripts/sweep.py`` and the studies use it. The folder has
 
 sweep.json     the trials, and the versions and the code that they are run with
-trials.jsonl   a line for each trial that has finished, in the order in which they did, on the disk at once
+trials.jsonl   a line for each finished trial, in the order of finishing, on the disk at once
 table.csv      a row for each finished trial, in the order of the grid: the same bytes wherever the trials ran
 runs/          the trainings' run folders
 lock           locked by the process that works here
@@ -36,7 +38,7 @@ from typing import Any, NamedTuple
 from tqdm import tqdm
 
 from agents.evaluation.returns import evaluate
-from agents.files import DamagedFileError, first_line, locked, parsing, read_json, say_skipped
+from agents.files import DamagedFileError, first_line, locked, parsing, read_json, report_skipped
 from agents.policies.registry import find_policy
 from agents.runs import MODEL, PACKAGES, installed, is_whole, machine
 from agents.settings import EnvSettings, TrainSettings, renamed
@@ -71,7 +73,7 @@ Runner = Callable[[Trials, Work], Results]
 
 
 def attempt(work: Work, settings: dict[str, Any]) -> Finished:
-    """Run a trial here and now; what it raises becomes its error."""
+    """Run a trial in this process; an exception becomes its error."""
     try:
         return Finished(settings, work(settings))
     except Exception as error:
@@ -89,8 +91,8 @@ def on_cores(workers: int, trials: Trials, work: Work) -> Results:
     Each process has an executor of its own, so one that dies fails the trial that it ran and no other. Closing the
     iterator ends the processes, and so does the end of this process, even by SIGKILL.
     """
-    os.environ.update(ONE_THREAD)  # of the processes to come; this one has loaded numpy
-    new, before = partial(ProcessPoolExecutor, 1, get_context("spawn"), _start), active_children()
+    os.environ.update(ONE_THREAD)  # for the new processes; this one has loaded numpy already
+    new, before = partial(ProcessPoolExecutor, 1, get_context("spawn"), _end_with_parent), active_children()
     waiting, idle = iter(trials), [new() for _ in range(workers)]
     running = dict[Future[Finished], tuple[dict[str, Any], ProcessPoolExecutor]]()
     try:
@@ -104,7 +106,7 @@ def on_cores(workers: int, trials: Trials, work: Work) -> Results:
                 settings, pool = running.pop(future)
                 try:
                     done = future.result()
-                except Exception as error:  # its process has ended, or could not be given the work
+                except Exception as error:  # its process has ended, or the work could not be sent
                     done, pool = Finished(settings, error=first_line(error)), new()
                 idle.append(pool)
                 yield done
@@ -116,8 +118,8 @@ def on_cores(workers: int, trials: Trials, work: Work) -> Results:
             pool.shutdown()
 
 
-def _start() -> None:
-    """Let a worker end with its parent, however that ends."""
+def _end_with_parent() -> None:
+    """Make a worker end with its parent, however that ends."""
 
     def end() -> None:
         parent_process().join()  # type: ignore[union-attr]
@@ -131,22 +133,22 @@ def _start() -> None:
 
 
 def key_of(settings: dict[str, Any]) -> str:
-    """What two trials of the same settings share, whatever the order of their keys."""
+    """A trial's key: the same for the same settings, whatever their order."""
     return json.dumps(settings, sort_keys=True)
 
 
 @cache
 def made_with() -> dict[str, str]:
-    """Versions, and a digest of the code, that results depend on."""
+    """The versions that results depend on, and a digest of the code."""
     text = hashlib.sha256()
     for path in sorted(path for folder in ("jackbox_env", "agents") for path in (_ROOT / folder).rglob("*.py")):
         text.update(path.relative_to(_ROOT).as_posix().encode() + path.read_bytes())
     return {**installed((*PACKAGES, "numba")), "code": text.hexdigest()[:12]}
 
 
-def differing(there: dict[str, str]) -> str:
-    """What :func:`made_with` returned elsewhere and does not return here, in words; empty if they are the same."""
-    return ", ".join(" ".join(part) for part in sorted(there.items() - made_with().items()))
+def differing(other: dict[str, str]) -> str:
+    """What another process's :func:`made_with` returned and this one's does not, in words; empty if they are equal."""
+    return ", ".join(" ".join(part) for part in sorted(other.items() - made_with().items()))
 
 
 def new_sweep(path: Path | None, trials: list[dict[str, Any]]) -> Path:
@@ -182,10 +184,10 @@ def read_sweep(folder: Path) -> list[dict[str, Any]]:
 def carry_out(
     folder: Path, trials: list[dict[str, Any]], work: Work, runner: Runner, progress: bool = True
 ) -> list[dict[str, Any]]:
-    """Run what has not finished and what has failed, and write the table; the log has each trial as it finishes.
+    """Run the trials that have not finished or have failed, and write the table; each is logged as it finishes.
 
     Returns:
-        The rows of the table: settings, result and error (None if there is none) of each trial, in the given order.
+        The rows of the table in the order of ``trials``: settings, result and error (None if there is none) of each.
 
     Raises:
         FolderInUseError: another process works in the folder.
@@ -193,46 +195,46 @@ def carry_out(
     """
     with locked(folder):
         remove_partials(folder)
-        rows, keys = _read_log(folder / LOG), [key_of(settings) for settings in trials]
-        left = [trial for trial, key in zip(trials, keys, strict=True) if key not in rows or rows[key]["error"]]
-        bar = tqdm(total=len(trials), initial=len(trials) - len(left), unit="trial", disable=not progress)
+        logged, keys = _read_log(folder / LOG), [key_of(settings) for settings in trials]
+        to_run = [trial for trial, key in zip(trials, keys, strict=True) if key not in logged or logged[key]["error"]]
+        bar = tqdm(total=len(trials), initial=len(trials) - len(to_run), unit="trial", disable=not progress)
         try:
-            with (folder / LOG).open("ab") as log, bar, contextlib.closing(runner(left, work)) as ended:
-                for done in ended:
+            with (folder / LOG).open("ab") as log, bar, contextlib.closing(runner(to_run, work)) as results:
+                for done in results:
                     line = json.dumps(done._asdict()).encode()
                     log.write(line + b"\n")
                     log.flush()
                     os.fsync(log.fileno())
-                    rows |= _row(line)
+                    logged |= _row(line)
                     bar.update()
         finally:
-            found = [rows[key] for key in keys if key in rows]
-            write_text(folder / TABLE, _csv(found))
-    return found
+            rows = [logged[key] for key in keys if key in logged]
+            write_text(folder / TABLE, _csv(rows))
+    return rows
 
 
 def _read_log(path: Path) -> dict[str, dict[str, Any]]:
     """The log's rows, the last of each trial; damaged lines are skipped and named on standard error.
 
-    The log is written anew without the beginning of a line at its end, and in place of a link.
+    This writes the log anew: without an unfinished last line, and as a file where it was a link.
     """
     content, rows = path.read_bytes() if path.is_file() else b"", dict[str, dict[str, Any]]()
-    whole = content[: content.rfind(b"\n") + 1]
-    write_bytes(path, whole)
-    for number, line in enumerate(whole.splitlines(), 1):
+    lines = content[: content.rfind(b"\n") + 1]
+    write_bytes(path, lines)
+    for number, line in enumerate(lines.splitlines(), 1):
         try:
             with parsing(Path(f"{path}, line {number},")):
                 rows |= _row(line)
         except DamagedFileError as error:
-            say_skipped(error)
+            report_skipped(error)
     return rows
 
 
 def _row(line: bytes) -> dict[str, dict[str, Any]]:
-    """The row of the table that a line of the log makes, by its trial's key; raises some error if it makes none."""
+    """The table's row of a line of the log, by its trial's key; raises some exception if the line is damaged."""
     done = Finished(**json.loads(line))
     row = {**done.settings, **(done.result or {}), "error": done.error}
-    _csv([row]).encode()  # fails for half a character
+    _csv([row]).encode()  # raises for half a character
     return {key_of(done.settings): row}
 
 
@@ -269,13 +271,13 @@ def grid(
     """
     check.whole("seeds", seeds, at_least=1, at_most=2**32)
     check.whole("episodes", episodes, at_least=2)
-    environments = [_environment(*given) for given in product(task, setting, scene)]
+    environments = [_environment(*names) for names in product(task, setting, scene)]
     if train is not None:
         return [
-            {**asdict(given), "episodes": episodes}
+            {**asdict(settings), "episodes": episodes}
             for varied in _varied(renamed(check.from_json("train", train, dict)))
             for env, seed in product(environments, range(seeds))
-            for given in [TrainSettings.suited(**{**asdict(env), **varied, "seed": seed, "torch_threads": 1})]
+            for settings in [TrainSettings.suited(**{**asdict(env), **varied, "seed": seed, "torch_threads": 1})]
         ]
     names = [str(Path(name).resolve()) if Path(name).exists() else name for name in policy]
     for name, env in product(names, environments):
@@ -289,19 +291,20 @@ def grid(
 def _environment(task: str, setting: str, scene: str) -> EnvSettings:
     """An environment of a task, a fidelity or fields of EnvSettings as JSON, and fields of the scene as JSON.
 
-    It is made once: what cannot be made is refused, and whatever has to be compiled is compiled before any bar.
+    Making it once raises for settings that are invalid together, and compiles before the progress bar starts.
     """
-    named = {"fidelity": setting} if setting in FIDELITIES else check.from_json("setting", setting, dict)
-    check.known_keys("setting", named, [name for name in _ENV if name not in ("task", "scene")])
-    given = EnvSettings(task=task, scene=json.dumps(check.from_json("scene", scene, dict), sort_keys=True), **named)
-    environments = make_vec_env(given.env_settings, 1, 0)
+    keywords = {"fidelity": setting} if setting in FIDELITIES else check.from_json("setting", setting, dict)
+    check.known_keys("setting", keywords, [name for name in _ENV if name not in ("task", "scene")])
+    fields_of_scene = json.dumps(check.from_json("scene", scene, dict), sort_keys=True)
+    settings = EnvSettings(task=task, scene=fields_of_scene, **keywords)
+    environments = make_vec_env(settings.env_settings, 1, 0)
     environments.reset()
     environments.close()
-    return given
+    return settings
 
 
 def _varied(train: dict[str, Any]) -> list[dict[str, Any]]:
-    """Every combination of settings of training, each given with the list of its values."""
+    """Every combination of settings of training, from a list of values for each."""
     check.known_keys("train", train, [name for name in _TRAIN if name not in (*_ENV, "seed", "torch_threads")])
     for name, values in train.items():
         if not isinstance(values, list) or not values:
@@ -310,23 +313,23 @@ def _varied(train: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def run_trial(folder: Path, settings: dict[str, Any]) -> dict[str, Any]:
-    """What a policy earns, or a training's best model: the columns of the table. ``folder`` is the sweep's."""
+    """Evaluate a policy, or train and evaluate the best model: columns of the table. ``folder`` is the sweep's."""
     if "policy" in settings:
         env, starts = EnvSettings(**{name: settings[name] for name in _ENV}), settings["seed"]
         policy, more = find_policy(settings["policy"], env, starts)
     else:  # evaluated from the same starts, whatever the training's seed
         env, starts, more = TrainSettings.of({name: settings[name] for name in _TRAIN}), 0, {}
         policy = find_policy(str(_trained(folder, env)), env).policy
-    found = evaluate("", policy, {**env.env_settings, **more}, settings["episodes"], starts)
-    low, high = found.interval
-    return {"mean": found.mean, "interval_low": low, "interval_high": high, "worst": min(found.returns)}
+    returns = evaluate("", policy, {**env.env_settings, **more}, settings["episodes"], starts)
+    low, high = returns.interval
+    return {"mean": returns.mean, "interval_low": low, "interval_high": high, "worst": min(returns.returns)}
 
 
 def _trained(folder: Path, settings: TrainSettings) -> Path:
     """Train in a run folder below a sweep's.
 
-    A training that was interrupted starts over: going on from a checkpoint would take other starts than an
-    uninterrupted run, and the table would depend on what was killed when.
+    An interrupted training starts over. From a checkpoint it would use other starts than an uninterrupted run, and the
+    table would depend on the moment of the interruption.
 
     Raises:
         FileNotFoundError: the sweep's folder is not on this machine.
@@ -334,9 +337,9 @@ def _trained(folder: Path, settings: TrainSettings) -> Path:
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder} must be on a disk that all machines share: it is not on this one")
     run = folder / RUNS / hashlib.sha256(key_of(asdict(settings)).encode()).hexdigest()[:16]
-    with contextlib.redirect_stdout(io.StringIO()):  # its times, which are in its folder too
+    with contextlib.redirect_stdout(io.StringIO()):  # drops the times that it prints; its folder has them
         if run.exists() and not is_whole(run / MODEL):
-            with locked(run):  # by a training that was taken for lost, perhaps
+            with locked(run):  # raises if a training still runs there
                 shutil.rmtree(run)
         run.parent.mkdir(exist_ok=True)
         trained_in(run, settings, progress=False)

@@ -1,7 +1,7 @@
-"""Run a sweep's trials on a cluster, as plain tasks of Ray, each on one core and in one thread.
+"""Run a sweep's trials on a cluster, as plain tasks of Ray, each in one thread on one core.
 
-A task runs again where its worker or its machine dies. The cluster's machines need this project's requirements and Ray
-in the same versions; the checkout's code and what this machine has compiled are sent to them.
+A task is run again if its worker or its machine dies. The cluster's machines need this project's requirements and Ray
+in the same versions. They receive the checkout's code and what this machine has compiled.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ from jackbox_env import checks as check
 from jackbox_env.exact.compiler import cache_folders
 
 RETRIES = 4  # of a trial whose worker has died; then it has failed
-AHEAD = 8  # trials given to the cluster for each of its cores: short ones do not wait for this process
-POLL = 0.5  # [s] between two polls of what has finished
-ANSWERS = 10.0  # [s] that a cluster's head has to answer
+AHEAD = 8  # trials submitted for each core of the cluster: short ones do not wait for this process
+POLL = 0.5  # [s] between two polls of the running tasks
+CONNECT_TIMEOUT = 10.0  # [s]
 _ROOT = Path(__file__).parents[1]
-_SENT = ("jackbox_env", "agents", "scripts", "tests/data")  # of the checkout; what is not there is left out
+_SENT_FOLDERS = ("jackbox_env", "agents", "scripts", "tests/data")  # of the checkout, if they exist
 _CODE = "compiled"  # folder of compiled code, beside them
 
 
@@ -99,7 +99,7 @@ def _on_cluster(ray: Any, address: str, trials: Trials, work: Work) -> Results:
 
 
 def _fetched(ray: Any, reference: Any, settings: dict[str, Any]) -> Finished:
-    """What a task returned, or that its worker died once too often."""
+    """A task's result; a failed trial if its worker died too often."""
     try:
         return ray.get(reference)  # type: ignore[no-any-return]
     except ray.exceptions.RayTaskError as error:  # not of the work, whose errors are results
@@ -109,11 +109,11 @@ def _fetched(ray: Any, reference: Any, settings: dict[str, Any]) -> Finished:
 
 
 def _join(ray: Any, address: str) -> None:
-    """Join a cluster; an address where nothing answers is refused, which Ray would try for minutes."""
+    """Join a cluster; raises ConnectionError at once if none answers, where Ray would try for minutes."""
     host, _, port = address.rpartition(":")
     if host and port.isdecimal():
         try:
-            socket.create_connection((host, int(port)), timeout=ANSWERS).close()
+            socket.create_connection((host, int(port)), timeout=CONNECT_TIMEOUT).close()
         except OSError as error:
             raise ConnectionError(f"no cluster answers at {address}: {error.strerror or error}") from error
     with tempfile.TemporaryDirectory() as scratch:
@@ -123,12 +123,12 @@ def _join(ray: Any, address: str) -> None:
 
 
 def _copy_code(folder: Path) -> None:
-    """Copy what a cluster's machines get: the checkout's code, and what this machine has compiled.
+    """Copy what is sent to a cluster's machines: the checkout's code, and what this machine has compiled.
 
-    Compiled code is for one kind of processor; a machine of another kind does not load it, and compiles for itself.
+    Compiled code is for one kind of processor. Machines of other kinds compile for themselves.
     """
     unfinished = shutil.ignore_patterns("__pycache__", "*.partial*", "*.tmp")
-    for name in _SENT:
+    for name in _SENT_FOLDERS:
         if (_ROOT / name).is_dir():
             shutil.copytree(_ROOT / name, folder / name, ignore=unfinished)
     for compiled in reversed(cache_folders()):  # the last is where this process saves

@@ -1,4 +1,4 @@
-"""One episode of a policy as a trajectory, and as an animated page."""
+"""Record one episode of a policy, as a trajectory or as an animated page; ``scripts/evaluate.py --html`` uses it."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from jackbox_env import Scene
 from jackbox_env.recording.page import model_facts, write_page
 from jackbox_env.recording.trajectory import Trajectory, TrajectoryRecorder
 
-_LONGEST = 80  # letters of a file's name
+_LONGEST_NAME = 80  # letters of a file's name
 
 
 class Episode(NamedTuple):
-    """What happened in an episode, in which scene, and what was earned."""
+    """An episode's trajectory, its scene and its return."""
 
     trajectory: Trajectory
     scene: Scene
@@ -65,18 +65,18 @@ def page_of_episode(path: Path, name: str, act: Baseline, settings: EnvSettings,
 
 
 def page_names(names: Iterable[str]) -> dict[str, str]:
-    """A file's name for each of several policies: the end of a path, short, and no two alike in any file system."""
-    found = dict[str, str]()
+    """A short file name for each of several policies; no two are equal in any file system."""
+    files = dict[str, str]()
     for name in names:
-        stem = re.sub(r"[^A-Za-z0-9_.-]+", "_", Path(name).name)[:_LONGEST].strip("._-") or "policy"
-        tried = chain([stem], (f"{stem}-{number}" for number in count(2)))
-        taken = {other.lower() for other in found.values()}
-        found[name] = next(f"{one}.html" for one in tried if f"{one}.html".lower() not in taken)
-    return found
+        stem = re.sub(r"[^A-Za-z0-9_.-]+", "_", Path(name).name)[:_LONGEST_NAME].strip("._-") or "policy"
+        candidates = chain([stem], (f"{stem}-{number}" for number in count(2)))
+        used = {file.lower() for file in files.values()}
+        files[name] = next(f"{one}.html" for one in candidates if f"{one}.html".lower() not in used)
+    return files
 
 
 def write_pages(folder: Path, acts: dict[str, Baseline], settings: EnvSettings, seed: int) -> dict[str, float]:
-    """Write a page of an episode of each policy, from the first start that ``seed`` decides; say what each earned."""
+    """Write a page of an episode of each policy, from the first start that ``seed`` decides; return the returns."""
     start = derived_seed("evaluation", seed)
     return {
         file: page_of_episode(folder / file, name, acts[name], settings, start)

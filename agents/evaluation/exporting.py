@@ -1,4 +1,4 @@
-"""Training runs as plain arrays."""
+"""Export of training runs as plain arrays, for ``scripts/export.py`` and the shipped networks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def export_policy(run: Path, folder: Path) -> None:
 
     Args:
         run: run folder, or a model file in one.
-        folder: that the files are written to, see :mod:`agents.policies.network`.
+        folder: of the new files, see :mod:`agents.policies.network`.
 
     Raises:
         FileNotFoundError, ValueError: as :func:`load_model`.

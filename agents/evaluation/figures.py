@@ -1,4 +1,4 @@
-"""Plots of what a trained agent earns."""
+"""Plots of returns: while learning, and beside the scripted policies'."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ def learning_figure(folder: Path, rows: list[Returns], task: str) -> Path:
         mean = results.mean(axis=1)
         left.plot(steps, mean, color=JACK, marker="o", markersize=3)
         left.fill_between(steps, mean - error, mean + error, color=JACK, alpha=0.2, linewidth=0)
-    for place, row in enumerate(row for row in rows if not row.policy.startswith("PPO")):
+    for index, row in enumerate(row for row in rows if not row.policy.startswith("PPO")):
         left.axhline(row.mean, color=ACCENT, linewidth=0.8, linestyle=":")
-        at = (0.02 + 0.16 * place, row.mean)  # side by side, or equal baselines would hide each other
-        left.annotate(row.policy, at, xycoords=("axes fraction", "data"), va="bottom", color=ACCENT)
+        position = (0.02 + 0.16 * index, row.mean)  # side by side, or equal baselines would hide each other
+        left.annotate(row.policy, position, xycoords=("axes fraction", "data"), va="bottom", color=ACCENT)
     left.set(xlabel="steps [million]", ylabel=f"return on {task}", title="while learning (95 % interval)")
     left.set_xlim(left=0.0)
     names = [row.policy for row in rows]

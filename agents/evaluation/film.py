@@ -25,7 +25,7 @@ _CAPTION_HEIGHT = 36  # [pixels] whatever the width: a page shows a wide film sm
 
 
 def check_film(path: Path) -> None:
-    """Refuse a file that no film can be written to, before anything is computed.
+    """Check, before anything is computed, that a film can be written to a file.
 
     Raises:
         ValueError: another suffix than .gif and .mp4.
@@ -41,7 +41,7 @@ def check_film(path: Path) -> None:
 
 
 def film_episode(acts: dict[str, Baseline], env_settings: dict[str, Any], path: Path, seed: int) -> None:
-    """Film one whole episode of these policies, whose start ``seed`` decides; says where it is, and what each earned.
+    """Film one whole episode of these policies, whose start ``seed`` decides; prints the path and the returns.
 
     Raises:
         FileExistsError: there is something at ``path``.
@@ -110,12 +110,12 @@ def film(
 
 
 def _captioned(picture: Any, caption: str, width: int) -> Frame:
-    """Put the caption above."""
+    """The picture with a caption above it."""
     page = Image.new("RGB", (width, width + _CAPTION_HEIGHT), "white")
     page.paste(Image.fromarray(picture), (0, _CAPTION_HEIGHT))
     font = ImageFont.load_default(size=0.6 * _CAPTION_HEIGHT)
-    place = width / 2, _CAPTION_HEIGHT / 2
-    ImageDraw.Draw(page).text(place, caption, fill="#222222", font=font, anchor="mm")
+    centre = width / 2, _CAPTION_HEIGHT / 2
+    ImageDraw.Draw(page).text(centre, caption, fill="#222222", font=font, anchor="mm")
     return np.asarray(page)
 
 
@@ -132,7 +132,7 @@ def _write(frames: list[Frame], path: Path, fps: float) -> None:
 
 
 def _palette(pixels: Frame) -> Image.Image:
-    """Make one of 256 colours: the widest areas' own, the rest so that small things (flash, gauge) keep theirs."""
+    """A palette of 256 colours: the widest areas' own, and others so that small things (flash, gauge) keep theirs."""
     colours, areas = np.unique(pixels, axis=0, return_counts=True)
     widest = colours[np.argsort(areas)[-32:]]
     spread = Image.fromarray(colours[None]).quantize(256 - len(widest), method=Image.Quantize.MEDIANCUT)

@@ -1,4 +1,4 @@
-"""What a reader of an evaluation must know: which environment it is, and which policies come from another one."""
+"""The environment of an evaluation in words, and notes about policies that were trained in another one."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def describe_env(settings: EnvSettings) -> str:
 
 
 def _settings_of(name: str, here: EnvSettings) -> EnvSettings | None:
-    """The environment that a policy was trained in, a shipped network's too; None if that is unknown."""
+    """The environment that a policy was trained in, a shipped network too; None if that is unknown."""
     if name in POLICIES:
         return None
     shipped = name in shipped_names(here.task)
@@ -39,7 +39,7 @@ def _settings_of(name: str, here: EnvSettings) -> EnvSettings | None:
 
 
 def warn_of_other_training(name: str, here: EnvSettings) -> None:
-    """Note which policies were trained in another environment, or plan in another scene than those that are drawn."""
+    """Print a note if a policy was trained in another environment, or plans in another scene than those drawn."""
     if name in POLICIES and name not in SCRIPTED and here.randomized:
         print(f"Note: {name} plans in the scene that is given, not in those that randomize draws", file=sys.stderr)
     trained = _settings_of(name, here)

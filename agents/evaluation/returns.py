@@ -40,7 +40,7 @@ class Returns:
         return self.mean - self.half_width, self.mean + self.half_width
 
     def as_json(self) -> dict[str, Any]:
-        """Everything, for a file."""
+        """All figures and returns, for a JSON file."""
         return {
             "policy": self.policy,
             "mean": self.mean,
@@ -59,10 +59,10 @@ def evaluate(
     deterministic: bool = True,
     progress: bool = False,
 ) -> Returns:
-    """Run whole episodes, up to 16 side by side, from starts that ``seed`` decides; training has not seen them."""
+    """Run whole episodes, up to 16 side by side, from starts that ``seed`` decides and that no training uses."""
     starts = derived_seed("evaluation", seed)
     environments = make_vec_env(env_settings, min(16, episodes), starts)
-    environments.reset()  # whatever has to be compiled is compiled now, before the bar
+    environments.reset()  # compiles, before the bar
     environments.seed(starts)
     steps = episodes * EPISODE_STEPS
     with tqdm(total=steps, desc=name, unit="step", unit_scale=True, disable=not progress, leave=False) as bar:
@@ -93,8 +93,8 @@ def table(rows: list[Returns]) -> str:
 
 def above(rows: list[Returns], upper: str, lower: str) -> str:
     """In words: whether the whole interval of one policy's mean is above that of another's."""
-    found = {row.policy: row for row in rows}
-    high, low = found[upper], found[lower]
+    by_policy = {row.policy: row for row in rows}
+    high, low = by_policy[upper], by_policy[lower]
     is_above = high.interval[0] > low.interval[1]
     return (
         f"{upper}'s interval ({high.interval[0]:.1f} to {high.interval[1]:.1f}) is {'' if is_above else 'not '}above "

@@ -1,8 +1,10 @@
-"""Where and how the jack will land, in closed form from what the agent sees: features beside the ten numbers.
+"""Landing features: where and how the jack will land, in closed form from the observation.
 
-Between impacts the jack flies freely, and the box turns at its own rate where no torque acts. So the moment at which
-the jack's centre comes to the height -(L - l) under the box's centre, where a foot pointing down touches the floor of a
-level box, follows from the present observation, and with it place, speed and angles at that moment.
+Networks use them beside the ten numbers (the setting ``preview``).
+
+Between impacts the jack flies freely, and without a torque the box turns at a constant rate. The landing is the moment
+at which the jack's centre is L - l below the box's centre: a foot that points down touches the floor of a level box.
+The observation determines this moment, and position, speed and angles at it.
 """
 
 from __future__ import annotations
@@ -18,17 +20,17 @@ from jackbox_env.landing import LONGEST, WEAKEST, fall_time
 
 
 class LandingNumbers(NamedTuple):
-    """What the preview needs of a scene, in units of L, v0 = sqrt(2 * 9.81 * L) and L / v0."""
+    """The numbers of a scene that the features depend on, in units of L, v0 = sqrt(2 * 9.81 * L) and L / v0."""
 
     gravity: float  # g L / v0^2, 1/2 on Earth
     floor: float  # (L - l) / L, depth of the landing under the box's centre
-    spin: float  # L / l, by which omega_jack in units of v0 / l becomes one in units of v0 / L
+    spin: float  # L / l, factor from omega_jack in units of v0 / l to units of v0 / L
 
 
 Flight = LandingNumbers  # its name in models that earlier versions saved
 
 # Beyond these float32 would overflow on the way.
-_STRONGEST, _FINEST = 1e20, 1e6
+_MOST_GRAVITY, _MOST_SPIN = 1e20, 1e6
 
 FEATURES = (
     "time",  # to the landing, in units of a fall of L on Earth, 2 L / v0
@@ -46,33 +48,33 @@ FEATURES = (
 
 
 def landing_numbers(scene: Scene) -> LandingNumbers:
-    """The numbers of a scene that the preview needs; those too large for float32 are cut."""
+    """The numbers of a scene that the features depend on; those too large for float32 are clipped."""
     length = scene.box_half_width
     return LandingNumbers(
-        gravity=min(_STRONGEST, scene.gravity / (2.0 * 9.81)),
+        gravity=min(_MOST_GRAVITY, scene.gravity / (2.0 * 9.81)),
         floor=(length - scene.jack_arm) / length,
-        spin=min(_FINEST, length / scene.jack_arm),
+        spin=min(_MOST_SPIN, length / scene.jack_arm),
     )
 
 
 def preview(numbers: LandingNumbers, observations: NDArray[np.float32]) -> NDArray[np.float32]:
     """The features of ``FEATURES``, float32, shape (n, 11), for observations, float32, shape (n, 10).
 
-    The landing is that of a jack whose box does not move but turns at its present rate. Walls on the way do not count.
-    Without gravity a jack that does not fall lands after ``LONGEST``.
+    The box is assumed not to move, and to turn at its present rate. Walls on the way are ignored. Without gravity a
+    jack that does not fall lands after ``LONGEST``.
     """
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # cut or not taken, see ``columns``
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # clipped or not selected, see ``columns``
         return np.stack(columns(numbers, observations.T, np), axis=1)
 
 
-def columns(numbers: LandingNumbers, seen: Any, library: Any) -> tuple[Any, ...]:
-    """The features, an array each, from the ten numbers of observations, an array each: by numpy or torch."""
+def columns(numbers: LandingNumbers, observed: Any, library: Any) -> tuple[Any, ...]:
+    """The features, an array each, from the ten numbers of observations, an array each, by numpy or torch."""
     clip, atan2 = library.clip, library.arctan2
-    x, y, vx, vy, cosine, sine, omega_box, cosine_4, sine_4, omega_jack = seen
+    x, y, vx, vy, cosine, sine, omega_box, cosine_4, sine_4, omega_jack = observed
     height = clip(sine * x + cosine * y + numbers.floor, 0.0, None)
     rise = sine * vx + cosine * vy
     time = fall_time(max(numbers.gravity, WEAKEST), height, rise, LONGEST, library)
-    place = cosine * x - sine * y + (cosine * vx - sine * vy) * time
+    offset = cosine * x - sine * y + (cosine * vx - sine * vy) * time
     theta = atan2(sine, cosine)
     turned, spun = omega_box * time, numbers.spin * omega_jack * time
     relative = atan2(sine_4, cosine_4) + 4.0 * (spun - turned)
@@ -85,7 +87,7 @@ def columns(numbers: LandingNumbers, seen: Any, library: Any) -> tuple[Any, ...]
         library.sin(2.0 * relative),
         library.cos(world),
         library.sin(world),
-        clip(place, -2.0, 2.0),
+        clip(offset, -2.0, 2.0),
         clip(numbers.gravity * time - rise, -10.0, 10.0),
         clip(spun / (0.5 * math.pi), -10.0, 10.0),
         clip(theta + turned, -10.0, 10.0),

@@ -1,12 +1,12 @@
-"""A trained policy as plain arrays: it plays with numpy alone, without torch and Stable-Baselines3.
+"""Trained policies as plain arrays: they act with numpy alone, without torch and Stable-Baselines3.
 
-A folder of such a policy holds
+A folder of such a policy has
 
-settings.json   what it was trained by
+settings.json   its training's settings
 weights.npz     weight_0, bias_0 of the first layer, and so on; float32, weights of shape (outputs, inputs)
 evaluations.npz, time.json   its learning curve and its times, if they are known
 
-Between the layers stands tanh. The last layer's output is the mean of the actions, which is what the policy does.
+tanh is applied between the layers. The last layer's output is the mean of the actions; the policy acts by it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from agents.files import read_bounded, unpacked_arrays
 from agents.policies.landing_features import FEATURES, landing_numbers, preview
 from agents.policies.playing import Actions, RepeatingPolicy
 from agents.runs import SETTINGS
-from agents.settings import FORESEEN, MOST_LAYERS, MOST_WEIGHTS, EnvSettings, TrainSettings
+from agents.settings import LOOKAHEAD_SIZE, MOST_LAYERS, MOST_WEIGHTS, EnvSettings, TrainSettings
 from jackbox_env import Scene
 from jackbox_env.files import write_bytes, write_json
 from jackbox_env.observation import BOUNDS, state_of
@@ -38,10 +38,10 @@ from jackbox_env.tasks import TASKS
 WEIGHTS = "weights.npz"
 SHIPPED = Path(__file__).parents[1] / "trained"  # a folder <task>-<name> of each policy that comes with the repository
 TRAINED = tuple(task for task in TASKS if (SHIPPED / f"{task}-ppo").is_dir())  # tasks with a network by PPO
-_Made = TypeVar("_Made")
+_Policy = TypeVar("_Policy")  # or a value
 Layer = tuple[NDArray[np.float32], NDArray[np.float32]]  # weight and bias
-_MOST_SETTINGS = 100_000  # [bytes] of a JSON file
-_SPARE = 65_536  # [bytes] of a file beside its numbers
+_MOST_JSON = 100_000  # [bytes]
+_HEADERS = 65_536  # [bytes] of an npz file, at most
 
 
 class NetworkPolicy(RepeatingPolicy):
@@ -62,49 +62,49 @@ class NetworkPolicy(RepeatingPolicy):
         if settings.lookahead:
             options = LookaheadOptions(settings.repeat, samples=settings.lookahead, follow=True, num_threads=1)
             self._features = Features(settings.task, settings.control_dt, options)
-        seen = len(BOUNDS) + FORESEEN * bool(settings.lookahead) + len(FEATURES) * settings.preview
-        check_layers(layers, [seen, *settings.hidden_units, self.action_size])
+        inputs = len(BOUNDS) + LOOKAHEAD_SIZE * bool(settings.lookahead) + len(FEATURES) * settings.preview
+        check_layers(layers, [inputs, *settings.hidden_units, self.action_size])
 
     def begin(self, count: int) -> Plans | None:
-        """Plans of no torque, if the network looks ahead."""
+        """Plans of no torque with a lookahead, else None."""
         return self._features.begin(count) if self._features else None
 
     def decide(self, observations: NDArray[Any], plans: Any) -> tuple[NDArray[Any], Any]:
-        """The network's actions; if it looks ahead, they correct its plans."""
+        """The network's actions; with a lookahead they correct its plans."""
         if self._features is None:
             return self.act(observations), None
         appended, next_plans = self._features.look([self._scene], observations, plans)
-        seen = np.concatenate([observations, appended], axis=1)
-        return self._features.torques(self.act(seen), seen), next_plans
+        extended = np.concatenate([observations, appended], axis=1)
+        return self._features.torques(self.act(extended), extended), next_plans
 
-    def act(self, seen: NDArray[Any]) -> Actions:
+    def act(self, observations: NDArray[Any]) -> Actions:
         """The network's outputs, shape (n, action_size), for observations as in training, shape (n, 10 or more)."""
-        values = np.asarray(seen, dtype=np.float32)
+        values = np.asarray(observations, dtype=np.float32)
         if self._numbers:
             values = np.concatenate([values, preview(self._numbers, values[:, : len(BOUNDS)])], axis=1)
         return np.clip(outputs(self._layers, values), -1.0, 1.0)
 
     def torques(self, actions: Actions, observations: NDArray[Any]) -> Actions:
-        """If actions are landings of the box, the torques that steer to them now; else the actions."""
+        """The actions; if they are landings of the box, the torques that steer to them now."""
         if not self.settings.landing:
             return actions
         states = np.array([state_of(self._scene, row) for row in observations.tolist()])
-        found = aim(self._scene, self.settings.control_dt, actions, len(states))(states)
-        return found.astype(np.float32)[:, None]
+        torques = aim(self._scene, self.settings.control_dt, actions, len(states))(states)
+        return torques.astype(np.float32)[:, None]
 
 
 def check_layers(layers: list[Layer], sizes: list[int]) -> None:
-    """Raise ValueError for layers that do not lead from the first of these numbers of neurons to the last."""
-    wanted = [((after, before), (after,)) for before, after in pairwise(sizes)]
-    found = [(weight.shape, bias.shape) for weight, bias in layers]
-    if found != wanted:
-        raise ValueError(f"the layers must have shapes {wanted}, got {found}")
+    """Raise ValueError for layers that do not connect layers of these numbers of neurons, or are not finite."""
+    required = [((after, before), (after,)) for before, after in pairwise(sizes)]
+    shapes = [(weight.shape, bias.shape) for weight, bias in layers]
+    if shapes != required:
+        raise ValueError(f"the layers must have shapes {required}, got {shapes}")
     if not all(np.isfinite(part).all() for layer in layers for part in layer):
         raise ValueError("weights must be finite")
 
 
 def outputs(layers: list[Layer], values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """What a network with tanh between its layers makes of inputs, shape (n, inputs)."""
+    """Outputs, shape (n, outputs), of a network with tanh between its layers for inputs, shape (n, inputs)."""
     for number, (weight, bias) in enumerate(layers):
         values = np.tanh(values) if number else values
         values = values @ weight.T + bias
@@ -118,11 +118,11 @@ def layers_of(parameters: Mapping[str, Any]) -> list[Layer]:
         KeyError: the parameters are not those of an MLP policy.
     """
     inner = [name[: -len(".weight")] for name in parameters if name.startswith("mlp_extractor.policy_net.")]
-    names = [*sorted({name for name in inner if f"{name}.weight" in parameters}, key=_place), "action_net"]
+    names = [*sorted({name for name in inner if f"{name}.weight" in parameters}, key=_index_in), "action_net"]
     return [(_copy(parameters[f"{name}.weight"]), _copy(parameters[f"{name}.bias"])) for name in names]
 
 
-def _place(name: str) -> int:
+def _index_in(name: str) -> int:
     return int(name.rsplit(".", 1)[1])
 
 
@@ -146,31 +146,31 @@ def read_layers(folder: Path) -> list[Layer]:
     """Read the layers of a network; nothing is unpickled.
 
     Raises:
-        FileNotFoundError: the folder holds none.
+        FileNotFoundError: the folder has none.
         ValueError: the file, or what it inflates to, is far larger than any network here. Damage raises whatever numpy
             raises.
     """
     path = folder / WEIGHTS
-    stored = unpacked_arrays(read_bounded(path, 4 * MOST_WEIGHTS + _SPARE), str(path))
+    stored = unpacked_arrays(read_bounded(path, 4 * MOST_WEIGHTS + _HEADERS), str(path))
     count = min(MOST_LAYERS + 1, len(stored) // 2)
     return [(stored[f"weight_{number}"], stored[f"bias_{number}"]) for number in range(count)]
 
 
-def read_with_layers(folder: Path, name: str, kind: str, make: Callable[[Any, list[Layer]], _Made]) -> _Made:
-    """What is made of a folder's JSON file ``name`` and its layers; nothing is unpickled.
+def read_with_layers(folder: Path, name: str, kind: str, make: Callable[[Any, list[Layer]], _Policy]) -> _Policy:
+    """Read a policy or a value from a folder's JSON file ``name`` and its layers; nothing is unpickled.
 
     Args:
         folder: of the two files.
         name: of the JSON file.
-        kind: of what it holds, for errors.
-        make: it, from what the JSON holds and the layers.
+        kind: what it is, for errors.
+        make: returns it, from the parsed JSON and the layers.
 
     Raises:
         FileNotFoundError: a file is missing.
         ValueError: the files are damaged, or do not fit each other.
     """
     try:
-        return make(json.loads(read_bounded(folder / name, _MOST_SETTINGS)), read_layers(folder))
+        return make(json.loads(read_bounded(folder / name, _MOST_JSON)), read_layers(folder))
     except FileNotFoundError:
         raise
     except Exception as error:
@@ -181,9 +181,9 @@ def read_policy(folder: Path) -> NetworkPolicy:
     """Read a policy from its folder; nothing is unpickled.
 
     Raises:
-        FileNotFoundError: it holds none.
+        FileNotFoundError: it has none.
         ValueError: its files are damaged, or do not fit each other.
     """
     return read_with_layers(
-        folder, SETTINGS, "policy", lambda given, layers: NetworkPolicy(TrainSettings.of(given), layers)
+        folder, SETTINGS, "policy", lambda stored, layers: NetworkPolicy(TrainSettings.of(stored), layers)
     )

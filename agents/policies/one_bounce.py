@@ -1,15 +1,15 @@
-"""A policy without a planner: it chooses how the box shall meet the jack, at the landing that it foresees.
+"""The one-bounce policy: it chooses the box's angle and rate at the jack's next landing, without a planner.
 
-From the ten numbers it knows when the jack lands. For every pair of a box angle and a box rate from two lists it works
-out, in closed form, what one bounce on such a floor makes of the jack, and a network says what that is worth. Then it
-turns the box to the best pair, by the cubic in time that ends there at the landing. It tries no sequences of torques.
+The observation determines when the jack lands. For every pair of an angle and a rate from two lists, the policy
+computes one bounce on such a floor in closed form, and a network evaluates the state after it. Then the box turns to
+the best pair by a cubic in time that ends at the landing.
 
-The network is a value as the planner's (:mod:`agents.policies.value`), improved on what this policy itself goes through
+The network is a value like the planner's (:mod:`agents.policies.value`), improved on states that this policy visits
 (``scripts/studies/distil.py``).
 
-A folder of such a policy holds
+A folder of such a policy has
 
-landing.json    what it was made for, and the lists
+landing.json    the environment that it was made for, and the lists
 weights.npz     as in :mod:`agents.policies.value`
 """
 
@@ -35,37 +35,37 @@ from jackbox_env.states import OMEGA_BOX, RATES, THETA_BOX, THETA_JACK, VY_JACK,
 
 LANDING = "landing.json"
 FLOOR = 3  # the wall under the jack while the box is turned by less than an eighth of a turn
-AFTER = 0.25  # [s] after the landing of a level box a bounce is judged
-_MOST_PAIRS = 1000  # each takes some kilobyte for each jack
-_SEARCHES = 3  # Newton steps to the moment of the contact
-_STEP = 0.25  # [s] the longest of them
-_SLOWEST = 0.5  # [m/s] a gap that closes more slowly counts as closing so fast in them
+AFTER = 0.25  # [s] after the landing in a level box a bounce is evaluated
+_MOST_PAIRS = 1000  # each needs about a kilobyte for each jack
+_NEWTON_STEPS = 3  # to the moment of the contact
+_LONGEST_STEP = 0.25  # [s]
+_LEAST_CLOSING = 0.5  # [m/s] speed of a gap in these steps, at least
 
 
 @dataclass(frozen=True)
 class LandingSettings(EnvSettings):
-    """What a policy was made for, and what it chooses from."""
+    """The environment that a policy was made for, and the angles and rates that it chooses from."""
 
     contact: str | None = "exact"
     """Contact model that it was made on."""
     repeat: int = 5
     """Control steps between decisions."""
     angles: tuple[float, ...] = (0.0,)
-    """Angles of the box at the landing that are judged [rad]."""
+    """Angles of the box at the landing [rad]."""
     rates: tuple[float, ...] = (0.0,)
-    """Rates of the box there that are judged [rad/s]."""
+    """Rates of the box at the landing [rad/s]."""
 
     def __post_init__(self) -> None:
         """Raises TypeError or ValueError for settings that make no policy."""
         super().__post_init__()
         check.whole("repeat", self.repeat, at_least=1, at_most=EPISODE_STEPS)
         for name, most in (("angles", QUARTER), ("rates", 100.0)):
-            given = getattr(self, name)
-            if not isinstance(given, list | tuple) or not 0 < len(given) <= _MOST_PAIRS:
-                raise ValueError(f"{name} must be a list of 1 to {_MOST_PAIRS} numbers, got {check.shown(given)}")
-            for number in given:
+            numbers = getattr(self, name)
+            if not isinstance(numbers, list | tuple) or not 0 < len(numbers) <= _MOST_PAIRS:
+                raise ValueError(f"{name} must be a list of 1 to {_MOST_PAIRS} numbers, got {check.shown(numbers)}")
+            for number in numbers:
                 check.real(name, number, at_least=-most, at_most=most)
-            object.__setattr__(self, name, tuple(given))
+            object.__setattr__(self, name, tuple(numbers))
         pairs = len(self.angles) * len(self.rates)
         if pairs > _MOST_PAIRS:
             raise ValueError(f"angles and rates must make at most {_MOST_PAIRS:,} pairs, got {pairs:,}")
@@ -78,18 +78,18 @@ class LandingSettings(EnvSettings):
 
 
 def flown(scene: Scene, states: Array, times: Array) -> Array:
-    """States, shape (n, 12), after times [s], shape (n,), in which nothing is struck and no torque acts."""
-    found, left = states.copy(), times[:, None]
-    found[:, :RATES] += found[:, RATES:] * left
-    found[:, Y_JACK] -= 0.5 * scene.gravity * times * times
-    found[:, VY_JACK] -= scene.gravity * times
-    return found
+    """States, shape (n, 12), after times [s], shape (n,), of free flight without torque."""
+    later = states.copy()
+    later[:, :RATES] += later[:, RATES:] * times[:, None]
+    later[:, Y_JACK] -= 0.5 * scene.gravity * times * times
+    later[:, VY_JACK] -= scene.gravity * times
+    return later
 
 
 def bounced(scene: Scene, states: Array, times: Array, targets: Array) -> Array:
-    """States ``AFTER`` the landings, had the box met the jack so: one contact of one foot with the floor.
+    """States ``AFTER`` the landings, predicted for target angles and rates: one contact of one foot with the floor.
 
-    The moment of the contact is found by Newton's method on the gap, the bounce is :func:`impact_map`'s.
+    Newton's method on the gap locates the moment of the contact; :func:`impact_maps` evaluates the bounce.
 
     Args:
         scene: in which the jack flies; the box's angle is within an eighth of a turn.
@@ -100,14 +100,14 @@ def bounced(scene: Scene, states: Array, times: Array, targets: Array) -> Array:
     at = flown(scene, states, times)
     at[:, THETA_BOX], at[:, OMEGA_BOX] = targets.T
     floors, since = np.full(len(at), FLOOR), np.zeros(len(at))
-    for search in range(_SEARCHES + 1):
+    for iteration in range(_NEWTON_STEPS + 1):
         moved = flown(scene, at, since)
         turns = np.round((moved[:, THETA_BOX] - QUARTER - moved[:, THETA_JACK]) / QUARTER)
         feet = turns.astype(np.int64) % 4  # nearest to the floor
-        if search < _SEARCHES:
+        if iteration < _NEWTON_STEPS:
             gap, jacobians = contacts_of(scene, moved, floors, feet)
-            closing = np.maximum(-(jacobians * moved[:, RATES:]).sum(axis=1), _SLOWEST)
-            since = since + np.clip(gap / closing, -_STEP, _STEP)
+            closing = np.maximum(-(jacobians * moved[:, RATES:]).sum(axis=1), _LEAST_CLOSING)
+            since = since + np.clip(gap / closing, -_LONGEST_STEP, _LONGEST_STEP)
     return flown(scene, impact_maps(scene, moved, floors, feet)[0], AFTER - since)
 
 
@@ -115,7 +115,7 @@ class LandingPolicy(RepeatingPolicy):
     """A policy with Stable-Baselines3's ``predict``.
 
     Args:
-        settings: what it was made for.
+        settings: the environment, and the angles and rates to choose from.
         layers: of the value, see :class:`agents.policies.value.Value`.
 
     Raises:
@@ -140,22 +140,22 @@ class LandingPolicy(RepeatingPolicy):
         return torques(self._scene, states, times, chosen, self._duration)
 
     def worth(self, states: Array, times: Array) -> Array:
-        """What each pair is worth, shape (n, pairs), for states, shape (n, 12), and times to the landing, (n,)."""
-        many, count = len(self._pairs), len(states)
+        """Value of each pair, shape (n, pairs), for states, shape (n, 12), and times to the landing, (n,)."""
+        pairs, count = len(self._pairs), len(states)
         after = bounced(
-            self._scene, np.repeat(states, many, axis=0), np.repeat(times, many), np.tile(self._pairs, (count, 1))
+            self._scene, np.repeat(states, pairs, axis=0), np.repeat(times, pairs), np.tile(self._pairs, (count, 1))
         )
-        # each jack's pairs apart, always as many together: a product of matrices may depend on how many rows it has
-        return np.array([self.value.of(own) for own in after.reshape(count, many, 12)]).reshape(count, many)
+        # each jack by itself, always as many rows: a product of matrices may depend on how many rows it has
+        return np.array([self.value.of(of_jack) for of_jack in after.reshape(count, pairs, 12)]).reshape(count, pairs)
 
 
 def read_landing(folder: Path) -> LandingPolicy:
     """Read a policy from its folder; nothing is unpickled.
 
     Raises:
-        FileNotFoundError: it holds none.
+        FileNotFoundError: it has none.
         ValueError: its files are damaged, or do not fit each other.
     """
     return read_with_layers(
-        folder, LANDING, "policy of landings", lambda given, layers: LandingPolicy(LandingSettings.of(given), layers)
+        folder, LANDING, "policy of landings", lambda stored, layers: LandingPolicy(LandingSettings.of(stored), layers)
     )

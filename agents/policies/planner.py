@@ -1,4 +1,4 @@
-"""Planners: at each tenth of a second they play many sequences of torques by the exact model and keep the best."""
+"""Planners: every 0.1 s they simulate many torque sequences by the exact model and follow the best."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from jackbox_env.observation import state_of
 from jackbox_env.planning.features import Features, LookaheadOptions
 from jackbox_env.planning.icem import Plans, Search
 
-DECISION = 0.1  # [s] between decisions, as the settings here were tried
+DECISION_INTERVAL = 0.1  # [s] that the settings here were tuned for
 VALUED_KNOTS = 20  # of a plan whose end has a value
 
 
 def decision_steps(settings: EnvSettings) -> int:
     """Control steps between decisions."""
-    return max(1, round(DECISION / settings.control_dt))
+    return max(1, round(DECISION_INTERVAL / settings.control_dt))
 
 
 class Planner(RepeatingPolicy):
-    """A policy with Stable-Baselines3's ``predict`` that carries on plans by :mod:`jackbox_env.planning.icem`.
+    """A policy with Stable-Baselines3's ``predict`` that warm-starts its plans, by :mod:`jackbox_env.planning.icem`.
 
-    It reads the state off the ten numbers of the observation, so it plays on both contact models; on pymunk its model
-    is not the environment's. Side forces of the scene's drive are not foreseen.
+    It computes the state from the observation, so it plays on both contact models; on pymunk its model is not the
+    environment's. It ignores side forces of the scene's drive.
 
     Args:
         scene: that it plans in.
@@ -42,7 +42,7 @@ class Planner(RepeatingPolicy):
         iterations: of each decision.
         seed: of the candidates. An environment's plan does not depend on those beside it.
         num_threads: that play them; the plans do not depend on it.
-        value: what the last state of a plan is worth, added to its rewards; None: nothing.
+        value: of the last state of a plan, added to its rewards; None: none.
 
     Raises:
         TypeError, ValueError: an argument out of its range.
@@ -72,12 +72,12 @@ class Planner(RepeatingPolicy):
     def decide(self, observations: NDArray[Any], plans: Any) -> tuple[NDArray[Any], Any]:
         """The first torques of the best plans."""
         states = np.array([state_of(self._scene, row) for row in observations.tolist()])
-        found, next_plans = self._search.decide(self._scene, states, plans)
-        return found.plans[:, :1], next_plans
+        best, next_plans = self._search.decide(self._scene, states, plans)
+        return best.plans[:, :1], next_plans
 
 
 class PlanAlone(RepeatingPolicy):
-    """A policy that follows the plan of 32 samples that ``Lookahead`` shows, and corrects nothing.
+    """A policy that follows the plan of ``Lookahead`` with 32 samples, without corrections.
 
     Args:
         settings: of the environment that it plays in.

@@ -1,7 +1,7 @@
 """Policies that decide once every few control steps and repeat the action in between.
 
-Such a policy plays in the ordinary environment, which asks for an action at every control step and shows ten numbers.
-The planner, the one-bounce policy and the networks derive from :class:`RepeatingPolicy`.
+Such a policy plays in the ordinary environment, whose every control step needs an action and returns ten numbers. The
+planner, the one-bounce policy and the networks derive from :class:`RepeatingPolicy`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ class Memory(NamedTuple):
     """The recurrent state of a policy in n environments."""
 
     actions: Actions  # (n, action size) of the last decisions
-    left: NDArray[np.int64]  # (n,) number of calls that still repeat each action
+    repeats: NDArray[np.int64]  # (n,) calls that will still repeat each action
     plans: Plans | None  # warm-started plans, if the policy plans
 
 
@@ -65,24 +65,24 @@ class RepeatingPolicy:
             state = Memory(
                 np.zeros((count, self.action_size), np.float32), np.zeros(count, np.int64), self.begin(count)
             )
-        if len(state.left) != count:
-            raise ValueError(f"state must be that of {count} environments, as observation is, got {len(state.left)}")
-        actions, left, plans = state.actions.copy(), state.left.copy(), state.plans
+        if len(state.repeats) != count:
+            raise ValueError(f"state must be that of {count} environments, as observation is, got {len(state.repeats)}")
+        actions, repeats, plans = state.actions.copy(), state.repeats.copy(), state.plans
         if episode_start is not None:
-            new = _numbers(episode_start, count)
-            left[new] = 0
+            new = _starting(episode_start, count)
+            repeats[new] = 0
             if plans is not None:
                 plans = plans.replaced(new, self.begin(len(new)))
-        due = np.flatnonzero(left == 0)
+        due = np.flatnonzero(repeats == 0)
         if len(due):
             actions[due], next_plans = self.decide(rows[due], plans and plans.of(due))
-            plans, left[due] = plans and plans.replaced(due, next_plans), self.repeat
+            plans, repeats[due] = plans and plans.replaced(due, next_plans), self.repeat
         torques = self.torques(actions, rows)
-        return torques.copy() if np.ndim(observation) == 2 else torques[0].copy(), Memory(actions, left - 1, plans)
+        return torques.copy() if np.ndim(observation) == 2 else torques[0].copy(), Memory(actions, repeats - 1, plans)
 
 
-def _numbers(episode_start: Any, count: int) -> NDArray[np.int64]:
-    """The numbers of the environments in which an episode starts.
+def _starting(episode_start: Any, count: int) -> NDArray[np.int64]:
+    """Indices of the environments in which an episode starts.
 
     Raises:
         ValueError: ``episode_start`` has another number of environments.

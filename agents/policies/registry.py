@@ -16,29 +16,29 @@ from agents.runs import SETTINGS, TRAINED_BY, model_in, read_parameters, read_se
 from agents.settings import EnvSettings, TrainSettings
 from jackbox_env import Scene
 
-_FEW: dict[str, Any] = {"samples": 64, "elites": 6, "iterations": 1}  # a millisecond for each decision
+_FAST: dict[str, Any] = {"samples": 64, "elites": 6, "iterations": 1}  # 1 ms for each decision
 
 
 def _planner(settings: EnvSettings, scene: Scene, seed: int) -> Planner:
-    """The planner of an environment; its plans are shorter where a value was made for this very scene and task.
+    """The planner of an environment; with shorter plans if a value was made for this very scene and task.
 
     Raises:
         FileNotFoundError, ValueError: the value that comes with the repository is damaged.
     """
-    given: dict[str, Any] = {"seed": seed}
+    options: dict[str, Any] = {"seed": seed}
     folder = SHIPPED / f"{settings.task}-value"
     if folder.is_dir():
         value = read_value(folder)
-        made = value.settings
-        made_for = made.task, made.control_dt, Scene.of(made.scene_fields).changed(drive=None)
+        stored = value.settings
+        made_for = stored.task, stored.control_dt, Scene.of(stored.scene_fields).changed(drive=None)
         if made_for == (settings.task, settings.control_dt, scene.changed(drive=None)):
-            given |= {"knots": VALUED_KNOTS, "value": value}
-    return Planner(scene, settings.task, settings.control_dt, repeat=decision_steps(settings), **given)
+            options |= {"knots": VALUED_KNOTS, "value": value}
+    return Planner(scene, settings.task, settings.control_dt, repeat=decision_steps(settings), **options)
 
 
 def _fast_planner(settings: EnvSettings, scene: Scene, seed: int) -> Planner:
     """A planner of few samples."""
-    return Planner(scene, settings.task, settings.control_dt, repeat=decision_steps(settings), seed=seed, **_FEW)
+    return Planner(scene, settings.task, settings.control_dt, repeat=decision_steps(settings), seed=seed, **_FAST)
 
 
 SCRIPTED: dict[str, Callable[[EnvSettings, Scene, int], Baseline]] = {  # of the environment, its scene, and a seed
@@ -56,7 +56,7 @@ POLICIES: dict[str, Callable[[EnvSettings, Scene, int], Baseline]] = {
 
 
 def find_policy(name: str, settings: EnvSettings, seed: int = 0, trust: bool = False) -> Baseline:
-    """One of ``POLICIES`` or a policy that is shipped by its name, or a trained one by its run folder or file.
+    """One of ``POLICIES`` or a shipped policy by its name, or a trained one by its run folder or file.
 
     Raises:
         FileNotFoundError: it is none of these.
@@ -74,7 +74,7 @@ def find_policy(name: str, settings: EnvSettings, seed: int = 0, trust: bool = F
 
 
 def _trained(file: Path, trust: bool) -> Policy:
-    """The policy in a model file of Stable-Baselines3, by the settings of its run folder, else those that it stores.
+    """The policy in a model file of Stable-Baselines3, with the settings of its run folder, else those that it stores.
 
     In a run folder nothing is unpickled. A model without settings decides at every control step.
 

@@ -12,7 +12,7 @@ from jackbox_env import Scene
 
 
 class Policy(Protocol):
-    """Anything that predicts: a scripted policy, or a model of Stable-Baselines3."""
+    """A scripted policy, or a model of Stable-Baselines3."""
 
     def predict(
         self,
@@ -25,7 +25,7 @@ class Policy(Protocol):
 
 
 class ScriptedPolicy:
-    """A policy without memory; subclasses say what torque they want."""
+    """A policy without memory; subclasses define the torques."""
 
     def predict(
         self,
@@ -34,7 +34,7 @@ class ScriptedPolicy:
         episode_start: Any = None,
         deterministic: bool = False,
     ) -> tuple[Actions, Any]:
-        """See :class:`Policy`."""
+        """The torques of :meth:`act`, clipped; see :class:`Policy`."""
         rows = np.atleast_2d(np.asarray(observation, dtype=np.float64))
         actions = np.clip(self.act(rows), -1.0, 1.0).astype(np.float32)[:, None]
         return (actions if np.ndim(observation) == 2 else actions[0]), state
@@ -45,10 +45,10 @@ class ScriptedPolicy:
 
 
 class ZeroPolicy(ScriptedPolicy):
-    """No torque. On an environment made with ``torque="chirp"`` this is the chirp baseline, as any policy is."""
+    """No torque. In an environment made with ``torque="chirp"`` this is the chirp baseline, as any policy is."""
 
     def act(self, observations: NDArray[np.float64]) -> NDArray[np.float64]:
-        """See :class:`ScriptedPolicy`."""
+        """Zeros."""
         return np.zeros(len(observations))
 
 
@@ -59,7 +59,7 @@ class RandomPolicy(ScriptedPolicy):
         self._rng = np.random.default_rng(seed)
 
     def act(self, observations: NDArray[np.float64]) -> NDArray[np.float64]:
-        """See :class:`ScriptedPolicy`."""
+        """The next draws."""
         return self._rng.uniform(-1.0, 1.0, len(observations))
 
 
@@ -71,7 +71,7 @@ class LevelPolicy(ScriptedPolicy):
         self._scene, self._stiffness, self._damping = scene, stiffness, damping
 
     def act(self, observations: NDArray[np.float64]) -> NDArray[np.float64]:
-        """See :class:`ScriptedPolicy`."""
+        """The PD controller's torques."""
         scene = self._scene
         angle = np.arctan2(observations[:, 5], observations[:, 4])  # [rad]
         rate = observations[:, 6] * scene.speed_scale / scene.box_half_width  # [rad/s]
@@ -79,7 +79,7 @@ class LevelPolicy(ScriptedPolicy):
 
 
 class Baseline(NamedTuple):
-    """A scripted policy and what it needs of the environment."""
+    """A policy and the settings that it needs of the environment."""
 
     policy: Policy
     env_settings: dict[str, Any]

@@ -1,12 +1,12 @@
-"""A learnt value: what a good planner earns in the next seconds from a state, and plans that count it at their end.
+"""A learnt value: a good planner's return over the next seconds from a state, and a search that adds it to plans.
 
-A plan of a few seconds does not see what it leaves behind. With the value of its last state a shorter plan does as well
-as a longer one.
+A plan's rewards ignore what follows after its end. With the value of its last state a shorter plan does as well as a
+longer one. ``scripts/studies/value.py`` fits the value.
 
-A folder of a value holds
+A folder of a value has
 
 value.json      the environment that it was made in
-weights.npz     as in :mod:`.network`; tanh stands between the layers, the last gives rewards in units of ``UNIT``
+weights.npz     as in :mod:`.network`; the last layer's output is a sum of rewards in units of ``UNIT``
 """
 
 from __future__ import annotations
@@ -48,9 +48,9 @@ class Value:
         check_layers(layers, [INPUTS, *(bias.size for _, bias in layers[:-1]), 1])
 
     def inputs(self, states: Array) -> NDArray[np.float32]:
-        """What the network sees of states, shape (n, 12): (n, ``INPUTS``)."""
-        seen = observations(self._scene, states)
-        return np.concatenate([seen, preview(self._numbers, seen)], axis=1)
+        """The network's inputs for states, shape (n, 12): (n, ``INPUTS``)."""
+        observed = observations(self._scene, states)
+        return np.concatenate([observed, preview(self._numbers, observed)], axis=1)
 
     def of(self, states: Array) -> Array:
         """The sum of rewards that is to come, shape (n,), for states, shape (n, 12)."""
@@ -58,33 +58,33 @@ class Value:
 
 
 class ValuedSearch(Search):
-    """A search that counts the value of each candidate's last state.
+    """A search that adds the value of each candidate's last state to its rewards.
 
-    The candidates of each jack are valued apart from the others', always as many together. So a plan does not depend on
-    what is planned beside it, although a product of matrices may on how many rows it has.
+    Each jack's candidates are evaluated by themselves. So a plan does not depend on what is planned beside it, although
+    a product of matrices may depend on how many rows it has.
     """
 
-    def __init__(self, value: Value, *given: Any, **more: Any) -> None:
-        super().__init__(*given, **more)
+    def __init__(self, value: Value, *arguments: Any, **settings: Any) -> None:
+        super().__init__(*arguments, **settings)
         self.value = value
 
     def evaluate(self, scene: Scene | list[Scene], states: Array, tried: Array) -> tuple[Array, Array]:
         """As :meth:`Search.evaluate`, the values of the ends added to the sums of rewards."""
         returns, ends = super().evaluate(scene, states, tried)
-        return returns + np.array([self.value.of(own) for own in ends]).reshape(returns.shape), ends
+        return returns + np.array([self.value.of(of_jack) for of_jack in ends]).reshape(returns.shape), ends
 
 
 def read_value(folder: Path) -> Value:
     """Read a value from its folder; nothing is unpickled.
 
     Raises:
-        FileNotFoundError: it holds none.
+        FileNotFoundError: it has none.
         ValueError: its files are damaged, or do not fit each other.
     """
-    return read_with_layers(folder, VALUE, "value", _made)
+    return read_with_layers(folder, VALUE, "value", _value)
 
 
-def _made(given: Any, layers: list[Layer]) -> Value:
-    settings = EnvSettings.of(given)
-    JackInBoxEnv(**settings.env_settings).close()  # refuses what settings leave to the environment
+def _value(stored: Any, layers: list[Layer]) -> Value:
+    settings = EnvSettings.of(stored)
+    JackInBoxEnv(**settings.env_settings).close()  # raises for what EnvSettings does not check
     return Value(settings, layers)

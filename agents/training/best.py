@@ -1,4 +1,4 @@
-"""The separate evaluations of a training, all from the same starts, and the model that did best in them."""
+"""The separate evaluations of a training, all from the same starts, and the best model in them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.evaluation import evaluate_policy
 
-from agents.files import DamagedFileError, parsing, say_skipped, unpacked_arrays
+from agents.files import DamagedFileError, parsing, report_skipped, unpacked_arrays
 from agents.runs import BEST, EVALUATIONS, is_whole
 from agents.settings import TrainSettings
 from agents.training.checkpoints import Checkpoint, model_file
@@ -20,12 +20,12 @@ from jackbox_env.files import replacing, write_bytes
 
 
 def choosing_seed(settings: TrainSettings) -> int:
-    """Seed of the evaluation that chooses the best model: starts that neither training nor the final one sees."""
+    """Seed of the evaluation that chooses the best model: neither training nor the final evaluation uses its starts."""
     return derived_seed("choosing", settings.seed)
 
 
 class Evaluations(NamedTuple):
-    """What evaluations.npz holds, in the names that Stable-Baselines3 gives it; one entry per evaluation."""
+    """The arrays in evaluations.npz, named as Stable-Baselines3 names them; one entry per evaluation."""
 
     timesteps: list[Any]
     results: list[Any]  # lists of returns, one per episode
@@ -33,37 +33,37 @@ class Evaluations(NamedTuple):
 
 
 def read_evaluations(folder: Path, episodes: int) -> Evaluations:
-    """The evaluations of a run of so many episodes each; none, and a sentence that says so, where they are damaged."""
+    """The evaluations of a run, of so many episodes each; none if the file is damaged, which standard error reports."""
     path = folder / EVALUATIONS
     try:
         if path.is_file():
             with parsing(path):
                 stored = unpacked_arrays(path.read_bytes(), path.name)
                 timesteps, *others = (stored[name] for name in Evaluations._fields)
-                wanted = (len(timesteps), episodes)
-                if any(other.shape != wanted for other in others) or np.any(np.diff(timesteps) <= 0):
+                shape = (len(timesteps), episodes)
+                if any(other.shape != shape for other in others) or np.any(np.diff(timesteps) <= 0):
                     raise ValueError(f"it does not hold evaluations of {episodes} episodes each")
                 return Evaluations(timesteps.tolist(), *(other.tolist() for other in others))
     except DamagedFileError as error:
-        say_skipped(error)
+        report_skipped(error)
     return Evaluations([], [], [])
 
 
 class KeepBest(BaseCallback):
-    """Evaluate apart from training and keep the best model; the checkpoint that was evaluated is kept too.
+    """Evaluate apart from training and save the best model, and a checkpoint at each evaluation.
 
-    So a run that is resumed there repeats the evaluation bit for bit. The model is written before its evaluation: one
-    whose evaluation a kill prevented is evaluated again. A best model that is damaged or gone gives way to the next.
+    So a resumed run repeats the evaluation bit for bit. The model is written before the evaluation is recorded: after a
+    kill in between it is evaluated again. The next model replaces a best model that is damaged or missing.
     """
 
     def __init__(self, folder: Path, settings: TrainSettings, checkpoint: Checkpoint, done: int) -> None:
         super().__init__()
         self._folder, self._settings, self._checkpoint = folder, settings, checkpoint
-        found = read_evaluations(folder, settings.eval_episodes)
-        means = np.mean(found.results, axis=1) if found.results and is_whole(folder / BEST) else []
+        earlier = read_evaluations(folder, settings.eval_episodes)
+        means = np.mean(earlier.results, axis=1) if earlier.results and is_whole(folder / BEST) else []
         self._best = max(means, default=-math.inf)
-        count = sum(steps <= done for steps in found.timesteps)  # what came later will be evaluated again
-        self._evaluations = Evaluations(*(column[:count] for column in found))
+        count = sum(steps <= done for steps in earlier.timesteps)  # later models will be evaluated again
+        self._evaluations = Evaluations(*(column[:count] for column in earlier))
         self._every = max(1, settings.eval_steps // settings.num_envs)
         num_envs = min(settings.num_envs, settings.eval_episodes)
         environments = make_vec_env(settings.env_settings, num_envs, choosing_seed(settings))
@@ -80,7 +80,7 @@ class KeepBest(BaseCallback):
 
     def _evaluate(self) -> None:
         assert isinstance(self.model, PPO)
-        self._checkpoint.keep()
+        self._checkpoint.save()
         self._environments.seed(choosing_seed(self._settings))  # the same starts every time
         returns, lengths = evaluate_policy(
             self.model, self._environments, self._settings.eval_episodes, return_episode_rewards=True

@@ -1,4 +1,4 @@
-"""Checkpoints of a run, and how its model files are written: in one stroke. :mod:`agents.runs` reads them."""
+"""Writing a run's checkpoints and model files, each atomically. :mod:`agents.runs` reads them."""
 
 from __future__ import annotations
 
@@ -16,31 +16,31 @@ CHECKPOINTS = "checkpoints"
 
 
 def model_file(model: PPO) -> bytes:
-    """What Stable-Baselines3 keeps of a model, as a file in memory."""
+    """The bytes of the file that Stable-Baselines3 saves of a model."""
     file = io.BytesIO()
     model.save(file)
     return file.getvalue()
 
 
 def checkpoint_path(folder: Path, steps: int) -> Path:
-    """Where a run keeps what it had after so many steps."""
+    """Path of a run's checkpoint after so many steps."""
     return folder / CHECKPOINTS / f"ppo_{steps}.zip"
 
 
-def kept_steps(folder: Path) -> list[int]:
-    """The steps after which a run has checkpoints, the latest first, damaged ones included."""
+def steps_of_checkpoints(folder: Path) -> list[int]:
+    """Numbers of steps after which a run has checkpoints, the latest first, damaged ones included."""
     matches = (re.fullmatch(r"ppo_(0|[1-9]\d*)\.zip", path.name) for path in (folder / CHECKPOINTS).glob("ppo_*.zip"))
     return sorted((int(match[1]) for match in matches if match), reverse=True)
 
 
 def latest_checkpoint(folder: Path) -> tuple[int, Parameters | None]:
     """The newest whole checkpoint of a run, its steps and parameters; 0 and None if there is none."""
-    read = ((steps, read_if_whole(checkpoint_path(folder, steps))) for steps in kept_steps(folder))
+    read = ((steps, read_if_whole(checkpoint_path(folder, steps))) for steps in steps_of_checkpoints(folder))
     return next(((steps, parameters) for steps, parameters in read if parameters is not None), (0, None))
 
 
 class Checkpoint(BaseCallback):
-    """Keep weights and optimiser as of the start of a rollout, when the last one has been learnt from."""
+    """Save weights and optimiser as of the start of a rollout, after the update on the one before."""
 
     def __init__(self, folder: Path, every: int) -> None:
         super().__init__()
@@ -57,9 +57,9 @@ class Checkpoint(BaseCallback):
         # now: an update may be cut short later
         self._steps, self._content = self.num_timesteps, model_file(self.model)
         if self._steps - self._last >= self._every:
-            self.keep()
+            self.save()
 
-    def keep(self) -> None:
+    def save(self) -> None:
         """Save as of the start of this rollout, unless that is saved already."""
         if self._steps > self._last:
             write_bytes(checkpoint_path(self._folder, self._steps), self._content)

@@ -1,4 +1,4 @@
-"""The preview of the landing as a features extractor of Stable-Baselines3."""
+"""The landing features as a features extractor of Stable-Baselines3."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from jackbox_env.observation import BOUNDS
 
 
 class WithPreview(BaseFeaturesExtractor):
-    """An observation, of ten numbers and perhaps more, then the preview of the landing. It has nothing to learn."""
+    """Appends the landing features to observations of ten or more numbers. It has no parameters."""
 
     def __init__(self, observation_space: gym.Space[Any], flight: LandingNumbers) -> None:
         super().__init__(observation_space, features_dim=gym.spaces.utils.flatdim(observation_space) + len(FEATURES))
@@ -21,5 +21,5 @@ class WithPreview(BaseFeaturesExtractor):
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         """Features, shape (n, k + 11), of observations of shape (n, k), k at least 10."""
-        found = columns(self._numbers, observations[:, : len(BOUNDS)].unbind(1), torch)
-        return torch.cat((observations, torch.stack(found, dim=1)), dim=1)
+        features = columns(self._numbers, observations[:, : len(BOUNDS)].unbind(1), torch)
+        return torch.cat((observations, torch.stack(features, dim=1)), dim=1)

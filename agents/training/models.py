@@ -1,4 +1,4 @@
-"""PPO models: made from settings, loaded without unpickling anything."""
+"""PPO models and their environments: made from settings, loaded without unpickling anything."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def make_vec_env(env_settings: dict[str, Any], num_envs: int, seed: int) -> VecE
 
 
 def wrapped(environments: VecEnv, settings: TrainSettings, num_threads: int | None = None) -> VecEnv:
-    """The environments as training steps them: with action repeat, and a look ahead or landing control."""
+    """The environments as training steps them: with action repeat, and a lookahead or landing control."""
     repeat = settings.repeat
     if settings.lookahead:
         samples = settings.lookahead
@@ -48,12 +48,12 @@ def wrapped(environments: VecEnv, settings: TrainSettings, num_threads: int | No
 
 
 def policy_kwargs(settings: TrainSettings) -> dict[str, Any]:
-    """What Stable-Baselines3's policy is made with: its layers, the first deviation, the preview."""
-    found: dict[str, Any] = {"net_arch": list(settings.hidden_units), "log_std_init": settings.initial_log_std}
+    """Keyword arguments of Stable-Baselines3's policy: its layers, the first deviation, the preview."""
+    keywords: dict[str, Any] = {"net_arch": list(settings.hidden_units), "log_std_init": settings.initial_log_std}
     if settings.preview:
         flight = tuple(landing_numbers(Scene.of(settings.scene_fields)))
-        found |= {"features_extractor_class": WithPreview, "features_extractor_kwargs": {"flight": flight}}
-    return found
+        keywords |= {"features_extractor_class": WithPreview, "features_extractor_kwargs": {"flight": flight}}
+    return keywords
 
 
 def make_ppo(settings: TrainSettings, environments: VecEnv, **more: Any) -> PPO:
@@ -65,7 +65,7 @@ def make_ppo(settings: TrainSettings, environments: VecEnv, **more: Any) -> PPO:
     model = PPO(
         "MlpPolicy",
         environments,
-        learning_rate=LinearSchedule(settings.learning_rate, 0.0, 1.0),  # not ours, so that the model loads anywhere
+        learning_rate=LinearSchedule(settings.learning_rate, 0.0, 1.0),  # theirs, so that the model loads anywhere
         n_steps=settings.rollout_steps,
         batch_size=min(settings.batch_size, settings.rollout_steps * environments.num_envs),
         n_epochs=settings.epochs,
@@ -83,7 +83,7 @@ def make_ppo(settings: TrainSettings, environments: VecEnv, **more: Any) -> PPO:
 
 
 def load_model(path: Path) -> PPO:
-    """Load a run folder's best model (else its last), or the model file in a run folder, to train or evaluate it on.
+    """Load a run folder's best model (else its last), or a model file in a run folder, to train or evaluate it further.
 
     The model is built from the run's settings.json and reads only tensors from the zip: nothing is unpickled, so an
     untrusted model cannot run code. Its environment, ``model.get_env()``, is that of the stored settings, wrapped as in
@@ -102,18 +102,18 @@ def load_model(path: Path) -> PPO:
     if folder is None:
         raise FileNotFoundError(f"{file} has no {SETTINGS} beside it to rebuild the model from")
     settings = read_settings(folder)
-    with _refusing(f"{folder / SETTINGS} makes no model"):
+    with _as_value_error(f"{folder / SETTINGS} makes no model"):
         environments = make_vec_env(settings.env_settings, 1, settings.seed)
         model = make_ppo(settings, wrapped(environments, settings))
-    with _refusing(f"{file} is no model of the settings beside it"):
+    with _as_value_error(f"{file} is no model of the settings beside it"):
         model.set_parameters(read_parameters(file), device="cpu")
     return model
 
 
 @contextmanager
-def _refusing(what: str) -> Iterator[None]:
-    """Turn any failure in the block into a ValueError that says so."""
+def _as_value_error(problem: str) -> Iterator[None]:
+    """Turn any exception in the block into a ValueError that names the problem."""
     try:
         yield
     except Exception as error:
-        raise ValueError(f"{what}: {first_line(error)}") from error
+        raise ValueError(f"{problem}: {first_line(error)}") from error

@@ -1,4 +1,4 @@
-"""PPO training in a run folder: checkpoints, a separate evaluation that keeps the best, resuming."""
+"""PPO training in a run folder, with checkpoints, separate evaluations that choose the best model, and resuming."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from agents.training.checkpoints import (
     model_file,
 )
 from agents.training.models import derived_seed, make_ppo, wrapped
-from agents.training.timing import Spent, TimedEnvironments, TimedVecEnv, formatted
+from agents.training.timing import TimedEnvironments, TimedVecEnv, TrainingTimer, formatted
 from jackbox_env.files import make_folder, new_folder, remove_partials, write_bytes, write_json
 
 
@@ -45,7 +45,7 @@ def train(settings: TrainSettings, folder: Path, progress: bool = True) -> PPO:
     """Train in a run folder to ``settings.total_steps``, from its newest whole checkpoint if it has one.
 
     An interruption leaves a checkpoint as of the start of the rollout under way. A kill at any moment leaves whole
-    files. What is damaged all the same is skipped, and standard error says so.
+    files. Files that are damaged all the same are skipped, with a note on standard error.
 
     Raises:
         FileExistsError: the run is finished, or the folder is that of an exported policy.
@@ -62,27 +62,27 @@ def train(settings: TrainSettings, folder: Path, progress: bool = True) -> PPO:
                 f"{folder} is finished: it has a {MODEL}, and runs are never overwritten. To train it further, resume "
                 "it with more total steps"
             )
-        model, spent = _where_it_was(settings, folder)
+        model, timer = _resumed(settings, folder)
         done = model.num_timesteps
         print(f"Going on after {done:,} steps" if done else "Starting from the beginning")
         model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
         checkpoint = Checkpoint(folder, settings.checkpoint_steps)
-        callbacks: list[BaseCallback] = [checkpoint, KeepBest(folder, settings, checkpoint, done), spent]
+        callbacks: list[BaseCallback] = [checkpoint, KeepBest(folder, settings, checkpoint, done), timer]
         if settings.max_minutes is not None:
             callbacks.append(Deadline(settings.max_minutes))
         bar = ProgressBarCallback()
         try:
-            left = max(0, settings.total_steps - done)
-            model.learn(left, callback=[*callbacks, *[bar] * progress], reset_num_timesteps=False)
+            remaining = max(0, settings.total_steps - done)
+            model.learn(remaining, callback=[*callbacks, *[bar] * progress], reset_num_timesteps=False)
         except KeyboardInterrupt:
-            checkpoint.keep()
+            checkpoint.save()
             raise
         finally:
             if hasattr(bar, "pbar"):  # from the training's start on; an error is shown on a line of its own
                 bar.pbar.close()
-        record = spent.record()
+        record = timer.record()
         write_json(folder / TIME, record)
-        write_bytes(folder / MODEL, model_file(model))  # last: what has it is finished
+        write_bytes(folder / MODEL, model_file(model))  # last: a run with this file is finished
         print(formatted(record))
         print(reached(folder, settings))
         return model
@@ -109,18 +109,18 @@ def extended(folder: Path, total_steps: int) -> TrainSettings:
 
 
 def reached(folder: Path, settings: TrainSettings) -> str:
-    """What the best model of a run has earned where it was chosen, in a line."""
-    found = read_evaluations(folder, settings.eval_episodes)
-    if not found.results:
+    """One line: the best model's return in the evaluation that chose it."""
+    evaluations = read_evaluations(folder, settings.eval_episodes)
+    if not evaluations.results:
         return "No evaluation was made: the run was shorter than eval_steps"
-    means = np.mean(found.results, axis=1)
+    means = np.mean(evaluations.results, axis=1)
     best = int(means.argmax())
     earned = f"{means[best]:.1f} on {settings.task}, the mean of {settings.eval_episodes} episodes"
-    return f"The best model earned {earned}, after {found.timesteps[best]:,} steps"
+    return f"The best model earned {earned}, after {evaluations.timesteps[best]:,} steps"
 
 
 def trained_in(folder: Path, settings: TrainSettings, progress: bool = True) -> None:
-    """Train in a folder of that name, go on there, or leave it as it is if it is finished.
+    """Train in a new or interrupted run folder; does nothing if the run is finished.
 
     Raises:
         ValueError: the folder is a run of other settings.
@@ -133,8 +133,8 @@ def trained_in(folder: Path, settings: TrainSettings, progress: bool = True) -> 
         train(settings, folder, progress)
 
 
-def _where_it_was(settings: TrainSettings, folder: Path) -> tuple[PPO, Spent]:
-    """The model as it was at the newest checkpoint, with its times; its environments' starts are new to it."""
+def _resumed(settings: TrainSettings, folder: Path) -> tuple[PPO, TrainingTimer]:
+    """The model as of the newest checkpoint, or a new one, and its timer. Its environments get new starts."""
     torch.set_num_threads(settings.torch_threads)
     done, parameters = latest_checkpoint(folder)
     starts = derived_seed("training", settings.seed, done)
@@ -146,7 +146,7 @@ def _where_it_was(settings: TrainSettings, folder: Path) -> tuple[PPO, Spent]:
         try:
             model.set_parameters(parameters, device="cpu")
         except Exception as error:
-            said = f"{checkpoint_path(folder, done)} was made by other settings than its run's"
-            raise ValueError(f"{said}: {first_line(error)}") from error
+            problem = f"{checkpoint_path(folder, done)} was made by other settings than its run's"
+            raise ValueError(f"{problem}: {first_line(error)}") from error
         model.num_timesteps = done
-    return model, Spent(inner, environments, "looking ahead" if settings.lookahead else "action repeat")
+    return model, TrainingTimer(inner, environments, "looking ahead" if settings.lookahead else "action repeat")

@@ -1,4 +1,4 @@
-"""What a training spends its time on."""
+"""Measures where a training's time goes: time.json in its run folder."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from jackbox_env.sb3 import JackInBoxVecEnv
 
 
 class TimedVecEnv(VecEnvWrapper):
-    """Environments that add up how long their steps take: ``seconds``."""
+    """A wrapper that adds up how long steps take: ``seconds``."""
 
     def __init__(self, venv: VecEnv) -> None:
         super().__init__(venv)
@@ -26,25 +26,25 @@ class TimedVecEnv(VecEnvWrapper):
     def step_wait(self) -> VecEnvStepReturn:
         """Step."""
         began = time.perf_counter()
-        returned = self.venv.step_wait()
+        result = self.venv.step_wait()
         self.seconds += time.perf_counter() - began
-        return returned
+        return result
 
 
 class TimedEnvironments(JackInBoxVecEnv):
-    """The environments alone that do so."""
+    """The environments without wrappers, which add up the same."""
 
     seconds = 0.0
 
     def step_wait(self) -> VecEnvStepReturn:
         """Step."""
         began = time.perf_counter()
-        returned = super().step_wait()
+        result = super().step_wait()
         self.seconds += time.perf_counter() - began
-        return returned
+        return result
 
 
-class Spent(BaseCallback):
+class TrainingTimer(BaseCallback):
     """Adds up where the time of a training goes.
 
     Args:
@@ -59,13 +59,13 @@ class Spent(BaseCallback):
         self._collecting = 0.0
 
     def _on_training_start(self) -> None:
-        self._began, self._first = time.perf_counter(), self.num_timesteps
+        self._began, self._first_step = time.perf_counter(), self.num_timesteps
 
     def _on_rollout_start(self) -> None:
-        self._rollout = time.perf_counter()
+        self._rollout_began = time.perf_counter()
 
     def _on_rollout_end(self) -> None:
-        self._collecting += time.perf_counter() - self._rollout
+        self._collecting += time.perf_counter() - self._rollout_began
 
     def _on_step(self) -> bool:
         return True
@@ -74,7 +74,7 @@ class Spent(BaseCallback):
         """Steps, seconds, and the seconds of environment, wrappers, acting and updates, of this process."""
         total = time.perf_counter() - self._began
         return {
-            "steps": self.num_timesteps - self._first,
+            "steps": self.num_timesteps - self._first_step,
             "seconds": total,
             "parts": {
                 "environment": self._inner.seconds,
@@ -86,7 +86,7 @@ class Spent(BaseCallback):
 
 
 def formatted(record: dict[str, Any]) -> str:
-    """One line: steps per second, and the shares of what :meth:`Spent.record` lists."""
+    """One line: steps per second, and the shares of the parts of :meth:`TrainingTimer.record`."""
     steps, total = record["steps"], record["seconds"]
     shares = ", ".join(
         f"{name} {seconds / total:.1%}" for name, seconds in record["parts"].items() if seconds > 0.001 * total

@@ -12,7 +12,7 @@ from agents.training.models import policy_kwargs
 
 
 def zoo_settings(settings: TrainSettings) -> dict[str, Any]:
-    """The same training in the zoo's words; it makes single environments and steps them in turn."""
+    """The settings in the zoo's format. The zoo makes single environments and steps them in turn."""
     if settings.lookahead:
         raise ValueError("lookahead must be 0: the zoo's environments do not look ahead")
     wrapper: dict[str, Any] = {"rl_zoo3.wrappers.FrameSkip": {"skip": settings.repeat}}

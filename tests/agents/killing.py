@@ -24,7 +24,7 @@ from agents.runs import BEST, EVALUATIONS, MODEL, read_parameters
 from agents.settings import TrainSettings
 from agents.training import best
 from agents.training.best import read_evaluations
-from agents.training.checkpoints import checkpoint_path, kept_steps
+from agents.training.checkpoints import checkpoint_path, steps_of_checkpoints
 from agents.training.models import make_vec_env
 from scripts import train as command
 
@@ -132,7 +132,7 @@ def check_whole(folder: Path) -> None:
     """Every file that a killed training has left is whole, and they belong together."""
     assert read_json(folder / "run.json")["seed"] == SMALL.seed
     assert TrainSettings(**{**read_json(folder / "settings.json"), "hidden_units": SMALL.hidden_units}) == SMALL
-    for steps in kept_steps(folder):
+    for steps in steps_of_checkpoints(folder):
         read_parameters(checkpoint_path(folder, steps))
     if (folder / EVALUATIONS).exists():
         evaluations = read_evaluations(folder, SMALL.eval_episodes)

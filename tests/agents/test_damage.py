@@ -14,7 +14,7 @@ from agents.runs import BEST, EVALUATIONS, MODEL, describe, read_parameters
 from agents.training import best
 from agents.training import ppo as training
 from agents.training.best import read_evaluations
-from agents.training.checkpoints import CHECKPOINTS, Checkpoint, checkpoint_path, kept_steps
+from agents.training.checkpoints import CHECKPOINTS, Checkpoint, checkpoint_path, steps_of_checkpoints
 from agents.training.models import load_model
 from jackbox_env.files import new_folder
 from tests.agents.killing import SMALL, expected_steps, short_episodes
@@ -45,7 +45,7 @@ def originals(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         finished = stopped.with_name("finished")
         shutil.copytree(stopped, finished)
         training.train(SMALL, finished, progress=False)
-    assert kept_steps(stopped) == [80, 48, 16]
+    assert steps_of_checkpoints(stopped) == [80, 48, 16]
     return {"stopped": stopped, "finished": finished}
 
 
@@ -108,7 +108,7 @@ def test_a_damaged_checkpoint_is_skipped_for_the_one_before(
 
 def test_without_a_whole_checkpoint_the_run_begins_again(stopped: Path, capsys: pytest.CaptureFixture[str]) -> None:
     first = read_evaluations(stopped, SMALL.eval_episodes)
-    for steps in kept_steps(stopped):
+    for steps in steps_of_checkpoints(stopped):
         harm(checkpoint_path(stopped, steps), "half")
     goes_on_to_its_end(stopped)
     said = capsys.readouterr()

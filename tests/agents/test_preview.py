@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from agents.policies.landing_features import FEATURES, columns, landing_numbers, preview
-from agents.settings import PREVIEWED
+from agents.settings import PREVIEW_SIZE
 from agents.training.models import make_ppo, make_vec_env
 from jackbox_env import Scene, make_simulator
 from jackbox_env.landing import LONGEST
@@ -97,5 +97,5 @@ def test_the_networks_see_the_observation_and_the_preview_of_their_scene() -> No
     seen: Any = model.policy.extract_features(rows)
     expected = np.concatenate([rows.numpy(), preview(landing_numbers(Scene(gravity=1.62)), rows.numpy())], axis=1)
     np.testing.assert_allclose(seen.numpy(), expected, atol=1e-3)
-    assert len(FEATURES) == PREVIEWED
+    assert len(FEATURES) == PREVIEW_SIZE
     assert model.observation_space == make_ppo(TINY, environments).observation_space

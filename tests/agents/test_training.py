@@ -17,7 +17,7 @@ from agents.runs import describe, read_settings
 from agents.settings import TrainSettings
 from agents.training import ppo as training
 from agents.training.best import choosing_seed
-from agents.training.checkpoints import Checkpoint, kept_steps, latest_checkpoint
+from agents.training.checkpoints import Checkpoint, latest_checkpoint, steps_of_checkpoints
 from agents.training.models import load_model, make_ppo, make_vec_env
 from jackbox_env.files import new_folder
 from tests.agents.small_run import TINY
@@ -73,7 +73,7 @@ def test_interrupted_training_resumes_to_the_same_total(tmp_path: Path, monkeypa
         with pytest.raises(KeyboardInterrupt):
             training.train(TINY, folder, progress=False)
     # the last checkpoint was made for the evaluation at 1024, the rollout under way began at 1280
-    assert kept_steps(folder) == [1280, 768, 512]
+    assert steps_of_checkpoints(folder) == [1280, 768, 512]
     assert not (folder / "model.zip").exists()
     model = training.train(TINY, folder, progress=False)
     assert model.num_timesteps == TINY.total_steps
