@@ -1,4 +1,4 @@
-"""What the studies' pages are made of: numbers in words, tables, templates, dots."""
+"""Building blocks of the studies' pages: formatted numbers, tables, templates, dot plots."""
 
 from __future__ import annotations
 
@@ -10,6 +10,13 @@ from pathlib import Path
 def figure(value: float) -> str:
     """A number with three digits, or all before the point."""
     return f"{value:,.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
+
+
+def two_digits(value: float) -> str:
+    """A number with two digits, or all before the point; as a power of ten below 0.001."""
+    if abs(value) >= 100.0:
+        return f"{value:,.0f}"
+    return f"{float(f'{value:.2g}'):g}" if value == 0.0 or abs(value) >= 1e-3 else f"{value:.1e}"
 
 
 def rough(value: float) -> str:
@@ -26,7 +33,7 @@ def table(heads: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
 
 
 def fill(page: str, mark: str, text: str) -> str:
-    """Replace what stands between ``<!-- mark -->`` and ``<!-- /mark -->``.
+    """Replace the text between ``<!-- mark -->`` and ``<!-- /mark -->``.
 
     Raises:
         ValueError: the page has no such marks.
@@ -37,7 +44,7 @@ def fill(page: str, mark: str, text: str) -> str:
     return pattern.sub(lambda match: f"{match[1]}{text}\n{match[2]}", page)
 
 
-def dots(path: Path, what: str, rows: Mapping[str, float]) -> None:
+def dots(path: Path, title: str, rows: Mapping[str, float]) -> None:
     """Draw a dot for each row on a logarithmic axis, the largest value on top, and write the value beside it."""
     from matplotlib.figure import Figure
 
@@ -46,11 +53,11 @@ def dots(path: Path, what: str, rows: Mapping[str, float]) -> None:
     shown = sorted(rows.items(), key=lambda row: row[1])
     drawn = Figure(figsize=(5.0, 0.8 + 0.32 * len(rows)), layout="constrained")
     axes = drawn.subplots()
-    for place, (_, value) in enumerate(shown):
-        axes.plot(value, place, "o", color=JACK)
-        axes.annotate(rough(value), (value, place), xytext=(8, 0), textcoords="offset points", va="center")
+    for line, (_, value) in enumerate(shown):
+        axes.plot(value, line, "o", color=JACK)
+        axes.annotate(rough(value), (value, line), xytext=(8, 0), textcoords="offset points", va="center")
     axes.set_yticks(range(len(shown)), [name.replace("`", "") for name, _ in shown])
-    drawn.suptitle(what, x=0.02, ha="left", fontsize="medium")
+    drawn.suptitle(title, x=0.02, ha="left", fontsize="medium")
     axes.set_xscale("log")
     axes.margins(x=0.15)
     left, _ = axes.set_xlim(axes.get_xlim())

@@ -1,4 +1,4 @@
-"""Timing in interleaved rounds, and the machine that it is done on."""
+"""Timing in interleaved rounds, and the machine in words; the studies that measure speed use it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def repeat(
 ) -> Timed:
     """Operations per second of ``block``, repeated until ``seconds`` [s] have passed.
 
-    ``block`` returns how many operations it did. What ``prepare`` does before each block is not timed.
+    ``block`` returns how many operations it did. ``prepare`` runs before each block and is not timed.
     """
 
     def run() -> float:
@@ -40,7 +40,7 @@ def repeat(
 
 
 def measure(timed: Mapping[str, Timed], rounds: int, progress: bool = True) -> Rates:
-    """Run all in turn, ``rounds`` times after a warm-up."""
+    """Rates of all, run in turn, ``rounds`` times after a warm-up."""
     rates: Rates = {name: [] for name in timed}
     with tqdm(total=(rounds + 1) * len(timed), unit="measurement", disable=not progress, leave=False) as bar:
         for number in range(rounds + 1):
@@ -67,8 +67,8 @@ def on_cores(cores: Iterable[int]) -> None:
             os.sched_setaffinity(int(thread), cores)
 
 
-def others() -> tuple[float, float]:
-    """Core-seconds since the machine started: those that other processes used, and all; zeros if unknown."""
+def core_seconds() -> tuple[float, float]:
+    """Core-seconds since the machine started: those of other processes, and all; zeros if unknown."""
     if not Path("/proc/stat").exists():
         return 0.0, 0.0
     ticks = [int(number) for number in Path("/proc/stat").read_text(encoding="utf-8").split("\n", 1)[0].split()[1:9]]
@@ -77,11 +77,11 @@ def others() -> tuple[float, float]:
     return (sum(ticks) - idle) / os.sysconf("SC_CLK_TCK") - ours, sum(ticks) / os.sysconf("SC_CLK_TCK")
 
 
-def meanwhile(before: tuple[float, float]) -> str:
-    """The share of the machine that other processes used since ``before``: it makes figures unsteady."""
-    taken, there = others()
-    share = (taken - before[0]) / max(there - before[1], 1e-9)
-    return f"Other processes took {max(0.0, share):.0%} of the machine's time meanwhile." if there else ""
+def busy_since(before: tuple[float, float]) -> str:
+    """The share of the machine's time that other processes used since ``before``, in words: it disturbs figures."""
+    busy, total = core_seconds()
+    share = (busy - before[0]) / max(total - before[1], 1e-9)
+    return f"Other processes took {max(0.0, share):.0%} of the machine's time meanwhile." if total else ""
 
 
 def measured_with(packages: Iterable[str]) -> str:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from jackbox_env.command_line import command_line
-from jackbox_env.files import check_writable, replacing, stamped, write_text
+from jackbox_env.files import check_writable, stamped, write_text
 from jackbox_env.simulators.fidelity import FIDELITIES
 from scripts.studies.accuracy.measured import (
     ALL,
@@ -20,7 +19,6 @@ from scripts.studies.accuracy.measured import (
     EXACT,
     KINDS,
     LOSS,
-    NAIVE,
     PREDICTABLE,
     PYMUNK,
     SUBSTEPS,
@@ -32,7 +30,8 @@ from scripts.studies.accuracy.measured import (
     pymunk,
     run,
 )
-from scripts.studies.pages import table
+from scripts.studies.accuracy.picture import draw
+from scripts.studies.pages import table, two_digits
 
 PAGE, BESIDE, PICTURE = "accuracy.md", "accuracy", "work_precision.svg"
 LATER = " These trajectories were measured later, at commit {}; the rest of this page is older."
@@ -66,7 +65,7 @@ class Arguments:
 
 
 class Claim(NamedTuple):
-    """Something that must hold in every sweep, however short."""
+    """A claim that must hold in every sweep, however short."""
 
     what: str
     seen: str
@@ -74,7 +73,7 @@ class Claim(NamedTuple):
 
 
 def claims(results: Results) -> list[Claim]:
-    """All claims; the command fails where one does not hold."""
+    """All claims; the command fails if one does not hold."""
     first, fifth, flight, right, lacking, depth = (
         results.of(EXACT, name, DIGITS) for name in ("first_1", "first_5", "flight", "prefix", "lacking", "depth")
     )
@@ -152,12 +151,10 @@ COLUMNS = {
 
 
 def figure(value: float) -> str:
-    """A number for a table: two digits, as a power of ten where it is small; a dash for none."""
+    """A number of two digits for a table; a dash for NaN, "lost" for infinity."""
     if not math.isfinite(value):
         return "-" if math.isnan(value) else "lost"
-    if abs(value) >= 100.0:
-        return f"{value:,.0f}"
-    return f"{float(f'{value:.2g}'):g}" if value == 0.0 or abs(value) >= 1e-3 else f"{value:.1e}"
+    return two_digits(value)
 
 
 def page(results: Results) -> str:
@@ -167,13 +164,13 @@ def page(results: Results) -> str:
 
 
 def fidelity_table(results: Results) -> str:
-    """What README holds too."""
+    """The table of fidelities, also in the README."""
     rows = []
     for name, setting in FIDELITIES.items():
         first, depth, right, cost = results.some(of_fidelity(name), "first_1", "depth", "prefix", "cost_over_default")
-        late, deep = f"{figure(first.median)}, {figure(first.worst)} s", f"{figure(max(0.0, depth.worst))} m"
-        stands = f"{setting.contact}, {setting.substeps} substeps" if setting.substeps else setting.contact
-        rows.append((f'`"{name}"`', stands, late, deep, f"{right.median:g}", figure(1.0 / cost.median)))
+        late, depth_words = f"{figure(first.median)}, {figure(first.worst)} s", f"{figure(max(0.0, depth.worst))} m"
+        contact = f"{setting.contact}, {setting.substeps} substeps" if setting.substeps else setting.contact
+        rows.append((f'`"{name}"`', contact, late, depth_words, f"{right.median:g}", figure(1.0 / cost.median)))
     heads = ("`fidelity`", "stands for", "first impact late by", "penetration", "correct impacts", "speed")
     return table(heads, rows)
 
@@ -268,125 +265,11 @@ def _cell(row: Row, runs: int) -> str:
     return f"{figure(row.median)} / {figure(row.worst)}{note}" if row.n else "-"
 
 
-# -- pictures ----------------------------------------------------------------------------------------------------------
-
-_COLOURS = {EXACT: "C0", BATCH: "C0", PYMUNK: "C2", NAIVE: "C3", "box2d": "0.5", "mujoco": "0.5"}
-_LABELS = {  # at the points: text, offset [points], alignment
-    EXACT: ("exact", (7, 0), "left"),
-    BATCH: ("exact,\nin a batch", (7, -4), "left"),
-    of_fidelity("coarse"): ("coarse", (-6, 0), "right"),
-    of_fidelity("balanced"): ("balanced", (-6, -7), "right"),
-    of_fidelity("fine"): ("fine", (-7, -7), "right"),
-    pymunk(1).name: ("pymunk, 1 substep", (-6, 2), "right"),
-    pymunk(256).name: ("256 substeps", (-3, -12), "right"),
-    f"{NAIVE}, RK4 at 0.01 s": ("usual way", (3, 40), "left"),
-    "mujoco, 64 substeps": ("Box2D,\nMuJoCo", (5, 72), "right"),
-}
-_LEAST = 1e-16  # where a logarithmic axis shows zero
-
-
-def points(results: Results, quantity: str) -> dict[str, dict[str, list[Any]]]:
-    """Settings, their costs and a quantity of theirs: columns by family, in the order of the sweep."""
-    lines: dict[str, dict[str, list[Any]]] = {}
-    for name in results.settings:
-        cost, row = results.some(name, "cost", quantity)
-        if row.n:
-            line = lines.setdefault(cost.family, {"setting": [], "cost": [], "median": [], "worst": []})
-            for column, value in zip(
-                line.values(), (name, cost.median, max(row.median, _LEAST), row.worst), strict=True
-            ):
-                column.append(value)
-    return lines
-
-
-_TOLD = """<style>[id^=ring] { opacity: 0 }</style>
-<script>
-const texts = [...document.querySelectorAll("#title text")], usual = texts.map((text) => text.textContent);
-const rings = Object.entries(TOLD).map(([id, lines]) => ({ ring: document.getElementById(id), lines }));
-addEventListener("pointermove", (event) => {
-  for (const one of rings) {
-    const { x, y, width, height } = one.ring.getBoundingClientRect();
-    one.away = Math.hypot(event.clientX - x - width / 2, event.clientY - y - height / 2);
-  }
-  const near = rings.reduce((best, one) => (best.away > one.away ? one : best), { away: 25, lines: usual }); // [px]
-  for (const one of rings) one.ring.style.opacity = one === near ? 1 : 0;
-  texts.forEach((text, line) => (text.textContent = near.lines[line]));
-});
-</script>
-</svg>"""
-
-
-def draw(results: Results, path: Path) -> None:
-    """The first impact's time error against cost, to be read at 390 pixels; tells of the setting under the pointer."""
-    import matplotlib
-    from matplotlib.figure import Figure
-
-    import jackbox_env.commands.plots  # noqa: F401  # the style of all plots
-
-    figure = Figure(figsize=(4.0, 4.8), dpi=200, layout="constrained")
-    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3.4, 1.0))
-    for axis in (upper, lower):
-        axis.set(xscale="log", yscale="log")
-        axis.grid()
-        _plot(axis, points(results, "first_1"))
-    title = "How far off is the first impact?\nPoint: median. Line: to the worst case."
-    figure.suptitle(title, x=0.04, ha="left", fontsize="medium", gid="title")  # lines of any length
-    upper.set(ylim=(1.5e-5, 0.1))
-    upper.set_yticks([1e-4, 1e-3, 1e-2], ["0.1 ms", "1 ms", "10 ms"])
-    upper.spines.bottom.set_visible(False)
-    upper.tick_params(axis="x", which="both", length=0)
-    lower.set(ylim=(_LEAST, 1e-14), xlabel="computing time per simulated second")
-    lower.set_yticks([1e-15], ["$10^{-15}$ s"])
-    lower.set_xticks([1e1, 1e2, 1e3, 1e4], ["10 µs", "0.1 ms", "1 ms", "10 ms"])
-    lower.spines.top.set(visible=True, linestyle=(0, (4, 4)))  # the axis is cut here
-    told = _tell(results, upper, lower)
-    with replacing(path) as partial, matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": path.name}):
-        figure.savefig(partial, metadata={"Date": None})
-        script = _TOLD.replace("TOLD", json.dumps(told))
-        partial.write_text(partial.read_text().replace("</svg>", script))
-
-
-def _tell(results: Results, *axes: Any) -> dict[str, list[str]]:
-    """Put a ring around each point, unseen; return what it tells: the setting, its error and its cost."""
-    from jackbox_env.commands.plots import GREY
-
-    told = dict[str, list[str]]()
-    for name in results.settings:
-        error, cost = results.some(name, "first_1", "cost")
-        place = cost.median, max(error.median, _LEAST)
-        for axis in axes:
-            low, high = axis.get_ylim()
-            if low <= place[1] <= high and cost.family in _COLOURS:
-                ring = f"ring-{len(told)}"
-                axis.plot(*place, "o", markersize=9, fillstyle="none", color=GREY, gid=ring)
-                late = f"{_seconds(error.median)} late, at worst {_seconds(error.worst)}"
-                told[ring] = [f"{name}: {_seconds(1e-6 * cost.median)} of computing", late]
-    return told
-
-
-def _seconds(value: float) -> str:
-    """A time in the largest unit in which it is at least 1."""
-    unit, size = next(((unit, size) for unit, size in (("ms", 1e-3), ("µs", 1e-6)) if value >= size), ("s", 1.0))
-    return f"{figure(value / size)} {unit}"
-
-
-def _plot(axis: Any, lines: dict[str, dict[str, list[Any]]]) -> None:
-    """Lines of the families, labelled where they are."""
-    for family, line in lines.items():
-        colour = _COLOURS.get(family)  # none: variants of another family, which would lie on its points
-        if colour:
-            axis.plot("cost", "median", "o-", data=line, markersize=4, color=colour)
-            axis.vlines("cost", "median", "worst", data=line, color=colour, alpha=0.4)
-        for name, *place in zip(line["setting"], line["cost"], line["median"], strict=True):
-            text, offset, aligned = _LABELS.get(name, ("", (0, 0), "left"))
-            axis.annotate(text, place, xytext=offset, textcoords="offset points", color=colour, ha=aligned, va="center")
-
-
 # -- the command -------------------------------------------------------------------------------------------------------
 
 
 def write(results: Results, folder: Path) -> None:
-    """The page, and beside it the pictures and the numbers."""
+    """Write the page, and beside it the picture and the numbers."""
     beside = folder / BESIDE
     beside.mkdir(exist_ok=True)
     draw(results, beside / PICTURE)
@@ -400,7 +283,7 @@ def main() -> None:
     import tyro
 
     arguments = tyro.cli(Arguments, description=__doc__)
-    import matplotlib  # noqa: F401  # refused now rather than after the sweep
+    import matplotlib  # noqa: F401  # raises now rather than after the sweep
 
     from agents.sweep_ray import runner_for
     from jackbox_env import checks as check
@@ -417,11 +300,11 @@ def main() -> None:
         folder, runner = arguments.runs or stamped("benchmark"), runner_for(arguments.workers, arguments.address)
         results = run(folder, few, cases, rounds, seconds, arguments.progress, runner)
     write(results, arguments.out or folder)
-    found = claims(results)
+    checked = claims(results)
     print(fidelity_table(results))
-    print("\n".join(f"{'holds' if claim.holds else 'FAILS'}: {claim.what}: {claim.seen}" for claim in found))
+    print("\n".join(f"{'holds' if claim.holds else 'FAILS'}: {claim.what}: {claim.seen}" for claim in checked))
     print(f"Wrote {(arguments.out or folder) / PAGE}")
-    failed = [claim.what for claim in found if not claim.holds]
+    failed = [claim.what for claim in checked if not claim.holds]
     if failed:
         raise RuntimeError(f"{len(failed)} claims do not hold: " + "; ".join(failed))
 

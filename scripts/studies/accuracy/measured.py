@@ -1,7 +1,7 @@
-"""The sweep behind docs/accuracy.md: its cases, its settings, and what is measured of each setting on each case.
+"""The measurements of docs/accuracy.md: cases, settings, and the errors and costs of each setting on each case.
 
-What is measured of errors is a sweep's trials, which go on after an interruption. Costs are measured afterwards, here,
-where nothing else runs.
+Errors are measured as trials of a sweep, so that an interrupted run resumes. Costs are measured afterwards in this
+process, where nothing else runs.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from jackbox_env.states import OMEGA_BOX, Array
 from jackbox_env.tasks import sample_start
 from scripts.studies import baselines
 from scripts.studies.sweeping import swept
-from scripts.studies.timing import Timed, measure, others, ratios, repeat
+from scripts.studies.timing import Timed, core_seconds, measure, ratios, repeat
 
 # -- cases -------------------------------------------------------------------------------------------------------------
 
@@ -61,7 +61,7 @@ def seeded(kind: str, seed: int) -> Case:
 
 
 def with_references(kind: str, count: int) -> list[tuple[Case, Reference]]:
-    """The cases of a kind: all that are known to 60 digits, or ``count`` seeded ones with the exact model's courses."""
+    """The cases of a kind: all that are known to 60 digits, or ``count`` seeded ones with the exact model's motion."""
     if kind in _FILES:
         return [_from_record(record) for file in _FILES[kind] for record in json.loads((_DATA / file).read_text())]
     cases = [seeded(kind, seed) for seed in range(count)]
@@ -69,7 +69,7 @@ def with_references(kind: str, count: int) -> list[tuple[Case, Reference]]:
 
 
 def _from_record(record: dict[str, Any]) -> tuple[Case, Reference]:
-    """A trajectory of 3 to 10 s that was computed with 60 digits, independently of this project."""
+    """A trajectory of 3 to 10 s, computed with 60 digits independently of this project."""
     driven = record["drive"] != "none"
     scene = Scene(gravity=record["gravity"], restitution=record.get("restitution", 1.0)) if driven else WEIGHTLESS
     start = np.array(record["q"] + record["qdot"], dtype=np.float64)
@@ -98,11 +98,11 @@ class Setting(NamedTuple):
     name: str
     family: str
     substeps: int | None = None
-    make: Callable[[Scene], Simulator] | None = None  # None: a batch, which only costs less
+    make: Callable[[Scene], Simulator] | None = None  # None: a batch, which differs only in cost
 
     @property
-    def takes_loss(self) -> bool:
-        """Whether it is measured in scenes with loss: MuJoCo is tuned for elastic ones, the usual way has no loss."""
+    def measured_with_loss(self) -> bool:
+        """False for MuJoCo, which is tuned for elastic scenes, and for the usual way, which has no loss."""
         return self.make is not None and self.family.split(",")[0] in (EXACT, PYMUNK, "box2d")
 
 
@@ -128,37 +128,37 @@ def _of_others(counts: tuple[int, ...]) -> list[Setting]:
 
 def settings(quick: bool) -> list[Setting]:
     """All settings of the sweep, or those of the quick one."""
-    both = [Setting(EXACT, EXACT, None, partial(make_simulator, contact="exact")), Setting(BATCH, BATCH)]
+    exact = [Setting(EXACT, EXACT, None, partial(make_simulator, contact="exact")), Setting(BATCH, BATCH)]
     if quick:
         few = sorted({16, *(fidelity.substeps for fidelity in FIDELITIES.values() if fidelity.substeps)})
-        return [*both, *map(pymunk, few), pymunk(4, 1), *_of_others((4, 64))]
+        return [*exact, *map(pymunk, few), pymunk(4, 1), *_of_others((4, 64))]
     fewer = [pymunk(substeps, iterations) for substeps in (4, 64) for iterations in ITERATIONS]
-    return [*both, *map(pymunk, SUBSTEPS), *fewer, *_of_others((1, 4, 16, 64))]
+    return [*exact, *map(pymunk, SUBSTEPS), *fewer, *_of_others((1, 4, 16, 64))]
 
 
 def of_fidelity(fidelity: str) -> str:
     """Name of the setting that a fidelity stands for."""
-    named = FIDELITIES[fidelity]
-    return EXACT if named.contact == "exact" else pymunk(named.substeps or 4).name
+    setting = FIDELITIES[fidelity]
+    return EXACT if setting.contact == "exact" else pymunk(setting.substeps or 4).name
 
 
 DEFAULT = of_fidelity("balanced")
 
 
-# -- summing up --------------------------------------------------------------------------------------------------------
+# -- summaries ---------------------------------------------------------------------------------------------------------
 
 ALL = "all seeds"
 PREDICTABLE = 14  # impacts that float64 can predict
 SPREAD, LEAST, MEAN, TOTAL = "median and worst", "median and least", "mean with interval", "total"
 TABLE, ABOUT = "results.csv", "results.json"
-_TOLD_BY_SEEDS = ("prefix", "sure", "depth", "imbalance", "escaped", "rate", "speed", "fast", "impulse")
-_ELASTIC = ("imbalance",)  # what loss takes is no error
+_NEED_NO_REFERENCE = ("prefix", "sure", "depth", "imbalance", "escaped", "rate", "speed", "fast", "impulse")
+_ELASTIC_ONLY = ("imbalance",)  # with loss, lost energy is no error
 
 Record = dict[str, Any]  # of one setting on one case
 
 
 class Quantity(NamedTuple):
-    """Something that is measured; the page says what."""
+    """A measured quantity; page.md explains each."""
 
     name: str
     unit: str
@@ -172,7 +172,7 @@ class Quantity(NamedTuple):
 
 
 def over_first(count: int) -> Quantity:
-    """The largest time error of the first impacts, in the cases that match so many."""
+    """The largest time error of the first ``count`` impacts, in the cases with as many correct ones."""
     name = f"first_{count}"
     return Quantity(name, "s", SPREAD, lambda one: [max(one["errors"][:count])] if one["prefix"] >= count else [])
 
@@ -195,7 +195,7 @@ QUANTITIES = (
 
 
 class Row(NamedTuple):
-    """A quantity of a setting over the cases of a kind; NaN where it is summed up otherwise."""
+    """A quantity of a setting over the cases of a kind; a summary of another sort is NaN."""
 
     setting: str
     family: str
@@ -212,7 +212,7 @@ class Row(NamedTuple):
 
 
 def summed_up(values: Iterable[float], summed: str = SPREAD) -> dict[str, Any]:
-    """Numbers as a row has them, NaN left out."""
+    """The summary of some values as fields of a row; NaN is left out."""
     known = np.array([value for value in values if not math.isnan(value)])
     n = len(known)
     if summed == TOTAL or n == 0:
@@ -237,7 +237,7 @@ def rows_of(setting: Setting, records: list[Record], cost: list[float], over_def
         Row(*head, kind, quantity.name, quantity.unit, **summed_up(quantity.values(part), quantity.summed))
         for kind, part in parts.items()
         for quantity in QUANTITIES
-        if kind != LOSS or quantity.name not in _ELASTIC
+        if kind != LOSS or quantity.name not in _ELASTIC_ONLY
     ]
 
 
@@ -249,24 +249,24 @@ def order_of(steps: list[float], errors: list[float]) -> tuple[float, float, flo
 
 
 class Results:
-    """A summed up sweep: rows, and what they were measured with."""
+    """The summary of a sweep: rows, and what they were measured with."""
 
     def __init__(self, rows: Iterable[Row], about: dict[str, Any]) -> None:
-        """Keep the rows by setting, kind and quantity."""
+        """Index the rows by setting, kind and quantity."""
         self.rows = {(row.setting, row.kind, row.quantity): row for row in rows}
         self.about = about
         self.settings = list(dict.fromkeys(row.setting for row in self.rows.values()))
 
     def of(self, setting: str, quantity: str, kind: str | None = None) -> Row:
-        """A quantity of a setting, over a kind of cases or, with None, over those that tell most.
+        """A quantity of a setting over a kind of cases; None: over all seeds.
 
-        The exact model is the reference over the seeds, so its own errors are taken from the 60-digit trajectories.
+        The exact model is the reference over the seeds, so None means the 60-digit trajectories for its own errors.
         """
         if quantity.startswith("cost"):
             return self.rows[setting, "", quantity]
         setting = EXACT if setting == BATCH else setting
-        telling = DIGITS if setting == EXACT and quantity not in _TOLD_BY_SEEDS else ALL
-        return self.rows[setting, kind or telling, quantity]
+        default = DIGITS if setting == EXACT and quantity not in _NEED_NO_REFERENCE else ALL
+        return self.rows[setting, kind or default, quantity]
 
     def some(self, setting: str, *quantities: str) -> list[Row]:
         """Several quantities of a setting."""
@@ -305,22 +305,22 @@ def _row(line: list[str]) -> Row:
 
 
 def run(folder: Path, quick: bool, count: int, rounds: int, seconds: float, bars: bool, runner: Runner) -> Results:
-    """Sweep, or go on with an interrupted sweep of the same code in ``folder``."""
-    before, chosen = others(), settings(quick)
+    """Sweep, or resume an interrupted sweep of the same code in ``folder``."""
+    before, chosen = core_seconds(), settings(quick)
     trials = [
         {"setting": setting.name, "kind": kind, "count": count}
         for kind in (DIGITS, LOSS, *KINDS)
         for setting in chosen
-        if (setting.takes_loss if kind == LOSS else setting.make)
+        if (setting.measured_with_loss if kind == LOSS else setting.make)
     ]
-    rows = swept(folder, trials, _measured_kind, runner, bars)
+    finished = swept(folder, trials, _measured_kind, runner, bars)
     rates = measure({setting.name: cost_of(setting, seconds) for setting in chosen}, rounds, bars)
-    found = list[Row]()
+    rows = list[Row]()
     for setting in chosen:
-        records = [record for row in rows if row["setting"] == setting.name for record in row["records"]]
+        records = [record for trial in finished if trial["setting"] == setting.name for record in trial["records"]]
         costs = [1e6 / rate for rate in rates[setting.name]], ratios(rates, DEFAULT, setting.name)
-        found += rows_of(setting, records, *costs)
-    taken, there = others()
+        rows += rows_of(setting, records, *costs)
+    busy, total = core_seconds()
     about = {
         "quick": quick,
         "cases": count,
@@ -328,17 +328,17 @@ def run(folder: Path, quick: bool, count: int, rounds: int, seconds: float, bars
         "seconds": seconds,
         "machine": machine(),
         "versions": versions((*PACKAGES[:-1], "numba", "mujoco", "box2d")),
-        "busy": round(max(0.0, taken - before[0]) / max(there - before[1], 1e-9), 2),
+        "busy": round(max(0.0, busy - before[0]) / max(total - before[1], 1e-9), 2),
         "missing": baselines.missing(),
     }
-    return Results(found, about)
+    return Results(rows, about)
 
 
-def _measured_kind(asked: dict[str, Any]) -> dict[str, Any]:
+def _measured_kind(trial: dict[str, Any]) -> dict[str, Any]:
     """All errors of one setting on the cases of a kind."""
-    (setting,) = (setting for setting in settings(quick=False) if setting.name == asked["setting"])
-    kind = asked["kind"]
-    return {"records": [measured(setting, kind, *case) for case in _references(kind, asked["count"])]}
+    (setting,) = (setting for setting in settings(quick=False) if setting.name == trial["setting"])
+    kind = trial["kind"]
+    return {"records": [measured(setting, kind, *case) for case in _references(kind, trial["count"])]}
 
 
 @cache
@@ -351,7 +351,7 @@ def measured(setting: Setting, kind: str, case: Case, reference: Reference) -> R
     """All errors of one setting on one case."""
     assert setting.make is not None
     simulator: Any = setting.make(case.scene)
-    course = follow(simulator, case, getattr(simulator, "look", between))  # baselines look into their steps themselves
+    course = follow(simulator, case, getattr(simulator, "inside_last_step", between))  # baselines have this method
     again = restarts(simulator, case, reference)
     record = {"setting": setting.name, "kind": kind, "case": case.name}
     return record | quantities(course, compare(case, course, reference), again, case.dt)
@@ -367,17 +367,17 @@ def cost_of(setting: Setting, seconds: float) -> Timed:
 def _stepped(make: Callable[[Scene], Simulator]) -> Callable[[], int]:
     """A block that steps a contact model through some cases."""
     chosen = [seeded(kind, seed) for kind in KINDS for seed in range(2)]
-    made = [make(case.scene) for case in chosen]
+    simulators = [make(case.scene) for case in chosen]
 
     def block() -> int:
-        for simulator, case in zip(made, chosen, strict=True):
+        for simulator, case in zip(simulators, chosen, strict=True):
             simulator.reset(case.state)
             try:
                 for number in range(case.steps):
                     simulator.step(DT, None if case.torques is None else case.torques[number])
             except RuntimeError:  # the jack left: the steps until then count
                 pass
-        return sum(round(simulator.time / DT) for simulator in made)
+        return sum(round(simulator.time / DT) for simulator in simulators)
 
     return block
 

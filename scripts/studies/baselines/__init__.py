@@ -1,6 +1,6 @@
-"""How others simulate this system: models that :mod:`jackbox_env.measure.accuracy` measures beside this package's.
+"""Other ways to simulate this system, which the accuracy study compares with this package's contact models.
 
-Users of the environment cannot choose them.
+The environment does not offer them.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the baselines share: substeps, impacts of engines that push, and a look inside the last step."""
+"""Base classes of the baselines: substeps, impacts of engines that push, depth and work inside the last step."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Baseline(ContactModel):
             raise ValueError(f"a baseline must have a scene without side forces, got {check.shown(scene.drive)}")
         super().__init__(scene)
         self.substeps = check.whole("substeps", substeps, at_least=1, at_most=1_000_000)
-        self._played: tuple[Present, float, float | None] | None = None  # what was before the last step, h, torque
+        self._played: tuple[Present, float, float | None] | None = None  # before the last step; h; torque
         self._under_way: list[tuple[Impact, bool]] = []  # impacts not reported yet, and whether each goes on
         self._prepare()
 
@@ -72,13 +72,13 @@ class Baseline(ContactModel):
         impacts: list[tuple[Impact, bool]],
         trace: Trace | None = None,
     ) -> tuple[list[float], float]:
-        """Take the substeps, independent of earlier calls; return the final state and the mean torque [N m].
+        """Play the substeps, independent of earlier calls; return the final state and the mean torque [N m].
 
-        Impacts are entered into ``impacts``, beside those that go on from before, and substeps into a ``trace``.
+        Impacts are added to ``impacts``, which has those under way, and substeps to a ``trace``.
         """
 
-    def look(self, simulator: Simulator, before: Array, time: float, torque: float | None) -> Between:
-        """Look inside the last step by taking it again: a Look for :func:`jackbox_env.measure.accuracy.follow`.
+    def inside_last_step(self, simulator: Simulator, before: Array, time: float, torque: float | None) -> Between:
+        """Depth and work in the last step, which is repeated: for :func:`jackbox_env.measure.accuracy.follow`.
 
         The depth is the largest at the ends of the substeps. The work is that of the true torque on the box as the
         model moved it: h * (mean torque) * (mean of omega before and after) in each substep.
@@ -106,7 +106,7 @@ class Baseline(ContactModel):
 
 
 class Engine(Baseline):
-    """A baseline that an engine steps: placed anew at every control step, then given the torque of each substep."""
+    """A baseline that an engine steps: its state is set at every control step, its torque at every substep."""
 
     def _simulate(
         self,
@@ -117,7 +117,7 @@ class Engine(Baseline):
         impacts: list[tuple[Impact, bool]],
         trace: Trace | None = None,
     ) -> tuple[list[float], float]:
-        self._place(state, h)
+        self._set_state(state, h)
         total, after = 0.0, state
         for number in range(self.substeps):
             start = time + number * h
@@ -132,12 +132,12 @@ class Engine(Baseline):
         return after, total / self.substeps
 
     @abstractmethod
-    def _place(self, state: list[float], h: float) -> None:
-        """Put the engine in a state, to continue with substeps of ``h`` [s]."""
+    def _set_state(self, state: list[float], h: float) -> None:
+        """Set the engine's state, to continue with substeps of ``h`` [s]."""
 
     @abstractmethod
     def _substep(self, h: float, torque: float) -> dict[Pair, float]:
-        """Take one substep. Return the impulses of the contacts that pushed, found at its start [N s]."""
+        """Play one substep. Return the impulses of the contacts that pushed, detected at its start [N s]."""
 
     @abstractmethod
     def _is_over(self, state: list[float], wall: int, foot: int) -> bool:

@@ -1,21 +1,22 @@
 """Box2D 2.3.10: semi-implicit Euler and sequential impulses in single precision, tuned as its manual advises.
 
-Law: each substep adds the forces' impulses to the velocities. It solves the contacts found where the substep starts
+Law: each substep adds the forces' impulses to the velocities. It solves the contacts detected where the substep starts
     (restitution by the approach speed before the solve) and moves by the new velocities. Then it pushes apart what
     overlaps by more than 5 mm.
 Order: first in h = dt / substeps: flight runs ahead by g h t / 2, and an impact waits for the next substep's start.
 Cost: about 20 us per substep, of which the engine takes half.
 Fails: below a closing speed of 1 m/s (``b2_velocityThreshold``, compiled in: assigning to the module's constant does
-    nothing) a contact is inelastic, whatever its restitution. Numbers are float32. Motion above 2 m or a quarter turn
-    per substep is cut by the engine, so such a step is refused. Position correction moves bodies without any work.
+    nothing) a contact is inelastic, whatever its restitution. Numbers are float32. The engine clips motion above
+    2 m or a quarter turn per substep, so such a step raises JackLostError. Position correction moves bodies without any
+    work.
 Reference: Catto, Box2D v2.3 User Manual; b2Settings.h for the constants.
 
 How it is tuned: metres, kilograms, seconds; 8 velocity and 3 position iterations (30 and 10 gave the same numbers under
 the default chirp); both restitutions e (the larger counts), no friction, no damping, no sleeping. Walls are boxes as
 thick as L on the box's body, so bullets are not needed. Every polygon has a skin of 0.01 m, and the walls are set back
 by it: a foot, a circle of radius 0, touches at gap 0. Each control step starts with the box at the origin and angles
-within half a turn, where float32 is finest. It starts without contacts. The engine
-solves contacts in the order in which they began, from their last impulses. Kept contacts would let the past act.
+within half a turn, where float32 is finest. It starts without contacts: the engine solves contacts in the order in
+which they began, from their last impulses, so contacts of earlier steps would let the past act.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ _FAR_OFF = 100.0  # over L
 
 
 class _Listener(Box2D.b2ContactListener):  # type: ignore[misc]
-    """Keeps the impulses of a substep."""
+    """Stores the impulses of a substep."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -54,7 +55,7 @@ class _Listener(Box2D.b2ContactListener):  # type: ignore[misc]
 
 
 class Model(Engine):
-    """Box2D; the module's head states the law."""
+    """Box2D, see the module's docstring."""
 
     def _prepare(self) -> None:
         scene = self.scene
@@ -77,14 +78,14 @@ class Model(Engine):
         self._jack.massData = Box2D.b2MassData(mass=scene.jack_mass, I=scene.jack_inertia, center=(0.0, 0.0))
         self._world = world
 
-    def _place(self, state: list[float], h: float) -> None:
+    def _set_state(self, state: list[float], h: float) -> None:
         x, y, angle, _, _, jack_angle = state[:RATES]
         whole, jack_whole = (turned - math.remainder(turned, 2.0 * math.pi) for turned in (angle, jack_angle))
         self._origin = [x, y, whole, x, y, jack_whole]
         self._h = h
         self._jack.transform = (_FAR_OFF * self.scene.box_half_width, 0.0), 0.0  # out of reach: contacts are dropped
         self._world.Step(0.0, 1, 1)
-        q = [place - start for place, start in zip(state[:RATES], self._origin, strict=True)]
+        q = [number - start for number, start in zip(state[:RATES], self._origin, strict=True)]
         for body, at, rate in (
             (self._box, q[:X_JACK], state[VX_BOX:VX_JACK]),
             (self._jack, q[X_JACK:], state[VX_JACK:]),
@@ -107,15 +108,15 @@ class Model(Engine):
     def _read(self) -> list[float]:
         q, v = list[float](), list[float]()
         for body in (self._box, self._jack):
-            place, rate = body.position, body.linearVelocity
-            q += [place.x, place.y, body.angle]
+            position, rate = body.position, body.linearVelocity
+            q += [position.x, position.y, body.angle]
             v += [rate.x, rate.y, body.angularVelocity]
-        state = [place + start for place, start in zip(q, self._origin, strict=True)] + v
+        state = [number + start for number, start in zip(q, self._origin, strict=True)] + v
         self._refuse_cuts(state)
         return state
 
     def _refuse_cuts(self, state: list[float]) -> None:
-        """Refuse a speed that the engine has clipped to its bound."""
+        """Raise JackLostError if the engine has clipped a speed to its bound."""
         travel = self._h * max(math.hypot(state[VX_BOX], state[VY_BOX]), math.hypot(state[VX_JACK], state[VY_JACK]))
         turn = self._h * max(abs(state[OMEGA_BOX]), abs(state[OMEGA_JACK]))
         if not (travel < _SLACK * _FARTHEST and turn < _SLACK * _FURTHEST_TURN):

@@ -25,8 +25,8 @@ a bounce lasts exactly three or two, wherever in a substep the foot came in. Ene
 implicitfast equals Euler to all digits shown; in RK4 a contact begins within a step. Under the default chirp, at 1 to
 64 substeps, feet go 2.2 to 2.8 times less deep with k h^2 = 2 than with 0.25, and the energy is kept better.
 
-An impact begins with the substep that finds the foot in the wall. That is nearest to the time at which a hard wall
-would have been hit; the deepest point comes half a bounce later. Its impulse is the sum over the bounce.
+An impact begins with the first substep that starts with the foot in the wall. That is nearest to the time at which a
+hard wall would have been hit; the deepest point comes half a bounce later. Its impulse is the sum over the bounce.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def model_xml(scene: Scene) -> str:
 
 
 class Model(Engine):
-    """MuJoCo; the module's head states the law."""
+    """MuJoCo, see the module's docstring."""
 
     def _prepare(self) -> None:
         if self.scene.restitution != 1.0:
@@ -86,7 +86,7 @@ class Model(Engine):
         self._applied = self._data.qfrc_applied  # a view: asking for it anew costs a microsecond
         self._h = 0.0
 
-    def _place(self, state: list[float], h: float) -> None:
+    def _set_state(self, state: list[float], h: float) -> None:
         if h != self._h:
             self._model.opt.timestep = h
             self._model.geom_solref[:] = -_STIFFNESS / h**2, 0.0

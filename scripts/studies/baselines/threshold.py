@@ -1,12 +1,13 @@
 """The threshold method: classical Runge-Kutta, and the impact map for whatever foot is near a wall after a step.
 
-Law: smooth Lagrangian dynamics in steps of h (usually 0.01 s), the torque taken at the times of the stages. After each
-    step the first of the 16 pairs (wall by wall, foot by foot) with |gap| < 0.1 m takes the Lagrangian impact map once.
+Law: smooth Lagrangian dynamics in steps of h (usually 0.01 s), the torque evaluated at the times of the stages. After
+    each step the Lagrangian impact map is applied once, to the first of the 16 pairs (wall by wall, foot by foot) with
+    |gap| < 0.1 m.
     The method does not test whether that foot approaches: the map is solved for lambda != 0 of either sign.
 Order: 4 in flight. An impact happens up to 0.1 m early or late: smaller steps do not converge.
 Cost: one step, and 16 gaps if one may be below 0.1 m.
 Fails: a foot that is still in the band one step after its impact is turned back towards the wall. A second foot in the
-    band is not turned. A foot that crosses the band's 0.2 m within a step is not seen. The jack then leaves the box.
+    band is not turned. A foot that crosses the band's 0.2 m within a step is missed. The jack then leaves the box.
     Every impact keeps the energy exactly, so the energy does not show it.
 Reference: the loop of "integrate, test |phi| < threshold, update" that courses teach; no debouncing.
 
@@ -44,7 +45,7 @@ def reflect(scene: Scene, state: Array, wall: int, foot: int) -> tuple[Array, fl
 
 
 class Model(Baseline):
-    """Runge-Kutta and a band; the module's head states the law. An impulse below 0 pulled a foot back to a wall."""
+    """Runge-Kutta and a band, see the module's docstring. An impulse below 0 pulled a foot back to a wall."""
 
     def _simulate(
         self,
@@ -67,7 +68,7 @@ class Model(Baseline):
         return state, total / self.substeps
 
     def _resolve(self, state: list[float], time: float, impacts: list[tuple[Impact, bool]]) -> list[float]:
-        """The first pair in the band takes the impact map."""
+        """Apply the impact map to the first pair in the band."""
         if clearance(self.scene, state) >= BAND:
             return state
         for wall, foot in np.argwhere(np.abs(gaps(self.scene, state)) < BAND)[:1].tolist():

@@ -1,1 +1,1 @@
-"""What each modelled thing costs per step, and the proof that what is off is not executed: docs/costs.md."""
+"""The cost of each modelled thing per step: docs/costs.md."""

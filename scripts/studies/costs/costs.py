@@ -1,4 +1,4 @@
-"""Write docs/costs.md: what each thing that is modelled costs per control step, and that what is off costs nothing."""
+"""Write docs/costs.md: the cost of each modelled thing per control step; what is off costs nothing."""
 
 from __future__ import annotations
 
@@ -59,8 +59,8 @@ class Arguments:
 
 
 def measured(rounds: int, seconds: float) -> dict[str, Any]:
-    """Everything that the page shows."""
-    before = timing.others()
+    """All figures of the page."""
+    before = timing.core_seconds()
     usual, far = these.moments(these.FEW, 4), these.moments(these.FEW, 4, these.LONG)
     many, many_far = these.moments(these.TOGETHER, 40), these.moments(these.TOGETHER, 40, these.LONG)
     lossy = {kind: these.with_loss(kind) for kind in these.LOSS}
@@ -70,17 +70,17 @@ def measured(rounds: int, seconds: float) -> dict[str, Any]:
             timed[f"{contact}: {kind}"] = these.stepped(contact, far if kind == "long arm" else usual, seconds, kind)
     for kind, settings in (these.KINDS | these.IN_BATCHES).items():
         if kind != "drawn":
-            given = many_far if kind == "long arm" else many
-            timed[f"{BATCH}: {kind}"] = these.batched(EXACT, given, seconds, **settings)
+            moments = many_far if kind == "long arm" else many
+            timed[f"{BATCH}: {kind}"] = these.batched(EXACT, moments, seconds, **settings)
     for kind, scene in these.LOSS.items():
         timed[f"{EXACT}: {kind}"] = these.alone(scene, lossy[kind], seconds)
         timed[f"{BATCH}: {kind}"] = these.batched(EXACT, lossy[kind], seconds, scene=scene)
         timed[f"{DERIVED}: {kind}"] = these.derived(scene, lossy[kind], seconds)
-    found = figures(timing.measure(timed, rounds * PASSES), PASSES)
-    found["loss"]["impacts"] = {kind: float(given.hits.mean()) for kind, given in lossy.items()}
+    results = figures(timing.measure(timed, rounds * PASSES), PASSES)
+    results["loss"]["impacts"] = {kind: float(moments.hits.mean()) for kind, moments in lossy.items()}
     impacts = {"usual": float(usual.hits.mean()), "long arm": float(far.hits.mean())}
-    made = f"{timing.measured_with(PACKAGES)}; {rounds} rounds of {PASSES} passes. {timing.meanwhile(before)}"
-    return {**found, "impacts": impacts, "made": made}
+    made = f"{timing.measured_with(PACKAGES)}; {rounds} rounds of {PASSES} passes. {timing.busy_since(before)}"
+    return {**results, "impacts": impacts, "made": made}
 
 
 def in_rounds(rates: Rates, passes: int, weights: Mapping[str, float]) -> list[float]:
@@ -93,7 +93,7 @@ def in_rounds(rates: Rates, passes: int, weights: Mapping[str, float]) -> list[f
 
 
 def figures(rates: Rates, passes: int) -> dict[str, Any]:
-    """A plain step's time, what each thing costs on top of it, and what steps with loss take."""
+    """The times of a plain step, of each thing on top of it, and of steps with loss."""
 
     def of(model: str, *kinds: str) -> list[float]:
         weights = dict(zip((f"{model}: {kind}" for kind in kinds), (1.0, -1.0), strict=False))
@@ -129,16 +129,16 @@ def page(results: Mapping[str, Any]) -> str:
     steps, more = results["loss"]["steps"], impacts["long arm"] - impacts["usual"]
     frame, function = (rough(statistics.median(on_top[what][PYMUNK])) for what in (FRAME, FUNCTION))
     held = [statistics.median(steps[kind][EXACT]) / 1e3 for kind in these.RESTING]
-    single = {what: found for what, found in on_top.items() if set(found) != {BATCH}}
+    single = {what: costs for what, costs in on_top.items() if set(costs) != {BATCH}}
     small = [
         what
-        for what, found in single.items()
-        if all(abs(statistics.median(values)) < 0.1 * plain[model] for model, values in found.items())
+        for what, costs in single.items()
+        if all(abs(statistics.median(values)) < 0.1 * plain[model] for model, values in costs.items())
     ]
     rows = [
-        [what, *(cell(found.get(m), plain[m]) for m in MODELS)] for what, found in single.items() if what not in small
+        [what, *(cell(costs.get(m), plain[m]) for m in MODELS)] for what, costs in single.items() if what not in small
     ]
-    only = [[what, cell(found[BATCH], plain[BATCH])] for what, found in on_top.items() if set(found) == {BATCH}]
+    only = [[what, cell(costs[BATCH], plain[BATCH])] for what, costs in on_top.items() if set(costs) == {BATCH}]
     fields = {
         "plain": {model: rough(value) for model, value in plain.items()},
         "frame": frame,
@@ -164,13 +164,13 @@ def _plain(results: Mapping[str, Any]) -> dict[str, float]:
 
 
 def _loss_table(loss: Figures, impacts: Mapping[str, float]) -> str:
-    """What a step costs that flies, bounces with loss, or rests; each against the one that flies, within rounds."""
+    """Times of steps of flight, of bounces with loss and of rest, also over the time of flight, within rounds."""
     rows = []
-    for kind, found in loss.items():
+    for kind, times in loss.items():
         rows.append([kind, figure(impacts[kind])])
         for model in (EXACT, BATCH, DERIVED):
-            ratios = (one / other for one, other in zip(found[model], loss[these.FLIGHT][model], strict=True))
-            rows[-1] += [f"{figure(statistics.median(found[model]) / 1e3)} µs", figure(statistics.median(ratios))]
+            ratios = (one / other for one, other in zip(times[model], loss[these.FLIGHT][model], strict=True))
+            rows[-1] += [f"{figure(statistics.median(times[model]) / 1e3)} µs", figure(statistics.median(ratios))]
     heads = ["a step of exact", "impacts in it"]
     heads += [head for what in ("contact model alone", "in a batch", DERIVED) for head in (what, "of a flight")]
     return table(heads, rows)
@@ -180,7 +180,7 @@ def pictured(results: Mapping[str, Any]) -> dict[str, float]:
     """The dots of the picture: a step of one exact environment, plain and with one thing more [ns]."""
     plain, costly = (
         _plain(results)[EXACT],
-        {what: found[EXACT] for what, found in results["on_top"].items() if EXACT in found},
+        {what: costs[EXACT] for what, costs in results["on_top"].items() if EXACT in costs},
     )
     return {"a plain step": plain} | {
         what.split(", in place")[0]: plain + statistics.median(values)

@@ -1,8 +1,8 @@
-"""What ``costs.py`` times: the same control steps with a thing and without it.
+"""The steps that ``costs.py`` times: the same control steps with a thing and without it.
 
-The cost of a thing must not be mixed up with its effect on the motion: without gravity the jack hardly meets a wall. So
-all variants step the same states, taken from episodes of the default scene and put back before each step. One thread
-does everything. Its own clock is read around each step; it stops while other processes use the core.
+The cost of a thing must not be mixed up with its effect on the motion: without gravity the jack hardly strikes a wall.
+So all variants step the same states, from episodes of the default scene, which are set before each step. One thread
+does everything. Its clock is read around each step; it stops while other processes use the core.
 """
 
 from __future__ import annotations
@@ -59,14 +59,14 @@ KINDS: dict[str, dict[str, Any]] = {
     "picture": {"render_mode": "rgb_array"},
     "drawn": {"render_mode": "rgb_array"},
 }
-# Scenes of their own differ by so little that the motion is that of the default scene.
-OWN_SCENES = [Scene(gravity=9.81 + 1e-9 * number) for number in range(TOGETHER)]
+# These scenes differ by so little that the motion is that of the default scene.
+SCENES = [Scene(gravity=9.81 + 1e-9 * number) for number in range(TOGETHER)]
 _RANGES = {"jack_mass": (4.0, 4.0 + 1e-6), "gravity": (9.81, 9.81 + 1e-6)}
 _RESTARTING: dict[str, Any] = {"max_episode_steps": 1, "autoreset_mode": "SAME_STEP"}
 IN_BATCHES: dict[str, dict[str, Any]] = {  # kinds of steps that only batches are timed with
     "infos": {"with_infos": True},
-    "own scenes": {"scene": OWN_SCENES},
-    "restarted": {**_RESTARTING, "scene": OWN_SCENES},
+    "own scenes": {"scene": SCENES},
+    "restarted": {**_RESTARTING, "scene": SCENES},
     "redrawn": {**_RESTARTING, "randomize": _RANGES},
     "own task": {"task": Task(TASKS["juggle"].terms, _juggled)},
 }
@@ -89,7 +89,7 @@ class Moments(NamedTuple):
 
 
 def moments(episodes: int, every: int, scene: Scene | None = None) -> Moments:
-    """Every ``every`` steps a moment of episodes under random actions, played by the exact model."""
+    """Every ``every``-th step of episodes under random actions, played by the exact model."""
     scene, rng = scene or Scene(), np.random.default_rng(0)
     starts = np.array([sample_start(scene, rng) for _ in range(episodes)])
     actions = rng.uniform(-1.0, 1.0, (episodes, EPISODE, 1)).astype(np.float32)
@@ -105,13 +105,13 @@ def moments(episodes: int, every: int, scene: Scene | None = None) -> Moments:
 def with_loss(kind: str, courses: int = 256) -> Moments:
     """Moments of one kind of ``LOSS`` under no torque, two for each environment of a batch, from courses of 14 s.
 
-    The box is level and still at first, but for those that turn. A jack that rests lies on two feet, in a corner on
-    three.
+    The box is level and at rest at first, except for the kinds that turn. A resting jack lies on two feet, in a corner
+    on three.
     """
     scene, rng = LOSS[kind], np.random.default_rng(0)
     lies, omega = kind in RESTING, {TURNING: 0.2, CORNER: 3.0}.get(kind, 0.0)
-    places = np.full(courses, math.sqrt(0.5) - 6.0) if kind == CORNER else rng.uniform(-4.0, 4.0, courses)
-    starts = np.array([_lying(x, omega) if lies else sample_start(scene, rng) for x in places.tolist()])
+    positions = np.full(courses, math.sqrt(0.5) - 6.0) if kind == CORNER else rng.uniform(-4.0, 4.0, courses)
+    starts = np.array([_lying(x, omega) if lies else sample_start(scene, rng) for x in positions.tolist()])
     steps = 50 if lies else 700
     played: Any = rollout(scene, starts, np.zeros((courses, steps)), DT, impacts=True, num_threads=1)
     hits: NDArray[np.int64] = played.impacts
@@ -130,15 +130,15 @@ def _lying(x: float, omega: float) -> Array:
 
 
 def timed(lap: Sequence[tuple[Callable[[], Any], Callable[[], Any]]], steps: int, seconds: float) -> Timed:
-    """Steps per second of the second call of each pair, after the first, which is not timed; a pair makes ``steps``."""
+    """Steps per second of the second call of each pair; the first is not timed. A second call makes ``steps`` steps."""
     clock = time.thread_time
-    reading = min(-clock() + clock() for _ in range(1000))  # takes this time itself [s]
+    reading = min(-clock() + clock() for _ in range(1000))  # [s] that a reading itself needs
 
     def run() -> float:
         passed, pairs = 0.0, 0
         while passed <= seconds:
-            for put, step in lap:
-                put()
+            for prepare, step in lap:
+                prepare()
                 began = clock()
                 step()
                 passed += clock() - began - reading
@@ -148,29 +148,29 @@ def timed(lap: Sequence[tuple[Callable[[], Any], Callable[[], Any]]], steps: int
     return run
 
 
-def alone(scene: Scene, given: Moments, seconds: float) -> Timed:
+def alone(scene: Scene, sample: Moments, seconds: float) -> Timed:
     """Steps per second of the exact contact model, without an environment, under no torque."""
     simulator = make_simulator(scene, "exact")
     step = partial(simulator.step, DT, 0.0)
-    return timed([(partial(simulator.reset, state), step) for state in given.states[:64].reshape(-1, 12)], 1, seconds)
+    return timed([(partial(simulator.reset, state), step) for state in sample.states[:64].reshape(-1, 12)], 1, seconds)
 
 
-def derived(scene: Scene, given: Moments, seconds: float) -> Timed:
+def derived(scene: Scene, sample: Moments, seconds: float) -> Timed:
     """Steps per second of rollouts of one step, their derivatives by state and torque included, under no torque."""
     torques = np.zeros((TOGETHER, 1))
 
     def step(states: Array) -> None:
         linearize(scene, states, torques, DT, num_threads=1).A  # noqa: B018
 
-    return timed([(int, partial(step, given.states[:, k])) for k in range(given.states.shape[1])], TOGETHER, seconds)
+    return timed([(int, partial(step, sample.states[:, k])) for k in range(sample.states.shape[1])], TOGETHER, seconds)
 
 
-def stepped(contact: str, given: Moments, seconds: float, kind: str) -> Timed:
+def stepped(contact: str, sample: Moments, seconds: float, kind: str) -> Timed:
     """Steps per second of an environment of one of ``KINDS``."""
     env: Any = gym.make("JackInBox-v0", contact=contact, max_episode_steps=_NEVER, **KINDS[kind])
     env.reset(seed=0)
     for _ in range(2):
-        env.step(given.actions[0, 0])  # Gymnasium's checker examines only the first steps
+        env.step(sample.actions[0, 0])  # Gymnasium's checker examines only the first steps
 
     def drawn(action: Any) -> None:
         env.step(action)
@@ -179,23 +179,23 @@ def stepped(contact: str, given: Moments, seconds: float, kind: str) -> Timed:
     step = drawn if kind == "drawn" else env.step
     lap = [
         (partial(env.unwrapped.set_state, state, moment), partial(step, action))
-        for states, actions in zip(given.states, given.actions, strict=True)
-        for state, moment, action in zip(states, given.times, actions, strict=True)
+        for states, actions in zip(sample.states, sample.actions, strict=True)
+        for state, moment, action in zip(states, sample.times, actions, strict=True)
     ]
     return timed(lap[:_DRAWN] if kind == "drawn" else lap, 1, seconds)
 
 
-def batched(contact: str, given: Moments, seconds: float, **settings: Any) -> Timed:
+def batched(contact: str, sample: Moments, seconds: float, **settings: Any) -> Timed:
     """Environment steps per second of a batch."""
     count = FEW if contact == "pymunk" or "render_mode" in settings else TOGETHER
-    made = {"contact": contact, "num_threads": 1, "max_episode_steps": _NEVER, **settings}
-    env: Any = gym.make_vec("JackInBox-v0", count, vectorization_mode="vector_entry_point", **made)
+    keywords = {"contact": contact, "num_threads": 1, "max_episode_steps": _NEVER, **settings}
+    env: Any = gym.make_vec("JackInBox-v0", count, vectorization_mode="vector_entry_point", **keywords)
     env.reset(seed=0)
     lap = [
         (
-            partial(env.unwrapped.set_states, given.states[:count, k], moment),
-            partial(env.step, given.actions[:count, k]),
+            partial(env.unwrapped.set_states, sample.states[:count, k], moment),
+            partial(env.step, sample.actions[:count, k]),
         )
-        for k, moment in enumerate(given.times)
+        for k, moment in enumerate(sample.times)
     ]
     return timed(lap, count, seconds)

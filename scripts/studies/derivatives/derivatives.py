@@ -1,4 +1,4 @@
-"""Write docs/derivatives.md: what derivatives through impacts are good for, with a picture of each use; two minutes."""
+"""Write docs/derivatives.md: uses of derivatives through impacts, with a picture of each, in two minutes."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class Arguments:
     """Measure nothing: write the page from the results that are stored."""
 
 
-def spread(found: Mapping[str, float], places: int = 1) -> str:
+def spread(estimate: Mapping[str, float], digits: int = 1) -> str:
     """A mean with its 95 % interval."""
-    return f"{found['mean']:.{places}f} ± {found['half_width']:.{places}f}"
+    return f"{estimate['mean']:.{digits}f} ± {estimate['half_width']:.{digits}f}"
 
 
 def page(results: Mapping[str, Any]) -> str:
@@ -55,49 +55,49 @@ def _norm(value: float) -> str:
     return f"{value:.0e}" if value > 1e4 else figure(float(f"{value:.2g}"))
 
 
-def _ilqr(found: Mapping[str, Any]) -> dict[str, Any]:
+def _ilqr(results: Mapping[str, Any]) -> dict[str, Any]:
     rows = [
         [PLANS[kind], spread(of["before"]), f"{of['planning']['mean']:.3f} s", spread(of["after"]),
          f"{of['seconds']['mean']:.3f} s", f"{of['iterations']['mean']:.0f}"]
-        for kind, of in found.items()
+        for kind, of in results.items()
     ]  # fmt: skip
-    level, planner = found["level"], found["planner"]
+    level, planner = results["level"], results["planner"]
     count = len(level["returns"])
     return {
         "problems": count,
         "level": {name: spread(level[name]) for name in ("before", "after")},
         "planner": {"gain": spread(planner["gain"]), "beyond": spread(planner["beyond_longer_icem"])},
         "table": table(("plan", "return", "its time", "after iLQR", "iLQR's time", "iterations"), rows),
-        "clean": sum(count if of["rough"]["mean"] == 0.0 else 0 for of in found.values()),
-        "all": count * len(found),
+        "clean": sum(count if of["rough"]["mean"] == 0.0 else 0 for of in results.values()),
+        "all": count * len(results),
     }
 
 
-def _bounce(found: Mapping[str, Any]) -> dict[str, Any]:
-    at = found["sizes"].index(0.1)
-    held = {name: f"{shares[at]:.0%}" for name, shares in found["share_held"].items()}
+def _bounce(results: Mapping[str, Any]) -> dict[str, Any]:
+    at = results["sizes"].index(0.1)
+    held = {name: f"{shares[at]:.0%}" for name, shares in results["share_held"].items()}
     return {
         "period": f"{bounce.PERIOD * bounce.DT:.2f}",
-        "residuals": ", ".join(f"{value:.1g}" for value in found["residuals"][:5]),
-        "largest": figure(math.hypot(*found["multipliers"][0])),
-        "pairs": f"{max(abs(pair - 1.0) for pair in found['pairs']):.0e}",
-        "seconds": f"{found['seconds']:g}",
-        "starts": found["starts"],
+        "residuals": ", ".join(f"{value:.1g}" for value in results["residuals"][:5]),
+        "largest": figure(math.hypot(*results["multipliers"][0])),
+        "pairs": f"{max(abs(pair - 1.0) for pair in results['pairs']):.0e}",
+        "seconds": f"{results['seconds']:g}",
+        "starts": results["starts"],
         "held": held["by phase"],
         "clock": held["by clock"],
     }
 
 
-def _lyapunov(found: Mapping[str, Any]) -> dict[str, Any]:
-    factors = {policy: math.exp(of["log_per_impact"]["mean"]) for policy, of in found.items()}
+def _lyapunov(results: Mapping[str, Any]) -> dict[str, Any]:
+    factors = {policy: math.exp(of["log_per_impact"]["mean"]) for policy, of in results.items()}
     rows = [
         [f"`{policy}`", f"{spread(of['exponent'], 2)} / s", spread(of["impacts"]), figure(factors[policy]),
          f"{of['forgotten_after']:.0f} s", f"{of['forgotten_after_impacts']:.0f}"]
-        for policy, of in found.items()
+        for policy, of in results.items()
     ]  # fmt: skip
     heads = "torques of", "exponent", "impacts in 10 s", "growth per impact", "1e-16 is 0.1 after", "impacts"
     return {
-        "starts": found["zero"]["starts"],
+        "starts": results["zero"]["starts"],
         "table": table(heads, rows),
         "growth": f"{min(factors.values()):.0f} to {max(factors.values()):.0f}",
     }
@@ -114,10 +114,10 @@ def main() -> None:
     pictures, path = arguments.out / "derivatives", arguments.out / "derivatives.json"
     check_writable(arguments.out)
     if not arguments.render:
-        before = timing.others()
+        before = timing.core_seconds()
         results: dict[str, Any] = {name: part.measure() for name, part in PARTS.items()}
         results["gradients"] = gradients.measure()
-        results["made"] = f"{timing.measured_with(PACKAGES)}. {timing.meanwhile(before)}"
+        results["made"] = f"{timing.measured_with(PACKAGES)}. {timing.busy_since(before)}"
         write_json(path, results)
     results = json.loads(path.read_text())
     pictures.mkdir(exist_ok=True)

@@ -1,4 +1,4 @@
-"""Write docs/speed.md: how fast the environment and the exact model are, beside others on the same core."""
+"""Write docs/speed.md: the speed of the environment and the exact model, beside others on the same core."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ class Arguments:
     """Folder of the page speed.md, its picture speed.png and its results speed.json."""
 
 
-# Results are stored by part: rates and ratios in each round; made, with what they were measured; kept, the ratios of an
-# earlier run to peers that were not installed.
+# Results are stored by part: rates and ratios in each round; made: machine, versions and rounds; kept: ratios of an
+# earlier run to peers that are not installed now.
 Results = Mapping[str, Mapping[str, Any]]
 RATIOS = {
     "alone": {
@@ -81,76 +81,76 @@ PICTURE = {
 
 
 def ratios_of(part: str, rates: Rates) -> Rates:
-    """The ratios of a part in each round. Ratios to peers that are not installed are left out."""
+    """The ratios of a part in each round, except those to peers that are not installed."""
     return {what: timing.ratios(rates, *two) for what, two in RATIOS[part].items() if set(two) <= set(rates)}
 
 
-def kept_of(stored: Mapping[str, Any], ratios: Rates) -> dict[str, Any]:
+def earlier_ratios(stored: Mapping[str, Any], ratios: Rates) -> dict[str, Any]:
     """The ratios of a stored part that are not among those measured now."""
     known = {what: {"values": values, "made": stored["made"]} for what, values in stored.get("ratios", {}).items()}
-    return {what: found for what, found in (known | stored.get("kept", {})).items() if what not in ratios}
+    return {what: ratio for what, ratio in (known | stored.get("kept", {})).items() if what not in ratios}
 
 
 def measured(part: Part, rounds: int, seconds: float, stored: dict[str, Any]) -> dict[str, Any]:
-    """Measure a part of the page. Keep the ``stored`` figures of peers that are not installed now."""
-    before, cores = timing.others(), os.sched_getaffinity(0) if timing.PINNED else {0}
+    """Measure a part of the page. The ``stored`` ratios to peers that are not installed now stay."""
+    before, cores = timing.core_seconds(), os.sched_getaffinity(0) if timing.PINNED else {0}
     timing.on_cores(cores if part == "threads" else {max(cores)})
-    found: dict[str, Any] = {}
+    results: dict[str, Any] = {}
     if part == "start":
-        found = these.start(min(rounds, STARTS))
+        results = these.start(min(rounds, STARTS))
     else:
         makes: dict[str, Callable[[float], dict[str, timing.Timed]]] = {
             "alone": these.alone, "together": these.together, "threads": partial(these.threads, len(cores))
         }  # fmt: skip
-        found["rates"] = timing.measure(makes[part](seconds), rounds)
-        found["ratios"] = ratios_of(part, found["rates"])
-        found["kept"] = kept_of(stored, found["ratios"])
+        results["rates"] = timing.measure(makes[part](seconds), rounds)
+        results["ratios"] = ratios_of(part, results["rates"])
+        results["kept"] = earlier_ratios(stored, results["ratios"])
     if part == "together":
-        found["lost"] = these.lost()
+        results["lost"] = these.lost()
     timing.on_cores(cores)
-    made = f"{timing.measured_with(PACKAGES)}; {rounds} rounds of {seconds:g} s. {timing.meanwhile(before)}"
-    return found | {"made": made}
+    made = f"{timing.measured_with(PACKAGES)}; {rounds} rounds of {seconds:g} s. {timing.busy_since(before)}"
+    return results | {"made": made}
 
 
 # -- the page ----------------------------------------------------------------------------------------------------------
 
 
-def _section(found: Mapping[str, Any]) -> str:
-    """The tables of a part: rates with the time of one, and ratios; those kept of an earlier run last."""
+def _section(results: Mapping[str, Any]) -> str:
+    """The tables of a part: rates with the time of one, and ratios; those of an earlier run last."""
     rates = [
-        [name, *_cells(values), figure(1e9 / statistics.median(values))] for name, values in found["rates"].items()
+        [name, *_cells(values), figure(1e9 / statistics.median(values))] for name, values in results["rates"].items()
     ]
-    ratios = [[what, *_cells(values)] for what, values in all_ratios(found).items()]
-    kept = [
+    ratios = [[what, *_cells(values)] for what, values in all_ratios(results).items()]
+    earlier = [
         f"Not installed here, and kept from an earlier run: {what}. {one['made']}"
-        for what, one in found["kept"].items()
+        for what, one in results["kept"].items()
     ]
     lines = [
         table(("what", "per second", "smallest to largest", "ns each"), rates),
         table(("ratio", "median", "smallest to largest"), ratios),
-        *kept,
+        *earlier,
     ]
     return "\n\n".join(lines)
 
 
 def _cells(values: list[float]) -> list[str]:
-    """The median, and the extremes where there is more than one value."""
+    """The median, and the extremes of two or more values."""
     extremes = f"{figure(min(values))} to {figure(max(values))}" if len(values) > 1 else ""
     return [figure(statistics.median(values)), extremes]
 
 
-def all_ratios(found: Mapping[str, Any]) -> Rates:
-    """The ratios measured, and those kept of an earlier run."""
-    return {**found["ratios"], **{what: kept["values"] for what, kept in found["kept"].items()}}
+def all_ratios(results: Mapping[str, Any]) -> Rates:
+    """The ratios of this run and of an earlier one."""
+    return {**results["ratios"], **{what: earlier["values"] for what, earlier in results["kept"].items()}}
 
 
 def page(results: Results) -> str:
     """docs/speed.md."""
     together = results["together"]
     rates = {
-        part: {name: rough(statistics.median(values)) for name, values in found["rates"].items()}
-        for part, found in results.items()
-        if "rates" in found
+        part: {name: rough(statistics.median(values)) for name, values in of["rates"].items()}
+        for part, of in results.items()
+        if "rates" in of
     }
     over = {what: rough(statistics.median(values)) for what, values in all_ratios(together).items()}
     peers = {"Gymnasium's own": "Gymnasium's own batch of CartPole-v1", "EnvPool's": "EnvPool's"}
@@ -163,13 +163,13 @@ def page(results: Results) -> str:
         "tables": {part: _section(results[part]) for part in rates},
         "lost": together["lost"],
         "memory": results["start"],
-        "made": "\n".join(f"- `{part}`: {found['made']}" for part, found in results.items()),
+        "made": "\n".join(f"- `{part}`: {of['made']}" for part, of in results.items()),
     }
     return (Path(__file__).parent / "page.md").read_text().format(**fields)
 
 
 def for_the_readme(results: Results) -> str:
-    """The README's table: what the picture shows."""
+    """The README's table: the numbers of the picture."""
     lines = ["| control steps per second on one core | |", "|---|---:|"]
     lines += [f"| {name} | {rough(rate)} |" for name, rate in pictured(results).items()]
     machine = results["alone"]["made"].split(";")[0]

@@ -1,0 +1,122 @@
+"""The picture of docs/accuracy.md: the first impact's time error against cost. ``benchmark.py`` draws it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from jackbox_env.files import replacing
+from scripts.studies.accuracy.measured import BATCH, EXACT, NAIVE, PYMUNK, Results, of_fidelity, pymunk
+from scripts.studies.pages import two_digits
+
+_COLOURS = {EXACT: "C0", BATCH: "C0", PYMUNK: "C2", NAIVE: "C3", "box2d": "0.5", "mujoco": "0.5"}
+_LABELS = {  # at the points: text, offset [points], alignment
+    EXACT: ("exact", (7, 0), "left"),
+    BATCH: ("exact,\nin a batch", (7, -4), "left"),
+    of_fidelity("coarse"): ("coarse", (-6, 0), "right"),
+    of_fidelity("balanced"): ("balanced", (-6, -7), "right"),
+    of_fidelity("fine"): ("fine", (-7, -7), "right"),
+    pymunk(1).name: ("pymunk, 1 substep", (-6, 2), "right"),
+    pymunk(256).name: ("256 substeps", (-3, -12), "right"),
+    f"{NAIVE}, RK4 at 0.01 s": ("usual way", (3, 40), "left"),
+    "mujoco, 64 substeps": ("Box2D,\nMuJoCo", (5, 72), "right"),
+}
+_LEAST = 1e-16  # where a logarithmic axis shows zero
+
+
+def points(results: Results, quantity: str) -> dict[str, dict[str, list[Any]]]:
+    """By family, columns of settings, their costs and median and worst of a quantity, in the order of the sweep."""
+    lines: dict[str, dict[str, list[Any]]] = {}
+    for name in results.settings:
+        cost, row = results.some(name, "cost", quantity)
+        if row.n:
+            line = lines.setdefault(cost.family, {"setting": [], "cost": [], "median": [], "worst": []})
+            for column, value in zip(
+                line.values(), (name, cost.median, max(row.median, _LEAST), row.worst), strict=True
+            ):
+                column.append(value)
+    return lines
+
+
+_SCRIPT = """<style>[id^=ring] { opacity: 0 }</style>
+<script>
+const texts = [...document.querySelectorAll("#title text")], usual = texts.map((text) => text.textContent);
+const rings = Object.entries(LINES).map(([id, lines]) => ({ ring: document.getElementById(id), lines }));
+addEventListener("pointermove", (event) => {
+  for (const one of rings) {
+    const { x, y, width, height } = one.ring.getBoundingClientRect();
+    one.away = Math.hypot(event.clientX - x - width / 2, event.clientY - y - height / 2);
+  }
+  const near = rings.reduce((best, one) => (best.away > one.away ? one : best), { away: 25, lines: usual }); // [px]
+  for (const one of rings) one.ring.style.opacity = one === near ? 1 : 0;
+  texts.forEach((text, line) => (text.textContent = near.lines[line]));
+});
+</script>
+</svg>"""
+
+
+def draw(results: Results, path: Path) -> None:
+    """Draw it, legible at 390 pixels; its title shows the numbers of the setting under the pointer."""
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    import jackbox_env.commands.plots  # noqa: F401  # the style of all plots
+
+    figure = Figure(figsize=(4.0, 4.8), dpi=200, layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3.4, 1.0))
+    for axis in (upper, lower):
+        axis.set(xscale="log", yscale="log")
+        axis.grid()
+        _plot(axis, points(results, "first_1"))
+    title = "How far off is the first impact?\nPoint: median. Line: to the worst case."
+    figure.suptitle(title, x=0.04, ha="left", fontsize="medium", gid="title")  # lines of any length
+    upper.set(ylim=(1.5e-5, 0.1))
+    upper.set_yticks([1e-4, 1e-3, 1e-2], ["0.1 ms", "1 ms", "10 ms"])
+    upper.spines.bottom.set_visible(False)
+    upper.tick_params(axis="x", which="both", length=0)
+    lower.set(ylim=(_LEAST, 1e-14), xlabel="computing time per simulated second")
+    lower.set_yticks([1e-15], ["$10^{-15}$ s"])
+    lower.set_xticks([1e1, 1e2, 1e3, 1e4], ["10 µs", "0.1 ms", "1 ms", "10 ms"])
+    lower.spines.top.set(visible=True, linestyle=(0, (4, 4)))  # the axis is cut here
+    lines = _add_rings(results, upper, lower)
+    with replacing(path) as partial, matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": path.name}):
+        figure.savefig(partial, metadata={"Date": None})
+        script = _SCRIPT.replace("LINES", json.dumps(lines))
+        partial.write_text(partial.read_text().replace("</svg>", script))
+
+
+def _add_rings(results: Results, *axes: Any) -> dict[str, list[str]]:
+    """Draw an invisible ring around each point; return its two lines of text: setting and cost, and error."""
+    from jackbox_env.commands.plots import GREY
+
+    lines = dict[str, list[str]]()
+    for name in results.settings:
+        error, cost = results.some(name, "first_1", "cost")
+        point = cost.median, max(error.median, _LEAST)
+        for axis in axes:
+            low, high = axis.get_ylim()
+            if low <= point[1] <= high and cost.family in _COLOURS:
+                ring = f"ring-{len(lines)}"
+                axis.plot(*point, "o", markersize=9, fillstyle="none", color=GREY, gid=ring)
+                late = f"{_seconds(error.median)} late, at worst {_seconds(error.worst)}"
+                lines[ring] = [f"{name}: {_seconds(1e-6 * cost.median)} of computing", late]
+    return lines
+
+
+def _seconds(value: float) -> str:
+    """A time in the largest unit in which it is at least 1."""
+    unit, size = next(((unit, size) for unit, size in (("ms", 1e-3), ("µs", 1e-6)) if value >= size), ("s", 1.0))
+    return f"{two_digits(value / size)} {unit}"
+
+
+def _plot(axis: Any, lines: dict[str, dict[str, list[Any]]]) -> None:
+    """Plot the lines of the families, with their labels."""
+    for family, line in lines.items():
+        colour = _COLOURS.get(family)  # none: variants of another family, which would lie on its points
+        if colour:
+            axis.plot("cost", "median", "o-", data=line, markersize=4, color=colour)
+            axis.vlines("cost", "median", "worst", data=line, color=colour, alpha=0.4)
+        for name, *point in zip(line["setting"], line["cost"], line["median"], strict=True):
+            text, offset, aligned = _LABELS.get(name, ("", (0, 0), "left"))
+            axis.annotate(text, point, xytext=offset, textcoords="offset points", color=colour, ha=aligned, va="center")
