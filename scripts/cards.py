@@ -10,11 +10,11 @@ from agents.policies.network import SHIPPED
 from jackbox_env.command_line import ROOT, command_line
 from jackbox_env.files import write_text
 
-SEEN = "From the observation, and eleven numbers about the jack's next landing that follow from it,"
-MADE = {  # what it is, and how it was trained
-    "ppo": f"""A network with two layers of {{hidden_units[0]}} neurons. {SEEN} it chooses {{chosen}}, for {{repeat}} control steps of {{control_dt}} s each time.
+INPUTS = "From the observation, and eleven numbers about the jack's next landing that follow from it,"
+ORIGINS = {  # what a network is, and how it was trained
+    "ppo": f"""A network with two layers of {{hidden_units[0]}} neurons. {INPUTS} it chooses {{chosen}}, for {{repeat}} control steps of {{control_dt}} s each time.
 PPO trained it for {{total_steps:,}} decisions in {{num_envs}} environments: discount {{gamma}}, learning rate {{learning_rate}}, seed {{seed}}; settings.json has the rest. That took {{seconds:.0f}} s. Five such trainings, this one and four of other seeds, earn {{lowest:.1f}} to {{highest:.1f}}. `make networks` trains it again.""",  # noqa: E501
-    "distilled": f"""A network with two layers of {{hidden_units[0]}} neurons. {SEEN} it chooses a torque, for {{repeat}} control steps of {{control_dt}} s each time.
+    "distilled": f"""A network with two layers of {{hidden_units[0]}} neurons. {INPUTS} it chooses a torque, for {{repeat}} control steps of {{control_dt}} s each time.
 `scripts/studies/vine.py` tries torques from the same states, plays on by exact rollouts, and makes the better ones more likely by PPO's clipped loss.""",  # noqa: E501
     "juggle-distilled": """A network that says what a bounce is worth. The policy works out in closed form what one bounce makes of the jack, for many ways to meet it, and turns the box to the best.
 `scripts/studies/distil.py` starts from the planner's value and improves it on what the policy itself goes through.""",  # noqa: E501
@@ -64,7 +64,7 @@ def card(folder: Path, record: dict[str, Any]) -> str:
         half = (row["interval_95"][1] - row["interval_95"][0]) / 2.0
         facts["metrics"] += METRIC.format(**row, half=half)
         facts["rows"] += "| {contact} | {mean:.1f} ± {half:.1f} | {episodes} |\n".format(**row, half=half)
-    return CARD.format(**facts, made=(MADE.get(folder.name) or MADE[name]).format(**facts))
+    return CARD.format(**facts, made=(ORIGINS.get(folder.name) or ORIGINS[name]).format(**facts))
 
 
 @command_line

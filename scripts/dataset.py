@@ -2,7 +2,7 @@
 
 They are called jackbox/juggle-random-v0 and so on. The infos hold state, time, torque, count and impulse of the impacts
 and the reward's terms, the metadata each episode's seed and the versions. Minari, in an environment of its own, loads
-each dataset, and every episode is replayed: the bits must be the same. A dataset that is there is not replaced.
+each dataset, and every episode is replayed: the bits must be the same. An existing dataset is not replaced.
 """
 
 from __future__ import annotations
@@ -42,24 +42,24 @@ class Arguments:
 
 
 def policies(task: str) -> dict[str, Policy]:
-    """The policies by name; the registry's need torch, these do not."""
+    """The policies by name, made without the registry, which needs torch."""
     ppo, value = (SHIPPED / f"{task}-{name}" for name in ("ppo", "value"))
-    more: dict[str, Any] = {"knots": VALUED_KNOTS, "value": read_value(value)} if value.is_dir() else {}
-    return {"random": RandomPolicy(0), "ppo": read_policy(ppo), "planner": Planner(Scene(), task, **more)}
+    options: dict[str, Any] = {"knots": VALUED_KNOTS, "value": read_value(value)} if value.is_dir() else {}
+    return {"random": RandomPolicy(0), "ppo": read_policy(ppo), "planner": Planner(Scene(), task, **options)}
 
 
 def record(env: gym.Env[Any, Any], policy: Policy, episodes: int) -> None:
     """Play episodes from the seeds 0, 1, 2 and so on."""
     for seed in range(episodes):
-        (observation, _), memory, first, over = env.reset(seed=seed), None, True, False
-        while not over:
+        (observation, _), memory, first, done = env.reset(seed=seed), None, True, False
+        while not done:
             action, memory = policy.predict(observation, memory, np.array([first]), deterministic=True)
             observation, _, terminated, truncated, _ = env.step(action)
-            first, over = False, terminated or truncated
+            first, done = False, terminated or truncated
 
 
 def replay(env: Any, seed: int, episode: Any) -> None:
-    """Play an episode's actions from its seed, and those of its second half from the state there.
+    """Play an episode's actions from its seed, and those of its second half from the state at its middle.
 
     Raises:
         RuntimeError: a state, an observation or a reward has other bits.
@@ -71,21 +71,22 @@ def replay(env: Any, seed: int, episode: Any) -> None:
             env.set_state(stored[0][first], episode.infos["time"][first])
         state, observation = env.state, env.observation
         steps = [(env.state, *outcome[:2]) for outcome in map(env.step, episode.actions[first:])]
-        states, seen, rewards = zip(*steps, strict=True)
-        for found, numbers in zip(((state, *states), (observation, *seen), rewards), stored, strict=True):
-            if np.array(found).tobytes() != numbers[first:].tobytes():
+        states, observations, rewards = zip(*steps, strict=True)
+        replayed = (state, *states), (observation, *observations), rewards
+        for again, original in zip(replayed, stored, strict=True):
+            if np.array(again).tobytes() != original[first:].tobytes():
                 raise RuntimeError(f"episode {episode.id} has other bits when it is played from step {first}")
 
 
 def write(task: str, name: str, policy: Policy, episodes: int) -> None:
-    """Write one dataset, load it, replay it, and say what it holds."""
+    """Write one dataset, load and replay it, and print its mean return."""
     import minari
 
     dataset_id, author = f"jackbox/{task}-{name}-v0", "The jackbox developers"
     env = minari.DataCollector(gym.make("JackInBox-v0", task=task, fidelity="exact"), record_infos=True)
     record(env, policy, episodes)
-    made = env.create_dataset(dataset_id, algorithm_name=name, author=author, description=TEXT.format(task, name))
-    made.storage.update_metadata({"versions": json.dumps(versions(PACKAGES))})
+    written = env.create_dataset(dataset_id, algorithm_name=name, author=author, description=TEXT.format(task, name))
+    written.storage.update_metadata({"versions": json.dumps(versions(PACKAGES))})
     dataset = minari.load_dataset(dataset_id)
     inner, earned = dataset.recover_environment().unwrapped, []
     for episode in dataset.iterate_episodes():

@@ -56,19 +56,19 @@ def main() -> None:
     print(f"Evaluating {arguments.episodes} episodes of each policy on fidelity exact, and on gym.make's balanced")
     acts = {name: find_policy(name, settings, arguments.seed) for name in SCRIPTED}
     acts["PPO"] = find_policy(str(folder), settings)
-    on = {fidelity: {**settings.env_settings, "fidelity": fidelity} for fidelity in ("exact", "balanced")}
+    settings_on = {fidelity: {**settings.env_settings, "fidelity": fidelity} for fidelity in ("exact", "balanced")}
     rows: dict[str, list[Returns]] = {
         fidelity: [
             evaluate(name, act.policy, {**env_settings, **act.env_settings}, arguments.episodes, arguments.seed)
             for name, act in acts.items()
         ]
-        for fidelity, env_settings in on.items()
+        for fidelity, env_settings in settings_on.items()
     }
     results = {
         "seed": arguments.seed,
         "machine": machine(),
         "versions": versions(),
-        "results": {fidelity: [row.as_json() for row in found] for fidelity, found in rows.items()},
+        "results": {fidelity: [row.as_json() for row in returns] for fidelity, returns in rows.items()},
     }
     write_json(folder / "results.json", results)
     learning_figure(folder, rows["exact"], settings.task)
@@ -76,12 +76,12 @@ def main() -> None:
     print("Filming chirp, level, PPO and the planner side by side")
     acts["planner"] = find_policy("planner", settings, arguments.seed)
     shown = {name: acts[name] for name in ("chirp", "level", "PPO", "planner")}
-    film(shown, on["exact"], folder / "film.gif", seed=derived_seed("evaluation", arguments.seed), width=288)
-    for fidelity, found in rows.items():
-        print(f"\nFidelity {fidelity}:\n\n{table(found)}")
+    film(shown, settings_on["exact"], folder / "film.gif", seed=derived_seed("evaluation", arguments.seed), width=288)
+    for fidelity, returns in rows.items():
+        print(f"\nFidelity {fidelity}:\n\n{table(returns)}")
     print(f"\nModel, settings, results.json, results.png and film.gif: {folder}")
     print(f"Took {time.monotonic() - began:.0f} s")
-    print("; ".join(f"on {fidelity}, {above(found, 'PPO', 'level')}" for fidelity, found in rows.items()) + ".")
+    print("; ".join(f"on {fidelity}, {above(returns, 'PPO', 'level')}" for fidelity, returns in rows.items()) + ".")
 
 
 if __name__ == "__main__":

@@ -42,8 +42,8 @@ class Arguments:
     """Unpickle models that have no settings.json beside them: only those of people you trust."""
 
 
-def _refuse_nonsense(arguments: Arguments) -> None:
-    """Refuse what would fail after minutes of computing."""
+def _check(arguments: Arguments) -> None:
+    """Raise now what would fail after minutes of computing."""
     check.whole("episodes", arguments.episodes, at_least=1)
     check.whole("seed", arguments.seed, at_least=0, at_most=2**32 - 1)
     if not arguments.policy:
@@ -67,7 +67,7 @@ def main() -> None:
     import tyro
 
     arguments = tyro.cli(Arguments, description=__doc__, config=(tyro.conf.OmitArgPrefixes,))
-    _refuse_nonsense(arguments)
+    _check(arguments)
     from agents.evaluation.provenance import describe_env, warn_of_other_training
     from agents.evaluation.returns import evaluate, table
     from agents.policies.registry import find_policy
@@ -75,29 +75,29 @@ def main() -> None:
     from agents.training.models import derived_seed
 
     env_settings = arguments.settings.env_settings
-    found = [
+    policies = [
         (name, find_policy(name, arguments.settings, arguments.seed, arguments.trust)) for name in arguments.policy
     ]
     print(f"{arguments.episodes} episodes each, seed {arguments.seed}, {describe_env(arguments.settings)}")
     rows = []
-    for name, (policy, more) in found:
+    for name, (policy, extra_settings) in policies:
         warn_of_other_training(name, arguments.settings)
-        act_in = {**env_settings, **more}
-        rows.append(evaluate(name, policy, act_in, arguments.episodes, arguments.seed, progress=True))
+        settings = {**env_settings, **extra_settings}
+        rows.append(evaluate(name, policy, settings, arguments.episodes, arguments.seed, progress=True))
     print(table(rows))
     if arguments.film is not None:
         from agents.evaluation.film import film_episode
 
-        film_episode(dict(found), env_settings, arguments.film, derived_seed("evaluation", arguments.seed))
+        film_episode(dict(policies), env_settings, arguments.film, derived_seed("evaluation", arguments.seed))
     if arguments.json is not None:
         record = {"env": env_settings, "seed": arguments.seed, "versions": versions()}
         write_json(arguments.json, {**record, "results": [row.as_json() for row in rows]})
     if arguments.html:
-        _write_pages(arguments.folder, dict(found), arguments.settings, arguments.seed)
+        _write_pages(arguments.folder, dict(policies), arguments.settings, arguments.seed)
 
 
 def _write_pages(path: Path | None, acts: dict[str, Baseline], settings: EnvSettings, seed: int) -> None:
-    """Write an animated page of each policy into a new folder, and say where."""
+    """Write an animated page of each policy into a new folder, and print the paths."""
     from agents.evaluation.episodes import write_pages
 
     earned = dict[str, float]()

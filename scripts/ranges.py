@@ -30,15 +30,15 @@ TOOLS = ["mpmath", "pytest", "pytest-timeout", "pytest-xdist", "sympy"]
 
 def dependencies(kind: str) -> list[str]:
     """Requirements of the package, ``numba>=0.61,<0.70``; the ``lowest`` as ``numba==0.61``."""
-    given: list[str] = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["dependencies"]
-    return [one.split(",")[0].replace(">=", "==") for one in given] if kind == "lowest" else given
+    names: list[str] = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["dependencies"]
+    return [one.split(",")[0].replace(">=", "==") for one in names] if kind == "lowest" else names
 
 
 def environment(kind: str) -> str:
-    """Make an environment of this kind and say what it holds; the path of its Python."""
-    place = ROOT / ".venv" / f"ranges-{kind}"
-    venv.create(place, clear=True, with_pip=True)
-    python = str(place / Path(sys.executable).relative_to(sys.prefix))
+    """Make an environment of this kind and print its versions; return the path of its Python."""
+    folder = ROOT / ".venv" / f"ranges-{kind}"
+    venv.create(folder, clear=True, with_pip=True)
+    python = str(folder / Path(sys.executable).relative_to(sys.prefix))
     pip = [python, "-m", "pip", "--disable-pip-version-check"]
     subprocess.run([*pip, "install", "--quiet", "--editable", str(ROOT), *dependencies(kind), *TOOLS], check=True)
     listed = subprocess.run([*pip, "list", "--format=json"], check=True, capture_output=True, text=True).stdout
@@ -48,17 +48,17 @@ def environment(kind: str) -> str:
 
 
 def settings(python: str) -> dict[str, str]:
-    """One thread, and compiled code kept in the environment of this Python, or where this one finds it already."""
-    kept = {} if python == sys.executable else {"NUMBA_CACHE_DIR": str(Path(python).parents[1] / "kept")}
-    return {**os.environ, "OMP_NUM_THREADS": "1", **kept}
+    """Environment variables: one thread, and a cache of compiled code in the environment of another Python."""
+    cache = {} if python == sys.executable else {"NUMBA_CACHE_DIR": str(Path(python).parents[1] / "kept")}
+    return {**os.environ, "OMP_NUM_THREADS": "1", **cache}
 
 
 def bits(python: str) -> dict[str, str]:
     """Digests of what both contact models compute under this Python."""
     command = [python, "-m", "tests.fingerprints", "exact", "pymunk"]
     done = subprocess.run(command, cwd=ROOT, env=settings(python), check=True, stdout=subprocess.PIPE, text=True)
-    found: dict[str, str] = json.loads(done.stdout)
-    return found
+    digests: dict[str, str] = json.loads(done.stdout)
+    return digests
 
 
 @command_line
@@ -70,8 +70,8 @@ def main() -> None:
     here, failed = bits(sys.executable), False
     for kind in ("lowest", "newest"):
         python = environment(kind)
-        found = bits(python)
-        differing = [name for name in here if found[name] != here[name]]
+        there = bits(python)
+        differing = [name for name in here if there[name] != here[name]]
         print(f"{len(here) - len(differing)} of {len(here)} digests are equal to those here; not:", differing or "none")
         tests = [python, "-m", "pytest", "-q", "-m", "not slow", *CORE]
         code = subprocess.run(tests, cwd=ROOT, env=settings(python), check=False).returncode

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 
-os.environ["OMP_NUM_THREADS"] = "1"  # before numpy is there: one thread for each trial
+os.environ["OMP_NUM_THREADS"] = "1"  # before numpy is imported: one thread for each trial
 
 from agents.settings import TaskName
 from jackbox_env.command_line import command_line
@@ -58,7 +58,7 @@ class Arguments:
 
 @command_line
 def main() -> None:
-    """Parse, run what is to be run, say what failed and where the table is."""
+    """Parse, run the trials, print what failed and where the table is."""
     import tyro
 
     arguments = tyro.cli(Arguments, description=__doc__, config=(tyro.conf.OmitArgPrefixes,))
@@ -84,8 +84,8 @@ def main() -> None:
     print(f"{len(rows)} trials: {folder / TABLE}")
     failed = sum(row["error"] is not None for row in rows)
     if failed:
-        said = f"{failed} of {len(trials)} trials failed: {folder / TABLE} says which"
-        print(f"{said}, {folder / LOG} where. Try them again with: {command}", file=sys.stderr)
+        message = f"{failed} of {len(trials)} trials failed: {folder / TABLE} says which"
+        print(f"{message}, {folder / LOG} where. Try them again with: {command}", file=sys.stderr)
         sys.exit(1)
 
 

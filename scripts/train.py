@@ -29,7 +29,7 @@ class Arguments:
 
 
 class Early(TypedDict, total=False):
-    """What the defaults depend on, as far as it is given."""
+    """The options that the other options' defaults depend on, if the command line has them."""
 
     task: TaskName
     lookahead: int
@@ -40,13 +40,13 @@ def suited() -> TrainSettings:
     """The defaults of the command line: they depend on the task and on what an action is."""
     import tyro
 
-    given, _ = tyro.cli(Early, add_help=False, return_unknown_args=True)
-    return TrainSettings.suited(**given)
+    early, _ = tyro.cli(Early, add_help=False, return_unknown_args=True)
+    return TrainSettings.suited(**early)
 
 
 @command_line
 def main() -> None:
-    """Parse, train, say where things are."""
+    """Parse, train, print where the files are."""
     import tyro
 
     config = (tyro.conf.OmitArgPrefixes,)
@@ -66,7 +66,7 @@ def main() -> None:
             settings = extended(folder, arguments.settings.total_steps)
     else:
         settings = arguments.settings
-        make_vec_env(settings.env_settings, 1, 0).close()  # refuse before there is a folder
+        make_vec_env(settings.env_settings, 1, 0).close()  # raises before there is a folder
         folder = new_folder(arguments.folder, settings.task, lambda made: describe(made, settings))
     print(f"Training on {describe_env(settings)}")
     try:

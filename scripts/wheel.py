@@ -1,4 +1,4 @@
-"""Build two wheels in dist: one for any platform, and one for Linux on x86-64 that brings the exact model compiled.
+"""Build two wheels in dist: one for any platform, and one for Linux on x86-64 with the exact model compiled.
 
 The second is for this version of CPython. Its machine code is for ``SHIPPED_FOR`` and the version of numba here; where
 it does not fit, the exact model is compiled on first use, as from the first wheel.
@@ -24,7 +24,7 @@ TAG = "cp{0}{1}-cp{0}{1}-manylinux_2_17_x86_64".format(*sys.version_info)
 
 
 def call_all() -> None:
-    """Call all that is kept on disk once it is compiled, and so keep it."""
+    """Call everything whose compiled code is cached on disk, and so cache it."""
     import numpy as np
 
     from jackbox_env import Drive, Scene, make_simulator, rollout
@@ -43,57 +43,57 @@ def call_all() -> None:
     linearization.ensure_compiled()
 
 
-def compiled_code(package: Path, kept: Path) -> None:
-    """Fill a folder with the code of an unpacked package, compiled in a process of its own."""
+def compile_into(cache: Path, package: Path) -> None:
+    """Fill a cache folder with the compiled code of an unpacked package, in a separate process."""
     from jackbox_env.exact.kept import SHIPPED_FOR
 
-    target = {"NUMBA_CPU_NAME": SHIPPED_FOR, "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(kept)}
+    target = {"NUMBA_CPU_NAME": SHIPPED_FOR, "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(cache)}
     command = [sys.executable, "-c", "from scripts.wheel import call_all; call_all()"]
     paths = os.pathsep.join(map(str, (package, ROOT)))
-    subprocess.run(command, check=True, cwd=kept, env={**os.environ, **target, "PYTHONPATH": paths})
+    subprocess.run(command, check=True, cwd=cache, env={**os.environ, **target, "PYTHONPATH": paths})
 
 
-def with_code(pure: Path, kept: Path, made: Path) -> None:
-    """Write a wheel like ``pure``, with compiled code, for this platform."""
-    with ZipFile(pure) as given:
-        files = {name: given.read(name) for name in given.namelist()}
+def with_code(pure: Path, cache: Path, out: Path) -> None:
+    """Write a wheel like ``pure``, with the cached code, for this platform."""
+    with ZipFile(pure) as source:
+        files = {name: source.read(name) for name in source.namelist()}
     (record,) = (name for name in files if name.endswith(".dist-info/RECORD"))
     del files[record]
     kind = f"Wheel-Version: 1.0\nGenerator: jackbox\nRoot-Is-Purelib: false\nTag: {TAG}\n"
     files[record.replace("RECORD", "WHEEL")] = kind.encode()
-    for path in sorted(kept.rglob("*.kept")):
-        files[f"jackbox_env/exact/shipped/{path.relative_to(kept).as_posix()}"] = path.read_bytes()
+    for path in sorted(cache.rglob("*.kept")):
+        files[f"jackbox_env/exact/shipped/{path.relative_to(cache).as_posix()}"] = path.read_bytes()
     lines = list[str]()
     for name, content in files.items():
         digest = urlsafe_b64encode(sha256(content).digest()).decode().rstrip("=")
         lines.append(f"{name},sha256={digest},{len(content)}\n")
     files[record] = "".join([*lines, f"{record},,\n"]).encode()
-    with ZipFile(made, "w", ZIP_DEFLATED) as wheel:
+    with ZipFile(out, "w", ZIP_DEFLATED) as wheel:
         for name, content in files.items():
             wheel.writestr(name, content)
 
 
 @command_line
 def main() -> None:
-    """Build both, or refuse where this is no Linux on x86-64."""
+    """Build both; exits with a message on other platforms than Linux on x86-64."""
     import tyro
 
     tyro.cli(lambda: None, description=__doc__)
     if sysconfig.get_platform() != "linux-x86_64":
         raise SystemExit("compiled code is for Linux on x86-64; for any platform: python -m build --wheel")
-    made = ROOT / "dist"
-    made.mkdir(exist_ok=True)
+    out = ROOT / "dist"
+    out.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as scratch:
-        built, package, kept = (Path(scratch) / name for name in ("built", "package", "kept"))
-        kept.mkdir()
+        built, package, cache = (Path(scratch) / name for name in ("built", "package", "cache"))
+        cache.mkdir()
         build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(built), str(ROOT)]
         subprocess.run(build, check=True, stdout=subprocess.DEVNULL)
         (pure,) = built.iterdir()
         shutil.unpack_archive(pure, package, "zip")
-        compiled_code(package, kept)
-        shutil.copy(pure, made)
-        with_code(pure, kept, made / pure.name.replace("py3-none-any", TAG))
-    print(f"Both are in {made}")
+        compile_into(cache, package)
+        shutil.copy(pure, out)
+        with_code(pure, cache, out / pure.name.replace("py3-none-any", TAG))
+    print(f"Both are in {out}")
 
 
 if __name__ == "__main__":

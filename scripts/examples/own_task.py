@@ -59,27 +59,27 @@ def main() -> None:
     arguments = tyro.cli(Arguments, description=__doc__)
     task = Task(("there", "time"), reward, over=through, start=below)
 
-    def made(count: int) -> HoldingVecEnv:
+    def make_envs(count: int) -> HoldingVecEnv:
         return HoldingVecEnv(make_sb3_vec_env(count, fidelity="exact", task=task), 4)
 
     torch.set_num_threads(1)
     policy = {"log_std_init": -0.7}
     model = PPO(
-        "MlpPolicy", made(256), n_steps=32, batch_size=1024, learning_rate=1e-3, gae_lambda=0.9, policy_kwargs=policy,
-        seed=arguments.seed, device="cpu",
+        "MlpPolicy", make_envs(256), n_steps=32, batch_size=1024, learning_rate=1e-3, gae_lambda=0.9,
+        policy_kwargs=policy, seed=arguments.seed, device="cpu",
     )  # fmt: skip
 
-    def tell(who: str) -> None:
-        envs = made(arguments.episodes)
+    def report(name: str) -> None:
+        envs = make_envs(arguments.episodes)
         envs.seed(1_000_000)
         _, steps = evaluate_policy(model, envs, arguments.episodes, return_episode_rewards=True)
         times = [0.02 * count for count in steps if count < 500]  # type: ignore[union-attr]
         mean = f", after {np.mean(times):.1f} s in the mean" if times else ""
-        print(f"{who}: {len(times)} of {len(steps)} through the window{mean}", flush=True)  # type: ignore[arg-type]
+        print(f"{name}: {len(times)} of {len(steps)} through the window{mean}", flush=True)  # type: ignore[arg-type]
 
-    tell("untrained")
+    report("untrained")
     model.learn(arguments.total_steps, progress_bar=True)
-    tell("trained")
+    report("trained")
 
 
 if __name__ == "__main__":

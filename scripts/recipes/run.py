@@ -17,7 +17,7 @@ TORCH = "torch==2.13.0"  # else the newest build comes, of several GB
 
 
 class Recipe(NamedTuple):
-    """A program, and what it needs beside the checkout; with needs it runs in an environment of its own."""
+    """A program and the packages that it needs beside the checkout; with some it runs in an environment of its own."""
 
     arguments: tuple[str, ...]
     needs: tuple[str, ...] = ()
@@ -67,7 +67,7 @@ def python_for(recipe: Recipe, folder: Path) -> str:
 
 @command_line
 def main() -> None:
-    """Parse, run, say which failed."""
+    """Parse, run, raise if some failed."""
     import tyro
 
     arguments = tyro.cli(Arguments, description=__doc__, config=(tyro.conf.PositionalRequiredArgs,))

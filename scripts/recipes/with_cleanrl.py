@@ -31,10 +31,10 @@ parameters = [*actor.parameters(), *critic.parameters(), log_std]
 optimiser = torch.optim.Adam(parameters, lr=1e-3, eps=1e-5)
 
 
-def log_probability(seen: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
+def log_probability(observations: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
     """Of actions, shape (n, 1), under the policy: shape (n,)."""
-    found: torch.Tensor = torch.distributions.Normal(actor(seen), log_std.exp()).log_prob(actions).sum(-1)
-    return found
+    policy = torch.distributions.Normal(actor(observations), log_std.exp())
+    return policy.log_prob(actions).sum(-1)  # type: ignore[no-any-return]
 
 
 updates = max(1, total // (NUM_ENVS * LENGTH))

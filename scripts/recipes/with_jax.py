@@ -26,12 +26,12 @@ def pulled_back(states: jax.Array, torques: jax.Array, g: jax.Array) -> tuple[np
 def trajectories(states: jax.Array, torques: jax.Array) -> jax.Array:
     """From states, (n, 12), under torques, (n, 10): all states, (n, 101, 12)."""
     shape = jax.ShapeDtypeStruct((len(states), 1 + REPEAT * torques.shape[1], 12), states.dtype)
-    return jax.pure_callback(lambda *given: linearized(*given).trajectories, shape, states, torques)
+    return jax.pure_callback(lambda *arguments: linearized(*arguments).trajectories, shape, states, torques)
 
 
 trajectories.defvjp(
     lambda states, torques: (trajectories(states, torques), (states, torques)),
-    lambda given, g: jax.pure_callback(pulled_back, given, *given, g),
+    lambda inputs, g: jax.pure_callback(pulled_back, inputs, *inputs, g),
 )
 
 

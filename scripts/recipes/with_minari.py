@@ -1,4 +1,4 @@
-"""Minari: record episodes of a law that holds the box level as a dataset, and read it back."""
+"""Minari: record episodes of a PD controller that holds the box level as a dataset, and read it back."""
 
 import argparse
 import os

@@ -24,7 +24,7 @@ algorithm = config.build_algo()
 runners = algorithm.env_runner_group
 print("Stepping", *runners.foreach_env_runner(lambda one: type(one.env.unwrapped).__name__, local_env_runner=False))
 for _ in range(iterations):
-    found = algorithm.train()
-    mean = found["env_runners"].get("episode_return_mean")
-    print(f"{found['num_env_steps_sampled_lifetime']:.0f} steps, mean return {mean}", flush=True)
+    result = algorithm.train()
+    mean = result["env_runners"].get("episode_return_mean")
+    print(f"{result['num_env_steps_sampled_lifetime']:.0f} steps, mean return {mean}", flush=True)
 algorithm.stop()

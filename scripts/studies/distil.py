@@ -1,10 +1,10 @@
-"""Make the policy `distilled` of juggle: from the planner's value, improved on what the policy itself goes through.
+"""Make the policy `distilled` of juggle: the planner's value, improved on states that the policy itself visits.
 
-In each round jacks meet the box once in a way that is drawn at random, good ones more often, and from then on the
-policy plays. What it earns in the next decisions, discounted, and the value of where it ends say what the states after
-that first bounce are worth to it. The network is fitted to those of the last rounds and to their mirror images.
+In each round the first landing of each jack is at a random pair of angle and rate, good ones more often. Then the
+policy plays. A state after that bounce is worth the discounted rewards of the next decisions and the value of the last
+state. The network is fitted to the states of the last rounds and to their mirror images.
 
-30 rounds take some 8 minutes of one core. The folder holds the last round's policy from the first one on, so Ctrl-C
+30 rounds take about 8 minutes of one core. The folder holds the last round's policy from the first one on, so Ctrl-C
 ends the run and leaves a policy. Seeded: the same numbers on the same machine.
 """
 
@@ -29,19 +29,19 @@ from jackbox_env.files import make_folder
 from jackbox_env.landing import landing_times, torques, upright
 from jackbox_env.states import Array
 from jackbox_env.tasks import sample_start
-from scripts.studies.fitting import epoch, layers_of, network, seen_and_worth
+from scripts.studies.fitting import epoch, inputs_and_goals, layers_of, network
 
 ANGLES = 0.4 * np.sign(np.linspace(-1.0, 1.0, 31)) * np.abs(np.linspace(-1.0, 1.0, 31)) ** 1.4  # finer near level
 SETTINGS = LandingSettings(angles=tuple(ANGLES.round(4).tolist()), rates=(-1.0, -0.5, 0.0, 0.5, 1.0))
-FEWER = replace(SETTINGS, angles=SETTINGS.angles[1::2], rates=(-0.8, 0.0, 0.8))  # by which the rounds are played
-SCENE, HELD = Scene(drive=None), SETTINGS.repeat * SETTINGS.control_dt  # [s] of a decision
+COARSE = replace(SETTINGS, angles=SETTINGS.angles[1::2], rates=(-0.8, 0.0, 0.8))  # that the rounds are played with
+SCENE, DECISION_TIME = Scene(drive=None), SETTINGS.repeat * SETTINGS.control_dt  # [s]
 JACKS = 600  # in each round
 FIRST, COUNTED, HORIZON = 24, 22, 40  # decisions: to the first landing at most, from which states are fitted, ahead
 DISCOUNT = 0.975  # of a decision
 FRESH = 0.25  # share of the jacks that start an episode; the others start where earlier ones were
 TEMPERATURE, ANY = 6.0, 0.15  # of the drawn pairs: in rewards; share of any pair at all
 BLUR = np.array([0.01, 0.1])  # added to them [rad, rad/s]
-KEPT, EPOCHS, RATE = 8, 2, 2e-3
+ROUNDS_FITTED, EPOCHS, RATE = 8, 2, 2e-3  # the last rounds; passes over them in each; learning rate
 
 
 @dataclass(frozen=True)
@@ -57,14 +57,14 @@ class Arguments:
 
 
 def advanced(states: Array, acting: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """States a decision later, what was earned, and where something was struck."""
-    found = rollout(
+    """States a decision later, shape (n, 12), the rewards, (n,), and which jacks struck a wall, (n,)."""
+    played = rollout(
         SCENE, states, acting[:, None] * SCENE.torque_limit, SETTINGS.control_dt, impacts=True, rewards=SETTINGS.task,
         repeat=SETTINGS.repeat, trajectories=False, num_threads=1,
     )  # fmt: skip
-    assert isinstance(found, Rollout)
-    assert found.impacts is not None
-    return found.trajectories[:, 1], found.rewards.sum(axis=1), found.impacts.sum(axis=1) > 0
+    assert isinstance(played, Rollout)
+    assert played.impacts is not None
+    return played.trajectories[:, 1], played.rewards.sum(axis=1), played.impacts.sum(axis=1) > 0
 
 
 def starts(count: int, rng: np.random.Generator) -> Array:
@@ -73,7 +73,7 @@ def starts(count: int, rng: np.random.Generator) -> Array:
 
 
 def drawn(policy: LandingPolicy, states: Array, rng: np.random.Generator) -> Array:
-    """How each jack is to be met first, shape (n, 2): good pairs more often."""
+    """Angle and rate of the box at each jack's first landing, shape (n, 2), at random: good pairs more often."""
     states = upright(states)
     worth = policy.worth(states, landing_times(SCENE, states))
     choice = (worth / TEMPERATURE + rng.gumbel(size=worth.shape)).argmax(axis=1)
@@ -84,42 +84,42 @@ def drawn(policy: LandingPolicy, states: Array, rng: np.random.Generator) -> Arr
 
 
 def played(policy: LandingPolicy, states: Array, rng: np.random.Generator) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Jacks that are met in a drawn way once, then by the policy.
+    """Play the first landing of each jack with a random pair, then by the policy.
 
     Returns:
-        states, shape (T + 1, n, 12), what was earned in each decision, (T, n), and the first state after the first
-        impact, (n,); where there was none, -1.
+        states, shape (T + 1, n, 12), rewards of each decision, (T, n), and the index of the first state after the first
+        impact, (n,); -1 without one.
     """
     pairs, landed = drawn(policy, states, rng), np.full(len(states), -1)
-    seen, earned = [states], []
+    visited, earned = [states], []
     for decision in range(FIRST + COUNTED + HORIZON):
-        now, free = upright(seen[-1]), (landed < 0) & (decision < FIRST)
+        now, free = upright(visited[-1]), (landed < 0) & (decision < FIRST)
         acting = np.zeros(len(now))
         acting[~free] = policy.towards_best(now[~free])
-        acting[free] = torques(SCENE, now[free], landing_times(SCENE, now[free]), pairs[free], HELD)
-        after, rewards, struck = advanced(seen[-1], acting)
+        acting[free] = torques(SCENE, now[free], landing_times(SCENE, now[free]), pairs[free], DECISION_TIME)
+        after, rewards, struck = advanced(visited[-1], acting)
         landed[free & struck] = decision + 1
-        seen.append(after)
+        visited.append(after)
         earned.append(rewards)
-    return np.array(seen), np.array(earned), landed
+    return np.array(visited), np.array(earned), landed
 
 
-def counted(policy: LandingPolicy, seen: Array, earned: Array, landed: NDArray[np.int64]) -> tuple[Array, Array]:
-    """States after first landings, shape (m, 12), and what they are worth to the policy, (m,)."""
-    worth = [policy.value.of(seen[-1])]
+def counted(policy: LandingPolicy, visited: Array, earned: Array, landed: NDArray[np.int64]) -> tuple[Array, Array]:
+    """States after first landings, shape (m, 12), and their values for the policy, (m,)."""
+    worth = [policy.value.of(visited[-1])]
     for rewards in earned[::-1]:
         worth.append(rewards + DISCOUNT * worth[-1])
     jacks = np.flatnonzero(landed >= 0)
     rows, columns = (landed[jacks] + np.arange(COUNTED)[:, None]).ravel(), np.tile(jacks, COUNTED)
-    return seen[rows, columns], np.array(worth[::-1])[rows, columns]
+    return visited[rows, columns], np.array(worth[::-1])[rows, columns]
 
 
-def fit(net: Any, value: Value, kept: deque[tuple[Array, Array]], rate: float) -> float:
-    """Fit the network to states and their worth; returns the error's mean square root [rewards]."""
-    states, worth = (np.concatenate(part) for part in zip(*kept, strict=True))
-    given, optimiser = seen_and_worth(value, states, worth), torch.optim.Adam(net.parameters(), rate)
-    missed = [error for _ in range(EPOCHS) for error in epoch(net, optimiser, *given)]
-    return UNIT * float(np.sqrt(np.mean(missed))) if missed else np.nan
+def fit(net: Any, value: Value, recent: deque[tuple[Array, Array]], rate: float) -> float:
+    """Fit the network to states and their values; returns the root mean square error [rewards]."""
+    states, worth = (np.concatenate(part) for part in zip(*recent, strict=True))
+    samples, optimiser = inputs_and_goals(value, states, worth), torch.optim.Adam(net.parameters(), rate)
+    errors = [error for _ in range(EPOCHS) for error in epoch(net, optimiser, *samples)]
+    return UNIT * float(np.sqrt(np.mean(errors))) if errors else np.nan
 
 
 def mean_return(policy: LandingPolicy, count: int, rng: np.random.Generator) -> float:
@@ -142,22 +142,22 @@ def main() -> None:
     rng, trials = np.random.default_rng(arguments.seed), np.random.default_rng([arguments.seed, 1])
     value = read_value(SHIPPED / "juggle-value")
     net, pool = network(value.layers), starts(JACKS, rng)
-    kept: deque[tuple[Array, Array]] = deque(maxlen=KEPT)
+    recent: deque[tuple[Array, Array]] = deque(maxlen=ROUNDS_FITTED)
     make_folder(arguments.out)
     with trange(arguments.rounds, desc="distil") as bar:
         for turn in bar:
-            policy = LandingPolicy(FEWER, layers_of(net))
+            policy = LandingPolicy(COARSE, layers_of(net))
             first = pool[rng.integers(0, len(pool), JACKS)]
             fresh = rng.random(JACKS) < FRESH
             first[fresh] = starts(int(fresh.sum()), rng)
-            seen, earned, landed = played(policy, first, rng)
-            kept.append(counted(policy, seen, earned, landed))
-            pool = seen[: FIRST + COUNTED + HORIZON : 10].reshape(-1, 12)
-            missed = fit(net, value, kept, RATE * (1.0 - turn / arguments.rounds) + 1e-4)
+            visited, earned, landed = played(policy, first, rng)
+            recent.append(counted(policy, visited, earned, landed))
+            pool = visited[: FIRST + COUNTED + HORIZON : 10].reshape(-1, 12)
+            error = fit(net, value, recent, RATE * (1.0 - turn / arguments.rounds) + 1e-4)
             write_with_layers(arguments.out, LANDING, SETTINGS, layers_of(net))
             if turn % 5 == 4 or turn + 1 == arguments.rounds:
                 earns = mean_return(LandingPolicy(SETTINGS, layers_of(net)), 100, trials)
-                bar.write(f"round {turn + 1}: off by {missed:.1f}, return {earns:.1f}")
+                bar.write(f"round {turn + 1}: off by {error:.1f}, return {earns:.1f}")
 
 
 if __name__ == "__main__":

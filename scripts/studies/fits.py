@@ -1,6 +1,6 @@
 """Fit some hundred synthetic recordings, and fill in docs/fitting.md: how often 95 % intervals hold, how long it takes.
 
-Some fits are made again with finite differences in place of exact derivatives. It goes on where it was interrupted.
+Some fits are made again with finite differences in place of exact derivatives. An interrupted run resumes.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from jackbox_env.tasks import sample_start
 from scripts.studies import timing
 from scripts.studies.pages import fill, table
 
-DT, SECONDS, HEARD = 0.02, 4.0, 1e-4  # control step [s], length of a recording [s], noise of impacts' times [s]
+DT, SECONDS, IMPACT_NOISE = 0.02, 4.0, 1e-4  # control step [s], length of a recording [s], of impacts' times [s]
 _JACK = X_JACK, Y_JACK, THETA_JACK
-SEEN: dict[str, Sequence[int]] = {
+MEASURED: dict[str, Sequence[int]] = {
     "all 12 numbers": range(12),
     "positions and angles": range(RATES),
     "positions and angles in every second row": range(RATES),
@@ -57,9 +57,9 @@ class Arguments:
 
 
 def recorded(seed: int) -> tuple[Scene, Scene, tuple[str, ...], Recording, str, float]:
-    """A scene, where the search for it begins, fields, a recording with noise, what was seen and its noise."""
+    """A scene, the fit's first guess, the fields to fit, a noisy recording, what was measured and its noise."""
     rng = np.random.default_rng(seed)
-    kind, noise = list(SEEN)[seed % len(SEEN)], NOISE[seed // len(SEEN) % len(NOISE)]
+    kind, noise = list(MEASURED)[seed % len(MEASURED)], NOISE[seed // len(MEASURED) % len(NOISE)]
     fields = FIELDS[int(rng.integers(len(FIELDS)))]
     scene = Scene(
         jack_mass=rng.uniform(4.0, 40.0), jack_arm=rng.uniform(0.8, 1.5), restitution=rng.uniform(0.75, 0.98),
@@ -74,38 +74,39 @@ def recorded(seed: int) -> tuple[Scene, Scene, tuple[str, ...], Recording, str, 
         simulator.step(DT, torque)
         states.append(simulator.state)
         heard += [hit.time for hit in simulator.impacts]
-    seen = np.full((len(states), 12), np.nan)
-    columns = list(SEEN[kind])
-    seen[:, columns] = (np.array(states) + noise * units(scene) * rng.standard_normal(seen.shape))[:, columns]
+    rows = np.full((len(states), 12), np.nan)
+    columns = list(MEASURED[kind])
+    rows[:, columns] = (np.array(states) + noise * units(scene) * rng.standard_normal(rows.shape))[:, columns]
     if "second row" in kind:
-        seen[1::2] = np.nan
-    impacts = np.sort(heard + HEARD * rng.standard_normal(len(heard))) if "heard" in kind else None
-    return scene, start, fields, Recording(seen, torques, DT, impacts=impacts), kind, noise
+        rows[1::2] = np.nan
+    impacts = np.sort(heard + IMPACT_NOISE * rng.standard_normal(len(heard))) if "heard" in kind else None
+    return scene, start, fields, Recording(rows, torques, DT, impacts=impacts), kind, noise
 
 
 def fitted(differences: bool, seed: int) -> dict[str, Any]:
-    """One fit: how long it took, and for each field the error over the interval's half width."""
+    """One fit: its time, and for each field its relative error and whether the interval contains the true value."""
     scene, start, fields, recording, kind, noise = recorded(seed)
     solve = optimize.least_squares
 
     def by_differences(fun: Any, first: Any, jac: Any, **settings: Any) -> Any:
         return solve(fun, first, "2-point", **settings)
 
+    noise_of_impacts = None if recording.impacts is None else {"impacts": IMPACT_NOISE}
     began = time.process_time()
     try:
         with patch.object(optimize, "least_squares", by_differences if differences else solve):
-            found = fit(recording, fields, start, noise=None if recording.impacts is None else {"impacts": HEARD})
-    except ValueError:  # nothing could be followed
-        found = fitting.Fit(start, {}, np.zeros(0), (), problems=("no motion could be followed",))
-    seconds, told = time.process_time() - began, {}
-    for name, (low, high) in found.intervals.items():
-        true, value = getattr(scene, name), getattr(found.scene, name)
-        told[name] = {"holds": bool(low <= true <= high), "told": bool(np.isfinite(high) and (low, high) != (0.0, 1.0))}
-        told[name]["error"] = abs(value - true) / true
-    held_out = float(np.mean(found.residuals**2)) if len(found.residuals) else None
+            estimate = fit(recording, fields, start, noise=noise_of_impacts)
+    except ValueError:  # no motion could be followed
+        estimate = fitting.Fit(start, {}, np.zeros(0), (), problems=("no motion could be followed",))
+    seconds, outcomes = time.process_time() - began, dict[str, dict[str, Any]]()
+    for name, (low, high) in estimate.intervals.items():
+        true, value = getattr(scene, name), getattr(estimate.scene, name)
+        identified = bool(np.isfinite(high) and (low, high) != (0.0, 1.0))
+        outcomes[name] = {"holds": bool(low <= true <= high), "told": identified, "error": abs(value - true) / true}
+    held_out = float(np.mean(estimate.residuals**2)) if len(estimate.residuals) else None
     return {
         "seed": seed, "differences": differences, "seen": kind, "noise": noise, "seconds": seconds,
-        "converged": bool(found.converged), "fields": told, "held_out": held_out,
+        "converged": bool(estimate.converged), "fields": outcomes, "held_out": held_out,
     }  # fmt: skip
 
 
@@ -125,10 +126,10 @@ def spread(rows: Iterable[dict[str, Any]]) -> list[str]:
 
 
 def tables(rows: list[dict[str, Any]]) -> str:
-    """What the page shows."""
+    """The page's tables."""
     exact, other = ([row for row in rows if row["differences"] is kind] for kind in (False, True))
     heads = ("what was seen", "fits", "converged", "95 % intervals that hold", "time of a fit", "error")
-    lines = [[kind, *spread(row for row in exact if row["seen"] == kind)] for kind in SEEN]
+    lines = [[kind, *spread(row for row in exact if row["seen"] == kind)] for kind in MEASURED]
     again = {row["seed"] for row in other}
     twins = [row for row in exact if row["seed"] in again]
     compared = [["exact derivatives", *spread(twins)], ["finite differences", *spread(other)]]

@@ -1,4 +1,4 @@
-"""Networks of torch that the studies fit to the worth of states."""
+"""Networks of torch that :mod:`.distil` and :mod:`.value` fit to values of states."""
 
 from __future__ import annotations
 
@@ -27,26 +27,26 @@ def network(layers: list[Layer]) -> Any:
 
 
 def layers_of(net: Any) -> list[Layer]:
-    """The layers of such a network: copies."""
+    """Copies of the layers of such a network."""
     return [(part.weight.detach().numpy().copy(), part.bias.detach().numpy().copy()) for part in net[::2]]
 
 
-def seen_and_worth(value: Value, states: Array, worth: Array) -> tuple[torch.Tensor, torch.Tensor]:
-    """What a network sees of states, shape (n, 12), and of their mirror images, and what it should say of them."""
-    seen = np.concatenate([value.inputs(states), value.inputs(mirrored(states))])
-    return torch.from_numpy(seen), torch.from_numpy(np.tile(worth / UNIT, 2).astype(np.float32))[:, None]
+def inputs_and_goals(value: Value, states: Array, worth: Array) -> tuple[torch.Tensor, torch.Tensor]:
+    """A network's inputs for states, shape (n, 12), and their mirror images, and the outputs that it should have."""
+    inputs = np.concatenate([value.inputs(states), value.inputs(mirrored(states))])
+    return torch.from_numpy(inputs), torch.from_numpy(np.tile(worth / UNIT, 2).astype(np.float32))[:, None]
 
 
 def epoch(
-    net: Any, optimiser: Any, seen: torch.Tensor, goal: torch.Tensor, after: Callable[[], object] = lambda: None
+    net: Any, optimiser: Any, inputs: torch.Tensor, goals: torch.Tensor, after: Callable[[], object] = lambda: None
 ) -> list[float]:
-    """Go once through all that is seen, in an order that is drawn; return the squared errors of the batches."""
-    missed = list[float]()
-    for batch in torch.randperm(len(seen))[: len(seen) // BATCH * BATCH].reshape(-1, BATCH):
+    """Go once through all inputs in a random order; return the mean squared errors of the batches."""
+    errors = list[float]()
+    for batch in torch.randperm(len(inputs))[: len(inputs) // BATCH * BATCH].reshape(-1, BATCH):
         optimiser.zero_grad()
-        loss = torch.nn.functional.mse_loss(net(seen[batch]), goal[batch])
+        loss = torch.nn.functional.mse_loss(net(inputs[batch]), goals[batch])
         loss.backward()  # type: ignore[no-untyped-call]
         optimiser.step()
         after()
-        missed.append(loss.item())
-    return missed
+        errors.append(loss.item())
+    return errors

@@ -1,6 +1,6 @@
-"""Train the networks of agents/trained again, by the settings that lie beside them.
+"""Train the networks of agents/trained again, with the settings stored beside them.
 
-An interrupted training goes on where it stopped. A finished one is only exported.
+An interrupted training resumes. A finished one is only exported.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Write the README's tables from what was measured, its moving picture, and the environment's page in docs/."""
+"""Write the README's tables from stored results, its moving picture, and the environment's page in docs/."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def returns_table(record: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def take_picture() -> None:
+def film_picture() -> None:
     """Film chirp, trained network and planner side by side, small enough for a page."""
     from agents.evaluation.film import film
     from agents.policies.registry import find_policy
@@ -63,7 +63,7 @@ def take_picture() -> None:
 
 
 def filled(page: str) -> str:
-    """The README with its tables as the stored results give them."""
+    """The README with its tables filled from the stored results."""
     from scripts.studies.accuracy.benchmark import fidelity_table
     from scripts.studies.accuracy.measured import Results
     from scripts.studies.speed import speed
@@ -78,7 +78,7 @@ def environment_page() -> str:
     text = inspect.cleandoc(JackInBoxEnv.__doc__ or "").split("\nRaises:")[0]
     first, rest = text.split("\n", 1)
     example = re.compile(r"((?:^(?:>>>|\.\.\.) .*\n)+)(^\(\(.*\n)?", re.MULTILINE)
-    rest = example.sub(lambda found: f"```pycon\n{found[0]}```\n", rest)
+    rest = example.sub(lambda match: f"```pycon\n{match[0]}```\n", rest)
     picture = "![The chirp, a trained agent and a planner, from the same start](jackbox.gif)"
     sketch = "![Box, jack, angles and signs](sketch.svg)"
     return f"# JackInBox-v0\n\n{picture}\n\n{first}\n\n{sketch}\n{rest}"
@@ -91,7 +91,7 @@ def main() -> None:
 
     arguments = tyro.cli(Arguments, description=__doc__)
     if arguments.picture:
-        take_picture()
+        film_picture()
     (ROOT / "README.md").write_text(filled((ROOT / "README.md").read_text()))
     ENVIRONMENT.write_text(environment_page())
     print("Wrote README.md and docs/environment.md")

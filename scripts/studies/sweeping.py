@@ -1,4 +1,4 @@
-"""Studies whose trials are a sweep's: what has finished is kept, and the same command goes on."""
+"""Run a study's trials as a sweep, so that the same command continues an interrupted study."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from agents.sweep import TABLE, Runner, Work, carry_out, new_sweep, read_sweep
 def swept(
     folder: Path, trials: list[dict[str, Any]], work: Work, runner: Runner, progress: bool
 ) -> list[dict[str, Any]]:
-    """Run what has not finished of the trials in ``folder``, and return the rows of its table, in their order.
+    """Run the unfinished trials in ``folder``, and return the rows of its table, in the order of ``trials``.
 
     Raises:
         RuntimeError: some trials failed.

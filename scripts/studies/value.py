@@ -1,10 +1,10 @@
-"""Make a value for the planner: what a search earns in the next 3.2 s, from the ends of plans and from visited states.
+"""Make a value for the planner: the return of a search over the next 3.2 s, for ends of plans and visited states.
 
-Two rounds. In each a small search plays, from which ends of its candidates are taken, half of them among the best, and
-some of the states that it visits. A longer search from each of these says what they are worth, and a network is fitted
-to that, on all states and their mirror images. The second round's search counts the value of the first round.
+There are two rounds. In each a small search plays. Some of the states that it visits are collected, and ends of its
+candidates, half of them among the best. A longer search from each state evaluates it, and a network is fitted to these
+values, on all states and their mirror images. The second round's search uses the value of the first round.
 
-It takes some 4 minutes of one core. Seeded: the same numbers on the same machine.
+It takes about 4 minutes of one core. Seeded: the same numbers on the same machine.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from jackbox_env.files import make_folder
 from jackbox_env.planning.icem import Search
 from jackbox_env.states import Array
 from jackbox_env.tasks import sample_start
-from scripts.studies.fitting import BATCH, epoch, layers_of, seen_and_worth
+from scripts.studies.fitting import BATCH, epoch, inputs_and_goals, layers_of
 
 SCENE, CONTROL_DT = Scene(drive=None), 0.02
 COMMON: dict[str, Any] = {"repeat": 5, "num_threads": 1}
 PLAYING: dict[str, Any] = {**COMMON, "knots": 20, "samples": 96, "elites": 10, "iterations": 1}
 JUDGING: dict[str, Any] = {**COMMON, "knots": 32, "samples": 64, "elites": 5, "iterations": 3}
-EPISODES, DECISIONS = 80, 100  # of the search that plays, in each round
+EPISODES, DECISIONS = 80, 100  # of the playing search, in each round
 VISITED = 0.15  # share of visited states
 TOGETHER = 250  # states that are judged together
 NOTHING: list[Layer] = [(np.zeros((1, INPUTS), np.float32), np.zeros(1, np.float32))]  # worth 0 everywhere
@@ -55,60 +55,60 @@ class Arguments:
 
 
 class Watched(ValuedSearch):
-    """A search that keeps what its last candidates brought, and where they ended."""
+    """A search that stores the returns and the last states of its last candidates."""
 
     def evaluate(self, scene: Scene | list[Scene], states: Array, tried: Array) -> tuple[Array, Array]:
-        """See :class:`ValuedSearch`."""
+        """As :class:`ValuedSearch`; also stores the result."""
         self.returns, self.ends = super().evaluate(scene, states, tried)
         return self.returns, self.ends
 
 
 def visited(search: Watched, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Ends of candidates, two of each decision, and the states that are visited; shapes (n, 12)."""
+    """Ends of candidates, two for each decision, and visited states; shapes (n, 12)."""
     states, rows = np.array([sample_start(SCENE, rng) for _ in range(EPISODES)]), np.arange(EPISODES)
     plans, ends, seen = search.begin(EPISODES), [], []
     for _ in trange(DECISIONS, desc="play", leave=False):
-        found, plans = search.decide(SCENE, states, plans)
+        best, plans = search.decide(SCENE, states, plans)
         good = np.argsort(-search.returns, axis=1)[rows, rng.integers(0, search.samples // 8, EPISODES)]
         ends += [search.ends[rows, good], search.ends[rows, rng.integers(0, search.samples, EPISODES)]]
         seen.append(states)
-        states = Search.evaluate(search, SCENE, states, found.plans[:, None, :1])[1][:, 0]
+        states = Search.evaluate(search, SCENE, states, best.plans[:, None, :1])[1][:, 0]
     return np.concatenate(ends), np.concatenate(seen)
 
 
 def chosen(search: Watched, count: int, rng: np.random.Generator) -> Array:
-    """States to be judged, shape (count, 12)."""
+    """States to be evaluated, shape (count, 12)."""
     ends, seen = visited(search, rng)
     few = round(VISITED * count)
     return np.concatenate([ends[rng.permutation(len(ends))[: count - few]], seen[rng.permutation(len(seen))[:few]]])
 
 
 def judged(task: str, states: Array, rng: np.random.Generator) -> Array:
-    """The most that a search of new candidates finds from each state, shape (n,)."""
-    found = []
+    """Return of the best plan of a new search from each state, shape (n,)."""
+    returns = []
     for first in trange(0, len(states), TOGETHER, desc="judge", leave=False):
         search = Search(task, CONTROL_DT, seed=int(rng.integers(2**31)), **JUDGING)
         some = states[first : first + TOGETHER]
-        found.append(search.decide(SCENE, some, search.begin(len(some)))[0].returns)
-    return np.concatenate(found)
+        returns.append(search.decide(SCENE, some, search.begin(len(some)))[0].returns)
+    return np.concatenate(returns)
 
 
 def fitted(settings: EnvSettings, states: Array, worth: Array) -> list[Layer]:
-    """A network that tells what states are worth; says how far it is off on a tenth of them."""
+    """Fit a network to values of states; prints its error on a tenth of them, which it is not fitted to."""
     net: Any = nn.Sequential(
         nn.Linear(INPUTS, WIDTH), nn.Tanh(), nn.Linear(WIDTH, WIDTH), nn.Tanh(), nn.Linear(WIDTH, 1)
     )
     order, few = torch.randperm(len(states)).numpy(), len(states) // 10
     apart, rest = order[:few], order[few:]
-    seen, goal = seen_and_worth(Value(settings, NOTHING), states[rest], worth[rest])
-    net[4].bias.data.fill_(float(goal.mean()))
+    inputs, goals = inputs_and_goals(Value(settings, NOTHING), states[rest], worth[rest])
+    net[4].bias.data.fill_(float(goals.mean()))
     optimiser = torch.optim.AdamW(net.parameters(), RATE, weight_decay=DECAY)
-    rates = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, total_steps=EPOCHS * (len(seen) // BATCH))
+    rates = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, total_steps=EPOCHS * (len(inputs) // BATCH))
     for _ in trange(EPOCHS, desc="fit", leave=False):
-        epoch(net, optimiser, seen, goal, rates.step)
+        epoch(net, optimiser, inputs, goals, rates.step)
     layers = layers_of(net)
-    missed = float(np.var(worth[apart] - Value(settings, layers).of(states[apart])) / np.var(worth[apart]))
-    print(f"{len(rest)} states, {100 * missed:.0f} % of the variance of {few} others is not told")
+    unexplained = float(np.var(worth[apart] - Value(settings, layers).of(states[apart])) / np.var(worth[apart]))
+    print(f"{len(rest)} states, {100 * unexplained:.0f} % of the variance of {few} others is not explained")
     return layers
 
 

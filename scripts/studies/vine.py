@@ -1,11 +1,11 @@
 """Make a network that plays spin or rattle without a planner: it learns from exact rollouts of its own torques.
 
-In each round jacks are played by the network with some noise. In each state that they come through a few torques are
-tried for one decision. Then the network plays on for some decisions, at whose end a learnt value stands for the rest.
-So torques are compared from the same state, by rollouts without noise ("vine" of Schulman et al. 2015,
-arXiv:1502.05477). PPO's clipped loss makes the better ones more likely. The policy is the running mean of the network.
+In each round the network plays with some noise. From each visited state a few torques are tried for one decision. Then
+the network plays on for some decisions, and a learnt value stands for the rest. So torques are compared from the same
+state, by rollouts without noise ("vine" of Schulman et al. 2015, arXiv:1502.05477). PPO's clipped loss makes the better
+ones more likely. The policy is the running mean of the network.
 
-A round takes some 2 s of one core. The folder holds a policy from the first round on, so Ctrl-C leaves one. Seeded: the
+A round takes about 2 s of one core. The folder has a policy from the first round on, so Ctrl-C leaves one. Seeded: the
 same numbers on the same machine.
 """
 
@@ -41,15 +41,15 @@ SCENE, FLIGHT, INPUTS = Scene(drive=None), landing_numbers(Scene()), len(BOUNDS)
 REPEAT, CONTROL_DT, EPISODE = 5, 0.02, 100  # control steps of a decision, [s], decisions
 WIDTHS, CRITIC, STEEPER = (256, 256), (128, 128), 3.0  # layers; factor of the first one's weights
 JACKS, DECISIONS = 512, 16  # side by side; of each in a round
-TRIES, SPREAD, STRAYING = 4, 0.3, 0.2  # torques from a state; their deviation [limits]; share of noisy decisions
+TRIES, SPREAD, NOISY = 4, 0.3, 0.2  # torques from a state; their deviation [limits]; share of noisy decisions
 CLIP, EPOCHS, BATCH = 0.2, 4, 1024
-RATE, LAST, CRITIC_RATE = 5e-4, 0.1, 1e-3  # the rate falls to this share
+RATE, LAST_SHARE, CRITIC_RATE = 5e-4, 0.1, 1e-3  # learning rates; the first falls to this share
 UNIT, MEMORY = 10.0, 0.05  # rewards that the value counts in; share of a round in the running mean
-LEVEL = 0.1  # reward that a step loses in the shaped task where the box lies on its side
+LEVEL = 0.1  # reward that a step of the shaped task loses if the box lies on its side
 
 
 def spin_level(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float, float]:
-    """The task ``spin``, and a box that does not turn over: so the network need not learn all of its sides."""
+    """The task ``spin`` with a box that does not turn over, so that the network need not learn all of its sides."""
     rate = state.omega_jack * scene.jack_arm / scene.speed_scale
     calm = max(0.0, 1.0 - abs(state.omega_box) * scene.box_half_width / scene.speed_scale)
     return max(-1.0, min(1.0, rate)) * calm, -LEVEL * (1.0 - math.cos(state.theta_box))
@@ -73,7 +73,7 @@ RECIPES = {
 class Judged(NamedTuple):
     """Torques that were tried in n states, in units of the limit."""
 
-    seen: torch.Tensor  # (n, INPUTS) what the network sees
+    seen: torch.Tensor  # (n, INPUTS) the network's inputs
     means: torch.Tensor  # (n, 1) its own torques
     tried: torch.Tensor  # (n, TRIES)
     advantages: torch.Tensor  # (n, TRIES) of mean 0 in each state, of deviation 1 in all
@@ -95,30 +95,30 @@ class Arguments:
 
 
 def network(widths: tuple[int, ...]) -> Any:
-    """A network of torch from what is seen to one number."""
+    """A network of torch from ``INPUTS`` numbers to one."""
     sizes = pairwise((INPUTS, *widths, 1))
     return nn.Sequential(*[part for size in sizes for part in (nn.Linear(*size), nn.Tanh())][:-1])
 
 
 def inputs(states: Array) -> torch.Tensor:
-    """What a network sees of states, shape (n, 12): (n, INPUTS)."""
-    seen = observations(SCENE, states)
-    return torch.from_numpy(np.concatenate([seen, preview(FLIGHT, seen)], axis=1))
+    """A network's inputs for states, shape (n, 12): (n, INPUTS)."""
+    observed = observations(SCENE, states)
+    return torch.from_numpy(np.concatenate([observed, preview(FLIGHT, observed)], axis=1))
 
 
-def told(net: Any, states: Array) -> NDArray[np.float32]:
-    """What a network makes of states, shape (n, 12): (n,). In parts, which fit into the cache."""
+def outputs(net: Any, states: Array) -> NDArray[np.float32]:
+    """A network's outputs for states, shape (n, 12): (n,). In parts, which fit into the cache."""
     seen = inputs(states)
     with torch.no_grad():
         return np.concatenate([net(seen[row : row + BATCH])[:, 0] for row in range(0, len(seen), BATCH)])
 
 
 def advanced(task: Task, states: Array, acting: NDArray[Any]) -> tuple[Array, Array]:
-    """States a decision later, shape (n, 12), and what was earned, (n,), by torques (n,) in units of the limit."""
+    """States a decision later, shape (n, 12), and the rewards, (n,), under torques (n,) in units of the limit."""
     torques = np.clip(acting, -1.0, 1.0)[:, None] * SCENE.torque_limit
-    found = rollout(SCENE, states, torques, CONTROL_DT, rewards=task, repeat=REPEAT, trajectories=False, num_threads=1)
-    assert isinstance(found, Rollout)
-    return found.trajectories[:, 1].copy(), found.rewards.sum(axis=1)
+    played = rollout(SCENE, states, torques, CONTROL_DT, rewards=task, repeat=REPEAT, trajectories=False, num_threads=1)
+    assert isinstance(played, Rollout)
+    return played.trajectories[:, 1].copy(), played.rewards.sum(axis=1)
 
 
 def starts(count: int, rng: np.random.Generator) -> Array:
@@ -130,7 +130,7 @@ def mean_return(net: Any, name: str, states: Array) -> float:
     """Mean return of an episode from each of these states, in the task of that name as it stands."""
     total = 0.0
     for _ in range(EPISODE):
-        states, rewards = advanced(TASKS[name], states, told(net, states))
+        states, rewards = advanced(TASKS[name], states, outputs(net, states))
         total += float(rewards.mean())
     return total
 
@@ -139,49 +139,49 @@ def played(net: Any, task: Task, states: Array, ages: NDArray[np.int64], rng: np
     """Play on under some noise: ``states``, shape (n, 12), and ``ages`` in decisions, (n,), change in place.
 
     Returns:
-        the states that they come through, shape (DECISIONS * n, 12). What is as old as an episode starts anew.
+        the visited states, shape (DECISIONS * n, 12). A jack as old as an episode starts anew.
     """
     seen = []
     for _ in range(DECISIONS):
         old = ages >= EPISODE
         states[old], ages[old] = starts(int(old.sum()), rng), 0
         seen.append(states.copy())
-        noise = SPREAD * rng.normal(size=len(states)) * (rng.random(len(states)) < STRAYING)
-        states[:], _ = advanced(task, states, np.clip(told(net, states), -1.0, 1.0) + noise)
+        noise = SPREAD * rng.normal(size=len(states)) * (rng.random(len(states)) < NOISY)
+        states[:], _ = advanced(task, states, np.clip(outputs(net, states), -1.0, 1.0) + noise)
         ages += 1
     return np.concatenate(seen)
 
 
 def judged(net: Any, critic: Any, recipe: Recipe, states: Array, rng: np.random.Generator) -> Judged:
-    """Torques in pairs around the network's own, and what they bring."""
+    """Torques in pairs around the network's own, and their advantages."""
     half = SPREAD * rng.normal(size=(len(states), TRIES // 2))
-    means = np.clip(told(net, states), -1.0, 1.0)[:, None]
+    means = np.clip(outputs(net, states), -1.0, 1.0)[:, None]
     tried = means + np.concatenate([half, -half], axis=1)
     now, returns = advanced(recipe.task, np.repeat(states, TRIES, axis=0), tried.ravel())
     for decision in range(1, recipe.ahead):
-        now, rewards = advanced(recipe.task, now, told(net, now))
+        now, rewards = advanced(recipe.task, now, outputs(net, now))
         returns += recipe.discount**decision * rewards
-    returns = (returns + recipe.discount**recipe.ahead * UNIT * told(critic, now)).reshape(tried.shape)
+    returns = (returns + recipe.discount**recipe.ahead * UNIT * outputs(critic, now)).reshape(tried.shape)
     worth = returns.mean(axis=1, keepdims=True)
     advantages = np.clip((returns - worth) / (returns - worth).std(), -3.0, 3.0)
     parts = [torch.from_numpy(part.astype(np.float32)) for part in (means, tried, advantages, worth / UNIT)]
-    found = Judged(inputs(states), *parts)
+    batch = Judged(inputs(states), *parts)
     if not recipe.symmetric:
-        return found
-    other = Judged(inputs(mirrored(states)), -found.means, -found.tried, found.advantages, found.worth)
-    return Judged(*map(torch.cat, zip(found, other, strict=True)))
+        return batch
+    mirror = Judged(inputs(mirrored(states)), -batch.means, -batch.tried, batch.advantages, batch.worth)
+    return Judged(*map(torch.cat, zip(batch, mirror, strict=True)))
 
 
-def improve(nets: tuple[Any, Any], optimisers: tuple[Any, Any], found: Judged) -> None:
+def improve(nets: tuple[Any, Any], optimisers: tuple[Any, Any], samples: Judged) -> None:
     """Make better torques more likely, by PPO's clipped loss of normal distributions, and fit the value to returns."""
-    before = ((found.tried - found.means) / SPREAD) ** 2
+    before = ((samples.tried - samples.means) / SPREAD) ** 2
     for _ in range(EPOCHS):
         for batch in torch.randperm(len(before))[: len(before) // BATCH * BATCH].reshape(-1, BATCH):
-            (mean, value), advantages = (net(found.seen[batch]) for net in nets), found.advantages[batch]
-            ratio = torch.exp(0.5 * (before[batch] - ((found.tried[batch] - mean) / SPREAD) ** 2))
+            (mean, value), advantages = (net(samples.seen[batch]) for net in nets), samples.advantages[batch]
+            ratio = torch.exp(0.5 * (before[batch] - ((samples.tried[batch] - mean) / SPREAD) ** 2))
             gain = torch.minimum(ratio * advantages, ratio.clamp(1.0 - CLIP, 1.0 + CLIP) * advantages).mean()
-            beyond = (mean.abs() - 1.0).clamp(min=0.0).square().mean()  # torques above the limit all do the same
-            losses = 0.01 * beyond - gain, nn.functional.mse_loss(value, found.worth[batch])
+            beyond = (mean.abs() - 1.0).clamp(min=0.0).square().mean()  # torques above the limit all act alike
+            losses = 0.01 * beyond - gain, nn.functional.mse_loss(value, samples.worth[batch])
             for net, optimiser, loss in zip(nets, optimisers, losses, strict=True):
                 optimiser.zero_grad()
                 loss.backward()
@@ -215,7 +215,7 @@ def main() -> None:
     make_folder(arguments.out)
     with trange(arguments.rounds, desc=task) as bar:
         for turn in bar:
-            optimisers[0].param_groups[0]["lr"] = RATE * (1.0 - (1.0 - LAST) * turn / arguments.rounds)
+            optimisers[0].param_groups[0]["lr"] = RATE * (1.0 - (1.0 - LAST_SHARE) * turn / arguments.rounds)
             seen = played(nets[0], recipe.task, states, ages, rng)
             improve(nets, optimisers, judged(*nets, recipe, seen, rng))
             for old, new in zip(policy.parameters(), nets[0].parameters(), strict=True):

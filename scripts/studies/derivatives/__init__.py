@@ -1,1 +1,1 @@
-"""What derivatives through impacts are worth: studies of the guide to derivatives."""
+"""Uses of derivatives through impacts: docs/derivatives.md."""

@@ -1,15 +1,15 @@
-"""A bounce that repeats: found by Newton's method, how unstable it is, and an LQR that holds it.
+"""A periodic bounce: located by Newton's method, its Floquet multipliers, and an LQR that stabilises it.
 
 The jack bounces upright on one foot on the level box, 51 control steps from impact to impact. Each impact makes the box
-sink faster. But neither a place nor a velocity that box and jack share changes their motion relative to each other, and
-that motion repeats. So 8 numbers are left of the 12:
+sink faster. But the motion of box and jack relative to each other does not depend on a shared position or velocity, and
+that motion repeats. So 8 of the 12 numbers remain:
 
     z = (x, y of the jack relative to the box, angles of box and jack, and the rates of these four).
 
-``REDUCE`` (8, 12) takes a state to z. ``LIFT`` (12, 8) takes z to a state whose box is at the origin with its centre at
+``REDUCE`` (8, 12) maps a state to z. ``LIFT`` (12, 8) maps z to a state whose box is at the origin with its centre at
 rest. The derivative of a period is the product of REDUCE A LIFT over its steps. Its eigenvalues are the Floquet
 multipliers. The motion is Hamiltonian, so they come in pairs of product 1. One pair is (1, 1): the bounce may start at
-any phase, and bounces of other heights are next to it. So Newton takes the shortest step that solves its equations.
+any phase, and bounces of other heights are next to it. So each Newton step is the shortest solution of its equations.
 
 The LQR turns the box by angles and sideways motion. To first order no torque changes the height, so it is left alone.
 The gains belong to the 51 phases of a period. They are chosen by the clock, or by the phase that the jack is in.
@@ -54,7 +54,7 @@ _ORDER = [X_JACK, Y_JACK, THETA_BOX, THETA_JACK, VX_JACK, VY_JACK, OMEGA_BOX, OM
 REDUCE, LIFT = np.eye(12)[_ORDER], np.eye(12)[:, _ORDER]
 REDUCE[[0, 1, 4, 5], [X_BOX, Y_BOX, VX_BOX, VY_BOX]] = -1.0
 
-WEIGHTS = np.array([0.01, 0.0, 1.0, 1.0, 0.01, 0.0, 1.0, 1.0])  # of z^2 in UNITS; place and sideways speed may wait
+WEIGHTS = np.array([0.01, 0.0, 1.0, 1.0, 0.01, 0.0, 1.0, 1.0])  # of z^2 in UNITS; position and sideways speed may wait
 EFFORT = 100.0  # weight of a torque^2 in units of the limit
 SIZES, SHOWN = (0.01, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 1.0), 3  # of disturbances; which one is drawn
 STARTS, SECONDS, NEAR, SEED = 256, 20.0, 0.1, 1  # of each size; deviation in the last period that counts as held
@@ -62,24 +62,24 @@ STARTS, SECONDS, NEAR, SEED = 256, 20.0, 0.1, 1  # of each size; deviation in th
 
 def period(z: Array) -> tuple[Array, Array, Array]:
     """The motion through a period without torque, (PERIOD + 1, 8), and its steps' derivatives by z and by torque."""
-    found = linearize(SCENE, LIFT @ z, np.zeros(PERIOD), DT)  # its derivatives are NaN if an impact ends a step
-    return found.trajectories[0] @ REDUCE.T, REDUCE @ found.A[0] @ LIFT, found.B[0] @ REDUCE.T
+    lin = linearize(SCENE, LIFT @ z, np.zeros(PERIOD), DT)  # its derivatives are NaN if an impact ends a step
+    return lin.trajectories[0] @ REDUCE.T, REDUCE @ lin.A[0] @ LIFT, lin.B[0] @ REDUCE.T
 
 
 def product(matrices: Array) -> Array:
     """Product of matrices (n, 8, 8), of which the first acts first."""
-    found: Array = np.linalg.multi_dot(list(matrices[::-1]))
-    return found
+    result: Array = np.linalg.multi_dot(list(matrices[::-1]))
+    return result
 
 
 def multipliers(matrices: Array) -> NDArray[np.complex128]:
     """Eigenvalues of the product of matrices (n, 8, 8), the largest first."""
-    found = np.linalg.eigvals(product(matrices)).astype(np.complex128)
-    return found[np.argsort(-abs(found))]
+    eigenvalues = np.linalg.eigvals(product(matrices)).astype(np.complex128)
+    return eigenvalues[np.argsort(-abs(eigenvalues))]
 
 
 def newton(z: Array, iterations: int = 6) -> tuple[Array, list[float]]:
-    """A start that a period brings back, and how far the period has led from each start on the way there."""
+    """A start to which the motion returns after a period, and for each iteration the distance between start and end."""
     residuals = []
     for _ in range(iterations):
         motion, by_state, _ = period(z)
@@ -91,36 +91,36 @@ def newton(z: Array, iterations: int = 6) -> tuple[Array, list[float]]:
 def gains(by_state: Array, by_torque: Array, periods: int = 40) -> Array:
     """Gains (PERIOD, 8) of torque = -gain (z - bounce) [N m]: Riccati's recursion, back through some periods."""
     weights, effort = np.diag(WEIGHTS / UNITS**2), EFFORT / SCENE.torque_limit**2
-    cost, found = np.zeros((8, 8)), np.zeros((PERIOD, 8))
+    cost, gain = np.zeros((8, 8)), np.zeros((PERIOD, 8))
     for k in list(range(PERIOD - 1, -1, -1)) * periods:
         a, b = by_state[k], by_torque[k]
-        found[k] = b @ cost @ a / (effort + b @ cost @ b)
-        cost = weights + a.T @ cost @ (a - np.outer(b, found[k]))
+        gain[k] = b @ cost @ a / (effort + b @ cost @ b)
+        cost = weights + a.T @ cost @ (a - np.outer(b, gain[k]))
         cost = 0.5 * (cost + cost.T)
-    return found
+    return gain
 
 
 def phase(z: Array) -> Array:
-    """The share of its bounce that each jack of z (n, 8) has behind it, by its height and speed."""
+    """The elapsed share of its bounce for each jack of z (n, 8), from its height and speed."""
     landing = np.sqrt(z[:, 5] ** 2 + 2.0 * SCENE.gravity * np.maximum(z[:, 1] - FLOOR, 0.0))
     return 0.5 - 0.5 * z[:, 5] / np.maximum(landing, 1e-9)
 
 
 def disturbed(bounce: Array) -> Array:
-    """Starts (sizes * STARTS, 8): place, angle, sideways speed and spin of the jack moved in random directions."""
-    ways = np.random.default_rng(SEED).standard_normal((len(SIZES), STARTS, len(DISTURBED)))
-    ways *= np.array(SIZES)[:, None, None] / np.linalg.norm(ways, axis=2, keepdims=True)
+    """Starts (sizes * STARTS, 8): x, angle, sideways speed and spin of the jack moved in random directions."""
+    directions = np.random.default_rng(SEED).standard_normal((len(SIZES), STARTS, len(DISTURBED)))
+    directions *= np.array(SIZES)[:, None, None] / np.linalg.norm(directions, axis=2, keepdims=True)
     starts = np.tile(bounce[0], (len(SIZES), STARTS, 1))
-    starts[..., DISTURBED] += ways * UNITS[DISTURBED]
+    starts[..., DISTURBED] += directions * UNITS[DISTURBED]
     return starts.reshape(-1, 8)
 
 
 def deviations(bounce: Array, by: Array, clock: bool) -> Array:
-    """How far the jacks are from the bounce after each step, in UNITS without the height, (steps, sizes, STARTS).
+    """Distances of the jacks from the bounce after each step, in UNITS without the height, (steps, sizes, STARTS).
 
     ``by`` are the gains (PERIOD, 8), chosen by the ``clock`` or by the jack's phase.
     """
-    states, found = disturbed(bounce) @ LIFT.T, []
+    states, distances = disturbed(bounce) @ LIFT.T, []
     for step in trange(round(SECONDS / DT), desc="bounces", unit="step", leave=False):
         z = states @ REDUCE.T
         ahead = np.full(len(z), step) if clock else np.rint((phase(z) - phase(bounce[:1])) * PERIOD)
@@ -128,12 +128,12 @@ def deviations(bounce: Array, by: Array, clock: bool) -> Array:
         torques = -((z - bounce[k]) * by[k]).sum(axis=1).clip(-SCENE.torque_limit, SCENE.torque_limit)
         states = rollout(SCENE, states, torques[:, None], DT, trajectories=False)[0][:, 1]
         off = (states @ REDUCE.T - bounce[0])[:, SIDEWAYS] / UNITS[SIDEWAYS]
-        found.append(np.linalg.norm(off, axis=1).reshape(len(SIZES), STARTS))
-    return np.array(found)
+        distances.append(np.linalg.norm(off, axis=1).reshape(len(SIZES), STARTS))
+    return np.array(distances)
 
 
 def measure() -> dict[str, Any]:
-    """Newton's residuals, multipliers (real, imaginary) and products of their pairs, and how disturbed jacks fare."""
+    """Newton's residuals, multipliers (real, imaginary), products of their pairs, and deviations of disturbed jacks."""
     start, residuals = newton(np.array([0.1, FLOOR + 1.3, 0.02, 0.03, 0.02, 0.05, -0.01, 0.03]))
     bounce, by_state, by_torque = period(start)
     by = gains(by_state, by_torque)

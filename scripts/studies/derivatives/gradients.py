@@ -1,7 +1,7 @@
-"""How large policy gradients through impacts are: of the return on juggle over some horizons, by ``torch.step``.
+"""Norms of policy gradients through impacts: of the return on juggle over some horizons, by ``torch.step``.
 
-Each row has a policy of its own: a network of 16 tanh units from the jack's place and velocity relative to the box,
-both angles and both rates, in units of L, v0, v0 / L and v0 / l, to the torque. Its weights are drawn anew.
+Each row has a policy of its own: a network of 16 tanh units from the jack's position and velocity relative to the box,
+both angles and both rates, in units of L, v0, v0 / L and v0 / l, to the torque. Its weights are random.
 """
 
 from __future__ import annotations
@@ -23,24 +23,24 @@ HORIZONS = (0.25, 0.5, 1.0, 2.0, 4.0)  # [s]
 
 
 def norms(horizon: float) -> dict[str, Any]:
-    """Median and 5 % and 95 % quantiles of the gradient's norm over a horizon [s], and rows that have none."""
+    """Median and 5 % and 95 % quantiles of the gradient's norm over a horizon [s], and how many rows have none."""
     rng = np.random.default_rng(0)
     states = torch.tensor(np.array([sample_start(Scene(), rng) for _ in range(ROWS)]))
-    scale, seen = torch.tensor(UNITS @ abs(REDUCE.T) / abs(REDUCE).sum(axis=1)), torch.tensor(REDUCE.T)
+    scale, reduce = torch.tensor(UNITS @ abs(REDUCE.T) / abs(REDUCE).sum(axis=1)), torch.tensor(REDUCE.T)
     first, last = (torch.tensor(rng.standard_normal(shape)) for shape in ((ROWS, 8, HIDDEN), (ROWS, HIDDEN, 1)))
     weights = [(first / 8**0.5).requires_grad_(), (last / HIDDEN**0.5).requires_grad_()]
-    earned, told = torch.zeros(ROWS, dtype=torch.float64), torch.ones(ROWS, dtype=torch.bool)
+    earned, differentiable = torch.zeros(ROWS, dtype=torch.float64), torch.ones(ROWS, dtype=torch.bool)
     for step in range(FLOWN + round(horizon / DT)):
-        inner = torch.tanh((states @ seen / scale)[:, None] @ weights[0])
+        inner = torch.tanh((states @ reduce / scale)[:, None] @ weights[0])
         states, rewards, smooth = jackbox_env.torch.step(None, states, (inner @ weights[1])[:, 0], DT, nonsmooth="zero")
         if step < FLOWN:
-            states = states.detach()  # the fall to the first impact is not what is asked
+            states = states.detach()  # leaves out the fall to the first impact
         else:
-            earned, told = earned + rewards, told & smooth
-    found = torch.autograd.grad(earned.sum(), weights)
-    norm = torch.stack([part.flatten(1).norm(dim=1) for part in found]).norm(dim=0)[told].numpy()
+            earned, differentiable = earned + rewards, differentiable & smooth
+    gradients = torch.autograd.grad(earned.sum(), weights)
+    norm = torch.stack([part.flatten(1).norm(dim=1) for part in gradients]).norm(dim=0)[differentiable].numpy()
     low, middle, high = np.quantile(norm, (0.05, 0.5, 0.95)).tolist()
-    return {"horizon": horizon, "low": low, "median": middle, "high": high, "without": int((~told).sum())}
+    return {"horizon": horizon, "low": low, "median": middle, "high": high, "without": int((~differentiable).sum())}
 
 
 def measure() -> list[dict[str, Any]]:

@@ -1,10 +1,9 @@
-"""How fast the jack in a box forgets its start: the largest Lyapunov exponent over an episode of 10 s.
+"""The growth of small errors: the largest Lyapunov exponent over an episode of 10 s.
 
 From each start the steps' derivatives are multiplied, in units of L, v0, v0/L and v0/l. The product's largest singular
-value sigma says how much the worst small error has grown. The exponent is log sigma(10 s) / 10 s. It is that of the
-motion along the torques that a policy chose: open loop, the policy does not answer to the error. The flight before the
-first impacts adds to it what is not exponential. The growth per impact leaves that out: it is taken between the moments
-before the second and before the last impact.
+value sigma is the growth of the worst small error. The exponent is log sigma(10 s) / 10 s. It is that of the open loop:
+the policy's torques do not react to the error. The flight before the first impacts adds growth that is not exponential.
+The growth per impact excludes it: it is measured from before the second to before the last impact.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ FORGOTTEN = math.log(0.1 / 1e-16)  # of sigma, when rounding has grown to a tent
 
 
 def played(policy: str) -> tuple[Array, Array, Array]:
-    """First states (STARTS, 12), torques (STARTS, steps) [N m] and impacts so far after each step, of a policy."""
+    """A policy's first states (STARTS, 12), torques (STARTS, steps) [N m] and cumulated impacts (STARTS, steps)."""
     settings = EnvSettings(contact="exact")
     act = find_policy(policy, settings)
     env = JackInBoxVectorEnv(STARTS, with_infos=True, **{**settings.env_settings, **act.env_settings})
@@ -50,14 +49,14 @@ def played(policy: str) -> tuple[Array, Array, Array]:
 
 
 def growth(by_state: Array) -> Array:
-    """Log of sigma after each step, (n, steps), from derivatives (n, steps, 12, 12); the product is kept near 1."""
-    grown, scale, found = np.eye(12), np.zeros(len(by_state)), []
+    """Log of sigma after each step, (n, steps), from derivatives (n, steps, 12, 12); the product is rescaled to 1."""
+    grown, scale, logs = np.eye(12), np.zeros(len(by_state)), []
     for k in range(by_state.shape[1]):
         grown = (by_state[:, k] * UNITS / UNITS[:, None]) @ grown
         sigma = np.linalg.norm(grown, 2, axis=(1, 2))
         grown, scale = grown / sigma[:, None, None], scale + np.log(sigma)
-        found.append(scale)
-    return np.stack(found, axis=1)
+        logs.append(scale)
+    return np.stack(logs, axis=1)
 
 
 def with_interval(values: Array) -> dict[str, float]:
@@ -68,20 +67,20 @@ def with_interval(values: Array) -> dict[str, float]:
 
 def at_impacts(logs: Array, impacts: Array) -> Array:
     """The log of sigma after 1, 2, ... impacts, at the end of the last step before the next; NaN if none comes."""
-    found = np.full((len(logs), int(impacts.max())), np.nan)
-    for count in range(1, found.shape[1]):
+    by_impact = np.full((len(logs), int(impacts.max())), np.nan)
+    for count in range(1, by_impact.shape[1]):
         more = impacts > count
-        found[:, count - 1] = np.where(more[:, -1], logs[np.arange(len(logs)), more.argmax(axis=1) - 1], np.nan)
-    return found
+        by_impact[:, count - 1] = np.where(more[:, -1], logs[np.arange(len(logs)), more.argmax(axis=1) - 1], np.nan)
+    return by_impact
 
 
 def figures(policy: str) -> dict[str, Any]:
-    """What is measured of the motion under a policy; starts with a step that has no derivative are left out."""
+    """All measures of the motion under a policy; starts with a step that has no derivative are left out."""
     starts, torques, impacts = played(policy)
-    given = {"torques": None, "steps": EPISODE_STEPS} if policy == "chirp" else {"torques": torques}
-    found = linearize(SCENE, starts, dt=DT, **given)
-    smooth = found.smooth.all(axis=1)
-    logs, impacts = growth(found.A[smooth]), impacts[smooth]
+    drive = {"torques": None, "steps": EPISODE_STEPS} if policy == "chirp" else {"torques": torques}
+    lin = linearize(SCENE, starts, dt=DT, **drive)
+    smooth = lin.smooth.all(axis=1)
+    logs, impacts = growth(lin.A[smooth]), impacts[smooth]
     by_impact = at_impacts(logs, impacts)
     exponent = with_interval(logs[:, -1] / (DT * EPISODE_STEPS))
     each = with_interval((np.nanmax(by_impact, axis=1) - by_impact[:, 0]) / (impacts[:, -1] - 2.0))

@@ -1,1 +1,1 @@
-"""What policies earn: docs/results.md, and the networks in agents/trained."""
+"""Returns of policies: docs/results.md, and the networks in agents/trained."""

@@ -1,4 +1,4 @@
-"""What docs/results.md shows of policies: each number is a trial of a sweep, so that an interrupted run goes on."""
+"""The measurements of docs/results.md: each is a trial of a sweep, so that an interrupted run resumes."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ SEED = 1  # decides the starts
 RESAMPLES = 2000
 CONTACTS = ("exact", "pymunk")
 POLICIES = ("zero", "level", "chirp", "best chirp", "ppo", "distilled", "lookahead", "planner-64", "planner")
-DECISION = 0.1  # [s] of an episode, for which policies' computing is timed
+TIMED = 0.1  # [s] of an episode that computing times refer to
 
-# Chirps that are tried: amplitudes over the torque's limit, Hz, Hz/s; and starts of each, others than the evaluation's.
+# Chirps that are tried: amplitudes over the torque's limit, Hz, Hz/s; and starts of each, not the evaluation's.
 AMPLITUDES = tuple(sign * share for share in (0.1, 0.2, 0.4, 0.7, 1.0) for sign in (1.0, -1.0))
 FREQUENCIES = (0.05, 0.1, 0.2, 0.3, 0.5, 0.8, 1.2, 2.0)
 RATES = (0.0, 0.03, 0.1, 0.3, 0.9)
@@ -49,40 +49,40 @@ VARIED = TrainSettings(randomize=json.dumps(RANGES))
 
 
 def trials(episodes: int, planner_episodes: int, across_episodes: int, training_episodes: int) -> list[dict[str, Any]]:
-    """All that the page shows."""
-    asked: list[dict[str, Any]] = []
+    """All trials of the page."""
+    trials: list[dict[str, Any]] = []
     for seed, task in product(SEEDS, TRAINED):
-        asked.append({"part": "learning", "task": task, "seed": seed, "episodes": training_episodes})
+        trials.append({"part": "learning", "task": task, "seed": seed, "episodes": training_episodes})
     for task, contact, policy in product(TRAINED, CONTACTS, POLICIES):
         count = planner_episodes if policy == "planner" else episodes
-        asked.append({"part": "rows", "task": task, "contact": contact, "policy": policy, "episodes": count})
+        trials.append({"part": "rows", "task": task, "contact": contact, "policy": policy, "episodes": count})
     for restitution, mass, policy in product(RESTITUTIONS, MASSES, ("level", "one scene", "varied scenes")):
         scene = {"restitution": restitution, "jack_mass": mass}
-        asked.append({"part": "across", "scene": scene, "policy": policy, "episodes": across_episodes})
-    return asked
+        trials.append({"part": "across", "scene": scene, "policy": policy, "episodes": across_episodes})
+    return trials
 
 
-def measured(folder: Path, asked: dict[str, Any]) -> dict[str, Any]:
+def measured(folder: Path, trial: dict[str, Any]) -> dict[str, Any]:
     """The work of a trial; trainings have their run folders in ``folder``."""
     parts: dict[str, Callable[..., dict[str, Any]]]
     parts = {"learning": learning, "rows": policy_row, "across": in_scene}
-    own = {name: value for name, value in asked.items() if name != "part"}
-    return {"row": parts[asked["part"]](folder, **own)}
+    arguments = {name: value for name, value in trial.items() if name != "part"}
+    return {"row": parts[trial["part"]](folder, **arguments)}
 
 
 def _evaluated(name: str, policy: Any, env_settings: dict[str, Any], episodes: int) -> dict[str, Any]:
-    """What is stored of an evaluation."""
+    """The stored figures of an evaluation."""
     row = evaluate(name, policy, env_settings, episodes, SEED).as_json()
     return {key: value for key, value in row.items() if key != "returns"}
 
 
 def run_of(folder: Path, task: str, seed: int) -> Path:
-    """Run folder of a training by the settings of the shipped network; that of seed 0 is what is shipped."""
+    """Run folder of a training by the settings of the shipped network, which is that of seed 0."""
     return folder / f"{task}-{seed}"
 
 
 def learning(folder: Path, task: str, seed: int, episodes: int) -> dict[str, Any]:
-    """What a training earns, while it learns and at its end."""
+    """Returns of a training, while it learns and at its end."""
     settings = dataclasses.replace(read_settings(SHIPPED / f"{task}-ppo"), seed=seed)
     run = run_of(folder, task, seed)
     trained_in(run, settings, progress=False)
@@ -98,7 +98,7 @@ def learning(folder: Path, task: str, seed: int, episodes: int) -> dict[str, Any
 
 
 def policy_row(folder: Path, task: str, contact: str, policy: str, episodes: int) -> dict[str, Any]:
-    """What a policy earns on a task, and how long it computes."""
+    """Returns of a policy on a task, and its computing time."""
     settings = EnvSettings(task=task, contact=contact)
     acting, more = find_policy("chirp" if policy == "best chirp" else policy, settings, SEED)
     drive = best_chirp(task) if policy == "best chirp" else None
@@ -116,15 +116,15 @@ def policy_row(folder: Path, task: str, contact: str, policy: str, episodes: int
 
 
 def milliseconds(act: Baseline, settings: EnvSettings) -> float:
-    """Processor time [ms] that a policy takes for 0.1 s of an episode, in one environment."""
+    """Processor time [ms] of a policy for 0.1 s of an episode, in one environment."""
     env = gym.make("JackInBox-v0", **{**settings.env_settings, **act.env_settings})
-    (seen, _), memory, spent = env.reset(seed=SEED), None, 0.0
+    (observation, _), memory, spent = env.reset(seed=SEED), None, 0.0
     for step in range(EPISODE_STEPS):
         began = time.process_time()
-        action, memory = act.policy.predict(seen, memory, np.array([step == 0]), deterministic=True)
+        action, memory = act.policy.predict(observation, memory, np.array([step == 0]), deterministic=True)
         spent += time.process_time() - began
-        seen = env.step(action)[0]
-    return 1e3 * spent * DECISION / (EPISODE_STEPS * settings.control_dt)
+        observation = env.step(action)[0]
+    return 1e3 * spent * TIMED / (EPISODE_STEPS * settings.control_dt)
 
 
 def interquartile_mean(returns: Array, axis: int = -1) -> Any:
@@ -136,14 +136,14 @@ def curve_of(rows: list[dict[str, Any]]) -> tuple[Array, Array, Array]:
     """Learning curve of several trainings: control steps, shape (n,), interquartile mean of the returns, (n,), and the
     ends of its 95 % interval by bootstrap over the trainings, (2, n)."""
     curves = np.array([row["curve"] for row in rows])
-    found = bootstrap(
+    interval = bootstrap(
         (curves,), interquartile_mean, axis=0, n_resamples=RESAMPLES, method="percentile", rng=np.random.default_rng(0)
     )
-    return np.array(rows[0]["steps"]), interquartile_mean(curves, 0), np.array(found.confidence_interval)
+    return np.array(rows[0]["steps"]), interquartile_mean(curves, 0), np.array(interval.confidence_interval)
 
 
 def in_scene(folder: Path, scene: dict[str, float], policy: str, episodes: int) -> dict[str, Any]:
-    """What a level box or one of the trainings earns in a scene."""
+    """Returns of the level box or of one of the trainings in a scene."""
     settings = EnvSettings(scene=json.dumps(scene))
     if policy == "varied scenes":
         run = folder / "varied-scenes"
@@ -166,7 +166,7 @@ def chirps() -> list[dict[str, float]]:
 
 
 def returns_of(task: str, tried: list[dict[str, float]], starts: int, seed: int) -> NDArray[np.float64]:
-    """What chirps earn on the exact model, shape (chirps, starts), all from the same starts."""
+    """Returns of chirps on the exact model, shape (chirps, starts), all from the same starts."""
     scenes = [Scene(drive=Chirp(**fields)) for fields in tried for _ in range(starts)]
     env = JackInBoxVectorEnv(len(scenes), scene=scenes, contact="exact", task=task, torque="chirp")
     env.reset(seed=[seed + start for _ in tried for start in range(starts)])
@@ -177,7 +177,7 @@ def returns_of(task: str, tried: list[dict[str, float]], starts: int, seed: int)
 
 
 def best_chirp(task: str) -> dict[str, float]:
-    """The chirp that earns most on a task."""
+    """The chirp with the largest mean return on a task."""
     tried = chirps()
     return tried[int(returns_of(task, tried, STARTS, derived_seed("chirps", SEED)).mean(axis=1).argmax())]
 
@@ -186,9 +186,9 @@ def best_chirp(task: str) -> dict[str, float]:
 
 
 def unpaid_steps(states: Array) -> Array:
-    """How many steps spin cannot pay for, whatever the torque, from states at rest, shape (n, 12): shape (n,).
+    """Steps that earn nothing on spin, whatever the torque, from states at rest, shape (n, 12): shape (n,).
 
-    A jack at rest does not turn before its first impact. That comes, at the earliest, when the jack has fallen until
+    A jack at rest does not turn before its first impact. At the earliest it happens when the jack has fallen until
     its centre is L - l from the box's centre.
     """
     scene = Scene()
@@ -200,14 +200,14 @@ def unpaid_steps(states: Array) -> Array:
 
 
 def spin_bound(episodes: int) -> float:
-    """The most that spin can earn from the evaluation's starts, in the mean: 1 in each step that can be paid."""
+    """Upper bound of the mean return on spin from the evaluation's starts: 1 in each step that can earn anything."""
     env = JackInBoxVectorEnv(episodes, contact="exact", task="spin")
     env.reset(seed=derived_seed("evaluation", SEED))
     return float(np.mean(EPISODE_STEPS - unpaid_steps(env.states)))
 
 
 def rattle_at(speed: float) -> float:
-    """What a jack earns in an episode that flies to and fro at a speed [m/s], straight at the walls of a calm box.
+    """Return on rattle of a jack that flies to and fro at a speed [m/s], straight at the walls of a box at rest.
 
     It knocks every 2 (L - l) / v, and each knock is min(1, v / (2 v0)).
     """

@@ -1,4 +1,4 @@
-"""What every policy earns on every task and both contact models: docs/results.md."""
+"""Write docs/results.md: returns of every policy on every task and both contact models."""
 
 from __future__ import annotations
 
@@ -78,17 +78,17 @@ def _cell(row: dict[str, Any]) -> str:
 
 
 def _table(rows: list[dict[str, Any]]) -> str:
-    found = {(row["policy"], row["contact"]): row for row in rows}
+    by_contact = {(row["policy"], row["contact"]): row for row in rows}
     lines = []
-    for name in dict.fromkeys(policy for policy, _ in found):
-        spent = found[name, "exact"]["milliseconds"]
-        lines.append((name, *(_cell(found[name, contact]) for contact in these.CONTACTS), f"{spent:.2g}"))
+    for name in dict.fromkeys(policy for policy, _ in by_contact):
+        spent = by_contact[name, "exact"]["milliseconds"]
+        lines.append((name, *(_cell(by_contact[name, contact]) for contact in these.CONTACTS), f"{spent:.2g}"))
     return table(("policy", *these.CONTACTS, "ms"), lines)
 
 
 def _across(rows: list[dict[str, Any]]) -> dict[str, Any]:
     names = list(rows[0]["earned"])
-    own = next(row["earned"] for row in rows if Scene.of(dict(row["scene"])) == Scene())
+    default = next(row["earned"] for row in rows if Scene.of(dict(row["scene"])) == Scene())
     lines = []
     for row in rows:
         fields = row["scene"]["restitution"], row["scene"]["jack_mass"]
@@ -97,7 +97,7 @@ def _across(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "scenes": len(rows),
         "across": table(("restitution", "jack's mass [kg]", *names), lines),
         "means": {name: float(np.mean([row["earned"][name]["mean"] for row in rows])) for name in names},
-        "own": {name: own[name]["mean"] for name in names},
+        "own": {name: default[name]["mean"] for name in names},
         "ranges": these.RANGES,
     }
 
@@ -109,15 +109,15 @@ def _of_task(rows: list[dict[str, Any]], task: str) -> list[dict[str, Any]]:
 def _trained(rows: list[dict[str, Any]]) -> str:
     lines = []
     for task in TRAINED:
-        found = _of_task(rows, task)
-        settings, means = found[0]["settings"], [row["mean"] for row in found]
+        trainings = _of_task(rows, task)
+        settings, means = trainings[0]["settings"], [row["mean"] for row in trainings]
         ends = f"{min(means):.1f} to {max(means):.1f}"
         lines.append((task, f"{np.mean(means):.1f}", ends, f"{settings['total_steps']:,}"))
     return table(("task", "mean of five", "lowest to highest", "decisions"), lines)
 
 
 def draw(rows: list[dict[str, Any]], learning: list[dict[str, Any]], path: Path) -> None:
-    """Draw how five trainings learn on each task, and what others earn as lines, for the exact model."""
+    """Draw the learning curves of five trainings on each task, and other policies' returns as lines, for exact."""
     from matplotlib.figure import Figure
 
     from agents.evaluation.figures import ACCENT
@@ -146,7 +146,7 @@ def draw(rows: list[dict[str, Any]], learning: list[dict[str, Any]], path: Path)
 
 
 def gathered(arguments: Arguments) -> dict[str, Any]:
-    """Everything that the page shows; what has not finished in the folder is run."""
+    """All results; unfinished trials in the folder are run."""
     from agents.sweep_ray import runner_for
     from jackbox_env.files import make_folder
     from scripts.studies.sweeping import swept
@@ -154,10 +154,10 @@ def gathered(arguments: Arguments) -> dict[str, Any]:
     folder, runner = arguments.runs.resolve(), runner_for(arguments.workers, None)
     make_folder(folder)
     counts = arguments.episodes, arguments.planner_episodes, arguments.across_episodes, arguments.training_episodes
-    asked = these.trials(*counts)
-    found = swept(folder / "sweep", asked, partial(these.measured, folder), runner, arguments.progress)
+    trials = these.trials(*counts)
+    rows = swept(folder / "sweep", trials, partial(these.measured, folder), runner, arguments.progress)
     parts: dict[str, list[Any]] = {"learning": [], "rows": [], "across": []}
-    for row in found:
+    for row in rows:
         parts[row["part"]].append((row, row["row"]))
     across: dict[str, dict[str, Any]] = {}
     for row, earned in parts["across"]:

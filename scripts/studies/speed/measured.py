@@ -1,4 +1,4 @@
-"""What ``speed.py`` times: single environments, batches and rollouts, beside others that do the same.
+"""The steps that ``speed.py`` times: single environments, batches and rollouts, beside others that do the same.
 
 Actions are random and drawn beforehand. Episodes have 500 steps from the environment's own starts; a batch too large
 for whole episodes starts from states at random moments of them.
@@ -64,8 +64,8 @@ DT = 0.02  # [s]
 EPISODE = 500  # steps
 SOME = 50  # steps that a large batch or a rollout goes on from random moments
 _MOST_ITERATIONS = 50  # of Newton's method
-_STRETCHES = 65536  # of actions drawn beforehand, of which each step takes one
-_WRONG = 1e-6  # difference, or depth outside the box [m], that is no rounding
+_OFFSETS = 65536  # into the actions drawn beforehand, where a step's actions may start
+_WRONG = 1e-6  # least difference, or depth outside the box [m], that is no rounding
 
 
 def of_size(count: int) -> str:
@@ -182,14 +182,14 @@ def many(
 ) -> Timed:  # fmt: skip
     """Environment steps per second of a batch, restarts included, in blocks of ``steps``.
 
-    Each step takes another part of one long array of actions. A few actions in turn would spin a box up by their mean.
+    Each step uses another part of one long array of actions. A few actions in turn would spin a box up by their mean.
     """
-    count = getattr(env, "num_envs", TOGETHER)  # EnvPool's does not say
+    count = getattr(env, "num_envs", TOGETHER)  # EnvPool's lacks it
     env.reset()
-    actions = batch_space(getattr(env, "single_action_space", env.action_space), count + _STRETCHES)
+    actions = batch_space(getattr(env, "single_action_space", env.action_space), count + _OFFSETS)
     actions.seed(0)
     pool = actions.sample()
-    order = itertools.cycle(np.random.default_rng(0).integers(_STRETCHES, size=4099).tolist())
+    order = itertools.cycle(np.random.default_rng(0).integers(_OFFSETS, size=4099).tolist())
 
     def block() -> int:
         for first in itertools.islice(order, steps):
@@ -235,7 +235,7 @@ def together(seconds: float) -> dict[str, Timed]:
 
 
 def threads(cores: int, seconds: float) -> dict[str, Timed]:
-    """Batches of any size and a rollout, timed by the wall clock: two threads should take half the time."""
+    """Batches of any size and a rollout, timed by the wall clock: two threads should need half the time."""
 
     def of(size: int, threads: int) -> Timed:
         settings: dict[str, Any] = {"contact": "exact", "num_threads": threads, "max_episode_steps": 10**9}
@@ -270,14 +270,14 @@ def moments(count: int) -> Array:
     return states
 
 
-def matrices(*given: Any, **settings: Any) -> object:
+def matrices(*arguments: Any, **settings: Any) -> object:
     """``jackbox_env.linearize`` with the derivatives of all steps."""
-    return linearize(*given, **settings).A
+    return linearize(*arguments, **settings).A
 
 
-def pulled(*given: Any, **settings: Any) -> object:
+def pulled(*arguments: Any, **settings: Any) -> object:
     """``jackbox_env.linearize`` with the gradient of a sum of all states."""
-    lin = linearize(*given, **settings)
+    lin = linearize(*arguments, **settings)
     return lin.vjp(np.ones_like(lin.trajectories))
 
 
@@ -285,7 +285,7 @@ def rolled(
     count: int, steps: int, seconds: float, threads: int = 1, clock: Callable[[], float] = time.process_time,
     run: Callable[..., object] = rollouts.rollout,
 ) -> Timed:  # fmt: skip
-    """Control steps per second of ``jackbox_env.rollout``, or what else ``run`` is, from moments of episodes."""
+    """Control steps per second of ``jackbox_env.rollout``, or of another ``run``, from moments of episodes."""
     scene, states = Scene(), moments(count)
     torques = np.random.default_rng(0).uniform(-scene.torque_limit, scene.torque_limit, (count, steps))
 
@@ -300,13 +300,13 @@ def first_of_all(
     scene: SceneNumbers, memory: Workspace, flight: Flight, view: View, walls: int, likely: int, limits: Limits,
     rest: float,
 ) -> tuple[float, int]:  # fmt: skip
-    """How impacts are usually found: look at the step's end, then Newton's method. What happens in between is lost.
+    """The usual search for impacts: gaps at the step's end, then Newton's method. It misses what happens in between.
 
     It replaces the certified search of ``jackbox_env.exact.search`` and returns values like it: the earliest root of
-    the gaps that are closed at the end. This shows the price of the guarantee, and what is missed without it.
+    the gaps that are closed at the end. The difference is the price of the guarantee.
     """
     left = limits.end
-    best, found = left, NONE
+    best, pair = left, NONE
     end = pose_at(flight, memory, left)
     at_end = box_frame(end.x, end.y, end.vx, end.vy, end.angle, end.omega)
     cosine, sine = cos_sin(end.jack_angle - end.angle)
@@ -325,12 +325,12 @@ def first_of_all(
                 if abs(gap) <= limits.tolerance or rate == 0.0:
                     break
             if s <= best and rate < 0.0:
-                best, found = s, 4 * wall + foot
-    return best, found
+                best, pair = s, 4 * wall + foot
+    return best, pair
 
 
 def unguarded(run: Callable[[], T]) -> Callable[[], T]:
-    """``run`` with rollouts that look for impacts at a step's end only, in place of the certified search."""
+    """``run`` with rollouts that detect impacts at a step's end only, in place of the certified search."""
 
     def wrapped() -> T:
         with patch.object(rollouts, "compiled", partial(compiled_with, first_of_all=first_of_all)):
@@ -340,16 +340,16 @@ def unguarded(run: Callable[[], T]) -> Callable[[], T]:
 
 
 def lost() -> dict[str, int]:
-    """How many of the same episodes each search gets wrong. They are compared until chaos parts them."""
-    (certified, hits), (other, found) = play(), unguarded(play)()
+    """How many of the same episodes each search gets wrong. They are compared until chaos separates them."""
+    (certified, hits), (other, other_hits) = play(), unguarded(play)()
     difference = np.abs(certified - other).max(axis=2)[:, :-1]  # before each step
     level = np.logical_and.accumulate(difference <= _WRONG, axis=1)
-    look, numbers, wrong = compiled(outside), np.array([Scene().numbers]), np.array([_WRONG])
+    first_outside, numbers, wrong = compiled(outside), np.array([Scene().numbers]), np.array([_WRONG])
 
     def escaped(trajectories: Array) -> int:
-        return sum(int(look(numbers, states, wrong)) >= 0 for states in trajectories)
+        return sum(int(first_outside(numbers, states, wrong)) >= 0 for states in trajectories)
 
-    missed = int((level & (found < hits)).any(axis=1).sum())
+    missed = int((level & (other_hits < hits)).any(axis=1).sum())
     return {"of": len(hits), "missed": missed, "escaped": escaped(other), "certified": escaped(certified)}
 
 
@@ -376,7 +376,7 @@ print(1024 * used().ru_maxrss - before)
 
 
 def printed(code: str, cache: str | None = None) -> float:
-    """What a separate process prints, with its compiled code kept in ``cache``.
+    """The number that a separate process prints; its compiled code is cached in ``cache``.
 
     Raises:
         RuntimeError: it fails.
@@ -390,10 +390,10 @@ def printed(code: str, cache: str | None = None) -> float:
 
 
 def start(times: int, count: int = 1_000_000) -> dict[str, Any]:
-    """Seconds to a first step with nothing compiled before, and compiled; bytes for each of so many environments."""
-    found: dict[str, list[float]] = {"cold": [], "warm": []}
+    """Seconds to a first step, with and without compilation; bytes for each of so many environments."""
+    times_of: dict[str, list[float]] = {"cold": [], "warm": []}
     for _ in range(times):
         with tempfile.TemporaryDirectory() as cache:
-            for seconds in found.values():
+            for seconds in times_of.values():
                 seconds.append(printed(_SECONDS, cache))
-    return {**found, "of": count, "bytes": printed(_BYTES.format(count)) / count}
+    return {**times_of, "of": count, "bytes": printed(_BYTES.format(count)) / count}
