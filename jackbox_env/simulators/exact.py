@@ -3,7 +3,7 @@
 Law: flight in closed form (``exact/flight.py``); at an impact all feet that touch, within 1e-13 m or 4 units in the
     last place of a far-off position, take the simultaneous Newton law of
     :func:`jackbox_env.mechanics.simultaneous_impact_map`. With loss, bounces pile up. A foot that would rise by 1e-13 m
-    at most comes to rest; where a step takes more than 1,024 gap evaluations this limit grows, to 1e-10 m. The law too
+    at most comes to rest; this limit doubles with every 256 impacts of a step, up to 1e-10 m. The law too
     would take that bounce's energy, at the end of the pile. The wall then holds the foot until it would have to pull
     (``exact/rest.py``). A held foot is one impact per wall and step: at the step's end, with the impulse of the
     whole step. So ``impacts``, the environment's counts and impulses, and the task rattle see the weight that rests on
