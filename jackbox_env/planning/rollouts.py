@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from jackbox_env import checks as check
 from jackbox_env.batches.threads import Halt, Threads, thread_count
 from jackbox_env.exact.compiler import address_of, compiled
-from jackbox_env.exact.glide import SCENE_LANES, TIME, WIDEST, WIDTH
+from jackbox_env.exact.glide import SCENE_LANES, TIME, WIDTH
 from jackbox_env.exact.restart import spread
 from jackbox_env.exact.run import NOTHING, PATIENCE, Call, Rules, Scenes, new_memory, outside, run
 from jackbox_env.exact.score import score_block
@@ -41,6 +41,7 @@ OneOrMore = Scene | Mapping[str, Any] | None | Sequence[Scene | Mapping[str, Any
 _GRAIN = 1000  # steps that are worth a call
 FEWEST_PER_THREAD = 5000  # steps that are worth waking a thread
 _ROOM = 256  # impacts; it grows
+_WIDTH = 32  # rows in a block
 
 
 Rewards = TypeVar("Rewards")
@@ -194,11 +195,11 @@ def run_rollouts(
     times = _times(time, dt, steps)
     ranges = count if num_threads is not None else min(count, count * steps // FEWEST_PER_THREAD)
     threads = Threads(thread_count(num_threads, ranges))
-    width = max(1, min(WIDEST, -(-count // threads.count)))
+    width = max(1, min(_WIDTH, count))  # of all numbers of threads, so that they name the same row in errors
     blocks = np.zeros((2, -(-count // width), WIDTH, width))
     _put_rows(blocks[0], starts, time)
     played = _scenes_played(scenes, times, dt, driven, None if free else 0.0, blocks.shape)
-    score = compiled_for(task, score_block) if task else None  # kept alive, because it is called by its address
+    score = compiled_for(task, score_block) if task else None
     filled = NOTHING._replace(
         terminations=np.zeros(count, np.bool_),
         truncations=np.empty(count, np.bool_),
@@ -221,7 +222,8 @@ def run_rollouts(
         call.prepare(played, rules, blocks[0], blocks[1], controls, filled)
     loop, halt = compiled(run), Halt()
 
-    def work(thread: int, low: int, high: int) -> tuple[int, int, int, list[Array]]:
+    # The score is called by its address, also in threads that a second interruption left at work: they keep it alive.
+    def work(thread: int, low: int, high: int, _score: Any = score) -> tuple[int, int, int, list[Array]]:
         first, rows = 0, list[Array]()
         while True:
             ended, who, when, _, recorded = loop(calls[thread].place, low, high, first)
@@ -295,7 +297,7 @@ def _scenes_played(
     compiled(spread)(values, dt, lanes, np.arange(len(scenes) if len(scenes) > 1 else shape[3]))
     drives = [one.drive if driven else None for one in scenes]
     kinds = np.array([drive_kind(drive, torque is not None) for drive in drives], np.int64)
-    if not np.isin(kinds, WITH_PIECES).any():
+    if not any(kind in WITH_PIECES for kind in kinds.tolist()):
         return Scenes(values, lanes, kinds, *NO_PIECES)
     starts, tables, begins = (times[:-1] if len(times) > 1 else times).tolist(), list[Array](), dict[int, int]()
     for drive in drives:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import pickle
 import subprocess
 import sys
@@ -13,7 +14,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 import jackbox_env
-from jackbox_env import Drive, JackInBoxVectorEnv, JackLostError, Scene
+from jackbox_env import Drive, JackInBoxVectorEnv, JackLostError, Scene, Task, TaskError
 from jackbox_env.env import JackInBoxEnv
 from jackbox_env.exact import run as loop
 from jackbox_env.planning import rollouts
@@ -171,3 +172,15 @@ def test_a_rollout_without_steps_has_the_energies_of_the_first_states() -> None:
     for steps in (0, 1):
         found: Any = jackbox_env.rollout({}, [state] * 3, np.zeros((3, steps)), 0.02, energy=True)
         np.testing.assert_array_equal(found.energy[:, 0], [jackbox_env.mechanics.energy(Scene(), state)] * 3)
+
+
+def test_a_rollout_names_the_same_row_in_errors_however_many_threads_play_it() -> None:
+    task = Task(("paid",), lambda scene, state, torque, impulse: (1.0 if state.y_jack > -0.5 else math.nan,))
+    states = np.zeros((100, 12))
+    states[:, 10] = np.linspace(3.0, 0.0, 100)
+    messages = set[str]()
+    for num_threads in (1, 2, 3):
+        with pytest.raises(TaskError) as raised:
+            jackbox_env.rollout({}, states, np.zeros(80), 0.02, rewards=task, num_threads=num_threads)
+        messages.add(str(raised.value))
+    assert len(messages) == 1
