@@ -57,7 +57,7 @@ costs: .venv/ready
 derivatives: .venv/ready
 	@$(BIN)/python scripts/studies/derivatives/derivatives.py
 
-# Each step of many motions proven by interval arithmetic, the table of docs/trust.md, some 5 minutes; quick: in small,
+# Each step of many motions proven by interval arithmetic, the table of docs/trust.md, a minute or two; quick: in small,
 # only printed.
 prove: .venv/ready
 	@OMP_NUM_THREADS=1 $(BIN)/python -m tests.proving $(PROVE)

@@ -369,8 +369,8 @@ Seed {seed}. Reasons for undecided steps: {reasons}. {more:,} motions needed mor
   {100.0 * sum(time > 4.0 for time in times) / len(times):.0f} % of these times are more than 4 units off.
 - {len(grazes):,} feet bounce although their gap is proven positive, by at most {gap:.2g} m. Velocities then differ
   by at most {changed:.2g} m/s or rad/s.
-- In {len(ties):,} steps two feet strike nearly at once, and float64, which is early, has one first where the law has
-  both at once or the other first. Velocities then differ by up to {max(ties, default=0.0):.2g} m/s or rad/s.
+- Steps in which two feet strike nearly at once, and one is first where the law has both at once or the other first:
+  {len(ties):,}. Velocities then differ by up to {max(ties, default=0.0):.2g} m/s or rad/s.
 """
 
 

@@ -81,7 +81,15 @@ class ExactBatch:
         self._calls: list[Call] | None = self._new_calls()
 
     def _new_calls(self) -> list[Call]:
-        return [Call(self._blocks.shape[2]) for _ in range(self._threads.count)]
+        return [Call(run.new_memory(self._blocks.shape[2])) for _ in range(self._threads.count)]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_score": None, "_score_address": 0, "_calls": None}  # addresses hold in one process only
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        vars(self).update(kept)
+        self._score = compiled_for(self._task, score.score_block)
+        self._score_address = address_of(self._score)
 
     @property
     def nbytes(self) -> int:
@@ -233,7 +241,7 @@ class ExactBatch:
         for call in calls:
             call.prepare(scenes, rules, blocks, after, given, filled)
         self._spare = self._calls = None
-        self._acted = actions
+        self._stepped, self._acted = False, actions  # until the step is taken
         step = compiled(run.run)
 
         def work(thread: int, low: int, high: int) -> tuple[int, int]:

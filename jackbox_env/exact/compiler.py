@@ -299,6 +299,7 @@ def _native_once(function: Any) -> Any:
     """Itself under NUMBA_DISABLE_JIT."""
     from numba import config, typeof, types
     from numba.core import cgutils, sigutils
+    from numba.core.errors import TypingError
     from numba.core.typing.templates import Signature
     from numba.extending import intrinsic
 
@@ -307,6 +308,9 @@ def _native_once(function: Any) -> Any:
 
     @intrinsic
     def store(typing: Any, memory: Any, value: Any) -> Any:
+        if value not in [typeof(made()) for made in _EXAMPLES.values()]:  # type: ignore[no-untyped-call]
+            raise TypingError(f"packed: {value} is of no type that is unpacked")  # it would be read as something else
+
         def generate(context: Any, builder: Any, signature: Signature, given: Any) -> Any:
             if context.get_abi_sizeof(given[1].type) > 8 * PACKED:
                 raise ValueError(f"{value} has no room in {PACKED} numbers")

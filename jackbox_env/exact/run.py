@@ -92,6 +92,17 @@ class Memory(NamedTuple):
     log: Array  # (impacts, AT_IMPACT or WIDE), records of impacts; (0, ...): they are not recorded
 
 
+def new_memory(width: int, impacts: int = 0, wide: bool = False) -> Memory:
+    """Memory for one thread.
+
+    Args:
+        width: rows in a block.
+        impacts: how many can be recorded at first.
+        wide: whether each is recorded with the state at the impact, for derivatives.
+    """
+    return Memory(new_lanes(width), new_workspaces(), new_log(impacts, wide))
+
+
 class Arguments(NamedTuple):
     """All arguments of :func:`run`."""
 
@@ -124,16 +135,10 @@ arguments_at = unpacked_as(example)
 
 
 class Call:
-    """The arguments of a call of :func:`run`, at the address ``place``, and the memory of the thread that calls.
+    """The arguments of a call of :func:`run`, at the address ``place``, and the memory of the thread that calls."""
 
-    Args:
-        width: rows in a block.
-        impacts: how many can be recorded at first.
-        wide: whether each is recorded with the state at the impact, for derivatives.
-    """
-
-    def __init__(self, width: int, impacts: int = 0, wide: bool = False) -> None:
-        self.memory = Memory(new_lanes(width), new_workspaces(), new_log(impacts, wide))
+    def __init__(self, memory: Memory) -> None:
+        self.memory = memory
         self._packed = np.zeros(PACKED)  # arguments as compiled code holds them
         self.place, self._pack = 0, compiled(pack)
 
@@ -146,11 +151,12 @@ class Call:
             self._packed, tuple(scenes), tuple(rules), before, after, controls, tuple(results), tuple(self.memory)
         )
 
-    def make_room(self) -> None:
-        """Double the number of impacts that can be recorded."""
+    def with_room(self) -> Call:
+        """This call with room for twice as many impacts. This one stays as it is, if an interruption strikes."""
         log = self.memory.log
-        self.memory = self.memory._replace(log=np.zeros((2 * len(log), log.shape[1])))
-        self.prepare(*self._arguments)
+        twin = Call(self.memory._replace(log=np.zeros((2 * len(log), log.shape[1]))))
+        twin.prepare(*self._arguments)
+        return twin
 
 
 def pack(

@@ -13,11 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 from jackbox_env import checks as check
 from jackbox_env.batches.threads import Halt, Threads, thread_count
 from jackbox_env.exact.compiler import address_of, compiled
-from jackbox_env.exact.glide import SCENE_LANES, TIME, WIDEST, WIDTH
+from jackbox_env.exact.glide import SCENE_LANES, TIME, WIDTH
 from jackbox_env.exact.restart import spread
-from jackbox_env.exact.run import NOTHING, PATIENCE, Call, Rules, Scenes, outside, run
+from jackbox_env.exact.run import NOTHING, PATIENCE, Call, Rules, Scenes, new_memory, outside, run
 from jackbox_env.exact.score import score_block
 from jackbox_env.exact.workspace import Status, new_log
+from jackbox_env.mechanics import energy_of
 from jackbox_env.scene import Scene, scenes_of
 from jackbox_env.scoring import bad_reward, compiled_for
 from jackbox_env.simulators.base import end_of_step
@@ -40,6 +41,7 @@ OneOrMore = Scene | Mapping[str, Any] | None | Sequence[Scene | Mapping[str, Any
 _GRAIN = 1000  # steps that are worth a call
 FEWEST_PER_THREAD = 5000  # steps that are worth waking a thread
 _ROOM = 256  # impacts; it grows
+_WIDTH = 32  # rows in a block
 
 
 Rewards = TypeVar("Rewards")
@@ -193,16 +195,16 @@ def run_rollouts(
     times = _times(time, dt, steps)
     ranges = count if num_threads is not None else min(count, count * steps // FEWEST_PER_THREAD)
     threads = Threads(thread_count(num_threads, ranges))
-    width = max(1, min(WIDEST, -(-count // threads.count)))
+    width = max(1, min(_WIDTH, count))  # of all numbers of threads, so that they name the same row in errors
     blocks = np.zeros((2, -(-count // width), WIDTH, width))
     _put_rows(blocks[0], starts, time)
     played = _scenes_played(scenes, times, dt, driven, None if free else 0.0, blocks.shape)
-    score = compiled_for(task, score_block) if task else None  # kept alive, because it is called by its address
+    score = compiled_for(task, score_block) if task else None
     filled = NOTHING._replace(
         terminations=np.zeros(count, np.bool_),
         truncations=np.empty(count, np.bool_),
         rewards=np.zeros((0 if task is None else steps, count)),
-        lengths=np.full(0 if task is None else count, steps),
+        lengths=np.full(0 if task is None else count, steps, np.int64),
         trajectories=np.empty((count if whole else 0, steps + 1, 12)),
         energies=np.empty((count if energy else 0, steps + 1)),
         hits=np.zeros((steps if impacts else 0, count), np.int64),
@@ -210,21 +212,25 @@ def run_rollouts(
         rough=np.zeros((0 if tape is None else count, steps), np.bool_),
     )
     filled.trajectories[:, :1] = starts[: len(filled.trajectories), None]
+    for row in range(count if energy and not steps else 0):
+        filled.energies[row, 0] = energy_of(scenes[row if len(scenes) > 1 else 0].numbers, starts[row])
     rules = Rules(dt, steps, math.inf, False, True, until_impact, address_of(score), PATIENCE)
     controls = np.zeros((0, 0)) if free else np.ascontiguousarray(held.T)
-    calls = [Call(width, 0 if tape is None else _ROOM, tape is not None) for _ in range(threads.count)]
+    room = 0 if tape is None else _ROOM
+    calls = [Call(new_memory(width, room, tape is not None)) for _ in range(threads.count)]
     for call in calls:
         call.prepare(played, rules, blocks[0], blocks[1], controls, filled)
     loop, halt = compiled(run), Halt()
 
-    def work(thread: int, low: int, high: int) -> tuple[int, int, int, list[Array]]:
+    # The score is called by its address, also in threads that a second interruption left at work: they keep it alive.
+    def work(thread: int, low: int, high: int, _score: Any = score) -> tuple[int, int, int, list[Array]]:
         first, rows = 0, list[Array]()
         while True:
             ended, who, when, _, recorded = loop(calls[thread].place, low, high, first)
             if recorded:
                 rows.append(calls[thread].memory.log[:recorded].copy())
             if ended == Status.FULL:
-                calls[thread].make_room()
+                calls[thread] = calls[thread].with_room()
             if ended not in (Status.PAUSED, Status.FULL) or halt.asked:
                 return ended, who, when, rows
             low, first = who, when  # after a while, so that an interruption is heard
@@ -290,15 +296,15 @@ def _scenes_played(
     lanes = np.zeros((shape[1] if len(scenes) > 1 else 1, SCENE_LANES, shape[3]))
     compiled(spread)(values, dt, lanes, np.arange(len(scenes) if len(scenes) > 1 else shape[3]))
     drives = [one.drive if driven else None for one in scenes]
-    kinds = [drive_kind(drive, torque is not None) for drive in drives]
-    if not any(kind in WITH_PIECES for kind in kinds):
-        return Scenes(values, lanes, np.array(kinds), *NO_PIECES)
+    kinds = np.array([drive_kind(drive, torque is not None) for drive in drives], np.int64)
+    if not any(kind in WITH_PIECES for kind in kinds.tolist()):
+        return Scenes(values, lanes, kinds, *NO_PIECES)
     starts, tables, begins = (times[:-1] if len(times) > 1 else times).tolist(), list[Array](), dict[int, int]()
     for drive in drives:
         if id(drive) not in begins:
             begins[id(drive)] = len(tables)
             tables += [pieces_for(drive, start, dt, torque) for start in starts]
-    return Scenes(values, lanes, np.array(kinds), *joined(tables, np.array([begins[id(drive)] for drive in drives])))
+    return Scenes(values, lanes, kinds, *joined(tables, np.array([begins[id(drive)] for drive in drives], np.int64)))
 
 
 def sequences(scenes: list[Scene], several: bool, states: ArrayLike, torques: ArrayLike) -> tuple[Array, Array]:

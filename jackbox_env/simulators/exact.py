@@ -3,7 +3,7 @@
 Law: flight in closed form (``exact/flight.py``); at an impact all feet that touch, within 1e-13 m or 4 units in the
     last place of a far-off position, take the simultaneous Newton law of
     :func:`jackbox_env.mechanics.simultaneous_impact_map`. With loss, bounces pile up. A foot that would rise by 1e-13 m
-    at most comes to rest; where a step takes more than 1,024 gap evaluations this limit grows, to 1e-10 m. The law too
+    at most comes to rest; this limit doubles with every 256 impacts of a step, up to 1e-10 m. The law too
     would take that bounce's energy, at the end of the pile. The wall then holds the foot until it would have to pull
     (``exact/rest.py``). A held foot is one impact per wall and step: at the step's end, with the impulse of the
     whole step. So ``impacts``, the environment's counts and impulses, and the task rattle see the weight that rests on
@@ -41,7 +41,7 @@ from jackbox_env import checks as check
 from jackbox_env.exact.compiler import compiled
 from jackbox_env.exact.drives import TABLE_WIDTH
 from jackbox_env.exact.glide import SCENE_LANES, TIME, WIDTH
-from jackbox_env.exact.run import NOTHING, Call, Rules, Scenes, run
+from jackbox_env.exact.run import NOTHING, Call, Rules, Scenes, new_memory, run
 from jackbox_env.exact.search import MOST_WORK
 from jackbox_env.exact.step import CHIRP, CONSTANT, CONSTANT_BESIDE_FORCES, FUNCTIONS
 from jackbox_env.exact.workspace import TORQUE, Status
@@ -76,8 +76,9 @@ def pieces_for(drive: Chirp | Drive | None, time: float, dt: float, torque: floa
 
 def joined(tables: list[Array], begins: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
     """Pieces as ``exact.run.Scenes`` has them, of tables for one step each; rows begin with the table ``begins``."""
-    ends = np.cumsum([0, *map(len, tables)])
-    return np.concatenate([_NO_TABLE, *tables]), begins, ends
+    tables = tables or [_NO_TABLE]  # a step for rows that have none
+    ends = np.cumsum([0, *map(len, tables)], dtype=np.int64)
+    return np.concatenate(tables), begins, ends
 
 
 def failure(ended: int, scene: Scene, time: float, dt: float, who: str = "the jack") -> Exception:
@@ -135,7 +136,7 @@ class ExactSimulator(ContactModel):
             if ended != Status.FULL:
                 end_of_step(present.time, dt)
                 raise failure(ended, self.scene, present.time, dt)
-            call.make_room()  # and repeat the step
+            call = self._calls[into] = call.with_room()  # and repeat the step
         memory = call.memory
         impacts = recorded(memory.log[:hits], present.time) if hits else ()
         self._present = Present(self._states[into], present.time + dt, memory.lanes.item(TORQUE, 0), impacts)
@@ -156,14 +157,21 @@ class ExactSimulator(ContactModel):
     def _prepare(self) -> None:
         blocks = np.zeros((2, 1, WIDTH, 1))  # before and after a step, in turn
         self._blocks, self._states, self._times = blocks, list(blocks[:, 0, :12, 0]), list(blocks[:, 0, TIME])
-        self._run, self._calls, self._controls = compiled(run), [Call(1, 64), Call(1, 64)], np.zeros((1, 1))
-        self._kinds = [np.array([drive_kind(self.scene.drive, held)]) for held in (False, True)]
+        self._run, self._calls, self._controls = (
+            compiled(run),
+            [Call(new_memory(1, 64)) for _ in range(2)],
+            np.zeros((1, 1)),
+        )
+        self._kinds = [np.array([drive_kind(self.scene.drive, held)], np.int64) for held in (False, True)]
         self._cut = [kind[0] in WITH_PIECES for kind in self._kinds]
         self._prepared: tuple[float, bool] | None = None  # dt, and whether a torque is held
         self._present = self._present._replace(state=self._held(cast(Array, self._present.state)))
 
     def _prepare_step(self, dt: float, torque: float | None) -> None:
-        """Set the arguments of steps from one block to the other, and back."""
+        """Set the arguments of steps from one block to the other, and back.
+
+        In new calls: another thread may be in an old one, whose arrays it keeps alive.
+        """
         held = torque is not None
         pieces = NO_PIECES
         if self._cut[held]:
@@ -173,9 +181,11 @@ class ExactSimulator(ContactModel):
         rules = Rules(dt, 1, math.inf, False, False, False, 0, math.inf)
         controls = self._controls if held else np.zeros((0, 0))
         results = NOTHING._replace(terminations=np.zeros(1, np.bool_), truncations=np.zeros(1, np.bool_))
-        self._prepared = None
-        for into, call in enumerate(self._calls):
+        calls = [Call(call.memory) for call in self._calls]
+        for into, call in enumerate(calls):
             call.prepare(scenes, rules, self._blocks[1 - into], self._blocks[into], controls, results)
+        self._prepared = None
+        self._calls = calls
         self._prepared = dt, held
 
 

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import math
+import pickle
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,7 +14,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 import jackbox_env
-from jackbox_env import Drive, JackInBoxVectorEnv, JackLostError, Scene
+from jackbox_env import Drive, JackInBoxVectorEnv, JackLostError, Scene, Task, TaskError
 from jackbox_env.env import JackInBoxEnv
 from jackbox_env.exact import run as loop
 from jackbox_env.planning import rollouts
@@ -126,3 +131,56 @@ def test_long_work_that_pauses_comes_to_the_same(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(loop, "PATIENCE", -1.0)
     monkeypatch.setattr(rollouts, "PATIENCE", 3.0)
     assert_same(run(), straight)
+
+
+def test_a_pickled_batch_goes_on_alike_in_another_process(tmp_path: Path) -> None:
+    env = JackInBoxVectorEnv(3, contact="exact")
+    env.reset(seed=0)
+    env.step(np.ones(3))
+    path = tmp_path / "env"
+    path.write_bytes(pickle.dumps(env))
+    code = "import pickle, sys; print(pickle.load(open(sys.argv[1], 'rb')).step([1.0] * 3)[1].tolist())"
+    found = subprocess.run([sys.executable, "-c", code, path], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == str(env.step(np.ones(3))[1].tolist())
+
+
+def test_after_a_refused_step_impacts_are_none_and_no_error() -> None:
+    env = JackInBoxVectorEnv(300, contact="exact")
+    env.reset(seed=0)
+    env.step(np.ones(300))
+    actions = np.full(300, np.nan)
+    actions[:290] = 1.0
+    with pytest.raises(ValueError, match="290"):
+        env.step(actions)
+    assert [env.impacts(number) for number in (0, 299)] == [[], []]
+
+
+def test_others_drives_are_not_sought_where_those_of_functions_wait() -> None:
+    env = JackInBoxVectorEnv(2, contact="exact", scene=[{"drive": Drive(torque=np.sin)}, {}], max_episode_steps=2)
+    env.reset(seed=0)
+    env.step(None)
+    env.reset(options={"reset_mask": np.array([False, True])})
+    env.step(None)
+    batch: Any = env._batch
+    assert batch.over.tolist() == [True, False]
+    scenes = batch._scenes_of_step(None)
+    assert (scenes.begins + 1 < len(scenes.ends)).all()
+
+
+def test_a_rollout_without_steps_has_the_energies_of_the_first_states() -> None:
+    state = np.arange(12) / 100.0
+    for steps in (0, 1):
+        found: Any = jackbox_env.rollout({}, [state] * 3, np.zeros((3, steps)), 0.02, energy=True)
+        np.testing.assert_array_equal(found.energy[:, 0], [jackbox_env.mechanics.energy(Scene(), state)] * 3)
+
+
+def test_a_rollout_names_the_same_row_in_errors_however_many_threads_play_it() -> None:
+    task = Task(("paid",), lambda scene, state, torque, impulse: (1.0 if state.y_jack > -0.5 else math.nan,))
+    states = np.zeros((100, 12))
+    states[:, 10] = np.linspace(3.0, 0.0, 100)
+    messages = set[str]()
+    for num_threads in (1, 2, 3):
+        with pytest.raises(TaskError) as raised:
+            jackbox_env.rollout({}, states, np.zeros(80), 0.02, rewards=task, num_threads=num_threads)
+        messages.add(str(raised.value))
+    assert len(messages) == 1

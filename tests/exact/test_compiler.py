@@ -9,11 +9,13 @@ import time
 import mpmath as mp
 import numpy as np
 import pytest
+from numba.core.errors import TypingError
 
 from jackbox_env.batches.threads import Threads, thread_count
 from jackbox_env.exact.compiler import compiled, compiled_with
 from jackbox_env.exact.flight import foot_gap
 from jackbox_env.exact.restart import fresh, packed, seeded, uniform
+from jackbox_env.exact.run import Call, example, new_memory
 from jackbox_env.exact.trigonometry import _TURNS, _TURNS_OVER, FARTHEST, LARGEST, cos_sin, cos_sin_within
 from jackbox_env.scene import Scene
 
@@ -28,6 +30,15 @@ def test_another_function_can_take_a_functions_place() -> None:
     assert compiled_with(foot_gap)(*given) == compiled(foot_gap)(*given) == foot_gap(*given)
     swapped = compiled_with(foot_gap, quarter=other_quarter)(*given)
     assert swapped[0] == Scene().box_half_width - 1.0 - 0.25
+
+
+@pytest.mark.parametrize("kind", [np.int32, np.float32])
+def test_arguments_that_would_be_read_as_another_type_are_refused(kind: type) -> None:
+    given, call = example(), Call(new_memory(1))
+    call.prepare(*given[:-1])
+    scenes = given.scenes._replace(kinds=np.zeros(1, kind))
+    with pytest.raises(TypingError):
+        call.prepare(scenes, *given[1:-1])
 
 
 # -- cosines ----------------------------------------------------------------------------------------------------------

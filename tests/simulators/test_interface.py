@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from jackbox_env import simulators
+from jackbox_env.exact.run import Call
 from jackbox_env.scene import Drive, Scene
 from jackbox_env.simulators import CONTACT_MODELS, make_simulator
 from jackbox_env.simulators.exact import ExactSimulator
@@ -91,3 +92,36 @@ def test_a_model_declares_its_settings(monkeypatch: pytest.MonkeyPatch) -> None:
         make_simulator(None, "exact", softness=0.5)
     with pytest.raises(ValueError, match="takes only 'substeps', 'iterations', 'softness', got 'sofness' "):
         make_simulator(None, "soft", sofness=0.5)
+
+
+def test_an_interruption_while_the_log_grows_leaves_the_simulator_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
+    run, twin = (ExactSimulator(Scene()) for _ in range(2))
+    run.step(0.02, 0.0)
+    wild, calm = (np.array([0.0] * 9 + [speed, 0.7 * speed, 0.02 * speed]) for speed in (3e4, 3e2))
+    run.reset(wild)
+
+    def interrupt(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Call, "prepare", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            run.step(0.02, 0.0)
+    for one in (run, twin):
+        one.reset(calm)
+    impacts = 0
+    for _ in range(4):
+        for one in (run, twin):
+            one.step(0.02, 0.0)
+        assert run.impacts == twin.impacts
+        impacts += len(run.impacts)
+    assert impacts > 1
+
+
+def test_arguments_of_steps_are_never_replaced_under_another_thread() -> None:
+    run = ExactSimulator(Scene())
+    run.step(0.02, 0.0)
+    first = run._calls[0]
+    kept = first._packed.copy()
+    run.step(0.03, None)
+    np.testing.assert_array_equal(first._packed.view(np.int64), kept.view(np.int64))
