@@ -23,11 +23,11 @@ LOCK = "lock"
 # Weights do not compress, and Stable-Baselines3 and torch store them as they are.
 _MOST_INFLATION = 4  # times the size of the file
 _TEXT_ALLOWANCE = 2**20  # [bytes] beyond that, for members that are text
-_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # others may take gigabytes to begin with
+_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # others may need gigabytes to begin with
 
 
 class DamagedFileError(ValueError):
-    """A file that is cut short, overwritten, or never was what its name says."""
+    """A file that is cut short, overwritten, or of another format."""
 
 
 class FolderInUseError(RuntimeError):

@@ -98,7 +98,7 @@ def write(task: str, name: str, policy: Policy, episodes: int) -> None:
 
 @command_line
 def main() -> None:
-    """Parse, go on in Minari's environment, write all datasets."""
+    """Parse, continue in Minari's environment, write all datasets."""
     import tyro
 
     arguments = tyro.cli(Arguments, description=__doc__)

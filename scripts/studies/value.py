@@ -66,21 +66,21 @@ class Watched(ValuedSearch):
 def visited(search: Watched, rng: np.random.Generator) -> tuple[Array, Array]:
     """Ends of candidates, two for each decision, and visited states; shapes (n, 12)."""
     states, rows = np.array([sample_start(SCENE, rng) for _ in range(EPISODES)]), np.arange(EPISODES)
-    plans, ends, seen = search.begin(EPISODES), [], []
+    plans, ends, visits = search.begin(EPISODES), [], []
     for _ in trange(DECISIONS, desc="play", leave=False):
         best, plans = search.decide(SCENE, states, plans)
         good = np.argsort(-search.returns, axis=1)[rows, rng.integers(0, search.samples // 8, EPISODES)]
         ends += [search.ends[rows, good], search.ends[rows, rng.integers(0, search.samples, EPISODES)]]
-        seen.append(states)
+        visits.append(states)
         states = Search.evaluate(search, SCENE, states, best.plans[:, None, :1])[1][:, 0]
-    return np.concatenate(ends), np.concatenate(seen)
+    return np.concatenate(ends), np.concatenate(visits)
 
 
 def chosen(search: Watched, count: int, rng: np.random.Generator) -> Array:
     """States to be evaluated, shape (count, 12)."""
-    ends, seen = visited(search, rng)
+    ends, visits = visited(search, rng)
     few = round(VISITED * count)
-    return np.concatenate([ends[rng.permutation(len(ends))[: count - few]], seen[rng.permutation(len(seen))[:few]]])
+    return np.concatenate([ends[rng.permutation(len(ends))[: count - few]], visits[rng.permutation(len(visits))[:few]]])
 
 
 def judged(task: str, states: Array, rng: np.random.Generator) -> Array:

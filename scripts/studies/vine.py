@@ -87,7 +87,7 @@ class Arguments:
     out: Path
     """Folder of the policy; made if there is none."""
     task: Literal["spin", "rattle"] = "spin"
-    """What it is for."""
+    """Task that it plays."""
     rounds: int = 600
     """Of playing and improving."""
     seed: int = 0

@@ -18,7 +18,7 @@ Trace = list[tuple[list[float], list[float]]]  # states before and after each su
 
 
 class Baseline(ContactModel):
-    """A contact model that takes equal substeps of h = dt / substeps; see :class:`Simulator` for the methods.
+    """A contact model with equal substeps of h = dt / substeps; see :class:`Simulator` for the methods.
 
     (state, time) determines the motion. It does not determine the record of impacts: of an engine, a later step reports
     an impact that is under way at the end of a step.
@@ -37,7 +37,7 @@ class Baseline(ContactModel):
         super().__init__(scene)
         self.substeps = check.whole("substeps", substeps, at_least=1, at_most=1_000_000)
         self._played: tuple[Present, float, float | None] | None = None  # before the last step; h; torque
-        self._under_way: list[tuple[Impact, bool]] = []  # impacts not reported yet, and whether each goes on
+        self._under_way: list[tuple[Impact, bool]] = []  # impacts not reported yet, and whether each continues
         self._prepare()
 
     def _held(self, state: Array) -> list[float]:

@@ -4,7 +4,7 @@ Law: each substep adds the forces' impulses to the velocities. It solves the con
     (restitution by the approach speed before the solve) and moves by the new velocities. Then it pushes apart what
     overlaps by more than 5 mm.
 Order: first in h = dt / substeps: flight runs ahead by g h t / 2, and an impact waits for the next substep's start.
-Cost: about 20 us per substep, of which the engine takes half.
+Cost: about 20 us per substep, half of it in the engine.
 Fails: below a closing speed of 1 m/s (``b2_velocityThreshold``, compiled in: assigning to the module's constant does
     nothing) a contact is inelastic, whatever its restitution. Numbers are float32. The engine clips motion above
     2 m or a quarter turn per substep, so such a step raises JackLostError. Position correction moves bodies without any

@@ -3,7 +3,7 @@
 Law: two free planar bodies. A foot inside a wall is pushed out with d2 gap/dt2 = -k gap, whatever the masses. Several
     such forces come from one convex problem, solved by Newton's method.
 Order: first in h = dt / substeps: flight runs ahead by g h t / 2, and a bounce lasts two substeps, not none.
-Cost: about 23 us per substep, of which the engine takes a third.
+Cost: about 23 us per substep, a third of it in the engine.
 Fails: feet go in by up to one substep's way at each impact. Restitution comes out as 1 only for a straight bounce; a
     jack that turns, or another contact in between, changes the gap's rate during the bounce. Elastic only.
 Reference: MuJoCo documentation, "Modeling: Solver parameters" and "Computation: Soft contact model".
@@ -13,7 +13,7 @@ The impedance is the highest accepted, 0.9999. Contacts are frictionless (condim
 without warm start so that the past does not act. The box's weight is compensated (gravcomp). Feet are spheres of radius
 L / 10,000, and the walls, L / 2 thick, are set back by it.
 
-The stiffness follows the substep: k = 2 / h^2. The manual asks for k h^2 <= 0.25 (a time constant of at least 2 h) to
+The stiffness follows the substep: k = 2 / h^2. The manual recommends k h^2 <= 0.25 (a time constant of at least 2 h) to
 keep springs stable. But semi-implicit Euler turns (gap, rate) by arccos(1 - k h^2 / 2) per substep: with k h^2 = 1 or 2
 a bounce lasts exactly three or two, wherever in a substep the foot came in. Energy change of 100 single bounces at 3 to
 10 m/s, jack turned by up to 0.3 rad, weightless, h = 5 ms, mean +- deviation in %:

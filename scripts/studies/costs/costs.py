@@ -46,7 +46,7 @@ class Arguments:
     """Measure in interleaved rounds; every figure is the median over the rounds."""
 
     rounds: int = 7
-    """Rounds; each measures everything nine times in turn, and takes the median."""
+    """Rounds; each measures everything nine times in turn, and a figure is their median."""
     seconds: float = 0.03
     """Time per measurement [s], or once through the moments."""
     out: Path = Path("docs")
@@ -84,7 +84,7 @@ def measured(rounds: int, seconds: float) -> dict[str, Any]:
 
 
 def in_rounds(rates: Rates, passes: int, weights: Mapping[str, float]) -> list[float]:
-    """A weighted sum of times [ns], taken within each pass; its median in each round."""
+    """A weighted sum of times [ns] within each pass; its median in each round."""
     each = [
         sum(weight * 1e9 / rate for weight, rate in zip(weights.values(), at_once, strict=True))
         for at_once in zip(*(rates[name] for name in weights), strict=True)

@@ -62,7 +62,7 @@ T = TypeVar("T")
 
 DT = 0.02  # [s]
 EPISODE = 500  # steps
-SOME = 50  # steps that a large batch or a rollout goes on from random moments
+SOME = 50  # steps of a large batch or a rollout from random moments
 _MOST_ITERATIONS = 50  # of Newton's method
 _OFFSETS = 65536  # into the actions drawn beforehand, where a step's actions may start
 _WRONG = 1e-6  # least difference, or depth outside the box [m], that is no rounding
