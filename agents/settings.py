@@ -132,6 +132,12 @@ _EARLIER_DEFAULTS: dict[str, Any] = {
     "eval_episodes": 32,
 }  # fmt: skip
 
+# Bounds of the settings that are real numbers.
+_REAL: dict[str, dict[str, float]] = {
+    "learning_rate": {"above": 0.0}, "clip_range": {"above": 0.0}, "gamma": {"at_least": 0.0, "at_most": 1.0},
+    "gae_lambda": {"at_least": 0.0, "at_most": 1.0}, "entropy_coefficient": {}, "initial_log_std": {},
+}  # fmt: skip
+
 # What trains best if actions are torques.
 _TORQUE_DEFAULTS: dict[str, Any] = {
     "landing": False, "repeat": 4, "total_steps": 4_000_000, "num_envs": 1024, "epochs": 5, "gamma": 0.99,
@@ -190,7 +196,7 @@ class TrainSettings(EnvSettings):
     eval_episodes: int = 64
     """Episodes of each of them."""
     torch_threads: int = 1
-    """Threads of torch; small networks want one."""
+    """Threads of torch; small networks are fastest on one."""
 
     @classmethod
     def suited(cls, **settings: Any) -> Self:
@@ -218,6 +224,21 @@ class TrainSettings(EnvSettings):
         counts = "total_steps num_envs rollout_steps batch_size epochs checkpoint_steps eval_steps eval_episodes"
         for name in [*counts.split(), "torch_threads"]:
             check.whole(name, getattr(self, name), at_least=2 if name == "batch_size" else 1)
+        self._check_actions()
+        for name, bounds in _REAL.items():
+            check.real(name, getattr(self, name), **bounds)
+        if self.max_minutes is not None:
+            check.real("max_minutes", self.max_minutes, above=0.0)
+        if not isinstance(self.hidden_units, list | tuple):
+            raise TypeError(f"hidden_units must be a list of whole numbers, got {check.shown(self.hidden_units)}")
+        for width in self.hidden_units:
+            check.whole("hidden_units", width, at_least=1)
+        self._check_sizes(counts.split())
+        if self.num_envs * self.rollout_steps < 2:
+            raise ValueError("num_envs * rollout_steps must be at least 2 for PPO, got 1")
+
+    def _check_actions(self) -> None:
+        """Check what an action is, and that preview, landing control and lookahead suit the scene."""
         check.whole("repeat", self.repeat, at_least=1, at_most=EPISODE_STEPS)
         if EPISODE_STEPS % self.repeat:
             raise ValueError(f"repeat must divide the {EPISODE_STEPS} control steps of an episode, got {self.repeat}")
@@ -235,23 +256,8 @@ class TrainSettings(EnvSettings):
             raise ValueError("landing must be off with a lookahead, whose plans are torques")
         if self.lookahead and self.randomized:
             raise ValueError("lookahead must be 0 where scenes vary: a trained model plays its rollouts in one scene")
-        check.real("learning_rate", self.learning_rate, above=0.0)
-        check.real("clip_range", self.clip_range, above=0.0)
-        check.real("gamma", self.gamma, at_least=0.0, at_most=1.0)
-        check.real("gae_lambda", self.gae_lambda, at_least=0.0, at_most=1.0)
-        check.real("entropy_coefficient", self.entropy_coefficient)
-        check.real("initial_log_std", self.initial_log_std)
-        if self.max_minutes is not None:
-            check.real("max_minutes", self.max_minutes, above=0.0)
-        if not isinstance(self.hidden_units, list | tuple):
-            raise TypeError(f"hidden_units must be a list of whole numbers, got {check.shown(self.hidden_units)}")
-        for width in self.hidden_units:
-            check.whole("hidden_units", width, at_least=1)
-        self._refuse_absurd_sizes(counts.split())
-        if self.num_envs * self.rollout_steps < 2:
-            raise ValueError("num_envs * rollout_steps must be at least 2 for PPO, got 1")
 
-    def _refuse_absurd_sizes(self, counts: list[str]) -> None:
+    def _check_sizes(self, counts: list[str]) -> None:
         """Raise ValueError for sizes that fit in no memory, before anything is allocated."""
         for name in counts:
             check.whole(name, getattr(self, name), at_least=1, at_most=MOST_STEPS)

@@ -1,6 +1,6 @@
 """Train a PPO agent on JackInBox-v0, compare it with the scripted baselines, and film it beside them and a planner.
 
-It trains on fidelity exact, and plays on that and on balanced, what `gymnasium.make` gives.
+It trains on fidelity exact, and evaluates on that and on balanced, the default of `gymnasium.make`.
 """
 
 from __future__ import annotations
@@ -8,9 +8,14 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from agents.settings import TrainSettings
 from jackbox_env.command_line import command_line
+
+if TYPE_CHECKING:
+    from agents.evaluation.returns import Returns
+    from agents.policies.scripted import Baseline
 
 
 @dataclass(frozen=True)
@@ -20,7 +25,7 @@ class Arguments:
     folder: Path | None = None
     """New folder for all that is written; None: runs/demo-<date>-<time>."""
     total_steps: int = TrainSettings.total_steps
-    """Steps to train for, each an action held for `repeat` control steps."""
+    """Steps to train for, each an action repeated for `repeat` control steps."""
     max_minutes: float | None = None
     """Stop training after this time at the latest [min]; None: after all steps."""
     episodes: int = 128
@@ -38,13 +43,13 @@ def main() -> None:
     began = time.monotonic()
     from agents.evaluation.figures import learning_figure
     from agents.evaluation.film import film
-    from agents.evaluation.returns import Returns, above, evaluate, table
+    from agents.evaluation.returns import above, table
     from agents.policies.registry import SCRIPTED, find_policy
-    from agents.runs import describe, machine, versions
+    from agents.runs import describe
     from agents.training.models import derived_seed
     from agents.training.ppo import train
     from jackbox_env import checks as check
-    from jackbox_env.files import new_folder, write_json
+    from jackbox_env.files import new_folder
 
     check.whole("episodes", arguments.episodes, at_least=2)
     settings = TrainSettings(total_steps=arguments.total_steps, max_minutes=arguments.max_minutes, seed=arguments.seed)
@@ -57,20 +62,8 @@ def main() -> None:
     acts = {name: find_policy(name, settings, arguments.seed) for name in SCRIPTED}
     acts["PPO"] = find_policy(str(folder), settings)
     settings_on = {fidelity: {**settings.env_settings, "fidelity": fidelity} for fidelity in ("exact", "balanced")}
-    rows: dict[str, list[Returns]] = {
-        fidelity: [
-            evaluate(name, act.policy, {**env_settings, **act.env_settings}, arguments.episodes, arguments.seed)
-            for name, act in acts.items()
-        ]
-        for fidelity, env_settings in settings_on.items()
-    }
-    results = {
-        "seed": arguments.seed,
-        "machine": machine(),
-        "versions": versions(),
-        "results": {fidelity: [row.as_json() for row in returns] for fidelity, returns in rows.items()},
-    }
-    write_json(folder / "results.json", results)
+    rows = {name: _returns(acts, on, arguments.episodes, arguments.seed) for name, on in settings_on.items()}
+    _write_results(folder, arguments.seed, rows)
     learning_figure(folder, rows["exact"], settings.task)
 
     print("Filming chirp, level, PPO and the planner side by side")
@@ -82,6 +75,25 @@ def main() -> None:
     print(f"\nModel, settings, results.json, results.png and film.gif: {folder}")
     print(f"Took {time.monotonic() - began:.0f} s")
     print("; ".join(f"on {fidelity}, {above(returns, 'PPO', 'level')}" for fidelity, returns in rows.items()) + ".")
+
+
+def _returns(acts: dict[str, Baseline], env_settings: dict[str, Any], episodes: int, seed: int) -> list[Returns]:
+    """Evaluate the policies in one environment."""
+    from agents.evaluation.returns import evaluate
+
+    return [
+        evaluate(name, act.policy, {**env_settings, **act.env_settings}, episodes, seed) for name, act in acts.items()
+    ]
+
+
+def _write_results(folder: Path, seed: int, rows: dict[str, list[Returns]]) -> None:
+    """Write results.json: all returns by fidelity, machine and versions."""
+    from agents.runs import machine, versions
+    from jackbox_env.files import write_json
+
+    returns = {fidelity: [row.as_json() for row in of] for fidelity, of in rows.items()}
+    record = {"seed": seed, "machine": machine(), "versions": versions(), "results": returns}
+    write_json(folder / "results.json", record)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ class Arguments:
     run: Path
     """Run folder, or a model file in it."""
     folder: Path
-    """New folder to write settings.json, weights.npz and what is known of the training to."""
+    """New folder for settings.json, weights.npz and, if known, learning curve and times of the training."""
 
 
 @command_line

@@ -20,7 +20,7 @@ from jackbox_env.command_line import command_line
 
 @dataclass(frozen=True)
 class Grid:
-    """What is run: every combination."""
+    """The trials: every combination."""
 
     policy: tuple[str, ...] = ("level", "ppo")
     """As in scripts/evaluate.py: names, run folders, exported policies."""

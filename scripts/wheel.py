@@ -19,7 +19,7 @@ from zipfile import ZIP_DEFLATED, ZipFile
 
 from jackbox_env.command_line import ROOT, command_line
 
-# Of the C library the code calls fmod, memmove, memset and sincos, which every glibc has; numba's wheels ask for more.
+# Of the C library the code calls fmod, memmove, memset and sincos, which every glibc has; numba needs a newer one.
 TAG = "cp{0}{1}-cp{0}{1}-manylinux_2_17_x86_64".format(*sys.version_info)
 
 
@@ -59,8 +59,8 @@ def with_code(pure: Path, cache: Path, out: Path) -> None:
         files = {name: source.read(name) for name in source.namelist()}
     (record,) = (name for name in files if name.endswith(".dist-info/RECORD"))
     del files[record]
-    kind = f"Wheel-Version: 1.0\nGenerator: jackbox\nRoot-Is-Purelib: false\nTag: {TAG}\n"
-    files[record.replace("RECORD", "WHEEL")] = kind.encode()
+    about = f"Wheel-Version: 1.0\nGenerator: jackbox\nRoot-Is-Purelib: false\nTag: {TAG}\n"
+    files[record.replace("RECORD", "WHEEL")] = about.encode()
     for path in sorted(cache.rglob("*.kept")):
         files[f"jackbox_env/exact/shipped/{path.relative_to(cache).as_posix()}"] = path.read_bytes()
     lines = list[str]()

@@ -56,7 +56,7 @@ def record_episode(act: Baseline, env_settings: dict[str, Any], seed: int) -> Ep
 
 
 def page_of_episode(path: Path, name: str, act: Baseline, settings: EnvSettings, seed: int) -> float:
-    """Write an episode of the policy of this name as a page to a new file, and return what it earned."""
+    """Write an episode of the policy of this name as a page to a new file; return the sum of its rewards."""
     trajectory, scene, earned = record_episode(act, settings.env_settings, seed)
     facts = [*model_facts(settings.setting), ("policy", name), ("task", settings.task), ("return", f"{earned:.1f}")]
     title = f"{name} on {settings.task}, return {earned:.1f}"

@@ -63,7 +63,7 @@ def film(
     width: int = WIDTH,
     progress: bool = True,
 ) -> dict[str, float]:
-    """Let each policy act from the same start and write their frames side by side; return what each earned.
+    """Let each policy act from the same start and write their frames side by side; return their sums of rewards.
 
     Args:
         acts: caption -> policy and what it needs of the environment.
@@ -92,11 +92,7 @@ def film(
     with tqdm(steps, desc="film", disable=not progress, unit="step", leave=False) as bar:
         for step in bar:
             if step % every == 0:
-                pictures = [
-                    _captioned(environments[caption].render(), f"{caption}: {earned[caption]:.0f}", width)
-                    for caption in acts
-                ]
-                frames.append(np.concatenate(pictures, axis=1))
+                frames.append(_frame(environments, earned, width))
             for caption, act in acts.items():
                 action, states[caption] = act.policy.predict(
                     observations[caption], states[caption], np.array([step == 0]), deterministic=True
@@ -107,6 +103,15 @@ def film(
         environment.close()
     _write(frames, path, fps=1.0 / (every * control_dt))
     return earned
+
+
+def _frame(environments: dict[str, gym.Env[Any, Any]], earned: dict[str, float], width: int) -> Frame:
+    """The pictures of all environments side by side, each with its caption and return so far."""
+    pictures = [
+        _captioned(environment.render(), f"{caption}: {earned[caption]:.0f}", width)
+        for caption, environment in environments.items()
+    ]
+    return np.concatenate(pictures, axis=1)
 
 
 def _captioned(picture: Any, caption: str, width: int) -> Frame:

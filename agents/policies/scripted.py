@@ -64,7 +64,7 @@ class RandomPolicy(ScriptedPolicy):
 
 
 class LevelPolicy(ScriptedPolicy):
-    """Hold the box level: torque = -J_b (stiffness theta + damping omega), theta within half a turn."""
+    """PD control of the box's angle: torque = -J_b (stiffness theta + damping omega), theta within half a turn."""
 
     def __init__(self, scene: Scene, stiffness: float = 10.0, damping: float = 5.0) -> None:
         """Gains in 1/s^2 and 1/s."""

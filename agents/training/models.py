@@ -56,7 +56,7 @@ def policy_kwargs(settings: TrainSettings) -> dict[str, Any]:
     return keywords
 
 
-def make_ppo(settings: TrainSettings, environments: VecEnv, **more: Any) -> PPO:
+def make_ppo(settings: TrainSettings, environments: VecEnv, **keywords: Any) -> PPO:
     """An untrained PPO model of these settings, for environments as :func:`wrapped` makes them.
 
     A saved model loads without this project by ``stable_baselines3.PPO.load``, except if ``settings.preview`` is on:
@@ -65,7 +65,7 @@ def make_ppo(settings: TrainSettings, environments: VecEnv, **more: Any) -> PPO:
     model = PPO(
         "MlpPolicy",
         environments,
-        learning_rate=LinearSchedule(settings.learning_rate, 0.0, 1.0),  # theirs, so that the model loads anywhere
+        learning_rate=LinearSchedule(settings.learning_rate, 0.0, 1.0),  # of SB3, so that the model loads anywhere
         n_steps=settings.rollout_steps,
         batch_size=min(settings.batch_size, settings.rollout_steps * environments.num_envs),
         n_epochs=settings.epochs,
@@ -76,7 +76,7 @@ def make_ppo(settings: TrainSettings, environments: VecEnv, **more: Any) -> PPO:
         policy_kwargs=policy_kwargs(settings),
         seed=settings.seed,
         device="cpu",
-        **more,
+        **keywords,
     )
     setattr(model, TRAINED_BY, dataclasses.asdict(settings))  # saved with the model
     return model

@@ -99,13 +99,13 @@ def extended(folder: Path, total_steps: int) -> TrainSettings:
         settings = read_settings(folder)
         if total_steps <= settings.total_steps:
             raise ValueError(f"total_steps must be above the run's {settings.total_steps:,}, got {total_steps:,}")
-        more = replace(settings, total_steps=total_steps)
+        longer = replace(settings, total_steps=total_steps)
         if is_whole(folder / MODEL):
             steps = json.loads(unpacked((folder / MODEL).read_bytes(), MODEL)["data"])["num_timesteps"]
             make_folder(folder / CHECKPOINTS)
             (folder / MODEL).replace(checkpoint_path(folder, int(steps)))
-        write_json(folder / SETTINGS, asdict(more))
-        return more
+        write_json(folder / SETTINGS, asdict(longer))
+        return longer
 
 
 def reached(folder: Path, settings: TrainSettings) -> str:

@@ -15,7 +15,7 @@ total = parser.parse_args().steps
 NUM_ENVS, LENGTH, EPOCHS, MINIBATCH, GAMMA, LAMBDA, CLIP = 256, 32, 5, 1024, 0.99, 0.9, 0.2
 
 torch.manual_seed(0)
-torch.set_num_threads(1)  # small networks want one
+torch.set_num_threads(1)  # small networks are fastest on one
 envs = gym.make_vec("JackInBox-v0", num_envs=NUM_ENVS, fidelity="exact", autoreset_mode="SAME_STEP", control_dt=0.08,
                     max_episode_steps=125)  # fmt: skip  # 10 s, a decision every 0.08 s
 size = gym.spaces.flatdim(envs.single_observation_space)
@@ -42,17 +42,17 @@ observation, earned = torch.tensor(envs.reset(seed=0)[0]), np.zeros(NUM_ENVS)
 finished: list[float] = []
 for update in range(updates):
     optimiser.param_groups[0]["lr"] = 1e-3 * (1.0 - update / updates)
-    seen, acted, rewards, dones = [], [], [], []
+    observed, acted, rewards, dones = [], [], [], []
     for _ in range(LENGTH):
         with torch.no_grad():
             action = torch.normal(actor(observation), log_std.exp())
         after, reward, terminated, truncated, infos = envs.step(action.clamp(-1.0, 1.0).numpy())
         earned += reward
-        if truncated.any():  # the time limit is no end of the world: what follows is worth its estimate
-            last_seen = torch.tensor(np.stack(infos["final_obs"][truncated]))
+        if truncated.any():  # the time limit ends no task: the value of what would follow is estimated
+            final = torch.tensor(np.stack(infos["final_obs"][truncated]))
             with torch.no_grad():
-                reward[truncated] += GAMMA * critic(last_seen).squeeze(-1).numpy()
-        seen.append(observation)
+                reward[truncated] += GAMMA * critic(final).squeeze(-1).numpy()
+        observed.append(observation)
         acted.append(action)
         rewards.append(torch.tensor(reward, dtype=torch.float32))
         dones.append(torch.tensor(terminated | truncated, dtype=torch.float32))
@@ -60,21 +60,21 @@ for update in range(updates):
         earned[truncated] = 0.0
         observation = torch.tensor(after)
     with torch.no_grad():
-        values = critic(torch.stack([*seen, observation])).squeeze(-1)
+        values = critic(torch.stack([*observed, observation])).squeeze(-1)
         advantages, last = torch.zeros(LENGTH, NUM_ENVS), torch.zeros(NUM_ENVS)
         for step in reversed(range(LENGTH)):
             alive = 1.0 - dones[step]
             last = rewards[step] + GAMMA * alive * values[step + 1] - values[step] + GAMMA * LAMBDA * alive * last
             advantages[step] = last
-        flat_seen, flat_acted = torch.cat(seen), torch.cat(acted)
-        before = log_probability(flat_seen, flat_acted)
+        flat_observed, flat_acted = torch.cat(observed), torch.cat(acted)
+        before = log_probability(flat_observed, flat_acted)
         flat, returns = advantages.flatten(), (advantages + values[:-1]).flatten()
     for _ in range(EPOCHS):
         for rows in torch.randperm(len(flat)).split(MINIBATCH):
-            ratio = (log_probability(flat_seen[rows], flat_acted[rows]) - before[rows]).exp()
+            ratio = (log_probability(flat_observed[rows], flat_acted[rows]) - before[rows]).exp()
             gain = (flat[rows] - flat[rows].mean()) / (flat[rows].std() + 1e-8)
             policy_loss = -torch.min(ratio * gain, ratio.clamp(1.0 - CLIP, 1.0 + CLIP) * gain).mean()
-            value_loss = (critic(flat_seen[rows]).squeeze(-1) - returns[rows]).square().mean()
+            value_loss = (critic(flat_observed[rows]).squeeze(-1) - returns[rows]).square().mean()
             optimiser.zero_grad()
             (policy_loss + 0.5 * value_loss).backward()
             nn.utils.clip_grad_norm_(parameters, 0.5)

@@ -12,7 +12,7 @@ SCENE, DT, REPEAT = Scene(drive=None), 0.02, 10
 
 
 def linearized(states: jax.Array, torques: jax.Array) -> Linearization:
-    """Ten torques in shares of the limit, each held for 10 steps of 0.02 s, by the exact model."""
+    """Ten torques in shares of the limit, each repeated for 10 steps of 0.02 s, by the exact model."""
     return linearize(SCENE, np.asarray(states), np.asarray(torques) * SCENE.torque_limit, DT, repeat=REPEAT)
 
 

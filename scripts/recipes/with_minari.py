@@ -1,4 +1,4 @@
-"""Minari: record episodes of a PD controller that holds the box level as a dataset, and read it back."""
+"""Minari: record episodes of a PD controller that keeps the box level as a dataset, and read it back."""
 
 import argparse
 import os
@@ -18,12 +18,12 @@ with tempfile.TemporaryDirectory() as folder:
 
     env = minari.DataCollector(gym.make("JackInBox-v0", fidelity="exact"), record_infos=True)
     for seed in range(episodes):
-        seen, _ = env.reset(seed=seed)
-        over = False
-        while not over:
-            angle = np.arctan2(seen[5], seen[4])
-            seen, _, terminated, truncated, _ = env.step(np.clip([-1.6 * angle - 1.45 * seen[6]], -1.0, 1.0))
-            over = terminated or truncated
+        observation, _ = env.reset(seed=seed)
+        done = False
+        while not done:
+            angle, rate = np.arctan2(observation[5], observation[4]), observation[6]
+            observation, _, terminated, truncated, _ = env.step(np.clip([-1.6 * angle - 1.45 * rate], -1.0, 1.0))
+            done = terminated or truncated
     dataset = env.create_dataset("jackbox/level-v0", algorithm_name="level", eval_env="JackInBox-v0")
     episode = next(dataset.iterate_episodes())
     print(f"{dataset.total_steps:,} steps, the first episode earned {episode.rewards.sum():.0f}")

@@ -1,7 +1,7 @@
 """RLlib: PPO on two env runners, each with one compiled batch of eight environments.
 
 The module in front of the name registers the environment on every worker. An iteration takes 250 steps of each
-environment and an episode 500, so every second iteration sees no episode end and has no mean return.
+environment and an episode 500, so in every second iteration no episode ends and there is no mean return.
 """
 
 import argparse
