@@ -4,7 +4,7 @@ In each round the first landing of each jack is at a random pair of angle and ra
 policy plays. A state after that bounce is worth the discounted rewards of the next decisions and the value of the last
 state. The network is fitted to the states of the last rounds and to their mirror images.
 
-30 rounds take about 8 minutes of one core. The folder holds the last round's policy from the first one on, so Ctrl-C
+30 rounds take about 8 minutes of one core. The folder has the last round's policy from the first one on, so Ctrl-C
 ends the run and leaves a policy. Seeded: the same numbers on the same machine.
 """
 
@@ -104,7 +104,7 @@ def played(policy: LandingPolicy, states: Array, rng: np.random.Generator) -> tu
     return np.array(visited), np.array(earned), landed
 
 
-def counted(policy: LandingPolicy, visited: Array, earned: Array, landed: NDArray[np.int64]) -> tuple[Array, Array]:
+def valued(policy: LandingPolicy, visited: Array, earned: Array, landed: NDArray[np.int64]) -> tuple[Array, Array]:
     """States after first landings, shape (m, 12), and their values for the policy, (m,)."""
     worth = [policy.value.of(visited[-1])]
     for rewards in earned[::-1]:
@@ -145,19 +145,19 @@ def main() -> None:
     recent: deque[tuple[Array, Array]] = deque(maxlen=ROUNDS_FITTED)
     make_folder(arguments.out)
     with trange(arguments.rounds, desc="distil") as bar:
-        for turn in bar:
+        for number in bar:
             policy = LandingPolicy(COARSE, layers_of(net))
             first = pool[rng.integers(0, len(pool), JACKS)]
             fresh = rng.random(JACKS) < FRESH
             first[fresh] = starts(int(fresh.sum()), rng)
             visited, earned, landed = played(policy, first, rng)
-            recent.append(counted(policy, visited, earned, landed))
+            recent.append(valued(policy, visited, earned, landed))
             pool = visited[: FIRST + COUNTED + HORIZON : 10].reshape(-1, 12)
-            error = fit(net, value, recent, RATE * (1.0 - turn / arguments.rounds) + 1e-4)
+            error = fit(net, value, recent, RATE * (1.0 - number / arguments.rounds) + 1e-4)
             write_with_layers(arguments.out, LANDING, SETTINGS, layers_of(net))
-            if turn % 5 == 4 or turn + 1 == arguments.rounds:
+            if number % 5 == 4 or number + 1 == arguments.rounds:
                 earns = mean_return(LandingPolicy(SETTINGS, layers_of(net)), 100, trials)
-                bar.write(f"round {turn + 1}: off by {error:.1f}, return {earns:.1f}")
+                bar.write(f"round {number + 1}: off by {error:.1f}, return {earns:.1f}")
 
 
 if __name__ == "__main__":

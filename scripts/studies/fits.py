@@ -1,4 +1,4 @@
-"""Fit some hundred synthetic recordings, and fill in docs/fitting.md: how often 95 % intervals hold, how long it takes.
+"""Fit some hundred synthetic recordings, and fill in docs/fitting.md: how often 95 % intervals hold, and times.
 
 Some fits are made again with finite differences in place of exact derivatives. An interrupted run resumes.
 """
@@ -115,12 +115,12 @@ def spread(rows: Iterable[dict[str, Any]]) -> list[str]:
     rows = list(rows)
     good = [row for row in rows if row["converged"]]
     fields = [of for row in good for of in row["fields"].values() if of["told"]]
-    hold = sum(of["holds"] for of in fields)
-    low, high = stats.binomtest(hold, len(fields)).proportion_ci() if fields else (0.0, 1.0)
+    holding = sum(of["holds"] for of in fields)
+    low, high = stats.binomtest(holding, len(fields)).proportion_ci() if fields else (0.0, 1.0)
     seconds = f"{statistics.median(row['seconds'] for row in rows):.1f} s" if rows else ""
     return [
         str(len(rows)), f"{len(good) / max(1, len(rows)):.0%}",
-        f"{hold / max(1, len(fields)):.1%} ({low:.1%} to {high:.1%})", seconds,
+        f"{holding / max(1, len(fields)):.1%} ({low:.1%} to {high:.1%})", seconds,
         f"{statistics.median(of['error'] for of in fields):.1e}" if fields else "",
     ]  # fmt: skip
 

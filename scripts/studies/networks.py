@@ -19,7 +19,7 @@ class Arguments:
     runs: Path = Path("runs/results")
     """Folder of the trainings; made if there is none. `make results` finds them there."""
     out: Path = Path("agents/trained")
-    """Folder with a folder <task>-ppo for each task, which holds its settings; its other files are replaced."""
+    """Folder with a folder <task>-ppo for each task, which has its settings; its other files are replaced."""
     progress: bool = True
     """Show a progress bar."""
 

@@ -31,7 +31,7 @@ class Arguments:
 
 
 def returns_table(record: dict[str, Any]) -> str:
-    """What each policy earns on each task, on the exact model."""
+    """The mean return of each policy on each task, on the exact model."""
     rows = {(row["policy"], row["task"]): row for row in record["rows"] if row["contact"] == "exact"}
     lines = [f"| policy | {' | '.join(TRAINED)} |", f"|---|{'---:|' * len(TRAINED)}"]
     for policy in dict.fromkeys(name for name, _ in rows):

@@ -99,7 +99,7 @@ def fitted(settings: EnvSettings, states: Array, worth: Array) -> list[Layer]:
         nn.Linear(INPUTS, WIDTH), nn.Tanh(), nn.Linear(WIDTH, WIDTH), nn.Tanh(), nn.Linear(WIDTH, 1)
     )
     order, few = torch.randperm(len(states)).numpy(), len(states) // 10
-    apart, rest = order[:few], order[few:]
+    others, rest = order[:few], order[few:]
     inputs, goals = inputs_and_goals(Value(settings, NOTHING), states[rest], worth[rest])
     net[4].bias.data.fill_(float(goals.mean()))
     optimiser = torch.optim.AdamW(net.parameters(), RATE, weight_decay=DECAY)
@@ -107,7 +107,7 @@ def fitted(settings: EnvSettings, states: Array, worth: Array) -> list[Layer]:
     for _ in trange(EPOCHS, desc="fit", leave=False):
         epoch(net, optimiser, inputs, goals, rates.step)
     layers = layers_of(net)
-    unexplained = float(np.var(worth[apart] - Value(settings, layers).of(states[apart])) / np.var(worth[apart]))
+    unexplained = float(np.var(worth[others] - Value(settings, layers).of(states[others])) / np.var(worth[others]))
     print(f"{len(rest)} states, {100 * unexplained:.0f} % of the variance of {few} others is not explained")
     return layers
 
@@ -123,8 +123,8 @@ def main() -> None:
     rng, settings = np.random.default_rng(arguments.seed), EnvSettings(task=arguments.task, contact="exact")
     states, worth, layers = np.zeros((0, 12)), np.zeros(0), NOTHING
     make_folder(arguments.out)
-    for turn in range(2):
-        search = Watched(Value(settings, layers), arguments.task, CONTROL_DT, seed=arguments.seed + turn, **PLAYING)
+    for number in range(2):
+        search = Watched(Value(settings, layers), arguments.task, CONTROL_DT, seed=arguments.seed + number, **PLAYING)
         new = chosen(search, arguments.states, rng)
         states, worth = np.concatenate([states, new]), np.concatenate([worth, judged(arguments.task, new, rng)])
         layers = fitted(settings, states, worth)

@@ -73,7 +73,7 @@ RECIPES = {
 class Judged(NamedTuple):
     """Torques that were tried in n states, in units of the limit."""
 
-    seen: torch.Tensor  # (n, INPUTS) the network's inputs
+    inputs: torch.Tensor  # (n, INPUTS) of the network
     means: torch.Tensor  # (n, 1) its own torques
     tried: torch.Tensor  # (n, TRIES)
     advantages: torch.Tensor  # (n, TRIES) of mean 0 in each state, of deviation 1 in all
@@ -108,9 +108,9 @@ def inputs(states: Array) -> torch.Tensor:
 
 def outputs(net: Any, states: Array) -> NDArray[np.float32]:
     """A network's outputs for states, shape (n, 12): (n,). In parts, which fit into the cache."""
-    seen = inputs(states)
+    rows = inputs(states)
     with torch.no_grad():
-        return np.concatenate([net(seen[row : row + BATCH])[:, 0] for row in range(0, len(seen), BATCH)])
+        return np.concatenate([net(rows[first : first + BATCH])[:, 0] for first in range(0, len(rows), BATCH)])
 
 
 def advanced(task: Task, states: Array, acting: NDArray[Any]) -> tuple[Array, Array]:
@@ -141,15 +141,15 @@ def played(net: Any, task: Task, states: Array, ages: NDArray[np.int64], rng: np
     Returns:
         the visited states, shape (DECISIONS * n, 12). A jack as old as an episode starts anew.
     """
-    seen = []
+    visited = []
     for _ in range(DECISIONS):
         old = ages >= EPISODE
         states[old], ages[old] = starts(int(old.sum()), rng), 0
-        seen.append(states.copy())
+        visited.append(states.copy())
         noise = SPREAD * rng.normal(size=len(states)) * (rng.random(len(states)) < NOISY)
         states[:], _ = advanced(task, states, np.clip(outputs(net, states), -1.0, 1.0) + noise)
         ages += 1
-    return np.concatenate(seen)
+    return np.concatenate(visited)
 
 
 def judged(net: Any, critic: Any, recipe: Recipe, states: Array, rng: np.random.Generator) -> Judged:
@@ -177,7 +177,7 @@ def improve(nets: tuple[Any, Any], optimisers: tuple[Any, Any], samples: Judged)
     before = ((samples.tried - samples.means) / SPREAD) ** 2
     for _ in range(EPOCHS):
         for batch in torch.randperm(len(before))[: len(before) // BATCH * BATCH].reshape(-1, BATCH):
-            (mean, value), advantages = (net(samples.seen[batch]) for net in nets), samples.advantages[batch]
+            (mean, value), advantages = (net(samples.inputs[batch]) for net in nets), samples.advantages[batch]
             ratio = torch.exp(0.5 * (before[batch] - ((samples.tried[batch] - mean) / SPREAD) ** 2))
             gain = torch.minimum(ratio * advantages, ratio.clamp(1.0 - CLIP, 1.0 + CLIP) * advantages).mean()
             beyond = (mean.abs() - 1.0).clamp(min=0.0).square().mean()  # torques above the limit all act alike
@@ -214,15 +214,15 @@ def main() -> None:
     optimisers = torch.optim.Adam(nets[0].parameters()), torch.optim.Adam(nets[1].parameters(), CRITIC_RATE)
     make_folder(arguments.out)
     with trange(arguments.rounds, desc=task) as bar:
-        for turn in bar:
-            optimisers[0].param_groups[0]["lr"] = RATE * (1.0 - (1.0 - LAST_SHARE) * turn / arguments.rounds)
-            seen = played(nets[0], recipe.task, states, ages, rng)
-            improve(nets, optimisers, judged(*nets, recipe, seen, rng))
+        for number in bar:
+            optimisers[0].param_groups[0]["lr"] = RATE * (1.0 - (1.0 - LAST_SHARE) * number / arguments.rounds)
+            visited = played(nets[0], recipe.task, states, ages, rng)
+            improve(nets, optimisers, judged(*nets, recipe, visited, rng))
             for old, new in zip(policy.parameters(), nets[0].parameters(), strict=True):
-                old.data.lerp_(new.data, max(MEMORY, 1.0 / (turn + 1)))
+                old.data.lerp_(new.data, max(MEMORY, 1.0 / (number + 1)))
             write_with_layers(arguments.out, SETTINGS, settings, layers_of(policy))
-            if turn % 20 == 19 or turn + 1 == arguments.rounds:
-                bar.write(f"round {turn + 1}: return {mean_return(policy, task, trials):.1f}")
+            if number % 20 == 19 or number + 1 == arguments.rounds:
+                bar.write(f"round {number + 1}: return {mean_return(policy, task, trials):.1f}")
 
 
 if __name__ == "__main__":

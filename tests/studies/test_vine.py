@@ -40,11 +40,11 @@ def test_improving_moves_the_network_to_better_torques() -> None:
     optimisers = torch.optim.Adam(both[0].parameters(), 1e-3), torch.optim.Adam(both[1].parameters(), 1e-3)
 
     def towards_better() -> float:
-        moved = both[0](found.seen) - found.means
+        moved = both[0](found.inputs) - found.means
         return float((moved * (found.tried - found.means) * found.advantages).mean().detach())
 
     def missed() -> float:
-        return float(((both[1](found.seen) - found.worth) ** 2).mean().detach())
+        return float(((both[1](found.inputs) - found.worth) ** 2).mean().detach())
 
     first, off = towards_better(), missed()
     for _ in range(10):

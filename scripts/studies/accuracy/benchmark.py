@@ -68,7 +68,7 @@ class Claim(NamedTuple):
     """A claim that must hold in every sweep, however short."""
 
     what: str
-    seen: str
+    measured: str
     holds: bool
 
 
@@ -242,10 +242,10 @@ def _within(results: Results) -> str:
 
 
 def _tables(results: Results) -> dict[str, str]:
-    seen = ((claim.what, claim.seen, "holds" if claim.holds else "FAILS") for claim in claims(results))
+    rows_of_claims = ((claim.what, claim.measured, "holds" if claim.holds else "FAILS") for claim in claims(results))
     runs = results.of(DEFAULT, "depth").n
     lossy = results.of(EXACT, "depth", LOSS).n
-    tables = {"claims": table(("claim", "seen", ""), seen)}
+    tables = {"claims": table(("claim", "seen", ""), rows_of_claims)}
     for field, columns in COLUMNS.items():
         kind, of = (LOSS, lossy) if field == "loss" else (None, runs)
         shown = [name for name in TABLED if (name, kind or "", "cost" if kind is None else "first_1") in results.rows]
@@ -302,7 +302,7 @@ def main() -> None:
     write(results, arguments.out or folder)
     checked = claims(results)
     print(fidelity_table(results))
-    print("\n".join(f"{'holds' if claim.holds else 'FAILS'}: {claim.what}: {claim.seen}" for claim in checked))
+    print("\n".join(f"{'holds' if claim.holds else 'FAILS'}: {claim.what}: {claim.measured}" for claim in checked))
     print(f"Wrote {(arguments.out or folder) / PAGE}")
     failed = [claim.what for claim in checked if not claim.holds]
     if failed:

@@ -58,9 +58,9 @@ class Baseline(ContactModel):
                 f"the jack would leave the box: after t = {now.time:g} s a foot ends {outside:.3g} m outside, at most "
                 f"{deepest:g} m is followed"
             )
-        over = next((number for number, (_, going) in enumerate(impacts) if going), len(impacts))
-        self._under_way, self._played = impacts[over:], (now, h, torque)  # in time order: later ones wait too
-        self._present = Present(after, end, mean, tuple(hit for hit, _ in impacts[:over]))
+        finished = next((number for number, (_, going) in enumerate(impacts) if going), len(impacts))
+        self._under_way, self._played = impacts[finished:], (now, h, torque)  # in time order: later ones wait too
+        self._present = Present(after, end, mean, tuple(hit for hit, _ in impacts[:finished]))
 
     @abstractmethod
     def _simulate(

@@ -1,4 +1,4 @@
-"""Write docs/costs.md: the cost of each modelled thing per control step; what is off costs nothing."""
+"""Write docs/costs.md: the cost of each modelled thing per control step."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ def page(results: Mapping[str, Any]) -> str:
     plain, on_top, impacts = _plain(results), results["on_top"], results["impacts"]
     steps, more = results["loss"]["steps"], impacts["long arm"] - impacts["usual"]
     frame, function = (rough(statistics.median(on_top[what][PYMUNK])) for what in (FRAME, FUNCTION))
-    held = [statistics.median(steps[kind][EXACT]) / 1e3 for kind in these.RESTING]
+    resting = [statistics.median(steps[kind][EXACT]) / 1e3 for kind in these.RESTING]
     single = {what: costs for what, costs in on_top.items() if set(costs) != {BATCH}}
     small = [
         what
@@ -151,7 +151,7 @@ def page(results: Mapping[str, Any]) -> str:
         "impacts": impacts,
         "each": ", ".join(f"{figure(statistics.median(on_top[ARM][m]) / more)} ns ({m})" for m in on_top[ARM]),
         "in_batches": table(("on top of a plain step, in a batch only", BATCH), only),
-        "held": f"{math.floor(min(held))} to {math.ceil(max(held))}",
+        "held": f"{math.floor(min(resting))} to {math.ceil(max(resting))}",
         "loss": _loss_table(steps, results["loss"]["impacts"]),
         "loss_made": f"\n\n{results['loss']['made']}" if "made" in results["loss"] else "",
         "made": results["made"],

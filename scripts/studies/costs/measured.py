@@ -117,8 +117,8 @@ def with_loss(kind: str, courses: int = 256) -> Moments:
     hits: NDArray[np.int64] = played.impacts
     early = np.arange(steps) < 300  # nothing rests yet
     piled = (hits >= _PILED[0]) & (hits <= _PILED[1])
-    wanted = {FLIGHT: (hits == 0) & early, BOUNCE: (hits == 1) & early, PILE: piled}.get(kind, hits > 0)
-    some = rng.choice(np.flatnonzero(wanted), (TOGETHER, 2))
+    matching = {FLIGHT: (hits == 0) & early, BOUNCE: (hits == 1) & early, PILE: piled}.get(kind, hits > 0)
+    some = rng.choice(np.flatnonzero(matching), (TOGETHER, 2))
     states = played.trajectories[:, :-1].reshape(-1, 12)[some]
     return Moments(states, [0.0, 0.0], np.zeros((TOGETHER, 2, 1), dtype=np.float32), hits.ravel()[some])
 

@@ -137,7 +137,7 @@ def measure() -> dict[str, Any]:
     start, residuals = newton(np.array([0.1, FLOOR + 1.3, 0.02, 0.03, 0.02, 0.05, -0.01, 0.03]))
     bounce, by_state, by_torque = period(start)
     by = gains(by_state, by_torque)
-    free, held = (multipliers(one) for one in (by_state, by_state - by_torque[:, :, None] * by[:, None]))
+    free, controlled = (multipliers(one) for one in (by_state, by_state - by_torque[:, :, None] * by[:, None]))
     runs = {"by phase": (by, False), "by clock": (by, True), "no torque": (np.zeros_like(by), True)}
     off = {name: deviations(bounce, *how) for name, how in runs.items()}
     return {
@@ -145,7 +145,7 @@ def measure() -> dict[str, Any]:
         "residuals": residuals,
         "multipliers": np.stack([free.real, free.imag], axis=1).tolist(),
         "pairs": abs(free * free[::-1])[:4].tolist(),
-        "controlled": np.stack([held.real, held.imag], axis=1).tolist(),
+        "controlled": np.stack([controlled.real, controlled.imag], axis=1).tolist(),
         "starts": STARTS,
         "seconds": SECONDS,
         "sizes": SIZES,

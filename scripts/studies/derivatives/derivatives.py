@@ -75,7 +75,7 @@ def _ilqr(results: Mapping[str, Any]) -> dict[str, Any]:
 
 def _bounce(results: Mapping[str, Any]) -> dict[str, Any]:
     at = results["sizes"].index(0.1)
-    held = {name: f"{shares[at]:.0%}" for name, shares in results["share_held"].items()}
+    shares = {name: f"{of_sizes[at]:.0%}" for name, of_sizes in results["share_held"].items()}
     return {
         "period": f"{bounce.PERIOD * bounce.DT:.2f}",
         "residuals": ", ".join(f"{value:.1g}" for value in results["residuals"][:5]),
@@ -83,8 +83,8 @@ def _bounce(results: Mapping[str, Any]) -> dict[str, Any]:
         "pairs": f"{max(abs(pair - 1.0) for pair in results['pairs']):.0e}",
         "seconds": f"{results['seconds']:g}",
         "starts": results["starts"],
-        "held": held["by phase"],
-        "clock": held["by clock"],
+        "held": shares["by phase"],
+        "clock": shares["by clock"],
     }
 
 

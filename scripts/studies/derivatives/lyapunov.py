@@ -37,11 +37,11 @@ def played(policy: str) -> tuple[Array, Array, Array]:
     settings = EnvSettings(contact="exact")
     act = find_policy(policy, settings)
     env = JackInBoxVectorEnv(STARTS, with_infos=True, **{**settings.env_settings, **act.env_settings})
-    seen, _ = env.reset(seed=SEED)
+    observations, _ = env.reset(seed=SEED)
     starts, memory, torques, impacts = env.states, None, [], []
     for step in range(EPISODE_STEPS):
-        actions, memory = act.policy.predict(seen, memory, np.full(STARTS, step == 0), deterministic=True)
-        seen, *_, infos = env.step(actions)
+        actions, memory = act.policy.predict(observations, memory, np.full(STARTS, step == 0), deterministic=True)
+        observations, *_, infos = env.step(actions)
         torques.append(infos["torque"])
         impacts.append(infos["impacts"])
     env.close()

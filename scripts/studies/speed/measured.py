@@ -150,7 +150,7 @@ def alone(seconds: float) -> dict[str, Timed]:
 # -- batches -----------------------------------------------------------------------------------------------------------
 
 
-def made(env_id: str, count: int, **settings: Any) -> Any:
+def vector_env(env_id: str, count: int, **settings: Any) -> Any:
     """An environment's own vector environment, seeded."""
     env = gym.make_vec(env_id, count, vectorization_mode="vector_entry_point", **settings)
     env.reset(seed=0)
@@ -208,16 +208,16 @@ def together(seconds: float) -> dict[str, Timed]:
 
     exact: dict[str, Any] = {"contact": "exact", "num_threads": 1}
     batches: dict[str, Any] = {
-        BATCH: made("JackInBox-v0", TOGETHER, **exact),
-        BATCH_CHIRP: made("JackInBox-v0", TOGETHER, torque="chirp", **exact),
-        BATCH_SCENES: made("JackInBox-v0", TOGETHER, scene=jacks(TOGETHER), **exact),
-        BATCH_DRAWN: made("JackInBox-v0", TOGETHER, randomize={"jack_mass": (2.0, 6.0)}, **exact),
-        BATCH_TASK: made("JackInBox-v0", TOGETHER, task=Task(("lift",), lift), **exact),
-        BATCH_256: made("JackInBox-v0", 256, **exact),
+        BATCH: vector_env("JackInBox-v0", TOGETHER, **exact),
+        BATCH_CHIRP: vector_env("JackInBox-v0", TOGETHER, torque="chirp", **exact),
+        BATCH_SCENES: vector_env("JackInBox-v0", TOGETHER, scene=jacks(TOGETHER), **exact),
+        BATCH_DRAWN: vector_env("JackInBox-v0", TOGETHER, randomize={"jack_mass": (2.0, 6.0)}, **exact),
+        BATCH_TASK: vector_env("JackInBox-v0", TOGETHER, task=Task(("lift",), lift), **exact),
+        BATCH_256: vector_env("JackInBox-v0", 256, **exact),
         SB3_256: make_sb3_vec_env(256, contact="exact"),
-        POLES: made("CartPole-v1", TOGETHER),
+        POLES: vector_env("CartPole-v1", TOGETHER),
         **envpool(),
-        FEW: made("JackInBox-v0", 16, contact="pymunk"),
+        FEW: vector_env("JackInBox-v0", 16, contact="pymunk"),
         SB3: make_sb3_vec_env(16, contact="exact"),
         DUMMY: DummyVecEnv([lambda: Monitor(gym.make("JackInBox-v0", contact="exact"))] * 16),
     }
@@ -239,7 +239,7 @@ def threads(cores: int, seconds: float) -> dict[str, Timed]:
 
     def of(size: int, threads: int) -> Timed:
         settings: dict[str, Any] = {"contact": "exact", "num_threads": threads, "max_episode_steps": 10**9}
-        env, states = made("JackInBox-v0", size, **settings), moments(size)
+        env, states = vector_env("JackInBox-v0", size, **settings), moments(size)
         steps = max(5, min(SOME, 2**22 // size))
         return many(env, seconds, steps, lambda: env.unwrapped.set_states(states, 0.0), time.perf_counter)
 
@@ -300,14 +300,13 @@ def first_of_all(
     scene: SceneNumbers, memory: Workspace, flight: Flight, view: View, walls: int, likely: int, limits: Limits,
     rest: float,
 ) -> tuple[float, int]:  # fmt: skip
-    """The usual search for impacts: gaps at the step's end, then Newton's method. It misses what happens in between.
+    """Unguarded search for impacts: gaps at the step's end, then Newton's method. It misses what happens in between.
 
     It replaces the certified search of ``jackbox_env.exact.search`` and returns values like it: the earliest root of
     the gaps that are closed at the end. The difference is the price of the guarantee.
     """
-    left = limits.end
-    best, pair = left, NONE
-    end = pose_at(flight, memory, left)
+    best, pair = limits.end, NONE
+    end = pose_at(flight, memory, limits.end)
     at_end = box_frame(end.x, end.y, end.vx, end.vy, end.angle, end.omega)
     cosine, sine = cos_sin(end.jack_angle - end.angle)
     for wall in range(4):
@@ -318,9 +317,9 @@ def first_of_all(
             gap, rate = foot_gap(scene, ahead, speed, cosine, sine, flight.jack_omega - end.omega, foot - wall)
             if gap > 0.0 or rate >= 0.0:
                 continue
-            s = left
+            s = limits.end
             for _ in range(_MOST_ITERATIONS):
-                s = min(max(s - gap / rate, 0.0), left)
+                s = min(max(s - gap / rate, 0.0), limits.end)
                 gap, rate = gap_at(scene, flight, memory, wall, foot, s)
                 if abs(gap) <= limits.tolerance or rate == 0.0:
                     break
