@@ -250,7 +250,7 @@ def _csv(rows: list[dict[str, Any]]) -> str:
     return file.getvalue()
 
 
-# -- what is run -------------------------------------------------------------------------------------------------------
+# -- the trials --------------------------------------------------------------------------------------------------------
 
 
 def grid(
@@ -316,11 +316,11 @@ def run_trial(folder: Path, settings: dict[str, Any]) -> dict[str, Any]:
     """Evaluate a policy, or train and evaluate the best model: columns of the table. ``folder`` is the sweep's."""
     if "policy" in settings:
         env, starts = EnvSettings(**{name: settings[name] for name in _ENV}), settings["seed"]
-        policy, more = find_policy(settings["policy"], env, starts)
+        policy, extra = find_policy(settings["policy"], env, starts)
     else:  # evaluated from the same starts, whatever the training's seed
-        env, starts, more = TrainSettings.of({name: settings[name] for name in _TRAIN}), 0, {}
+        env, starts, extra = TrainSettings.of({name: settings[name] for name in _TRAIN}), 0, {}
         policy = find_policy(str(_trained(folder, env)), env).policy
-    returns = evaluate("", policy, {**env.env_settings, **more}, settings["episodes"], starts)
+    returns = evaluate("", policy, {**env.env_settings, **extra}, settings["episodes"], starts)
     low, high = returns.interval
     return {"mean": returns.mean, "interval_low": low, "interval_high": high, "worst": min(returns.returns)}
 

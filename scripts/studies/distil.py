@@ -39,8 +39,8 @@ JACKS = 600  # in each round
 FIRST, COUNTED, HORIZON = 24, 22, 40  # decisions: to the first landing at most, from which states are fitted, ahead
 DISCOUNT = 0.975  # of a decision
 FRESH = 0.25  # share of the jacks that start an episode; the others start where earlier ones were
-TEMPERATURE, ANY = 6.0, 0.15  # of the drawn pairs: in rewards; share of any pair at all
-BLUR = np.array([0.01, 0.1])  # added to them [rad, rad/s]
+TEMPERATURE, UNIFORM = 6.0, 0.15  # of the drawn pairs: in rewards; share drawn uniformly
+NOISE = np.array([0.01, 0.1])  # added to them [rad, rad/s]
 ROUNDS_FITTED, EPOCHS, RATE = 8, 2, 2e-3  # the last rounds; passes over them in each; learning rate
 
 
@@ -53,7 +53,7 @@ class Arguments:
     rounds: int = 30
     """Of playing and fitting."""
     seed: int = 0
-    """Seed of the starts, ways and the order of fitting."""
+    """Seed of the starts, pairs and the order of fitting."""
 
 
 def advanced(states: Array, acting: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
@@ -77,9 +77,9 @@ def drawn(policy: LandingPolicy, states: Array, rng: np.random.Generator) -> Arr
     states = upright(states)
     worth = policy.worth(states, landing_times(SCENE, states))
     choice = (worth / TEMPERATURE + rng.gumbel(size=worth.shape)).argmax(axis=1)
-    wild = rng.random(len(states)) < ANY
-    choice[wild] = rng.integers(0, worth.shape[1], int(wild.sum()))
-    pairs: Array = policy.settings.pairs[choice] + BLUR * rng.normal(size=(len(states), 2))
+    uniform = rng.random(len(states)) < UNIFORM
+    choice[uniform] = rng.integers(0, worth.shape[1], int(uniform.sum()))
+    pairs: Array = policy.settings.pairs[choice] + NOISE * rng.normal(size=(len(states), 2))
     return pairs
 
 

@@ -32,11 +32,11 @@ from scripts.studies.fitting import BATCH, epoch, inputs_and_goals, layers_of
 SCENE, CONTROL_DT = Scene(drive=None), 0.02
 COMMON: dict[str, Any] = {"repeat": 5, "num_threads": 1}
 PLAYING: dict[str, Any] = {**COMMON, "knots": 20, "samples": 96, "elites": 10, "iterations": 1}
-JUDGING: dict[str, Any] = {**COMMON, "knots": 32, "samples": 64, "elites": 5, "iterations": 3}
+EVALUATING: dict[str, Any] = {**COMMON, "knots": 32, "samples": 64, "elites": 5, "iterations": 3}
 EPISODES, DECISIONS = 80, 100  # of the playing search, in each round
 VISITED = 0.15  # share of visited states
-TOGETHER = 250  # states that are judged together
-NOTHING: list[Layer] = [(np.zeros((1, INPUTS), np.float32), np.zeros(1, np.float32))]  # worth 0 everywhere
+CHUNK = 250  # states that are evaluated together
+ZERO_VALUE: list[Layer] = [(np.zeros((1, INPUTS), np.float32), np.zeros(1, np.float32))]  # worth 0 everywhere
 WIDTH, EPOCHS, RATE, DECAY = 96, 100, 3e-3, 1e-3
 
 
@@ -49,12 +49,12 @@ class Arguments:
     task: str = "juggle"
     """Whose rewards are counted."""
     states: int = 8000
-    """That are judged in each round."""
+    """Evaluated states of each round."""
     seed: int = 0
     """Seed of the starts, candidates, states and the network."""
 
 
-class Watched(ValuedSearch):
+class RecordingSearch(ValuedSearch):
     """A search that stores the returns and the last states of its last candidates."""
 
     def evaluate(self, scene: Scene | list[Scene], states: Array, tried: Array) -> tuple[Array, Array]:
@@ -63,7 +63,7 @@ class Watched(ValuedSearch):
         return self.returns, self.ends
 
 
-def visited(search: Watched, rng: np.random.Generator) -> tuple[Array, Array]:
+def visited(search: RecordingSearch, rng: np.random.Generator) -> tuple[Array, Array]:
     """Ends of candidates, two for each decision, and visited states; shapes (n, 12)."""
     states, rows = np.array([sample_start(SCENE, rng) for _ in range(EPISODES)]), np.arange(EPISODES)
     plans, ends, visits = search.begin(EPISODES), [], []
@@ -76,19 +76,19 @@ def visited(search: Watched, rng: np.random.Generator) -> tuple[Array, Array]:
     return np.concatenate(ends), np.concatenate(visits)
 
 
-def chosen(search: Watched, count: int, rng: np.random.Generator) -> Array:
+def chosen(search: RecordingSearch, count: int, rng: np.random.Generator) -> Array:
     """States to be evaluated, shape (count, 12)."""
     ends, visits = visited(search, rng)
     few = round(VISITED * count)
     return np.concatenate([ends[rng.permutation(len(ends))[: count - few]], visits[rng.permutation(len(visits))[:few]]])
 
 
-def judged(task: str, states: Array, rng: np.random.Generator) -> Array:
+def evaluated(task: str, states: Array, rng: np.random.Generator) -> Array:
     """Return of the best plan of a new search from each state, shape (n,)."""
     returns = []
-    for first in trange(0, len(states), TOGETHER, desc="judge", leave=False):
-        search = Search(task, CONTROL_DT, seed=int(rng.integers(2**31)), **JUDGING)
-        some = states[first : first + TOGETHER]
+    for first in trange(0, len(states), CHUNK, desc="evaluate", leave=False):
+        search = Search(task, CONTROL_DT, seed=int(rng.integers(2**31)), **EVALUATING)
+        some = states[first : first + CHUNK]
         returns.append(search.decide(SCENE, some, search.begin(len(some)))[0].returns)
     return np.concatenate(returns)
 
@@ -100,7 +100,7 @@ def fitted(settings: EnvSettings, states: Array, worth: Array) -> list[Layer]:
     )
     order, few = torch.randperm(len(states)).numpy(), len(states) // 10
     others, rest = order[:few], order[few:]
-    inputs, goals = inputs_and_goals(Value(settings, NOTHING), states[rest], worth[rest])
+    inputs, goals = inputs_and_goals(Value(settings, ZERO_VALUE), states[rest], worth[rest])
     net[4].bias.data.fill_(float(goals.mean()))
     optimiser = torch.optim.AdamW(net.parameters(), RATE, weight_decay=DECAY)
     rates = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, total_steps=EPOCHS * (len(inputs) // BATCH))
@@ -114,19 +114,20 @@ def fitted(settings: EnvSettings, states: Array, worth: Array) -> list[Layer]:
 
 @command_line
 def main() -> None:
-    """Parse, play, judge, fit, write."""
+    """Parse, play, evaluate, fit, write."""
     import tyro
 
     arguments = tyro.cli(Arguments, description=__doc__)
     torch.set_num_threads(1)
     torch.manual_seed(arguments.seed)
     rng, settings = np.random.default_rng(arguments.seed), EnvSettings(task=arguments.task, contact="exact")
-    states, worth, layers = np.zeros((0, 12)), np.zeros(0), NOTHING
+    states, worth, layers = np.zeros((0, 12)), np.zeros(0), ZERO_VALUE
     make_folder(arguments.out)
     for number in range(2):
-        search = Watched(Value(settings, layers), arguments.task, CONTROL_DT, seed=arguments.seed + number, **PLAYING)
+        value, seed = Value(settings, layers), arguments.seed + number
+        search = RecordingSearch(value, arguments.task, CONTROL_DT, seed=seed, **PLAYING)
         new = chosen(search, arguments.states, rng)
-        states, worth = np.concatenate([states, new]), np.concatenate([worth, judged(arguments.task, new, rng)])
+        states, worth = np.concatenate([states, new]), np.concatenate([worth, evaluated(arguments.task, new, rng)])
         layers = fitted(settings, states, worth)
         write_with_layers(arguments.out, VALUE, settings, layers)
 

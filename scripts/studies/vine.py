@@ -39,20 +39,20 @@ from scripts.studies.fitting import layers_of
 
 SCENE, FLIGHT, INPUTS = Scene(drive=None), landing_numbers(Scene()), len(BOUNDS) + len(FEATURES)
 REPEAT, CONTROL_DT, EPISODE = 5, 0.02, 100  # control steps of a decision, [s], decisions
-WIDTHS, CRITIC, STEEPER = (256, 256), (128, 128), 3.0  # layers; factor of the first one's weights
+WIDTHS, CRITIC, FIRST_SCALE = (256, 256), (128, 128), 3.0  # layers; factor of the first one's weights
 JACKS, DECISIONS = 512, 16  # side by side; of each in a round
 TRIES, SPREAD, NOISY = 4, 0.3, 0.2  # torques from a state; their deviation [limits]; share of noisy decisions
 CLIP, EPOCHS, BATCH = 0.2, 4, 1024
 RATE, LAST_SHARE, CRITIC_RATE = 5e-4, 0.1, 1e-3  # learning rates; the first falls to this share
 UNIT, MEMORY = 10.0, 0.05  # rewards that the value counts in; share of a round in the running mean
-LEVEL = 0.1  # reward that a step of the shaped task loses if the box lies on its side
+LEVEL_COST = 0.1  # reward that a step of the shaped task loses if the box lies on its side
 
 
 def spin_level(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float, float]:
     """The task ``spin`` with a box that does not turn over, so that the network need not learn all of its sides."""
     rate = state.omega_jack * scene.jack_arm / scene.speed_scale
     calm = max(0.0, 1.0 - abs(state.omega_box) * scene.box_half_width / scene.speed_scale)
-    return max(-1.0, min(1.0, rate)) * calm, -LEVEL * (1.0 - math.cos(state.theta_box))
+    return max(-1.0, min(1.0, rate)) * calm, -LEVEL_COST * (1.0 - math.cos(state.theta_box))
 
 
 class Recipe(NamedTuple):
@@ -209,7 +209,7 @@ def main() -> None:
     )
     trials, states = starts(256, np.random.default_rng([arguments.seed, 1])), starts(JACKS, rng)
     ages, nets = rng.integers(0, EPISODE, JACKS), (network(WIDTHS), network(CRITIC))
-    nets[0][0].weight.data.mul_(STEEPER)
+    nets[0][0].weight.data.mul_(FIRST_SCALE)
     policy = copy.deepcopy(nets[0])
     optimisers = torch.optim.Adam(nets[0].parameters()), torch.optim.Adam(nets[1].parameters(), CRITIC_RATE)
     make_folder(arguments.out)

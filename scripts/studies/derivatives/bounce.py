@@ -115,17 +115,17 @@ def disturbed(bounce: Array) -> Array:
     return starts.reshape(-1, 8)
 
 
-def deviations(bounce: Array, by: Array, clock: bool) -> Array:
+def deviations(bounce: Array, feedback: Array, clock: bool) -> Array:
     """Distances of the jacks from the bounce after each step, in UNITS without the height, (steps, sizes, STARTS).
 
-    ``by`` are the gains (PERIOD, 8), chosen by the ``clock`` or by the jack's phase.
+    ``feedback`` has the gains (PERIOD, 8), chosen by the ``clock`` or by the jack's phase.
     """
     states, distances = disturbed(bounce) @ LIFT.T, []
     for step in trange(round(SECONDS / DT), desc="bounces", unit="step", leave=False):
         z = states @ REDUCE.T
         ahead = np.full(len(z), step) if clock else np.rint((phase(z) - phase(bounce[:1])) * PERIOD)
         k = ahead.astype(np.intp) % PERIOD
-        torques = -((z - bounce[k]) * by[k]).sum(axis=1).clip(-SCENE.torque_limit, SCENE.torque_limit)
+        torques = -((z - bounce[k]) * feedback[k]).sum(axis=1).clip(-SCENE.torque_limit, SCENE.torque_limit)
         states = rollout(SCENE, states, torques[:, None], DT, trajectories=False)[0][:, 1]
         off = (states @ REDUCE.T - bounce[0])[:, SIDEWAYS] / UNITS[SIDEWAYS]
         distances.append(np.linalg.norm(off, axis=1).reshape(len(SIZES), STARTS))
@@ -136,9 +136,14 @@ def measure() -> dict[str, Any]:
     """Newton's residuals, multipliers (real, imaginary), products of their pairs, and deviations of disturbed jacks."""
     start, residuals = newton(np.array([0.1, FLOOR + 1.3, 0.02, 0.03, 0.02, 0.05, -0.01, 0.03]))
     bounce, by_state, by_torque = period(start)
-    by = gains(by_state, by_torque)
-    free, controlled = (multipliers(one) for one in (by_state, by_state - by_torque[:, :, None] * by[:, None]))
-    runs = {"by phase": (by, False), "by clock": (by, True), "no torque": (np.zeros_like(by), True)}
+    feedback = gains(by_state, by_torque)
+    closed_loop = by_state - by_torque[:, :, None] * feedback[:, None]
+    free, controlled = multipliers(by_state), multipliers(closed_loop)
+    runs = {
+        "by phase": (feedback, False),
+        "by clock": (feedback, True),
+        "no torque": (np.zeros_like(feedback), True),
+    }
     off = {name: deviations(bounce, *how) for name, how in runs.items()}
     return {
         "start": start.tolist(),

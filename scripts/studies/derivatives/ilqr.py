@@ -30,7 +30,7 @@ DT, REPEAT, KNOTS, PROBLEMS = 0.02, 5, 32, 32  # control step [s]; action repeat
 # Iterations of iCEM; the longer one needs as much time as the planner's and iLQR after it.
 ITERATIONS = {"level": 0, "planner": 3, "longer": 50}
 LENGTHS = 0.5 ** np.arange(12)  # of the line search
-LEAST_GAIN, MOST, STIFFEST = 1e-3, 200, 1e6  # return worth a step; iterations; damping [return / limit^2]
+LEAST_GAIN, MOST_ITERATIONS, MOST_DAMPING = 1e-3, 200, 1e6  # of a step [return]; number; [return / limit^2]
 CLOSEST = 0.1  # [m] from the middle, where the reward's kink is smoothed
 ROOM = SCENE.box_half_width - SCENE.jack_arm  # [m] distance at which the reward is 0
 
@@ -122,10 +122,10 @@ def backward(torques: Array, model: tuple[Array, Array, Array], damping: float) 
 def improved(start: Array, plan: Array) -> dict[str, float]:
     """Improve a plan by iLQR until no step gains ``LEAST_GAIN``: returns, core time [s], iterations, rough steps."""
     began, count, damping = time.process_time(), 0, 1.0
-    still = np.zeros((KNOTS, 12))
-    best, torques, states = (part[0] for part in closed_loop(start, plan[None], still, still))
+    zeros = np.zeros((KNOTS, 12))
+    best, torques, states = (part[0] for part in closed_loop(start, plan[None], zeros, zeros))
     before, (model, rough) = best, expanded(start, torques)
-    while count < MOST and damping < STIFFEST:
+    while count < MOST_ITERATIONS and damping < MOST_DAMPING:
         changes, gains = backward(torques, model, damping)
         tried = closed_loop(start, torques + LENGTHS[:, None] * changes, states, gains)
         number, count = int(tried[0].argmax()), count + 1
@@ -158,7 +158,7 @@ def measure() -> dict[str, Any]:
             **{name: with_interval(column) for name, column in of.items()},
             "gain": with_interval(of["after"] - of["before"]),
             "beyond_longer_icem": with_interval(of["after"] - same_time),
-            "stopped_by_limit": int((of["iterations"] >= MOST).sum()),
+            "stopped_by_limit": int((of["iterations"] >= MOST_ITERATIONS).sum()),
             "improved_by_1": int((of["after"] > of["before"] + 1.0).sum()),
             "above_longer_icem": int((of["after"] > same_time + 0.1).sum()),
             "below_longer_icem": int((of["after"] < same_time - 0.1).sum()),

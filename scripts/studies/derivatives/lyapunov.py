@@ -26,8 +26,8 @@ from jackbox_env.commands.plots import BOX, GREY, JACK, write_figure
 from jackbox_env.states import Array
 
 SCENE, DT, STARTS, SEED = Scene(), 0.02, 256, 1
-LONG, FAST = SCENE.box_half_width, SCENE.speed_scale
-UNITS = np.array([LONG, LONG, 1.0] * 2 + [FAST, FAST, FAST / LONG, FAST, FAST, FAST / SCENE.jack_arm])
+LENGTH, SPEED = SCENE.box_half_width, SCENE.speed_scale
+UNITS = np.array([LENGTH, LENGTH, 1.0] * 2 + [SPEED, SPEED, SPEED / LENGTH, SPEED, SPEED, SPEED / SCENE.jack_arm])
 COLORS = {"zero": GREY, "chirp": BOX, "ppo": JACK}  # of policies
 FORGOTTEN = math.log(0.1 / 1e-16)  # of sigma, when rounding has grown to a tenth
 
@@ -83,19 +83,19 @@ def figures(policy: str) -> dict[str, Any]:
     logs, impacts = growth(lin.A[smooth]), impacts[smooth]
     by_impact = at_impacts(logs, impacts)
     exponent = with_interval(logs[:, -1] / (DT * EPISODE_STEPS))
-    each = with_interval((np.nanmax(by_impact, axis=1) - by_impact[:, 0]) / (impacts[:, -1] - 2.0))
-    half = np.isfinite(by_impact).mean(axis=0) >= 0.5
+    per_impact = with_interval((np.nanmax(by_impact, axis=1) - by_impact[:, 0]) / (impacts[:, -1] - 2.0))
+    common = np.isfinite(by_impact).mean(axis=0) >= 0.5
     return {
         "starts": STARTS,
         "skipped": int((~smooth).sum()),
         "exponent": exponent,  # [1/s]
-        "log_per_impact": each,
+        "log_per_impact": per_impact,
         "impacts": with_interval(impacts[:, -1]),
         "forgotten_after": FORGOTTEN / exponent["mean"],  # [s]
-        "forgotten_after_impacts": 1.0 + (FORGOTTEN - float(by_impact[:, 0].mean())) / each["mean"],
+        "forgotten_after_impacts": 1.0 + (FORGOTTEN - float(by_impact[:, 0].mean())) / per_impact["mean"],
         "share_forgotten": float((logs[:, -1] > FORGOTTEN).mean()),
         "by_time": np.quantile(logs, (0.1, 0.5, 0.9), axis=0)[:, 4::5].tolist(),
-        "by_impact": np.nanquantile(by_impact[:, half], (0.1, 0.5, 0.9), axis=0).tolist(),
+        "by_impact": np.nanquantile(by_impact[:, common], (0.1, 0.5, 0.9), axis=0).tolist(),
     }
 
 

@@ -100,15 +100,15 @@ def learning(folder: Path, task: str, seed: int, episodes: int) -> dict[str, Any
 def policy_row(folder: Path, task: str, contact: str, policy: str, episodes: int) -> dict[str, Any]:
     """Returns of a policy on a task, and its computing time."""
     settings = EnvSettings(task=task, contact=contact)
-    acting, more = find_policy("chirp" if policy == "best chirp" else policy, settings, SEED)
+    acting, extra = find_policy("chirp" if policy == "best chirp" else policy, settings, SEED)
     drive = best_chirp(task) if policy == "best chirp" else None
     if drive is not None:
-        more = {**more, "scene": {"drive": drive}}
+        extra = {**extra, "scene": {"drive": drive}}
     return {
         "task": task,
         "contact": contact,
-        **_evaluated(policy, acting, {**settings.env_settings, **more}, episodes),
-        "milliseconds": milliseconds(Baseline(acting, more), settings),
+        **_evaluated(policy, acting, {**settings.env_settings, **extra}, episodes),
+        "milliseconds": milliseconds(Baseline(acting, extra), settings),
         "drive": drive,
         "commit": versions()["commit"],
         "machine": machine(),

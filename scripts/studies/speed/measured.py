@@ -62,7 +62,7 @@ T = TypeVar("T")
 
 DT = 0.02  # [s]
 EPISODE = 500  # steps
-SOME = 50  # steps of a large batch or a rollout from random moments
+SHORT = 50  # steps of a large batch or a rollout from random moments
 _MOST_ITERATIONS = 50  # of Newton's method
 _OFFSETS = 65536  # into the actions drawn beforehand, where a step's actions may start
 _WRONG = 1e-6  # least difference, or depth outside the box [m], that is no rounding
@@ -223,13 +223,13 @@ def together(seconds: float) -> dict[str, Timed]:
     }
     for name in (SB3, SB3_256, DUMMY):
         batches[name].seed(0)
-    physics = rolled(TOGETHER, SOME, seconds)
+    physics = rolled(TOGETHER, SHORT, seconds)
     return {
         BARE: bare_pymunk(seconds),
         ROLLOUT: physics,
         UNGUARDED: unguarded(physics),
-        MATRICES: rolled(TOGETHER, SOME, seconds, run=matrices),
-        PULLED: rolled(TOGETHER, SOME, seconds, run=pulled),
+        MATRICES: rolled(TOGETHER, SHORT, seconds, run=matrices),
+        PULLED: rolled(TOGETHER, SHORT, seconds, run=pulled),
         **{name: many(env, seconds) for name, env in batches.items()},
     }
 
@@ -240,7 +240,7 @@ def threads(cores: int, seconds: float) -> dict[str, Timed]:
     def of(size: int, threads: int) -> Timed:
         settings: dict[str, Any] = {"contact": "exact", "num_threads": threads, "max_episode_steps": 10**9}
         env, states = vector_env("JackInBox-v0", size, **settings), moments(size)
-        steps = max(5, min(SOME, 2**22 // size))
+        steps = max(5, min(SHORT, 2**22 // size))
         return many(env, seconds, steps, lambda: env.unwrapped.set_states(states, 0.0), time.perf_counter)
 
     timed = {of_size(size): of(size, 1) for size in SIZES}
@@ -264,9 +264,9 @@ def play(count: int = 1024) -> tuple[Array, NDArray[np.int64]]:
 
 
 def moments(count: int) -> Array:
-    """States at random moments of episodes, shape (count, 12), at least ``SOME`` steps before the end."""
+    """States at random moments of episodes, shape (count, 12), at least ``SHORT`` steps before the end."""
     rng, (trajectories, _) = np.random.default_rng(0), play()
-    states: Array = trajectories[rng.integers(1024, size=count), rng.integers(EPISODE - SOME + 1, size=count)]
+    states: Array = trajectories[rng.integers(1024, size=count), rng.integers(EPISODE - SHORT + 1, size=count)]
     return states
 
 
@@ -342,13 +342,13 @@ def lost() -> dict[str, int]:
     """How many of the same episodes each search gets wrong. They are compared until chaos separates them."""
     (certified, hits), (other, other_hits) = play(), unguarded(play)()
     difference = np.abs(certified - other).max(axis=2)[:, :-1]  # before each step
-    level = np.logical_and.accumulate(difference <= _WRONG, axis=1)
+    same = np.logical_and.accumulate(difference <= _WRONG, axis=1)
     first_outside, numbers, wrong = compiled(outside), np.array([Scene().numbers]), np.array([_WRONG])
 
     def escaped(trajectories: Array) -> int:
         return sum(int(first_outside(numbers, states, wrong)) >= 0 for states in trajectories)
 
-    missed = int((level & (other_hits < hits)).any(axis=1).sum())
+    missed = int((same & (other_hits < hits)).any(axis=1).sum())
     return {"of": len(hits), "missed": missed, "escaped": escaped(other), "certified": escaped(certified)}
 
 
