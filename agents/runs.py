@@ -8,7 +8,7 @@ checkpoints/ppo_N.zip    weights and optimiser after N steps
 best_model.zip           the best by the separate evaluation, and its mean return
 model.zip                the last
 evaluations.npz          the separate evaluations
-time.json                how long the process that finished the run took for its steps, and for what
+time.json                steps and seconds of the process that finished the run, and where the time went
 tensorboard/             curves
 lock                     locked by the process that works here
 """

@@ -183,8 +183,8 @@ class TrainSettings(EnvSettings):
     repeat: Annotated[int, tyro.conf.arg(aliases=["--hold"])] = 20
     """Action repeat: control steps of each action; divides the 500 of an episode."""
     preview: bool = True
-    """Show the networks, beside the observation, where and how the jack will land. Such a model.zip loads only where
-    a checkout of this project can be imported; scripts/export.py makes a policy of it that needs numpy alone."""
+    """Append to the observation where and how the jack will land. Such a model.zip loads only where a checkout of this
+    project can be imported; scripts/export.py makes a policy of it that needs numpy alone."""
     lookahead: int = 0
     """Rollouts that improve a plan before each action; the networks observe its return and those of 9 scripted ones."""
     landing: bool = True

@@ -1,7 +1,7 @@
 """Policies that decide once every few control steps and repeat the action in between.
 
-Such a policy plays in the ordinary environment, whose every control step needs an action and returns ten numbers. The
-planner, the one-bounce policy and the networks derive from :class:`RepeatingPolicy`.
+Such a policy plays in the ordinary environment, which needs an action in every control step and returns ten numbers.
+The planner, the one-bounce policy and the networks derive from :class:`RepeatingPolicy`.
 """
 
 from __future__ import annotations

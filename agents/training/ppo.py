@@ -70,22 +70,27 @@ def train(settings: TrainSettings, folder: Path, progress: bool = True) -> PPO:
         callbacks: list[BaseCallback] = [checkpoint, KeepBest(folder, settings, checkpoint, done), timer]
         if settings.max_minutes is not None:
             callbacks.append(Deadline(settings.max_minutes))
-        bar = ProgressBarCallback()
         try:
-            remaining = max(0, settings.total_steps - done)
-            model.learn(remaining, callback=[*callbacks, *[bar] * progress], reset_num_timesteps=False)
+            _learn(model, max(0, settings.total_steps - done), callbacks, progress)
         except KeyboardInterrupt:
             checkpoint.save()
             raise
-        finally:
-            if hasattr(bar, "pbar"):  # from the training's start on; an error is shown on a line of its own
-                bar.pbar.close()
         record = timer.record()
         write_json(folder / TIME, record)
         write_bytes(folder / MODEL, model_file(model))  # last: a run with this file is finished
         print(formatted(record))
         print(reached(folder, settings))
         return model
+
+
+def _learn(model: PPO, steps: int, callbacks: list[BaseCallback], progress: bool) -> None:
+    """Train for so many more steps, with a progress bar that is closed on any exit."""
+    bar = ProgressBarCallback()
+    try:
+        model.learn(steps, callback=[*callbacks, *[bar] * progress], reset_num_timesteps=False)
+    finally:
+        if hasattr(bar, "pbar"):  # from the training's start on; an error is shown on a line of its own
+            bar.pbar.close()
 
 
 def extended(folder: Path, total_steps: int) -> TrainSettings:

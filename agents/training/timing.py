@@ -32,7 +32,7 @@ class TimedVecEnv(VecEnvWrapper):
 
 
 class TimedEnvironments(JackInBoxVecEnv):
-    """The environments without wrappers, which add up the same."""
+    """The environments without wrappers, with the same ``seconds``."""
 
     seconds = 0.0
 

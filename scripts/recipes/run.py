@@ -54,7 +54,7 @@ class Arguments:
 
 
 def python_for(recipe: Recipe, folder: Path) -> str:
-    """The interpreter to run a recipe with; makes its environment where it needs one."""
+    """The interpreter to run a recipe with; makes its environment if it needs one."""
     if not recipe.needs:
         return sys.executable
     python, ready = folder / "bin" / "python", folder / "ready"

@@ -19,7 +19,7 @@ def two_digits(value: float) -> str:
     return f"{float(f'{value:.2g}'):g}" if value == 0.0 or abs(value) >= 1e-3 else f"{value:.1e}"
 
 
-def rough(value: float) -> str:
+def rounded(value: float) -> str:
     """A number for a sentence, rounded to three digits."""
     return figure(float(f"{value:.3g}"))
 
@@ -55,7 +55,7 @@ def dots(path: Path, title: str, rows: Mapping[str, float]) -> None:
     axes = drawn.subplots()
     for line, (_, value) in enumerate(shown):
         axes.plot(value, line, "o", color=JACK)
-        axes.annotate(rough(value), (value, line), xytext=(8, 0), textcoords="offset points", va="center")
+        axes.annotate(rounded(value), (value, line), xytext=(8, 0), textcoords="offset points", va="center")
     axes.set_yticks(range(len(shown)), [name.replace("`", "") for name, _ in shown])
     drawn.suptitle(title, x=0.02, ha="left", fontsize="medium")
     axes.set_xscale("log")

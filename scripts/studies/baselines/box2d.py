@@ -112,10 +112,10 @@ class Model(Engine):
             q += [position.x, position.y, body.angle]
             v += [rate.x, rate.y, body.angularVelocity]
         state = [number + start for number, start in zip(q, self._origin, strict=True)] + v
-        self._refuse_cuts(state)
+        self._check_clipping(state)
         return state
 
-    def _refuse_cuts(self, state: list[float]) -> None:
+    def _check_clipping(self, state: list[float]) -> None:
         """Raise JackLostError if the engine has clipped a speed to its bound."""
         travel = self._h * max(math.hypot(state[VX_BOX], state[VY_BOX]), math.hypot(state[VX_JACK], state[VY_JACK]))
         turn = self._h * max(abs(state[OMEGA_BOX]), abs(state[OMEGA_JACK]))

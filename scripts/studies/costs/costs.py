@@ -14,7 +14,7 @@ from typing import Any
 from jackbox_env.command_line import command_line
 from scripts.studies import pages, timing
 from scripts.studies.costs import measured as these
-from scripts.studies.pages import figure, rough, table
+from scripts.studies.pages import figure, rounded, table
 from scripts.studies.timing import Rates
 
 PACKAGES = ("jackbox", "gymnasium", "numpy", "pymunk", "numba")
@@ -127,7 +127,7 @@ def page(results: Mapping[str, Any]) -> str:
     """docs/costs.md."""
     plain, on_top, impacts = _plain(results), results["on_top"], results["impacts"]
     steps, more = results["loss"]["steps"], impacts["long arm"] - impacts["usual"]
-    frame, function = (rough(statistics.median(on_top[what][PYMUNK])) for what in (FRAME, FUNCTION))
+    frame, function = (rounded(statistics.median(on_top[what][PYMUNK])) for what in (FRAME, FUNCTION))
     resting = [statistics.median(steps[kind][EXACT]) / 1e3 for kind in these.RESTING]
     single = {what: costs for what, costs in on_top.items() if set(costs) != {BATCH}}
     small = [
@@ -140,7 +140,7 @@ def page(results: Mapping[str, Any]) -> str:
     ]
     only = [[what, cell(costs[BATCH], plain[BATCH])] for what, costs in on_top.items() if set(costs) == {BATCH}]
     fields = {
-        "plain": {model: rough(value) for model, value in plain.items()},
+        "plain": {model: rounded(value) for model, value in plain.items()},
         "frame": frame,
         "function": function,
         "on_top": table(

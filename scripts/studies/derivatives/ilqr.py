@@ -120,11 +120,11 @@ def backward(torques: Array, model: tuple[Array, Array, Array], damping: float) 
 
 
 def improved(start: Array, plan: Array) -> dict[str, float]:
-    """Improve a plan by iLQR until no step gains ``LEAST_GAIN``: returns, core time [s], iterations, rough steps."""
+    """Improve a plan by iLQR until no step gains ``LEAST_GAIN``: returns, core time [s], iterations, nonsmooth steps."""
     began, count, damping = time.process_time(), 0, 1.0
     zeros = np.zeros((KNOTS, 12))
     best, torques, states = (part[0] for part in closed_loop(start, plan[None], zeros, zeros))
-    before, (model, rough) = best, expanded(start, torques)
+    before, (model, nonsmooth) = best, expanded(start, torques)
     while count < MOST_ITERATIONS and damping < MOST_DAMPING:
         changes, gains = backward(torques, model, damping)
         tried = closed_loop(start, torques + LENGTHS[:, None] * changes, states, gains)
@@ -135,9 +135,9 @@ def improved(start: Array, plan: Array) -> dict[str, float]:
         best, torques, states = (part[number] for part in tried)
         damping = max(0.1 * damping, 1e-3) if number < 3 else damping
         model, missing = expanded(start, torques)
-        rough += missing
+        nonsmooth += missing
     seconds = time.process_time() - began
-    return {"before": float(before), "after": float(best), "seconds": seconds, "iterations": count, "rough": rough}
+    return {"before": float(before), "after": float(best), "seconds": seconds, "iterations": count, "rough": nonsmooth}
 
 
 def measure() -> dict[str, Any]:

@@ -13,7 +13,7 @@ from typing import Any, Literal, get_args
 
 from jackbox_env.command_line import command_line
 from scripts.studies import pages, timing
-from scripts.studies.pages import figure, rough, table
+from scripts.studies.pages import figure, rounded, table
 from scripts.studies.speed import measured as these
 from scripts.studies.timing import Rates
 
@@ -148,18 +148,18 @@ def page(results: Results) -> str:
     """docs/speed.md."""
     together = results["together"]
     rates = {
-        part: {name: rough(statistics.median(values)) for name, values in of["rates"].items()}
+        part: {name: rounded(statistics.median(values)) for name, values in of["rates"].items()}
         for part, of in results.items()
         if "rates" in of
     }
-    over = {what: rough(statistics.median(values)) for what, values in all_ratios(together).items()}
+    over = {what: rounded(statistics.median(values)) for what, values in all_ratios(together).items()}
     peers = {"Gymnasium's own": "Gymnasium's own batch of CartPole-v1", "EnvPool's": "EnvPool's"}
     known = {f"batch over {whose} CartPole-v1": words for whose, words in peers.items()}
     fields = {
         "one": {name: rates["alone"][of] for name, of in ONE.items()},
         "batch": rates["together"][these.BATCH],
         "over": " and ".join(f"{over[what]} times as many as {words}" for what, words in known.items() if what in over),
-        "start": {name: rough(statistics.median(results["start"][name])) for name in ("cold", "warm")},
+        "start": {name: rounded(statistics.median(results["start"][name])) for name in ("cold", "warm")},
         "tables": {part: _section(results[part]) for part in rates},
         "lost": together["lost"],
         "memory": results["start"],
@@ -171,7 +171,7 @@ def page(results: Results) -> str:
 def for_the_readme(results: Results) -> str:
     """The README's table: the numbers of the picture."""
     lines = ["| control steps per second on one core | |", "|---|---:|"]
-    lines += [f"| {name} | {rough(rate)} |" for name, rate in pictured(results).items()]
+    lines += [f"| {name} | {rounded(rate)} |" for name, rate in pictured(results).items()]
     machine = results["alone"]["made"].split(";")[0]
     return "\n".join([*lines, "", f"Measured by `make speed` on {machine}."])
 
