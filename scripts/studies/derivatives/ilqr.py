@@ -120,7 +120,7 @@ def backward(torques: Array, model: tuple[Array, Array, Array], damping: float) 
 
 
 def improved(start: Array, plan: Array) -> dict[str, float]:
-    """Improve a plan by iLQR until no step gains ``LEAST_GAIN``: returns, core time [s], iterations, nonsmooth steps."""
+    """Improve a plan by iLQR until no step gains ``LEAST_GAIN``: returns, time [s], iterations, nonsmooth steps."""
     began, count, damping = time.process_time(), 0, 1.0
     zeros = np.zeros((KNOTS, 12))
     best, torques, states = (part[0] for part in closed_loop(start, plan[None], zeros, zeros))
