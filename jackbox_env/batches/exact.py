@@ -14,8 +14,8 @@ from jackbox_env.batches.threads import Halt, Threads, thread_count
 from jackbox_env.exact import glide, restart, run, score
 from jackbox_env.exact.compiler import address_of, compiled
 from jackbox_env.exact.restart import WHOLE, WITH_HALVES, fresh, packed, seeded, unpacked
-from jackbox_env.exact.run import NOTHING, Call, Results, Rules, Scenes
-from jackbox_env.exact.workspace import Status
+from jackbox_env.exact.run import Call
+from jackbox_env.exact.workspace import NOTHING, Results, Rules, Scenes, Status, new_memory
 from jackbox_env.randomization import Randomization
 from jackbox_env.scene import Scene
 from jackbox_env.scoring import bad_reward, compiled_for
@@ -81,7 +81,7 @@ class ExactBatch:
         self._calls: list[Call] | None = self._new_calls()
 
     def _new_calls(self) -> list[Call]:
-        return [Call(run.new_memory(self._blocks.shape[2])) for _ in range(self._threads.count)]
+        return [Call(new_memory(self._blocks.shape[2])) for _ in range(self._threads.count)]
 
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "_score": None, "_score_address": 0, "_calls": None}  # addresses hold in one process only

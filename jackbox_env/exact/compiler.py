@@ -263,7 +263,7 @@ def block_score(address: Any) -> Callable[..., int]:
     return cast(Callable[..., int], address)
 
 
-_SCORE = "i8(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1], i8, i8, i8, f8[::1], b1[::1], f8[:, ::1])"  # score_block's
+_SCORE = "i8(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1], i8, i8, f8[::1], b1[::1], f8[:, ::1])"  # score_block's
 PACKED = 512  # float64 numbers that have room for the arguments of ``run.run``
 
 

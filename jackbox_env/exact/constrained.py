@@ -26,11 +26,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.exact.bounds import parabola_root
 from jackbox_env.exact.contact import quarter
 from jackbox_env.exact.drives import DEGREE, PUSH_X, PUSH_Y, SHARES, TURN, horner
 from jackbox_env.exact.flight import Flight, Piece, View, excursion, held_view, on_axes
-from jackbox_env.exact.search import MOST_WORK
 from jackbox_env.exact.trigonometry import cos_sin
 from jackbox_env.exact.workspace import (
     ALPHA,
@@ -77,7 +75,6 @@ from jackbox_env.states import (
 Array = NDArray[np.float64]
 
 _RESOLVED = 1e-15  # last powers of the rates, over a speed
-_PULL = 1e-12  # of the largest force in a stretch: that much a wall may pull before it lets go
 
 
 def product(memory: Workspace, one: int, other: int, k: int) -> float:
@@ -290,7 +287,7 @@ def stretch(scene: SceneNumbers, memory: Workspace, piece: Piece, since: float, 
         expand_rigid(scene, memory, length, piece.pushed)
     else:
         expand(scene, memory, length, piece.pushed)
-    memory.looks += DEGREE + 1.0
+    memory.evaluations += DEGREE + 1.0
     while not resolved(scene, memory, speed * length):
         length *= 0.5
         halve(memory)
@@ -367,50 +364,3 @@ def carry(scene: SceneNumbers, memory: Workspace, flight: Flight, free: Flight, 
     state[VX_BOX], state[VY_BOX] = common_x + drifting - share * vx, common_y + falling - share * vy
     state[VX_JACK], state[VY_JACK] = state[VX_BOX] + vx, state[VY_BOX] + vy
     state[OMEGA_BOX], state[OMEGA_JACK] = omega, omega + view.spin
-
-
-def first_let_go(memory: Workspace, count: int, length: float) -> tuple[float, int]:
-    """When the first held foot is let go [s], and its place; the stretch's ``length`` and -1 if none is."""
-    end, loose, peak = length, -1, 0.0
-    for place in range(count):
-        for k in range(DEGREE + 1):
-            peak = max(peak, abs(memory.series[FORCE + place, k]))
-    for place in range(count):
-        time = let_go(memory, place, length, peak)
-        if time < end:
-            end, loose = time, place
-    return end, loose
-
-
-def let_go(memory: Workspace, place: int, length: float, peak: float) -> float:
-    """When a held foot's force falls to 0 and the wall would have to pull, in [s]; infinity if it never does."""
-    powers = memory.series[FORCE + place]
-    curvature = 0.0
-    for k in range(2, DEGREE + 1):
-        curvature += k * (k - 1.0) * abs(powers[k])
-    least = powers[0]
-    for k in range(1, DEGREE + 1):
-        least -= abs(powers[k])
-    if least > 0.0:
-        return math.inf
-    margin, u = _PULL * peak, 0.0
-    while memory.looks <= MOST_WORK:
-        force, slope = powers[DEGREE], 0.0
-        for k in range(DEGREE - 1, -1, -1):
-            slope = force + u * slope
-            force = powers[k] + u * force
-        if force + margin <= 0.5 * margin:
-            return u * length
-        memory.looks += 1.0
-        u += parabola_root(force + margin, slope, curvature)
-        if not u <= 1.0:
-            return math.inf
-    return math.inf
-
-
-def impulse_of(memory: Workspace, place: int, u: float) -> float:
-    """A held foot's impulse up to ``u``, times the stretch's length [N s^2]."""
-    impulse = 0.0
-    for k in range(DEGREE, -1, -1):
-        impulse = SHARES[k] * memory.series[FORCE + place, k] + impulse * u
-    return impulse * u

@@ -119,7 +119,7 @@ def resolve(scene: SceneNumbers, memory: Workspace, log: Array, tolerance: float
     count = list_touching(scene, memory, tolerance, wall, foot)
     slow = rate_of(state, memory.gradients[0]) > -SLOW * scene.speed_scale
     if count > 1 or slow or memory.gaps[0] < -_DEEP * min(1.0, scene.box_half_width):
-        memory.rough = 1
+        memory.nonsmooth = 1
     if count == 1:
         memory.impulses[0] = bounce(scene, state, memory.gradients[0])
     else:
@@ -151,12 +151,16 @@ def bounce(scene: SceneNumbers, state: Array, row: Array) -> float:
     impulse = 0.0
     rate = rate_of(state, row)
     if rate < 0.0:
-        box_arm, jack_arm = row[THETA_BOX], row[THETA_JACK]
-        yielding = 1.0 / scene.box_mass + 1.0 / scene.jack_mass
-        yielding += box_arm * box_arm / scene.box_inertia + jack_arm * jack_arm / scene.jack_inertia
-        impulse = -(1.0 + scene.restitution) * rate / yielding
+        impulse = -(1.0 + scene.restitution) * rate / inverse_mass(scene, row)
         kick(scene, state[RATES:], row, impulse)
     return impulse
+
+
+def inverse_mass(scene: SceneNumbers, row: Array) -> float:
+    """J M^-1 J^T [1/kg], with the gap's gradient J in ``row``."""
+    box_arm, jack_arm = row[THETA_BOX], row[THETA_JACK]
+    centres = 1.0 / scene.box_mass + 1.0 / scene.jack_mass
+    return float(centres + (box_arm * box_arm / scene.box_inertia + jack_arm * jack_arm / scene.jack_inertia))
 
 
 def rate_of(state: Array, row: Array) -> float:

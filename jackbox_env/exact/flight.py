@@ -276,7 +276,7 @@ def gap_at(
     scene: SceneNumbers, flight: Flight, memory: Workspace, wall: int, foot: int, s: float
 ) -> tuple[float, float]:
     """Gap between a wall and a foot ``s`` [s] into the flight [m], and its rate [m/s]."""
-    memory.looks += 1.0
+    memory.evaluations += 1.0
     if flight.held:
         view = held_view(flight, memory, s)
         ahead, speed = towards(view.frame, wall)

@@ -193,7 +193,7 @@ def glide_under_chirp(scene: SceneNumbers, plan: Plan, block: Block, memory: Wor
     The chirp's integrals are worked out once for all of them. Returns False, with nothing done, where that is not
     possible.
     """
-    before, after, lanes, count, dt = block.before, block.after, block.lanes, block.size, plan.dt
+    before, lanes, count, dt = block.before, block.lanes, block.size, plan.dt
     first = 0
     while first < count and before[OVER, first] != 0.0:
         first += 1
@@ -204,18 +204,7 @@ def glide_under_chirp(scene: SceneNumbers, plan: Plan, block: Block, memory: Wor
     if pieces == 0:
         return False
     mark_under_chirp(scene, plan, block, time)
-    torque, hits, impulses = lanes[TORQUE], lanes[HIT], lanes[IMPULSE_SUM]
-    x, y = lanes[0], lanes[1]
-    for k in range(count):
-        hits[k] = impulses[k] = 0.0
-        after[X_BOX, k] = after[Y_BOX, k] = 0.0
-    for k in range(count):
-        x[k] = before[X_JACK, k] - before[X_BOX, k]
-        y[k] = before[Y_JACK, k] - before[Y_BOX, k]
-    for place in (THETA_BOX, THETA_JACK, VX_BOX, VY_BOX, OMEGA_BOX, VX_JACK, VY_JACK, OMEGA_JACK):
-        here, there = before[place], after[place]
-        for k in range(count):
-            there[k] = here[k]
+    enter_frames(block)
     turns = chirp_turns(scene.chirp_start_frequency, scene.chirp_rate, time)
     frequency = scene.chirp_start_frequency + scene.chirp_rate * time
     length, impulse = dt / pieces, 0.0
@@ -225,9 +214,34 @@ def glide_under_chirp(scene: SceneNumbers, plan: Plan, block: Block, memory: Wor
         rate = horner(memory.powers[3 * TURN + 1], DEGREE + 1, 1.0)
         impulse += rate
         drift(block, scene.gravity, length, angle, rate)
+    torque, hits, impulses = lanes[TORQUE], lanes[HIT], lanes[IMPULSE_SUM]
     mean = scene.box_inertia * impulse / dt
     for k in range(count):
         torque[k] = mean
+        hits[k] = impulses[k] = 0.0
+    leave_frames(block)
+    return True
+
+
+def enter_frames(block: Block) -> None:
+    """Copy the states to ``after``, each in a frame at its box's centre, the jack's centre to the first two lanes."""
+    before, after, count = block.before, block.after, block.size
+    x, y = block.lanes[0], block.lanes[1]
+    for k in range(count):
+        after[X_BOX, k] = after[Y_BOX, k] = 0.0
+    for k in range(count):
+        x[k] = before[X_JACK, k] - before[X_BOX, k]
+        y[k] = before[Y_JACK, k] - before[Y_BOX, k]
+    for place in (THETA_BOX, THETA_JACK, VX_BOX, VY_BOX, OMEGA_BOX, VX_JACK, VY_JACK, OMEGA_JACK):
+        here, there = before[place], after[place]
+        for k in range(count):
+            there[k] = here[k]
+
+
+def leave_frames(block: Block) -> None:
+    """Move the states in ``after`` back to the world: see ``step.finish``."""
+    before, after, lanes, count = block.before, block.after, block.lanes, block.size
+    x, y = lanes[0], lanes[1]
     for k in range(count):
         x[k] = before[X_JACK, k] + (x[k] - (before[X_JACK, k] - before[X_BOX, k]))
         y[k] = before[Y_JACK, k] + (y[k] - (before[Y_JACK, k] - before[Y_BOX, k]))
@@ -238,7 +252,6 @@ def glide_under_chirp(scene: SceneNumbers, plan: Plan, block: Block, memory: Wor
         there = after[X_JACK + place]
         for k in range(count):
             there[k] = jack[k]
-    return True
 
 
 def mark_under_chirp(scene: SceneNumbers, plan: Plan, block: Block, time: float) -> None:

@@ -26,12 +26,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.complementarity import dot, nearest, project, violation_of, weigh
-from jackbox_env.exact.constrained import carry, curvature_while_held, first_let_go, impulse_of, stretch
+from jackbox_env.exact.bounds import curvature_of, parabola_root
+from jackbox_env.exact.constrained import carry, curvature_while_held, stretch
 from jackbox_env.exact.contact import Frame, frame_of, gradient, kick, note, rate_of, resolve
-from jackbox_env.exact.drives import DEGREE, PUSH_X, PUSH_Y, TURN, horner
+from jackbox_env.exact.drives import DEGREE, PUSH_X, PUSH_Y, SHARES, TURN, horner
 from jackbox_env.exact.flight import Flight, Piece, box_frame, flight_of, view_of
-from jackbox_env.exact.search import ALL, ENDLESS, NONE, Limits, Touch, first_of_all, why_endless
-from jackbox_env.exact.workspace import Status, Workspace
+from jackbox_env.exact.search import ALL, ENDLESS, MOST_WORK, NONE, Limits, Touch, first_of_all, slowest, why_endless
+from jackbox_env.exact.workspace import FORCE, Status, Workspace
 from jackbox_env.scene import SceneNumbers
 from jackbox_env.states import (
     OMEGA_BOX,
@@ -53,6 +54,7 @@ Array = NDArray[np.float64]
 
 _ALONG = 1e-18  # square of what a unit gradient may keep beside those of held feet, to be held along with them
 _FAINT = 1e-9  # of the strongest push at held feet: an acceleration that is none
+_PULL = 1e-12  # of the largest force in a stretch: a wall may pull that much before it lets go
 _ROUNDED = 4e-16  # of L: what rounding leaves of a gap
 
 
@@ -109,7 +111,7 @@ def list_slow(scene: SceneNumbers, memory: Workspace, frame: Frame, near: float,
 
 
 def settle(
-    scene: SceneNumbers, memory: Workspace, piece: Piece, since: float, touch: Touch, near: float, slow: float
+    scene: SceneNumbers, memory: Workspace, piece: Piece, flight: Flight, left: float, touch: Touch, near: float
 ) -> int:
     """Find the feet at rest on walls, and bring their gaps and rates to rest.
 
@@ -117,10 +119,10 @@ def settle(
         scene: the scene.
         memory: with the state.
         piece: what acts on the box.
-        since: [s] after the piece's start.
+        flight: motion from this state on.
+        left: how far the search for an impact went [s]; it bounds the rate of a foot at rest.
         touch: when feet touch.
         near: gap within which feet may rest [m].
-        slow: rate above which no foot is looked at [m/s].
 
     Returns:
         The pairs that are held, as bits. Their number is in ``memory.holding``, and they are first in
@@ -128,10 +130,11 @@ def settle(
     """
     state = memory.state
     frame = frame_of(state)
-    count = list_slow(scene, memory, frame, near, slow)
-    accelerations(scene, memory, piece, since)
+    limits = Limits(curvature_of(scene, flight, left, piece), left, touch.tolerance)
+    count = list_slow(scene, memory, frame, near, slowest(scene, flight, limits, near))
+    accelerations(scene, memory, piece, flight.since)
     while count > 0:
-        memory.looks += 1.0
+        memory.evaluations += 1.0
         list_contacts(scene, memory, memory.state, count)
         bend_all(scene, memory, state, frame, count)
         chosen = pressed_set(memory, count)
@@ -277,7 +280,7 @@ def hold(
     Returns:
         How it ended, and how long it took [s]. Feet that were let go at once are noted in ``memory.loose``.
     """
-    memory.rough = 1
+    memory.nonsmooth = 1
     count, free = memory.holding, flight_of(scene, memory.state, piece, since)
     frame = box_frame(free.x, free.y, free.vx, free.vy, free.angle, free.omega)
     view = view_of(frame, free.jack_angle - free.angle, free.jack_omega - free.omega, 0.0)
@@ -302,13 +305,60 @@ def hold(
     carry(scene, memory, flight, free, end)
     memory.elapsed += end
     if pair != NONE:
-        memory.looks += 1.0
+        memory.evaluations += 1.0
         resolve(scene, memory, log, near, pair // 4, pair % 4)
     elif loose >= 0 and end == 0.0:
         memory.loose += 1 << memory.pairs[loose]
     if end > 0.0:
         memory.loose = 0
     return Status.DONE, end
+
+
+def first_let_go(memory: Workspace, count: int, length: float) -> tuple[float, int]:
+    """When the first held foot is let go [s], and its place; the stretch's ``length`` and -1 if none is."""
+    end, loose, peak = length, -1, 0.0
+    for place in range(count):
+        for k in range(DEGREE + 1):
+            peak = max(peak, abs(memory.series[FORCE + place, k]))
+    for place in range(count):
+        time = let_go(memory, place, length, peak)
+        if time < end:
+            end, loose = time, place
+    return end, loose
+
+
+def let_go(memory: Workspace, place: int, length: float, peak: float) -> float:
+    """When a held foot's force falls to 0 and the wall would have to pull, in [s]; infinity if it never does."""
+    powers = memory.series[FORCE + place]
+    curvature = 0.0
+    for k in range(2, DEGREE + 1):
+        curvature += k * (k - 1.0) * abs(powers[k])
+    least = powers[0]
+    for k in range(1, DEGREE + 1):
+        least -= abs(powers[k])
+    if least > 0.0:
+        return math.inf
+    margin, u = _PULL * peak, 0.0
+    while memory.evaluations <= MOST_WORK:
+        force, slope = powers[DEGREE], 0.0
+        for k in range(DEGREE - 1, -1, -1):
+            slope = force + u * slope
+            force = powers[k] + u * force
+        if force + margin <= 0.5 * margin:
+            return u * length
+        memory.evaluations += 1.0
+        u += parabola_root(force + margin, slope, curvature)
+        if not u <= 1.0:
+            return math.inf
+    return math.inf
+
+
+def impulse_of(memory: Workspace, place: int, u: float) -> float:
+    """A held foot's impulse up to ``u``, times the stretch's length [N s^2]."""
+    impulse = 0.0
+    for k in range(DEGREE, -1, -1):
+        impulse = SHARES[k] * memory.series[FORCE + place, k] + impulse * u
+    return impulse * u
 
 
 def record_rest(memory: Workspace, log: Array, dt: float) -> None:

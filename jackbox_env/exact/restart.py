@@ -16,7 +16,7 @@ from jackbox_env.exact.glide import CLEAR, FALL, INERTIA, LIMIT, ORDINARY, ROOM,
 from jackbox_env.exact.score import look
 from jackbox_env.exact.step import CONSTANT, make_numbers, make_plan
 from jackbox_env.scene import SceneNumbers, between, fall_speed, square_inertia
-from jackbox_env.states import THETA_JACK, X_JACK, Y_JACK
+from jackbox_env.states import THETA_JACK, X_JACK, Y_JACK, clearance
 from jackbox_env.tasks import start_pose
 
 Array = NDArray[np.float64]
@@ -29,6 +29,7 @@ Counts = NDArray[np.int64]
         "box_half_width", "box_mass", "box_inertia", "jack_arm", "jack_mass", "jack_inertia", "speed_scale",
     )
 )  # fmt: skip
+_ORDINARY = 1e9  # over L: below it a state's numbers need no closer look
 
 
 def draw_scenes(values: Array, ranges: Array, derived: NDArray[np.bool_], words: Words) -> None:
@@ -95,6 +96,19 @@ def look_blocks(values: Array, blocks: Array, numbers: Counts, observations: Flo
     for k in range(numbers.shape[0]):
         scene = make_numbers(values[k if values.shape[0] > 1 else 0])
         look(scene, blocks[numbers[k] // width, :, numbers[k] % width], observations[numbers[k]])
+
+
+def outside(values: Array, states: Array, deepest: Array) -> int:
+    """The first state, of shape (N, 12), that a closer look may refuse, or -1; in one scene or a row for each state."""
+    for i in range(states.shape[0]):
+        row = i if values.shape[0] > 1 else 0
+        scene = make_numbers(values[row])
+        for column in range(12):
+            if not abs(states[i, column]) < _ORDINARY * scene.box_half_width:
+                return i
+        if not -clearance(scene, states[i]) <= deepest[row]:
+            return i
+    return -1
 
 
 Words = NDArray[np.uint64]

@@ -10,10 +10,9 @@ stepped one by one by ``exact.step``. The task's function is called by its addre
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jackbox_env.exact.compiler import PACKED, block_score, compiled, packed, unpacked_as
 from jackbox_env.exact.glide import LIMIT, OVER, STEPS, TIME, Block, glide_block, glide_under_chirp
@@ -23,159 +22,25 @@ from jackbox_env.exact.workspace import (
     HIT,
     IMPULSE_SUM,
     NEAR,
+    NOTHING,
     TORQUE,
     UNPAID,
+    Arguments,
+    Array,
+    Flags,
+    Memory,
+    Results,
+    Rules,
+    Scenes,
     Status,
     Workspace,
-    Workspaces,
-    new_lanes,
-    new_log,
     new_workspaces,
 )
 from jackbox_env.mechanics import energy_of
 from jackbox_env.scene import SceneNumbers
-from jackbox_env.states import LATEST_TIME, clearance
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
-Flags = NDArray[np.bool_]
-Counts = NDArray[np.int64]
+from jackbox_env.states import LATEST_TIME
 
 PATIENCE = 2e6  # gaps evaluated before it pauses: 0.3 s, 1.2 s where most are followed by impacts
-
-
-class Scenes(NamedTuple):
-    """The scenes: one for all rows, or one for each, with what drives their boxes."""
-
-    values: Array  # (1 or N, numbers of a scene)
-    lanes: Array  # (1 or blocks, SCENE_LANES, width), see ``restart.spread``
-    kinds: Counts  # (1 or N,), what turns the box, see exact.step
-    table: Array  # pieces of the drives' functions, (pieces, TABLE_WIDTH)
-    begins: Counts  # (1 or N,), where the steps of a row's drive begin in ``ends``
-    ends: Counts  # past the last piece of each step, after a leading 0 or the end of the step before
-
-
-class Rules(NamedTuple):
-    """What holds for all rows and steps."""
-
-    dt: float  # control step [s]
-    steps: int
-    longest: float  # steps after which an episode is truncated
-    actions: bool  # whether controls are shares of the torque limit, clipped to [-1, 1], and not torques [N m]
-    goes_on: bool  # whether a row is stepped on after its episode's end, without rewards
-    until_impact: bool  # whether a row stops after the step of its first impact
-    score: Any  # address of the task's ``score_block``; called only where rewards are filled in
-    patience: float  # gaps evaluated before the call pauses
-
-
-class Results(NamedTuple):
-    """What a call fills in. Arrays of length 0 are not filled."""
-
-    observations: Floats  # after the last step, (N, 10)
-    rewards: Array  # (steps, N), zeros before
-    terminations: Flags  # (N,), False before; whether the task has ended the episode
-    truncations: Flags  # (N,)
-    reports: Array  # of the last step, (N, TERMS + number of terms), zeros before
-    lengths: Counts  # steps until the task ends the episode, (N,), all steps before
-    trajectories: Array  # (N, steps + 1, 12), without the first states
-    energies: Array  # of the states [J], (N, steps + 1)
-    hits: Counts  # impacts in each step, (steps, N), zeros before
-    impulses: Array  # their sum [N s], (steps, N), zeros before
-    rough: Flags  # whether a step has no derivative, (N, steps)
-
-
-class Memory(NamedTuple):
-    """What one thread works in."""
-
-    lanes: Array  # (LANES, width)
-    workspaces: Workspaces  # (1,)
-    log: Array  # (impacts, AT_IMPACT or WIDE), records of impacts; (0, ...): they are not recorded
-
-
-def new_memory(width: int, impacts: int = 0, wide: bool = False) -> Memory:
-    """Memory for one thread.
-
-    Args:
-        width: rows in a block.
-        impacts: how many can be recorded at first.
-        wide: whether each is recorded with the state at the impact, for derivatives.
-    """
-    return Memory(new_lanes(width), new_workspaces(), new_log(impacts, wide))
-
-
-class Arguments(NamedTuple):
-    """All arguments of :func:`run`."""
-
-    scenes: Scenes
-    rules: Rules
-    before: Array  # (blocks, 16, width): the rows; scratch where there are several steps
-    after: Array  # (blocks, 16, width): where they go; after an even number of steps they are back in ``before``
-    controls: Array  # (whole part of the steps, N), each held for as many steps; (0, 0): the drives act
-    results: Results
-    memory: Memory
-
-
-NOTHING = Results(
-    np.zeros((0, 10), np.float32), np.zeros((0, 0)), np.zeros(0, np.bool_), np.zeros(0, np.bool_), np.zeros((0, 0)),
-    np.zeros(0, np.int64), np.zeros((0, 0, 12)), np.zeros((0, 0)), np.zeros((0, 0), np.int64), np.zeros((0, 0)),
-    np.zeros((0, 0), np.bool_),
-)  # fmt: skip
-"""Results of no rows, of which nothing is filled in."""
-
-
-def example() -> Arguments:
-    """Empty arguments of the types that :func:`run` is compiled for."""
-    none, cube, counts = np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(0, np.int64)
-    rules = Rules(0.02, 1, math.inf, False, False, False, 0, PATIENCE)
-    memory = Memory(none, new_workspaces(), none)
-    return Arguments(Scenes(none, cube, counts, none, counts, counts), rules, cube, cube, none, NOTHING, memory)
-
-
-arguments_at = unpacked_as(example)
-
-
-class Call:
-    """The arguments of a call of :func:`run`, at the address ``place``, and the memory of the thread that calls."""
-
-    def __init__(self, memory: Memory) -> None:
-        self.memory = memory
-        self._packed = np.zeros(PACKED)  # arguments as compiled code holds them
-        self.place, self._pack = 0, compiled(pack)
-
-    def prepare(
-        self, scenes: Scenes, rules: Rules, before: Array, after: Array, controls: Array, results: Results
-    ) -> None:
-        """Set the arguments. Numba unpacks plain tuples faster than named ones."""
-        self._arguments = scenes, rules, before, after, controls, results  # keeps the arrays alive
-        self.place = self._pack(
-            self._packed, tuple(scenes), tuple(rules), before, after, controls, tuple(results), tuple(self.memory)
-        )
-
-    def with_room(self) -> Call:
-        """This call with room for twice as many impacts. This one stays as it is, if an interruption strikes."""
-        log = self.memory.log
-        twin = Call(self.memory._replace(log=np.zeros((2 * len(log), log.shape[1]))))
-        twin.prepare(*self._arguments)
-        return twin
-
-
-def pack(
-    memory: Array, scenes: Any, rules: Any, before: Array, after: Array, controls: Array, results: Any, work: Any
-) -> Any:
-    """Store the arguments of :func:`run` in ``memory``; return the address there."""
-    return packed(
-        memory,
-        Arguments(
-            Scenes(scenes[0], scenes[1], scenes[2], scenes[3], scenes[4], scenes[5]),
-            Rules(rules[0], rules[1], rules[2], rules[3], rules[4], rules[5], rules[6], rules[7]),
-            before, after, controls,
-            Results(
-                results[0], results[1], results[2], results[3], results[4], results[5], results[6], results[7],
-                results[8], results[9], results[10],
-            ),
-            Memory(work[0], work[1], work[2]),
-        ),
-    )  # fmt: skip
 
 
 def run(place: Any, low: int, high: int, first: int) -> tuple[int, int, int, int, int]:
@@ -212,19 +77,19 @@ def run(place: Any, low: int, high: int, first: int) -> tuple[int, int, int, int
             if bad >= 0:
                 return Status.BAD_ACTION.value, block.first + bad, k, finished, recorded
             glided = glide(scene, plan, scenes, block, memory)
-            ended, lane, looks, recorded = step_lanes(scene, plan, place, block, k, glided, recorded)
+            ended, lane, evaluations, recorded = step_lanes(scene, plan, place, block, k, glided, recorded)
             if ended == Status.FULL:
                 return ended.value, number, k, finished, recorded
             if ended != Status.DONE:
                 return ended.value, block.first + lane, k, finished, recorded
-            worked += block.size + looks
+            worked += block.size + evaluations
             waiting = keep_waiting(block)
             unpaid, skipped, ends = block.before[OVER], waiting, 0
             if rules.goes_on:
                 unpaid, skipped = lanes[UNPAID], mark_unpaid(block, results.terminations)
             if results.rewards.shape[0]:
                 ends = pay(
-                    scenes.values, block.after, lanes, unpaid, skipped, block.first, block.size, results.rewards[k],
+                    scenes.values, block.after, lanes, unpaid, skipped, block.first, results.rewards[k],
                     results.terminations, results.reports,
                 )  # fmt: skip
             if ends < 0:
@@ -299,16 +164,16 @@ def step_lanes(
     Returns:
         How it ended, the last lane, gaps evaluated, and how many impacts the log has now.
     """
-    before, after, lanes, looks, already = block.before, block.after, block.lanes, 0.0, recorded
+    before, after, lanes, evaluations, already = block.before, block.after, block.lanes, 0.0, recorded
     call = arguments_at(place)
-    scenes, memory, log, rough = call.scenes, call.memory.workspaces[0], call.memory.log, call.results.rough
+    scenes, memory, log, nonsmooth = call.scenes, call.memory.workspaces[0], call.memory.log, call.results.nonsmooth
     varied = scenes.values.shape[0] > 1
     for lane in range(block.size):
         if before[OVER, lane] != 0.0:
             continue
         time = before[TIME, lane]
         if time + plan.dt == time or time + plan.dt > LATEST_TIME:
-            return Status.TOO_LATE, lane, looks, recorded
+            return Status.TOO_LATE, lane, evaluations, recorded
         row = block.first + lane
         kind = scenes.kinds[row] if varied else plan.kind
         if glided and lanes[NEAR, lane] == 0.0 and (kind == CONSTANT or not varied):
@@ -330,16 +195,16 @@ def step_lanes(
             own, its, before[:, lane], after[:, lane], time, torque, pieces, memory, room
         )  # fmt: skip
         if ended != Status.DONE:
-            return ended, lane, looks, recorded
+            return ended, lane, evaluations, recorded
         if log.shape[0]:
             if memory.hits > room.shape[0]:
-                return Status.FULL, lane, looks, already
+                return Status.FULL, lane, evaluations, already
             recorded += memory.hits
-        if rough.shape[0]:
-            rough[row, k] = memory.rough != 0
+        if nonsmooth.shape[0]:
+            nonsmooth[row, k] = memory.nonsmooth != 0
         lanes[HIT, lane], lanes[IMPULSE_SUM, lane] = memory.hits, memory.impulse
-        looks += effort(memory)
-    return Status.DONE, -1, looks, recorded
+        evaluations += effort(memory)
+    return Status.DONE, -1, evaluations, recorded
 
 
 def keep_waiting(block: Block) -> int:
@@ -420,17 +285,56 @@ def record(place: Any, scene: SceneNumbers, block: Block, k: int) -> None:
             lengths[row] = k + 1
 
 
-_ORDINARY = 1e9  # over L: below it a state's numbers need no closer look
+def example() -> Arguments:
+    """Empty arguments of the types that :func:`run` is compiled for."""
+    none, cube, counts = np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(0, np.int64)
+    rules = Rules(0.02, 1, math.inf, False, False, False, 0, PATIENCE)
+    memory = Memory(none, new_workspaces(), none)
+    return Arguments(Scenes(none, cube, counts, none, counts, counts), rules, cube, cube, none, NOTHING, memory)
 
 
-def outside(values: Array, states: Array, deepest: Array) -> int:
-    """The first state, of shape (N, 12), that a closer look may refuse, or -1; in one scene or a row for each state."""
-    for i in range(states.shape[0]):
-        row = i if values.shape[0] > 1 else 0
-        scene = make_numbers(values[row])
-        for column in range(12):
-            if not abs(states[i, column]) < _ORDINARY * scene.box_half_width:
-                return i
-        if not -clearance(scene, states[i]) <= deepest[row]:
-            return i
-    return -1
+arguments_at = unpacked_as(example)
+
+
+class Call:
+    """The arguments of a call of :func:`run`, at the address ``place``, and the memory of the thread that calls."""
+
+    def __init__(self, memory: Memory) -> None:
+        self.memory = memory
+        self._packed = np.zeros(PACKED)  # arguments as compiled code holds them
+        self.place, self._pack = 0, compiled(pack)
+
+    def prepare(
+        self, scenes: Scenes, rules: Rules, before: Array, after: Array, controls: Array, results: Results
+    ) -> None:
+        """Set the arguments. Numba unpacks plain tuples faster than named ones."""
+        self._arguments = scenes, rules, before, after, controls, results  # keeps the arrays alive
+        self.place = self._pack(
+            self._packed, tuple(scenes), tuple(rules), before, after, controls, tuple(results), tuple(self.memory)
+        )
+
+    def with_room(self) -> Call:
+        """This call with room for twice as many impacts. This one stays as it is, if an interruption strikes."""
+        log = self.memory.log
+        twin = Call(self.memory._replace(log=np.zeros((2 * len(log), log.shape[1]))))
+        twin.prepare(*self._arguments)
+        return twin
+
+
+def pack(
+    memory: Array, scenes: Any, rules: Any, before: Array, after: Array, controls: Array, results: Any, work: Any
+) -> Any:
+    """Store the arguments of :func:`run` in ``memory``; return the address there."""
+    return packed(
+        memory,
+        Arguments(
+            Scenes(scenes[0], scenes[1], scenes[2], scenes[3], scenes[4], scenes[5]),
+            Rules(rules[0], rules[1], rules[2], rules[3], rules[4], rules[5], rules[6], rules[7]),
+            before, after, controls,
+            Results(
+                results[0], results[1], results[2], results[3], results[4], results[5], results[6], results[7],
+                results[8], results[9], results[10],
+            ),
+            Memory(work[0], work[1], work[2]),
+        ),
+    )  # fmt: skip

@@ -104,7 +104,7 @@ def score_one(values: Array, state: Array, torque: float, impulse: float, observ
 
 
 def score_block(
-    values: Array, after: Array, lanes: Array, over: Array, waiting: int, first: int, count: int, rewards: Array,
+    values: Array, after: Array, lanes: Array, over: Array, waiting: int, first: int, rewards: Array,
     terminations: Flags, reports: Array,
 ) -> int:  # fmt: skip
     """Reward a step of a block, and report it if asked. The task is not evaluated for episodes that wait.
@@ -118,13 +118,12 @@ def score_block(
         over: not 0 where an episode was over before the step, shape (width,).
         waiting: number of those.
         first: number of the block's first environment.
-        count: number of its environments.
         rewards: of all environments, shape (N,).
         terminations: set where the task ends an episode, shape (N,).
         reports: of all environments, shape (N, TERMS + number of terms), or (0, ...) if nobody asks.
     """
     torque, hits, impulses, unusable = lanes[TORQUE], lanes[HIT], lanes[IMPULSE_SUM], 0
-    ends, several = 0, values.shape[0] > 1
+    ends, several, count = 0, values.shape[0] > 1, min(after.shape[1], rewards.shape[0] - first)
     if not (several or waiting):
         scene = make_numbers(values[0])
         for k in range(count):

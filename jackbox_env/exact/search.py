@@ -111,7 +111,7 @@ def rests(scene: SceneNumbers, memory: Workspace) -> bool:
     Such a step looks ahead only as far as its next impacts are. Otherwise it would search all the rest of the step
     after each of thousands of impacts.
     """
-    if memory.looks <= _RESTLESS:
+    if memory.evaluations <= _RESTLESS:
         return False
     return bool(memory.impulse <= 1e-3 * scene.jack_mass * scene.speed_scale * memory.hits)
 
@@ -199,7 +199,7 @@ def first_of_all(
             time = search(scene, memory, flight, Approach(wall, foot, since, gap, rate), shorter)
             if time < best or (time == best and found == NONE):
                 best, found = time, 4 * wall + foot
-    return best, ENDLESS if memory.looks > MOST_WORK else found
+    return best, ENDLESS if memory.evaluations > MOST_WORK else found
 
 
 def first_in_a_turn(
@@ -242,7 +242,7 @@ def first_in_a_turn(
             s = back
         if likely == NONE or s >= end:
             return end, NONE
-        memory.looks += 1.0
+        memory.evaluations += 1.0
         pose = pose_at(flight, memory, s)
         frame = box_frame(pose.x, pose.y, pose.vx, pose.vy, pose.angle, pose.omega)
         view = view_of(frame, pose.jack_angle - pose.angle, pose.jack_omega - pose.omega, s)
@@ -291,7 +291,7 @@ def search(scene: SceneNumbers, memory: Workspace, flight: Flight, approach: App
             sink = grown(scene, memory, tolerance) if rate > still else deepest(scene)
             least = 0.0 if rate > still else 0.1 * tolerance  # a foot that leaves takes its time to come back as deep
             after = s + parabola_root(max(gap + sink, least), max(rate, 0.0), limits.curvature)
-        if not after <= limits.end or memory.looks > MOST_WORK:
+        if not after <= limits.end or memory.evaluations > MOST_WORK:
             return math.inf
         if after == s:
             if rate < 0.0:  # float64 does not resolve the time to the wall
@@ -307,7 +307,7 @@ def strike(
     """Fly for ``time`` [s] to an impact of ``pair`` = 4 * wall + foot, and apply the law to all that touch there."""
     evolve(memory, flight, time)
     memory.elapsed += time
-    memory.looks += 1.0
+    memory.evaluations += 1.0
     if memory.hits < log.shape[0] and log.shape[1] == WIDE:
         note_state(log[memory.hits], flight, memory, time)
     resolve(scene, memory, log, together, pair // 4, pair % 4)
@@ -322,4 +322,4 @@ def note_state(row: Array, flight: Flight, memory: Workspace, time: float) -> No
 
 def why_endless(memory: Workspace) -> Status:
     """Why no impact could be told."""
-    return Status.TOO_MUCH_WORK if memory.looks > MOST_WORK else Status.TOO_FAST
+    return Status.TOO_MUCH_WORK if memory.evaluations > MOST_WORK else Status.TOO_FAST

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from jackbox_env.exact.bounds import curvature_of
 from jackbox_env.exact.drives import DEGREE, TURN, chirp_piece, chirp_pieces, horner, integrate
 from jackbox_env.exact.flight import Piece, constant_piece, curved_piece, evolve, flight_of, glide, stays_clear
 from jackbox_env.exact.rest import hold, record_rest, settle
@@ -21,13 +20,11 @@ from jackbox_env.exact.search import (
     GLANCE,
     NONE,
     STEEPEST,
-    Limits,
     Touch,
     contact_tolerance,
     first_impact,
     resolution,
     rests,
-    slowest,
     strike,
     why_endless,
 )
@@ -142,7 +139,7 @@ def step(
 
 def clear_tally(memory: Workspace) -> None:
     """Forget what the last step did."""
-    memory.hits, memory.impulse, memory.looks, memory.elapsed, memory.rough = 0, 0.0, 0.0, 0.0, 0
+    memory.hits, memory.impulse, memory.evaluations, memory.elapsed, memory.nonsmooth = 0, 0.0, 0.0, 0.0, 0
     if memory.holding > 0:
         memory.holding = 0
         for pair in range(16):
@@ -151,7 +148,7 @@ def clear_tally(memory: Workspace) -> None:
 
 def effort(memory: Workspace) -> float:
     """What a step has cost, in gaps evaluated; a step with held feet takes as long as some forty of them."""
-    return float(memory.looks + (_HOLDING if memory.holding > 0 else 0.0))
+    return float(memory.evaluations + (_HOLDING if memory.holding > 0 else 0.0))
 
 
 def touch_of(plan: Plan, before: Array) -> Touch:
@@ -284,9 +281,7 @@ def advance(scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, to
         rest = -math.inf if restless else near
         time, pair = first_impact(scene, memory, flight, piece, left, touch.tolerance, rest)
         if pair == AT_REST:
-            limits = Limits(curvature_of(scene, flight, left, piece), left, touch.tolerance)
-            slow = slowest(scene, flight, limits, near)
-            held = settle(scene, memory, piece, since, touch, near, slow)
+            held = settle(scene, memory, piece, flight, left, touch, near)
             if held == 0:
                 restless = True
                 continue

@@ -7,13 +7,15 @@ to pass than the physics takes.
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import Annotated, Any, get_args, get_type_hints
+from typing import Annotated, Any, NamedTuple, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
 Counts = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
 
 class Workspace(np.record):  # type: ignore[misc]
@@ -21,9 +23,9 @@ class Workspace(np.record):  # type: ignore[misc]
 
     hits: int  # impacts of the step so far
     impulse: float  # of them [N s]
-    looks: float  # gaps evaluated
+    evaluations: float  # gaps evaluated
     elapsed: float  # since the step's start [s]
-    rough: int  # 1 where the step has no derivative, or none that can be told, see tangents.py
+    nonsmooth: int  # 1 where the step has no derivative, or none that can be told, see tangents.py
     state: Annotated[Array, 12]  # in a frame near the box
     before: Annotated[Array, 12]  # of a tangent: the state just before an impact
     after: Annotated[Array, 12]  # of a tangent: the state at the step's end, in the same frame
@@ -121,3 +123,82 @@ class Status(IntEnum):
     PAUSED = 7  # after long work, so that an interruption is heard: to be called again
     FULL = 8  # no room for a step's impacts: to be called again with more
     FREE = 9  # of a piece: no foot touches a wall, and the state is as it was
+
+
+class Scenes(NamedTuple):
+    """The scenes: one for all rows, or one for each, with what drives their boxes."""
+
+    values: Array  # (1 or N, numbers of a scene)
+    lanes: Array  # (1 or blocks, SCENE_LANES, width), see ``restart.spread``
+    kinds: Counts  # (1 or N,), what turns the box, see exact.step
+    table: Array  # pieces of the drives' functions, (pieces, TABLE_WIDTH)
+    begins: Counts  # (1 or N,), where the steps of a row's drive begin in ``ends``
+    ends: Counts  # past the last piece of each step, after a leading 0 or the end of the step before
+
+
+class Rules(NamedTuple):
+    """What holds for all rows and steps."""
+
+    dt: float  # control step [s]
+    steps: int
+    longest: float  # steps after which an episode is truncated
+    actions: bool  # whether controls are shares of the torque limit, clipped to [-1, 1], and not torques [N m]
+    goes_on: bool  # whether a row is stepped on after its episode's end, without rewards
+    until_impact: bool  # whether a row stops after the step of its first impact
+    score: Any  # address of the task's ``score_block``; called only where rewards are filled in
+    patience: float  # gaps evaluated before the call pauses
+
+
+class Results(NamedTuple):
+    """What a call fills in. Arrays of length 0 are not filled."""
+
+    observations: Floats  # after the last step, (N, 10)
+    rewards: Array  # (steps, N), zeros before
+    terminations: Flags  # (N,), False before; whether the task has ended the episode
+    truncations: Flags  # (N,)
+    reports: Array  # of the last step, (N, TERMS + number of terms), zeros before
+    lengths: Counts  # steps until the task ends the episode, (N,), all steps before
+    trajectories: Array  # (N, steps + 1, 12), without the first states
+    energies: Array  # of the states [J], (N, steps + 1)
+    hits: Counts  # impacts in each step, (steps, N), zeros before
+    impulses: Array  # their sum [N s], (steps, N), zeros before
+    nonsmooth: Flags  # whether a step has no derivative, (N, steps)
+
+
+class Memory(NamedTuple):
+    """What one thread works in."""
+
+    lanes: Array  # (LANES, width)
+    workspaces: Workspaces  # (1,)
+    log: Array  # (impacts, AT_IMPACT or WIDE), records of impacts; (0, ...): they are not recorded
+
+
+def new_memory(width: int, impacts: int = 0, wide: bool = False) -> Memory:
+    """Memory for one thread.
+
+    Args:
+        width: rows in a block.
+        impacts: how many can be recorded at first.
+        wide: whether each is recorded with the state at the impact, for derivatives.
+    """
+    return Memory(new_lanes(width), new_workspaces(), new_log(impacts, wide))
+
+
+class Arguments(NamedTuple):
+    """All arguments of :func:`run`."""
+
+    scenes: Scenes
+    rules: Rules
+    before: Array  # (blocks, 16, width): the rows; scratch where there are several steps
+    after: Array  # (blocks, 16, width): where they go; after an even number of steps they are back in ``before``
+    controls: Array  # (whole part of the steps, N), each held for as many steps; (0, 0): the drives act
+    results: Results
+    memory: Memory
+
+
+NOTHING = Results(
+    np.zeros((0, 10), np.float32), np.zeros((0, 0)), np.zeros(0, np.bool_), np.zeros(0, np.bool_), np.zeros((0, 0)),
+    np.zeros(0, np.int64), np.zeros((0, 0, 12)), np.zeros((0, 0)), np.zeros((0, 0), np.int64), np.zeros((0, 0)),
+    np.zeros((0, 0), np.bool_),
+)  # fmt: skip
+"""Results of no rows, of which nothing is filled in."""

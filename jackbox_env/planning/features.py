@@ -17,7 +17,7 @@ from jackbox_env import checks as check
 from jackbox_env.batches.base import Floats
 from jackbox_env.observation import BOUNDS, observe, state_of
 from jackbox_env.planning.icem import Plans, Search
-from jackbox_env.planning.rollouts import run_rollouts
+from jackbox_env.planning.rollouts import RolloutOptions, run_rollouts
 from jackbox_env.scene import Scene
 from jackbox_env.states import OMEGA_BOX, Array
 from jackbox_env.tasks import Task
@@ -139,16 +139,16 @@ class Features:
     def _next_impact(self, scenes: list[Scene], each: list[Scene], states: Array) -> Array:
         """When the next impact comes without torque, in shares of a rollout, 1 for none; what is seen after it."""
         search = self._search
-        found = run_rollouts(
-            scenes, states, np.zeros((len(states), search.knots)), search.control_dt, driven=False, impacts=True,
-            repeat=search.repeat, until_impact=True, num_threads=search.num_threads,
-        )  # fmt: skip
-        assert found.impacts is not None
-        struck = found.impacts > 0
-        first = np.where(struck.any(axis=1), struck.argmax(axis=1) + 1, self._steps)
-        after = found.trajectories[:, 1].tolist()
-        seen = [observe(one, state) for one, state in zip(each, after, strict=True)]
-        return np.concatenate([first[:, None] / self._steps, seen], axis=1)
+        options = RolloutOptions(
+            side_forces=False, impacts=True, repeat=search.repeat, until_impact=True, num_threads=search.num_threads
+        )
+        played = run_rollouts(scenes, states, np.zeros((len(states), search.knots)), search.control_dt, options=options)
+        assert played.impacts is not None
+        struck = played.impacts > 0
+        steps = np.where(struck.any(axis=1), struck.argmax(axis=1) + 1, self._steps)
+        after = played.trajectories[:, 1].tolist()
+        observed = [observe(one, state) for one, state in zip(each, after, strict=True)]
+        return np.concatenate([steps[:, None] / self._steps, observed], axis=1)
 
     def _manoeuvres(self, each: list[Scene], states: Array) -> Array:
         """Torques that turn each box by so much and stop it, in units of the limit, shape (n, manoeuvres, knots).

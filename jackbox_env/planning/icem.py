@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env import checks as check
-from jackbox_env.planning.rollouts import run_rollouts
+from jackbox_env.planning.rollouts import RolloutOptions, run_rollouts
 from jackbox_env.scene import Scene
 from jackbox_env.simulators.exact import ensure_compiled
 from jackbox_env.states import Array
@@ -147,11 +147,10 @@ class Search:
         count, many = tried.shape[:2]
         scenes = [scene] if isinstance(scene, Scene) else [one for one in scene for _ in range(many)]
         limits = np.array([[one.torque_limit] for one in scenes])
-        found = run_rollouts(
-            scenes, np.repeat(states, many, axis=0), tried.reshape(count * many, -1) * limits, self.control_dt,
-            driven=False, task=self.task, repeat=self.repeat, num_threads=self.num_threads,
-        )  # fmt: skip
-        return found.rewards.sum(axis=1).reshape(count, many), found.trajectories[:, 1].reshape(count, many, 12)
+        starts, torques = np.repeat(states, many, axis=0), tried.reshape(count * many, -1) * limits
+        options = RolloutOptions(side_forces=False, task=self.task, repeat=self.repeat, num_threads=self.num_threads)
+        played = run_rollouts(scenes, starts, torques, self.control_dt, options=options)
+        return played.rewards.sum(axis=1).reshape(count, many), played.trajectories[:, 1].reshape(count, many, 12)
 
 
 def coloured_noise(rng: np.random.Generator, count: int, length: int, colour: float) -> Array:

@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import checks as check
 from jackbox_env.batches.threads import Threads, thread_count
-from jackbox_env.exact import tangents
+from jackbox_env.exact import derivatives, tangents
 from jackbox_env.exact.compiler import compiled
 from jackbox_env.exact.workspace import new_workspaces
-from jackbox_env.planning.rollouts import FEWEST_PER_THREAD, OneOrMore, Tape, run_rollouts, sequences
+from jackbox_env.planning.rollouts import FEWEST_PER_THREAD, OneOrMore, RolloutOptions, Tape, run_rollouts, sequences
 from jackbox_env.scene import Scene, scenes_of
 from jackbox_env.simulators.exact import drive_kind
 from jackbox_env.states import LATEST_TIME, Array
@@ -41,13 +41,13 @@ class Linearization:
         self, scenes: list[Scene], dt: float, torques: Array, kinds: NDArray[np.int64], seeds: Array,
         trajectories: Array, tape: Tape, num_threads: int | None,
     ) -> None:  # fmt: skip
-        self.trajectories, self.smooth = trajectories, np.zeros(tape.rough.shape, np.bool_)
+        self.trajectories, self.smooth = trajectories, np.zeros(tape.nonsmooth.shape, np.bool_)
         self._seeds, self._num_threads, self._tape = seeds, num_threads, tape
         begins = np.concatenate([[0], np.cumsum(tape.hits)])
         numbers = np.array([scene.numbers for scene in scenes])
         self._given = numbers, kinds, dt, torques, trajectories, tape.rows, begins, self.smooth
-        compiled(tangents.mark_smooth)(
-            self._given, tape.rough, np.zeros((tangents.ROWS, len(tangents.GROWING))), new_workspaces()
+        compiled(derivatives.mark_smooth)(
+            self._given, tape.nonsmooth, np.zeros((tangents.ROWS, len(derivatives.GROWING))), new_workspaces()
         )
         _lock(self.trajectories, self.smooth)
 
@@ -74,7 +74,7 @@ class Linearization:
         shape, columns = (*self.smooth.shape, 12), 13 + self._seeds.shape[1]
         by_time = np.full((len(self._tape.rows), columns), np.nan)
         results = np.empty((*shape, 12)), np.empty(shape), np.empty((*shape, columns - 13)), by_time
-        call = compiled(tangents.matrices)
+        call = compiled(derivatives.matrices)
         self._spread(columns, lambda span, *memory: call(self._given, self._seeds, span, results, *memory))
         _lock(*results)
         return results
@@ -107,7 +107,7 @@ class Linearization:
         """
         weights = _floats("g", g, self.trajectories.shape)
         results = self._zeros()
-        call = compiled(tangents.pull_back)
+        call = compiled(derivatives.pull_back)
         self._spread(
             13 + self._seeds.shape[1],
             lambda span, *memory: call(self._given, self._seeds, span, weights, results, *memory),
@@ -135,7 +135,7 @@ class Linearization:
         numbers = np.zeros((len(scene), len(tangents.FIELDS)))
         for field in range(scene.shape[1]):
             numbers += scene[:, field, None] * self._seeds[:, field]
-        results, call = np.empty(self.trajectories.shape), compiled(tangents.push_forward)
+        results, call = np.empty(self.trajectories.shape), compiled(derivatives.push_forward)
         self._spread(1, lambda span, *memory: call(self._given, (states, torques, numbers), span, results, *memory))
         return results
 
@@ -197,7 +197,7 @@ def linearize(
     repeat = check.whole("repeat", repeat, at_least=1, at_most=1_000_000)
     dt = check.real("dt", dt, above=0.0)
     time = check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
-    free = torques is None
+    driven = torques is None
     if torques is None:
         if repeat != 1:
             raise ValueError(f"repeat goes with torques, got repeat={repeat} and torques=None")
@@ -205,14 +205,12 @@ def linearize(
     elif steps is not None:
         raise TypeError(f"steps goes with torques=None, where the scene's drive acts, got steps={steps} and torques")
     seeds = np.array([_seeds(one, fields) for one in scenes])
-    starts, held = sequences(scenes, several, states, torques)
+    starts, rows = sequences(scenes, several, states, torques)
     tape = Tape()
-    played = run_rollouts(
-        scenes, starts, held, dt, time, impacts=True, repeat=repeat, whole=True, num_threads=num_threads, free=free,
-        tape=tape,
-    )  # fmt: skip
-    kinds = np.array([drive_kind(one.drive, held=not free) for one in scenes])
-    return Linearization(scenes, dt, held, kinds, seeds, played.trajectories, tape, num_threads)
+    options = RolloutOptions(impacts=True, repeat=repeat, whole=True, num_threads=num_threads, drives_turn=driven)
+    trajectories = run_rollouts(scenes, starts, rows, dt, time, options, tape).trajectories
+    kinds = np.array([drive_kind(one.drive, held=not driven) for one in scenes])
+    return Linearization(scenes, dt, rows, kinds, seeds, trajectories, tape, num_threads)
 
 
 @cache

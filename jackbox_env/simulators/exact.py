@@ -41,10 +41,10 @@ from jackbox_env import checks as check
 from jackbox_env.exact.compiler import compiled
 from jackbox_env.exact.drives import TABLE_WIDTH
 from jackbox_env.exact.glide import SCENE_LANES, TIME, WIDTH
-from jackbox_env.exact.run import NOTHING, Call, Rules, Scenes, new_memory, run
+from jackbox_env.exact.run import Call, run
 from jackbox_env.exact.search import MOST_WORK
 from jackbox_env.exact.step import CHIRP, CONSTANT, CONSTANT_BESIDE_FORCES, FUNCTIONS
-from jackbox_env.exact.workspace import TORQUE, Status
+from jackbox_env.exact.workspace import NOTHING, TORQUE, Rules, Scenes, Status, new_memory
 from jackbox_env.scene import Chirp, Drive, Scene, too_many_turns
 from jackbox_env.simulators.base import ContactModel, Impact, JackLostError, Present, end_of_step
 from jackbox_env.simulators.functions import function_pieces
