@@ -45,7 +45,7 @@ def call_all() -> None:
 
 def compiled_code(package: Path, kept: Path) -> None:
     """Fill a folder with the code of an unpacked package, compiled in a process of its own."""
-    from jackbox_env.exact.kept import SHIPPED_FOR
+    from jackbox_env.exact.code_cache import SHIPPED_FOR
 
     target = {"NUMBA_CPU_NAME": SHIPPED_FOR, "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(kept)}
     command = [sys.executable, "-c", "from scripts.wheel import call_all; call_all()"]

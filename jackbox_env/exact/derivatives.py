@@ -40,7 +40,7 @@ from jackbox_env.states import (
 )
 
 CLEAR, LEAVING, OUTSIDE, APPROACHING = range(4)  # how feet touch walls
-_ROUNDING = 1e-2  # of the contact tolerance: what rounding leaves of a gap
+_ROUNDING = 1e-2  # of the contact tolerance: rounding of a gap
 _GRAZE = 1e-4  # share of a derivative that may be rounding
 # Of a state's numbers; by those of the box's centre: the same, as both move alike.
 GROWING = THETA_BOX, X_JACK, Y_JACK, THETA_JACK, OMEGA_BOX, VX_JACK, VY_JACK, OMEGA_JACK
@@ -48,40 +48,40 @@ _LARGEST = 1e10  # of a derivative in the scene's units: rounding, 1e-16 at firs
 
 
 class Played(NamedTuple):
-    """A rollout, as all of the functions below take it, in this order."""
+    """A rollout of N rows and H steps."""
 
     values: Array  # numbers of the scenes, shape (1 or N, numbers of a scene)
     kinds: Counts  # what turns the box in each of them
     dt: float  # [s]
-    torques: Array  # [N m], shape (N, whole part of H)
+    torques: Array  # [N m], shape (N, H / repeat)
     trajectories: Array  # (N, H + 1, 12)
     hits: Array  # rows of a wide log
-    begins: Counts  # where those of each step begin, and past the last one's, shape (N H + 1,)
+    begins: Counts  # first row of each step in the log, and past the last row, shape (N H + 1,)
     smooth: Flags  # which steps have a derivative, shape (N, H)
 
 
 RolloutData = tuple[Array, Counts, float, Array, Array, Array, Counts, Flags]
 
 
-def rollout_of(given: RolloutData) -> Played:
-    """The rollout of a tuple."""
-    return Played(given[0], given[1], given[2], given[3], given[4], given[5], given[6], given[7])
+def rollout_of(data: RolloutData) -> Played:
+    """The rollout from its plain tuple."""
+    return Played(data[0], data[1], data[2], data[3], data[4], data[5], data[6], data[7])
 
 
 def scene_of(played: Played, i: int) -> tuple[SceneNumbers, Plan]:
     """Scene and plan of a row."""
-    own = i if played.values.shape[0] > 1 else 0
-    scene = make_numbers(played.values[own])
-    return scene, make_plan(scene, played.dt, played.kinds[own])
+    index = i if played.values.shape[0] > 1 else 0
+    scene = make_numbers(played.values[index])
+    return scene, make_plan(scene, played.dt, played.kinds[index])
 
 
 def torque_of(played: Played, k: int) -> int:
-    """Number of the torque that is held in step ``k``."""
+    """Index of the torque in step ``k``."""
     return int(k // max(1, played.smooth.shape[1] // max(1, played.torques.shape[1])))
 
 
 def rows_of(played: Played, i: int, k: int) -> tuple[int, int]:
-    """The first of the log's rows of a step, and past the last."""
+    """The first row of a step in the log, and past the last."""
     number = i * played.smooth.shape[1] + k
     return played.begins[number], played.begins[number + 1]
 
@@ -99,46 +99,45 @@ def touching(scene: SceneNumbers, plan: Plan, state: Array, row: Array) -> int:
     near = touch_of(plan, state).together
     if room > near and x * x + y * y < (room - near) * (room - near):
         return CLEAR
-    frame, found = frame_of(state), CLEAR
+    frame, worst = frame_of(state), CLEAR
     for wall in range(4):
         for foot in range(4):
             gap = gradient(scene, frame, wall, foot, row)
             if gap <= near:
                 slow = rate_of(state, row) < SLOW * scene.speed_scale
-                found = max(found, APPROACHING if slow else OUTSIDE if gap < -near else LEAVING)
-    return found
+                worst = max(worst, APPROACHING if slow else OUTSIDE if gap < -near else LEAVING)
+    return worst
 
 
 def grazes(scene: SceneNumbers, plan: Plan, hit: Array, memory: Workspace) -> bool:
-    """Whether an impact, a row of a wide log, is so slow for how its gap bends that rounding decides the derivative.
+    """Whether an impact, a row of a wide log, is so slow for the bend of its gap that rounding decides the derivative.
 
-    Rounding moves the place of the impact, and so changes its rate by as much again as the gap's second derivative
-    times the rounding over the rate.
+    Rounding shifts the impact, and so changes its rate by the gap's second derivative times the rounding over the rate.
     """
     at, row, free = memory.before, memory.gradients[0], memory.free
     locate(scene, hit, memory)
     frame, rate = frame_of(at), rate_of(at, row)
-    for place in range(6):
-        free[place] = 0.0
+    for index in range(6):
+        free[index] = 0.0
     accelerate(scene, hit, free, 1.0)
     bent = bend(scene, at, frame, row, 0.0)
-    for place in range(6):
-        bent += row[place] * free[place]
+    for index in range(6):
+        bent += row[index] * free[index]
     return bool(abs(bent) * _ROUNDING * touch_of(plan, at).together > _GRAZE * rate * rate)
 
 
-def mark_smooth(given: RolloutData, nonsmooth: Flags, tangent: Array, workspaces: Workspaces) -> None:
+def mark_smooth(data: RolloutData, nonsmooth: Flags, tangent: Array, workspaces: Workspaces) -> None:
     """Fill in which steps have a derivative.
 
-    Not those that are ``nonsmooth``, where a foot touches at an end, or where rounding hides the derivative.
+    A step has none if it is ``nonsmooth``, if a foot touches a wall at an end, or if rounding hides the derivative.
 
     Args:
-        given: the rollout.
+        data: the rollout.
         nonsmooth: steps that have none, shape (N, H).
-        tangent: to work in, shape (ROWS, len(GROWING)).
-        workspaces: one, to work in.
+        tangent: scratch, shape (ROWS, len(GROWING)).
+        workspaces: one, scratch.
     """
-    played, memory, steps = rollout_of(given), workspaces[0], nonsmooth.shape[1]
+    played, memory, steps = rollout_of(data), workspaces[0], nonsmooth.shape[1]
     row, none = memory.gradients[0], played.torques[:0]
     for i in range(nonsmooth.shape[0]):
         scene, plan = scene_of(played, i)
@@ -172,10 +171,10 @@ def largest_growth(scene: SceneNumbers, tangent: Array) -> float:
     return largest
 
 
-def unit_of(scene: SceneNumbers, place: int) -> float:
+def unit_of(scene: SceneNumbers, index: int) -> float:
     """The scene's unit of a number of the state: L, 1 rad, v0 or v0 / L."""
-    length = scene.box_half_width if place % 3 != 2 else 1.0
-    return length if place < RATES else length * scene.speed_scale / scene.box_half_width
+    length = scene.box_half_width if index % 3 != 2 else 1.0
+    return length if index < RATES else length * scene.speed_scale / scene.box_half_width
 
 
 def propagate(
@@ -188,53 +187,53 @@ def propagate(
     tangent: Array,
     memory: Workspace,
 ) -> None:
-    """Take a tangent through a step; it is NaN if there is no derivative.
+    """Take a tangent through a step; it becomes NaN if there is no derivative.
 
-    ``by_time`` is for the impacts' times, shape (rows of the log or 0, columns).
+    ``by_time`` is filled with the delays of impacts, shape (rows of the log or 0, columns).
     """
     if played.smooth[i, k]:
         before, after = played.trajectories[i, k], played.trajectories[i, k + 1]
         first, last = rows_of(played, i, k)
         torque = played.torques[i, torque_of(played, k)]
-        own = by_time[first:last]
-        step_tangent(scene, plan, torque, before, after, played.hits[first:last], own, tangent, memory)
+        later = by_time[first:last]
+        step_tangent(scene, plan, torque, before, after, played.hits[first:last], later, tangent, memory)
     else:
         tangent[:] = math.nan
 
 
 def fill_identity(tangent: Array, seeds: Array) -> None:
-    """Fill in the tangent of no step at all: columns of the state, the torque, and the fields of ``seeds``.
+    """Fill in the identity: columns of the state, the torque, and the fields of ``seeds``.
 
-    ``seeds`` are how each field moves the scene's numbers, shape (fields, 8).
+    ``seeds`` are the derivatives of the scene's numbers by each field, shape (fields, 8).
     """
     tangent[:] = 0.0
-    for place in range(FIRST_FIELD):
-        tangent[place, place] = 1.0
+    for index in range(FIRST_FIELD):
+        tangent[index, index] = 1.0
     for column in range(seeds.shape[0]):
-        for place in range(seeds.shape[1]):
-            tangent[GRAVITY + place, FIRST_FIELD + column] = seeds[column, place]
+        for index in range(seeds.shape[1]):
+            tangent[GRAVITY + index, FIRST_FIELD + column] = seeds[column, index]
 
 
 def matrices(
-    given: RolloutData, seeds: Array, span: tuple[int, int], results: tuple[Array, Array, Array, Array], tangent: Array,
+    data: RolloutData, seeds: Array, span: tuple[int, int], results: tuple[Array, Array, Array, Array], tangent: Array,
     workspaces: Workspaces,
 ) -> None:  # fmt: skip
     """Fill in the derivatives of all steps of some rows; NaN where there is none.
 
     Args:
-        given: the rollout.
+        data: the rollout.
         seeds: of :func:`fill_identity`, shape (1 or N, F, 8).
         span: first row, past the last.
         results: derivatives by state, (N, H, 12, 12), torque, (N, H, 12), and fields, (N, H, 12, F); of the times of
             impacts by all of these, (rows of the log, 13 + F).
-        tangent: to work in, shape (ROWS, 13 + F).
-        workspaces: one, to work in.
+        tangent: scratch, shape (ROWS, 13 + F).
+        workspaces: one, scratch.
     """
-    played = rollout_of(given)
+    played = rollout_of(data)
     by_state, by_torque, by_field, by_time = results
     for i in range(span[0], span[1]):
         scene, plan = scene_of(played, i)
-        stale = True  # whether the tangent is another than that of a flight under a constant torque
+        stale = True  # whether the tangent is not that of a flight under a constant torque
         for k in range(played.smooth.shape[1]):
             same = plan.kind == CONSTANT and flies(played, i, k)
             if stale or not same or by_field.shape[3] > 0:
@@ -250,65 +249,65 @@ def matrices(
 
 
 def push_forward(
-    given: RolloutData, moved: tuple[Array, Array, Array], span: tuple[int, int], results: Array, tangent: Array,
+    data: RolloutData, moved: tuple[Array, Array, Array], span: tuple[int, int], results: Array, tangent: Array,
     workspaces: Workspaces,
 ) -> None:  # fmt: skip
-    """Fill in how trajectories change, shape (N, H + 1, 12), with NaN after a step that has no derivative.
+    """Fill in the change of trajectories, shape (N, H + 1, 12), with NaN after a step without a derivative.
 
     Args:
-        given: the rollout.
-        moved: how first states, (N, 12), torques, as they are given, and the scenes' numbers, (N, 8), change.
+        data: the rollout.
+        moved: changes of the first states, (N, 12), the torques, (N, H / repeat), and the scenes' numbers, (N, 8).
         span: first row, past the last.
         results: to be filled in.
-        tangent: to work in, shape (ROWS, 1).
-        workspaces: one, to work in.
+        tangent: scratch, shape (ROWS, 1).
+        workspaces: one, scratch.
     """
-    played = rollout_of(given)
+    played = rollout_of(data)
     states, torques, numbers = moved
     for i in range(span[0], span[1]):
         scene, plan = scene_of(played, i)
-        for place in range(12):
-            tangent[place, 0] = results[i, 0, place] = states[i, place]
-        for place in range(numbers.shape[1]):
-            tangent[GRAVITY + place, 0] = numbers[i, place]
+        for index in range(12):
+            tangent[index, 0] = results[i, 0, index] = states[i, index]
+        for index in range(numbers.shape[1]):
+            tangent[GRAVITY + index, 0] = numbers[i, index]
         for k in range(played.smooth.shape[1]):
             tangent[TORQUE, 0] = torques[i, torque_of(played, k)]
             propagate(played, scene, plan, i, k, results[i, :0], tangent, workspaces[0])
-            for place in range(12):
-                results[i, k + 1, place] = tangent[place, 0]
+            for index in range(12):
+                results[i, k + 1, index] = tangent[index, 0]
 
 
 def pull_back(
-    given: RolloutData, seeds: Array, span: tuple[int, int], weights: Array, results: tuple[Array, Array, Array],
+    data: RolloutData, seeds: Array, span: tuple[int, int], weights: Array, results: tuple[Array, Array, Array],
     tangent: Array, workspaces: Workspaces,
 ) -> None:  # fmt: skip
-    """Fill in how a sum of weights times states changes with first states, torques and fields.
+    """Fill in the derivatives of a sum of weights times states by first states, torques and fields.
 
     Args:
-        given: the rollout.
+        data: the rollout.
         seeds: as in :func:`matrices`.
         span: first row, past the last.
         weights: shape (N, H + 1, 12).
-        results: zeros, shapes (N, 12), of the torques as they are given, and (N, F); NaN by all that acts before or in
-            a step that has no derivative.
-        tangent: to work in, shape (ROWS, 13 + F).
-        workspaces: one, to work in.
+        results: zeros, shapes (N, 12), (N, H / repeat) and (N, F); NaN by what acts before or in a step without a
+            derivative.
+        tangent: scratch, shape (ROWS, 13 + F).
+        workspaces: one, scratch.
     """
-    played, memory = rollout_of(given), workspaces[0]
+    played, memory = rollout_of(data), workspaces[0]
     by_start, by_torque, by_field = results
     steps, drift = played.smooth.shape[1], memory.drift
     for i in range(span[0], span[1]):
         scene, plan = scene_of(played, i)
         seed, pulled = seeds[i if seeds.shape[0] > 1 else 0], by_start[i]
-        for place in range(12):
-            pulled[place] = weights[i, steps, place]
+        for index in range(12):
+            pulled[index] = weights[i, steps, index]
         for k in range(steps - 1, -1, -1):
             held, weight = torque_of(played, k), 0.0
-            for place in range(12):
-                weight += abs(pulled[place])
-            if weight == 0.0:  # nothing has been asked of what comes after
-                for place in range(12):
-                    pulled[place] = weights[i, k, place]
+            for index in range(12):
+                weight += abs(pulled[index])
+            if weight == 0.0:  # later states have no weight
+                for index in range(12):
+                    pulled[index] = weights[i, k, index]
                 continue
             if flies(played, i, k):
                 before, after = played.trajectories[i, k], played.trajectories[i, k + 1]
@@ -324,13 +323,13 @@ def pull_back(
                     memory.before[column] = weighed(pulled, tangent, column)
                 for column in range(12):
                     pulled[column] = memory.before[column]
-            for place in range(12):
-                pulled[place] += weights[i, k, place]
+            for index in range(12):
+                pulled[index] += weights[i, k, index]
 
 
 def weighed(weights: Array, tangent: Array, column: int) -> float:
-    """Sum of the weights times the state's rows of one column."""
+    """Scalar product of the weights and the state's rows of one column."""
     total = 0.0
-    for place in range(12):
-        total += weights[place] * tangent[place, column]
+    for index in range(12):
+        total += weights[index] * tangent[index, column]
     return total

@@ -1,10 +1,11 @@
-"""The one loop of the exact contact model: many rows, each a jack in its box, through one or many control steps.
+"""The loop of the exact contact model: :func:`run` steps many rows, each a jack in its box, through one or many steps.
 
-A single environment is one row and one step, a batch is N rows and one step, a rollout is N rows and H steps. Rows are
-held in blocks, shape (blocks, 16, width): number k of every row of a block lies side by side, its state first, then the
-columns named in ``glide.py``. One machine instruction then moves several rows. A step reads one array of blocks and
-writes another, so a step that fails changes nothing. Rows in free flight are moved together; rows near a wall are
-stepped one by one by ``exact.step``. The task's function is called by its address.
+Simulators, batches and rollouts call it: 1 row and 1 step, N rows and 1 step, N rows and H steps. In each step
+``glide.py`` moves the rows in free flight together, ``step.py`` moves those near a wall one by one, and ``score.py``
+rewards them; then :func:`record` fills in the results.
+Rows are stored in blocks, shape (blocks, 16, width): the 12 numbers of the state, then those named in ``glide.py``.
+Each row is a lane of its block. One number of all lanes lies side by side, so one instruction moves several rows.
+A step reads one array of blocks and writes the other, so a step that fails changes nothing.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 
 from jackbox_env.exact.compiler import PACKED, block_score, compiled, packed, unpacked_as
 from jackbox_env.exact.glide import LIMIT, OVER, STEPS, TIME, Block, glide_block, glide_under_chirp
-from jackbox_env.exact.score import look_block
+from jackbox_env.exact.score import observe_block
 from jackbox_env.exact.step import CHIRP, CONSTANT, Pieces, Plan, effort, make_numbers, make_plan, step
 from jackbox_env.exact.workspace import (
     HIT,
@@ -24,7 +25,7 @@ from jackbox_env.exact.workspace import (
     NEAR,
     NOTHING,
     TORQUE,
-    UNPAID,
+    UNSCORED,
     Arguments,
     Array,
     Flags,
@@ -40,26 +41,26 @@ from jackbox_env.mechanics import energy_of
 from jackbox_env.scene import SceneNumbers
 from jackbox_env.states import LATEST_TIME
 
-PATIENCE = 2e6  # gaps evaluated before it pauses: 0.3 s, 1.2 s where most are followed by impacts
+PATIENCE = 2e6  # gap evaluations before a call pauses: 0.3 s, 1.2 s if most of them find impacts
 
 
-def run(place: Any, low: int, high: int, first: int) -> tuple[int, int, int, int, int]:
+def run(address: Any, low: int, high: int, first: int) -> tuple[int, int, int, int, int]:
     """Step the rows of some blocks through all steps.
 
     Args:
-        place: address of the :class:`Arguments`.
+        address: of the :class:`Arguments`.
         low: first block.
         high: past the last block.
-        first: step of the first block to begin with.
+        first: step at which the first block begins.
 
     Returns:
-        How it ended: DONE, how a step that failed ended, PAUSED after long work, FULL where the log has no room for a
-        step's impacts; the row that failed, or the block to go on with; the step that failed or is next; how many
-        episodes ended; how many impacts were recorded.
+        How it ended: DONE, PAUSED after long work, FULL if the log has no room for a step's impacts, or the status of
+        the step that failed. The row that failed, or the block to go on with. The step that failed or is next. The
+        number of episodes that ended. The number of impacts recorded.
     """
-    call = arguments_at(place)
+    call = arguments_at(address)
     scenes, rules, results, lanes = call.scenes, call.rules, call.results, call.memory.lanes
-    memory, pay = call.memory.workspaces[0], block_score(rules.score)
+    memory, score = call.memory.workspaces[0], block_score(rules.score)
     scene = make_numbers(scenes.values[0])
     plan = make_plan(scene, rules.dt, scenes.kinds[0])
     width, count = call.before.shape[2], results.terminations.shape[0]
@@ -73,55 +74,58 @@ def run(place: Any, low: int, high: int, first: int) -> tuple[int, int, int, int
                 scenes.lanes[number if scenes.lanes.shape[0] > 1 else 0], number * width,
                 min(width, count - number * width),
             )  # fmt: skip
-            bad = set_torques(place, block, k)
+            # Move: rows in free flight together, then the others one by one.
+            bad = set_torques(address, block, k)
             if bad >= 0:
                 return Status.BAD_ACTION.value, block.first + bad, k, finished, recorded
             glided = glide(scene, plan, scenes, block, memory)
-            ended, lane, evaluations, recorded = step_lanes(scene, plan, place, block, k, glided, recorded)
+            ended, lane, evaluations, recorded = step_lanes(scene, plan, address, block, k, glided, recorded)
             if ended == Status.FULL:
                 return ended.value, number, k, finished, recorded
             if ended != Status.DONE:
                 return ended.value, block.first + lane, k, finished, recorded
             worked += block.size + evaluations
+            # Reward.
             waiting = keep_waiting(block)
-            unpaid, skipped, ends = block.before[OVER], waiting, 0
+            unscored, skipped, ends = block.before[OVER], waiting, 0
             if rules.goes_on:
-                unpaid, skipped = lanes[UNPAID], mark_unpaid(block, results.terminations)
+                unscored, skipped = lanes[UNSCORED], mark_unscored(block, results.terminations)
             if results.rewards.shape[0]:
-                ends = pay(
-                    scenes.values, block.after, lanes, unpaid, skipped, block.first, results.rewards[k],
+                ends = score(
+                    scenes.values, block.after, lanes, unscored, skipped, block.first, results.rewards[k],
                     results.terminations, results.reports,
                 )  # fmt: skip
             if ends < 0:
                 bad = first_unusable(block, results.rewards[k])
                 return Status.BAD_REWARD.value, block.first + bad, k, finished, recorded
+            # End episodes, and record.
             finished += close_block(rules, block, results, waiting > 0, ends != 0)
-            record(place, scene, block, k)
+            record(address, scene, block, k)
         if results.observations.shape[0]:
             after = (call.after if rules.steps & 1 else call.before)[number]
             size = min(width, count - number * width)
-            look_block(scenes.values, after, size, lanes, number * width, results.observations)
+            observe_block(scenes.values, after, size, lanes, number * width, results.observations)
     return Status.DONE.value, -1, rules.steps, finished, recorded
 
 
-def set_torques(place: Any, block: Block, k: int) -> int:
-    """Fill in the torques of a step, 0 where the drive acts; return the index of an unusable control, or -1.
+def set_torques(address: Any, block: Block, k: int) -> int:
+    """Fill in the torques of a step, 0 under a drive; return the index of a control that is NaN or infinite, or -1.
 
-    A control for an episode that is over and waits is not checked.
+    Controls of episodes that are over are not checked.
     """
-    call = arguments_at(place)
+    call = arguments_at(address)
     torque, limit, controls = block.lanes[TORQUE], block.scenes[LIMIT], call.controls
     if not controls.shape[0]:
         for lane in range(block.size):
             torque[lane] = 0.0
         return -1
-    asked = controls[k // (call.rules.steps // controls.shape[0])]
+    step_controls = controls[k // (call.rules.steps // controls.shape[0])]
     for lane in range(block.size):
-        torque[lane] = torque_of(call.rules, asked[block.first + lane], limit[lane])
+        torque[lane] = torque_of(call.rules, step_controls[block.first + lane], limit[lane])
     unusable = 0
     for lane in range(block.size):
-        unusable += 0 if abs(asked[block.first + lane]) < math.inf else 1
-    return first_unusable(block, asked) if unusable else -1
+        unusable += 0 if abs(step_controls[block.first + lane]) < math.inf else 1
+    return first_unusable(block, step_controls) if unusable else -1
 
 
 def torque_of(rules: Rules, control: float, limit: float) -> float:
@@ -138,9 +142,9 @@ def first_unusable(block: Block, numbers: Array) -> int:
 
 
 def glide(scene: SceneNumbers, plan: Plan, scenes: Scenes, block: Block, memory: Workspace) -> bool:
-    """Move the rows of a block that are in free flight, if it has several; return whether they were moved.
+    """Move the rows of a block that are in free flight; return whether it did. A block of one row is not moved.
 
-    ``scene`` and ``plan`` are those of the first row, and of all rows where they have one scene.
+    ``scene`` and ``plan`` are those of the first row, and of all rows if they share a scene.
     """
     if block.before.shape[1] == 1:
         return False
@@ -149,7 +153,7 @@ def glide(scene: SceneNumbers, plan: Plan, scenes: Scenes, block: Block, memory:
         for lane in range(block.size):
             constant = constant or scenes.kinds[block.first + lane] == CONSTANT
     elif plan.kind == CHIRP and plan.per_radian == 0.0:
-        # Not with loss: a single step then takes whole turns off the angles, which rounds otherwise.
+        # Not with loss: a single step then takes whole turns off the angles, which rounds differently.
         return glide_under_chirp(scene, plan, block, memory)
     if constant:
         glide_block(plan.dt, block)
@@ -157,15 +161,15 @@ def glide(scene: SceneNumbers, plan: Plan, scenes: Scenes, block: Block, memory:
 
 
 def step_lanes(
-    scene: SceneNumbers, plan: Plan, place: Any, block: Block, k: int, glided: bool, recorded: int
+    scene: SceneNumbers, plan: Plan, address: Any, block: Block, k: int, glided: bool, recorded: int
 ) -> tuple[Status, int, float, int]:
-    """Step one by one the rows that have not been ``glided``.
+    """Step the rows of a block one by one, except those that glided and stay off the walls.
 
     Returns:
-        How it ended, the last lane, gaps evaluated, and how many impacts the log has now.
+        How it ended, the lane that failed, gap evaluations, and the number of impacts in the log.
     """
     before, after, lanes, evaluations, already = block.before, block.after, block.lanes, 0.0, recorded
-    call = arguments_at(place)
+    call = arguments_at(address)
     scenes, memory, log, nonsmooth = call.scenes, call.memory.workspaces[0], call.memory.log, call.results.nonsmooth
     varied = scenes.values.shape[0] > 1
     for lane in range(block.size):
@@ -178,21 +182,21 @@ def step_lanes(
         kind = scenes.kinds[row] if varied else plan.kind
         if glided and lanes[NEAR, lane] == 0.0 and (kind == CONSTANT or not varied):
             continue
-        own, its = scene, plan
+        row_scene, row_plan = scene, plan
         if varied:
-            own = make_numbers(scenes.values[row])
-            its = make_plan(own, plan.dt, kind)
+            row_scene = make_numbers(scenes.values[row])
+            row_plan = make_plan(row_scene, plan.dt, kind)
         torque = 0.0
-        if call.controls.shape[0]:  # not from the lanes: gliding has rounded it
+        if call.controls.shape[0]:  # not from the lanes, where gliding rounds it
             control = call.controls[k // (call.rules.steps // call.controls.shape[0]), row]
-            torque = torque_of(call.rules, control, own.torque_limit)
+            torque = torque_of(call.rules, control, row_scene.torque_limit)
         pieces = Pieces(scenes.table, 0, 0)
         if scenes.begins.shape[0]:
             begin = scenes.begins[row if scenes.begins.shape[0] > 1 else 0] + k
             pieces = Pieces(scenes.table, scenes.ends[begin], scenes.ends[begin + 1])
         room = log[recorded:]
         ended, lanes[TORQUE, lane] = step(
-            own, its, before[:, lane], after[:, lane], time, torque, pieces, memory, room
+            row_scene, row_plan, before[:, lane], after[:, lane], time, torque, pieces, memory, room
         )  # fmt: skip
         if ended != Status.DONE:
             return ended, lane, evaluations, recorded
@@ -208,7 +212,7 @@ def step_lanes(
 
 
 def keep_waiting(block: Block) -> int:
-    """Leave episodes that are over where they are. Return their number."""
+    """Copy the states of episodes that are over; return their number."""
     over, waiting = block.before[OVER], 0
     for lane in range(block.size):
         waiting += 1 if over[lane] != 0.0 else 0
@@ -219,19 +223,20 @@ def keep_waiting(block: Block) -> int:
     return waiting
 
 
-def mark_unpaid(block: Block, terminations: Flags) -> int:
-    """Mark the rows that wait or whose episode the task has ended; return their number."""
-    over, unpaid, count = block.before[OVER], block.lanes[UNPAID], 0
+def mark_unscored(block: Block, terminations: Flags) -> int:
+    """Mark the rows that earn nothing: episodes that are over, or that the task has ended. Return their number."""
+    over, unscored, count = block.before[OVER], block.lanes[UNSCORED], 0
     for lane in range(block.size):
-        unpaid[lane] = 1.0 if over[lane] != 0.0 or terminations[block.first + lane] else 0.0
-        count += 1 if unpaid[lane] != 0.0 else 0
+        unscored[lane] = 1.0 if over[lane] != 0.0 or terminations[block.first + lane] else 0.0
+        count += 1 if unscored[lane] != 0.0 else 0
     return count
 
 
 def close_block(rules: Rules, block: Block, results: Results, waiting: bool, ends: bool) -> int:
-    """Count a step, where some are ``waiting`` not for those. Return the number of episodes that ended.
+    """Advance times and step counts, and end episodes; return the number of episodes that ended.
 
-    ``ends``: whether the task may have ended some.
+    ``waiting``: whether some episodes were over before the step; those stay as they are. ``ends``: whether the task
+    ended some.
     """
     before, after, first, count = block.before, block.after, block.first, block.size
     terminations, truncations = results.terminations, results.truncations
@@ -261,9 +266,9 @@ def close_block(rules: Rules, block: Block, results: Results, waiting: bool, end
     return ended
 
 
-def record(place: Any, scene: SceneNumbers, block: Block, k: int) -> None:
-    """Record states, energies, impacts and the ends of episodes, where they are filled in."""
-    call = arguments_at(place)
+def record(address: Any, scene: SceneNumbers, block: Block, k: int) -> None:
+    """Record what the caller wants of a step: states, energies, impacts, ends of episodes."""
+    call = arguments_at(address)
     results, steps = call.results, call.rules.steps
     trajectories, energies, hits, lengths = results.trajectories, results.energies, results.hits, results.lengths
     if not trajectories.shape[0] + energies.shape[0] + hits.shape[0] + lengths.shape[0]:
@@ -275,10 +280,10 @@ def record(place: Any, scene: SceneNumbers, block: Block, k: int) -> None:
             for column in range(12):
                 trajectories[row, k + 1, column] = block.after[column, lane]
         if energies.shape[0]:
-            own = make_numbers(values[row]) if values.shape[0] > 1 else scene
+            row_scene = make_numbers(values[row]) if values.shape[0] > 1 else scene
             if k == 0:
-                energies[row, 0] = energy_of(own, block.before[:, lane])
-            energies[row, k + 1] = energy_of(own, block.after[:, lane])
+                energies[row, 0] = energy_of(row_scene, block.before[:, lane])
+            energies[row, k + 1] = energy_of(row_scene, block.after[:, lane])
         if hits.shape[0] and block.before[OVER, lane] == 0.0:
             hits[k, row], results.impulses[k, row] = int(block.lanes[HIT, lane]), block.lanes[IMPULSE_SUM, lane]
         if lengths.shape[0] and results.terminations[row] and lengths[row] == steps:
@@ -297,24 +302,24 @@ arguments_at = unpacked_as(example)
 
 
 class Call:
-    """The arguments of a call of :func:`run`, at the address ``place``, and the memory of the thread that calls."""
+    """A call of :func:`run`: its arguments at an ``address``, and the memory of the thread that calls."""
 
     def __init__(self, memory: Memory) -> None:
         self.memory = memory
-        self._packed = np.zeros(PACKED)  # arguments as compiled code holds them
-        self.place, self._pack = 0, compiled(pack)
+        self._packed = np.zeros(PACKED)  # the arguments as compiled code reads them
+        self.address, self._pack = 0, compiled(pack)
 
     def prepare(
         self, scenes: Scenes, rules: Rules, before: Array, after: Array, controls: Array, results: Results
     ) -> None:
         """Set the arguments. Numba unpacks plain tuples faster than named ones."""
         self._arguments = scenes, rules, before, after, controls, results  # keeps the arrays alive
-        self.place = self._pack(
+        self.address = self._pack(
             self._packed, tuple(scenes), tuple(rules), before, after, controls, tuple(results), tuple(self.memory)
         )
 
     def with_room(self) -> Call:
-        """This call with room for twice as many impacts. This one stays as it is, if an interruption strikes."""
+        """A copy of this call whose log has room for twice as many impacts; an interruption leaves this one intact."""
         log = self.memory.log
         twin = Call(self.memory._replace(log=np.zeros((2 * len(log), log.shape[1]))))
         twin.prepare(*self._arguments)

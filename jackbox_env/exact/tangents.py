@@ -1,8 +1,9 @@
-"""Derivatives of steps of the exact contact model: a tangent beside flight and law, in the order of a step's impacts.
+"""Derivatives of one step of the exact contact model: :func:`step_tangent` follows its flights and impacts.
 
-A tangent holds, in each of its columns, how the state changes with one number, and below how the torque and the scene
-change with that number, shape (ROWS, columns). Flight is linear in the state and in what acts. At an impact, with the
-time t*, the gap g, the reset R (the impact law at fixed places) and the flow f before and after, a tangent d becomes
+``derivatives.py`` calls it for the steps of a rollout, after ``run.py`` has recorded their impacts.
+A tangent has the shape (ROWS, columns): each column is the derivative of the state by one number, and below of the
+torque and the scene by that number. Flight is linear in the state and in the accelerations. At an impact, with the
+time t*, the gap g, the reset R (the impact law at a fixed pose) and the flow f before and after, a tangent d becomes
 
     d+ = (DR + (f+ - DR f-) Dg / (Dg f-)) d,
 
@@ -10,10 +11,10 @@ the saltation matrix (Aizerman and Gantmacher 1958; Kong et al. 2024, "Saltation
 is applied as it is derived: to the moment of impact, dt* = -Dg d / (Dg f-), through the law there, and back.
 
 Exactness: rounding of the states and of the impacts' times, over the impact's rate.
-Fails: several contacts at one moment, an impact slower than 1e-6 v0 or so slow for how its gap bends that rounding
-    decides, feet at rest, a foot that touches at an end of a step, a step whose impacts multiply errors by 1e10. No
-    derivative exists there, or none can be told: it is NaN. Under a drive, P by the box's mass and inertia comes from
-    differences of states: off by what rounding leaves of places and angles that are far from 0.
+Fails: several contacts at one moment, an impact slower than 1e-6 v0 or so slow for the bend of its gap that rounding
+    decides, feet at rest, a foot that touches at an end of a step, a step whose impacts multiply errors by 1e10. There
+    no derivative exists, or rounding hides it: it is NaN. Under a drive, P by the box's mass and inertia comes from
+    differences of states, with the rounding of positions and angles that are far from 0.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from jackbox_env.exact.step import (
     CONSTANT_BESIDE_FORCES,
     FUNCTIONS,
     Plan,
-    start,
+    enter_frame,
 )
 from jackbox_env.exact.workspace import AT_IMPACT, DRIVEN_THERE, Workspace
 from jackbox_env.scene import SceneNumbers
@@ -55,7 +56,7 @@ FIELDS = (
 )  # fmt: skip
 TORQUE = 12
 GRAVITY, BOX_MASS, BOX_INERTIA, JACK_MASS, JACK_INERTIA, JACK_ARM, HALF_WIDTH, RESTITUTION = range(13, 21)
-LATER = 21  # by how much later the last impact comes [s]
+LATER = 21  # delay of the last impact [s]
 ROWS = 22
 FIRST_FIELD = 13  # column
 
@@ -63,12 +64,12 @@ FIRST_FIELD = 13  # column
 def fly(scene: SceneNumbers, tangent: Array, s: float, drift: Array) -> None:
     """Take a tangent through a flight of ``s`` [s].
 
-    ``drift`` is by how much the drive moves the box's centre and angle in that time, and their rates, shape (6,).
+    ``drift`` is the change of the box's centre and angle by the drive in that time, and of their rates, shape (6,).
     """
     half, inertia, mass = 0.5 * s * s, scene.box_inertia, scene.box_mass
-    for place in range(6):
+    for index in range(6):
         for column in range(tangent.shape[1]):
-            tangent[place, column] += s * tangent[RATES + place, column]
+            tangent[index, column] += s * tangent[RATES + index, column]
     for column in range(tangent.shape[1]):
         torque, box_inertia = tangent[TORQUE, column], tangent[BOX_INERTIA, column]
         tangent[THETA_BOX, column] += (half * torque - drift[2] * box_inertia) / inertia
@@ -82,9 +83,9 @@ def fly(scene: SceneNumbers, tangent: Array, s: float, drift: Array) -> None:
 
 
 def fly_back(scene: SceneNumbers, weights: Array, s: float, drift: Array, seed: Array, by_field: Array) -> float:
-    """Take weights of the state after a flight to those of the state before it: :func:`fly`, transposed.
+    """Pull weights of the state after a flight back to the state before it: :func:`fly`, transposed.
 
-    Adds to ``by_field`` what the fields do in it; returns what the torque does.
+    Adds the derivatives by the fields to ``by_field``; returns that by the torque.
     """
     half = 0.5 * s * s
     if seed.shape[0]:
@@ -101,13 +102,13 @@ def fly_back(scene: SceneNumbers, weights: Array, s: float, drift: Array, seed: 
             by_field[column] -= mass / scene.box_mass * seed[column, BOX_MASS - GRAVITY]
             by_field[column] -= inertia / scene.box_inertia * seed[column, BOX_INERTIA - GRAVITY]
     torque = (half * weights[THETA_BOX] + s * weights[OMEGA_BOX]) / scene.box_inertia
-    for place in range(6):
-        weights[RATES + place] += s * weights[place]
+    for index in range(6):
+        weights[RATES + index] += s * weights[index]
     return float(torque)
 
 
 def accelerate(scene: SceneNumbers, hit: Array, rates: Array, s: float) -> None:
-    """Change six rates by what ``s`` [s] of the accelerations at an impact, a row of a wide log, do."""
+    """Change six rates by ``s`` [s] of the accelerations at an impact, a row of a wide log."""
     rates[X_BOX] += hit[DRIVEN_THERE + 1] * s
     rates[Y_BOX] += hit[DRIVEN_THERE + 2] * s
     rates[THETA_BOX] += hit[DRIVEN_THERE] * s
@@ -115,22 +116,23 @@ def accelerate(scene: SceneNumbers, hit: Array, rates: Array, s: float) -> None:
 
 
 def lateness(gap: float, rate: float) -> float:
-    """By how much later a gap closes that is wider by ``gap`` [m] and changes at ``rate`` [m/s]: -dg / (Dg f-) [s]."""
+    """Delay of an impact whose gap is wider by ``gap`` [m] and changes at ``rate`` [m/s]: -dg / (Dg f-) [s]."""
     return -gap / rate
 
 
 def locate(scene: SceneNumbers, hit: Array, memory: Workspace) -> float:
-    """Write the state just before an impact, a row of a wide log, to ``memory.before``, and its gradient to the first.
+    """Write the state at an impact, a row of a wide log, to ``memory.before``, and the gap's gradient to the first row.
 
-    The search ends where the gap is within the tolerance. Returns by how much later it is 0 [s]: there the state is.
+    The search ends with a gap within the tolerance. Returns the time from there until the gap is 0 [s], which is when
+    the state is taken.
     """
     at, row = memory.before, memory.gradients[0]
-    for place in range(12):
-        at[place] = hit[AT_IMPACT + place]
+    for index in range(12):
+        at[index] = hit[AT_IMPACT + index]
     gap = gradient(scene, frame_of(at), int(hit[1]), int(hit[2]), row)
     later = lateness(gap, rate_of(at, row))
-    for place in range(6):
-        at[place] += at[RATES + place] * later
+    for index in range(6):
+        at[index] += at[RATES + index] * later
     accelerate(scene, hit, at[RATES:], later)
     gradient(scene, frame_of(at), int(hit[1]), int(hit[2]), row)
     return later
@@ -180,7 +182,7 @@ def change_rates(
         scene: the scene.
         at: state before the impact.
         row: the gap's gradient J.
-        frame: place and angles of that state.
+        frame: of that state.
         rate: of the gap [m/s].
         impulse: of the impact [N s].
         admittance: J M^-1 J^T.
@@ -211,18 +213,18 @@ def change_rates(
 
 
 def drifted(plan: Plan, alpha: float, before: Array, after: Array, s: float, drift: Array) -> None:
-    """Write what the drive has done to the box between two states, ``s`` [s] apart and without an impact between."""
-    for place in range(6):
-        drift[place] = 0.0
+    """Write the change of the box by the drive between two states, ``s`` [s] apart without an impact in between."""
+    for index in range(6):
+        drift[index] = 0.0
     if plan.kind == CONSTANT or plan.kind == CONSTANT_BESIDE_FORCES:
         drift[2], drift[5] = 0.5 * alpha * s * s, alpha * s
     else:
         drift[2] = after[THETA_BOX] - before[THETA_BOX] - before[OMEGA_BOX] * s
         drift[5] = after[OMEGA_BOX] - before[OMEGA_BOX]
     if plan.kind == FUNCTIONS or plan.kind == CONSTANT_BESIDE_FORCES:
-        for place in range(2):
-            drift[place] = after[place] - before[place] - before[RATES + place] * s
-            drift[3 + place] = after[RATES + place] - before[RATES + place]
+        for index in range(2):
+            drift[index] = after[index] - before[index] - before[RATES + index] * s
+            drift[3 + index] = after[RATES + index] - before[RATES + index]
 
 
 def step_tangent(
@@ -231,22 +233,22 @@ def step_tangent(
 ) -> None:  # fmt: skip
     """Take a tangent through a step from one state to the next.
 
-    ``hits`` are the step's rows of a wide log, ``by_time`` is for how much later each of them comes, shape (hits or 0,
+    ``hits`` are the step's rows of a wide log. ``by_time`` is filled with the delay of each of them, shape (hits or 0,
     columns).
     """
     alpha, since, state, drift = torque / scene.box_inertia, 0.0, memory.state, memory.drift
-    start(plan, before, memory)
+    enter_frame(plan, before, memory)
     end = memory.after
-    for place in range(6):
-        end[place], end[RATES + place] = state[place] + (after[place] - before[place]), after[RATES + place]
+    for index in range(6):
+        end[index], end[RATES + index] = state[index] + (after[index] - before[index]), after[RATES + index]
     for number in range(hits.shape[0]):
         hit = hits[number]
         time = hit[0] + locate(scene, hit, memory)
         drifted(plan, alpha, state, memory.before, time - since, drift)
         fly(scene, tangent, time - since, drift)
         saltate(scene, tangent, hit, memory)
-        for place in range(12):
-            state[place] = memory.before[place]
+        for index in range(12):
+            state[index] = memory.before[index]
         since = time
         for column in range(by_time.shape[1] if number < by_time.shape[0] else 0):
             by_time[number, column] = tangent[LATER, column]

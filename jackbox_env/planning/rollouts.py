@@ -1,4 +1,8 @@
-"""Rollouts for planning: many sequences of torques played from many states, by the exact contact model."""
+"""Rollouts: many sequences of torques played from many states, by the exact contact model.
+
+``rollout`` is for users. :func:`run_rollouts` does the work, also for ``icem.py``, ``features.py`` and
+``linearization.py``: it calls ``exact/run.py`` on blocks of rows, on several threads.
+"""
 
 from __future__ import annotations
 
@@ -38,9 +42,9 @@ Counts = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 OneOrMore = Scene | Mapping[str, Any] | None | Sequence[Scene | Mapping[str, Any] | None]
 
-_GRAIN = 1000  # steps that are worth a call
-FEWEST_PER_THREAD = 5000  # steps that are worth waking a thread
-_ROOM = 256  # impacts; it grows
+_GRAIN = 1000  # steps in a call, at least
+FEWEST_PER_THREAD = 5000  # steps for each thread, at least
+_ROOM = 256  # impacts in a log at first
 _WIDTH = 32  # rows in a block
 
 
@@ -49,15 +53,15 @@ Lengths = TypeVar("Lengths")
 
 
 class Rollout(NamedTuple, Generic[Rewards, Lengths]):
-    """What ``rollout`` returns when more than trajectories is asked for; what was not asked for is None.
+    """Results of ``rollout`` with more than trajectories; None if not requested.
 
     Attributes:
-        trajectories: shape (N, H + 1, 12); without trajectories the first and the last states, (N, 2, 12).
+        trajectories: shape (N, H + 1, 12); with ``trajectories=False`` the first and the last states, (N, 2, 12).
         energy: of each state [J], shape (N, H + 1).
         impacts: in each step, shape (N, H), int64.
         impulse: their sum in each step [N s], shape (N, H).
         rewards: of each step, shape (N, H); 0 after the step that ends the task's episode.
-        lengths: steps up to that one, H where there is none, shape (N,), int64; asked for with the rewards.
+        lengths: steps up to that one, H if there is none, shape (N,), int64; returned with the rewards.
     """
 
     trajectories: Array
@@ -127,15 +131,15 @@ def rollout(
         time: at which all start [s].
         energy: also return the energy of each state.
         impacts: also return the number of impacts in each step and their impulse.
-        rewards: also return what each step earns in this task, a name or a :class:`jackbox_env.Task`. Where the task
-            ends an episode, ``lengths`` tells when. Later steps earn 0, and the states go on.
+        rewards: also return the rewards in this task, a name or a :class:`jackbox_env.Task`, and the ``lengths`` of
+            the episodes. After the task has ended an episode, steps earn 0, and the states go on.
         repeat: steps that each torque is held for, 1 to 1,000,000; H below is then the number of all steps.
-        trajectories: False: only the first and the last states are kept, which saves memory and time.
+        trajectories: False: return only the first and the last states, which saves memory and time.
         num_threads: None: as many as the machine has. Results do not depend on it.
 
     Returns:
         Trajectories, float64, shape (N, H + 1, 12), the first states included; a :class:`Rollout` if anything else is
-        asked for.
+        requested.
 
     Raises:
         TypeError, ValueError: unusable values.
@@ -150,20 +154,20 @@ def rollout(
     task = None if rewards is None else task_of(rewards, "rewards")
     dt = check.real("dt", dt, above=0.0)
     time = check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
-    starts, held = sequences(scenes, several, states, torques)
+    starts, rows = sequences(scenes, several, states, torques)
     options = RolloutOptions(
         energy=energy, impacts=impacts, task=task, repeat=repeat, whole=whole, num_threads=num_threads
     )
-    played = run_rollouts(scenes, starts, held, dt, time, options)
+    played = run_rollouts(scenes, starts, rows, dt, time, options)
     return played.trajectories if whole and not (energy or impacts or task) else played
 
 
 @dataclass
 class Tape:
-    """What the derivatives of a rollout need of it besides its states."""
+    """Record of a rollout that its derivatives need besides the states."""
 
     rows: Array = field(default_factory=lambda: new_log(0, True))  # a wide log of all impacts, step by step
-    hits: Counts = field(default_factory=lambda: np.zeros((0, 0), np.int64))  # (N, H) how many of each step
+    hits: Counts = field(default_factory=lambda: np.zeros((0, 0), np.int64))  # (N, H) impacts of each step
     nonsmooth: Flags = field(default_factory=lambda: np.zeros((0, 0), np.bool_))  # (N, H) steps without a derivative
 
 
@@ -274,12 +278,12 @@ def _run_blocks(
     """
     first, logs = 0, list[Array]()
     while True:
-        ended, number, step, _, recorded = loop(calls[thread].place, low, high, first)
+        ended, number, step, _, recorded = loop(calls[thread].address, low, high, first)
         if recorded:
             logs.append(calls[thread].memory.log[:recorded].copy())
         if ended == Status.FULL:
             calls[thread] = calls[thread].with_room()
-        if ended not in (Status.PAUSED, Status.FULL) or halt.asked:
+        if ended not in (Status.PAUSED, Status.FULL) or halt.requested:
             return ended, number, step, logs
         low, first = number, step  # it paused so that an interruption is heard
 
@@ -302,11 +306,11 @@ def _put_rows(blocks: Array, starts: Array, time: float) -> None:
 
 
 def _times(time: float, dt: float, steps: int) -> Array:
-    """When each step begins and the last one ends [s], shape (steps + 1,): added up one by one."""
+    """Times at which each step begins and the last one ends [s], shape (steps + 1,): added up one by one."""
     times: Array = np.add.accumulate(np.concatenate([[time], np.full(steps, dt)]))
     if (times[1:] == times[:-1]).any() or times[-1] > LATEST_TIME:
         for start in times[:-1].tolist():
-            end_of_step(start, dt)  # refuses one of them
+            end_of_step(start, dt)  # raises for one of them
     return times
 
 
@@ -315,7 +319,7 @@ def _scenes_played(
 ) -> Scenes:
     """The scenes of rows in blocks, shape (2, blocks, 16, width), with their drives cut into pieces.
 
-    A ``torque`` that is held acts in place of the drives'.
+    A constant ``torque`` replaces that of the drives.
     """
     values = np.array([one.numbers for one in scenes])
     lanes = np.zeros((shape[1] if len(scenes) > 1 else 1, SCENE_LANES, shape[3]))
@@ -347,9 +351,9 @@ def sequences(scenes: list[Scene], several: bool, states: ArrayLike, torques: Ar
     count = counts[0]
     if several and len(scenes) != count:
         raise ValueError(f"scene must be one scene or a list of {count}, as many as rows, got {len(scenes)} of them")
-    # Views that cannot be written and other orders of the axes are other types to numba, which compiles anew for each.
+    # Read-only arrays and other orders of axes are other types to numba, which would compile anew for each.
     starts = np.array(np.broadcast_to(starts, (count, 12)), order="C")
-    # The quick check finds that a state is bad, the careful one says why.
+    # The compiled check only detects a bad state; ``as_restored`` raises with the reason.
     deepest = np.array([deepest_restored(one) for one in scenes])
     if int(compiled(outside)(np.array([one.numbers for one in scenes]), starts, deepest)) >= 0:
         for number, state in enumerate(starts):
@@ -360,5 +364,5 @@ def sequences(scenes: list[Scene], several: bool, states: ArrayLike, torques: Ar
     return starts, np.array(np.broadcast_to(held, (count, held.shape[-1])), order="C")
 
 
-def _numbers(name: str, given: ArrayLike) -> Array:
-    return check.array(name, given, "hold numbers").astype(np.float64, copy=False)  # only read
+def _numbers(name: str, values: ArrayLike) -> Array:
+    return check.array(name, values, "hold numbers").astype(np.float64, copy=False)  # only read

@@ -81,7 +81,7 @@ def test_the_resolution_of_rest_grows_with_impacts_not_with_work() -> None:
     ):
         scene, w = Scene(restitution=restitution).numbers, new_workspaces()[0]
         w.evaluations, w.hits = 900_000.0, hits
-        found = kernel.resolution(scene, w, touch), kernel.grown(scene, w, 1e-13)
+        found = kernel.resolution(scene, w, touch), kernel.widened(scene, w, 1e-13)
         assert found == pytest.approx((near, sink), rel=1e-15, abs=0.0)
 
 
