@@ -251,7 +251,9 @@ def run_rollouts(
 def _new_results(scenes: list[Scene], starts: Array, steps: int, options: RolloutOptions, taped: bool) -> Results:
     """Arrays for what is to be returned, with the first states; arrays of length 0 for the rest."""
     count, scored = len(starts), options.task is not None
-    results = NOTHING._replace(
+    results = Results(
+        observations=NOTHING.observations,
+        reports=NOTHING.reports,
         terminations=np.zeros(count, np.bool_),
         truncations=np.empty(count, np.bool_),
         rewards=np.zeros((steps if scored else 0, count)),
