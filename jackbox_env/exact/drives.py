@@ -1,9 +1,9 @@
 """Drives in compiled code: pieces of a step on which each acceleration of the box is a polynomial.
 
-``step.py`` cuts a step into these pieces, and ``flight.py`` evaluates the polynomials. Each of the three accelerations
-(``TURN`` [rad/s^2], ``PUSH_X`` and ``PUSH_Y`` [m/s^2]) is a sum of powers of u = 2 s / T - 1 in [-1, 1], with s [s]
-since the piece's start and T its length; its integrals once and twice from that start are such sums too. A workspace's
-``powers`` has those of each in row 3 * acceleration + order of integration.
+``step.py`` cuts a step into these pieces, and ``flight.py`` evaluates the polynomials.
+Each of the three accelerations (``TURN`` [rad/s^2], ``PUSH_X`` and ``PUSH_Y`` [m/s^2]) is a sum of powers of
+u = 2 s / T - 1 in [-1, 1], with s [s] since the piece's start and T its length. Its integrals once and twice from that
+start are such sums too. Their powers are in row 3 * acceleration + order of integration of a workspace's ``powers``.
 
 Exactness: rounding. The chirp's powers are its Taylor series about the piece's middle, with pieces of at most a sixth
 of a turn. The powers of a drive's functions go through 13 values (``functions.py``), in the Chebyshev points of the

@@ -1,8 +1,9 @@
 """Evolve: the motion of box and jack between impacts, in one piece of a step, and the gaps between feet and walls.
 
-``search.py`` evaluates gaps and rates here, and ``step.py`` moves the state with :func:`evolve`. Law of flight: the
-jack falls with g and keeps its spin, the box keeps its velocity but for side forces, and its angle is the double
-integral of torque / J_b. While feet are held, powers of time describe the relative motion (``constrained.py``).
+``search.py`` evaluates gaps and rates here, and ``step.py`` moves the state with :func:`evolve`.
+Law of flight: the jack falls with g and keeps its spin. The box keeps its velocity except for side forces, and its
+angle is the double integral of torque / J_b. While feet are held, power series describe the relative motion
+(``constrained.py``).
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """Feet at rest on walls: which ones rest, and how box and jack move while walls hold them.
 
 ``step.advance`` calls :func:`settle` when ``search.py`` detects a slow foot on a wall, and :func:`hold` to move with
-the feet that rest. A bounce lower than the resolution of contacts ends in rest. From then on the foot is held: its gap
-is a constraint of the Lagrangian motion
+the feet that rest.
+A bounce lower than the resolution of contacts ends in rest. From then on the foot is held: its gap is a constraint of
+the Lagrangian motion
 
     M qddot = f + J^T lambda,    J qddot + Jdot qdot = 0,    lambda >= 0,
 

@@ -2,8 +2,9 @@
 
 ``run.py`` calls :func:`step` for one row. The step is cut into pieces in which the drive is a constant or a polynomial.
 :func:`advance` loops over the impacts of a piece: ``search.py`` detects the next one, ``flight.py`` evolves the state
-to it, ``contact.py`` resolves it and records it in the log. ``rest.py`` moves the jack while feet rest on walls. The
-state is counted from the box's centre meanwhile, so a step far from the origin is as accurate as one near it.
+to it, ``contact.py`` resolves it and records it in the log. ``rest.py`` moves the jack while feet rest on walls.
+Positions are measured from the box's centre at the step's start, so a step far from the origin is as accurate as one
+near it.
 """
 
 from __future__ import annotations
