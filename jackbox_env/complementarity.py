@@ -1,4 +1,4 @@
-"""The complementarity problem of contacts that act at once, in coordinates v = M^1/2 qdot:
+"""Solves the complementarity problem of simultaneous contacts, in coordinates v = M^1/2 qdot:
 
     0 <= x  _|_  W (v + W^T x) + bias >= 0,    W the rows of J M^-1/2, each at length 1.
 
@@ -25,32 +25,34 @@ from typing import Any
 from jackbox_env.scene import SceneNumbers
 from jackbox_env.states import THETA_BOX, THETA_JACK, Array
 
-_DEPENDENT = 1e-13  # a row that keeps less than this of its length beside the others depends on them
+_DEPENDENT = 1e-13  # length of a unit row's part orthogonal to the others: below it, the row depends on them
 
 
-def root_mass(scene: SceneNumbers, place: int) -> float:
+def root_mass(scene: SceneNumbers, coordinate: int) -> float:
     """Square root of a diagonal element of M."""
-    mass = scene.box_mass if place < THETA_BOX else scene.box_inertia if place == THETA_BOX else scene.jack_mass
-    return math.sqrt(scene.jack_inertia if place == THETA_JACK else mass)
+    mass = (
+        scene.box_mass if coordinate < THETA_BOX else scene.box_inertia if coordinate == THETA_BOX else scene.jack_mass
+    )
+    return math.sqrt(scene.jack_inertia if coordinate == THETA_JACK else mass)
 
 
 def weigh(scene: SceneNumbers, memory: Any, count: int, rates: Array) -> None:
-    """Fill in v = M^1/2 ``rates``, the rows of J M^-1/2 at length 1, and their lengths."""
-    for place in range(6):
-        root = root_mass(scene, place)
-        memory.rates[place] = root * rates[place]
+    """Fill in v = M^1/2 ``rates``, the rows of J M^-1/2 scaled to length 1, and their lengths."""
+    for index in range(6):
+        root = root_mass(scene, index)
+        memory.rates[index] = root * rates[index]
         for i in range(count):
-            memory.units[i, place] = memory.gradients[i, place] / root
+            memory.units[i, index] = memory.gradients[i, index] / root
     for i in range(count):
         memory.lengths[i] = math.sqrt(dot(memory.units[i], memory.units[i]))
-        for place in range(6):
-            memory.units[i, place] /= memory.lengths[i]
+        for index in range(6):
+            memory.units[i, index] /= memory.lengths[i]
 
 
 def nearest(memory: Any, count: int) -> tuple[int, int, int]:
     """The contacts, -1 for none, that push the weighted rates v to the nearest point with w v + bias >= 0 everywhere.
 
-    Their pushes are in ``memory.best``. By trying all sets of one, two and three of ``count`` contacts.
+    It tries all sets of one, two and three of ``count`` contacts. The pushes of the best set are in ``memory.best``.
     """
     lowest = 0.0
     for i in range(count):
@@ -69,8 +71,8 @@ def nearest(memory: Any, count: int) -> tuple[int, int, int]:
                 if violation < least:
                     least = violation
                     one, two, three = k, i if size > 1 else -1, j if size > 2 else -1
-                    for place in range(3):
-                        memory.best[place] = memory.pushes[place]
+                    for index in range(3):
+                        memory.best[index] = memory.pushes[index]
     return one, two, three
 
 
@@ -90,36 +92,36 @@ def dot(a: Array, b: Array) -> float:
 
 
 def project(memory: Any, size: int, one: int, two: int, three: int) -> bool:
-    """Project the weighted rates v on where ``size`` rows have w v + bias = 0: the point v + sum of pushes times rows.
+    """Project the weighted rates v on w v + bias = 0 of ``size`` rows: the point v + sum of pushes times rows.
 
     Returns whether the rows are independent. By modified Gram-Schmidt, rows = triangle^T basis.
     """
     point, pushes = memory.projected, memory.pushes
-    for place in range(6):
-        point[place] = memory.rates[place]
+    for index in range(6):
+        point[index] = memory.rates[index]
     for a in range(size):
         picked = one if a == 0 else two if a == 1 else three
-        for place in range(6):
-            memory.basis[a, place] = memory.units[picked, place]
+        for index in range(6):
+            memory.basis[a, index] = memory.units[picked, index]
         for turn in range(2):  # twice is enough to be orthogonal to rounding (Giraud et al. 2005)
             for b in range(a):
                 share = dot(memory.basis[b], memory.basis[a])
                 memory.triangle[b, a] = share if turn == 0 else memory.triangle[b, a] + share
-                for place in range(6):
-                    memory.basis[a, place] -= share * memory.basis[b, place]
+                for index in range(6):
+                    memory.basis[a, index] -= share * memory.basis[b, index]
         length = math.sqrt(dot(memory.basis[a], memory.basis[a]))
         if length < _DEPENDENT:
             return False
         memory.triangle[a, a] = length
-        for place in range(6):
-            memory.basis[a, place] /= length
+        for index in range(6):
+            memory.basis[a, index] /= length
         goal = memory.bias[picked]
         for b in range(a):
             goal += memory.triangle[b, a] * memory.goals[b]
         memory.goals[a] = 0.0 - goal / length
         pushes[a] = -(dot(memory.basis[a], point) - memory.goals[a])
-        for place in range(6):
-            point[place] += pushes[a] * memory.basis[a, place]
+        for index in range(6):
+            point[index] += pushes[a] * memory.basis[a, index]
     for a in range(size - 1, -1, -1):
         for b in range(a + 1, size):
             pushes[a] -= memory.triangle[a, b] * pushes[b]

@@ -45,7 +45,7 @@ def call_all() -> None:
 
 def compile_into(cache: Path, package: Path) -> None:
     """Fill a cache folder with the compiled code of an unpacked package, in a separate process."""
-    from jackbox_env.exact.kept import SHIPPED_FOR
+    from jackbox_env.exact.code_cache import SHIPPED_FOR
 
     target = {"NUMBA_CPU_NAME": SHIPPED_FOR, "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(cache)}
     command = [sys.executable, "-c", "from scripts.wheel import call_all; call_all()"]

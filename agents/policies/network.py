@@ -73,7 +73,7 @@ class NetworkPolicy(RepeatingPolicy):
         """The network's actions; with a lookahead they correct its plans."""
         if self._features is None:
             return self.act(observations), None
-        appended, next_plans = self._features.look([self._scene], observations, plans)
+        appended, next_plans = self._features.compute([self._scene], observations, plans)
         extended = np.concatenate([observations, appended], axis=1)
         return self._features.torques(self.act(extended), extended), next_plans
 

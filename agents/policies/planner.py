@@ -94,5 +94,5 @@ class PlanAlone(RepeatingPolicy):
 
     def decide(self, observations: NDArray[Any], plans: Any) -> tuple[NDArray[Any], Any]:
         """The plans' next torques."""
-        appended, next_plans = self._features.look([self._scene], observations, plans)
+        appended, next_plans = self._features.compute([self._scene], observations, plans)
         return self._features.torques(np.zeros((len(observations), 1)), appended), next_plans

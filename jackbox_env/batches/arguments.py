@@ -1,4 +1,4 @@
-"""What a batch of environments is given, checked: actions, seeds, masks, times, states, scenes."""
+"""Checks the arguments of a batch of environments: actions, seeds, masks, times, states, scenes."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from jackbox_env.states import LATEST_TIME, Array
 
 
 class Arguments:
-    """Checks for so many environments; each method raises TypeError or ValueError in one sentence."""
+    """Checks for ``num_envs`` environments; each method raises TypeError or ValueError in one sentence."""
 
     def __init__(self, num_envs: int) -> None:
         self.num_envs = num_envs
 
     def actions(self, actions: ArrayLike) -> Array:
         """Actions of shape (N, 1) or (N,), as float64 of shape (N,)."""
-        given = check.array("actions", actions, "hold numbers (clipped to [-1, 1])")
-        if given.shape not in ((self.num_envs, 1), (self.num_envs,)):
+        numbers = check.array("actions", actions, "hold numbers (clipped to [-1, 1])")
+        if numbers.shape not in ((self.num_envs, 1), (self.num_envs,)):
             raise ValueError(
-                f"actions must have shape ({self.num_envs}, 1) or ({self.num_envs},), got shape {given.shape}"
+                f"actions must have shape ({self.num_envs}, 1) or ({self.num_envs},), got shape {numbers.shape}"
             )
-        return given.reshape(self.num_envs).astype(np.float64)
+        return numbers.reshape(self.num_envs).astype(np.float64)
 
     def seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
-        """A seed for each environment: s + i for a whole number s, or as listed; None where none is given."""
+        """A seed for each environment: s + i for a whole number s, or as listed; None for environments without one."""
         if seed is None:
             return [None] * self.num_envs
         several = isinstance(seed, Sequence | np.ndarray) and not isinstance(seed, str | bytes)
@@ -42,21 +42,21 @@ class Arguments:
             raise ValueError(f"seed must be a whole number or a list of {self.num_envs}, got {len(listed)} of them")
         return [None if one is None else check.whole("seed", one, at_least=0) for one in listed]
 
-    def mask(self, name: str, given: Any) -> Flags:
+    def mask(self, name: str, flags: Any) -> Flags:
         """Which environments, bool, shape (N,): a copy."""
         try:
-            mask = np.asarray(given)
+            mask = np.asarray(flags)
         except ValueError as error:  # a ragged list
-            raise TypeError(f"{name} must be an array of bool, got {check.shown(given)}") from error
+            raise TypeError(f"{name} must be an array of bool, got {check.shown(flags)}") from error
         if mask.dtype != np.bool_:
-            raise TypeError(f"{name} must be an array of bool, got {check.shown(given)}")
+            raise TypeError(f"{name} must be an array of bool, got {check.shown(flags)}")
         if mask.shape != (self.num_envs,):
             raise ValueError(f"{name} must have shape ({self.num_envs},), got {mask.shape}")
         return mask.copy()
 
-    def times(self, name: str, given: ArrayLike, chosen: Flags) -> Array:
+    def times(self, name: str, numbers: ArrayLike, chosen: Flags) -> Array:
         """Times [s], a number or shape (N,), within their limits where ``chosen``, 0 elsewhere."""
-        times = check.array(name, given, "hold numbers")
+        times = check.array(name, numbers, "hold numbers")
         if times.shape not in ((), (self.num_envs,)):
             raise ValueError(f"{name} must be a number or have shape ({self.num_envs},), got shape {times.shape}")
         all_times = np.broadcast_to(times.astype(np.float64), (self.num_envs,))
@@ -65,52 +65,56 @@ class Arguments:
         return np.where(chosen, all_times, 0.0)
 
     def states(
-        self, name: str, given: ArrayLike, chosen: Flags, checked: Callable[[Scene, Any], Array]
+        self, name: str, numbers: ArrayLike, chosen: Flags, checked: Callable[[Scene, Any], Array]
     ) -> Callable[[Callable[[int], Scene]], Array]:
         """Rows of states, shape (N, 12): a function that checks those ``chosen`` against the scenes.
 
         Raises:
             TypeError, ValueError: numbers in another shape; the function raises it for an unusable state.
         """
-        states = check.array(name, given, "hold numbers")
+        states = check.array(name, numbers, "hold numbers")
         if states.shape not in ((12,), (self.num_envs, 12)):
             raise ValueError(f"{name} must have shape (12,) or ({self.num_envs}, 12), got shape {states.shape}")
 
         def rows(scene_of: Callable[[int], Scene]) -> Array:
-            found = np.zeros((self.num_envs, 12))
-            fitting = dict[int, Array]()  # by scene
+            restored = np.zeros((self.num_envs, 12))
+            by_scene = dict[int, Array]()  # by scene
             for number in np.flatnonzero(chosen).tolist():
                 scene = scene_of(number)
-                if states.ndim == 1 and id(scene) in fitting:
-                    found[number] = fitting[id(scene)]
+                if states.ndim == 1 and id(scene) in by_scene:
+                    restored[number] = by_scene[id(scene)]
                     continue
                 try:
-                    found[number] = checked(scene, states if states.ndim == 1 else states[number])
+                    restored[number] = checked(scene, states if states.ndim == 1 else states[number])
                 except (TypeError, ValueError) as error:
-                    if states.ndim == 1 and not fitting:
+                    if states.ndim == 1 and not by_scene:
                         raise
-                    place = f"{name}[{number}]" if states.ndim > 1 else f"{name} in environment {number}"
-                    raise type(error)(f"{place}: {error}") from error
-                fitting[id(scene)] = found[number]
-            return found
+                    where = f"{name}[{number}]" if states.ndim > 1 else f"{name} in environment {number}"
+                    raise type(error)(f"{where}: {error}") from error
+                by_scene[id(scene)] = restored[number]
+            return restored
 
         return rows
 
-    def scenes(self, given: Any) -> list[Scene]:
+    def scenes(self, argument: Any) -> list[Scene]:
         """One scene for all environments, or one for each."""
-        scenes, several = scenes_of(given)
+        scenes, several = scenes_of(argument)
         if several and len(scenes) != self.num_envs:
             raise ValueError(f"scene must be one scene or a list of {self.num_envs}, got {len(scenes)} of them")
         return scenes if any(scene != scenes[0] for scene in scenes) else scenes[:1]
 
-    def changes(self, given: Any, chosen: Flags) -> list[Change]:
+    def changes(self, argument: Any, chosen: Flags) -> list[Change]:
         """Fields of the scene that change, for each of the ``chosen`` environments."""
-        if isinstance(given, Mapping):
-            return [given] * int(chosen.sum())
-        several = isinstance(given, Sequence) and not isinstance(given, str)
-        if not several or len(given) != self.num_envs or not all(isinstance(one, Mapping | None) for one in given):
+        if isinstance(argument, Mapping):
+            return [argument] * int(chosen.sum())
+        several = isinstance(argument, Sequence) and not isinstance(argument, str)
+        if (
+            not several
+            or len(argument) != self.num_envs
+            or not all(isinstance(one, Mapping | None) for one in argument)
+        ):
             raise TypeError(
                 f"options['scene'] must be a dict of the scene's fields or a list of {self.num_envs}, "
-                f"got {check.shown(given)}"
+                f"got {check.shown(argument)}"
             )
-        return [given[number] or {} for number in np.flatnonzero(chosen).tolist()]
+        return [argument[number] or {} for number in np.flatnonzero(chosen).tolist()]

@@ -1,4 +1,4 @@
-"""What a batch of environments offers to the vector environment."""
+"""The interface of a batch of environments, which the vector environment steps."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Numbers = NDArray[np.int64]  # of environments
 
 @dataclass(slots=True)
 class Outcome:
-    """What a step brings: fresh arrays, which the batch never writes again."""
+    """Results of a step: fresh arrays, which the batch never writes again."""
 
     observations: Floats  # (N, 10)
     rewards: Array  # (N,)
@@ -37,7 +37,7 @@ class Outcome:
         return self.terminations | self.truncations
 
     def followed_by(self, later: Outcome) -> Outcome:
-        """This step and a later one as one; episodes that this one has ended have waited in that."""
+        """This step and a later one combined; episodes that ended in this one did not move in the later one."""
         ended = self.ended
         later.observations[ended] = self.observations[ended]
         for name, values in later.infos.items():
@@ -53,21 +53,21 @@ class Starts(NamedTuple):
     """Episodes that are drawn and have not begun."""
 
     numbers: Numbers  # (k,) of their environments
-    generators: Any  # theirs from then on
-    scenes: Any  # theirs from then on, as the batch keeps them; None: they stay
-    states: Array | None = None  # (k, 12) in which they start, checked; None: they are drawn when they begin
+    generators: Any  # of these environments from then on
+    scenes: Any  # of these environments from then on, in the batch's own form; None: they stay
+    states: Array | None = None  # (k, 12) in which they start, checked; None: drawn when they begin
 
 
 def bad_action(action: float, number: int) -> ValueError:
-    """The refusal of an action that is NaN or infinite."""
+    """The error for an action that is NaN or infinite."""
     return ValueError(f"action must be a finite number (clipped to [-1, 1]), got {action} for environment {number}")
 
 
 class Batch(Protocol):
-    """N environments, of one scene or each of its own. An episode that is over waits for its restart; steps pass it by.
+    """N environments, of one scene or of one each. Steps leave an episode that is over as it is, until its restart.
 
-    What may be refused comes first and changes nothing: :meth:`step` and :meth:`draw`. What comes of them is then put
-    in place by :meth:`take`, :meth:`start` and :meth:`place`, which refuse nothing.
+    :meth:`step` and :meth:`draw` may raise and change nothing. :meth:`take`, :meth:`start` and :meth:`place` then
+    commit the results; they cannot fail.
     """
 
     @property
@@ -93,23 +93,23 @@ class Batch(Protocol):
         """A number of each environment's scene as it is now, by the name of its field, a fresh array, shape (N,)."""
 
     def impacts(self, number: int) -> list[Impact]:
-        """The impacts of an environment's last step, in time order; none where it has been put somewhere since."""
+        """The impacts of an environment's last step, in time order; none if its state was set since."""
 
     def step(self, actions: Array | None) -> Outcome:
-        """Step all under ``actions``, shape (N,), or under the scene's drive; none is changed before :meth:`take`.
+        """Step all under ``actions``, shape (N,), or under the scene's drive; nothing changes before :meth:`take`.
 
         Raises:
             ValueError, JackLostError, TaskError: as the single environment does.
         """
 
     def take(self, after: Any) -> None:
-        """Put an outcome's environments in place of the present ones."""
+        """Replace the present environments by those of an outcome."""
 
     def saved(self) -> Any:
         """The environments as they are now, for :meth:`restore`."""
 
     def restore(self, saved: Any) -> None:
-        """Go back to environments that only steps have changed since."""
+        """Return to saved environments; only steps may have changed them since."""
 
     def draw(
         self,
@@ -123,28 +123,29 @@ class Batch(Protocol):
         Args:
             numbers: of the environments, shape (k,).
             seeds: of each one's generator; None: it goes on.
-            changes: what an option changes, for each of them: fields of the scene that it was made with. None: nothing;
-                then the scene stays, unless scenes are drawn at each reset.
-            placed: whether somebody else says in which states they start, so that no start is drawn.
+            changes: for each of them, fields of its original scene that an option changes. None: the scene stays,
+            unless
+                scenes are drawn at each reset.
+            placed: whether the caller sets the first states, so that no start is drawn.
 
         Raises:
             TypeError, ValueError: a scene, or a task's start, that is refused.
         """
 
     def start(self, starts: Starts) -> None:
-        """Begin episodes at time 0. If all begin, nothing is left of what an interruption left half changed."""
+        """Begin episodes at time 0. If all begin, this also repairs what an interruption left half changed."""
 
     def place(self, chosen: Flags, states: Array, times: Array) -> None:
-        """Put the ``chosen`` environments into states, shape (N, 12), and times [s], checked beforehand.
+        """Set states, shape (N, 12), and times [s] of the ``chosen`` environments, checked beforehand.
 
         Their episodes go on. An episode that is over starts anew.
         """
 
     def observe(self, numbers: Numbers, observations: Floats) -> None:
-        """Write what the agents of some environments see into their rows, shape (N, 10)."""
+        """Write the observations of some environments into their rows, shape (N, 10)."""
 
     def render(self) -> tuple[Any, ...]:
         """A frame of each environment."""
 
     def close(self) -> None:
-        """Release what the renderers hold."""
+        """Release the renderers' resources."""

@@ -14,8 +14,8 @@ from jackbox_env.batches.threads import Halt, Threads, thread_count
 from jackbox_env.exact import glide, restart, run, score
 from jackbox_env.exact.compiler import address_of, compiled
 from jackbox_env.exact.restart import WHOLE, WITH_HALVES, fresh, packed, seeded, unpacked
-from jackbox_env.exact.run import NOTHING, Call, Results, Rules, Scenes
-from jackbox_env.exact.workspace import Status
+from jackbox_env.exact.run import Call
+from jackbox_env.exact.workspace import NOTHING, Results, Rules, Scenes, Status, new_memory
 from jackbox_env.randomization import Randomization
 from jackbox_env.scene import Scene
 from jackbox_env.scoring import bad_reward, compiled_for
@@ -37,11 +37,11 @@ _NO_ACTIONS: Array = np.zeros((0, 0))
 
 
 class ExactBatch:
-    """See :class:`jackbox_env.batches.base.Batch`; 288 bytes per environment besides what is handed out.
+    """See :class:`jackbox_env.batches.base.Batch`; 288 bytes per environment besides the arrays returned.
 
-    Scenes of their own take 152 bytes more for each environment.
+    With a scene for each environment it is 152 bytes more.
 
-    A step removes the memory that threads write to and restores it when they have ended. So memory that a thread may
+    A step drops the memory that threads write to, and restores it when they have ended. So memory that a thread may
     still write to after an interruption is never used again.
     """
 
@@ -64,7 +64,7 @@ class ExactBatch:
         self._dt, self._terms = control_dt, [f"reward_{name}" for name in task.terms]
         self._limit, self._with_infos, self._randomize = float(max_episode_steps), with_infos, randomize
         self._task = task
-        self._score = compiled_for(task, score.score_block)  # kept, because the loop calls it by its address
+        self._score = compiled_for(task, score.score_block)  # stored, because the loop calls it by its address
         self._score_address = address_of(self._score)
         width = min(glide.WIDEST, -(-num_envs // (num_threads or 1)))
         self._count, self._blocks = num_envs, np.zeros((-(-num_envs // width), glide.WIDTH, width))
@@ -76,18 +76,18 @@ class ExactBatch:
         ranges = len(self._blocks) if num_threads else num_envs // _FEWEST_PER_THREAD
         self._threads = Threads(thread_count(num_threads, ranges))
         self._spare: Array | None = np.zeros_like(self._blocks)  # where the next step writes
-        self._stepped = False  # whether that holds where the last step began
+        self._stepped = False  # whether that memory has the states before the last step
         self._acted: Array | None = None  # the actions of the last step, None: the drive
         self._calls: list[Call] | None = self._new_calls()
 
     def _new_calls(self) -> list[Call]:
-        return [Call(run.new_memory(self._blocks.shape[2])) for _ in range(self._threads.count)]
+        return [Call(new_memory(self._blocks.shape[2])) for _ in range(self._threads.count)]
 
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "_score": None, "_score_address": 0, "_calls": None}  # addresses hold in one process only
 
-    def __setstate__(self, kept: dict[str, Any]) -> None:
-        vars(self).update(kept)
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
         self._score = compiled_for(self._task, score.score_block)
         self._score_address = address_of(self._score)
 
@@ -116,9 +116,9 @@ class ExactBatch:
         """Which episodes are over, shape (N,)."""
         return np.not_equal(self._column(glide.OVER), 0.0)
 
-    def _column(self, place: int) -> Array:
-        """A copy of one number of all environments, shape (N,)."""
-        return self._blocks[:, place].reshape(-1)[: self._count].copy()
+    def _column(self, row: int) -> Array:
+        """A copy of one row of the blocks, shape (N,)."""
+        return self._blocks[:, row].reshape(-1)[: self._count].copy()
 
     # -- episodes -----------------------------------------------------------------------------------------------------
 
@@ -126,8 +126,8 @@ class ExactBatch:
         """See :meth:`jackbox_env.batches.base.Batch.scene`."""
         if starts is None or starts.scenes is None or number not in starts.numbers:
             return self._scenes.scene(number)
-        given = starts.scenes[int(np.searchsorted(starts.numbers, number))]
-        return given if isinstance(given, Scene) else self._scenes.scene_of(number, given)
+        scene = starts.scenes[int(np.searchsorted(starts.numbers, number))]
+        return scene if isinstance(scene, Scene) else self._scenes.scene_of(number, scene)
 
     def draw(
         self,
@@ -139,29 +139,29 @@ class ExactBatch:
         """See :meth:`jackbox_env.batches.base.Batch.draw`."""
         ensure_compiled()
         words, table = self._generators[numbers], self._scenes
-        for place, seed in enumerate(seeds or ()):
+        for index, seed in enumerate(seeds or ()):
             if seed is not None:
-                words[place] = seeded(seed)[: words.shape[1]]
+                words[index] = seeded(seed)[: words.shape[1]]
         drawn, starting = self._randomize, self._task.start is not None and not placed
         if changes is None and drawn is None and not starting:
             return Starts(numbers, words, None)
         otherwise = table.driven_otherwise[numbers if table.several else 0].any()
         if changes is None and drawn is not None and drawn.function is None and not (otherwise or starting):
-            rows, derived = table.own_rows(numbers), self._derived
+            rows, derived = table.original_rows(numbers), self._derived
             follows = derived[numbers] if len(derived) > 1 else np.repeat(derived, len(numbers), axis=0)
             compiled(restart.draw_scenes)(rows, drawn.table, follows, words)
             return Starts(numbers, words, rows)
         scenes, states = list[Scene](), list[Array]()
-        for place, number in enumerate(numbers.tolist()):
-            generator, scene = unpacked(words[place]), table.scene(number)
+        for index, number in enumerate(numbers.tolist()):
+            generator, scene = unpacked(words[index]), table.scene(number)
             if changes is not None or drawn is not None:
-                own = table.own_of(number)
-                fields = {} if drawn is None else drawn.draw(own, generator)
-                scene = own.changed(**{**fields, **(changes[place] if changes else {})})
+                original = table.original_of(number)
+                fields = {} if drawn is None else drawn.draw(original, generator)
+                scene = original.changed(**{**fields, **(changes[index] if changes else {})})
                 scenes.append(scene)
             if starting:
                 states.append(draw_start(self._task, scene, generator))
-            words[place] = packed(generator)[: words.shape[1]]
+            words[index] = packed(generator)[: words.shape[1]]
         return Starts(numbers, words, scenes or None, np.array(states) if starting else None)
 
     def start(self, starts: Starts) -> None:
@@ -196,7 +196,7 @@ class ExactBatch:
 
     def observe(self, numbers: Numbers, observations: Floats) -> None:
         """See :meth:`jackbox_env.batches.base.Batch.observe`."""
-        compiled(restart.look_blocks)(self._scenes.rows(numbers), self._blocks, numbers, observations)
+        compiled(restart.observe_blocks)(self._scenes.rows(numbers), self._blocks, numbers, observations)
 
     def field(self, name: str) -> Array:
         """See :meth:`jackbox_env.batches.base.Batch.field`."""
@@ -205,7 +205,7 @@ class ExactBatch:
     def impacts(self, number: int) -> list[Impact]:
         """See :meth:`jackbox_env.batches.base.Batch.impacts`.
 
-        The step is made once more, from the memory that the next step will write to.
+        The step is repeated, from the memory that the next step will write to.
         """
         if self._spare is None or not self._stepped:
             return []
@@ -214,7 +214,7 @@ class ExactBatch:
         return simulator.impacts if np.array_equal(simulator.state, self._blocks[block, :12, lane]) else []
 
     def _stepped_again(self, number: int, before: Array, actions: Array | None) -> ExactSimulator:
-        """A simulator of one environment after the step from ``before`` under ``actions``."""
+        """A simulator of one environment, stepped from ``before`` under ``actions``."""
         block, lane = divmod(number, before.shape[2])
         simulator = ExactSimulator(self.scene(number))
         limit = simulator.scene.torque_limit
@@ -233,13 +233,13 @@ class ExactBatch:
             np.empty(count, dtype=np.bool_),
             np.zeros((count if self._with_infos else 0, score.TERMS + len(self._terms))), *NOTHING[5:],
         )  # fmt: skip
-        scenes, given = self._scenes_of_step(actions), _NO_ACTIONS if actions is None else actions.reshape(1, -1)
+        scenes, controls = self._scenes_of_step(actions), _NO_ACTIONS if actions is None else actions.reshape(1, -1)
         rules = Rules(self._dt, 1, self._limit, True, False, False, self._score_address, run.PATIENCE)
         blocks, after, calls = self._blocks, self._spare, self._calls
         after = np.zeros_like(blocks) if after is None else after
         calls = self._new_calls() if calls is None else calls
         for call in calls:
-            call.prepare(scenes, rules, blocks, after, given, filled)
+            call.prepare(scenes, rules, blocks, after, controls, filled)
         self._spare = self._calls = None
         self._stepped, self._acted = False, actions  # until the step is taken
         step = compiled(run.run)
@@ -247,19 +247,19 @@ class ExactBatch:
         def work(thread: int, low: int, high: int) -> tuple[int, int]:
             finished = 0
             while True:
-                ended, number, _, now, _ = step(calls[thread].place, low, high, 0)
+                ended, number, _, now, _ = step(calls[thread].address, low, high, 0)
                 finished += now
-                if ended != Status.PAUSED or halt.asked:
+                if ended != Status.PAUSED or halt.requested:
                     return ended, number if ended else finished
-                low = number  # after a while, so that an interruption is heard
+                low = number  # it paused so that an interruption is heard
 
-        results = self._threads.run(work, len(blocks), grain=_GRAIN, halt=halt)
+        parts = self._threads.run(work, len(blocks), grain=_GRAIN, halt=halt)
         self._spare, self._calls = after, calls
-        for ended, number in results:
+        for ended, number in parts:
             if ended:
                 raise self._failure(ended, number, actions)
         infos = self._infos(after, filled.reports) if self._with_infos else {}
-        finished = sum(finished for _, finished in results)
+        finished = sum(finished for _, finished in parts)
         return Outcome(
             filled.observations, filled.rewards[0], filled.terminations, filled.truncations, infos, finished, after
         )
@@ -277,19 +277,19 @@ class ExactBatch:
         self._blocks, self._stepped = saved, False
 
     def _scenes_of_step(self, actions: Array | None) -> Scenes:
-        """The scenes, with the pieces of drives of functions, which are cut once for each drive and time."""
+        """The scenes, with the pieces of drives of functions, cut once for each drive and time."""
         scenes, torque = self._scenes, int(actions is not None)
         if not scenes.cutting[torque]:
             return Scenes(scenes.values, scenes.lanes, scenes.kinds[torque], *NO_PIECES)
-        tables, found = list[Array](), dict[tuple[int, float], int]()
+        tables, indices = list[Array](), dict[tuple[int, float], int]()
         begins, times, drives = np.zeros(self._count, np.int64), self.times.tolist(), scenes.drives
         for number in np.flatnonzero(scenes.cut[torque] & ~self.over).tolist():
             drive, time = drives[number if scenes.several else 0], times[number]
-            if (id(drive), time) not in found:
+            if (id(drive), time) not in indices:
                 end_of_step(time, self._dt)
-                found[id(drive), time] = len(tables)
+                indices[id(drive), time] = len(tables)
                 tables.append(pieces_for(drive, time, self._dt, 0.0 if torque else None))  # whatever is held
-            begins[number] = found[id(drive), time]
+            begins[number] = indices[id(drive), time]
         return Scenes(scenes.values, scenes.lanes, scenes.kinds[torque], *joined(tables, begins))
 
     def _infos(self, after: Array, reports: Array) -> dict[str, NDArray[Any]]:
@@ -317,7 +317,7 @@ class ExactBatch:
         return failure(ended, self.scene(number), time, self._dt, f"the jack of environment {number}")
 
     def render(self) -> tuple[Any, ...]:
-        """Nothing: environments with pictures are stepped one by one."""
+        """Nothing: environments that render are stepped one by one, see ``single.py``."""
         return ()
 
     def close(self) -> None:

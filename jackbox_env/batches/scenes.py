@@ -1,4 +1,4 @@
-"""The scenes that a batch of the exact contact model holds: one for all environments, or one for each."""
+"""The scenes of a batch of the exact contact model: one for all environments, or one for each."""
 
 from __future__ import annotations
 
@@ -21,43 +21,44 @@ AnyDrive = Chirp | Drive | None
 Counts = NDArray[np.int64]
 
 _FIELDS = tuple(part.name for part in fields(Scene) if part.name in SceneNumbers._fields)
-_PLACES = [SceneNumbers._fields.index(name) for name in _FIELDS]
+_COLUMNS = [SceneNumbers._fields.index(name) for name in _FIELDS]
 
 
 class SceneTable:
     """Scenes as numbers. Rows change in place.
 
     Args:
-        own: the scenes that environments were made with, one for all or one each.
-        several: whether each environment gets a row of its own.
+        originals: the scenes that environments were made with, one for all or one each.
+        several: whether each environment has its own row.
         shape: blocks, 16, width of the environments.
         count: environments.
         dt: control step [s].
     """
 
-    def __init__(self, own: Sequence[Scene], several: bool, shape: tuple[int, ...], count: int, dt: float) -> None:
-        self.own, self.dt, self.count = own, dt, count
-        self._scenes: dict[int, Scene] = {}  # those that were asked for
-        self._made_with: Array = np.array([scene.numbers for scene in own])  # never changed
+    def __init__(
+        self, originals: Sequence[Scene], several: bool, shape: tuple[int, ...], count: int, dt: float
+    ) -> None:
+        self.originals, self.dt, self.count = originals, dt, count
+        self._scenes: dict[int, Scene] = {}  # those requested so far
+        self._made_with: Array = np.array([scene.numbers for scene in originals])  # never changed
         rows = self._made_with.copy()
-        self.drives: list[AnyDrive] = [scene.drive for scene in own]
-        if several and len(own) < count:
+        self.drives: list[AnyDrive] = [scene.drive for scene in originals]
+        if several and len(originals) < count:
             rows, self.drives = np.repeat(rows, count, axis=0), self.drives * count
         self.values: Array = rows  # (1 or N, numbers of a scene)
         self.lanes: Array = np.zeros((shape[0] if several else 1, SCENE_LANES, shape[2]))
         numbers = np.arange(count if several else shape[2])
         compiled(spread)(self.values, dt, self.lanes, numbers)
-        self._find_kinds()
+        self._derive_kinds()
         self._changing = False  # whether an interruption has left a change half made
 
-    def _find_kinds(self) -> None:
+    def _derive_kinds(self) -> None:
         kinds = [(drive_kind(drive), drive_kind(drive, held=True)) for drive in self.drives]
         columns = np.array(kinds, dtype=np.int64).T
-        # Of each environment, or of all: whether its drive is another than the one it was made with; what turns the box
-        # under the drive, and under a held torque; whether a drive's functions are cut into pieces then. Of all
-        # together: whether any is.
+        # Of each environment, or of all: whether its drive is not the original one; what turns the box under the drive
+        # and under a constant torque; whether functions are cut into pieces then, and whether any are.
         self.driven_otherwise: Flags = np.array(
-            [drive is not self.own_of(number).drive for number, drive in enumerate(self.drives)]
+            [drive is not self.original_of(number).drive for number, drive in enumerate(self.drives)]
         )
         self.kinds: tuple[Counts, Counts] = columns[0].copy(), columns[1].copy()
         self.cut: tuple[Flags, Flags] = np.isin(columns[0], WITH_PIECES), np.isin(columns[1], WITH_PIECES)
@@ -67,25 +68,25 @@ class SceneTable:
         """This table with a row for each environment."""
         if self.several or self.count == 1:
             return self
-        twin = SceneTable(self.own, True, shape, self.count, self.dt)
+        twin = SceneTable(self.originals, True, shape, self.count, self.dt)
         twin.values[:] = self.values
         twin.lanes[:] = self.lanes
         twin.drives = self.drives * self.count
-        twin._find_kinds()
+        twin._derive_kinds()
         return twin
 
     @property
     def several(self) -> bool:
-        """Whether each environment has a row of its own."""
+        """Whether each environment has its own row."""
         return len(self.values) > 1
 
-    def own_of(self, number: int) -> Scene:
+    def original_of(self, number: int) -> Scene:
         """The scene that an environment was made with."""
-        return self.own[number if len(self.own) > 1 else 0]
+        return self.originals[number if len(self.originals) > 1 else 0]
 
-    def own_rows(self, numbers: Counts) -> Array:
+    def original_rows(self, numbers: Counts) -> Array:
         """The numbers of the scenes that some environments were made with, a row each, to be changed."""
-        return self._made_with[numbers if len(self.own) > 1 else np.zeros(len(numbers), dtype=np.int64)]
+        return self._made_with[numbers if len(self.originals) > 1 else np.zeros(len(numbers), dtype=np.int64)]
 
     def column(self, name: str) -> Array:
         """A field of the scenes, shape (1,) or (N,)."""
@@ -93,11 +94,11 @@ class SceneTable:
         return column
 
     def rows(self, numbers: Counts) -> Array:
-        """A copy of the rows of some environments; the only one where they have one scene."""
+        """A copy of the rows of some environments; of the only row if they share a scene."""
         return self.values[numbers] if self.several else self.values.copy()
 
     def put(self, numbers: Counts, rows: Array) -> None:
-        """Set the numbers of some environments' scenes, or of all where they have one."""
+        """Set the numbers of some environments' scenes, or of all if they share one."""
         self._changing = True
         self._forget(numbers)
         if self.several:
@@ -115,14 +116,14 @@ class SceneTable:
             self.put_drives(everyone, list(self.drives))
 
     def put_drives(self, numbers: Counts, drives: Sequence[AnyDrive]) -> None:
-        """Set the drives of some environments' scenes, or of all where they have one."""
+        """Set the drives of some environments' scenes, or of all if they share one."""
         self._changing = True
         self._forget(numbers)
         if not self.several:
             self.drives = [drives[0]]
         for number, drive in zip(numbers.tolist(), drives, strict=True) if self.several else ():
             self.drives[number] = drive
-        self._find_kinds()
+        self._derive_kinds()
         self._changing = False
 
     def _forget(self, numbers: Counts) -> None:
@@ -131,20 +132,20 @@ class SceneTable:
 
     def scene(self, number: int) -> Scene:
         """The scene that an environment has."""
-        place = number if self.several else 0
-        if place not in self._scenes:
-            self._scenes[place] = self.scene_of(number, self.values[place])
-        return self._scenes[place]
+        index = number if self.several else 0
+        if index not in self._scenes:
+            self._scenes[index] = self.scene_of(number, self.values[index])
+        return self._scenes[index]
 
     def scene_of(self, number: int, row: Array) -> Scene:
         """The scene that an environment has with the numbers of ``row``."""
-        own, drive = self.own_of(number), self.drives[number if self.several else 0]
-        found: dict[str, Any] = dict(zip(_FIELDS, row[_PLACES].tolist(), strict=True))
-        changed = {name: value for name, value in found.items() if value != getattr(own, name)}
-        if drive is not own.drive:
+        original, drive = self.original_of(number), self.drives[number if self.several else 0]
+        numbers: dict[str, Any] = dict(zip(_FIELDS, row[_COLUMNS].tolist(), strict=True))
+        changed = {name: value for name, value in numbers.items() if value != getattr(original, name)}
+        if drive is not original.drive:
             changed["drive"] = drive
         if not changed:
-            return own
-        follows = own.changed(**{name: value for name, value in changed.items() if name not in own.derived})
-        given = {name: found[name] for name in own.derived if found[name] != getattr(follows, name)}
-        return follows.changed(**given) if given else follows
+            return original
+        follows = original.changed(**{name: value for name, value in changed.items() if name not in original.derived})
+        inertias = {name: numbers[name] for name in original.derived if numbers[name] != getattr(follows, name)}
+        return follows.changed(**inertias) if inertias else follows

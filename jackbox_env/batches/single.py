@@ -1,4 +1,4 @@
-"""A batch made of single environments, stepped one after the other: any contact model, and pictures."""
+"""A batch of single environments, stepped one after the other: for any contact model, and for rendering."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from jackbox_env.tasks import TaskError, draw_start, sample_start, task_of
 class SingleBatch:
     """See :class:`jackbox_env.batches.base.Batch`.
 
-    The environments move while a step is made. Where it is not taken they are put back before they are used again.
+    A step moves the environments. If it is not taken, they are set back before they are used again.
     """
 
     def __init__(
@@ -35,17 +35,17 @@ class SingleBatch:
         **settings: Any,
     ) -> None:
         """Make environments of one scene, or with a scene each, and other settings of the single one."""
-        self._own = list(scenes) if len(scenes) > 1 else list(scenes) * num_envs
-        self._envs = [JackInBoxEnv(scene=scene, **settings) for scene in self._own]
+        self._originals = list(scenes) if len(scenes) > 1 else list(scenes) * num_envs
+        self._envs = [JackInBoxEnv(scene=scene, **settings) for scene in self._originals]
         self._with_infos, self._randomize, self._limit = with_infos, randomize, max_episode_steps
         self._task = task_of(settings["task"])
-        plain = sample_start(self._own[0], np_random()[0])
+        plain = sample_start(self._originals[0], np_random()[0])
         self._names = list(self._envs[0].reset(options={"state": plain})[1])
         self._states = np.array([env.state for env in self._envs])
         self._times, self._steps = np.zeros(num_envs), np.zeros(num_envs, dtype=np.int64)
         self._over = np.zeros(num_envs, dtype=np.bool_)
-        self._generators, self._scenes = [np_random()[0] for _ in range(num_envs)], list(self._own)
-        self._astray = False  # whether the environments may be elsewhere
+        self._generators, self._scenes = [np_random()[0] for _ in range(num_envs)], list(self._originals)
+        self._astray = False  # whether the environments may not be in the batch's states
 
     @property
     def states(self) -> Array:
@@ -94,13 +94,13 @@ class SingleBatch:
     ) -> Starts:
         """See :meth:`jackbox_env.batches.base.Batch.draw`."""
         generators, scenes, states = list[np.random.Generator](), list[Scene](), list[Array]()
-        for place, number in enumerate(numbers.tolist()):
-            seed = seeds[place] if seeds else None
+        for index, number in enumerate(numbers.tolist()):
+            seed = seeds[index] if seeds else None
             generators.append(copy.deepcopy(self._generators[number]) if seed is None else np_random(seed)[0])
             if self._randomize or changes is not None:
-                drawn = self._randomize.draw(self._own[number], generators[-1]) if self._randomize else {}
-                scenes.append(self._own[number].changed(**{**drawn, **(changes[place] if changes else {})}))
-                self._envs[number].simulator_of(scenes[-1])  # refuses now what its contact model does not take
+                drawn = self._randomize.draw(self._originals[number], generators[-1]) if self._randomize else {}
+                scenes.append(self._originals[number].changed(**{**drawn, **(changes[index] if changes else {})}))
+                self._envs[number].simulator_of(scenes[-1])  # raises now if its contact model cannot simulate it
             if not placed:
                 states.append(draw_start(self._task, scenes[-1] if scenes else self._scenes[number], generators[-1]))
         return Starts(numbers, generators, scenes or None, None if placed else np.array(states))
@@ -108,10 +108,10 @@ class SingleBatch:
     def start(self, starts: Starts) -> None:
         """See :meth:`jackbox_env.batches.base.Batch.start`."""
         numbers = starts.numbers
-        for place, number in enumerate(numbers.tolist()):
-            self._generators[number] = starts.generators[place]
+        for index, number in enumerate(numbers.tolist()):
+            self._generators[number] = starts.generators[index]
             if starts.scenes is not None:
-                self._scenes[number] = starts.scenes[place]
+                self._scenes[number] = starts.scenes[index]
         self._states[numbers], self._times[numbers] = starts.states, 0.0
         self._steps[numbers], self._over[numbers] = 0, False
         self._put(numbers)
@@ -126,12 +126,12 @@ class SingleBatch:
         self._put(np.flatnonzero(chosen))
 
     def _put(self, numbers: Numbers) -> None:
-        """Put some environments where they are said to be."""
+        """Set some environments to the batch's scenes, states and times."""
         for number in numbers.tolist():
             put(self._envs[number], self._scenes[number], self._states[number], float(self._times[number]))
 
     def _gather(self) -> None:
-        """Put the environments back where they are said to be, if they may be elsewhere."""
+        """Set all environments back to the batch's states, if they may have moved."""
         if self._astray:
             self._put(np.arange(len(self._envs)))
             self._astray = False
@@ -200,6 +200,6 @@ class SingleBatch:
         return tuple(env.render() for env in self._envs)
 
     def close(self) -> None:
-        """Release what the renderers hold."""
+        """Release the renderers' resources."""
         for env in self._envs:
             env.close()

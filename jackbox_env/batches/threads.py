@@ -1,4 +1,4 @@
-"""Ranges of environments or rollouts, shared out over a pool of threads."""
+"""Distributes ranges of environments or rollouts over a pool of threads."""
 
 from __future__ import annotations
 
@@ -16,30 +16,30 @@ _PIECES = 2  # for each thread
 _MOST = 256  # threads: a typo must not ask the system for a million
 
 
-def thread_count(given: int | None, ranges: int) -> int:
-    """The number of threads: as ``given``, or as many as this process may use, but no more than ``ranges`` or 256.
+def thread_count(num_threads: int | None, ranges: int) -> int:
+    """The number of threads: ``num_threads``, or as many as this process may use; at most ``ranges`` and 256.
 
     Raises:
-        TypeError, ValueError: ``given`` is no whole number of at least 1.
+        TypeError, ValueError: ``num_threads`` is not a whole number of at least 1.
     """
-    if given is None:
+    if num_threads is None:
         affinity = getattr(os, "sched_getaffinity", None)
         wanted = len(affinity(0)) if affinity else os.cpu_count() or 1
     else:
-        wanted = check.whole("num_threads", given, at_least=1)
+        wanted = check.whole("num_threads", num_threads, at_least=1)
     return max(1, min(wanted, ranges, _MOST))
 
 
 class Halt:
-    """Asks the threads at a job to stop early: its result is no longer wanted."""
+    """A request to the threads of a job to stop early, because its result is no longer needed."""
 
-    asked = False
+    requested = False
 
 
 class Threads:
-    """A few threads that share out ranges, a piece at a time; the calling thread works as well.
+    """A few threads that work on ranges, one piece at a time; the calling thread works as well.
 
-    A thread that is ready takes the next piece: a thread that wakes late costs half of its delay and not all of it.
+    A free thread works on the next piece, so a thread that wakes late costs half of its delay and not all of it.
     """
 
     def __init__(self, count: int) -> None:
@@ -61,7 +61,7 @@ class Threads:
         pieces, results, futures = deque(range(0, total, size)), dict[int, R](), list[Future[None]]()
 
         def share(number: int) -> None:
-            while not halt.asked:
+            while not halt.requested:
                 try:
                     low = pieces.popleft()
                 except IndexError:
@@ -69,7 +69,7 @@ class Threads:
                 try:
                     results[low] = work(number, low, min(low + size, total))
                 except BaseException:
-                    halt.asked = True
+                    halt.requested = True
                     raise
 
         try:
@@ -80,7 +80,7 @@ class Threads:
             for future in futures:
                 future.result()
         except BaseException:
-            halt.asked, self._pool = True, None
+            halt.requested, self._pool = True, None
             wait(futures)
             raise
         return [results[low] for low in sorted(results)]

@@ -1,11 +1,11 @@
-"""Bounds of what moves within a time: how far the jack gets, and how much a gap bends.
+"""Bounds for the search of ``search.py``: how far the jack gets until a horizon, and how much a gap bends.
 
 With upper bounds V, Omega, A, D of relative speed, |omega_box|, |alpha_box| and |r|, a gap bends by at most
 
     K = |d2 gap / dt2| = a + 2 Omega V + (Omega^2 + A) D + l (max |omega_jack - omega_box|^2 + A)
 
-with a the relative acceleration of the centres. So gap(t + s) >= gap + gap' s - K s^2 / 2 over the whole time.
-Where |r| + l < L throughout, nothing can be hit.
+with a the relative acceleration of the centres. So gap(t + s) >= gap + gap' s - K s^2 / 2 until the horizon.
+If |r| + l < L throughout, nothing can be hit.
 """
 
 from __future__ import annotations
@@ -16,75 +16,75 @@ from typing import NamedTuple
 from jackbox_env.exact.flight import BoxFrame, Flight, Piece, towards
 from jackbox_env.scene import SceneNumbers
 
-_SLACK = 1.0 + 1e-12  # on bounds, for their rounding
+_SLACK = 1.0 + 1e-12  # for the rounding of bounds
 
 
 class Bounds(NamedTuple):
-    """What the motion can not exceed within a time."""
+    """Upper bounds of the motion until a horizon."""
 
     far: float  # distance of the centres [m]
     bend: float  # second derivative of a centre's distance from a wall [m/s^2]
     swing: float  # that of a foot's distance from the jack's centre, along a wall's normal [m/s^2]
 
 
-def reach_of(scene: SceneNumbers, flight: Flight, left: float, push: float) -> float:
-    """Bound of the distance of the centres within ``left`` [s] [m]."""
-    return farthest(flight.x, flight.y, flight.vx, flight.vy, scene.gravity, push, left)
+def reach_of(scene: SceneNumbers, flight: Flight, horizon: float, push: float) -> float:
+    """Bound of the distance of the centres within ``horizon`` [s] [m]."""
+    return farthest(flight.x, flight.y, flight.vx, flight.vy, scene.gravity, push, horizon)
 
 
-def farthest(x: float, y: float, vx: float, vy: float, gravity: float, push: float, left: float) -> float:
-    """Bound of the distance of the centres within ``left`` [s] [m], from their relative place and velocity."""
-    end_x, end_y = x + vx * left, y + (vy - 0.5 * gravity * left) * left
-    # A chord's ends, and a bent path's distance from it.
+def farthest(x: float, y: float, vx: float, vy: float, gravity: float, push: float, horizon: float) -> float:
+    """Bound of the distance of the centres within ``horizon`` [s] [m], from their relative position and velocity."""
+    end_x, end_y = x + vx * horizon, y + (vy - 0.5 * gravity * horizon) * horizon
+    # The farther end of the chord, and the distance of the bent path from the chord.
     far = math.sqrt(max(x * x + y * y, end_x * end_x + end_y * end_y))
-    return (far + (0.125 * gravity + 0.5 * push) * left * left) * _SLACK
+    return (far + (0.125 * gravity + 0.5 * push) * horizon * horizon) * _SLACK
 
 
-def bounds_of(scene: SceneNumbers, flight: Flight, left: float, spin_up: float, push: float) -> Bounds:
-    """Bounds within ``left`` [s]; the box's angular and linear acceleration stay below ``spin_up`` and ``push``."""
-    far = reach_of(scene, flight, left, push)
-    spin = abs(flight.jack_omega - flight.omega) + spin_up * left
-    bend = bend_of(flight.vx, flight.vy, flight.omega, far, scene.gravity + push, spin_up, left)
+def bounds_of(scene: SceneNumbers, flight: Flight, horizon: float, spin_up: float, push: float) -> Bounds:
+    """Bounds within ``horizon`` [s]; the box's angular and linear acceleration stay below ``spin_up`` and ``push``."""
+    far = reach_of(scene, flight, horizon, push)
+    spin = abs(flight.jack_omega - flight.omega) + spin_up * horizon
+    bend = bend_of(flight.vx, flight.vy, flight.omega, far, scene.gravity + push, spin_up, horizon)
     return Bounds(far, bend, scene.jack_arm * (spin * spin + spin_up) * _SLACK)
 
 
-def bend_of(vx: float, vy: float, omega: float, far: float, pull: float, spin_up: float, left: float) -> float:
-    """Bound of the second derivative of a centre's distance from a wall within ``left`` [s] [m/s^2].
+def bend_of(vx: float, vy: float, omega: float, far: float, pull: float, spin_up: float, horizon: float) -> float:
+    """Bound of the second derivative of a centre's distance from a wall within ``horizon`` [s] [m/s^2].
 
     The centres are at most ``far`` [m] apart, and accelerate relative to each other by ``pull`` [m/s^2] at most.
     """
-    speed = math.sqrt(vx * vx + vy * vy) + pull * left
-    fastest = abs(omega) + spin_up * left
+    speed = math.sqrt(vx * vx + vy * vy) + pull * horizon
+    fastest = abs(omega) + spin_up * horizon
     return (pull + 2.0 * fastest * speed + (fastest * fastest + spin_up) * far) * _SLACK
 
 
 def bounds_to_impact(
-    scene: SceneNumbers, flight: Flight, left: float, spin_up: float, push: float, outermost: float
+    scene: SceneNumbers, flight: Flight, horizon: float, spin_up: float, push: float, outermost: float
 ) -> float:
-    """Bound of a gap's second derivative within ``left`` [s], until a foot first touches a wall [m/s^2].
+    """Bound of a gap's second derivative within ``horizon`` [s], until a foot first touches a wall [m/s^2].
 
-    Until then a foot is in the box, sqrt(2) L from its centre at most, however far the bounds let the jack get. Feet
-    that are in a wall now get no deeper without touching: ``outermost`` [m] is the largest coordinate of a foot on the
-    box's axes now, and stands for L where it is larger. With p the foot's place from the box's centre and n the wall's
-    normal, gap = L - n . p, so K = |p''| + 2 |n'| |p'| + |n''| |p|; the box's rotation has no part in p.
+    Until then a foot is in the box, sqrt(2) L from its centre at most. Feet that are in a wall now get no deeper
+    without touching: ``outermost`` [m], the largest coordinate of a foot on the box's axes now, replaces L if it is
+    larger. With p the foot's position from the box's centre and n the wall's normal, gap = L - n . p, so K = |p''| + 2
+    |n'| |p'| + |n''| |p|; p does not depend on the box's rotation.
     """
     arm, spin = scene.jack_arm, abs(flight.jack_omega)
     pull = scene.gravity + push
-    omega = abs(flight.omega) + spin_up * left
-    speed = math.sqrt(flight.vx * flight.vx + flight.vy * flight.vy) + pull * left + arm * spin
+    omega = abs(flight.omega) + spin_up * horizon
+    speed = math.sqrt(flight.vx * flight.vx + flight.vy * flight.vy) + pull * horizon + arm * spin
     away = 1.4142136 * max(scene.box_half_width, outermost)
     return (pull + arm * spin * spin + 2.0 * omega * speed + (omega * omega + spin_up) * away) * _SLACK
 
 
-def inside(scene: SceneNumbers, flight: Flight, left: float, push: float) -> tuple[float, float]:
-    """Times within ``left`` [s] between which no foot can touch, however fast the box turns: both 0 if there are none.
+def inside(scene: SceneNumbers, flight: Flight, horizon: float, push: float) -> tuple[float, float]:
+    """Times within ``horizon`` [s] between which no foot can touch, however fast the box turns; 0 and 0 if none.
 
-    A foot touches a wall only where its distance from the box's centre is L or more. With r and v the jack's centre and
-    its velocity, as seen from the box's, and a bound a of its acceleration, |r + v s| + a s^2 / 2 < L - l holds where
-    |r + v s| < R = L - l - a left^2 / 2.
+    A foot touches a wall only if its distance from the box's centre is L or more. With r and v the relative position
+    and velocity of the centres, and a bound a of their acceleration, |r + v s| + a s^2 / 2 < L - l holds while |r + v
+    s| < R = L - l - a horizon^2 / 2.
     """
     pull = scene.gravity + push
-    room = (scene.box_half_width - scene.jack_arm - 0.5 * pull * left * left) * (1.0 - 1e-12)
+    room = (scene.box_half_width - scene.jack_arm - 0.5 * pull * horizon * horizon) * (1.0 - 1e-12)
     square = flight.vx * flight.vx + flight.vy * flight.vy
     linear = flight.x * flight.vx + flight.y * flight.vy
     beyond = flight.x * flight.x + flight.y * flight.y - room * room
@@ -95,29 +95,29 @@ def inside(scene: SceneNumbers, flight: Flight, left: float, push: float) -> tup
     return (-linear - root) / square, (root - linear) / square
 
 
-def curvature_of(scene: SceneNumbers, flight: Flight, left: float, piece: Piece) -> float:
-    """Bound of a gap's second derivative within ``left`` [s] [m/s^2]."""
-    bounds = bounds_of(scene, flight, left, piece.spin_up, piece.push)
+def curvature_of(scene: SceneNumbers, flight: Flight, horizon: float, piece: Piece) -> float:
+    """Bound of a gap's second derivative within ``horizon`` [s] [m/s^2]."""
+    bounds = bounds_of(scene, flight, horizon, piece.spin_up, piece.push)
     return bounds.bend + bounds.swing
 
 
-def walls_in_reach(scene: SceneNumbers, frame: BoxFrame, left: float, bend: float) -> int:
-    """Walls that the circle through the jack's feet may touch within ``left`` [s], as bits."""
-    reach = 0.5 * bend * left * left
+def walls_in_reach(scene: SceneNumbers, frame: BoxFrame, horizon: float, bend: float) -> int:
+    """Walls that the circle through the jack's feet may touch within ``horizon`` [s], as bits."""
+    reach = 0.5 * bend * horizon * horizon
     walls = 0
     for wall in range(4):
         ahead, speed = towards(frame, wall)
-        if not stays_off(scene.box_half_width - scene.jack_arm - ahead, speed, left, reach):
+        if not stays_off(scene.box_half_width - scene.jack_arm - ahead, speed, horizon, reach):
             walls |= 1 << wall
     return walls
 
 
-def stays_off(room: float, speed: float, left: float, reach: float) -> bool:
-    """Whether the circle through the jack's feet, ``room`` [m] from a wall, stays off it for ``left`` [s].
+def stays_off(room: float, speed: float, horizon: float, reach: float) -> bool:
+    """Whether the circle through the jack's feet, ``room`` [m] from a wall, stays off it for ``horizon`` [s].
 
     It approaches at ``speed`` [m/s] now, and comes nearer by ``reach`` [m] at most because its path bends.
     """
-    return bool((room > 0.0) & (room - speed * left - reach > 0.0))
+    return bool((room > 0.0) & (room - speed * horizon - reach > 0.0))
 
 
 def parabola_root(gap: float, rate: float, curvature: float) -> float:
@@ -128,7 +128,7 @@ def parabola_root(gap: float, rate: float, curvature: float) -> float:
     return (rate + root) / curvature if curvature > 0.0 else math.inf
 
 
-def rounding(scene: SceneNumbers, flight: Flight, left: float) -> float:
-    """Rounding of a gap's rate within ``left`` [s] [m/s]."""
-    bound = 1e-15 * (abs(flight.vx) + abs(flight.vy) + flight.gravity * left)
+def rounding(scene: SceneNumbers, flight: Flight, horizon: float) -> float:
+    """Rounding of a gap's rate within ``horizon`` [s] [m/s]."""
+    bound = 1e-15 * (abs(flight.vx) + abs(flight.vy) + flight.gravity * horizon)
     return bound + 1e-15 * (abs(flight.omega) * scene.box_half_width + scene.jack_arm * abs(flight.jack_omega))

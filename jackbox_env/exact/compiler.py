@@ -1,12 +1,12 @@
-"""Plain functions, compiled by numba together with the plain functions that they call.
+"""Compiles plain functions with numba, together with the plain functions that they call.
 
-The functions stay plain Python where they are written: readable, importable without numba, and testable without it.
-Compiled functions of this package are kept on disk for later processes (``kept.py``). Those compiled for a user's task,
-or with a substitution for a comparison, live as long as their process needs them.
+The functions stay plain Python where they are written: readable, importable and testable without numba.
+Compiled functions of this package are stored on disk for later processes (``code_cache.py``). Those compiled for a
+user's task, or with a substitute for a comparison, live as long as their process needs them.
 
-The loops call a task's compiled functions by their address, so they are compiled once for all tasks. Numba can hand a
-compiled function to another one, but looks its address up in Python at each call, which takes longer than a step of a
-small batch. Here it is looked up once and handed on as a number.
+The loop of ``run.py`` calls a task's compiled functions by their address, so it is compiled once for all tasks. Numba
+can pass a compiled function to another one, but looks up its address in Python at each call, which takes longer than a
+step of a small batch. Here the address is looked up once and passed as a number.
 """
 
 from __future__ import annotations
@@ -33,45 +33,45 @@ from jackbox_env.states import State
 PACKAGE = Path(__file__).parents[1]
 F = TypeVar("F", bound=Callable[..., Any])
 T = TypeVar("T")
-Instead = tuple[tuple[str, Any], ...]  # names, each with what to use in its place
-_LOCK = threading.RLock()  # a function is compiled once, whichever threads ask for it
-_NOT_READ = {"numba", "numpy", *sys.stdlib_module_names}  # numba knows these functions, or refuses them
+Substitutes = tuple[tuple[str, Any], ...]  # names of globals, each with its substitute
+_LOCK = threading.RLock()  # a function is compiled once, also if several threads need it
+_KNOWN_TO_NUMBA = {"numba", "numpy", *sys.stdlib_module_names}  # packages whose functions numba knows or refuses
 _MOST_FOLDERS = 8  # of compiled code, one for each version of the source
 _numbers = itertools.count()
 
 
-def compiled(function: F, **instead: Callable[..., Any]) -> F:
-    """Return ``function`` compiled, without the global interpreter lock, kept on disk for later processes.
+def compiled(function: F, **substitutes: Callable[..., Any]) -> F:
+    """Return ``function`` compiled, without the global interpreter lock, and stored on disk for later processes.
 
     Arithmetic is IEEE float64 in the order written, so every caller gets the same bits; a division by zero gives an
     infinity.
 
     Args:
         function: a plain function of this package.
-        **instead: functions of this package to call in place of those of these names.
+        **substitutes: functions of this package that replace those of these names.
     """
-    return cast(F, _compiled_once(function, tuple(instead.items()), True))
+    return cast(F, _compiled_once(function, tuple(substitutes.items()), True))
 
 
-def compiled_with(function: F, **instead: Any) -> F:
-    """Return ``function`` compiled with other functions or constants in place of those of these names, for comparisons.
+def compiled_with(function: F, **substitutes: Any) -> F:
+    """Return ``function`` compiled with substitutes for the functions or constants of these names, for comparisons.
 
-    Not kept on disk.
+    Not stored on disk.
     """
-    return cast(F, _compiled_once(function, tuple(instead.items()), False))
+    return cast(F, _compiled_once(function, tuple(substitutes.items()), False))
 
 
-def compiled_for_users(function: F, **instead: Callable[..., Any]) -> F:
-    """Return ``function`` compiled with functions of a user's in place of those of these names, read as they are now.
+def compiled_for_users(function: F, **substitutes: Callable[..., Any]) -> F:
+    """Return ``function`` compiled with a user's functions, as they are now, as substitutes for those of these names.
 
-    A division by zero raises ZeroDivisionError in them, as in Python. Not kept on disk.
+    A division by zero raises ZeroDivisionError in them, as in Python. Not stored on disk.
     """
     with _LOCK:
-        return cast(F, _Compilation(tuple(instead.items()), users=True).compiled(function))
+        return cast(F, _Compilation(tuple(substitutes.items()), users=True).compiled(function))
 
 
 def returned_by(function: Callable[..., Any]) -> Any:
-    """Numba's type of what the function of a user's task returns.
+    """Numba's type of the value of a user's task function.
 
     Raises:
         Exception: numba cannot compile it.
@@ -80,63 +80,66 @@ def returned_by(function: Callable[..., Any]) -> Any:
 
     number, scene = types.float64, typeof(Scene().numbers)  # type: ignore[no-untyped-call]
     arguments = scene, types.NamedUniTuple(number, 12, State), number, number  # type: ignore[no-untyped-call]
-    inspect.signature(function).bind(*arguments)  # refuses in fewer words than numba
+    inspect.signature(function).bind(*arguments)  # its error is shorter than numba's
     dispatcher = _Compilation((), users=True).compiled(function, inner=True)
     dispatcher.get_call_template(arguments, {})
     return dispatcher.nopython_signatures[0].return_type
 
 
 @cache
-def _compiled_once(function: Callable[..., Any], instead: Instead, keep: bool) -> Any:
+def _compiled_once(function: Callable[..., Any], substitutes: Substitutes, on_disk: bool) -> Any:
     with _LOCK:
-        return _compilation(instead, keep).compiled(function)
+        return _compilation(substitutes, on_disk).compiled(function)
 
 
 class _Compilation:
-    """Compiles functions of this package and what they call, with other functions or constants in place of some.
+    """Compiles functions of this package and those they call, with substitutes for some functions or constants.
 
-    Numba makes symbols of the functions' names, and finds machine code by its symbol. So each name is unique: that of
-    the function in this package, with a label for the substitutions that reach it. All compilations share the others.
+    Numba names machine code after the function, so each name must be unique: that of the function in this package, with
+    a label if it uses a substitute. Functions without substitutes are shared by all compilations.
 
     Args:
-        instead: names of globals of functions of this package, each with what to use in its place.
-        keep: whether to keep the code on disk. What is in the place of others is then of this package too.
+        substitutes: names of globals of functions of this package, each with its substitute.
+        on_disk: whether to store the code on disk. Substitutes then are of this package too.
         users: whether functions from elsewhere are a user's.
     """
 
-    def __init__(self, instead: Instead, keep: bool = False, users: bool = False) -> None:
-        self._instead, self._keep, self._users = dict(instead), keep, users
-        self._label = "".join(f"[{name}={_name(by)}]" for name, by in instead) if keep else f"[{next(_numbers)}]"
-        self._made: dict[tuple[Any, bool], Any] = {}
+    def __init__(self, substitutes: Substitutes, on_disk: bool = False, users: bool = False) -> None:
+        self._substitutes, self._on_disk, self._users = dict(substitutes), on_disk, users
+        self._label = (
+            "".join(f"[{name}={_full_name(by)}]" for name, by in substitutes) if on_disk else f"[{next(_numbers)}]"
+        )
+        self._twins: dict[tuple[Any, bool], Any] = {}
 
     def compiled(self, function: Any, inner: bool = False) -> Any:
-        """A function compiled; ``inner`` if only compiled code calls it."""
-        foreign, names = _root(function.__globals__) != _root(globals()), _names(function.__code__)
-        if self._instead and not foreign and _reach(function).isdisjoint(self._instead):
+        """The compiled function; ``inner`` if only compiled code calls it."""
+        foreign, names = _top_level(function.__globals__) != _top_level(globals()), _used_names(function.__code__)
+        if self._substitutes and not foreign and _reachable_names(function).isdisjoint(self._substitutes):
             return _compilation((), True).compiled(function, inner)
-        if (function, inner) not in self._made:
-            self._made[function, inner] = function  # numba refuses a function that calls itself
-            known = self._known(names, function.__globals__ if foreign else {**function.__globals__, **self._instead})
-            cells = tuple(CellType(self._value(cell.cell_contents, names)) for cell in function.__closure__ or ())
+        if (function, inner) not in self._twins:
+            self._twins[function, inner] = function  # numba refuses a function that calls itself
+            namespace = function.__globals__ if foreign else {**function.__globals__, **self._substitutes}
+            known = self._counterparts(names, namespace)
+            cells = tuple(CellType(self._counterpart(cell.cell_contents, names)) for cell in function.__closure__ or ())
             twin = FunctionType(function.__code__, known, function.__name__, function.__defaults__, cells)
             twin.__module__ = function.__module__
-            twin.__qualname__ = f"{_name(function)}{'()' if inner else ''}{self._label}"
-            self._made[function, inner] = _jitted(twin, inner, foreign and self._users, self._keep and not inner)
-        return self._made[function, inner]
+            twin.__qualname__ = f"{_full_name(function)}{'()' if inner else ''}{self._label}"
+            self._twins[function, inner] = _jitted(twin, inner, foreign and self._users, self._on_disk and not inner)
+        return self._twins[function, inner]
 
-    def _known(self, names: set[str], given: Mapping[str, Any]) -> dict[str, Any]:
-        """The globals, or a module's attributes, of these names, as compiled code uses them."""
-        return {name: self._value(given[name], names) for name in names if name in given}
+    def _counterparts(self, names: set[str], values: Mapping[str, Any]) -> dict[str, Any]:
+        """The globals, or a module's attributes, of these names, as their counterparts in compiled code."""
+        return {name: self._counterpart(values[name], names) for name in names if name in values}
 
-    def _value(self, value: Any, names: set[str]) -> Any:
-        """What stands in compiled code for a value that a function uses, which uses attributes of these names."""
-        if isinstance(value, FunctionType) and (native := _native(value)) is not None:
+    def _counterpart(self, value: Any, names: set[str]) -> Any:
+        """The counterpart in compiled code of a global or cell; ``names`` are the attributes that the function uses."""
+        if isinstance(value, FunctionType) and (native := _intrinsic(value)) is not None:
             return native
-        if isinstance(value, FunctionType) and _root(value.__globals__) not in _NOT_READ:
+        if isinstance(value, FunctionType) and _top_level(value.__globals__) not in _KNOWN_TO_NUMBA:
             return self.compiled(value, inner=True)
-        if isinstance(value, ModuleType) and _root(vars(value)) not in _NOT_READ:
+        if isinstance(value, ModuleType) and _top_level(vars(value)) not in _KNOWN_TO_NUMBA:
             twin = ModuleType(value.__name__)
-            vars(twin).update(self._known(names, vars(value)))
+            vars(twin).update(self._counterparts(names, vars(value)))
             return twin
         return value
 
@@ -144,30 +147,30 @@ class _Compilation:
 _compilation = cache(_Compilation)
 
 
-def _jitted(twin: FunctionType, inner: bool, checked: bool, keep: bool) -> Any:
+def _jitted(twin: FunctionType, inner: bool, checked: bool, on_disk: bool) -> Any:
     from numba import config, njit
 
-    from jackbox_env.exact.kept import CodeCache
+    from jackbox_env.exact.code_cache import CodeCache
 
     if config.DISABLE_JIT:  # type: ignore[attr-defined]
         return twin if inner else np.errstate(all="ignore")(twin)  # compiled integers wrap around in silence
     # Without the runtime that counts references to arrays: nothing compiled here makes an array, and counting took
-    # two thirds of a step. And without ways in from Python for what only compiled code calls: a third of the time to
-    # compile goes into them.
+    # two thirds of a step. And without entry points from Python for functions that only compiled code calls: they take
+    # a third of the time to compile.
     dispatcher = cast(Any, njit)(
         nogil=True, error_model="python" if checked else "numpy", _nrt=False,
         no_cpython_wrapper=inner, no_cfunc_wrapper=inner, pipeline_class=_pipeline(inner),
     )(twin)  # fmt: skip
-    if keep:  # where njit(cache=True) puts numba's own
-        dispatcher._cache = CodeCache(twin, cache_folders(), PACKAGE / "compiled" / "shipped" / _folder_name())
+    if on_disk:  # njit(cache=True) would set numba's own cache here
+        dispatcher._cache = CodeCache(twin, cache_folders(), PACKAGE / "exact" / "shipped" / _folder_name())
     return dispatcher
 
 
 @cache
 def _pipeline(inner: bool) -> Any:
-    """Numba's compiler; for ``inner`` functions without machine code, which is made of whole entries only.
+    """Numba's compiler; for ``inner`` functions one that emits no machine code, which only entry points need.
 
-    Numba would optimize and emit each function with all that it calls, at every level of calls again.
+    Numba would optimize and emit each function together with its callees, at every level of calls again.
     """
     from numba.core.codegen import JITCodeLibrary
     from numba.core.compiler import Compiler
@@ -202,75 +205,72 @@ def _pipeline(inner: bool) -> Any:
     return InnerCompiler if inner else Compiler
 
 
-def _names(code: CodeType) -> set[str]:
-    """The names that code uses of globals and of attributes, that of functions within it included."""
-    inner = (_names(constant) for constant in code.co_consts if isinstance(constant, CodeType))
+def _used_names(code: CodeType) -> set[str]:
+    """The names of globals and attributes that code uses, functions defined in it included."""
+    inner = (_used_names(constant) for constant in code.co_consts if isinstance(constant, CodeType))
     return set(code.co_names).union(*inner)
 
 
 @cache
-def _reach(function: FunctionType) -> set[str]:
-    """The names that a function of this package uses, and those of this package that it calls."""
-    names = _names(function.__code__)
+def _reachable_names(function: FunctionType) -> set[str]:
+    """The names that a function of this package uses, itself or in functions of this package that it calls."""
+    names = _used_names(function.__code__)
     used = [one for one in map(function.__globals__.get, names) if isinstance(one, FunctionType)]
-    return names.union(*(_reach(one) for one in used if _root(one.__globals__) == _root(globals())))
+    return names.union(*(_reachable_names(one) for one in used if _top_level(one.__globals__) == _top_level(globals())))
 
 
-def _name(function: Callable[..., Any]) -> str:
+def _full_name(function: Callable[..., Any]) -> str:
     return f"{function.__module__}.{function.__qualname__}"
 
 
-def _root(named: Mapping[str, Any]) -> str:
-    """The package or module of a function's globals, or of a module's."""
+def _top_level(named: Mapping[str, Any]) -> str:
+    """The top-level package of the globals of a function or module."""
     return str(named.get("__name__")).split(".")[0]
 
 
 @cache
 def _folder_name(package: Path = PACKAGE) -> str:
-    """Of compiled code, by the package's whole source: the kept code of a function includes what it calls elsewhere."""
+    """Folder of compiled code, by a hash of the whole source: the code of a function includes that of its callees."""
     sources = (source.read_bytes() for source in sorted(package.rglob("*.py")))
     return f"compiled-{hashlib.sha256(b''.join(sources)).hexdigest()[:16]}"
 
 
-def _tidy(place: Path) -> None:
+def _tidy(parent: Path) -> None:
     """Remove code that was compiled from old versions of the source."""
     with contextlib.suppress(OSError):  # another process may be tidying too
-        for old in sorted(place.glob("compiled-*"), key=lambda folder: folder.stat().st_mtime)[:-_MOST_FOLDERS]:
+        for old in sorted(parent.glob("compiled-*"), key=lambda folder: folder.stat().st_mtime)[:-_MOST_FOLDERS]:
             shutil.rmtree(old, ignore_errors=True)
 
 
 def cache_folders() -> list[Path]:
-    """Folders to look for compiled code in, one in each place. It is saved in the last: no other can be written."""
+    """Folders to search for compiled code. It is saved in the last, the first that can be written."""
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    places, found = [os.environ.get("NUMBA_CACHE_DIR"), PACKAGE / "__pycache__", Path(home, "jackbox")], list[Path]()
-    for place in (Path(place).absolute() for place in places if place):  # the process may change its folder
-        folder = place / _folder_name()
+    parents, folders = [os.environ.get("NUMBA_CACHE_DIR"), PACKAGE / "__pycache__", Path(home, "jackbox")], list[Path]()
+    for parent in (Path(parent).absolute() for parent in parents if parent):  # the process may change its folder
+        folder = parent / _folder_name()
         with contextlib.suppress(OSError):
             if not folder.is_dir():
                 folder.mkdir(parents=True, exist_ok=True)
-                _tidy(place)
-            found.append(folder)
+                _tidy(parent)
+            folders.append(folder)
             if os.access(folder, os.W_OK):
                 break
-    return found or [folder]
+    return folders or [folder]
 
 
 def block_score(address: Any) -> Callable[..., int]:
-    """The function at an address, with the arguments of ``score.score_block``.
-
-    Compiled code takes a number here. Uncompiled, the function itself is handed in.
-    """
+    """The function at an address, with the arguments of ``score.score_block``; uncompiled, the function itself."""
     return cast(Callable[..., int], address)
 
 
-_SCORE = "i8(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1], i8, i8, i8, f8[::1], b1[::1], f8[:, ::1])"  # score_block's
-PACKED = 512  # float64 numbers that have room for the arguments of ``run.run``
+_SCORE = "i8(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1], i8, i8, f8[::1], b1[::1], f8[:, ::1])"  # of score_block
+PACKED = 512  # float64 numbers, enough memory for the arguments of ``run.run``
 
 
 def packed(memory: Any, value: T) -> T:
     """Store a value in ``memory``, shape (PACKED,), and return the address; uncompiled, the value itself.
 
-    To pass an address to compiled code takes less time than to pass 30 arrays. The arrays must live as long.
+    Passing an address to compiled code takes less time than passing 30 arrays. The arrays must live as long.
     """
     return value
 
@@ -278,8 +278,8 @@ def packed(memory: Any, value: T) -> T:
 def unpacked_as(example: Callable[[], T]) -> Callable[[Any], T]:
     """A function that returns the value of an address from :func:`packed`, of the type of ``example()``."""
 
-    def unpacked(place: Any) -> T:
-        return cast(T, place)
+    def unpacked(address: Any) -> T:
+        return cast(T, address)
 
     _EXAMPLES[unpacked] = example
     return unpacked
@@ -288,14 +288,14 @@ def unpacked_as(example: Callable[[], T]) -> Callable[[Any], T]:
 _EXAMPLES: dict[Callable[..., Any], Callable[[], Any]] = {}
 
 
-def _native(function: Any) -> Any:
+def _intrinsic(function: Any) -> Any:
     """The compiled counterpart of :func:`block_score`, :func:`packed` or a function of :func:`unpacked_as`, or None."""
     known = function in (block_score, packed) or function in _EXAMPLES
-    return _native_once(function) if known else None
+    return _make_intrinsic(function) if known else None
 
 
 @cache
-def _native_once(function: Any) -> Any:
+def _make_intrinsic(function: Any) -> Any:
     """Itself under NUMBA_DISABLE_JIT."""
     from numba import config, typeof, types
     from numba.core import cgutils, sigutils
@@ -311,12 +311,12 @@ def _native_once(function: Any) -> Any:
         if value not in [typeof(made()) for made in _EXAMPLES.values()]:  # type: ignore[no-untyped-call]
             raise TypingError(f"packed: {value} is of no type that is unpacked")  # it would be read as something else
 
-        def generate(context: Any, builder: Any, signature: Signature, given: Any) -> Any:
-            if context.get_abi_sizeof(given[1].type) > 8 * PACKED:
+        def generate(context: Any, builder: Any, signature: Signature, values: Any) -> Any:
+            if context.get_abi_sizeof(values[1].type) > 8 * PACKED:
                 raise ValueError(f"{value} has no room in {PACKED} numbers")
-            place = context.make_array(memory)(context, builder, given[0]).data
-            builder.store(given[1], builder.bitcast(place, given[1].type.as_pointer()))
-            return builder.ptrtoint(place, context.get_value_type(types.int64))
+            pointer = context.make_array(memory)(context, builder, values[0]).data
+            builder.store(values[1], builder.bitcast(pointer, values[1].type.as_pointer()))
+            return builder.ptrtoint(pointer, context.get_value_type(types.int64))
 
         return types.int64(memory, value), generate
 
@@ -330,12 +330,12 @@ def _native_once(function: Any) -> Any:
 
     @intrinsic
     def load(typing: Any, address: Any) -> Any:
-        def generate(context: Any, builder: Any, _: Any, given: Any) -> Any:
+        def generate(context: Any, builder: Any, _: Any, values: Any) -> Any:
             if function is not block_score:
-                return builder.load(builder.inttoptr(given[0], context.get_value_type(kind).as_pointer()))
+                return builder.load(builder.inttoptr(values[0], context.get_value_type(kind).as_pointer()))
             called = cgutils.create_struct_proxy(kind)(context, builder)  # type: ignore[no-untyped-call]
             # Numba's own way to call, in which errors come back. Its other two addresses stay 0.
-            called.jit_addr = builder.inttoptr(given[0], cgutils.voidptr_t)
+            called.jit_addr = builder.inttoptr(values[0], cgutils.voidptr_t)
             return called._getvalue()
 
         return kind(types.int64), generate
@@ -344,10 +344,10 @@ def _native_once(function: Any) -> Any:
 
 
 def address_of(dispatcher: Any) -> int:
-    """Where a task's compiled ``score_block`` lies; it lies there as long as the dispatcher lives.
+    """The address of a task's compiled ``score_block``, valid as long as the dispatcher lives; 0 for None.
 
-    Uncompiled, the function itself is handed on. None lies at 0 and is never called. The dispatcher keeps the result,
-    because numba finds it under a lock, for which a forked child waits for ever if another thread held it at the fork.
+    Uncompiled, the function itself. The dispatcher stores the result, because numba looks it up under a lock: a forked
+    child would wait for ever if another thread had the lock at the fork.
     """
     if dispatcher is None or isinstance(dispatcher, FunctionType):
         return cast(int, dispatcher or 0)

@@ -1,4 +1,4 @@
-"""The motion of box and jack while walls hold feet: power series in time, one power after the other.
+"""The motion of box and jack while walls hold feet: power series in time. ``rest.hold`` calls it.
 
 A held foot's gap is a constraint of the Lagrangian motion
 
@@ -26,11 +26,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.exact.bounds import parabola_root
 from jackbox_env.exact.contact import quarter
 from jackbox_env.exact.drives import DEGREE, PUSH_X, PUSH_Y, SHARES, TURN, horner
 from jackbox_env.exact.flight import Flight, Piece, View, excursion, held_view, on_axes
-from jackbox_env.exact.search import MOST_WORK
 from jackbox_env.exact.trigonometry import cos_sin
 from jackbox_env.exact.workspace import (
     ALPHA,
@@ -45,8 +43,8 @@ from jackbox_env.exact.workspace import (
     JACK_LEVER,
     OMEGA,
     OMEGA_SQUARED,
-    PLACE_X,
-    PLACE_Y,
+    POSITION_X,
+    POSITION_Y,
     PSI,
     PUSHED_X,
     PUSHED_Y,
@@ -77,7 +75,6 @@ from jackbox_env.states import (
 Array = NDArray[np.float64]
 
 _RESOLVED = 1e-15  # last powers of the rates, over a speed
-_PULL = 1e-12  # of the largest force in a stretch: that much a wall may pull before it lets go
 
 
 def product(memory: Workspace, one: int, other: int, k: int) -> float:
@@ -89,7 +86,7 @@ def product(memory: Workspace, one: int, other: int, k: int) -> float:
 
 
 def earlier(memory: Workspace, one: int, other: int, k: int) -> float:
-    """Power k of the product of two series, but for what power k of the second adds to it."""
+    """Power k of the product of two series, without the term with power k of the second."""
     total = 0.0
     for j in range(1, k + 1):
         total += memory.series[one, j] * memory.series[other, k - j]
@@ -97,7 +94,7 @@ def earlier(memory: Workspace, one: int, other: int, k: int) -> float:
 
 
 def drive_series(memory: Workspace, piece: Piece, since: float, length: float) -> None:
-    """Fill in what the drive gives the box, from ``since`` [s] after the piece's start on."""
+    """Fill in the accelerations of the box by the drive, from ``since`` [s] after the piece's start on."""
     series = memory.series
     for k in range(DEGREE + 1):
         series[DRIVEN, k] = series[PUSHED_X, k] = series[PUSHED_Y, k] = 0.0
@@ -128,12 +125,12 @@ def begin(memory: Workspace, view: View, angle: float, omega: float, psi: float,
     """Fill in the lowest powers."""
     series = memory.series
     frame = view.frame
-    series[PLACE_X, 0], series[PLACE_Y, 0] = frame.x, frame.y
+    series[POSITION_X, 0], series[POSITION_Y, 0] = frame.x, frame.y
     series[PSI, 0], series[TURNED, 0] = psi, 0.0
     series[RATE_X, 0], series[RATE_Y, 0] = frame.vx * length, frame.vy * length
     series[SPIN, 0], series[OMEGA, 0] = view.spin * length, omega * length
-    for place in range(4):
-        series[PLACE_X + place, 1] = series[RATE_X + place, 0]
+    for index in range(4):
+        series[POSITION_X + index, 1] = series[RATE_X + index, 0]
     series[COSINE, 0], series[SINE, 0] = view.cosine, view.sine
     series[BOX_COSINE, 0], series[BOX_SINE, 0] = cos_sin(angle)
 
@@ -149,59 +146,59 @@ def expand(scene: SceneNumbers, memory: Workspace, length: float, pushed: bool) 
     for k in range(DEGREE + 1):
         series[OMEGA_SQUARED, k] = product(memory, OMEGA, OMEGA, k)
         series[SPIN_SQUARED, k] = product(memory, SPIN, SPIN, k)
-        x = 2.0 * product(memory, OMEGA, RATE_Y, k) + product(memory, OMEGA_SQUARED, PLACE_X, k)
-        y = -2.0 * product(memory, OMEGA, RATE_X, k) + product(memory, OMEGA_SQUARED, PLACE_Y, k)
+        x = 2.0 * product(memory, OMEGA, RATE_Y, k) + product(memory, OMEGA_SQUARED, POSITION_X, k)
+        y = -2.0 * product(memory, OMEGA, RATE_X, k) + product(memory, OMEGA_SQUARED, POSITION_Y, k)
         x -= gravity * series[BOX_SINE, k]
         y -= gravity * series[BOX_COSINE, k]
         if pushed:
             x -= product(memory, BOX_COSINE, PUSHED_X, k) + product(memory, BOX_SINE, PUSHED_Y, k)
             y -= product(memory, BOX_COSINE, PUSHED_Y, k) - product(memory, BOX_SINE, PUSHED_X, k)
         solve_forces(scene, memory, count, k, x, y)
-        for place in range(count):
-            n_x, n_y = quarter(1.0, 0.0, memory.pairs[place] // 4)
-            x -= pliancy * n_x * series[FORCE + place, k]
-            y -= pliancy * n_y * series[FORCE + place, k]
-        x += product(memory, ALPHA, PLACE_Y, k)
-        y -= product(memory, ALPHA, PLACE_X, k)
+        for contact in range(count):
+            n_x, n_y = quarter(1.0, 0.0, memory.pairs[contact] // 4)
+            x -= pliancy * n_x * series[FORCE + contact, k]
+            y -= pliancy * n_y * series[FORCE + contact, k]
+        x += product(memory, ALPHA, POSITION_Y, k)
+        y -= product(memory, ALPHA, POSITION_X, k)
         share, later = SHARES[k], SHARES[k + 1]
         series[RATE_X, k + 1], series[RATE_Y, k + 1] = share * x, share * y
         series[SPIN, k + 1] = share * (series[JACK_ALPHA, k] - series[ALPHA, k])
-        for place in range(3):
-            series[PLACE_X + place, k + 2] = later * series[RATE_X + place, k + 1]
+        for index in range(3):
+            series[POSITION_X + index, k + 2] = later * series[RATE_X + index, k + 1]
         turn(memory, k)
         series[COSINE, k + 1] = -share * product(memory, SINE, SPIN, k)
         series[SINE, k + 1] = share * product(memory, COSINE, SPIN, k)
 
 
 def solve_forces(scene: SceneNumbers, memory: Workspace, count: int, k: int, x: float, y: float) -> None:
-    """Fill in power k of the forces at held feet, and of the angular accelerations that they leave.
+    """Fill in power k of the forces at held feet, and of the resulting angular accelerations.
 
     ``x`` and ``y`` are power k of the relative acceleration without forces and without alpha.
     """
     series = memory.series
     box = jack = 0.0
-    for place in range(count):
-        write_levers(scene, memory, place, k)
-        box += earlier(memory, BOX_LEVER + place, FORCE + place, k)
-        jack += earlier(memory, JACK_LEVER + place, FORCE + place, k)
+    for contact in range(count):
+        write_levers(scene, memory, contact, k)
+        box += earlier(memory, BOX_LEVER + contact, FORCE + contact, k)
+        jack += earlier(memory, JACK_LEVER + contact, FORCE + contact, k)
     series[ALPHA, k] = series[DRIVEN, k] + box / scene.box_inertia
     series[JACK_ALPHA, k] = jack / scene.jack_inertia
-    for place in range(count):
-        n_x, n_y = quarter(1.0, 0.0, memory.pairs[place] // 4)
-        missing = n_x * x + n_y * y - product(memory, EXTENT + place, SPIN_SQUARED, k)
-        missing -= product(memory, BOX_LEVER + place, ALPHA, k) + product(memory, JACK_LEVER + place, JACK_ALPHA, k)
-        memory.lack[place] = missing
+    for contact in range(count):
+        n_x, n_y = quarter(1.0, 0.0, memory.pairs[contact] // 4)
+        missing = n_x * x + n_y * y - product(memory, EXTENT + contact, SPIN_SQUARED, k)
+        missing -= product(memory, BOX_LEVER + contact, ALPHA, k) + product(memory, JACK_LEVER + contact, JACK_ALPHA, k)
+        memory.lack[contact] = missing
     solve(scene, memory, count, k)
 
 
-def write_levers(scene: SceneNumbers, memory: Workspace, place: int, k: int) -> None:
+def write_levers(scene: SceneNumbers, memory: Workspace, contact: int, k: int) -> None:
     """Fill in power k of a held foot's levers and extent."""
     series = memory.series
-    wall, foot = memory.pairs[place] // 4, memory.pairs[place] % 4
+    wall, foot = memory.pairs[contact] // 4, memory.pairs[contact] % 4
     along, across = quarter(series[COSINE, k], series[SINE, k], foot - wall)
-    _, aside = quarter(series[PLACE_X, k], -series[PLACE_Y, k], wall)  # -n^perp . (X, Y)
-    series[EXTENT + place, k], series[JACK_LEVER + place, k] = scene.jack_arm * along, scene.jack_arm * across
-    series[BOX_LEVER + place, k] = aside - series[JACK_LEVER + place, k]
+    _, aside = quarter(series[POSITION_X, k], -series[POSITION_Y, k], wall)  # -n^perp . (X, Y)
+    series[EXTENT + contact, k], series[JACK_LEVER + contact, k] = scene.jack_arm * along, scene.jack_arm * across
+    series[BOX_LEVER + contact, k] = aside - series[JACK_LEVER + contact, k]
 
 
 def invert(memory: Workspace, count: int) -> None:
@@ -220,32 +217,32 @@ def invert(memory: Workspace, count: int) -> None:
 
 
 def solve(scene: SceneNumbers, memory: Workspace, count: int, k: int) -> None:
-    """Turn power k of what J qddot lacks, in ``memory.lack``, into forces and what they do to angular accelerations."""
+    """Solve power k of J qddot, in ``memory.lack``, for the forces; add their part of the angular accelerations."""
     series = memory.series
     box, jack = 0.0, 0.0
-    for place in range(count):
+    for contact in range(count):
         force = 0.0
         for other in range(count):
-            force += memory.inverse[place, other] * memory.lack[other]
-        series[FORCE + place, k] = force
-        box += series[BOX_LEVER + place, 0] * force
-        jack += series[JACK_LEVER + place, 0] * force
+            force += memory.inverse[contact, other] * memory.lack[other]
+        series[FORCE + contact, k] = force
+        box += series[BOX_LEVER + contact, 0] * force
+        jack += series[JACK_LEVER + contact, 0] * force
     series[ALPHA, k] += box / scene.box_inertia
     series[JACK_ALPHA, k] += jack / scene.jack_inertia
 
 
 def expand_rigid(scene: SceneNumbers, memory: Workspace, length: float, pushed: bool) -> None:
-    """What :func:`expand` does where three feet are held: the jack cannot move in the box and turns with it.
+    """:func:`expand` for three held feet: the jack cannot move in the box and turns with it.
 
-    Nothing but the box's angle changes: that of a rigid body on which the weight of the jack has a lever.
+    Only the box's angle changes: that of a rigid body on which the weight of the jack has a lever.
     """
     series = memory.series
-    gravity, x0, y0 = scene.gravity * length * length, series[PLACE_X, 0], series[PLACE_Y, 0]
-    for row in (PLACE_X, PLACE_Y, PSI, RATE_X, RATE_Y, SPIN):
+    gravity, x0, y0 = scene.gravity * length * length, series[POSITION_X, 0], series[POSITION_Y, 0]
+    for row in (POSITION_X, POSITION_Y, PSI, RATE_X, RATE_Y, SPIN):
         for k in range(0 if row >= RATE_X else 1, DEGREE + 3):
             series[row, k] = 0.0
-    for place in range(3):
-        write_levers(scene, memory, place, 0)
+    for contact in range(3):
+        write_levers(scene, memory, contact, 0)
     for k in range(DEGREE + 1):
         squared = product(memory, OMEGA, OMEGA, k)
         x, y = squared * x0 - gravity * series[BOX_SINE, k], squared * y0 - gravity * series[BOX_COSINE, k]
@@ -253,15 +250,15 @@ def expand_rigid(scene: SceneNumbers, memory: Workspace, length: float, pushed: 
             x -= product(memory, BOX_COSINE, PUSHED_X, k) + product(memory, BOX_SINE, PUSHED_Y, k)
             y -= product(memory, BOX_COSINE, PUSHED_Y, k) - product(memory, BOX_SINE, PUSHED_X, k)
         series[ALPHA, k], series[JACK_ALPHA, k] = series[DRIVEN, k], 0.0
-        for place in range(3):
-            n_x, n_y = quarter(1.0, 0.0, memory.pairs[place] // 4)
-            memory.lack[place] = n_x * x + n_y * y - series[BOX_LEVER + place, 0] * series[DRIVEN, k]
+        for contact in range(3):
+            n_x, n_y = quarter(1.0, 0.0, memory.pairs[contact] // 4)
+            memory.lack[contact] = n_x * x + n_y * y - series[BOX_LEVER + contact, 0] * series[DRIVEN, k]
         solve(scene, memory, 3, k)
         turn(memory, k)
 
 
 def turn(memory: Workspace, k: int) -> None:
-    """Fill in what follows for the box's angle from power k of its angular acceleration."""
+    """Fill in the next powers of the box's rate, angle, cosine and sine from power k of its angular acceleration."""
     series = memory.series
     share = SHARES[k]
     series[OMEGA, k + 1] = share * series[ALPHA, k]
@@ -271,9 +268,9 @@ def turn(memory: Workspace, k: int) -> None:
 
 
 def stretch(scene: SceneNumbers, memory: Workspace, piece: Piece, since: float, view: View) -> float:
-    """Find the motion with held feet from ``since`` [s] after the piece's start; return for how long it holds [s].
+    """Expand the motion with held feet from ``since`` [s] after the piece's start; return how long it holds [s].
 
-    That is what is left of the piece, or as long as its last powers are rounding; 0 if no time is so short.
+    It holds to the end of the piece, or as long as its last powers are rounding; 0 if no time is so short.
     """
     state, length = memory.state, piece.length - since
     frame = view.frame
@@ -290,7 +287,7 @@ def stretch(scene: SceneNumbers, memory: Workspace, piece: Piece, since: float, 
         expand_rigid(scene, memory, length, piece.pushed)
     else:
         expand(scene, memory, length, piece.pushed)
-    memory.looks += DEGREE + 1.0
+    memory.evaluations += DEGREE + 1.0
     while not resolved(scene, memory, speed * length):
         length *= 0.5
         halve(memory)
@@ -300,7 +297,7 @@ def stretch(scene: SceneNumbers, memory: Workspace, piece: Piece, since: float, 
 
 
 def resolved(scene: SceneNumbers, memory: Workspace, way: float) -> bool:
-    """Whether the last two powers of the rates are rounding against a ``way`` [m]."""
+    """Whether the last two powers of the rates are below the rounding of a ``way`` [m]."""
     series = memory.series
     tail = 0.0
     for k in (DEGREE, DEGREE + 1):
@@ -310,15 +307,15 @@ def resolved(scene: SceneNumbers, memory: Workspace, way: float) -> bool:
 
 
 def halve(memory: Workspace) -> None:
-    """Take half the stretch: powers and rates are per stretch."""
+    """Halve the stretch: scale the powers and rates, which are per stretch."""
     series = memory.series
     share = 1.0
     for k in range(DEGREE + 3):
-        for place in range(4):
-            series[PLACE_X + place, k] *= share
-            series[RATE_X + place, k] *= 0.5 * share
-        for place in range(3):
-            series[FORCE + place, k] *= 0.25 * share
+        for index in range(4):
+            series[POSITION_X + index, k] *= share
+            series[RATE_X + index, k] *= 0.5 * share
+        for index in range(3):
+            series[FORCE + index, k] *= 0.25 * share
         share *= 0.5
 
 
@@ -336,9 +333,9 @@ def curvature_while_held(scene: SceneNumbers, memory: Workspace, length: float) 
 
 
 def carry(scene: SceneNumbers, memory: Workspace, flight: Flight, free: Flight, s: float) -> None:
-    """Move the state ``s`` [s] along a stretch with held feet; ``free`` is the same start without them, for the drive.
+    """Move the state ``s`` [s] along a stretch with held feet; ``free`` is the flight without them, for the drive.
 
-    The common centre of mass falls as if alone, and box and jack stand about it as the powers say.
+    The common centre of mass falls freely, and the powers place box and jack about it.
     """
     series = memory.series
     state, u = memory.state, s / flight.half
@@ -367,50 +364,3 @@ def carry(scene: SceneNumbers, memory: Workspace, flight: Flight, free: Flight, 
     state[VX_BOX], state[VY_BOX] = common_x + drifting - share * vx, common_y + falling - share * vy
     state[VX_JACK], state[VY_JACK] = state[VX_BOX] + vx, state[VY_BOX] + vy
     state[OMEGA_BOX], state[OMEGA_JACK] = omega, omega + view.spin
-
-
-def first_let_go(memory: Workspace, count: int, length: float) -> tuple[float, int]:
-    """When the first held foot is let go [s], and its place; the stretch's ``length`` and -1 if none is."""
-    end, loose, peak = length, -1, 0.0
-    for place in range(count):
-        for k in range(DEGREE + 1):
-            peak = max(peak, abs(memory.series[FORCE + place, k]))
-    for place in range(count):
-        time = let_go(memory, place, length, peak)
-        if time < end:
-            end, loose = time, place
-    return end, loose
-
-
-def let_go(memory: Workspace, place: int, length: float, peak: float) -> float:
-    """When a held foot's force falls to 0 and the wall would have to pull, in [s]; infinity if it never does."""
-    powers = memory.series[FORCE + place]
-    curvature = 0.0
-    for k in range(2, DEGREE + 1):
-        curvature += k * (k - 1.0) * abs(powers[k])
-    least = powers[0]
-    for k in range(1, DEGREE + 1):
-        least -= abs(powers[k])
-    if least > 0.0:
-        return math.inf
-    margin, u = _PULL * peak, 0.0
-    while memory.looks <= MOST_WORK:
-        force, slope = powers[DEGREE], 0.0
-        for k in range(DEGREE - 1, -1, -1):
-            slope = force + u * slope
-            force = powers[k] + u * force
-        if force + margin <= 0.5 * margin:
-            return u * length
-        memory.looks += 1.0
-        u += parabola_root(force + margin, slope, curvature)
-        if not u <= 1.0:
-            return math.inf
-    return math.inf
-
-
-def impulse_of(memory: Workspace, place: int, u: float) -> float:
-    """A held foot's impulse up to ``u``, times the stretch's length [N s^2]."""
-    impulse = 0.0
-    for k in range(DEGREE, -1, -1):
-        impulse = SHARES[k] * memory.series[FORCE + place, k] + impulse * u
-    return impulse * u

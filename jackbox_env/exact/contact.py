@@ -1,13 +1,13 @@
-"""The impact law at the moment of impact, for the exact contact model: which feet touch, and what it does to them.
+"""Resolve: the impact law at the moment of impact. Which feet touch, how the rates jump, and the record of the impacts.
 
-Law: all contacts whose gap is within the tolerance take part in the simultaneous Newton law at restitution e,
+``search.strike`` calls :func:`resolve`, which changes the rates and records each impact in the log.
+Law: all contacts whose gap is within the tolerance obey the simultaneous Newton law at restitution e,
 
     0 <= lambda  _|_  J qdot+ + e J qdot- >= 0,    M (qdot+ - qdot-) = J^T lambda,
 
-the law of :func:`jackbox_env.mechanics.simultaneous_impact_map`, which tests compare this with. With w = J M^-1/2 and
+the law of :func:`jackbox_env.mechanics.simultaneous_impact_map`; tests compare the two. With w = J M^-1/2 and
 v = M^1/2 qdot it is v+ = (1 + e) P(v-) - e v-, where P(v) is the nearest point to v in the cone w v >= 0. Contacts of
-a jack and a square have rank 3 at most, so P is found by trying all sets of one, two and three contacts. Each set
-gives a point by projection. The right point needs no negative push and closes no gap.
+a jack and a square have rank 3 at most, so ``complementarity.py`` tries all sets of one, two and three contacts.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ from jackbox_env.states import (
 
 Array = NDArray[np.float64]
 
-SLOW = 1e-6  # of v0: an impact slower than this has no derivative that can be told
-_DEEP = 2e-10  # [m] in boxes of 1 m and more: a foot deeper than any that strikes from inside
+SLOW = 1e-6  # of v0: rounding hides the derivative of a slower impact
+_DEEP = 2e-10  # [m] in boxes of 1 m and more: a foot that strikes from inside is less deep
 
 
 def quarter(cosine: float, sine: float, quarters: int) -> tuple[float, float]:
-    """Cosine and sine of an angle moved by whole quarter turns."""
+    """Cosine and sine of an angle plus a number of quarter turns."""
     quarters &= 3
     if quarters == 0:
         return cosine, sine
@@ -60,17 +60,17 @@ def gap_and_lever(scene: SceneNumbers, ahead: float, cosine: float, sine: float,
 
     Args:
         scene: the scene.
-        ahead: how far the jack's centre is on the way to the wall [m].
+        ahead: coordinate of the jack's centre along the wall's normal [m].
         cosine: of the jack's angle relative to the box.
-        sine: of the same.
-        turn: number of the foot less that of the wall.
+        sine: likewise.
+        turn: number of the foot minus that of the wall.
     """
     along, across = quarter(cosine, sine, turn)
     return scene.box_half_width - ahead - scene.jack_arm * along, scene.jack_arm * across
 
 
 class Frame(NamedTuple):
-    """The jack's place and both angles."""
+    """Relative position of the jack, and both angles."""
 
     x: float  # from the box's centre [m]
     y: float
@@ -91,7 +91,7 @@ def gradient(scene: SceneNumbers, frame: Frame, wall: int, foot: int, row: Array
 
 
 def frame_of(state: Array) -> Frame:
-    """Place and angles of a state."""
+    """Relative position and angles of a state."""
     c, s = cos_sin(state[THETA_BOX])
     cp, sp = cos_sin(state[THETA_JACK] - state[THETA_BOX])
     return Frame(state[X_JACK] - state[X_BOX], state[Y_JACK] - state[Y_BOX], c, s, cp, sp)
@@ -113,28 +113,28 @@ def list_touching(scene: SceneNumbers, memory: Workspace, tolerance: float, wall
 def resolve(scene: SceneNumbers, memory: Workspace, log: Array, tolerance: float, wall: int, foot: int) -> None:
     """Apply the law to every contact within ``tolerance`` [m], and to that of ``wall`` and ``foot`` in any case.
 
-    Changes the rates in ``memory`` and notes the impacts.
+    It changes the rates in ``memory.state`` and records the impacts.
     """
     state = memory.state
     count = list_touching(scene, memory, tolerance, wall, foot)
     slow = rate_of(state, memory.gradients[0]) > -SLOW * scene.speed_scale
     if count > 1 or slow or memory.gaps[0] < -_DEEP * min(1.0, scene.box_half_width):
-        memory.rough = 1
+        memory.nonsmooth = 1
     if count == 1:
         memory.impulses[0] = bounce(scene, state, memory.gradients[0])
     else:
         bounce_together(scene, memory, count)
     for number in range(count):
         if memory.impulses[number] > 0.0:
-            note(memory, log, memory.elapsed, memory.pairs[number], memory.impulses[number])
+            record_impact(memory, log, memory.elapsed, memory.pairs[number], memory.impulses[number])
 
 
-def note(memory: Workspace, log: Array, time: float, pair: int, impulse: float) -> None:
-    """Count an impact, and record it where there is room.
+def record_impact(memory: Workspace, log: Array, time: float, pair: int, impulse: float) -> None:
+    """Count an impact, and write it to the log if there is room.
 
     Args:
-        memory: that counts.
-        log: memory that records, see ``workspace.new_log``.
+        memory: with the counts.
+        log: see ``workspace.new_log``.
         time: since the step's start [s].
         pair: 4 * wall + foot.
         impulse: [N s].
@@ -151,12 +151,16 @@ def bounce(scene: SceneNumbers, state: Array, row: Array) -> float:
     impulse = 0.0
     rate = rate_of(state, row)
     if rate < 0.0:
-        box_arm, jack_arm = row[THETA_BOX], row[THETA_JACK]
-        yielding = 1.0 / scene.box_mass + 1.0 / scene.jack_mass
-        yielding += box_arm * box_arm / scene.box_inertia + jack_arm * jack_arm / scene.jack_inertia
-        impulse = -(1.0 + scene.restitution) * rate / yielding
+        impulse = -(1.0 + scene.restitution) * rate / inverse_mass(scene, row)
         kick(scene, state[RATES:], row, impulse)
     return impulse
+
+
+def inverse_mass(scene: SceneNumbers, row: Array) -> float:
+    """J M^-1 J^T [1/kg], with the gap's gradient J in ``row``."""
+    box_arm, jack_arm = row[THETA_BOX], row[THETA_JACK]
+    centres = 1.0 / scene.box_mass + 1.0 / scene.jack_mass
+    return float(centres + (box_arm * box_arm / scene.box_inertia + jack_arm * jack_arm / scene.jack_inertia))
 
 
 def rate_of(state: Array, row: Array) -> float:
@@ -185,9 +189,9 @@ def bounce_together(scene: SceneNumbers, memory: Workspace, count: int) -> None:
     for i in range(count):
         memory.bias[i] = 0.0
     chosen = nearest(memory, count)
-    for place in range(3):
-        number = chosen[place]
+    for index in range(3):
+        number = chosen[index]
         if number >= 0:
-            impulse = (1.0 + scene.restitution) * memory.best[place] / memory.lengths[number]
+            impulse = (1.0 + scene.restitution) * memory.best[index] / memory.lengths[number]
             memory.impulses[number] = impulse
             kick(scene, memory.state[RATES:], memory.gradients[number], impulse)

@@ -1,8 +1,9 @@
-"""A drive as the exact contact model takes it: pieces of a step on which each acceleration of the box is a polynomial.
+"""Drives in compiled code: pieces of a step on which each acceleration of the box is a polynomial.
 
+``step.py`` cuts a step into these pieces, and ``flight.py`` evaluates the polynomials.
 Each of the three accelerations (``TURN`` [rad/s^2], ``PUSH_X`` and ``PUSH_Y`` [m/s^2]) is a sum of powers of
-u = 2 s / T - 1 in [-1, 1], with s [s] since the piece's start and T its length; its integrals once and twice from that
-start are such sums too. A workspace's ``powers`` has those of each in row 3 * acceleration + order of integration.
+u = 2 s / T - 1 in [-1, 1], with s [s] since the piece's start and T its length. Its integrals once and twice from that
+start are such sums too. Their powers are in row 3 * acceleration + order of integration of a workspace's ``powers``.
 
 Exactness: rounding. The chirp's powers are its Taylor series about the piece's middle, with pieces of at most a sixth
 of a turn. The powers of a drive's functions go through 13 values (``functions.py``), in the Chebyshev points of the
@@ -24,7 +25,7 @@ from jackbox_env.scene import MOST_TURNS, SceneNumbers
 Array = NDArray[np.float64]
 
 TURN, PUSH_X, PUSH_Y = range(3)
-POWERS = 16  # stored
+POWERS = 16  # stored of each polynomial
 DEGREE = 12  # of a polynomial before it is integrated
 PIECES_PER_TURN = 6
 SHARES = 1.0 / np.arange(1.0, POWERS + 1.0)  # of integrated powers; a product is faster than a quotient
@@ -39,44 +40,46 @@ def horner(powers: Array, degree: int, u: float) -> float:
     return float(value)
 
 
-def integrate(w: Workspace, axis: int, length: float) -> None:
+def integrate(memory: Workspace, axis: int, length: float) -> None:
     """Fill in both integrals of one acceleration over a piece of ``length`` [s], zero at its start."""
     for order in range(2):
         start, sign = 0.0, -1.0
         for k in range(DEGREE + 1 + order):
-            power = 0.5 * length * w.powers[3 * axis + order, k] * SHARES[k]
-            w.powers[3 * axis + order + 1, k + 1] = power
+            power = 0.5 * length * memory.powers[3 * axis + order, k] * SHARES[k]
+            memory.powers[3 * axis + order + 1, k + 1] = power
             start += sign * power
             sign = -sign
-        w.powers[3 * axis + order + 1, 0] = -start
+        memory.powers[3 * axis + order + 1, 0] = -start
 
 
-def chirp_piece(n: SceneNumbers, turns: float, frequency: float, start: float, length: float, w: Workspace) -> None:
+def chirp_piece(
+    scene: SceneNumbers, turns: float, frequency: float, start: float, length: float, memory: Workspace
+) -> None:
     """Fill in the box's angular acceleration under the chirp, ``start`` [s] after the time of ``turns``, ``frequency``.
 
     sin and cos of a phase with phi' = a + 2 b u obey s' = phi' c, c' = -phi' s, so their powers follow one another.
     """
     half = 0.5 * length
     middle = start + half
-    growth = 0.5 * n.chirp_rate
+    growth = 0.5 * scene.chirp_rate
     phase = turns + (frequency + growth * middle) * middle
     c, s = cos_sin(2.0 * math.pi * (phase - math.floor(phase)))
-    a = 2.0 * math.pi * (frequency + n.chirp_rate * middle) * half
+    a = 2.0 * math.pi * (frequency + scene.chirp_rate * middle) * half
     b2 = 4.0 * math.pi * growth * half * half
-    peak = n.chirp_amplitude / n.box_inertia
+    peak = scene.chirp_amplitude / scene.box_inertia
     before_s = before_c = 0.0
     for k in range(DEGREE + 1):
-        w.powers[3 * TURN, k] = peak * s
+        memory.powers[3 * TURN, k] = peak * s
         next_s = (a * c + b2 * before_c) * SHARES[k]
         next_c = -(a * s + b2 * before_s) * SHARES[k]
         before_s, before_c, s, c = s, c, next_s, next_c
-    integrate(w, TURN, length)
+    integrate(memory, TURN, length)
 
 
-def chirp_pieces(n: SceneNumbers, time: float, dt: float) -> int:
+def chirp_pieces(scene: SceneNumbers, time: float, dt: float) -> int:
     """Number of equal pieces of a step of ``dt`` [s] after ``time`` [s]; 0 if the chirp turns too often in it."""
-    frequency = n.chirp_start_frequency + n.chirp_rate * time
-    fastest = max(abs(frequency), abs(frequency + n.chirp_rate * dt))
+    frequency = scene.chirp_start_frequency + scene.chirp_rate * time
+    fastest = max(abs(frequency), abs(frequency + scene.chirp_rate * dt))
     turned = fastest * dt
     return max(1, math.ceil(PIECES_PER_TURN * turned)) if turned <= MOST_TURNS else 0
 
@@ -110,21 +113,21 @@ _TO_CHEBYSHEV = np.array(
 _TO_POWERS = np.array(_powers_of_chebyshev(), dtype=np.float64)
 
 
-def interpolate(values: Array, row: Array, place: int) -> tuple[float, float, float]:
-    """Write the powers of u of the polynomial through 13 values to ``row``, from ``place`` on.
+def interpolate(values: Array, row: Array, first: int) -> tuple[float, float, float]:
+    """Write the powers of u of the polynomial through 13 values to ``row``, from column ``first`` on.
 
     Returns:
-        The largest value, the largest of the last three Chebyshev coefficients, and the steepest slope per u but one:
-        a jump makes one gap steep.
+        The largest value, the largest of the last three Chebyshev coefficients, and the second steepest slope per u:
+        a jump makes only one gap steep.
     """
     tail, middle = 0.0, values[DEGREE // 2]
-    row[place] = middle  # a constant comes out as it is
+    row[first] = middle  # so that a constant is exact
     for k in range(DEGREE + 1):
         coefficient = 0.0
         for j in range(DEGREE + 1):
             coefficient += _TO_CHEBYSHEV[k, j] * (values[j] - middle)
         for i in range(k & 1, k + 1, 2):
-            row[place + i] += _TO_POWERS[k, i] * coefficient
+            row[first + i] += _TO_POWERS[k, i] * coefficient
         if k > DEGREE - 3:
             tail = max(tail, abs(coefficient))
     peak, steepest, slope = abs(values[0]), 0.0, 0.0

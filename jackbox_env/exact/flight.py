@@ -1,7 +1,8 @@
-"""The motion of box and jack between impacts, in one piece of a step, and the gaps between feet and walls meanwhile.
+"""Evolve: the motion of box and jack between impacts, in one piece of a step, and the gaps between feet and walls.
 
-Law of flight: the jack falls with g and keeps its spin, the box keeps its velocity but for side forces, and its angle
-is the double integral of torque / J_b. While feet are held, powers of time describe the relative motion
+``search.py`` evaluates gaps and rates here, and ``step.py`` moves the state with :func:`evolve`.
+Law of flight: the jack falls with g and keeps its spin. The box keeps its velocity except for side forces, and its
+angle is the double integral of torque / J_b. While feet are held, power series describe the relative motion
 (``constrained.py``).
 """
 
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from jackbox_env.exact.contact import gap_and_lever
 from jackbox_env.exact.drives import DEGREE, PUSH_X, PUSH_Y, TURN, horner
 from jackbox_env.exact.trigonometry import cos_sin
-from jackbox_env.exact.workspace import PLACE_X, PLACE_Y, PSI, RATE_X, RATE_Y, SPIN, Workspace
+from jackbox_env.exact.workspace import POSITION_X, POSITION_Y, PSI, RATE_X, RATE_Y, SPIN, Workspace
 from jackbox_env.scene import SceneNumbers
 from jackbox_env.states import (
     OMEGA_BOX,
@@ -36,10 +37,10 @@ Array = NDArray[np.float64]
 
 
 class Piece(NamedTuple):
-    """What acts on the box during one piece of a step."""
+    """The accelerations of the box by the drive in one piece of a step."""
 
     length: float  # [s]
-    alpha: float  # angular acceleration, where it is constant [rad/s^2]
+    alpha: float  # angular acceleration if it is constant [rad/s^2]
     curved: bool  # whether the accelerations are polynomials
     pushed: bool  # whether the box's centre is accelerated too
     spin_up: float  # bound of the angular acceleration [rad/s^2]
@@ -47,7 +48,7 @@ class Piece(NamedTuple):
 
 
 class Flight(NamedTuple):
-    """Relative motion from a moment on: the jack's centre as seen from the box's, and both angles."""
+    """Relative motion from a moment on: the jack's centre relative to the box's, and both angles."""
 
     x: float  # [m]
     y: float
@@ -58,13 +59,13 @@ class Flight(NamedTuple):
     jack_angle: float
     jack_omega: float
     gravity: float  # [m/s^2]
-    alpha: float  # of the box, where it is constant [rad/s^2]
+    alpha: float  # of the box if it is constant [rad/s^2]
     since: float  # the moment, since the piece's start [s]
     half: float  # half the piece's length; while feet are held, the stretch's length [s]
     curved: bool  # whether the accelerations are polynomials
     pushed: bool  # whether the box's centre is accelerated too
-    held: int  # feet that walls hold, bit 4 * wall + foot of each
-    speeds: float  # of box and jack, all together, whose rounding a gap's rate has [m/s]
+    held: int  # feet at rest on walls, bit 4 * wall + foot of each
+    speeds: float  # sum of the speeds of box and jack, to bound the rounding of a gap's rate [m/s]
 
 
 class Pose(NamedTuple):
@@ -111,7 +112,7 @@ def flight_of(scene: SceneNumbers, state: Array, piece: Piece, since: float) -> 
 
 
 def excursion(memory: Workspace, axis: int, flight: Flight, s: float) -> tuple[float, float]:
-    """Change of a coordinate and of its rate in ``s`` [s] that the polynomial acceleration brings."""
+    """Change of a coordinate and of its rate in ``s`` [s] by the polynomial acceleration."""
     end = (flight.since + s) / flight.half - 1.0
     moved, rate = (
         horner(memory.powers[3 * axis + 2], DEGREE + 2, end),
@@ -125,7 +126,7 @@ def excursion(memory: Workspace, axis: int, flight: Flight, s: float) -> tuple[f
 
 
 def driven_at(flight: Flight, memory: Workspace, s: float) -> tuple[float, float, float]:
-    """What the drive gives the box ``s`` [s] into the flight: its angular acceleration, those along x and along y."""
+    """Accelerations of the box by the drive ``s`` [s] into the flight: angular, along x and along y."""
     u = (flight.since + s) / flight.half - 1.0
     turn = horner(memory.powers[3 * TURN], DEGREE, u) if flight.curved else flight.alpha
     if not flight.pushed:
@@ -175,20 +176,20 @@ def evolve(memory: Workspace, flight: Flight, s: float) -> None:
 def stays_clear(x: float, y: float, vx: float, vy: float, fall: float, dt: float, clear: float) -> bool:
     """Whether both ends of the jack's path are so near the box's centre that no foot can touch a wall on the way.
 
-    ``clear`` is that distance's square, see ``step.Plan``.
+    ``clear`` is the square of that distance, see ``step.Plan``.
     """
     end_x, end_y = moved(x, vx, dt), fallen(y, vy, fall, dt)
     return bool((x * x + y * y < clear) & (end_x * end_x + end_y * end_y < clear))
 
 
-def moved(place: float, rate: float, dt: float) -> float:
+def moved(position: float, rate: float, dt: float) -> float:
     """A coordinate after ``dt`` [s] at a constant rate."""
-    return place + rate * dt
+    return position + rate * dt
 
 
-def fallen(place: float, rate: float, fall: float, dt: float) -> float:
-    """A height after ``dt`` [s], in which gravity takes ``fall`` [m/s] from its rate."""
-    return place + (rate - 0.5 * fall) * dt
+def fallen(height: float, rate: float, fall: float, dt: float) -> float:
+    """A height after ``dt`` [s], in which gravity reduces its rate by ``fall`` [m/s]."""
+    return height + (rate - 0.5 * fall) * dt
 
 
 def turned(angle: float, omega: float, alpha: float, dt: float) -> float:
@@ -197,7 +198,7 @@ def turned(angle: float, omega: float, alpha: float, dt: float) -> float:
 
 
 def glide(before: Array, after: Array, fall: float, dt: float, alpha: float) -> None:
-    """Fly for ``dt`` [s], in which the jack's fall gains ``fall`` [m/s], without looking for impacts."""
+    """Fly for ``dt`` [s], in which gravity changes the jack's rate by ``fall`` [m/s], without a search for impacts."""
     after[X_BOX] = moved(before[X_BOX], before[VX_BOX], dt)
     after[Y_BOX] = moved(before[Y_BOX], before[VY_BOX], dt)
     after[THETA_BOX] = turned(before[THETA_BOX], before[OMEGA_BOX], alpha, dt)
@@ -213,7 +214,7 @@ def glide(before: Array, after: Array, fall: float, dt: float, alpha: float) -> 
 
 
 class BoxFrame(NamedTuple):
-    """The jack's centre on the box's axes, as it is seen turning with the box."""
+    """Position and velocity of the jack's centre in the rotating frame of the box."""
 
     x: float  # [m]
     y: float
@@ -222,7 +223,7 @@ class BoxFrame(NamedTuple):
 
 
 def box_frame(x: float, y: float, vx: float, vy: float, angle: float, omega: float) -> BoxFrame:
-    """Take relative place and velocity to the axes of a box at ``angle`` that turns with ``omega``."""
+    """Transform relative position and velocity to the frame of a box at ``angle`` [rad] with rate ``omega`` [rad/s]."""
     c, s = cos_sin(angle)
     ahead, aside = on_axes(c, s, x, y)
     forward, sideways = on_axes(c, s, vx, vy)
@@ -230,12 +231,12 @@ def box_frame(x: float, y: float, vx: float, vy: float, angle: float, omega: flo
 
 
 def on_axes(cosine: float, sine: float, x: float, y: float) -> tuple[float, float]:
-    """A vector on the axes of a box whose angle has this cosine and sine."""
+    """Components of a vector on the axes of a box whose angle has this cosine and sine."""
     return cosine * x + sine * y, cosine * y - sine * x
 
 
 class View(NamedTuple):
-    """The jack as it is seen from the box at one moment."""
+    """The jack relative to the box at one moment."""
 
     frame: BoxFrame
     cosine: float  # of the jack's angle relative to the box
@@ -251,7 +252,7 @@ def view_of(frame: BoxFrame, angle: float, spin: float, time: float) -> View:
 
 
 def towards(frame: BoxFrame, wall: int) -> tuple[float, float]:
-    """How far the centre is on the way to a wall [m], and its rate [m/s]."""
+    """Coordinate of the jack's centre along a wall's normal [m], and its rate [m/s]."""
     if wall == 0:
         return frame.x, frame.vx
     if wall == 1:
@@ -276,7 +277,7 @@ def gap_at(
     scene: SceneNumbers, flight: Flight, memory: Workspace, wall: int, foot: int, s: float
 ) -> tuple[float, float]:
     """Gap between a wall and a foot ``s`` [s] into the flight [m], and its rate [m/s]."""
-    memory.looks += 1.0
+    memory.evaluations += 1.0
     if flight.held:
         view = held_view(flight, memory, s)
         ahead, speed = towards(view.frame, wall)
@@ -288,11 +289,11 @@ def gap_at(
 
 
 def held_view(flight: Flight, memory: Workspace, s: float) -> View:
-    """The jack as it is seen from the box ``s`` [s] into a stretch with held feet."""
+    """The jack relative to the box ``s`` [s] into a stretch with feet at rest."""
     length = flight.half
     u = s / length
     frame = BoxFrame(
-        horner(memory.series[PLACE_X], DEGREE + 2, u), horner(memory.series[PLACE_Y], DEGREE + 2, u),
+        horner(memory.series[POSITION_X], DEGREE + 2, u), horner(memory.series[POSITION_Y], DEGREE + 2, u),
         horner(memory.series[RATE_X], DEGREE + 1, u) / length, horner(memory.series[RATE_Y], DEGREE + 1, u) / length,
     )  # fmt: skip
     spin = horner(memory.series[SPIN], DEGREE + 1, u) / length

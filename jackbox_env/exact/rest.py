@@ -1,20 +1,22 @@
-"""Feet at rest on walls, for the exact contact model: which ones, and how box and jack move while walls carry them.
+"""Feet at rest on walls: which ones rest, and how box and jack move while walls hold them.
 
-A bounce too low to be told from rest, below :attr:`search.Touch.together`, ends in rest. From then on the foot is held:
-its gap is a constraint of the Lagrangian motion
+``step.advance`` calls :func:`settle` when ``search.py`` detects a slow foot on a wall, and :func:`hold` to move with
+the feet that rest.
+A bounce lower than the resolution of contacts ends in rest. From then on the foot is held: its gap is a constraint of
+the Lagrangian motion
 
     M qddot = f + J^T lambda,    J qddot + Jdot qdot = 0,    lambda >= 0,
 
-until lambda is 0 and the wall would have to pull. Among feet that touch and neither approach nor part, the ones that
-are held solve 0 <= lambda _|_ J qddot + Jdot qdot >= 0: the accelerations are the nearest to the free ones, in the
+until lambda is 0 and the wall would have to pull. Among feet that touch and neither approach nor leave, those held
+solve 0 <= lambda _|_ J qddot + Jdot qdot >= 0: the accelerations are the nearest to the free ones, in the
 norm of M, that close no gap (Gauss's principle; Brogliato 2016, "Nonsmooth Mechanics", ch. 5).
 
-Method: over a stretch of time the motion is found as a series (``constrained.py``). The gaps of the other feet follow
-from it, so the search for the next impact has the same guarantee as in free flight. At the start of a stretch the held
-gaps are brought towards 0, by 1e-13 m at most, and their rates to 0, by the nearest step in the norm of M. So nothing
+Method: over a stretch of time the motion is a power series (``constrained.py``). The gaps of the other feet follow from
+it, so the search for the next impact has the same guarantee as in free flight. At the start of a stretch the held gaps
+are corrected towards 0, by 1e-13 m at most, and their rates to 0, by the smallest change in the norm of M. So nothing
 drifts and no energy is gained.
-Resolution: with loss, a foot is at rest that would rise by ``search.resolution`` at most. That is 1e-13 m, and grows to
-1e-10 m in a step with many impacts. Coming to rest takes at most m_j K times that from the energy, with K of
+Resolution: with loss, a foot is at rest if it would rise by ``search.resolution`` at most. That is 1e-13 m, and grows
+to 1e-10 m in a step with many impacts. Coming to rest loses at most m_j K times that of the energy, with K of
 ``bounds.py``.
 """
 
@@ -26,12 +28,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.complementarity import dot, nearest, project, violation_of, weigh
-from jackbox_env.exact.constrained import carry, curvature_while_held, first_let_go, impulse_of, stretch
-from jackbox_env.exact.contact import Frame, frame_of, gradient, kick, note, rate_of, resolve
-from jackbox_env.exact.drives import DEGREE, PUSH_X, PUSH_Y, TURN, horner
+from jackbox_env.exact.bounds import curvature_of, parabola_root
+from jackbox_env.exact.constrained import carry, curvature_while_held, stretch
+from jackbox_env.exact.contact import Frame, frame_of, gradient, kick, rate_of, record_impact, resolve
+from jackbox_env.exact.drives import DEGREE, PUSH_X, PUSH_Y, SHARES, TURN, horner
 from jackbox_env.exact.flight import Flight, Piece, box_frame, flight_of, view_of
-from jackbox_env.exact.search import ALL, ENDLESS, NONE, Limits, Touch, first_of_all, why_endless
-from jackbox_env.exact.workspace import Status, Workspace
+from jackbox_env.exact.search import (
+    ALL,
+    MOST_WORK,
+    NONE,
+    UNDECIDED,
+    Limits,
+    Touch,
+    first_of_all,
+    slowest,
+    why_undecided,
+)
+from jackbox_env.exact.workspace import FORCE, Status, Workspace
 from jackbox_env.scene import SceneNumbers
 from jackbox_env.states import (
     OMEGA_BOX,
@@ -51,13 +64,14 @@ from jackbox_env.states import (
 
 Array = NDArray[np.float64]
 
-_ALONG = 1e-18  # square of what a unit gradient may keep beside those of held feet, to be held along with them
-_FAINT = 1e-9  # of the strongest push at held feet: an acceleration that is none
-_ROUNDED = 4e-16  # of L: what rounding leaves of a gap
+_DEPENDENT = 1e-18  # square of a unit gradient's part orthogonal to those of held feet: below it, it depends on them
+_FAINT = 1e-9  # of the strongest push at held feet: a smaller acceleration counts as 0
+_PULL = 1e-12  # of the largest force in a stretch: a wall may pull that much before it lets go
+_ROUNDED = 4e-16  # of L: rounding of a gap
 
 
 def bend(scene: SceneNumbers, state: Array, frame: Frame, row: Array, gap: float) -> float:
-    """Jdot qdot of a gap with the gradient ``row``: its second derivative where nothing accelerates [m/s^2]."""
+    """Jdot qdot of a gap with the gradient ``row``: its second derivative without accelerations [m/s^2]."""
     nx, ny = row[X_BOX], row[Y_BOX]
     vx, vy = state[VX_JACK] - state[VX_BOX], state[VY_JACK] - state[VY_BOX]
     omega, spin = state[OMEGA_BOX], state[OMEGA_JACK] - state[OMEGA_BOX]
@@ -67,7 +81,7 @@ def bend(scene: SceneNumbers, state: Array, frame: Frame, row: Array, gap: float
 
 
 def accelerations(scene: SceneNumbers, memory: Workspace, piece: Piece, since: float) -> None:
-    """Fill in the accelerations that gravity and the drive give box and jack ``since`` [s] after the piece's start."""
+    """Fill in the accelerations of box and jack by gravity and the drive, ``since`` [s] after the piece's start."""
     u = 2.0 * since / piece.length - 1.0
     free = memory.free
     free[X_BOX] = free[Y_BOX] = free[X_JACK] = free[THETA_JACK] = 0.0
@@ -89,7 +103,7 @@ def list_contacts(scene: SceneNumbers, memory: Workspace, state: Array, count: i
 
 
 def bend_all(scene: SceneNumbers, memory: Workspace, state: Array, frame: Frame, count: int) -> None:
-    """Weigh the free accelerations and the gradients, and fill in the bias that makes J qddot + Jdot qdot of them."""
+    """Weight the free accelerations and the gradients, and fill in the bias Jdot qdot."""
     weigh(scene, memory, count, memory.free)
     for number in range(count):
         turn = bend(scene, state, frame, memory.gradients[number], memory.gaps[number])
@@ -97,30 +111,30 @@ def bend_all(scene: SceneNumbers, memory: Workspace, state: Array, frame: Frame,
 
 
 def list_slow(scene: SceneNumbers, memory: Workspace, frame: Frame, near: float, slow: float) -> int:
-    """List the contacts within ``near`` [m] at rates up to ``slow`` [m/s], but for those let go; return how many."""
-    count, loose = 0, memory.loose
+    """List the contacts within ``near`` [m] at rates up to ``slow`` [m/s], except those let go; return their number."""
+    count, released = 0, memory.released
     for pair in range(16):
         row = memory.gradients[count]
         gap = gradient(scene, frame, pair // 4, pair % 4, row)
-        if gap <= near and abs(rate_of(memory.state, row)) <= slow and not loose & (1 << pair):
+        if gap <= near and abs(rate_of(memory.state, row)) <= slow and not released & (1 << pair):
             memory.pairs[count] = pair
             count += 1
     return count
 
 
 def settle(
-    scene: SceneNumbers, memory: Workspace, piece: Piece, since: float, touch: Touch, near: float, slow: float
+    scene: SceneNumbers, memory: Workspace, piece: Piece, flight: Flight, horizon: float, touch: Touch, near: float
 ) -> int:
-    """Find the feet at rest on walls, and bring their gaps and rates to rest.
+    """Determine the feet at rest on walls, and correct their gaps and rates.
 
     Args:
         scene: the scene.
         memory: with the state.
         piece: what acts on the box.
-        since: [s] after the piece's start.
+        flight: motion from this state on.
+        horizon: how far the search for an impact went [s]; it bounds the rate of a foot at rest.
         touch: when feet touch.
         near: gap within which feet may rest [m].
-        slow: rate above which no foot is looked at [m/s].
 
     Returns:
         The pairs that are held, as bits. Their number is in ``memory.holding``, and they are first in
@@ -128,20 +142,21 @@ def settle(
     """
     state = memory.state
     frame = frame_of(state)
-    count = list_slow(scene, memory, frame, near, slow)
-    accelerations(scene, memory, piece, since)
+    limits = Limits(curvature_of(scene, flight, horizon, piece), horizon, touch.tolerance)
+    count = list_slow(scene, memory, frame, near, slowest(scene, flight, limits, near))
+    accelerations(scene, memory, piece, flight.since)
     while count > 0:
-        memory.looks += 1.0
+        memory.evaluations += 1.0
         list_contacts(scene, memory, memory.state, count)
         bend_all(scene, memory, state, frame, count)
         chosen = pressed_set(memory, count)
-        # A foot that would bounce higher than can be told from rest is not at rest.
+        # A foot that would bounce higher than the resolution is not at rest.
         bouncing = -1
-        for place in range(3):
-            number = chosen[place]
+        for index in range(3):
+            number = chosen[index]
             if number >= 0:
-                # The acceleration that this contact takes from the foot, were it the only one.
-                pressed = memory.best[place] * memory.lengths[number]
+                # The acceleration of the foot by this contact, were it the only one.
+                pressed = memory.best[index] * memory.lengths[number]
                 rate = rate_of(state, memory.gradients[number])
                 if rate * rate > 2.0 * near * pressed:
                     bouncing = number
@@ -153,17 +168,17 @@ def settle(
 
 
 def pressed_set(memory: Workspace, count: int) -> tuple[int, int, int]:
-    """What ``nearest`` returns, with large sets first: a set that closes no gap is the answer.
+    """What ``nearest`` returns, tried from large sets on: the first set that closes no gap.
 
-    The last projection is that of the answer.
+    The last projection is that of the set returned.
     """
     for size in (3, 2, 1):
         for i in range(count if size > 2 else 1):
             for j in range(i + 1 if size > 2 else 0, count if size > 1 else 1):
                 for k in range(j + 1 if size > 1 else 0, count):
                     if violation_of(memory, count, size, k, j, i) <= _FAINT * memory.pushes[0]:
-                        for place in range(3):
-                            memory.best[place] = memory.pushes[place]
+                        for index in range(3):
+                            memory.best[index] = memory.pushes[index]
                         return k, j if size > 1 else -1, i if size > 2 else -1
     one, two, three = nearest(memory, count)
     if one >= 0:
@@ -174,63 +189,68 @@ def pressed_set(memory: Workspace, count: int) -> tuple[int, int, int]:
 def hold_these(
     scene: SceneNumbers, memory: Workspace, touch: Touch, near: float, count: int, chosen: tuple[int, int, int]
 ) -> int:
-    """Hold the chosen of ``count`` contacts, projected on last, and bring them to rest.
+    """Hold the chosen of ``count`` contacts, those of the last projection, and bring them to rest.
 
-    Returns them as bits, with those they hold along.
-    A contact that needs no force and does not part either is held too, so that nobody has to watch it. If its wall
-    would have to pull, it is let go at once. A contact whose gradient is a sum of held ones stays closed by itself.
+    A contact that needs no force and does not open is held too, so that the search can ignore it. If its wall would
+    have to pull, it is let go at once. A contact whose gradient depends on held ones stays closed by itself.
+
+    Returns:
+        The pairs that are held, as bits.
     """
     size, strongest = 0, 0.0
-    for place in range(3):
-        number = chosen[place]
+    for index in range(3):
+        number = chosen[index]
         if number >= 0:
             memory.order[size] = number
-            strongest = max(strongest, memory.best[place])
+            strongest = max(strongest, memory.best[index])
             size += 1
     if size == 0:
         return 0
     faint, held = _FAINT * strongest, 0
     for number in range(count):
         row = memory.units[number]
-        parting = dot(row, memory.projected) + memory.bias[number]
+        opening = dot(row, memory.projected) + memory.bias[number]
         rate = rate_of(memory.state, memory.gradients[number]) / memory.lengths[number]
         remainder = orthogonalized(memory, size, row)
-        if remainder < _ALONG:
+        if remainder < _DEPENDENT:
             held |= 1 << memory.pairs[number]
-        elif size < 3 and abs(parting) <= faint and rate * rate <= 2.0 * near * faint:
+        elif size < 3 and abs(opening) <= faint and rate * rate <= 2.0 * near * faint:
             length = math.sqrt(remainder)
-            for place in range(6):
-                memory.basis[size, place] /= length
+            for index in range(6):
+                memory.basis[size, index] /= length
             memory.order[size] = number
             size += 1
             held |= 1 << memory.pairs[number]
-    for place in range(size):
-        gap = memory.gaps[memory.order[place]]
-        memory.order[place] = memory.pairs[memory.order[place]]
-        memory.targets[place] = math.copysign(max(abs(gap) - touch.together, 0.0), gap)
-    for place in range(size):
-        memory.pairs[place] = memory.order[place]
+    for index in range(size):
+        gap = memory.gaps[memory.order[index]]
+        memory.order[index] = memory.pairs[memory.order[index]]
+        memory.targets[index] = math.copysign(max(abs(gap) - touch.together, 0.0), gap)
+    for index in range(size):
+        memory.pairs[index] = memory.order[index]
     memory.holding = size
     bring_back(scene, memory)
     return held
 
 
 def orthogonalized(memory: Workspace, size: int, row: Array) -> float:
-    """Write a unit row's part orthogonal to the first ``size`` rows of the basis behind them; return its square."""
+    """Write the part of a unit row that is orthogonal to the first ``size`` rows of the basis as its next row.
+
+    Returns its square.
+    """
     part = memory.basis[size]
-    for place in range(6):
-        part[place] = row[place]
+    for index in range(6):
+        part[index] = row[index]
     for number in range(size):
         share = dot(part, memory.basis[number])
-        for place in range(6):
-            part[place] -= share * memory.basis[number, place]
+        for index in range(6):
+            part[index] -= share * memory.basis[number, index]
     return dot(part, part)
 
 
 def bring_back(scene: SceneNumbers, memory: Workspace) -> None:
-    """Bring the held gaps to their targets and their rates to 0, each by the nearest change in the norm of M.
+    """Bring the held gaps to their targets and their rates to 0, each by the smallest change in the norm of M.
 
-    The gaps by one step of Newton, where more than rounding is left of them. Factors of the held rows stay in
+    The gaps change by one Newton step, unless they are off by rounding only. The factors of the held rows stay in
     ``memory.triangle``.
     """
     state, count = memory.state, memory.holding
@@ -240,8 +260,8 @@ def bring_back(scene: SceneNumbers, memory: Workspace) -> None:
         off = max(off, abs(memory.gaps[number] - memory.targets[number]))
     weigh(scene, memory, count, state[RATES:])
     if off > _ROUNDED * scene.box_half_width:
-        for place in range(6):
-            memory.rates[place] = 0.0
+        for index in range(6):
+            memory.rates[index] = 0.0
         for number in range(count):
             memory.bias[number] = (memory.gaps[number] - memory.targets[number]) / memory.lengths[number]
         move_held(scene, memory, count, X_BOX)
@@ -253,7 +273,7 @@ def bring_back(scene: SceneNumbers, memory: Workspace) -> None:
 
 
 def move_held(scene: SceneNumbers, memory: Workspace, count: int, first: int) -> None:
-    """Move the six numbers of the state from ``first`` on to where the held rows are 0 with their bias."""
+    """Change the six numbers of the state from ``first`` on so that the held rows with their bias are 0."""
     project(memory, count, 0, 1, 2)
     for number in range(count):
         kick(scene, memory.state[first:], memory.gradients[number], memory.pushes[number] / memory.lengths[number])
@@ -262,12 +282,12 @@ def move_held(scene: SceneNumbers, memory: Workspace, count: int, first: int) ->
 def hold(
     scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, touch: Touch, near: float, since: float, held: int
 ) -> tuple[Status, float]:
-    """Move with held feet to the end of a stretch, an impact, or until a wall would have to pull.
+    """Move with feet at rest to the end of a stretch, an impact, or the moment when a wall would have to pull.
 
     Args:
         scene: the scene.
         memory: with the state, the drive's polynomials and the pairs that are held.
-        log: memory that records impacts.
+        log: filled with impacts.
         piece: what acts on the box.
         touch: when feet touch.
         near: gap within which feet touch together [m].
@@ -275,16 +295,16 @@ def hold(
         held: the pairs that are held, as bits.
 
     Returns:
-        How it ended, and how long it took [s]. Feet that were let go at once are noted in ``memory.loose``.
+        How it ended, and the time that passed [s]. Feet that were let go at once are added to ``memory.released``.
     """
-    memory.rough = 1
+    memory.nonsmooth = 1
     count, free = memory.holding, flight_of(scene, memory.state, piece, since)
     frame = box_frame(free.x, free.y, free.vx, free.vy, free.angle, free.omega)
     view = view_of(frame, free.jack_angle - free.angle, free.jack_omega - free.omega, 0.0)
     length = stretch(scene, memory, piece, since, view)
     if length == 0.0:
         return Status.TOO_MUCH_WORK, 0.0
-    end, loose = first_let_go(memory, count, length)
+    end, released = first_let_go(memory, count, length)
     if not since + end > since:
         end = 0.0
     flight = Flight(
@@ -292,27 +312,74 @@ def hold(
         length, True, True, held, free.speeds,
     )  # fmt: skip
     pair = NONE
-    if count < 3:  # else nothing moves in the box
+    if count < 3:  # else the jack cannot move in the box
         limits = Limits(curvature_while_held(scene, memory, length), end, 0.5 * touch.tolerance)
         end, pair = first_of_all(scene, memory, flight, view, ALL, NONE, limits, -math.inf)
-    if pair == ENDLESS:
-        return why_endless(memory), 0.0
-    for place in range(count):
-        memory.resting[memory.pairs[place]] += max(impulse_of(memory, place, end / length) / length, 0.0)
+    if pair == UNDECIDED:
+        return why_undecided(memory), 0.0
+    for contact in range(count):
+        memory.resting[memory.pairs[contact]] += max(impulse_of(memory, contact, end / length) / length, 0.0)
     carry(scene, memory, flight, free, end)
     memory.elapsed += end
     if pair != NONE:
-        memory.looks += 1.0
+        memory.evaluations += 1.0
         resolve(scene, memory, log, near, pair // 4, pair % 4)
-    elif loose >= 0 and end == 0.0:
-        memory.loose += 1 << memory.pairs[loose]
+    elif released >= 0 and end == 0.0:
+        memory.released += 1 << memory.pairs[released]
     if end > 0.0:
-        memory.loose = 0
+        memory.released = 0
     return Status.DONE, end
 
 
+def first_let_go(memory: Workspace, count: int, length: float) -> tuple[float, int]:
+    """When the first held foot is let go [s], and its index; the stretch's ``length`` and -1 if none is."""
+    end, released, peak = length, -1, 0.0
+    for contact in range(count):
+        for k in range(DEGREE + 1):
+            peak = max(peak, abs(memory.series[FORCE + contact, k]))
+    for contact in range(count):
+        time = let_go(memory, contact, length, peak)
+        if time < end:
+            end, released = time, contact
+    return end, released
+
+
+def let_go(memory: Workspace, contact: int, length: float, peak: float) -> float:
+    """When a held foot's force falls to 0 and the wall would have to pull, in [s]; infinity if it never does."""
+    powers = memory.series[FORCE + contact]
+    curvature = 0.0
+    for k in range(2, DEGREE + 1):
+        curvature += k * (k - 1.0) * abs(powers[k])
+    least = powers[0]
+    for k in range(1, DEGREE + 1):
+        least -= abs(powers[k])
+    if least > 0.0:
+        return math.inf
+    margin, u = _PULL * peak, 0.0
+    while memory.evaluations <= MOST_WORK:
+        force, slope = powers[DEGREE], 0.0
+        for k in range(DEGREE - 1, -1, -1):
+            slope = force + u * slope
+            force = powers[k] + u * force
+        if force + margin <= 0.5 * margin:
+            return u * length
+        memory.evaluations += 1.0
+        u += parabola_root(force + margin, slope, curvature)
+        if not u <= 1.0:
+            return math.inf
+    return math.inf
+
+
+def impulse_of(memory: Workspace, contact: int, u: float) -> float:
+    """A held foot's impulse up to ``u``, times the stretch's length [N s^2]."""
+    impulse = 0.0
+    for k in range(DEGREE, -1, -1):
+        impulse = SHARES[k] * memory.series[FORCE + contact, k] + impulse * u
+    return impulse * u
+
+
 def record_rest(memory: Workspace, log: Array, dt: float) -> None:
-    """Record the impulse of each held foot over the step, at its end."""
+    """Record the impulse of each foot at rest over the step, as an impact at its end."""
     for pair in range(16 if memory.holding > 0 else 0):
         if memory.resting[pair] > 0.0:
-            note(memory, log, dt, pair, memory.resting[pair])
+            record_impact(memory, log, dt, pair, memory.resting[pair])

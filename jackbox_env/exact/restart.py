@@ -1,8 +1,9 @@
-"""Between the steps of a batch: scenes and starts are drawn, states observed.
+"""Between the steps of a batch: draws scenes and starts, observes states; and checks the starts of rollouts.
 
-Everything here is compiled as it stands. Scenes come in rows of numbers, one for all environments or one for each. The
-random numbers are numpy's PCG64, bit for bit, in 32 bytes per environment: O'Neill 2014, "PCG: A family of simple fast
-space-efficient statistically good algorithms" (PCG XSL RR 128/64). A test compares draws with numpy's own generator.
+:mod:`jackbox_env.batches.exact` calls it when episodes begin. Scenes come in rows of numbers, one for all environments
+or one for each. The random numbers are numpy's PCG64, bit for bit, in 32 bytes per environment: O'Neill 2014, "PCG: A
+family of simple fast space-efficient statistically good algorithms" (PCG XSL RR 128/64). A test compares draws with
+numpy's own generator.
 """
 
 from __future__ import annotations
@@ -13,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.exact.glide import CLEAR, FALL, INERTIA, LIMIT, ORDINARY, ROOM, WIDTH, ordinary
-from jackbox_env.exact.score import look
+from jackbox_env.exact.score import observe
 from jackbox_env.exact.step import CONSTANT, make_numbers, make_plan
 from jackbox_env.scene import SceneNumbers, between, fall_speed, square_inertia
-from jackbox_env.states import THETA_JACK, X_JACK, Y_JACK
+from jackbox_env.states import THETA_JACK, X_JACK, Y_JACK, clearance
 from jackbox_env.tasks import start_pose
 
 Array = NDArray[np.float64]
@@ -29,6 +30,7 @@ Counts = NDArray[np.int64]
         "box_half_width", "box_mass", "box_inertia", "jack_arm", "jack_mass", "jack_inertia", "speed_scale",
     )
 )  # fmt: skip
+_ORDINARY = 1e9  # over L: smaller numbers of a state need no check in Python
 
 
 def draw_scenes(values: Array, ranges: Array, derived: NDArray[np.bool_], words: Words) -> None:
@@ -36,7 +38,7 @@ def draw_scenes(values: Array, ranges: Array, derived: NDArray[np.bool_], words:
 
     Args:
         values: the scenes, one row each, to be changed.
-        ranges: rows of place in a scene, least value, largest value, in the order in which they are drawn.
+        ranges: rows of index in a scene, least value, largest value, in the order in which they are drawn.
         derived: whether the inertia of box and jack follows mass and size, shape (scenes, 2).
         words: their generators.
     """
@@ -52,7 +54,7 @@ def draw_scenes(values: Array, ranges: Array, derived: NDArray[np.bool_], words:
 
 
 def spread(values: Array, dt: float, lanes: Array, numbers: Counts) -> None:
-    """Write what environments that are moved together need of their scenes, see ``glide.SCENE_LANES``.
+    """Write the numbers of scenes that rows moved together need, see ``glide.SCENE_LANES``.
 
     Args:
         values: the scenes' numbers, a row for each of ``numbers`` or one for all.
@@ -81,28 +83,44 @@ def restart_blocks(values: Array, blocks: Array, numbers: Counts, words: Words) 
     for k in range(numbers.shape[0]):
         scene = make_numbers(values[k if values.shape[0] > 1 else 0])
         row = blocks[numbers[k] // width, :, numbers[k] % width]
-        for place in range(WIDTH):
-            row[place] = 0.0
+        for index in range(WIDTH):
+            row[index] = 0.0
         x = -1.0 + 2.0 * uniform(words[k])
         y = -1.0 + 2.0 * uniform(words[k])
         angle = -1.0 + 2.0 * uniform(words[k])
         row[X_JACK], row[Y_JACK], row[THETA_JACK] = start_pose(scene, x, y, angle)
 
 
-def look_blocks(values: Array, blocks: Array, numbers: Counts, observations: Floats) -> None:
+def observe_blocks(values: Array, blocks: Array, numbers: Counts, observations: Floats) -> None:
     """Write the observations of some environments, with a row of ``values`` for each of ``numbers`` or one for all."""
     width = blocks.shape[2]
     for k in range(numbers.shape[0]):
         scene = make_numbers(values[k if values.shape[0] > 1 else 0])
-        look(scene, blocks[numbers[k] // width, :, numbers[k] % width], observations[numbers[k]])
+        observe(scene, blocks[numbers[k] // width, :, numbers[k] % width], observations[numbers[k]])
+
+
+def outside(values: Array, states: Array, deepest: Array) -> int:
+    """The first of the states, shape (N, 12), that a check in Python may refuse, or -1.
+
+    ``values`` has one scene for all states or one for each, ``deepest`` the allowed depth of a foot in each [m].
+    """
+    for i in range(states.shape[0]):
+        row = i if values.shape[0] > 1 else 0
+        scene = make_numbers(values[row])
+        for column in range(12):
+            if not abs(states[i, column]) < _ORDINARY * scene.box_half_width:
+                return i
+        if not -clearance(scene, states[i]) <= deepest[row]:
+            return i
+    return -1
 
 
 Words = NDArray[np.uint64]
 
-# Of the generator's words: state and increment, each a high and a low word. Then what numpy keeps of a word of which a
-# draw of 32 bits has used one half: whether there is one, and which. Compiled code draws whole words and needs neither.
-STATE_HIGH, STATE_LOW, INCREMENT_HIGH, INCREMENT_LOW, HALF_KEPT, HALF = range(6)
-WHOLE, WITH_HALVES = 4, 6  # words that are kept of a generator
+# Words of a generator: state and increment, each a high and a low word. Then whether numpy stores half of a word, of
+# which a draw of 32 bits has used the other half, and that half. Compiled code draws whole words and needs neither.
+STATE_HIGH, STATE_LOW, INCREMENT_HIGH, INCREMENT_LOW, HAS_HALF, HALF = range(6)
+WHOLE, WITH_HALVES = 4, 6  # words stored of a generator, without and with those of halves
 _LOW = np.uint64(0xFFFFFFFF)
 _HALF = np.uint64(32)
 _MULTIPLIER_HIGH = np.uint64(2549297995355413924)
@@ -119,7 +137,7 @@ def high_product(a: np.uint64, b: np.uint64) -> np.uint64:
 
 
 def uniform(words: Words) -> float:
-    """Draw a number in [0, 1) and move the generator, shape (4,) or (6,), on."""
+    """Draw a number in [0, 1), and advance the generator, shape (4,) or (6,)."""
     high, low = words[STATE_HIGH], words[STATE_LOW]
     next_low = low * _MULTIPLIER_LOW
     next_high = high_product(low, _MULTIPLIER_LOW) + high * _MULTIPLIER_LOW + low * _MULTIPLIER_HIGH
@@ -140,21 +158,22 @@ def seeded(seed: int) -> Words:
 
 def packed(generator: np.random.Generator) -> Words:
     """The words of a PCG64 generator, shape (6,)."""
-    kept: Any = generator.bit_generator.state
-    state, increment = int(kept["state"]["state"]), int(kept["state"]["inc"])
+    numpy_state: Any = generator.bit_generator.state
+    state, increment = int(numpy_state["state"]["state"]), int(numpy_state["state"]["inc"])
     low = (1 << 64) - 1
-    words = [state >> 64, state & low, increment >> 64, increment & low, kept["has_uint32"], kept["uinteger"]]
+    half = numpy_state["has_uint32"], numpy_state["uinteger"]
+    words = [state >> 64, state & low, increment >> 64, increment & low, *half]
     return np.array(words, dtype=np.uint64)
 
 
 def unpacked(words: Words) -> np.random.Generator:
     """numpy's generator of these words, shape (6,), or (4,) without a stored half word."""
-    high, low, increment_high, increment_low, kept, half = [*map(int, words), 0, 0][:WITH_HALVES]
+    high, low, increment_high, increment_low, has_half, half = [*map(int, words), 0, 0][:WITH_HALVES]
     generator = np.random.PCG64(0)
     generator.state = {
         "bit_generator": "PCG64",
         "state": {"state": high << 64 | low, "inc": increment_high << 64 | increment_low},
-        "has_uint32": kept,
+        "has_uint32": has_half,
         "uinteger": half,
     }
     return np.random.Generator(generator)
@@ -163,6 +182,6 @@ def unpacked(words: Words) -> np.random.Generator:
 def fresh(count: int, width: int = WHOLE) -> Words:
     """Independent generators from the system's entropy, shape (count, width)."""
     words: Words = np.zeros((count, width), dtype=np.uint64)
-    words[:, :HALF_KEPT] = np.random.SeedSequence().generate_state(4 * count, np.uint64).reshape(count, 4)
+    words[:, :HAS_HALF] = np.random.SeedSequence().generate_state(4 * count, np.uint64).reshape(count, 4)
     words[:, INCREMENT_LOW] |= _ONE  # increments are odd
     return words

@@ -1,200 +1,66 @@
-"""The one loop of the exact contact model: many rows, each a jack in its box, through one or many control steps.
+"""The loop of the exact contact model: :func:`run` steps many rows, each a jack in its box, through one or many steps.
 
-A single environment is one row and one step, a batch is N rows and one step, a rollout is N rows and H steps. Rows are
-held in blocks, shape (blocks, 16, width): number k of every row of a block lies side by side, its state first, then the
-columns named in ``glide.py``. One machine instruction then moves several rows. A step reads one array of blocks and
-writes another, so a step that fails changes nothing. Rows in free flight are moved together; rows near a wall are
-stepped one by one by ``exact.step``. The task's function is called by its address.
+Simulators, batches and rollouts call it: 1 row and 1 step, N rows and 1 step, N rows and H steps. In each step
+``glide.py`` moves the rows in free flight together, ``step.py`` moves those near a wall one by one, and ``score.py``
+rewards them; then :func:`record` fills in the results.
+Rows are stored in blocks, shape (blocks, 16, width): the 12 numbers of the state, then those named in ``glide.py``.
+Each row is a lane of its block. One number of all lanes lies side by side, so one instruction moves several rows.
+A step reads one array of blocks and writes the other, so a step that fails changes nothing.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jackbox_env.exact.compiler import PACKED, block_score, compiled, packed, unpacked_as
 from jackbox_env.exact.glide import LIMIT, OVER, STEPS, TIME, Block, glide_block, glide_under_chirp
-from jackbox_env.exact.score import look_block
+from jackbox_env.exact.score import observe_block
 from jackbox_env.exact.step import CHIRP, CONSTANT, Pieces, Plan, effort, make_numbers, make_plan, step
 from jackbox_env.exact.workspace import (
     HIT,
     IMPULSE_SUM,
     NEAR,
+    NOTHING,
     TORQUE,
-    UNPAID,
+    UNSCORED,
+    Arguments,
+    Array,
+    Flags,
+    Memory,
+    Results,
+    Rules,
+    Scenes,
     Status,
     Workspace,
-    Workspaces,
-    new_lanes,
-    new_log,
     new_workspaces,
 )
 from jackbox_env.mechanics import energy_of
 from jackbox_env.scene import SceneNumbers
-from jackbox_env.states import LATEST_TIME, clearance
+from jackbox_env.states import LATEST_TIME
 
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
-Flags = NDArray[np.bool_]
-Counts = NDArray[np.int64]
-
-PATIENCE = 2e6  # gaps evaluated before it pauses: 0.3 s, 1.2 s where most are followed by impacts
+PATIENCE = 2e6  # gap evaluations before a call pauses: 0.3 s, 1.2 s if most of them find impacts
 
 
-class Scenes(NamedTuple):
-    """The scenes: one for all rows, or one for each, with what drives their boxes."""
-
-    values: Array  # (1 or N, numbers of a scene)
-    lanes: Array  # (1 or blocks, SCENE_LANES, width), see ``restart.spread``
-    kinds: Counts  # (1 or N,), what turns the box, see exact.step
-    table: Array  # pieces of the drives' functions, (pieces, TABLE_WIDTH)
-    begins: Counts  # (1 or N,), where the steps of a row's drive begin in ``ends``
-    ends: Counts  # past the last piece of each step, after a leading 0 or the end of the step before
-
-
-class Rules(NamedTuple):
-    """What holds for all rows and steps."""
-
-    dt: float  # control step [s]
-    steps: int
-    longest: float  # steps after which an episode is truncated
-    actions: bool  # whether controls are shares of the torque limit, clipped to [-1, 1], and not torques [N m]
-    goes_on: bool  # whether a row is stepped on after its episode's end, without rewards
-    until_impact: bool  # whether a row stops after the step of its first impact
-    score: Any  # address of the task's ``score_block``; called only where rewards are filled in
-    patience: float  # gaps evaluated before the call pauses
-
-
-class Results(NamedTuple):
-    """What a call fills in. Arrays of length 0 are not filled."""
-
-    observations: Floats  # after the last step, (N, 10)
-    rewards: Array  # (steps, N), zeros before
-    terminations: Flags  # (N,), False before; whether the task has ended the episode
-    truncations: Flags  # (N,)
-    reports: Array  # of the last step, (N, TERMS + number of terms), zeros before
-    lengths: Counts  # steps until the task ends the episode, (N,), all steps before
-    trajectories: Array  # (N, steps + 1, 12), without the first states
-    energies: Array  # of the states [J], (N, steps + 1)
-    hits: Counts  # impacts in each step, (steps, N), zeros before
-    impulses: Array  # their sum [N s], (steps, N), zeros before
-    rough: Flags  # whether a step has no derivative, (N, steps)
-
-
-class Memory(NamedTuple):
-    """What one thread works in."""
-
-    lanes: Array  # (LANES, width)
-    workspaces: Workspaces  # (1,)
-    log: Array  # (impacts, AT_IMPACT or WIDE), records of impacts; (0, ...): they are not recorded
-
-
-def new_memory(width: int, impacts: int = 0, wide: bool = False) -> Memory:
-    """Memory for one thread.
-
-    Args:
-        width: rows in a block.
-        impacts: how many can be recorded at first.
-        wide: whether each is recorded with the state at the impact, for derivatives.
-    """
-    return Memory(new_lanes(width), new_workspaces(), new_log(impacts, wide))
-
-
-class Arguments(NamedTuple):
-    """All arguments of :func:`run`."""
-
-    scenes: Scenes
-    rules: Rules
-    before: Array  # (blocks, 16, width): the rows; scratch where there are several steps
-    after: Array  # (blocks, 16, width): where they go; after an even number of steps they are back in ``before``
-    controls: Array  # (whole part of the steps, N), each held for as many steps; (0, 0): the drives act
-    results: Results
-    memory: Memory
-
-
-NOTHING = Results(
-    np.zeros((0, 10), np.float32), np.zeros((0, 0)), np.zeros(0, np.bool_), np.zeros(0, np.bool_), np.zeros((0, 0)),
-    np.zeros(0, np.int64), np.zeros((0, 0, 12)), np.zeros((0, 0)), np.zeros((0, 0), np.int64), np.zeros((0, 0)),
-    np.zeros((0, 0), np.bool_),
-)  # fmt: skip
-"""Results of no rows, of which nothing is filled in."""
-
-
-def example() -> Arguments:
-    """Empty arguments of the types that :func:`run` is compiled for."""
-    none, cube, counts = np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(0, np.int64)
-    rules = Rules(0.02, 1, math.inf, False, False, False, 0, PATIENCE)
-    memory = Memory(none, new_workspaces(), none)
-    return Arguments(Scenes(none, cube, counts, none, counts, counts), rules, cube, cube, none, NOTHING, memory)
-
-
-arguments_at = unpacked_as(example)
-
-
-class Call:
-    """The arguments of a call of :func:`run`, at the address ``place``, and the memory of the thread that calls."""
-
-    def __init__(self, memory: Memory) -> None:
-        self.memory = memory
-        self._packed = np.zeros(PACKED)  # arguments as compiled code holds them
-        self.place, self._pack = 0, compiled(pack)
-
-    def prepare(
-        self, scenes: Scenes, rules: Rules, before: Array, after: Array, controls: Array, results: Results
-    ) -> None:
-        """Set the arguments. Numba unpacks plain tuples faster than named ones."""
-        self._arguments = scenes, rules, before, after, controls, results  # keeps the arrays alive
-        self.place = self._pack(
-            self._packed, tuple(scenes), tuple(rules), before, after, controls, tuple(results), tuple(self.memory)
-        )
-
-    def with_room(self) -> Call:
-        """This call with room for twice as many impacts. This one stays as it is, if an interruption strikes."""
-        log = self.memory.log
-        twin = Call(self.memory._replace(log=np.zeros((2 * len(log), log.shape[1]))))
-        twin.prepare(*self._arguments)
-        return twin
-
-
-def pack(
-    memory: Array, scenes: Any, rules: Any, before: Array, after: Array, controls: Array, results: Any, work: Any
-) -> Any:
-    """Store the arguments of :func:`run` in ``memory``; return the address there."""
-    return packed(
-        memory,
-        Arguments(
-            Scenes(scenes[0], scenes[1], scenes[2], scenes[3], scenes[4], scenes[5]),
-            Rules(rules[0], rules[1], rules[2], rules[3], rules[4], rules[5], rules[6], rules[7]),
-            before, after, controls,
-            Results(
-                results[0], results[1], results[2], results[3], results[4], results[5], results[6], results[7],
-                results[8], results[9], results[10],
-            ),
-            Memory(work[0], work[1], work[2]),
-        ),
-    )  # fmt: skip
-
-
-def run(place: Any, low: int, high: int, first: int) -> tuple[int, int, int, int, int]:
+def run(address: Any, low: int, high: int, first: int) -> tuple[int, int, int, int, int]:
     """Step the rows of some blocks through all steps.
 
     Args:
-        place: address of the :class:`Arguments`.
+        address: of the :class:`Arguments`.
         low: first block.
         high: past the last block.
-        first: step of the first block to begin with.
+        first: step at which the first block begins.
 
     Returns:
-        How it ended: DONE, how a step that failed ended, PAUSED after long work, FULL where the log has no room for a
-        step's impacts; the row that failed, or the block to go on with; the step that failed or is next; how many
-        episodes ended; how many impacts were recorded.
+        How it ended: DONE, PAUSED after long work, FULL if the log has no room for a step's impacts, or the status of
+        the step that failed. The row that failed, or the block to go on with. The step that failed or is next. The
+        number of episodes that ended. The number of impacts recorded.
     """
-    call = arguments_at(place)
+    call = arguments_at(address)
     scenes, rules, results, lanes = call.scenes, call.rules, call.results, call.memory.lanes
-    memory, pay = call.memory.workspaces[0], block_score(rules.score)
+    memory, score = call.memory.workspaces[0], block_score(rules.score)
     scene = make_numbers(scenes.values[0])
     plan = make_plan(scene, rules.dt, scenes.kinds[0])
     width, count = call.before.shape[2], results.terminations.shape[0]
@@ -208,55 +74,58 @@ def run(place: Any, low: int, high: int, first: int) -> tuple[int, int, int, int
                 scenes.lanes[number if scenes.lanes.shape[0] > 1 else 0], number * width,
                 min(width, count - number * width),
             )  # fmt: skip
-            bad = set_torques(place, block, k)
+            # Move: rows in free flight together, then the others one by one.
+            bad = set_torques(address, block, k)
             if bad >= 0:
                 return Status.BAD_ACTION.value, block.first + bad, k, finished, recorded
             glided = glide(scene, plan, scenes, block, memory)
-            ended, lane, looks, recorded = step_lanes(scene, plan, place, block, k, glided, recorded)
+            ended, lane, evaluations, recorded = step_lanes(scene, plan, address, block, k, glided, recorded)
             if ended == Status.FULL:
                 return ended.value, number, k, finished, recorded
             if ended != Status.DONE:
                 return ended.value, block.first + lane, k, finished, recorded
-            worked += block.size + looks
+            worked += block.size + evaluations
+            # Reward.
             waiting = keep_waiting(block)
-            unpaid, skipped, ends = block.before[OVER], waiting, 0
+            unscored, skipped, ends = block.before[OVER], waiting, 0
             if rules.goes_on:
-                unpaid, skipped = lanes[UNPAID], mark_unpaid(block, results.terminations)
+                unscored, skipped = lanes[UNSCORED], mark_unscored(block, results.terminations)
             if results.rewards.shape[0]:
-                ends = pay(
-                    scenes.values, block.after, lanes, unpaid, skipped, block.first, block.size, results.rewards[k],
+                ends = score(
+                    scenes.values, block.after, lanes, unscored, skipped, block.first, results.rewards[k],
                     results.terminations, results.reports,
                 )  # fmt: skip
             if ends < 0:
                 bad = first_unusable(block, results.rewards[k])
                 return Status.BAD_REWARD.value, block.first + bad, k, finished, recorded
+            # End episodes, and record.
             finished += close_block(rules, block, results, waiting > 0, ends != 0)
-            record(place, scene, block, k)
+            record(address, scene, block, k)
         if results.observations.shape[0]:
             after = (call.after if rules.steps & 1 else call.before)[number]
             size = min(width, count - number * width)
-            look_block(scenes.values, after, size, lanes, number * width, results.observations)
+            observe_block(scenes.values, after, size, lanes, number * width, results.observations)
     return Status.DONE.value, -1, rules.steps, finished, recorded
 
 
-def set_torques(place: Any, block: Block, k: int) -> int:
-    """Fill in the torques of a step, 0 where the drive acts; return the index of an unusable control, or -1.
+def set_torques(address: Any, block: Block, k: int) -> int:
+    """Fill in the torques of a step, 0 under a drive; return the index of a control that is NaN or infinite, or -1.
 
-    A control for an episode that is over and waits is not checked.
+    Controls of episodes that are over are not checked.
     """
-    call = arguments_at(place)
+    call = arguments_at(address)
     torque, limit, controls = block.lanes[TORQUE], block.scenes[LIMIT], call.controls
     if not controls.shape[0]:
         for lane in range(block.size):
             torque[lane] = 0.0
         return -1
-    asked = controls[k // (call.rules.steps // controls.shape[0])]
+    step_controls = controls[k // (call.rules.steps // controls.shape[0])]
     for lane in range(block.size):
-        torque[lane] = torque_of(call.rules, asked[block.first + lane], limit[lane])
+        torque[lane] = torque_of(call.rules, step_controls[block.first + lane], limit[lane])
     unusable = 0
     for lane in range(block.size):
-        unusable += 0 if abs(asked[block.first + lane]) < math.inf else 1
-    return first_unusable(block, asked) if unusable else -1
+        unusable += 0 if abs(step_controls[block.first + lane]) < math.inf else 1
+    return first_unusable(block, step_controls) if unusable else -1
 
 
 def torque_of(rules: Rules, control: float, limit: float) -> float:
@@ -273,9 +142,9 @@ def first_unusable(block: Block, numbers: Array) -> int:
 
 
 def glide(scene: SceneNumbers, plan: Plan, scenes: Scenes, block: Block, memory: Workspace) -> bool:
-    """Move the rows of a block that are in free flight, if it has several; return whether they were moved.
+    """Move the rows of a block that are in free flight; return whether it did. A block of one row is not moved.
 
-    ``scene`` and ``plan`` are those of the first row, and of all rows where they have one scene.
+    ``scene`` and ``plan`` are those of the first row, and of all rows if they share a scene.
     """
     if block.before.shape[1] == 1:
         return False
@@ -284,7 +153,7 @@ def glide(scene: SceneNumbers, plan: Plan, scenes: Scenes, block: Block, memory:
         for lane in range(block.size):
             constant = constant or scenes.kinds[block.first + lane] == CONSTANT
     elif plan.kind == CHIRP and plan.per_radian == 0.0:
-        # Not with loss: a single step then takes whole turns off the angles, which rounds otherwise.
+        # Not with loss: a single step then takes whole turns off the angles, which rounds differently.
         return glide_under_chirp(scene, plan, block, memory)
     if constant:
         glide_block(plan.dt, block)
@@ -292,58 +161,58 @@ def glide(scene: SceneNumbers, plan: Plan, scenes: Scenes, block: Block, memory:
 
 
 def step_lanes(
-    scene: SceneNumbers, plan: Plan, place: Any, block: Block, k: int, glided: bool, recorded: int
+    scene: SceneNumbers, plan: Plan, address: Any, block: Block, k: int, glided: bool, recorded: int
 ) -> tuple[Status, int, float, int]:
-    """Step one by one the rows that have not been ``glided``.
+    """Step the rows of a block one by one, except those that glided and stay off the walls.
 
     Returns:
-        How it ended, the last lane, gaps evaluated, and how many impacts the log has now.
+        How it ended, the lane that failed, gap evaluations, and the number of impacts in the log.
     """
-    before, after, lanes, looks, already = block.before, block.after, block.lanes, 0.0, recorded
-    call = arguments_at(place)
-    scenes, memory, log, rough = call.scenes, call.memory.workspaces[0], call.memory.log, call.results.rough
+    before, after, lanes, evaluations, already = block.before, block.after, block.lanes, 0.0, recorded
+    call = arguments_at(address)
+    scenes, memory, log, nonsmooth = call.scenes, call.memory.workspaces[0], call.memory.log, call.results.nonsmooth
     varied = scenes.values.shape[0] > 1
     for lane in range(block.size):
         if before[OVER, lane] != 0.0:
             continue
         time = before[TIME, lane]
         if time + plan.dt == time or time + plan.dt > LATEST_TIME:
-            return Status.TOO_LATE, lane, looks, recorded
+            return Status.TOO_LATE, lane, evaluations, recorded
         row = block.first + lane
         kind = scenes.kinds[row] if varied else plan.kind
         if glided and lanes[NEAR, lane] == 0.0 and (kind == CONSTANT or not varied):
             continue
-        own, its = scene, plan
+        row_scene, row_plan = scene, plan
         if varied:
-            own = make_numbers(scenes.values[row])
-            its = make_plan(own, plan.dt, kind)
+            row_scene = make_numbers(scenes.values[row])
+            row_plan = make_plan(row_scene, plan.dt, kind)
         torque = 0.0
-        if call.controls.shape[0]:  # not from the lanes: gliding has rounded it
+        if call.controls.shape[0]:  # not from the lanes, where gliding rounds it
             control = call.controls[k // (call.rules.steps // call.controls.shape[0]), row]
-            torque = torque_of(call.rules, control, own.torque_limit)
+            torque = torque_of(call.rules, control, row_scene.torque_limit)
         pieces = Pieces(scenes.table, 0, 0)
         if scenes.begins.shape[0]:
             begin = scenes.begins[row if scenes.begins.shape[0] > 1 else 0] + k
             pieces = Pieces(scenes.table, scenes.ends[begin], scenes.ends[begin + 1])
         room = log[recorded:]
         ended, lanes[TORQUE, lane] = step(
-            own, its, before[:, lane], after[:, lane], time, torque, pieces, memory, room
+            row_scene, row_plan, before[:, lane], after[:, lane], time, torque, pieces, memory, room
         )  # fmt: skip
         if ended != Status.DONE:
-            return ended, lane, looks, recorded
+            return ended, lane, evaluations, recorded
         if log.shape[0]:
             if memory.hits > room.shape[0]:
-                return Status.FULL, lane, looks, already
+                return Status.FULL, lane, evaluations, already
             recorded += memory.hits
-        if rough.shape[0]:
-            rough[row, k] = memory.rough != 0
+        if nonsmooth.shape[0]:
+            nonsmooth[row, k] = memory.nonsmooth != 0
         lanes[HIT, lane], lanes[IMPULSE_SUM, lane] = memory.hits, memory.impulse
-        looks += effort(memory)
-    return Status.DONE, -1, looks, recorded
+        evaluations += effort(memory)
+    return Status.DONE, -1, evaluations, recorded
 
 
 def keep_waiting(block: Block) -> int:
-    """Leave episodes that are over where they are. Return their number."""
+    """Copy the states of episodes that are over; return their number."""
     over, waiting = block.before[OVER], 0
     for lane in range(block.size):
         waiting += 1 if over[lane] != 0.0 else 0
@@ -354,19 +223,20 @@ def keep_waiting(block: Block) -> int:
     return waiting
 
 
-def mark_unpaid(block: Block, terminations: Flags) -> int:
-    """Mark the rows that wait or whose episode the task has ended; return their number."""
-    over, unpaid, count = block.before[OVER], block.lanes[UNPAID], 0
+def mark_unscored(block: Block, terminations: Flags) -> int:
+    """Mark the rows that earn nothing: episodes that are over, or that the task has ended. Return their number."""
+    over, unscored, count = block.before[OVER], block.lanes[UNSCORED], 0
     for lane in range(block.size):
-        unpaid[lane] = 1.0 if over[lane] != 0.0 or terminations[block.first + lane] else 0.0
-        count += 1 if unpaid[lane] != 0.0 else 0
+        unscored[lane] = 1.0 if over[lane] != 0.0 or terminations[block.first + lane] else 0.0
+        count += 1 if unscored[lane] != 0.0 else 0
     return count
 
 
 def close_block(rules: Rules, block: Block, results: Results, waiting: bool, ends: bool) -> int:
-    """Count a step, where some are ``waiting`` not for those. Return the number of episodes that ended.
+    """Advance times and step counts, and end episodes; return the number of episodes that ended.
 
-    ``ends``: whether the task may have ended some.
+    ``waiting``: whether some episodes were over before the step; those stay as they are. ``ends``: whether the task
+    ended some.
     """
     before, after, first, count = block.before, block.after, block.first, block.size
     terminations, truncations = results.terminations, results.truncations
@@ -396,9 +266,9 @@ def close_block(rules: Rules, block: Block, results: Results, waiting: bool, end
     return ended
 
 
-def record(place: Any, scene: SceneNumbers, block: Block, k: int) -> None:
-    """Record states, energies, impacts and the ends of episodes, where they are filled in."""
-    call = arguments_at(place)
+def record(address: Any, scene: SceneNumbers, block: Block, k: int) -> None:
+    """Record what the caller wants of a step: states, energies, impacts, ends of episodes."""
+    call = arguments_at(address)
     results, steps = call.results, call.rules.steps
     trajectories, energies, hits, lengths = results.trajectories, results.energies, results.hits, results.lengths
     if not trajectories.shape[0] + energies.shape[0] + hits.shape[0] + lengths.shape[0]:
@@ -410,27 +280,66 @@ def record(place: Any, scene: SceneNumbers, block: Block, k: int) -> None:
             for column in range(12):
                 trajectories[row, k + 1, column] = block.after[column, lane]
         if energies.shape[0]:
-            own = make_numbers(values[row]) if values.shape[0] > 1 else scene
+            row_scene = make_numbers(values[row]) if values.shape[0] > 1 else scene
             if k == 0:
-                energies[row, 0] = energy_of(own, block.before[:, lane])
-            energies[row, k + 1] = energy_of(own, block.after[:, lane])
+                energies[row, 0] = energy_of(row_scene, block.before[:, lane])
+            energies[row, k + 1] = energy_of(row_scene, block.after[:, lane])
         if hits.shape[0] and block.before[OVER, lane] == 0.0:
             hits[k, row], results.impulses[k, row] = int(block.lanes[HIT, lane]), block.lanes[IMPULSE_SUM, lane]
         if lengths.shape[0] and results.terminations[row] and lengths[row] == steps:
             lengths[row] = k + 1
 
 
-_ORDINARY = 1e9  # over L: below it a state's numbers need no closer look
+def example() -> Arguments:
+    """Empty arguments of the types that :func:`run` is compiled for."""
+    none, cube, counts = np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(0, np.int64)
+    rules = Rules(0.02, 1, math.inf, False, False, False, 0, PATIENCE)
+    memory = Memory(none, new_workspaces(), none)
+    return Arguments(Scenes(none, cube, counts, none, counts, counts), rules, cube, cube, none, NOTHING, memory)
 
 
-def outside(values: Array, states: Array, deepest: Array) -> int:
-    """The first state, of shape (N, 12), that a closer look may refuse, or -1; in one scene or a row for each state."""
-    for i in range(states.shape[0]):
-        row = i if values.shape[0] > 1 else 0
-        scene = make_numbers(values[row])
-        for column in range(12):
-            if not abs(states[i, column]) < _ORDINARY * scene.box_half_width:
-                return i
-        if not -clearance(scene, states[i]) <= deepest[row]:
-            return i
-    return -1
+arguments_at = unpacked_as(example)
+
+
+class Call:
+    """A call of :func:`run`: its arguments at an ``address``, and the memory of the thread that calls."""
+
+    def __init__(self, memory: Memory) -> None:
+        self.memory = memory
+        self._packed = np.zeros(PACKED)  # the arguments as compiled code reads them
+        self.address, self._pack = 0, compiled(pack)
+
+    def prepare(
+        self, scenes: Scenes, rules: Rules, before: Array, after: Array, controls: Array, results: Results
+    ) -> None:
+        """Set the arguments. Numba unpacks plain tuples faster than named ones."""
+        self._arguments = scenes, rules, before, after, controls, results  # keeps the arrays alive
+        self.address = self._pack(
+            self._packed, tuple(scenes), tuple(rules), before, after, controls, tuple(results), tuple(self.memory)
+        )
+
+    def with_room(self) -> Call:
+        """A copy of this call whose log has room for twice as many impacts; an interruption leaves this one intact."""
+        log = self.memory.log
+        twin = Call(self.memory._replace(log=np.zeros((2 * len(log), log.shape[1]))))
+        twin.prepare(*self._arguments)
+        return twin
+
+
+def pack(
+    memory: Array, scenes: Any, rules: Any, before: Array, after: Array, controls: Array, results: Any, work: Any
+) -> Any:
+    """Store the arguments of :func:`run` in ``memory``; return the address there."""
+    return packed(
+        memory,
+        Arguments(
+            Scenes(scenes[0], scenes[1], scenes[2], scenes[3], scenes[4], scenes[5]),
+            Rules(rules[0], rules[1], rules[2], rules[3], rules[4], rules[5], rules[6], rules[7]),
+            before, after, controls,
+            Results(
+                results[0], results[1], results[2], results[3], results[4], results[5], results[6], results[7],
+                results[8], results[9], results[10],
+            ),
+            Memory(work[0], work[1], work[2]),
+        ),
+    )  # fmt: skip

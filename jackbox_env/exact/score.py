@@ -1,9 +1,9 @@
-"""What an agent sees and earns, in compiled code: the observation and the task's terms, of one state or of a block.
+"""Observations and rewards in compiled code, of one state or of a block of rows.
 
-The arithmetic is that of :mod:`jackbox_env.observation` and of the task's own functions, compiled as they stand there.
-They take the places of :func:`task_terms` and :func:`task_over`. ``score_one`` and ``score_block`` are compiled for
-each task. The loop of ``exact.run`` is not; it calls ``score_block`` by its address, see
-:mod:`jackbox_env.exact.compiler`.
+Single environments call :func:`score_one`; ``run.py`` calls :func:`score_block` after each step of a block, and
+:func:`observe_block` after the last. ``score_one`` and ``score_block`` are compiled for each task, with its functions
+in place of :func:`task_terms` and :func:`task_over`. ``run`` is compiled once and calls ``score_block`` by its address,
+see :mod:`jackbox_env.exact.compiler`.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from jackbox_env.tasks import reward_of
 Floats = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 
-# Columns of a report: what a step's info holds beside state and time.
+# Columns of a report: the numbers of a step's info except state and time.
 REPORTED_TORQUE, REPORTED_HITS, REPORTED_IMPULSE, TERMS = range(4)
 
 
-def look(scene: SceneNumbers, state: Array, observation: Floats) -> None:
+def observe(scene: SceneNumbers, state: Array, observation: Floats) -> None:
     """Write the observation of a state, shape (10,)."""
     named = state_in(state)
     cosine, sine = cos_sin(named.theta_box)
@@ -36,8 +36,8 @@ def look(scene: SceneNumbers, state: Array, observation: Floats) -> None:
     write(scene, state, cosine, sine, cosine_4, sine_4, observation)
 
 
-def look_block(values: Array, block: Array, count: int, lanes: Array, low: int, observations: Floats) -> None:
-    """Write the observations of a block's first ``count`` environments: the same as :func:`look`, many at a time.
+def observe_block(values: Array, block: Array, count: int, lanes: Array, low: int, observations: Floats) -> None:
+    """Write the observations of a block's first ``count`` rows: the same as :func:`observe`, many at a time.
 
     ``values`` are the scenes' numbers, one row for all environments or one for each.
     """
@@ -65,8 +65,8 @@ def look_block(values: Array, block: Array, count: int, lanes: Array, low: int, 
             write(scene, block[:, k], cosine[k], sine[k], cosine_4[k], sine_4[k], observations[low + k])
     else:
         for k in range(count):
-            own = make_numbers(values[low + k])
-            write(own, block[:, k], cosine[k], sine[k], cosine_4[k], sine_4[k], observations[low + k])
+            row_scene = make_numbers(values[low + k])
+            write(row_scene, block[:, k], cosine[k], sine[k], cosine_4[k], sine_4[k], observations[low + k])
 
 
 def write(
@@ -79,12 +79,12 @@ def write(
 
 
 def task_terms(scene: SceneNumbers, state: State, torque: float, impulse: float) -> tuple[float, ...]:
-    """The task's function stands here in compiled code."""
+    """Placeholder for the task's function of reward terms, which replaces it when a task is compiled."""
     raise NotImplementedError
 
 
 def task_over(scene: SceneNumbers, state: State, torque: float, impulse: float) -> bool:
-    """The function of a task that ends episodes stands here in compiled code."""
+    """Placeholder for the task's function that ends episodes, which replaces it when a task is compiled."""
     return False
 
 
@@ -96,35 +96,34 @@ def state_in(row: Array) -> State:
 def score_one(values: Array, state: Array, torque: float, impulse: float, observation: Floats, terms: Array) -> bool:
     """Observe one state; fill in the values of its reward's terms. Return whether the episode is over."""
     scene = make_numbers(values)
-    look(scene, state, observation)
+    observe(scene, state, observation)
     earned = task_terms(scene, state_in(state), torque, impulse)
-    for place in range(len(earned)):
-        terms[place] = earned[place]
+    for term in range(len(earned)):
+        terms[term] = earned[term]
     return task_over(scene, state_in(state), torque, impulse)
 
 
 def score_block(
-    values: Array, after: Array, lanes: Array, over: Array, waiting: int, first: int, count: int, rewards: Array,
+    values: Array, after: Array, lanes: Array, over: Array, waiting: int, first: int, rewards: Array,
     terminations: Flags, reports: Array,
 ) -> int:  # fmt: skip
-    """Reward a step of a block, and report it if asked. The task is not evaluated for episodes that wait.
+    """Reward a step of a block, and report it if wanted. The task is not evaluated for episodes that are over.
 
-    Return how many episodes the task ends, or -1 where a reward is NaN or infinite.
+    Return the number of episodes that the task ends, or -1 if a reward is NaN or infinite.
 
     Args:
         values: the scenes' numbers, one row for all environments or one for each.
         after: the block after the step.
-        lanes: what the step noted, shape (LANES, width).
+        lanes: torques, impacts and impulses of the step, shape (LANES, width).
         over: not 0 where an episode was over before the step, shape (width,).
         waiting: number of those.
         first: number of the block's first environment.
-        count: number of its environments.
         rewards: of all environments, shape (N,).
         terminations: set where the task ends an episode, shape (N,).
-        reports: of all environments, shape (N, TERMS + number of terms), or (0, ...) if nobody asks.
+        reports: of all environments, shape (N, TERMS + number of terms), or (0, ...) if not wanted.
     """
     torque, hits, impulses, unusable = lanes[TORQUE], lanes[HIT], lanes[IMPULSE_SUM], 0
-    ends, several = 0, values.shape[0] > 1
+    ends, several, count = 0, values.shape[0] > 1, min(after.shape[1], rewards.shape[0] - first)
     if not (several or waiting):
         scene = make_numbers(values[0])
         for k in range(count):
@@ -137,9 +136,9 @@ def score_block(
         for k in range(count):
             rewards[first + k] = 0.0
             if over[k] == 0.0:
-                own = make_numbers(values[first + k if several else 0])
-                rewards[first + k] = reward_of(task_terms(own, state_in(after[:, k]), torque[k], impulses[k]))
-                if task_over(own, state_in(after[:, k]), torque[k], impulses[k]):
+                row_scene = make_numbers(values[first + k if several else 0])
+                rewards[first + k] = reward_of(task_terms(row_scene, state_in(after[:, k]), torque[k], impulses[k]))
+                if task_over(row_scene, state_in(after[:, k]), torque[k], impulses[k]):
                     terminations[first + k] = True
                     ends += 1
     for k in range(count):
@@ -148,8 +147,8 @@ def score_block(
         if over[k] == 0.0:
             report = reports[first + k]
             report[REPORTED_TORQUE], report[REPORTED_HITS], report[REPORTED_IMPULSE] = torque[k], hits[k], impulses[k]
-            own = make_numbers(values[first + k if several else 0])
-            earned = task_terms(own, state_in(after[:, k]), torque[k], impulses[k])
-            for place in range(len(earned)):
-                report[TERMS + place] = earned[place]
+            row_scene = make_numbers(values[first + k if several else 0])
+            earned = task_terms(row_scene, state_in(after[:, k]), torque[k], impulses[k])
+            for term in range(len(earned)):
+                report[TERMS + term] = earned[term]
     return -1 if unusable else ends

@@ -1,13 +1,12 @@
-"""The exact contact model's physics: one piece of a step, cut at every impact.
+"""Detect: the next impact of a flight, or the proof that there is none.
 
-It reads detect -> evolve -> resolve: :func:`first_impact` finds the next impact or proves that there is none,
-``flight.evolve`` flies there, ``contact.resolve`` applies the law and records. All of it is plain Python of scalars,
-compiled as it stands (:mod:`jackbox_env.exact.compiler`). The head of ``exact.py`` states order, cost and limits.
+``step.advance`` calls :func:`first_impact`, and then :func:`strike` to fly to the impact and resolve it. The head of
+``simulators/exact.py`` states order, cost and limits.
 
-Guarantee: with |d2 gap / dt2| <= K over what is left of the piece (``bounds.py``), gap(t + s) >= gap + gap' s -
-K s^2 / 2. So walking to the first positive root of that parabola never passes an impact. Where a foot arrives at speed
-the walk converges quadratically. Where |r| + l < L throughout, nothing can be hit and no gap is evaluated. In a box
-that turns far, K is large and many feet may reach many walls: :func:`first_in_a_turn` then follows all at once.
+Guarantee: with |d2 gap / dt2| <= K until the horizon (``bounds.py``), gap(t + s) >= gap + gap' s - K s^2 / 2. So a walk
+to the first positive root of that parabola never passes an impact. It converges quadratically if the foot arrives at
+speed. If |r| + l < L throughout, nothing can be hit and no gap is evaluated. In a box that turns far, K is large and
+many feet may reach many walls: :func:`first_in_a_turn` then follows all of them at once.
 """
 
 from __future__ import annotations
@@ -41,21 +40,21 @@ from jackbox_env.exact.flight import (
 from jackbox_env.exact.workspace import AT_IMPACT, DRIVEN_THERE, WIDE, Array, Status, Workspace
 from jackbox_env.scene import SceneNumbers
 
-# In place of 4 * wall + foot: no impact, none to be found by reasonable work, or a foot may be at rest now.
-NONE, ENDLESS, AT_REST = -1, -2, -3
-MOST_WORK = 1_000_000  # gaps evaluated in one step
-_RESTLESS = 65_536  # gaps evaluated before a step may count as one at rest
-GLANCE = 2.0**-12  # of a piece: how far a step at rest looks ahead
+# In place of 4 * wall + foot: no impact, undecided after reasonable work, or a foot may be at rest now.
+NONE, UNDECIDED, AT_REST = -1, -2, -3
+MOST_WORK = 1_000_000  # gap evaluations in one step
+_RESTLESS = 65_536  # gap evaluations before a step may count as one at rest
+SHORT_HORIZON = 2.0**-12  # of a piece: how far a step at rest searches ahead
 STEEPEST = 1e40  # K [m/s^2] and alpha [rad/s^2] beyond which squares overflow
 ALL = 15  # walls, as bits
-_TURNED = 0.25  # [rad] of the box's turn in what is left of a piece, beyond which all feet are followed together
+_TURNED = 0.25  # [rad] of the box's turn until the horizon, beyond which all feet are followed together
 _CLOSING = 4.0  # rate^2 / (K gap) beyond which a foot is about to arrive
-_SHORT = 2.0**-12  # of what is left of a piece: steps shorter than that are left to each pair's own search
-_OFTEN, _OFTEN_WITH_LOSS = 32, 256  # impacts of a step, see grown()
+_SHORT = 2.0**-12  # of the horizon: below this step the feet are searched one by one
+_OFTEN, _OFTEN_WITH_LOSS = 32, 256  # impacts of a step, see widened()
 
 
 class Touch(NamedTuple):
-    """When feet touch."""
+    """Gaps at which feet touch."""
 
     tolerance: float  # gap at which a foot touches [m]
     together: float  # gap within which others touch at the same moment [m]
@@ -66,21 +65,21 @@ class Approach(NamedTuple):
 
     wall: int
     foot: int
-    since: float  # from when on the foot is followed, since the flight's start [s]
-    gap: float  # [m] then
-    rate: float  # [m/s]
+    since: float  # start of the search, since the flight's start [s]
+    gap: float  # then [m]
+    rate: float  # of the gap [m/s]
 
 
 class Limits(NamedTuple):
-    """What a search for an impact may rely on."""
+    """Bounds of a search for an impact."""
 
     curvature: float  # bound of a gap's second derivative [m/s^2]
-    end: float  # until when it holds, since the flight's start [s]
+    end: float  # of the search, since the flight's start [s]
     tolerance: float  # gap at which a foot touches [m]
 
 
 def contact_tolerance(scene: SceneNumbers) -> float:
-    """Gap at which a foot touches [m]: 1e-13, less in boxes below 1 m, never below what rounding leaves of a gap."""
+    """Gap at which a foot touches [m]: 1e-13, less in boxes below 1 m, never below the rounding of a gap."""
     return max(1e-13 * min(1.0, scene.box_half_width), 3.6e-15 * scene.box_half_width)
 
 
@@ -89,10 +88,10 @@ def deepest(scene: SceneNumbers) -> float:
     return 1e-10 * min(1.0, scene.box_half_width)
 
 
-def grown(scene: SceneNumbers, memory: Workspace, gap: float) -> float:
-    """A gap [m] that doubles with every 32 impacts of a step, with loss every 256, up to :func:`deepest`.
+def widened(scene: SceneNumbers, memory: Workspace, gap: float) -> float:
+    """A ``gap`` [m] doubled with every 32 impacts of a step, with loss every 256, up to :func:`deepest`.
 
-    Loss ends most of what bounces often, so it has more time before it is resolved less well.
+    Loss ends most series of bounces by itself, so their resolution is lowered later.
     """
     often = _OFTEN if scene.restitution == 1.0 else _OFTEN_WITH_LOSS
     doublings = memory.hits // often
@@ -102,16 +101,16 @@ def grown(scene: SceneNumbers, memory: Workspace, gap: float) -> float:
 
 def resolution(scene: SceneNumbers, memory: Workspace, touch: Touch) -> float:
     """Gap within which feet rest and touch together [m]; with loss it grows with the step's impacts."""
-    return max(touch.together, grown(scene, memory, touch.together)) if scene.restitution < 1.0 else touch.together
+    return max(touch.together, widened(scene, memory, touch.together)) if scene.restitution < 1.0 else touch.together
 
 
 def rests(scene: SceneNumbers, memory: Workspace) -> bool:
     """Whether the jack is at rest, judged by the step's work: many gaps evaluated, for impacts of next to no impulse.
 
-    Such a step looks ahead only as far as its next impacts are. Otherwise it would search all the rest of the step
+    Such a step searches only as far ahead as its next impacts. Otherwise it would search the whole rest of the step
     after each of thousands of impacts.
     """
-    if memory.looks <= _RESTLESS:
+    if memory.evaluations <= _RESTLESS:
         return False
     return bool(memory.impulse <= 1e-3 * scene.jack_mass * scene.speed_scale * memory.hits)
 
@@ -121,39 +120,39 @@ def first_impact(
     memory: Workspace,
     flight: Flight,
     piece: Piece,
-    left: float,
+    horizon: float,
     tolerance: float,
     rest: float,
 ) -> tuple[float, int]:
-    """Find the first impact of a flight within ``left`` [s], which is at most what is left of its piece.
+    """Locate the first impact of a flight within ``horizon`` [s].
 
     Args:
         scene: the scene.
         memory: with the polynomial accelerations.
-        flight: what moves.
+        flight: the relative motion.
         piece: what acts on the box.
-        left: [s].
+        horizon: how far to search [s], at most to the end of the piece.
         tolerance: gap at which a foot touches [m].
-        rest: gap within which a slow foot may be at rest [m]; -inf: nobody asks.
+        rest: gap within which a slow foot may be at rest [m]; -inf: none may.
 
     Returns:
-        Its time since the flight's start [s] and 4 * wall + foot; ``NONE`` if there is none, ``ENDLESS`` if it can not
-        be told, ``AT_REST`` if a foot may be at rest now.
+        Its time since the flight's start [s] and 4 * wall + foot; ``NONE`` if there is none, ``UNDECIDED`` if that
+        takes too much work, ``AT_REST`` if a foot may be at rest now.
     """
-    if reach_of(scene, flight, left, piece.push) + scene.jack_arm < scene.box_half_width:
-        return left, NONE
-    bounds = bounds_of(scene, flight, left, piece.spin_up, piece.push)
+    if reach_of(scene, flight, horizon, piece.push) + scene.jack_arm < scene.box_half_width:
+        return horizon, NONE
+    bounds = bounds_of(scene, flight, horizon, piece.spin_up, piece.push)
     frame = box_frame(flight.x, flight.y, flight.vx, flight.vy, flight.angle, flight.omega)
-    walls = walls_in_reach(scene, frame, left, bounds.bend)
+    walls = walls_in_reach(scene, frame, horizon, bounds.bend)
     if walls == 0:
-        return left, NONE
+        return horizon, NONE
     curvature = bounds.bend + bounds.swing
     if not curvature < STEEPEST:
-        return left, ENDLESS
-    # Half of it, so that rounding does not part what the search has found from what touches.
-    limits = Limits(curvature, left, 0.5 * tolerance)
+        return horizon, UNDECIDED
+    # Half the tolerance, so that the foot that the search locates touches in spite of rounding.
+    limits = Limits(curvature, horizon, 0.5 * tolerance)
     view = view_of(frame, flight.jack_angle - flight.angle, flight.jack_omega - flight.omega, 0.0)
-    if flight.held == 0 and (abs(flight.omega) + piece.spin_up * left) * left > _TURNED:
+    if flight.held == 0 and (abs(flight.omega) + piece.spin_up * horizon) * horizon > _TURNED:
         return first_in_a_turn(scene, memory, flight, view, limits, rest, piece)
     return first_of_all(scene, memory, flight, view, walls, NONE, limits, rest)
 
@@ -164,9 +163,9 @@ def first_of_all(
 ) -> tuple[float, int]:  # fmt: skip
     """The first impact of any foot on any of these ``walls`` (as bits): see :func:`first_impact`.
 
-    There is none before the moment of the ``view``. The pair ``likely``, if there is one, is looked at first.
+    There is none before the moment of the ``view``. The pair ``likely``, if there is one, is searched first.
     """
-    best, found = limits.end, NONE
+    best, pair = limits.end, NONE
     curvature, tolerance = limits.curvature, limits.tolerance
     frame, cosine, sine, spin, since = view
     longest = scene.jack_arm * max(abs(cosine), abs(sine))
@@ -176,20 +175,20 @@ def first_of_all(
         gap, rate = foot_gap(scene, ahead, speed, cosine, sine, spin, foot - wall)
         time = search(scene, memory, flight, Approach(wall, foot, since, gap, rate), limits)
         if time <= best:
-            best, found = time, likely
+            best, pair = time, likely
     for wall in range(4):
         if not walls & (1 << wall):
             continue
         ahead, speed = towards(frame, wall)
-        nearest = scene.box_half_width - ahead - longest  # of the feet, now; none comes nearer faster than this
-        left = best - since
-        fall = max(speed, 0.0) + scene.jack_arm * abs(spin) + 0.5 * curvature * left
-        if nearest > tolerance and nearest - fall * left > 0.0:
+        nearest = scene.box_half_width - ahead - longest  # gap of the nearest foot, now
+        horizon = best - since
+        fall = max(speed, 0.0) + scene.jack_arm * abs(spin) + 0.5 * curvature * horizon
+        if nearest > tolerance and nearest - fall * horizon > 0.0:
             continue
         for foot in range(4):
             gap, rate = foot_gap(scene, ahead, speed, cosine, sine, spin, foot - wall)
-            left = best - since
-            if gap > tolerance and gap + (rate - 0.5 * curvature * left) * left > 0.0:
+            horizon = best - since
+            if gap > tolerance and gap + (rate - 0.5 * curvature * horizon) * horizon > 0.0:
                 continue
             if flight.held & (1 << (4 * wall + foot)) or 4 * wall + foot == likely:
                 continue
@@ -197,9 +196,9 @@ def first_of_all(
                 return 0.0, AT_REST
             shorter = Limits(curvature, best, tolerance)
             time = search(scene, memory, flight, Approach(wall, foot, since, gap, rate), shorter)
-            if time < best or (time == best and found == NONE):
-                best, found = time, 4 * wall + foot
-    return best, ENDLESS if memory.looks > MOST_WORK else found
+            if time < best or (time == best and pair == NONE):
+                best, pair = time, 4 * wall + foot
+    return best, UNDECIDED if memory.evaluations > MOST_WORK else pair
 
 
 def first_in_a_turn(
@@ -213,7 +212,7 @@ def first_in_a_turn(
 ) -> tuple[float, int]:
     """The first impact in a box that turns far: see :func:`first_impact`.
 
-    The bound K grows with the square of the box's rate, and many feet may reach many walls. So all of them are followed
+    The bound K grows with the square of the box's rate, and many feet may reach many walls. So all feet are followed
     together, from pose to pose, until one is about to arrive.
     """
     tolerance, end = limits.tolerance, limits.end
@@ -242,7 +241,7 @@ def first_in_a_turn(
             s = back
         if likely == NONE or s >= end:
             return end, NONE
-        memory.looks += 1.0
+        memory.evaluations += 1.0
         pose = pose_at(flight, memory, s)
         frame = box_frame(pose.x, pose.y, pose.vx, pose.vy, pose.angle, pose.omega)
         view = view_of(frame, pose.jack_angle - pose.angle, pose.jack_omega - pose.omega, s)
@@ -252,15 +251,15 @@ def first_in_a_turn(
 
 
 def may_rest(scene: SceneNumbers, flight: Flight, limits: Limits, gap: float, rate: float, rest: float) -> bool:
-    """Whether a foot with this gap [m] and rate [m/s] may be at rest, within ``rest`` [m]; -inf: nobody asks."""
+    """Whether a foot with this gap [m] and rate [m/s] may be at rest, within ``rest`` [m]; -inf: none may."""
     return gap <= rest and abs(rate) <= slowest(scene, flight, limits, rest)
 
 
 def slowest(scene: SceneNumbers, flight: Flight, limits: Limits, rest: float) -> float:
     """The rate up to which a foot that touches may be at rest [m/s].
 
-    With loss a foot rests that would rise by ``rest`` [m] at most. Without loss nothing comes to rest, but a foot whose
-    rate is rounding does not bounce.
+    With loss a foot rests if it would rise by ``rest`` [m] at most. Without loss nothing comes to rest, but a foot
+    whose rate is rounding does not bounce.
     """
     if scene.restitution < 1.0:
         return math.sqrt(2.0 * limits.curvature * rest)
@@ -275,9 +274,9 @@ def search(scene: SceneNumbers, memory: Workspace, flight: Flight, approach: App
 
     A foot that touches and does not approach stays within ``sink`` until the parabola through its present gap does.
     Without that depth the time would not advance while a foot rests on a wall. For a foot that leaves, ``sink`` is the
-    tolerance at first and grows with the step's impacts, up to 1e-10 m. A foot that slides along the wall is granted
+    tolerance at first and grows with the step's impacts, up to 1e-10 m. For a foot that slides along the wall it is
     1e-10 m at once. So a jack that rests on a wall or slides along it costs thousands of gap evaluations and impacts,
-    and not millions. A step at rest grants that depth to a foot near the wall too.
+    not millions. In a step at rest a foot near the wall may be as deep.
     """
     still = rounding(scene, flight, limits.end) + 1e-15 * flight.speeds
     tolerance, s, gap, rate = limits.tolerance, approach.since, approach.gap, approach.rate
@@ -288,10 +287,10 @@ def search(scene: SceneNumbers, memory: Workspace, flight: Flight, approach: App
         elif rate < -still:
             return min(s + parabola_root(max(gap, 0.0), rate, limits.curvature), limits.end)
         else:
-            sink = grown(scene, memory, tolerance) if rate > still else deepest(scene)
-            least = 0.0 if rate > still else 0.1 * tolerance  # a foot that leaves takes its time to come back as deep
+            sink = widened(scene, memory, tolerance) if rate > still else deepest(scene)
+            least = 0.0 if rate > still else 0.1 * tolerance  # a foot that leaves needs time to come back as deep
             after = s + parabola_root(max(gap + sink, least), max(rate, 0.0), limits.curvature)
-        if not after <= limits.end or memory.looks > MOST_WORK:
+        if not after <= limits.end or memory.evaluations > MOST_WORK:
             return math.inf
         if after == s:
             if rate < 0.0:  # float64 does not resolve the time to the wall
@@ -304,22 +303,22 @@ def search(scene: SceneNumbers, memory: Workspace, flight: Flight, approach: App
 def strike(
     scene: SceneNumbers, memory: Workspace, log: Array, flight: Flight, time: float, pair: int, together: float
 ) -> None:
-    """Fly for ``time`` [s] to an impact of ``pair`` = 4 * wall + foot, and apply the law to all that touch there."""
+    """Fly for ``time`` [s] to an impact of ``pair`` = 4 * wall + foot, and resolve all contacts there."""
     evolve(memory, flight, time)
     memory.elapsed += time
-    memory.looks += 1.0
+    memory.evaluations += 1.0
     if memory.hits < log.shape[0] and log.shape[1] == WIDE:
-        note_state(log[memory.hits], flight, memory, time)
+        record_state(log[memory.hits], flight, memory, time)
     resolve(scene, memory, log, together, pair // 4, pair % 4)
 
 
-def note_state(row: Array, flight: Flight, memory: Workspace, time: float) -> None:
-    """Write to a row of a wide log the state before an impact ``time`` [s] into the flight, and what the drive does."""
-    for place in range(12):
-        row[AT_IMPACT + place] = memory.state[place]
+def record_state(row: Array, flight: Flight, memory: Workspace, time: float) -> None:
+    """Write the state before an impact ``time`` [s] into the flight, and the drive's accelerations, to a wide log."""
+    for index in range(12):
+        row[AT_IMPACT + index] = memory.state[index]
     row[DRIVEN_THERE], row[DRIVEN_THERE + 1], row[DRIVEN_THERE + 2] = driven_at(flight, memory, time)
 
 
-def why_endless(memory: Workspace) -> Status:
-    """Why no impact could be told."""
-    return Status.TOO_MUCH_WORK if memory.looks > MOST_WORK else Status.TOO_FAST
+def why_undecided(memory: Workspace) -> Status:
+    """The status of a step whose search is undecided."""
+    return Status.TOO_MUCH_WORK if memory.evaluations > MOST_WORK else Status.TOO_FAST

@@ -1,9 +1,10 @@
-"""One step of the exact contact model: its drive is cut into pieces, and :func:`advance` goes through each.
+"""One step of the exact contact model: detect -> evolve -> resolve -> record, until the step's time has passed.
 
-A piece is cut where feet strike walls, come to rest on them or leave. It reads detect -> evolve -> resolve, in
-``search.py``, ``flight.py`` and ``contact.py``; ``rest.py`` treats feet at rest.
-The step works in a frame that starts at the box's centre, so it is as good far from the origin as near it.
-Everything here is compiled as it stands, see :mod:`jackbox_env.exact.compiler`.
+``run.py`` calls :func:`step` for one row. The step is cut into pieces in which the drive is a constant or a polynomial.
+:func:`advance` loops over the impacts of a piece: ``search.py`` detects the next one, ``flight.py`` evolves the state
+to it, ``contact.py`` resolves it and records it in the log. ``rest.py`` moves the jack while feet rest on walls.
+Positions are measured from the box's centre at the step's start, so a step far from the origin is as accurate as one
+near it.
 """
 
 from __future__ import annotations
@@ -11,25 +12,22 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from jackbox_env.exact.bounds import curvature_of
 from jackbox_env.exact.drives import DEGREE, TURN, chirp_piece, chirp_pieces, horner, integrate
 from jackbox_env.exact.flight import Piece, constant_piece, curved_piece, evolve, flight_of, glide, stays_clear
 from jackbox_env.exact.rest import hold, record_rest, settle
 from jackbox_env.exact.search import (
     AT_REST,
-    ENDLESS,
-    GLANCE,
     NONE,
+    SHORT_HORIZON,
     STEEPEST,
-    Limits,
+    UNDECIDED,
     Touch,
     contact_tolerance,
     first_impact,
     resolution,
     rests,
-    slowest,
     strike,
-    why_endless,
+    why_undecided,
 )
 from jackbox_env.exact.trigonometry import without_turns
 from jackbox_env.exact.workspace import Array, Status, Workspace
@@ -49,12 +47,12 @@ from jackbox_env.states import (
     Y_JACK,
 )
 
-_HOLDING = 40.0  # gaps that take as long as holding feet through a step
-_COARSEST = 4.5e12  # whose unit in the last place is 1e-3
-_FOUR_PLACES = 8.9e-16  # units in the last place of 1
+_HOLDING_COST = 40.0  # gap evaluations that take as long as a step with feet at rest
+_LARGEST_RESOLVED = 4.5e12  # its unit in the last place is 1e-3
+_FOUR_ULPS = 8.9e-16  # of 1
 
-# What turns the box in a step: a torque held throughout (0 where nothing acts), the scene's chirp, the functions of its
-# drive, or a held torque beside the side forces of its drive.
+# What turns the box in a step: a constant torque (0 if nothing acts), the scene's chirp, the functions of its drive, or
+# a constant torque together with the side forces of its drive.
 CONSTANT, CHIRP, FUNCTIONS, CONSTANT_BESIDE_FORCES = range(4)
 
 
@@ -63,17 +61,17 @@ class Plan(NamedTuple):
 
     dt: float  # [s]
     kind: int  # what turns the box
-    clear: float  # square of the distance from the box's centre within which nothing is hit [m^2]; negative: none
+    clear: float  # square of the distance of the centres below which nothing is hit [m^2]; negative: no distance
     tolerance: float  # gap at which a foot touches [m]
-    per_radian: float  # how much larger that is for each radian of an angle [m/rad]
+    per_radian: float  # tolerance per radian of the larger angle, if that is more [m/rad]; 0 without loss
 
 
 class Pieces(NamedTuple):
-    """The pieces of one step's drive of functions."""
+    """The pieces of one step under a drive of functions: rows ``first`` to ``last`` - 1 of a table."""
 
-    table: Array  # (all pieces, TABLE_WIDTH)
-    first: int  # of this step's
-    last: int  # past the last of them
+    table: Array  # (all pieces, TABLE_WIDTH), see drives.py
+    first: int
+    last: int
 
 
 def make_numbers(values: Array) -> SceneNumbers:
@@ -85,11 +83,11 @@ def make_numbers(values: Array) -> SceneNumbers:
 
 
 def make_plan(scene: SceneNumbers, dt: float, kind: int) -> Plan:
-    """Work out what all steps have in common."""
+    """Compute what all steps have in common."""
     # The jack's path bends off its chord by at most g dt^2 / 8.
     distance = (scene.box_half_width - scene.jack_arm) * (1.0 - 1e-12) - 0.125 * scene.gravity * dt * dt
     clear = distance * distance if distance > 0.0 else -1.0
-    per_radian = _FOUR_PLACES * scene.box_half_width if scene.restitution < 1.0 else 0.0
+    per_radian = _FOUR_ULPS * scene.box_half_width if scene.restitution < 1.0 else 0.0
     return Plan(dt, kind, clear, contact_tolerance(scene), per_radian)
 
 
@@ -102,18 +100,18 @@ def step(
     Args:
         scene: the scene.
         plan: what all steps have in common.
-        before: state, its first 12 numbers.
-        after: where the new state goes; may be ``before``.
+        before: the state, in the first 12 numbers.
+        after: written with the new state; may be ``before``.
         time: at the step's start [s].
-        torque: held on the box [N m]; not looked at where a drive acts.
-        pieces: of the drive's functions, none for other drives.
-        memory: to work in.
-        log: memory that records impacts, see ``workspace.new_log``.
+        torque: constant, on the box [N m]; ignored under a drive.
+        pieces: of the drive's functions; none for other drives.
+        memory: scratch.
+        log: filled with impacts, see ``workspace.new_log``.
 
     Returns:
-        How it ended, and the mean torque [N m]. Unless it ended well ``after`` is unchanged.
+        How it ended, and the mean torque [N m]. ``after`` is unchanged unless the step is ``DONE``.
     """
-    clear_tally(memory)
+    reset_counters(memory)
     if plan.kind == CONSTANT:
         alpha = torque / scene.box_inertia
         x, y = before[X_JACK] - before[X_BOX], before[Y_JACK] - before[Y_BOX]
@@ -124,25 +122,25 @@ def step(
             return Status.TOO_FAST, 0.0
         ended = Status.FREE
         if not clear:
-            ended = advance(scene, memory, log, constant_piece(plan.dt, alpha), start(plan, before, memory))
-        if ended == Status.FREE:
+            ended = advance(scene, memory, log, constant_piece(plan.dt, alpha), enter_frame(plan, before, memory))
+        if ended == Status.FREE:  # no foot touches a wall
             glide(before, after, fall, plan.dt, alpha)
             return Status.DONE, scene.box_inertia * alpha
-        return finish(ended, plan, before, after, memory, log), scene.box_inertia * alpha
+        return leave_frame(ended, plan, before, after, memory, log), scene.box_inertia * alpha
     if not is_resolved(scene, before):
         return Status.TOO_FAST, 0.0
-    touch = start(plan, before, memory)
+    touch = enter_frame(plan, before, memory)
     if plan.kind == CHIRP:
         ended, impulse = advance_chirp(scene, plan, time, touch, memory, log)
     else:
         ended, impulse = advance_pieces(scene, plan, torque, pieces, touch, memory, log)
     mean = torque if plan.kind == CONSTANT_BESIDE_FORCES else impulse / plan.dt
-    return finish(ended, plan, before, after, memory, log), mean
+    return leave_frame(ended, plan, before, after, memory, log), mean
 
 
-def clear_tally(memory: Workspace) -> None:
-    """Forget what the last step did."""
-    memory.hits, memory.impulse, memory.looks, memory.elapsed, memory.rough = 0, 0.0, 0.0, 0.0, 0
+def reset_counters(memory: Workspace) -> None:
+    """Set what is counted during a step to 0."""
+    memory.hits, memory.impulse, memory.evaluations, memory.elapsed, memory.nonsmooth = 0, 0.0, 0.0, 0.0, 0
     if memory.holding > 0:
         memory.holding = 0
         for pair in range(16):
@@ -150,26 +148,26 @@ def clear_tally(memory: Workspace) -> None:
 
 
 def effort(memory: Workspace) -> float:
-    """What a step has cost, in gaps evaluated; a step with held feet takes as long as some forty of them."""
-    return float(memory.looks + (_HOLDING if memory.holding > 0 else 0.0))
+    """The cost of the last step, in gap evaluations; feet at rest cost as much as 40 of them."""
+    return float(memory.evaluations + (_HOLDING_COST if memory.holding > 0 else 0.0))
 
 
 def touch_of(plan: Plan, before: Array) -> Touch:
     """The gaps at which feet touch in a step from a state."""
     furthest = max(max(abs(before[X_BOX]), abs(before[Y_BOX])), max(abs(before[X_JACK]), abs(before[Y_JACK])))
     tolerance = max(plan.tolerance, plan.per_radian * max(abs(before[THETA_BOX]), abs(before[THETA_JACK])))
-    return Touch(tolerance, max(tolerance, _FOUR_PLACES * furthest))
+    return Touch(tolerance, max(tolerance, _FOUR_ULPS * furthest))
 
 
-def start(plan: Plan, before: Array, memory: Workspace) -> Touch:
-    """Take the state into the frame at the box's centre; return the gaps at which feet touch there.
+def enter_frame(plan: Plan, before: Array, memory: Workspace) -> Touch:
+    """Copy the state to ``memory.state``, in a frame at the box's centre; return the gaps at which feet touch.
 
-    With loss angles are counted without whole turns, so that a foot at rest stays where it is however far the box has
+    With loss whole turns are taken off the angles, so that a foot at rest stays in place however far the box has
     turned.
     """
     state = memory.state
-    for place in range(12):
-        state[place] = before[place]
+    for index in range(12):
+        state[index] = before[index]
     state[X_BOX] = state[Y_BOX] = 0.0
     state[X_JACK], state[Y_JACK] = before[X_JACK] - before[X_BOX], before[Y_JACK] - before[Y_BOX]
     if plan.per_radian > 0.0:
@@ -178,14 +176,14 @@ def start(plan: Plan, before: Array, memory: Workspace) -> Touch:
 
 
 def angles_in_step(before: Array) -> tuple[float, float]:
-    """The angles of box and jack without the box's whole turns, nor the jack's in it."""
+    """The angle of the box without whole turns, and that of the jack without its whole turns relative to the box."""
     angle = without_turns(before[THETA_BOX])
     return angle, angle + without_turns(before[THETA_JACK] - before[THETA_BOX])
 
 
 def is_resolved(scene: SceneNumbers, state: Array) -> bool:
-    """Whether float64 resolves places, angles and speeds to a thousandth of what matters here."""
-    place = (
+    """Whether float64 resolves positions, angles and speeds to a thousandth of L, 1 rad and the speed scale."""
+    position = (
         max(max(abs(state[X_BOX]), abs(state[Y_BOX])), max(abs(state[X_JACK]), abs(state[Y_JACK])))
         / scene.box_half_width
     )
@@ -194,17 +192,20 @@ def is_resolved(scene: SceneNumbers, state: Array) -> bool:
         max(max(abs(state[VX_BOX]), abs(state[VY_BOX])), max(abs(state[VX_JACK]), abs(state[VY_JACK])))
         / scene.speed_scale
     )
-    return bool(max(max(place, angle), speed) < _COARSEST)
+    return bool(max(max(position, angle), speed) < _LARGEST_RESOLVED)
 
 
-def finish(ended: Status, plan: Plan, before: Array, after: Array, memory: Workspace, log: Array) -> Status:
-    """Take the state back to the world, unless the step failed or a number is too large; record what held feet took."""
+def leave_frame(ended: Status, plan: Plan, before: Array, after: Array, memory: Workspace, log: Array) -> Status:
+    """Write the state back to ``after``, and record the impulses of feet at rest.
+
+    Nothing is written if the step failed or a number is too large.
+    """
     if ended != Status.DONE:
         return ended
     state = memory.state
     total = 0.0
-    for place in range(12):
-        total += abs(state[place])
+    for index in range(12):
+        total += abs(state[index])
     if not total < LARGEST:
         return Status.TOO_FAST
     jack_x = before[X_JACK] + (state[X_JACK] - (before[X_JACK] - before[X_BOX]))
@@ -218,8 +219,8 @@ def finish(ended: Status, plan: Plan, before: Array, after: Array, memory: Works
             before[THETA_BOX] + (state[THETA_BOX] - angle),
             before[THETA_JACK] + (state[THETA_JACK] - jack_angle),
         )
-    for place in range(RATES, 12):
-        after[place] = state[place]
+    for index in range(RATES, 12):
+        after[index] = state[index]
     record_rest(memory, log, plan.dt)
     return ended
 
@@ -268,27 +269,26 @@ def advance_pieces(
 
 
 def advance(scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, touch: Touch) -> Status:
-    """Advance the state ``memory.state`` through a piece; return how it ended.
+    """Advance ``memory.state`` through a piece, from impact to impact; return how it ended.
 
-    FREE: no foot touches a wall under a constant acceleration, and the state is as it was, because :func:`glide` needs
-    no frame near the box. ``memory`` has the polynomial accelerations.
+    Under a constant acceleration it returns FREE if no foot touches a wall. The state is then unchanged, because
+    :func:`glide` needs no frame at the box. The polynomial accelerations are in ``memory``.
     """
-    memory.loose = 0
+    memory.released = 0
     since, untouched = 0.0, not piece.curved
-    restless = False  # whether the state has been found to be without a foot at rest
+    none_rests = False  # whether no foot rests now
     while since < piece.length:
+        # Detect.
         remaining = piece.length - since
         near = resolution(scene, memory, touch)
-        left = min(remaining, GLANCE * piece.length) if rests(scene, memory) else remaining
+        horizon = min(remaining, SHORT_HORIZON * piece.length) if rests(scene, memory) else remaining
         flight = flight_of(scene, memory.state, piece, since)
-        rest = -math.inf if restless else near
-        time, pair = first_impact(scene, memory, flight, piece, left, touch.tolerance, rest)
+        rest = -math.inf if none_rests else near
+        time, pair = first_impact(scene, memory, flight, piece, horizon, touch.tolerance, rest)
         if pair == AT_REST:
-            limits = Limits(curvature_of(scene, flight, left, piece), left, touch.tolerance)
-            slow = slowest(scene, flight, limits, near)
-            held = settle(scene, memory, piece, since, touch, near, slow)
+            held = settle(scene, memory, piece, flight, horizon, touch, near)
             if held == 0:
-                restless = True
+                none_rests = True
                 continue
             untouched = False
             ended, time = hold(scene, memory, log, piece, touch, near, since, held)
@@ -296,20 +296,21 @@ def advance(scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, to
                 return ended
             since += time
             continue
-        restless = False
-        memory.loose = 0
-        if pair == ENDLESS:
-            return why_endless(memory)
+        none_rests = False
+        memory.released = 0
+        if pair == UNDECIDED:
+            return why_undecided(memory)
         if pair == NONE:
-            if untouched and left == remaining:
+            if untouched and horizon == remaining:
                 return Status.FREE
-            evolve(memory, flight, left)
-            memory.elapsed += left
-            if left == remaining:
+            evolve(memory, flight, horizon)  # without an impact
+            memory.elapsed += horizon
+            if horizon == remaining:
                 return Status.DONE
-            since += left
+            since += horizon
             continue
         untouched = False
+        # Evolve, resolve, record.
         strike(scene, memory, log, flight, time, pair, near)
         since += time
     return Status.DONE

@@ -3,7 +3,7 @@
 Method: Cody and Waite reduction by multiples of pi/2 in three parts, then the polynomials of fdlibm's k_sin.c and
 k_cos.c (Sun Microsystems 1993). Beyond 1e6 rad whole turns are first taken off, 29 at a time, because 29 turns are a
 float64 to 2.5e-18 rad. Error: below 1 unit in the last place, beyond 1e6 rad below 1.2. Fails: beyond 2^53 rad, where
-float64 no longer tells radians apart, it asks the C library, whose last place differs between machines.
+float64 does not resolve radians, it calls the C library, whose last place differs between machines.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import math
 
 import numpy as np
 
-LARGEST = 1e6  # [rad] of one reduction
-FARTHEST = 2.0**53  # [rad] of two
+LARGEST = 1e6  # [rad] that one reduction covers
+FARTHEST = 2.0**53  # [rad] that two cover
 _QUARTERS_PER_RADIAN = 6.36619772367581382433e-01  # 2 / pi
 # pi / 2 in parts; multiples of the first two up to 2^20 are exact
 _QUARTER_HIGH = 1.57079632673412561417e00
@@ -31,16 +31,16 @@ def cos_sin(angle: float) -> tuple[float, float]:
         rest = abs(angle) % _TURNS  # exact
         over = (abs(angle) - rest) / _TURNS * _TURNS_OVER
         near = rest + over
-        left = (rest - near) + over
+        residue = (rest - near) + over
         c, s = cos_sin_within(near)
-        return c - left * s, (s + left * c) * math.copysign(1.0, angle)
+        return c - residue * s, (s + residue * c) * math.copysign(1.0, angle)
     if -math.inf < angle < math.inf:
         return math.cos(angle), math.sin(angle)
     return math.nan, math.nan
 
 
 def without_turns(angle: float) -> float:
-    """The angle [rad] less whole turns, to within half a turn; as it is where float64 no longer tells radians apart."""
+    """The angle [rad] less whole turns, to within half a turn; unchanged beyond 2^53 rad, unresolved by float64."""
     if -math.pi <= angle <= math.pi or not -FARTHEST < angle < FARTHEST:
         return angle
     near, over = angle, 0.0
@@ -52,12 +52,12 @@ def without_turns(angle: float) -> float:
 
 
 def cos_sin_within(angle: float) -> tuple[float, float]:
-    """Like :func:`cos_sin` for +-``LARGEST``, without a branch: a compiled loop of it takes several angles at once."""
+    """Like :func:`cos_sin` for +-``LARGEST``, without a branch, so that a compiled loop is vectorized."""
     quarters = np.floor(angle * _QUARTERS_PER_RADIAN + 0.5)
-    rough = angle - quarters * _QUARTER_HIGH
+    reduced = angle - quarters * _QUARTER_HIGH
     middle = quarters * _QUARTER_MIDDLE
-    x = rough - middle
-    rest = (rough - x) - middle - quarters * _QUARTER_LOW  # x + rest is the angle from the nearest quarter
+    x = reduced - middle
+    rest = (reduced - x) - middle - quarters * _QUARTER_LOW  # x + rest is the angle from the nearest quarter
     z = x * x
     v = z * x
     tail = z * (2.75573137070700676789e-06 + z * (-2.50507602534068634195e-08 + z * 1.58969099521155010221e-10))

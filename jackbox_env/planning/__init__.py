@@ -1,4 +1,4 @@
-"""Planning by the exact model: rollouts, a search among them, looking ahead as an observation."""
+"""Planning on the exact model: rollouts, a search among them, derivatives, and wrappers that use them."""
 
 from jackbox_env.planning.rollouts import Rollout, rollout
 

@@ -1,9 +1,9 @@
-"""What rollouts from the present state return, by the exact contact model, and the warm-started plans behind them.
+"""Look-ahead features: returns of rollouts on the exact model, appended to observations, and their warm-started plans.
 
-The rollouts start from the state that the ten numbers of an observation tell (:func:`observation.state_of`). So looking
-ahead works on both contact models. Where pymunk is the environment's, the exact model is only near to what will happen.
-Neither the scene's chirp nor the side forces of a ``Drive`` are foreseen. :class:`jackbox_env.Lookahead` says what is
-appended.
+``wrappers.py`` appends them to the observations of an environment; :class:`jackbox_env.Lookahead` lists them.
+The rollouts start from the state that the ten numbers of an observation determine (:func:`observation.state_of`), so
+they work for both contact models. For a pymunk environment they are an approximation. They ignore the scene's chirp and
+the side forces of a ``Drive``.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from jackbox_env import checks as check
 from jackbox_env.batches.base import Floats
 from jackbox_env.observation import BOUNDS, observe, state_of
 from jackbox_env.planning.icem import Plans, Search
-from jackbox_env.planning.rollouts import run_rollouts
+from jackbox_env.planning.rollouts import RolloutOptions, run_rollouts
 from jackbox_env.scene import Scene
 from jackbox_env.states import OMEGA_BOX, Array
 from jackbox_env.tasks import Task
 
-_AHEAD = 3  # torques of the plan that are shown
-_MOST_REWARD = 10.0  # mean rewards are clipped there
+_AHEAD = 3  # torques of the plan that are observed
+_MOST_REWARD = 10.0  # bound of mean rewards, which are clipped
 _MOST_DEVIATION = 5.0
-_LEAST = 1e-9  # deviation of returns that counts as none
+_LEAST = 1e-9  # smaller deviations of returns count as 0
 _HALF = 2  # knots of a manoeuvre that speed the box up, and as many that stop it
-_RANGES = {  # of the options, by the names that users know them by
+_RANGES = {  # of the options, with the names of their keyword arguments
     "repeat": ("hold", 1, 1000),
     "manoeuvres": ("turns", 0, 999),
     "samples": ("samples", 0, 100_000),
@@ -51,7 +51,7 @@ class LookaheadOptions:
     knots: int = 32  # torques of a rollout (``pieces``), so it lasts ``knots * repeat`` control steps
     follow: bool = False  # whether actions are added to the plan's next torque
     seed: int = 0  # of the plan's variations
-    num_threads: int | None = None  # that play the rollouts; nothing else depends on it
+    num_threads: int | None = None  # that play the rollouts; results do not depend on it
 
     def __post_init__(self) -> None:
         for field, (name, least, most) in _RANGES.items():
@@ -65,7 +65,7 @@ class LookaheadOptions:
 
 
 class Features:
-    """What N agents observe when they look ahead. It stores no plans: ``look`` is given the old and returns the next.
+    """Look-ahead features of N agents. It stores no plans: :meth:`compute` maps the last plans to the next.
 
     Args:
         task: whose rewards are summed, a name or a :class:`jackbox_env.Task`.
@@ -93,28 +93,28 @@ class Features:
         return self._search.begin(count)
 
     def torques(self, actions: Any, seen: Floats) -> Any:
-        """The actions that an environment is given, for those of an agent that has ``seen`` what was appended.
+        """The environment's actions for those of an agent whose last observation was ``seen``.
 
         Shapes (n, 1) and (n, 10 + F), or (1,) and (10 + F,).
 
         Raises:
-            TypeError, ValueError: actions that are no numbers, or of another shape.
+            TypeError, ValueError: actions that are not numbers, or of another shape.
         """
         if not self.options.follow:
             return actions
         planned = seen[..., -_AHEAD : seen.shape[-1] - _AHEAD + 1]
-        given = check.array("actions", actions, "hold numbers (clipped to [-1, 1])")
-        if given.shape not in (planned.shape, planned.shape[:-1]):
-            raise ValueError(f"actions must have shape {planned.shape} or {planned.shape[:-1]}, got {given.shape}")
-        corrections = np.clip(given.astype(np.float32).reshape(planned.shape), -1.0, 1.0)
+        numbers = check.array("actions", actions, "hold numbers (clipped to [-1, 1])")
+        if numbers.shape not in (planned.shape, planned.shape[:-1]):
+            raise ValueError(f"actions must have shape {planned.shape} or {planned.shape[:-1]}, got {numbers.shape}")
+        corrections = np.clip(numbers.astype(np.float32).reshape(planned.shape), -1.0, 1.0)
         return np.clip(corrections + planned, -1.0, 1.0)
 
-    def look(self, scenes: list[Scene], observations: Floats, plans: Plans) -> tuple[Floats, Plans]:
-        """Return what is appended to observations, shape (n, 10): float32, (n, F); and the next plans.
+    def compute(self, scenes: list[Scene], observations: Floats, plans: Plans) -> tuple[Floats, Plans]:
+        """Return the features to append to observations, shape (n, 10): float32, (n, F); and the next plans.
 
         Args:
             scenes: one for all, or n of them.
-            observations: that the states are read off; each as if its time were 0.
+            observations: determine the states; the time counts as 0.
             plans: those of the last decision.
         """
         one_for_all = all(one is scenes[0] or one == scenes[0] for one in scenes)
@@ -123,8 +123,8 @@ class Features:
         parts = [self._next_impact(scenes[:1] if one_for_all else scenes, each, states)]
         manoeuvres = self._manoeuvres(each, states)
         if self.options.samples:
-            found, plans = self._search.decide(scene, states, plans, manoeuvres)
-            returns = found.scripted
+            decision, plans = self._search.decide(scene, states, plans, manoeuvres)
+            returns = decision.scripted
         elif self.options.manoeuvres:
             returns, _ = self._search.evaluate(scene, states, manoeuvres)
         if self.options.manoeuvres:
@@ -132,29 +132,29 @@ class Features:
             deviation = returns.std(axis=1, keepdims=True) / self._steps
             parts += [mean, deviation, (returns / self._steps - mean) / np.maximum(deviation, _LEAST)]
         if self.options.samples:
-            parts += [found.returns[:, None] / self._steps, found.plans[:, :_AHEAD]]
+            parts += [decision.returns[:, None] / self._steps, decision.plans[:, :_AHEAD]]
         appended = np.concatenate(parts, axis=1)
         return np.clip(appended, self.low, self.high).astype(np.float32), plans
 
     def _next_impact(self, scenes: list[Scene], each: list[Scene], states: Array) -> Array:
-        """When the next impact comes without torque, in shares of a rollout, 1 for none; what is seen after it."""
+        """Time of the next impact without torque, in shares of a rollout, 1 for none; and the observation after it."""
         search = self._search
-        found = run_rollouts(
-            scenes, states, np.zeros((len(states), search.knots)), search.control_dt, driven=False, impacts=True,
-            repeat=search.repeat, until_impact=True, num_threads=search.num_threads,
-        )  # fmt: skip
-        assert found.impacts is not None
-        struck = found.impacts > 0
-        first = np.where(struck.any(axis=1), struck.argmax(axis=1) + 1, self._steps)
-        after = found.trajectories[:, 1].tolist()
-        seen = [observe(one, state) for one, state in zip(each, after, strict=True)]
-        return np.concatenate([first[:, None] / self._steps, seen], axis=1)
+        options = RolloutOptions(
+            side_forces=False, impacts=True, repeat=search.repeat, until_impact=True, num_threads=search.num_threads
+        )
+        played = run_rollouts(scenes, states, np.zeros((len(states), search.knots)), search.control_dt, options=options)
+        assert played.impacts is not None
+        struck = played.impacts > 0
+        steps = np.where(struck.any(axis=1), struck.argmax(axis=1) + 1, self._steps)
+        after = played.trajectories[:, 1].tolist()
+        observed = [observe(one, state) for one, state in zip(each, after, strict=True)]
+        return np.concatenate([steps[:, None] / self._steps, observed], axis=1)
 
     def _manoeuvres(self, each: list[Scene], states: Array) -> Array:
         """Torques that turn each box by so much and stop it, in units of the limit, shape (n, manoeuvres, knots).
 
         The box is sped up for ``_HALF`` knots and stopped in as many. The furthest are those that the torque's limit
-        can make of a box at rest.
+        allows from rest.
         """
         search, count = self._search, self.options.manoeuvres
         half = _HALF * search.repeat * search.control_dt  # [s]

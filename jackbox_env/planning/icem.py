@@ -1,7 +1,7 @@
 """Warm-started plans of torques, improved in each decision by playing many variations of them.
 
 iCEM, the improved cross-entropy method (Pinneri et al. 2020, arXiv:2008.06389): coloured noise around the last plan,
-the best candidates make the next mean, some of them are kept. All that are due are played in one
+the best candidates make the next mean, some of them are tried again. All candidates of an iteration are played in one
 compiled call. A candidate that cannot be followed raises JackLostError.
 """
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env import checks as check
-from jackbox_env.planning.rollouts import run_rollouts
+from jackbox_env.planning.rollouts import RolloutOptions, run_rollouts
 from jackbox_env.scene import Scene
 from jackbox_env.simulators.exact import ensure_compiled
 from jackbox_env.states import Array
@@ -21,15 +21,15 @@ from jackbox_env.tasks import Task, task_of
 
 _COLOUR = 2.0  # the noise's power falls with this power of the frequency
 _SPREAD = 0.5  # standard deviation of the first candidates, in torque limits
-_KEPT = 0.3  # share of the best that are tried again
+_REUSED = 0.3  # share of the elites that are tried again
 _SMOOTHING = 0.1  # share of the old mean and deviation in the new ones
 
 
 class Plans(NamedTuple):
-    """What a decision starts from, of N jacks."""
+    """The warm-started plans of N jacks."""
 
     means: Array  # (N, knots) torques in units of the limit
-    elites: Array  # (N, kept, knots) the best candidates, tried again
+    elites: Array  # (N, reused, knots) the best candidates, tried again
     decisions: NDArray[np.int64]  # (N,) made since the plan was begun
 
     def of(self, numbers: NDArray[np.int64]) -> Plans:
@@ -44,16 +44,16 @@ class Plans(NamedTuple):
         return Plans(*parts)
 
 
-class Found(NamedTuple):
-    """What a decision found, for n jacks."""
+class Decision(NamedTuple):
+    """The best plans of a decision, for n jacks."""
 
-    plans: Array  # (n, knots) the best torques in units of the limit
-    returns: Array  # (n,) the sum of rewards that they bring
-    scripted: Array  # (n, k) those of the scripted candidates
+    plans: Array  # (n, knots) torques in units of the limit
+    returns: Array  # (n,) their sums of rewards
+    scripted: Array  # (n, k) sums of rewards of the scripted candidates
 
 
 class Search:
-    """How plans are improved.
+    """Improves plans by iCEM.
 
     Args:
         task: whose rewards are summed, a name or a :class:`jackbox_env.Task`.
@@ -63,7 +63,7 @@ class Search:
         samples: candidates in each iteration, 2 or more.
         elites: best candidates that make the next mean, 1 to ``samples``.
         iterations: of each decision.
-        seed: of the candidates. A plan depends on it and on its own states, not on what is planned beside it.
+        seed: of the candidates. A plan depends on it and on its own states, not on other plans.
         num_threads: that play them; the plans do not depend on it.
 
     Raises:
@@ -82,18 +82,18 @@ class Search:
         self.iterations = check.whole("iterations", iterations, at_least=1)
         self.seed = check.whole("seed", seed, at_least=0)
         self.num_threads = None if num_threads is None else check.whole("num_threads", num_threads, at_least=1)
-        self.kept = min(max(1, round(_KEPT * elites)), samples - 1)
+        self.reused = min(max(1, round(_REUSED * elites)), samples - 1)
         ensure_compiled()
 
     def begin(self, count: int) -> Plans:
         """Plans of no torque, for ``count`` jacks."""
-        elites = np.zeros((count, self.kept, self.knots))
+        elites = np.zeros((count, self.reused, self.knots))
         return Plans(np.zeros((count, self.knots)), elites, np.zeros(count, dtype=np.int64))
 
     def decide(
         self, scene: Scene | list[Scene], states: Array, plans: Plans, scripted: Array | None = None
-    ) -> tuple[Found, Plans]:
-        """Improve plans from states, shape (n, 12); return what was found, and the plans one knot later.
+    ) -> tuple[Decision, Plans]:
+        """Improve plans from states, shape (n, 12); return the best plans, and the plans one knot later.
 
         Args:
             scene: of all, or a list of n.
@@ -101,57 +101,56 @@ class Search:
             plans: the last ones, of n jacks.
             scripted: further candidates of the first iteration, shape (n, k, knots).
         """
-        count, fixed = len(states), 1 + self.kept + (0 if scripted is None else scripted.shape[1])
+        count, fixed = len(states), 1 + self.reused + (0 if scripted is None else scripted.shape[1])
         means, elites, spreads = plans.means, plans.elites, np.full((count, self.knots), _SPREAD)
         returns_scripted = np.zeros((count, 0))
         for iteration in range(self.iterations):
-            tried = means[:, None] + self._noise(plans.decisions, iteration) * spreads[:, None]
-            tried[:, 0], tried[:, 1 : 1 + self.kept] = means, elites
+            candidates = means[:, None] + self._noise(plans.decisions, iteration) * spreads[:, None]
+            candidates[:, 0], candidates[:, 1 : 1 + self.reused] = means, elites
             if scripted is not None and iteration == 0:
-                tried[:, 1 + self.kept : fixed] = scripted
-            tried = np.clip(tried, -1.0, 1.0)
-            returns, _ = self.evaluate(scene, states, tried)
+                candidates[:, 1 + self.reused : fixed] = scripted
+            candidates = np.clip(candidates, -1.0, 1.0)
+            returns, _ = self.evaluate(scene, states, candidates)
             if scripted is not None and iteration == 0:
-                returns_scripted = returns[:, 1 + self.kept : fixed]
+                returns_scripted = returns[:, 1 + self.reused : fixed]
             order = np.argsort(-returns, axis=1, kind="stable")[:, : self.elites]
-            best = np.take_along_axis(tried, order[:, :, None], axis=1)
-            elites = best[:, : self.kept]
+            best = np.take_along_axis(candidates, order[:, :, None], axis=1)
+            elites = best[:, : self.reused]
             means = (1.0 - _SMOOTHING) * best.mean(axis=1) + _SMOOTHING * means
             spreads = (1.0 - _SMOOTHING) * best.std(axis=1) + _SMOOTHING * spreads
         first, rows = order[:, 0], np.arange(count)
-        found = Found(best[:, 0], returns[rows, first], returns_scripted)
+        decision = Decision(best[:, 0], returns[rows, first], returns_scripted)
         last = np.zeros((count, 1))
-        new = self._noise(plans.decisions, self.iterations)[:, : self.kept, :1] * 0.5 * _SPREAD
+        new = self._noise(plans.decisions, self.iterations)[:, : self.reused, :1] * 0.5 * _SPREAD
         next_plans = Plans(
             np.concatenate([means[:, 1:], last], axis=1),
             np.clip(np.concatenate([elites[:, :, 1:], new], axis=2), -1.0, 1.0),
             plans.decisions + 1,
         )
-        return found, next_plans
+        return decision, next_plans
 
     def _noise(self, decisions: NDArray[np.int64], iteration: int) -> Array:
-        """Noise of the candidates, shape (n, samples, knots): alike where as many decisions were made."""
-        numbers, place = np.unique(decisions, return_inverse=True)
+        """Noise of the candidates, shape (n, samples, knots): the same after the same number of decisions."""
+        numbers, inverse = np.unique(decisions, return_inverse=True)
         drawn = [
             coloured_noise(np.random.default_rng([self.seed, number, iteration]), self.samples, self.knots, _COLOUR)
             for number in numbers.tolist()
         ]
-        noise: Array = np.array(drawn).reshape(-1, self.samples, self.knots)[place]
+        noise: Array = np.array(drawn).reshape(-1, self.samples, self.knots)[inverse]
         return noise
 
-    def evaluate(self, scene: Scene | list[Scene], states: Array, tried: Array) -> tuple[Array, Array]:
+    def evaluate(self, scene: Scene | list[Scene], states: Array, candidates: Array) -> tuple[Array, Array]:
         """Play candidates, shape (n, k, knots), from states, (n, 12): sums of rewards (n, k), and ends (n, k, 12).
 
         No drive acts.
         """
-        count, many = tried.shape[:2]
+        count, many = candidates.shape[:2]
         scenes = [scene] if isinstance(scene, Scene) else [one for one in scene for _ in range(many)]
         limits = np.array([[one.torque_limit] for one in scenes])
-        found = run_rollouts(
-            scenes, np.repeat(states, many, axis=0), tried.reshape(count * many, -1) * limits, self.control_dt,
-            driven=False, task=self.task, repeat=self.repeat, num_threads=self.num_threads,
-        )  # fmt: skip
-        return found.rewards.sum(axis=1).reshape(count, many), found.trajectories[:, 1].reshape(count, many, 12)
+        starts, torques = np.repeat(states, many, axis=0), candidates.reshape(count * many, -1) * limits
+        options = RolloutOptions(side_forces=False, task=self.task, repeat=self.repeat, num_threads=self.num_threads)
+        played = run_rollouts(scenes, starts, torques, self.control_dt, options=options)
+        return played.rewards.sum(axis=1).reshape(count, many), played.trajectories[:, 1].reshape(count, many, 12)
 
 
 def coloured_noise(rng: np.random.Generator, count: int, length: int, colour: float) -> Array:

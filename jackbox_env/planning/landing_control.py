@@ -1,6 +1,6 @@
-"""Actions that say how the box meets the jack, in place of torques: for single and vector environments.
+"""Landing control: actions are the box's angle and rate at the next landing, in place of torques.
 
-:class:`jackbox_env.sb3_wrappers.LandingControlVecEnv` is that for Stable-Baselines3. :mod:`jackbox_env.landing` has the
+For single and vector environments; ``sb3_wrappers.py`` has it for Stable-Baselines3. :mod:`jackbox_env.landing` has the
 formulas.
 """
 
@@ -22,23 +22,25 @@ from jackbox_env.vector_env import JackInBoxVectorEnv
 
 SPACE = gym.spaces.Box(-1.0, 1.0, (2,))
 SCALE = np.array([0.5, 2.5])  # [rad], [rad/s]
-# What of each environment's scene aiming needs.
+# Fields of the scene that aiming needs.
 _FIELDS = ("box_half_width", "box_inertia", "jack_arm", "gravity", "torque_limit", "speed_scale")
 
 
 def aim(scene: Any, control_dt: float, actions: ArrayLike, count: int) -> Callable[[Array], Array]:
-    """The torques, shape (n,), in units of the limit, for states, shape (n, 12), that aim as ``actions`` say, (n, 2).
+    """A function from states, shape (n, 12), to torques, (n,), in units of the limit, that aim at ``actions``, (n, 2).
 
     Raises:
         TypeError, ValueError: unusable actions.
     """
-    given = check.array("actions", actions, "hold numbers (clipped to [-1, 1])")
+    numbers = check.array("actions", actions, "hold numbers (clipped to [-1, 1])")
     shapes = [(count, 2)] if count > 1 else [(1, 2), (2,)]
-    if given.shape not in shapes:
-        raise ValueError(f"actions must have shape {shapes[-1]}, got {given.shape}")
-    if not np.isfinite(given).all():
-        raise ValueError(f"actions must be finite numbers (clipped to [-1, 1]), got {given[~np.isfinite(given)][0]}")
-    targets = np.clip(given.astype(np.float64).reshape(count, 2), -1.0, 1.0) * SCALE
+    if numbers.shape not in shapes:
+        raise ValueError(f"actions must have shape {shapes[-1]}, got {numbers.shape}")
+    if not np.isfinite(numbers).all():
+        raise ValueError(
+            f"actions must be finite numbers (clipped to [-1, 1]), got {numbers[~np.isfinite(numbers)][0]}"
+        )
+    targets = np.clip(numbers.astype(np.float64).reshape(count, 2), -1.0, 1.0) * SCALE
 
     def act(states: Array) -> Array:
         states = upright(states)
@@ -48,7 +50,7 @@ def aim(scene: Any, control_dt: float, actions: ArrayLike, count: int) -> Callab
 
 
 class Aiming(Control):
-    """Turns the targets of landings that N agents choose into torques, anew in each control step.
+    """Turns the landing targets of N agents into torques, anew in each control step.
 
     Args:
         env: a single environment or a native vector environment.
@@ -68,7 +70,7 @@ class Aiming(Control):
         super().__init__(max(1, round(period / control_dt)))
 
     def act(self, actions: Any) -> Callable[[Array], Array]:
-        """What the environments do in each control step, for actions, shape (N, 2), or (2,) of one alone."""
+        """A function from states to the torques of a control step, for actions, shape (N, 2), or (2,) of one alone."""
         env = self._inner
         if not isinstance(env, JackInBoxVectorEnv):
             return aim(env.scene, env.control_dt, actions, 1)  # of this episode's scene
@@ -77,12 +79,12 @@ class Aiming(Control):
 
 
 class LandingControl(ControlledEnv):
-    """Say in ``JackInBox-v0`` how the box shall meet the jack: its angle and rate at the landing that is foreseen.
+    """Control ``JackInBox-v0`` by the box's angle and rate at the predicted landing of the jack.
 
     An action is two numbers: the box's angle over 0.5 rad, counted from the nearest quarter turn, and its rate over 2.5
-    rad/s. It holds for ``period``, and the rewards of that time are summed. In each control step the torque is worked
-    out anew: it turns the box along the cubic in time that ends so when the jack's centre falls to the height at which
-    a foot pointing down touches a level box's floor. Walls on the way are not foreseen.
+    rad/s. It is repeated for ``period``, and the rewards of that time are summed. In each control step the torque is
+    computed anew: it turns the box along the cubic in time that reaches this angle and rate when the jack's centre
+    falls to the height at which a foot pointing down touches a level box's floor. Walls on the way are ignored.
 
     Args:
         env: the environment, of either contact model. It takes actions as torques: no action wrapper inside, and

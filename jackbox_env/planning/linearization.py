@@ -1,4 +1,7 @@
-"""Derivatives of trajectories of the exact model by states, torques and the scene, impacts included."""
+"""Derivatives of trajectories of the exact model by states, torques and the scene, impacts included.
+
+``linearize`` plays a rollout that records the states at impacts, and ``exact/derivatives.py`` differentiates it.
+"""
 
 from __future__ import annotations
 
@@ -11,43 +14,43 @@ from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import checks as check
 from jackbox_env.batches.threads import Threads, thread_count
-from jackbox_env.exact import tangents
+from jackbox_env.exact import derivatives, tangents
 from jackbox_env.exact.compiler import compiled
 from jackbox_env.exact.workspace import new_workspaces
-from jackbox_env.planning.rollouts import FEWEST_PER_THREAD, OneOrMore, Tape, run_rollouts, sequences
+from jackbox_env.planning.rollouts import FEWEST_PER_THREAD, OneOrMore, RolloutOptions, Tape, run_rollouts, sequences
 from jackbox_env.scene import Scene, scenes_of
 from jackbox_env.simulators.exact import drive_kind
 from jackbox_env.states import LATEST_TIME, Array
 
 Flags = NDArray[np.bool_]
-_AT_ONCE = 100_000  # steps of one call: then an interruption is heard
+_AT_ONCE = 100_000  # steps of one call, after which Python can handle an interruption
 
 
 class Linearization:
     """Trajectories and their derivatives, in SI units; ``linearize`` makes it.
 
-    The matrices are worked out when they are first read. ``vjp`` and ``jvp`` do without them. It unpacks as
+    The matrices are computed when they are first read; ``vjp`` and ``jvp`` do not need them. It unpacks as
     ``trajectories, A, B, P, smooth``.
 
     Attributes:
         trajectories: shape (N, H + 1, 12), those of ``rollout`` bit for bit.
-        smooth: shape (N, H), False where a step has no derivative, or none that can be told: several contacts at one
-            moment, an impact slower than 1e-6 v0 or so slow that rounding decides, a foot that rests or begins to, one
-            that touches a wall and approaches it at the step's start or end, an impact at the end, impacts that
-            multiply an error by 1e10. A, B and P of that step are NaN.
+        smooth: shape (N, H), False if a step has no derivative, or rounding hides it: several contacts at one moment,
+            an impact slower than 1e-6 v0 or so slow that rounding decides, a foot that rests or begins to, one that
+            touches a wall and approaches it at the step's start or end, an impact at the end, impacts that multiply an
+            error by 1e10. A, B and P of that step are NaN.
     """
 
     def __init__(
         self, scenes: list[Scene], dt: float, torques: Array, kinds: NDArray[np.int64], seeds: Array,
         trajectories: Array, tape: Tape, num_threads: int | None,
     ) -> None:  # fmt: skip
-        self.trajectories, self.smooth = trajectories, np.zeros(tape.rough.shape, np.bool_)
+        self.trajectories, self.smooth = trajectories, np.zeros(tape.nonsmooth.shape, np.bool_)
         self._seeds, self._num_threads, self._tape = seeds, num_threads, tape
         begins = np.concatenate([[0], np.cumsum(tape.hits)])
         numbers = np.array([scene.numbers for scene in scenes])
-        self._given = numbers, kinds, dt, torques, trajectories, tape.rows, begins, self.smooth
-        compiled(tangents.mark_smooth)(
-            self._given, tape.rough, np.zeros((tangents.ROWS, len(tangents.GROWING))), new_workspaces()
+        self._data = numbers, kinds, dt, torques, trajectories, tape.rows, begins, self.smooth
+        compiled(derivatives.mark_smooth)(
+            self._data, tape.nonsmooth, np.zeros((tangents.ROWS, len(derivatives.GROWING))), new_workspaces()
         )
         _lock(self.trajectories, self.smooth)
 
@@ -74,23 +77,23 @@ class Linearization:
         shape, columns = (*self.smooth.shape, 12), 13 + self._seeds.shape[1]
         by_time = np.full((len(self._tape.rows), columns), np.nan)
         results = np.empty((*shape, 12)), np.empty(shape), np.empty((*shape, columns - 13)), by_time
-        call = compiled(tangents.matrices)
-        self._spread(columns, lambda span, *memory: call(self._given, self._seeds, span, results, *memory))
+        call = compiled(derivatives.matrices)
+        self._spread(columns, lambda span, *memory: call(self._data, self._seeds, span, results, *memory))
         _lock(*results)
         return results
 
     def impacts(self, row: int) -> tuple[NDArray[np.int64], Array, Array]:
-        """Impacts of a row, in time order, and how their times change; NaN in a step that has no derivative.
+        """Impacts of a row, in time order, and the derivatives of their times; NaN in a step without a derivative.
 
         Returns:
-            In which step each is, (m,), how long after the step's start [s], (m,), and the derivatives of that time by
-            the state at the step's start, the torque and the fields, (m, 13 + F).
+            The step of each impact, (m,), its time since the step's start [s], (m,), and the derivatives of that time
+            by the state at the step's start, the torque and the fields, (m, 13 + F).
         """
         count, steps = len(self.trajectories), self.trajectories.shape[1] - 1
-        row, begins = check.whole("row", row, at_least=0, at_most=count - 1), self._given[6]
-        own = slice(begins[row * steps], begins[(row + 1) * steps])
+        row, begins = check.whole("row", row, at_least=0, at_most=count - 1), self._data[6]
+        rows = slice(begins[row * steps], begins[(row + 1) * steps])
         within = np.repeat(np.arange(steps), self._tape.hits[row])
-        return within, self._tape.rows[own, 0], self._matrices[3][own]
+        return within, self._tape.rows[rows, 0], self._matrices[3][rows]
 
     def vjp(self, g: ArrayLike) -> tuple[Array, Array, Array]:
         """Pull weights of the trajectories' states back: the gradient of sum(g * trajectories).
@@ -99,29 +102,29 @@ class Linearization:
             g: shape (N, H + 1, 12).
 
         Returns:
-            The gradient by the first states, (N, 12), by the torques as they were given, (N, H / repeat), and by the
-            fields, (N, F), of each row. NaN where a step without a derivative is on the way.
+            The gradient by the first states, (N, 12), by the torques, (N, H / repeat), and by the fields, (N, F), of
+            each row. NaN if a step without a derivative lies in between.
 
         Raises:
             TypeError, ValueError: unusable weights.
         """
         weights = _floats("g", g, self.trajectories.shape)
         results = self._zeros()
-        call = compiled(tangents.pull_back)
+        call = compiled(derivatives.pull_back)
         self._spread(
             13 + self._seeds.shape[1],
-            lambda span, *memory: call(self._given, self._seeds, span, weights, results, *memory),
+            lambda span, *memory: call(self._data, self._seeds, span, weights, results, *memory),
         )
         return results
 
     def jvp(
         self, dstates: ArrayLike | None = None, dtorques: ArrayLike | None = None, dfields: ArrayLike | None = None
     ) -> Array:
-        """Push changes forward: how the trajectories change with them, to first order, shape (N, H + 1, 12).
+        """Push changes forward: the first-order change of the trajectories, shape (N, H + 1, 12).
 
         Args:
             dstates: of the first states, (N, 12); None: no change.
-            dtorques: of the torques as they were given, (N, H / repeat) [N m]; None: no change.
+            dtorques: of the torques, (N, H / repeat) [N m]; None: no change.
             dfields: of the fields, (N, F); None: no change.
 
         Raises:
@@ -135,16 +138,16 @@ class Linearization:
         numbers = np.zeros((len(scene), len(tangents.FIELDS)))
         for field in range(scene.shape[1]):
             numbers += scene[:, field, None] * self._seeds[:, field]
-        results, call = np.empty(self.trajectories.shape), compiled(tangents.push_forward)
-        self._spread(1, lambda span, *memory: call(self._given, (states, torques, numbers), span, results, *memory))
+        results, call = np.empty(self.trajectories.shape), compiled(derivatives.push_forward)
+        self._spread(1, lambda span, *memory: call(self._data, (states, torques, numbers), span, results, *memory))
         return results
 
     def _zeros(self) -> tuple[Array, Array, Array]:
         count = len(self.trajectories)
-        return np.zeros((count, 12)), np.zeros(self._given[3].shape), np.zeros((count, self._seeds.shape[1]))
+        return np.zeros((count, 12)), np.zeros(self._data[3].shape), np.zeros((count, self._seeds.shape[1]))
 
     def _spread(self, columns: int, call: Callable[..., None]) -> None:
-        """Work on ranges of rows, on some threads."""
+        """Call ``call`` for ranges of rows, on several threads."""
         count, steps = len(self.trajectories), self.trajectories.shape[1] - 1
         ranges = count if self._num_threads is not None else min(count, count * steps // FEWEST_PER_THREAD)
         threads = Threads(thread_count(self._num_threads, ranges))
@@ -197,7 +200,7 @@ def linearize(
     repeat = check.whole("repeat", repeat, at_least=1, at_most=1_000_000)
     dt = check.real("dt", dt, above=0.0)
     time = check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
-    free = torques is None
+    driven = torques is None
     if torques is None:
         if repeat != 1:
             raise ValueError(f"repeat goes with torques, got repeat={repeat} and torques=None")
@@ -205,27 +208,25 @@ def linearize(
     elif steps is not None:
         raise TypeError(f"steps goes with torques=None, where the scene's drive acts, got steps={steps} and torques")
     seeds = np.array([_seeds(one, fields) for one in scenes])
-    starts, held = sequences(scenes, several, states, torques)
+    starts, rows = sequences(scenes, several, states, torques)
     tape = Tape()
-    played = run_rollouts(
-        scenes, starts, held, dt, time, impacts=True, repeat=repeat, whole=True, num_threads=num_threads, free=free,
-        tape=tape,
-    )  # fmt: skip
-    kinds = np.array([drive_kind(one.drive, held=not free) for one in scenes])
-    return Linearization(scenes, dt, held, kinds, seeds, played.trajectories, tape, num_threads)
+    options = RolloutOptions(impacts=True, repeat=repeat, whole=True, num_threads=num_threads, drives_turn=driven)
+    trajectories = run_rollouts(scenes, starts, rows, dt, time, options, tape).trajectories
+    kinds = np.array([drive_kind(one.drive, held=not driven) for one in scenes])
+    return Linearization(scenes, dt, rows, kinds, seeds, trajectories, tape, num_threads)
 
 
 @cache
 def ensure_compiled() -> None:
     """Compile all derivatives, or load them."""
-    found = linearize(None, np.zeros(12), np.zeros(1), 0.02)
-    found.vjp(found.trajectories)
-    found.jvp()
-    _ = found.A
+    linearization = linearize(None, np.zeros(12), np.zeros(1), 0.02)
+    linearization.vjp(linearization.trajectories)
+    linearization.jvp()
+    _ = linearization.A
 
 
 def _seeds(scene: Scene, fields: Sequence[str]) -> Array:
-    """How each field moves the numbers of ``tangents.FIELDS``, shape (F, 8): a derived inertia follows."""
+    """Derivatives of the numbers of ``tangents.FIELDS`` by each field, shape (F, 8): a derived inertia follows."""
     if isinstance(fields, str) or not isinstance(fields, Sequence):
         raise TypeError(f"fields must be a tuple of names, got {check.shown(fields)}")
     seeds = np.zeros((len(fields), len(tangents.FIELDS)))
@@ -242,14 +243,14 @@ _INERTIAS = ("box_inertia", "box_mass", "box_half_width"), ("jack_inertia", "jac
 
 
 def _lock(*arrays: NDArray[Any]) -> None:
-    """Let nobody write to what later results are made of."""
+    """Make arrays read-only that later results depend on."""
     for one in arrays:
         one.flags.writeable = False
 
 
-def _floats(name: str, given: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """The numbers given, as an array of the one type for which the code is compiled."""
-    numbers = np.require(check.array(name, given, "hold numbers"), np.float64, ("C", "A", "W"))
+def _floats(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """An argument as an array of the one type for which the code is compiled."""
+    numbers = np.require(check.array(name, values, "hold numbers"), np.float64, ("C", "A", "W"))
     if numbers.shape != shape:
         raise ValueError(f"{name} must have shape {shape}, got {numbers.shape}")
     return numbers

@@ -1,9 +1,13 @@
-"""Rollouts for planning: many sequences of torques played from many states, by the exact contact model."""
+"""Rollouts: many sequences of torques played from many states, by the exact contact model.
+
+``rollout`` is for users. :func:`run_rollouts` does the work, also for ``icem.py``, ``features.py`` and
+``linearization.py``: it calls ``exact/run.py`` on blocks of rows, on several threads.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Generic, Literal, NamedTuple, TypeVar, overload
 
@@ -14,10 +18,10 @@ from jackbox_env import checks as check
 from jackbox_env.batches.threads import Halt, Threads, thread_count
 from jackbox_env.exact.compiler import address_of, compiled
 from jackbox_env.exact.glide import SCENE_LANES, TIME, WIDTH
-from jackbox_env.exact.restart import spread
-from jackbox_env.exact.run import NOTHING, PATIENCE, Call, Rules, Scenes, new_memory, outside, run
+from jackbox_env.exact.restart import outside, spread
+from jackbox_env.exact.run import PATIENCE, Call, run
 from jackbox_env.exact.score import score_block
-from jackbox_env.exact.workspace import Status, new_log
+from jackbox_env.exact.workspace import NOTHING, Results, Rules, Scenes, Status, new_log, new_memory
 from jackbox_env.mechanics import energy_of
 from jackbox_env.scene import Scene, scenes_of
 from jackbox_env.scoring import bad_reward, compiled_for
@@ -38,9 +42,9 @@ Counts = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 OneOrMore = Scene | Mapping[str, Any] | None | Sequence[Scene | Mapping[str, Any] | None]
 
-_GRAIN = 1000  # steps that are worth a call
-FEWEST_PER_THREAD = 5000  # steps that are worth waking a thread
-_ROOM = 256  # impacts; it grows
+_GRAIN = 1000  # steps in a call, at least
+FEWEST_PER_THREAD = 5000  # steps for each thread, at least
+_ROOM = 256  # impacts in a log at first
 _WIDTH = 32  # rows in a block
 
 
@@ -49,15 +53,15 @@ Lengths = TypeVar("Lengths")
 
 
 class Rollout(NamedTuple, Generic[Rewards, Lengths]):
-    """What ``rollout`` returns when more than trajectories is asked for; what was not asked for is None.
+    """Results of ``rollout`` with more than trajectories; None if not requested.
 
     Attributes:
-        trajectories: shape (N, H + 1, 12); without trajectories the first and the last states, (N, 2, 12).
+        trajectories: shape (N, H + 1, 12); with ``trajectories=False`` the first and the last states, (N, 2, 12).
         energy: of each state [J], shape (N, H + 1).
         impacts: in each step, shape (N, H), int64.
         impulse: their sum in each step [N s], shape (N, H).
         rewards: of each step, shape (N, H); 0 after the step that ends the task's episode.
-        lengths: steps up to that one, H where there is none, shape (N,), int64; asked for with the rewards.
+        lengths: steps up to that one, H if there is none, shape (N,), int64; returned with the rewards.
     """
 
     trajectories: Array
@@ -127,15 +131,15 @@ def rollout(
         time: at which all start [s].
         energy: also return the energy of each state.
         impacts: also return the number of impacts in each step and their impulse.
-        rewards: also return what each step earns in this task, a name or a :class:`jackbox_env.Task`. Where the task
-            ends an episode, ``lengths`` tells when. Later steps earn 0, and the states go on.
+        rewards: also return the rewards in this task, a name or a :class:`jackbox_env.Task`, and the ``lengths`` of
+            the episodes. After the task has ended an episode, steps earn 0, and the states go on.
         repeat: steps that each torque is held for, 1 to 1,000,000; H below is then the number of all steps.
-        trajectories: False: only the first and the last states are kept, which saves memory and time.
+        trajectories: False: return only the first and the last states, which saves memory and time.
         num_threads: None: as many as the machine has. Results do not depend on it.
 
     Returns:
         Trajectories, float64, shape (N, H + 1, 12), the first states included; a :class:`Rollout` if anything else is
-        asked for.
+        requested.
 
     Raises:
         TypeError, ValueError: unusable values.
@@ -150,113 +154,140 @@ def rollout(
     task = None if rewards is None else task_of(rewards, "rewards")
     dt = check.real("dt", dt, above=0.0)
     time = check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
-    starts, held = sequences(scenes, several, states, torques)
-    played = run_rollouts(
-        scenes, starts, held, dt, time, energy=energy, impacts=impacts, task=task, repeat=repeat, whole=whole,
-        num_threads=num_threads,
-    )  # fmt: skip
+    starts, rows = sequences(scenes, several, states, torques)
+    options = RolloutOptions(
+        energy=energy, impacts=impacts, task=task, repeat=repeat, whole=whole, num_threads=num_threads
+    )
+    played = run_rollouts(scenes, starts, rows, dt, time, options)
     return played.trajectories if whole and not (energy or impacts or task) else played
 
 
 @dataclass
 class Tape:
-    """What the derivatives of a rollout need of it besides its states."""
+    """Record of a rollout that its derivatives need besides the states."""
 
     rows: Array = field(default_factory=lambda: new_log(0, True))  # a wide log of all impacts, step by step
-    hits: Counts = field(default_factory=lambda: np.zeros((0, 0), np.int64))  # (N, H) how many of each step
-    rough: Flags = field(default_factory=lambda: np.zeros((0, 0), np.bool_))  # (N, H) steps without a derivative
+    hits: Counts = field(default_factory=lambda: np.zeros((0, 0), np.int64))  # (N, H) impacts of each step
+    nonsmooth: Flags = field(default_factory=lambda: np.zeros((0, 0), np.bool_))  # (N, H) steps without a derivative
+
+
+class RolloutOptions(NamedTuple):
+    """How :func:`run_rollouts` plays, and what it returns besides the last states."""
+
+    side_forces: bool = True  # whether the drives' side forces act
+    drives_turn: bool = False  # whether the drives' torques act, in place of those given
+    repeat: int = 1  # steps that each torque is held for
+    until_impact: bool = False  # whether a row ends with the step of its first impact; needs ``impacts``
+    num_threads: int | None = None  # as many at most; None: as many as the machine has
+    whole: bool = False  # whether all states are returned
+    energy: bool = False  # whether the energies are returned
+    impacts: bool = False  # whether impacts and impulses are returned
+    task: Task | None = None  # whose rewards are returned
+
+
+_PLAIN = RolloutOptions()
 
 
 def run_rollouts(
-    scenes: list[Scene], starts: Array, held: Array, dt: float, time: float = 0.0, *, driven: bool = True,
-    energy: bool = False, impacts: bool = False, task: Task | None = None, repeat: int = 1, whole: bool = False,
-    until_impact: bool = False, num_threads: int | None = None, free: bool = False, tape: Tape | None = None,
+    scenes: list[Scene], starts: Array, torques: Array, dt: float, time: float = 0.0,
+    options: RolloutOptions = _PLAIN, tape: Tape | None = None,
 ) -> Rollout[Any, Any]:  # fmt: skip
-    """:func:`rollout` of what is checked: float64 rows, and one scene or one for each of them.
+    """:func:`rollout` of checked arguments: float64 rows, and one scene or one for each of them.
 
     Args:
-        scenes: whose drives' side forces act if ``driven``.
+        scenes: one for all rows, or one for each.
         starts: shape (N, 12).
-        held: torques [N m], shape (N, H / repeat).
+        torques: [N m], shape (N, H / repeat).
         dt: duration of a step [s].
         time: at which all start [s].
-        driven: whether the drives' side forces act.
-        energy: whether the energies are asked for.
-        impacts: whether impacts and impulses are asked for.
-        task: whose rewards are asked for; None: nobody's.
-        repeat: steps that each torque is held for.
-        whole: whether all states are kept.
-        until_impact: end each row with the step of its first impact; needs ``impacts``.
-        num_threads: as many at most; None: as many as the machine has.
-        free: whether the drives act and ``held`` does not.
+        options: how to play, and what to return.
         tape: to be filled in; needs ``impacts`` and ``whole``.
     """
-    count, steps = len(held), held.shape[1] * repeat
+    task, count, steps = options.task, len(torques), torques.shape[1] * options.repeat
     times = _times(time, dt, steps)
-    ranges = count if num_threads is not None else min(count, count * steps // FEWEST_PER_THREAD)
-    threads = Threads(thread_count(num_threads, ranges))
+    ranges = count if options.num_threads is not None else min(count, count * steps // FEWEST_PER_THREAD)
+    threads = Threads(thread_count(options.num_threads, ranges))
     width = max(1, min(_WIDTH, count))  # of all numbers of threads, so that they name the same row in errors
     blocks = np.zeros((2, -(-count // width), WIDTH, width))
     _put_rows(blocks[0], starts, time)
-    played = _scenes_played(scenes, times, dt, driven, None if free else 0.0, blocks.shape)
+    played = _scenes_played(scenes, times, dt, options.side_forces, None if options.drives_turn else 0.0, blocks.shape)
     score = compiled_for(task, score_block) if task else None
-    filled = NOTHING._replace(
-        terminations=np.zeros(count, np.bool_),
-        truncations=np.empty(count, np.bool_),
-        rewards=np.zeros((0 if task is None else steps, count)),
-        lengths=np.full(0 if task is None else count, steps, np.int64),
-        trajectories=np.empty((count if whole else 0, steps + 1, 12)),
-        energies=np.empty((count if energy else 0, steps + 1)),
-        hits=np.zeros((steps if impacts else 0, count), np.int64),
-        impulses=np.zeros((steps if impacts else 0, count)),
-        rough=np.zeros((0 if tape is None else count, steps), np.bool_),
-    )
-    filled.trajectories[:, :1] = starts[: len(filled.trajectories), None]
-    for row in range(count if energy and not steps else 0):
-        filled.energies[row, 0] = energy_of(scenes[row if len(scenes) > 1 else 0].numbers, starts[row])
-    rules = Rules(dt, steps, math.inf, False, True, until_impact, address_of(score), PATIENCE)
-    controls = np.zeros((0, 0)) if free else np.ascontiguousarray(held.T)
-    room = 0 if tape is None else _ROOM
-    calls = [Call(new_memory(width, room, tape is not None)) for _ in range(threads.count)]
+    results = _new_results(scenes, starts, steps, options, tape is not None)
+    rules = Rules(dt, steps, math.inf, False, True, options.until_impact, address_of(score), PATIENCE)
+    controls = np.zeros((0, 0)) if options.drives_turn else np.ascontiguousarray(torques.T)
+    calls = [Call(new_memory(width, 0 if tape is None else _ROOM, tape is not None)) for _ in range(threads.count)]
     for call in calls:
-        call.prepare(played, rules, blocks[0], blocks[1], controls, filled)
+        call.prepare(played, rules, blocks[0], blocks[1], controls, results)
     loop, halt = compiled(run), Halt()
 
     # The score is called by its address, also in threads that a second interruption left at work: they keep it alive.
     def work(thread: int, low: int, high: int, _score: Any = score) -> tuple[int, int, int, list[Array]]:
-        first, rows = 0, list[Array]()
-        while True:
-            ended, who, when, _, recorded = loop(calls[thread].place, low, high, first)
-            if recorded:
-                rows.append(calls[thread].memory.log[:recorded].copy())
-            if ended == Status.FULL:
-                calls[thread] = calls[thread].with_room()
-            if ended not in (Status.PAUSED, Status.FULL) or halt.asked:
-                return ended, who, when, rows
-            low, first = who, when  # after a while, so that an interruption is heard
+        return _run_blocks(loop, calls, thread, low, high, halt)
 
-    done = threads.run(work, len(blocks[0]), grain=-(-_GRAIN // max(1, steps * width)), halt=halt)
-    for ended, who, when, _ in done:
+    parts = threads.run(work, len(blocks[0]), grain=-(-_GRAIN // max(1, steps * width)), halt=halt)
+    for ended, row, step, _ in parts:
+        scene = scenes[row if len(scenes) > 1 else 0]
         if ended == Status.BAD_REWARD and task is not None:
-            scene = scenes[who if len(scenes) > 1 else 0]
-            simulator = ExactSimulator(scene if driven else scene.changed(drive=None))
-            simulator.reset(blocks[when % 2, who // width, :12, who % width], times[when])
-            simulator.step(dt, held[who, when // repeat])
-            raise bad_reward(task, simulator, f"step {when} of states[{who}]")
+            simulator = ExactSimulator(scene if options.side_forces else scene.changed(drive=None))
+            simulator.reset(blocks[step % 2, row // width, :12, row % width], times[step])
+            simulator.step(dt, torques[row, step // options.repeat])
+            raise bad_reward(task, simulator, f"step {step} of states[{row}]")
         if ended:
-            raise failure(ended, scenes[who if len(scenes) > 1 else 0], times[when], dt, f"the jack of states[{who}]")
-    hits, trajectories = np.ascontiguousarray(filled.hits.T), filled.trajectories
+            raise failure(ended, scene, times[step], dt, f"the jack of states[{row}]")
+    hits, trajectories = np.ascontiguousarray(results.hits.T), results.trajectories
     if tape is not None:
-        rows = np.concatenate([new_log(0, True), *(part for *_, parts in done for part in parts)])
-        tape.rows, tape.hits, tape.rough = rows[_by_row(hits, width)], hits, filled.rough
-    if not whole:
+        log = np.concatenate([new_log(0, True), *(rows for *_, logs in parts for rows in logs)])
+        tape.rows, tape.hits, tape.nonsmooth = log[_by_row(hits, width)], hits, results.nonsmooth
+    if not options.whole:
         ends = blocks[steps % 2, :, :12].transpose(0, 2, 1).reshape(-1, 12)[:count]
         trajectories = np.stack([starts, ends], axis=1)
     return Rollout(
-        trajectories, filled.energies if energy else None, hits if impacts else None,
-        np.ascontiguousarray(filled.impulses.T) if impacts else None,
-        np.ascontiguousarray(filled.rewards.T) if task else None, filled.lengths if task else None,
+        trajectories, results.energies if options.energy else None, hits if options.impacts else None,
+        np.ascontiguousarray(results.impulses.T) if options.impacts else None,
+        np.ascontiguousarray(results.rewards.T) if task else None, results.lengths if task else None,
     )  # fmt: skip
+
+
+def _new_results(scenes: list[Scene], starts: Array, steps: int, options: RolloutOptions, taped: bool) -> Results:
+    """Arrays for what is to be returned, with the first states; arrays of length 0 for the rest."""
+    count, scored = len(starts), options.task is not None
+    results = Results(
+        observations=NOTHING.observations,
+        reports=NOTHING.reports,
+        terminations=np.zeros(count, np.bool_),
+        truncations=np.empty(count, np.bool_),
+        rewards=np.zeros((steps if scored else 0, count)),
+        lengths=np.full(count if scored else 0, steps, np.int64),
+        trajectories=np.empty((count if options.whole else 0, steps + 1, 12)),
+        energies=np.empty((count if options.energy else 0, steps + 1)),
+        hits=np.zeros((steps if options.impacts else 0, count), np.int64),
+        impulses=np.zeros((steps if options.impacts else 0, count)),
+        nonsmooth=np.zeros((count if taped else 0, steps), np.bool_),
+    )
+    results.trajectories[:, :1] = starts[: len(results.trajectories), None]
+    for row in range(count if options.energy and not steps else 0):
+        results.energies[row, 0] = energy_of(scenes[row if len(scenes) > 1 else 0].numbers, starts[row])
+    return results
+
+
+def _run_blocks(
+    loop: Callable[..., Any], calls: list[Call], thread: int, low: int, high: int, halt: Halt
+) -> tuple[int, int, int, list[Array]]:
+    """Run some blocks to the end, to an error, or until ``halt`` is set.
+
+    Returns:
+        How it ended, the row and the step that failed, and the recorded impacts.
+    """
+    first, logs = 0, list[Array]()
+    while True:
+        ended, number, step, _, recorded = loop(calls[thread].address, low, high, first)
+        if recorded:
+            logs.append(calls[thread].memory.log[:recorded].copy())
+        if ended == Status.FULL:
+            calls[thread] = calls[thread].with_room()
+        if ended not in (Status.PAUSED, Status.FULL) or halt.requested:
+            return ended, number, step, logs
+        low, first = number, step  # it paused so that an interruption is heard
 
 
 def _by_row(hits: Counts, width: int) -> Counts:
@@ -277,11 +308,11 @@ def _put_rows(blocks: Array, starts: Array, time: float) -> None:
 
 
 def _times(time: float, dt: float, steps: int) -> Array:
-    """When each step begins and the last one ends [s], shape (steps + 1,): added up one by one."""
+    """Times at which each step begins and the last one ends [s], shape (steps + 1,): added up one by one."""
     times: Array = np.add.accumulate(np.concatenate([[time], np.full(steps, dt)]))
     if (times[1:] == times[:-1]).any() or times[-1] > LATEST_TIME:
         for start in times[:-1].tolist():
-            end_of_step(start, dt)  # refuses one of them
+            end_of_step(start, dt)  # raises for one of them
     return times
 
 
@@ -290,7 +321,7 @@ def _scenes_played(
 ) -> Scenes:
     """The scenes of rows in blocks, shape (2, blocks, 16, width), with their drives cut into pieces.
 
-    A ``torque`` that is held acts in place of the drives'.
+    A constant ``torque`` replaces that of the drives.
     """
     values = np.array([one.numbers for one in scenes])
     lanes = np.zeros((shape[1] if len(scenes) > 1 else 1, SCENE_LANES, shape[3]))
@@ -322,9 +353,9 @@ def sequences(scenes: list[Scene], several: bool, states: ArrayLike, torques: Ar
     count = counts[0]
     if several and len(scenes) != count:
         raise ValueError(f"scene must be one scene or a list of {count}, as many as rows, got {len(scenes)} of them")
-    # Views that cannot be written and other orders of the axes are other types to numba, which compiles anew for each.
+    # Read-only arrays and other orders of axes are other types to numba, which would compile anew for each.
     starts = np.array(np.broadcast_to(starts, (count, 12)), order="C")
-    # The quick check finds that a state is bad, the careful one says why.
+    # The compiled check only detects a bad state; ``as_restored`` raises with the reason.
     deepest = np.array([deepest_restored(one) for one in scenes])
     if int(compiled(outside)(np.array([one.numbers for one in scenes]), starts, deepest)) >= 0:
         for number, state in enumerate(starts):
@@ -335,5 +366,5 @@ def sequences(scenes: list[Scene], several: bool, states: ArrayLike, torques: Ar
     return starts, np.array(np.broadcast_to(held, (count, held.shape[-1])), order="C")
 
 
-def _numbers(name: str, given: ArrayLike) -> Array:
-    return check.array(name, given, "hold numbers").astype(np.float64, copy=False)  # only read
+def _numbers(name: str, values: ArrayLike) -> Array:
+    return check.array(name, values, "hold numbers").astype(np.float64, copy=False)  # only read

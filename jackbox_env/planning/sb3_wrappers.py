@@ -1,4 +1,4 @@
-"""Wrappers for environments of Stable-Baselines3: actions that are held or aim at landings, and looking ahead."""
+"""Wrappers for environments of Stable-Baselines3: repeated actions, landing control, and look-ahead features."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ class ControlledVecEnv(VecEnvWrapper):
         return self._control.observe(self.venv.reset(), True)
 
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Keep what the actions stand for, shape (N, k), for ``step_wait``."""
+        """Store the actions, shape (N, k), for ``step_wait``."""
         self._act = self._control.act(actions)
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Repeat the actions and sum the rewards; a ``terminal_observation`` is as the agents observe it.
+        """Repeat the actions and sum the rewards; a ``terminal_observation`` is one of the agents.
 
         Raises:
             RuntimeError: an episode ended before the last of these steps, in environments that are not of

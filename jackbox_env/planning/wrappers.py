@@ -1,7 +1,7 @@
-"""Controls, which change how agents act and observe; their adapters to environments; looking ahead as an observation.
+"""Controls, which change how agents act and observe; their adapters to environments; and look-ahead observations.
 
-:mod:`jackbox_env.planning.features` computes what is appended. :mod:`jackbox_env.planning.landing_control` is the
-other control, and :mod:`jackbox_env.planning.sb3_wrappers` the adapter for Stable-Baselines3.
+``features.py`` computes the numbers that look-ahead appends. ``landing_control.py`` is the other control, and
+``sb3_wrappers.py`` the adapter for Stable-Baselines3.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Control:
         return actions
 
     def observe(self, observations: Any, begun: Flags | bool, chosen: Flags | None = None) -> Any:
-        """What N agents observe, for the environments' observations.
+        """The agents' observations for those of the environments.
 
         Args:
             observations: of N environments.
@@ -57,16 +57,16 @@ class Control:
 
 
 class LookingAhead(Control):
-    """Appends what rollouts return to the observations of N environments, whose plans are warm-started.
+    """Appends look-ahead features to the observations of N environments, with warm-started plans.
 
-    After :meth:`act` the next call must be :meth:`observe`. If a step fails in between, only a reset leads on.
+    After :meth:`act` the next call must be :meth:`observe`. If a step fails in between, a reset must follow.
 
     Args:
         env: single, or several of Gymnasium or Stable-Baselines3.
-        options: how far and how widely to look.
+        options: of the rollouts.
 
     Raises:
-        TypeError, ValueError: they are not of ``JackInBox-v0``, or differ, or ``options.follow`` needs others.
+        TypeError, ValueError: the environments are not of ``JackInBox-v0``, differ, or do not suit ``options.follow``.
     """
 
     def __init__(self, env: Any, options: LookaheadOptions) -> None:
@@ -75,9 +75,9 @@ class LookingAhead(Control):
             tasks, control_dts = of_each(env, "task"), of_each(env, "control_dt")
         except AttributeError as error:
             raise TypeError(f"looking ahead needs JackInBox-v0, got {check.shown(env)}") from error
-        for name, found in (("task", tasks), ("control_dt", control_dts)):
-            if any(value is not found[0] and value != found[0] for value in found):
-                raise ValueError(f"all environments must have one {name}, got {check.shown(found)}")
+        for name, values in (("task", tasks), ("control_dt", control_dts)):
+            if any(value is not values[0] and value != values[0] for value in values):
+                raise ValueError(f"all environments must have one {name}, got {check.shown(values)}")
         if options.follow:
             refuse_other_torques("follow", env)
         self._features = Features(tasks[0], control_dts[0], options)
@@ -90,7 +90,7 @@ class LookingAhead(Control):
         count = 1 if self._alone else env.num_envs
         self._plans, self._begun = self._features.begin(count), np.zeros(count, dtype=np.bool_)
         self._scenes: list[Scene] = []  # of the last observations
-        self._last: Floats | None = None  # what was observed last, (N, 10 + F)
+        self._last: Floats | None = None  # the last observations, (N, 10 + F)
 
     def act(self, actions: Any) -> Any:
         """Torques for actions, shape (N, 1), or (1,) of one alone.
@@ -106,7 +106,7 @@ class LookingAhead(Control):
         return torques
 
     def observe(self, observations: Any, begun: Flags | bool, chosen: Flags | None = None) -> Floats:
-        """Observations, shape (N, 10), with what is appended; those that are not ``chosen`` stay as they were."""
+        """Observations, shape (N, 10), with the features; those that are not ``chosen`` stay unchanged."""
         count, self._begun = len(self._begun), self._begun | begun
         if chosen is None or self._last is None:
             chosen = np.ones(count, dtype=np.bool_)
@@ -121,9 +121,9 @@ class LookingAhead(Control):
         return shown.copy()
 
     def appended(self, observations: Floats, numbers: NDArray[np.int64]) -> tuple[Floats, Plans]:
-        """Observations of some environments, shape (k, 10), with what is appended, and their next plans."""
+        """Observations of some environments, shape (k, 10), with the features, and their next plans."""
         scenes = [self._scenes[number] for number in numbers.tolist()] if len(self._scenes) > 1 else self._scenes
-        appended, next_plans = self._features.look(scenes, observations, self._plans.of(numbers))
+        appended, next_plans = self._features.compute(scenes, observations, self._plans.of(numbers))
         return np.concatenate([observations, appended], axis=1), next_plans
 
 
@@ -205,18 +205,18 @@ class ControlledVectorEnv(VectorWrapper):
 
 
 class Lookahead(ControlledEnv):
-    """Observe ``JackInBox-v0`` together with what rollouts from its present state return.
+    """Observe ``JackInBox-v0`` together with the returns of rollouts from its present state.
 
-    A step repeats one action for ``hold`` control steps and returns the sum of their rewards. Beside the ten numbers an
-    observation holds (float32)
+    A step repeats one action for ``hold`` control steps and returns the sum of their rewards. With the ten numbers an
+    observation has (float32)
 
     ======  ==============================================================================  ==============
     count   quantity                                                                        bound
     ======  ==============================================================================  ==============
     1       time of the next impact if no torque acts, in shares of a rollout; 1 for none    0 to 1
-    10      what is observed at the end of the control step in which it comes               as observed
+    10      observation at the end of the control step of that impact                       as observed
     2       mean reward of a step over all ``turns``, and the deviation of these means      10
-    turns   what each turn of the box brings, less that mean, over that deviation           5
+    turns   mean reward of each turn of the box, less that mean, over that deviation        5
     1       mean reward of a step under the plan                                            10
     3       the plan's next torques over their limit                                        1
     ======  ==============================================================================  ==============
@@ -231,10 +231,10 @@ class Lookahead(ControlledEnv):
         turns: scripted rollouts, an odd number, or 0 for none.
         samples: variations of the plan that are tried in each step, 8 or more, or 0 for no plan.
         pieces: torques of a rollout, each held for ``hold`` control steps; 8 or more. 32 times 5 steps are 3.2 s.
-        follow: True: an action is added to the plan's next torque, so an agent that says 0 follows the plan. It needs
-            an environment that takes actions as torques: no action wrapper inside, and ``torque="agent"``.
+        follow: True: an action is added to the plan's next torque, so a zero action follows the plan. It needs an
+            environment whose actions are torques: no action wrapper inside, and ``torque="agent"``.
         seed: of the variations.
-        num_threads: that play the rollouts; None: as many as the machine has. Nothing else depends on it.
+        num_threads: that play the rollouts; None: as many as the machine has. Results do not depend on it.
 
     Raises:
         TypeError, ValueError: an argument out of its range, or ``env`` is no ``JackInBox-v0``.
@@ -277,7 +277,7 @@ class LookaheadVector(ControlledVectorEnv):
 
 
 def repeated(step: Callable[[Any], tuple[Any, ...]], actions: Any, repeat: int) -> tuple[Any, ...]:
-    """Step several environments ``repeat`` times; return what the last step does, with the sums of rewards.
+    """Step several environments ``repeat`` times; return the results of the last step, with the sums of rewards.
 
     Raises:
         RuntimeError: an episode ended before the last of these steps.
@@ -303,7 +303,7 @@ def of_each(env: Any, name: str) -> list[Any]:
 
 
 def refuse_other_torques(who: str, env: Any) -> None:
-    """Refuse environments, single or several, where an action is not the torque that ``who`` needs.
+    """Raise for environments, single or several, whose actions are not torques, which ``who`` needs.
 
     Raises:
         ValueError: one is driven by the chirp, or there is a wrapper that changes actions.

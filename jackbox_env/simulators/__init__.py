@@ -36,20 +36,20 @@ def make_simulator(scene: Scene | dict[str, Any] | None = None, contact: str = "
         scene: a Scene, a dict of some of its fields, or None for the default scene.
         contact: ``"pymunk"``, time stepping (:mod:`jackbox_env.simulators.pymunk`), or ``"exact"``, from impact to
             impact (:mod:`jackbox_env.simulators.exact`).
-        **settings: the model's own, which its class lists: ``substeps`` (4) and ``iterations`` (64) for pymunk, none
-            for exact; None stands for the default.
+        **settings: those that the model's class lists: ``substeps`` (4) and ``iterations`` (64) for pymunk, none for
+            exact; None means the default.
 
     Raises:
         TypeError, ValueError: an unknown model or setting, or a setting out of its range.
     """
     model, scene = contact_model(contact), Scene.of(scene)
-    given = {name: value for name, value in settings.items() if value is not None}
-    for name, value in given.items():
+    chosen = {name: value for name, value in settings.items() if value is not None}
+    for name, value in chosen.items():
         if name not in model.settings:
             every = dict.fromkeys(known for one in CONTACT_MODELS for known in contact_model(one).settings)
             check.known_keys(f"contact={contact!r}", [name], every)
             raise ValueError(f"contact={contact!r} has no {name}, got {name}={check.shown(value)}")
-    return model(scene, **given)
+    return model(scene, **chosen)
 
 
 __all__ = ["CONTACT_MODELS", "Impact", "JackLostError", "Simulator", "make_simulator"]

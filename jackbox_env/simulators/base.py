@@ -1,4 +1,4 @@
-"""What every contact model offers and shares: the Simulator interface, the present state, the record of an impact."""
+"""The interface and the common base of the contact models, and the record of an impact."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ class Simulator(Protocol):
 
 
 class Present(NamedTuple):
-    """A simulator's state and what its last step brought: replaced as one, so that no interruption parts them."""
+    """A simulator's state and the results of its last step: assigned together, so an interrupt cannot separate them."""
 
     state: Numbers  # 12 numbers, never written again
     time: float  # [s]
@@ -110,21 +110,21 @@ class Present(NamedTuple):
 
 
 class ContactModel(ABC):
-    """What the contact models of this package share: each holds a :class:`Present`, takes states, is pickled by it.
+    """The common base of the contact models: the present state, resets and pickling.
 
-    A contact model of your own derives from this class and implements ``step``. Its own
-    ``__init__`` refuses with a ValueError a scene that it cannot simulate.
+    A contact model of your own derives from this class and implements ``step``. Its ``__init__`` raises ValueError for
+    a scene that it cannot simulate.
     """
 
     name: ClassVar[str]  # as in contact="..."
-    settings: ClassVar[tuple[str, ...]] = ()  # further arguments, attributes of the same names; kept when pickled
-    room: ClassVar[int]  # [bytes] that an environment of it takes, about
+    settings: ClassVar[tuple[str, ...]] = ()  # further arguments, attributes of the same names; pickled
+    room: ClassVar[int]  # [bytes] of memory of one environment, about
     compiled: ClassVar[bool] = False  # whether rewards and observations are computed in compiled code, as its steps are
 
     def __init__(self, scene: Scene, **settings: Any) -> None:
         """Start at rest in the middle of the box, each foot facing a corner."""
         self.scene = scene
-        self._present = Present(self._held(np.array([0.0] * 5 + [math.pi / 4.0] + [0.0] * 6)), 0.0)
+        self._present = Present(self._as_stored(np.array([0.0] * 5 + [math.pi / 4.0] + [0.0] * 6)), 0.0)
 
     @property
     def state(self) -> Array:
@@ -152,11 +152,11 @@ class ContactModel(ABC):
         Raises:
             TypeError, ValueError: unusable values; the simulator stays as it was.
         """
-        values = self._held(as_restored(self.scene, state))
+        values = self._as_stored(as_restored(self.scene, state))
         self._present = Present(values, check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME))
 
-    def _held(self, state: Array) -> Numbers:
-        """A fresh state in the form in which the model steps it."""
+    def _as_stored(self, state: Array) -> Numbers:
+        """A fresh state in the form in which the model stores it."""
         return state
 
     @abstractmethod
@@ -164,11 +164,11 @@ class ContactModel(ABC):
         """See :meth:`Simulator.step`."""
 
     def _prepare(self) -> None:  # noqa: B027  # some have nothing to build
-        """Build what is not kept when pickled."""
+        """Build what is not pickled."""
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: getattr(self, name) for name in ("scene", *self.settings, "_present")}
 
-    def __setstate__(self, kept: dict[str, Any]) -> None:
-        self.__dict__.update(kept)
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
         self._prepare()

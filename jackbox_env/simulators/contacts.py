@@ -1,4 +1,4 @@
-"""What the pymunk contact model asks of the engine's contacts: a record of their impulses, and enough iterations."""
+"""For the pymunk contact model: records the impulses of the engine's contacts, and computes the iterations it needs."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _ROUNDING = 1e-16
 
 
 class Recorder:
-    """What the engine calls after it solved a contact, once per substep while the contact lasts.
+    """The engine calls it after it solved a contact, once per substep while the contact lasts.
 
-    It knows nothing of the simulator, so that spaces are freed as soon as they are replaced. The engine prints and
-    forgets an error raised in here, so the error is kept for :meth:`check`.
+    It does not refer to the simulator, so that spaces are freed as soon as they are replaced. The engine prints and
+    drops an error raised in here, so the error is stored for :meth:`check`.
     """
 
     def __init__(self) -> None:
@@ -36,7 +36,7 @@ class Recorder:
         self._failure: BaseException | None = None
 
     def __call__(self, arbiter: pymunk.Arbiter, space: pymunk.Space, _data: Any) -> None:
-        """Note the contact, and its impulse if there is one."""
+        """Record the contact, and its impulse if there is one."""
         try:
             self.last_contact = self.substep
             impulse = math.hypot(*arbiter.total_impulse)
@@ -64,7 +64,7 @@ def iterations_for(scene: Scene) -> int:
 
     Sequential impulses are the Gauss-Seidel method for A = J M^-1 J^T: the error falls by the largest eigenvalue of
     -(D + L)^-1 L^T in modulus per iteration; those of dependent contacts are 1 and belong to impulses that cancel.
-    Everything is worked out in closed form, so that every machine counts the same.
+    Everything is computed in closed form, so that every machine returns the same number.
 
     Raises:
         ValueError: more than 100,000 are needed.
@@ -72,7 +72,7 @@ def iterations_for(scene: Scene) -> int:
     half, arm = scene.box_half_width, scene.jack_arm
     diagonal = math.sqrt(0.5)  # cosine and sine of 45 degrees
     depth = half - arm * diagonal  # of the centre where two feet at 45 degrees touch
-    cases = [(depth, place, diagonal, [(0, 0), (0, 3)]) for place in (0.0, 0.5 * depth, depth)]
+    cases = [(depth, sideways, diagonal, [(0, 0), (0, 3)]) for sideways in (0.0, 0.5 * depth, depth)]
     cases.append((depth, depth, diagonal, [(0, 0), (0, 3), (1, 0), (1, 1)]))
     if arm > half:  # wedged: feet on opposite walls, with little leverage where the arm is hardly longer
         cases.append((0.0, 0.0, half / arm, [(0, 0), (1, 1), (2, 2)]))
@@ -91,7 +91,7 @@ def _coupling(scene: Scene, x: float, y: float, cosine: float, contacts: list[tu
 
     Args:
         scene: the scene.
-        x: place of the jack's centre in the box [m].
+        x: of the jack's centre in the box [m].
         y: likewise.
         cosine: of the jack's angle, which is between 0 and 90 degrees.
         contacts: the closed ones.
@@ -144,14 +144,14 @@ def _convergence(matrix: list[list[float]]) -> float:
 
 
 def _iterations(factor: float) -> float:
-    """The fewest iterations that bring an error down to rounding, where each multiplies it by ``factor``."""
+    """The fewest iterations that reduce an error to rounding if each multiplies it by ``factor``."""
     if not factor < 1.0:
         return math.inf
     powers = [factor]  # of 1, 2, 4, ... iterations
     while powers[-1] > _ROUNDING:
         powers.append(powers[-1] * powers[-1])
-    made, left = 0, 1.0
+    count, error = 0, 1.0
     for k in reversed(range(len(powers))):
-        if left * powers[k] > _ROUNDING:
-            made, left = made + 2**k, left * powers[k]
-    return made + 1
+        if error * powers[k] > _ROUNDING:
+            count, error = count + 2**k, error * powers[k]
+    return count + 1

@@ -1,18 +1,18 @@
-"""``contact="exact"``: from impact to impact, each found with a guarantee, in compiled code.
+"""``contact="exact"``: from impact to impact, each isolated with a guarantee, in compiled code.
 
 Law: flight in closed form (``exact/flight.py``); at an impact all feet that touch, within 1e-13 m or 4 units in the
-    last place of a far-off position, take the simultaneous Newton law of
+    last place of a far-off position, obey the simultaneous Newton law of
     :func:`jackbox_env.mechanics.simultaneous_impact_map`. With loss, bounces pile up. A foot that would rise by 1e-13 m
-    at most comes to rest; this limit doubles with every 256 impacts of a step, up to 1e-10 m. The law too
-    would take that bounce's energy, at the end of the pile. The wall then holds the foot until it would have to pull
-    (``exact/rest.py``). A held foot is one impact per wall and step: at the step's end, with the impulse of the
-    whole step. So ``impacts``, the environment's counts and impulses, and the task rattle see the weight that rests on
-    a wall, m_j g dt in a step.
+    at most comes to rest; this limit doubles with every 256 impacts of a step, up to 1e-10 m. By the law alone that
+    bounce's energy would be lost too, at the end of the pile. The wall then holds the foot until it would have to pull
+    (``exact/rest.py``). A held foot counts as one impact per wall and step: at the step's end, with the impulse of the
+    whole step. So ``impacts``, the environment's counts and impulses, and the task rattle include the weight that rests
+    on a wall, m_j g dt in a step.
 Order: none; the error is rounding, whatever the control step. The system is chaotic and multiplies any error by about 5
     per impact, so even this model predicts only some 15 impacts.
 Cost: below 0.1 microseconds per control step in a batch. Work is in proportion to the impacts. A step with held feet
     takes some 5 to 6 microseconds (docs/costs.md).
-Fails: a step that wants more than 1,000,000 gap evaluations raises JackLostError: rotation or impacts far too fast for
+Fails: a step that needs more than 1,000,000 gap evaluations raises JackLostError: rotation or impacts far too fast for
     the step. A chirp that turns more than 83,333 times in a step is refused. Without loss a foot that bounces by
     1e-10 m and less does so some thousand times per control step; a foot that reaches another wall meanwhile may be as
     deep in that wall when it bounces. With loss no foot is deeper than 2.4e-10 m. Angles are rounded to their unit in
@@ -22,8 +22,8 @@ Fails: a step that wants more than 1,000,000 gap evaluations raises JackLostErro
 Bits: the same on every x86-64 CPU and under Linux on ARM, whatever the C library, for states, impacts, observations and
     rewards. Compiled code adds in the order written, fuses no product with a sum, and has its own cosines
     (``trigonometry.py``).
-    Three things are the C library's: what a drive's own function takes from it (``math.sin``), the cosine of an angle
-    beyond 2^53 rad, and whether a state at the very limit of what is accepted is refused.
+    Three things depend on the C library: functions of a drive that call it (``math.sin``), the cosine of an angle
+    beyond 2^53 rad, and whether a state at the very limit of accepted ones is refused.
 Reference: Lygeros et al. 2003, "Dynamical properties of hybrid automata"; the bound stands in ``exact/bounds.py``.
 """
 
@@ -41,22 +41,22 @@ from jackbox_env import checks as check
 from jackbox_env.exact.compiler import compiled
 from jackbox_env.exact.drives import TABLE_WIDTH
 from jackbox_env.exact.glide import SCENE_LANES, TIME, WIDTH
-from jackbox_env.exact.run import NOTHING, Call, Rules, Scenes, new_memory, run
+from jackbox_env.exact.run import Call, run
 from jackbox_env.exact.search import MOST_WORK
 from jackbox_env.exact.step import CHIRP, CONSTANT, CONSTANT_BESIDE_FORCES, FUNCTIONS
-from jackbox_env.exact.workspace import TORQUE, Status
+from jackbox_env.exact.workspace import NOTHING, TORQUE, Rules, Scenes, Status, new_memory
 from jackbox_env.scene import Chirp, Drive, Scene, too_many_turns
 from jackbox_env.simulators.base import ContactModel, Impact, JackLostError, Present, end_of_step
 from jackbox_env.simulators.functions import function_pieces
 from jackbox_env.states import Array, Numbers
 
-WITH_PIECES = (FUNCTIONS, CONSTANT_BESIDE_FORCES)  # kinds whose functions are cut into pieces
+WITH_PIECES = (FUNCTIONS, CONSTANT_BESIDE_FORCES)  # kinds with functions, which are cut into pieces
 _NO_TABLE: Array = np.zeros((0, TABLE_WIDTH))
 NO_PIECES = _NO_TABLE, np.zeros(0, np.int64), np.zeros(1, np.int64)  # as of ``joined``, where no function acts
 
 
 def drive_kind(drive: Chirp | Drive | None, held: bool = False) -> int:
-    """The compiled code's number for what turns the box in a step: a ``held`` torque, or the scene's drive."""
+    """The kind of a step in compiled code: what turns the box, a constant (``held``) torque or the scene's drive."""
     if isinstance(drive, Chirp):
         return CONSTANT if held else CHIRP
     forced = drive is not None and drive.force_bound > 0.0
@@ -66,7 +66,7 @@ def drive_kind(drive: Chirp | Drive | None, held: bool = False) -> int:
 
 
 def pieces_for(drive: Chirp | Drive | None, time: float, dt: float, torque: float | None) -> Array:
-    """The pieces of a drive of functions over a step; none for any other drive, or where no function acts."""
+    """The pieces of a drive of functions over a step; none for any other drive, or if no function acts."""
     if not isinstance(drive, Drive) or drive_kind(drive, torque is not None) not in WITH_PIECES:
         return _NO_TABLE
     if torque is not None:
@@ -75,14 +75,14 @@ def pieces_for(drive: Chirp | Drive | None, time: float, dt: float, torque: floa
 
 
 def joined(tables: list[Array], begins: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
-    """Pieces as ``exact.run.Scenes`` has them, of tables for one step each; rows begin with the table ``begins``."""
-    tables = tables or [_NO_TABLE]  # a step for rows that have none
+    """Pieces in the form of ``workspace.Scenes``, from tables of one step each; rows begin at table ``begins``."""
+    tables = tables or [_NO_TABLE]  # a step for rows without pieces
     ends = np.cumsum([0, *map(len, tables)], dtype=np.int64)
     return np.concatenate(tables), begins, ends
 
 
 def failure(ended: int, scene: Scene, time: float, dt: float, who: str = "the jack") -> Exception:
-    """What to raise for a step that did not end well."""
+    """The error for a step that failed with the status ``ended``."""
     if ended == Status.TOO_MANY_TURNS and isinstance(scene.drive, Chirp):
         return ValueError(too_many_turns(scene.drive.fastest(time, dt) * dt, time, dt))
     if ended == Status.TOO_MUCH_WORK:
@@ -98,7 +98,7 @@ def failure(ended: int, scene: Scene, time: float, dt: float, who: str = "the ja
 
 @cache
 def ensure_compiled() -> None:
-    """Compile a step, or load it: at an episode's start, and not in its first step behind somebody's progress bar."""
+    """Compile a step, or load it: at an episode's start, and not in its first step behind a progress bar."""
     simulator = ExactSimulator(Scene())
     simulator.step(0.02, 0.0)
 
@@ -130,7 +130,7 @@ class ExactSimulator(ContactModel):
             self._states[1 - into][:] = present.state
         call, self._times[1 - into][0] = self._calls[into], present.time
         while True:
-            ended, _, _, _, hits = self._run(call.place, 0, 1, 0)
+            ended, _, _, _, hits = self._run(call.address, 0, 1, 0)
             if not ended:
                 break
             if ended != Status.FULL:
@@ -146,7 +146,7 @@ class ExactSimulator(ContactModel):
         ensure_compiled()
         super().reset(state, time)
 
-    def _held(self, state: Array) -> Numbers:
+    def _as_stored(self, state: Array) -> Numbers:
         """The state in the block that the present state is not in, once there are blocks."""
         if not self._states:
             return state
@@ -165,12 +165,12 @@ class ExactSimulator(ContactModel):
         self._kinds = [np.array([drive_kind(self.scene.drive, held)], np.int64) for held in (False, True)]
         self._cut = [kind[0] in WITH_PIECES for kind in self._kinds]
         self._prepared: tuple[float, bool] | None = None  # dt, and whether a torque is held
-        self._present = self._present._replace(state=self._held(cast(Array, self._present.state)))
+        self._present = self._present._replace(state=self._as_stored(cast(Array, self._present.state)))
 
     def _prepare_step(self, dt: float, torque: float | None) -> None:
         """Set the arguments of steps from one block to the other, and back.
 
-        In new calls: another thread may be in an old one, whose arrays it keeps alive.
+        In new calls: another thread may be running an old one, which keeps its arrays alive.
         """
         held = torque is not None
         pieces = NO_PIECES

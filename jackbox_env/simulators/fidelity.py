@@ -1,4 +1,4 @@
-"""Names for contact models with their settings: what ``fidelity=`` stands for.
+"""The fidelities: names for contact models with their settings.
 
 docs/accuracy.md shows where they lie among all settings measured.
 """
@@ -14,7 +14,7 @@ from jackbox_env import checks as check
 from jackbox_env.scene import Scene
 from jackbox_env.simulators import Simulator, make_simulator
 
-DEFAULT = "pymunk"  # the contact model where none is named
+DEFAULT = "pymunk"  # contact model by default
 
 
 class Setting(NamedTuple):
@@ -43,7 +43,7 @@ FIDELITIES = MappingProxyType(
 )
 
 
-COMMANDS = "exact"  # the fidelity of commands where none is named
+COMMANDS = "exact"  # fidelity of commands by default
 
 
 def explicit(setting: Setting) -> Setting:
@@ -55,26 +55,25 @@ def resolve(fidelity: str | None = None, contact: str | None = None, **settings:
     """The contact model and settings that :data:`KEYWORDS` mean.
 
     Raises:
-        TypeError, ValueError: an unknown fidelity, or one that stands for another contact model or other settings than
-            those that are given beside it.
+        TypeError, ValueError: an unknown fidelity, or a contact model or settings that conflict with it.
     """
     if fidelity is None:
         return Setting(DEFAULT if contact is None else contact, **settings)
     named = FIDELITIES[check.choice("fidelity", fidelity, FIDELITIES)]
-    for name, given in {"contact": contact, **settings}.items():
-        meant = getattr(named, name)
-        if given is not None and not (isinstance(given, str | Real) and given == meant):
+    for name, value in {"contact": contact, **settings}.items():
+        implied = getattr(named, name)
+        if value is not None and not (isinstance(value, str | Real) and value == implied):
             raise ValueError(
-                f"fidelity={fidelity!r} stands for {name}={meant!r}, got {name}={check.shown(given)} beside it: leave "
-                "one of them out"
+                f"fidelity={fidelity!r} stands for {name}={implied!r}, got {name}={check.shown(value)} beside it: "
+                "leave one of them out"
             )
     return named
 
 
 def chosen(by: object) -> dict[str, Any]:
-    """The :data:`KEYWORDS` that an object's attributes give; where all are None, the fidelity of commands."""
-    given = {name: getattr(by, name) for name in KEYWORDS if getattr(by, name) is not None}
-    return given or {"fidelity": COMMANDS}
+    """The :data:`KEYWORDS` among an object's attributes that are not None; without any, the fidelity of commands."""
+    values = {name: getattr(by, name) for name in KEYWORDS if getattr(by, name) is not None}
+    return values or {"fidelity": COMMANDS}
 
 
 def as_stored(stored: Mapping[str, Any]) -> dict[str, Any]:
@@ -95,6 +94,6 @@ def as_stored(stored: Mapping[str, Any]) -> dict[str, Any]:
 
 def words(setting: Setting) -> str:
     """A setting by its fidelity's name if it has one: "fidelity exact", "contact pymunk, substeps 8"."""
-    found = [name for name, named in FIDELITIES.items() if named == explicit(setting)]
-    given = [f"{name} {value}" for name, value in setting._asdict().items() if value is not None]
-    return f"fidelity {found[0]}" if found else ", ".join(given)
+    names = [name for name, named in FIDELITIES.items() if named == explicit(setting)]
+    parts = [f"{name} {value}" for name, value in setting._asdict().items() if value is not None]
+    return f"fidelity {names[0]}" if names else ", ".join(parts)

@@ -2,7 +2,7 @@
 
 Law: gravity pulls the jack with g, a lift carries the box, a torque turns the box; nothing else acts in flight.
 Exactness: rounding, given the torque's averages over the step.
-Fails: it does not look for impacts; ask :func:`reach` first.
+Fails: it ignores walls; call :func:`reach` first.
 """
 
 from __future__ import annotations

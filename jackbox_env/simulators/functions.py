@@ -1,9 +1,9 @@
-"""A drive's functions as the exact contact model takes them: a polynomial on each piece of a step, cut at every jump.
+"""Drives of functions for the exact contact model: a polynomial on each piece of a step, cut at every jump.
 
 Method: interpolation in the 13 Chebyshev points of the second kind (Trefethen 2013, "Approximation Theory and
     Approximation Practice", ch. 3 and 4). Both ends of a piece are among them, so a jump at an end is seen as well. A
-    piece is kept when its last three Chebyshev coefficients are rounding. Otherwise it is cut: at a jump if bisection
-    finds one, else in the middle.
+    piece is accepted when its last three Chebyshev coefficients are rounding. Otherwise it is cut: at a jump if
+    bisection locates one, else in the middle.
 Exactness: rounding, of the function's largest value in the step. A jump is located within 2^-44 of the step, or within
     the spacing of float64 times where that is wider.
 Cost: 13 calls of a function for a smooth step, some 80 more for each jump, some 1,000 more for each kink.
@@ -38,20 +38,20 @@ _TICKS = 1 << 44  # in a step; all cuts are at whole ticks
 _TICK = 2.0**-44
 _MOST_PIECES = 4096  # of a step
 _RESIDUAL = 1e-13  # of a function's interpolation, over the function's largest value in the step
-_NOISE = 1e-5  # the same where cuts do not help: there it is the function's rounding, not its shape
-_VAIN = 4  # cuts in a row without help that show this
-_LEFT = 0.25  # of a residual: a cut that leaves more than this in each part did not help
+_NOISE = 1e-5  # the same if cuts do not reduce it: then it is the function's rounding, not its shape
+_VAIN = 4  # cuts in a row that do not reduce it
+_HELPED = 0.25  # of a residual: a cut helped if one part has no more than this
 _MARGIN = 4.0  # times that residual counts as rounding elsewhere in the step
 _SHORTEST = 2.0**-1000  # [s] instead of 0 in a division; times that differ are further apart
-_STEEP = 0.3  # of the change over a gap: a jump keeps at least this share, however small the gap becomes
+_STEEP = 0.3  # of the change over a gap: a jump has at least this share, however small the gap becomes
 _LOWEST = 1e-8  # of a jump, over the function's largest value in the step
 
 _SHARES: list[float] = [0.5 * (1.0 + point) for point in POINTS.tolist()]  # of a piece's length
 
 
 @dataclass(slots=True)
-class _Rough:
-    """A function that its interpolant does not follow on a piece."""
+class _Unresolved:
+    """A function that its interpolant does not resolve on a piece."""
 
     axis: int
     values: list[float]  # at the piece's 13 points
@@ -65,7 +65,7 @@ class _Piece(NamedTuple):
     first: int  # tick it starts at
     last: int  # tick it ends at
     row: Array  # of the table
-    rough: list[_Rough]  # empty if all functions are resolved
+    unresolved: list[_Unresolved]  # empty if all functions are resolved
 
 
 class _Functions:
@@ -79,50 +79,50 @@ class _Functions:
         self._noise = [0.0] * 3  # residual that cuts do not reduce, over the largest value
         self._interpolate = compiled(interpolate)
 
-    def look(self, first: int, last: int) -> _Piece:
+    def interpolated(self, first: int, last: int) -> _Piece:
         """Interpolate the functions between two ticks."""
-        row, rough = np.zeros(TABLE_WIDTH), []
+        row, unresolved = np.zeros(TABLE_WIDTH), []
         row[0], row[1] = first * _TICK * self._dt, (last - first) * _TICK * self._dt
         for axis, function in self._functions.items():
-            place = 2 + axis * (DEGREE + 1)
-            if last - first == 1:  # as near as a jump is located
-                row[place] = 0.5 * function(first) + 0.5 * function(last)
+            column = 2 + axis * (DEGREE + 1)
+            if last - first == 1:  # the resolution of a jump
+                row[column] = 0.5 * function(first) + 0.5 * function(last)
                 continue
             values = [function(first + (last - first) * share) for share in _SHARES]
-            peak, tail, slope = self._interpolate(np.array(values), row, place)
+            peak, tail, slope = self._interpolate(np.array(values), row, column)
             largest = self._largest[axis] = max(self._largest[axis], peak)
             # A time that is rounded moves the value along the slope.
             if tail > _RESIDUAL * largest + 4.0 * slope / max(0.5 * row[1], _SHORTEST) * self._rounding:
-                rough.append(_Rough(axis, values, tail / largest))
-        return _Piece(first, last, row, rough)
+                unresolved.append(_Unresolved(axis, values, tail / largest))
+        return _Piece(first, last, row, unresolved)
 
     def cut(self, piece: _Piece) -> list[_Piece]:
         """The parts of a piece that is not resolved, in time order; none where it stays whole."""
-        for one in piece.rough:
+        for one in piece.unresolved:
             if one.vain == _VAIN:
                 self._noise[one.axis] = max(self._noise[one.axis], _MARGIN * one.residual)
-        rough = [one for one in piece.rough if one.residual > self._noise[one.axis]]
-        if not rough:
+        unresolved = [one for one in piece.unresolved if one.residual > self._noise[one.axis]]
+        if not unresolved:
             return []
         first, last = piece.first, piece.last
         ends = {first, (first + last) // 2, last}
-        for one in rough:
+        for one in unresolved:
             lowest = _LOWEST * self._largest[one.axis]
             jump = _jump(self._functions[one.axis], first, last, one.values, lowest)
             if jump is not None:
                 ends = {first, jump, jump + 1, last}
                 break
-        parts = [self.look(start, end) for start, end in itertools.pairwise(sorted(ends))]
-        for one in rough:
+        parts = [self.interpolated(start, end) for start, end in itertools.pairwise(sorted(ends))]
+        for one in unresolved:
             self._count_in_vain(one, [part for part in parts if part.last - part.first > 1])
         return parts
 
-    def _count_in_vain(self, before: _Rough, parts: list[_Piece]) -> None:
-        """Note in what is left of a residual whether the cut was in vain."""
-        left = [one for part in parts for one in part.rough if one.axis == before.axis]
-        helped = len(left) < len(parts) or any(one.residual <= _LEFT * before.residual for one in left)
+    def _count_in_vain(self, before: _Unresolved, parts: list[_Piece]) -> None:
+        """Count in the remaining residuals of a cut function whether the cut was in vain."""
+        remaining = [one for part in parts for one in part.unresolved if one.axis == before.axis]
+        helped = len(remaining) < len(parts) or any(one.residual <= _HELPED * before.residual for one in remaining)
         if before.residual <= _NOISE and not helped:
-            for one in left:
+            for one in remaining:
                 one.vain = before.vain + 1
 
 
@@ -133,11 +133,11 @@ def function_pieces(drive: Drive, time: float, dt: float) -> Array:
         Pieces in time order, shape (pieces, ``TABLE_WIDTH``).
 
     Raises:
-        TypeError, ValueError: a function returns no finite number, or has more jumps or kinks than can be followed.
+        TypeError, ValueError: a function returns no finite number, or has more jumps or kinks than can be resolved.
     """
     functions = _Functions(drive, time, dt)
     rows: list[Array] = []
-    waiting = [functions.look(0, _TICKS)]
+    waiting = [functions.interpolated(0, _TICKS)]
     while waiting:
         piece = waiting.pop()
         parts = functions.cut(piece)
@@ -167,7 +167,7 @@ def _sampled(name: str, function: Callable[[float], float], time: float, dt: flo
 
 
 def _odd_gap(values: list[float]) -> tuple[int, float]:
-    """The gap between two points that is most out of step with its neighbours, and their slope, per piece."""
+    """The gap between two points whose slope differs most from its neighbours', and their slope, per piece."""
     widths = [end - start for start, end in itertools.pairwise(_SHARES)]
     slopes = [(b - a) / width for (a, b), width in zip(itertools.pairwise(values), widths, strict=True)]
     most, odd, beside = -1.0, 0, 0.0

@@ -82,7 +82,7 @@ _MOTION = BodyFields.POSITION | BodyFields.ANGLE | BodyFields.VELOCITY | BodyFie
 
 
 class _Load(NamedTuple):
-    """A torque or force as the engine must see it; all in N m or N.
+    """A torque or force in the form that the engine needs; all in N m or N.
 
     Engine step k changes the velocity from the middle of substep k to the middle of substep k + 1: by the rising
     average of substep k and the falling average of substep k + 1. The last step goes half a substep too far, which is
@@ -140,7 +140,7 @@ class PymunkSimulator(ContactModel):
         if iterations is None:
             iterations = iterations_for(scene)
         self.iterations = check.whole("iterations", iterations, at_least=1, at_most=1_000_000)
-        self._dirty = True  # whether the engine may remember something that (state, time) does not tell
+        self._dirty = True  # whether the engine may remember something that (state, time) does not determine
         self._prepare()
 
     # -- stepping -----------------------------------------------------------------------------------------------------
@@ -164,18 +164,18 @@ class PymunkSimulator(ContactModel):
         """The present state's 12 numbers."""
         return cast(list[float], self._present.state)
 
-    def _held(self, state: Array) -> list[float]:
+    def _as_stored(self, state: Array) -> list[float]:
         """As Python's numbers."""
         return cast(list[float], state.tolist())
 
     def _may_touch(self, dt: float, torque: float | None) -> bool:
-        """Whether a foot may reach a wall within ``dt`` [s]: flight is closed form where none can."""
+        """Whether a foot may reach a wall within ``dt`` [s]; flight is in closed form if none can."""
         state, drive = self._numbers, self._drive
         bound = drive.torque_bound if torque is None else abs(torque)
         return not clearance(self.scene, state) > reach(self.scene, state, dt, bound, drive.force_bound)
 
     def _step_engine(self, dt: float, torque: float | None) -> tuple[list[float], float]:
-        """Let the engine take the step, divided as finely as its speed wants; return state and mean torque."""
+        """Step the engine, in substeps as fine as the speed needs; return state and mean torque."""
         self._refuse_runaway(dt)
         if self._dirty:  # the last step was cut short, between two steps of the engine
             self._forget_contacts()
@@ -307,7 +307,7 @@ class PymunkSimulator(ContactModel):
             body.position, body.velocity, body.angular_velocity = (x, 0.0), (0.0, 0.0), 0.0
             body.force, body.torque = (0.0, 0.0), 0.0
         angles = box.angle, jack.angle
-        self._space.step(1.0)  # the engine moves by what it has kept for that, and forgets it
+        self._space.step(1.0)  # the engine applies the correction that it stored, and forgets it
         rates = [*box.position, box.angle - angles[0], jack.position.x - away, jack.position.y, jack.angle - angles[1]]
         for _ in range(_PERSISTENCE):
             self._space.step(1.0)
@@ -317,7 +317,7 @@ class PymunkSimulator(ContactModel):
         """A step's end with the correction of its last substep, which the engine makes only in its next step."""
         if self.scene.elastic:
             return after
-        return [place + h * rate for place, rate in zip(after[:RATES], rates, strict=True)] + after[RATES:]
+        return [position + h * rate for position, rate in zip(after[:RATES], rates, strict=True)] + after[RATES:]
 
     def _build(self) -> None:
         scene = self.scene

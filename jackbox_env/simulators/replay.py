@@ -1,7 +1,7 @@
-"""A step played once more from its impacts: flight in closed form, and the impulses that were recorded.
+"""Replays a step from its recorded impacts: flight in closed form, and the recorded impulses.
 
-It shows the poses at which a contact model resolved its contacts, and the work of the true torque on the way there.
-Exactness: that of the record; where impulses act at other poses than the model's own the replay leaves its path.
+It reconstructs the poses at which a contact model resolved its contacts, and the work of the true torque up to there.
+Exactness: that of the record; if the model applied impulses at other poses, the replay leaves its path.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ class Moment(NamedTuple):
 
 
 class Replay(NamedTuple):
-    """What happened inside a step."""
+    """The course of a step."""
 
     state: list[float]  # at its end, 12 numbers
-    depth: float  # deepest that a foot was in a wall at an impact [m]; -inf: there was none
+    depth: float  # largest penetration of a foot at an impact [m]; -inf without impacts
     work: float  # of torque and side forces on the box [J]
     moments: list[Moment]  # in time order
 
@@ -48,7 +48,7 @@ def flown(scene: Scene, state: Sequence[float], time: float, duration: float, to
 def replayed(
     scene: Scene, state: Sequence[float], time: float, impacts: Sequence[Impact], end: float, torque: float | None
 ) -> Replay:
-    """Play a step from ``time`` to ``end`` [s] once more; ``state`` is that before it."""
+    """Replay a step from ``time`` to ``end`` [s]; ``state`` is that before it."""
     now, depth, work, moments = list(state), -math.inf, 0.0, list[Moment]()
     for impact in impacts:
         before = flown(scene, now, time, impact.time - time, torque)

@@ -71,7 +71,7 @@ def test_all_wrappers_show_and_do_the_same(follow: bool) -> None:
             for number in range(3):
                 np.testing.assert_array_equal(infos["final_obs"][number], infos_too[number]["terminal_observation"])
             seen_alone = one.reset()[0]
-            appended, _ = fresh.look([one.get_wrapper_attr("scene")], seen_alone[None, :10], fresh.begin(1))
+            appended, _ = fresh.compute([one.get_wrapper_attr("scene")], seen_alone[None, :10], fresh.begin(1))
             np.testing.assert_array_equal(seen_alone[10:], appended[0])
     assert ends == 2
 
@@ -101,7 +101,7 @@ def test_a_plan_is_begun_anew_where_an_episode_starts(mode: AutoresetMode) -> No
     fresh = Features(STEERED, 0.02, LookaheadOptions(1, 3, 8, 8))
     plans = fresh.begin(2)
     for _ in range(2):  # begun anew once
-        appended, plans = fresh.look([Scene()], seen[:, :10], plans)
+        appended, plans = fresh.compute([Scene()], seen[:, :10], plans)
         np.testing.assert_array_equal(seen[:, 10:], appended)
         seen = env.step(np.zeros((2, 1)))[0]
 
@@ -110,7 +110,7 @@ def test_the_next_impact_is_that_of_a_rollout_without_torque() -> None:
     scene, rng = Scene(drive=None), np.random.default_rng(3)
     features = Features("juggle", 0.02, LookaheadOptions(samples=0, manoeuvres=0, knots=16))
     seen = np.stack([observe(scene, inside(scene, rng).tolist()) for _ in range(20)])
-    appended, _ = features.look([scene], seen, features.begin(20))
+    appended, _ = features.compute([scene], seen, features.begin(20))
     struck = 0
     for row, found in zip(seen, appended, strict=True):
         played = rollout(scene, state_of(scene, row.tolist()), np.zeros(80), 0.02, impacts=True)
@@ -140,7 +140,7 @@ def test_the_plan_earns_what_it_says() -> None:
     env = JackInBoxVectorEnv(4, contact="exact", autoreset_mode="SAME_STEP")
     seen, _ = env.reset(seed=2)
     features = Features("juggle", 0.02, LookaheadOptions(samples=16, num_threads=1))
-    appended, _ = features.look([Scene()], seen, features.begin(4))
+    appended, _ = features.compute([Scene()], seen, features.begin(4))
     scripted = features._manoeuvres([Scene()] * 4, env.states)
     found, _ = features._search.decide(Scene(drive=None), env.states, features.begin(4), scripted)
     earned = np.zeros(4)

@@ -12,9 +12,10 @@ import sympy
 from numpy.typing import NDArray
 
 from jackbox_env import Linearization, Scene, linearize, make_simulator, rollout
-from jackbox_env.exact import tangents
+from jackbox_env.exact import derivatives, tangents
 from jackbox_env.exact.compiler import compiled, compiled_with
-from jackbox_env.exact.run import outside, run
+from jackbox_env.exact.restart import outside
+from jackbox_env.exact.run import run
 from tests.fingerprints import DRIVES
 from tests.states import Array, inside, load, lying
 
@@ -66,7 +67,7 @@ def test_without_the_shift_of_the_impacts_time_the_reference_is_missed(monkeypat
         return 0.0
 
     def without(function: Any) -> Any:
-        return compiled_with(function, lateness=never) if function is tangents.matrices else compiled(function)
+        return compiled_with(function, lateness=never) if function is derivatives.matrices else compiled(function)
 
     monkeypatch.setattr("jackbox_env.planning.linearization.compiled", without)
     for case in CASES:
@@ -406,7 +407,7 @@ def test_no_derivative_grows_beyond_what_can_be_told_however_few_the_impacts() -
 
 def test_arrays_of_any_kind_are_one_type_to_the_compiled_code() -> None:
     states, torques = np.zeros((3, 12)), np.zeros((3, 5))
-    filled = tangents.mark_smooth, tangents.matrices, tangents.pull_back, tangents.push_forward
+    filled = derivatives.mark_smooth, derivatives.matrices, derivatives.pull_back, derivatives.push_forward
     functions: list[Any] = [compiled(function) for function in (run, outside, *filled)]
 
     def types(kind: Any) -> list[int]:

@@ -20,7 +20,7 @@ import pytest
 from numba.core.codegen import JITCPUCodegen
 
 import jackbox_env
-from jackbox_env.exact import compiler, kept
+from jackbox_env.exact import code_cache, compiler
 from jackbox_env.exact.contact import quarter
 from jackbox_env.exact.trigonometry import cos_sin, cos_sin_within
 
@@ -33,13 +33,13 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "place"))
     monkeypatch.setattr(compiler, "PACKAGE", tmp_path / "package")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
-    kept.say_once.cache_clear()
+    code_cache.warn_once.cache_clear()
     return tmp_path / "place"
 
 
 def fresh(function: Callable[..., Any]) -> Any:
     """``function`` compiled as in a process that has not compiled it yet."""
-    return compiler._Compilation((), keep=True).compiled(function)
+    return compiler._Compilation((), on_disk=True).compiled(function)
 
 
 def turned() -> int:
@@ -83,13 +83,13 @@ def test_a_later_process_loads_the_whole_exact_model() -> None:
 # Announces what takes long to compile where it is loaded, too.
 _ANNOUNCING = """
 import runpy, sys
-from jackbox_env.exact import kept
-load = kept.CodeCache.load_overload
+from jackbox_env.exact import code_cache
+load = code_cache.CodeCache.load_overload
 def announcing(self, *given):
     if self._long is not None:
-        kept._announce(*self._long)
+        code_cache._announce(*self._long)
     return load(self, *given)
-kept.CodeCache.load_overload = announcing
+code_cache.CodeCache.load_overload = announcing
 del sys.argv[0]
 runpy.run_path(sys.argv[0], run_name="__main__")
 """
@@ -111,7 +111,7 @@ def test_what_is_compiled_is_announced_before_any_bar() -> None:
 
 def write(path: Path, code: bytes) -> None:
     """Put code there under a checksum that is right."""
-    path.write_bytes(kept._checksum(path, code) + code)
+    path.write_bytes(code_cache._checksum(path, code) + code)
 
 
 def test_a_file_with_any_bit_flipped_or_cut_anywhere_is_not_read(
@@ -126,7 +126,7 @@ def test_a_file_with_any_bit_flipped_or_cut_anywhere_is_not_read(
     damaged = [whole[:at] + bytes([whole[at] ^ bit]) + whole[at + 1 :] for at, bit in flips]
     cut = [whole[:length] for length in (0, 31, 32, len(whole) - 1)]
     for content in [*damaged, *cut, whole + b"\0", bytes(len(whole))]:
-        kept.say_once.cache_clear()
+        code_cache.warn_once.cache_clear()
         path.write_bytes(content)
         with pytest.warns(UserWarning, match="damaged"):
             assert made._cache.load_overload(signature, made.targetctx) is None
@@ -147,7 +147,7 @@ def test_another_functions_code_is_damage_and_would_run_without_the_checksum(pla
     shutil.copy(other, one)
     with pytest.warns(UserWarning, match="damaged"):
         assert fresh(cos_sin)(1e15) == cos_sin(1e15)
-    write(one, other.read_bytes()[kept._HEAD :])
+    write(one, other.read_bytes()[code_cache._HEAD :])
     assert fresh(cos_sin)(1e15) == fresh(cos_sin_within)(1e15) != cos_sin(1e15)
 
 
@@ -197,16 +197,16 @@ def test_code_of_old_sources_is_tidied_away(place: Path) -> None:
 
 # -- shipped with a wheel ---------------------------------------------------------------------------------------------
 
-NEWER = "x86_64-unknown-linux-gnu", "newer", ",".join(sorted(kept._NEEDS))
+NEWER = "x86_64-unknown-linux-gnu", "newer", ",".join(sorted(code_cache._NEEDS))
 
 
 @pytest.fixture
 def shipped(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What a wheel brings of ``quarter``, to a machine that has kept nothing."""
-    monkeypatch.setattr(JITCPUCodegen, "magic_tuple", lambda self: (NEWER[0], kept.SHIPPED_FOR, ""))
+    monkeypatch.setattr(JITCPUCodegen, "magic_tuple", lambda self: (NEWER[0], code_cache.SHIPPED_FOR, ""))
     assert turned() == 0
     (path,) = files(place)
-    moved = compiler.PACKAGE / "compiled" / "shipped" / path.parent.name
+    moved = compiler.PACKAGE / "exact" / "shipped" / path.parent.name
     shutil.move(path.parent, moved)
     monkeypatch.setattr(JITCPUCodegen, "magic_tuple", lambda self: NEWER)
 
@@ -225,7 +225,7 @@ def test_shipped_code_is_loaded_where_nothing_is_kept(place: Path) -> None:
         (JITCPUCodegen, "magic_tuple", lambda self: (*NEWER[:2], NEWER[2].replace("+fma", "-fma"))),
         (JITCPUCodegen, "magic_tuple", lambda self: (*NEWER[:2], "")),  # what a CPU is named for is not told
         (JITCPUCodegen, "magic_tuple", lambda self: ("aarch64-unknown-linux-gnu", *NEWER[1:])),
-        (kept, "EXTENSION_SUFFIXES", [".cpython-310-x86_64-linux-gnu.so"]),
+        (code_cache, "EXTENSION_SUFFIXES", [".cpython-310-x86_64-linux-gnu.so"]),
         (numba, "__version__", "0.69.0"),
         (llvmlite, "__version__", "0.51.0"),
     ],

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jackbox_env.complementarity import project
-from jackbox_env.exact import constrained, rest, search
+from jackbox_env.exact import rest, search
 from jackbox_env.exact import step as course
 from jackbox_env.mechanics import energy, gaps
 from jackbox_env.scene import Drive, Scene
@@ -134,7 +134,7 @@ def test_without_rest_a_step_never_ends(monkeypatch: pytest.MonkeyPatch) -> None
     scene = Scene(restitution=0.5, drive=None)
     assert plain_step(scene, lying(), 1e-3, 0.0)[0] == 0
     monkeypatch.setattr(course, "settle", lambda *given: 0)
-    for module in (search, constrained):
+    for module in (search, rest):
         monkeypatch.setattr(module, "MOST_WORK", 2000)
     assert plain_step(scene, lying(), 1e-3, 0.0)[0] != 0
 
@@ -143,7 +143,7 @@ def test_a_wall_that_held_on_would_carry_the_jack_along(monkeypatch: pytest.Monk
     scene = Scene(restitution=0.0, drive=None)
     start = lying(along=2.0)
     freed = plain_step(scene, start, 0.02, -6e4)[1]
-    monkeypatch.setattr(constrained, "let_go", lambda *given: math.inf)
+    monkeypatch.setattr(rest, "let_go", lambda *given: math.inf)
     monkeypatch.setattr(rest, "pressed_set", lambda work, count: (0, 1, -1) if project(work, 2, 0, 1, -1) else None)
     assert (
         gaps(scene, freed)[3, 2:4].max()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jackbox_env.exact import search as kernel
-from jackbox_env.exact.constrained import let_go
+from jackbox_env.exact.rest import let_go
 from jackbox_env.exact.workspace import FORCE, new_workspaces
 from jackbox_env.mechanics import energy
 from jackbox_env.scene import Scene
@@ -65,7 +65,7 @@ def test_a_rattle_is_not_taken_for_rest(monkeypatch: pytest.MonkeyPatch) -> None
     without = plain_step(scene, state, 0.005, 0.0)
     assert np.array_equal(kept[1], without[1])  # the same bits
     assert kept[2] == without[2]
-    monkeypatch.setattr(kernel, "rests", lambda n, w: bool(w.looks > 1000))
+    monkeypatch.setattr(kernel, "rests", lambda n, w: bool(w.evaluations > 1000))
     assert not np.array_equal(plain_step(scene, state, 0.005, 0.0)[1], without[1])
 
 
@@ -80,8 +80,8 @@ def test_the_resolution_of_rest_grows_with_impacts_not_with_work() -> None:
         (0.5, 100_000, 1e-10, 1e-10),
     ):
         scene, w = Scene(restitution=restitution).numbers, new_workspaces()[0]
-        w.looks, w.hits = 900_000.0, hits
-        found = kernel.resolution(scene, w, touch), kernel.grown(scene, w, 1e-13)
+        w.evaluations, w.hits = 900_000.0, hits
+        found = kernel.resolution(scene, w, touch), kernel.widened(scene, w, 1e-13)
         assert found == pytest.approx((near, sink), rel=1e-15, abs=0.0)
 
 
@@ -94,7 +94,7 @@ def test_rest_is_much_work_for_little_impulse() -> None:
         (kernel._RESTLESS + 1, 0, 0.0, True),  # a foot that creeps along a wall
         (kernel._RESTLESS + 1, 10_000, 100.0 * light, False),
     ):
-        w.looks, w.hits, w.impulse = work, hits, hits * impulse
+        w.evaluations, w.hits, w.impulse = work, hits, hits * impulse
         assert kernel.rests(scene.numbers, w) is rests
 
 

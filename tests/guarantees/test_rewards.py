@@ -20,7 +20,7 @@ import pytest
 
 import jackbox_env
 from jackbox_env import JackInBoxEnv, JackInBoxVectorEnv, Scene, Task, scoring
-from jackbox_env.exact import compiler, kept
+from jackbox_env.exact import code_cache, compiler
 from jackbox_env.exact.compiler import cache_folders
 from jackbox_env.scene import SceneNumbers
 from jackbox_env.scoring import CompiledScore, PlainScore
@@ -363,7 +363,7 @@ def test_functions_that_differ_only_in_a_default_are_paid_apart() -> None:
 
 def test_nothing_of_a_users_task_is_kept_on_disk(monkeypatch: pytest.MonkeyPatch) -> None:
     written: list[str] = []
-    monkeypatch.setattr(kept.CodeCache, "save_overload", lambda self, *_: written.append(self._name))
+    monkeypatch.setattr(code_cache.CodeCache, "save_overload", lambda self, *_: written.append(self._name))
     JackInBoxVectorEnv(2, contact="exact", task=Task(("a",), lambda scene, state, torque, impulse: (state[0],)))
     assert not [name for name in written if name.startswith("score")]
 

@@ -122,7 +122,7 @@ def test_feet_followed_together_find_the_impact_that_each_of_its_own_finds(
             monkeypatch.setattr(kernel, "_TURNED", turned)
             work = new_workspaces()[0]
             found.append(kernel.first_impact(scene.numbers, work, flight, piece, left, 1e-13, 1e-13))
-            evaluated.append(work.looks)
+            evaluated.append(work.evaluations)
         (time, pair), (expected, expected_pair) = found
         assert pair == expected_pair
         # Of a foot in a wall only the next look tells that it has turned back.

@@ -33,4 +33,4 @@ def plain_step(scene: Scene, state: Any, dt: float, torque: float | None = None,
 
 def gaps_evaluated(simulator: ExactSimulator) -> float:
     """In each of the last two steps, at most."""
-    return float(max(call.memory.workspaces[0].looks for call in simulator._calls))
+    return float(max(call.memory.workspaces[0].evaluations for call in simulator._calls))

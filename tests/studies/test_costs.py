@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from jackbox_env.exact import compiler as _compiled
-from jackbox_env.exact import run
+from jackbox_env.exact import run, workspace
 from jackbox_env.exact.workspace import new_log
 from jackbox_env.scene import Drive, Scene
 from jackbox_env.simulators import make_simulator
@@ -94,7 +94,7 @@ def test_in_mid_air_no_wall_is_looked_at(contact: str, function: str) -> None:
 
 def test_a_batch_records_no_impacts(monkeypatch: pytest.MonkeyPatch) -> None:
     for room in (0, 8):
-        monkeypatch.setattr(run, "new_log", lambda _, wide, room=room: new_log(room, wide))
+        monkeypatch.setattr(workspace, "new_log", lambda _, wide, room=room: new_log(room, wide))
         batch = JackInBoxVectorEnv(4, contact="exact", num_threads=1, with_infos=True)
         batch.reset(options={"state": NEAR_A_WALL})
         assert (batch.step(np.zeros(4))[4]["impacts"] > 0).all()

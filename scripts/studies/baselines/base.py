@@ -40,7 +40,7 @@ class Baseline(ContactModel):
         self._under_way: list[tuple[Impact, bool]] = []  # impacts not reported yet, and whether each continues
         self._prepare()
 
-    def _held(self, state: Array) -> list[float]:
+    def _as_stored(self, state: Array) -> list[float]:
         return [float(number) for number in state]
 
     def step(self, dt: float, torque: float | None = None) -> None:

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from jackbox_env import Scene, Task, linearize
 from jackbox_env.exact.compiler import compiled, compiled_with
 from jackbox_env.exact.flight import Flight, View, box_frame, foot_gap, gap_at, pose_at, towards
-from jackbox_env.exact.run import outside
+from jackbox_env.exact.restart import outside
 from jackbox_env.exact.search import NONE, Limits
 from jackbox_env.exact.trigonometry import cos_sin
 from jackbox_env.exact.workspace import Workspace

@@ -1,15 +1,14 @@
-"""Compiled code kept on disk for later processes, in files that are checked before they are loaded.
+"""Compiled code stored on disk for later processes, in files that are checked before they are loaded.
 
-Numba's own cache trusts its files: a full disk or a damaged file stops every later process, and machine code with a
-flipped bit may crash or compute something else. Here a file is used only if its checksum is right. It appears whole or
-not at all. Whatever is wrong with the disk, the code is compiled anew and one warning names the folder. The checksum is
-against damage: whoever may write to the folder can put any code there, as in a package's ``__pycache__``.
+``compiler.py`` sets this cache in place of numba's own, which trusts its files: a full disk or a damaged file would
+stop every later process, and machine code with a flipped bit may crash or compute something else. Here a file is used
+only if its checksum is right, and it appears whole or not at all. If anything is wrong with the disk, the code is
+compiled anew and one warning names the folder. The checksum detects damage, not malice: whoever may write to the folder
+can put any code there, as in a package's ``__pycache__``.
 
-A wheel can ship such files (scripts/wheel.py), compiled for ``SHIPPED_FOR``. They serve every CPU that has what this
-target needs, where nothing is kept that was compiled for the CPU itself.
-
-Nothing here stands between a caller and compiled code: numba asks for kept code once for each signature, when a
-function is first called with it.
+A wheel can ship such files (scripts/wheel.py), compiled for ``SHIPPED_FOR``. They serve every CPU with the features of
+this target, unless there is code that was compiled for the CPU itself. Numba searches the cache once for each
+signature, when a function is first called with it.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ from jackbox_env import files
 _HEAD = hashlib.sha256().digest_size  # bytes of the checksum, which stands before the code
 SHIPPED_FOR = "x86-64-v3"  # Intel's CPUs from Haswell (2013) on, AMD's from Excavator (2015) on
 _NEEDS = {"+avx2", "+bmi", "+bmi2", "+cx16", "+f16c", "+fma", "+lzcnt", "+movbe", "+popcnt", "+sahf", "+xsave"}
-# What takes long to compile, by its function: what it is for, and how long that takes.
+# Functions that take long to compile: their purpose, and the time.
 _LONG = {
     "run": ("all environments", "20 seconds"),
     **dict.fromkeys(("mark_smooth", "matrices", "pull_back", "push_forward"), ("derivatives", "5 seconds")),
@@ -44,8 +43,8 @@ _LONG = {
 
 
 @cache
-def say_once(text: str) -> None:
-    """Warn, if this has not been said in this process."""
+def warn_once(text: str) -> None:
+    """Warn, once in this process."""
     warnings.warn(text, stacklevel=3)
 
 
@@ -59,20 +58,20 @@ def _announce(purpose: str, time: str) -> None:
 
 
 def _checksum(path: Path, code: bytes) -> bytes:
-    """Checksum of the name and the code: a file under another function's name is then seen to be wrong."""
+    """Checksum of the name and the code, so that a file under another function's name is refused."""
     return hashlib.sha256(path.name.encode() + b"\0" + code).digest()
 
 
 class CodeCache(NullCache):
-    """The cache of one compiled function: what numba loads from before it compiles and saves to after.
+    """The cache of one compiled function: numba loads from it before it compiles, and saves to it afterwards.
 
-    One file for each signature, kind of processor, version of numba, and binary interface of Python: what tells which
-    compiled extensions it loads.
+    One file for each signature, kind of processor, version of numba, and binary interface of Python, which decides
+    which compiled extensions it loads.
 
     Args:
-        function: the plain function, with a qualified name that tells its content.
-        folders: where to look, in this order; the last is where code is saved.
-        shipped: where to look then, for code compiled for ``SHIPPED_FOR``; it need not be there.
+        function: the plain function, with a unique qualified name.
+        folders: searched in this order; code is saved in the last.
+        shipped: searched after them, for code compiled for ``SHIPPED_FOR``; it need not exist.
     """
 
     def __init__(self, function: FunctionType, folders: Sequence[Path], shipped: Path) -> None:
@@ -81,9 +80,9 @@ class CodeCache(NullCache):
         self._folders, self._shipped, self._long = folders, shipped, _LONG.get(function.__name__)
 
     def load_overload(self, signature: Any, context: Any) -> Any:
-        """Return what was compiled for this signature, or None where it is not kept or cannot be used.
+        """Return the code compiled for this signature, or None if there is none or it cannot be used.
 
-        What is compiled then takes long for some functions: standard error says so.
+        Before a function that takes long to compile, a line is printed to standard error.
         """
         context.refresh()
         triple, _, features = target = context.codegen().magic_tuple()  # numba loads code whatever it was compiled for
@@ -99,13 +98,13 @@ class CodeCache(NullCache):
             except (FileNotFoundError, NotADirectoryError):
                 continue
             except Exception as error:  # whatever it is, compiling anew repairs it
-                say_once(f"compiled code kept in {path.parent} cannot be used ({error}), so it is compiled anew")
+                warn_once(f"compiled code kept in {path.parent} cannot be used ({error}), so it is compiled anew")
         if self._long is not None:
             _announce(*self._long)
         return None
 
     def save_overload(self, signature: Any, result: Any) -> None:
-        """Keep what was compiled for this signature, unless it holds addresses, which no other process shares."""
+        """Save the code compiled for this signature, unless it contains addresses, which hold in one process only."""
         if result.library.has_dynamic_globals:
             return
         path = self._folders[-1] / self._file_name(signature, result.library.codegen.magic_tuple())
@@ -115,7 +114,7 @@ class CodeCache(NullCache):
             with files.replacing(path) as partial:
                 partial.write_bytes(_checksum(path, code) + code)
         except OSError as error:
-            say_once(
+            warn_once(
                 f"compiled code cannot be kept in {path.parent} ({error.strerror}), so each process compiles it anew; "
                 "make room there or set NUMBA_CACHE_DIR to another folder"
             )

@@ -1,0 +1,335 @@
+"""Derivatives of whole rollouts of the exact contact model: the tangents of its steps, chained.
+
+:func:`mark_smooth` decides which steps have a derivative. :func:`matrices` fills in the derivatives of each step,
+:func:`push_forward` chains them in the order of time, :func:`pull_back` against it. ``tangents.py`` has the law of one
+step. :mod:`jackbox_env.planning.linearization` calls all of it, for ``jackbox_env.linearize``.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from jackbox_env.exact.contact import SLOW, frame_of, gradient, rate_of
+from jackbox_env.exact.rest import bend
+from jackbox_env.exact.step import CONSTANT, Plan, make_numbers, make_plan, touch_of
+from jackbox_env.exact.tangents import (
+    FIRST_FIELD,
+    GRAVITY,
+    TORQUE,
+    accelerate,
+    drifted,
+    fly_back,
+    locate,
+    step_tangent,
+)
+from jackbox_env.exact.workspace import Array, Counts, Flags, Workspace, Workspaces
+from jackbox_env.scene import SceneNumbers
+from jackbox_env.states import (
+    OMEGA_BOX,
+    OMEGA_JACK,
+    RATES,
+    THETA_BOX,
+    THETA_JACK,
+    VX_JACK,
+    VY_JACK,
+    X_BOX,
+    X_JACK,
+    Y_BOX,
+    Y_JACK,
+)
+
+CLEAR, LEAVING, OUTSIDE, APPROACHING = range(4)  # how feet touch walls
+_ROUNDING = 1e-2  # of the contact tolerance: rounding of a gap
+_GRAZE = 1e-4  # share of a derivative that may be rounding
+# Of a state's numbers; by those of the box's centre: the same, as both move alike.
+GROWING = THETA_BOX, X_JACK, Y_JACK, THETA_JACK, OMEGA_BOX, VX_JACK, VY_JACK, OMEGA_JACK
+_LARGEST = 1e10  # of a derivative in the scene's units: rounding, 1e-16 at first, has grown as much
+
+
+class Played(NamedTuple):
+    """A rollout of N rows and H steps."""
+
+    values: Array  # numbers of the scenes, shape (1 or N, numbers of a scene)
+    kinds: Counts  # what turns the box in each of them
+    dt: float  # [s]
+    torques: Array  # [N m], shape (N, H / repeat)
+    trajectories: Array  # (N, H + 1, 12)
+    hits: Array  # rows of a wide log
+    begins: Counts  # first row of each step in the log, and past the last row, shape (N H + 1,)
+    smooth: Flags  # which steps have a derivative, shape (N, H)
+
+
+RolloutData = tuple[Array, Counts, float, Array, Array, Array, Counts, Flags]
+
+
+def rollout_of(data: RolloutData) -> Played:
+    """The rollout from its plain tuple."""
+    return Played(data[0], data[1], data[2], data[3], data[4], data[5], data[6], data[7])
+
+
+def scene_of(played: Played, i: int) -> tuple[SceneNumbers, Plan]:
+    """Scene and plan of a row."""
+    index = i if played.values.shape[0] > 1 else 0
+    scene = make_numbers(played.values[index])
+    return scene, make_plan(scene, played.dt, played.kinds[index])
+
+
+def torque_of(played: Played, k: int) -> int:
+    """Index of the torque in step ``k``."""
+    return int(k // max(1, played.smooth.shape[1] // max(1, played.torques.shape[1])))
+
+
+def rows_of(played: Played, i: int, k: int) -> tuple[int, int]:
+    """The first row of a step in the log, and past the last."""
+    number = i * played.smooth.shape[1] + k
+    return played.begins[number], played.begins[number + 1]
+
+
+def flies(played: Played, i: int, k: int) -> bool:
+    """Whether a step has a derivative and no impact."""
+    first, last = rows_of(played, i, k)
+    return bool(played.smooth[i, k] and first == last)
+
+
+def touching(scene: SceneNumbers, plan: Plan, state: Array, row: Array) -> int:
+    """How feet touch walls: ``CLEAR``, or the worst of ``LEAVING``, ``OUTSIDE`` and leaving, ``APPROACHING``."""
+    x, y = state[X_JACK] - state[X_BOX], state[Y_JACK] - state[Y_BOX]
+    room = scene.box_half_width * (1.0 - 1e-12) - scene.jack_arm
+    near = touch_of(plan, state).together
+    if room > near and x * x + y * y < (room - near) * (room - near):
+        return CLEAR
+    frame, worst = frame_of(state), CLEAR
+    for wall in range(4):
+        for foot in range(4):
+            gap = gradient(scene, frame, wall, foot, row)
+            if gap <= near:
+                slow = rate_of(state, row) < SLOW * scene.speed_scale
+                worst = max(worst, APPROACHING if slow else OUTSIDE if gap < -near else LEAVING)
+    return worst
+
+
+def grazes(scene: SceneNumbers, plan: Plan, hit: Array, memory: Workspace) -> bool:
+    """Whether an impact, a row of a wide log, is so slow for the bend of its gap that rounding decides the derivative.
+
+    Rounding shifts the impact, and so changes its rate by the gap's second derivative times the rounding over the rate.
+    """
+    at, row, free = memory.before, memory.gradients[0], memory.free
+    locate(scene, hit, memory)
+    frame, rate = frame_of(at), rate_of(at, row)
+    for index in range(6):
+        free[index] = 0.0
+    accelerate(scene, hit, free, 1.0)
+    bent = bend(scene, at, frame, row, 0.0)
+    for index in range(6):
+        bent += row[index] * free[index]
+    return bool(abs(bent) * _ROUNDING * touch_of(plan, at).together > _GRAZE * rate * rate)
+
+
+def mark_smooth(data: RolloutData, nonsmooth: Flags, tangent: Array, workspaces: Workspaces) -> None:
+    """Fill in which steps have a derivative.
+
+    A step has none if it is ``nonsmooth``, if a foot touches a wall at an end, or if rounding hides the derivative.
+
+    Args:
+        data: the rollout.
+        nonsmooth: steps that have none, shape (N, H).
+        tangent: scratch, shape (ROWS, len(GROWING)).
+        workspaces: one, scratch.
+    """
+    played, memory, steps = rollout_of(data), workspaces[0], nonsmooth.shape[1]
+    row, none = memory.gradients[0], played.torques[:0]
+    for i in range(nonsmooth.shape[0]):
+        scene, plan = scene_of(played, i)
+        before = touching(scene, plan, played.trajectories[i, 0], row)
+        for k in range(steps):
+            after = touching(scene, plan, played.trajectories[i, k + 1], row)
+            first, last = rows_of(played, i, k)
+            at_ends = before == APPROACHING or after == APPROACHING
+            if last > first:  # a foot that strikes as the step ends touches there; one that is outside strikes there
+                at_ends |= before == OUTSIDE or after != CLEAR
+            played.smooth[i, k] = not (nonsmooth[i, k] or at_ends)
+            for hit in range(first, last if played.smooth[i, k] else first):
+                if grazes(scene, plan, played.hits[hit], memory):
+                    played.smooth[i, k] = False
+            if played.smooth[i, k] and last > first:
+                tangent[:] = 0.0
+                for column in range(len(GROWING)):
+                    tangent[GROWING[column], column] = 1.0
+                propagate(played, scene, plan, i, k, none, tangent, memory)
+                played.smooth[i, k] = largest_growth(scene, tangent) < _LARGEST
+            before = after
+
+
+def largest_growth(scene: SceneNumbers, tangent: Array) -> float:
+    """Largest derivative by ``GROWING``, in units of L, v0 and v0 / L; NaN if one is."""
+    largest = 0.0
+    for row in range(12):
+        for column in range(len(GROWING)):
+            grown = abs(tangent[row, column]) * unit_of(scene, GROWING[column]) / unit_of(scene, row)
+            largest = grown if not grown <= largest else largest
+    return largest
+
+
+def unit_of(scene: SceneNumbers, index: int) -> float:
+    """The scene's unit of a number of the state: L, 1 rad, v0 or v0 / L."""
+    length = scene.box_half_width if index % 3 != 2 else 1.0
+    return length if index < RATES else length * scene.speed_scale / scene.box_half_width
+
+
+def propagate(
+    played: Played,
+    scene: SceneNumbers,
+    plan: Plan,
+    i: int,
+    k: int,
+    by_time: Array,
+    tangent: Array,
+    memory: Workspace,
+) -> None:
+    """Take a tangent through a step; it becomes NaN if there is no derivative.
+
+    ``by_time`` is filled with the delays of impacts, shape (rows of the log or 0, columns).
+    """
+    if played.smooth[i, k]:
+        before, after = played.trajectories[i, k], played.trajectories[i, k + 1]
+        first, last = rows_of(played, i, k)
+        torque = played.torques[i, torque_of(played, k)]
+        later = by_time[first:last]
+        step_tangent(scene, plan, torque, before, after, played.hits[first:last], later, tangent, memory)
+    else:
+        tangent[:] = math.nan
+
+
+def fill_identity(tangent: Array, seeds: Array) -> None:
+    """Fill in the identity: columns of the state, the torque, and the fields of ``seeds``.
+
+    ``seeds`` are the derivatives of the scene's numbers by each field, shape (fields, 8).
+    """
+    tangent[:] = 0.0
+    for index in range(FIRST_FIELD):
+        tangent[index, index] = 1.0
+    for column in range(seeds.shape[0]):
+        for index in range(seeds.shape[1]):
+            tangent[GRAVITY + index, FIRST_FIELD + column] = seeds[column, index]
+
+
+def matrices(
+    data: RolloutData, seeds: Array, span: tuple[int, int], results: tuple[Array, Array, Array, Array], tangent: Array,
+    workspaces: Workspaces,
+) -> None:  # fmt: skip
+    """Fill in the derivatives of all steps of some rows; NaN where there is none.
+
+    Args:
+        data: the rollout.
+        seeds: of :func:`fill_identity`, shape (1 or N, F, 8).
+        span: first row, past the last.
+        results: derivatives by state, (N, H, 12, 12), torque, (N, H, 12), and fields, (N, H, 12, F); of the times of
+            impacts by all of these, (rows of the log, 13 + F).
+        tangent: scratch, shape (ROWS, 13 + F).
+        workspaces: one, scratch.
+    """
+    played = rollout_of(data)
+    by_state, by_torque, by_field, by_time = results
+    for i in range(span[0], span[1]):
+        scene, plan = scene_of(played, i)
+        stale = True  # whether the tangent is not that of a flight under a constant torque
+        for k in range(played.smooth.shape[1]):
+            same = plan.kind == CONSTANT and flies(played, i, k)
+            if stale or not same or by_field.shape[3] > 0:
+                fill_identity(tangent, seeds[i if seeds.shape[0] > 1 else 0])
+                propagate(played, scene, plan, i, k, by_time, tangent, workspaces[0])
+                stale = not same
+            for row in range(12):
+                for column in range(12):
+                    by_state[i, k, row, column] = tangent[row, column]
+                by_torque[i, k, row] = tangent[row, TORQUE]
+                for column in range(by_field.shape[3]):
+                    by_field[i, k, row, column] = tangent[row, FIRST_FIELD + column]
+
+
+def push_forward(
+    data: RolloutData, moved: tuple[Array, Array, Array], span: tuple[int, int], results: Array, tangent: Array,
+    workspaces: Workspaces,
+) -> None:  # fmt: skip
+    """Fill in the change of trajectories, shape (N, H + 1, 12), with NaN after a step without a derivative.
+
+    Args:
+        data: the rollout.
+        moved: changes of the first states, (N, 12), the torques, (N, H / repeat), and the scenes' numbers, (N, 8).
+        span: first row, past the last.
+        results: to be filled in.
+        tangent: scratch, shape (ROWS, 1).
+        workspaces: one, scratch.
+    """
+    played = rollout_of(data)
+    states, torques, numbers = moved
+    for i in range(span[0], span[1]):
+        scene, plan = scene_of(played, i)
+        for index in range(12):
+            tangent[index, 0] = results[i, 0, index] = states[i, index]
+        for index in range(numbers.shape[1]):
+            tangent[GRAVITY + index, 0] = numbers[i, index]
+        for k in range(played.smooth.shape[1]):
+            tangent[TORQUE, 0] = torques[i, torque_of(played, k)]
+            propagate(played, scene, plan, i, k, results[i, :0], tangent, workspaces[0])
+            for index in range(12):
+                results[i, k + 1, index] = tangent[index, 0]
+
+
+def pull_back(
+    data: RolloutData, seeds: Array, span: tuple[int, int], weights: Array, results: tuple[Array, Array, Array],
+    tangent: Array, workspaces: Workspaces,
+) -> None:  # fmt: skip
+    """Fill in the derivatives of a sum of weights times states by first states, torques and fields.
+
+    Args:
+        data: the rollout.
+        seeds: as in :func:`matrices`.
+        span: first row, past the last.
+        weights: shape (N, H + 1, 12).
+        results: zeros, shapes (N, 12), (N, H / repeat) and (N, F); NaN by what acts before or in a step without a
+            derivative.
+        tangent: scratch, shape (ROWS, 13 + F).
+        workspaces: one, scratch.
+    """
+    played, memory = rollout_of(data), workspaces[0]
+    by_start, by_torque, by_field = results
+    steps, drift = played.smooth.shape[1], memory.drift
+    for i in range(span[0], span[1]):
+        scene, plan = scene_of(played, i)
+        seed, pulled = seeds[i if seeds.shape[0] > 1 else 0], by_start[i]
+        for index in range(12):
+            pulled[index] = weights[i, steps, index]
+        for k in range(steps - 1, -1, -1):
+            held, weight = torque_of(played, k), 0.0
+            for index in range(12):
+                weight += abs(pulled[index])
+            if weight == 0.0:  # later states have no weight
+                for index in range(12):
+                    pulled[index] = weights[i, k, index]
+                continue
+            if flies(played, i, k):
+                before, after = played.trajectories[i, k], played.trajectories[i, k + 1]
+                drifted(plan, played.torques[i, held] / scene.box_inertia, before, after, plan.dt, drift)
+                by_torque[i, held] += fly_back(scene, pulled, plan.dt, drift, seed, by_field[i])
+            else:
+                fill_identity(tangent, seed)
+                propagate(played, scene, plan, i, k, by_torque[:0], tangent, memory)
+                by_torque[i, held] += weighed(pulled, tangent, TORQUE)
+                for column in range(seed.shape[0]):
+                    by_field[i, column] += weighed(pulled, tangent, FIRST_FIELD + column)
+                for column in range(12):
+                    memory.before[column] = weighed(pulled, tangent, column)
+                for column in range(12):
+                    pulled[column] = memory.before[column]
+            for index in range(12):
+                pulled[index] += weights[i, k, index]
+
+
+def weighed(weights: Array, tangent: Array, column: int) -> float:
+    """Scalar product of the weights and the state's rows of one column."""
+    total = 0.0
+    for index in range(12):
+        total += weights[index] * tangent[index, column]
+    return total
