@@ -1,4 +1,4 @@
-"""Actions that say how the box meets the jack: what they do, the same in all wrappers, and what is refused."""
+"""Landing control: its effect, the same in all wrappers, and its refusals."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ def test_the_box_meets_the_falling_jack_as_asked(angle: float, rate: float, turn
         _, _, _, _, info = env.step([angle, rate])
         time = info["time"]
         assert info["impacts"] == 0
-    left, state = landing - time, info["state"]
+    remaining, state = landing - time, info["state"]
     assert state[8] == pytest.approx(2.5 * rate, abs=0.1)
-    assert state[2] + left * state[8] - turns * math.pi / 2.0 == pytest.approx(0.5 * angle, abs=0.01)
+    assert state[2] + remaining * state[8] - turns * math.pi / 2.0 == pytest.approx(0.5 * angle, abs=0.01)
 
 
 @EVERY_MODEL
