@@ -1,4 +1,4 @@
-"""What the page of results says that policies earn."""
+"""Returns of policies on the page of results."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ def test_a_row_holds_what_evaluating_gives() -> None:
     row = measured.policy_row(Path(), "spin", "exact", "zero", 8)
     settings = EnvSettings(task="spin", contact="exact")
     policy, _ = find_policy("zero", settings, measured.SEED)
-    found = evaluate("zero", policy, settings.env_settings, 8, measured.SEED)
-    assert (row["mean"], row["interval_95"]) == (found.mean, found.interval)
+    evaluated = evaluate("zero", policy, settings.env_settings, 8, measured.SEED)
+    assert (row["mean"], row["interval_95"]) == (evaluated.mean, evaluated.interval)
     planned = measured.milliseconds(find_policy("planner-64", settings), settings)
     assert 0.0 < row["milliseconds"] < planned  # by far
 
@@ -54,13 +54,13 @@ def test_a_curve_is_the_interquartile_mean_of_the_trainings() -> None:
 
 def test_chirps_are_swept_from_the_same_starts_and_earn_what_the_environment_pays() -> None:
     tried = [measured.chirps()[0], measured.chirps()[-1]]
-    found = measured.returns_of("rattle", tried, 2, 5)
+    returns = measured.returns_of("rattle", tried, 2, 5)
     for number, fields in enumerate(tried):
         scene = {"drive": fields}
         env = gym.make("JackInBox-v0", contact="exact", task="rattle", torque="chirp", scene=scene)
         env.reset(seed=6)
         earned = sum(float(env.step(0.0)[1]) for _ in range(500))
-        assert found[number, 1] == pytest.approx(earned, abs=1e-9)
+        assert returns[number, 1] == pytest.approx(earned, abs=1e-9)
     assert len(measured.chirps()) == 400
 
 
