@@ -1,4 +1,4 @@
-"""Fits recover the scene of synthetic recordings, report unidentifiable parameters, and refuse invalid recordings."""
+"""Fits recover the scene of synthetic recordings, report unidentifiable fields, and refuse unusable recordings."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_the_jack_alone_seen_and_its_impacts_heard_with_known_noise() -> None:
     assert fitted.noise == noise
 
 
-def test_two_recordings_give_narrower_intervals_than_one() -> None:
+def test_two_recordings_narrow_the_intervals_of_one() -> None:
     pair = [Recording(*recorded(seed=seed)[:2], DT) for seed in (0, 1)]
     one, both = (fit(several, ("jack_mass",), START.changed(restitution=0.85)) for several in (pair[0], pair))
     widths = [one_fit.intervals["jack_mass"][1] - one_fit.intervals["jack_mass"][0] for one_fit in (one, both)]
@@ -216,13 +216,13 @@ def test_derivatives_of_residuals_equal_differences() -> None:
     rows = shooting.rows(at, noise, 1e-2)
     assert rows is not None
     assert {-1, 12} <= {*rows.column.tolist()}  # links and heard impacts among them
-    for index in range(len(at)):
-        step = 1e-7 * np.eye(len(at))[index]
+    for column in range(len(at)):
+        step = 1e-7 * np.eye(len(at))[column]
         more, less = (shooting.rows(at + sign * step, noise, 1e-2) for sign in (1.0, -1.0))
         assert more is not None
         assert less is not None
         difference = (more.residuals - less.residuals) / 2e-7
-        np.testing.assert_allclose(rows.by[:, index], difference, atol=1e-5 * abs(difference).max() + 1e-6, rtol=1e-5)
+        np.testing.assert_allclose(rows.by[:, column], difference, atol=1e-5 * abs(difference).max() + 1e-6, rtol=1e-5)
 
 
 @pytest.mark.parametrize(
