@@ -38,7 +38,7 @@ def actions_at(step: int, count: int) -> Any:
 
 
 def play(env: JackInBoxVectorEnv, steps: int, seed: int) -> list[Any]:
-    """What a batch returns: every seventh step under the drive, the others under random actions."""
+    """Results of a batch: every seventh step under the drive, the others under random actions."""
     rng, played = np.random.default_rng(seed), []
     for step in range(steps):
         actions = rng.uniform(-1.0, 1.0, env.num_envs)
@@ -48,7 +48,7 @@ def play(env: JackInBoxVectorEnv, steps: int, seed: int) -> list[Any]:
 
 
 def unmarked(infos: dict[str, Any]) -> dict[str, Any]:
-    """Infos without the marks of whose they are."""
+    """Infos without the masks that mark their environments."""
     return {
         name: unmarked(values) if isinstance(values, dict) else values
         for name, values in infos.items()

@@ -101,7 +101,7 @@ def test_an_end_in_the_last_step_is_no_truncation_to_stable_baselines(contact: s
 
 
 def dividing(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float]:
-    """What an environment that turns its box clockwise with all its might cannot earn."""
+    """A reward that is a division by zero at full torque clockwise."""
     return (1e-4 / (torque + 9e4),)
 
 

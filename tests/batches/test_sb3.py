@@ -60,7 +60,7 @@ def test_each_step_is_that_of_dummy_vec_env(contact: str, settings: dict[str, An
 
 
 @EVERY_MODEL
-def test_an_info_holds_what_stable_baselines_reads_and_no_more_unless_asked(contact: str) -> None:
+def test_infos_have_the_keys_of_stable_baselines_alone_by_default(contact: str) -> None:
     arguments: dict[str, Any] = {"contact": contact, "max_episode_steps": 7}
     slim, full = make_sb3_vec_env(2, **arguments), make_sb3_vec_env(2, with_infos=True, **arguments)
     for env in (slim, full):

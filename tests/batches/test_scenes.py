@@ -58,7 +58,7 @@ def test_drawn_scenes_are_those_of_single_environments(contact: str, count: int,
 
 
 @EVERY_MODEL
-def test_infos_hold_what_was_drawn_of_the_episode_that_ended_and_of_the_next(contact: str) -> None:
+def test_infos_have_the_drawn_scenes_of_the_ended_episode_and_of_the_next(contact: str) -> None:
     ranges = {name: RANGES[name] for name in ("gravity", "jack_mass")}
     env = JackInBoxEnv(contact=contact, randomize=ranges)
     drawn = [env.reset(seed=4)[1]["scene"]]

@@ -80,7 +80,7 @@ def test_actions_that_the_environment_refuses_are_refused(bad: float) -> None:
         env.step(np.array([bad]))
 
 
-def test_what_the_page_names_as_not_supported_raises() -> None:
+def test_uses_that_the_page_names_as_not_supported_raise() -> None:
     states, shares = torch.rand((3, 12), dtype=torch.float64), torch.full((3,), 0.5, dtype=torch.float64)
 
     def earned(states: torch.Tensor) -> torch.Tensor:

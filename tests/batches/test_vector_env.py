@@ -43,7 +43,7 @@ def test_none_lets_the_drive_act_and_actions_are_clipped(contact: str) -> None:
 
 
 def arrays_in(handed: Any) -> list[Any]:
-    """All arrays in what was handed out, those in dicts and in arrays of arrays as well."""
+    """All arrays in a returned value, those in dicts and in arrays of arrays too."""
     if isinstance(handed, np.ndarray) and handed.dtype != object:
         return [handed]
     parts = handed.values() if isinstance(handed, dict) else [] if handed is None else handed
@@ -52,7 +52,7 @@ def arrays_in(handed: Any) -> list[Any]:
 
 @EVERY_SIZE
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
-def test_what_is_handed_out_and_in_is_the_callers(contact: str, mode: AutoresetMode, count: int) -> None:
+def test_returned_and_passed_arrays_belong_to_the_caller(contact: str, mode: AutoresetMode, count: int) -> None:
     settings: Any = {"contact": contact, "max_episode_steps": 4, "with_infos": True, "autoreset_mode": mode}
     scribbled, twin = (JackInBoxVectorEnv(count, **settings) for _ in range(2))
     options: Any = {"state": np.tile(np.linspace(0.0, 0.5, 12), (count, 1)), "time": np.full(count, 1.0)}

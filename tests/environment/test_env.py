@@ -50,7 +50,7 @@ def test_the_spaces_are_the_documented_ones(env: Env) -> None:
     assert env.metadata["render_fps"] == 50
 
 
-def test_an_observation_is_what_the_table_says() -> None:
+def test_an_observation_equals_the_documented_table() -> None:
     # Box at (1, 2) turned by 90 degrees, moving with (0.5, 0); jack 3 m above it, turned by 30 degrees further.
     state = [1.0, 2.0, math.pi / 2, 1.0, 5.0, math.pi / 2 + math.pi / 6, 0.5, 0.0, 1.5, 0.5, -2.0, -7.0]
     v0 = math.sqrt(2.0 * 9.81 * 6.0)
@@ -133,7 +133,7 @@ def test_the_environment_steps_what_the_simulator_steps() -> None:
 @pytest.mark.parametrize(
     ("task", "terms"), [("juggle", ["centre"]), ("spin", ["spin"]), ("rattle", ["knock", "effort"])]
 )
-def test_an_episode_of_500_steps_earns_the_sum_of_its_terms_and_tells_the_same_from_reset_on(
+def test_an_episode_of_500_steps_earns_the_sum_of_its_terms_and_has_the_same_info_keys_from_reset_on(
     task: str, terms: list[str]
 ) -> None:
     env, names = make(task=task), {f"reward_{name}" for name in terms}

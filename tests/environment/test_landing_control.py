@@ -24,7 +24,7 @@ def single(period: float = 0.4, **made: Any) -> LandingControl:
 
 @pytest.mark.parametrize("turns", [0, 3])
 @pytest.mark.parametrize(("angle", "rate"), [(0.0, 0.0), (0.8, -0.4), (-0.6, 0.6)])
-def test_the_box_meets_the_falling_jack_as_asked(angle: float, rate: float, turns: int) -> None:
+def test_the_box_strikes_the_falling_jack_as_the_action_sets(angle: float, rate: float, turns: int) -> None:
     env = single(0.02, contact="exact", scene={"gravity": 3.0, "torque_limit": 1e6})
     state = np.zeros(12)
     state[2], state[4] = turns * math.pi / 2.0, 2.0
@@ -82,7 +82,7 @@ def test_it_is_an_environment_of_gymnasium_and_stable_baselines() -> None:
     assert env.get_wrapper_attr("time") == pytest.approx(0.4)
 
 
-def test_what_cannot_be_aimed_is_refused() -> None:
+def test_unusable_actions_and_environments_are_refused() -> None:
     for refused, action in (("shape", [0.0]), ("finite", [0.0, math.nan]), ("numbers", None)):
         env = single()
         env.reset(seed=0)

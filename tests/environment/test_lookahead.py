@@ -136,7 +136,7 @@ def test_manoeuvres_stop_the_box_where_they_should(scene: Scene) -> None:
     np.testing.assert_allclose(ends[:, 2], 0.3 + furthest * np.array([-0.5, 0.0, 0.5]), atol=1e-9)
 
 
-def test_the_plan_earns_what_it_says() -> None:
+def test_the_plan_earns_its_predicted_return() -> None:
     env = JackInBoxVectorEnv(4, contact="exact", autoreset_mode="SAME_STEP")
     seen, _ = env.reset(seed=2)
     features = Features("juggle", 0.02, LookaheadOptions(samples=16, num_threads=1))

@@ -77,7 +77,7 @@ def test_the_same_actions_from_a_saved_state_give_the_same_future_bitwise(contac
             np.testing.assert_array_equal(twin.step(action)[0], seen)
 
 
-def test_set_state_takes_what_pymunk_may_produce() -> None:
+def test_set_state_accepts_states_that_pymunk_may_produce() -> None:
     env, deep = JackInBoxEnv(), np.zeros(12)
     env.reset(seed=0)
     deep[[3, 9]] = 5.7, 3.0

@@ -129,7 +129,7 @@ WITHOUT = [
 ]
 
 
-def test_a_missing_package_says_how_to_get_it_from_a_checkout() -> None:
+def test_errors_of_missing_packages_name_the_command_that_installs_them() -> None:
     code = "import sys, gymnasium, jackbox_env\nfor name in ('stable_baselines3', 'pygame', 'tyro'):\n"
     code += "    sys.modules[name] = None\n"
     for line in WITHOUT:

@@ -31,7 +31,7 @@ from tests.states import inside
     ],
     ids=str,
 )
-def test_any_chirp_at_any_time_moves_the_box_as_it_should(chirp: Chirp, time: float, dt: float) -> None:
+def test_any_chirp_at_any_time_moves_the_box_by_its_fresnel_integrals(chirp: Chirp, time: float, dt: float) -> None:
     run = simulator(Scene(gravity=0.0, drive=chirp), np.zeros(12), time)
     run.step(dt)
     if chirp.rate < 0.0:  # the same torque

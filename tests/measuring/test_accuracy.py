@@ -182,7 +182,7 @@ def test_a_reference_is_sure_of_as_many_impacts_as_rounding_allows() -> None:
     assert reference_of(CHIRPED._replace(state=far)).sure <= reference.sure
 
 
-def test_the_exact_model_has_no_error_against_itself_and_a_late_one_has_what_it_is_late_by() -> None:
+def test_the_exact_model_has_no_error_against_itself_and_a_late_one_has_its_delay() -> None:
     case = CHIRPED._replace(steps=250)
     reference = reference_of(case)
     same = Course(reference.states, reference.impacts, 0.0, 0.0, 1.0, False)

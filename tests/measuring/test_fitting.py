@@ -110,7 +110,7 @@ def test_rest_is_excluded_and_counted() -> None:
     assert fitted.scene.restitution == pytest.approx(0.3, abs=2e-3)
 
 
-def test_what_does_not_fit_has_not_converged() -> None:
+def test_a_start_that_cannot_be_followed_is_refused() -> None:
     states, torques, _ = recorded()
     with pytest.raises(ValueError, match="recordings must be followed for a while: the scene at the start leads"):
         fit(Recording(states, -torques, DT), ("jack_mass", "restitution"), START)
@@ -240,7 +240,7 @@ def test_derivatives_of_residuals_equal_differences() -> None:
         ({"impacts": [0.2, 0.1]}, "impacts must be times in order"),
     ],
 )
-def test_what_is_no_recording_is_refused(change: dict[str, Any], complaint: str) -> None:
+def test_unusable_recordings_are_refused(change: dict[str, Any], complaint: str) -> None:
     with pytest.raises((TypeError, ValueError), match=complaint):
         Recording(**{"states": np.zeros((4, 12)), "torques": np.zeros(3), "dt": DT, **change})
 
@@ -262,7 +262,7 @@ def test_what_is_no_recording_is_refused(change: dict[str, Any], complaint: str)
         ({"noise": {"x": 1.0}}, "noise takes only 'x_box'"),
     ],
 )
-def test_what_cannot_be_fitted_is_refused(change: dict[str, Any], complaint: str) -> None:
+def test_unusable_arguments_of_fits_are_refused(change: dict[str, Any], complaint: str) -> None:
     arguments = {"recordings": Recording(np.zeros((4, 12)), np.zeros(3), DT), "fields": ("gravity",), **change}
     with pytest.raises((TypeError, ValueError), match=complaint):
         jackbox_env.fit(**arguments)

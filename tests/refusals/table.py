@@ -263,7 +263,7 @@ OF_VECTORS: Kinds = {
     "with_infos": flag(False),
     "scene": SCENES.but(short=out([None], "list of 2", "1 of them")),
 }
-LOOKING: Kinds = {
+LOOKAHEAD: Kinds = {
     "hold": whole(5, 1, 1000),
     "turns": whole(3, 0, 999).but(even=out(4, "odd", "4")),
     "samples": whole(8, 0, 100_000).but(few=out(7, "8", "7")),
@@ -379,9 +379,9 @@ FUNCTIONS: list[tuple[Callable[..., Any], Kinds]] = [
     (jackbox_env.rollout, ROLLOUT),
     (jackbox_env.linearize, {**LINEARIZING, "steps": Argument(None, {})}),
     (cheapest, CHOOSING),
-    (jackbox_env.Lookahead, {**LOOKING, **WRAPPED}),
-    (jackbox_env.LookaheadVector, {**LOOKING, **VECTOR}),
-    (LookaheadVecEnv, {**LOOKING, **SB3}),
+    (jackbox_env.Lookahead, {**LOOKAHEAD, **WRAPPED}),
+    (jackbox_env.LookaheadVector, {**LOOKAHEAD, **VECTOR}),
+    (LookaheadVecEnv, {**LOOKAHEAD, **SB3}),
     (HoldingVecEnv, {"hold": whole(5, 1), **SB3}),
     (jackbox_env.LandingControl, {**PERIOD, **WRAPPED}),
     (jackbox_env.LandingControlVector, {**PERIOD, **VECTOR}),

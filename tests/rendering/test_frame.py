@@ -104,7 +104,7 @@ def test_no_label_is_cut_at_the_edge(axis: int, words: Words) -> None:
 # -- the readings ------------------------------------------------------------------------------------------------------
 
 
-def test_a_picture_tells_time_torque_and_impacts(words: Words) -> None:
+def test_a_picture_shows_time_torque_and_impacts(words: Words) -> None:
     renderer = renderer_at(state())
     draw(renderer)
     assert {"t = 0.00 s", "0.0 kN m", "0 impacts"} <= set(words)

@@ -142,7 +142,7 @@ def test_the_best_is_of_episodes_that_the_player_acted_in(window: GameWindow, wr
         assert (game.best, game.over) == (best, over)
 
 
-def test_the_panel_does_not_say_again_what_the_picture_says(window: GameWindow, written: list[str]) -> None:
+def test_the_panel_does_not_repeat_the_picture(window: GameWindow, written: list[str]) -> None:
     window.frame(0.1)
     assert window.game.earned > 0.0
     assert {"juggle", f"{window.game.earned:.1f}"}.isdisjoint(written)
@@ -161,7 +161,7 @@ def test_p_hands_over_to_the_trained_agent_and_back(window: GameWindow, written:
     assert window.game.acting() == "chirp"
 
 
-def test_p_says_what_it_needs_where_there_is_no_agent(window: GameWindow, written: list[str]) -> None:
+def test_p_shows_a_message_if_there_is_no_agent(window: GameWindow, written: list[str]) -> None:
     def missing() -> Any:
         raise FileNotFoundError("no such folder")
 
@@ -196,7 +196,7 @@ def test_the_picture_is_the_environments_beside_the_panel_until_escape(window: G
 
 
 @pytest.mark.parametrize(("driver", "named"), [("", "desktop"), ("nonsense", "nonsense")])
-def test_without_a_display_it_says_so(driver: str, named: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_display_the_window_raises_an_error(driver: str, named: str, monkeypatch: pytest.MonkeyPatch) -> None:
     pygame.display.quit()
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
         monkeypatch.delenv(name, raising=False)

@@ -42,7 +42,7 @@ def test_state_and_time_determine_the_future_also_pickled_and_copied(contact: st
 
 
 @EVERY_MODEL
-def test_what_is_handed_out_is_never_written_again(contact: str) -> None:
+def test_returned_values_are_never_written_again(contact: str) -> None:
     simulator = make_simulator(Scene(jack_arm=5.0), contact)
     handed_out = []
     for _ in range(100):

@@ -53,7 +53,7 @@ def counted(contact: str, scene: Scene, state: Any, torque: float | None = 1e4) 
 
 
 @pytest.mark.parametrize("proof", PROOFS, ids=lambda proof: f"{proof.thing}, {proof.model}: {proof.what}")
-def test_what_is_off_does_not_run_and_what_is_on_does(proof: Proof) -> None:
+def test_a_feature_runs_if_it_is_on_and_does_not_if_it_is_off(proof: Proof) -> None:
     without, having = proof.counts()
     assert without == 0
     assert having > 0

@@ -35,7 +35,7 @@ PAGES: dict[str, Callable[[], str]] = {
 
 
 @pytest.mark.parametrize("name", PAGES)
-def test_a_page_holds_the_numbers_that_are_stored(name: str) -> None:
+def test_a_page_shows_the_stored_numbers(name: str) -> None:
     assert PAGES[name]() == (DOCS / f"{name}.md").read_text()
 
 
@@ -89,7 +89,7 @@ def test_only_the_unguarded_search_loses_impacts_and_feet() -> None:
 
 
 @pytest.mark.parametrize("kind", cost_steps.LOSS)
-def test_each_step_with_loss_is_what_its_row_says(kind: str) -> None:
+def test_each_step_with_loss_has_the_impacts_of_its_row(kind: str) -> None:
     steps = cost_steps.with_loss(kind, courses=24)
     few, most = {cost_steps.FLIGHT: (0, 0), cost_steps.BOUNCE: (1, 1), cost_steps.PILE: (10, 20)}.get(kind, (1, 4))
     assert few <= steps.hits.min()

@@ -19,7 +19,7 @@ def nets() -> tuple[Any, Any]:
     return vine.network(SMALL), vine.network(SMALL)
 
 
-def test_a_torque_is_judged_by_what_it_and_the_network_after_it_earn() -> None:
+def test_the_worth_of_a_torque_is_the_return_of_the_torque_and_then_the_network() -> None:
     (net, critic), rng = nets(), np.random.default_rng(0)
     recipe = vine.RECIPES["rattle"]._replace(symmetric=False, ahead=1, discount=0.0, task=TASKS["spin"])
     states = vine.starts(40, rng)
