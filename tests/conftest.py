@@ -1,4 +1,4 @@
-"""What all tests share.
+"""Settings and fixtures of all tests.
 
 The compiled code is ready before several workers ask for it at once. Sweeps over random cases draw a quarter of them,
 and all under ``--whole``, as ``make test-slow`` runs them. A module is skipped if an optional library that it needs is
@@ -47,7 +47,7 @@ def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_setupnodes() -> None:
-    """Compile what is kept on disk, once, before the workers start."""
+    """Compile the code that is cached on disk, once, before the workers start."""
     jackbox_env.make_simulator(contact="exact").step(0.02)
     envs = gym.make_vec("JackInBox-v0", num_envs=2, vectorization_mode="vector_entry_point", contact="exact")
     envs.reset(seed=0)

@@ -74,7 +74,7 @@ def simulated(contact: str, scene: Scene, start: list[float], steps: int, held: 
 
 
 def played(contact: str, scene: Scene, task: str, steps: int) -> str:
-    """What an environment shows."""
+    """Digest of the results of an environment."""
     env = JackInBoxEnv(contact=contact, scene=scene, task=task)
     observation, info = env.reset(seed=1)
     parts: list[Any] = [observation]
@@ -85,7 +85,7 @@ def played(contact: str, scene: Scene, task: str, steps: int) -> str:
 
 
 def batched(contact: str, scene: Scene, task: str, count: int, steps: int) -> str:
-    """What a batch of environments shows."""
+    """Digest of the results of a batch of environments."""
     env = JackInBoxVectorEnv(
         count, contact=contact, scene=scene, task=task, with_infos=True, max_episode_steps=70,
         autoreset_mode="SAME_STEP",
@@ -100,7 +100,7 @@ def batched(contact: str, scene: Scene, task: str, count: int, steps: int) -> st
 
 
 def rolled(scene: Scene) -> str:
-    """What rollouts bring."""
+    """Digest of rollouts."""
     rng = np.random.default_rng(0)
     states = np.tile(FREE, (5, 1))
     states[:, 9:] += rng.normal(size=(5, 3))
@@ -110,22 +110,22 @@ def rolled(scene: Scene) -> str:
 
 def of_contact_model(contact: str, steps: int) -> Digests:
     """Digests of a contact model under every kind of drive."""
-    found: Digests = {}
+    digests: Digests = {}
     for (name, drive), task in zip(DRIVES.items(), ("juggle", "spin", "rattle", "juggle", "rattle"), strict=True):
         scene = Scene(drive=drive)
-        found[f"{contact}, simulator, {name}"] = simulated(contact, scene, FREE, steps, held=False)
-        found[f"{contact}, simulator, {name}, held torques"] = simulated(contact, scene, FREE, steps, held=True)
-        found[f"{contact}, {task}, {name}"] = played(contact, scene, task, steps)
+        digests[f"{contact}, simulator, {name}"] = simulated(contact, scene, FREE, steps, held=False)
+        digests[f"{contact}, simulator, {name}, held torques"] = simulated(contact, scene, FREE, steps, held=True)
+        digests[f"{contact}, {task}, {name}"] = played(contact, scene, task, steps)
         count = 33 if contact == "exact" else 2
-        found[f"{contact}, batch, {task}, {name}"] = batched(contact, scene, task, count, steps)
+        digests[f"{contact}, batch, {task}, {name}"] = batched(contact, scene, task, count, steps)
         if contact == "exact":
-            found[f"rollout, {name}"] = rolled(scene)
+            digests[f"rollout, {name}"] = rolled(scene)
     odd = Scene(box_half_width=3.7391, jack_arm=0.61237, box_mass=211.3, jack_mass=5.31, torque_limit=2e4, drive=None)
-    found[f"{contact}, an odd scene"] = simulated(contact, odd, FREE, steps, held=True)
-    found[f"{contact}, at rest"] = simulated(contact, Scene(drive=None), RESTING, 10, held=False)
-    found[f"{contact}, with loss"] = simulated(contact, Scene(restitution=0.5, drive=None), FREE, steps, held=True)
-    found[f"{contact}, many turns"] = simulated(contact, Scene(drive=None), TURNED, steps, held=True)
-    return found
+    digests[f"{contact}, an odd scene"] = simulated(contact, odd, FREE, steps, held=True)
+    digests[f"{contact}, at rest"] = simulated(contact, Scene(drive=None), RESTING, 10, held=False)
+    digests[f"{contact}, with loss"] = simulated(contact, Scene(restitution=0.5, drive=None), FREE, steps, held=True)
+    digests[f"{contact}, many turns"] = simulated(contact, Scene(drive=None), TURNED, steps, held=True)
+    return digests
 
 
 def of_scenes() -> Digests:
@@ -160,13 +160,13 @@ def of_libraries() -> Digests:
 
 def fingerprints(kinds: Iterable[str]) -> Digests:
     """The digests of these kinds: ``exact``, ``pymunk``, ``scenes``, ``libraries``."""
-    found: Digests = {}
+    digests: Digests = {}
     for kind in kinds:
         if kind in ("exact", "pymunk"):
-            found |= of_contact_model(kind, 150 if kind == "exact" else 60)
+            digests |= of_contact_model(kind, 150 if kind == "exact" else 60)
         else:
-            found |= of_scenes() if kind == "scenes" else of_libraries()
-    return found
+            digests |= of_scenes() if kind == "scenes" else of_libraries()
+    return digests
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What the tests see: small faults are put into the code, one at a time, and tests run until one fails.
+"""Mutation testing: small faults are put into the code, one at a time, and tests run until one fails.
 
 ``python -m tests.mutants --seed 1 --number 60`` (``make mutants``) draws half of the faults in the law and the compiled
 code, a third in the whole of jackbox_env, the others in agents/. Each result is a line of
@@ -58,7 +58,7 @@ def drawn(seed: int, number: int) -> list[tuple[Path, int]]:
     for patterns, share in GROUPS:
         matched = [sorted(ROOT.glob(pattern)) for pattern in patterns]
         assert all(matched), f"one of {', '.join(patterns)} matches no file"
-        every = [(path, place + 1) for paths in matched for path in paths for place in range(faulty(path, 0)[2])]
+        every = [(path, index + 1) for paths in matched for path in paths for index in range(faulty(path, 0)[2])]
         chosen += rng.sample(every, round(number * share))
     return chosen
 
@@ -79,8 +79,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--number", type=int, default=60)
-    given, copy, results = parser.parse_args(), OUT / "project", OUT / "results.jsonl"
-    for path, number in [(ROOT / LAW[0], 0), *drawn(given.seed, given.number)]:
+    arguments, copy, results = parser.parse_args(), OUT / "project", OUT / "results.jsonl"
+    for path, number in [(ROOT / LAW[0], 0), *drawn(arguments.seed, arguments.number)]:
         shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(".*", "runs", "_build"), dirs_exist_ok=True)
         text, name, _ = faulty(path, number)
         (copy / path.relative_to(ROOT)).write_text(text)

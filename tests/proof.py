@@ -2,15 +2,14 @@
 
 Every number is an Arb ball, a midpoint and a radius that contain the true value (Johansson 2017, "Arb: efficient
 arbitrary-precision midpoint-radius interval arithmetic"). A float64 state, torque or time is a ball of radius 0, so
-what is enclosed is the motion of exactly the given numbers. Nothing of the simulators is used: no bound, no cosine and
-no tolerance of theirs, only the numbers of a :class:`Scene`.
+the enclosed motion is that of exactly these numbers. Of the package only the numbers of a :class:`Scene` are used: no
+bound, no cosine and no tolerance of the simulators.
 
 Flight: the jack's centre falls, its spin is constant, the box's centre moves uniformly, because a lift carries the box.
     The box's angle is the double integral of the torque: a polynomial if held, Fresnel integrals under a chirp.
 Gaps: the 16 functions gap_ki(t) = L - n_k . (r + o_i) of wall k and foot i. On a time interval with midpoint m a gap
     is enclosed by its Taylor form gap(m) + gap'(m) s + gap''([interval]) s^2 / 2, and its rate likewise. Power series
-    give the derivatives (Moore 1979, "Methods and applications of interval analysis"; Tucker 2011, "Validated
-    numerics").
+    give the derivatives (Moore 1979, "Methods and applications of interval analysis"; Tucker 2011).
 Search: an interval is free of impacts of a foot if its gap is positive there, or if its rate is. So a foot that has
     just struck needs no special case. Other intervals are bisected until all feet left approach throughout: then each
     whose gap ends negative has one root, and the interval Newton operator encloses it.
@@ -49,7 +48,7 @@ class Impact(NamedTuple):
 
 
 class Proof(NamedTuple):
-    """What :func:`prove` returns."""
+    """The result of :func:`prove`."""
 
     impacts: list[Impact]  # in their proven order
     states: list[list[arb]]  # (steps + 1, 12) [SI units] at the start and after each step
@@ -113,8 +112,8 @@ class Motion:
         """Enclose a step of ``dt`` [s] under a held torque [N m] or the drive: flights and impacts in turn."""
         since = arb(0)
         flight = FreeFlight(self.scene, self.states[-1], turn_of(self.scene, torque, self.time, since))
-        while found := flight.first_impact(dt - since):
-            root, pairs = found
+        while first := flight.first_impact(dt - since):
+            root, pairs = first
             since += root
             state = self.impact(flight.state_at(root), self.touching(flight, root, pairs), self.time + since)
             flight = FreeFlight(self.scene, state, turn_of(self.scene, torque, self.time, since))
@@ -122,7 +121,7 @@ class Motion:
         self.time += dt
 
     def known(self, state: list[arb]) -> list[arb]:
-        """Return the state; raise UndecidedError if a number is known less well than to ``radius``."""
+        """Return the state; raise UndecidedError if a ball is wider than ``radius``."""
         if not all(number.rad() <= self.radius for number in state):
             raise UndecidedError("more impacts than the bits follow")
         return state
@@ -186,8 +185,8 @@ def complementary(matrix: list[list[arb]], vector: list[arb]) -> list[arb]:
             )
         except ZeroDivisionError:
             continue
-        for place, i in enumerate(active):
-            pushes[i] = solved[place, 0]
+        for row, i in enumerate(active):
+            pushes[i] = solved[row, 0]
         others = [i for i in range(count) if i not in active]
         freed = [sum((matrix[i][j] * pushes[j] for j in active), vector[i]) for i in others]
         if all(pushes[i] > 0 for i in active) and all(rate > 0 for rate in freed):
@@ -199,7 +198,7 @@ def complementary(matrix: list[list[arb]], vector: list[arb]) -> list[arb]:
 
 
 class Turn(NamedTuple):
-    """What a torque does to the box, as functions of the time since a flight's start [s]."""
+    """The effect of a torque on the box, as functions of the time since a flight's start [s]."""
 
     gain: Callable[[arb], tuple[arb, arb]]  # of its angle beyond uniform rotation [rad], and of its rate [rad/s]
     acceleration: Callable[[arb], arb]  # [rad/s^2]
@@ -363,25 +362,22 @@ class FreeFlight:
         while waiting:
             start, stop, pairs = waiting.pop()
             forms = self.forms(start.union(stop), pairs)
-            left = [pair for pair, form in forms.items() if not (form.gap > 0 or form.rate > 0)]
-            if all(forms[pair].rate < 0 for pair in left):
-                at_stop = self.forms(stop, left) if left else {}
-                crossing = [pair for pair in left if at_stop[pair].gap < 0]
-                if all(at_stop[pair].gap > 0 for pair in left if pair not in crossing):
+            feet = [pair for pair, form in forms.items() if not (form.gap > 0 or form.rate > 0)]
+            if all(forms[pair].rate < 0 for pair in feet):
+                at_stop = self.forms(stop, feet) if feet else {}
+                crossing = [pair for pair in feet if at_stop[pair].gap < 0]
+                if all(at_stop[pair].gap > 0 for pair in feet if pair not in crossing):
                     if crossing:
                         return self.first_root(start, stop, until, crossing)
                     continue
             if stop - start < shortest:
                 raise UndecidedError("an impact at a step's very end" if stop == end else "a tangency or rest")
             cut = (start + (stop - start) * SPLIT).mid()
-            waiting += [(cut, stop, left), (start, cut, left)]
+            waiting += [(cut, stop, feet), (start, cut, feet)]
         return None
 
     def first_root(self, start: arb, stop: arb, until: arb, pairs: list[Pair]) -> tuple[arb, list[Pair]] | None:
-        """The first root of gaps that fall throughout an interval and end negative, and the pairs that may have it.
-
-        None if it is after ``until``.
-        """
+        """The first root within ``until`` of falling gaps that end negative and its possible pairs, else None."""
         if not all(form.gap > 0 for form in self.forms(start, pairs).values()):
             raise UndecidedError("a foot that approaches from within a wall")
         roots = {pair: self.root(pair, start.union(stop)) for pair in pairs}

@@ -132,7 +132,7 @@ def random_cases(rng: np.random.Generator, elastic: bool = True) -> Iterator[Cas
 
 
 def random_losses(rng: np.random.Generator) -> Iterator[Case]:
-    """The random cases with their own restitution, unless it is 0."""
+    """The random cases with the restitution that they drew, unless it is 0."""
     return random_cases(rng, elastic=False)
 
 
@@ -199,63 +199,63 @@ REGIMES: dict[str, tuple[Callable[[np.random.Generator], Iterator[Case]], int]] 
 # -- comparison --------------------------------------------------------------------------------------------------------
 
 
-class Seen(NamedTuple):
-    """What float64 computes."""
+class Computed(NamedTuple):
+    """Impacts and last state in float64."""
 
     impacts: list[Impact]
     state: Array  # (12,) at the end
 
 
-def simulated(case: Case) -> Seen:
+def simulated(case: Case) -> Computed:
     """A case by the exact model."""
     run, impacts = make_simulator(case.scene, contact="exact"), list[Impact]()
     run.reset(case.state, case.time)
     for torque in case.torques:
         run.step(case.dt, torque)
         impacts += run.impacts
-    return Seen(impacts, run.state)
+    return Computed(impacts, run.state)
 
 
 class Distance(NamedTuple):
     """How far float64 is from the enclosures."""
 
     time: float  # of the first impact [units of rounding]
-    place: float  # of its foot from where the wall is at that time [m]
+    position: float  # of its foot from where the wall is at that time [m]
     state: float  # the last one [units of rounding]
     refuted: str  # the reason, or empty
 
 
-def distance(case: Case, proof: Proof, seen: Seen) -> Distance:
+def distance(case: Case, proof: Proof, computed: Computed) -> Distance:
     """Compare float64 with a proof; a unit of rounding of a number x is eps max(1, |x|)."""
-    time = place = state = 0.0
+    time = position = state = 0.0
     if not proof.decided:
-        return Distance(time, place, state, proof.why)
+        return Distance(time, position, state, proof.why)
     whole = len(case.torques) > 1
     few = 5 if whole else None  # chaos multiplies float64's errors with every impact
-    found, true = pairs(seen.impacts)[:few], pairs(proof.impacts)[:few]
-    if found != true:
-        return Distance(time, place, state, f"impacts {found} where {true} are proven")
-    if found:
-        hit, first = seen.impacts[0], proof.impacts[0]
+    struck, true = pairs(computed.impacts)[:few], pairs(proof.impacts)[:few]
+    if struck != true:
+        return Distance(time, position, state, f"impacts {struck} where {true} are proven")
+    if struck:
+        hit, first = computed.impacts[0], proof.impacts[0]
         unit, off = EPS * max(1.0, abs(hit.time)), abs(float(hit.time - first.time))
-        time, place = off / unit, abs(float(first.rate)) * max(0.0, off - unit)
-        if not place <= 2.0 * CLOSE * max(1.0, case.scene.box_half_width):
-            return Distance(time, place, state, f"a first impact {off:.3g} s off")
+        time, position = off / unit, abs(float(first.rate)) * max(0.0, off - unit)
+        if not position <= 2.0 * CLOSE * max(1.0, case.scene.box_half_width):
+            return Distance(time, position, state, f"a first impact {off:.3g} s off")
     if not whole:
-        ends = list(zip(proof.states[-1], seen.state.tolist(), strict=True))
+        ends = list(zip(proof.states[-1], computed.state.tolist(), strict=True))
         state = max(abs(float(ball - number)) / (EPS * max(1.0, abs(number))) for ball, number in ends)
         rounded = float(max(ball.rad() for ball, _ in ends) * arb(2) ** proof.bits)
         chirp = case.scene.drive if None in case.torques else None
         late = abs(case.time) * chirp.torque_bound / case.scene.box_inertia if chirp else 0.0
         growth = max(1.0, rounded, late)  # the last: a chirp's time is rounded too
         if not state <= FAR * growth:
-            return Distance(time, place, state, f"a last state {state:.3g} units of rounding off")
-    return Distance(time, place, state, "")
+            return Distance(time, position, state, f"a last state {state:.3g} units of rounding off")
+    return Distance(time, position, state, "")
 
 
-def change(proof: Proof, seen: Seen) -> float:
+def change(proof: Proof, computed: Computed) -> float:
     """The largest difference of velocities at the end [m/s, rad/s]."""
-    rates = zip(proof.states[-1][6:], seen.state.tolist()[6:], strict=True)
+    rates = zip(proof.states[-1][6:], computed.state.tolist()[6:], strict=True)
     return max(abs(float(ball - number)) for ball, number in rates)
 
 
@@ -272,19 +272,19 @@ def is_tie(case: Case, proof: Proof) -> bool:
     return len(near) > 1
 
 
-def grazed(case: Case, proof: Proof, seen: Seen) -> float:
+def grazed(case: Case, proof: Proof, computed: Computed) -> float:
     """The gap of the one foot that bounces without a proven impact [m]; infinite if the impacts differ otherwise."""
-    found, true = pairs(seen.impacts), pairs(proof.impacts)
-    extra = next((n for n, pair in enumerate(found) if true[n : n + 1] != [pair]), None)
-    if extra is None or found[:extra] + found[extra + 1 :] != true:
+    struck, true = pairs(computed.impacts), pairs(proof.impacts)
+    extra = next((n for n, pair in enumerate(struck) if true[n : n + 1] != [pair]), None)
+    if extra is None or struck[:extra] + struck[extra + 1 :] != true:
         return math.inf
-    gap = gaps_at(case, seen.impacts[extra].time)[found[extra]]
+    gap = gaps_at(case, computed.impacts[extra].time)[struck[extra]]
     return float(gap) if gap > 0 else math.inf
 
 
 @dataclass
 class Tally:
-    """What was found in a regime."""
+    """The counts of a regime."""
 
     steps: int = 0
     impacts: int = 0
@@ -296,7 +296,7 @@ class Tally:
     ties: list[float] = field(default_factory=list)  # change of velocities
     distances: list[Distance] = field(default_factory=list)
 
-    def enter(self, case: Case, seen: Seen) -> None:
+    def enter(self, case: Case, computed: Computed) -> None:
         """Prove a case and compare float64 with it."""
         proof = proof_of(case)
         self.steps += len(case.torques)
@@ -306,19 +306,19 @@ class Tally:
         self.proven += len(case.torques)
         self.impacts += len(proof.impacts)
         self.more_bits += proof.bits > 128
-        apart = distance(case, proof, seen)
+        apart = distance(case, proof, computed)
         if not apart.refuted:
             self.distances.append(apart)
         elif is_tie(case, proof):
-            self.ties.append(change(proof, seen))
-        elif (gap := grazed(case, proof, seen)) < CLOSE:
-            self.grazes.append((gap, change(proof, seen)))
+            self.ties.append(change(proof, computed))
+        elif (gap := grazed(case, proof, computed)) < CLOSE:
+            self.grazes.append((gap, change(proof, computed)))
         else:
             self.refuted.append(f"{apart.refuted}: {case}")
 
 
 def proof_of(case: Case) -> Proof:
-    """Prove a case, under the model's convention of what strikes at once."""
+    """Prove a case, with the model's tolerance for simultaneous contacts."""
     together = CLOSE * min(1.0, case.scene.box_half_width)
     most_bits = 4096 if len(case.torques) > 1 else 512
     start = case.scene, case.state.tolist(), case.torques, case.dt
@@ -365,7 +365,7 @@ def page(tallies: dict[str, Tally], seed: int) -> str:
 
 Seed {seed}. Reasons for undecided steps: {reasons}. {more:,} motions needed more than 128 bits.
 
-- At the time of a first impact its foot is at most {max(one.place for one in apart):.2g} m from where its wall is.
+- At the time of a first impact its foot is at most {max(one.position for one in apart):.2g} m from where its wall is.
   {100.0 * sum(time > 4.0 for time in times) / len(times):.0f} % of these times are more than 4 units off.
 - {len(grazes):,} feet bounce although their gap is proven positive, by at most {gap:.2g} m. Velocities then differ
   by at most {changed:.2g} m/s or rad/s.
@@ -380,7 +380,7 @@ def spread(values: list[float]) -> str:
 
 
 def main(words: list[str] | None = None) -> None:
-    """Prove all regimes; exit with 1 where a step is refuted."""
+    """Prove all regimes; exit with 1 if a step is refuted."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=0, help="of all that is drawn (default: %(default)s)")
     parser.add_argument("--quick", action="store_true", help="a twentieth of all, half a minute; the page stays")

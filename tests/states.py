@@ -70,19 +70,19 @@ def several_contacts(scene: Scene, rng: np.random.Generator, kind: str) -> tuple
         # In the box frame, turned so that walls 0 and 1 (and feet 0 and 1, or 0 and 3) are the ones touched.
         if kind == "one wall":
             relative = math.pi / 4.0
-            place = np.array([half - arm * math.cos(relative), rng.uniform(-0.5, 0.5) * (half - arm)])
+            centre = np.array([half - arm * math.cos(relative), rng.uniform(-0.5, 0.5) * (half - arm)])
             contacts = [(0, 0), (0, 3)]
         elif kind == "two walls":
             relative = rng.uniform(-0.6, 0.6)
-            place = np.array([half - arm * math.cos(relative), half - arm * math.cos(relative)])
+            centre = np.array([half - arm * math.cos(relative), half - arm * math.cos(relative)])
             contacts = [(0, 0), (1, 1)]
         else:
             relative = math.pi / 4.0
-            place = np.full(2, half - arm * math.cos(relative))
+            centre = np.full(2, half - arm * math.cos(relative))
             contacts = [(0, 0), (1, 0), (1, 1), (0, 3)]
         turn = state[2]
         rotation = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
-        state[3:5] = state[0:2] + rotation @ place
+        state[3:5] = state[0:2] + rotation @ centre
         state[5] = turn + relative
         rates = [gap_jacobian(scene, state, wall, foot) @ state[6:] for wall, foot in contacts]
         if max(rates) < -0.1:

@@ -1,4 +1,7 @@
-"""The architecture: imports between packages go one way, also those inside functions, and no modules form a circle."""
+"""The architecture: imports between packages go one way, privates stay in their package, and names are plain.
+
+Imports inside functions count too, and no modules form a circle.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +14,8 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 
-# From the ground up: a module imports only from its own line and from those above it in this list. A name is a file or
-# a folder.
+# From the ground up: a module imports only from its line and from those above it in this list. A name is a file or a
+# folder.
 ORDER = """
     checks files colours command_line
     scene states randomization complementarity mechanics tasks observation landing
@@ -47,7 +50,7 @@ LAZY = {"jackbox_env", "agents", "scripts"}  # names that load modules when they
 
 
 def _level(name: str) -> int:
-    """That of the longest listed name which a module's name begins with.
+    """The level of the longest listed name that a module's name begins with.
 
     Raises:
         KeyError: there is none.
@@ -116,12 +119,12 @@ def test_imports_go_down_and_not_in_circles() -> None:
 # -- privates ---------------------------------------------------------------------------------------------------------
 
 
-def _room(name: str) -> str:
-    """The folder of a module; a file beside the folders is a room of its own."""
+def _package(name: str) -> str:
+    """The folder of a module; a file beside the folders is a package by itself."""
     return ".".join(name.split(".")[:-1] if name.startswith("scripts") else name.split(".")[:2])
 
 
-def _own_names(tree: ast.AST) -> set[str]:
+def _names_in(tree: ast.AST) -> set[str]:
     """Names that a module defines, attributes of its objects among them."""
     stored = (node for node in ast.walk(tree) if isinstance(getattr(node, "ctx", None), ast.Store))
     names = {getattr(node, "id", getattr(node, "attr", "")) for node in stored}
@@ -129,7 +132,7 @@ def _own_names(tree: ast.AST) -> set[str]:
 
 
 def _read_names(tree: ast.AST) -> Iterator[str]:
-    """Names that a module imports, or reads of an object that is not its own."""
+    """Names that a module imports, or reads of objects other than ``self`` and ``cls``."""
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom):
             yield from (alias.name for alias in node.names)
@@ -138,20 +141,20 @@ def _read_names(tree: ast.AST) -> Iterator[str]:
 
 
 def _privates_read(sources: dict[str, Path]) -> list[str]:
-    """Underscored names of other rooms that modules read; a name that the own room has too is not seen."""
+    """Underscored names of other packages that modules read, unless their package defines such a name too."""
     trees, names = {name: ast.parse(path.read_text()) for name, path in sources.items()}, dict[str, set[str]]()
     for name, tree in trees.items():
-        names.setdefault(_room(name), set()).update(_own_names(tree))
+        names.setdefault(_package(name), set()).update(_names_in(tree))
     return [
         f"{name} reads {private}"
         for name, tree in trees.items()
-        for private in set(_read_names(tree)) - names[_room(name)]
+        for private in set(_read_names(tree)) - names[_package(name)]
         if private.startswith("_") and not private.startswith("__")
-        if any(private in own for own in names.values())
+        if any(private in defined for defined in names.values())
     ]
 
 
-def test_no_room_reads_anothers_privates() -> None:
+def test_no_package_reads_anothers_privates() -> None:
     assert _privates_read(_sources()) == []
 
 
@@ -159,8 +162,8 @@ def test_no_room_reads_anothers_privates() -> None:
 def test_a_private_name_that_is_read_is_seen(tmp_path: Path, line: str) -> None:
     (tmp_path / "bad.py").write_text(line)
     (tmp_path / "env.py").write_text("class Env:\n    def __init__(self):\n        self._parts = _read = 1")
-    found = _privates_read({"jackbox_env.sb3": tmp_path / "bad.py", "jackbox_env.env": tmp_path / "env.py"})
-    assert len(found) == 1
+    privates = _privates_read({"jackbox_env.sb3": tmp_path / "bad.py", "jackbox_env.env": tmp_path / "env.py"})
+    assert len(privates) == 1
 
 
 @pytest.mark.parametrize(
@@ -184,3 +187,56 @@ def test_a_circle_within_a_package_is_seen(tmp_path: Path) -> None:
     bad = tmp_path / "bad.py"
     bad.write_text("from agents.policies import registry")
     assert "agents.policies.registry" in _circle(_sources() | {"agents.policies.playing": bad})
+
+
+# -- words -------------------------------------------------------------------------------------------------------------
+
+# Parts of names that do not say what a thing is.
+RETIRED = {
+    "found", "given", "kept", "told", "untold", "taken", "look", "looks", "unseen", "vague", "guessed", "own", "place",
+}  # fmt: skip
+PUBLIC = {"jackbox_env/scene.py": {"given"}}  # names that stay, because users may write them
+
+
+def _defined(tree: ast.AST) -> Iterator[tuple[int, str]]:
+    """Lines and names of functions, classes, arguments, assigned variables and assigned attributes of ``self``."""
+    for node in ast.walk(tree):
+        match node:
+            case (
+                ast.FunctionDef(name=name)
+                | ast.AsyncFunctionDef(name=name)
+                | ast.ClassDef(name=name)
+                | ast.arg(arg=name)
+                | ast.Name(id=name, ctx=ast.Store())
+                | ast.Attribute(value=ast.Name(id="self"), attr=name, ctx=ast.Store())
+            ):
+                yield node.lineno, name
+
+
+def _retired(folder: Path) -> list[str]:
+    """File, line, name and word of each name in a folder that has a retired word between its underscores."""
+    return [
+        f"{file}:{line}: {name} has the word {word}"
+        for path in sorted(folder.rglob("*.py"))
+        for file in [path.relative_to(folder.parent).as_posix()]
+        for line, name in sorted(_defined(ast.parse(path.read_text(encoding="utf-8"))))
+        for word in sorted(RETIRED.intersection(name.lower().split("_")))
+        if name not in PUBLIC.get(file, ())
+    ]
+
+
+@pytest.mark.parametrize("folder", ["jackbox_env", "agents", "scripts", "tests"])
+def test_names_have_no_retired_word(folder: str) -> None:
+    names = _retired(ROOT / folder)
+    assert not names, "\n".join(names)
+
+
+@pytest.mark.parametrize(
+    "line", ["def _is_own(): 0", "class Look: 0", "lambda *given: 0", "for place_x in (): 0", "self._told = 0"]
+)
+def test_a_retired_word_is_seen(tmp_path: Path, line: str) -> None:
+    (tmp_path / "bad.py").write_text(f"class A:\n    def a(self, b):\n        {line}")
+    (name,) = _retired(tmp_path)
+    assert name.startswith(f"{tmp_path.name}/bad.py:3: ")
+    (tmp_path / "bad.py").write_text("foundation = other.kept = given(own=0)")
+    assert _retired(tmp_path) == []

@@ -31,8 +31,8 @@ def run(code: str) -> str:
     ],
 )
 def test_nothing_heavy_is_loaded_that_is_not_stepped(code: str, loaded: list[str]) -> None:
-    found = run(f"import sys, gymnasium, jackbox_env\n{code}\nprint([name for name in {HEAVY} if name in sys.modules])")
-    assert found.replace(", 'scipy'", "") == str(loaded)  # numba itself looks for scipy
+    names = run(f"import sys, gymnasium, jackbox_env\n{code}\nprint([name for name in {HEAVY} if name in sys.modules])")
+    assert names.replace(", 'scipy'", "") == str(loaded)  # numba itself tries scipy
 
 
 def test_every_public_name_is_there() -> None:
@@ -49,7 +49,7 @@ def test_the_docstrings_example_runs() -> None:
     assert results.failed == 0
 
 
-def test_the_pins_cover_what_the_project_asks_for() -> None:
+def test_the_pins_cover_the_requirements_of_the_project() -> None:
     pins = (ROOT / "constraints.txt").read_text().lower()
     assert "torch==2.13.0" in pins.splitlines()
     asked = re.findall(r'^    "([\w-]+)[>=]', (ROOT / "pyproject.toml").read_text(), re.MULTILINE)
@@ -63,7 +63,7 @@ def test_the_versions_agree() -> None:
         assert jackbox_env.__version__ in (ROOT / file).read_text(), file
 
 
-def test_every_shipped_line_is_the_projects_own() -> None:
+def test_no_shipped_line_names_a_machine_or_a_registry() -> None:
     # No path of anybody's machine and no package registry's host.
     tracked = subprocess.run(["git", "-C", str(ROOT), "ls-files"], capture_output=True, text=True, check=False).stdout
     for name in tracked.splitlines():
@@ -79,15 +79,15 @@ def blocks(path: Path) -> list[str]:
 
 
 @pytest.mark.parametrize("number", [pytest.param(0, marks=pytest.mark.slow), 1])
-def test_each_block_of_the_readme_runs_on_its_own(number: int) -> None:
+def test_each_block_of_the_readme_runs_alone(number: int) -> None:
     pytest.importorskip("stable_baselines3")
-    found = blocks(ROOT / "README.md")
-    assert len(found) == 2
-    assert len([line for line in found[number].splitlines() if line]) <= 11
-    run(found[number].replace("learn(200_000,", "learn(20_000,"))  # make readme trains in full
+    examples = blocks(ROOT / "README.md")
+    assert len(examples) == 2
+    assert len([line for line in examples[number].splitlines() if line]) <= 11
+    run(examples[number].replace("learn(200_000,", "learn(20_000,"))  # make readme trains in full
 
 
-def test_the_readme_is_short_and_its_tables_are_what_was_measured() -> None:
+def test_the_readme_is_short_and_its_tables_have_the_measured_numbers() -> None:
     page = (ROOT / "README.md").read_text()
     assert len(page.splitlines()) <= 120
     assert readme.filled(page) == page, "make readme"
@@ -101,10 +101,10 @@ PAGES = sorted(path.name for path in (ROOT / "docs").glob("*.md") if blocks(path
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", PAGES)
-def test_each_block_of_a_page_runs_on_its_own(page: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_each_block_of_a_page_runs_alone(page: str, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("stable_baselines3")
     for block in blocks(ROOT / "docs" / page):
         exec(compile(block, page, "exec"), {"__name__": "__main__"})
-        printed = capsys.readouterr().out
+        names = capsys.readouterr().out
         for line, wanted in re.findall(r"^print\((.*)\)  # ([-\d.]+)", block, re.MULTILINE):
-            assert wanted in printed, line
+            assert wanted in names, line

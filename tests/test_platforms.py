@@ -1,6 +1,6 @@
-"""What macOS and Windows lack is hidden from a child process: it imports all, locks a folder, trains ten steps.
+"""The package without what macOS, Windows or a base install lack, which is hidden from a child process.
 
-From another, all that a base install lacks: it collects the tests.
+One child imports all modules, locks a folder and trains ten steps; another collects the tests.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parents[1]
-# Libraries, imported before: they ask for the system by its name.
+# Libraries, imported before: they branch on the name of the system.
 LIBRARIES = (
     "filelock matplotlib.pyplot numba pygame pymunk rich.progress scipy.stats stable_baselines3 torch._dynamo tyro"
 )
@@ -82,8 +82,8 @@ def lock(folder: Path) -> None:
         pass
 
 
-def without_what_others_lack(folder: Path) -> None:
-    """In a child process."""
+def on_other_systems(folder: Path) -> None:
+    """Import all modules, train and lock a folder without what macOS and Windows lack, in a child process."""
     for name in LIBRARIES.split():
         importlib.import_module(name)
     hide()
@@ -93,8 +93,8 @@ def without_what_others_lack(folder: Path) -> None:
 
 
 @pytest.mark.slow
-def test_nothing_needs_what_other_systems_lack(tmp_path: Path) -> None:
-    code = "import sys, pathlib, tests.test_platforms as here; here.without_what_others_lack(pathlib.Path(sys.argv[1]))"
+def test_nothing_needs_features_that_other_systems_lack(tmp_path: Path) -> None:
+    code = "import sys, pathlib, tests.test_platforms as here; here.on_other_systems(pathlib.Path(sys.argv[1]))"
     done = subprocess.run(
         [sys.executable, "-c", code, str(tmp_path / "run")], cwd=ROOT, capture_output=True, text=True, check=False
     )
@@ -110,20 +110,20 @@ def test_every_text_file_names_its_encoding() -> None:
 
 
 def installed_with(*names: str) -> set[str]:
-    """These distributions and all that they require without extras."""
-    found: set[str] = set()
+    """These distributions and all their requirements without extras."""
+    packages: set[str] = set()
     missing = list(names)
     while missing:
         name = canonicalize_name(missing.pop())
-        if name not in found:
-            found.add(name)
+        if name not in packages:
+            packages.add(name)
             requirements = map(Requirement, importlib.metadata.requires(name) or [])
             missing += [one.name for one in requirements if not one.marker or one.marker.evaluate({"extra": ""})]
-    return found
+    return packages
 
 
 class Missing:
-    """Finds no library that a base install with pytest and Hypothesis lacks."""
+    """Hides each library that a base install with pytest and Hypothesis lacks."""
 
     def __init__(self) -> None:
         base = installed_with("jackbox", "pytest", "hypothesis")

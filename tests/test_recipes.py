@@ -1,4 +1,4 @@
-"""The recipes that run in the checkout's own environment; ``make recipes`` runs the others too."""
+"""The recipes that run in the environment of the checkout; ``make recipes`` runs the others too."""
 
 from __future__ import annotations
 

@@ -48,15 +48,15 @@ _OURS = (f"{os.sep}agents{os.sep}", f"{os.sep}jackbox_env{os.sep}files.py", f"{o
 
 def _words(settings: TrainSettings) -> list[str]:
     default = TrainSettings()
-    given = {name: value for name, value in vars(settings).items() if value != getattr(default, name)}
+    changed = {name: value for name, value in vars(settings).items() if value != getattr(default, name)}
     words = []
-    for name, value in given.items():
+    for name, value in changed.items():
         words += [f"--{name.replace('_', '-')}", *map(str, value if isinstance(value, tuple) else (value,))]
     return words
 
 
 def short_episodes(env_settings: dict[str, Any], num_envs: int, seed: int) -> VecEnv:
-    """Instead of ``make_vec_env``: evaluations that take no time."""
+    """Replaces ``make_vec_env`` with short episodes, so that evaluations are fast."""
     return make_vec_env({**env_settings, "max_episode_steps": 20}, num_envs, seed)
 
 
@@ -116,7 +116,7 @@ def start(target: Callable[..., None], *arguments: Any) -> ForkServerProcess:
 
 
 def ended(process: ForkServerProcess) -> int | None:
-    """The exit status of a process that is waited for; -9 if it was killed."""
+    """Wait for a process and return its exit status; -9 if it was killed."""
     process.join(120)
     status = process.exitcode
     process.close()
@@ -129,7 +129,7 @@ def expected_steps(settings: TrainSettings) -> list[int]:
 
 
 def check_whole(folder: Path) -> None:
-    """Every file that a killed training has left is whole, and they belong together."""
+    """Assert that the files of a killed training are complete and belong together."""
     assert read_json(folder / "run.json")["seed"] == SMALL.seed
     assert TrainSettings(**{**read_json(folder / "settings.json"), "hidden_units": SMALL.hidden_units}) == SMALL
     for steps in steps_of_checkpoints(folder):
@@ -141,7 +141,7 @@ def check_whole(folder: Path) -> None:
 
 
 def check_finished(folder: Path) -> None:
-    """A run that was killed and resumed ends like an uninterrupted one."""
+    """Assert that a run that was killed and resumed ends like an uninterrupted one."""
     check_whole(folder)
     read_parameters(folder / MODEL)
     with zipfile.ZipFile(folder / MODEL) as archive:
@@ -151,6 +151,6 @@ def check_finished(folder: Path) -> None:
     steps = evaluations.timesteps[int(np.argmax(np.mean(evaluations.results, axis=1)))]
     rollout = SMALL.num_envs * SMALL.rollout_steps
     evaluated = read_parameters(checkpoint_path(folder, (steps - 1) // rollout * rollout))["policy"]
-    kept = read_parameters(folder / BEST)["policy"]
-    assert all(bool((kept[name] == value).all()) for name, value in evaluated.items())
+    best = read_parameters(folder / BEST)["policy"]
+    assert all(bool((best[name] == value).all()) for name, value in evaluated.items())
     assert not list(folder.rglob("*.partial*"))

@@ -1,4 +1,4 @@
-"""The model cards of agents/trained hold the numbers of docs/results.json, in a form that the hub can read."""
+"""The model cards of agents/trained show the numbers of docs/results.json, in a form that the hub can read."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FOLDERS = sorted(path for path in SHIPPED.iterdir() if path.is_dir())
 
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
-def test_a_card_holds_what_was_measured(folder: Path) -> None:
+def test_a_card_has_the_measured_numbers(folder: Path) -> None:
     yaml: Any = pytest.importorskip("yaml")
     page = (folder / "README.md").read_text()
     assert page == card(folder, RECORD), "python scripts/cards.py"

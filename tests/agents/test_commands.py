@@ -46,7 +46,7 @@ class Done(NamedTuple):
 
 
 def process(name: str, *arguments: str, cwd: Path, status: int = 0) -> Done:
-    """Run a command as a reader does."""
+    """Run a command in a new process."""
     command = [sys.executable, str(ROOT / "scripts" / f"{name}.py"), *arguments]
     done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=250, check=False)
     assert done.returncode == status, done.stderr
@@ -54,7 +54,7 @@ def process(name: str, *arguments: str, cwd: Path, status: int = 0) -> Done:
 
 
 def script(name: str, *arguments: str, cwd: Path, status: int = 0) -> Done:
-    """Run a command in this process, which has loaded all it needs: seconds less."""
+    """Run a command in this process: seconds faster, because the libraries are loaded."""
     out, errors = io.StringIO(), io.StringIO()
     file = str(ROOT / "scripts" / f"{name}.py")
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(errors):
@@ -103,7 +103,7 @@ def test_simulate_by_the_exact_model_gives_the_reference(tmp_path: Path) -> None
     np.testing.assert_allclose(times, known, rtol=0.0, atol=1e-9)
 
 
-def test_simulate_keeps_what_came_before_the_jack_left(tmp_path: Path) -> None:
+def test_simulate_writes_the_steps_before_the_jack_escapes(tmp_path: Path) -> None:
     arguments = ["--scene", '{"box_mass": 0.01}', "--seconds", "5", "--folder", "out", "--no-plots"]
     arguments += ["--fidelity", "balanced"]
     done = script("simulate", *arguments, cwd=tmp_path, status=2)
@@ -168,8 +168,8 @@ def test_evaluate_writes_an_episode_of_each_policy_as_a_page(tmp_path: Path, run
 
 def test_train_prints_a_command_that_evaluates_in_the_same_environment(tmp_path: Path) -> None:
     small = "--num-envs 4 --rollout-steps 64 --batch-size 64 --eval-episodes 2 --total-steps 256 --no-progress"
-    own = ["--task", "spin", "--contact", "exact", "--scene", '{"jack_mass": 5.0}', "--control-dt", "0.025"]
-    done = script("train", *own, *small.split(), "--folder", "a run's", cwd=tmp_path)
+    chosen = ["--task", "spin", "--contact", "exact", "--scene", '{"jack_mass": 5.0}', "--control-dt", "0.025"]
+    done = script("train", *chosen, *small.split(), "--folder", "a run's", cwd=tmp_path)
     (line,) = (line for line in done.stdout.splitlines() if "evaluate.py" in line)
     _, _, *options = shlex.split(line)
     again = script("evaluate", *options, "--episodes", "1", cwd=tmp_path)
@@ -238,7 +238,7 @@ def test_every_command_line_explains_itself(name: str, tmp_path: Path) -> None:
         assert meaning in out or not re.search(rf"{option}\b", out), option
 
 
-def test_the_help_of_training_shows_the_tasks_own_defaults(tmp_path: Path) -> None:
+def test_the_help_of_training_shows_the_defaults_of_each_task(tmp_path: Path) -> None:
     out = script("train", "--task", "spin", "--help", cwd=tmp_path).stdout
     assert re.search(r"--hold INT[^(]*\(default: 4\)", out)
 
@@ -250,8 +250,8 @@ def test_scenes_that_vary_are_settings_too(tmp_path: Path) -> None:
     assert len(masses) == 5
     assert all(2.0 <= mass <= 6.0 for mass in masses)
     assert EnvSettings().env_settings["randomize"] is None
-    for given, said in (("[1]", "randomize must be a JSON object"), ('{"mass": [1, 2]}', "randomize takes only")):
-        done = script("evaluate", "--randomize", given, cwd=tmp_path, status=2)
+    for ranges, said in (("[1]", "randomize must be a JSON object"), ('{"mass": [1, 2]}', "randomize takes only")):
+        done = script("evaluate", "--randomize", ranges, cwd=tmp_path, status=2)
         assert said in done.stderr, done.stderr
     with pytest.raises(ValueError, match="lookahead must be 0 where scenes vary"):
         dataclasses.replace(TINY, lookahead=8, repeat=5, randomize='{"jack_mass": [2, 6]}')

@@ -65,10 +65,10 @@ def cut_to(share: float) -> Callable[[bytes], bytes]:
     return lambda content: content[: int(share * len(content))]
 
 
-def flipped(content: bytes, place: int | None = None) -> bytes:
+def flipped(content: bytes, position: int | None = None) -> bytes:
     """The content with one bit changed, by default in the first tensor."""
-    place = content.index(b"policy.pth") + 2000 if place is None else place
-    return content[:place] + bytes([content[place] ^ 16]) + content[place + 1 :]
+    position = content.index(b"policy.pth") + 2000 if position is None else position
+    return content[:position] + bytes([content[position] ^ 16]) + content[position + 1 :]
 
 
 HARMS: dict[str, Callable[[bytes], bytes]] = {
@@ -120,7 +120,7 @@ def test_without_a_whole_checkpoint_the_run_begins_again(stopped: Path, capsys: 
 
 
 @pytest.mark.parametrize("how", HARMS)
-def test_damaged_evaluations_are_left_out(how: str, stopped: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_damaged_evaluations_are_skipped(how: str, stopped: Path, capsys: pytest.CaptureFixture[str]) -> None:
     harm(stopped / EVALUATIONS, how)
     goes_on_to_its_end(stopped)
     assert skipped(capsys.readouterr().err, stopped / EVALUATIONS)
@@ -128,7 +128,7 @@ def test_damaged_evaluations_are_left_out(how: str, stopped: Path, capsys: pytes
 
 
 @pytest.mark.parametrize("how", [*HARMS, "flipped", "gone"])
-def test_the_next_evaluation_takes_the_place_of_a_damaged_best_model(
+def test_the_next_evaluation_replaces_a_damaged_best_model(
     how: str, stopped: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     if how == "gone":
@@ -138,16 +138,16 @@ def test_the_next_evaluation_takes_the_place_of_a_damaged_best_model(
     goes_on_to_its_end(stopped)
     assert skipped(capsys.readouterr().err, stopped / BEST) == (how != "gone")
     evaluated = read_parameters(checkpoint_path(stopped, STOPPED))["policy"]  # at 96
-    kept = read_parameters(stopped / BEST)["policy"]
-    assert all(bool((kept[name] == value).all()) for name, value in evaluated.items())
+    best = read_parameters(stopped / BEST)["policy"]
+    assert all(bool((best[name] == value).all()) for name, value in evaluated.items())
 
 
 def test_a_best_model_stays_where_those_to_come_do_worse(stopped: Path) -> None:
-    evaluations, kept = read_evaluations(stopped, SMALL.eval_episodes), (stopped / BEST).read_bytes()
+    evaluations, best_file = read_evaluations(stopped, SMALL.eval_episodes), (stopped / BEST).read_bytes()
     better = evaluations._replace(results=[[1e6, 1e6], *evaluations.results[1:]])
     np.savez(stopped / EVALUATIONS, **better._asdict())
     goes_on_to_its_end(stopped)
-    assert (stopped / BEST).read_bytes() == kept
+    assert (stopped / BEST).read_bytes() == best_file
 
 
 @pytest.mark.parametrize("how", [*HARMS, "flipped"])
@@ -158,22 +158,22 @@ def test_a_damaged_model_is_not_the_end_of_a_run(how: str, finished: Path, capsy
     assert read_evaluations(finished, SMALL.eval_episodes).timesteps == expected_steps(SMALL)
 
 
-def test_a_checkpoint_of_other_settings_is_refused_and_not_taken_for_a_damaged_one(stopped: Path) -> None:
+def test_a_checkpoint_of_other_settings_is_refused_and_not_skipped_as_damaged(stopped: Path) -> None:
     with pytest.raises(ValueError, match=r"ppo_80.zip was made by other settings than its run's: Runtime") as refused:
         training.train(replace(SMALL, hidden_units=(4,)), stopped, progress=False)
     assert "\n" not in str(refused.value)
     assert not (stopped / MODEL).exists()
 
 
-def test_a_run_with_a_damaged_best_model_loads_its_last_and_says_so(
+def test_a_run_with_a_damaged_best_model_loads_its_last_and_prints_a_message(
     finished: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    last, kept = (load_model(finished / name).get_parameters()["policy"] for name in (MODEL, BEST))
-    assert any(bool((last[name] != kept[name]).any()) for name in last)
+    last, best = (load_model(finished / name).get_parameters()["policy"] for name in (MODEL, BEST))
+    assert any(bool((last[name] != best[name]).any()) for name in last)
     harm(finished / BEST, "half")
-    found = load_model(finished).get_parameters()["policy"]
+    loaded = load_model(finished).get_parameters()["policy"]
     assert skipped(capsys.readouterr().err, finished / BEST)
-    assert all(bool((last[name] == found[name]).all()) for name in last)
+    assert all(bool((last[name] == loaded[name]).all()) for name in last)
     harm(finished / MODEL, "half")
     with pytest.raises(ValueError, match="model.zip is no model of the settings beside it"):
         load_model(finished)

@@ -1,4 +1,4 @@
-"""The command that evaluates: what it refuses before it computes, what it notes, and the pages it writes."""
+"""The evaluate command: refusals before it computes, its notes, and its pages."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_a_page_shows_the_scene_that_was_drawn(tmp_path: Path) -> None:
     assert dict(data["facts"])["gravity"] == f"{scene.gravity:g} m/s\u00b2"
 
 
-def test_pages_have_names_of_their_own() -> None:
+def test_names_of_pages_are_distinct() -> None:
     names = page_names(["a/b/run", "a_b_run", "c/run", "c/RUN", "..", "y" * 300, "zero"])
     assert list(names.values())[:4] == ["run.html", "a_b_run.html", "run-2.html", "RUN-3.html"]
     assert not any(name.startswith(".") or len(name) > 100 for name in names.values())
@@ -42,7 +42,7 @@ def test_pages_have_names_of_their_own() -> None:
 def test_an_error_leaves_no_pages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from agents.evaluation import episodes
 
-    def full(*given: Any) -> None:
+    def full(*arguments: Any) -> None:
         raise OSError(28, "No space left on device", "pages/level.html")
 
     monkeypatch.setattr(episodes, "write_page", full)

@@ -1,4 +1,4 @@
-"""The worked examples run, and what they show is so."""
+"""The worked examples run, and their results are as described."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tests.agents.test_commands import script
 
 
 def numbers_of(text: str) -> list[float]:
-    return [float(found) for found in re.findall(r"-?\d+\.\d", text)]
+    return [float(number) for number in re.findall(r"-?\d+\.\d", text)]
 
 
 def test_ppo_trains_on_randomised_scenes(tmp_path: Path) -> None:
@@ -27,15 +27,15 @@ def test_ppo_trains_on_randomised_scenes(tmp_path: Path) -> None:
 def through(steps: int, folder: Path) -> list[int]:
     """How many of the episodes before and after training throw the jack through the window."""
     out = script("examples/own_task", "--total-steps", str(steps), cwd=folder).stdout
-    return [int(found) for found in re.findall(r"trained: (\d+) of 64 through the window", out)]
+    return [int(number) for number in re.findall(r"trained: (\d+) of 64 through the window", out)]
 
 
-def test_ppo_trains_on_a_task_of_ones_own(tmp_path: Path) -> None:
+def test_ppo_trains_on_a_custom_task(tmp_path: Path) -> None:
     assert len(through(8192, tmp_path)) == 2
 
 
 @pytest.mark.slow
-def test_ppo_learns_the_task_of_ones_own(tmp_path: Path) -> None:
+def test_ppo_learns_the_custom_task(tmp_path: Path) -> None:
     before, after = through(400_000, tmp_path)
     assert before < 10
     assert after > 60

@@ -1,4 +1,4 @@
-"""The policy that chooses how the box meets the jack: its bounce, its torques, its choice, its files."""
+"""The one-bounce policy: its bounce, its torques, its choice of a target, its files."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def starts(count: int, scene: Scene = FREE) -> Array:
 
 
 @pytest.mark.parametrize("scene", [FREE, Scene(drive=None, gravity=3.0, jack_mass=40.0, restitution=0.8)])
-def test_the_bounce_is_what_the_exact_model_makes_of_it(scene: Scene) -> None:
+def test_the_bounce_is_that_of_the_exact_model(scene: Scene) -> None:
     states, compared = starts(60, scene), 0
     times, targets = landing_times(scene, states), np.random.default_rng(0).uniform([-0.25, -0.8], [0.25, 0.8], (60, 2))
     before = flown(scene, states, times - 0.3)
@@ -57,10 +57,10 @@ def test_the_bounce_is_what_the_exact_model_makes_of_it(scene: Scene) -> None:
 def test_the_torques_lead_to_the_target_in_time() -> None:
     targets = np.array([[0.0, 0.0], [0.3, 0.5], [-0.2, 0.4]])
     held, states = 0.1, np.outer(np.ones(3), 0.1 * np.eye(12)[2] - 0.2 * np.eye(12)[8])
-    for left in np.arange(10, 0, -1) * held:
-        found = torques(FREE, states, np.full(3, left), targets, held)
-        assert np.abs(found).max() < 1.0
-        growth = found * FREE.torque_limit / FREE.box_inertia
+    for remaining in np.arange(10, 0, -1) * held:
+        actions = torques(FREE, states, np.full(3, remaining), targets, held)
+        assert np.abs(actions).max() < 1.0
+        growth = actions * FREE.torque_limit / FREE.box_inertia
         states[:, 2] += states[:, 8] * held + 0.5 * growth * held**2
         states[:, 8] += growth * held
     np.testing.assert_allclose(states[:, [2, 8]], targets, atol=0.03)
@@ -105,7 +105,7 @@ def test_what_pairs_are_worth_does_not_depend_on_the_jacks_beside() -> None:
         np.testing.assert_array_equal(policy.worth(states[one], times[one])[0], together)
 
 
-def test_damage_and_misfits_are_told(tmp_path: Path) -> None:
+def test_damaged_and_unfit_files_are_errors(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"holds no landing.json"):
         read_landing(tmp_path)
     write_with_layers(tmp_path, "landing.json", SMALL, layers_for())
@@ -117,9 +117,9 @@ def test_damage_and_misfits_are_told(tmp_path: Path) -> None:
         ({"rates": ["fast"]}, "rates must .* got 'fast'"),
         ({"speed": 1}, "'speed'"),
     ]
-    for given, found in damaged:
-        write_json(tmp_path / "landing.json", given)
-        with pytest.raises(ValueError, match=f"holds no policy of landings: .*{found}"):
+    for content, sentence in damaged:
+        write_json(tmp_path / "landing.json", content)
+        with pytest.raises(ValueError, match=f"holds no policy of landings: .*{sentence}"):
             read_landing(tmp_path)
 
 

@@ -88,7 +88,7 @@ def test_a_shipped_policy_does_better_than_the_level_box(task: str) -> None:
     assert ppo.interval[0] > level.interval[1], (ppo.interval, level.interval)
 
 
-def test_damage_and_misfits_are_told(tmp_path: Path) -> None:
+def test_damaged_and_unfit_files_are_errors(tmp_path: Path) -> None:
     settings, weights = KINDS["plain"], tmp_path / "weights.npz"
     layers = layers_of(moving_model(settings).get_parameters()["policy"])
     with pytest.raises(ValueError, match=r"have shapes \[\(\(8, 10\), \(8,\)\).* got \[\(\(16, 10\)"):

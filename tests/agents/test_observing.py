@@ -12,11 +12,11 @@ from tests.agents.untrained import states_in
 
 
 @pytest.mark.parametrize("scene", [Scene(), Scene(box_half_width=2.0, jack_arm=0.5, gravity=1.62)])
-def test_many_states_are_seen_as_one_is(scene: Scene) -> None:
+def test_observations_of_many_states_are_those_of_each_alone(scene: Scene) -> None:
     states = states_in(scene, 40)
-    found = observations(scene, states)
-    assert found.dtype == np.float32
-    np.testing.assert_allclose(found, [observe(scene, state.tolist()) for state in states], atol=1e-6)
+    rows = observations(scene, states)
+    assert rows.dtype == np.float32
+    np.testing.assert_allclose(rows, [observe(scene, state.tolist()) for state in states], atol=1e-6)
 
 
 def test_mirrored_states_go_mirrored_ways() -> None:

@@ -1,4 +1,4 @@
-"""The planner: what it reads, that its plans help, and that nothing but the seed decides them."""
+"""The planner: its reading of observations, its returns, and plans that depend on the seed alone."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ def test_a_plan_earns_what_the_environment_pays() -> None:
     np.testing.assert_allclose(ends[0, 0], env.unwrapped.state, atol=1e-9)  # type: ignore[attr-defined]
 
 
-def test_scripted_candidates_are_played_too_and_the_best_of_all_is_found() -> None:
+def test_scripted_candidates_are_played_too_and_the_best_of_all_is_chosen() -> None:
     search, states = Planner(Scene(), **SMALL)._search, states_in(Scene(), 2)
     scripted = np.random.default_rng(2).uniform(-1.0, 1.0, (2, 3, 16))
     search.iterations = 1
-    found, _ = search.decide(Scene(), states, search.begin(2), scripted)
+    decision, _ = search.decide(Scene(), states, search.begin(2), scripted)
     returns, _ = search.evaluate(Scene(), states, scripted)
-    np.testing.assert_array_equal(found.scripted, returns)
-    assert (found.returns >= returns.max(axis=1)).all()
+    np.testing.assert_array_equal(decision.scripted, returns)
+    assert (decision.returns >= returns.max(axis=1)).all()
 
 
 def test_plans_are_carried_on_and_held() -> None:
@@ -104,7 +104,7 @@ def test_it_juggles_better_than_the_level_box(contact: str) -> None:
     assert planner.mean > level.mean + 15.0
 
 
-def test_it_is_found_by_its_name_and_plans_in_the_environment_given() -> None:
+def test_the_planner_by_its_name_has_the_settings_of_the_environment() -> None:
     settings = EnvSettings(task="spin", control_dt=0.05, scene='{"gravity": 3.0}')
     planner = find_policy("planner", settings, 7).policy
     assert isinstance(planner, Planner)
@@ -113,7 +113,7 @@ def test_it_is_found_by_its_name_and_plans_in_the_environment_given() -> None:
     assert Planner(Scene(drive=Drive(force_x=lambda t: t)))._scene.drive is None
 
 
-def test_a_task_of_ones_own_is_planned_for() -> None:
+def test_a_custom_task_is_planned_for() -> None:
     planner = Planner(Scene(), Task(("turned",), lambda scene, state, torque, impulse: (state[8],)), **SMALL)
     action, _ = planner.predict(observe(Scene(), np.zeros(12).tolist()))
     assert action[0] > 0.2

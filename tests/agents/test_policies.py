@@ -100,7 +100,7 @@ def test_the_untrained_policy_does_not_beat_zero_torque() -> None:
 # -- settings ----------------------------------------------------------------------------------------------------------
 
 
-def test_the_defaults_suit_the_task_and_what_an_action_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_defaults_suit_the_task_and_the_meaning_of_actions(monkeypatch: pytest.MonkeyPatch) -> None:
     def of_the_command(*words: str) -> TrainSettings:
         monkeypatch.setattr("sys.argv", ["train.py", "--seed", "3", *words])
         return train_command.suited()
@@ -144,12 +144,12 @@ def test_impossible_settings_are_refused(field: str, bad: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    "given", [{"samples": 1}, {"elites": 300}, {"knots": 1}, {"repeat": 0}, {"num_threads": 0}, {"control_dt": 0.0}]
+    "settings", [{"samples": 1}, {"elites": 300}, {"knots": 1}, {"repeat": 0}, {"num_threads": 0}, {"control_dt": 0.0}]
 )
-def test_a_planner_of_impossible_settings_is_refused(given: dict[str, Any]) -> None:
-    ((name, bad),) = given.items()
+def test_a_planner_of_impossible_settings_is_refused(settings: dict[str, Any]) -> None:
+    ((name, bad),) = settings.items()
     with pytest.raises(ValueError, match=f"{name} must .*, got {bad}"):
-        Planner(Scene(), **given)
+        Planner(Scene(), **settings)
 
 
 # -- trajectories and films --------------------------------------------------------------------------------------------

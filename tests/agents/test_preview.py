@@ -54,7 +54,7 @@ def test_the_preview_is_the_flight_of_the_exact_model(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize(
-    "given",
+    "fields",
     [
         {},
         {"gravity": 0.0},
@@ -65,18 +65,18 @@ def test_the_preview_is_the_flight_of_the_exact_model(scene: Scene) -> None:
         {"jack_arm": 8.0},
     ],
 )
-def test_every_observation_has_a_finite_preview(given: dict[str, float]) -> None:
-    scene, rng = Scene.of(given), np.random.default_rng(0)
+def test_every_observation_has_a_finite_preview(fields: dict[str, float]) -> None:
+    scene, rng = Scene.of(fields), np.random.default_rng(0)
     corners, tiny = rng.choice([-1.0, 0.0, 1.0], (4000, 10)), rng.choice([-1e-45, 0.0, 1e-45], (200, 10))
     inside = rng.uniform(-1.0, 1.0, (1000, 10))
     rows = (np.concatenate([corners, tiny, inside]) * BOUNDS).astype(np.float32)
     values = preview(landing_numbers(scene), rows)
     by_torch = torch.stack(columns(landing_numbers(scene), torch.from_numpy(rows).unbind(1), torch), dim=1)
     assert values.dtype == np.float32
-    for found in (values, by_torch.numpy()):
-        assert found.shape == (len(rows), len(FEATURES))
-        assert np.abs(found).max() <= 10.0  # so none is NaN
-    plain = np.abs(values[:, 9]) < 1.0  # where the last place of a long time does not turn the jack far
+    for previews in (values, by_torch.numpy()):
+        assert previews.shape == (len(rows), len(FEATURES))
+        assert np.abs(previews).max() <= 10.0  # so none is NaN
+    plain = np.abs(values[:, 9]) < 1.0  # rounding of a long time turns the jack little
     np.testing.assert_allclose(values[plain], by_torch.numpy()[plain], atol=0.01)
     assert plain.sum() > 500 or scene.jack_arm < 0.1
     assert 0.0 <= values[:, 0].min() <= values[:, 0].max() <= 0.5 * LONGEST

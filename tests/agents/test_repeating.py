@@ -58,7 +58,7 @@ def test_repeating_environments_are_the_environments_stepped_by_hand(contact: st
 # -- playing -----------------------------------------------------------------------------------------------------------
 
 
-def test_each_environment_decides_where_its_own_episode_starts() -> None:
+def test_each_environment_decides_when_its_episode_starts() -> None:
     model = make_ppo(REPEATED, make_vec_env(REPEATED.env_settings, 1, 0))
     policy = NetworkPolicy(REPEATED, layers_of(model.get_parameters()["policy"]))
     rng = np.random.default_rng(1)
@@ -80,15 +80,15 @@ def test_each_environment_decides_where_its_own_episode_starts() -> None:
         policy.predict(np.zeros((2, 10), dtype=np.float32), state)
 
 
-def test_a_model_that_looks_ahead_is_trained_and_loaded(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_model_with_lookahead_is_trained_and_loaded(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     settings = replace(REPEATED, lookahead=8)
     folder = new_folder(tmp_path / "run", "run", lambda made: describe(made, settings))
     training.train(settings, folder, progress=False)
-    told = capsys.readouterr().out.strip().splitlines()[-2]  # what the time went to
-    found = re.fullmatch(r"([0-9,]+) steps in [0-9]+ s, [0-9,]+ per second: (.*)", told)
-    assert found, told
-    assert int(found[1].replace(",", "")) >= settings.total_steps
-    shares = {name: float(share) for name, share in re.findall(r"([a-z ,]+) ([0-9.]+)%", found[2])}
+    summary = capsys.readouterr().out.strip().splitlines()[-2]  # what the time went to
+    match = re.fullmatch(r"([0-9,]+) steps in [0-9]+ s, [0-9,]+ per second: (.*)", summary)
+    assert match, summary
+    assert int(match[1].replace(",", "")) >= settings.total_steps
+    shares = {name: float(share) for name, share in re.findall(r"([a-z ,]+) ([0-9.]+)%", match[2])}
     assert sum(shares.values()) == pytest.approx(100.0, abs=0.5)
     assert shares[", looking ahead"] > shares["environment"] > 0.0
     (earned,) = evaluate("PPO", find_policy(str(folder), settings).policy, settings.env_settings, 1, 0).returns

@@ -1,4 +1,4 @@
-"""RLlib on the native batch. It needs an environment of its own, because RLlib pins Gymnasium 1.2.2.
+"""RLlib on the native batch. It needs a separate virtual environment, because RLlib pins Gymnasium 1.2.2.
 
 ``python scripts/recipes/run.py rllib`` makes that in ``runs/recipes/rllib``: 5 minutes, a package index, 2 GB. Then
 this takes a minute and three processes.

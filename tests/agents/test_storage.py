@@ -1,4 +1,4 @@
-"""Files that outlive kills: written in one stroke and in the right order, folders held by one process."""
+"""Files that survive kills: they are replaced as a whole and in the right order. One process locks a folder."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from tests.agents.killing import ended, start
 # -- writing ----------------------------------------------------------------------------------------------------------
 
 
-def fail(path: Path, error: BaseException, left: str | None = None) -> None:
-    """Fail while a file is written. With ``left`` leave the unfinished file under this name, as a kill does."""
+def fail(path: Path, error: BaseException, name: str | None = None) -> None:
+    """Fail while a file is written. With ``name`` the unfinished file stays under it, as a kill does."""
     with replacing(path) as partial:
         partial.write_text("ne")
-        if left is not None:
-            partial.rename(path.with_name(left))
+        if name is not None:
+            partial.rename(path.with_name(name))
         raise error
 
 
-def test_what_fails_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
+def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
     path = tmp_path / "file.txt"
     path.write_text("old")
     with pytest.raises(OSError, match=r"No space left on device: '.*file.txt'"):
@@ -66,23 +66,23 @@ def test_a_folder_appears_together_with_what_is_in_it(tmp_path: Path) -> None:
     ]
 
 
-def test_what_killed_processes_left_is_removed_and_nothing_else(tmp_path: Path) -> None:
-    for name, left in (("model.zip", ".model.zip.1.partial.zip"), ("no suffix", ".no suffix.22.partial")):
+def test_partial_files_of_killed_processes_are_removed_and_nothing_else(tmp_path: Path) -> None:
+    for name, partial in (("model.zip", ".model.zip.1.partial.zip"), ("no suffix", ".no suffix.22.partial")):
         with pytest.raises(KeyboardInterrupt):
-            fail(tmp_path / name, KeyboardInterrupt(), left)
+            fail(tmp_path / name, KeyboardInterrupt(), partial)
     (tmp_path / ".run.3.partial").mkdir()
     (tmp_path / ".run.3.partial" / "settings.json").touch()
     assert len(list(tmp_path.iterdir())) == 3
-    kept = {".hidden", "model.partial.zip", "x.12.partial"}
-    for name in kept:
+    others = {".hidden", "model.partial.zip", "x.12.partial"}
+    for name in others:
         (tmp_path / name).touch()
     (tmp_path / ".link.4.partial").symlink_to(tmp_path.parent, target_is_directory=True)
     remove_partials(tmp_path, tmp_path / "not there")
-    assert {path.name for path in tmp_path.iterdir()} == kept
+    assert {path.name for path in tmp_path.iterdir()} == others
 
 
 @pytest.mark.parametrize("content", [b"", b"\xff\xfe\x00", b"[" * 100_000])
-def test_json_that_is_damaged_is_told_by_its_name(content: bytes, tmp_path: Path) -> None:
+def test_damaged_json_is_named(content: bytes, tmp_path: Path) -> None:
     path = tmp_path / "a.json"
     path.write_bytes(content)
     with pytest.raises(DamagedFileError) as refused:
@@ -98,7 +98,7 @@ def test_json_that_is_damaged_is_told_by_its_name(content: bytes, tmp_path: Path
 
 
 def hold(folder: Path, ready: Path) -> None:
-    """In a separate process: hold a folder for ever."""
+    """Lock a folder for ever, in a separate process."""
     with locked(folder):
         ready.touch()
         time.sleep(60.0)

@@ -30,7 +30,7 @@ GRID = [{"name": name, "number": number} for name in ("one", "other") for number
 
 
 def shares(settings: dict[str, Any]) -> dict[str, Any]:
-    """A work that takes no time, with floats that need all their digits."""
+    """A trial that is instant, with floats that need all their digits."""
     return {"share": (settings["number"] + len(settings["name"])) / 7.0, "list": [1, settings["name"]]}
 
 
@@ -69,7 +69,7 @@ def test_a_row_for_each_trial_in_the_order_of_the_grid_whatever_finishes_first(t
     assert table == carried_out(tmp_path / "other", runner=lambda trials, work: in_turn(list(trials)[::-1], work))
 
 
-def test_what_has_finished_is_not_run_again_and_a_line_that_a_kill_cut_short_is(tmp_path: Path) -> None:
+def test_finished_trials_are_not_run_again_and_lines_that_a_kill_cut_short_are(tmp_path: Path) -> None:
     asked, log = list[dict[str, Any]](), tmp_path / "cut" / LOG
 
     def interrupted(settings: dict[str, Any]) -> dict[str, Any]:
@@ -171,9 +171,9 @@ def test_the_command_is_killed_and_interrupted_on_two_cores_and_goes_on_to_the_s
     def stopped(after: int, number: int, *arguments: str) -> tuple[int, str]:
         """Exit status and standard error of the command, which gets a signal after so many lines of its log."""
         command = [sys.executable, str(ROOT / "scripts" / "sweep.py"), *arguments, "--workers", "2"]
-        # In a process group of its own, as in a terminal. A shell's background jobs ignore SIGINT.
-        own: Any = {"start_new_session": True, "preexec_fn": lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)}
-        at_work = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, **own)
+        # In a new process group, as in a terminal. A shell's background jobs ignore SIGINT.
+        terminal: Any = {"start_new_session": True, "preexec_fn": lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)}
+        at_work = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, **terminal)
         while at_work.poll() is None and not (log.exists() and log.read_bytes().count(b"\n") >= after):
             time.sleep(0.01)
         (os.kill if number == signal.SIGKILL else os.killpg)(at_work.pid, number)
@@ -192,9 +192,9 @@ def test_the_command_is_killed_and_interrupted_on_two_cores_and_goes_on_to_the_s
     )
     script("sweep", *FEW, "--folder", "whole", cwd=tmp_path, status=1)
     assert (tmp_path / "s" / TABLE).read_bytes() == (tmp_path / "whole" / TABLE).read_bytes()
-    row, given = rows_of(tmp_path / "s")[19], EnvSettings(fidelity="exact")
+    row, exact = rows_of(tmp_path / "s")[19], EnvSettings(fidelity="exact")
     assert (row["policy"], row["scene"], row["seed"], row["error"]) == ("level", "{}", "1", "")
-    assert float(row["mean"]) == evaluate("", find_policy("level", given, 1).policy, given.env_settings, 2, 1).mean
+    assert float(row["mean"]) == evaluate("", find_policy("level", exact, 1).policy, exact.env_settings, 2, 1).mean
 
 
 def test_a_training_that_was_cut_short_starts_over_to_the_same_row(tmp_path: Path) -> None:

@@ -53,12 +53,12 @@ def test_policies_and_trainings_give_the_same_table_as_in_one_process(tmp_path: 
 
 def test_a_worker_and_a_node_killed_in_the_middle_lose_nothing(tmp_path: Path, cluster: Any) -> None:
     node, here = cluster.add_node(num_cpus=1), compiler.cache_folders()[-1]
-    lost, there = node.node_id, sorted(os.listdir(here))
+    killed, there = node.node_id, sorted(os.listdir(here))
 
     def hanging(settings: dict[str, Any]) -> dict[str, Any]:
         import ray
 
-        what = "node" if ray.get_runtime_context().get_node_id() == lost else "worker"
+        what = "node" if ray.get_runtime_context().get_node_id() == killed else "worker"
         if not (tmp_path / what).exists():
             (tmp_path / what).touch()
             if what == "worker":

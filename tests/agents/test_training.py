@@ -25,7 +25,7 @@ from tests.agents.small_run import TINY
 # -- training ----------------------------------------------------------------------------------------------------------
 
 
-def test_a_run_folder_holds_what_the_run_was_made_from(run: Path) -> None:
+def test_a_run_folder_has_the_settings_command_and_versions_of_its_run(run: Path) -> None:
     assert read_settings(run) == TINY
     record = json.loads((run / "run.json").read_text())
     assert record["seed"] == TINY.seed
@@ -90,15 +90,15 @@ def test_a_resumed_run_goes_on_from_the_weights_it_had(tmp_path: Path, run: Path
     checkpoint = folder / "checkpoints" / "ppo_768.zip"
     checkpoint.write_bytes((run / "checkpoints" / "ppo_768.zip").read_bytes())
     resumed = training.train(replace(TINY, total_steps=768), folder, progress=False)
-    kept = load_model(checkpoint).get_parameters()
+    saved = load_model(checkpoint).get_parameters()
     for group, parameters in resumed.get_parameters().items():
         if group == "policy":
             for name, value in parameters.items():
-                np.testing.assert_array_equal(value.numpy(), kept[group][name].numpy())
-    assert kept["policy.optimizer"]["state"], "the optimiser's moments are part of a checkpoint"
+                np.testing.assert_array_equal(value.numpy(), saved[group][name].numpy())
+    assert saved["policy.optimizer"]["state"], "the optimiser's moments are part of a checkpoint"
 
 
-def test_a_run_that_is_given_more_steps_goes_on_from_its_last_model(tmp_path: Path, run: Path) -> None:
+def test_a_run_with_more_steps_goes_on_from_its_last_model(tmp_path: Path, run: Path) -> None:
     folder = tmp_path / "run"
     shutil.copytree(run, folder)
     last = load_model(folder / "model.zip").get_parameters()["policy"]
@@ -147,7 +147,7 @@ def test_models_that_are_not_there_or_do_not_fit_are_refused(run: Path, tmp_path
         load_model(lonely)
 
 
-def test_a_training_is_gone_on_with_or_left_as_it_is(run: Path, tmp_path: Path) -> None:
+def test_an_unfinished_training_is_resumed_and_a_finished_one_stays(run: Path, tmp_path: Path) -> None:
     before = (run / "model.zip").stat().st_mtime_ns
     training.trained_in(run, TINY, progress=False)
     assert (run / "model.zip").stat().st_mtime_ns == before

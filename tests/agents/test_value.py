@@ -1,4 +1,4 @@
-"""The value at a plan's end: what it sees, that it counts, and that nothing beside a plan changes it."""
+"""The value at the end of a plan: its inputs, its share in returns, its files."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_the_ends_of_candidates_are_valued() -> None:
     plain, ends = Search("juggle", 0.02, **SMALL).evaluate(scene, states, tried)
     returns, same = ValuedSearch(value, "juggle", 0.02, **SMALL).evaluate(scene, states, tried)
     np.testing.assert_array_equal(same, ends)
-    expected = np.array([value.of(own) for own in ends])
+    expected = np.array([value.of(last) for last in ends])
     np.testing.assert_array_equal(returns, plain + expected)
     seen = value.inputs(ends[1])
     np.testing.assert_array_equal(seen[:, :10], observations(scene, ends[1]))
@@ -57,19 +57,19 @@ def test_misfits_are_refused(layers: list[Layer], sentence: str) -> None:
         Planner(Scene(), value="good")  # type: ignore[arg-type]
 
 
-def test_it_is_written_and_read_and_damage_is_told(tmp_path: Path) -> None:
+def test_a_value_is_written_and_read_and_damage_is_an_error(tmp_path: Path) -> None:
     write_with_layers(tmp_path, "value.json", EXACT, layers_for())
     states, weights = states_in(Scene(), 5), tmp_path / "weights.npz"
     np.testing.assert_array_equal(read_value(tmp_path).of(states), Value(EXACT, layers_for()).of(states))
-    for given, found in (
+    for content, sentence in (
         ({"gravity": 3.0}, "'gravity'"),
         ({"scene": 3}, "scene must .* got 3"),
         ([], r"got \[\]"),
         ({"task": "dance"}, "task must .* got 'dance'"),
         ({"contact": "pymunk", "substeps": -1}, "substeps must .* got -1"),
     ):
-        write_json(tmp_path / "value.json", given)
-        with pytest.raises(ValueError, match=f"holds no value: .*{found}"):
+        write_json(tmp_path / "value.json", content)
+        with pytest.raises(ValueError, match=f"holds no value: .*{sentence}"):
             read_value(tmp_path)
     write_with_layers(tmp_path, "value.json", EXACT, layers_for())
     weights.write_bytes(weights.read_bytes()[:-100])
@@ -81,9 +81,9 @@ def test_it_is_written_and_read_and_damage_is_told(tmp_path: Path) -> None:
             read_value(tmp_path)
 
 
-def search_in(**given: Any) -> Search:
-    """Of the planner that is found for an environment."""
-    planner = find_policy("planner", EnvSettings(**given), 0).policy
+def search_in(**settings: Any) -> Search:
+    """The search of the planner that the registry makes for an environment."""
+    planner = find_policy("planner", EnvSettings(**settings), 0).policy
     assert isinstance(planner, Planner)
     return planner._search
 
@@ -111,9 +111,9 @@ def test_a_value_of_another_task_is_not_used_and_a_damaged_one_is_an_error(
 
 
 def test_short_plans_juggle_better_with_the_value() -> None:
-    given: dict[str, Any] = {**SMALL, "samples": 64, "iterations": 1, "knots": 20}
+    settings: dict[str, Any] = {**SMALL, "samples": 64, "iterations": 1, "knots": 20}
     value = read_value(SHIPPED / "juggle-value")
     with_it, without = (
-        evaluate("planner", Planner(Scene(), **given, value=end), EXACT.env_settings, 4, 0) for end in (value, None)
+        evaluate("planner", Planner(Scene(), **settings, value=end), EXACT.env_settings, 4, 0) for end in (value, None)
     )
     assert with_it.mean > without.mean

@@ -20,8 +20,8 @@ OF_THE_ZOO = {"env_kwargs", "env_wrapper", "n_envs", "n_timesteps", "policy", "l
 
 def test_the_zoo_makes_the_same_model() -> None:
     environments = wrapped(make_vec_env(SMALL.env_settings, 2, 0), SMALL)
-    given: dict[str, Any] = {name: value for name, value in zoo_settings(SMALL).items() if name not in OF_THE_ZOO}
-    ours, zoos = make_ppo(SMALL, environments), PPO("MlpPolicy", environments, seed=SMALL.seed, device="cpu", **given)
+    options: dict[str, Any] = {name: value for name, value in zoo_settings(SMALL).items() if name not in OF_THE_ZOO}
+    ours, zoos = make_ppo(SMALL, environments), PPO("MlpPolicy", environments, seed=SMALL.seed, device="cpu", **options)
     for name in ("n_steps", "batch_size", "n_epochs", "gamma", "gae_lambda", "ent_coef"):
         assert getattr(ours, name) == getattr(zoos, name), name
     assert ours.clip_range(1.0) == zoos.clip_range(1.0)  # type: ignore[operator]
@@ -38,6 +38,6 @@ def test_the_zoo_trains_as_long_in_the_same_environment() -> None:
     assert torques["env_wrapper"] == [{"rl_zoo3.wrappers.FrameSkip": {"skip": 4}}]
 
 
-def test_the_zoo_does_not_look_ahead() -> None:
+def test_the_zoo_refuses_lookahead() -> None:
     with pytest.raises(ValueError, match="lookahead must be 0"):
         zoo_settings(replace(DEMO, landing=False, lookahead=8))

@@ -1,4 +1,4 @@
-"""What the tests of vector environments share."""
+"""Steps and comparisons that the tests of vector environments share."""
 
 from __future__ import annotations
 
@@ -38,17 +38,17 @@ def actions_at(step: int, count: int) -> Any:
 
 
 def play(env: JackInBoxVectorEnv, steps: int, seed: int) -> list[Any]:
-    """What a batch returns: every seventh step under the drive, the others under random actions."""
-    rng, found = np.random.default_rng(seed), []
+    """Results of a batch: every seventh step under the drive, the others under random actions."""
+    rng, played = np.random.default_rng(seed), []
     for step in range(steps):
         actions = rng.uniform(-1.0, 1.0, env.num_envs)
         seen, rewards, _, ends, infos = env.step(None if step % 7 == 0 else actions)
-        found.append((seen, rewards, ends, unmarked(infos)))
-    return found
+        played.append((seen, rewards, ends, unmarked(infos)))
+    return played
 
 
 def unmarked(infos: dict[str, Any]) -> dict[str, Any]:
-    """Infos without the marks of whose they are."""
+    """Infos without the masks that mark their environments."""
     return {
         name: unmarked(values) if isinstance(values, dict) else values
         for name, values in infos.items()
@@ -58,11 +58,11 @@ def unmarked(infos: dict[str, Any]) -> dict[str, Any]:
 
 def play_alone(envs: Sequence[JackInBoxEnv], steps: int, seed: int, limit: int = 10**9) -> list[Any]:
     """The same by single environments."""
-    rng, found = np.random.default_rng(seed), []
+    rng, played = np.random.default_rng(seed), []
     for step in range(steps):
         actions = rng.uniform(-1.0, 1.0, len(envs))
-        found.append(step_alone(envs, [None] * len(envs) if step % 7 == 0 else actions, step, limit))
-    return found
+        played.append(step_alone(envs, [None] * len(envs) if step % 7 == 0 else actions, step, limit))
+    return played
 
 
 def step_alone(envs: Sequence[JackInBoxEnv], actions: Sequence[Any] | Any, step: int, limit: int) -> tuple[Any, ...]:
@@ -79,22 +79,22 @@ def step_alone(envs: Sequence[JackInBoxEnv], actions: Sequence[Any] | Any, step:
 
 def columns(infos: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Infos of single environments as a batch has them."""
-    found = {name: [info[name] for info in infos] for name in infos[0]}
-    return {name: columns(one) if isinstance(one[0], dict) else np.array(one) for name, one in found.items()}
+    values = {name: [info[name] for info in infos] for name in infos[0]}
+    return {name: columns(one) if isinstance(one[0], dict) else np.array(one) for name, one in values.items()}
 
 
-def assert_same(found: Any, expected: Any, path: str = "") -> None:
+def assert_same(actual: Any, expected: Any, path: str = "") -> None:
     """Equal in kind and in every bit, dicts and arrays of arrays included."""
     if isinstance(expected, tuple | list) or (isinstance(expected, np.ndarray) and expected.dtype == object):
-        assert len(found) == len(expected), path
-        for place, (one, other) in enumerate(zip(found, expected, strict=True)):
-            assert_same(one, other, f"{path}/{place}")
+        assert len(actual) == len(expected), path
+        for index, (one, other) in enumerate(zip(actual, expected, strict=True)):
+            assert_same(one, other, f"{path}/{index}")
     elif isinstance(expected, dict):
-        assert set(found) == set(expected), path
+        assert set(actual) == set(expected), path
         for name in expected:
-            assert_same(found[name], expected[name], f"{path}/{name}")
+            assert_same(actual[name], expected[name], f"{path}/{name}")
     elif isinstance(expected, np.ndarray):
-        assert found.dtype == expected.dtype, path
-        np.testing.assert_array_equal(found, expected, err_msg=path)
+        assert actual.dtype == expected.dtype, path
+        np.testing.assert_array_equal(actual, expected, err_msg=path)
     else:
-        assert found == expected, path
+        assert actual == expected, path

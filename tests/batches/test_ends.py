@@ -1,4 +1,4 @@
-"""Tasks of one's own that end episodes and draw starts: the same alone, in batches, held, and in rollouts."""
+"""Custom tasks that end episodes and draw starts: the same alone, in batches, under action repeat and in rollouts."""
 
 from __future__ import annotations
 
@@ -62,16 +62,16 @@ def test_a_batch_ends_and_starts_as_single_environments_do(mode: AutoresetMode, 
         actions = rng.uniform(-1.0, 1.0, 3)
         seen, rewards, terminations, truncations, infos = batch.step(actions)
         for number, env in enumerate(alone):
-            found = rewards[number], terminations[number], truncations[number]
+            outcome = rewards[number], terminations[number], truncations[number]
             if waiting[number]:
                 waiting[number] = False
                 np.testing.assert_array_equal(seen[number], env.reset()[0])
-                assert found == (0.0, False, False)
+                assert outcome == (0.0, False, False)
                 continue
             last, *expected, _ = env.step(actions[number : number + 1])
-            assert found == tuple(expected)
-            ends[0] += bool(found[1])
-            ends[1] += bool(found[2])
+            assert outcome == tuple(expected)
+            ends[0] += bool(outcome[1])
+            ends[1] += bool(outcome[2])
             if not any(expected[1:]):
                 np.testing.assert_array_equal(seen[number], last)
             elif mode is AutoresetMode.SAME_STEP:
@@ -94,14 +94,14 @@ def test_an_end_in_the_last_step_is_no_truncation_to_stable_baselines(contact: s
     batch.reset(seed=0)
     alone.reset(seed=0)
     assert alone.step(np.zeros(1))[2:4] == (True, True)
-    assert [found.tolist() for found in batch.step(np.zeros(2))[2:4]] == [[True, True]] * 2
+    assert [column.tolist() for column in batch.step(np.zeros(2))[2:4]] == [[True, True]] * 2
     stable = make_sb3_vec_env(1, **made)
     stable.reset()
     assert stable.step(np.zeros((1, 1)))[3][0]["TimeLimit.truncated"] is False
 
 
 def dividing(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float]:
-    """What an environment that turns its box clockwise with all its might cannot earn."""
+    """A reward that is a division by zero at full torque clockwise."""
     return (1e-4 / (torque + 9e4),)
 
 
@@ -168,18 +168,18 @@ def test_held_actions_end_with_the_episode(contact: str) -> None:
         np.testing.assert_array_equal(rewards.astype(np.float32), rewards_too)
         np.testing.assert_array_equal(terminations | truncations, dones)
         for number, env in enumerate(alone):
-            total, taken = 0.0, 0
-            while taken < 4:
+            total, steps = 0.0, 0
+            while steps < 4:
                 last, reward, terminated, truncated, info = env.step(actions[number])
-                total, taken = total + float(reward), taken + 1
+                total, steps = total + float(reward), steps + 1
                 if terminated or truncated:
                     break
             assert (total, terminated, truncated) == (rewards[number], terminations[number], truncations[number])
-            assert infos["steps"][number] == taken
-            lengths[number] += taken
+            assert infos["steps"][number] == steps
+            lengths[number] += steps
             kinds |= {(terminated, truncated)}
             if terminated or truncated:
-                early += taken < 4
+                early += steps < 4
                 np.testing.assert_array_equal(infos["final_obs"][number], last)
                 np.testing.assert_array_equal(rows[number]["terminal_observation"], last)
                 assert rows[number]["TimeLimit.truncated"] == (truncated and not terminated)
@@ -230,7 +230,7 @@ def test_a_held_step_that_fails_has_not_happened(contact: str) -> None:
     assert batch.step(None)[2].tolist() == [False, True]
 
 
-def test_looking_ahead_ends_with_the_episode_in_all_wrappers() -> None:
+def test_lookahead_ends_with_the_episode_in_all_wrappers() -> None:
     small: dict[str, Any] = {"samples": 8, "turns": 3, "pieces": 8, "num_threads": 1}
     made: dict[str, Any] = {"contact": "exact", "task": FALL, "max_episode_steps": LIMIT}
     one = Lookahead(gym.make("JackInBox-v0", **made), **small)
@@ -263,17 +263,17 @@ def test_rollouts_earn_nothing_after_the_end() -> None:
     rng = np.random.default_rng(1)
     starts = np.array([above(Scene(), rng) for _ in range(6)])
     torques = rng.uniform(-9e4, 9e4, (6, 62))
-    found = rollout(None, starts, torques, 0.02, rewards=FALL, impacts=True)
+    rollouts = rollout(None, starts, torques, 0.02, rewards=FALL, impacts=True)
     endless = rollout(None, starts, torques, 0.02, rewards=Task(FALL.terms, FALL.values))
-    assert_same(found.trajectories, endless.trajectories)
-    assert found.impacts is not None
-    hit = found.impacts > 0
-    np.testing.assert_array_equal(found.lengths, np.where(hit.any(axis=1), hit.argmax(axis=1) + 1, 62))
+    assert_same(rollouts.trajectories, endless.trajectories)
+    assert rollouts.impacts is not None
+    hit = rollouts.impacts > 0
+    np.testing.assert_array_equal(rollouts.lengths, np.where(hit.any(axis=1), hit.argmax(axis=1) + 1, 62))
     assert set(endless.lengths.tolist()) == {62}
-    assert found.lengths.min() < 62
-    assert found.lengths.max() == 62
-    going = np.arange(62) < found.lengths[:, None]
-    np.testing.assert_array_equal(found.rewards, np.where(going, endless.rewards, 0.0))
+    assert rollouts.lengths.min() < 62
+    assert rollouts.lengths.max() == 62
+    going = np.arange(62) < rollouts.lengths[:, None]
+    np.testing.assert_array_equal(rollouts.rewards, np.where(going, endless.rewards, 0.0))
 
 
 # -- what is refused --------------------------------------------------------------------------------------------------

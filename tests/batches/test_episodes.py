@@ -29,10 +29,10 @@ def test_episodes_restart_alike_with_and_without_infos(contact: str, count: int,
         one.reset(seed=0)
         one.reset(options={"reset_mask": np.arange(count) == count - 1})  # a second draw for the last environment
     for _ in range(9):
-        found, expected = (one.step(np.zeros((count, 1))) for one in (env, twin))
-        assert_same(found[:4], expected[:4])
-        assert found[4] == {} or (mode is AutoresetMode.SAME_STEP and found[3].all())
-        np.testing.assert_array_equal(found[0], env.observations)
+        actual, expected = (one.step(np.zeros((count, 1))) for one in (env, twin))
+        assert_same(actual[:4], expected[:4])
+        assert actual[4] == {} or (mode is AutoresetMode.SAME_STEP and actual[3].all())
+        np.testing.assert_array_equal(actual[0], env.observations)
 
 
 @EVERY_MODEL
@@ -51,19 +51,19 @@ def test_without_autoreset_the_caller_restarts(contact: str) -> None:
 
 
 @EVERY_MODEL
-def test_starts_can_be_given(contact: str) -> None:
+def test_reset_accepts_states_and_times(contact: str) -> None:
     env, drawn = JackInBoxVectorEnv(3, contact=contact, with_infos=True), JackInBoxVectorEnv(3, contact=contact)
-    given = np.zeros((3, 12))
-    given[:, 3], given[:, 11] = [0.1, 0.2, 0.3], 2.0
-    _, infos = env.reset(seed=0, options={"state": given, "time": [1.0, 2.0, 3.0]})
-    np.testing.assert_array_equal(env.states, given)
-    np.testing.assert_array_equal(infos["state"], given)
+    starts = np.zeros((3, 12))
+    starts[:, 3], starts[:, 11] = [0.1, 0.2, 0.3], 2.0
+    _, infos = env.reset(seed=0, options={"state": starts, "time": [1.0, 2.0, 3.0]})
+    np.testing.assert_array_equal(env.states, starts)
+    np.testing.assert_array_equal(infos["state"], starts)
     assert infos["time"].tolist() == env.times.tolist() == [1.0, 2.0, 3.0]
     env.step(None)
-    env.reset(options={"state": given[1], "time": 0.5, "reset_mask": np.array([True, False, False])})
-    np.testing.assert_array_equal(env.states[0], given[1])
+    env.reset(options={"state": starts[1], "time": 0.5, "reset_mask": np.array([True, False, False])})
+    np.testing.assert_array_equal(env.states[0], starts[1])
     assert env.times.tolist() == [0.5, 2.02, 3.02]
-    # A given start draws nothing: the next drawn one is the first of the seed.
+    # A start from the options draws nothing: the next drawn one is the first of the seed.
     drawn.reset(seed=0)
     env.reset()
     np.testing.assert_array_equal(env.states, drawn.states)
@@ -81,7 +81,7 @@ def test_a_state_put_back_after_the_end_starts_an_episode_there(contact: str, co
     assert path[2][3].all()
 
 
-def test_an_episode_that_waits_does_not_ask_its_drive() -> None:
+def test_an_episode_that_waits_does_not_evaluate_its_drive() -> None:
     def recorded(time: float) -> float:
         if time > 0.1 + 1e-9:
             raise ValueError("beyond the data")
@@ -140,8 +140,8 @@ def test_a_pickled_batch_goes_on_alike_in_another_process(tmp_path: Path) -> Non
     path = tmp_path / "env"
     path.write_bytes(pickle.dumps(env))
     code = "import pickle, sys; print(pickle.load(open(sys.argv[1], 'rb')).step([1.0] * 3)[1].tolist())"
-    found = subprocess.run([sys.executable, "-c", code, path], capture_output=True, text=True, check=True)
-    assert found.stdout.strip() == str(env.step(np.ones(3))[1].tolist())
+    process = subprocess.run([sys.executable, "-c", code, path], capture_output=True, text=True, check=True)
+    assert process.stdout.strip() == str(env.step(np.ones(3))[1].tolist())
 
 
 def test_after_a_refused_step_impacts_are_none_and_no_error() -> None:
@@ -170,8 +170,8 @@ def test_others_drives_are_not_sought_where_those_of_functions_wait() -> None:
 def test_a_rollout_without_steps_has_the_energies_of_the_first_states() -> None:
     state = np.arange(12) / 100.0
     for steps in (0, 1):
-        found: Any = jackbox_env.rollout({}, [state] * 3, np.zeros((3, steps)), 0.02, energy=True)
-        np.testing.assert_array_equal(found.energy[:, 0], [jackbox_env.mechanics.energy(Scene(), state)] * 3)
+        rollouts: Any = jackbox_env.rollout({}, [state] * 3, np.zeros((3, steps)), 0.02, energy=True)
+        np.testing.assert_array_equal(rollouts.energy[:, 0], [jackbox_env.mechanics.energy(Scene(), state)] * 3)
 
 
 def test_a_rollout_names_the_same_row_in_errors_however_many_threads_play_it() -> None:

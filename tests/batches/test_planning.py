@@ -1,4 +1,4 @@
-"""Rollouts: what they take, refuse and leave out. Their bits are in tests/guarantees/test_bits.py."""
+"""Rollouts: arguments, errors and optional results. Their bits are in tests/guarantees/test_bits.py."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from tests.batches.several import SCENES, assert_same
 from tests.states import inside
 
 
-def given(count: int, steps: int) -> tuple[Any, Any]:
+def inputs(count: int, steps: int) -> tuple[Any, Any]:
     rng = np.random.default_rng(1)
     return np.array([inside(Scene(), rng) for _ in range(count)]), rng.uniform(-9e4, 9e4, (count, steps))
 
 
 def test_one_state_one_sequence_or_one_scene_serves_all() -> None:
-    states, torques = given(5, 10)
+    states, torques = inputs(5, 10)
     whole = rollout(None, states, torques, 0.02)
     assert_same(rollout({}, states[2], torques, 0.02)[2], whole[2])
     assert_same(rollout(None, states, torques[3], 0.02)[3], whole[3])
@@ -33,7 +33,7 @@ OUTSIDE = [[0.0] * 12, [0.0, 0.0, 0.0, 7.5, *[0.0] * 8]]  # of the default box, 
 
 
 @pytest.mark.parametrize(
-    ("given", "named"),
+    ("changes", "named"),
     [
         ({"states": np.zeros((2, 11))}, r"states .*\(N, 12\) or \(12,\), got \(2, 11\)"),
         ({"states": np.full((2, 12), math.nan)}, r"states\[0\].* x_box = nan"),
@@ -53,10 +53,10 @@ OUTSIDE = [[0.0] * 12, [0.0, 0.0, 0.0, 7.5, *[0.0] * 8]]  # of the default box, 
         ({"trajectories": 1.5}, "trajectories .* got 1.5"),
     ],
 )
-def test_unusable_values_are_refused(given: dict[str, Any], named: str) -> None:
+def test_unusable_values_are_refused(changes: dict[str, Any], named: str) -> None:
     usual = {"scene": Scene(), "states": np.zeros((2, 12)), "torques": np.zeros((2, 5)), "dt": 0.02}
     with pytest.raises((TypeError, ValueError), match=named):
-        rollout(**{**usual, **given})
+        rollout(**{**usual, **changes})
 
 
 def test_a_jack_too_fast_is_named() -> None:
@@ -73,15 +73,15 @@ def low(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float]:
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_an_error_in_a_task_of_ones_own_comes_back(threads: int) -> None:
-    states, torques = given(300, 60)
+def test_an_error_in_a_custom_task_is_raised(threads: int) -> None:
+    states, torques = inputs(300, 60)
     with pytest.raises(ValueError, match="the jack is too low"):
         rollout(Scene(), states, torques, 0.02, rewards=Task(("one",), low), num_threads=threads)
 
 
 @pytest.mark.parametrize("steps", [0, 1, 2, 7])
 def test_first_and_last_states_are_those_of_the_trajectories(steps: int) -> None:
-    states, torques = given(5, steps)
+    states, torques = inputs(5, steps)
     asked: Any = {"rewards": "juggle", "impacts": True}
     whole = rollout(Scene(), states, np.repeat(torques, 3, axis=1), 0.02, **asked)
     ends = rollout(Scene(), states, torques, 0.02, repeat=3, trajectories=False, **asked)

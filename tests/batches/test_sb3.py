@@ -26,8 +26,8 @@ def dummy(num_envs: int, **settings: Any) -> DummyVecEnv:
     return DummyVecEnv([lambda: Monitor(gym.make("JackInBox-v0", **settings))] * num_envs)
 
 
-def assert_same_infos(found: list[dict[str, Any]], expected: list[dict[str, Any]]) -> None:
-    for one, other in zip(found, expected, strict=True):
+def assert_same_infos(actual: list[dict[str, Any]], expected: list[dict[str, Any]]) -> None:
+    for one, other in zip(actual, expected, strict=True):
         assert [(name, type(value)) for name, value in one.items()] == [(n, type(value)) for n, value in other.items()]
         assert "state" not in one or one["state"].base is None  # keeps no other environment's state alive
         assert one.get("episode", {"t": 0.0})["t"] >= 0.0
@@ -38,8 +38,8 @@ def assert_same_infos(found: list[dict[str, Any]], expected: list[dict[str, Any]
 @EVERY_MODEL
 @pytest.mark.parametrize("settings", [{}, {"task": "rattle", "control_dt": 0.05, "scene": {"jack_arm": 5.0}}], ids=str)
 def test_each_step_is_that_of_dummy_vec_env(contact: str, settings: dict[str, Any]) -> None:
-    given = {"contact": contact, "max_episode_steps": 70, **settings}
-    native, plain = make_sb3_vec_env(3, with_infos=True, **given), dummy(3, **given)
+    arguments = {"contact": contact, "max_episode_steps": 70, **settings}
+    native, plain = make_sb3_vec_env(3, with_infos=True, **arguments), dummy(3, **arguments)
     assert native.observation_space == plain.observation_space
     assert native.action_space == plain.action_space
     assert native.seed(9) == plain.seed(9) == [9, 10, 11]
@@ -48,31 +48,31 @@ def test_each_step_is_that_of_dummy_vec_env(contact: str, settings: dict[str, An
     handed: list[Any] = []
     copied: list[Any] = []
     for step in range(220):
-        found, expected = native.step(actions_at(step, 3)), plain.step(actions_at(step, 3))
-        assert_same(found[:3], expected[:3])
-        assert_same_infos(found[3], expected[3])
+        actual, expected = native.step(actions_at(step, 3)), plain.step(actions_at(step, 3))
+        assert_same(actual[:3], expected[:3])
+        assert_same_infos(actual[3], expected[3])
         assert_same_infos(native.reset_infos, plain.reset_infos)
-        handed.append(found)
-        copied.append(copy.deepcopy(found))
+        handed.append(actual)
+        copied.append(copy.deepcopy(actual))
     assert sum(info["impacts"] for *_, infos in handed for info in infos) > 3
     assert_same(handed, copied)  # what was handed out is as it was
     assert_same(native.reset(), plain.reset())  # unseeded: the generators went the same way
 
 
 @EVERY_MODEL
-def test_an_info_holds_what_stable_baselines_reads_and_no_more_unless_asked(contact: str) -> None:
-    given: dict[str, Any] = {"contact": contact, "max_episode_steps": 7}
-    slim, full = make_sb3_vec_env(2, **given), make_sb3_vec_env(2, with_infos=True, **given)
+def test_infos_have_the_keys_of_stable_baselines_alone_by_default(contact: str) -> None:
+    arguments: dict[str, Any] = {"contact": contact, "max_episode_steps": 7}
+    slim, full = make_sb3_vec_env(2, **arguments), make_sb3_vec_env(2, with_infos=True, **arguments)
     for env in (slim, full):
         env.seed(3)
         env.reset()
     handed_out = []
     for step in range(30):
-        found, expected = slim.step(actions_at(step, 2)), full.step(actions_at(step, 2))
-        assert_same(found[:3], expected[:3])
-        names = ("episode", "TimeLimit.truncated", "terminal_observation") if found[2].all() else ()
-        assert_same_infos(found[3], [{name: info[name] for name in names} for info in expected[3]])
-        handed_out += found[3]
+        actual, expected = slim.step(actions_at(step, 2)), full.step(actions_at(step, 2))
+        assert_same(actual[:3], expected[:3])
+        names = ("episode", "TimeLimit.truncated", "terminal_observation") if actual[2].all() else ()
+        assert_same_infos(actual[3], [{name: info[name] for name in names} for info in expected[3]])
+        handed_out += actual[3]
     assert sum(bool(info) for info in handed_out) == 8
     assert len({id(info) for info in handed_out}) == len(handed_out)  # wrappers write into them
 
@@ -98,7 +98,7 @@ def test_options_are_used_once_by_environment_and_refused_ones_change_nothing() 
 
 
 @EVERY_MODEL
-def test_single_environments_can_be_looked_at_and_set(contact: str) -> None:
+def test_single_environments_can_be_read_and_set(contact: str) -> None:
     env = make_sb3_vec_env(3, contact=contact)
     env.seed(0)
     env.reset()
@@ -143,8 +143,8 @@ def test_ppo_trains_on_it_as_on_dummy_vec_env(contact: str) -> None:
         assert len(model.ep_info_buffer or ()) > 0
         return {name: value.numpy() for name, value in model.policy.state_dict().items()}
 
-    given = {"contact": contact, "max_episode_steps": 40}
-    assert_same(weights(make_sb3_vec_env(2, **given)), weights(dummy(2, **given)))
+    arguments = {"contact": contact, "max_episode_steps": 40}
+    assert_same(weights(make_sb3_vec_env(2, **arguments)), weights(dummy(2, **arguments)))
 
 
 def test_unusable_arguments_are_refused() -> None:

@@ -1,4 +1,4 @@
-"""Scenes of their own: each environment of a batch is the single one of its scene, whoever chose or drew it."""
+"""A scene for each environment: it equals the single environment of that scene, chosen or drawn."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_drawn_scenes_are_those_of_single_environments(contact: str, count: int,
 
 
 @EVERY_MODEL
-def test_infos_hold_what_was_drawn_of_the_episode_that_ended_and_of_the_next(contact: str) -> None:
+def test_infos_have_the_drawn_scenes_of_the_ended_episode_and_of_the_next(contact: str) -> None:
     ranges = {name: RANGES[name] for name in ("gravity", "jack_mass")}
     env = JackInBoxEnv(contact=contact, randomize=ranges)
     drawn = [env.reset(seed=4)[1]["scene"]]
@@ -74,8 +74,8 @@ def test_infos_hold_what_was_drawn_of_the_episode_that_ended_and_of_the_next(con
     for _ in range(3):
         infos = batch.step(None)[4]
         rows = listed.step(np.zeros((2, 1)))[3]
-    for found, expected in ((infos["final_info"]["scene"], drawn[0]), (infos["scene"], drawn[1])):
-        assert {name: found[name][0] for name in ranges} == expected
+    for scenes, expected in ((infos["final_info"]["scene"], drawn[0]), (infos["scene"], drawn[1])):
+        assert {name: scenes[name][0] for name in ranges} == expected
     assert (rows[0]["scene"], listed.reset_infos[0]["scene"]) == tuple(drawn)
     turned = make_sb3_vec_env(2, contact=contact, randomize=lambda rng: {"drive": SHAKEN}, with_infos=True)
     turned.reset()
@@ -94,9 +94,9 @@ def test_impacts_of_each_environment_are_those_of_the_single_one(contact: str) -
     most = [0, 0, 0]
     for step in range(149):
         actions = actions_at(step, 3) * (step < 60)
-        given = actions[:, 0].astype(np.float64)
-        batch.step(given if step % 5 else None)
-        given[:] = 0.5  # the caller's again
+        column = actions[:, 0].astype(np.float64)
+        batch.step(column if step % 5 else None)
+        column[:] = 0.5  # the caller's again
         for number, env in enumerate(singles):
             env.step(actions[number] if step % 5 else None)
             assert batch.impacts(number) == env.impacts
@@ -118,13 +118,13 @@ def test_numbers_are_drawn_before_the_start_in_the_order_of_the_fields() -> None
     assert (env.state[3], env.state[5]) == (x[0], 0.5 * x[2])
 
 
-def test_an_inertia_that_is_given_or_has_a_range_does_not_follow_the_mass() -> None:
+def test_an_inertia_that_is_fixed_or_drawn_does_not_follow_the_mass() -> None:
     batch = JackInBoxVectorEnv(2, contact="exact", randomize={"jack_inertia": (1.0, 2.0), "jack_mass": (50.0, 60.0)})
     batch.reset(seed=0)
     assert all(1.0 <= scene.jack_inertia <= 2.0 < 50.0 <= scene.jack_mass for scene in batch.scenes)
-    given = JackInBoxVectorEnv(2, contact="exact", scene={"jack_inertia": 3.0}, randomize={"jack_mass": (50.0, 60.0)})
-    given.reset(seed=0)
-    assert all(scene.jack_inertia == 3.0 for scene in given.scenes)
+    fixed = JackInBoxVectorEnv(2, contact="exact", scene={"jack_inertia": 3.0}, randomize={"jack_mass": (50.0, 60.0)})
+    fixed.reset(seed=0)
+    assert all(scene.jack_inertia == 3.0 for scene in fixed.scenes)
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
@@ -244,7 +244,7 @@ def test_ranges_that_could_draw_a_misfit_are_refused(make: Any, randomize: Any, 
         make(randomize=randomize)
 
 
-def test_a_contact_models_own_refusal_counts_for_ranges_too() -> None:
+def test_ranges_that_the_contact_model_refuses_are_refused() -> None:
     ranges = {"jack_inertia": (1e-6, 4.0)}
     JackInBoxEnv(contact="exact", randomize=ranges)
     with pytest.raises(ValueError, match="jack_inertia=1e-06"):
@@ -290,7 +290,7 @@ def test_options_that_are_refused_leave_all_as_it_was(options: Any, named: str) 
 
 @pytest.mark.parametrize("chosen", [None, np.array([True, False, True])])
 def test_a_scene_that_the_contact_model_refuses_leaves_all_as_it_was(chosen: Any) -> None:
-    """A jack as light to turn as this is right for a scene; only making its simulator tells that pymunk cannot."""
+    """A scene accepts a jack of so little inertia; only the simulator of pymunk refuses it."""
     batch = JackInBoxVectorEnv(3)
     batch.reset(seed=0)
     batch.step(None)

@@ -1,4 +1,4 @@
-"""The differentiable step against PyTorch's own differences and against the environment."""
+"""The differentiable step against PyTorch's finite differences and against the environment."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.states import inside
 SCENES = [Scene(jack_mass=mass, torque_limit=limit) for mass, limit in ((4.0, 9e4), (7.0, 5e4))] * 4
 
 
-def given(scenes: list[Scene], seed: int, dt: float) -> tuple[torch.Tensor, torch.Tensor, np.ndarray]:
+def inputs(scenes: list[Scene], seed: int, dt: float) -> tuple[torch.Tensor, torch.Tensor, np.ndarray]:
     """States and shares, and the number of impacts of each row."""
     rng = np.random.default_rng(seed)
     states, shares = np.array([inside(one, rng, 20.0) for one in scenes]), rng.uniform(-0.9, 0.9, len(scenes))
@@ -29,7 +29,7 @@ def given(scenes: list[Scene], seed: int, dt: float) -> tuple[torch.Tensor, torc
 
 @pytest.mark.parametrize("task", ["juggle", "spin"])
 def test_gradients_equal_differences_an_impact_among_them(task: str) -> None:
-    states, shares, hits = given(SCENES, 6, 0.1)
+    states, shares, hits = inputs(SCENES, 6, 0.1)
     assert (hits > 0).any()
     assert (hits == 0).any()
 
@@ -80,7 +80,7 @@ def test_actions_that_the_environment_refuses_are_refused(bad: float) -> None:
         env.step(np.array([bad]))
 
 
-def test_what_the_page_names_as_not_supported_raises() -> None:
+def test_uses_that_the_page_names_as_not_supported_raise() -> None:
     states, shares = torch.rand((3, 12), dtype=torch.float64), torch.full((3,), 0.5, dtype=torch.float64)
 
     def earned(states: torch.Tensor) -> torch.Tensor:
@@ -99,7 +99,7 @@ def test_what_the_page_names_as_not_supported_raises() -> None:
 
 def test_shapes_and_kinds() -> None:
     states, shares = torch.zeros((3, 12)), torch.full((3, 1), 2.0, requires_grad=True)
-    next_states, rewards, smooth = jackbox_env.torch.step(None, states, shares)  # float32 is taken
+    next_states, rewards, smooth = jackbox_env.torch.step(None, states, shares)  # float32 is accepted
     assert [one.dtype for one in (next_states, rewards, smooth)] == [torch.float64, torch.float64, torch.bool]
     next_states.sum().backward()
     assert shares.grad is not None

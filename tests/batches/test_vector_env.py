@@ -1,4 +1,4 @@
-"""Vector environments: their arguments, what they hand out, pictures."""
+"""Vector environments: arguments, returned arrays, pictures."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_none_lets_the_drive_act_and_actions_are_clipped(contact: str) -> None:
 
 
 def arrays_in(handed: Any) -> list[Any]:
-    """All arrays in what was handed out, those in dicts and in arrays of arrays as well."""
+    """All arrays in a returned value, those in dicts and in arrays of arrays too."""
     if isinstance(handed, np.ndarray) and handed.dtype != object:
         return [handed]
     parts = handed.values() if isinstance(handed, dict) else [] if handed is None else handed
@@ -52,32 +52,32 @@ def arrays_in(handed: Any) -> list[Any]:
 
 @EVERY_SIZE
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
-def test_what_is_handed_out_and_in_is_the_callers(contact: str, mode: AutoresetMode, count: int) -> None:
+def test_returned_and_passed_arrays_belong_to_the_caller(contact: str, mode: AutoresetMode, count: int) -> None:
     settings: Any = {"contact": contact, "max_episode_steps": 4, "with_infos": True, "autoreset_mode": mode}
     scribbled, twin = (JackInBoxVectorEnv(count, **settings) for _ in range(2))
-    given: Any = {"state": np.tile(np.linspace(0.0, 0.5, 12), (count, 1)), "time": np.full(count, 1.0)}
-    kept: list[Any] = [twin.reset(seed=0, options=copy.deepcopy(given))]
-    copied = copy.deepcopy(kept)
+    options: Any = {"state": np.tile(np.linspace(0.0, 0.5, 12), (count, 1)), "time": np.full(count, 1.0)}
+    handed_out: list[Any] = [twin.reset(seed=0, options=copy.deepcopy(options))]
+    copied = copy.deepcopy(handed_out)
 
     def scribble(handed: Any) -> None:
         for array in arrays_in(handed):
             array[...] = 7
 
-    scribble(scribbled.reset(seed=0, options=given))
-    scribble(given)
+    scribble(scribbled.reset(seed=0, options=options))
+    scribble(options)
     for step in range(14):
-        found, expected = (
+        actual, expected = (
             (env.step(actions_at(step, count)), env.states, env.times, env.observations) for env in (scribbled, twin)
         )
-        assert_same(found, expected)
+        assert_same(actual, expected)
         if step % 5 == 1:
-            scribbled.set_states(found[1], found[2])
+            scribbled.set_states(actual[1], actual[2])
             twin.set_states(expected[1], expected[2])
-        kept.append(expected)
+        handed_out.append(expected)
         copied.append(copy.deepcopy(expected))
-        scribble(found)
+        scribble(actual)
     assert_same(scribbled.states, twin.states)
-    assert_same(kept, copied)  # none of it was written again
+    assert_same(handed_out, copied)  # none of it was written again
 
 
 def test_memory_is_a_few_hundred_bytes_per_environment() -> None:

@@ -1,4 +1,4 @@
-"""The command that fits a scene: the scene of what simulate wrote comes back; other files are refused in a sentence."""
+"""The fit command recovers the scene of files by simulate, and refuses other files in one sentence."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ NOISE = 0.005
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What simulate writes of 4 s, and noisy.csv, whose states have noise."""
+    """The files of a simulation of 4 s, and noisy.csv, whose states have noise."""
     made = tmp_path_factory.mktemp("recorded")
     rng = np.random.default_rng(0)
     with write_csv(simulate(make_simulator(TRUE, contact="exact"), 4.0, 0.02, progress=False), made)[0].open() as file:
@@ -42,7 +42,7 @@ def run(monkeypatch: pytest.MonkeyPatch, folder: Path, *arguments: str) -> None:
     fit.main()
 
 
-def test_a_noisy_recording_tells_mass_and_restitution_and_the_page_shows_them(
+def test_a_noisy_recording_identifies_mass_and_restitution_and_the_page_shows_them(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     fields = "--fields", "jack_mass", "restitution"
@@ -67,7 +67,7 @@ def test_a_noisy_recording_tells_mass_and_restitution_and_the_page_shows_them(
     assert "never overwritten" in capsys.readouterr().err
 
 
-def test_torques_that_are_the_drives_are_left_to_the_drive(folder: Path) -> None:
+def test_torques_that_equal_the_drives_mean_the_drive(folder: Path) -> None:
     assert fit.read_recording(folder / "states.csv", Chirp()).torques is None
     held = fit.read_recording(folder / "states.csv", Chirp(amplitude=80000.0)).torques
     assert held is not None

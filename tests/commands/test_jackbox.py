@@ -116,7 +116,7 @@ def test_every_end_of_a_command_has_its_status_and_at_most_one_sentence(
 
     with pytest.raises(SystemExit) as ended:
         main()
-    told = capsys.readouterr().err
+    stderr = capsys.readouterr().err
     assert ended.value.code == status
-    assert said in told
-    assert told.count("\n") == bool(said)
+    assert said in stderr
+    assert stderr.count("\n") == bool(said)

@@ -50,7 +50,7 @@ def browser() -> Iterator[Any]:
 
 
 class Opened:
-    """The page, with what it asked for and complained about."""
+    """The page, with its requests and its complaints."""
 
     def __init__(self, browser: Any, file: Path) -> None:
         self.page = browser.new_page(viewport={"width": 1280, "height": 860})
@@ -114,15 +114,15 @@ def test_pause_holds_and_play_goes_on(opened: Opened) -> None:
 def test_the_list_names_each_impact_and_a_click_jumps_to_it(opened: Opened, trajectory: Trajectory) -> None:
     listed = opened.page.locator("#impacts tr")
     assert listed.count() == len(trajectory.impacts)
-    for place in (0, 4, len(trajectory.impacts) - 1):
-        hit, row = trajectory.impacts[place], listed.nth(place)
+    for index in (0, 4, len(trajectory.impacts) - 1):
+        hit, row = trajectory.impacts[index], listed.nth(index)
         cells = row.locator("td").all_inner_texts()
         assert cells == [f"{hit.time:.4f}", str(hit.wall), str(hit.foot), f"{hit.impulse:#.4g}"]
         row.click()
         assert opened.time == pytest.approx(hit.time, abs=0.006)
         assert not opened.playing
         assert row.get_attribute("class") == "now"
-        assert opened.page.locator("#hits").inner_text() == str(place + 1)
+        assert opened.page.locator("#hits").inner_text() == str(index + 1)
 
 
 @pytest.mark.parametrize("part", ["#impacts button >> nth=3", "#after", "#loop", "#play"])
@@ -205,17 +205,17 @@ def test_the_page_and_the_sketch_have_the_colours_of_frames_and_plots(opened: Op
     assert all(f'"{hexed(colour)}"' in sketch for colour in shared.values())
 
 
-def test_the_accuracy_chart_tells_of_the_point_under_the_pointer(browser: Any) -> None:
+def test_the_accuracy_chart_shows_the_numbers_of_the_point_under_the_pointer(browser: Any) -> None:
     opened = Opened(browser, Path(__file__).parents[2] / "docs" / "accuracy" / "work_precision.svg")
     texts = opened.page.locator("#title text")
     usual = texts.all_text_contents()
-    told = {}
-    for place in range(opened.page.locator("[id^=ring]").count()):
-        box = opened.page.locator(f"#ring-{place}").bounding_box()
+    errors = {}
+    for index in range(opened.page.locator("[id^=ring]").count()):
+        box = opened.page.locator(f"#ring-{index}").bounding_box()
         opened.page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
         setting, error = texts.all_text_contents()
-        told[setting] = error
-    assert len(told) == opened.page.locator("[id^=ring]").count() > 1
+        errors[setting] = error
+    assert len(errors) == opened.page.locator("[id^=ring]").count() > 1
     opened.page.mouse.move(2, 2)
     assert texts.all_text_contents() == usual
     assert opened.complaints == []

@@ -24,9 +24,9 @@ def run(scene: Scene, seconds: float, dt: float = 0.02) -> Trajectory:
 
 
 def data_of(page: Path) -> dict[str, Any]:
-    found = re.search(r'id="data">(.*?)</script>', page.read_text(), re.DOTALL)
-    assert found is not None
-    data: dict[str, Any] = json.loads(found[1])
+    match = re.search(r'id="data">(.*?)</script>', page.read_text(), re.DOTALL)
+    assert match is not None
+    data: dict[str, Any] = json.loads(match[1])
     return data
 
 
@@ -41,7 +41,7 @@ def impacts_of(data: dict[str, Any]) -> list[Impact]:
     ]
 
 
-def test_the_page_holds_every_stored_state_to_the_last_bit_and_nothing_from_elsewhere(tmp_path: Path) -> None:
+def test_the_page_has_every_stored_state_to_the_last_bit_and_nothing_from_elsewhere(tmp_path: Path) -> None:
     trajectory = run(Scene(), 10.0)
     page = write_page(tmp_path / "page.html", Scene(), trajectory, "a test", [("contact model", "exact")])
     data = data_of(page)
@@ -59,7 +59,7 @@ def test_the_page_holds_every_stored_state_to_the_last_bit_and_nothing_from_else
         write_page(page, Scene(), trajectory, "a test", [])
 
 
-def test_a_page_of_very_many_impacts_lists_the_first_and_says_so(tmp_path: Path) -> None:
+def test_a_page_of_very_many_impacts_lists_the_first_and_notes_it(tmp_path: Path) -> None:
     scene = Scene(restitution=0.2, drive=None)
     trajectory = run(scene, 60.0, 0.005)
     page = write_page(tmp_path / "page.html", scene, trajectory, "a test", [])

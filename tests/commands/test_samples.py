@@ -1,4 +1,4 @@
-"""Samples between the stored states: on the way that the model went, with a corner at each impact."""
+"""Samples between the stored states: on the path of the model, with a corner at each impact."""
 
 from __future__ import annotations
 
@@ -49,22 +49,22 @@ def test_an_impact_has_the_states_before_and_after_it() -> None:
     before = at_impacts(samples)
     known = [hit for hit in load("seed_scene")[0]["impacts"] if hit["time"] < 3.0]
     assert len(before) == len(known) == len(trajectory.impacts)
-    for place, hit in zip(before, known, strict=True):
-        assert samples.times[place] == pytest.approx(hit["time"], abs=1e-9)
-        assert abs(gaps(Scene(), samples.states[place])[hit["wall"], hit["foot"]]) < 1e-9
-        after, impulse = impact_map(Scene(), samples.states[place], hit["wall"], hit["foot"])
+    for index, hit in zip(before, known, strict=True):
+        assert samples.times[index] == pytest.approx(hit["time"], abs=1e-9)
+        assert abs(gaps(Scene(), samples.states[index])[hit["wall"], hit["foot"]]) < 1e-9
+        after, impulse = impact_map(Scene(), samples.states[index], hit["wall"], hit["foot"])
         assert impulse == pytest.approx(hit["impulse"], rel=1e-9)
-        np.testing.assert_allclose(samples.states[place + 1], after, rtol=0.0, atol=1e-9)
+        np.testing.assert_allclose(samples.states[index + 1], after, rtol=0.0, atol=1e-9)
 
 
 def test_pymunks_impacts_are_where_its_substeps_end() -> None:
     trajectory = run(Scene(), contact="pymunk")
     samples = samples_of(Scene(), trajectory)
     for hit in trajectory.impacts:
-        (place, *_) = np.flatnonzero(np.abs(samples.times - hit.time) < 1e-12)
-        depth = -gaps(Scene(), samples.states[place])[hit.wall, hit.foot]
+        (index, *_) = np.flatnonzero(np.abs(samples.times - hit.time) < 1e-12)
+        depth = -gaps(Scene(), samples.states[index])[hit.wall, hit.foot]
         assert 0.0 < depth < 0.12  # as deep as docs/accuracy.md has it
-        np.testing.assert_allclose(samples.states[place][:6], samples.states[place + 1][:6], rtol=0.0, atol=1e-14)
+        np.testing.assert_allclose(samples.states[index][:6], samples.states[index + 1][:6], rtol=0.0, atol=1e-14)
     assert set(trajectory.times.tolist()) <= set(samples.times.tolist())
 
 

@@ -1,4 +1,4 @@
-"""The command that simulates: no folder without files, and runs that are gone on with."""
+"""The simulate command: no folder without files, and continued runs."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, *arguments: str) -> Non
     simulate.main()
 
 
-def test_ctrl_c_leaves_no_folder_and_says_so(tmp_path: Path) -> None:
+def test_ctrl_c_leaves_no_folder_and_prints_a_message(tmp_path: Path) -> None:
     pytest.importorskip("tqdm")  # shows the progress that is awaited
     command = [sys.executable, "-m", "jackbox_env", "simulate", "--seconds", "1e5"]
     at_work = subprocess.Popen(
@@ -47,7 +47,7 @@ def test_an_error_while_files_are_written_leaves_no_folder(
 ) -> None:
     from jackbox_env.recording import page as report
 
-    def full(*given: object) -> None:
+    def full(*arguments: object) -> None:
         raise OSError(28, "No space left on device", "trajectory.html")
 
     monkeypatch.setattr(report, "write_page", full)
@@ -57,9 +57,7 @@ def test_an_error_while_files_are_written_leaves_no_folder(
     assert not list(tmp_path.iterdir())
 
 
-def test_it_goes_on_from_its_own_last_row_with_a_foot_in_a_wall(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_it_goes_on_from_its_last_row_with_a_foot_in_a_wall(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = ["--scene", '{"restitution": 0.3, "drive": null}', "--fidelity", "balanced"]
     run(monkeypatch, tmp_path, "--seconds", "2", *scene, "--folder", "out")
     with (tmp_path / "out" / "states.csv").open() as file:

@@ -38,10 +38,10 @@ def installed(wheels: Iterable[Path], folder: Path) -> Path:
     """A folder of packages as a plain ``pip install`` of the wheel makes it, with links to those installed here."""
     install = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--target", str(folder)]
     subprocess.run([*install, *map(str, wheels)], check=True, capture_output=True)
-    found = asked_by(*metadata.distributions(path=[str(folder)]))
-    for package in found:  # grows meanwhile
+    names = asked_by(*metadata.distributions(path=[str(folder)]))
+    for package in names:  # grows meanwhile
         distribution = metadata.distribution(package)
-        found += [name for name in asked_by(distribution) if name not in found]
+        names += [name for name in asked_by(distribution) if name not in names]
         for top in {file.parts[0] for file in distribution.files or []} - {"..", "__pycache__"}:
             if not (folder / top).exists():
                 (folder / top).symlink_to(Path(str(distribution.locate_file(top))))
@@ -49,7 +49,7 @@ def installed(wheels: Iterable[Path], folder: Path) -> Path:
 
 
 def asked_by(package: metadata.Distribution) -> list[str]:
-    """The names of what a package asks for without extras, on this system."""
+    """The names of packages that a package requires without extras, on this system."""
     asked = map(Requirement, package.requires or [])
     return [one.name for one in asked if one.marker is None or one.marker.evaluate({"extra": ""})]
 
@@ -57,7 +57,7 @@ def asked_by(package: metadata.Distribution) -> list[str]:
 def jackbox(
     site: Path, cwd: Path, *arguments: str, status: int = 0, **settings: str
 ) -> subprocess.CompletedProcess[str]:
-    """Run the command that the wheel installs; -S leaves this environment's own packages out."""
+    """Run the command that the wheel installs; -S hides the packages of this environment."""
     env = {**os.environ, **settings, "PYTHONPATH": str(site)}
     command = [sys.executable, "-S", str(site / "bin" / "jackbox"), *arguments]
     done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, env=env, timeout=250, check=False)
@@ -65,7 +65,7 @@ def jackbox(
     return done
 
 
-def test_a_wheel_holds_the_package_alone(site: Path) -> None:
+def test_a_wheel_contains_the_package_alone(site: Path) -> None:
     (wheel,) = metadata.distributions(name="jackbox", path=[str(site)])
     assert sorted(asked_by(wheel)) == ["gymnasium", "numba", "numpy", "pygame-ce", "pymunk"]
     names = {str(file) for file in wheel.files or []}
@@ -90,14 +90,14 @@ def test_simulate_writes_files_without_plots_and_refuses_to_draw_them(site: Path
 
 
 @pytest.fixture(scope="module")
-def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where the tests below keep what they compile."""
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder for code that the tests below compile."""
     return tmp_path_factory.mktemp("kept")
 
 
 @pytest.mark.slow  # compiles anew
-def test_check_finds_that_it_works_and_which_extras_are_missing(site: Path, kept: Path, tmp_path: Path) -> None:
-    run = partial(jackbox, site, tmp_path, "check", status=0, **OLDEST, NUMBA_CACHE_DIR=str(kept))
+def test_check_finds_that_it_works_and_which_extras_are_missing(site: Path, cache: Path, tmp_path: Path) -> None:
+    run = partial(jackbox, site, tmp_path, "check", status=0, **OLDEST, NUMBA_CACHE_DIR=str(cache))
     done, again = run(), run()
     assert done.stdout.count("ok      ") == again.stdout.count("ok      ") == 5
     assert re.search(r'extra train: not installed; to get it: pip install .*"torch', done.stdout)
@@ -109,8 +109,8 @@ def test_check_finds_that_it_works_and_which_extras_are_missing(site: Path, kept
 
 @x86
 @pytest.mark.slow  # compiles anew if it runs without the test above
-def test_the_exact_model_gives_the_same_bits_on_the_oldest_machine(kept: Path) -> None:
-    differ, compared = differing(["exact"], OLDEST | {"NUMBA_CACHE_DIR": str(kept)})
+def test_the_exact_model_gives_the_same_bits_on_the_oldest_machine(cache: Path) -> None:
+    differ, compared = differing(["exact"], OLDEST | {"NUMBA_CACHE_DIR": str(cache)})
     assert differ == []
     assert len(compared) > 25
 
@@ -124,7 +124,7 @@ def test_play_opens_its_window(site: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("command", ["demo", "train"])
-def test_what_needs_a_checkout_says_so_in_one_line(command: str, site: Path, tmp_path: Path) -> None:
+def test_commands_that_need_a_checkout_name_it_in_one_line(command: str, site: Path, tmp_path: Path) -> None:
     said = jackbox(site, tmp_path, command, status=2).stderr
     assert "git clone" in said
     assert said.count("\n") == 1
@@ -154,7 +154,7 @@ def shipped(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def first(site: Path, cwd: Path, code: str, **settings: str) -> subprocess.CompletedProcess[str]:
-    """Run code where the wheel is installed, nothing is kept and nothing can be compiled."""
+    """Run code with the wheel installed, an empty cache and no compiler."""
     env = {**os.environ, **settings, "PYTHONPATH": str(site), "NUMBA_CACHE_DIR": str(cwd)}
     command = [sys.executable, "-S", "-c", f"{NOTHING_COMPILES}\n{code}"]
     return subprocess.run(command, capture_output=True, text=True, cwd=cwd, env=env, timeout=250, check=False)

@@ -1,4 +1,4 @@
-"""What the tests of the environment share."""
+"""Starts that the tests of the environment share."""
 
 from __future__ import annotations
 

@@ -50,16 +50,16 @@ def test_the_spaces_are_the_documented_ones(env: Env) -> None:
     assert env.metadata["render_fps"] == 50
 
 
-def test_an_observation_is_what_the_table_says() -> None:
+def test_an_observation_equals_the_documented_table() -> None:
     # Box at (1, 2) turned by 90 degrees, moving with (0.5, 0); jack 3 m above it, turned by 30 degrees further.
     state = [1.0, 2.0, math.pi / 2, 1.0, 5.0, math.pi / 2 + math.pi / 6, 0.5, 0.0, 1.5, 0.5, -2.0, -7.0]
     v0 = math.sqrt(2.0 * 9.81 * 6.0)
     expected = [3.0 / 6, 0, -2.0 / v0, 0, 0, 1, 1.5 * 6 / v0, math.cos(2 * math.pi / 3), math.sin(2 * math.pi / 3)]
-    found = observe(Scene(), state)
-    np.testing.assert_allclose(found, [*expected, -7.0 / v0], atol=1e-6)
-    assert found.dtype == np.float32
+    observation = observe(Scene(), state)
+    np.testing.assert_allclose(observation, [*expected, -7.0 / v0], atol=1e-6)
+    assert observation.dtype == np.float32
     quarter_turn = [*state[:5], state[5] + math.pi / 2, *state[6:]]
-    np.testing.assert_allclose(observe(Scene(), quarter_turn), found, atol=1e-6)
+    np.testing.assert_allclose(observe(Scene(), quarter_turn), observation, atol=1e-6)
 
 
 def test_observations_are_clipped_and_info_is_raw(env: Env) -> None:
@@ -133,7 +133,7 @@ def test_the_environment_steps_what_the_simulator_steps() -> None:
 @pytest.mark.parametrize(
     ("task", "terms"), [("juggle", ["centre"]), ("spin", ["spin"]), ("rattle", ["knock", "effort"])]
 )
-def test_an_episode_of_500_steps_earns_the_sum_of_its_terms_and_tells_the_same_from_reset_on(
+def test_an_episode_of_500_steps_earns_the_sum_of_its_terms_and_has_the_same_info_keys_from_reset_on(
     task: str, terms: list[str]
 ) -> None:
     env, names = make(task=task), {f"reward_{name}" for name in terms}

@@ -1,4 +1,4 @@
-"""Actions that say how the box meets the jack: what they do, the same in all wrappers, and what is refused."""
+"""Landing control: its effect, the same in all wrappers, and its refusals."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def single(period: float = 0.4, **made: Any) -> LandingControl:
 
 @pytest.mark.parametrize("turns", [0, 3])
 @pytest.mark.parametrize(("angle", "rate"), [(0.0, 0.0), (0.8, -0.4), (-0.6, 0.6)])
-def test_the_box_meets_the_falling_jack_as_asked(angle: float, rate: float, turns: int) -> None:
+def test_the_box_strikes_the_falling_jack_as_the_action_sets(angle: float, rate: float, turns: int) -> None:
     env = single(0.02, contact="exact", scene={"gravity": 3.0, "torque_limit": 1e6})
     state = np.zeros(12)
     state[2], state[4] = turns * math.pi / 2.0, 2.0
@@ -34,9 +34,9 @@ def test_the_box_meets_the_falling_jack_as_asked(angle: float, rate: float, turn
         _, _, _, _, info = env.step([angle, rate])
         time = info["time"]
         assert info["impacts"] == 0
-    left, state = landing - time, info["state"]
+    remaining, state = landing - time, info["state"]
     assert state[8] == pytest.approx(2.5 * rate, abs=0.1)
-    assert state[2] + left * state[8] - turns * math.pi / 2.0 == pytest.approx(0.5 * angle, abs=0.01)
+    assert state[2] + remaining * state[8] - turns * math.pi / 2.0 == pytest.approx(0.5 * angle, abs=0.01)
 
 
 @EVERY_MODEL
@@ -82,7 +82,7 @@ def test_it_is_an_environment_of_gymnasium_and_stable_baselines() -> None:
     assert env.get_wrapper_attr("time") == pytest.approx(0.4)
 
 
-def test_what_cannot_be_aimed_is_refused() -> None:
+def test_unusable_actions_and_environments_are_refused() -> None:
     for refused, action in (("shape", [0.0]), ("finite", [0.0, math.nan]), ("numbers", None)):
         env = single()
         env.reset(seed=0)

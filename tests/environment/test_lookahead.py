@@ -1,4 +1,4 @@
-"""Looking ahead: what is appended, the same in all wrappers, and that it helps."""
+"""Lookahead: the appended features, the same in all wrappers, and the gain in returns."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ def test_it_is_a_gymnasium_environment_whose_spec_makes_it_again() -> None:
 
 @pytest.mark.parametrize("follow", [False, True])
 def test_all_wrappers_show_and_do_the_same(follow: bool) -> None:
-    # Scenes that vary: the end of an episode is seen in its own scene.
-    given = {**SMALL, "follow": follow}
+    # Scenes that vary: the last observation of an episode is of its scene, not of the next.
+    options = {**SMALL, "follow": follow}
     made: dict[str, Any] = {"contact": "exact", "max_episode_steps": 20, "randomize": {"gravity": (1.0, 20.0)}}
-    one = Lookahead(gym.make("JackInBox-v0", **made), **given)
-    vector = LookaheadVector(JackInBoxVectorEnv(3, autoreset_mode="SAME_STEP", **made), **given)
-    stable = LookaheadVecEnv(make_sb3_vec_env(3, **made), **given)
+    one = Lookahead(gym.make("JackInBox-v0", **made), **options)
+    vector = LookaheadVector(JackInBoxVectorEnv(3, autoreset_mode="SAME_STEP", **made), **options)
+    stable = LookaheadVecEnv(make_sb3_vec_env(3, **made), **options)
     stable.seed(4)
     seen, seen_too, seen_alone = vector.reset(seed=4)[0], stable.reset(), one.reset(seed=4)[0]
     rng, ends, fresh = np.random.default_rng(0), 0, Features("juggle", 0.02, LookaheadOptions(5, 3, 8, 8))
@@ -76,7 +76,7 @@ def test_all_wrappers_show_and_do_the_same(follow: bool) -> None:
     assert ends == 2
 
 
-def test_an_environment_sees_its_own_scene_the_same_beside_others_and_with_threads() -> None:
+def test_features_of_an_environment_depend_neither_on_others_nor_on_threads() -> None:
     scenes = [Scene(gravity=3.0), Scene(), Scene(torque_limit=2e4)]
     inner = JackInBoxVectorEnv(3, contact="exact", autoreset_mode="SAME_STEP", scene=scenes)
     env = LookaheadVector(inner, **{**SMALL, "num_threads": 2})
@@ -112,14 +112,14 @@ def test_the_next_impact_is_that_of_a_rollout_without_torque() -> None:
     seen = np.stack([observe(scene, inside(scene, rng).tolist()) for _ in range(20)])
     appended, _ = features.compute([scene], seen, features.begin(20))
     struck = 0
-    for row, found in zip(seen, appended, strict=True):
+    for row, shown in zip(seen, appended, strict=True):
         played = rollout(scene, state_of(scene, row.tolist()), np.zeros(80), 0.02, impacts=True)
         assert isinstance(played, Rollout)
         assert played.impacts is not None
         hits = np.flatnonzero(played.impacts[0])
         step = hits[0] + 1 if len(hits) else 80
-        assert found[0] == np.float32(step / 80)
-        np.testing.assert_array_equal(found[1:], observe(scene, played.trajectories[0, step].tolist()))
+        assert shown[0] == np.float32(step / 80)
+        np.testing.assert_array_equal(shown[1:], observe(scene, played.trajectories[0, step].tolist()))
         struck += len(hits) > 0
     assert 10 < struck <= 20
 
@@ -136,19 +136,19 @@ def test_manoeuvres_stop_the_box_where_they_should(scene: Scene) -> None:
     np.testing.assert_allclose(ends[:, 2], 0.3 + furthest * np.array([-0.5, 0.0, 0.5]), atol=1e-9)
 
 
-def test_the_plan_earns_what_it_says() -> None:
+def test_the_plan_earns_its_predicted_return() -> None:
     env = JackInBoxVectorEnv(4, contact="exact", autoreset_mode="SAME_STEP")
     seen, _ = env.reset(seed=2)
     features = Features("juggle", 0.02, LookaheadOptions(samples=16, num_threads=1))
     appended, _ = features.compute([Scene()], seen, features.begin(4))
     scripted = features._manoeuvres([Scene()] * 4, env.states)
-    found, _ = features._search.decide(Scene(drive=None), env.states, features.begin(4), scripted)
+    decision, _ = features._search.decide(Scene(drive=None), env.states, features.begin(4), scripted)
     earned = np.zeros(4)
     for knot in range(32):
         for _ in range(5):
-            earned += env.step(found.plans[:, knot])[1]
-    np.testing.assert_allclose(earned, found.returns, atol=1e-9)
-    np.testing.assert_allclose(appended[:, -4], found.returns / 160, atol=1e-3)  # the observation is float32
+            earned += env.step(decision.plans[:, knot])[1]
+    np.testing.assert_allclose(earned, decision.returns, atol=1e-9)
+    np.testing.assert_allclose(appended[:, -4], decision.returns / 160, atol=1e-3)  # the observation is float32
 
 
 def test_following_the_plan_juggles_better_than_no_torque() -> None:
@@ -240,7 +240,7 @@ def test_a_plan_is_not_followed_where_actions_are_no_torques() -> None:
         with pytest.raises(ValueError, match="follow needs actions that are torques, without an action wrapper"):
             make()
     apart.close()
-    alone(rescaled())()  # its agent says what it wants
+    alone(rescaled())()  # its agent overrides the plan
     driven = [
         alone(gym.make("JackInBox-v0", torque="chirp"), follow=True),
         together(JackInBoxVectorEnv(2, torque="chirp"), follow=True),

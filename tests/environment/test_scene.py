@@ -1,4 +1,4 @@
-"""Scene, Chirp and Drive: what they accept, what they derive, and the chirp's averages against 40 digits."""
+"""Scene, Chirp and Drive: accepted values, derived values, and the chirp's averages against 40 digits."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_defaults_are_the_documented_scene() -> None:
     assert scene.speed_scale == pytest.approx(10.8499, abs=1e-4)  # a fall through 6 m
 
 
-def test_numbers_are_kept_as_python_floats_and_inertias_follow_unless_given() -> None:
+def test_numbers_become_python_floats_and_inertias_follow_unless_set() -> None:
     single: Any = np.float32(3.0)
     scene = Scene(box_half_width=single, box_mass=2, jack_mass=5, drive=Chirp(rate=np.float64(1.0)))
     assert {type(getattr(scene, part.name)) for part in dataclasses.fields(scene)} == {float, Chirp}
@@ -94,9 +94,9 @@ def test_the_chirps_means_under_triangles(chirp: Chirp, time: float, duration: f
         pieces = mp.linspace(0, length, 2 + int(2 * turns))
         falling = mp.quad(lambda s: 2 * (length - s) / length**2 * exact_torque(chirp, start + s), pieces)
         rising = mp.quad(lambda s: 2 * s / length**2 * exact_torque(chirp, start + s), pieces)
-    found = chirp.torque_means(time, duration)
+    means = chirp.torque_means(time, duration)
     tolerance = 2e-13 * abs(chirp.amplitude)  # late times too, where the interval's middle is rounded
-    np.testing.assert_allclose(found, [float(falling), float(rising)], rtol=0.0, atol=tolerance)
+    np.testing.assert_allclose(means, [float(falling), float(rising)], rtol=0.0, atol=tolerance)
 
 
 def test_a_chirp_too_fast_to_follow_is_refused() -> None:

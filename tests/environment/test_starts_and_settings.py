@@ -77,7 +77,7 @@ def test_the_same_actions_from_a_saved_state_give_the_same_future_bitwise(contac
             np.testing.assert_array_equal(twin.step(action)[0], seen)
 
 
-def test_set_state_takes_what_pymunk_may_produce() -> None:
+def test_set_state_accepts_states_that_pymunk_may_produce() -> None:
     env, deep = JackInBoxEnv(), np.zeros(12)
     env.reset(seed=0)
     deep[[3, 9]] = 5.7, 3.0
@@ -105,9 +105,9 @@ def test_specs_round_trip_through_json(settings: dict[str, Any]) -> None:
     assert again.unwrapped.scene == env.unwrapped.scene
     np.testing.assert_array_equal(env.reset(seed=1)[0], again.reset(seed=1)[0])
     for action in np.random.default_rng(0).uniform(-1, 1, (60, 1)).astype(np.float32):
-        (left, left_reward, *_), (right, right_reward, *_) = env.step(action), again.step(action)
-        np.testing.assert_array_equal(left, right)
-        assert left_reward == right_reward
+        (one, reward, *_), (other, other_reward, *_) = env.step(action), again.step(action)
+        np.testing.assert_array_equal(one, other)
+        assert reward == other_reward
 
 
 def test_scenes_with_functions_run_end_to_end_and_have_no_json_form() -> None:

@@ -1,4 +1,4 @@
-"""What good and bad behaviour earn, in numbers; each figure is a mean over seeded episodes of 500 steps."""
+"""Returns of good and bad behaviour in each task: means over seeded episodes of 500 steps."""
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ def spinner(state: Sequence[float], rng: np.random.Generator, offset: float = 0.
 
 
 def slapper(state: Sequence[float], rng: np.random.Generator) -> float:
-    """Swing the floor up against the falling jack 0.3 s before it lands; hold the box level otherwise."""
+    """Swing the floor up against the falling jack 0.3 s before it lands; keep the box level otherwise."""
     time = landing_time(state)
-    landing_place = state[3] - state[0] + time * (state[9] - state[6])
-    if time < 0.3 and abs(landing_place) > 0.5:
-        return math.copysign(1.0, landing_place)
+    landing_offset = state[3] - state[0] + time * (state[9] - state[6])
+    if time < 0.3 and abs(landing_offset) > 0.5:
+        return math.copysign(1.0, landing_offset)
     return hold(state, 0.0, 4.0, 4.0)
 
 

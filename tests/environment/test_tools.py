@@ -129,15 +129,15 @@ WITHOUT = [
 ]
 
 
-def test_a_missing_package_says_how_to_get_it_from_a_checkout() -> None:
+def test_errors_of_missing_packages_name_the_command_that_installs_them() -> None:
     code = "import sys, gymnasium, jackbox_env\nfor name in ('stable_baselines3', 'pygame', 'tyro'):\n"
     code += "    sys.modules[name] = None\n"
     for line in WITHOUT:
         code += f"try: {line}\nexcept SystemExit as ended: assert ended.code\nexcept Exception as error: print(error)\n"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    told = (done.stdout + done.stderr).splitlines()
+    lines = (done.stdout + done.stderr).splitlines()
     remedies = 'pip install -e ".[train]"', "pip install -e '.[all,dev]'", "pip install pygame-ce"
-    assert [sum(line.endswith(remedy) for line in told) for remedy in remedies] == [2, 2, 4]
+    assert [sum(line.endswith(remedy) for line in lines) for remedy in remedies] == [2, 2, 4]
 
 
 # -- play -------------------------------------------------------------------------------------------------------------
@@ -146,7 +146,7 @@ def test_a_missing_package_says_how_to_get_it_from_a_checkout() -> None:
 def played(presses: list[tuple[float, int, int]], seconds: float, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """Play without a display; each press is (after seconds, event type, key). Return (action, info) per step."""
     backend = pytest.importorskip("matplotlib")
-    monkeypatch.setattr(backend, "use", lambda *arguments, **settings: None)  # play asks for a Tk window at import
+    monkeypatch.setattr(backend, "use", lambda *arguments, **settings: None)  # play opens a Tk window at import
     from gymnasium.utils.play import play
 
     seen: list[Any] = []

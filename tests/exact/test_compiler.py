@@ -1,4 +1,4 @@
-"""What the compiled code relies on: its cosines, its random numbers, its threads."""
+"""Building blocks of the compiled code: cosines, random numbers, threads, arguments."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ def other_quarter(cosine: float, sine: float, quarters: int) -> tuple[float, flo
     return 0.25, 0.75
 
 
-def test_another_function_can_take_a_functions_place() -> None:
-    # Compiled code turns by quarters with ``quarter``; here another rule takes its place.
-    given = Scene().numbers, 1.0, 0.0, 0.8, 0.6, 0.0, 1
-    assert compiled_with(foot_gap)(*given) == compiled(foot_gap)(*given) == foot_gap(*given)
-    swapped = compiled_with(foot_gap, quarter=other_quarter)(*given)
+def test_a_function_can_be_replaced_by_another() -> None:
+    # Compiled code turns by quarters with ``quarter``; here another rule replaces it.
+    arguments = Scene().numbers, 1.0, 0.0, 0.8, 0.6, 0.0, 1
+    assert compiled_with(foot_gap)(*arguments) == compiled(foot_gap)(*arguments) == foot_gap(*arguments)
+    swapped = compiled_with(foot_gap, quarter=other_quarter)(*arguments)
     assert swapped[0] == Scene().box_half_width - 1.0 - 0.25
 
 
 @pytest.mark.parametrize("kind", [np.int32, np.float32])
 def test_arguments_that_would_be_read_as_another_type_are_refused(kind: type) -> None:
-    given, call = example(), Call(new_memory(1))
-    call.prepare(*given[:-1])
-    scenes = given.scenes._replace(kinds=np.zeros(1, kind))
+    arguments, call = example(), Call(new_memory(1))
+    call.prepare(*arguments[:-1])
+    scenes = arguments.scenes._replace(kinds=np.zeros(1, kind))
     with pytest.raises(TypingError):
-        call.prepare(scenes, *given[1:-1])
+        call.prepare(scenes, *arguments[1:-1])
 
 
 # -- cosines ----------------------------------------------------------------------------------------------------------
@@ -58,16 +58,16 @@ ANGLES = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(("kind", "places"), [("to the last place", 1.0), ("after many turns", 1.2)])
-def test_cosine_and_sine_are_right(kind: str, places: float) -> None:
+@pytest.mark.parametrize(("kind", "ulps"), [("to the last place", 1.0), ("after many turns", 1.2)])
+def test_cosine_and_sine_are_right(kind: str, ulps: float) -> None:
     fast = compiled(cos_sin)
     for angle in map(float, ANGLES[kind]):
-        found = fast(angle)
-        assert found == cos_sin(angle)  # compiled and plain give the same bits
-        assert fast(-angle) == (found[0], -found[1])
+        values = fast(angle)
+        assert values == cos_sin(angle)  # compiled and plain give the same bits
+        assert fast(-angle) == (values[0], -values[1])
         with mp.workdps(60):
-            for value, reference in zip(found, (mp.cos(angle), mp.sin(angle)), strict=True):
-                assert abs(value - reference) <= places * math.ulp(float(reference)) + (places > 1.0) * 1e-18
+            for value, reference in zip(values, (mp.cos(angle), mp.sin(angle)), strict=True):
+                assert abs(value - reference) <= ulps * math.ulp(float(reference)) + (ulps > 1.0) * 1e-18
 
 
 def test_whole_turns_are_known_to_forty_digits() -> None:

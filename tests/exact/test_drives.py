@@ -31,7 +31,7 @@ from tests.states import inside
     ],
     ids=str,
 )
-def test_any_chirp_at_any_time_moves_the_box_as_it_should(chirp: Chirp, time: float, dt: float) -> None:
+def test_any_chirp_at_any_time_moves_the_box_by_its_fresnel_integrals(chirp: Chirp, time: float, dt: float) -> None:
     run = simulator(Scene(gravity=0.0, drive=chirp), np.zeros(12), time)
     run.step(dt)
     if chirp.rate < 0.0:  # the same torque
@@ -85,7 +85,7 @@ def test_functions_drive_as_the_chirp_does(chirp: Chirp, gravity: float, dt: flo
     ],
     ids=["1 Hz", "small steps", "chirp", "float32"],
 )
-def test_the_rounding_of_a_function_is_not_taken_for_its_shape(torque: Any, dt: float, times: list[float]) -> None:
+def test_the_rounding_of_a_function_is_not_interpolated(torque: Any, dt: float, times: list[float]) -> None:
     # Near a zero the rounding of t * omega is large against the function's values in the step.
     for time in times:
         run = simulator(Scene(gravity=0.0, drive=Drive(torque=torque)), np.zeros(12), time)
@@ -94,7 +94,7 @@ def test_the_rounding_of_a_function_is_not_taken_for_its_shape(torque: Any, dt: 
         assert run.torque == pytest.approx(float(mean), abs=0.1 + 9e4 * 100.0 * math.ulp(time))
 
 
-def test_jumps_of_a_drive_are_found() -> None:
+def test_jumps_of_a_drive_are_located() -> None:
     # A square wave of 9e4 N m: 6.25 rad/s^2 for 0.25 s, then back: omega is a triangle, theta grows by 0.390625 rad.
     run = simulator(Scene(gravity=0.0, drive=Drive(torque=lambda t: 9e4 if t % 0.5 < 0.25 else -9e4)), np.zeros(12))
     for _ in range(50):

@@ -1,4 +1,4 @@
-"""The compiled functions run as plain Python under NUMBA_DISABLE_JIT=1, as one debugs them, with the same bits."""
+"""The compiled functions give the same bits as plain Python, under NUMBA_DISABLE_JIT=1."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from tests.fingerprints import digest
 @pytest.mark.parametrize("restitution", [1.0, 0.8])
 def test_plain_python_gives_the_bits_of_the_compiled_code(restitution: float) -> None:
     command = [sys.executable, "-W", "error", "-m", "tests.exact.test_plain", str(restitution)]
-    given = os.environ | {"NUMBA_DISABLE_JIT": "1"}
-    plain = subprocess.run(command, env=given, capture_output=True, text=True, check=True)
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "1"}
+    plain = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
     assert plain.stdout.split() == played(restitution)
 
 
@@ -33,26 +33,26 @@ def struck(scene: Any, state: Any, torque: float, impulse: float) -> bool:
     return bool(impulse > 0.0)
 
 
-OWN = Task(("height",), height, struck)
+HEIGHT = Task(("height",), height, struck)
 
 
 def played(restitution: float) -> list[str]:
     """Digests of a batch that restarts, a rollout and a single environment under the chirp, 60 steps with impacts."""
     scene, rng = Scene(restitution=restitution), np.random.default_rng(0)
-    batch = JackInBoxVectorEnv(5, 40, contact="exact", scene=scene, with_infos=True, task=OWN)
+    batch = JackInBoxVectorEnv(5, 40, contact="exact", scene=scene, with_infos=True, task=HEIGHT)
     batch.reset(seed=3)
     stepped = [batch.step(rng.uniform(-1.0, 1.0, (5, 1))) for _ in range(60)]
     states = np.zeros((2, 12))
     states[:, 9:] = [[13.0, -12.0, 4.0], [15.0, 1.0, -7.0]]
-    found = rollout(scene, states, rng.uniform(-9e4, 9e4, (2, 60)), 0.02, rewards=OWN, impacts=True, energy=True)
-    assert found.impacts is not None
-    assert found.impacts.sum(axis=1).min() > 0
-    env = JackInBoxEnv(contact="exact", scene=scene, torque="chirp", task=OWN)
+    rollouts = rollout(scene, states, rng.uniform(-9e4, 9e4, (2, 60)), 0.02, rewards=HEIGHT, impacts=True, energy=True)
+    assert rollouts.impacts is not None
+    assert rollouts.impacts.sum(axis=1).min() > 0
+    env = JackInBoxEnv(contact="exact", scene=scene, torque="chirp", task=HEIGHT)
     env.reset(seed=1)
     alone = [env.step(0.0)[:3] for _ in range(60)]
     results: list[Iterable[object]] = [
         [part for seen, reward, _, _, infos in stepped for part in (seen, reward, infos["state"])],
-        [part for part in found if part is not None],
+        [part for part in rollouts if part is not None],
         [part for step in alone for part in step],
     ]
     return [digest(parts) for parts in results]

@@ -1,4 +1,4 @@
-"""Measure the extremes with all the steps of their long runs, and write docs/extremes.md from what is found.
+"""Measure the extremes with all the steps of their long runs, and write docs/extremes.md from the results.
 
 ``python -m tests.extremes spins``: only cases with this word; the other rows stay as docs/extremes.jsonl has them.
 """

@@ -38,7 +38,7 @@ def from_random_states(scenes: list[Scene]) -> list[tuple[Scene, Array]]:
 
 @case(MASSES, "one impact, jack 1e-9 to 1e9 times as heavy as the box")
 def one_impact_at_any_ratio_of_the_masses(contact: str) -> Finding:
-    law = kept = 0.0
+    law = drift = 0.0
     for scene in RATIOS:
         rng = np.random.default_rng(1)
         for _ in range(30):
@@ -47,8 +47,8 @@ def one_impact_at_any_ratio_of_the_masses(contact: str) -> Finding:
             law = max(law, off_the_law(simulator, INSTANT))
             assert [hit[1:3] for hit in simulator.impacts] == [(wall, foot)]
             scale = max(momentum_scale(scene, state), momentum_scale(scene, simulator.state))
-            kept = max(kept, float(np.abs(momentum(scene, simulator.state) - momentum(scene, state)).max()) / scale)
-    return within(Bound("rates off the impact map", law, 1e-12), Bound("momentum", kept, 1e-14))
+            drift = max(drift, float(np.abs(momentum(scene, simulator.state) - momentum(scene, state)).max()) / scale)
+    return within(Bound("rates off the impact map", law, 1e-12), Bound("momentum", drift, 1e-14))
 
 
 case(MASSES, "4 s of flight and impacts, jack 1e-9 to 1e9 times as heavy as the box")(
@@ -78,14 +78,14 @@ def a_foot_arrives_hardly_moving(contact: str) -> Finding:
 
 @case(SLOW, "two feet on a wall, on two walls, in a corner: 0 to 1e-3 s apart")
 def feet_that_touch_almost_at_the_same_moment(contact: str) -> Finding:
-    rng, law, kept, still, together, apart = np.random.default_rng(6), 0.0, 0.0, 0.0, 0, 0
+    rng, law, drift, still, together, apart = np.random.default_rng(6), 0.0, 0.0, 0.0, 0, 0
     for delay, kind in itertools.product((0.0, 1e-15, 1e-13, 1e-12, 1e-11, 1e-9, 1e-6, 1e-3), 10 * KINDS):
         state, _ = several_contacts(WEIGHTLESS, rng, kind)
         state[5] += delay * rng.choice([-1.0, 1.0])  # one foot is now this much earlier: arms are 1 m
         ahead = 3.0 * delay + INSTANT
         simulator = started(WEIGHTLESS, contact, flown(state, -ahead))
         law = max(law, off_the_law(simulator, 4.0 * ahead))
-        kept = max(kept, abs(energy(WEIGHTLESS, simulator.state) / energy(WEIGHTLESS, state) - 1.0))
+        drift = max(drift, abs(energy(WEIGHTLESS, simulator.state) / energy(WEIGHTLESS, state) - 1.0))
         moments = {hit.time for hit in simulator.impacts}
         together += 0 < len(moments) < len(simulator.impacts)
         apart += len(moments) > 1
@@ -95,7 +95,7 @@ def feet_that_touch_almost_at_the_same_moment(contact: str) -> Finding:
     assert min(together, apart) > 5
     return within(
         Bound("rates off the law at the moments taken, together or in turn", law, 1e-12),
-        Bound("energy", kept, 1e-12),
+        Bound("energy", drift, 1e-12),
         Bound("approach of a foot left at a wall", still, 1e-12, "m/s"),
     )
 
@@ -105,7 +105,7 @@ def feet_that_touch_almost_at_the_same_moment(contact: str) -> Finding:
 
 @case(LOSS, "restitution 0, 0.5 and 0.9: lies on a level, a tilted and a turning floor for 1000 s")
 def a_jack_at_rest_stays_on_its_floor(contact: str) -> Finding:
-    # A tilted and a turning floor let it slide into a corner, where two walls hold it.
+    # A tilted and a turning floor let it slide into a corner, where two walls support it.
     deepest = gained = 0.0
     for e in (0.0, 0.5, 0.9):
         for tilt, omega in ((0.0, 0.0), (0.3, 0.0), (0.0, 0.2)):

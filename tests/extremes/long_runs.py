@@ -1,4 +1,4 @@
-"""Runs of millions of steps: nothing gets out, nothing drifts, no memory grows.
+"""Runs of millions of steps: no jack escapes, nothing drifts, no memory grows.
 
 ``python -m tests.extremes`` takes all their steps (``JACKBOX_EXTREMES=full``), an ordinary test run some hundredth.
 """
@@ -66,8 +66,8 @@ def nothing_gets_out_and_no_memory_grows_over_many_episodes(contact: str) -> Fin
         ended += int(truncations.sum())
     assert ended == count * (rounds // 500)
     assert not grown(before)
-    found = within(Bound("a foot outside", deepest, DEEPEST[contact], "m"), note=MEMORY)
-    return found._replace(seen=f"over {rounds * count:,} steps: {found.seen}")
+    finding = within(Bound("a foot outside", deepest, DEEPEST[contact], "m"), note=MEMORY)
+    return finding._replace(seen=f"over {rounds * count:,} steps: {finding.seen}")
 
 
 @case(MILLIONS, "one weightless episode")
@@ -99,11 +99,11 @@ def nothing_drifts_over_a_long_weightless_episode(contact: str) -> Finding:
     gained = abs(energy(scene, end) / energy(scene, state) - 1.0)
     centres = [(scene.box_mass * q[0:2] + scene.jack_mass * q[3:5]) / total for q in (state, end)]
     line = centres[1] - centres[0] - momentum(scene, state) / total * simulator.time
-    # What the walk of the momentum moves it by, and half a unit in the last place of its way per step.
+    # The random walk of the momentum moves it so far, and each step rounds its path by half an ulp.
     rounded = 0.5 * count * math.ulp(float(np.abs(end[[0, 1, 3, 4]]).max()))
     strayed = walk * rates_scale / total * simulator.time + rounded
     assert hits > count // 50
-    found = within(
+    finding = within(
         Bound("momentum", pushed, walk),
         Bound("angular momentum", turned, walk),
         Bound("energy", gained, walk),
@@ -111,6 +111,6 @@ def nothing_drifts_over_a_long_weightless_episode(contact: str) -> Finding:
         Bound("a foot outside", deepest, DEEPEST[contact], "m"),
         note=MEMORY,
     )
-    return found._replace(
-        seen=f"over {count:,} steps, bounds of a random walk (32 sqrt(impacts) roundings): {found.seen}"
+    return finding._replace(
+        seen=f"over {count:,} steps, bounds of a random walk (32 sqrt(impacts) roundings): {finding.seen}"
     )

@@ -1,4 +1,4 @@
-"""What the cases measure: how far a trajectory is from the laws that every contact model must obey."""
+"""Measures of the cases: how far a trajectory is from the laws that every contact model must obey."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def angular_momentum(scene: Scene, state: Array) -> float:
 
 
 class Course(NamedTuple):
-    """What happened over some steps without torque, and how far it was from the laws."""
+    """Some steps without torque, and their distance from the laws."""
 
     hits: int
     deepest: float  # [m] outside
@@ -70,7 +70,7 @@ def course_of(simulator: Simulator, steps: int, dt: float) -> Course:
     )
 
 
-def kept(courses: list[Course], contact: str, hits: int, *more: Bound) -> Finding:
+def conserved(courses: list[Course], contact: str, hits: int, *more: Bound) -> Finding:
     """The bounds ``more``, then momentum, energy and containment; each course has at least ``hits`` impacts."""
     fewest = min(course.hits for course in courses)
     assert fewest >= hits
@@ -85,7 +85,7 @@ def kept(courses: list[Course], contact: str, hits: int, *more: Bound) -> Findin
 
 def courses(starts: Callable[[], list[tuple[Scene, Array]]], steps: int, dt: float, hits: int) -> Measure:
     """Follow each start for some steps of dt [s], with at least so many impacts."""
-    return lambda contact: kept(
+    return lambda contact: conserved(
         [course_of(started(scene, contact, state), steps, dt) for scene, state in starts()], contact, hits
     )
 

@@ -1,4 +1,4 @@
-"""The page of extremes: what each case finds, as a row of docs/extremes.md.
+"""The page of extremes: the finding of each case, as a row of docs/extremes.md.
 
 A case measures a contact model and returns a :class:`Finding`. The tests measure with few steps and assert;
 ``python -m tests.extremes`` measures with all and writes the page.
@@ -38,7 +38,7 @@ start at some m/s and rad/s, and there is neither gravity nor torque.
 
 
 class Finding(NamedTuple):
-    """What a case saw."""
+    """The result of a case."""
 
     seen: str
     verdict: str
@@ -139,7 +139,7 @@ def page(findings: Findings) -> str:
                 f"| what | {' | '.join(CONTACT_MODELS)} |",
                 "|---|" + "---|" * len(CONTACT_MODELS),
             ]
-        found = [findings.get((case.what, contact), Finding("", "not measured")) for contact in CONTACT_MODELS]
-        cells = [case.what, *(f"{one.verdict}: {one.seen}" for one in found)]
+        row = [findings.get((case.what, contact), Finding("", "not measured")) for contact in CONTACT_MODELS]
+        cells = [case.what, *(f"{one.verdict}: {one.seen}" for one in row)]
         lines.append("| " + " | ".join(" ".join(cell.replace("|", "\\|").split()) for cell in cells) + " |")
     return "\n".join(lines) + "\n"

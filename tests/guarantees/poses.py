@@ -1,4 +1,4 @@
-"""States with contacts, and the law written another way."""
+"""States with contacts, and the impact law by an independent computation."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ def energy_norm(scene: Scene, velocities: Array) -> float:
     return float(np.linalg.norm(np.sqrt(scene.mass_diagonal) * velocities))
 
 
-def velocity_error(scene: Scene, found: Array, expected: Array) -> float:
+def velocity_error(scene: Scene, actual: Array, expected: Array) -> float:
     """Relative error of six velocities in the norm of the kinetic energy."""
-    return energy_norm(scene, found - expected) / energy_norm(scene, expected)
+    return energy_norm(scene, actual - expected) / energy_norm(scene, expected)
 
 
 def momenta(scene: Scene, state: Array) -> Array:

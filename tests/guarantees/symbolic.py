@@ -1,7 +1,7 @@
 """The impact law derived from first principles with sympy, sharing no formula with the package.
 
-Frames in SE(3) give where every foot is and how fast the bodies move; from these follow the gap phi, the Lagrangian,
-the momenta and the Hamiltonian. An impact is then whatever solves
+Frames in SE(3) give the position of every foot and the velocities of the bodies. From these follow the gap phi, the
+Lagrangian, the momenta and the Hamiltonian. An impact then solves
 
     p(qdot+) - p(qdot-) = lambda (d phi / d q)^T,    H(qdot+) = H(qdot-),    lambda != 0.
 
@@ -49,7 +49,7 @@ def inverse(g: sp.Matrix) -> sp.Matrix:
 
 def time_derivative(expression: sp.Matrix) -> sp.Matrix:
     """Total derivative along qdot of something that depends on time through q alone."""
-    return sum((sp.diff(expression, place) * rate for place, rate in zip(Q, RATES, strict=True)), 0 * expression)
+    return sum((sp.diff(expression, q) * rate for q, rate in zip(Q, RATES, strict=True)), 0 * expression)
 
 
 def unhat(twist: sp.Matrix) -> sp.Matrix:
@@ -82,8 +82,8 @@ def four_feet_kinetic_energy() -> sp.Expr:
     """Kinetic energy of four point masses m_j / 4 at the feet."""
     total = sp.Integer(0)
     for foot in range(4):
-        place = world_foot(foot * sp.pi / 2)[:3, 3]
-        velocity = time_derivative(place)
+        position = world_foot(foot * sp.pi / 2)[:3, 3]
+        velocity = time_derivative(position)
         total += (velocity.T * velocity)[0] * JACK_MASS / 8
     return sp.simplify(total)
 
@@ -100,11 +100,11 @@ class Evaluation:
 
 
 class Derivation:
-    """Symbolic expressions, each derived when first asked for, and the numbers they give for a scene and a state."""
+    """Symbolic expressions, each derived at its first use, and their numbers for a scene and a state."""
 
     @cached_property
     def gap(self) -> sp.Expr:
-        """phi(q) [m]: how far the foot is behind the wall, from its place in the wall's frame."""
+        """phi(q) [m]: how far the foot is behind the wall, from its position in the wall's frame."""
         foot_in_wall = inverse(world_wall(WALL_ANGLE)) * world_foot(FOOT_ANGLE)
         return -foot_in_wall[0, 3]
 
@@ -143,8 +143,8 @@ class Derivation:
         slope = sp.Matrix(sp.symbols("phi_1:7", real=True))
         at_after = dict(zip(RATES, AFTER, strict=True))
         jump = self.momenta.subs(at_after) - self.momenta - IMPULSE * slope
-        kept = sp.expand(self.hamiltonian.subs(at_after) - self.hamiltonian)
-        roots = sp.solve([*jump, kept], [*AFTER, IMPULSE], dict=True)
+        gained = sp.expand(self.hamiltonian.subs(at_after) - self.hamiltonian)
+        roots = sp.solve([*jump, gained], [*AFTER, IMPULSE], dict=True)
         (root,) = (each for each in roots if each[IMPULSE] != 0)  # the other one is no impact at all
         back = dict(zip(slope, self.gradient, strict=True))
         return sp.Matrix([root[rate] for rate in AFTER]).subs(back), root[IMPULSE].subs(back)

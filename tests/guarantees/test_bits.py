@@ -1,4 +1,4 @@
-"""The same bits for one environment, in a batch, in a rollout and where it is restored, from any number of threads."""
+"""The same bits for one environment, in a batch, in a rollout and after it is restored, from any number of threads."""
 
 from __future__ import annotations
 
@@ -32,22 +32,22 @@ from tests.states import inside
     ],
     ids=["default", "rattle", "spin by the chirp", "shaken"],
 )
-def test_a_batch_says_all_that_single_environments_say(
+def test_a_batch_returns_all_that_single_environments_return(
     contact: str, mode: AutoresetMode, settings: dict[str, Any]
 ) -> None:
-    count, given = 3, {"contact": contact, "max_episode_steps": 80, **settings}
-    batched: Any = gym.make_vec("JackInBox-v0", num_envs=count, autoreset_mode=mode, with_infos=True, **given)
-    single: Any = SyncVectorEnv([lambda: gym.make("JackInBox-v0", **given)] * count, autoreset_mode=mode)
+    count, arguments = 3, {"contact": contact, "max_episode_steps": 80, **settings}
+    batched: Any = gym.make_vec("JackInBox-v0", num_envs=count, autoreset_mode=mode, with_infos=True, **arguments)
+    single: Any = SyncVectorEnv([lambda: gym.make("JackInBox-v0", **arguments)] * count, autoreset_mode=mode)
     assert batched.observation_space == single.observation_space
     assert batched.action_space == single.action_space
     impacts = 0
     mask = np.array([True, False, True])
-    for given in ({"seed": 11}, {"seed": [5, None, 7]}, {"options": {"reset_mask": mask}}):
-        assert_same(*(env.reset(**copy.deepcopy(given)) for env in (batched, single)))
+    for options in ({"seed": 11}, {"seed": [5, None, 7]}, {"options": {"reset_mask": mask}}):
+        assert_same(*(env.reset(**copy.deepcopy(options)) for env in (batched, single)))
         for step in range(170):
-            found, expected = batched.step(actions_at(step, count)), single.step(actions_at(step, count))
-            assert_same(found, expected, f"step {step}")
-            impacts += int(found[4]["impacts"].sum())
+            actual, expected = batched.step(actions_at(step, count)), single.step(actions_at(step, count))
+            assert_same(actual, expected, f"step {step}")
+            impacts += int(actual[4]["impacts"].sum())
     assert impacts > 6
 
 
@@ -103,9 +103,9 @@ def test_a_chirp_shared_by_environments_at_the_same_time_turns_each_as_alone(
     singles = [JackInBoxEnv(**settings) for _ in range(count)]  # type: ignore[arg-type]
     for single, state, time in zip(singles, states, times.tolist(), strict=True):
         single.set_state(state, time)
-    found = play(env, 80, 0)
-    assert_same(found, play_alone(singles, 80, 0))
-    assert sum(infos["impacts"].sum() for *_, infos in found) > 100
+    played = play(env, 80, 0)
+    assert_same(played, play_alone(singles, 80, 0))
+    assert sum(infos["impacts"].sum() for *_, infos in played) > 100
 
 
 # -- a row of a rollout -----------------------------------------------------------------------------------------------
@@ -126,7 +126,7 @@ def test_rows_of_a_rollout_are_environments_from_any_number_of_threads(task: str
     shares = rng.uniform(-1.0, 1.0, (len(scenes), 40))
     torques = shares * 90000.0
     asked: Any = {"time": 3.0, "energy": True, "impacts": True, "rewards": task, "repeat": 2}
-    found: Any = rollout(scenes, states, torques, 0.02, **asked)
+    rollouts: Any = rollout(scenes, states, torques, 0.02, **asked)
     for number, scene in enumerate(scenes):
         env = JackInBoxEnv(contact="exact", scene=scene, task=task)
         info = env.reset(options={"state": states[number], "time": 3.0})[1]
@@ -135,10 +135,10 @@ def test_rows_of_a_rollout_are_environments_from_any_number_of_threads(task: str
         energies = [energy(scene, state) for state in path]
         hits, impulses = ([step[4][name] for step in steps] for name in ("impacts", "impulse"))
         expected = path, energies, hits, impulses, [step[1] for step in steps], len(steps)
-        assert_same([values[number] for values in found], [np.array(values) for values in expected])
-    assert found.impacts.sum() > 100
+        assert_same([values[number] for values in rollouts], [np.array(values) for values in expected])
+    assert rollouts.impacts.sum() > 100
     for threads in (1, 2, 3):
-        assert_same(rollout(scenes, states, torques, 0.02, num_threads=threads, **asked), found)
+        assert_same(rollout(scenes, states, torques, 0.02, num_threads=threads, **asked), rollouts)
 
 
 @pytest.mark.parametrize("fastest", [0.5, 20.0, 200.0])
@@ -160,16 +160,16 @@ def test_jacks_that_a_batch_moves_together_off_the_walls_are_those_of_a_rollout(
     env.reset(seed=0)
     env.set_states(states, 0.0)
     env.step(actions)
-    found: Any = rollout(scene, states, actions[:, None] * scene.torque_limit, 0.02, impacts=True)
-    np.testing.assert_array_equal(env.states, found.trajectories[:, 1])
-    assert 20 < int((found.impacts > 0).sum()) < count - 20  # both kinds are there
+    rollouts: Any = rollout(scene, states, actions[:, None] * scene.torque_limit, 0.02, impacts=True)
+    np.testing.assert_array_equal(env.states, rollouts.trajectories[:, 1])
+    assert 20 < int((rollouts.impacts > 0).sum()) < count - 20  # both kinds are there
 
 
 # -- restored ---------------------------------------------------------------------------------------------------------
 
 
 @EVERY_SIZE
-def test_what_is_copied_or_restored_goes_on_with_the_same_bits(contact: str, count: int) -> None:
+def test_copied_and_restored_batches_go_on_with_the_same_bits(contact: str, count: int) -> None:
     settings: Any = {"contact": contact, "scene": {"jack_arm": 5.0}}
     env = JackInBoxVectorEnv(count, 40, num_threads=2, **settings)
     env.reset(seed=2)
@@ -189,11 +189,11 @@ def test_what_is_copied_or_restored_goes_on_with_the_same_bits(contact: str, cou
         assert_same([seen, reward], [path[step][0][0], path[step][1][0]])
 
 
-# -- as it would look -------------------------------------------------------------------------------------------------
+# -- negative control -------------------------------------------------------------------------------------------------
 
 
 @EVERY_MODEL
-def test_one_unit_in_the_last_place_of_a_start_would_be_seen(contact: str) -> None:
+def test_one_ulp_of_a_start_would_be_seen(contact: str) -> None:
     env, twin = (JackInBoxVectorEnv(5, 60, contact=contact, scene=list(SCENES), with_infos=True) for _ in range(2))
     for one in (env, twin):
         one.reset(seed=4)

@@ -44,7 +44,7 @@ def run_record(record: dict[str, Any]) -> tuple[list[Impact], list[Array]]:
 @pytest.mark.parametrize("record", RECORDS, ids=lambda record: record["name"])
 def test_impacts_and_states_equal_the_60_digit_reference(record: dict[str, Any]) -> None:
     hits, states = run_record(record)
-    predictable = 14 if record["name"] == "seed" else len(record["impacts"])  # beyond, float64 can not tell
+    predictable = 14 if record["name"] == "seed" else len(record["impacts"])  # beyond, rounding decides
     expected = record["impacts"][:predictable]
     assert [(hit.wall, hit.foot) for hit in hits[:predictable]] == [(hit["wall"], hit["foot"]) for hit in expected]
     if record["name"] != "seed":
@@ -90,8 +90,8 @@ def test_without_torque_time_can_be_turned_back() -> None:
 # -- the law of impact -------------------------------------------------------------------------------------------------
 
 
-def relative_error(found: Array, expected: Array) -> float:
-    return float(np.abs(found[6:] - expected[6:]).max() / np.abs(expected[6:]).max())
+def relative_error(actual: Array, expected: Array) -> float:
+    return float(np.abs(actual[6:] - expected[6:]).max() / np.abs(expected[6:]).max())
 
 
 def test_one_contact_after_the_other_would_break_the_simultaneous_law(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -165,11 +165,11 @@ def test_a_grazing_foot_bounces_when_it_reaches_the_wall(depth: float) -> None:
 # -- limits ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("given", [{2: 1e14}, {5: 1e14}, {7: 1e14, 10: 1e14}], ids=str)
-def test_a_state_that_float64_can_not_resolve_near_a_wall_is_refused_and_stays(given: dict[int, float]) -> None:
+@pytest.mark.parametrize("numbers", [{2: 1e14}, {5: 1e14}, {7: 1e14, 10: 1e14}], ids=str)
+def test_a_state_that_float64_can_not_resolve_near_a_wall_is_refused_and_stays(numbers: dict[int, float]) -> None:
     state = np.zeros(12)
     state[[3, 5, 9]] = 5.2, 0.785, 10.0
-    state[list(given)] = list(given.values())
+    state[list(numbers)] = list(numbers.values())
     run = simulator(WEIGHTLESS, state)
     with pytest.raises(JackLostError, match="too fast to be followed .* or is too far off"):
         run.step(0.02)
@@ -199,10 +199,10 @@ def test_compiled_and_plain_give_the_same_bits() -> None:
         run = simulator(scene, state)
         for number in range(100):
             torque = rng.uniform(-9e4, 9e4) if number % 2 else None
-            ended, after, found = plain_step(scene, run.state, 0.02, torque, run.time)
+            ended, after, impacts = plain_step(scene, run.state, 0.02, torque, run.time)
             run.step(0.02, torque)
             assert ended == Status.DONE
             np.testing.assert_array_equal(run.state, after)
-            assert [(hit.wall, hit.foot) for hit in run.impacts] == [hit[1:] for hit in found]
-            hits += len(found)
+            assert [(hit.wall, hit.foot) for hit in run.impacts] == [hit[1:] for hit in impacts]
+            hits += len(impacts)
     assert hits > 30

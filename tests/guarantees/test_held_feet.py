@@ -1,4 +1,4 @@
-"""Loss at scale: batches that go on, jacks locked in corners, feet that leave, held feet against other computations."""
+"""Resting feet at scale: batches with loss, jacks in corners, feet that leave, and independent computations."""
 
 from __future__ import annotations
 
@@ -108,11 +108,11 @@ def test_a_resting_foot_leaves_when_a_side_force_turns_round() -> None:
         rng = np.random.default_rng(seed)
         period, along = rng.uniform(0.3, 1.0), rng.uniform(-3.0, 3.0)
         scene = Scene(restitution=0.5, drive=Drive(force_y=switching(8000.0, period)))
-        run, left = simulator(scene, lying(along)), 0
+        run, in_flight = simulator(scene, lying(along)), 0
         for _ in range(150):
             run.step(0.02)
-            left += not run.impacts
-        assert left > 30
+            in_flight += not run.impacts
+        assert in_flight > 30
 
 
 def test_a_jack_that_rattles_in_the_corner_of_a_fast_box_sinks_no_deeper_with_each_of_a_thousand_bounces() -> None:
@@ -120,10 +120,10 @@ def test_a_jack_that_rattles_in_the_corner_of_a_fast_box_sinks_no_deeper_with_ea
     scene = Scene(box_mass=3.0, jack_mass=8.0, jack_arm=2.0, gravity=0.0, restitution=0.999, drive=None)
     flat, omega, angle = 6.0 - 2.0 * math.sqrt(0.5), 55.0, 3059.0
     x, y = -flat + 2.6e-10, -flat
-    place = np.array([x * math.cos(angle) - y * math.sin(angle), x * math.sin(angle) + y * math.cos(angle)])
+    centre = np.array([x * math.cos(angle) - y * math.sin(angle), x * math.sin(angle) + y * math.cos(angle)])
     state = np.zeros(12)
-    state[2], state[5], state[3:5] = angle, angle + math.pi / 4.0, place
-    state[[8, 11]], state[9], state[10] = omega, -omega * place[1], omega * place[0]
+    state[2], state[5], state[3:5] = angle, angle + math.pi / 4.0, centre
+    state[[8, 11]], state[9], state[10] = omega, -omega * centre[1], omega * centre[0]
     state[9:11] += 0.01 * np.array([-math.cos(angle), -math.sin(angle)])
     run = simulator(scene, state)
     for _ in range(3):
@@ -132,7 +132,7 @@ def test_a_jack_that_rattles_in_the_corner_of_a_fast_box_sinks_no_deeper_with_ea
     assert gaps_evaluated(run) < 1000.0  # at rest
 
 
-def test_a_look_ahead_sees_to_the_end_of_lossy_episodes() -> None:
+def test_lookahead_works_to_the_end_of_lossy_episodes() -> None:
     env: Any = Lookahead(gym.make("JackInBox-v0", contact="exact", task="spin", scene={"restitution": 0.5}))
     env.reset(seed=0)
     for action in changing(np.random.default_rng(0), 1, 60)[0]:
@@ -169,16 +169,16 @@ def constrained_motion(scene: Scene, pairs: list[tuple[int, int]], start: Array,
         drive = scene.drive
         assert isinstance(drive, Drive)
         force = np.zeros(6)
-        for place, function in enumerate((drive.force_x, drive.force_y, drive.torque)):
-            force[place] = function(t) if function is not None else 0.0
+        for index, function in enumerate((drive.force_x, drive.force_y, drive.torque)):
+            force[index] = function(t) if function is not None else 0.0
         force[4] = -scene.jack_mass * scene.gravity
         here = gradients(q, rates)
         bend = (gradients(q + tiny * rates, rates) - gradients(q - tiny * rates, rates)) / (2.0 * tiny) @ rates
         pushes = np.linalg.solve(here * inverse @ here.T, -bend - here @ (inverse * force))
         return np.concatenate([rates, inverse * (force + here.T @ pushes)])
 
-    found: Array = solve_ivp(rates_of, (0.0, until), start, method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
-    return found
+    end: Array = solve_ivp(rates_of, (0.0, until), start, method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+    return end
 
 
 @pytest.mark.parametrize(

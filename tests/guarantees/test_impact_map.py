@@ -60,7 +60,7 @@ def test_four_point_feet_are_a_body_of_inertia_m_l_squared() -> None:
 
 
 def test_momenta_are_the_mass_matrix_times_the_velocities(derivation: Derivation) -> None:
-    # The package keeps M as a diagonal; the frames must not say otherwise.
+    # The package stores M as a diagonal; M from the frames must be one.
     scene = Scene(box_inertia=3.0, jack_inertia=5.0)
     symbols = (BOX_MASS, BOX_INERTIA, JACK_MASS, JACK_INERTIA)
     numbers = (scene.box_mass, scene.box_inertia, scene.jack_mass, scene.jack_inertia)
@@ -102,14 +102,14 @@ def test_a_scene_one_in_a_thousand_off_would_be_seen(derivation: Derivation) -> 
 # -- the reference cases -----------------------------------------------------------------------------------------------
 
 
-def test_reference_cases_to_ten_digits_on_the_wall_with_energy_and_momentum_kept() -> None:
+def test_reference_cases_to_ten_digits_on_the_wall_with_energy_and_momentum_conserved() -> None:
     scene, cases = Scene(), load("impact_map_cases")
     assert sorted((case["wall"], case["foot"]) for case in cases) == sorted(4 * PAIRS)
     for case in cases:
         state = np.array(case["q"] + case["qdot"])
         assert abs(gaps(scene, state)[case["wall"], case["foot"]]) < 1e-13
         after, impulse = impact_map(scene, state, case["wall"], case["foot"])
-        np.testing.assert_allclose(after[6:], case["qdot_after"], rtol=1e-10, atol=0.0)  # each velocity on its own
+        np.testing.assert_allclose(after[6:], case["qdot_after"], rtol=1e-10, atol=0.0)  # for each velocity
         assert impulse == pytest.approx(case["impulse"], rel=1e-10, abs=0.0)
         assert np.array_equal(after[:6], state[:6])
         assert energy(scene, after) == pytest.approx(energy(scene, state), rel=1e-13)
@@ -128,25 +128,25 @@ def test_clearance_is_the_smallest_gap() -> None:
         state = inside(scene, rng)
         state[[2, 5]] *= 10.0
         state[3:5] += rng.uniform(-1.0, 1.0, 2) * scene.box_half_width
-        found = clearance(scene, list(state))
-        assert found == pytest.approx(gaps(scene, state).min(), rel=0.0, abs=1e-14 * scene.box_half_width)
+        smallest = clearance(scene, list(state))
+        assert smallest == pytest.approx(gaps(scene, state).min(), rel=0.0, abs=1e-14 * scene.box_half_width)
 
 
-def test_clearance_of_a_lost_state_is_never_inside() -> None:
-    for place, value in itertools.product(range(6), (math.nan, math.inf, -math.inf)):
+def test_clearance_of_a_state_that_is_not_finite_is_never_inside() -> None:
+    for index, value in itertools.product(range(6), (math.nan, math.inf, -math.inf)):
         state = [0.0] * 12
-        state[place] = value
+        state[index] = value
         assert not clearance(Scene(), state) > -math.inf
 
 
-def test_start_tolerance_grows_with_far_off_places() -> None:
-    for place, sign in itertools.product((0, 1, 3, 4), (-1.0, 1.0)):
+def test_start_tolerance_grows_with_the_distance_from_the_origin() -> None:
+    for index, sign in itertools.product((0, 1, 3, 4), (-1.0, 1.0)):
         state = [0.0] * 12
         state[2] = state[5] = state[7] = 1e12  # angles and speeds do not count
-        state[place] = sign * 1e5  # 4 ulp(1e5) = 5.8e-11 m
+        state[index] = sign * 1e5  # 4 ulp(1e5) = 5.8e-11 m
         assert start_tolerance(state) == 1e-9
-        state[place] = sign * 1e9
-        assert start_tolerance(state) == 4.0 * 2.0**-23  # 2^29 <= 1e9 < 2^30: a unit in the last place is 2^(29 - 52)
+        state[index] = sign * 1e9
+        assert start_tolerance(state) == 4.0 * 2.0**-23  # 2^29 <= 1e9 < 2^30: an ulp is 2^(29 - 52)
 
 
 # -- one contact -------------------------------------------------------------------------------------------------------
@@ -177,20 +177,20 @@ def test_gap_rate_comes_back_times_minus_e(restitution: float) -> None:
         terms = np.abs(jacobian) @ (np.abs(state[6:]) + np.abs(after[6:]))  # [m/s] what cancels in the gap rate
         assert after_rate == pytest.approx(-restitution * before_rate, rel=0.0, abs=1e-14 * terms)
         # The lost energy is (1 - e^2) / 2 * rate^2 / (J M^-1 J^T).
-        lost = (1.0 - restitution**2) / 2.0 * before_rate**2 / (jacobian**2 @ (1.0 / np.array(scene.mass_diagonal)))
+        loss = (1.0 - restitution**2) / 2.0 * before_rate**2 / (jacobian**2 @ (1.0 / np.array(scene.mass_diagonal)))
         fall = energy(scene, state) - energy(scene, after)
-        assert fall == pytest.approx(lost, rel=0.0, abs=1e-14 * energy_scale(scene, state))
+        assert fall == pytest.approx(loss, rel=0.0, abs=1e-14 * energy_scale(scene, state))
 
 
 @pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])
-def test_separating_contact_is_left_alone_and_so_is_what_was_given(restitution: float) -> None:
+def test_a_separating_contact_and_the_arguments_stay_as_they_are(restitution: float) -> None:
     rng = np.random.default_rng(7)
     scene = Scene(restitution=restitution)
     for wall, foot in PAIRS:
         state = approaching(scene, rng, wall, foot)
-        kept = state.copy()
+        original = state.copy()
         impact_map(scene, state, wall, foot)
-        assert np.array_equal(state, kept)
+        assert np.array_equal(state, original)
         state[6:] *= -1.0
         after, impulse = impact_map(scene, state, wall, foot)
         assert np.array_equal(after, state)
@@ -236,7 +236,7 @@ def test_many_states_at_once_are_each_alone(cases: Callable[[int], int]) -> None
     scene = Scene(restitution=0.9, jack_mass=7.0)
     states = np.array([inside(scene, rng) for _ in range(count)])
     walls, feet = rng.integers(0, 4, count), rng.integers(0, 4, count)
-    found, jacobians = contacts_of(scene, states, walls, feet)
+    distances, jacobians = contacts_of(scene, states, walls, feet)
     after, impulses = impact_maps(scene, states, walls, feet)
     for row in range(count):
         wall, foot = int(walls[row]), int(feet[row])
@@ -244,6 +244,6 @@ def test_many_states_at_once_are_each_alone(cases: Callable[[int], int]) -> None
         assert np.array_equal(after[row], expected)
         assert impulses[row] == impulse
         assert np.array_equal(jacobians[row], gap_jacobian(scene, states[row], wall, foot))
-        assert found[row] == pytest.approx(gaps(scene, states[row])[wall, foot], abs=1e-14)
+        assert distances[row] == pytest.approx(gaps(scene, states[row])[wall, foot], abs=1e-14)
     assert (impulses > 0.0).any()
     assert (impulses == 0.0).any()

@@ -84,11 +84,11 @@ def test_an_interruption_of_a_long_step_is_noticed_soon(monkeypatch: pytest.Monk
     np.testing.assert_array_equal(env.states, states)
 
 
-def test_a_thread_that_a_second_interruption_left_at_work_changes_no_later_step(
+def test_a_thread_that_outlives_a_second_interruption_changes_no_later_step(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     env, twin = made(num_envs=640), made(num_envs=640)
-    main, begun, gate, left = threading.get_ident(), threading.Event(), threading.Event(), list[Any]()
+    main, begun, gate, unfinished = threading.get_ident(), threading.Event(), threading.Event(), list[Any]()
     loop = compiler.compiled(run.run)
 
     def late(*arguments: Any) -> Any:
@@ -100,7 +100,7 @@ def test_a_thread_that_a_second_interruption_left_at_work_changes_no_later_step(
         return loop(*arguments)
 
     def interrupted_wait(futures: list[Any]) -> None:
-        left.extend(futures)
+        unfinished.extend(futures)
         raise KeyboardInterrupt
 
     before = shown(env)
@@ -112,11 +112,11 @@ def test_a_thread_that_a_second_interruption_left_at_work_changes_no_later_step(
     assert shown(env) == before
     env.step(None), twin.step(None)
     gate.set()
-    wait(left)
+    wait(unfinished)
     assert shown(env) == shown(twin)
 
 
-def test_a_forked_process_steps_with_threads_of_its_own() -> None:
+def test_a_forked_process_steps_with_new_threads() -> None:
     env = made(num_envs=640)
     env.step(None)
     before = env.states

@@ -89,7 +89,7 @@ def test_a_training_killed_before_any_operation_on_the_disk_comes_to_its_end(
     print(f"{kills} kills before operations on the disk")
 
 
-def test_a_full_disk_is_told_and_the_run_goes_on_when_there_is_room(tmp_path: Path) -> None:
+def test_a_full_disk_is_reported_and_the_run_goes_on_when_there_is_room(tmp_path: Path) -> None:
     folder, output = tmp_path / "run", tmp_path / "out.txt"
     assert ended(start(killing.train, folder, output, None, 20_000)) == 2
     said = r"Training on .*\nStarting from the beginning\n.*/checkpoints/ppo_16.zip cannot be used: File too large"

@@ -68,12 +68,12 @@ def test_bounces_that_pile_up_end_in_rest(e: float) -> None:
     scene = Scene(restitution=e, drive=None)
     start = np.zeros(12)
     start[4], start[5] = -3.0, math.pi / 4.0
-    run, kept, deepest = simulator(scene, start), math.inf, 0.0
+    run, previous, deepest = simulator(scene, start), math.inf, 0.0
     for _ in range(400):
         run.step(0.02, 0.0)
         now = energy(scene, run.state)
-        assert now <= kept + 1e-13 * abs(kept)
-        kept, deepest = now, min(deepest, clearance(scene, run.state.tolist()))
+        assert now <= previous + 1e-13 * abs(previous)
+        previous, deepest = now, min(deepest, clearance(scene, run.state.tolist()))
     assert deepest > -1e-12
     assert [hit[:3] for hit in run.impacts] == [(run.time, 3, 2), (run.time, 3, 3)]
     weight = 4.0 * 400.0 / 404.0 * 9.81 * 0.02
@@ -99,8 +99,8 @@ def test_a_weightless_jack_slides_outwards_along_a_turning_wall(e: float) -> Non
     run = simulator(Scene(restitution=e, gravity=0.0, **HEAVY), start)
     for _ in range(50):
         run.step(0.02, 0.0)
-    angle, place = run.state[2], run.state[3:5] - run.state[:2]
-    along = place[0] * math.cos(angle) + place[1] * math.sin(angle)
+    angle, offset = run.state[2], run.state[3:5] - run.state[:2]
+    along = offset[0] * math.cos(angle) + offset[1] * math.sin(angle)
     assert along == pytest.approx(0.7 * math.cosh(omega), abs=1e-8)
     assert sorted((hit.wall, hit.foot) for hit in run.impacts) == [(3, 2), (3, 3)]
 
@@ -133,7 +133,7 @@ def test_a_torque_that_turns_the_floor_away_lets_one_foot_go_and_presses_the_oth
 def test_without_rest_a_step_never_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = Scene(restitution=0.5, drive=None)
     assert plain_step(scene, lying(), 1e-3, 0.0)[0] == 0
-    monkeypatch.setattr(course, "settle", lambda *given: 0)
+    monkeypatch.setattr(course, "settle", lambda *arguments: 0)
     for module in (search, rest):
         monkeypatch.setattr(module, "MOST_WORK", 2000)
     assert plain_step(scene, lying(), 1e-3, 0.0)[0] != 0
@@ -143,7 +143,7 @@ def test_a_wall_that_held_on_would_carry_the_jack_along(monkeypatch: pytest.Monk
     scene = Scene(restitution=0.0, drive=None)
     start = lying(along=2.0)
     freed = plain_step(scene, start, 0.02, -6e4)[1]
-    monkeypatch.setattr(rest, "let_go", lambda *given: math.inf)
+    monkeypatch.setattr(rest, "let_go", lambda *arguments: math.inf)
     monkeypatch.setattr(rest, "pressed_set", lambda work, count: (0, 1, -1) if project(work, 2, 0, 1, -1) else None)
     assert (
         gaps(scene, freed)[3, 2:4].max()

@@ -1,10 +1,10 @@
 """The same bits on other machines: this one against itself as an older one, newer Pythons and an emulated ARM.
 
-Four settings take from a process what newer CPUs have: NumPy's and OpenBLAS's instructions, numba's, and the fused
-multiply-add of the C library's sine and cosine. The default run takes all at once, the exact model in
-``tests/commands/test_wheel.py``, which compiles for such a machine. ``JACKBOX_MACHINES=all`` takes them one by one as
+Four settings hide from a process what newer CPUs have: NumPy's and OpenBLAS's instructions, numba's, and the fused
+multiply-add of the C library's sine and cosine. The default run combines them, the exact model in
+``tests/commands/test_wheel.py``, which compiles for such a machine. ``JACKBOX_MACHINES=all`` tests them one by one as
 well, and runs the newer Pythons on ``PATH`` and a Debian for ARM. ARM needs root, and Debian's packages debootstrap
-and qemu-user-static. QEMU's own emulation of a process needs no chroot and no registered binary format.
+and qemu-user-static. QEMU's user-mode emulation of a process needs no chroot and no registered binary format.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def numpy_features() -> str:
 
 
 def flags() -> set[str]:
-    """This CPU's, as Linux names them."""
+    """The flags of this CPU, as Linux names them."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
@@ -78,7 +78,7 @@ def start(kinds: list[str], settings: dict[str, str], python: tuple[str, ...]) -
 def differing(
     kinds: list[str], settings: dict[str, str], python: tuple[str, ...] = (sys.executable,)
 ) -> tuple[list[str], Digests]:
-    """Names of the digests in which this process and one of ``python`` with ``settings`` differ; this process's."""
+    """Names of the digests that differ in a process of ``python`` with ``settings``, and the digests here."""
     other = start(kinds, settings, python)
     here = fingerprints(kinds)
     printed, failed = other.communicate()
@@ -96,7 +96,7 @@ def test_scenes_and_cosines_are_the_same_on_the_oldest_machine() -> None:
 
 @x86
 def test_pymunk_gives_the_same_bits_on_every_machine_with_the_same_mathematics_library() -> None:
-    # The engine and the environment ask the C library for cosines and sines.
+    # The engine and the environment use cosines and sines of the C library.
     differ, compared = differing(["pymunk"], SAME_LIBRARY)
     assert differ == []
     assert len(compared) > 20
@@ -209,7 +209,7 @@ def test_iterations_are_those_of_the_eigenvalues() -> None:
 def iterations_by_linear_algebra(scene: Scene) -> int:
     half, arm = scene.box_half_width, scene.jack_arm
     depth, turned = half - arm * np.sqrt(0.5), np.pi / 4.0
-    cases = [((depth, place, turned), [(0, 0), (0, 3)]) for place in (0.0, 0.5 * depth, depth)]
+    cases = [((depth, height, turned), [(0, 0), (0, 3)]) for height in (0.0, 0.5 * depth, depth)]
     cases.append(((depth, depth, turned), [(0, 0), (0, 3), (1, 0), (1, 1)]))
     if arm > half:
         cases.append(((0.0, 0.0, np.arccos(half / arm)), [(0, 0), (1, 1), (2, 2)]))

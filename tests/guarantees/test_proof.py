@@ -1,4 +1,4 @@
-"""Proofs by interval arithmetic: they contain the 60-digit references, they refute what is wrong, they give reasons."""
+"""Proofs by interval arithmetic contain the 60-digit references, refute wrong results and give reasons."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from jackbox_env.scene import Chirp, Drive, Scene
 from jackbox_env.simulators import Impact
 from tests import proof, proving
 from tests.proof import EVERY_PAIR, FreeFlight, prove, turn_of
-from tests.proving import Case, Seen, Tally, simulated
+from tests.proving import Case, Computed, Tally, simulated
 from tests.simulators.exact_runs import plain_step
 from tests.states import inside, load, lying
 
@@ -97,17 +97,17 @@ def test_the_proof_shares_only_the_scene_with_what_it_proves() -> None:
 # -- refuted -----------------------------------------------------------------------------------------------------------
 
 
-def with_impacts(steps: int) -> list[tuple[Case, Seen]]:
+def with_impacts(steps: int) -> list[tuple[Case, Computed]]:
     """The steps with impacts among some of default play under the chirp."""
     cases = islice(proving.chirped(np.random.default_rng(5)), steps)
-    return [(case, seen) for case in cases if (seen := simulated(case)).impacts]
+    return [(case, computed) for case in cases if (computed := simulated(case)).impacts]
 
 
-def judged(steps: list[tuple[Case, Seen]]) -> Tally:
-    """What is found in some steps."""
+def judged(steps: list[tuple[Case, Computed]]) -> Tally:
+    """The tally of some steps, all proven."""
     tally = Tally()
-    for case, seen in steps:
-        tally.enter(case, seen)
+    for case, computed in steps:
+        tally.enter(case, computed)
     assert tally.proven == len(steps) > 0
     assert not tally.grazes
     assert not tally.ties
@@ -117,29 +117,29 @@ def judged(steps: list[tuple[Case, Seen]]) -> Tally:
 @pytest.mark.parametrize(
     "forge",
     [
-        lambda seen: seen._replace(impacts=seen.impacts[1:]),
-        lambda seen: seen._replace(impacts=[hit._replace(time=hit.time + 1e-11) for hit in seen.impacts]),
-        lambda seen: seen._replace(impacts=[hit._replace(foot=(hit.foot + 1) % 4) for hit in seen.impacts]),
-        lambda seen: seen._replace(state=seen.state + 1e-8 * np.eye(12)[8]),
+        lambda computed: computed._replace(impacts=computed.impacts[1:]),
+        lambda computed: computed._replace(impacts=[hit._replace(time=hit.time + 1e-11) for hit in computed.impacts]),
+        lambda computed: computed._replace(impacts=[hit._replace(foot=(hit.foot + 1) % 4) for hit in computed.impacts]),
+        lambda computed: computed._replace(state=computed.state + 1e-8 * np.eye(12)[8]),
     ],
     ids=["an impact dropped", "a time moved", "another foot", "a state moved"],
 )
-def test_what_is_wrong_is_refuted(forge: Callable[[Seen], Seen]) -> None:
+def test_wrong_results_are_refuted(forge: Callable[[Computed], Computed]) -> None:
     steps = with_impacts(400)
     assert judged(steps).refuted == []
-    assert len(judged([(case, forge(seen)) for case, seen in steps]).refuted) == len(steps)
+    assert len(judged([(case, forge(computed)) for case, computed in steps]).refuted) == len(steps)
 
 
 def test_a_search_with_a_tenth_of_its_bound_is_refuted(monkeypatch: pytest.MonkeyPatch) -> None:
-    def played() -> list[tuple[Case, Seen]]:
+    def played() -> list[tuple[Case, Computed]]:
         runs = [(case, plain_step(case.scene, case.state, case.dt, None, case.time)) for case, _ in steps]
         return [
-            (case, Seen([Impact(case.time + since, wall, foot, 1.0) for since, wall, foot in found], after))
-            for case, (_, after, found) in runs
+            (case, Computed([Impact(case.time + since, wall, foot, 1.0) for since, wall, foot in hits], after))
+            for case, (_, after, hits) in runs
         ]
 
-    def brazen(*given: Any) -> bounds.Bounds:
-        far, bend, swing = honest(*given)
+    def brazen(*arguments: Any) -> bounds.Bounds:
+        far, bend, swing = honest(*arguments)
         return bounds.Bounds(far, 0.1 * bend, 0.1 * swing)
 
     steps, honest = with_impacts(1000), bounds.bounds_of
@@ -167,19 +167,19 @@ REASONS: list[tuple[str, Scene, Any, float]] = [
 
 
 @pytest.mark.parametrize(("reason", "scene", "state", "dt"), REASONS)
-def test_what_is_out_of_reach_has_its_reason(reason: str, scene: Scene, state: Any, dt: float) -> None:
-    found = prove(scene, state, [None], dt, most_bits=256)
-    assert (found.decided, found.why) == (False, reason)
+def test_undecided_steps_have_a_reason(reason: str, scene: Scene, state: Any, dt: float) -> None:
+    proof = prove(scene, state, [None], dt, most_bits=256)
+    assert (proof.decided, proof.why) == (False, reason)
 
 
 def test_feet_that_strike_at_exactly_the_same_time_strike_together() -> None:
-    found = prove(STILL, CORNERED, [None], 0.2, together=1e-13)
-    assert found.decided
-    assert [(hit.wall, hit.foot) for hit in found.impacts] == [(0, 0), (1, 1)]
-    assert all(hit.time.overlaps(arb(1) / 6) for hit in found.impacts)
+    proof = prove(STILL, CORNERED, [None], 0.2, together=1e-13)
+    assert proof.decided
+    assert [(hit.wall, hit.foot) for hit in proof.impacts] == [(0, 0), (1, 1)]
+    assert all(hit.time.overlaps(arb(1) / 6) for hit in proof.impacts)
 
 
-def test_two_feet_that_strike_at_once_are_decided_by_what_counts_as_together() -> None:
+def test_the_tolerance_decides_whether_two_feet_strike_together() -> None:
     # A jack that turns with nothing and falls on two feet, as float64 has 45 degrees: one is 1e-16 m lower.
     state = lying()
     state[4] += 0.5
@@ -193,9 +193,9 @@ def test_two_feet_that_strike_at_once_are_decided_by_what_counts_as_together() -
 
 def test_balls_wider_than_the_radius_take_more_bits() -> None:
     start = next(record["q"] + record["qdot"] for record in RECORDS if record["name"] == "chirp-2")
-    found = {
+    proofs = {
         radius: prove(Scene(), start, [None] * 250, 0.02, radius=radius, most_bits=most)
         for radius, most in ((1e-10, 4096), (1e-50, 4096), (1e-200, 256))
     }
-    assert [(one.decided, one.bits) for one in found.values()] == [(True, 128), (True, 256), (False, 256)]
-    assert found[1e-200].why == "more impacts than the bits follow"
+    assert [(one.decided, one.bits) for one in proofs.values()] == [(True, 128), (True, 256), (False, 256)]
+    assert proofs[1e-200].why == "more impacts than the bits follow"

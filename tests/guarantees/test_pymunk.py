@@ -1,4 +1,4 @@
-"""The pymunk model: impacts and flight."""
+"""The pymunk model: impacts, their record, their order in the substep, and flight."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_one_iteration_is_not_enough_for_simultaneous_contacts(kind: str) -> Non
     assert max(np.abs(gains)) > 0.01
 
 
-def test_position_correction_would_move_what_the_law_leaves_alone() -> None:
+def test_position_correction_would_move_bodies_that_the_law_does_not() -> None:
     # Foot 0 is 0.5 m outside and leaves at 0.1 m/s. The engine's default correction pushes it out of the wall.
     deep = np.zeros(12)
     deep[[3, 9]] = 5.5, -0.1
@@ -112,7 +112,7 @@ def test_every_impulse_is_recorded() -> None:
     np.testing.assert_allclose(scene.jack_mass * simulator.state[9:11], momentum, atol=0.2)  # m g h / 2 = 0.1
 
 
-def test_impacts_carry_time_order_and_places() -> None:
+def test_impacts_are_in_time_order_with_their_walls_and_feet() -> None:
     simulator = PymunkSimulator(Scene())
     simulator.reset(load("seed_scene")[0]["q"] + load("seed_scene")[0]["qdot"], time=0.0)
     hits: list[Impact] = []
@@ -183,7 +183,7 @@ def test_the_engine_flies_exactly(substeps: int) -> None:
     np.testing.assert_allclose(simulator.state, closed_form(scene, start, 0.8, 2500.0), atol=1e-11)
 
 
-def test_the_engine_is_asked_wherever_a_foot_can_reach_a_wall(request: pytest.FixtureRequest) -> None:
+def test_the_engine_is_used_wherever_a_foot_can_reach_a_wall(request: pytest.FixtureRequest) -> None:
     # With and without the closed-form flight the same impacts come at the same substeps, over many wild scenes.
     rng = np.random.default_rng(5)
     scenes = [Scene(), Scene(jack_arm=5.0), Scene(gravity=100.0, torque_limit=9e5), Scene(box_mass=4.0, jack_mass=4.0)]

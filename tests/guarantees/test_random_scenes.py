@@ -1,4 +1,4 @@
-"""Batches of scenes and tasks that hypothesis chooses are, to the bit, the single environments of the same."""
+"""Batches of random scenes and tasks, drawn by hypothesis, equal their single environments bit for bit."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def scenes_of(draw: HypothesisDraw, dt: float, count: int) -> dict[str, Any]:
 
 
 def assert_the_same(batch: JackInBoxVectorEnv, singles: list[JackInBoxEnv], step: int, action: float | None) -> int:
-    """Take a step of both and compare all that they tell; the impacts, -1 if both have lost a jack."""
+    """Step both and compare all their outputs. Returns the impacts, -1 if both have lost a jack."""
     actions = None if action is None else action * np.linspace(-1.0, 1.0, len(singles))
     each = [None] * len(singles) if actions is None else actions.tolist()
     try:
@@ -68,7 +68,7 @@ def assert_the_same(batch: JackInBoxVectorEnv, singles: list[JackInBoxEnv], step
 
 
 @pytest.mark.parametrize("contact", CONTACT_MODELS)
-def test_a_batch_of_random_scenes_and_a_task_of_ones_own_is_its_single_environments(contact: str) -> None:
+def test_a_batch_of_random_scenes_with_a_custom_task_is_its_single_environments(contact: str) -> None:
     counted: Counter[str] = Counter()
 
     @settings(max_examples=settings.default.max_examples // 4)  # type: ignore[union-attr]
@@ -105,7 +105,7 @@ def test_a_batch_of_random_scenes_and_a_task_of_ones_own_is_its_single_environme
 
 
 @pytest.mark.parametrize("gravity", [9.81, float(np.nextafter(9.81, 10.0))])
-def test_a_scene_that_is_another_by_one_unit_in_the_last_place_would_be_seen(gravity: float) -> None:
+def test_a_scene_that_differs_by_one_ulp_would_be_seen(gravity: float) -> None:
     batch = JackInBoxVectorEnv(1, LIMIT, with_infos=True, contact="exact", scene={"gravity": gravity})
     single = JackInBoxEnv(contact="exact")
     batch.reset(seed=0)

@@ -43,8 +43,8 @@ def test_a_start_has_every_foot_inside_and_a_state_that_is_put_back_at_most_a_me
     np.testing.assert_array_equal(env.state, with_foot(0.999))
 
 
-def test_far_off_places_and_small_boxes_have_their_own_tolerance() -> None:
-    far = np.array([1e9, -1e9, 0.0, 1e9 + 5.0 + 2.4e-7, -1e9, *[0.0] * 7])  # 2 units in the last place outside
+def test_the_tolerance_grows_far_from_the_origin_and_shrinks_with_the_box() -> None:
+    far = np.array([1e9, -1e9, 0.0, 1e9 + 5.0 + 2.4e-7, -1e9, *[0.0] * 7])  # 2 ulp outside
     np.testing.assert_array_equal(as_start(Scene(), far), far)
     far[3] += 1e-3
     with pytest.raises(ValueError, match="at most 4.76837e-07 m outside"):
@@ -53,7 +53,7 @@ def test_far_off_places_and_small_boxes_have_their_own_tolerance() -> None:
         as_restored(Scene(box_half_width=0.9, jack_arm=0.5), with_foot(1.41, 0.9))
 
 
-# Motion that cannot be followed: the place in the state, its value, and the action.
+# Motion that cannot be followed: scene fields, column of the state, its value, and the action.
 RUNAWAYS: dict[str, tuple[dict[str, Any], int, float, float]] = {
     "speed of the jack": ({}, 9, 1e90, 0.0),
     "speed of the box": ({}, 6, 1e90, 0.0),
@@ -65,7 +65,7 @@ RUNAWAYS: dict[str, tuple[dict[str, Any], int, float, float]] = {
 @EVERY_MODEL
 @pytest.mark.parametrize("runaway", RUNAWAYS)
 def test_motion_that_cannot_be_followed_raises_and_changes_nothing(runaway: str, contact: str) -> None:
-    fields, place, value, action = RUNAWAYS[runaway]
+    fields, column, value, action = RUNAWAYS[runaway]
     scene, state, actions = Scene(**fields, drive=None), np.zeros(12), np.zeros(3)
     state[3:6], actions[1] = (5.2, 5.2, math.pi / 4.0), action  # in a corner
     env, several = JackInBoxEnv(contact, scene=scene), JackInBoxVectorEnv(3, contact=contact, scene=scene)
@@ -73,7 +73,7 @@ def test_motion_that_cannot_be_followed_raises_and_changes_nothing(runaway: str,
     several.reset(seed=0)
     rows = several.states
     rows[1] = state
-    rows[1, place] = value
+    rows[1, column] = value
     env.set_state(rows[1], 1.0)
     several.set_states(rows, 1.0)
     sentence = "too fast to be followed|gap evaluations|would leave the box"
@@ -148,8 +148,8 @@ def test_with_too_few_iterations_the_feet_would_not_obey_the_law() -> None:
 
 
 def wedged(scenes: int = 15) -> tuple[list[str], float]:
-    """What courses with feet in opposite walls are refused with, and the largest share of energy lost in the others."""
-    rng, refused, lost = np.random.default_rng(0), list[str](), 0.0
+    """Errors of courses with feet in opposite walls, and the largest share of energy lost in the others."""
+    rng, refused, loss = np.random.default_rng(0), list[str](), 0.0
     for _ in range(scenes):
         scene = Scene(jack_arm=6.0 * (1.0 + 10.0 ** rng.uniform(-2.0, -1.0)), gravity=0.0, drive=None)
         simulator, state = PymunkSimulator(scene, substeps=1), np.zeros(12)
@@ -162,16 +162,16 @@ def wedged(scenes: int = 15) -> tuple[list[str], float]:
             except JackLostError as error:
                 refused.append(str(error))
                 break
-            lost = max(lost, abs(1.0 - energy(scene, simulator.state) / energy(scene, state)))
-    return refused, lost
+            loss = max(loss, abs(1.0 - energy(scene, simulator.state) / energy(scene, state)))
+    return refused, loss
 
 
 def test_a_wedged_jack_keeps_its_energy_or_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    refused, lost = wedged()
+    refused, loss = wedged()
     assert refused
     assert all("the jack is wedged between opposite walls after t = " in sentence for sentence in refused)
-    assert lost < 1e-5
+    assert loss < 1e-5
     monkeypatch.setattr(PymunkSimulator, "_resolved", lambda *_: True)
-    refused, lost = wedged()
+    refused, loss = wedged()
     assert not refused
-    assert lost > 1e-4
+    assert loss > 1e-4

@@ -54,17 +54,17 @@ def test_a_long_step_at_rest_under_ten_times_the_weight_is_followed(angle: float
     assert energy(scene, run.state) == pytest.approx(energy(scene, state), abs=1e-12 * 4.0 * 98.1)
 
 
-def test_a_rattle_is_not_taken_for_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_rattle_is_not_mistaken_for_rest(monkeypatch: pytest.MonkeyPatch) -> None:
     # Feet in all four corners with 1e-4 m of play: as many gaps evaluated as at rest, but impulses of m v.
     scene = Scene(gravity=0.0, drive=None, jack_arm=6.0 * math.sqrt(2.0) - 1e-4)
     state = np.zeros(12)
     state[[5, 9, 11]] = math.pi / 4.0, 10.0, 0.3
     monkeypatch.setattr(kernel, "_RESTLESS", 1000)
-    kept = plain_step(scene, state, 0.005, 0.0)
+    guarded = plain_step(scene, state, 0.005, 0.0)
     monkeypatch.setattr(kernel, "rests", lambda n, w: False)
     without = plain_step(scene, state, 0.005, 0.0)
-    assert np.array_equal(kept[1], without[1])  # the same bits
-    assert kept[2] == without[2]
+    assert np.array_equal(guarded[1], without[1])  # the same bits
+    assert guarded[2] == without[2]
     monkeypatch.setattr(kernel, "rests", lambda n, w: bool(w.evaluations > 1000))
     assert not np.array_equal(plain_step(scene, state, 0.005, 0.0)[1], without[1])
 
@@ -81,8 +81,8 @@ def test_the_resolution_of_rest_grows_with_impacts_not_with_work() -> None:
     ):
         scene, w = Scene(restitution=restitution).numbers, new_workspaces()[0]
         w.evaluations, w.hits = 900_000.0, hits
-        found = kernel.resolution(scene, w, touch), kernel.widened(scene, w, 1e-13)
-        assert found == pytest.approx((near, sink), rel=1e-15, abs=0.0)
+        limits = kernel.resolution(scene, w, touch), kernel.widened(scene, w, 1e-13)
+        assert limits == pytest.approx((near, sink), rel=1e-15, abs=0.0)
 
 
 def test_rest_is_much_work_for_little_impulse() -> None:

@@ -30,22 +30,22 @@ MISSED: dict[str, tuple[Scene, list[float], float]] = {
 
 
 @pytest.mark.parametrize("name", MISSED)
-def test_what_sampling_at_the_steps_end_misses_is_found(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_impacts_that_sampling_at_the_steps_end_misses_are_located(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     scene, state, dt = MISSED[name]
-    ended, after, found = plain_step(scene, state, dt, 0.0)
+    ended, after, impacts = plain_step(scene, state, dt, 0.0)
     assert ended == Status.DONE
-    assert found
+    assert impacts
     run = simulator(scene, state)  # and compiled it finds the same
     run.step(dt, 0.0)
     np.testing.assert_array_equal(run.state, after)
     # Without impacts, small steps show the foot outside: the impact is real.
     with monkeypatch.context() as without:
         without.setattr(kernel, "walls_in_reach", lambda *_: 0)
-        times = found[0][0] + np.linspace(0.0, 0.1 * dt, 2001)[1:]
+        times = impacts[0][0] + np.linspace(0.0, 0.1 * dt, 2001)[1:]
         lows = [clearance(scene, plain_step(scene, state, float(time), 0.0)[1].tolist()) for time in times]
     assert min(lows) < -1e-13
     monkeypatch.setattr(kernel, "first_of_all", measured.first_of_all)
-    assert len(plain_step(scene, state, dt, 0.0)[2]) < len(found)
+    assert len(plain_step(scene, state, dt, 0.0)[2]) < len(impacts)
 
 
 def test_the_bounds_hold_over_the_whole_flight() -> None:
@@ -56,16 +56,16 @@ def test_the_bounds_hold_over_the_whole_flight() -> None:
         scene = Scene(jack_arm=rng.uniform(0.1, 8.0), gravity=rng.choice([0.0, 9.81]))
         state = inside(scene, rng, speed=rng.choice([1.0, 5.0]))
         n, w = scene.numbers, new_workspaces()[0]
-        alpha, left = rng.uniform(-50.0, 50.0), rng.choice([0.02, 0.2, 1.0])
-        if number % 2:  # thrown up and back again: both ends say nothing of the way between
-            state[6:9], state[10] = 0.0, 0.5 * scene.gravity * left
-        flight = motion.flight_of(n, state, motion.constant_piece(left, alpha), 0.0)
-        bound = bounds.bounds_of(n, flight, left, abs(alpha), 0.0)
-        times, step = np.linspace(0.0, left, 41, retstep=True)
+        alpha, duration = rng.uniform(-50.0, 50.0), rng.choice([0.02, 0.2, 1.0])
+        if number % 2:  # thrown up and back again: its ends show nothing of the path between
+            state[6:9], state[10] = 0.0, 0.5 * scene.gravity * duration
+        flight = motion.flight_of(n, state, motion.constant_piece(duration, alpha), 0.0)
+        bound = bounds.bounds_of(n, flight, duration, abs(alpha), 0.0)
+        times, step = np.linspace(0.0, duration, 41, retstep=True)
         for time in times.tolist():
             pose = motion.pose_at(flight, w, time)
             distance = math.hypot(pose.x, pose.y)
-            assert distance <= min(bound.far, bounds.reach_of(n, flight, left, 0.0))
+            assert distance <= min(bound.far, bounds.reach_of(n, flight, duration, 0.0))
             tightest = min(tightest, bound.far - distance)
         for wall, foot in rng.integers(0, 4, (4, 2)).tolist():
             gaps = [motion.gap_at(n, flight, w, wall, foot, time)[0] for time in times.tolist()]
@@ -82,8 +82,8 @@ def test_an_uncertified_step_would_let_feet_through(monkeypatch: pytest.MonkeyPa
     first = plain_step(scene, state, dt, 0.0)[2][0]
     honest = bounds.bounds_of
 
-    def brazen(*given: Any) -> bounds.Bounds:
-        far, bend, swing = honest(*given)
+    def brazen(*arguments: Any) -> bounds.Bounds:
+        far, bend, swing = honest(*arguments)
         return bounds.Bounds(far, 0.01 * bend, 0.01 * swing)
 
     for module in (bounds, kernel):
@@ -101,32 +101,32 @@ def fast_flights(count: int, deep: bool = False) -> Iterator[tuple[Scene, motion
         scene = Scene(jack_arm=rng.choice([0.1, 1.0, 5.5]), gravity=rng.choice([0.0, 9.81, 100.0]), drive=None)
         if deep:
             scene = scene.changed(box_half_width=0.5, jack_arm=0.1)
-        left, alpha = 10.0 ** rng.uniform(-3.0, -1.0), rng.uniform(-100.0, 100.0)
-        state = inside(scene, rng, speed=rng.uniform(0.1, 4.0) / left)
+        duration, alpha = 10.0 ** rng.uniform(-3.0, -1.0), rng.uniform(-100.0, 100.0)
+        state = inside(scene, rng, speed=rng.uniform(0.1, 4.0) / duration)
         if deep:
             state[3:5] += rng.uniform(-0.9, 0.9, 2)
             state[9:11] *= 0.2
-        state[8] = rng.choice([-1.0, 1.0]) * rng.uniform(0.5, 10.0) / left
-        piece = motion.constant_piece(left, alpha)
-        yield scene, motion.flight_of(scene.numbers, state, piece, 0.0), piece, left
+        state[8] = rng.choice([-1.0, 1.0]) * rng.uniform(0.5, 10.0) / duration
+        piece = motion.constant_piece(duration, alpha)
+        yield scene, motion.flight_of(scene.numbers, state, piece, 0.0), piece, duration
 
 
 @pytest.mark.parametrize("deep", [False, True])
-def test_feet_followed_together_find_the_impact_that_each_of_its_own_finds(
+def test_feet_followed_together_have_the_first_impact_of_feet_followed_singly(
     deep: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     evaluated, hits = [], 0
-    for scene, flight, piece, left in fast_flights(150, deep):
-        found = []
+    for scene, flight, piece, duration in fast_flights(150, deep):
+        first_impacts = []
         for turned in (0.25, math.inf):
             monkeypatch.setattr(kernel, "_TURNED", turned)
             work = new_workspaces()[0]
-            found.append(kernel.first_impact(scene.numbers, work, flight, piece, left, 1e-13, 1e-13))
+            first_impacts.append(kernel.first_impact(scene.numbers, work, flight, piece, duration, 1e-13, 1e-13))
             evaluated.append(work.evaluations)
-        (time, pair), (expected, expected_pair) = found
+        (time, pair), (expected, expected_pair) = first_impacts
         assert pair == expected_pair
-        # Of a foot in a wall only the next look tells that it has turned back.
-        assert abs(time - expected) <= (1e-3 if deep else 1e-12) * left
+        # Only the next gap evaluation shows that a foot in a wall has turned back.
+        assert abs(time - expected) <= (1e-3 if deep else 1e-12) * duration
         hits += pair >= 0
     assert hits > 60
     assert (1.0 if deep else 3.0) * sum(evaluated[::2]) < sum(evaluated[1::2])
@@ -135,16 +135,16 @@ def test_feet_followed_together_find_the_impact_that_each_of_its_own_finds(
 @pytest.mark.parametrize("deep", [False, True])
 def test_the_bounds_of_a_fast_box_hold_until_the_first_impact(deep: bool) -> None:
     tightest, quiet = math.inf, 0
-    for scene, flight, piece, left in fast_flights(150, deep):
+    for scene, flight, piece, duration in fast_flights(150, deep):
         n, work = scene.numbers, new_workspaces()[0]
-        until, _ = kernel.first_impact(n, work, flight, piece, left, 1e-13, 1e-13)
+        until, _ = kernel.first_impact(n, work, flight, piece, duration, 1e-13, 1e-13)
         if until == 0.0:
             continue
         outermost = scene.box_half_width - min(
             motion.gap_at(n, flight, work, wall, foot, 0.0)[0] for wall in range(4) for foot in range(4)
         )
-        curvature = bounds.bounds_to_impact(n, flight, left, piece.spin_up, 0.0, outermost)
-        away, back = bounds.inside(n, flight, left, 0.0)
+        curvature = bounds.bounds_to_impact(n, flight, duration, piece.spin_up, 0.0, outermost)
+        away, back = bounds.inside(n, flight, duration, 0.0)
         for wall, foot in ((0, 0), (1, 3), (2, 1)):
             h = until / 60.0
             times = h * np.arange(61)
@@ -159,13 +159,13 @@ def test_the_bounds_of_a_fast_box_hold_until_the_first_impact(deep: bool) -> Non
     assert quiet > (0 if deep else 500)
 
 
-def test_feet_are_followed_together_with_loss_where_nobody_asks_for_rest() -> None:
+def test_feet_are_followed_together_with_loss_if_rest_is_not_sought() -> None:
     hits = 0
-    for scene, flight, piece, left in fast_flights(40):
-        found, expected = (
-            kernel.first_impact(one.numbers, new_workspaces()[0], flight, piece, left, 1e-13, rest)
+    for scene, flight, piece, duration in fast_flights(40):
+        actual, expected = (
+            kernel.first_impact(one.numbers, new_workspaces()[0], flight, piece, duration, 1e-13, rest)
             for one, rest in ((scene.changed(restitution=0.5), -math.inf), (scene, 1e-13))
         )
-        assert found == expected
-        hits += found[1] >= 0
+        assert actual == expected
+        hits += actual[1] >= 0
     assert hits > 10

@@ -1,4 +1,4 @@
-"""The law of several contacts at once."""
+"""The law of several contacts at once: its conditions, exhaustive search, ties, and the bits of its results."""
 
 from __future__ import annotations
 
@@ -200,28 +200,28 @@ def test_both_contact_models_apply_the_law(contact: str, kind: str, inertia: flo
     assert several > 5
 
 
-def test_separating_contacts_and_what_was_given_are_left_alone() -> None:
+def test_separating_contacts_and_the_arguments_stay_as_they_are() -> None:
     rng = np.random.default_rng(16)
     for kind in ("one wall", "two walls", "corner"):
         for restitution in (0.0, 0.5, 1.0):
             scene = Scene(restitution=restitution)
             state, contacts = several_contacts(scene, rng, kind)
-            kept = state.copy()
+            original = state.copy()
             simultaneous_impact_map(scene, state, contacts)
-            assert np.array_equal(state, kept)
+            assert np.array_equal(state, original)
             state[6:] *= -1.0  # every contact separates
-            for given in (contacts, []):
-                after, impulses = simultaneous_impact_map(scene, state, given)
+            for listed in (contacts, []):
+                after, impulses = simultaneous_impact_map(scene, state, listed)
                 assert np.array_equal(after, state)
                 assert not np.shares_memory(after, state)
-                assert np.array_equal(impulses, np.zeros(len(given)))
+                assert np.array_equal(impulses, np.zeros(len(listed)))
 
 
 def corner_pose(scene: Scene, turn: float) -> tuple[Array, Contacts]:
     """The box at the origin, one foot in its corner between walls 0 and 1, and a neighbour on each of these."""
     reach = math.sqrt(2.0) * scene.box_half_width - scene.jack_arm  # [m] along the diagonal
-    place = [reach * math.cos(turn + math.pi / 4.0), reach * math.sin(turn + math.pi / 4.0)]
-    return np.array([0.0, 0.0, turn, *place, turn + math.pi / 4.0, *np.zeros(6)]), [(0, 0), (1, 0), (1, 1), (0, 3)]
+    centre = [reach * math.cos(turn + math.pi / 4.0), reach * math.sin(turn + math.pi / 4.0)]
+    return np.array([0.0, 0.0, turn, *centre, turn + math.pi / 4.0, *np.zeros(6)]), [(0, 0), (1, 0), (1, 1), (0, 3)]
 
 
 def tidy_rates(motion: str, turn: float, rng: np.random.Generator) -> Array:
@@ -249,14 +249,14 @@ MOTIONS = ["at rest", "along the diagonal", "along a wall", "in step", "turning"
 
 @pytest.mark.timeout(30)  # [s] takes 2
 def test_ties_among_any_contacts_end_and_obey_the_law(cases: Cases) -> None:
-    # The law is local: it may be asked about contacts that no pose closes together. Any number of them has rank 3.
+    # The law is local: it accepts contacts that no pose closes together. Any number of them has rank 3.
     rng = np.random.default_rng(18)
     for case in range(cases(400)):
         scene = SCENES[("nominal", "plastic", "light jack inertia")[case % 3]]
         turn = rng.choice([0.0, math.pi / 2.0, math.pi / 4.0, rng.uniform(-3.0, 3.0)])
         state, _ = corner_pose(scene, turn)
         state[6:] = tidy_rates(MOTIONS[rng.integers(len(MOTIONS))], turn, rng)
-        listed = [PAIRS[place] for place in rng.permutation(16)[: rng.integers(2, 17)]]
+        listed = [PAIRS[index] for index in rng.permutation(16)[: rng.integers(2, 17)]]
         assert_law_holds(scene, state, listed, tolerance=1e-10)
 
 
@@ -328,12 +328,12 @@ def test_the_law_has_the_same_bits_with_every_kernel_of_the_linear_algebra() -> 
 
 
 def compiled_law(scene: Scene, state: Array) -> Array:
-    """The velocities after, by the exact contact model's own projection."""
+    """The velocities after, by the projection of the exact contact model."""
     w = new_workspaces()[0]
     w.state[:12] = state
     contact.resolve(scene.numbers, w, new_log(), 1e-9, 0, 0)
-    found: Array = w.state[6:12].copy()
-    return found
+    velocities: Array = w.state[6:12].copy()
+    return velocities
 
 
 def test_a_wedged_jack_gets_the_velocities_of_the_exact_model_and_keeps_its_energy() -> None:

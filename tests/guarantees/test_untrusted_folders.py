@@ -1,4 +1,4 @@
-"""Run folders that nobody vouches for: what they hold is refused in one sentence, before it takes memory or runs."""
+"""Untrusted run folders: bad contents are refused in one sentence, before they use memory or run."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from agents.training.best import read_evaluations
 from agents.training.models import load_model, make_ppo, make_vec_env
 
 TINY = TrainSettings.suited(landing=False, num_envs=1, rollout_steps=2, batch_size=2, hidden_units=(4,))
-MOST_TAKEN = 10_000_000  # [bytes]
+MOST_MEMORY = 10_000_000  # [bytes]
 
 
 @contextmanager
@@ -37,7 +37,7 @@ def little_memory() -> Iterator[None]:
     tracemalloc.start()
     try:
         yield
-        assert tracemalloc.get_traced_memory()[1] < MOST_TAKEN
+        assert tracemalloc.get_traced_memory()[1] < MOST_MEMORY
     finally:
         tracemalloc.stop()
 
@@ -65,7 +65,7 @@ def changed(**values: Any) -> str:
         (" " * 1_000_001, "at most 1,000,000 bytes, got 1,000,001"),
     ],
 )
-def test_what_is_no_settings_is_refused_in_one_sentence(tmp_path: Path, settings: str | bytes, reason: str) -> None:
+def test_unusable_settings_are_refused_in_one_sentence(tmp_path: Path, settings: str | bytes, reason: str) -> None:
     folder = folder_with(tmp_path, settings)
     with pytest.raises(ValueError, match=f"^{folder}/settings.json holds no settings of a run: .*{reason}") as refusal:
         read_settings(folder)
@@ -143,7 +143,7 @@ def test_a_zip_bomb_is_refused_before_it_is_inflated(saved: Path, kind: str) -> 
 
 
 def understated(content: bytes) -> bytes:
-    """The same zip file with members that say they inflate to 1000 bytes."""
+    """The same zip file with members whose headers declare 1000 bytes."""
     size = len(ZEROS).to_bytes(4, "little")
     assert content.count(size) == 2  # before the member, and in the list at the end
     return content.replace(size, (1000).to_bytes(4, "little"))
@@ -186,10 +186,10 @@ def test_other_methods_are_refused(saved: Path, method: int) -> None:
 
 
 def test_models_load_as_they_are_saved_and_packed_once_more(saved: Path) -> None:
-    kept = load_model(saved).get_parameters()["policy"]
+    parameters = load_model(saved).get_parameters()["policy"]
     (saved / "model.zip").write_bytes(zipped(members(saved / "model.zip")))
     again = load_model(saved).get_parameters()["policy"]
-    assert all(bool((again[name] == kept[name]).all()) for name in kept)
+    assert all(bool((again[name] == parameters[name]).all()) for name in parameters)
 
 
 def test_loading_never_unpickles_and_would_be_seen_to(saved: Path, tmp_path_factory: pytest.TempPathFactory) -> None:

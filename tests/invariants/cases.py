@@ -97,7 +97,7 @@ def _power(draw: random.Random, low: float, high: float) -> float:
 
 
 def draw_case(draw: random.Random, contact: str, steps: int = STEPS) -> Case:
-    """A case for a contact model, by a generator that a seed was given, or hypothesis."""
+    """A case for a contact model, drawn by a seeded generator or by hypothesis."""
     dt = _power(draw, -2.5, -1.0)
     scene = draw_scene(draw, dt)
     substeps = draw.randint(1, 8) if contact == "pymunk" else None
@@ -161,16 +161,16 @@ def _flying(draw: random.Random, scene: Scene, dt: float) -> tuple[float, ...]:
     room = half - arm * max(abs(math.cos(relative)), abs(math.sin(relative)))
     x, y = room * draw.uniform(-1.0, 1.0), room * draw.uniform(-1.0, 1.0)
     turn = draw.choice((0.0, draw.uniform(-10.0, 10.0)))
-    place = draw.choice((0.0, draw.uniform(-100.0, 100.0)))
+    offset = draw.choice((0.0, draw.uniform(-100.0, 100.0)))
     cosine, sine = math.cos(turn), math.sin(turn)
-    jack = place + cosine * x - sine * y, -place + sine * x + cosine * y
+    jack = offset + cosine * x - sine * y, -offset + sine * x + cosine * y
     speed = 0.15 * half / dt * draw.uniform(0.0, 1.0)
     spin = 0.3 / dt * draw.uniform(0.0, 1.0)
     box_rates = 0.1 * speed * draw.uniform(-1.0, 1.0), 0.1 * speed * draw.uniform(-1.0, 1.0)
     jack_rates = speed * draw.uniform(-1.0, 1.0), speed * draw.uniform(-1.0, 1.0)
     turning = 0.3 * spin * draw.uniform(-1.0, 1.0), spin * draw.uniform(-1.0, 1.0)
     angle = turn + relative + draw.randint(-4, 4) * math.pi / 2.0
-    return (place, -place, turn, *jack, angle, *box_rates, turning[0], *jack_rates, turning[1])
+    return (offset, -offset, turn, *jack, angle, *box_rates, turning[0], *jack_rates, turning[1])
 
 
 def _lying(draw: random.Random, scene: Scene, start: tuple[float, ...]) -> tuple[float, ...]:

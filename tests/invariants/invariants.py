@@ -1,4 +1,4 @@
-"""What must hold in every simulation, asserted step by step on one case.
+"""Invariants of every simulation, asserted step by step on one case.
 
 containment  no foot outside: ``exact`` by 1e-9 m or 4 units in the last place, ``pymunk`` by min(1 m, L)
 record       impacts are in time order and within their step, at existing walls and feet, with impulse > 0
@@ -27,7 +27,7 @@ ROUNDING = 1e-11  # of the largest number in a balance, over a case
 
 
 def simulator_of(case: Case) -> Simulator | None:
-    """A simulator at the case's start; None for a scene that pymunk does not solve, and says so."""
+    """A simulator at the case's start; None for a scene that pymunk refuses."""
     try:
         made = make_simulator(case.scene, contact=case.contact, substeps=case.substeps)
     except ValueError as error:
@@ -62,7 +62,7 @@ def examine(case: Case) -> Counter[str]:
         np.testing.assert_array_equal(twin.state, run.state, "restore")
         assert (twin.time, twin.torque, twin.impacts) == (run.time, run.torque, run.impacts), "restore"
         seen["impacts"] += len(run.impacts)
-        # A foot that a wall holds at the end of a step of ``exact`` is entered as an impact there.
+        # A foot at rest on a wall at the end of a step of ``exact`` is recorded as an impact there.
         seen["held"] += any(hit.time >= run.time - 4.0 * math.ulp(abs(run.time)) for hit in run.impacts)
     return seen
 
@@ -111,8 +111,8 @@ class Balance:
 
     def _totals(self, state: Array) -> tuple[Array, Array]:
         """Total momentum [N s] and centre of mass [m], shape (2,) each."""
-        places, rates = state[[0, 1, 3, 4]].reshape(2, 2), state[[6, 7, 9, 10]].reshape(2, 2)
-        return self._masses @ rates, self._masses @ places / self._masses.sum()
+        positions, rates = state[[0, 1, 3, 4]].reshape(2, 2), state[[6, 7, 9, 10]].reshape(2, 2)
+        return self._masses @ rates, self._masses @ positions / self._masses.sum()
 
     def _assert_small(self, name: str, off: float, size: float, granted: float = 0.0) -> None:
         """``off`` is rounding of the largest ``size`` so far, beside what is ``granted``."""

@@ -1,6 +1,6 @@
 """The invariants of ``invariants.py`` over scenes, starts and actions that hypothesis chooses.
 
-Each is broken once on purpose, and seen to be.
+Each is broken once on purpose, and its assertion fails.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ def test_every_invariant_holds_in_scenes_and_under_actions_of_any_kind(contact: 
 
     @given(st.data())
     def every_invariant_holds(data: st.DataObject) -> None:
-        found = examine(draw_case(HypothesisDraw(data.draw), contact))
-        seen.update({name: min(1, number) for name, number in found.items()})
+        counts = examine(draw_case(HypothesisDraw(data.draw), contact))
+        seen.update({name: min(1, number) for name, number in counts.items()})
 
     every_invariant_holds()
     # Else nothing would be tested.
@@ -53,7 +53,7 @@ def test_a_jack_of_any_speed_stays_in_the_box_or_is_refused(contact: str) -> Non
         case = draw_case(draw, contact, steps=1)
         state = np.array(case.state)
         # Up to 1e8 crossings of the box in a step, and as fast a spin. With loss the box is then carried so far that
-        # float64 leaves a hundred ulp of its place, see docs/trust.md: up to 1e3.
+        # float64 leaves a hundred ulp of its position, see docs/trust.md: up to 1e3.
         fastest = 9.0 if contact == "pymunk" or case.scene.elastic else 4.0
         state[[9, 10, 11]] *= 10.0 ** draw.choice((draw.uniform(0.0, fastest), fastest))
         simulator = simulator_of(dataclasses.replace(case, state=tuple(state.tolist())))
@@ -81,15 +81,15 @@ def with_impacts(contact: str, **fields: Any) -> Case:
         case = draw_case(random.Random(seed), contact, steps=40)
         scene = case.scene.changed(drive=None, **fields)
         case = dataclasses.replace(case, scene=scene, actions=(0.5,) * len(case.actions))
-        found = examine(case)
-        if found["impacts"] >= 10 and not found["refused"]:
+        counts = examine(case)
+        if counts["impacts"] >= 10 and not counts["refused"]:
             return case
     raise AssertionError("no case with impacts")
 
 
 @EVERY_MODEL
 @pytest.mark.parametrize(
-    ("name", "place", "amount", "restitution"),
+    ("name", "column", "amount", "restitution"),
     [
         ("containment", 3, 30.0, 1.0),
         ("momentum", 6, 1e-9, 1.0),
@@ -102,7 +102,7 @@ def with_impacts(contact: str, **fields: Any) -> Case:
     ],
 )
 def test_a_disturbance_of_one_step_breaks_its_invariant(
-    name: str, place: int, amount: float, restitution: float, contact: str, monkeypatch: pytest.MonkeyPatch
+    name: str, column: int, amount: float, restitution: float, contact: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     case, calls = with_impacts(contact, restitution=restitution), itertools.count()
     simulator: Any = ExactSimulator if contact == "exact" else PymunkSimulator
@@ -112,9 +112,9 @@ def test_a_disturbance_of_one_step_breaks_its_invariant(
         step(self, dt, torque)
         if next(calls) == 8:  # the fifth step; every other call is the twin's
             state = self.state
-            state[place] += amount * (1.0 + abs(state[place]))
-            kept = state if contact == "exact" else state.tolist()
-            self._present = self._present._replace(state=kept)
+            state[column] += amount * (1.0 + abs(state[column]))
+            stored = state if contact == "exact" else state.tolist()
+            self._present = self._present._replace(state=stored)
 
     monkeypatch.setattr(simulator, "step", disturbed)
     with pytest.raises(AssertionError, match=name):

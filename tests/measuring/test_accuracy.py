@@ -32,8 +32,8 @@ WEIGHTLESS = Scene(gravity=0.0, drive=None)
 Hit = tuple[float, int, int]
 
 
-def hits(*found: Hit) -> list[Impact]:
-    return [Impact(time, wall, foot, 1.0) for time, wall, foot in found]
+def hits(*listed: Hit) -> list[Impact]:
+    return [Impact(time, wall, foot, 1.0) for time, wall, foot in listed]
 
 
 def flying_at_a_wall(speed: float = 10.0) -> Array:
@@ -50,7 +50,7 @@ CLOSE = [ONE, (1.001, 0, 1), (2.0, 1, 1)]
 
 
 @pytest.mark.parametrize(
-    ("found", "reference", "errors"),
+    ("simulated", "reference", "errors"),
     [
         ([(1.1, 0, 0), (1.8, 1, 3)], [ONE, TWO, THREE], [0.1, 0.2]),
         ([(1.1, 0, 0), (1.8, 1, 2), THREE], [ONE, TWO, THREE], [0.1]),
@@ -64,9 +64,9 @@ CLOSE = [ONE, (1.001, 0, 1), (2.0, 1, 1)]
     ],
 )
 def test_impacts_are_matched_as_far_as_walls_and_feet_agree(
-    found: list[Hit], reference: list[Hit], errors: list[float]
+    simulated: list[Hit], reference: list[Hit], errors: list[float]
 ) -> None:
-    assert prefix_errors(hits(*found), hits(*reference)) == pytest.approx(errors)
+    assert prefix_errors(hits(*simulated), hits(*reference)) == pytest.approx(errors)
 
 
 def test_pose_errors_are_the_farthest_that_a_wall_or_a_foot_is_off() -> None:
@@ -182,7 +182,7 @@ def test_a_reference_is_sure_of_as_many_impacts_as_rounding_allows() -> None:
     assert reference_of(CHIRPED._replace(state=far)).sure <= reference.sure
 
 
-def test_the_exact_model_has_no_error_against_itself_and_a_late_one_has_what_it_is_late_by() -> None:
+def test_the_exact_model_has_no_error_against_itself_and_a_late_one_has_its_delay() -> None:
     case = CHIRPED._replace(steps=250)
     reference = reference_of(case)
     same = Course(reference.states, reference.impacts, 0.0, 0.0, 1.0, False)
@@ -217,10 +217,10 @@ def test_quantities_are_plain_numbers() -> None:
     case = Case("straight", WEIGHTLESS, flying_at_a_wall(), 50)
     simulator, reference = make_simulator(WEIGHTLESS, substeps=4), reference_of(case)
     course = follow(simulator, case)
-    found = quantities(course, compare(case, course, reference), restarts(simulator, case, reference), case.dt)
-    assert (found["rate"], found["prefix"], found["sure"], found["escaped"]) == (1.0, 1, 1, False)
-    assert found["impulse"] == course.impacts[0].impulse
-    assert found["speed"] == pytest.approx(np.hypot(course.states[:, 9], course.states[:, 10]).mean())
+    numbers = quantities(course, compare(case, course, reference), restarts(simulator, case, reference), case.dt)
+    assert (numbers["rate"], numbers["prefix"], numbers["sure"], numbers["escaped"]) == (1.0, 1, 1, False)
+    assert numbers["impulse"] == course.impacts[0].impulse
+    assert numbers["speed"] == pytest.approx(np.hypot(course.states[:, 9], course.states[:, 10]).mean())
 
 
 def test_restarts_count_what_is_missed_and_what_is_extra() -> None:
@@ -242,7 +242,7 @@ def test_restarts_count_what_is_missed_and_what_is_extra() -> None:
     assert coward == ([math.inf], 1, 0, 1)
 
 
-def test_steps_too_long_to_be_played_once_more_tell_nothing_rather_than_something_wrong() -> None:
+def test_steps_too_long_to_be_played_once_more_give_nan_rather_than_a_wrong_number() -> None:
     # a second of a box at some 50 rad/s: hundreds of impacts in one step, each multiplies the replay's rounding by 5
     start = np.zeros(12)
     start[[3, 5, 8]] = 0.5, 0.3, 60.0

@@ -1,4 +1,4 @@
-"""Named fidelities, and the helper that measures which setting will do."""
+"""Named fidelities, and `cheapest`, which measures the cheapest setting within error bounds."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ WEIGHTLESS = {"gravity": 0.0, "drive": None}
 
 
 @pytest.mark.parametrize(
-    ("given", "meant"),
+    ("arguments", "meant"),
     [
         ({}, Setting("pymunk", None)),
         ({"fidelity": "coarse"}, Setting("pymunk", 2)),
@@ -31,13 +31,13 @@ WEIGHTLESS = {"gravity": 0.0, "drive": None}
         ({"contact": "exact"}, Setting("exact", None)),
     ],
 )
-def test_a_name_stands_for_a_setting(given: dict[str, Any], meant: Setting) -> None:
-    assert resolve(**{"fidelity": None, "contact": None, "substeps": None, **given}) == meant
-    assert gym.make("JackInBox-v0", **given).unwrapped.contact == meant.contact  # type: ignore[attr-defined]
+def test_a_name_stands_for_a_setting(arguments: dict[str, Any], meant: Setting) -> None:
+    assert resolve(**{"fidelity": None, "contact": None, "substeps": None, **arguments}) == meant
+    assert gym.make("JackInBox-v0", **arguments).unwrapped.contact == meant.contact  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(
-    ("given", "named"),
+    ("arguments", "named"),
     [
         ({"fidelity": "exact", "contact": "pymunk"}, "contact='exact', got contact='pymunk'"),
         ({"fidelity": "fine", "contact": "exact"}, "contact='pymunk', got contact='exact'"),
@@ -45,10 +45,10 @@ def test_a_name_stands_for_a_setting(given: dict[str, Any], meant: Setting) -> N
         ({"fidelity": "exact", "substeps": 4}, "substeps=None, got substeps=4"),
     ],
 )
-def test_a_fidelity_and_what_contradicts_it_are_refused(given: dict[str, Any], named: str) -> None:
+def test_a_fidelity_and_what_contradicts_it_are_refused(arguments: dict[str, Any], named: str) -> None:
     for make in (JackInBoxEnv, JackInBoxVectorEnv, EnvSettings):
         with pytest.raises(ValueError, match=f"stands for {named} beside it"):
-            make(**given)
+            make(**arguments)
 
 
 @pytest.mark.parametrize(
@@ -98,8 +98,8 @@ def test_a_named_environment_is_bitwise_the_one_with_its_setting_also_in_a_batch
 
 def test_tighter_bounds_choose_more_substeps_of_pymunk() -> None:
     bounds = (0.02, 0.003, 0.0002)  # one substep is a control step of 0.02 s: the first impact waits for its end
-    given: dict[str, Any] = {"scene": {"restitution": 0.5}, "cases": 2, "contact": "pymunk"}
-    chosen = [cheapest(**given, first_impact_error=bound) for bound in bounds]
+    arguments: dict[str, Any] = {"scene": {"restitution": 0.5}, "cases": 2, "contact": "pymunk"}
+    chosen = [cheapest(**arguments, first_impact_error=bound) for bound in bounds]
     substeps = [choice.setting.substeps or 0 for choice in chosen]
     assert 1 == substeps[0] < substeps[1] < substeps[2]
     for choice, bound in zip(chosen, bounds, strict=True):
@@ -111,8 +111,8 @@ def test_tighter_bounds_choose_more_substeps_of_pymunk() -> None:
 
 
 def test_the_exact_model_is_chosen_where_nothing_else_will_do() -> None:
-    for given in ({"scene": {"restitution": 0.5}, "first_impact_error": 1e-9}, {"penetration": 1e-9}):
-        assert cheapest(**given, cases=2).setting == Setting("exact", None)
+    for arguments in ({"scene": {"restitution": 0.5}, "first_impact_error": 1e-9}, {"penetration": 1e-9}):
+        assert cheapest(**arguments, cases=2).setting == Setting("exact", None)
 
 
 def test_of_two_that_will_do_the_one_that_takes_less_time_is_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -144,7 +144,7 @@ def test_settings_that_lose_the_jack_or_hit_elsewhere_will_not_do_whatever_the_b
         assert math.isfinite(chosen.first_impact_error + chosen.penetration)
 
 
-def test_the_exact_model_is_not_blamed_for_steps_too_long_to_look_into() -> None:
+def test_the_exact_model_is_not_blamed_for_steps_too_long_to_inspect() -> None:
     chosen = cheapest(control_dt=1.0, cases=2, steps=20, penetration=0.01, first_impact_error=0.001)
     assert chosen.setting == Setting("exact", None)
     assert chosen.penetration < 1e-9
@@ -186,7 +186,7 @@ def test_a_scene_that_pymunk_does_not_solve_leaves_the_exact_model_for_all() -> 
 
 
 @pytest.mark.parametrize(
-    ("given", "sentence"),
+    ("arguments", "sentence"),
     [
         ({"scene": []}, "scene must be one scene or a list of at least one, got an empty list"),
         ({"scene": [{}, 3.0]}, r"scene\[1\]: scene must be a Scene, a dict of its fields or None, got 3.0"),
@@ -212,6 +212,6 @@ def test_a_scene_that_pymunk_does_not_solve_leaves_the_exact_model_for_all() -> 
         ),
     ],
 )
-def test_bad_arguments_are_refused_in_one_sentence(given: dict[str, Any], sentence: str) -> None:
+def test_bad_arguments_are_refused_in_one_sentence(arguments: dict[str, Any], sentence: str) -> None:
     with pytest.raises((TypeError, ValueError), match=sentence):
-        cheapest(**given)
+        cheapest(**arguments)

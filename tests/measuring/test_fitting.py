@@ -1,4 +1,4 @@
-"""Fits recover the scene of synthetic recordings, say what they cannot tell, and refuse what is no recording."""
+"""Fits recover the scene of synthetic recordings, report unidentifiable fields, and refuse unusable recordings."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ def recorded(scene: Scene = TRUE, seed: int = 0, steps: int = 200, noise: float 
     return seen + noise * units(scene) * rng.standard_normal(seen.shape), torques, np.array(heard)
 
 
-def holds(found: Fit, scene: Scene, wide: float = 2.0) -> bool:
+def holds(fitted: Fit, scene: Scene, wide: float = 2.0) -> bool:
     """Whether the truth is within intervals ``wide`` times as wide."""
-    for name, (low, high) in found.intervals.items():
+    for name, (low, high) in fitted.intervals.items():
         middle, half = 0.5 * (low + high), 0.5 * wide * (high - low)
         if not abs(getattr(scene, name) - middle) <= half:
             return False
@@ -47,47 +47,47 @@ def holds(found: Fit, scene: Scene, wide: float = 2.0) -> bool:
 
 def test_mass_and_restitution_from_everything_seen_with_noise() -> None:
     states, torques, _ = recorded()
-    found = fit(Recording(states, torques, DT), ("jack_mass", "restitution"), START)
-    assert found.converged
-    assert not found.unidentified
-    assert holds(found, TRUE)
-    assert found.scene.jack_mass == pytest.approx(12.0, rel=5e-3)
-    assert found.scene.jack_inertia == found.scene.jack_mass  # follows: m l^2 with l = 1 m
-    assert found.noise["x_jack"] == pytest.approx(6e-3, rel=0.2)
-    assert 0.7 < np.sqrt(np.mean(found.residuals**2)) < 1.3
-    assert abs(found.motions[0] - states)[:, 3].max() < 0.05
+    fitted = fit(Recording(states, torques, DT), ("jack_mass", "restitution"), START)
+    assert fitted.converged
+    assert not fitted.unidentified
+    assert holds(fitted, TRUE)
+    assert fitted.scene.jack_mass == pytest.approx(12.0, rel=5e-3)
+    assert fitted.scene.jack_inertia == fitted.scene.jack_mass  # follows: m l^2 with l = 1 m
+    assert fitted.noise["x_jack"] == pytest.approx(6e-3, rel=0.2)
+    assert 0.7 < np.sqrt(np.mean(fitted.residuals**2)) < 1.3
+    assert abs(fitted.motions[0] - states)[:, 3].max() < 0.05
 
 
 def test_the_jack_alone_seen_and_its_impacts_heard_with_known_noise() -> None:
     states, torques, heard = recorded()
     states[:, [0, 1, 2, 6, 7, 8, 9, 10, 11]] = np.nan
     noise = {"x_jack": 6e-3, "y_jack": 6e-3, "theta_jack": 1e-3, "impacts": 1e-4}
-    found = fit(Recording(states, torques, DT, impacts=heard), ("jack_mass", "restitution"), START, noise=noise)
-    assert found.converged
-    assert holds(found, TRUE)
-    assert found.noise == noise
+    fitted = fit(Recording(states, torques, DT, impacts=heard), ("jack_mass", "restitution"), START, noise=noise)
+    assert fitted.converged
+    assert holds(fitted, TRUE)
+    assert fitted.noise == noise
 
 
-def test_two_recordings_tell_more_than_one() -> None:
-    given = [Recording(*recorded(seed=seed)[:2], DT) for seed in (0, 1)]
-    one, both = (fit(several, ("jack_mass",), START.changed(restitution=0.85)) for several in (given[0], given))
-    widths = [found.intervals["jack_mass"][1] - found.intervals["jack_mass"][0] for found in (one, both)]
+def test_two_recordings_narrow_the_intervals_of_one() -> None:
+    pair = [Recording(*recorded(seed=seed)[:2], DT) for seed in (0, 1)]
+    one, both = (fit(several, ("jack_mass",), START.changed(restitution=0.85)) for several in (pair[0], pair))
+    widths = [one_fit.intervals["jack_mass"][1] - one_fit.intervals["jack_mass"][0] for one_fit in (one, both)]
     assert both.converged
     assert holds(both, TRUE)
     assert widths[1] < widths[0]
 
 
-def test_masses_without_any_known_force_are_told_up_to_one_factor() -> None:
+def test_masses_without_any_known_force_are_identified_up_to_one_factor() -> None:
     states, _, _ = recorded(Scene(box_mass=300.0, jack_mass=12.0, drive=None), steps=150, noise=1e-4)
     still = Scene(box_mass=300.0, jack_mass=12.0, drive=None)
     simulator = make_simulator(still, contact="exact")
     simulator.reset(states[0])
     states = np.array([simulator.state, *(_stepped(simulator) for _ in range(150))])
     states += 1e-4 * units(still) * np.random.default_rng(0).standard_normal(states.shape)
-    found = fit(Recording(states, np.zeros(150), DT), ("box_mass", "jack_mass"), still)
-    assert found.unidentified == ("the recordings tell box_mass and jack_mass only up to one common factor",)
-    assert found.intervals == dict.fromkeys(("box_mass", "jack_mass"), (0.0, np.inf))
-    assert found.scene.jack_mass / found.scene.box_mass == pytest.approx(12.0 / 300.0, rel=1e-2)
+    fitted = fit(Recording(states, np.zeros(150), DT), ("box_mass", "jack_mass"), still)
+    assert fitted.unidentified == ("the recordings tell box_mass and jack_mass only up to one common factor",)
+    assert fitted.intervals == dict.fromkeys(("box_mass", "jack_mass"), (0.0, np.inf))
+    assert fitted.scene.jack_mass / fitted.scene.box_mass == pytest.approx(12.0 / 300.0, rel=1e-2)
 
 
 def _stepped(simulator: Any) -> Array:
@@ -96,21 +96,21 @@ def _stepped(simulator: Any) -> Array:
     return state
 
 
-def test_rest_is_left_out_and_counted() -> None:
+def test_rest_is_excluded_and_counted() -> None:
     scene = Scene(jack_mass=12.0, restitution=0.3, drive=None)
     states, _, _ = recorded(scene, steps=10, noise=0.0)
     simulator = make_simulator(scene, contact="exact")
     simulator.reset(states[0])
     states = np.array([simulator.state, *(_stepped(simulator) for _ in range(250))])
-    found = fit(
+    fitted = fit(
         Recording(states + 1e-5, np.zeros(250), DT), ("restitution",), scene.changed(restitution=0.4), noise=1e-3
     )
-    assert found.left_out > 80
-    assert np.isnan(found.motions[0][-1]).all()
-    assert found.scene.restitution == pytest.approx(0.3, abs=2e-3)
+    assert fitted.left_out > 80
+    assert np.isnan(fitted.motions[0][-1]).all()
+    assert fitted.scene.restitution == pytest.approx(0.3, abs=2e-3)
 
 
-def test_what_does_not_fit_has_not_converged() -> None:
+def test_a_start_that_cannot_be_followed_is_refused() -> None:
     states, torques, _ = recorded()
     with pytest.raises(ValueError, match="recordings must be followed for a while: the scene at the start leads"):
         fit(Recording(states, -torques, DT), ("jack_mass", "restitution"), START)
@@ -140,11 +140,11 @@ def test_a_wrong_model_does_not_converge_to_wrong_intervals(
         states[np.arange(len(states)) % every > 0] = np.nan
         right = scene.changed(**{name: getattr(scene, name) * rng.uniform(0.8, 1.0) for name in fields})
         start = right.changed(**{name: getattr(right, name) * factor for name, factor in wrong.items()})
-        found = fit(Recording(states, torques, DT), fields, start)
-        assert holds(found, scene, wide=2.0) or not found.converged
+        fitted = fit(Recording(states, torques, DT), fields, start)
+        assert holds(fitted, scene, wide=2.0) or not fitted.converged
         if seed == 0:
-            assert not found.converged
-            assert any("correlated in time" in problem for problem in found.problems)
+            assert not fitted.converged
+            assert any("correlated in time" in problem for problem in fitted.problems)
             assert fit(Recording(states, torques, DT), fields, right).converged
 
 
@@ -161,12 +161,13 @@ def test_white_residuals_have_no_autocorrelation_and_a_fit_with_many_unknowns_is
     rng = np.random.default_rng(0)
     by = np.cos(np.outer(np.arange(200), np.arange(40)) * math.pi / 200.0)  # 40 smooth unknowns
     hat = by @ np.linalg.pinv(by)
-    found = []
+    correlations = []
     for _ in range(300):
         noise = rng.standard_normal(200)
-        found.append(autocorrelations(Rows(noise - hat @ noise, by, np.zeros(200, np.intp), np.zeros(200, np.intp)))[0])
-    assert abs(np.mean(found)) < 0.2  # without what the unknowns take it is about -5
-    assert 0.4 < np.std(found) < 1.2
+        rows = Rows(noise - hat @ noise, by, np.zeros(200, np.intp), np.zeros(200, np.intp))
+        correlations.append(autocorrelations(rows)[0])
+    assert abs(np.mean(correlations)) < 0.2  # without what the unknowns take it is about -5
+    assert 0.4 < np.std(correlations) < 1.2
     slow = np.sin(np.arange(200) / 15.0)
     wrong = Rows(rng.standard_normal(200) + slow, by[:, :1], np.zeros(200, np.intp), np.zeros(200, np.intp))
     assert autocorrelations(wrong)[0] > 4.5
@@ -174,35 +175,35 @@ def test_white_residuals_have_no_autocorrelation_and_a_fit_with_many_unknowns_is
 
 def test_a_recording_without_noise_converges() -> None:
     states, torques, _ = recorded(noise=0.0)
-    found = fit(Recording(states, torques, DT), ("jack_mass", "restitution"), START)
-    assert found.problems == ()
-    assert found.scene.jack_mass == pytest.approx(12.0, rel=1e-8)
-    assert found.scene.restitution == pytest.approx(0.85, rel=1e-8)
-    assert holds(found, TRUE)
+    fitted = fit(Recording(states, torques, DT), ("jack_mass", "restitution"), START)
+    assert fitted.problems == ()
+    assert fitted.scene.jack_mass == pytest.approx(12.0, rel=1e-8)
+    assert fitted.scene.restitution == pytest.approx(0.85, rel=1e-8)
+    assert holds(fitted, TRUE)
 
 
-def test_a_fit_that_left_most_steps_out_has_not_converged() -> None:
+def test_a_fit_that_excluded_most_steps_has_not_converged() -> None:
     states, torques, _ = recorded()
     states[60:, 3:5] += 0.3  # a camera that was pushed, and pushed again
     states[120:, 3:5] -= 0.5
-    found = fit(Recording(states, np.where(np.arange(200) < 60, torques, -torques), DT), ("jack_mass",), START)
-    assert found.left_out > 60
-    assert any("steps could not be followed" in problem for problem in found.problems)
+    fitted = fit(Recording(states, np.where(np.arange(200) < 60, torques, -torques), DT), ("jack_mass",), START)
+    assert fitted.left_out > 60
+    assert any("steps could not be followed" in problem for problem in fitted.problems)
 
 
 def test_a_fit_that_takes_most_of_a_recording_for_rest_has_not_converged() -> None:
     states, torques, _ = recorded()
     states[:30] = np.nan  # a search from nothing ends at restitution 0, where all is rest
-    found = fit(Recording(states, torques, DT), ("jack_mass", "restitution"), START.changed(restitution=0.9))
-    assert not (found.converged and found.left_out > 100)
+    fitted = fit(Recording(states, torques, DT), ("jack_mass", "restitution"), START.changed(restitution=0.9))
+    assert not (fitted.converged and fitted.left_out > 100)
 
 
 def test_a_restitution_at_the_end_of_its_range_converges() -> None:
     for seed in range(3):
         states, torques, _ = recorded(Scene(jack_mass=12.0, drive=None), seed)
-        found = fit(Recording(states, torques, DT), ("jack_mass", "restitution"), Scene(jack_mass=11.0, drive=None))
-        assert found.problems == ()
-        assert found.intervals["restitution"][1] == 1.0
+        fitted = fit(Recording(states, torques, DT), ("jack_mass", "restitution"), Scene(jack_mass=11.0, drive=None))
+        assert fitted.problems == ()
+        assert fitted.intervals["restitution"][1] == 1.0
 
 
 def test_derivatives_of_residuals_equal_differences() -> None:
@@ -212,16 +213,16 @@ def test_derivatives_of_residuals_equal_differences() -> None:
     windows = [Window(0, 0, 60, True, states[0]), Window(0, 60, 90, False, states[60])]
     shooting, noise = Shooting([recording], parameters, windows), 1e-3 * np.append(units(TRUE), 1.0)
     at = shooting.unknowns(parameters.of(TRUE))
-    found = shooting.rows(at, noise, 1e-2)
-    assert found is not None
-    assert {-1, 12} <= {*found.column.tolist()}  # links and heard impacts among them
-    for place in range(len(at)):
-        step = 1e-7 * np.eye(len(at))[place]
+    rows = shooting.rows(at, noise, 1e-2)
+    assert rows is not None
+    assert {-1, 12} <= {*rows.column.tolist()}  # links and heard impacts among them
+    for column in range(len(at)):
+        step = 1e-7 * np.eye(len(at))[column]
         more, less = (shooting.rows(at + sign * step, noise, 1e-2) for sign in (1.0, -1.0))
         assert more is not None
         assert less is not None
         difference = (more.residuals - less.residuals) / 2e-7
-        np.testing.assert_allclose(found.by[:, place], difference, atol=1e-5 * abs(difference).max() + 1e-6, rtol=1e-5)
+        np.testing.assert_allclose(rows.by[:, column], difference, atol=1e-5 * abs(difference).max() + 1e-6, rtol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -239,7 +240,7 @@ def test_derivatives_of_residuals_equal_differences() -> None:
         ({"impacts": [0.2, 0.1]}, "impacts must be times in order"),
     ],
 )
-def test_what_is_no_recording_is_refused(change: dict[str, Any], complaint: str) -> None:
+def test_unusable_recordings_are_refused(change: dict[str, Any], complaint: str) -> None:
     with pytest.raises((TypeError, ValueError), match=complaint):
         Recording(**{"states": np.zeros((4, 12)), "torques": np.zeros(3), "dt": DT, **change})
 
@@ -261,7 +262,7 @@ def test_what_is_no_recording_is_refused(change: dict[str, Any], complaint: str)
         ({"noise": {"x": 1.0}}, "noise takes only 'x_box'"),
     ],
 )
-def test_what_cannot_be_fitted_is_refused(change: dict[str, Any], complaint: str) -> None:
-    given = {"recordings": Recording(np.zeros((4, 12)), np.zeros(3), DT), "fields": ("gravity",), **change}
+def test_unusable_arguments_of_fits_are_refused(change: dict[str, Any], complaint: str) -> None:
+    arguments = {"recordings": Recording(np.zeros((4, 12)), np.zeros(3), DT), "fields": ("gravity",), **change}
     with pytest.raises((TypeError, ValueError), match=complaint):
-        jackbox_env.fit(**given)
+        jackbox_env.fit(**arguments)

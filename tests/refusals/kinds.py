@@ -1,4 +1,4 @@
-"""Kinds of arguments: a good value, what must be refused in its place, and other forms of the same value."""
+"""Kinds of arguments: a good value, values that must be refused, and other forms of the good one."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Hostile:
 
     value: Any
     error: type[Exception]
-    told: tuple[str, ...]
+    mentioned: tuple[str, ...]
     named: str = ""  # what the error names instead of the argument
 
 
@@ -27,7 +27,7 @@ class Argument:
     good: Any
     refused: Mapping[str, Hostile]
     alike: Mapping[str, Any] = field(default_factory=dict)  # the good value in other forms
-    taken: tuple[Any, ...] = ()  # other good values: ends of a range, None
+    accepted: tuple[Any, ...] = ()  # other good values: ends of a range, None
     named: str = ""  # its name in errors; "": as in the signature
 
     def but(self, named: str = "", /, **refused: Hostile | None) -> Argument:
@@ -36,16 +36,16 @@ class Argument:
         return replace(self, refused=values, named=named or self.named)
 
 
-def wrong(value: Any, *told: str, named: str = "", error: type[Exception] = TypeError) -> Hostile:
-    return Hostile(value, error, told or (" ".join(repr(value).split())[:60],), named)
+def wrong(value: Any, *mentioned: str, named: str = "", error: type[Exception] = TypeError) -> Hostile:
+    return Hostile(value, error, mentioned or (" ".join(repr(value).split())[:60],), named)
 
 
-def out(value: Any, *told: str, named: str = "") -> Hostile:
-    return wrong(value, *told, named=named, error=ValueError)
+def out(value: Any, *mentioned: str, named: str = "") -> Hostile:
+    return wrong(value, *mentioned, named=named, error=ValueError)
 
 
-def each(make: Any, values: Mapping[str, Any], *told: str) -> dict[str, Hostile]:
-    return {name: make(value, *make(value).told, *told) for name, value in values.items()}
+def each(make: Any, values: Mapping[str, Any], *mentioned: str) -> dict[str, Hostile]:
+    return {name: make(value, *make(value).mentioned, *mentioned) for name, value in values.items()}
 
 
 # No number; LISTS are of numbers.
@@ -72,8 +72,8 @@ def real(
     bounds = tuple(f"{bound:g}" for bound in (above, at_least, at_most) if math.isfinite(bound))
     refused = {**each(out, bad, *bounds), **each(wrong, things(*["nothing"] * none), *bounds)}
     forms = {} if good is None else {"numpy": np.float64(good), "0-d": np.array(good), "float32": np.float32(good)}
-    taken = tuple(end for end in (at_least, at_most) if ends and math.isfinite(end)) + (None,) * none
-    return Argument(good, refused, forms, taken)
+    accepted = tuple(end for end in (at_least, at_most) if ends and math.isfinite(end)) + (None,) * none
+    return Argument(good, refused, forms, accepted)
 
 
 def whole(good: int | None, at_least: int, at_most: int | None = None, none: bool = False) -> Argument:
@@ -87,14 +87,14 @@ def whole(good: int | None, at_least: int, at_most: int | None = None, none: boo
 
 
 def flag(good: bool) -> Argument:
-    return Argument(good, each(wrong, {"0": 0, "nan": math.nan, **things("true")}), taken=(not good,))
+    return Argument(good, each(wrong, {"0": 0, "nan": math.nan, **things("true")}), accepted=(not good,))
 
 
 def choice(good: str | None, names: Iterable[str], none: bool = False) -> Argument:
     """One of some names, all of which errors list."""
     listed = tuple(names)
     values = {"unknown": "nothing", "upper": listed[0].title(), "1": 1, **things(*["nothing"] * none)}
-    return Argument(good, each(out, values, *map(repr, listed)), taken=(None,) * none)
+    return Argument(good, each(out, values, *map(repr, listed)), accepted=(None,) * none)
 
 
 def array(good: Any, scalar: bool = False, none: bool = False) -> Argument:
@@ -102,7 +102,7 @@ def array(good: Any, scalar: bool = False, none: bool = False) -> Argument:
     values = np.array(good, dtype=np.float64)
     shape, last = values.shape, np.arange(values.size).reshape(values.shape) == values.size - 1
     shapes = {"more": (*shape[:-1], shape[-1] + 1), "deeper": (1, *shape, 1), "empty": (*shape[:-1], 0)}
-    refused = {name: out(np.zeros(given), str(given)) for name, given in shapes.items()}
+    refused = {name: out(np.zeros(wrong_shape), str(wrong_shape)) for name, wrong_shape in shapes.items()}
     refused |= {f"{bad}_inside": out(np.where(last, bad, values), str(bad)) for bad in (math.nan, math.inf, -math.inf)}
     refused["scalar"] = out(math.nan, "nan") if scalar else out(1.0, "()")
     refused["masked"] = out(np.ma.array(values, mask=last), "masked")
@@ -139,5 +139,5 @@ def size(good: tuple[int, int], at_least: int, at_most: int) -> Argument:
 
 
 def instance(good: Any, *without: str, **refused: Hostile) -> Argument:
-    """Something that no other thing may replace."""
+    """An object of one type; objects of other types are refused."""
     return Argument(good, {**each(wrong, {"number": 3.0, **things(*without)}), **refused})

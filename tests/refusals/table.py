@@ -1,4 +1,4 @@
-"""The table of refusals: what is called, its arguments, and of which kind each is."""
+"""The table of refusals: every public callable with its arguments and their kinds."""
 
 from __future__ import annotations
 
@@ -22,20 +22,7 @@ from jackbox_env.simulators import CONTACT_MODELS, Simulator
 from jackbox_env.simulators.fidelity import FIDELITIES
 from jackbox_env.states import STATE_NAMES
 from jackbox_env.tasks import TASKS
-from tests.refusals.kinds import (
-    Argument,
-    array,
-    choice,
-    each,
-    flag,
-    instance,
-    mask,
-    out,
-    real,
-    size,
-    whole,
-    wrong,
-)
+from tests.refusals.kinds import Argument, array, choice, each, flag, instance, mask, out, real, size, whole, wrong
 
 START = np.array([0.125, 0.25, 0.5, 0.5, -0.375, 0.25, 0.125, 0.0, 0.25, 3.0, 1.0, 2.0])
 ROWS = np.stack([START, START + 0.125, START - 0.125])
@@ -43,7 +30,7 @@ Kinds = dict[str, Argument]
 
 
 class Subject(NamedTuple):
-    """An object that is called, how it is put back to its start, and what shows how it is."""
+    """An object whose methods are called, its reset, and the values that show its state."""
 
     make: Callable[[], Any]
     start: Callable[[Any], object] = lambda _: None
@@ -60,7 +47,7 @@ class Row(NamedTuple):
     contact: str = ""
 
     def call(self, one: Any, **values: Any) -> Any:
-        """Call it with good values, those within dicts aside, but for these."""
+        """Call it with good values, except for these; entries of dicts are passed only if they are among these."""
         keywords = {name: one.good for name, one in self.arguments.items() if "." not in name}
         for name, value in values.items():
             outer, _, inner = name.partition(".")
@@ -84,13 +71,13 @@ TASK = instance(
 )  # fmt: skip
 
 
-def moved(place: int, value: float) -> Any:
-    return np.where(np.arange(12) == place, value, START)
+def moved(index: int, value: float) -> Any:
+    return np.where(np.arange(12) == index, value, START)
 
 
 def state(deepest: float | None = None) -> Argument:
     """12 numbers, with every foot at most so deep in a wall [m]."""
-    more = {f"nan_{name}": out(moved(place, math.nan), f"{name} = nan") for place, name in enumerate(STATE_NAMES)}
+    more = {f"nan_{name}": out(moved(index, math.nan), f"{name} = nan") for index, name in enumerate(STATE_NAMES)}
     if deepest is not None:
         more["outside"] = out(moved(3, 8.0), "outside", f"{deepest:g} m")
     return array(START).but(**more)
@@ -121,7 +108,7 @@ DRIVES = {name: instance(math.cos, "nothing", "function") for name in ("torque",
 DICTS = {"dict": out({"mass": 3.0}, "'mass'", "'box_mass'"), "bad": out({"gravity": -1.0}, "-1.0", named="gravity")}
 ONE_SCENE = replace(
     instance(Scene(gravity=1.5), "nothing", **DICTS),
-    taken=(None, {"gravity": 1.5, "drive": {"rate": 0.0}}),
+    accepted=(None, {"gravity": 1.5, "drive": {"rate": 0.0}}),
 )
 SCENES = ONE_SCENE.but(
     list=wrong([None, 3.0], "[1]", "3.0"),
@@ -241,7 +228,7 @@ def methods_of(contact: str) -> Iterator[Row]:
 
 # -- functions and constructors ----------------------------------------------------------------------------------------
 
-PLACE = whole(1, 0, 3)
+INDEX = whole(1, 0, 3)
 CONTACTS = Argument(
     [(0, 0), (1, 2)],
     {
@@ -266,7 +253,7 @@ SETTINGS: Kinds = {
     "render_size": size((16, 24), 16, 4096),
     "render_overlay": flag(True),
 }
-STEPS = replace(whole(100, 1, 10**15), taken=(-1, 1))
+STEPS = replace(whole(100, 1, 10**15), accepted=(-1, 1))
 OF_VECTORS: Kinds = {
     **SETTINGS,
     "num_envs": whole(2, 1, 10**9),
@@ -276,7 +263,7 @@ OF_VECTORS: Kinds = {
     "with_infos": flag(False),
     "scene": SCENES.but(short=out([None], "list of 2", "1 of them")),
 }
-LOOKING: Kinds = {
+LOOKAHEAD: Kinds = {
     "hold": whole(5, 1, 1000),
     "turns": whole(3, 0, 999).but(even=out(4, "odd", "4")),
     "samples": whole(8, 0, 100_000).but(few=out(7, "8", "7")),
@@ -323,7 +310,7 @@ CHOOSING: Kinds = {
         },
     ),
     "cases": whole(2, 1, 10_000),
-    "steps": replace(whole(60, 1, 1_000_000), taken=()),
+    "steps": replace(whole(60, 1, 1_000_000), accepted=()),
     "control_dt": DT,
     "seed": Argument(5, SEED.refused, {"numpy": np.int64(5), "0-d": np.array(5)}),
     "contact": choice("pymunk", ("pymunk", "exact"), none=True),
@@ -347,8 +334,8 @@ TRAINING: Kinds = {
 }
 
 
-def cheapest(**given: Any) -> Any:
-    return jackbox_env.cheapest(**given)._replace(microseconds=0.0)
+def cheapest(**arguments: Any) -> Any:
+    return jackbox_env.cheapest(**arguments)._replace(microseconds=0.0)
 
 
 def drawn(randomize: Any) -> Any:
@@ -368,8 +355,8 @@ FUNCTIONS: list[tuple[Callable[..., Any], Kinds]] = [
     (states.as_restored, {"scene": ONLY_A_SCENE, "state": state(1.0)}),
     (mechanics.gaps, IN_A_SCENE),
     (mechanics.energy, IN_A_SCENE),
-    (mechanics.gap_jacobian, {**IN_A_SCENE, "wall": PLACE, "foot": PLACE}),
-    (mechanics.impact_map, {**IN_A_SCENE, "wall": PLACE, "foot": PLACE}),
+    (mechanics.gap_jacobian, {**IN_A_SCENE, "wall": INDEX, "foot": INDEX}),
+    (mechanics.impact_map, {**IN_A_SCENE, "wall": INDEX, "foot": INDEX}),
     (mechanics.simultaneous_impact_map, {**IN_A_SCENE, "contacts": CONTACTS}),
     (Scene, FIELDS),
     (Scene().changed, FIELDS),
@@ -392,9 +379,9 @@ FUNCTIONS: list[tuple[Callable[..., Any], Kinds]] = [
     (jackbox_env.rollout, ROLLOUT),
     (jackbox_env.linearize, {**LINEARIZING, "steps": Argument(None, {})}),
     (cheapest, CHOOSING),
-    (jackbox_env.Lookahead, {**LOOKING, **WRAPPED}),
-    (jackbox_env.LookaheadVector, {**LOOKING, **VECTOR}),
-    (LookaheadVecEnv, {**LOOKING, **SB3}),
+    (jackbox_env.Lookahead, {**LOOKAHEAD, **WRAPPED}),
+    (jackbox_env.LookaheadVector, {**LOOKAHEAD, **VECTOR}),
+    (LookaheadVecEnv, {**LOOKAHEAD, **SB3}),
     (HoldingVecEnv, {"hold": whole(5, 1), **SB3}),
     (jackbox_env.LandingControl, {**PERIOD, **WRAPPED}),
     (jackbox_env.LandingControlVector, {**PERIOD, **VECTOR}),

@@ -38,7 +38,7 @@ def made(row: int) -> Any:
 
 @functools.cache
 def expected(row: int, argument: str) -> list[Any]:
-    """What the good call gives."""
+    """The result of the good call."""
     return result(TABLE[row], made(row), argument, TABLE[row].arguments[argument].good)
 
 
@@ -49,7 +49,7 @@ def result(row: Row, one: Any, argument: str, value: Any) -> list[Any]:
 
 
 def refusal(row: Row, one: Any, argument: str, hostile: Hostile) -> None:
-    """Hold a call with a hostile value against what is promised."""
+    """Assert that a call with a hostile value raises the promised error and changes nothing."""
     row.subject.start(one)
     before = flat(row.subject.shown(one))
     with pytest.raises(hostile.error) as refused:
@@ -59,7 +59,7 @@ def refusal(row: Row, one: Any, argument: str, hostile: Hostile) -> None:
     assert len(sentence) < 300
     assert "\n" not in sentence
     named = hostile.named or row.arguments[argument].named or argument.rpartition(".")[2]
-    assert [word for word in (named, *hostile.told) if word not in sentence] == [], sentence
+    assert [word for word in (named, *hostile.mentioned) if word not in sentence] == [], sentence
     assert flat(row.subject.shown(one)) == before, "changed by what it refused"
 
 
@@ -80,11 +80,11 @@ def test_hostile_values_are_refused_in_one_sentence_and_change_nothing(row: int,
 
 
 @pytest.mark.parametrize(("row", "argument"), CALLS)
-def test_other_forms_give_the_same_bits_and_the_ends_of_a_range_are_taken(row: int, argument: str) -> None:
+def test_other_forms_give_the_same_bits_and_the_ends_of_a_range_are_accepted(row: int, argument: str) -> None:
     kind = TABLE[row].arguments[argument]
     for value in kind.alike.values():
         assert result(TABLE[row], made(row), argument, value) == expected(row, argument)
-    for value in kind.taken:
+    for value in kind.accepted:
         result(TABLE[row], made(row), argument, value)
 
 
@@ -99,11 +99,11 @@ ARRAYS = [
 @pytest.mark.parametrize(("number", "argument"), ARRAYS)
 def test_an_array_that_was_passed_may_change_later(number: int, argument: str) -> None:
     row, one = TABLE[number], made(number)
-    given = row.arguments[argument].good.copy()
+    passed = row.arguments[argument].good.copy()
     row.subject.start(one)
-    returned = row.call(one, **{argument: given})
+    returned = row.call(one, **{argument: passed})
     before = flat([returned, row.subject.shown(one)])
-    given[...] = 0
+    passed[...] = 0
     assert flat([returned, row.subject.shown(one)]) == before
 
 
@@ -160,13 +160,13 @@ def test_every_public_callable_and_each_of_its_parameters_is_in_the_table() -> N
     public = {name: getattr(jackbox_env, name) for name in set(jackbox_env.__all__) - WITHOUT_ARGUMENTS}
     for owner in (mechanics, states, Simulator, JackInBoxEnv, JackInBoxVectorEnv):
         for name, one in inspect.getmembers(owner, inspect.isfunction):
-            place = f"{owner.__name__}.{name}" if inspect.isclass(owner) else name
-            if one.__module__ == getattr(owner, "__module__", owner.__name__) and one.__qualname__ == place:
-                public[place] = one
+            qualified = f"{owner.__name__}.{name}" if inspect.isclass(owner) else name
+            if one.__module__ == getattr(owner, "__module__", owner.__name__) and one.__qualname__ == qualified:
+                public[qualified] = one
     checked = {name: one for name, one in public.items() if callable(one) and not re.search(r"(^|\.)_", name)}
     assert len(checked) > 20
     missing = {name: parameters(one) - rows.get(name, set()) for name, one in checked.items() if name not in UNCHECKED}
-    assert {name: left for name, left in missing.items() if left} == ELSEWHERE
+    assert {name: names for name, names in missing.items() if names} == ELSEWHERE
 
 
 @pytest.mark.parametrize(

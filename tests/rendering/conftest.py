@@ -12,13 +12,13 @@ from tests.rendering.pixels import Words
 
 @pytest.fixture
 def words(monkeypatch: pytest.MonkeyPatch) -> Words:
-    """Every string drawn, and the last place where it was drawn."""
+    """Every string drawn, and the last position where it was drawn."""
     written: Words = {}
     write = canvas.write
 
-    def noting(surface: Any, text: str, place: complex, *rest: Any) -> None:
-        written[text] = place.real, place.imag
-        write(surface, text, place, *rest)
+    def noting(surface: Any, text: str, position: complex, *rest: Any) -> None:
+        written[text] = position.real, position.imag
+        write(surface, text, position, *rest)
 
     monkeypatch.setattr(renderer, "write", noting)
     return written

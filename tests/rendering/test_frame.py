@@ -1,4 +1,4 @@
-"""What a frame shows: the box, the jack, the background, the readings."""
+"""The contents of a frame: box, jack, background, readings."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ def test_walls_are_red_outwards_from_their_inside_faces(angle: float) -> None:
     for normal in np.exp(-1j * (angle + 0.5 * np.pi * np.arange(4))):
         for sideways in (-130.0, 60.0, 146.0):
             for beyond in (-1.6, 1.6, 4.4):
-                place = middle + normal * (half + beyond - 1j * sideways)
-                assert red(pixel(frame, (place.real, place.imag))) == (beyond > 0.0)
+                point = middle + normal * (half + beyond - 1j * sideways)
+                assert red(pixel(frame, (point.real, point.imag))) == (beyond > 0.0)
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.4, 3.0])
@@ -45,8 +45,8 @@ def test_jack_has_blue_arms_and_red_feet_but_one(angle: float) -> None:
     renderer = renderer_at(state(box=(0.0, 0.0, 0.1), jack=(-2.0, 1.5, angle)))
     frame = draw(renderer)
     for foot in range(4):
-        places = -2.0 + 1.5j + cmath.rect(ARM, angle + 0.5 * foot * math.pi) * np.array([0.0, 0.3, 0.6, 1.0, 1.5])
-        along = [pixel(frame, renderer.to_pixels(place.real, place.imag)) for place in places]
+        points = -2.0 + 1.5j + cmath.rect(ARM, angle + 0.5 * foot * math.pi) * np.array([0.0, 0.3, 0.6, 1.0, 1.5])
+        along = [pixel(frame, renderer.to_pixels(point.real, point.imag)) for point in points]
         assert [bool(blue(colour)) for colour in along] == [True, True, True, False, False]
         assert [bool(red(colour)) for colour in along] == [False, False, False, foot > 0, False]
         assert (along[3] == (255, 176, 0)) == (foot == 0)
@@ -63,14 +63,14 @@ def test_ruled_lines_and_their_labels_stay_in_the_world_as_the_box_sinks(height:
     dark = strip.max() - strip
     lines = 0
     for line in 2.0 * np.arange(math.ceil(height / 2.0) - 4, math.ceil(height / 2.0) + 6):
-        place = renderer.to_pixels(0.0, float(line))[1]
-        row = math.floor(place) - 40
+        middle = renderer.to_pixels(0.0, float(line))[1]
+        row = math.floor(middle) - 40
         if 0 <= row < len(dark) - 1:
             lines += 1
             share = dark[max(0, row - 1) : row + 3] / (28 + 22 + 12)
             assert share.sum() == pytest.approx(1.0, abs=0.05)
-            assert 40 + max(0, row - 1) + share @ np.arange(len(share)) == pytest.approx(place, abs=0.3)
-            assert words[f"{line:z.0f} m"][1] == pytest.approx(place)
+            assert 40 + max(0, row - 1) + share @ np.arange(len(share)) == pytest.approx(middle, abs=0.3)
+            assert words[f"{line:z.0f} m"][1] == pytest.approx(middle)
     assert words["7002"][0] == pytest.approx(renderer.to_pixels(7002.0, 0.0)[0])
     assert lines >= 7
     assert np.count_nonzero(dark) <= 2 * lines + 1
@@ -94,9 +94,9 @@ def test_no_label_is_cut_at_the_edge(axis: int, words: Words) -> None:
         words.clear()
         centre = (float(part), 0.0, 0.0) if axis == 0 else (0.0, float(part), 0.0)
         draw(renderer_at(state(box=centre, jack=centre)))
-        for text, place in words.items():
+        for text, position in words.items():
             if text.removesuffix(" m").lstrip("-").isdigit() and text.endswith(" m") == (axis == 1):
-                shown.add(round(place[axis]))
+                shown.add(round(position[axis]))
     low, high = (54, 512 - 16) if axis == 0 else (8, 492)
     assert low <= min(shown) < max(shown) <= high
 
@@ -104,7 +104,7 @@ def test_no_label_is_cut_at_the_edge(axis: int, words: Words) -> None:
 # -- the readings ------------------------------------------------------------------------------------------------------
 
 
-def test_a_picture_tells_time_torque_and_impacts(words: Words) -> None:
+def test_a_picture_shows_time_torque_and_impacts(words: Words) -> None:
     renderer = renderer_at(state())
     draw(renderer)
     assert {"t = 0.00 s", "0.0 kN m", "0 impacts"} <= set(words)
@@ -116,7 +116,7 @@ def test_a_picture_tells_time_torque_and_impacts(words: Words) -> None:
     assert {"t = 1.26 s", "0.5 kN m", "4 impacts"} <= set(words)
 
 
-def test_an_environments_picture_shows_its_own_return(words: Words) -> None:
+def test_the_picture_of_an_environment_shows_its_return(words: Words) -> None:
     env = JackInBoxEnv(render_mode="rgb_array", task="spin")
     env.reset(seed=0, options={"state": [*state(jack=(0.0, 0.0, 0.2))[:11], 6.0]})
     total = sum(env.step(0.0)[1] for _ in range(30))
@@ -129,7 +129,7 @@ def test_an_environments_picture_shows_its_own_return(words: Words) -> None:
 
 
 @pytest.mark.parametrize("away", [20.0, -1e9, 1e300])
-def test_a_jack_far_outside_is_left_out(away: float) -> None:
+def test_a_jack_far_outside_is_not_drawn(away: float) -> None:
     renderer = renderer_at(state(jack=(away, 0.0, 0.5)))
     renderer.record(state(box=(-away, 0.0, 0.0), jack=(away, away, 0.5)), 0.02, 0.0, [Impact(0.02, 0, 0, 1.0)])
     frame = draw(renderer)

@@ -1,4 +1,4 @@
-"""The window that a person plays in, on a display that nobody sees."""
+"""The window of `jackbox play`, on a virtual display."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[2]
 
 
 class Constant:
-    """A policy that remembers how often it was asked."""
+    """A policy that counts its predictions."""
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
@@ -58,7 +58,7 @@ def press(window: GameWindow, *keys: int, seconds: float = 0.0, kind: int = pyga
 
 
 def torque(window: GameWindow) -> float:
-    """What the next step's torque is, in units of its limit."""
+    """The torque of the next step, in units of its limit."""
     env: Any = window.game.env.unwrapped
     window.game.step()
     return float(env._simulator.torque / env.scene.torque_limit)
@@ -142,7 +142,7 @@ def test_the_best_is_of_episodes_that_the_player_acted_in(window: GameWindow, wr
         assert (game.best, game.over) == (best, over)
 
 
-def test_the_panel_does_not_say_again_what_the_picture_says(window: GameWindow, written: list[str]) -> None:
+def test_the_panel_does_not_repeat_the_picture(window: GameWindow, written: list[str]) -> None:
     window.frame(0.1)
     assert window.game.earned > 0.0
     assert {"juggle", f"{window.game.earned:.1f}"}.isdisjoint(written)
@@ -154,14 +154,14 @@ def test_p_hands_over_to_the_trained_agent_and_back(window: GameWindow, written:
     assert (window.note, window.game.acting()) == ("", "trained agent")
     assert (torque(window), torque(window), window.game._memory) == (0.25, 0.25, 2)
     press(window, pygame.K_LEFT)
-    assert torque(window) == 1.0  # whoever holds a key acts
+    assert torque(window) == 1.0  # a held key overrides
     press(window, pygame.K_LEFT, kind=pygame.KEYUP)
     assert (torque(window), window.game._memory) == (0.25, 1)  # and the agent decides anew
     press(window, pygame.K_p)
     assert window.game.acting() == "chirp"
 
 
-def test_p_says_what_it_needs_where_there_is_no_agent(window: GameWindow, written: list[str]) -> None:
+def test_p_shows_a_message_if_there_is_no_agent(window: GameWindow, written: list[str]) -> None:
     def missing() -> Any:
         raise FileNotFoundError("no such folder")
 
@@ -175,11 +175,11 @@ def test_p_says_what_it_needs_where_there_is_no_agent(window: GameWindow, writte
 
 
 def test_a_lost_jack_ends_the_episode(window: GameWindow, written: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    def lost(action: Any) -> Any:
+    def escape(action: Any) -> Any:
         raise JackLostError("the jack would leave the box")
 
     with monkeypatch.context() as patch:
-        patch.setattr(window.game.env, "step", lost)
+        patch.setattr(window.game.env, "step", escape)
         window.frame(0.1)
     assert "The jack left the box" in written
     press(window, pygame.K_r, seconds=0.1)
@@ -196,7 +196,7 @@ def test_the_picture_is_the_environments_beside_the_panel_until_escape(window: G
 
 
 @pytest.mark.parametrize(("driver", "named"), [("", "desktop"), ("nonsense", "nonsense")])
-def test_without_a_display_it_says_so(driver: str, named: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_display_the_window_raises_an_error(driver: str, named: str, monkeypatch: pytest.MonkeyPatch) -> None:
     pygame.display.quit()
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
         monkeypatch.delenv(name, raising=False)

@@ -58,8 +58,8 @@ def test_a_jack_across_the_edge_of_the_frame_is_cut() -> None:
     for angle in np.linspace(0.0, 2.0 * math.pi, 41):
         x, y = 10.0 * math.cos(angle), 10.0 * math.sin(angle)
         renderer = renderer_at(state(jack=(x, y, 3.0 * float(angle))))
-        places = np.argwhere(blue(draw(renderer)))[:, ::-1]
-        assert (np.abs(places - renderer.to_pixels(x, y)) < 30.0).all()
+        blue_pixels = np.argwhere(blue(draw(renderer)))[:, ::-1]
+        assert (np.abs(blue_pixels - renderer.to_pixels(x, y)) < 30.0).all()
 
 
 def test_others_may_close_theirs_and_quit_pygame(words: Words) -> None:
@@ -106,7 +106,7 @@ def test_missing_pygame_is_named_with_what_installs_it(monkeypatch: pytest.Monke
 
 @pytest.fixture
 def windows(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Renderer, Renderer]]:
-    """Two renderers of the human mode on a display that nobody sees."""
+    """Two renderers of the human mode on a virtual display."""
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     pygame.display.quit()
     one, other = (renderer_at(state(jack=(0.0, 1.0, 0.5)), mode="human") for _ in range(2))

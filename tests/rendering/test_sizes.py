@@ -29,8 +29,8 @@ def test_the_box_fits_into_a_frame_of_any_size(size: tuple[int, int], overlay: b
         frame = draw(renderer)
         assert frame.shape == (size[1], size[0], 3)
         if min(size) > 80:
-            places = np.argwhere(red(frame))[:, ::-1]  # column and row
-            low, high = places.min(axis=0), places.max(axis=0)
+            red_pixels = np.argwhere(red(frame))[:, ::-1]  # column and row
+            low, high = red_pixels.min(axis=0), red_pixels.max(axis=0)
             assert (low > [ruler, 0]).all()
             assert (high + 1 < size).all()
             assert np.ptp(high - low) <= 2 < 0.55 * min(size) < min(high - low)  # no ruler hides a part
@@ -77,12 +77,12 @@ def test_a_small_frame_has_no_letters_to_squint_at(width: int, lettered: bool, w
 
 
 def test_each_environment_of_a_vector_has_a_frame_of_the_size() -> None:
-    given = {"render_size": (80, 60), **BARE}
-    env = gym.make_vec("JackInBox-v0", num_envs=3, **given)
+    options = {"render_size": (80, 60), **BARE}
+    env = gym.make_vec("JackInBox-v0", num_envs=3, **options)
     env.reset(seed=4)
     frames: Any = env.render()
-    single = gym.make("JackInBox-v0", **given)
-    several = make_sb3_vec_env(3, **given)
+    single = gym.make("JackInBox-v0", **options)
+    several = make_sb3_vec_env(3, **options)
     several.seed(4)
     several.reset()
     for number, image in enumerate(several.get_images()):

@@ -1,4 +1,4 @@
-"""What a frame shows of the past: the trail of the jack and the flashes of impacts."""
+"""Trail of the jack and flashes of impacts in a frame."""
 
 from __future__ import annotations
 
@@ -52,16 +52,16 @@ def test_reset_forgets_everything() -> None:
 
 
 def test_memory_is_bounded_and_holds_copies() -> None:
-    given = np.array(state(jack=(1.0, 1.0, 0.2)))
+    passed = np.array(state(jack=(1.0, 1.0, 0.2)))
     renderer = renderer_at(state())
     sizes = []
     for step in range(2000):
-        renderer.record(given, 0.02 * step, 0.0, [Impact(0.02 * step, 0, 0, 1.0)] * 3)
+        renderer.record(passed, 0.02 * step, 0.0, [Impact(0.02 * step, 0, 0, 1.0)] * 3)
         if step in (500, 1999):
             sizes.append(len(pickle.dumps(renderer)))
     assert sizes[1] <= sizes[0] + 10  # the count itself
     before = draw(renderer)
-    given[:] = 3.0
+    passed[:] = 3.0
     np.testing.assert_array_equal(draw(renderer), before)
 
 
@@ -87,15 +87,15 @@ def test_flash_shows_where_the_foot_hit_at_the_time_of_the_impact(wall: int, foo
     The arm stands 0.4 rad from the wall's normal, and the foot has slid 0.3 m until the end of the step.
     """
     angle = 0.25 + wall * math.pi / 2.0
-    place = 2.0 - 3.0j + cmath.rect(1.0, angle) * complex(L, sideways)
-    jack = place + 0.3j * cmath.rect(1.0, angle) - cmath.rect(ARM, angle + 0.4)
+    point = 2.0 - 3.0j + cmath.rect(1.0, angle) * complex(L, sideways)
+    jack = point + 0.3j * cmath.rect(1.0, angle) - cmath.rect(ARM, angle + 0.4)
     after = state(box=(2.0, -3.0, 0.25), jack=(jack.real, jack.imag, angle + 0.4 - foot * math.pi / 2.0))
     rate = 30.0j * cmath.rect(1.0, angle)  # [m/s] for 0.01 s
     after[9:11] = rate.real, rate.imag
     pair = with_and_without(after, Impact(0.01, wall, foot, 50.0))
-    places = np.argwhere(glow(pair))[:, ::-1]  # column and row
-    low, high = places.min(axis=0), places.max(axis=0)
-    assert 0.5 * (low + high) == pytest.approx(pair[0].to_pixels(place.real, place.imag), abs=1.5)
+    glowing = np.argwhere(glow(pair))[:, ::-1]  # column and row
+    low, high = glowing.min(axis=0), glowing.max(axis=0)
+    assert 0.5 * (low + high) == pytest.approx(pair[0].to_pixels(point.real, point.imag), abs=1.5)
     assert high - low == pytest.approx(24.5, abs=1.5)
 
 

@@ -14,9 +14,9 @@ WEIGHTLESS = Scene(gravity=0.0, drive=None)
 INSTANT = 1e-12  # [s] short enough that nothing but the impact happens: poses move by 1e-10 m and less
 
 
-def relative_error(found: Array, expected: Array) -> float:
+def relative_error(actual: Array, expected: Array) -> float:
     """Largest velocity error over the largest velocity."""
-    return float(np.abs(found[6:] - expected[6:]).max() / np.abs(expected[6:]).max())
+    return float(np.abs(actual[6:] - expected[6:]).max() / np.abs(expected[6:]).max())
 
 
 def impact_in_an_instant(scene: Scene, state: Array, iterations: int | None = None) -> PymunkSimulator:

@@ -1,4 +1,4 @@
-"""A drive's functions in the exact contact model: where it cuts them, and how accurate it is."""
+"""A drive's functions in the exact contact model: the pieces it cuts them into, and their accuracy."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def ends(table: Array) -> Array:
 
 
 def integrals(table: Array) -> tuple[float, float]:
-    """The first and second integral over the step of what the pieces hold."""
+    """The first and second integral of the pieces over the step."""
     first: list[float] = []
     second: list[float] = []
     for row in table.tolist():
@@ -79,16 +79,16 @@ def test_polynomials_are_interpolated_to_rounding_by_the_compiled_code_and_the_p
         powers = rng.normal(size=DEGREE + 1) * 10.0 ** rng.uniform(-3.0, 3.0)
         values = np.polynomial.polynomial.polyval(POINTS, powers)
         rows = np.zeros((2, 2 + DEGREE + 1))
-        found = compiled(interpolate)(values, rows[0], 2)
-        assert found == interpolate(values, rows[1], 2)  # to the bit
+        row = compiled(interpolate)(values, rows[0], 2)
+        assert row == interpolate(values, rows[1], 2)  # to the bit
         np.testing.assert_array_equal(rows[0], rows[1])
         np.testing.assert_allclose(rows[0, 2:], powers, rtol=0.0, atol=1e-11 * np.abs(powers).max())
         us = np.linspace(-1.0, 1.0, 101)
         seen, expected = (np.polynomial.polynomial.polyval(us, p) for p in (rows[0, 2:], powers))
         np.testing.assert_allclose(seen, expected, rtol=0.0, atol=2e-15 * np.abs(powers).sum())
         steepness = np.sort(np.abs(np.diff(values)) / np.diff(POINTS))
-        assert found[0] == np.abs(values).max()
-        assert found[2] == steepness[-2]
+        assert row[0] == np.abs(values).max()
+        assert row[2] == steepness[-2]
 
 
 @pytest.mark.parametrize(
@@ -112,8 +112,8 @@ def test_smooth_functions_take_few_pieces_and_are_right_to_rounding(function: Fu
     for row in table:
         for u in np.linspace(-1.0, 1.0, 41).tolist():
             value = function(row[0] + 0.5 * row[1] * (1.0 + u))
-            found = float(np.polynomial.polynomial.polyval(u, row[2 : 3 + DEGREE]))
-            worst, largest = max(worst, abs(found - value)), max(largest, abs(value))
+            interpolated = float(np.polynomial.polynomial.polyval(u, row[2 : 3 + DEGREE]))
+            worst, largest = max(worst, abs(interpolated - value)), max(largest, abs(value))
     assert worst <= 1e-12 * largest
 
 
@@ -132,8 +132,8 @@ def cubic(rng: np.random.Generator, time: float) -> tuple[Function, float, float
     return smooth, once, DT * DT * (a / 2.0 + b / 6.0 + c / 12.0 + d / 20.0)
 
 
-def place(rng: np.random.Generator, kind: str) -> float:
-    """Of a jump, over the step."""
+def share_of_step(rng: np.random.Generator, kind: str) -> float:
+    """The time of a jump as a share of the step."""
     if kind == "near an end":
         away = 10.0 ** rng.uniform(-12.0, -2.4)
         return float(rng.choice([away, 1.0 - away]))
@@ -147,7 +147,7 @@ def test_jumps_are_located_to_1e_12_of_the_step(kind: str) -> None:
         time = rng.uniform(0.0, 30.0) if kind == "later" else 0.0
         smooth, once, twice = cubic(rng, time)
         count = int(rng.integers(2, 6)) if kind == "several" else 1
-        jumps = [(time + DT * place(rng, kind), float(rng.choice([-1.0, 1.0]) * height))
+        jumps = [(time + DT * share_of_step(rng, kind), float(rng.choice([-1.0, 1.0]) * height))
                  for height in 10.0 ** rng.uniform(-3.0, 6.0) * rng.uniform(0.2, 1.0, count)]  # fmt: skip
 
         def function(t: float, smooth: Function = smooth, jumps: Any = jumps) -> float:
@@ -162,11 +162,11 @@ def test_jumps_are_located_to_1e_12_of_the_step(kind: str) -> None:
         assert counted.calls < 250 * count + 100
         if time == 0.0:
             lowest = min(abs(height) for _, height in jumps)
-            found = integrals(table)
+            computed = integrals(table)
             once += math.fsum(height * (DT - at) for at, height in jumps)
             twice += math.fsum(0.5 * height * (DT - at) ** 2 for at, height in jumps)
-            assert abs(found[0] - once) <= 1e-12 * DT * lowest
-            assert abs(found[1] - twice) <= 1e-12 * DT * DT * lowest
+            assert abs(computed[0] - once) <= 1e-12 * DT * lowest
+            assert abs(computed[1] - twice) <= 1e-12 * DT * DT * lowest
 
 
 @pytest.mark.parametrize("kind", ["anywhere", "dyadic", "near an end"])
@@ -175,15 +175,15 @@ def test_kinks_are_followed_to_rounding(kind: str) -> None:
     rng = np.random.default_rng(1)
     for _ in range(60):
         smooth, once, twice = cubic(rng, 0.0)
-        at, bend = DT * place(rng, kind), 10.0 ** rng.uniform(-3.0, 6.0)
+        at, bend = DT * share_of_step(rng, kind), 10.0 ** rng.uniform(-3.0, 6.0)
 
         def bent(t: float, smooth: Function = smooth, at: float = at, bend: float = bend) -> float:
             return smooth(t) + bend / DT * max(0.0, t - at)
 
-        found = integrals(pieces(bent))
+        computed = integrals(pieces(bent))
         once, twice = once + bend / DT * (DT - at) ** 2 / 2.0, twice + bend / DT * (DT - at) ** 3 / 6.0
-        assert abs(found[0] - once) <= 1e-12 * DT * bend
-        assert abs(found[1] - twice) <= 1e-12 * DT * DT * bend
+        assert abs(computed[0] - once) <= 1e-12 * DT * bend
+        assert abs(computed[1] - twice) <= 1e-12 * DT * DT * bend
 
 
 def test_without_points_at_the_ends_jumps_hide_there(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-"""What every contact model does for its callers: restore a state, hand out copies, survive a drive that fails."""
+"""The interface of every contact model: restored states, returned copies, drives that fail."""
 
 from __future__ import annotations
 
@@ -42,15 +42,15 @@ def test_state_and_time_determine_the_future_also_pickled_and_copied(contact: st
 
 
 @EVERY_MODEL
-def test_what_is_handed_out_is_never_written_again(contact: str) -> None:
+def test_returned_values_are_never_written_again(contact: str) -> None:
     simulator = make_simulator(Scene(jack_arm=5.0), contact)
-    kept = []
+    handed_out = []
     for _ in range(100):
         simulator.step(0.02)
         state, impacts = simulator.state, simulator.impacts
-        kept.append((state, state.copy(), impacts, list(impacts)))
-    assert any(impacts for _, _, impacts, _ in kept)
-    for state, copied, impacts, listed in kept:
+        handed_out.append((state, state.copy(), impacts, list(impacts)))
+    assert any(impacts for _, _, impacts, _ in handed_out)
+    for state, copied, impacts, listed in handed_out:
         np.testing.assert_array_equal(state, copied)
         assert impacts == listed
     simulator.state[:] = 0.0
@@ -72,7 +72,7 @@ def test_a_drive_that_fails_or_answers_nonsense_leaves_the_simulator_usable(cont
 
 
 class Soft(ExactSimulator):
-    """A contact model with a setting of its own."""
+    """A contact model with an additional setting."""
 
     name = "soft"
     settings = ("softness",)
@@ -122,6 +122,6 @@ def test_arguments_of_steps_are_never_replaced_under_another_thread() -> None:
     run = ExactSimulator(Scene())
     run.step(0.02, 0.0)
     first = run._calls[0]
-    kept = first._packed.copy()
+    packed = first._packed.copy()
     run.step(0.03, None)
-    np.testing.assert_array_equal(first._packed.view(np.int64), kept.view(np.int64))
+    np.testing.assert_array_equal(first._packed.view(np.int64), packed.view(np.int64))

@@ -1,4 +1,4 @@
-"""The engine behind the pymunk model: what it would remember, iterate too little, sweep through or swallow."""
+"""The engine of the pymunk model: faults that its set-up prevents, from cached contacts to swallowed errors."""
 
 from __future__ import annotations
 
@@ -92,9 +92,9 @@ def test_a_jack_wedged_between_three_walls_gets_the_iterations_it_needs(arm: flo
     state = np.zeros(12)
     state[[5, 9, 10, 11]] = math.acos(6.0 / arm), 0.1, 1.0, -1.0  # feet 0 to 3 at walls 0 to 3, the fourth leaves
     expected, _ = simultaneous_impact_map(scene, state, [(0, 0), (1, 1), (2, 2), (3, 3)])
-    found = impact_in_an_instant(scene, state)
-    assert {0, 1, 2} <= {hit.wall for hit in found.impacts}
-    assert relative_error(found.state, expected) < 1e-9
+    resolved = impact_in_an_instant(scene, state)
+    assert {0, 1, 2} <= {hit.wall for hit in resolved.impacts}
+    assert relative_error(resolved.state, expected) < 1e-9
     assert PymunkSimulator(scene).iterations > 64
     with contextlib.suppress(RuntimeError):  # with fewer it is seen to be unresolved, or comes out otherwise
         hasty = impact_in_an_instant(scene, state, iterations=64).state
@@ -103,7 +103,7 @@ def test_a_jack_wedged_between_three_walls_gets_the_iterations_it_needs(arm: flo
         PymunkSimulator(Scene(jack_arm=6.0 + 6e-6))
 
 
-def test_an_error_while_recording_is_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_while_recording_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
     # The engine prints and forgets exceptions of its callbacks: an interruption there would swallow an impact.
     simulator, twin = PymunkSimulator(Scene()), PymunkSimulator(Scene())
     start = np.zeros(12)
@@ -128,7 +128,7 @@ def test_an_error_while_recording_is_not_lost(monkeypatch: pytest.MonkeyPatch) -
 
 @pytest.mark.parametrize("moment", ["_forget_contacts", "_read"])
 def test_an_interrupted_step_leaves_the_state_and_its_future(moment: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    # Each step is interrupted once before it is taken, in a scene whose feet stay on the walls for long.
+    # Each step is interrupted once before it completes, in a scene whose feet stay on the walls for long.
     rng = np.random.default_rng(4)
     simulator, twin = (PymunkSimulator(Scene(jack_arm=2.0, restitution=0.3)) for _ in range(2))
     start, real, cut_short = np.zeros(12), getattr(PymunkSimulator, moment), 0

@@ -34,14 +34,14 @@ def calls_of(run: Callable[[], object]) -> Calls:
     """Count the calls of functions, Python's and others, while ``run`` runs."""
     counts: Calls = Counter()
 
-    def note(frame: FrameType, event: str, given: Any) -> None:
+    def note(frame: FrameType, event: str, called: Any) -> None:
         if event == "call":
             by = frame.f_back
-            while by and by.f_code.co_name == "__setattr__":  # pymunk's, which hands on what it is given
+            while by and by.f_code.co_name == "__setattr__":  # pymunk's, which passes the call on
                 by = by.f_back
             counts[by.f_code.co_qualname if by else "", frame.f_code.co_qualname] += 1
         elif event == "c_call":
-            counts[frame.f_code.co_qualname, getattr(given, "__qualname__", str(given))] += 1
+            counts[frame.f_code.co_qualname, getattr(called, "__qualname__", str(called))] += 1
 
     before = sys.getprofile()
     sys.setprofile(note)
@@ -69,7 +69,7 @@ def uncompiled() -> Iterator[None]:
 
 
 def times_called(counts: Calls, function: str, caller: str = "") -> int:
-    """How often a function was called, by ``caller`` or by anybody; the front of a name may be left out."""
+    """How often a function was called, by ``caller`` or by any function; the front of a name may be left out."""
     return sum(
         count
         for (by, name), count in counts.items()
@@ -114,7 +114,7 @@ def count_steps(model: str, driven: bool = False, frames: bool = False, made: bo
 
 
 class Proof(NamedTuple):
-    """A function that must not run without a thing, and must run with it."""
+    """A function that must run with a feature, and must not run without it."""
 
     thing: str
     model: str
@@ -125,7 +125,7 @@ class Proof(NamedTuple):
     caller: str = ""
 
     def counts(self) -> tuple[int, int]:
-        """Calls without the thing, and with it."""
+        """Calls without the feature, and with it."""
         without = count_steps(self.model, **self.without)
         having = count_steps(self.model, **self.having)
         return times_called(without, self.function, self.caller), times_called(having, self.function, self.caller)
@@ -136,11 +136,11 @@ def _wave(time: float) -> float:
 
 
 def height(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float]:
-    """A reward of one's own: how high the jack is in the box [m]."""
+    """A custom reward: the height of the jack in the box [m]."""
     return (state[4] - state[1],)
 
 
-OWN_TASK = Task(("height",), height)
+HEIGHT = Task(("height",), height)
 
 
 _WEIGHTLESS: dict[str, Any] = {"scene": Scene(gravity=0.0)}
@@ -153,7 +153,7 @@ _RESTARTS: dict[str, Any] = {"max_episode_steps": 50}
 _RANDOM: dict[str, Any] = {**_RESTARTS, "randomize": {"jack_mass": (3.0, 5.0)}}
 _CHOSEN: dict[str, Any] = {**_RESTARTS, "randomize": lambda rng: {"jack_mass": rng.uniform(3.0, 5.0)}}
 _MADE: dict[str, Any] = {"made": True}
-_OWN: dict[str, Any] = {**_MADE, "task": OWN_TASK}
+_CUSTOM: dict[str, Any] = {**_MADE, "task": HEIGHT}
 
 PROOFS = (
     Proof("gravity", PYMUNK, "the engine is given a force", "Body.force", _WEIGHTLESS, {}, "_advance"),

@@ -31,17 +31,17 @@ def test_medians_worst_means_and_totals_of_known_numbers() -> None:
     assert measured.summed_up([math.nan]) == {"n": 0}
     assert measured.summed_up([1.0, 4.0], measured.TOTAL) == {"n": 2, "total": 5.0}
     # 1, 2, 3: standard deviation 1; Student's t for 2 degrees of freedom, two sides of 95 %: 4.3027
-    found = measured.summed_up([1.0, 2.0, 3.0, math.nan], measured.MEAN)
-    assert found == pytest.approx({"n": 3, "mean": 2.0, "half_width": 4.3026527 / math.sqrt(3.0)})
+    summary = measured.summed_up([1.0, 2.0, 3.0, math.nan], measured.MEAN)
+    assert summary == pytest.approx({"n": 3, "mean": 2.0, "half_width": 4.3026527 / math.sqrt(3.0)})
     assert measured.summed_up([5.0], measured.MEAN)["half_width"] == math.inf
 
 
 @pytest.mark.parametrize("order", [0.5, 1.0, 2.0])
-def test_a_planted_order_of_convergence_is_found_within_its_interval(order: float) -> None:
+def test_a_planted_order_of_convergence_is_estimated_within_its_interval(order: float) -> None:
     rng = np.random.default_rng(0)
     steps = [0.02 / 2**number for number in range(9)]
-    found, low, high = measured.order_of(steps, [3.0 * h**order * math.exp(0.1 * rng.normal()) for h in steps])
-    assert found == pytest.approx(order, abs=0.08)
+    estimate, low, high = measured.order_of(steps, [3.0 * h**order * math.exp(0.1 * rng.normal()) for h in steps])
+    assert estimate == pytest.approx(order, abs=0.08)
     assert low < order < high
     assert high - low < 0.2
 

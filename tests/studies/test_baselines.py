@@ -1,4 +1,4 @@
-"""How others simulate the jack: that each of these baselines does what its module says, its failures included."""
+"""Baselines, other simulations of the jack: each does what its module describes, failures included."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def baseline(name: str, scene: Scene, substeps: int) -> Baseline:
 def started(name: str, scene: Scene, substeps: int, numbers: dict[int, float], time: float = 0.0) -> Baseline:
     """A baseline in a state that is 0 except for these numbers."""
     simulator = baseline(name, scene, substeps)
-    simulator.reset([numbers.get(place, 0.0) for place in range(12)], time)
+    simulator.reset([numbers.get(index, 0.0) for index in range(12)], time)
     return simulator
 
 
@@ -113,8 +113,8 @@ def test_one_straight_bounce_is_the_impact_map(name: str) -> None:
     for wall, (x, y) in enumerate([(1, 0), (0, 1), (-1, 0), (0, -1)]):
         for part in (0.1, 0.5, 0.9):  # of a substep, at which the foot reaches the wall
             h, impacts = 0.005, []
-            place = 5.0 - 3.0 * h * (2.0 + part)
-            simulator = started(name, WEIGHTLESS, 2, {3: x * place, 4: y * place, 9: x * 3.0, 10: y * 3.0})
+            distance = 5.0 - 3.0 * h * (2.0 + part)
+            simulator = started(name, WEIGHTLESS, 2, {3: x * distance, 4: y * distance, 9: x * 3.0, 10: y * 3.0})
             state = simulator.state
             for _ in range(4):
                 simulator.step(2 * h)

@@ -1,4 +1,4 @@
-"""What a scene does not have is not executed. Calls and lines are counted; the times are in docs/costs.md.
+"""Features that a scene does not use run no code. Calls and lines are counted; the times are in docs/costs.md.
 
 Each count comes with its negative control: with the feature, the same code runs.
 """
@@ -53,7 +53,7 @@ def counted(contact: str, scene: Scene, state: Any, torque: float | None = 1e4) 
 
 
 @pytest.mark.parametrize("proof", PROOFS, ids=lambda proof: f"{proof.thing}, {proof.model}: {proof.what}")
-def test_what_is_off_does_not_run_and_what_is_on_does(proof: Proof) -> None:
+def test_a_feature_runs_if_it_is_on_and_does_not_if_it_is_off(proof: Proof) -> None:
     without, having = proof.counts()
     assert without == 0
     assert having > 0
@@ -65,7 +65,7 @@ def test_the_steps_counted_have_impacts_with_weight_and_without(model: str, solv
         assert times_called(count_steps(model, scene=scene), solved) > 0
 
 
-def test_the_engine_is_given_each_force_once_per_engine_step_and_no_other() -> None:
+def test_the_engine_receives_each_force_once_per_engine_step_and_no_other() -> None:
     shaken = Drive(force_x=lambda time: 100.0)
     for scene, forces in (
         (WEIGHTLESS, 0),
@@ -84,12 +84,12 @@ def test_the_engine_is_given_each_force_once_per_engine_step_and_no_other() -> N
     ("contact", "function"),
     [("pymunk", "Space.step"), ("exact", "bounds_of"), ("exact", "walls_in_reach"), ("exact", "box_frame")],
 )
-def test_in_mid_air_no_wall_is_looked_at(contact: str, function: str) -> None:
+def test_no_wall_is_checked_in_mid_air(contact: str, function: str) -> None:
     assert times_called(counted(contact, Scene(), MID_AIR), function) == 0
     assert times_called(counted(contact, Scene(), NEAR_A_WALL), function) > 0
 
 
-# -- what is built, kept and allocated --------------------------------------------------------------------------------
+# -- what is built, stored and allocated ------------------------------------------------------------------------------
 
 
 def test_a_batch_records_no_impacts(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,9 +19,9 @@ def test_fitting_comes_closer() -> None:
         np.testing.assert_array_equal(one[0], other[0])
         np.testing.assert_array_equal(one[1], other[1])
     states = distil.starts(600, rng)
-    kept = deque([(states, value.of(states) + 20.0)])
-    first = distil.fit(net, value, kept, 1e-3)
+    batches = deque([(states, value.of(states) + 20.0)])
+    first = distil.fit(net, value, batches, 1e-3)
     for _ in range(15):
-        last = distil.fit(net, value, kept, 1e-3)
+        last = distil.fit(net, value, batches, 1e-3)
     assert first > 10.0
     assert last < 0.5 * first

@@ -1,4 +1,4 @@
-"""Pages of studies show the numbers stored beside them, and what is timed is what the page says."""
+"""Pages of studies show the stored numbers, and the timed code is the code that the page describes."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ PAGES: dict[str, Callable[[], str]] = {
 
 
 @pytest.mark.parametrize("name", PAGES)
-def test_a_page_holds_the_numbers_that_are_stored(name: str) -> None:
+def test_a_page_shows_the_stored_numbers(name: str) -> None:
     assert PAGES[name]() == (DOCS / f"{name}.md").read_text()
 
 
@@ -48,11 +48,11 @@ def test_other_numbers_would_make_another_page() -> None:
 # -- figures -----------------------------------------------------------------------------------------------------------
 
 
-def test_ratios_are_taken_within_a_round() -> None:
+def test_ratios_are_computed_within_a_round() -> None:
     assert timing.ratios({"a": [1.0, 4.0], "b": [2.0, 2.0]}, "a", "b") == [0.5, 2.0]
 
 
-def test_differences_are_taken_within_passes_and_noise_is_told() -> None:
+def test_differences_are_computed_within_passes_and_noise_is_reported() -> None:
     # The machine is twice as slow in the second pass, and the difference stays a tenth; one pass is disturbed.
     ns = {"plain": [100.0, 200.0, 100.0] * 2, "with": [110.0, 220.0, 900.0, 110.0, 220.0, 50.0]}
     rates = {name: [1e9 / value for value in values] for name, values in ns.items()}
@@ -82,21 +82,21 @@ def test_the_bare_pymunk_loop_steps_the_scene_of_the_default(monkeypatch: pytest
 
 @pytest.mark.slow
 def test_only_the_unguarded_search_loses_impacts_and_feet() -> None:
-    found = measured.lost()
-    assert found["certified"] == 0
-    assert found["missed"] > 10
-    assert found["escaped"] > 10
+    counts = measured.lost()
+    assert counts["certified"] == 0
+    assert counts["missed"] > 10
+    assert counts["escaped"] > 10
 
 
 @pytest.mark.parametrize("kind", cost_steps.LOSS)
-def test_each_step_with_loss_is_what_its_row_says(kind: str) -> None:
-    given = cost_steps.with_loss(kind, courses=24)
+def test_each_step_with_loss_has_the_impacts_of_its_row(kind: str) -> None:
+    steps = cost_steps.with_loss(kind, courses=24)
     few, most = {cost_steps.FLIGHT: (0, 0), cost_steps.BOUNCE: (1, 1), cost_steps.PILE: (10, 20)}.get(kind, (1, 4))
-    assert few <= given.hits.min()
-    assert given.hits.max() <= most
+    assert few <= steps.hits.min()
+    assert steps.hits.max() <= most
     scene, rests = cost_steps.LOSS[kind], kind.startswith("rest")
     simulator = make_simulator(scene, "exact")
-    for state, hits in zip(given.states[:20, 0], given.hits[:20, 0], strict=True):
+    for state, hits in zip(steps.states[:20, 0], steps.hits[:20, 0], strict=True):
         simulator.reset(state)
         simulator.step(cost_steps.DT, 0.0)
         assert len(simulator.impacts) == hits

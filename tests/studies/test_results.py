@@ -1,4 +1,4 @@
-"""What the page of results says that policies earn."""
+"""Returns of policies on the page of results."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from scripts.studies.results import measured
 DOCS = Path(__file__).parents[2] / "docs"
 
 
-def test_the_plan_alone_is_what_the_wrapper_plays_to_an_agent_that_says_0() -> None:
+def test_the_plan_alone_plays_as_the_wrapper_under_zero_actions() -> None:
     policy, earned = PlanAlone(EnvSettings()), 0.0
     plain: Any = gym.make("JackInBox-v0", contact="exact")
     seen, _ = plain.reset(seed=4)
@@ -33,12 +33,12 @@ def test_the_plan_alone_is_what_the_wrapper_plays_to_an_agent_that_says_0() -> N
     assert sum(float(env.step(np.zeros(1, np.float32))[1]) for _ in range(20)) == pytest.approx(earned, abs=1e-6)
 
 
-def test_a_row_holds_what_evaluating_gives() -> None:
+def test_a_row_has_the_results_of_evaluate() -> None:
     row = measured.policy_row(Path(), "spin", "exact", "zero", 8)
     settings = EnvSettings(task="spin", contact="exact")
     policy, _ = find_policy("zero", settings, measured.SEED)
-    found = evaluate("zero", policy, settings.env_settings, 8, measured.SEED)
-    assert (row["mean"], row["interval_95"]) == (found.mean, found.interval)
+    evaluated = evaluate("zero", policy, settings.env_settings, 8, measured.SEED)
+    assert (row["mean"], row["interval_95"]) == (evaluated.mean, evaluated.interval)
     planned = measured.milliseconds(find_policy("planner-64", settings), settings)
     assert 0.0 < row["milliseconds"] < planned  # by far
 
@@ -54,13 +54,13 @@ def test_a_curve_is_the_interquartile_mean_of_the_trainings() -> None:
 
 def test_chirps_are_swept_from_the_same_starts_and_earn_what_the_environment_pays() -> None:
     tried = [measured.chirps()[0], measured.chirps()[-1]]
-    found = measured.returns_of("rattle", tried, 2, 5)
+    returns = measured.returns_of("rattle", tried, 2, 5)
     for number, fields in enumerate(tried):
         scene = {"drive": fields}
         env = gym.make("JackInBox-v0", contact="exact", task="rattle", torque="chirp", scene=scene)
         env.reset(seed=6)
         earned = sum(float(env.step(0.0)[1]) for _ in range(500))
-        assert found[number, 1] == pytest.approx(earned, abs=1e-9)
+        assert returns[number, 1] == pytest.approx(earned, abs=1e-9)
     assert len(measured.chirps()) == 400
 
 
@@ -77,7 +77,7 @@ def test_spin_pays_nothing_before_a_jack_can_have_fallen_to_a_wall() -> None:
 
 
 @pytest.mark.parametrize("speed", [5.0, 10.85, 30.0, 50.0])
-def test_rattle_pays_a_jack_that_flies_to_and_fro_what_the_page_says(speed: float) -> None:
+def test_rattle_pays_a_jack_that_flies_to_and_fro_the_reward_on_the_page(speed: float) -> None:
     scene = Scene(box_mass=1e12, gravity=0.0)  # weightless, in a box that does not give way
     env: Any = gym.make("JackInBox-v0", contact="exact", task="rattle", scene=scene)
     env.reset(options={"state": [0.0] * 9 + [speed, 0.0, 0.0]})

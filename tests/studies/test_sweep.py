@@ -1,4 +1,4 @@
-"""The sweep of speed against accuracy: its cases, its command, and that it survives interruptions."""
+"""The sweep of speed against accuracy: its cases, its command, its interruptions."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ def test_the_trajectories_known_to_60_digits_are_all_there() -> None:
 def test_an_interrupted_sweep_continues_to_the_results_of_an_uninterrupted_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    of_all, references, one_case, taken = measured.settings, measured.with_references, measured.measured, list[str]()
+    of_all, references, one_case, cases = measured.settings, measured.with_references, measured.measured, list[str]()
     names = {measured.USUAL, measured.pymunk(4, 1).name, measured.BATCH, *map(measured.of_fidelity, FIDELITIES)}
     monkeypatch.setattr(measured, "settings", lambda quick: [one for one in of_all(quick) if one.name in names])
     monkeypatch.setattr(measured, "with_references", lambda kind, count: references(kind, count)[:2])
     monkeypatch.setattr(measured, "STEPS", 150)
     monkeypatch.setattr(measured, "TOGETHER", 2)
     monkeypatch.setattr(benchmark, "draw", lambda results, path: None)  # test_accuracy_page draws
-    monkeypatch.setattr(benchmark, "claims", lambda found: [])  # cases are too short for some
+    monkeypatch.setattr(benchmark, "claims", lambda records: [])  # cases are too short for some
 
-    def counted(*given: Any) -> Any:
-        taken.append(given[0].name)
-        if len(taken) == 20:
+    def counted(*arguments: Any) -> Any:
+        cases.append(arguments[0].name)
+        if len(cases) == 20:
             raise KeyboardInterrupt
-        return one_case(*given)
+        return one_case(*arguments)
 
     def run(folder: Path) -> measured.Results:
         monkeypatch.setattr(sys, "argv", ["benchmark.py", *FEW, "--runs", str(folder)])
@@ -50,7 +50,7 @@ def test_an_interrupted_sweep_continues_to_the_results_of_an_uninterrupted_one(
         run(tmp_path / "cut")
     assert stopped.value.code == 130
     cut = run(tmp_path / "cut")
-    assert len(taken) == 20 + (4 * 6 + 5) * 2 - 2 * 9  # the tenth trial is lost; the usual way takes no loss
+    assert len(cases) == 20 + (4 * 6 + 5) * 2 - 2 * 9  # the tenth trial is lost; the usual way takes no loss
     whole = run(tmp_path / "whole")
     assert len(whole.rows) > 300
     for key, row in whole.rows.items():

@@ -1,4 +1,4 @@
-"""Compiled code on disk: checked before it is loaded, found by its content, and never in the way."""
+"""Compiled code on disk: it is checked before it is loaded, keyed by a hash of its sources, and never stops a run."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from jackbox_env.exact import code_cache, compiler
 from jackbox_env.exact.contact import quarter
 from jackbox_env.exact.trigonometry import cos_sin, cos_sin_within
 
-TURN = (0.8, 0.6, 1), (-0.6, 0.8)  # what ``quarter`` is given and returns
+TURN = (0.8, 0.6, 1), (-0.6, 0.8)  # arguments and result of ``quarter``
 
 
 @pytest.fixture
-def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The first place for compiled code, empty; the others are beside it."""
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The first folder for compiled code, empty; the others are next to it."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "place"))
     monkeypatch.setattr(compiler, "PACKAGE", tmp_path / "package")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
@@ -43,30 +43,30 @@ def fresh(function: Callable[..., Any]) -> Any:
 
 
 def turned() -> int:
-    """How often kept code is loaded in place of compiling, where ``quarter`` is called afresh. It turns right."""
+    """How often a fresh call of ``quarter`` loads cached code instead of compiling. Asserts the result."""
     made = fresh(quarter)
     assert made(*TURN[0]) == TURN[1]
     return sum(made.stats.cache_hits.values())
 
 
-def files(place: Path) -> list[Path]:
-    return sorted(place.glob("compiled-*/*.kept"))
+def files(cache: Path) -> list[Path]:
+    return sorted(cache.glob("compiled-*/*.kept"))
 
 
-def test_code_is_kept_once_for_each_signature_and_loaded_by_later_processes(place: Path) -> None:
+def test_code_is_cached_once_for_each_signature_and_loaded_by_later_processes(cache: Path) -> None:
     made = fresh(quarter)
     for number in range(4):
         made(0.8, 0.6, number)
-    assert len(files(place)) == 1
+    assert len(files(cache)) == 1
     made(0.8, 0.6, True)
-    assert len(files(place)) == 2
+    assert len(files(cache)) == 2
     assert turned() == 1
 
 
-def test_without_a_compiler_nothing_is_kept(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_compiler_nothing_is_cached(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(numba.config, "DISABLE_JIT", 1)
     assert isinstance(fresh(quarter), FunctionType)
-    assert not place.exists()
+    assert not cache.exists()
 
 
 def test_a_later_process_loads_the_whole_exact_model() -> None:
@@ -95,7 +95,7 @@ runpy.run_path(sys.argv[0], run_name="__main__")
 """
 
 
-def test_what_is_compiled_is_announced_before_any_bar() -> None:
+def test_compiling_is_announced_before_any_progress_bar() -> None:
     root = Path(jackbox_env.__file__).parents[1]
     evaluate = [str(root / "scripts" / "evaluate.py"), "--policy", "planner", "--episodes", "1"]
     environment = {**os.environ, "PYTHONPATH": str(root)}
@@ -110,16 +110,16 @@ def test_what_is_compiled_is_announced_before_any_bar() -> None:
 
 
 def write(path: Path, code: bytes) -> None:
-    """Put code there under a checksum that is right."""
+    """Write code to a file under its correct checksum."""
     path.write_bytes(code_cache._checksum(path, code) + code)
 
 
 def test_a_file_with_any_bit_flipped_or_cut_anywhere_is_not_read(
-    place: Path, cases: Callable[[int], int], monkeypatch: pytest.MonkeyPatch
+    cache: Path, cases: Callable[[int], int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made = fresh(quarter)
     made(*TURN[0])
-    (path,), (signature,) = files(place), made.signatures
+    (path,), (signature,) = files(cache), made.signatures
     whole, rng = path.read_bytes(), random.Random(0)
     monkeypatch.setattr(pickle, "loads", lambda _: pytest.fail("damaged code is read"))
     flips = [(at, 1 << rng.randrange(8)) for at in rng.sample(range(len(whole)), cases(400))]
@@ -132,18 +132,18 @@ def test_a_file_with_any_bit_flipped_or_cut_anywhere_is_not_read(
             assert made._cache.load_overload(signature, made.targetctx) is None
 
 
-def test_code_that_cannot_be_loaded_is_compiled_anew_and_replaced_and_one_warning_names_the_folder(place: Path) -> None:
+def test_code_that_cannot_be_loaded_is_compiled_anew_and_replaced_and_one_warning_names_the_folder(cache: Path) -> None:
     turned()
-    (path,) = files(place)
+    (path,) = files(cache)
     write(path, b"no code")
     with pytest.warns(UserWarning, match=f"{path.parent} cannot be used") as said:
         assert (turned(), turned()) == (0, 1)
     assert len(said) == 1
 
 
-def test_another_functions_code_is_damage_and_would_run_without_the_checksum(place: Path) -> None:
+def test_another_functions_code_is_damage_and_would_run_without_the_checksum(cache: Path) -> None:
     fresh(cos_sin)(1.0), fresh(cos_sin_within)(1.0)
-    one, other = files(place)
+    one, other = files(cache)
     shutil.copy(other, one)
     with pytest.warns(UserWarning, match="damaged"):
         assert fresh(cos_sin)(1e15) == cos_sin(1e15)
@@ -156,43 +156,43 @@ def test_another_functions_code_is_damage_and_would_run_without_the_checksum(pla
 
 @pytest.mark.parametrize(("owner", "act"), [(Path, "write_bytes"), (os, "replace")])
 def test_a_folder_that_can_no_longer_be_written_is_named_once(
-    owner: Any, act: str, place: Path, monkeypatch: pytest.MonkeyPatch
+    owner: Any, act: str, cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(self: Path, *_: Any) -> None:
         raise OSError(28, "No space left on device", str(self))
 
     monkeypatch.setattr(owner, act, fail)
-    with pytest.warns(UserWarning, match=f"cannot be kept in {place}/compiled-.* .No space left on device") as said:
+    with pytest.warns(UserWarning, match=f"cannot be kept in {cache}/compiled-.* .No space left on device") as said:
         assert turned() == turned() == 0
     assert len(said) == 1
-    assert not list(place.glob("*/*"))
+    assert not list(cache.glob("*/*"))
 
 
-def test_a_folder_that_can_only_be_read_is_read(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_that_can_only_be_read_is_read(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     turned()
-    monkeypatch.setattr(os, "access", lambda where, mode: place not in Path(where).parents)
+    monkeypatch.setattr(os, "access", lambda where, mode: cache not in Path(where).parents)
     assert turned() == 1
-    assert fresh(cos_sin)(1.0) == cos_sin(1.0)  # is not there, and is kept in the next place
-    assert len(files(place)) == len(files(compiler.PACKAGE / "__pycache__")) == 1
+    assert fresh(cos_sin)(1.0) == cos_sin(1.0)  # not cached there, and cached in the next folder
+    assert len(files(cache)) == len(files(compiler.PACKAGE / "__pycache__")) == 1
 
 
-def test_the_first_place_that_can_be_written_is_used_and_a_warning_says_that_there_is_none(place: Path) -> None:
-    for unusable in (place, compiler.PACKAGE, place.parent / "home"):
+def test_the_first_writable_folder_is_used_and_a_warning_says_that_there_is_none(cache: Path) -> None:
+    for unusable in (cache, compiler.PACKAGE, cache.parent / "home"):
         assert turned() == 0
         assert len(list(unusable.rglob("*.kept"))) == 1
         shutil.rmtree(unusable)
         unusable.write_text("a file, not a folder")
-    with pytest.warns(UserWarning, match=f"cannot be kept in {place.parent}/home/.* compiles it anew"):
+    with pytest.warns(UserWarning, match=f"cannot be kept in {cache.parent}/home/.* compiles it anew"):
         assert turned() == 0
 
 
-def test_code_of_old_sources_is_tidied_away(place: Path) -> None:
-    old = [place / f"compiled-{number:02d}" for number in range(12)]
+def test_code_of_old_sources_is_tidied_away(cache: Path) -> None:
+    old = [cache / f"compiled-{number:02d}" for number in range(12)]
     for number, folder in enumerate(old):
         folder.mkdir(parents=True)
         os.utime(folder, (number, number))
     turned()
-    assert set(place.iterdir()) == {*old[5:], files(place)[0].parent}
+    assert set(cache.iterdir()) == {*old[5:], files(cache)[0].parent}
 
 
 # -- shipped with a wheel ---------------------------------------------------------------------------------------------
@@ -201,21 +201,21 @@ NEWER = "x86_64-unknown-linux-gnu", "newer", ",".join(sorted(code_cache._NEEDS))
 
 
 @pytest.fixture
-def shipped(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What a wheel brings of ``quarter``, to a machine that has kept nothing."""
+def shipped(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The compiled ``quarter`` of a wheel, on a machine with an empty cache."""
     monkeypatch.setattr(JITCPUCodegen, "magic_tuple", lambda self: (NEWER[0], code_cache.SHIPPED_FOR, ""))
     assert turned() == 0
-    (path,) = files(place)
+    (path,) = files(cache)
     moved = compiler.PACKAGE / "exact" / "shipped" / path.parent.name
     shutil.move(path.parent, moved)
     monkeypatch.setattr(JITCPUCodegen, "magic_tuple", lambda self: NEWER)
 
 
 @pytest.mark.usefixtures("shipped")
-def test_shipped_code_is_loaded_where_nothing_is_kept(place: Path) -> None:
+def test_shipped_code_is_loaded_if_nothing_is_cached(cache: Path) -> None:
     assert turned() == 1
     assert fresh(cos_sin)(1.0) == cos_sin(1.0)  # is not shipped
-    assert len(files(place)) == 1
+    assert len(files(cache)) == 1
 
 
 @pytest.mark.usefixtures("shipped")
@@ -223,7 +223,7 @@ def test_shipped_code_is_loaded_where_nothing_is_kept(place: Path) -> None:
     ("owner", "name", "other"),
     [
         (JITCPUCodegen, "magic_tuple", lambda self: (*NEWER[:2], NEWER[2].replace("+fma", "-fma"))),
-        (JITCPUCodegen, "magic_tuple", lambda self: (*NEWER[:2], "")),  # what a CPU is named for is not told
+        (JITCPUCodegen, "magic_tuple", lambda self: (*NEWER[:2], "")),  # the name of the CPU is not reported
         (JITCPUCodegen, "magic_tuple", lambda self: ("aarch64-unknown-linux-gnu", *NEWER[1:])),
         (code_cache, "EXTENSION_SUFFIXES", [".cpython-310-x86_64-linux-gnu.so"]),
         (numba, "__version__", "0.69.0"),

@@ -1,0 +1,124 @@
+"""A custom task that fails or cannot be compiled raises one clear error, and changes nothing."""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jackbox_env import JackInBoxEnv, JackInBoxVectorEnv, Scene, Task
+from jackbox_env.simulators import CONTACT_MODELS
+
+EVERY_MODEL = pytest.mark.parametrize("contact", CONTACT_MODELS)
+MAKERS: list[Any] = [JackInBoxEnv, functools.partial(JackInBoxVectorEnv, 2)]
+
+
+@EVERY_MODEL
+@pytest.mark.parametrize("make", MAKERS)
+def test_an_error_in_the_function_comes_back_and_leaves_all_as_it_was(contact: str, make: Any) -> None:
+    def strict(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float]:
+        if torque > 0.0:
+            raise ValueError("no push to the left, please")
+        return (1.0,)
+
+    env = make(contact=contact, task=Task(("strict",), strict))
+    env.reset(seed=0)
+    push, names = np.ones(env.action_space.shape), ("state", "time") if make is JackInBoxEnv else ("states", "times")
+    before = [getattr(env, name) for name in names]
+    with pytest.raises(ValueError, match="no push to the left"):
+        env.step(push)
+    for value, name in zip(before, names, strict=True):
+        np.testing.assert_array_equal(getattr(env, name), value)
+    assert np.all(env.step(-push)[1] == 1.0)
+
+
+@EVERY_MODEL
+@pytest.mark.parametrize("divided", [lambda by: 1.0 / by, lambda by: 1.0 // by, lambda by: 1 // int(by)])
+def test_a_division_by_zero_is_an_error_in_every_model(contact: str, divided: Any) -> None:
+    task = Task(("part",), lambda scene, state, torque, impulse: (float(divided(torque + 1.0)),))
+    for make in MAKERS:
+        env = make(contact=contact, task=task)
+        env.reset(seed=0)
+        with pytest.raises(ZeroDivisionError):
+            env.step(np.full(env.action_space.shape, -1.0 / Scene().torque_limit))
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        (lambda scene, state, torque, impulse: (1.0,), "a tuple of 2 floats, one for each term, got"),
+        (lambda scene, state, torque, impulse: 1.0, "a tuple of 2 floats"),
+        (lambda scene, state, torque, impulse: (1, 2.0), "a tuple of 2 floats"),
+        (lambda scene, state, torque, impulse: (1j, 2j), "a tuple of 2 floats"),
+        (lambda scene, state, torque, impulse: (scene.nothing, 1.0), "cannot be compiled.*'nothing'"),
+        (lambda scene, state, torque, impulse: (nowhere, 1.0), "cannot be compiled.*'nowhere'"),  # type: ignore[name-defined]  # noqa: F821
+        (lambda scene, state, torque, impulse: (np.sum(state * 2.0), 1.0), r"cannot be compiled.*mul\(State"),
+        (lambda scene, state, torque, impulse: [state[0], 1.0], "cannot be compiled.*use single numbers"),
+        (lambda scene, state, torque: (1.0, 1.0), "cannot be compiled.*too many positional arguments"),
+    ],
+)
+def test_a_task_that_cannot_be_compiled_is_refused_at_once_in_one_sentence(values: Any, message: str) -> None:
+    for make in MAKERS:
+        with pytest.raises(TypeError, match=message) as caught:
+            make(contact="exact", task=Task(("a", "b"), values))
+        assert "\n" not in str(caught.value)
+
+
+WITHOUT_TORQUE: dict[str, Any] = {
+    "division": lambda scene, state, torque, impulse: (1.0 / torque,),
+    "logarithm": lambda scene, state, torque, impulse: (math.log(torque),),
+    "overflow": lambda scene, state, torque, impulse: (math.exp(1e3 - torque),),
+    "infinite": lambda scene, state, torque, impulse: (math.inf if torque == 0.0 else 1.0,),
+}
+
+
+@EVERY_MODEL
+@pytest.mark.parametrize("case", WITHOUT_TORQUE)
+def test_arithmetic_that_fails_before_the_first_step_is_no_verdict(case: str, contact: str) -> None:
+    values = WITHOUT_TORQUE[case]
+    for make in MAKERS:
+        env = make(contact=contact, task=Task(("part",), values))
+        env.reset(seed=0)
+        (expected,) = values(None, None, Scene().torque_limit, 0.0)
+        np.testing.assert_allclose(env.step(np.ones(env.action_space.shape))[1], expected)
+        seen = env.observation if make is JackInBoxEnv else env.observations
+        assert np.isfinite(seen).all()
+
+
+def test_a_task_is_tried_where_an_episode_may_start() -> None:
+    states = []
+
+    def noting(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float]:
+        states.append(state)
+        return (0.0,)
+
+    env = JackInBoxEnv(task=Task(("nothing",), noting))
+    assert len(states) == 1
+    assert 0.0 < math.hypot(*states[0][3:5]) < math.hypot(1.0, 1.0)
+    env.reset(seed=0)
+    assert states[1] == tuple(env.state)
+
+
+def test_a_reset_that_finds_an_unfit_task_changes_nothing() -> None:
+    task = Task(("a",), lambda scene, state, torque, impulse: (0.0,) if abs(state[3]) <= 1.0 else 0.0)
+    env, right = JackInBoxEnv(task=task), 2.0 * (np.arange(12) == 3)
+    env.reset(seed=0)
+    before = env.state
+    with pytest.raises(TypeError, match="must return a tuple of 1 numbers"):
+        env.reset(options={"state": right})
+    np.testing.assert_array_equal(env.state, before)
+
+
+def divided(scene: Any, state: Any, torque: float, impulse: float) -> bool:
+    """An end that fails without torque, as the terms are tried."""
+    return 1.0 / torque > 0.0
+
+
+@pytest.mark.parametrize("returned", [1.0, (1.0,), (1j, 2j), [1.0, 2.0]])
+def test_a_task_that_returns_no_tuple_of_numbers_is_refused_uncompiled_too(returned: Any) -> None:
+    for make in MAKERS:
+        with pytest.raises(TypeError, match="must return a tuple of 2 numbers, one for each term, got"):
+            make(contact="pymunk", task=Task(("a", "b"), lambda scene, state, torque, impulse: returned, divided))
