@@ -1,4 +1,4 @@
-"""Fits recover the scene of synthetic recordings, say what they cannot tell, and refuse what is no recording."""
+"""Fits recover the scene of synthetic recordings, report unidentifiable fields, and refuse unusable recordings."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import pytest
 
 import jackbox_env
 from jackbox_env import Fit, Recording, Scene, fit, make_simulator
-from jackbox_env.measure.fitting import autocorrelations, rough_noise
+from jackbox_env.measure.recordings import rough_noise
+from jackbox_env.measure.residuals import autocorrelations
 from jackbox_env.measure.shooting import Parameters, Rows, Shooting, Window, units
 from jackbox_env.tasks import sample_start
 from tests.states import Array
@@ -68,7 +69,7 @@ def test_the_jack_alone_seen_and_its_impacts_heard_with_known_noise() -> None:
     assert found.noise == noise
 
 
-def test_two_recordings_tell_more_than_one() -> None:
+def test_two_recordings_narrow_the_intervals_of_one() -> None:
     given = [Recording(*recorded(seed=seed)[:2], DT) for seed in (0, 1)]
     one, both = (fit(several, ("jack_mass",), START.changed(restitution=0.85)) for several in (given[0], given))
     widths = [found.intervals["jack_mass"][1] - found.intervals["jack_mass"][0] for found in (one, both)]
@@ -77,7 +78,7 @@ def test_two_recordings_tell_more_than_one() -> None:
     assert widths[1] < widths[0]
 
 
-def test_masses_without_any_known_force_are_told_up_to_one_factor() -> None:
+def test_masses_without_any_known_force_are_identified_up_to_one_factor() -> None:
     states, _, _ = recorded(Scene(box_mass=300.0, jack_mass=12.0, drive=None), steps=150, noise=1e-4)
     still = Scene(box_mass=300.0, jack_mass=12.0, drive=None)
     simulator = make_simulator(still, contact="exact")
@@ -85,7 +86,7 @@ def test_masses_without_any_known_force_are_told_up_to_one_factor() -> None:
     states = np.array([simulator.state, *(_stepped(simulator) for _ in range(150))])
     states += 1e-4 * units(still) * np.random.default_rng(0).standard_normal(states.shape)
     found = fit(Recording(states, np.zeros(150), DT), ("box_mass", "jack_mass"), still)
-    assert found.unidentified == ("the recordings tell box_mass and jack_mass only up to one common factor",)
+    assert found.unidentified == ("the recordings identify box_mass and jack_mass only up to one common factor",)
     assert found.intervals == dict.fromkeys(("box_mass", "jack_mass"), (0.0, np.inf))
     assert found.scene.jack_mass / found.scene.box_mass == pytest.approx(12.0 / 300.0, rel=1e-2)
 
@@ -212,16 +213,18 @@ def test_derivatives_of_residuals_equal_differences() -> None:
     windows = [Window(0, 0, 60, True, states[0]), Window(0, 60, 90, False, states[60])]
     shooting, noise = Shooting([recording], parameters, windows), 1e-3 * np.append(units(TRUE), 1.0)
     at = shooting.unknowns(parameters.of(TRUE))
-    found = shooting.rows(at, noise, 1e-2)
-    assert found is not None
-    assert {-1, 12} <= {*found.column.tolist()}  # links and heard impacts among them
-    for place in range(len(at)):
-        step = 1e-7 * np.eye(len(at))[place]
+    rows = shooting.rows(at, noise, 1e-2)
+    assert rows is not None
+    assert {-1, 12} <= {*rows.column.tolist()}  # links and heard impacts among them
+    for column in range(len(at)):
+        step = 1e-7 * np.eye(len(at))[column]
         more, less = (shooting.rows(at + sign * step, noise, 1e-2) for sign in (1.0, -1.0))
         assert more is not None
         assert less is not None
         difference = (more.residuals - less.residuals) / 2e-7
-        np.testing.assert_allclose(found.by[:, place], difference, atol=1e-5 * abs(difference).max() + 1e-6, rtol=1e-5)
+        np.testing.assert_allclose(
+            rows.jacobian[:, column], difference, atol=1e-5 * abs(difference).max() + 1e-6, rtol=1e-5
+        )
 
 
 @pytest.mark.parametrize(
