@@ -144,7 +144,7 @@ def test_settings_that_lose_the_jack_or_hit_elsewhere_will_not_do_whatever_the_b
         assert math.isfinite(chosen.first_impact_error + chosen.penetration)
 
 
-def test_the_exact_model_is_not_blamed_for_steps_too_long_to_look_into() -> None:
+def test_the_exact_model_is_not_blamed_for_steps_too_long_to_inspect() -> None:
     chosen = cheapest(control_dt=1.0, cases=2, steps=20, penetration=0.01, first_impact_error=0.001)
     assert chosen.setting == Setting("exact", None)
     assert chosen.penetration < 1e-9

@@ -78,7 +78,7 @@ class Baseline(ContactModel):
         """
 
     def look(self, simulator: Simulator, before: Array, time: float, torque: float | None) -> Between:
-        """Look inside the last step by taking it again: a Look for :func:`jackbox_env.measure.accuracy.follow`.
+        """Look inside the last step by taking it again: an Inspect for :func:`jackbox_env.measure.accuracy.follow`.
 
         The depth is the largest at the ends of the substeps. The work is that of the true torque on the box as the
         model moved it: h * (mean torque) * (mean of omega before and after) in each substep.
