@@ -66,6 +66,9 @@ def _directions(angle: float | Array) -> Array:
 def gaps(scene: Scene, state: ArrayLike) -> Array:
     """Gap between each wall and each foot [m], shape (4 walls, 4 feet); negative outside.
 
+    >>> gaps(Scene(), np.zeros(12))[0]  # wall 0 is at x = 6 m, the feet at x = 1, 0, -1 and 0 m
+    array([5., 6., 7., 6.])
+
     Raises:
         TypeError, ValueError: the state is not 12 finite numbers.
     """
@@ -80,7 +83,7 @@ def gaps(scene: Scene, state: ArrayLike) -> Array:
 def gap_jacobian(scene: Scene, state: ArrayLike, wall: int, foot: int) -> Array:
     """Derivative of one gap with respect to (x_box, y_box, theta_box, x_jack, y_jack, theta_jack), shape (6,).
 
-    Units: 1 for the four places, m for the two angles.
+    Units: 1 for the four coordinates, m for the two angles.
 
     Raises:
         TypeError, ValueError: the state is not 12 finite numbers, scene is no Scene, or wall or foot is no whole number
@@ -122,7 +125,7 @@ def contacts_of(scene: Scene, states: Array, walls: Indices, feet: Indices) -> t
 def impact_map(scene: Scene, state: ArrayLike, wall: int, foot: int) -> tuple[Array, float]:
     """Apply the impact law of one foot on one wall: lambda = -(1 + e) J qdot- / (J M^-1 J^T).
 
-    The law is local: it does not ask whether the gap is closed. A contact that separates (J qdot- >= 0) is left alone.
+    The law is local: the gap need not be closed. A contact that separates (J qdot- >= 0) changes nothing.
 
     Returns:
         The state after, shape (12,), and the impulse lambda >= 0 [N s].
@@ -200,9 +203,9 @@ def simultaneous_impact_map(scene: Scene, state: ArrayLike, contacts: Sequence[t
     )  # fmt: skip
     weigh(scene.numbers, memory, count, before[RATES:])
     after, impulses, masses = before.copy(), np.zeros(count), np.array(scene.mass_diagonal)
-    for place, number in enumerate(nearest(memory, count)):
+    for row, number in enumerate(nearest(memory, count)):
         if number >= 0:
-            impulses[number] = (1.0 + scene.restitution) * memory.best[place] / memory.lengths[number]
+            impulses[number] = (1.0 + scene.restitution) * memory.best[row] / memory.lengths[number]
             after[RATES:] += jacobian[number] * impulses[number] / masses
     return after, impulses
 
@@ -225,6 +228,9 @@ def _dots(a: Array, b: Array) -> Array:
 
 def energy(scene: Scene, state: ArrayLike) -> float:
     """Kinetic energy plus m_j g y_jack [J] (the lift cancels the box's weight).
+
+    >>> energy(Scene(gravity=10.0), [0, 0, 0, 0, 2.5, 0, 0, 0, 0, 3, 0, 0])  # 4 kg at 2.5 m and 3 m/s
+    118.0
 
     Raises:
         TypeError, ValueError: the state is not 12 finite numbers.

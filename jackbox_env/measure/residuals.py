@@ -122,7 +122,7 @@ def unidentified_sentence(names: Sequence[str], direction: Array, logarithmic: N
 
 def _unit_columns(jacobian: Array) -> Array:
     """The columns at length 1; those that are 0 stay."""
-    lengths = np.linalg.norm(jacobian, axis=0)
+    lengths: Array = np.linalg.norm(jacobian, axis=0)
     lengths[lengths == 0.0] = 1.0
     return jacobian / lengths
 

@@ -119,7 +119,8 @@ def motion(recording: Recording, window: Window, parameters: Parameters, numbers
         jacobians[k + 1] = lin.A[0, k] @ jacobians[k]
         jacobians[k + 1, :, 12:] += lin.P[0, k] * slopes
     step, since, gradients = lin.impacts(0)
-    step, since, gradients = (values[step < smooth] for values in (step, since, gradients))
+    usable = step < smooth
+    step, since, gradients = step[usable], since[usable], gradients[usable]
     times_jacobian = np.einsum("mi,mij->mj", gradients[:, :12], jacobians[step])
     times_jacobian[:, 12:] += gradients[:, 13:] * slopes
     return Motion(lin.trajectories[0], jacobians, smooth, time + step * recording.dt + since, times_jacobian)
