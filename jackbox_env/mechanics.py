@@ -1,6 +1,6 @@
 """The law of the jack in a box: state layout, gaps, impact maps and energy.
 
-A state holds 12 float64 numbers in SI units, positions q first, then their rates:
+A state is 12 float64 numbers in SI units, positions q first, then their rates:
 
     [x_box, y_box, theta_box, x_jack, y_jack, theta_jack, vx_box, vy_box, omega_box, vx_jack, vy_jack, omega_jack]
 
@@ -104,7 +104,7 @@ def _gap_jacobian(scene: Scene, q: Array, wall: int, foot: int) -> Array:
 def contacts_of(scene: Scene, states: Array, walls: Indices, feet: Indices) -> tuple[Array, Array]:
     """The gap [m] of one wall and one foot in each state, shape (n,), and its derivative, shape (n, 6).
 
-    :func:`gaps` and :func:`gap_jacobian` for many states, taken as they are.
+    :func:`gaps` and :func:`gap_jacobian` for many states, without checks.
 
     Args:
         scene: the scene.
@@ -127,6 +127,11 @@ def impact_map(scene: Scene, state: ArrayLike, wall: int, foot: int) -> tuple[Ar
 
     The law is local: the gap need not be closed. A contact that separates (J qdot- >= 0) changes nothing.
 
+    >>> state = [0, 0, 0, 5, 0, 0, 0, 0, 0, 1, 0, 0]  # foot 0 touches wall 0, and the jack flies there at 1 m/s
+    >>> after, impulse = impact_map(Scene(), state, wall=0, foot=0)
+    >>> after[6:].round(3), round(impulse, 3)
+    (array([ 0.02,  0.  ,  0.  , -0.98,  0.  ,  0.  ]), 7.921)
+
     Returns:
         The state after, shape (12,), and the impulse lambda >= 0 [N s].
 
@@ -143,7 +148,7 @@ def impact_map(scene: Scene, state: ArrayLike, wall: int, foot: int) -> tuple[Ar
 
 
 def impact_maps(scene: Scene, states: Array, walls: Indices, feet: Indices) -> tuple[Array, Array]:
-    """:func:`impact_map` for many states, taken as they are: the states after, (n, 12), and the impulses [N s], (n,).
+    """:func:`impact_map` for many states, without checks: the states after, (n, 12), and the impulses [N s], (n,).
 
     Args:
         scene: the scene.
@@ -169,7 +174,7 @@ def simultaneous_impact_map(scene: Scene, state: ArrayLike, contacts: Sequence[t
     takes part whether it approaches or not; list those whose gap is within the tolerance of the moment. The law is the
     optimality condition of a convex problem (:mod:`jackbox_env.complementarity`), so qdot+ is unique even where the
     impulses are not (a foot in a corner has four contacts of rank 3); then the impulses are one valid choice.
-    Resolving the contacts one after the other gives other answers that keep the energy as well. This project's
+    Resolving the contacts one after the other gives other answers that conserve the energy as well. This project's
     convention is the simultaneous law.
 
     Args:
@@ -240,7 +245,7 @@ def energy(scene: Scene, state: ArrayLike) -> float:
 
 
 def energy_of(scene: Scene | SceneNumbers, state: Numbers) -> float:
-    """:func:`energy` of 12 numbers taken as they are."""
+    """:func:`energy` of 12 numbers, without checks."""
     vx_box, vy_box, omega_box = state[VX_BOX], state[VY_BOX], state[OMEGA_BOX]
     vx_jack, vy_jack, omega_jack = state[VX_JACK], state[VY_JACK], state[OMEGA_JACK]
     box = scene.box_mass * (vx_box * vx_box + vy_box * vy_box) + scene.box_inertia * omega_box * omega_box

@@ -48,6 +48,9 @@ def make_sb3_vec_env(num_envs: int, **env_kwargs: Any) -> JackInBoxVecEnv:
     environments are one compiled loop. Seed them by ``.seed(0)`` or by the model's ``seed``. Single environments are
     reached by ``get_attr("state")`` and ``env_method("set_state", state, time, indices=[i])``: see :class:`EnvView`.
 
+    >>> make_sb3_vec_env(4, contact="exact", task="spin").reset().shape
+    (4, 10)
+
     Args:
         num_envs: number of environments.
         **env_kwargs: of the single environment, ``max_episode_steps`` (500), and of the vector one ``num_threads``,

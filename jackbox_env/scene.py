@@ -154,12 +154,12 @@ class Chirp:
 class Drive:
     """A drive given by functions of time, for scenes of your own.
 
-    Each function takes the time as a Python float [s] and returns a finite number. The pymunk model samples it at five
-    points of every substep, so it should be smooth on that scale. The exact model interpolates it to rounding and
-    locates each jump within 2^-44 of the control step, or within the spacing of float64 times if that is wider. It
-    samples 13 points of each smooth stretch, both ends included, at most 0.13 of the stretch apart; a pulse between two
-    of them is missed. A function left out acts as zero and costs nothing. A
-    Drive of functions has no JSON form: an environment made with one cannot write its spec as JSON.
+    Each function has one argument, the time as a Python float [s], and returns a finite number. The pymunk model
+    samples it at five points of every substep, so it should be smooth on that scale. The exact model interpolates it to
+    rounding and locates each jump within 2^-44 of the control step, or within the spacing of float64 times if that is
+    wider. It samples 13 points of each smooth stretch, both ends included, at most 0.13 of the stretch apart; a pulse
+    between two of them is missed. A function left out acts as zero and costs nothing. A Drive of functions has no JSON
+    form: an environment made with one cannot write its spec as JSON.
 
     Trajectories are the same to the bit on machines where the functions return the same. The last place of
     ``math.sin`` and its like depends on the machine's C library.
@@ -256,12 +256,12 @@ class Scene:
     """All parameters of the physics. Frozen; every number is a Python float.
 
     Attributes:
-        box_half_width: L, the walls stand at +-L in the box frame [m].
+        box_half_width: L, the walls are at +-L in the box frame [m].
         box_mass: m_b [kg].
-        box_inertia: J_b [kg m^2]; None stands for m_b L^2, and reads back as that number.
+        box_inertia: J_b [kg m^2]; None: m_b L^2, which the attribute then is.
         jack_arm: l, distance of each foot from the jack's centre [m]; below sqrt(2) L, or the jack fits at no angle.
         jack_mass: m_j [kg].
-        jack_inertia: J_j [kg m^2]; None stands for m_j l^2 (four point feet), and reads back as that number.
+        jack_inertia: J_j [kg m^2]; None: m_j l^2 (four point feet), which the attribute then is.
         gravity: g, acts downwards on the jack; the box's weight is lifted [m/s^2], >= 0.
         restitution: e, 0 <= e <= 1.
         torque_limit: torque of an agent's action 1 [N m].
@@ -357,7 +357,7 @@ class Scene:
 
     @property
     def elastic(self) -> bool:
-        """Whether impacts keep the energy: restitution 1."""
+        """Whether impacts conserve the energy: restitution 1."""
         return self.restitution == 1.0
 
     @property

@@ -42,7 +42,7 @@ class Score(Protocol):
         Arithmetic errors of the task are ignored: perhaps no step ends in this state.
 
         Raises:
-            TypeError: the task does not return what it should.
+            TypeError: the task returns a wrong type.
         """
 
     def of(self, scene: Scene) -> Score:
@@ -53,7 +53,7 @@ def make_score(scene: Scene, task: Task, contact: str) -> Score:
     """Return the function that observes and rewards.
 
     Raises:
-        TypeError: a function of the task cannot be compiled, or does not return what it should.
+        TypeError: a function of the task cannot be compiled, or returns a wrong type.
     """
     return CompiledScore(scene, task) if contact_model(contact).compiled else PlainScore(scene, task)
 
@@ -132,7 +132,7 @@ def compiled_for(task: Task, function: Callable[..., Any]) -> Callable[..., Any]
     """A function of ``exact.score``, compiled once for each Task, with the task's functions as they are then.
 
     Raises:
-        TypeError: a function of the task cannot be compiled, or does not return what it should.
+        TypeError: a function of the task cannot be compiled, or returns a wrong type.
     """
     from jackbox_env.exact.compiler import compiled, compiled_for_users
 

@@ -1,9 +1,9 @@
 """Tasks: starts, and rewards and ends of episodes as small pure functions of the state.
 
-A task's functions take (scene, state after the step, mean torque over the step [N m], impulse of the step's impacts
-[N s]). One returns the values of the task's named terms, whose sum is the reward. The other returns whether the episode
-is over. Every reward of the tasks here lies in [-1, 1], and none of them ends an episode. The functions are plain
-arithmetic: with ``contact="exact"`` they are compiled as they stand.
+A task's functions have the arguments scene, state after the step, mean torque over the step [N m] and impulse of the
+step's impacts [N s]. One returns the values of the task's named terms, whose sum is the reward. The other returns
+whether the episode is over. Every reward of the tasks here lies in [-1, 1], and none of them ends an episode. The
+functions are plain arithmetic: with ``contact="exact"`` they are compiled.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Task:
     episode, without torque and impulse. A wrong type raises TypeError there. Arithmetic errors are ignored.
 
     Attributes:
-        terms: names of the terms; ``info`` holds each as ``reward_<name>``.
+        terms: names of the terms; ``info`` has each as ``reward_<name>``.
         values: function of (scene, state, torque, impulse) that returns a tuple of as many floats. ``scene`` has the
             fields of :class:`jackbox_env.scene.SceneNumbers`. ``state`` is the :class:`jackbox_env.State` after the
             step, a tuple of 12 numbers. ``torque`` is the mean over the step [N m], ``impulse`` the sum over its

@@ -85,8 +85,8 @@ def write_fit_page(
         path: of the new file.
         result: the fit.
         start: where the search began.
-        recordings: what was fitted.
-        names: what to call each of them.
+        recordings: that were fitted.
+        names: of the recordings.
 
     Raises:
         FileExistsError: there is something at ``path``.

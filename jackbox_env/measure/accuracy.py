@@ -40,13 +40,13 @@ _APART = 1e-6  # [s] between an impact of a reference and of its twin, beyond wh
 
 
 class Case(NamedTuple):
-    """A start and what acts on the box from then on."""
+    """A start, and the torques that follow or the drive."""
 
     name: str
     scene: Scene
     state: Array  # (12,)
     steps: int  # control steps
-    torques: Sequence[float] | None = None  # held, one per control step [N m]; None: the scene's drive
+    torques: Sequence[float] | None = None  # constant in each control step [N m]; None: the scene's drive
     dt: float = 0.02  # control step [s]
     time: float = 0.0  # at the start [s]
 
@@ -111,7 +111,7 @@ def between(simulator: Simulator, before: Array, time: float, torque: float | No
         simulator: after the step.
         before: the state before it, shape (12,).
         time: the time before it [s].
-        torque: the torque held [N m]; None: the drive.
+        torque: constant through the step [N m]; None: the drive.
     """
     scene, after = simulator.scene, simulator.state
     again = replayed(scene, before.tolist(), time, simulator.impacts, simulator.time, torque)
@@ -134,7 +134,7 @@ def follow(simulator: Simulator, case: Case, inspect: Inspect | None = between) 
 
     Args:
         simulator: of the case's scene.
-        case: what to run.
+        case: to run.
         inspect: evaluates the inside of a step; None: depth, imbalance and energy are NaN.
 
     Raises:

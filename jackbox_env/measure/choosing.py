@@ -25,7 +25,7 @@ _ROUNDS = 5  # in which the costs of two settings are compared
 
 
 class Choice(NamedTuple):
-    """A setting and what was measured of it; errors are the worst over the cases."""
+    """A setting and its measurements; errors are the worst over the cases."""
 
     setting: Setting
     first_impact_error: float  # [s]
@@ -48,11 +48,11 @@ def cheapest(
 ) -> Choice:
     """Return the cheapest setting that keeps both errors within bounds, for one scene or for several.
 
-    The cases are starts of the environment, under random held torques within ``scene.torque_limit`` and, every other
-    time, under the scene's drive. The first impact is compared with the exact model's, whose own error is rounding.
+    The cases are starts of the environment, alternately under random torques within ``scene.torque_limit``, one per
+    step, and under the scene's drive. The first impact is compared with the exact model's, whose own error is rounding.
     Restitution has no effect before it, so scenes with loss are measured too. The fewest substeps of pymunk (1, 2, 4,
-    ... 256) that keep both bounds are timed against the exact model, and the faster is returned. A setting that loses
-    a jack, or whose first impact is that of another foot or wall, is never returned.
+    ... 256) that keep both bounds are timed against the exact model, and the faster is returned. A setting that loses a
+    jack, or whose first impact is that of another foot or wall, is never returned.
 
     If your scenes are drawn at random, give a list of some of them. One setting then keeps the bounds in all cases.
 
@@ -72,7 +72,7 @@ def cheapest(
         contact: only settings of this contact model, ``"pymunk"`` or ``"exact"``; None: of both.
 
     Returns:
-        The setting with what was measured: ``gym.make("JackInBox-v0", **choice.setting._asdict())``.
+        The setting with its measurements: ``gym.make("JackInBox-v0", **choice.setting._asdict())``.
 
     Raises:
         TypeError, ValueError: an argument out of its range; no jack touches a wall; or no setting keeps the bounds:

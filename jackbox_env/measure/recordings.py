@@ -27,7 +27,7 @@ class Recording:
 
     Args:
         states: shape (H + 1, 12), NaN where something was not observed.
-        torques: on the box [N m], each held for ``dt``, shape (H,); None: the scene's drive acted.
+        torques: on the box [N m], each constant for ``dt``, shape (H,); None: the scene's drive acted.
         dt: between states [s], from 1e-9 to 1e9.
         time: of the first state [s].
         impacts: times at which impacts were heard [s], in order; None: nobody listened.

@@ -52,7 +52,7 @@ class _Step(NamedTuple):
     before: list[float]
     after: list[float]
     impacts: list[Impact]
-    torque: float | None  # held [N m]; None: the drive's
+    torque: float | None  # constant [N m]; None: the drive's
 
     def flight(self, scene: Scene) -> Iterator[_Sample]:
         """Points of a step without impacts, its end included, with the work since its start."""
@@ -84,8 +84,8 @@ class _Step(NamedTuple):
     def _missed_work(self, scene: Scene, ended: list[float]) -> float:
         """The work that a replay misses if it ended elsewhere because resting feet fall in it.
 
-        The difference of the box's rates grows evenly from 0, and its integral is that of the angles. Held torques give
-        the work to rounding, others to third order in the step.
+        The difference of the box's rates grows evenly from 0, and its integral is that of the angles. Constant torques
+        give the work to rounding, others to third order in the step.
         """
         drive, length = scene.drive or Drive(), self.end - self.start
         turning = drive.torque_means if self.torque is None else lambda *_: (self.torque, self.torque)

@@ -21,7 +21,7 @@ from jackbox_env.colours import Colour
 if TYPE_CHECKING:
     import pygame
 
-SIZE = 512  # [px] width and height of a frame unless another is asked for
+SIZE = 512  # [px] width and height of a frame by default
 
 INK: Colour = (38, 46, 60)
 PALE_INK: Colour = (112, 122, 138)
