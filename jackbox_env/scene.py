@@ -321,20 +321,20 @@ class Scene:
             )
 
     @classmethod
-    def of(cls, scene: Scene | Mapping[str, Any] | None) -> Scene:
+    def of(cls, given: Scene | Mapping[str, Any] | None) -> Scene:
         """Return a scene from a Scene, from a dict of some of its fields, or from None (the default scene).
 
         Raises:
             TypeError, ValueError: something else, an unknown field, or a field out of its range.
         """
-        if scene is None:
+        if given is None:
             return cls()
-        if isinstance(scene, cls):
-            return scene
-        if not isinstance(scene, Mapping):
-            raise TypeError(f"scene must be a Scene, a dict of its fields or None, got {check.shown(scene)}")
-        check.known_keys("scene", scene, (part.name for part in fields(cls)))
-        return cls(**scene)
+        if isinstance(given, cls):
+            return given
+        if not isinstance(given, Mapping):
+            raise TypeError(f"scene must be a Scene, a dict of its fields or None, got {check.shown(given)}")
+        check.known_keys("scene", given, (part.name for part in fields(cls)))
+        return cls(**given)
 
     def changed(self, **values: Any) -> Scene:
         """This scene with other values of some fields; an inertia that was not given follows mass and size.
