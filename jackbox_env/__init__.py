@@ -1,4 +1,4 @@
-"""The jack in a box as a reinforcement-learning environment. Importing registers ``JackInBox-v0`` with Gymnasium."""
+"""A Gymnasium environment with exact impacts, the jack in a box. Importing registers ``JackInBox-v0``."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ register(
 
 
 def __getattr__(name: str) -> Any:
-    """Load what needs pymunk or numba only when it is asked for."""
+    """Import a public name on first use: importing the package loads neither pymunk nor numba."""
     if name in _LAZY:
         return getattr(importlib.import_module(f"{__name__}.{_LAZY[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,4 +1,4 @@
-"""One-sentence refusals: each names the argument, the value given and the values allowed."""
+"""Checks of arguments; each error is one sentence with the argument's name, its value and the allowed values."""
 
 from __future__ import annotations
 
@@ -63,17 +63,17 @@ def whole(name: str, value: Any, *, at_least: int, at_most: int | None = None) -
         TypeError: it is no whole number.
         ValueError: it is out of bounds.
     """
-    wanted = f"a whole number >= {at_least}"
+    expected = f"a whole number >= {at_least}"
     if at_most is not None:
-        wanted = f"a whole number from {at_least} to {at_most}"
+        expected = f"a whole number from {at_least} to {at_most}"
     if isinstance(value, bool):
-        raise TypeError(f"{name} must be {wanted}, got {shown(value)}")
+        raise TypeError(f"{name} must be {expected}, got {shown(value)}")
     try:
         number = operator.index(value)
     except TypeError as error:
-        raise TypeError(f"{name} must be {wanted}, got {shown(value)}") from error
+        raise TypeError(f"{name} must be {expected}, got {shown(value)}") from error
     if number < at_least or (at_most is not None and number > at_most):
-        raise ValueError(f"{name} must be {wanted}, got {shown(value)}")
+        raise ValueError(f"{name} must be {expected}, got {shown(value)}")
     return number
 
 
@@ -95,34 +95,34 @@ def size(name: str, value: Any, *, at_least: int, at_most: int) -> tuple[int, in
         TypeError: it is no pair of whole numbers.
         ValueError: one of them is out of bounds.
     """
-    wanted = f"(width, height), two whole numbers from {at_least} to {at_most}"
+    expected = f"(width, height), two whole numbers from {at_least} to {at_most}"
     try:
         width, height = (operator.index(side) for side in value if not isinstance(side, bool))
     except (TypeError, ValueError) as error:  # not a pair, or not of whole numbers
-        raise TypeError(f"{name} must be {wanted}, got {shown(value)}") from error
+        raise TypeError(f"{name} must be {expected}, got {shown(value)}") from error
     if not (at_least <= width <= at_most and at_least <= height <= at_most):
-        raise ValueError(f"{name} must be {wanted}, got {shown(value)}")
+        raise ValueError(f"{name} must be {expected}, got {shown(value)}")
     return width, height
 
 
-def array(name: str, value: Any, wanted: str) -> NDArray[Any]:
+def array(name: str, value: Any, requirement: str) -> NDArray[Any]:
     """Return ``value`` as an array of real numbers.
 
     Raises:
-        TypeError: it is something else: no ``wanted``.
-        ValueError: an element is masked: numpy would read the number behind the mask.
+        TypeError: it is something else; the message is "<name> must <requirement>".
+        ValueError: an element is masked; numpy would read the number behind the mask.
     """
     if np.ma.is_masked(value):
-        raise ValueError(f"{name} must {wanted}, none of them masked, got {shown(value)}")
+        raise ValueError(f"{name} must {requirement}, none of them masked, got {shown(value)}")
     if getattr(value, "requires_grad", None) is True:
-        raise TypeError(f"{name} must {wanted}, got a tensor that requires grad: pass its detach()")
+        raise TypeError(f"{name} must {requirement}, got a tensor that requires grad: pass its detach()")
     try:
-        given = np.asarray(value)
+        converted = np.asarray(value)
     except (TypeError, ValueError, RuntimeError) as error:  # ragged lists; tensors on a GPU, or with gradients
-        raise TypeError(f"{name} must {wanted}, got {shown(value)}") from error
-    if given.dtype.kind not in "fiu":
-        raise TypeError(f"{name} must {wanted}, got {shown(value)}")
-    return given
+        raise TypeError(f"{name} must {requirement}, got {shown(value)}") from error
+    if converted.dtype.kind not in "fiu":
+        raise TypeError(f"{name} must {requirement}, got {shown(value)}")
+    return converted
 
 
 def shown(value: Any) -> str:
@@ -154,43 +154,43 @@ def choice(name: str, value: Any, allowed: Iterable[str]) -> str:
     """
     names = list(allowed)
     if not isinstance(value, str) or value not in names:
-        listed = ", ".join(repr(known) for known in names)
+        listed = ", ".join(repr(one) for one in names)
         raise ValueError(f"{name} must be one of {listed}, got {shown(value)}")
     return value
 
 
-def known_keys(name: str, given: Iterable[Any], allowed: Iterable[str]) -> None:
+def known_keys(name: str, keys: Iterable[Any], allowed: Iterable[str]) -> None:
     """Refuse keys outside ``allowed``.
 
     Raises:
         ValueError: there is an unknown key.
     """
     names = list(allowed)
-    for key in given:
+    for key in keys:
         if key not in names:
-            listed = ", ".join(repr(known) for known in names)
+            listed = ", ".join(repr(one) for one in names)
             raise ValueError(f"{name} takes only {listed}, got {shown(key)}{closest(key, names)}")
 
 
 def closest(key: Any, names: Iterable[str]) -> str:
-    """`` (did you mean ...?)`` where one of the names resembles the key."""
-    found = difflib.get_close_matches(key, list(names), n=1) if isinstance(key, str) else []
-    return f" (did you mean {found[0]!r}?)" if found else ""
+    """`` (did you mean ...?)`` if one of the names resembles the key."""
+    matches = difflib.get_close_matches(key, list(names), n=1) if isinstance(key, str) else []
+    return f" (did you mean {matches[0]!r}?)" if matches else ""
 
 
 def extra_needed(what: str, package: str, extra: str) -> str:
-    """The sentence for a missing package: which extra brings it, and how to install that."""
+    """The sentence for a missing package: the extra that installs it, and how."""
     return f'{what} needs {package}, the extra {extra!r}: in a checkout of jackbox, pip install -e ".[{extra}]"'
 
 
 def refuse_unknown(
     owner: str, elsewhere: Mapping[str, str], further: Iterable[str] = ()
 ) -> Callable[[Callable[_Arguments, None]], Callable[_Arguments, None]]:
-    """Let an ``__init__`` refuse unknown keywords in a sentence that lists the known ones.
+    """Decorate an ``__init__`` so that unknown keywords raise TypeError with a list of the known ones.
 
     Args:
         owner: whose arguments they are.
-        elsewhere: keywords of others, and what the sentence says of them.
+        elsewhere: keywords of other classes, each with the end of the sentence "it ...".
         further: keywords that the ``__init__`` accepts as ``**settings``.
     """
 
@@ -198,14 +198,14 @@ def refuse_unknown(
         names = [*(name for name in [*signature(init).parameters][1:] if name != "settings"), *further]
 
         @wraps(init)
-        def checked(*args: _Arguments.args, **given: _Arguments.kwargs) -> None:
-            for name in given:
+        def checked(*args: _Arguments.args, **keywords: _Arguments.kwargs) -> None:
+            for name in keywords:
                 if name in elsewhere:
                     raise TypeError(f"{owner} has no argument {name!r}: it {elsewhere[name]}")
                 if name not in names:
                     listed = ", ".join(names)
                     raise TypeError(f"{owner} has no argument {name!r}{closest(name, names)}: it takes {listed}")
-            init(*args, **given)
+            init(*args, **keywords)
 
         return checked
 

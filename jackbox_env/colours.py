@@ -9,10 +9,10 @@ Colour = tuple[int, int, int]  # red, green, blue, each from 0 to 255
 
 WALL: Colour = (204, 36, 41)  # and three feet
 JACK: Colour = (46, 111, 208)
-FIRST_FOOT: Colour = (255, 176, 0)  # its own, so that a turn of the cross is seen
+FIRST_FOOT: Colour = (255, 176, 0)  # its own, so that the cross visibly turns
 TORQUE: Colour = (0, 128, 128)
 
 
 def hexed(colour: Colour) -> str:
-    """A colour as CSS and matplotlib take it."""
+    """A colour for CSS and matplotlib."""
     return "#" + bytes(colour).hex()

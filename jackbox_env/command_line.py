@@ -1,4 +1,4 @@
-"""What every command line of the project has: refusals in one sentence, an exit status for each end."""
+"""Every command line of the project: errors as one sentence, and an exit status for each end."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from pathlib import Path
 from gymnasium.error import DependencyNotInstalled
 from gymnasium.error import Error as GymnasiumError
 
-JACKBOX = "jackbox"  # the command, and with a command's name the first word of what it was started by
-ROOT = Path(__file__).parents[1]  # of a checkout; above an installed package there is none
-_UNREAD = 128 + 13  # exit status of what SIGPIPE ends
-_UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EIO)  # standard output's errors do not say what they are about
+JACKBOX = "jackbox"  # the command; `jackbox NAME` sets sys.argv[0] to "jackbox NAME"
+ROOT = Path(__file__).parents[1]  # of a checkout; meaningless for an installed package
+_SIGPIPE_STATUS = 128 + 13
+_UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EIO)  # errors of standard output, which have no file name
 
 
 def command_line(main: Callable[[], None]) -> Callable[[], None]:
-    """Turn refusals into one sentence on standard error and exit status 2; Ctrl-C exits with 130.
+    """Print an error as one sentence on standard error and exit with 2; Ctrl-C exits with 130.
 
-    Where nobody reads standard output any more, as behind ``| head``, it ends quietly with 141.
+    If standard output is closed by its reader, as by ``| head``, exit quietly with 141.
     """
 
     @functools.wraps(main)
@@ -30,7 +30,7 @@ def command_line(main: Callable[[], None]) -> Callable[[], None]:
         _open_closed()
         try:
             main()
-            sys.stdout.flush()  # a full disk is met here, not at Python's end
+            sys.stdout.flush()  # a full disk fails here, not at Python's end
         except (ImportError, DependencyNotInstalled) as error:
             how = (
                 "pip install -e '.[all,dev]'"
@@ -41,7 +41,7 @@ def command_line(main: Callable[[], None]) -> Callable[[], None]:
             print(f"{error}{more}", file=sys.stderr)
             sys.exit(2)
         except BrokenPipeError:
-            sys.exit(_UNREAD)
+            sys.exit(_SIGPIPE_STATUS)
         except (ValueError, TypeError, OSError, RuntimeError, GymnasiumError) as error:
             print(_sentence(error), file=sys.stderr)
             sys.exit(2)
@@ -54,14 +54,14 @@ def command_line(main: Callable[[], None]) -> Callable[[], None]:
 
 
 def _open_closed() -> None:
-    """Let a closed standard output or error lead nowhere, before a file of ours takes its number."""
+    """Open a closed standard output or error to nowhere, before another file gets its number."""
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115
 
 
 def _drop_unwritten() -> None:
-    """Drop what standard output does not take, or Python would try again at its end and show a traceback."""
+    """Discard unwritable output; else Python would try again at its end and print a traceback."""
     try:
         sys.stdout.flush()
     except OSError:
@@ -76,7 +76,7 @@ def _sentence(error: Exception) -> str:
 
 
 def called(name: str, *arguments: str) -> str:
-    """A command line to go on with: by ``jackbox`` where that started this process, else by the script of that name."""
+    """A command line to continue with: of ``jackbox`` if that started this process, else of the script of that name."""
     by_jackbox = sys.argv[0].startswith(f"{JACKBOX} ")
     return shlex.join([*((JACKBOX, name) if by_jackbox else ("python", f"scripts/{name}.py")), *arguments])
 

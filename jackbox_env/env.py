@@ -1,4 +1,7 @@
-"""The Gymnasium environment: it sequences the simulator, the task and the renderer."""
+"""The Gymnasium environment: it sequences the simulator, the task and the renderer.
+
+A step is one step of the simulator, then the task's observation and reward, then a frame if one is shown.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,7 @@ from jackbox_env.states import LATEST_TIME, Array, as_start
 
 Observation = NDArray[np.float32]
 Action = NDArray[np.float32] | float | None
-# Arguments of the vector environment alone, and what to do where a single one is given them.
+# Arguments of the vector environment alone, and the sentence that refuses them here.
 VECTOR_ONLY = dict.fromkeys(
     ("num_envs", "autoreset_mode", "num_threads", "with_infos"),
     'belongs to the native vector environment: gymnasium.make_vec with vectorization_mode="vector_entry_point"',
@@ -79,7 +82,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
 
     ## Rewards
 
-    Chosen by `task` (`jackbox_env.tasks`); every reward is a sum of named terms that `info` holds as `reward_<term>`.
+    Chosen by `task` (`jackbox_env.tasks`); every reward is a sum of named terms, in `info` as `reward_<term>`.
 
     - `"juggle"`: `centre`, 1 with the jack in the middle of the box, falling linearly to 0 at max(L - l, L / 6).
     - `"spin"`: `spin`, the jack's counter-clockwise rate over v0 / l within [-1, 1], times 1 - |omega_box| L / v0.
@@ -117,31 +120,29 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     | `control_dt`     | `0.02`       | duration of a step [s], > 0                                                    |
     | `torque`         | `"agent"`    | `"agent"`: the action, or the drive if it is None; `"chirp"`: always the drive |
     | `render_mode`    | `None`       | `"human"` or `"rgb_array"`                                                     |
-    | `randomize`      | `None`       | what of the scene is drawn anew at each reset, see below                       |
+    | `randomize`      | `None`       | fields of the scene that are drawn at each reset, see below                    |
     | `render_size`    | `(512, 512)` | width and height of a frame [pixels], from 16 to 4096; below 400 without text  |
     | `render_overlay` | `True`       | False: a frame shows box, jack and ruled lines alone, for learning from pixels |
 
     `reset(options={"state": ..., "time": ...})` starts from exactly these 12 numbers at that time. Every foot must be
-    inside, up to 1e-9 m. (Far from the origin, where float64 is coarser, up to 4 units in the last place.)
-    `env.unwrapped.set_state(state, time)` goes on from any state that `info` ever held, also one in contact.
-    `env.unwrapped.observation` is its observation.
+    inside, up to 1e-9 m, or far from the origin 4 units in the last place. `env.unwrapped.set_state(state, time)`
+    continues from any state that `info` has shown, also in contact; `env.unwrapped.observation` is its observation.
 
     ## Other Scenes
 
-    `reset(options={"scene": {"gravity": 1.62}})` gives fields of the scene that the environment was made with other
-    values. They hold until the next reset with that option. An inertia that was not given follows mass and size.
-    `env.unwrapped.scene` is the scene that holds.
+    `reset(options={"scene": {"gravity": 1.62}})` overrides fields of the environment's scene until the next reset with
+    that option. An inertia that was not given follows mass and size. `env.unwrapped.scene` is the present scene.
 
     `randomize={"jack_mass": (2.0, 6.0), "restitution": (0.8, 1.0)}` draws these fields at each reset, uniformly, in the
-    order of `Scene`'s fields and before the start. Ranges that could draw a scene which is refused are refused at once.
+    order of `Scene`'s fields and before the start. Ranges that include an invalid scene raise ValueError at once.
     `randomize` may also be a function that takes the environment's `numpy.random.Generator` and returns a dict of
-    fields. The option `"scene"` then wins over what is drawn, for that one episode.
+    fields. The option `"scene"` then overrides the drawn fields, for that one episode.
 
     ## Fidelity
 
     `fidelity` chooses how impacts are computed: `"coarse"`, `"balanced"` (the default) and `"fine"` are pymunk with 2,
     4 and 64 substeps, `"exact"` is the exact model. docs/accuracy.md states the error and the speed of each. `contact`
-    and `substeps` choose what has no name; beside a fidelity that stands for others they are refused.
+    and `substeps` select combinations without a name; if they conflict with `fidelity`, they raise ValueError.
     `jackbox_env.cheapest` measures which setting keeps given bounds for a scene of your own.
 
     >>> import gymnasium as gym, jackbox_env
@@ -157,8 +158,8 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     * v0: initial version
 
     Raises:
-        TypeError, ValueError: an argument out of its range. One sentence names the value and what is allowed. A
-            refused call leaves the environment as it was.
+        TypeError, ValueError: an argument out of its range; the message names the value and what is allowed. A refused
+            call leaves the environment as it was.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
@@ -190,15 +191,15 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         size = check.size("render_size", render_size, at_least=16, at_most=4096)
         overlay = check.flag("render_overlay", render_overlay)
         self.task, self._task = task, tasks.task_of(task)
-        self._fails_never = self._task in tasks.TASKS.values()  # a task of the user's own may
-        self._own = Scene.of(scene)
+        self._builtin_task = self._task in tasks.TASKS.values()  # it never fails; a user's may
+        self._first_scene = Scene.of(scene)
         self.simulator_of: Callable[[Scene], Simulator] = setting.simulator
-        self._parts = self.simulator_of(self._own), make_score(self._own, self._task, self.contact)
-        if not self._fails_never:  # an unfit task is refused now
-            self._parts[1].observe(tasks.sample_start(self._own, np_random(0)[0]))
+        self._parts = self.simulator_of(self._first_scene), make_score(self._first_scene, self._task, self.contact)
+        if not self._builtin_task:  # an unfit task is refused now
+            self._parts[1].observe(tasks.sample_start(self._first_scene, np_random(0)[0]))
         self._randomize = None
         if randomize is not None:
-            self._randomize = Randomization(randomize, [self._own], self.simulator_of)
+            self._randomize = Randomization(randomize, [self._first_scene], self.simulator_of)
         self._terms = [f"reward_{name}" for name in self._task.terms]
         self.observation_space = gym.spaces.Box(-BOUNDS, BOUNDS, dtype=np.float32)
         self.action_space = gym.spaces.Box(-1.0, 1.0, shape=(1,), dtype=np.float32)
@@ -216,8 +217,8 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
 
     # -- the simulated system -----------------------------------------------------------------------------------------
 
-    def _made(self, scene: Scene) -> tuple[Simulator, Score]:
-        """What depends on the scene; replaced as one, so that no interruption parts them."""
+    def _parts_for(self, scene: Scene) -> tuple[Simulator, Score]:
+        """The parts that depend on the scene. Assigned together, so that an interrupt cannot separate them."""
         return self.simulator_of(scene), self._parts[1].of(scene)
 
     @property
@@ -226,7 +227,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
 
     @property
     def scene(self) -> Scene:
-        """The scene as it holds now, every field resolved."""
+        """The present scene, every field resolved."""
         return self._simulator.scene
 
     @property
@@ -246,13 +247,13 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
 
     @property
     def observation(self) -> Observation:
-        """What the agent sees of the present state: a fresh float32 array, shape (10,)."""
+        """The observation of the present state: a fresh float32 array, shape (10,)."""
         return self._parts[1].observe(self.state)
 
     def set_state(self, state: ArrayLike, time: float = 0.0) -> None:
-        """Put the system into ``state``, shape (12,), at ``time`` [s], exactly; the episode goes on.
+        """Set the state, shape (12,), and the time [s], exactly; the episode goes on.
 
-        Takes what the contact model itself produces: pymunk takes feet up to 1 m outside.
+        Any state that the contact model produces is accepted: a foot may be up to 1 m outside.
 
         Raises:
             TypeError, ValueError: unusable values; the environment stays as it was.
@@ -266,53 +267,52 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Start an episode; see the class for the start drawn and for ``options``.
+        """Start an episode; the class documents ``options`` and how the start is drawn.
 
         Raises:
             TypeError, ValueError: an unusable option; the environment stays as it was.
         """
         if not isinstance(options, Mapping | None):
-            raise TypeError(
-                f"options must be a dict of 'state', 'time' and 'scene' or None, got {check.shown(options)}"
-            )
-        given = dict(options or {})
-        check.known_keys("options", given, ("state", "time", "scene"))
-        time = 0.0 if given.get("time") is None else given["time"]
+            names = "'state', 'time' and 'scene'"
+            raise TypeError(f"options must be a dict of {names} or None, got {check.shown(options)}")
+        options = dict(options or {})
+        check.known_keys("options", options, ("state", "time", "scene"))
+        time = 0.0 if options.get("time") is None else options["time"]
         time = check.real("options['time']", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
         generator = copy.deepcopy(self.np_random) if seed is None else np_random(seed)[0]
-        scene = self._next_scene(generator, given.get("scene"))
-        if given.get("state") is None:
+        scene = self._next_scene(generator, options.get("scene"))
+        if options.get("state") is None:
             state = tasks.draw_start(self._task, scene, generator)
         else:
-            state = as_start(scene, given["state"])
-        parts = self._parts if scene == self.scene else self._made(scene)
+            state = as_start(scene, options["state"])
+        parts = self._parts if scene == self.scene else self._parts_for(scene)
         observation = parts[1].observe(state)
         super().reset(seed=seed)
         self._np_random = generator
         parts[0].reset(state, time)
-        self._take(parts)
+        self._adopt(parts)
         if self.render_mode == "human":
             self.render()
-        return observation, self._info(state, 0, 0.0, [0.0] * len(self._terms))  # nothing is earned yet
+        return observation, self._info(state, 0, 0.0, [0.0] * len(self._terms))  # no reward yet
 
     def _next_scene(self, generator: np.random.Generator, changes: Any) -> Scene:
         """The scene of the next episode."""
         if changes is not None and not isinstance(changes, Mapping):
             raise TypeError(f"options['scene'] must be a dict of the scene's fields, got {check.shown(changes)}")
         if self._randomize is None:
-            return self.scene if changes is None else self._own.changed(**changes)
-        drawn = self._randomize.draw(self._own, generator)
-        return self._own.changed(**{**drawn, **(changes or {})})
+            return self.scene if changes is None else self._first_scene.changed(**changes)
+        drawn = self._randomize.draw(self._first_scene, generator)
+        return self._first_scene.changed(**{**drawn, **(changes or {})})
 
-    def _take(self, parts: tuple[Simulator, Score]) -> None:
-        """Go on with a simulator that is in its state, and show it."""
+    def _adopt(self, parts: tuple[Simulator, Score]) -> None:
+        """Go on with a simulator that is already in its state, and show it."""
         if self._renderer is not None and parts[0].scene != self.scene:
             self._renderer.show(parts[0].scene)
         self._parts, self._started = parts, True
         self._start_picture()
 
     def step(self, action: Action) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Advance by one control step under ``action``, or under the scene's drive where it is None.
+        """Advance by one control step under ``action``, or under the scene's drive if it is None.
 
         Raises:
             TypeError, ValueError: an unusable action.
@@ -327,7 +327,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         if not self._started:
             raise gym.error.ResetNeeded("step must come after a reset, got none yet")
         simulator, score = self._parts
-        before = None if self._fails_never else (simulator.state, simulator.time)
+        before = None if self._builtin_task else (simulator.state, simulator.time)
         simulator.step(self.control_dt, torque)
         impacts, state = simulator.impacts, simulator.state
         impulse = total_impulse(impacts)
@@ -362,20 +362,17 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         """Keys for `gymnasium.utils.play`: the left arrow turns the box counter-clockwise, the right one clockwise."""
         import pygame
 
-        return {
-            (pygame.K_LEFT,): np.array([1.0], dtype=np.float32),
-            (pygame.K_RIGHT,): np.array([-1.0], dtype=np.float32),
-        }
+        left, right = np.array([[1.0], [-1.0]], dtype=np.float32)
+        return {(pygame.K_LEFT,): left, (pygame.K_RIGHT,): right}
 
     # -- helpers ------------------------------------------------------------------------------------------------------
 
     def _torque_of(self, action: Action) -> float:
         if not (type(action) is np.ndarray and action.dtype.char in "fd"):  # these are fast
             action = check.array("action", action, "hold one finite number (clipped to [-1, 1])")
-        values = action
-        if values.shape not in ((1,), ()):
-            raise ValueError(f"action must have shape (1,), got shape {values.shape}")
-        value = float(values.item())
+        if action.shape not in ((1,), ()):
+            raise ValueError(f"action must have shape (1,), got shape {action.shape}")
+        value = float(action.item())
         if not math.isfinite(value):
             raise ValueError(f"action must be a finite number (clipped to [-1, 1]), got {value}")
         return max(-1.0, min(1.0, value)) * self._parts[0].scene.torque_limit
@@ -383,14 +380,9 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     def _info(self, state: Array, impacts: int, impulse: float, terms: Sequence[float]) -> dict[str, Any]:
         simulator = self._simulator
         return {
-            "state": state,
-            "time": simulator.time,
-            "torque": simulator.torque,
-            "impacts": impacts,
-            "impulse": impulse,
-            **dict(zip(self._terms, terms, strict=True)),
-            **self._drawn(),
-        }
+            "state": state, "time": simulator.time, "torque": simulator.torque, "impacts": impacts, "impulse": impulse,
+            **dict(zip(self._terms, terms, strict=True)), **self._drawn(),
+        }  # fmt: skip
 
     def _drawn(self) -> dict[str, Any]:
         names = self._randomize.names if self._randomize else []
@@ -402,7 +394,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
 
 
 def put(env: JackInBoxEnv, scene: Scene, state: Array, time: float) -> None:
-    """Let an environment go on in a scene, and in a state and at a time [s] that are checked: for batches of them."""
-    parts = env._parts if scene == env.scene else env._made(scene)
+    """Set an environment's scene, state and time [s], all of them checked: for batches of environments."""
+    parts = env._parts if scene == env.scene else env._parts_for(scene)
     parts[0].reset(state, time)
-    env._take(parts)
+    env._adopt(parts)

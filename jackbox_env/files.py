@@ -1,8 +1,8 @@
-"""Files that outlive kills: written beside their place and renamed into it.
+"""Files that survive kills: each is written under another name beside its path, then renamed.
 
-A process killed at any moment, or a machine without power, leaves the old file or the new one: the new one is on the
-disk before it takes its name. What a killed process was writing stays behind as ``.<name>.<process>.partial``, which
-nobody reads and :func:`remove_partials` removes.
+A process killed at any moment, or a power cut, leaves the old file or the new one: the new one is on the disk before
+it is renamed. A killed process leaves ``.<name>.<process>.partial`` behind. Nobody reads such files, and
+:func:`remove_partials` removes them.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from typing import Any
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a path to write to; at the end of the block that file takes the place of ``path`` in one stroke."""
-    partial = _partial(path, path.suffix)  # writers look at the suffix
+    """Yield a path to write to; at the end of the block that file replaces ``path`` in one stroke."""
+    partial = _partial(path, path.suffix)  # writers depend on the suffix
     try:
         yield partial
         with partial.open("rb+") as file:
             os.fsync(file.fileno())
         partial.replace(path)
     except OSError as error:
-        error.filename = error.filename or str(path)  # a full disk does not say which file it was
+        error.filename = error.filename or str(path)  # the error of a full disk has no name
         raise
     finally:
         partial.unlink(missing_ok=True)
@@ -36,12 +36,12 @@ def replacing(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def new_file(path: Path) -> Iterator[Path]:
-    """As :func:`replacing`, for a file that is never overwritten.
+    """Yield a path to write to, as :func:`replacing` does; an existing file is never overwritten.
 
     Raises:
         FileExistsError: there is something at ``path``.
     """
-    _refuse_taken(path)
+    _refuse_existing(path)
     with replacing(path) as partial:
         yield partial
 
@@ -63,32 +63,32 @@ def write_json(path: Path, content: Any) -> None:
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder, and those above it, where they are missing."""
+    """Make a folder, and the missing folders above it."""
     path.mkdir(parents=True, exist_ok=True)
 
 
-def new_folder(path: Path | None, kind: str, fill: Callable[[Path], object] = lambda made: None) -> Path:
+def new_folder(path: Path | None, kind: str, fill: Callable[[Path], object] = lambda folder: None) -> Path:
     """Make a run folder together with what ``fill`` writes into it, in one stroke.
 
     Args:
         path: to make; None: ``runs/<kind>-<date>-<time>``.
         kind: of run.
-        fill: writes into a folder that is given; by default nothing.
+        fill: called with the folder to write into; by default writes nothing.
 
     Raises:
         OSError: as :func:`check_new`.
     """
     path = path or stamped(kind)
     check_new(path)
-    making = _partial(path)
-    shutil.rmtree(making, ignore_errors=True)  # of a killed process that had the same number
+    partial = _partial(path)
+    shutil.rmtree(partial, ignore_errors=True)  # of a killed process that had the same number
     try:
-        make_folder(making)
-        fill(making)
-        _refuse_taken(path)  # by somebody else meanwhile
-        making.rename(path)
+        make_folder(partial)
+        fill(partial)
+        _refuse_existing(path)  # another process may have made it
+        partial.rename(path)
     finally:
-        shutil.rmtree(making, ignore_errors=True)
+        shutil.rmtree(partial, ignore_errors=True)
     return path
 
 
@@ -104,7 +104,7 @@ def remove_partials(*folders: Path) -> None:
 
 
 def check_writable(folder: Path) -> None:
-    """Try whether files can be written to a folder.
+    """Check that files can be written to a folder.
 
     Raises:
         OSError: it is no folder, or nothing can be written to it.
@@ -116,22 +116,22 @@ def check_writable(folder: Path) -> None:
 
 
 def check_new(path: Path) -> None:
-    """Try whether something new can be made at ``path``, together with the folders above it that are missing.
+    """Check that ``path`` can be made, with the missing folders above it.
 
     Raises:
         FileExistsError: there is something at ``path``.
         OSError: nothing can be made there.
     """
-    _refuse_taken(path)
+    _refuse_existing(path)
     check_writable(next(folder for folder in path.absolute().parents if os.path.lexists(folder)))
 
 
-def _refuse_taken(path: Path) -> None:
+def _refuse_existing(path: Path) -> None:
     """Raise FileExistsError if there is something at ``path``."""
     if os.path.lexists(path):
         raise FileExistsError(f"{path} exists, and is never overwritten: choose another place")
 
 
 def _partial(path: Path, suffix: str = "") -> Path:
-    """Where this process writes what is to be at ``path``."""
+    """The path where this process writes before it renames to ``path``."""
     return path.with_name(f".{path.name}.{os.getpid()}.partial{suffix}")

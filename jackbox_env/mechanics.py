@@ -1,6 +1,6 @@
 """The law of the jack in a box: state layout, gaps, impact maps and energy.
 
-A state holds 12 float64 numbers in SI units, positions q first, then their rates:
+A state is 12 float64 numbers in SI units, positions q first, then their rates:
 
     [x_box, y_box, theta_box, x_jack, y_jack, theta_jack, vx_box, vy_box, omega_box, vx_jack, vy_jack, omega_jack]
 
@@ -66,6 +66,9 @@ def _directions(angle: float | Array) -> Array:
 def gaps(scene: Scene, state: ArrayLike) -> Array:
     """Gap between each wall and each foot [m], shape (4 walls, 4 feet); negative outside.
 
+    >>> gaps(Scene(), np.zeros(12))[0]  # wall 0 is at x = 6 m, the feet at x = 1, 0, -1 and 0 m
+    array([5., 6., 7., 6.])
+
     Raises:
         TypeError, ValueError: the state is not 12 finite numbers.
     """
@@ -80,7 +83,7 @@ def gaps(scene: Scene, state: ArrayLike) -> Array:
 def gap_jacobian(scene: Scene, state: ArrayLike, wall: int, foot: int) -> Array:
     """Derivative of one gap with respect to (x_box, y_box, theta_box, x_jack, y_jack, theta_jack), shape (6,).
 
-    Units: 1 for the four places, m for the two angles.
+    Units: 1 for the four coordinates, m for the two angles.
 
     Raises:
         TypeError, ValueError: the state is not 12 finite numbers, scene is no Scene, or wall or foot is no whole number
@@ -101,7 +104,7 @@ def _gap_jacobian(scene: Scene, q: Array, wall: int, foot: int) -> Array:
 def contacts_of(scene: Scene, states: Array, walls: Indices, feet: Indices) -> tuple[Array, Array]:
     """The gap [m] of one wall and one foot in each state, shape (n,), and its derivative, shape (n, 6).
 
-    :func:`gaps` and :func:`gap_jacobian` for many states, taken as they are.
+    :func:`gaps` and :func:`gap_jacobian` for many states, without checks.
 
     Args:
         scene: the scene.
@@ -122,7 +125,12 @@ def contacts_of(scene: Scene, states: Array, walls: Indices, feet: Indices) -> t
 def impact_map(scene: Scene, state: ArrayLike, wall: int, foot: int) -> tuple[Array, float]:
     """Apply the impact law of one foot on one wall: lambda = -(1 + e) J qdot- / (J M^-1 J^T).
 
-    The law is local: it does not ask whether the gap is closed. A contact that separates (J qdot- >= 0) is left alone.
+    The law is local: the gap need not be closed. A contact that separates (J qdot- >= 0) changes nothing.
+
+    >>> state = [0, 0, 0, 5, 0, 0, 0, 0, 0, 1, 0, 0]  # foot 0 touches wall 0, and the jack flies there at 1 m/s
+    >>> after, impulse = impact_map(Scene(), state, wall=0, foot=0)
+    >>> after[6:].round(3), round(impulse, 3)
+    (array([ 0.02,  0.  ,  0.  , -0.98,  0.  ,  0.  ]), 7.921)
 
     Returns:
         The state after, shape (12,), and the impulse lambda >= 0 [N s].
@@ -140,7 +148,7 @@ def impact_map(scene: Scene, state: ArrayLike, wall: int, foot: int) -> tuple[Ar
 
 
 def impact_maps(scene: Scene, states: Array, walls: Indices, feet: Indices) -> tuple[Array, Array]:
-    """:func:`impact_map` for many states, taken as they are: the states after, (n, 12), and the impulses [N s], (n,).
+    """:func:`impact_map` for many states, without checks: the states after, (n, 12), and the impulses [N s], (n,).
 
     Args:
         scene: the scene.
@@ -166,7 +174,7 @@ def simultaneous_impact_map(scene: Scene, state: ArrayLike, contacts: Sequence[t
     takes part whether it approaches or not; list those whose gap is within the tolerance of the moment. The law is the
     optimality condition of a convex problem (:mod:`jackbox_env.complementarity`), so qdot+ is unique even where the
     impulses are not (a foot in a corner has four contacts of rank 3); then the impulses are one valid choice.
-    Resolving the contacts one after the other gives other answers that keep the energy as well. This project's
+    Resolving the contacts one after the other gives other answers that conserve the energy as well. This project's
     convention is the simultaneous law.
 
     Args:
@@ -200,9 +208,9 @@ def simultaneous_impact_map(scene: Scene, state: ArrayLike, contacts: Sequence[t
     )  # fmt: skip
     weigh(scene.numbers, memory, count, before[RATES:])
     after, impulses, masses = before.copy(), np.zeros(count), np.array(scene.mass_diagonal)
-    for place, number in enumerate(nearest(memory, count)):
+    for row, number in enumerate(nearest(memory, count)):
         if number >= 0:
-            impulses[number] = (1.0 + scene.restitution) * memory.best[place] / memory.lengths[number]
+            impulses[number] = (1.0 + scene.restitution) * memory.best[row] / memory.lengths[number]
             after[RATES:] += jacobian[number] * impulses[number] / masses
     return after, impulses
 
@@ -226,6 +234,9 @@ def _dots(a: Array, b: Array) -> Array:
 def energy(scene: Scene, state: ArrayLike) -> float:
     """Kinetic energy plus m_j g y_jack [J] (the lift cancels the box's weight).
 
+    >>> energy(Scene(gravity=10.0), [0, 0, 0, 0, 2.5, 0, 0, 0, 0, 3, 0, 0])  # 4 kg at 2.5 m and 3 m/s
+    118.0
+
     Raises:
         TypeError, ValueError: the state is not 12 finite numbers.
     """
@@ -234,7 +245,7 @@ def energy(scene: Scene, state: ArrayLike) -> float:
 
 
 def energy_of(scene: Scene | SceneNumbers, state: Numbers) -> float:
-    """:func:`energy` of 12 numbers taken as they are."""
+    """:func:`energy` of 12 numbers, without checks."""
     vx_box, vy_box, omega_box = state[VX_BOX], state[VY_BOX], state[OMEGA_BOX]
     vx_jack, vy_jack, omega_jack = state[VX_JACK], state[VY_JACK], state[OMEGA_JACK]
     box = scene.box_mass * (vx_box * vx_box + vy_box * vy_box) + scene.box_inertia * omega_box * omega_box

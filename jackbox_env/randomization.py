@@ -18,31 +18,31 @@ _INERTIAS = ("box_inertia", "jack_inertia")
 
 
 class Randomization:
-    """What ``randomize`` asks for, checked.
+    """The checked ``randomize`` argument of an environment.
 
     Args:
-        given: {field of the scene: (least, largest)}, drawn uniformly, one after the other in the order of Scene's
-            fields; or a function that takes a ``numpy.random.Generator`` and returns a dict of fields.
+        randomize: {field of the scene: (least, largest)}, drawn uniformly, one after the other in the order of Scene's
+            fields; or a function of a ``numpy.random.Generator`` that returns a dict of fields.
         scenes: those that are changed.
-        try_scene: called with scenes at the ends of all ranges; raises where a contact model cannot simulate one.
+        try_scene: called with scenes at the ends of all ranges; raises if the contact model cannot simulate one.
 
     Raises:
-        TypeError, ValueError: neither of both; an unknown field; a range that could draw a scene which is refused.
+        TypeError, ValueError: neither of both; an unknown field; a range that includes an invalid scene.
     """
 
-    def __init__(self, given: Any, scenes: Sequence[Scene], try_scene: Callable[[Scene], Any]) -> None:
+    def __init__(self, randomize: Any, scenes: Sequence[Scene], try_scene: Callable[[Scene], Any]) -> None:
         self.ranges: dict[str, tuple[float, float]] = {}
         self._returned = set[str]()  # fields that the function has drawn so far
         self.function: Callable[[np.random.Generator], Mapping[str, Any]] | None = None
-        if isinstance(given, Mapping):
-            check.known_keys("randomize", given, NUMBERS)
-            self.ranges = {name: _range(name, given[name]) for name in NUMBERS if name in given}
-        elif callable(given):
-            self.function = given
+        if isinstance(randomize, Mapping):
+            check.known_keys("randomize", randomize, NUMBERS)
+            self.ranges = {name: _range(name, randomize[name]) for name in NUMBERS if name in randomize}
+        elif callable(randomize):
+            self.function = randomize
         else:
             raise TypeError(
                 "randomize must be a dict of the scene's fields with their ranges, or a function of a generator that "
-                f"returns a dict of fields, got {check.shown(given)}"
+                f"returns a dict of fields, got {check.shown(randomize)}"
             )
         for scene in dict.fromkeys(scenes) if self.ranges else ():
             for ends in product(*self.ranges.values()):
@@ -56,7 +56,7 @@ class Randomization:
             raise ValueError(f"randomize could draw a scene with {drawn}, which is refused: {error}") from error
 
     def draw(self, scene: Scene, rng: np.random.Generator) -> dict[str, Any]:
-        """Draw the fields that change; the generator moves on.
+        """Draw the fields that change; this advances the generator.
 
         Raises:
             TypeError: the function does not return a dict.
@@ -71,24 +71,24 @@ class Randomization:
 
     @property
     def names(self) -> list[str]:
-        """The fields that are drawn and hold a number, in the order of Scene's; of a function those drawn so far."""
+        """The numeric fields that are drawn, in the order of Scene's; of a function those drawn so far."""
         return [name for name in NUMBERS if name in self.ranges or name in self._returned]
 
     @property
     def table(self) -> Array:
-        """The ranges as rows of place in SceneNumbers, least, largest, in the order in which they are drawn."""
+        """The ranges as rows (index in SceneNumbers, least, largest), shape (k, 3), in the order of drawing."""
         rows = [[SceneNumbers._fields.index(name), *ends] for name, ends in self.ranges.items()]
         return np.array(rows, dtype=np.float64).reshape(-1, 3)
 
     def derived(self, scene: Scene) -> list[bool]:
-        """Whether the inertia of box and jack follows mass and size in what is drawn."""
+        """Whether the inertia of the box, and of the jack, follows mass and size in the drawn scenes."""
         return [name in scene.derived and name not in self.ranges for name in _INERTIAS]
 
 
-def _range(name: str, given: Any) -> tuple[float, float]:
-    if not isinstance(given, Sequence | np.ndarray) or isinstance(given, str) or len(given) != 2:
-        raise TypeError(f"randomize[{name!r}] must be (least, largest), got {check.shown(given)}")
-    low, high = (check.real(f"randomize[{name!r}]", value) for value in given)
+def _range(name: str, ends: Any) -> tuple[float, float]:
+    if not isinstance(ends, Sequence | np.ndarray) or isinstance(ends, str) or len(ends) != 2:
+        raise TypeError(f"randomize[{name!r}] must be (least, largest), got {check.shown(ends)}")
+    low, high = (check.real(f"randomize[{name!r}]", value) for value in ends)
     if low > high:
-        raise ValueError(f"randomize[{name!r}] must be (least, largest), got {check.shown(given)}")
+        raise ValueError(f"randomize[{name!r}] must be (least, largest), got {check.shown(ends)}")
     return low, high

@@ -1,4 +1,4 @@
-"""A native Stable-Baselines3 VecEnv on the batched environment."""
+"""A native Stable-Baselines3 VecEnv on the vector environment."""
 
 from __future__ import annotations
 
@@ -30,23 +30,26 @@ try:
 except ModuleNotFoundError as error:
     raise ModuleNotFoundError(check.extra_needed("jackbox_env.sb3", "Stable-Baselines3", "train")) from error
 
-_KNOWN = [
+_KEYWORDS = [
     name
     for name in (*inspect.signature(JackInBoxVectorEnv).parameters, *FURTHER)
     if name not in ("num_envs", "autoreset_mode", "settings")
 ]
-_SHARED = {"num_threads", "with_infos", "max_episode_steps"}  # no arguments of the single environment
+_SHARED = {"num_threads", "with_infos", "max_episode_steps"}  # not arguments of the single environment
 
 
 def make_sb3_vec_env(num_envs: int, **env_kwargs: Any) -> JackInBoxVecEnv:
     """Make ``num_envs`` environments for Stable-Baselines3.
 
-    Step by step they give what ``DummyVecEnv`` gives over ``Monitor(gymnasium.make("JackInBox-v0", **env_kwargs))``,
-    with the same seeds: observations, rewards and dones. An info holds what Stable-Baselines3 reads, at the end of an
-    episode: ``episode``, ``terminal_observation`` and ``TimeLimit.truncated``. With ``with_infos=True`` it holds all
-    that ``DummyVecEnv`` gives, which takes longer. With ``contact="exact"`` the environments are one compiled loop.
-    Seed them by ``.seed(0)`` or by the model's ``seed``; single environments by ``get_attr("state")`` and
-    ``env_method("set_state", state, time, indices=[i])``: see :class:`EnvView`.
+    Observations, rewards and dones equal those of ``DummyVecEnv`` over
+    ``Monitor(gymnasium.make("JackInBox-v0", **env_kwargs))`` with the same seeds. At the end of an episode an info has
+    ``episode``, ``terminal_observation`` and ``TimeLimit.truncated``, which Stable-Baselines3 reads. With
+    ``with_infos=True`` infos equal those of ``DummyVecEnv`` too, which takes longer. With ``contact="exact"`` the
+    environments are one compiled loop. Seed them by ``.seed(0)`` or by the model's ``seed``. Single environments are
+    reached by ``get_attr("state")`` and ``env_method("set_state", state, time, indices=[i])``: see :class:`EnvView`.
+
+    >>> make_sb3_vec_env(4, contact="exact", task="spin").reset().shape
+    (4, 10)
 
     Args:
         num_envs: number of environments.
@@ -62,12 +65,12 @@ def make_sb3_vec_env(num_envs: int, **env_kwargs: Any) -> JackInBoxVecEnv:
 class JackInBoxVecEnv(VecEnv):
     """Environments of one scene for Stable-Baselines3; see :func:`make_sb3_vec_env`.
 
-    An interruption of ``step_wait`` or ``reset`` leaves all as it was or as it is after the call. Where it strikes
-    while the results are put in place, ``step_wait`` refuses until the next ``reset``.
+    An interruption of ``step_wait`` or ``reset`` leaves everything as before the call or as after it. If it strikes
+    while the results are assigned, ``step_wait`` raises RuntimeError until the next ``reset``.
     """
 
     def __init__(self, num_envs: int, **env_kwargs: Any) -> None:
-        check.known_keys("make_sb3_vec_env", env_kwargs, _KNOWN)
+        check.known_keys("make_sb3_vec_env", env_kwargs, _KEYWORDS)
         self.vector_env = JackInBoxVectorEnv(num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **env_kwargs)
         self._with_infos = bool(env_kwargs.get("with_infos", False))
         self._views = [EnvView(self.vector_env, number, env_kwargs) for number in range(self.vector_env.num_envs)]
@@ -78,7 +81,7 @@ class JackInBoxVecEnv(VecEnv):
         super().__init__(self.vector_env.num_envs, space, actions)
         self.metadata = self.vector_env.metadata
         self._returns, self._lengths = np.zeros(self.num_envs), np.zeros(self.num_envs, dtype=np.int64)
-        self._changes = 0  # of the vector environment, when returns and lengths were those of its episodes
+        self._changes = 0  # of the vector environment, at the time of returns and lengths
 
     # -- stepping -----------------------------------------------------------------------------------------------------
 
@@ -92,15 +95,15 @@ class JackInBoxVecEnv(VecEnv):
                 environments with options of a lower number have started.
         """
         plain = np.array([not options for options in self._options])
-        given = []
+        resets = []
         for number in np.flatnonzero(~plain).tolist():
             check.known_keys("options", self._options[number], ("state", "time", "scene"))
-            given.append({**self._options[number], "reset_mask": np.arange(self.num_envs) == number})
+            resets.append({**self._options[number], "reset_mask": np.arange(self.num_envs) == number})
         if plain.any():
-            given.append({"reset_mask": plain})  # last, so that a refused state changes nothing
-        for options in given:
+            resets.append({"reset_mask": plain})  # last, so that a refused state changes nothing
+        for options in resets:
             self.vector_env.check_reset(self._seeds, options)
-        for options in given:
+        for options in resets:
             observations, infos = self.vector_env.reset(seed=self._seeds, options=options)
             rows = _rows(infos) if self._with_infos else [{} for _ in range(self.num_envs)]
             for number in np.flatnonzero(options["reset_mask"]).tolist():
@@ -112,16 +115,16 @@ class JackInBoxVecEnv(VecEnv):
         return observations
 
     def step_async(self, actions: Any, repeat: int = 1) -> None:
-        """Keep the actions, shape (N, 1), for ``step_wait``; ``repeat``: as for the step of ``vector_env``."""
+        """Store the actions, shape (N, 1), for ``step_wait``; ``repeat``: as in the step of ``vector_env``."""
         self._actions, self._repeat = actions, repeat
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Step; an episode that ends starts anew, and its info holds its last observation and its statistics.
+        """Step; an episode that ends starts anew, and its info has its last observation and its statistics.
 
         An episode's length is in control steps.
 
         Raises:
-            RuntimeError: an interruption, or a step of ``vector_env`` itself, has left other environments: reset first.
+            RuntimeError: an interruption, or a step of ``vector_env`` itself, changed the environments: reset first.
         """
         if self._changes != self.vector_env.changes:
             raise RuntimeError("the environments have changed beside step_wait, or in an interrupted one: reset them")
@@ -145,7 +148,7 @@ class JackInBoxVecEnv(VecEnv):
         return observations, rewards.astype(np.float32), dones, rows
 
     def _full_rows(self, infos: dict[str, Any], ended: list[int]) -> list[dict[str, Any]]:
-        """Each environment's own info of the step; those of new starts go to ``reset_infos``."""
+        """The info of each environment's step; those of new starts go to ``reset_infos``."""
         if ended:
             started = _rows(_some(infos, ended))
             for number, row in zip(ended, started, strict=True):
@@ -159,7 +162,7 @@ class JackInBoxVecEnv(VecEnv):
         return _rows(infos)
 
     def close(self) -> None:
-        """Release what the renderers hold."""
+        """Close the renderers."""
         self.vector_env.close()
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
@@ -172,16 +175,16 @@ class JackInBoxVecEnv(VecEnv):
     # -- attributes and methods of single environments ----------------------------------------------------------------
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """The attribute of each chosen environment, as :class:`EnvView` has it."""
+        """The attribute of each chosen environment's :class:`EnvView`."""
         return [getattr(view, attr_name) for view in self._chosen(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Set an attribute on the view of each chosen environment; what the simulation holds is read-only."""
+        """Set an attribute of each chosen environment's :class:`EnvView`; those of the simulation are read-only."""
         for view in self._chosen(indices):
             setattr(view, attr_name, value)
 
     def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any) -> list[Any]:
-        """Call a method of each chosen environment, as :class:`EnvView` has it."""
+        """Call a method of each chosen environment's :class:`EnvView`."""
         return [getattr(view, method_name)(*args, **kwargs) for view in self._chosen(indices)]
 
     def env_is_wrapped(
@@ -197,8 +200,8 @@ class JackInBoxVecEnv(VecEnv):
 class EnvView:
     """One environment of a vector environment, with the attributes and methods of the single one."""
 
-    def __init__(self, vector_env: JackInBoxVectorEnv, number: int, made_with: Mapping[str, Any]) -> None:
-        self._vector_env, self._number, self._made_with = vector_env, number, made_with
+    def __init__(self, vector_env: JackInBoxVectorEnv, number: int, keywords: Mapping[str, Any]) -> None:
+        self._vector_env, self._number, self._keywords = vector_env, number, keywords
         self.observation_space, self.action_space = vector_env.single_observation_space, vector_env.single_action_space
         self.render_mode, self.metadata = vector_env.render_mode, vector_env.metadata
         self.task, self.control_dt = vector_env.task, vector_env.control_dt
@@ -211,11 +214,11 @@ class EnvView:
 
     @property
     def spec(self) -> EnvSpec:
-        """What ``gymnasium.make`` makes the same single environment from."""
+        """The spec from which ``gymnasium.make`` makes the same single environment."""
         spec = copy.deepcopy(gym.spec("JackInBox-v0"))
-        limit = self._made_with.get("max_episode_steps", spec.max_episode_steps)
+        limit = self._keywords.get("max_episode_steps", spec.max_episode_steps)
         spec.max_episode_steps = None if limit == -1 else limit
-        spec.kwargs = {name: value for name, value in self._made_with.items() if name not in _SHARED}
+        spec.kwargs = {name: value for name, value in self._keywords.items() if name not in _SHARED}
         if isinstance(spec.kwargs.get("scene"), Sequence):
             spec.kwargs["scene"] = spec.kwargs["scene"][self._number]
         return spec
@@ -238,13 +241,13 @@ class EnvView:
 
     @property
     def observation(self) -> NDArray[np.float32]:
-        """What the agent sees of the present state, shape (10,)."""
-        seen: NDArray[np.float32] = self._vector_env.observations[self._number]
-        return seen.copy()
+        """The observation of the present state, shape (10,)."""
+        observation: NDArray[np.float32] = self._vector_env.observations[self._number]
+        return observation.copy()
 
     @property
     def impacts(self) -> list[Impact]:
-        """The impacts of the last step, in time order; none where an episode has begun since."""
+        """The impacts of the last step, in time order; empty if an episode has begun since."""
         return self._vector_env.impacts(self._number)
 
     @property
@@ -253,7 +256,7 @@ class EnvView:
         return self._vector_env.np_random_seed[self._number]
 
     def set_state(self, state: ArrayLike, time: float = 0.0) -> None:
-        """Put this environment into ``state``, shape (12,), at ``time`` [s]; its episode goes on.
+        """Set this environment's state, shape (12,), and time [s]; its episode goes on.
 
         Raises:
             TypeError, ValueError: unusable values; nothing changes.
@@ -275,7 +278,7 @@ class EnvView:
 
 
 def _some(infos: dict[str, Any], numbers: list[int]) -> dict[str, Any]:
-    """Infos of some environments; those within infos too."""
+    """Infos of some environments, nested ones too."""
     return {
         name: _some(values, numbers) if isinstance(values, dict) else values[numbers]
         for name, values in infos.items()
@@ -284,7 +287,7 @@ def _some(infos: dict[str, Any], numbers: list[int]) -> dict[str, Any]:
 
 
 def _rows(infos: dict[str, Any]) -> list[dict[str, Any]]:
-    """Infos of arrays as a list of each environment's own."""
+    """Infos of arrays as a list with one info for each environment."""
     names = [name for name in infos if not name.startswith(("_", "final_"))]
     columns = [_column(infos[name]) for name in names]
     return [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]

@@ -1,4 +1,4 @@
-"""What is modelled: the scene (geometry, masses, gravity, restitution) and the drive that moves its box.
+"""The scene: geometry, masses, gravity, restitution, and the drive that moves the box.
 
 Nothing here simulates. Lengths are in m, masses in kg, inertias in kg m^2, torques in N m, forces in N, times in s.
 """
@@ -24,10 +24,8 @@ _GAUSS = (
 
 # A panel of a twelfth of a turn: five points integrate a sine over it to 1e-15 of its amplitude.
 _PANELS_PER_TURN = 12
-
 # A chirp that turns more often within one step would take seconds to follow.
 MOST_TURNS = 83_333
-
 # Lengths, masses and inertias outside this range would under- or overflow once squared and multiplied.
 _SMALLEST = 1e-60
 _LARGEST = 1e60
@@ -74,10 +72,10 @@ def chirp_turns(start_frequency: float, rate: float, time: float) -> float:
     return linear % 1.0 + growth % 1.0 + errors
 
 
-def too_many_turns(turned: float, time: float, duration: float) -> str:
+def too_many_turns(turns: float, time: float, duration: float) -> str:
     """The sentence that refuses a chirp too fast for a step."""
     return (
-        f"the chirp turns {turned:.3g} times in the {duration:g} s after t = {time:g} s, "
+        f"the chirp turns {turns:.3g} times in the {duration:g} s after t = {time:g} s, "
         f"at most {MOST_TURNS} turns in one step or substep can be followed"
     )
 
@@ -138,9 +136,9 @@ class Chirp:
         middle = time + 0.5 * duration
         phase = chirp_turns(self.start_frequency, self.rate, middle)
         frequency = self.start_frequency + self.rate * middle  # [Hz]
-        turned = self.fastest(time, duration) * duration
-        if not turned <= MOST_TURNS:
-            raise ValueError(too_many_turns(turned, time, duration))
+        turns = self.fastest(time, duration) * duration
+        if not turns <= MOST_TURNS:
+            raise ValueError(too_many_turns(turns, time, duration))
 
         half_rate, half = 0.5 * self.rate, middle - time  # not duration / 2: a late middle is rounded
 
@@ -148,7 +146,7 @@ class Chirp:
             offset = since - half
             return math.sin(2.0 * math.pi * (phase + (frequency + half_rate * offset) * offset))
 
-        falling, rising = _hat_means(signal, duration, max(1, math.ceil(_PANELS_PER_TURN * turned)))
+        falling, rising = _hat_means(signal, duration, max(1, math.ceil(_PANELS_PER_TURN * turns)))
         return self.amplitude * falling, self.amplitude * rising
 
 
@@ -156,15 +154,15 @@ class Chirp:
 class Drive:
     """A drive given by functions of time, for scenes of your own.
 
-    Each function takes the time as a Python float [s] and returns a finite number. The pymunk model samples it at five
-    points of every substep, so it should be smooth on that scale. The exact model interpolates it to rounding and
-    locates each jump within 2^-44 of the control step, or within the spacing of float64 times if that is wider. It
-    looks at 13 points of each smooth stretch, both ends included. They are at most 0.13 of the stretch apart, and a
-    pulse that begins and ends between two of them is not seen. A function left out acts as zero and costs nothing. A
-    Drive of functions has no JSON form: an environment made with one cannot write its spec as JSON.
+    Each function has one argument, the time as a Python float [s], and returns a finite number. The pymunk model
+    samples it at five points of every substep, so it should be smooth on that scale. The exact model interpolates it to
+    rounding and locates each jump within 2^-44 of the control step, or within the spacing of float64 times if that is
+    wider. It samples 13 points of each smooth stretch, both ends included, at most 0.13 of the stretch apart; a pulse
+    between two of them is missed. A function left out acts as zero and costs nothing. A Drive of functions has no JSON
+    form: an environment made with one cannot write its spec as JSON.
 
-    Trajectories are the same to the bit on machines where the functions return the same. ``math.sin`` and its like take
-    their last place from the machine's C library.
+    Trajectories are the same to the bit on machines where the functions return the same. The last place of
+    ``math.sin`` and its like depends on the machine's C library.
 
     Attributes:
         torque: torque on the box [N m].
@@ -196,12 +194,12 @@ class Drive:
         return 0.0 if self.force_x is None and self.force_y is None else math.inf
 
     def torque_means(self, time: float, duration: float) -> tuple[float, float]:
-        """Like :meth:`Chirp.torque_means`, by one five-point panel."""
+        """Torque over [time, time + duration] [N m], averaged as by :class:`Chirp`, with one five-point panel."""
         return self._means("torque", time, duration)
 
     @property
     def force_means(self) -> tuple[Callable[[float, float], tuple[float, float]], ...]:
-        """Functions like :meth:`torque_means` for the force along x and along y [N]; empty if neither acts."""
+        """The functions that correspond to ``torque_means`` for the forces along x and y [N]; empty if neither acts."""
         if self.force_bound == 0.0:
             return ()
         return partial(self._means, "force_x"), partial(self._means, "force_y")
@@ -216,7 +214,7 @@ class Drive:
 class SceneNumbers(NamedTuple):
     """A scene and its chirp as plain numbers, under the scene's own names.
 
-    Compiled code takes it for a Scene, and so does a task's function under every contact model. The chirp's numbers are
+    It replaces a Scene in compiled code, and in a task's functions under every contact model. The chirp's numbers are
     0 if the drive is not a Chirp.
     """
 
@@ -255,24 +253,28 @@ def between(low: float, high: float, share: float) -> float:
 
 @dataclass(frozen=True)
 class Scene:
-    """Everything the physics needs to know. Frozen; every number is kept as a Python float.
+    """All parameters of the physics. Frozen; every number is a Python float.
 
     Attributes:
-        box_half_width: L, the walls stand at +-L in the box frame [m].
+        box_half_width: L, the walls are at +-L in the box frame [m].
         box_mass: m_b [kg].
-        box_inertia: J_b [kg m^2]; None stands for m_b L^2, and reads back as that number.
+        box_inertia: J_b [kg m^2]; None: m_b L^2, which the attribute then is.
         jack_arm: l, distance of each foot from the jack's centre [m]; below sqrt(2) L, or the jack fits at no angle.
         jack_mass: m_j [kg].
-        jack_inertia: J_j [kg m^2]; None stands for m_j l^2 (four point feet), and reads back as that number.
+        jack_inertia: J_j [kg m^2]; None: m_j l^2 (four point feet), which the attribute then is.
         gravity: g, acts downwards on the jack; the box's weight is lifted [m/s^2], >= 0.
         restitution: e, 0 <= e <= 1.
         torque_limit: torque of an agent's action 1 [N m].
-        drive: a Chirp, a Drive, a dict of Chirp's fields, or None. Its torque acts where no agent's does, its side
+        drive: a Chirp, a Drive, a dict of Chirp's fields, or None. Its torque acts unless an agent's does, its side
             forces always.
 
-    Torque limit and drive do not scale with the box: a small or light box wants less of both. Lengths, masses, inertias
+    Torque limit and drive do not scale with the box: a small or light box needs less of both. Lengths, masses, inertias
     and the torque limit are within [1e-60, 1e60]. :meth:`changed` derives an inertia anew that was not given;
     ``dataclasses.replace`` keeps it.
+
+    >>> scene = Scene(box_half_width=3.0, restitution=0.8)
+    >>> scene.box_inertia, scene.elastic
+    (3600.0, False)
 
     Raises:
         TypeError, ValueError: a field is of the wrong type or out of its range.
@@ -290,20 +292,20 @@ class Scene:
     drive: Chirp | Drive | None = field(default_factory=Chirp)
 
     def __post_init__(self) -> None:
-        def keep(name: str, value: object) -> None:
+        def assign(name: str, value: object) -> None:
             object.__setattr__(self, name, value)
 
         for name in ("box_half_width", "box_mass", "jack_arm", "jack_mass", "torque_limit"):
-            keep(name, _quantity(name, getattr(self, name)))
-        keep("_derived", tuple(name for name in ("box_inertia", "jack_inertia") if getattr(self, name) is None))
+            assign(name, _quantity(name, getattr(self, name)))
+        assign("_derived", tuple(name for name in ("box_inertia", "jack_inertia") if getattr(self, name) is None))
         if self.box_inertia is None:
-            keep("box_inertia", square_inertia(self.box_mass, self.box_half_width))
+            assign("box_inertia", square_inertia(self.box_mass, self.box_half_width))
         if self.jack_inertia is None:
-            keep("jack_inertia", square_inertia(self.jack_mass, self.jack_arm))
+            assign("jack_inertia", square_inertia(self.jack_mass, self.jack_arm))
         for name in ("box_inertia", "jack_inertia"):
-            keep(name, _quantity(name, getattr(self, name)))
-        keep("gravity", check.real("gravity", self.gravity, at_least=0.0, at_most=_LARGEST))
-        keep("restitution", check.real("restitution", self.restitution, at_least=0.0, at_most=1.0))
+            assign(name, _quantity(name, getattr(self, name)))
+        assign("gravity", check.real("gravity", self.gravity, at_least=0.0, at_most=_LARGEST))
+        assign("restitution", check.real("restitution", self.restitution, at_least=0.0, at_most=1.0))
         largest_arm = math.sqrt(2.0) * self.box_half_width
         if self.jack_arm >= largest_arm:
             raise ValueError(
@@ -311,7 +313,7 @@ class Scene:
             )
         if isinstance(self.drive, Mapping):
             check.known_keys("drive", self.drive, (part.name for part in fields(Chirp)))
-            keep("drive", Chirp(**self.drive))
+            assign("drive", Chirp(**self.drive))
         if not isinstance(self.drive, Chirp | Drive | None):
             hint = ": for a function f of the time write Drive(torque=f)" if callable(self.drive) else ""
             raise TypeError(
@@ -320,7 +322,7 @@ class Scene:
 
     @classmethod
     def of(cls, given: Scene | Mapping[str, Any] | None) -> Scene:
-        """Return the scene given as a Scene, as a dict of some of its fields, or as None (the default scene).
+        """Return a scene from a Scene, from a dict of some of its fields, or from None (the default scene).
 
         Raises:
             TypeError, ValueError: something else, an unknown field, or a field out of its range.
@@ -345,8 +347,8 @@ class Scene:
         """
         names = [part.name for part in fields(self)]
         check.known_keys("scene", values, names)
-        kept = {name: getattr(self, name) for name in names if name not in self.derived}
-        return Scene(**{**kept, **values})
+        present = {name: getattr(self, name) for name in names if name not in self.derived}
+        return Scene(**{**present, **values})
 
     @property
     def derived(self) -> tuple[str, ...]:
@@ -355,7 +357,7 @@ class Scene:
 
     @property
     def elastic(self) -> bool:
-        """Whether impacts keep the energy: restitution 1."""
+        """Whether impacts conserve the energy: restitution 1."""
         return self.restitution == 1.0
 
     @property
@@ -365,34 +367,32 @@ class Scene:
 
     @property
     def speed_scale(self) -> float:
-        """v0 = sqrt(2 * 9.81 * L) [m/s], a unit of speed: that after a fall of L on Earth, whatever ``gravity`` is."""
+        """v0 = sqrt(2 * 9.81 * L) [m/s], the unit of speed: after a fall of L on Earth, whatever ``gravity`` is."""
         return fall_speed(self.box_half_width)
 
     @property
     def numbers(self) -> SceneNumbers:
         """The scene as plain numbers; those of the chirp are 0 if the drive is not a Chirp."""
-        own = {name: getattr(self, name) for name in SceneNumbers._fields if hasattr(self, name)}
+        values = {name: getattr(self, name) for name in SceneNumbers._fields if hasattr(self, name)}
         chirp = self.drive if isinstance(self.drive, Chirp) else Chirp(0.0, 0.0, 0.0)
         return SceneNumbers(
-            **own,
-            chirp_amplitude=chirp.amplitude,
-            chirp_start_frequency=chirp.start_frequency,
+            **values, chirp_amplitude=chirp.amplitude, chirp_start_frequency=chirp.start_frequency,
             chirp_rate=chirp.rate,
-        )
+        )  # fmt: skip
 
 
-def scenes_of(given: Any) -> tuple[list[Scene], bool]:
-    """The scenes given as one scene, or as a list with one for each environment or row; whether it was a list.
+def scenes_of(scene: Any) -> tuple[list[Scene], bool]:
+    """The scenes from one scene, or from a list with one for each environment or row; whether it was a list.
 
     Raises:
-        TypeError, ValueError: what :meth:`Scene.of` refuses.
+        TypeError, ValueError: as :meth:`Scene.of`; an empty list.
     """
-    if isinstance(given, str) or not isinstance(given, Sequence):
-        return [Scene.of(given)], False  # type: ignore[arg-type]  # it refuses what is no scene
-    if not len(given):
+    if isinstance(scene, str) or not isinstance(scene, Sequence):
+        return [Scene.of(scene)], False  # type: ignore[arg-type]  # anything else raises
+    if not len(scene):
         raise ValueError("scene must be one scene or a list of at least one, got an empty list")
     scenes = list[Scene]()
-    for number, one in enumerate(given):
+    for number, one in enumerate(scene):
         try:
             scenes.append(Scene.of(one))
         except (TypeError, ValueError) as error:

@@ -1,7 +1,7 @@
 """Observation and reward of one state, in the arithmetic of its contact model.
 
-The exact model's are compiled: the single environment then gives the very bits of the batched one. The pymunk model's
-are Python's, and load no compiler. Both hand the task the same scene numbers.
+With the exact model they are compiled, so the single environment equals the batched one bit for bit. With pymunk they
+are plain Python, which loads no compiler. The task gets the same scene numbers from both.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from jackbox_env.states import Array, State
 from jackbox_env.tasks import TASKS, Task, TaskError, checked_reward, checked_terms
 
 Scored = tuple[NDArray[np.float32], Sequence[float], bool]
-# What has been compiled for each user's task, as long as the task lives.
+# Compiled functions of each user's task, as long as the task lives.
 _compiled: WeakKeyDictionary[Task, dict[Callable[..., Any], Callable[..., Any]]] = WeakKeyDictionary()
 _ARITHMETIC = ArithmeticError, ValueError  # math.log(0.0) raises a ValueError
 
@@ -37,35 +37,35 @@ class Score(Protocol):
         """Return the observation, shape (10,), the values of the reward's terms, and whether the episode is over."""
 
     def observe(self, state: Array) -> NDArray[np.float32]:
-        """Return the observation of a state, shape (10,), and try the task there, without torque and impulse.
+        """Return the observation of a state, shape (10,), and evaluate the task there, without torque and impulse.
 
-        An arithmetic error of the task does not count: perhaps no step ends so.
+        Arithmetic errors of the task are ignored: perhaps no step ends in this state.
 
         Raises:
-            TypeError: the task does not return what it should.
+            TypeError: the task returns a wrong type.
         """
 
     def of(self, scene: Scene) -> Score:
-        """The same of another scene, with the task's function as it was read."""
+        """The same for another scene, with the task's functions as they were compiled."""
 
 
 def make_score(scene: Scene, task: Task, contact: str) -> Score:
     """Return the function that observes and rewards.
 
     Raises:
-        TypeError: a function of the task cannot be compiled, or does not return what it should.
+        TypeError: a function of the task cannot be compiled, or returns a wrong type.
     """
     return CompiledScore(scene, task) if contact_model(contact).compiled else PlainScore(scene, task)
 
 
 class PlainScore:
-    """In Python."""
+    """In plain Python."""
 
     def __init__(self, scene: Scene, task: Task) -> None:
         self._scene, self._numbers, self._task = scene, scene.numbers, task
 
     def __call__(self, state: Array, torque: float, impulse: float) -> Scored:
-        """See :class:`Score`."""
+        """Return the observation, the values of the terms, and whether the episode is over."""
         after, over = State(*state.tolist()), False
         terms = checked_terms(self._task, self._task.values(self._numbers, after, torque, impulse))
         if self._task.over is not None:
@@ -75,93 +75,94 @@ class PlainScore:
         return observe(self._scene, after), terms, bool(over)
 
     def observe(self, state: Array) -> NDArray[np.float32]:
-        """See :class:`Score`."""
+        """Return the observation, shape (10,), and evaluate the task."""
         with suppress(*_ARITHMETIC):
             self(state, 0.0, 0.0)
         return observe(self._scene, state.tolist())
 
     def of(self, scene: Scene) -> PlainScore:
-        """See :class:`Score`."""
+        """The same for another scene."""
         return PlainScore(scene, self._task)
 
 
 class CompiledScore:
-    """Compiled."""
+    """Compiled by numba."""
 
     def __init__(self, scene: Scene, task: Task, call: Callable[..., Any] | None = None) -> None:
         from jackbox_env.exact.score import score_one
 
-        self._given = scene, task
+        self._arguments = scene, task
         self._call, self._numbers = call or compiled_for(task, score_one), np.array(scene.numbers)
         self._terms = np.empty(len(task.terms))  # written by each call
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return CompiledScore, self._given
+        return CompiledScore, self._arguments
 
     def __call__(self, state: Array, torque: float, impulse: float) -> Scored:
-        """See :class:`Score`."""
+        """Return the observation, the values of the terms, and whether the episode is over."""
         observation = np.empty(10, dtype=np.float32)
         over = self._call(self._numbers, state, torque, impulse, observation, self._terms)
         return observation, self._terms.tolist(), over
 
     def observe(self, state: Array) -> NDArray[np.float32]:
-        """See :class:`Score`."""
+        """Return the observation, shape (10,), and evaluate the task."""
         observation = np.empty(10, dtype=np.float32)
         with suppress(*_ARITHMETIC):  # the observation comes first
             self._call(self._numbers, state, 0.0, 0.0, observation, self._terms)
         return observation
 
     def of(self, scene: Scene) -> CompiledScore:
-        """See :class:`Score`."""
-        return CompiledScore(scene, self._given[1], self._call)
+        """The same for another scene, without compiling again."""
+        return CompiledScore(scene, self._arguments[1], self._call)
 
 
 def bad_reward(task: Task, simulator: Simulator, where: str) -> TaskError:
-    """What to raise where the exact model's last step has earned a reward that is NaN or infinite."""
+    """The error of the exact model's last step, whose reward is NaN or infinite."""
     score = CompiledScore(simulator.scene, task)
     _, terms, _ = score(simulator.state, simulator.torque, total_impulse(simulator.impacts))
     try:
         checked_reward(task, terms)
     except TaskError as error:
         return TaskError(f"{error}, in {where}")
-    return TaskError(f"the reward must be finite, got one that is not, in {where}")  # what the task reads has changed
+    # A value that the task reads has changed since.
+    return TaskError(f"the reward must be finite, got one that is not, in {where}")
 
 
 def compiled_for(task: Task, function: Callable[..., Any]) -> Callable[..., Any]:
     """A function of ``exact.score``, compiled once for each Task, with the task's functions as they are then.
 
     Raises:
-        TypeError: a function of the task cannot be compiled, or does not return what it should.
+        TypeError: a function of the task cannot be compiled, or returns a wrong type.
     """
     from jackbox_env.exact.compiler import compiled, compiled_for_users
 
     if task in TASKS.values():
         return compiled(function, task_terms=task.values)
-    made = _compiled.setdefault(task, {})
-    if function not in made:
+    variants = _compiled.setdefault(task, {})
+    if function not in variants:
         _refuse_unfit(task)
         ends = {} if task.over is None else {"task_over": task.over}
-        made[function] = compiled_for_users(function, task_terms=task.values, **ends)
-    return made[function]
+        variants[function] = compiled_for_users(function, task_terms=task.values, **ends)
+    return variants[function]
 
 
 def _refuse_unfit(task: Task) -> None:
-    """Compile the functions of a user's task, and look at what they return."""
+    """Compile the functions of a user's task, and check the types that they return."""
     from numba import config
     from numba.core import types
 
     if config.DISABLE_JIT:  # type: ignore[attr-defined]
-        return  # plain Python says itself what does not fit
-    found: Any = _returned_by(task.values)
-    fits = isinstance(found, types.UniTuple) and isinstance(found.dtype, types.Number | types.Boolean)
-    if not (fits and len(found) == len(task.terms) and found.dtype not in types.complex_domain):
+        return  # plain Python raises its own errors
+    returned: Any = _returned_by(task.values)
+    fits = isinstance(returned, types.UniTuple) and isinstance(returned.dtype, types.Number | types.Boolean)
+    if not (fits and len(returned) == len(task.terms) and returned.dtype not in types.complex_domain):
         raise TypeError(
             f"the task's function {task.values.__qualname__} must return a tuple of {len(task.terms)} floats, one for "
-            f"each term, got what numba calls {found}"
+            f"each term, got what numba calls {returned}"
         )
-    if task.over is not None and not isinstance(found := _returned_by(task.over), types.Boolean):
+    if task.over is not None and not isinstance(returned := _returned_by(task.over), types.Boolean):
         raise TypeError(
-            f"the task's function {task.over.__qualname__} must return True or False, got what numba calls {found}"
+            f"the task's function {task.over.__qualname__} must return True or False, got what numba calls {returned}"
         )
 
 
@@ -179,14 +180,14 @@ def _returned_by(function: Callable[..., Any]) -> Any:
 
 
 def _without_numpy(function: Callable[..., Any]) -> str:
-    """What to do instead, where a function uses numpy."""
+    """The advice if a function uses numpy; else empty."""
     modules = (function.__globals__.get(name) for name in function.__code__.co_names)
     used = any(getattr(module, "__name__", "").split(".")[0] == "numpy" for module in modules)
     return "; write it without numpy, with single numbers and math" if used else ""
 
 
 def _reason(error: Exception) -> str:
-    """The line that says what numba refuses."""
+    """The line of numba's error that has the reason."""
     text = re.sub(r"\x1b\[[0-9;]*m", "", str(error))
     if "NRT required" in text:
         return "it makes an array, a list or a dict; use single numbers"

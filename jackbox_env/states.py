@@ -1,4 +1,4 @@
-"""The 12 numbers of a state: their order, their names, and which of them a start or a simulation may hold.
+"""The 12 numbers of a state: their order, their names, and the values that are accepted.
 
     [x_box, y_box, theta_box, x_jack, y_jack, theta_jack, vx_box, vy_box, omega_box, vx_jack, vy_jack, omega_jack]
 
@@ -19,7 +19,7 @@ from jackbox_env.scene import Scene, SceneNumbers
 
 
 class State(NamedTuple):
-    """The 12 numbers by name: what a task's functions read, e.g. ``state.y_jack - state.y_box``.
+    """The 12 numbers by name, for a task's functions: ``state.y_jack - state.y_box``.
 
     >>> State(*range(12)).omega_box
     8
@@ -50,7 +50,7 @@ RATES = VX_BOX  # where the rates begin
 STATE_NAMES = State._fields
 STATE_UNITS = ("m", "m", "rad") * 2 + ("m/s", "m/s", "rad/s") * 2
 
-# A start is inside when no foot is further out than this [m], or than 4 units in the last place of a far-off position.
+# A start is inside if no foot is further out than this [m], or than 4 units in the last place of a far-off position.
 START_TOLERANCE = 1e-9
 
 # A state from a contact model is accepted with a foot up to this far outside [m], or up to L if that is less.
@@ -70,18 +70,18 @@ def as_state(state: ArrayLike) -> Array:
     """Return ``state`` as a fresh float64 array of shape (12,).
 
     Raises:
-        TypeError: it does not hold numbers.
-        ValueError: its shape is not (12,), or a number is NaN, infinite or beyond 1e100 (named by its place).
+        TypeError: it is not an array of numbers.
+        ValueError: its shape is not (12,), or a number, which the message names, is NaN, infinite or beyond 1e100.
     """
     array = np.array(check.array("state", state, "hold 12 numbers"), dtype=np.float64)
     if array.shape != (12,):
         raise ValueError(f"state must have shape (12,), got shape {array.shape}")
     if not np.isfinite(array).all():
-        place = int(np.argmin(np.isfinite(array)))
-        raise ValueError(f"state must be finite, got {STATE_NAMES[place]} = {array[place]}")
+        index = int(np.argmin(np.isfinite(array)))
+        raise ValueError(f"state must be finite, got {STATE_NAMES[index]} = {array[index]}")
     if np.abs(array).max() > LARGEST:
-        place = int(np.argmax(np.abs(array)))
-        raise ValueError(f"state must be within +-{LARGEST:g}, got {STATE_NAMES[place]} = {array[place]}")
+        index = int(np.argmax(np.abs(array)))
+        raise ValueError(f"state must be within +-{LARGEST:g}, got {STATE_NAMES[index]} = {array[index]}")
     return array
 
 
@@ -116,8 +116,8 @@ def as_start(scene: Scene, state: ArrayLike) -> Array:
     """Return ``state`` as a fresh float64 array of shape (12,) if every foot is inside, to the start's tolerance.
 
     Raises:
-        TypeError, ValueError: the state is not 12 finite numbers, a foot is outside, or the places are so far from the
-            origin that float64 does not resolve L / 1000.
+        TypeError, ValueError: the state is not 12 finite numbers, a foot is outside, or the positions are so far from
+            the origin that float64 does not resolve L / 1000.
     """
     refuse_no_scene(scene)
     array = as_state(state)
@@ -133,7 +133,7 @@ def as_start(scene: Scene, state: ArrayLike) -> Array:
 
 
 def deepest_restored(scene: Scene) -> float:
-    """How far outside the box a foot may be in a state that is put back [m]: min(1 m, L)."""
+    """How far outside the box a foot may be in a restored state [m]: min(1 m, L)."""
     return min(DEEPEST, scene.box_half_width)
 
 
@@ -141,8 +141,8 @@ def as_restored(scene: Scene, state: ArrayLike) -> Array:
     """Return ``state`` as a fresh float64 array of shape (12,) if every foot is at most min(1 m, L) outside.
 
     Raises:
-        TypeError, ValueError: the state is not 12 finite numbers, a foot is further outside, or the places are so far
-            from the origin that float64 does not resolve L / 1000.
+        TypeError, ValueError: the state is not 12 finite numbers, a foot is further outside, or the positions are so
+            far from the origin that float64 does not resolve L / 1000.
     """
     refuse_no_scene(scene)
     array = as_state(state)
@@ -155,6 +155,6 @@ def as_restored(scene: Scene, state: ArrayLike) -> Array:
 
 
 def _refuse_far_off(scene: Scene, values: Sequence[float]) -> None:
-    furthest = max(abs(values[place]) for place in (X_BOX, Y_BOX, X_JACK, Y_JACK))
+    furthest = max(abs(values[index]) for index in (X_BOX, Y_BOX, X_JACK, Y_JACK))
     if not math.ulp(furthest) <= 1e-3 * scene.box_half_width:
         raise ValueError(f"state must be near enough to the origin for float64 to resolve L / 1000, got {furthest:g} m")

@@ -1,9 +1,9 @@
-"""What is asked of the agent: starts, and rewards and ends as small pure functions of the state.
+"""Tasks: starts, and rewards and ends of episodes as small pure functions of the state.
 
-A task's functions take (scene, state after the step, mean torque over the step [N m], impulse of the step's impacts
-[N s]). One returns the values of the task's named terms, whose sum is the reward. The other says whether the episode is
-over. Every reward of the tasks here lies in [-1, 1], and none of them ends an episode. The functions are plain
-arithmetic: with ``contact="exact"`` they are compiled as they stand.
+A task's functions have the arguments scene, state after the step, mean torque over the step [N m] and impulse of the
+step's impacts [N s]. One returns the values of the task's named terms, whose sum is the reward. The other returns
+whether the episode is over. Every reward of the tasks here lies in [-1, 1], and none of them ends an episode. The
+functions are plain arithmetic: with ``contact="exact"`` they are compiled.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ class TaskError(RuntimeError):
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What is asked: the names of the reward's terms, the function that gives their values, ends and starts.
+    """A reward as named terms, and optionally when episodes end and how they start.
 
-    A task of your own goes wherever the name of one does::
+    A task of your own is accepted wherever the name of one is::
 
         def lift(scene, state, torque, impulse):
             return ((state.y_jack - state.y_box) / scene.box_half_width,)
@@ -48,17 +48,16 @@ class Task:
     an infinity under ``"exact"``, where Python raises an error. A reward that is NaN or infinite raises
     :class:`TaskError`, and the step has not happened.
 
-    An environment tries the task when it is made, in a start of :func:`sample_start`, and where an episode starts, both
-    without torque and impulse. What does not fit raises TypeError. Arithmetic errors do not count there.
+    An environment evaluates the task at its construction, in a start of :func:`sample_start`, and at each start of an
+    episode, without torque and impulse. A wrong type raises TypeError there. Arithmetic errors are ignored.
 
     Attributes:
-        terms: names of the terms; ``info`` holds each as ``reward_<name>``.
+        terms: names of the terms; ``info`` has each as ``reward_<name>``.
         values: function of (scene, state, torque, impulse) that returns a tuple of as many floats. ``scene`` has the
             fields of :class:`jackbox_env.scene.SceneNumbers`. ``state`` is the :class:`jackbox_env.State` after the
             step, a tuple of 12 numbers. ``torque`` is the mean over the step [N m], ``impulse`` the sum over its
             impacts [N s].
-        over: function of the same that returns True where the step ends the episode: it is terminated. None: no step
-            does.
+        over: function of the same that returns True if the step terminates the episode. None: no step does.
         start: function of the :class:`jackbox_env.Scene` and the environment's ``numpy.random.Generator`` that draws
             the state in which an episode starts, shape (12,), every foot inside the box. It is plain Python, called at
             each reset. None: as :func:`sample_start`.
@@ -108,7 +107,7 @@ def draw_start(task: Task, scene: Scene, rng: np.random.Generator) -> Array:
 
 
 def start_pose(scene: AnyScene, x: float, y: float, angle: float) -> tuple[float, float, float]:
-    """The jack's place [m] and angle [rad] at the start, from three draws that are uniform in [-1, 1]."""
+    """The jack's position [m] and angle [rad] at the start, from three draws that are uniform in [-1, 1]."""
     room = scene.box_half_width - scene.jack_arm
     if room <= 0.0:
         return 0.0, 0.0, math.pi / 4.0
@@ -124,7 +123,7 @@ def juggle(scene: AnyScene, state: State, torque: float, impulse: float) -> tupl
 
 
 def spin(scene: AnyScene, state: State, torque: float, impulse: float) -> tuple[float]:
-    """Spin the jack counter-clockwise while the box keeps calm.
+    """Spin the jack counter-clockwise while the box is calm.
 
     ``spin`` = omega_jack l / v0, clipped to [-1, 1], times calm = 1 - |omega_box| L / v0, at least 0. Spinning the
     other way costs as much as it earns, so luck averages out; spinning the box up ends all pay.
@@ -181,19 +180,18 @@ TASKS = {
 SLOPES = {"juggle": juggle_slope, "spin": spin_slope}  # of the tasks whose reward is a function of the state
 
 
-def task_of(given: str | Task, argument: str = "task") -> Task:
-    """The task of that name, or one of the user's own, checked; ``argument`` is what errors call it.
+def task_of(task: str | Task, argument: str = "task") -> Task:
+    """The task of that name, or a checked Task; ``argument`` is its name in errors.
 
     Raises:
-        TypeError, ValueError: an unknown name; terms that are not different words; what is not a function and should
-            be.
+        TypeError, ValueError: an unknown name; terms that are not different words; something else than a function.
     """
-    if isinstance(given, str):
-        return TASKS[check.choice(argument, given, TASKS)]
-    if not isinstance(given, Task):
+    if isinstance(task, str):
+        return TASKS[check.choice(argument, task, TASKS)]
+    if not isinstance(task, Task):
         listed = ", ".join(repr(name) for name in TASKS)
-        raise TypeError(f"{argument} must be one of {listed}, or a jackbox_env.Task, got {check.shown(given)}")
-    terms, values, over, start = given.terms, given.values, given.over, given.start
+        raise TypeError(f"{argument} must be one of {listed}, or a jackbox_env.Task, got {check.shown(task)}")
+    terms, values, over, start = task.terms, task.values, task.over, task.start
     listed = list(terms) if isinstance(terms, Sequence) and not isinstance(terms, str) else []
     if not listed or not all(isinstance(name, str) and name for name in listed) or len({*listed}) < len(listed):
         raise ValueError(f"a task's terms must be a tuple of different names, got {check.shown(terms)}")
@@ -203,11 +201,11 @@ def task_of(given: str | Task, argument: str = "task") -> Task:
         raise TypeError(f"a task's over must be a plain Python function or None, got {check.shown(over)}")
     if not (start is None or callable(start)):
         raise TypeError(f"a task's start must be a function of scene and rng, or None, got {check.shown(start)}")
-    return given if isinstance(terms, tuple) else Task(tuple(listed), values, over, start)
+    return task if isinstance(terms, tuple) else Task(tuple(listed), values, over, start)
 
 
 def checked_terms(task: Task, values: object) -> tuple[float, ...]:
-    """What a task's function has returned, if it is a tuple of as many numbers as the task has terms.
+    """Return the values that a task's function has returned, if they are a tuple with one number for each term.
 
     Raises:
         TypeError: it is not.
@@ -221,7 +219,7 @@ def checked_terms(task: Task, values: object) -> tuple[float, ...]:
 
 
 def reward_of(terms: Sequence[float]) -> float:
-    """The reward: the terms summed in their order, as the compiled code does; Python's own sum rounds otherwise."""
+    """The reward: the terms summed in their order, as in compiled code; Python's own ``sum`` rounds otherwise."""
     total = 0.0
     for term in terms:
         total += term
@@ -238,5 +236,5 @@ def checked_reward(task: Task, terms: Sequence[float]) -> float:
     if math.isfinite(reward):
         return reward
     listed = [f"{name!r} is {value}" for name, value in zip(task.terms, terms, strict=True)]
-    guilty = [one for one, value in zip(listed, terms, strict=True) if not math.isfinite(value)]
-    raise TaskError(f"the reward must be finite, got {reward}: the term {', '.join(guilty or listed)}")
+    not_finite = [one for one, value in zip(listed, terms, strict=True) if not math.isfinite(value)]
+    raise TaskError(f"the reward must be finite, got {reward}: the term {', '.join(not_finite or listed)}")

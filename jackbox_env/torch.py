@@ -35,21 +35,21 @@ def step(
             a clipped one is 0.
         dt: control step [s].
         task: whose reward is returned, "juggle" or "spin"; its gradient is 0 where the reward has a kink.
-        nonsmooth: what to do with rows that have no derivative (see :class:`jackbox_env.Linearization`) where one is
-            wanted: "raise" an error, or take "zero" for it.
+        nonsmooth: what to do with rows that have no derivative (see :class:`jackbox_env.Linearization`) if one is
+            needed: "raise" an error, or use "zero" for it.
 
     Returns:
         Next states, (N, 12), rewards, (N,), both float64, and which rows have a derivative, (N,), bool.
 
     Raises:
-        TypeError, ValueError: unusable values; a row without a derivative, where one is wanted and not "zero".
+        TypeError, ValueError: unusable values; with "raise", a row without a derivative that is needed.
         JackLostError: a jack moves too fast to be followed.
     """
     check.choice("task", task, SLOPES)
     check.choice("nonsmooth", nonsmooth, ("raise", "zero"))
-    for name, given in (("states", states), ("actions", actions)):
-        if not (isinstance(given, Tensor) and given.is_floating_point()):
-            raise TypeError(f"{name} must be a torch.Tensor of floats, got {check.shown(given)}")
+    for name, tensor in (("states", states), ("actions", actions)):
+        if not (isinstance(tensor, Tensor) and tensor.is_floating_point()):
+            raise TypeError(f"{name} must be a torch.Tensor of floats, got {check.shown(tensor)}")
     if states.ndim != 2 or states.shape[1] != 12 or actions.shape not in ((len(states),), (len(states), 1)):
         shapes = tuple(states.shape), tuple(actions.shape)
         raise ValueError(
@@ -60,8 +60,8 @@ def step(
         raise ValueError(f"actions must be finite numbers (clipped to [-1, 1]), got {shares[~finite][0].item()}")
     shares = shares.clamp(-1.0, 1.0)
     strict = nonsmooth == "raise" and torch.is_grad_enabled()
-    found = _Step.apply(scene, states.to("cpu", torch.float64), shares, dt, task, strict)  # type: ignore[no-untyped-call]
-    next_states, rewards, smooth = (one.to(states.device) for one in found)
+    outputs = _Step.apply(scene, states.to("cpu", torch.float64), shares, dt, task, strict)  # type: ignore[no-untyped-call]
+    next_states, rewards, smooth = (one.to(states.device) for one in outputs)
     return next_states, rewards, smooth
 
 
@@ -78,26 +78,26 @@ class _Step(torch.autograd.Function):
         lin = linearize(scene, states.numpy(), torques, dt)
         smooth = lin.smooth[:, 0]
         if strict and any(ctx.needs_input_grad) and not smooth.all():
-            rough = np.flatnonzero(~smooth)
+            without = np.flatnonzero(~smooth)
             raise ValueError(
-                f"states must have a derivative, {len(rough)} of {len(smooth)} have none, the first is "
-                f'states[{rough[0]}]; nonsmooth="zero" takes 0 for it'
+                f"states must have a derivative, {len(without)} of {len(smooth)} have none, the first is "
+                f'states[{without[0]}]; nonsmooth="zero" takes 0 for it'
             )
         rewards = rollout(scene, states.numpy(), torques, dt, rewards=task).rewards[:, 0]
-        ctx.given = lin, numbers, task
-        told = torch.from_numpy(smooth.copy())
-        ctx.mark_non_differentiable(told)
-        return torch.from_numpy(lin.trajectories[:, 1].copy()), torch.from_numpy(rewards), told
+        ctx.linearized = lin, numbers, task
+        has_derivative = torch.from_numpy(smooth.copy())
+        ctx.mark_non_differentiable(has_derivative)
+        return torch.from_numpy(lin.trajectories[:, 1].copy()), torch.from_numpy(rewards), has_derivative
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, by_states: Tensor, by_rewards: Tensor, _: Any) -> tuple[Tensor | None, ...]:
         """The gradient; 0 in rows that have none."""
-        lin, numbers, task = ctx.given
+        lin, numbers, task = ctx.linearized
         weights = np.zeros_like(lin.trajectories)
         weights[:, 1] = by_states.numpy() + by_rewards.numpy()[:, None] * SLOPES[task](numbers, lin.trajectories[:, 1])
         by_start, by_torque, _ = lin.vjp(weights)
-        for pulled in (by_start, by_torque):
-            pulled[~lin.smooth[:, 0]] = 0.0
+        for gradient in (by_start, by_torque):
+            gradient[~lin.smooth[:, 0]] = 0.0
         by_share = by_torque[:, 0] * numbers.torque_limit
         return None, torch.from_numpy(by_start), torch.from_numpy(by_share), None, None, None

@@ -1,10 +1,13 @@
-"""The vector environment: it sequences a batch of environments, their episodes and restarts."""
+"""The vector environment: it sequences a batch of environments, their episodes and restarts.
+
+The batch (:mod:`jackbox_env.batches`) steps the states; this file checks arguments and decides which episodes restart.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from types import FunctionType
-from typing import Any, NamedTuple
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -14,72 +17,59 @@ from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import checks as check
 from jackbox_env.batches.arguments import Arguments
-from jackbox_env.batches.base import Batch, Change, Flags, Floats, Outcome, Starts
+from jackbox_env.batches.base import Batch, Flags, Floats, Outcome, Starts
+from jackbox_env.batches.infos import Infos, infos_at_end, infos_at_start, masked
+from jackbox_env.batches.resets import ResetPlan, as_autoreset_mode, plan_of
 from jackbox_env.env import JackInBoxEnv, Randomize
 from jackbox_env.randomization import NUMBERS, Randomization
 from jackbox_env.scene import Scene
 from jackbox_env.simulators import Impact, contact_model
 from jackbox_env.simulators.fidelity import FURTHER
-from jackbox_env.states import Array, as_restored, as_start
+from jackbox_env.states import Array, as_restored
 from jackbox_env.tasks import Task, task_of
-
-Infos = dict[str, Any]
 
 _MOST_ENVS = 1_000_000_000
 _NO_LIMIT = 10**15  # steps; float64 counts them all
 
 
-class ResetPlan(NamedTuple):
-    """What a reset does, checked."""
-
-    chosen: Flags  # (N,) which environments
-    seeds: list[int | None]
-    changes: list[Change] | None  # of the scenes of those chosen; None: they stay, or are drawn as always
-    states: Callable[[Callable[[int], Scene]], Array] | None  # (N, 12) where they start, checked against the scenes
-    times: Array  # (N,) [s]
-
-
 class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
     """Many jacks in boxes side by side: ``gymnasium.make_vec("JackInBox-v0", num_envs=1024, contact="exact")``.
 
-    Environment i seeded with s + i gives, bit for bit and across its restarts, what the single environment seeded with
-    s + i gives. With ``contact="exact"`` all of it (physics, observation, reward, time limit, restart) is one compiled
-    loop; otherwise, or with pictures, the environments are stepped one by one.
+    Environment i seeded with s + i equals the single environment seeded with s + i, bit for bit and across restarts.
+    With ``contact="exact"`` all of it (physics, observation, reward, time limit, restart) is one compiled loop.
+    Otherwise, or with pictures, the environments are stepped one by one.
 
     Args:
         num_envs: number of environments N.
         max_episode_steps: steps after which an episode is truncated; -1: never.
-        autoreset_mode: when an episode that is over restarts. ``NEXT_STEP``: the step after ignores the action, returns
-            the new start and reward 0. ``SAME_STEP``: the step that ends it returns the new start, and the last
-            observation in ``infos["final_obs"]``. ``DISABLED``: you restart it, by ``reset`` with a ``reset_mask``. The
-            enum or its name.
-        num_threads: threads for the exact model; None: as many as the machine has, fewer for a small batch. Results do
-            not depend on it.
-        with_infos: fill the step's infos with what the single environment's info holds, as arrays.
+        autoreset_mode: when a finished episode restarts. ``NEXT_STEP``: the next step ignores the action, returns the
+            new start and reward 0. ``SAME_STEP``: the step that ends it returns the new start, and the last observation
+            in ``infos["final_obs"]``. ``DISABLED``: you restart it, by ``reset`` with a ``reset_mask``.
+        num_threads: of the exact model; None: those of the machine, fewer for a small batch. Results do not change.
+        with_infos: fill the step's infos with the numbers of the single environment's info, as arrays.
         render_mode: None or "rgb_array"; "human" for one environment.
-        contact: "pymunk" or "exact", in place of a fidelity. This and what follows means the same in the single
-            environment, whose page tells more.
+        contact: "pymunk" or "exact", in place of a fidelity. This and the arguments below are those of the single
+            environment; see its page.
         substeps: engine steps of pymunk per control step; None: 4.
         scene: a :class:`Scene`, a dict of some of its fields, or a list of N of them, one for each environment.
         task: the name of one, or a :class:`Task`.
         control_dt: duration of a step [s].
         torque: "agent": the actions are torques; "chirp": the scene's drive acts whatever they are.
         fidelity: "coarse", "balanced", "fine" or "exact"; None: "balanced".
-        randomize: what of the scenes is drawn anew at each reset, by each environment's own generator.
+        randomize: fields of the scenes that are drawn at each reset, by each environment's own generator.
         render_size: width and height of each environment's frame [pixels].
         render_overlay: False: frames show box, jack and ruled lines alone.
 
-    ``step`` takes actions of shape (N, 1) or (N,), or None: the scene's drive turns all boxes. ``reset`` takes a seed
-    (an int, or a list of ints and None) and ``options``: "state", shape (12,) or (N, 12), "time" [s], a number or shape
-    (N,), "scene", a dict of fields for all or a list of N, and "reset_mask", bool (N,), to restart some only. Returned
-    arrays are never written again.
+    ``reset`` accepts a seed (an int, or a list of ints and None) and ``options``: "state", shape (12,) or (N, 12),
+    "time" [s], a number or shape (N,), "scene", a dict of fields for all or a list of N, and "reset_mask", bool (N,),
+    to restart some only. Returned arrays are never written again.
 
     An interruption (Ctrl-C) of ``step`` changes nothing, unless it strikes while the new states replace the old ones.
     Then the environments refuse to step until all are ``reset``.
 
     Raises:
-        TypeError, ValueError: an argument out of its range. Calls that are refused leave all environments as they were.
-        MemoryError: more environments than the machine has room for.
+        TypeError, ValueError: an argument out of its range. A refused call leaves all environments as they were.
+        MemoryError: too many environments for the machine's memory.
     """
 
     metadata: dict[str, Any] = {**JackInBoxEnv.metadata, "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
@@ -115,7 +105,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
             check.choice("render_mode", render_mode, JackInBoxEnv.metadata["render_modes"])
         if render_mode == "human" and self.num_envs > 1:
             raise ValueError(f'render_mode must be None or "rgb_array" for several environments, got {render_mode!r}')
-        self.autoreset_mode = _autoreset_mode(autoreset_mode)  # TorchRL reads it here, Gymnasium in the metadata
+        self.autoreset_mode = as_autoreset_mode(autoreset_mode)  # TorchRL reads it here, Gymnasium in the metadata
         self._with_infos = check.flag("with_infos", with_infos)
         self._arguments = Arguments(self.num_envs)
         scenes = self._arguments.scenes(scene)
@@ -127,8 +117,8 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         single = JackInBoxEnv(scene=scenes[0], **settings, render_mode=shown)  # checks them all
         single.close()
         drawn = None if randomize is None else Randomization(randomize, scenes, single.simulator_of)
-        room = self.num_envs * contact_model(single.contact).room
-        np.empty(room, dtype=np.uint8)  # MemoryError now, not after hours of making
+        # MemoryError now, not after hours of construction
+        np.empty(self.num_envs * contact_model(single.contact).room, dtype=np.uint8)
         self.task, self.render_mode, self.control_dt = task, render_mode, single.control_dt
         self.torque_source = single.torque_source
         self.metadata = {**single.metadata, "autoreset_mode": self.autoreset_mode}
@@ -159,14 +149,14 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
 
     @property
     def scenes(self) -> list[Scene]:
-        """The scene of each environment as it holds now, every field resolved."""
+        """The present scene of each environment, every field resolved."""
         return [self.scene_of(number) for number in range(self.num_envs)]
 
     def scene_of(self, number: int) -> Scene:
-        """The scene of the environment of that number as it holds now.
+        """The present scene of the environment of that number.
 
         Raises:
-            TypeError, ValueError: there is none of that number.
+            TypeError, ValueError: there is no such environment.
         """
         return self._batch.scene(check.whole("number", number, at_least=0, at_most=self.num_envs - 1))
 
@@ -194,17 +184,16 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
 
     @property
     def observations(self) -> Floats:
-        """What the agents see of the present states: a fresh float32 array, shape (N, 10)."""
-        seen = np.empty((self.num_envs, 10), dtype=np.float32)
-        self._batch.observe(np.arange(self.num_envs), seen)
-        return seen
+        """The observations of the present states: a fresh float32 array, shape (N, 10)."""
+        observations = np.empty((self.num_envs, 10), dtype=np.float32)
+        self._batch.observe(np.arange(self.num_envs), observations)
+        return observations
 
     def set_states(self, states: ArrayLike, times: ArrayLike, chosen: Flags | None = None) -> None:
-        """Put environments into states, shape (12,) or (N, 12), at times [s], a number or shape (N,).
+        """Set states, shape (12,) or (N, 12), and times [s], a number or shape (N,).
 
-        Their episodes go on, with the steps they have left; an episode that is over starts anew there.
-
-        ``chosen``, bool (N,), says which; None: all. Takes what a contact model itself leaves: feet up to 1 m outside.
+        Episodes go on and keep their remaining steps; a finished episode starts anew there. ``chosen``, bool (N,),
+        selects environments; None: all. A foot may be up to 1 m outside, as contact models leave it.
 
         Raises:
             TypeError, ValueError: unusable values; all environments stay as they were.
@@ -223,7 +212,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
             raise RuntimeError("an interruption has left the environments half changed: reset all of them first")
 
     def field(self, name: str) -> Array:
-        """A number of each environment's scene as it holds now, by its name in :class:`Scene`, shape (N,).
+        """A number of each environment's present scene, by its name in :class:`Scene`, shape (N,).
 
         Raises:
             TypeError, ValueError: a scene has no such number.
@@ -233,10 +222,10 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
     def impacts(self, number: int) -> list[Impact]:
         """The impacts of the last step of the environment of that number, in time order.
 
-        None where it has been reset, by itself or by you, or put into another state since.
+        Empty if it has been reset since, by itself or by you, or if its state was set.
 
         Raises:
-            TypeError, ValueError: there is none of that number.
+            TypeError, ValueError: there is no such environment.
         """
         return self._batch.impacts(check.whole("number", number, at_least=0, at_most=self.num_envs - 1))
 
@@ -269,47 +258,34 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         if plan.times.any():
             self._batch.place(plan.chosen, self._batch.states, plan.times)
         for number in numbers.tolist():
-            seed_of = plan.seeds[number]
-            self._seeds[number] = self._seeds[number] if seed_of is None else seed_of
+            new = plan.seeds[number]
+            self._seeds[number] = self._seeds[number] if new is None else new
         self._started[numbers] = True
         self._ready = bool(self._started.all())
         self.changes += 1
         self._half = False
-        return self.observations, self._fresh_infos(plan.chosen) if self._with_infos else {}
+        infos = Infos()
+        if self._with_infos:
+            infos = infos_at_start(self._batch.info_names, self.states, self.times, plan.chosen)
+            infos = masked(infos | self._drawn(plan.chosen), plan.chosen)
+        return self.observations, infos
 
     def check_reset(self, seed: int | Sequence[int | None] | None, options: Mapping[str, Any] | None) -> ResetPlan:
-        """Check what a reset is given, and change nothing. Scenes, and states in them, are checked by the reset itself.
+        """Check a reset's arguments and change nothing. The reset itself checks scenes, and states in them.
 
         Raises:
             TypeError, ValueError: an unusable seed or option.
         """
-        if not isinstance(options, Mapping | None):
-            raise TypeError(
-                "options must be a dict of 'state', 'time', 'scene' and 'reset_mask' or None, "
-                f"got {check.shown(options)}"
-            )
-        given = dict(options or {})
-        check.known_keys("options", given, ("state", "time", "scene", "reset_mask"))
-        chosen = np.ones(self.num_envs, dtype=np.bool_)
-        if given.get("reset_mask") is not None:
-            chosen = self._arguments.mask("options['reset_mask']", given["reset_mask"])
-            if not chosen.any():
-                raise ValueError("options['reset_mask'] must choose at least one environment, got none")
-        times = self._arguments.times("options['time']", 0.0 if given.get("time") is None else given["time"], chosen)
-        states = None
-        if given.get("state") is not None:
-            states = self._arguments.states("options['state']", given["state"], chosen, as_start)
-        changes = None if given.get("scene") is None else self._arguments.changes(given["scene"], chosen)
-        return ResetPlan(chosen, self._arguments.seeds(seed), changes, states, times)
+        return plan_of(self._arguments, seed, options)
 
     def step(
         self, actions: ArrayLike | Callable[[Array], ArrayLike] | None, repeat: int = 1
     ) -> tuple[Floats, Array, Flags, Flags, Infos]:
         """Advance all environments by one control step under ``actions``, shape (N, 1) or (N,), or under the drive.
 
-        ``repeat`` holds them for so many control steps, 1 to 1,000,000, fewer where an episode ends before. Rewards are
+        ``repeat``, 1 to 1,000,000, repeats them for so many control steps, fewer if an episode ends before. Rewards are
         summed, infos are of the last of these steps, and ``infos["steps"]`` counts them, shape (N,). ``actions`` may be
-        a plain function of the states, shape (N, 12): it is asked before each of these steps.
+        a plain function of the states, shape (N, 12), which is called before each of these steps.
 
         Raises:
             TypeError, ValueError: unusable actions.
@@ -321,16 +297,16 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         if not self._ready:
             raise RuntimeError("step must come after a reset of all environments, got none yet")
         self._refuse_half_changed()
-        given = actions if isinstance(actions, FunctionType | None) else self._arguments.actions(actions)  # type: ignore[arg-type]
+        checked = actions if isinstance(actions, FunctionType | None) else self._arguments.actions(actions)  # type: ignore[arg-type]
         repeat = check.whole("repeat", repeat, at_least=1, at_most=1_000_000)
         waiting = self._over() if self._waiting else None
         saved = self._batch.saved() if repeat > 1 else None
-        infos: Infos = {}
-        restarting = waiting
+        infos, restarting = Infos(), waiting
         try:
-            outcome, steps = self._repeated(None if self.torque_source == "chirp" else given, repeat, waiting)
+            outcome, steps = self._repeated(None if self.torque_source == "chirp" else checked, repeat, waiting)
             if waiting is None and outcome.finished and self.autoreset_mode is AutoresetMode.SAME_STEP:
-                infos, restarting = self._final_infos(outcome), outcome.ended
+                infos = infos_at_end(outcome, self._drawn(outcome.ended) if self._with_infos else {})
+                restarting = outcome.ended
             starts = None if restarting is None else self._batch.draw(np.flatnonzero(restarting))
         except BaseException:
             if self._half:
@@ -344,29 +320,26 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         self._waiting = outcome.finished > 0 and self.autoreset_mode is not AutoresetMode.SAME_STEP
         self.changes += 1
         self._half = False
-        if self._with_infos:
-            everyone = np.ones(self.num_envs, dtype=np.bool_)
-            infos |= _marked(outcome.infos | self._drawn(everyone), everyone)
-        if repeat > 1:
-            infos |= _marked({"steps": steps}, np.ones(self.num_envs, dtype=np.bool_))
+        last = outcome.infos | self._drawn(self._started) if self._with_infos else {}
+        infos |= masked(last | {"steps": steps} if repeat > 1 else last, self._started)
         return outcome.observations, outcome.rewards, outcome.terminations, outcome.truncations, infos
 
     def _repeated(self, actions: Any, repeat: int, waiting: Flags | None) -> tuple[Outcome, Any]:
-        """Some steps under the same actions as one, all but the last taken, and how many each environment has made.
+        """``repeat`` steps as one outcome, and their number in each environment, shape (N,).
 
-        Episodes that are over wait for what comes after.
+        All but the last step are committed. Episodes that are over wait.
         """
 
-        def asked() -> Array | None:
+        def present_actions() -> Array | None:
             return self._arguments.actions(actions(self.states)) if isinstance(actions, FunctionType) else actions
 
-        outcome = self._batch.step(asked())
+        outcome = self._batch.step(present_actions())
         steps = 1 if waiting is None else np.where(waiting, 0, 1)
         for _ in range(1, repeat):
             self._half = True
             self._batch.take(outcome.after)
             steps = steps + np.where(self._batch.over, 0, 1)
-            outcome = outcome.followed_by(self._batch.step(asked()))
+            outcome = outcome.followed_by(self._batch.step(present_actions()))
         return outcome, steps
 
     def render(self) -> tuple[Any, ...] | None:
@@ -379,8 +352,8 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
     def tiled(self, first: int = 16, size: tuple[int, int] = (128, 128)) -> NDArray[np.uint8]:
         """One picture of the ``first`` environments as they are now, row by row in a grid, uint8, shape (H, W, 3).
 
-        It needs no ``render_mode``, so a compiled batch is shown too. Each tile is box, jack and ruled lines, drawn
-        from the state. ``size`` is width and height of a tile [pixels], from 16 to 1024.
+        It needs no ``render_mode``, so a compiled batch is shown too. ``size`` is width and height of a tile [pixels],
+        from 16 to 1024.
 
         Raises:
             TypeError, ValueError: an argument out of its range.
@@ -393,73 +366,35 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         return tiled([self.scene_of(number) for number in range(count)], self.states, self.times, size)
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Release what the renderers hold."""
+        """Close the renderers."""
         if hasattr(self, "_batch"):  # a refused construction is closed too, by older Gymnasiums
             self._batch.close()
 
     # -- episodes -----------------------------------------------------------------------------------------------------
 
     def _over(self) -> Flags | None:
-        """The episodes that are over and wait, if there are any."""
+        """The finished episodes that wait; None if there are none."""
         waiting = self._batch.over
         if not waiting.any():
             return None
         if self.autoreset_mode is AutoresetMode.DISABLED:
-            raise RuntimeError(
-                "with autoreset_mode DISABLED, reset the episodes that are over before the next step, by "
-                f"options={{'reset_mask': ...}}; {int(waiting.sum())} of {self.num_envs} are over"
-            )
+            how = "reset the episodes that are over before the next step, by options={'reset_mask': ...}"
+            over = f"{int(waiting.sum())} of {self.num_envs} are over"
+            raise RuntimeError(f"with autoreset_mode DISABLED, {how}; {over}")
         return waiting
 
     def _restart(self, starts: Starts, outcome: Outcome) -> None:
-        """Begin episodes, and let ``outcome`` show their starts."""
+        """Begin episodes, and write their starts into ``outcome``."""
         self._batch.start(starts)
         self._batch.observe(starts.numbers, outcome.observations)
         if self._with_infos:
             chosen = np.zeros(self.num_envs, dtype=np.bool_)
             chosen[starts.numbers] = True
-            for name, values in self._fresh_infos(chosen).items():
-                if name in outcome.infos:
-                    outcome.infos[name][chosen] = values[chosen]
-
-    def _fresh_infos(self, chosen: Flags) -> Infos:
-        """Infos of environments that have just started: nothing has happened or been earned yet."""
-        infos: Infos = {name: np.zeros(self.num_envs) for name in self._batch.info_names}
-        infos["impacts"] = np.zeros(self.num_envs, dtype=np.int64)
-        infos["state"] = np.where(chosen[:, None], self.states, 0.0)
-        infos["time"] = np.where(chosen, self.times, 0.0)
-        return _marked(infos | self._drawn(chosen), chosen)
+            infos = infos_at_start(self._batch.info_names, self.states, self.times, chosen)
+            for name in infos.keys() & outcome.infos.keys():
+                outcome.infos[name][chosen] = infos[name][chosen]
 
     def _drawn(self, chosen: Flags) -> Infos:
-        """What was drawn of some environments' scenes, if anything is: the values that hold now."""
+        """The present values of the randomized fields of some environments' scenes; empty without any."""
         names = self._randomize.names if self._randomize else []
-        return {"scene": _marked({name: self._batch.field(name) for name in names}, chosen)} if names else {}
-
-    def _final_infos(self, outcome: Outcome) -> Infos:
-        """The last observations, and infos if asked for, of the episodes that this step ended."""
-        ended = outcome.ended
-        last = np.full(self.num_envs, None, dtype=object)
-        for number in np.flatnonzero(ended):
-            last[number] = outcome.observations[number].copy()
-        final: Infos = {}
-        for name, values in outcome.infos.items():
-            final[name] = np.zeros_like(values)
-            final[name][ended] = values[ended]
-        if self._with_infos:
-            final |= self._drawn(ended)
-        return _marked({"final_obs": last, "final_info": _marked(final, ended)}, ended)
-
-
-def _marked(infos: Infos, mask: Flags) -> Infos:
-    """Each info with the mask that says which environments it holds for, as Gymnasium's vector environments do."""
-    marked: Infos = {}
-    for name, values in infos.items():
-        marked[name], marked[f"_{name}"] = values, mask.copy()
-    return marked
-
-
-def _autoreset_mode(given: AutoresetMode | str) -> AutoresetMode:
-    if isinstance(given, AutoresetMode):
-        return given
-    name = check.choice("autoreset_mode", given, [mode.name for mode in AutoresetMode])
-    return AutoresetMode[name]
+        return {"scene": masked({name: self._batch.field(name) for name in names}, chosen)} if names else {}

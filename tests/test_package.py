@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import doctest
+import importlib
 import re
 import subprocess
 import sys
@@ -11,7 +12,6 @@ from pathlib import Path
 import pytest
 
 import jackbox_env
-from jackbox_env import env
 from scripts.studies import readme
 
 ROOT = Path(__file__).parents[1]
@@ -43,9 +43,17 @@ def test_every_public_name_is_there() -> None:
         _ = jackbox_env.nothing
 
 
-def test_the_docstrings_example_runs() -> None:
-    results = doctest.testmod(env)
-    assert results.attempted >= 5
+WITH_EXAMPLES = sorted(
+    ".".join(path.relative_to(ROOT).with_suffix("").parts)
+    for path in (ROOT / "jackbox_env").rglob("*.py")
+    if "    >>> " in path.read_text()
+)
+
+
+@pytest.mark.parametrize("module", WITH_EXAMPLES)
+def test_the_docstrings_examples_run(module: str) -> None:
+    results = doctest.testmod(importlib.import_module(module))
+    assert results.attempted > 0
     assert results.failed == 0
 
 

@@ -1,1 +1,1 @@
-"""What an installed wheel offers on the command line: simulate, play, check."""
+"""The commands of an installed wheel: simulate, play, fit, check."""

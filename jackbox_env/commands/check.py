@@ -19,13 +19,13 @@ from jackbox_env.planning import linearization
 from jackbox_env.simulators import exact
 
 _DT = 0.02  # [s]
-_AGREES = 1e-9  # relative
+_TOLERANCE = 1e-9  # relative, of energy and work
 _CORE = ("gymnasium", "numba", "numpy", "pymunk")
 
 
 def _versions() -> str:
-    found = ", ".join(f"{name} {metadata.version(name)}" for name in _CORE)
-    return f"jackbox {__version__}, Python {platform.python_version()}, {found}"
+    versions = ", ".join(f"{name} {metadata.version(name)}" for name in _CORE)
+    return f"jackbox {__version__}, Python {platform.python_version()}, {versions}"
 
 
 def _installed(requirement: str) -> bool:
@@ -37,21 +37,21 @@ def _installed(requirement: str) -> bool:
 
 
 def _extras() -> dict[str, list[str]]:
-    """What each extra asks for, e.g. {"scale": ["ray<3,>=2.50"]}, by the installed package's own record."""
-    asked = dict[str, list[str]]()
+    """The requirements of each extra, {"scale": ["ray<3,>=2.50"]}, from the installed package's metadata."""
+    requirements = dict[str, list[str]]()
     for line in metadata.requires("jackbox") or []:
         requirement, _, condition = line.partition(";")
         named = re.search(r"extra == ['\"](\w+)['\"]", condition)
         if named and not requirement.startswith("jackbox["):
-            asked.setdefault(named[1], []).append(requirement.strip())
-    return asked
+            requirements.setdefault(named[1], []).append(requirement.strip())
+    return requirements
 
 
 def extra_lines() -> list[str]:
-    """A line for each extra: installed, or how to get what is missing."""
+    """A line for each extra: installed, or how to install what is missing."""
     lines = []
-    for name, asked in _extras().items():
-        missing = " ".join(f'"{requirement}"' for requirement in asked if not _installed(requirement))
+    for name, requirements in _extras().items():
+        missing = " ".join(f'"{requirement}"' for requirement in requirements if not _installed(requirement))
         if name not in ("all", "dev", "docs", "peers"):  # the others together; for work on the project itself
             lines.append(f"{name}: {f'not installed; to get it: pip install {missing}' if missing else 'installed'}")
     return lines
@@ -65,10 +65,10 @@ def _compiled(ready: Callable[[], None]) -> str:
 
 
 def restores(contact: str) -> str:
-    """Put back a state on the way, and step on from it.
+    """Restore a state, and check that the same steps follow.
 
     Raises:
-        RuntimeError: the end of the way differs in a bit.
+        RuntimeError: a bit of the final state differs.
     """
     whole, again = make_simulator(contact=contact), make_simulator(contact=contact)
     for _ in range(75):
@@ -82,14 +82,14 @@ def restores(contact: str) -> str:
 
 
 def obeys_the_law() -> str:
-    """Hold the energy that the exact model gains within 3 s, impacts included, against the work of the torque.
+    """Compare the energy that the exact model gains within 3 s, impacts included, with the work of the torque.
 
     Raises:
         RuntimeError: they differ, or there was no impact.
     """
     course = follow(make_simulator(contact="exact"), Case("check", Scene(), np.zeros(12), 150))
     count, off = len(course.impacts), course.imbalance / course.energy
-    if not (count and off <= _AGREES):
+    if not (count and off <= _TOLERANCE):
         raise RuntimeError(f"over {count} impacts energy and work differ by {off:.1e} of the energy")
     return f"over {count} impacts energy and work agree to {off:.0e}"
 
@@ -114,7 +114,7 @@ def main() -> None:
     for name, check in _CHECKS.items():
         try:
             print(f"ok      {name}: {check()}", flush=True)
-        except Exception as error:  # whatever is wrong, the other checks tell more
+        except Exception as error:  # the other checks run all the same
             failed = True
             print(f"FAILED  {name}: {type(error).__name__}: {error}", flush=True)
     print("This installation does not work." if failed else "This installation works.")

@@ -1,4 +1,4 @@
-"""The command ``jackbox``, also ``python -m jackbox_env``: hands on to the command that is named first."""
+"""The command ``jackbox``, also ``python -m jackbox_env``: runs the command that is named first."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import sys
 from jackbox_env import __version__
 from jackbox_env.command_line import JACKBOX, ROOT, command_line, in_checkout
 
-_OWN = {
+_PACKAGED = {
     "simulate": "simulate the scene: CSV or npz, plots, an animated page",
     "play": "play with the keyboard",
     "fit": "fit a scene's fields to recordings (needs the train extra)",
     "check": "does this installation work?",
 }
-_OF_A_CHECKOUT = {
+_IN_CHECKOUT = {
     "demo": "train an agent, compare it with baselines, film it",
     "train": "train PPO",
     "evaluate": "evaluate policies",
@@ -24,28 +24,28 @@ _OF_A_CHECKOUT = {
 
 def _help() -> str:
     lines = ["usage: jackbox COMMAND [options]; jackbox COMMAND --help says more", ""]
-    lines += [f"  {name:<9} {text}" for name, text in _OWN.items()]
+    lines += [f"  {name:<9} {text}" for name, text in _PACKAGED.items()]
     lines += ["", "from a checkout of the repository:"]
-    lines += [f"  {name:<9} {text}" for name, text in _OF_A_CHECKOUT.items()]
+    lines += [f"  {name:<9} {text}" for name, text in _IN_CHECKOUT.items()]
     return "\n".join([*lines, "", "  -h, --help  show this help message and exit", "  --version   show the version"])
 
 
 @command_line
 def main() -> None:
-    """Run the command that the first argument names, with the others; its help and messages name it as it was called.
+    """Run the command that the first argument names; its help and messages begin with ``jackbox NAME``.
 
     Raises:
         ValueError: there is no such command.
-        RuntimeError: it is one of a checkout, of which this package is no part.
+        RuntimeError: the command needs a checkout, and this package is installed without one.
     """
     name = sys.argv.pop(1) if len(sys.argv) > 1 else "--help"
     if name in ("-h", "--help"):
         print(_help())
     elif name == "--version":
         print(f"jackbox {__version__}")
-    elif name not in {**_OWN, **_OF_A_CHECKOUT}:
-        raise ValueError(f"the command must be one of {', '.join((*_OWN, *_OF_A_CHECKOUT))}, got {name!r}")
-    elif name in _OF_A_CHECKOUT and not in_checkout():
+    elif name not in {**_PACKAGED, **_IN_CHECKOUT}:
+        raise ValueError(f"the command must be one of {', '.join((*_PACKAGED, *_IN_CHECKOUT))}, got {name!r}")
+    elif name in _IN_CHECKOUT and not in_checkout():
         raise RuntimeError(
             f"jackbox {name} needs a checkout: git clone the repository, and there pip install -e '.[all]'"
         )
@@ -53,8 +53,8 @@ def main() -> None:
         sys.argv[0] = f"{JACKBOX} {name}"
         if in_checkout():
             sys.path.insert(0, str(ROOT))  # scripts and agents are beside the package
-        # Of the two commands that play, that of a checkout brings the trained agents.
-        home = "scripts" if name in _OF_A_CHECKOUT or (name == "play" and in_checkout()) else "jackbox_env.commands"
+        # There are two commands to play; that of a checkout has the trained agents.
+        home = "scripts" if name in _IN_CHECKOUT or (name == "play" and in_checkout()) else "jackbox_env.commands"
         importlib.import_module(f"{home}.{name}").main()
 
 

@@ -9,12 +9,12 @@ from jackbox_env.simulators.fidelity import Setting, chosen, resolve
 
 
 def parser_of(text: str | None) -> argparse.ArgumentParser:
-    """A parser that shows defaults and takes whole names only."""
+    """A parser that accepts whole names of options only."""
     return argparse.ArgumentParser(description=text, allow_abbrev=False)
 
 
 def add_model_options(parser: argparse.ArgumentParser) -> None:
-    """Add what chooses the scene, the contact model and its step: fidelity, contact and its settings, dt, scene."""
+    """Add the options of scene and contact model: fidelity, contact and its settings, dt, scene."""
     model = parser.add_argument_group("scene and contact model")
     text = "how impacts are computed: coarse, balanced, fine or exact; default: exact"
     model.add_argument("--fidelity", metavar="NAME", help=text)
@@ -30,5 +30,5 @@ def add_model_options(parser: argparse.ArgumentParser) -> None:
 
 
 def chosen_setting(arguments: argparse.Namespace) -> Setting:
-    """The contact model and settings that these options mean; :func:`jackbox_env.simulators.fidelity.resolve`."""
+    """The contact model and settings of these options, by :func:`jackbox_env.simulators.fidelity.resolve`."""
     return resolve(**chosen(arguments))

@@ -30,7 +30,7 @@ def _arguments() -> argparse.Namespace:
 
 
 def play_with(trained: Callable[[str], Predicts] | None = None) -> None:
-    """Parse and play; ``trained`` loads the agent of a task, of which there is none without a checkout."""
+    """Parse and play; ``trained`` loads the agent of a task, which needs a checkout."""
     arguments = _arguments()
     from jackbox_env.render.window import play
     from jackbox_env.simulators.fidelity import words

@@ -1,4 +1,4 @@
-"""Plots of a trajectory by matplotlib, which is not among what the package asks for; the style of all the project's."""
+"""Plots of a trajectory by matplotlib, which is optional; the style is that of all the project's plots."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from jackbox_env.recording.trajectory import Trajectory
 
 BOX, JACK, GREY = hexed(WALL), hexed(JACK_COLOUR), "#787e86"
 
-# What importing this file sets: figures without a ground of their own, to be read on a white page and on a dark one.
+# Importing this file sets transparent figures, readable on a white page and on a dark one.
 matplotlib.rcParams.update(
     {
         "figure.facecolor": "none", "axes.facecolor": "none", "text.color": GREY,
@@ -26,7 +26,7 @@ matplotlib.rcParams.update(
     }
 )  # fmt: skip
 
-# columns of the state, and what to call them
+# columns of the state, and their labels
 _PLOTS = {
     "box_positions": (BOX, "Box: position and angle", ((0, "x [m]"), (1, "y [m]"), (2, "angle [rad]"))),
     "box_velocities": (BOX, "Box: velocity and rate", ((6, "vx [m/s]"), (7, "vy [m/s]"), (8, "omega [rad/s]"))),

@@ -41,7 +41,7 @@ def _arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def _refuse_nonsense(arguments: argparse.Namespace) -> None:
+def _refuse_impossible(arguments: argparse.Namespace) -> None:
     """Raise ValueError for a duration that cannot be simulated, and for files that cannot be written."""
     check.real("seconds", arguments.seconds, above=0.0, at_most=1e6)
     check.real("dt", arguments.dt, above=0.0)
@@ -58,7 +58,7 @@ def _refuse_nonsense(arguments: argparse.Namespace) -> None:
 
 
 def _write(folder: Path, arguments: argparse.Namespace, scene: Scene, setting: Setting, trajectory: Trajectory) -> None:
-    """Write all files that were asked for."""
+    """Write the files that the options select."""
     from jackbox_env.recording.trajectory import write_csv, write_npz
 
     (write_csv if arguments.format == "csv" else write_npz)(trajectory, folder)
@@ -83,7 +83,7 @@ def main() -> None:
     from jackbox_env.simulators.fidelity import words
 
     arguments.folder = arguments.folder or stamped("simulate")
-    _refuse_nonsense(arguments)
+    _refuse_impossible(arguments)
     setting = chosen_setting(arguments)
     scene = Scene.of(check.from_json("scene", arguments.scene, dict))
     simulator = setting.simulator(scene)
@@ -91,7 +91,7 @@ def main() -> None:
     try:
         trajectory = simulate(simulator, arguments.seconds, arguments.dt)
         folder = new_folder(
-            arguments.folder, "simulate", lambda made: _write(made, arguments, scene, setting, trajectory)
+            arguments.folder, "simulate", lambda new: _write(new, arguments, scene, setting, trajectory)
         )
     except KeyboardInterrupt:
         print("\nInterrupted: nothing was written", file=sys.stderr)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from jackbox_env.exact.step import make_numbers
 from jackbox_env.exact.trigonometry import LARGEST, cos_sin, cos_sin_within
 from jackbox_env.exact.workspace import HIT, IMPULSE_SUM, TORQUE
-from jackbox_env.observation import seen
+from jackbox_env.observation import components
 from jackbox_env.scene import SceneNumbers
 from jackbox_env.states import THETA_BOX, THETA_JACK, Array, State
 from jackbox_env.tasks import reward_of
@@ -73,7 +73,7 @@ def write(
     scene: SceneNumbers, state: Array, cosine: float, sine: float, cosine_4: float, sine_4: float, observation: Floats
 ) -> None:
     """Write the ten numbers."""
-    a, b, c, d, e, f, g, h, i, j = seen(scene, state, cosine, sine, cosine_4, sine_4)
+    a, b, c, d, e, f, g, h, i, j = components(scene, state, cosine, sine, cosine_4, sine_4)
     observation[0], observation[1], observation[2], observation[3], observation[4] = a, b, c, d, e
     observation[5], observation[6], observation[7], observation[8], observation[9] = f, g, h, i, j
 

@@ -1,9 +1,9 @@
-"""How accurate a contact model is: what it did on a case, held against what should have happened.
+"""How accurate a contact model is, measured against the exact one.
 
-A :class:`Case` is a scene, a start and torques. :func:`follow` runs a simulator on it and looks at every impact.
-:func:`reference_of` says what should have happened and for how long that is sure. :func:`compare` and :func:`restarts`
-measure. Energy alone proves nothing (a jack outside the box keeps it perfectly): impact times, their order and
-containment are what counts.
+A :class:`Case` is a scene, a start and torques. :func:`follow` runs a simulator on it and inspects every step.
+:func:`reference_of` computes the correct course, and how many of its impacts are certain. :func:`compare` and
+:func:`restarts` measure the difference. They compare impact times, their order and containment. Energy alone proves
+nothing: a jack outside the box keeps it perfectly.
 """
 
 from __future__ import annotations
@@ -35,45 +35,45 @@ from jackbox_env.states import (
 
 STEPS_PER_RESTART = 5  # control steps: 0.1 s by default
 _ASIDE = 1e-13  # by which the start of a reference's twin is moved, far off by 100 units in the last place [m]
-_LOST = 1e-6  # over L: a replay that ends further from the model has lost its path
-_APART = 1e-6  # impacts of a reference and its twin further apart than this are no longer sure [s]
+_REPLAY_TOLERANCE = 1e-6  # over L, of the end of a replay from the end of the model's step
+_APART = 1e-6  # [s] between an impact of a reference and of its twin, beyond which it is not certain
 
 
 class Case(NamedTuple):
-    """A start and what acts on the box from then on."""
+    """A start, and the torques that follow or the drive."""
 
     name: str
     scene: Scene
     state: Array  # (12,)
     steps: int  # control steps
-    torques: Sequence[float] | None = None  # held, one per control step [N m]; None: the scene's drive
+    torques: Sequence[float] | None = None  # constant in each control step [N m]; None: the scene's drive
     dt: float = 0.02  # control step [s]
     time: float = 0.0  # at the start [s]
 
 
 class Between(NamedTuple):
-    """What happened inside one control step; NaN where it could not be told."""
+    """What happened inside one control step; NaN if it cannot be determined."""
 
     depth: float  # deepest that a foot was in a wall at an impact or at the step's end [m]; negative: none was
     work: float  # of torque and side forces on the box [J]
 
 
-Look = Callable[[Simulator, Array, float, float | None], Between]
+Inspect = Callable[[Simulator, Array, float, float | None], Between]
 
 
 class Course(NamedTuple):
-    """What a simulator did on a case."""
+    """The course of a simulator through a case."""
 
     states: Array  # (steps taken + 1, 12)
     impacts: list[Impact]
     depth: float  # deepest that a foot was in a wall at an impact or a step's end [m]; negative: none was
     imbalance: float  # largest |energy gained - work done| at the end of a step [J]
-    energy: float  # largest kinetic energy [J], which the imbalance is measured by
+    energy: float  # largest kinetic energy [J], the scale of the imbalance
     escaped: bool  # the jack left the box, or the simulator refused to go on
 
 
 class Reference(NamedTuple):
-    """What should have happened."""
+    """The correct course of a case."""
 
     times: Array  # (n,) [s]
     states: Array  # (n, 12) at these times
@@ -90,33 +90,33 @@ class Comparison(NamedTuple):
 
 
 class Restarts(NamedTuple):
-    """What a simulator does to impacts within 0.1 s after it is put on the reference: too short for chaos."""
+    """A simulator's errors 0.1 s after restarts from states of the reference: too short for chaos."""
 
-    errors: list[float]  # pose errors at the end of those with an impact [m]; infinite: it refused to go on
+    errors: list[float]  # pose errors at the end of those with an impact [m]; infinite: it failed
     missed: int  # impacts of the reference that did not happen
     extra: int  # impacts that should not have happened
     impacts: int  # of the reference that could be missed
 
 
-# -- what a simulator does ---------------------------------------------------------------------------------------------
+# -- running a simulator ----------------------------------------------------------------------------------------------
 
 
 def between(simulator: Simulator, before: Array, time: float, torque: float | None) -> Between:
-    """Play the last step of a contact model of this package once more, see :mod:`jackbox_env.simulators.replay`.
+    """Replay the last step of a contact model of this package (:mod:`jackbox_env.simulators.replay`).
 
-    Rounding grows by about 5 per impact: a replay of a long step that does not end where the model did is worth
-    nothing, and gives NaN.
+    Each impact multiplies rounding by about 5. If the replay of a long step ends elsewhere than the model did, the
+    result is NaN.
 
     Args:
         simulator: after the step.
         before: the state before it, shape (12,).
         time: the time before it [s].
-        torque: the torque held [N m]; None: the drive.
+        torque: constant through the step [N m]; None: the drive.
     """
     scene, after = simulator.scene, simulator.state
     again = replayed(scene, before.tolist(), time, simulator.impacts, simulator.time, torque)
     depth = max(again.depth, -clearance(scene, after.tolist()))
-    allowed = _LOST * scene.box_half_width
+    allowed = _REPLAY_TOLERANCE * scene.box_half_width
     if not scene.elastic:  # overlap is moved apart, by no more than there is, at each contact
         allowed += (1 + len(simulator.impacts)) * max(depth, -clearance(scene, before.tolist()), 0.0)
     if not pose_errors(scene, np.array([again.state]), after[None])[0] <= allowed:
@@ -125,20 +125,20 @@ def between(simulator: Simulator, before: Array, time: float, torque: float | No
 
 
 def at_ends(simulator: Simulator, before: Array, time: float, torque: float | None) -> Between:
-    """Look at steps' ends only, for any dt. Enough for the exact model, whose impacts act exactly on the wall."""
+    """Inspect the end of a step only, for any dt. Enough for the exact model: its impacts act exactly on the wall."""
     return Between(-clearance(simulator.scene, simulator.state.tolist()), math.nan)
 
 
-def follow(simulator: Simulator, case: Case, look: Look | None = between) -> Course:
-    """Run a case and look at every step.
+def follow(simulator: Simulator, case: Case, inspect: Inspect | None = between) -> Course:
+    """Run a case and inspect every step.
 
     Args:
         simulator: of the case's scene.
-        case: what to run.
-        look: what tells of the inside of a step; None: nobody looks, depth, imbalance and energy are NaN.
+        case: to run.
+        inspect: evaluates the inside of a step; None: depth, imbalance and energy are NaN.
 
     Raises:
-        ValueError: the case has fewer torques than steps, or a start that the simulator does not take.
+        ValueError: the case has fewer torques than steps, or a start that the simulator refuses.
     """
     if case.torques is not None and len(case.torques) < case.steps:
         raise ValueError(f"a case of {case.steps} steps must have as many torques, got {len(case.torques)}")
@@ -159,34 +159,33 @@ def follow(simulator: Simulator, case: Case, look: Look | None = between) -> Cou
         states.append(state)
         impacts += simulator.impacts
         escaped = -clearance(scene, state.tolist()) > deepest_restored(scene)
-        if look is not None:
-            inside = look(simulator, before, time, torque)
+        if inspect is not None:
+            inside = inspect(simulator, before, time, torque)
             depth, work = float(np.maximum(depth, inside.depth)), work + inside.work  # a NaN stays
             now = energy_of(scene, state.tolist())
             imbalance = float(np.maximum(imbalance, abs(now - start - work)))
             largest = max(largest, now - scene.jack_mass * scene.gravity * float(state[Y_JACK]))
         if escaped:
             break
-    if look is None:
+    if inspect is None:
         depth = imbalance = largest = math.nan
     return Course(np.array(states), impacts, depth, imbalance, largest, escaped)
 
 
-# -- what should have happened ----------------------------------------------------------------------------------------
+# -- the reference ----------------------------------------------------------------------------------------------------
 
 
 def reference_of(case: Case) -> Reference:
-    """The exact model's course of an elastic case, and how many of its impacts are sure.
+    """The exact model's course of an elastic case, and how many of its impacts are certain.
 
-    An impact is sure as long as a twin that starts 1e-13 m aside hits the same way within 1e-6 s: rounding starts
-    1e-15 m aside.
+    An impact is certain while a twin that starts 1e-13 m aside has it too, within 1e-6 s. (Rounding is 1e-15 m.)
 
     Raises:
         ValueError: the scene is not elastic.
         JackLostError: the exact model cannot follow the case.
     """
     simulator = make_simulator(case.scene, "exact")
-    course = follow(simulator, case, look=None)
+    course = follow(simulator, case, inspect=None)
     if course.escaped:
         raise JackLostError(
             f"the jack of {case.name} moves too fast to be followed exactly to the end of {case.steps} steps "
@@ -195,7 +194,7 @@ def reference_of(case: Case) -> Reference:
     aside = case.state.copy()
     by = max(_ASIDE, 100.0 * math.ulp(float(aside[X_JACK])))
     aside[X_JACK] += by * (1.0 if aside[X_BOX] > aside[X_JACK] else -1.0)  # towards the middle, so that it stays inside
-    twin = follow(simulator, case._replace(state=aside), look=None)
+    twin = follow(simulator, case._replace(state=aside), inspect=None)
     errors = prefix_errors(twin.impacts, course.impacts)
     sure = next((number for number, error in enumerate(errors) if error > _APART), len(errors))
     times: Array = case.dt * np.arange(case.steps + 1, dtype=np.float64)
@@ -211,25 +210,25 @@ def prefix_errors(impacts: Sequence[Impact], reference: Sequence[Impact]) -> lis
     Impacts recorded at one time (a substep's end, two feet at once) have no order.
     """
     rest, errors = list(impacts), list[float]()
-    for number, wanted in enumerate(reference):
-        place = number
-        while place < len(rest) and rest[place][1:3] != wanted[1:3]:
-            place += 1
-            together = place < len(rest) and rest[place].time == rest[number].time
-            alike = place < len(reference) and reference[place].time == wanted.time
+    for number, expected in enumerate(reference):
+        index = number
+        while index < len(rest) and rest[index][1:3] != expected[1:3]:
+            index += 1
+            together = index < len(rest) and rest[index].time == rest[number].time
+            alike = index < len(reference) and reference[index].time == expected.time
             if not (together or alike):
                 return errors
-        if place >= len(rest):
+        if index >= len(rest):
             return errors
-        rest.insert(number, rest.pop(place))
-        errors.append(abs(rest[number].time - wanted.time))
+        rest.insert(number, rest.pop(index))
+        errors.append(abs(rest[number].time - expected.time))
     return errors
 
 
 def pose_errors(scene: Scene, states: Array, reference: Array) -> Array:
-    """How far walls and feet are from where they should be [m], shape (n,), for states of shape (n, 12).
+    """Pose errors [m], shape (n,), of states, shape (n, 12), from their references.
 
-    The largest of: the distances of both centres, L times the box's angle, l times the jack's.
+    The largest of four: the errors of both centres, of the box's angle times L, of the jack's angle times l.
     """
     off = np.abs(np.asarray(states) - reference)
     parts = [
@@ -243,7 +242,7 @@ def pose_errors(scene: Scene, states: Array, reference: Array) -> Array:
 
 
 def compare(case: Case, course: Course, reference: Reference) -> Comparison:
-    """Hold a course against its reference."""
+    """Compare a course with its reference."""
     errors = prefix_errors(course.impacts, reference.impacts[: reference.sure])
     first = min((impact.time for impact in [*course.impacts[:1], *reference.impacts[:1]]), default=math.inf)
     rows = np.rint(reference.times / case.dt).astype(int)
@@ -255,38 +254,38 @@ def compare(case: Case, course: Course, reference: Reference) -> Comparison:
 
 
 def restarts(simulator: Simulator, case: Case, reference: Reference) -> Restarts:
-    """Put the simulator on the reference every 5 control steps and see where it is 5 steps later.
+    """Restart the simulator from the reference every 5 control steps, and compare both 5 steps later.
 
-    Impacts are matched by wall and foot in any order. Those of the last control step may still be under way: they need
-    no partner, but can be one.
+    Impacts are matched by wall and foot in any order. Those of the last control step may come late: they need no
+    partner, but can be one.
     """
-    errors, missed, extra, expected = list[float](), 0, 0, 0
+    errors, missed, extra, count = list[float](), 0, 0, 0
     rows = {round(time / case.dt): row for row, time in enumerate(reference.times.tolist())}
     for first in range(0, case.steps - STEPS_PER_RESTART + 1, STEPS_PER_RESTART):
         last = first + STEPS_PER_RESTART
         if first not in rows or last not in rows:
             continue
         late = (last - 1) * case.dt
-        wanted = [hit for hit in reference.impacts if first * case.dt < hit.time <= last * case.dt]
+        expected = [hit for hit in reference.impacts if first * case.dt < hit.time <= last * case.dt]
         torques = None if case.torques is None else case.torques[first:last]
         start = reference.states[rows[first]]
         part = case._replace(state=start, steps=STEPS_PER_RESTART, torques=torques, time=first * case.dt)
-        course = follow(simulator, part, look=None)
-        found = [] if course.escaped else course.impacts
-        expected += sum(hit.time <= late for hit in wanted)
-        missed += _unpaired(wanted, found, late)
-        extra += _unpaired(found, wanted, late)
+        course = follow(simulator, part, inspect=None)
+        impacts = [] if course.escaped else course.impacts
+        count += sum(hit.time <= late for hit in expected)
+        missed += _unpaired(expected, impacts, late)
+        extra += _unpaired(impacts, expected, late)
         if course.escaped:
             errors.append(math.inf)
-        elif wanted or found:
+        elif expected or impacts:
             errors.append(float(pose_errors(case.scene, course.states[-1:], reference.states[[rows[last]]])[0]))
-    return Restarts(errors, missed, extra, expected)
+    return Restarts(errors, missed, extra, count)
 
 
 def _unpaired(impacts: Sequence[Impact], others: Sequence[Impact], late: float) -> int:
-    """How many impacts up to the time ``late`` [s] have no partner among the others; those after it want none."""
-    wanting = Counter(hit[1:3] for hit in impacts if hit.time <= late)
-    return (wanting - Counter(hit[1:3] for hit in others)).total()
+    """The number of impacts up to the time ``late`` [s] without a partner among the others."""
+    due = Counter(hit[1:3] for hit in impacts if hit.time <= late)
+    return (due - Counter(hit[1:3] for hit in others)).total()
 
 
 def quantities(course: Course, comparison: Comparison, again: Restarts, dt: float) -> dict[str, Any]:

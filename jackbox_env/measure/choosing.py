@@ -1,4 +1,4 @@
-"""Which setting to use for a scene of your own: a measurement that chooses."""
+"""``cheapest`` measures which contact model and setting to use for a scene of your own."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _ROUNDS = 5  # in which the costs of two settings are compared
 
 
 class Choice(NamedTuple):
-    """A setting and what was measured of it; errors are the worst over the cases."""
+    """A setting and its measurements; errors are the worst over the cases."""
 
     setting: Setting
     first_impact_error: float  # [s]
@@ -46,16 +46,15 @@ def cheapest(
     seed: int = 0,
     contact: str | None = None,
 ) -> Choice:
-    """Measure which setting is the cheapest that keeps both errors within bounds, for one scene or for several.
+    """Return the cheapest setting that keeps both errors within bounds, for one scene or for several.
 
-    The cases are starts of the environment, under random held torques within ``scene.torque_limit`` and, every other
-    time, under the scene's drive. The first impact is compared with the exact model's, whose own error is rounding.
-    Restitution plays no part before it, so scenes with loss are measured too. The fewest substeps of pymunk (1, 2, 4,
-    ... 256) that keep both bounds are timed against the exact model, and the faster is returned. A setting that loses
-    a jack, or whose first impact is that of another foot or wall, is never returned.
+    The cases are starts of the environment, alternately under random torques within ``scene.torque_limit``, one per
+    step, and under the scene's drive. The first impact is compared with the exact model's, whose own error is rounding.
+    Restitution has no effect before it, so scenes with loss are measured too. The fewest substeps of pymunk (1, 2, 4,
+    ... 256) that keep both bounds are timed against the exact model, and the faster is returned. A setting that loses a
+    jack, or whose first impact is that of another foot or wall, is never returned.
 
-    If your scenes are drawn at random, give a list of some of them. They take turns, and one setting keeps the bounds
-    in all cases.
+    If your scenes are drawn at random, give a list of some of them. One setting then keeps the bounds in all cases.
 
     It takes seconds for an ordinary scene; the first exact step on a machine compiles. The result is a measurement on
     these cases, not a guarantee.
@@ -73,11 +72,11 @@ def cheapest(
         contact: only settings of this contact model, ``"pymunk"`` or ``"exact"``; None: of both.
 
     Returns:
-        The setting with what was measured: ``gym.make("JackInBox-v0", **choice.setting._asdict())``.
+        The setting with its measurements: ``gym.make("JackInBox-v0", **choice.setting._asdict())``.
 
     Raises:
-        TypeError, ValueError: an argument out of its range; no jack touches a wall; or no setting will do, and the
-            message says what the finest one reaches.
+        TypeError, ValueError: an argument out of its range; no jack touches a wall; or no setting keeps the bounds:
+            the message has the errors of the finest.
         JackLostError: the exact model cannot follow a case to its first impact.
 
     >>> from jackbox_env import cheapest
@@ -104,23 +103,23 @@ def cheapest(
                 break
     if contact != "pymunk":
         measured.append(_measured(Setting("exact"), drawn, bounds))
-    found = [choice for choice in measured if _within(choice, bounds)]
-    if not found:
+    suitable = [choice for choice in measured if _within(choice, bounds)]
+    if not suitable:
         finest = measured[-1]
         raise ValueError(
             f"no setting keeps the first impact within {bounds[0]:g} s and penetration within {bounds[1]:g} m; "
             f"the finest, {finest.setting}, reaches {finest.first_impact_error:.3g} s and "
             f"{finest.penetration:.3g} m or more"
         )
-    costs = _costs([choice.setting for choice in found], [case for case, _ in drawn])
+    costs = _costs([choice.setting for choice in suitable], [case for case, _ in drawn])
     return min(
-        (choice._replace(microseconds=cost) for choice, cost in zip(found, costs, strict=True)),
+        (choice._replace(microseconds=cost) for choice, cost in zip(suitable, costs, strict=True)),
         key=lambda choice: choice.microseconds,
     )
 
 
 def _bound(name: str, value: float) -> float:
-    """A bound above 0, infinite where nothing is asked."""
+    """A bound above 0; infinity is no bound."""
     if isinstance(value, float | np.floating) and value == math.inf:
         return math.inf
     return check.real(name, value, above=0.0)
@@ -135,7 +134,7 @@ def _within(choice: Choice, bounds: tuple[float, float]) -> bool:
 def _cases(
     scenes: list[Scene], states: Sequence[ArrayLike] | None, cases: int, steps: int, control_dt: float, seed: int
 ) -> list[tuple[Case, list[Impact]]]:
-    """Cases with the impacts that come first in them, those without an impact left out; the scenes take turns."""
+    """Cases that have an impact, with their first impacts; the scenes take turns."""
     check.whole("cases", cases, at_least=1, at_most=10_000)
     if cases < len(scenes):
         raise ValueError(f"cases must be at least {len(scenes)}, one for each scene, got {cases}")
@@ -145,12 +144,12 @@ def _cases(
     starts = _starts(scenes, states)
     drawn = []
     for number in range(cases):
-        turn, place = divmod(number, len(scenes))
-        scene = scenes[place]
+        turn, index = divmod(number, len(scenes))
+        scene = scenes[index]
         start = sample_start(scene, rng) if starts is None else starts[turn % len(starts)]
-        held = rng.uniform(-scene.torque_limit, scene.torque_limit, steps).tolist()
+        torques = rng.uniform(-scene.torque_limit, scene.torque_limit, steps).tolist()
         driven = scene.drive is not None and turn % 2 == 1
-        case = Case(f"case {number}", scene, start, steps, None if driven else held, dt)
+        case = Case(f"case {number}", scene, start, steps, None if driven else torques, dt)
         first = _first_impacts(case)
         if first:
             drawn.append((case, first))
@@ -163,7 +162,7 @@ def _cases(
 
 
 def _starts(scenes: list[Scene], states: Sequence[ArrayLike] | None) -> list[Array] | None:
-    """The starts given, checked against each scene; None for the environment's own."""
+    """The starts, checked against each scene; None for the environment's own."""
     if states is None:
         return None
     try:
@@ -178,7 +177,7 @@ def _starts(scenes: list[Scene], states: Sequence[ArrayLike] | None) -> list[Arr
 
 
 def _first_impacts(case: Case) -> list[Impact]:
-    """The first impact of the exact model with those at the same moment; none if there is none."""
+    """The exact model's first impact, and those at the same moment; empty if there is none."""
     simulator = make_simulator(replace(case.scene, restitution=1.0), "exact")
     simulator.reset(case.state)
     for number in range(case.steps):
@@ -189,26 +188,26 @@ def _first_impacts(case: Case) -> list[Impact]:
 
 
 def _first_error(impacts: list[Impact], first: list[Impact]) -> float:
-    """By how much the first impact comes at another time [s]; infinite where it is another one, or none.
+    """Error of the time of the first impact [s]; infinite if it is another contact's.
 
-    Impacts recorded at one time have no order, and where feet touch together an engine may let some go without impulse.
+    Impacts recorded at one time have no order. An engine may resolve simultaneous contacts without an impulse on some.
     """
-    found = {hit[1:3] for hit in impacts if hit.time == impacts[0].time}
-    if not found & {hit[1:3] for hit in first}:
+    contacts = {hit[1:3] for hit in impacts if hit.time == impacts[0].time}
+    if not contacts & {hit[1:3] for hit in first}:
         return math.inf
     return abs(impacts[0].time - first[0].time)
 
 
 def _measured(setting: Setting, drawn: list[tuple[Case, list[Impact]]], bounds: tuple[float, float]) -> Choice:
-    """The worst errors over the cases, as far as the first case that breaks a bound.
+    """The worst errors over the cases, up to the first case that breaks a bound.
 
-    Infinite for a case that the contact model cannot follow, or whose steps are too long to look into.
+    Infinite if the contact model cannot follow a case, or if its steps are too long to be replayed.
     """
-    look = at_ends if setting.contact == "exact" else between
+    inspect = at_ends if setting.contact == "exact" else between
     simulators = _simulators(setting, [case for case, _ in drawn])
     choice = Choice(setting, 0.0, 0.0, math.nan, len(drawn))
     for simulator, (case, first) in zip(simulators, drawn, strict=True):
-        course = follow(simulator, case, look)
+        course = follow(simulator, case, inspect)
         error = max(choice.first_impact_error, _first_error(course.impacts, first))
         depth = math.inf if course.escaped or math.isnan(course.depth) else max(choice.penetration, course.depth)
         choice = choice._replace(first_impact_error=error, penetration=depth)
@@ -220,18 +219,18 @@ def _measured(setting: Setting, drawn: list[tuple[Case, list[Impact]]], bounds: 
 def _simulators(setting: Setting, cases: list[Case]) -> list[Simulator]:
     """A simulator for each case, the same one for all cases of a scene."""
     scenes = {id(case.scene): case.scene for case in cases}
-    made = {number: setting.simulator(scene) for number, scene in scenes.items()}
-    return [made[id(case.scene)] for case in cases]
+    simulators = {number: setting.simulator(scene) for number, scene in scenes.items()}
+    return [simulators[id(case.scene)] for case in cases]
 
 
 def _costs(settings: list[Setting], cases: list[Case]) -> list[float]:
-    """Microseconds per control step of each, medians over rounds in which they take turns."""
-    passed: list[list[float]] = [[] for _ in settings]
+    """Microseconds per control step of each setting: medians over rounds in which they take turns."""
+    costs: list[list[float]] = [[] for _ in settings]
     simulators = [_simulators(setting, cases) for setting in settings]
     for _ in range(_ROUNDS if len(settings) > 1 else 1):
-        for own, record in zip(simulators, passed, strict=True):
+        for of_setting, record in zip(simulators, costs, strict=True):
             began = time.perf_counter()
-            courses = (follow(simulator, case, look=None) for simulator, case in zip(own, cases, strict=True))
-            taken = sum(len(course.states) - 1 for course in courses)
-            record.append(1e6 * (time.perf_counter() - began) / max(taken, 1))
-    return [statistics.median(record) for record in passed]
+            courses = (follow(simulator, case, inspect=None) for simulator, case in zip(of_setting, cases, strict=True))
+            steps = sum(len(course.states) - 1 for course in courses)
+            record.append(1e6 * (time.perf_counter() - began) / max(steps, 1))
+    return [statistics.median(record) for record in costs]

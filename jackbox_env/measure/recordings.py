@@ -1,24 +1,33 @@
-"""Recordings of a jack in a box: what was seen and heard of it."""
+"""Recordings of a real jack in a box, or of another simulator's: observed states, torques and impact times.
+
+``jackbox_env.fit`` fits scenes to them. Its search begins with the first state and the noise that are estimated here
+without any model.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from jackbox_env import checks as check
-from jackbox_env.states import LATEST_TIME, STATE_NAMES, Array
+from jackbox_env.states import LATEST_TIME, RATES, STATE_NAMES, Array
 
 SHORTEST = 1e-9  # [s] between states
+IMPACT = "impacts"  # the name of the noise of impacts' times
+_SMALLEST_NOISE = 1e-12  # of the argument, in SI units
+_FIRST_NOISE = 1e-2  # assumed without enough rows, in units of the state; of impacts' times [s]
+_LEAST_DIFFERENCES = 20  # third differences, more of which give an estimate of the noise
 
 
 class Recording:
-    """What was seen and heard of a jack in a box.
+    """Observed states of a jack in a box, the torques that acted, and the times at which impacts were heard.
 
     Args:
         states: shape (H + 1, 12), NaN where something was not observed.
-        torques: on the box [N m], each held for ``dt``, shape (H,); None: the scene's drive acted.
+        torques: on the box [N m], each constant for ``dt``, shape (H,); None: the scene's drive acted.
         dt: between states [s], from 1e-9 to 1e9.
         time: of the first state [s].
         impacts: times at which impacts were heard [s], in order; None: nobody listened.
@@ -55,8 +64,64 @@ class Recording:
             raise ValueError("states must hold something that was observed, got NaN only and no impacts")
 
 
-def _finite(name: str, given: Any) -> Array:
-    found = np.array(check.array(name, given, "hold numbers"), dtype=np.float64)
-    if not np.isfinite(found).all():
-        raise ValueError(f"{name} must be finite, got {found[~np.isfinite(found)][0]}")
-    return found
+def _finite(name: str, values: Any) -> Array:
+    array = np.array(check.array(name, values, "hold numbers"), dtype=np.float64)
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} must be finite, got {array[~np.isfinite(array)][0]}")
+    return array
+
+
+def first_state(recording: Recording) -> Array:
+    """A guess of a recording's first state: observed numbers, rates from the first positions, else 0."""
+    observed, state = recording.states, np.zeros(12)
+    for column in range(RATES):
+        rows = np.flatnonzero(np.isfinite(observed[:, column]))[:5]
+        if len(rows):
+            times, positions = rows * recording.dt, observed[rows, column]
+            slope = np.polyfit(times, positions, 1)[0] if len(rows) > 1 and rows[-1] < 10 else 0.0
+            state[column] = positions[0] - slope * times[0]
+            state[column + RATES] = slope
+        if np.isfinite(observed[0, column + RATES]):
+            state[column + RATES] = observed[0, column + RATES]
+    return state
+
+
+def known_noise(noise: Any) -> Array:
+    """Standard deviations of the 12 numbers of a state and of impacts' times, shape (13,); NaN: to be estimated."""
+    names, known = (*STATE_NAMES, IMPACT), np.full(13, np.nan)
+    if isinstance(noise, Mapping):
+        check.known_keys("noise", noise, names)
+        for name, value in noise.items():
+            known[names.index(name)] = check.real(f"noise[{name!r}]", value, at_least=_SMALLEST_NOISE)
+    elif noise is not None:
+        values = np.array(check.array("noise", noise, "hold numbers"), dtype=np.float64)
+        if values.shape not in ((), (12,)) or not (np.isfinite(values).all() and (values >= _SMALLEST_NOISE).all()):
+            requirement = f"noise must be finite and at least {_SMALLEST_NOISE:g}, one number or 12 or by name"
+            raise ValueError(f"{requirement}, got {check.shown(noise)}")
+        known[: 13 if values.ndim == 0 else 12] = values
+    return known
+
+
+def rough_noise(recordings: Sequence[Recording], units: Array) -> Array:
+    """Noise of the state's numbers and of impacts' times, shape (13,), from third differences, about 0 in free flight.
+
+    They are divided differences of the rows that were observed, over their standard deviation at unit noise.
+    """
+    noise = _FIRST_NOISE * units
+    for column in range(12):
+        differences = abs(np.concatenate([_third_differences(one.states[:, column]) for one in recordings]))
+        if len(differences) > _LEAST_DIFFERENCES:
+            noise[column] = max(float(np.median(differences)) / 0.6745, 1e-6 * units[column])
+    return noise
+
+
+def _third_differences(values: Array) -> Array:
+    """Third divided differences of the values that are not NaN, of variance 1 if the values have; at most (n - 3,)."""
+    rows = np.flatnonzero(np.isfinite(values))
+    if len(rows) < 4:
+        return np.zeros(0)
+    four = np.lib.stride_tricks.sliding_window_view(rows, 4).astype(np.float64)
+    weights = 1.0 / np.prod(four[:, :, None] - four[:, None, :] + np.eye(4), axis=2)
+    weights /= np.linalg.norm(weights, axis=1, keepdims=True)
+    differences: Array = (weights * np.lib.stride_tricks.sliding_window_view(values[rows], 4)).sum(axis=1)
+    return differences

@@ -1,10 +1,10 @@
-"""Multiple shooting: recordings cut into windows of a few impacts, whose starts are unknowns beside the scene's fields.
+"""Multiple shooting: the residuals of recordings that are cut into windows of a few impacts, and their Jacobian.
 
-A window's motion is the exact model's from its start. Where one window follows another, its end must be the other's
-start, within a slack that a fit tightens step by step. So no error grows through more than a few impacts on the way to
-the solution (Bock 1983, "Recent advances in parameter identification techniques for O.D.E."; MuJoCo's ``sysid`` plays
-whole recordings instead). Derivatives are those of ``linearize``, and its steps without a derivative end what a window
-tells.
+The unknowns are the scene's fields and the windows' first states. A window's motion is the exact model's from its first
+state. If one window follows another, its end must be the other's start, within a slack that
+:mod:`jackbox_env.measure.fitting` tightens step by step. So no error grows through more than a few impacts on the way
+to the solution (Bock 1983, "Recent advances in parameter identification techniques for O.D.E."; MuJoCo's ``sysid``
+plays whole recordings instead). Derivatives are those of ``linearize``; after its first step without one they are 0.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from jackbox_env.scene import Scene
 from jackbox_env.simulators import JackLostError
 from jackbox_env.states import Array
 
-Places = NDArray[np.intp]
+Indices = NDArray[np.intp]
 
-_AHEAD = 2.0  # [s] that a window is looked for in
+_AHEAD = 2.0  # [s] simulated at first to locate a window's end
 _APART = 0.05  # [s] between impacts of one window and of the next
-_SHORTEST = 0.06  # [s] of a window; the bounces of a pile leave less
-_TOGETHER = 4  # impacts in a window, at most: more are the end of a pile, in which nothing can be told
+_SHORTEST = 0.06  # [s] of a window; bounces that pile up leave less
+_MOST_IMPACTS = 4  # in a window; more are bounces that pile up, which identify nothing
 _NEAR = 0.5  # [s] within which an impact that was heard may be the model's
 _LOGARITHMIC = ("box_mass", "box_inertia", "jack_mass", "jack_inertia", "jack_arm", "box_half_width")
 _WIDEST = math.log(1e3)  # logarithm of how far from the start's a mass or a length may be
@@ -41,7 +41,7 @@ class Window:
     recording: int
     first: int  # step
     last: int  # step that it ends before
-    linked: bool = False  # whether the next window goes on from it
+    linked: bool = False  # whether the next window starts from its end
     start: Array = field(default_factory=lambda: np.zeros(12))
 
 
@@ -49,14 +49,14 @@ class Motion(NamedTuple):
     """A window's motion by the model."""
 
     states: Array  # (steps + 1, 12)
-    by: Array  # of the states by the window's start and the fields, (steps + 1, 12, 12 + F); 0 where there is none
-    smooth: int  # steps before the first that has no derivative
+    jacobians: Array  # of the states by the window's start and the fields, (steps + 1, 12, 12 + F); 0 if not smooth
+    smooth: int  # steps before the first that is not differentiable
     times: Array  # of impacts in these steps [s], (m,)
-    times_by: Array  # (m, 12 + F)
+    times_jacobian: Array  # (m, 12 + F)
 
 
 class Parameters:
-    """The fields as numbers to be searched: logarithms of what is above 0, gravity over 9.81, restitution as it is."""
+    """The fields as search variables: logarithms of masses, lengths and inertias, gravity over 9.81, restitution."""
 
     def __init__(self, fields: Sequence[str], start: Scene) -> None:
         self.fields, self.start = tuple(fields), start
@@ -74,7 +74,7 @@ class Parameters:
 
     def values(self, numbers: Array) -> Array:
         """The fields' values, shape (F,)."""
-        with np.errstate(over="ignore"):  # to infinity, where nothing is told
+        with np.errstate(over="ignore"):  # to infinity, if unidentifiable
             return np.where(self.logarithmic, np.exp(np.where(self.logarithmic, numbers, 0.0)), numbers * self._unit)
 
     def scene(self, numbers: Array) -> Scene:
@@ -112,147 +112,148 @@ def motion(recording: Recording, window: Window, parameters: Parameters, numbers
     except (ValueError, JackLostError):
         return None
     smooth = count if lin.smooth.all() else int(np.argmin(lin.smooth[0]))
-    by = np.zeros((count + 1, 12, 12 + len(numbers)))
-    by[0, :, :12] = np.eye(12)
+    jacobians = np.zeros((count + 1, 12, 12 + len(numbers)))
+    jacobians[0, :, :12] = np.eye(12)
     slopes = parameters.slopes(numbers) * inside
     for k in range(smooth):
-        by[k + 1] = lin.A[0, k] @ by[k]
-        by[k + 1, :, 12:] += lin.P[0, k] * slopes
-    within, since, derivatives = lin.impacts(0)
-    told = within < smooth
-    within, since, derivatives = within[told], since[told], derivatives[told]
-    times_by = np.einsum("mi,mij->mj", derivatives[:, :12], by[within])
-    times_by[:, 12:] += derivatives[:, 13:] * slopes
-    return Motion(lin.trajectories[0], by, smooth, time + within * recording.dt + since, times_by)
+        jacobians[k + 1] = lin.A[0, k] @ jacobians[k]
+        jacobians[k + 1, :, 12:] += lin.P[0, k] * slopes
+    step, since, gradients = lin.impacts(0)
+    usable = step < smooth
+    step, since, gradients = step[usable], since[usable], gradients[usable]
+    times_jacobian = np.einsum("mi,mij->mj", gradients[:, :12], jacobians[step])
+    times_jacobian[:, 12:] += gradients[:, 13:] * slopes
+    return Motion(lin.trajectories[0], jacobians, smooth, time + step * recording.dt + since, times_jacobian)
 
 
-def nearest_pairs(heard: Array, times: Array) -> tuple[Places, Places]:
-    """Numbers of impacts that were heard and of the model's that may be the same, each at most once, in order."""
-    pairs, taken = [], -1
-    for number, time in enumerate(heard):
-        later = np.arange(taken + 1, len(times))
+def nearest_pairs(heard: Array, times: Array) -> tuple[Indices, Indices]:
+    """Match times of heard impacts with the model's, each at most once and in order: indices into both."""
+    pairs, last = [], -1
+    for index, time in enumerate(heard):
+        later = np.arange(last + 1, len(times))
         if len(later):
             nearest = int(later[np.argmin(abs(times[later] - time))])
             if abs(times[nearest] - time) < _NEAR:
-                pairs.append((number, nearest))
-                taken = nearest
-    found = np.array(pairs, dtype=np.intp).reshape(-1, 2)
-    return found[:, 0], found[:, 1]
+                pairs.append((index, nearest))
+                last = nearest
+    matched = np.array(pairs, dtype=np.intp).reshape(-1, 2)
+    return matched[:, 0], matched[:, 1]
 
 
-LINK, UNHEARD = -1, -2
+LINK, UNHEARD = -1, -2  # columns of residuals that are no observations: a link, an impact that the model lacks
 
 
 class Rows(NamedTuple):
-    """Residuals, their derivatives by all unknowns, and what each is of: a number of the state, 12 an impact's time."""
+    """Residuals, their Jacobian, and what each residual belongs to."""
 
     residuals: Array  # (modelled - observed) / noise
-    by: Array  # (rows, unknowns)
-    column: Places  # 0 to 12; LINK, or UNHEARD: an impact that the model does not have
-    window: Places  # number of the window
+    jacobian: Array  # (rows, unknowns)
+    column: Indices  # index into the state, 12: an impact's time; LINK or UNHEARD
+    window: Indices  # index of the window
 
 
 class Shooting:
     """Windows of recordings and the scene's numbers, all in one vector of unknowns: fields first, then starts.
 
-    ``anchor`` holds the first of these unknowns near a place, with standard deviations, while little is known.
+    ``prior``: mean and standard deviation of the first of these unknowns, while little is known; None: no prior.
     """
 
     def __init__(
         self, recordings: Sequence[Recording], parameters: Parameters, windows: Sequence[Window],
-        anchor: tuple[Array, Array] | None = None,
+        prior: tuple[Array, Array] | None = None,
     ) -> None:  # fmt: skip
         self.recordings, self.parameters, self.windows = recordings, parameters, list(windows)
-        self.units, self._anchor = units(parameters.start), anchor
+        self.units, self._prior = units(parameters.start), prior
 
     def unknowns(self, numbers: Array) -> Array:
         """The vector of unknowns: the fields' numbers, and the windows' starts in their units."""
         return np.concatenate([numbers, *(window.start / self.units for window in self.windows)])
 
-    def put(self, unknowns: Array) -> Array:
-        """Put starts into the windows; return the fields' numbers."""
+    def set_starts(self, unknowns: Array) -> Array:
+        """Set the windows' starts; return the fields' numbers."""
         count = len(self.parameters.fields)
         for window, start in zip(self.windows, unknowns[count:].reshape(-1, 12), strict=True):
             window.start = start * self.units
         return unknowns[:count]
 
     def rows(self, unknowns: Array, noise: Array, slack: float) -> Rows | None:
-        """Everything that should be 0; None if a motion cannot be followed.
+        """All residuals; None if a motion cannot be followed.
 
         Args:
-            unknowns: of :meth:`unknowns`.
+            unknowns: as :meth:`unknowns` returns them.
             noise: standard deviations of the 12 numbers of a state and of impacts' times [s], shape (13,).
             slack: of a link, in units of the state.
         """
-        numbers, made = self.put(unknowns), list[Rows]()
-        for place, window in enumerate(self.windows):
-            found = motion(self.recordings[window.recording], window, self.parameters, numbers)
-            if found is None:
+        numbers, parts = self.set_starts(unknowns), list[Rows]()
+        for index, window in enumerate(self.windows):
+            modelled = motion(self.recordings[window.recording], window, self.parameters, numbers)
+            if modelled is None:
                 return None
-            made.append(self._observed(place, window, found, noise))
+            parts.append(self._observed(index, window, modelled, noise))
             if window.linked:
-                made.append(self._link(place, window, found, slack))
-        if self._anchor is not None:
-            anchor, width = self._anchor
-            off, count = (unknowns[: len(anchor)] - anchor) / width, len(anchor)
-            made.append(Rows(off, np.eye(count, len(unknowns)) / width[:, None], *[np.full(count, LINK)] * 2))
-        return Rows(*(np.concatenate(parts) for parts in zip(*made, strict=True)))
+                parts.append(self._link(index, modelled, slack))
+        if self._prior is not None:
+            mean, width = self._prior
+            off, count = (unknowns[: len(mean)] - mean) / width, len(mean)
+            parts.append(Rows(off, np.eye(count, len(unknowns)) / width[:, None], *[np.full(count, LINK)] * 2))
+        return Rows(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
-    def _spread(self, place: int, by: Array) -> Array:
-        """Derivatives by a window's start and the fields, in the columns of all unknowns."""
+    def _spread(self, index: int, jacobian: Array) -> Array:
+        """Put derivatives by a window's start and the fields into the columns of all unknowns."""
         fields = len(self.parameters.fields)
-        whole = np.zeros((len(by), fields + 12 * len(self.windows)))
-        whole[:, :fields] = by[:, 12:]
-        whole[:, fields + 12 * place : fields + 12 * place + 12] = by[:, :12] * self.units
+        whole = np.zeros((len(jacobian), fields + 12 * len(self.windows)))
+        whole[:, :fields] = jacobian[:, 12:]
+        whole[:, fields + 12 * index : fields + 12 * index + 12] = jacobian[:, :12] * self.units
         return whole
 
-    def _observed(self, place: int, window: Window, found: Motion, noise: Array) -> Rows:
+    def _observed(self, index: int, window: Window, modelled: Motion, noise: Array) -> Rows:
         recording = self.recordings[window.recording]
         until = window.last + (0 if window.linked else 1)  # the last row belongs to the next window
-        seen = recording.states[window.first : until]
-        sample, column = np.nonzero(np.isfinite(seen))
-        off = (found.states[sample, column] - seen[sample, column]) / noise[column]
-        by = found.by[sample, column] / noise[column, None]
+        observed = recording.states[window.first : until]
+        row, column = np.nonzero(np.isfinite(observed))
+        off = (modelled.states[row, column] - observed[row, column]) / noise[column]
+        jacobian = modelled.jacobians[row, column] / noise[column, None]
         if recording.impacts is not None:
             begin, end = (recording.time + step * recording.dt for step in (window.first, window.last))
             heard = recording.impacts[(recording.impacts >= begin) & (recording.impacts < end)]
-            one, other = nearest_pairs(heard, found.times)
-            late, late_by = np.full(len(heard), _NEAR), np.zeros((len(heard), by.shape[1]))
-            late[one], late_by[one] = found.times[other] - heard[one], found.times_by[other]
-            off, by = np.concatenate([off, late / noise[12]]), np.concatenate([by, late_by / noise[12]])
-            column = np.concatenate([column, np.where(np.isin(np.arange(len(heard)), one), 12, UNHEARD)])
-        return Rows(off, self._spread(place, by), column, np.full(len(off), place))
+            of_heard, of_model = nearest_pairs(heard, modelled.times)
+            late, gradients = np.full(len(heard), _NEAR), np.zeros((len(heard), jacobian.shape[1]))
+            late[of_heard] = modelled.times[of_model] - heard[of_heard]
+            gradients[of_heard] = modelled.times_jacobian[of_model]
+            off = np.concatenate([off, late / noise[12]])
+            jacobian = np.concatenate([jacobian, gradients / noise[12]])
+            column = np.concatenate([column, np.where(np.isin(np.arange(len(heard)), of_heard), 12, UNHEARD)])
+        return Rows(off, self._spread(index, jacobian), column, np.full(len(off), index))
 
-    def _link(self, place: int, window: Window, found: Motion, slack: float) -> Rows:
-        scale = slack * self.units
-        by = self._spread(place, found.by[-1] / scale[:, None])
-        fields = len(self.parameters.fields)
-        by[:, fields + 12 * place + 12 : fields + 12 * place + 24] -= np.eye(12) / slack
-        off = (found.states[-1] - self.windows[place + 1].start) / scale
-        return Rows(off, by, np.full(12, LINK), np.full(12, place))
+    def _link(self, index: int, modelled: Motion, slack: float) -> Rows:
+        scale, fields = slack * self.units, len(self.parameters.fields)
+        jacobian = self._spread(index, modelled.jacobians[-1] / scale[:, None])
+        jacobian[:, fields + 12 * index + 12 : fields + 12 * index + 24] -= np.eye(12) / slack
+        off = (modelled.states[-1] - self.windows[index + 1].start) / scale
+        return Rows(off, jacobian, np.full(12, LINK), np.full(12, index))
 
 
 def next_window(
     recording: Recording, number: int, first: int, start: Array, parameters: Parameters, numbers: Array
 ) -> Window | None:
-    """The window from a step and a state on, with one impact, or some that follow each other closely.
+    """The window that starts from a state at a step, with one impact, or some that follow each other closely.
 
-    It ends half way to the next impact. None where the jack comes to rest, or cannot be followed.
+    It ends half way to the next impact. None if the jack comes to rest, or cannot be followed.
     """
     most = len(recording.states) - 1
     ahead = math.ceil(_AHEAD / recording.dt)
     while True:
         last = min(most, first + ahead)
         window = Window(number, first, last, start=start)
-        found = motion(recording, window, parameters, numbers)
-        if found is None:
+        modelled = motion(recording, window, parameters, numbers)
+        if modelled is None:
             return None
-        apart = np.flatnonzero(np.diff(found.times) > _APART)
-        count = int(apart[0]) + 1 if len(apart) else len(found.times)
-        if count > _TOGETHER or (found.smooth < last - first and not len(apart)):
+        apart = np.flatnonzero(np.diff(modelled.times) > _APART)
+        count = int(apart[0]) + 1 if len(apart) else len(modelled.times)
+        if count > _MOST_IMPACTS or (modelled.smooth < last - first and not len(apart)):
             return None
         if len(apart):
-            middle = 0.5 * (found.times[count - 1] + found.times[count])
+            middle = 0.5 * (modelled.times[count - 1] + modelled.times[count])
             window.last = first + max(1, round((middle - recording.time) / recording.dt) - first)
             return window if window.last - first > _SHORTEST / recording.dt else None
         if last == most:

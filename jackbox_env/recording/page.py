@@ -1,8 +1,8 @@
 """A trajectory as one page of HTML: an animation, its impacts, and plots that follow its time.
 
-The page is one file that any browser opens, without a network. Its parts lie in ``jackbox_env/page``: ``page.html``
-names the others, which are put in its place. The page interpolates between the samples that are written into it
-(:mod:`jackbox_env.recording.samples`), by cubics through place and velocity; all physics is computed here.
+The page is one file that any browser opens, without a network. Its parts are in ``jackbox_env/page``: ``page.html``
+names the others, which are inserted there. The page interpolates between samples
+(:mod:`jackbox_env.recording.samples`) by cubics through position and velocity; all physics is computed here.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from jackbox_env.states import STATE_NAMES
 
 _MOST_LISTED = 2000  # impacts in the page's table: more would make a heavy page that nobody reads
 
-Facts = list[tuple[str, str]]  # what to call a fact, and its value with its unit
+Facts = list[tuple[str, str]]  # names, and values with their units
 
 
 def model_facts(setting: Setting) -> Facts:
@@ -41,10 +41,10 @@ def write_page(path: Path, scene: Scene, trajectory: Trajectory, title: str, fac
 
     Args:
         path: of the new file.
-        scene: that the trajectory is of.
-        trajectory: what to show.
+        scene: of the trajectory.
+        trajectory: to show.
         title: what moved the box, in a few words.
-        facts: what to list before the scene's numbers.
+        facts: rows above the scene's numbers.
 
     Raises:
         FileExistsError: there is something at ``path``.
@@ -57,7 +57,7 @@ def write_page(path: Path, scene: Scene, trajectory: Trajectory, title: str, fac
 
 
 def _described(scene: Scene, trajectory: Trajectory, shown: Samples, title: str, facts: Facts) -> dict[str, Any]:
-    """What the page is given, as JSON."""
+    """The page's data, for JSON."""
     columns = np.column_stack([shown.times, shown.states, shown.torques, shown.energies, shown.work])
     return {
         "title": title,
@@ -82,7 +82,7 @@ def _packed(numbers: Any, kind: str) -> str:
 
 
 def _notes(scene: Scene, trajectory: Trajectory) -> list[str]:
-    """What a reader must know about this trajectory in particular."""
+    """Notes on this trajectory for the page's reader."""
     notes = [
         "Wall 0 is on the right of a level box, 1 above, 2 on the left, 3 below. They keep their numbers as it turns."
     ]
@@ -132,10 +132,10 @@ def _assembled(data: dict[str, Any]) -> str:
     # "<" would let a title end the script that the data stands in.
     text = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
 
-    made = {"data": text, "colours": _colours()}
+    values = {"data": text, "colours": _colours()}
 
     def part(named: re.Match[str]) -> str:
-        return made.get(named[1]) or (folder / named[1]).read_text(encoding="utf-8").strip()
+        return values.get(named[1]) or (folder / named[1]).read_text(encoding="utf-8").strip()
 
     return re.sub(r"\{\{([\w.]+)\}\}", part, (folder / "page.html").read_text(encoding="utf-8"))
 

@@ -1,12 +1,11 @@
-"""What a trajectory passes between its stored states: the moments of its impacts, and points in flight.
+"""Samples of a trajectory between its stored states: the moments of its impacts, and points in flight.
 
-A stored state is a control step's end, and impacts happen inside of steps. Lines from one stored state to the next cut
-the corner of the path at an impact. Here each step is played once more (:mod:`jackbox_env.simulators.replay`): flight
-in closed form, and the impulses that the contact model recorded. So a sample stands just before and just after each
-impact, and whoever draws the samples needs no law of contact.
+A stored state is the end of a control step, and impacts happen within steps. Here each step is replayed
+(:mod:`jackbox_env.simulators.replay`) by flight in closed form and the recorded impulses. There is a sample just before
+and just after each impact, so the animated page draws impacts without a law of contact.
 
-Exactness: rounding with ``contact="exact"``. With pymunk an impact stands where the engine resolved it, at the end of a
-substep, with the foot inside the wall. A step in which a foot rests on a wall has no samples of its own.
+Exactness: rounding with ``contact="exact"``. With pymunk an impact is where the engine resolved it, at the end of a
+substep, with the foot inside the wall. A step in which a foot rests on a wall has no further samples.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from jackbox_env.simulators.replay import Moment, box_energy, flown, replayed
 from jackbox_env.states import THETA_BOX, X_BOX, X_JACK, Y_BOX, Y_JACK, Array
 
 SPACING = 0.005  # between samples in flight, at most [s]
-_ELSEWHERE = 1e-6  # over L: a replay that ends this far off has met a foot at rest
+_REPLAY_TOLERANCE = 1e-6  # over L; a replay that ends further off had a foot at rest
 
 
 class Samples(NamedTuple):
@@ -53,7 +52,7 @@ class _Step(NamedTuple):
     before: list[float]
     after: list[float]
     impacts: list[Impact]
-    torque: float | None  # held [N m]; None: the drive's
+    torque: float | None  # constant [N m]; None: the drive's
 
     def flight(self, scene: Scene) -> Iterator[_Sample]:
         """Points of a step without impacts, its end included, with the work since its start."""
@@ -80,13 +79,13 @@ class _Step(NamedTuple):
             yield _Sample(min(moment.time, self.end), moment.before, work)
             if moment.time < self.end:
                 yield _Sample(moment.time, moment.after, work)
-        yield _Sample(self.end, self.after, replay.work + self._held_up(scene, replay.state))
+        yield _Sample(self.end, self.after, replay.work + self._missed_work(scene, replay.state))
 
-    def _held_up(self, scene: Scene, ended: list[float]) -> float:
-        """The work that a replay misses, which ended elsewhere because it let resting feet fall.
+    def _missed_work(self, scene: Scene, ended: list[float]) -> float:
+        """The work that a replay misses if it ended elsewhere because resting feet fall in it.
 
-        The difference of the box's rates grows evenly from 0, and its integral is that of the angles. Held torques give
-        the work to rounding, others to third order in the step.
+        The difference of the box's rates grows evenly from 0, and its integral is that of the angles. Constant torques
+        give the work to rounding, others to third order in the step.
         """
         drive, length = scene.drive or Drive(), self.end - self.start
         turning = drive.torque_means if self.torque is None else lambda *_: (self.torque, self.torque)
@@ -94,22 +93,22 @@ class _Step(NamedTuple):
         return sum(means(self.start, length)[1] * (self.after[axis] - ended[axis]) for axis, means in averages)
 
     def _rests(self, scene: Scene, moment: Moment) -> bool:
-        """Whether it is the one record of a foot at rest, at the step's end: the replay has let that foot fall."""
-        off = max(abs(moment.before[place] - self.after[place]) for place in (X_JACK, Y_JACK))
-        return moment.time >= self.end and off > _ELSEWHERE * scene.box_half_width
+        """Whether the moment is the record of a foot at rest, at the step's end: that foot falls in the replay."""
+        off = max(abs(moment.before[axis] - self.after[axis]) for axis in (X_JACK, Y_JACK))
+        return moment.time >= self.end and off > _REPLAY_TOLERANCE * scene.box_half_width
 
 
 def samples_of(scene: Scene, trajectory: Trajectory) -> Samples:
-    """The samples of a trajectory in a scene: all stored states, and what lies between, at most 0.005 s apart."""
+    """The samples of a trajectory in a scene: all stored states, impacts, and flight at most 0.005 s apart."""
     ends, states = trajectory.times.tolist(), trajectory.states.tolist()
-    held = [None] * len(ends) if trajectory.driven else trajectory.torques.tolist()
-    found, impacts = [_Sample(ends[0], states[0], 0.0)], iter(trajectory.impacts)
+    constant_torques = [None] * len(ends) if trajectory.driven else trajectory.torques.tolist()
+    samples, impacts = [_Sample(ends[0], states[0], 0.0)], iter(trajectory.impacts)
     for number, count in enumerate(trajectory.counts.tolist()):
-        hits, done = list(islice(impacts, count)), found[-1].work
-        step = _Step(ends[number], ends[number + 1], states[number], states[number + 1], hits, held[number])
+        hits, done = list(islice(impacts, count)), samples[-1].work
+        step = _Step(ends[number], ends[number + 1], states[number], states[number + 1], hits, constant_torques[number])
         new = step.contact(scene) if step.impacts else step.flight(scene)
-        found += [one._replace(work=done + one.work) for one in new]
-    times, states, work = zip(*found, strict=True)
+        samples += [one._replace(work=done + one.work) for one in new]
+    times, states, work = zip(*samples, strict=True)
     energies = [energy_of(scene, state) for state in states]
     torques = _torques(scene, trajectory, times)
     return Samples(*map(np.array, (times, states, torques, energies, work)))

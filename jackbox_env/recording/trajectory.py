@@ -20,7 +20,7 @@ from jackbox_env.states import STATE_NAMES, STATE_UNITS, Array
 
 @dataclass(frozen=True)
 class Trajectory:
-    """What a simulation or an episode went through in n - 1 steps.
+    """The states of a simulation or an episode in n - 1 steps, and its impacts.
 
     Attributes:
         times: [s], shape (n,).
@@ -28,8 +28,8 @@ class Trajectory:
         torques: mean torque on the box over each step [N m], shape (n - 1,).
         counts: number of impacts of each step, shape (n - 1,).
         impacts: in time order.
-        driven: whether the scene's drive gave the torques; otherwise each was held for its step.
-        failure: what ended it early, if anything.
+        driven: whether the torques were the scene's drive's; otherwise each was constant through its step.
+        failure: the reason of an early end, if there was one.
     """
 
     times: NDArray[np.float64]
@@ -42,12 +42,12 @@ class Trajectory:
 
 
 class TrajectoryRecorder:
-    """A trajectory while it is made.
+    """Collects the steps of a trajectory.
 
     Args:
         state: at the start, shape (12,), SI units.
         time: at the start [s].
-        driven: whether the scene's drive gives the torques.
+        driven: whether the torques are the scene's drive's.
     """
 
     def __init__(self, state: Array, time: float, driven: bool = True) -> None:
@@ -55,7 +55,7 @@ class TrajectoryRecorder:
         self._torques, self._counts, self._impacts = list[float](), list[int](), list[Impact]()
 
     def add(self, state: Array, time: float, torque: float, impacts: Sequence[Impact]) -> None:
-        """Note a step: state and time [s] at its end, its mean torque [N m], its impacts."""
+        """Record a step: state and time [s] at its end, its mean torque [N m], its impacts."""
         self._times.append(time)
         self._states.append(state)
         self._torques.append(torque)
@@ -63,7 +63,7 @@ class TrajectoryRecorder:
         self._impacts += impacts
 
     def trajectory(self, failure: str | None = None) -> Trajectory:
-        """What was noted so far."""
+        """The trajectory so far."""
         return Trajectory(
             np.array(self._times),
             np.array(self._states),
@@ -89,7 +89,7 @@ def simulate(simulator: Simulator, seconds: float, dt: float, progress: bool = T
 
 
 def _bar(steps: Iterable[int], progress: bool) -> AbstractContextManager[Iterable[int]]:
-    """The steps, with a progress bar where tqdm is installed; at the block's end, by an error too, it is wiped off."""
+    """The steps, with a progress bar if tqdm is installed; it is erased at the block's end."""
     try:
         tqdm: Any = importlib.import_module("tqdm").tqdm
     except ImportError:

@@ -1,7 +1,7 @@
-"""A frame's surface and the marks on it; knows nothing of boxes and jacks.
+"""A frame's surface and the marks on it, for the renderer and the game's window.
 
 Marks are drawn on a surface several times as large, which :meth:`Canvas.smooth` scales down; text is written on the
-frame itself. Places are complex numbers in pixels of the frame: x to the right, y (imaginary) down from the top left,
+frame itself. Points are complex numbers in pixels of the frame: x to the right, y (imaginary) down from the top left,
 where pixel (i, j) has its centre at i + j * 1j.
 """
 
@@ -21,13 +21,13 @@ from jackbox_env.colours import Colour
 if TYPE_CHECKING:
     import pygame
 
-SIZE = 512  # [px] width and height of a frame unless another is asked for
+SIZE = 512  # [px] width and height of a frame by default
 
 INK: Colour = (38, 46, 60)
 PALE_INK: Colour = (112, 122, 138)
 TRACK: Colour = (205, 212, 222)
 
-_FINER = 4  # letters are set so many times as large: each stands on a whole pixel, which left uneven gaps
+_FINER = 4  # letters are drawn so many times as large: at their own size whole pixels leave uneven gaps
 _SMALL = 160  # [px] a frame less wide or high is drawn at four times its size: its walls are 1.5 px thick
 
 
@@ -35,7 +35,7 @@ def import_pygame() -> ModuleType:
     """Return pygame.
 
     Raises:
-        gymnasium.error.DependencyNotInstalled: it is missing; the sentence says what to install.
+        gymnasium.error.DependencyNotInstalled: it is missing; the message says what to install.
     """
     try:
         import pygame
@@ -66,25 +66,25 @@ def _written(text: str, size: int, colour: Colour) -> pygame.Surface:
 
 
 def write(
-    surface: pygame.Surface, text: str, place: complex, size: int = 22, colour: Colour = INK, align: float = 0.0
+    surface: pygame.Surface, text: str, point: complex, size: int = 22, colour: Colour = INK, align: float = 0.0
 ) -> None:
-    """Write with the left end (align 0), the middle (0.5) or the right end (1) at ``place``, half way down.
+    """Write with the left end (align 0), the middle (0.5) or the right end (1) at ``point``, half way down.
 
     Args:
         surface: to write on.
         text: a hyphen becomes a minus sign.
-        place: [px].
+        point: [px].
         size: of the letters [px].
         colour: of the letters.
-        align: which end is at ``place``.
+        align: which end is at ``point``.
     """
     image = _written(text.replace("-", "\N{MINUS SIGN}"), size, colour)
     width, height = image.get_size()
-    surface.blit(image, (round(place.real - align * width), round(place.imag - 0.5 * height)))
+    surface.blit(image, (round(point.real - align * width), round(point.imag - 0.5 * height)))
 
 
 class Canvas:
-    """Surfaces of a frame. Everything here can be made anew, nothing of it is pickled.
+    """Surfaces of a frame. They are made anew when needed, and never pickled.
 
     Args:
         size: width and height of the frame [px].
@@ -112,7 +112,7 @@ class Canvas:
         return frame
 
     def fill(self, colour: Colour) -> None:
-        """Give all of the frame one colour."""
+        """Fill the frame with one colour."""
         self._large.fill(colour)
 
     def line(self, at: float, axis: int, colour: Colour) -> None:
@@ -121,9 +121,9 @@ class Canvas:
         area = (start, 0, self._times, self._large.get_height())
         self._large.fill(colour, area if axis == 0 else (0, start, self._large.get_width(), self._times))
 
-    def _on_large(self, place: complex, off: float = 0.0) -> tuple[int, int]:
-        """A place on the large surface, ``off`` less both ways."""
-        x, y = self._times * (place.real + 0.5) - off, self._times * (place.imag + 0.5) - off
+    def _on_large(self, point: complex, off: float = 0.0) -> tuple[int, int]:
+        """A point on the large surface, ``off`` less both ways."""
+        x, y = self._times * (point.real + 0.5) - off, self._times * (point.imag + 0.5) - off
         return round(x), round(y)
 
     def polygon(self, corners: Sequence[complex], colour: Colour) -> None:
@@ -132,7 +132,7 @@ class Canvas:
 
     def band(self, start: complex, end: complex, width: float, colour: Colour) -> None:
         """Draw a band of some width [px] with square ends."""
-        # A polygon holds its edges too, half a pixel of the large surface more on each side.
+        # A polygon includes its edges, half a pixel of the large surface more on each side.
         beside = 0.5j * (end - start) / abs(end - start) * (width - 1.0 / self._times)
         self.polygon([start + beside, end + beside, end - beside, start - beside], colour)
 
@@ -141,7 +141,7 @@ class Canvas:
         self.pygame.draw.circle(self._large, colour, self._on_large(centre), max(1, round(self._times * radius)))
 
     def glow(self, centre: complex, radius: float, share: float, colour: Colour) -> None:
-        """Draw a ring and a disc in it that let through what lies beneath: all of it at a ``share`` of 0."""
+        """Draw a ring and a disc in it, as opaque as ``share``, from 0 to 1."""
         reach = max(2, round(self._times * radius))
         image = self.pygame.Surface((2 * reach, 2 * reach), self.pygame.SRCALPHA)
         for part, width, opacity in ((0.6, 0, 200), (1.0, 2 * self._times, 230)):

@@ -1,12 +1,12 @@
-"""Draws the jack in the box: reads states, computes no physics.
+"""Draws states of the jack in the box, as arrays or in a window; no physics is computed here.
 
 The camera follows the box's centre, so the box stays in the middle of the picture and turns there. Ruled lines fixed to
-the world move past it as it sinks, and the rulers on the left and at the bottom tell where it is. One foot of the jack
-has a colour of its own, so that a turn of the cross is seen. A small frame has no text. Without the overlay a frame is
+the world move past it as it sinks, and the rulers on the left and at the bottom show its position. One foot of the jack
+has another colour, so that the cross visibly turns. A small frame has no text. Without the overlay a frame is
 box, jack and ruled lines alone. pygame is imported when the first `Renderer` is made and used off-screen: only the
 human mode opens a window.
 
-Places in the frame and in the world are complex numbers; see `canvas.py` for those in the frame.
+Points in the frame and in the world are complex numbers; see `canvas.py` for those in the frame.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     import pygame
 
 
-# Layout [px] of a frame of 512 x 512, scaled in others: a ruler on the left and one at the bottom; the box may turn
-# freely in the rest, the corners are left to the text.
+# Layout [px] of a frame of 512 x 512, scaled in others: rulers on the left and at the bottom, text in the corners, and
+# the rest for the box, which may turn freely.
 _RULER, _FLOOR = 54.0, 20.0
 _WALL = 6.0  # thickness of a wall, outwards from its inside face
 _REACH = 224.0  # of the box's outer corners from its centre, at any angle
@@ -64,7 +64,11 @@ _PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G", 12: "T"}
 
 
 def _unit(size: float, name: str) -> tuple[float, str]:
-    """Return the unit to write numbers of about ``size`` in, as its value and its symbol: (1e3, "kN m")."""
+    """Return the unit for numbers of about ``size``, as its value and its symbol.
+
+    >>> _unit(90000.0, "N m")
+    (1000.0, 'kN m')
+    """
     exponent = 3 * math.floor(math.log10(size) / 3.0 + 1e-9)
     exponent = min(max(exponent, min(_PREFIXES)), max(_PREFIXES))
     return 10.0**exponent, _PREFIXES[exponent] + name
@@ -77,17 +81,17 @@ def _round_step(least: float) -> float:
 
 
 def _number(value: float) -> str:
-    """Format with one decimal as far as there is room."""
+    """Format with one decimal, large numbers with an exponent."""
     return f"{value:z.1f}" if abs(value) < 1e6 else f"{value:.1e}"
 
 
 class Renderer:
     """Draws the states of one scene, as arrays or in a window.
 
-    It can be pickled and copied: surfaces and the window are left behind and made again when needed.
+    It can be pickled and copied, without surfaces and window: those are made again when needed.
 
     Args:
-        scene: gives the sizes.
+        scene: its sizes are drawn.
         render_mode: ``"rgb_array"`` or ``"human"``.
         fps: frames per second of the window [Hz].
         task: its name, which is written into the frame.
@@ -105,14 +109,13 @@ class Renderer:
         self._human, self._fps, self._size, self._overlay = render_mode == "human", fps, size, overlay
         self._task = task if len(task) <= _LONGEST_TASK else task[: _LONGEST_TASK - 1] + "…"
         self._lettered = overlay and min(size) >= _LETTERED
-        self._px = (
-            min(size) / SIZE if self._lettered else (0.485 * min(size) - 1.0) / _REACH
-        )  # what a pixel of 512 is here
+        # [px] of this frame for a pixel of 512
+        self._px = min(size) / SIZE if self._lettered else (0.485 * min(size) - 1.0) / _REACH
         self._ruler, self._floor = _RULER * self._px * self._lettered, size[1] - _FLOOR * self._px * self._lettered
         self._centre = complex(0.5 * (self._ruler + size[0]), 0.5 * size[1])  # of the box
         self._wall = max(_WALL * self._px, _LEAST_WALL)
-        self._trail: deque[tuple[float, complex]] = deque(maxlen=_TRAIL_POINTS)  # time [s], the jack's place [m]
-        # Time [s], place in the box [m], radius [px].
+        self._trail: deque[tuple[float, complex]] = deque(maxlen=_TRAIL_POINTS)  # time [s], the jack's position [m]
+        # Time [s], point in the box frame [m], radius [px].
         self._flashes: deque[tuple[float, complex, float]] = deque(maxlen=_MOST_FLASHES)
         self._canvas: Canvas | None = Canvas(size)
         self._window: Any = None
@@ -124,7 +127,7 @@ class Renderer:
         return {**self.__dict__, "_canvas": None, "_window": None, "_clock": None}
 
     def show(self, scene: Scene) -> None:
-        """Take the sizes from another scene; :meth:`reset` comes next."""
+        """Draw another scene from now on; call :meth:`reset` next."""
         self._scene = scene
         half_width = _REACH * self._px / math.sqrt(2.0) - self._wall
         self._scale = half_width / scene.box_half_width  # [px/m]
@@ -150,7 +153,7 @@ class Renderer:
     def record(
         self, state: Sequence[float] | Array, time: float, torque: float, impacts: Sequence[Impact], reward: float = 0.0
     ) -> None:
-        """Note the state after a control step, shape (12,), SI units; nothing is drawn.
+        """Record the state after a control step, shape (12,), SI units; nothing is drawn.
 
         Args:
             state: at the end of the step.
@@ -167,10 +170,10 @@ class Renderer:
         for impact in impacts if self._overlay else ():
             strength = impact.impulse / (2.0 * self._scene.jack_mass * self._scene.speed_scale)
             radius = max(2.0, (8.0 + 8.0 * min(strength, 1.0)) * self._px)
-            self._flashes.append((impact.time, self._place_of(impact, state), radius))
+            self._flashes.append((impact.time, self._contact_point(impact, state), radius))
 
-    def _place_of(self, impact: Impact, state: Sequence[float] | Array) -> complex:
-        """Return where the foot met the wall, in the box frame [m].
+    def _contact_point(self, impact: Impact, state: Sequence[float] | Array) -> complex:
+        """Return the point of the wall that the foot struck, in the box frame [m].
 
         The pose is carried back from the end of the step by the velocities after the impact, and put onto the wall.
         """
@@ -185,20 +188,20 @@ class Renderer:
         return complex(limit, min(max(sideways, -limit), limit)) * 1j**impact.wall
 
     def to_pixels(self, x: float, y: float) -> tuple[float, float]:
-        """Return where the point (x, y) [m] of the world lies in the frame [px], x to the right and y down."""
-        place = self._in_frame(complex(x, y) - self._box)
-        return place.real, place.imag
+        """Return the point of the frame [px] for (x, y) [m] in the world, x to the right and y down."""
+        point = self._in_frame(complex(x, y) - self._box)
+        return point.real, point.imag
 
     def _in_frame(self, offset: complex) -> complex:
-        """Return where what lies at ``offset`` [m] from the box's centre is in the frame [px].
+        """Return the point of the frame [px] at ``offset`` [m] from the box's centre.
 
         Relative, because adding and taking away a far-off position would cost digits.
         """
         return self._centre + self._scale * offset.conjugate()
 
-    def _near(self, place: complex) -> bool:
-        """Tell whether a place is close enough to the frame to be drawn; False for what has overflowed."""
-        return max(abs(place.real), abs(place.imag)) < 4.0 * max(self._size)
+    def _near(self, point: complex) -> bool:
+        """Whether a point is close enough to the frame to be drawn; False after an overflow."""
+        return max(abs(point.real), abs(point.imag)) < 4.0 * max(self._size)
 
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the last state that was recorded or reset to.
@@ -228,7 +231,7 @@ class Renderer:
         return canvas.pixels()
 
     def close(self) -> None:
-        """Let go of the window and the surfaces; calling it again does nothing. Other renderers go on."""
+        """Destroy the window and the surfaces; calling it again does nothing. Other renderers go on."""
         if self._window is not None:
             self._window.destroy()
         self._canvas = self._window = self._clock = None
@@ -259,7 +262,7 @@ class Renderer:
                 canvas.line(pixel, axis, _RULE)
 
     def _rules(self, axis: int) -> Iterator[tuple[float, float]]:
-        """Yield the ruled lines of the frame as (place [px], coordinate [m]), along x (axis 0) or y (1)."""
+        """Yield the ruled lines of the frame as (pixel, coordinate [m]), along x (axis 0) or y (1)."""
         camera, centre = ((self._box.real, self._centre.real), (self._box.imag, self._centre.imag))[axis]
         beyond = math.fmod(camera, self._spacing)  # exact, however far off the camera is
         step = self._spacing * self._scale * (1.0, -1.0)[axis]  # [px]
@@ -269,12 +272,12 @@ class Renderer:
             yield nearest + number * step, camera - beyond + number * self._spacing
 
     def _draw_trail(self, canvas: Canvas) -> None:
-        """Draw the way of the jack's centre through the world, a bead for each recorded place."""
+        """Draw the path of the jack's centre through the world, a bead for each recorded point."""
         lasts = max(_TRAIL_TIME * self._time_scale, _TRAIL_STEPS * self._interval)
         for time, jack in self._trail:
-            place, share = self._in_frame(jack - self._box), max(0.0, self._time - time) / lasts
-            if share < 1.0 and self._near(place):
-                canvas.disc(place, _BEAD * self._px, _FADING[int(len(_FADING) * share)])
+            point, share = self._in_frame(jack - self._box), max(0.0, self._time - time) / lasts
+            if share < 1.0 and self._near(point):
+                canvas.disc(point, _BEAD * self._px, _FADING[int(len(_FADING) * share)])
 
     def _draw_walls(self, canvas: Canvas, turn: complex) -> None:
         thickness = self._wall / self._scale  # [m]
@@ -286,9 +289,9 @@ class Renderer:
     def _draw_flashes(self, canvas: Canvas, turn: complex) -> None:
         lasts = max(_FLASH_TIME * self._time_scale, _FLASH_STEPS * self._interval)
         for time, in_box, radius in self._flashes:
-            place, share = self._in_frame(in_box * turn), 1.0 - max(0.0, self._time - time) / lasts
-            if share > 0.0 and self._near(place):
-                canvas.glow(place, radius, share, _FLASH)
+            point, share = self._in_frame(in_box * turn), 1.0 - max(0.0, self._time - time) / lasts
+            if share > 0.0 and self._near(point):
+                canvas.glow(point, radius, share, _FLASH)
 
     def _draw_jack(self, canvas: Canvas) -> None:
         jack = self._jack - self._box
@@ -306,7 +309,7 @@ class Renderer:
             canvas.disc(foot, radius, colour)
 
     def _draw_gauge(self, canvas: Canvas) -> None:
-        """Draw an arc that turns the way of the torque, at most 140 degrees from the top."""
+        """Draw an arc in the direction of the torque, at most 140 degrees from the top."""
         middle, radius = complex(self._ruler + 34.0 * self._px, self._floor - 28.0 * self._px), _GAUGE * self._px
         share = min(max(self._torque / self._scene.torque_limit, -1.0), 1.0)
 
@@ -322,7 +325,7 @@ class Renderer:
             canvas.polygon([at(tip), at(tip - head, side), at(tip - head, -side)], TORQUE)
 
     def _draw_rulers(self, surface: pygame.Surface) -> None:
-        """Draw the scales of heights, on the left, and of places along x, at the bottom, in the same unit."""
+        """Draw the scales of y, on the left, and of x, at the bottom, in the same unit."""
         (width, height), left, floor = self._size, round(self._ruler), round(self._floor)
         one, tick = max(1, round(self._px)), round(4.0 * self._px)
         for area in ((0, 0, left, height), (0, floor, width, height - floor)):
@@ -335,14 +338,14 @@ class Renderer:
             if pixel < floor:
                 surface.fill(TRACK, (left - tick, round(pixel), tick, one))
                 if pixel > 8.0 * self._px:  # its label is not cut
-                    place = complex(self._ruler - 7.0 * self._px, pixel)
-                    self._write(surface, f"{round(y / unit, digits):z.6g} {symbol}", place, 17, PALE_INK, 1.0)
+                    point = complex(self._ruler - 7.0 * self._px, pixel)
+                    self._write(surface, f"{round(y / unit, digits):z.6g} {symbol}", point, 17, PALE_INK, 1.0)
         for pixel, x in self._rules(0):
             if pixel > left:
                 surface.fill(TRACK, (round(pixel), floor, one, tick))
                 if pixel < width - 16.0 * self._px:
-                    place = complex(pixel, self._floor + 12.0 * self._px)
-                    self._write(surface, f"{round(x / unit, digits):z.6g}", place, 17, PALE_INK, 0.5)
+                    point = complex(pixel, self._floor + 12.0 * self._px)
+                    self._write(surface, f"{round(x / unit, digits):z.6g}", point, 17, PALE_INK, 0.5)
 
     def _write_readings(self, surface: pygame.Surface) -> None:
         unit, symbol = _unit(self._scene.torque_limit, "N m")
@@ -358,14 +361,14 @@ class Renderer:
         self._write(surface, f"{_number(self._torque / unit)} {symbol}", beside - 20j * self._px)
 
     def _write(
-        self, surface: pygame.Surface, text: str, place: complex, size: float = 22.0, colour: Colour = INK,
+        self, surface: pygame.Surface, text: str, point: complex, size: float = 22.0, colour: Colour = INK,
         align: float = 0.0,
     ) -> None:  # fmt: skip
-        write(surface, text, place, max(1, round(size * self._px)), colour, align)
+        write(surface, text, point, max(1, round(size * self._px)), colour, align)
 
 
 def tiled(scenes: Sequence[Scene], states: Array, times: Array, size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Draw states, shape (>= k, 12), of k scenes, each as a tile without overlay, row by row in a square-like grid.
+    """Draw states, shape (>= k, 12), of k scenes as tiles without overlay, row by row in a nearly square grid.
 
     Args:
         scenes: k of them, at least one.
@@ -374,7 +377,7 @@ def tiled(scenes: Sequence[Scene], states: Array, times: Array, size: tuple[int,
         size: width and height of a tile [px].
 
     Returns:
-        uint8, shape (height, width, 3). What is left over in the last row is grey.
+        uint8, shape (height, width, 3). The rest of the last row is grey.
     """
     columns = math.ceil(math.sqrt(len(scenes)))
     rows = math.ceil(len(scenes) / columns)

@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 
 SLOWEST, FASTEST = 0.25, 4.0  # simulated seconds in a second
 FRAMES = 50  # in a second
-_LONGEST = 0.1  # [s] of the clock that a frame makes up for: a slow machine plays slower
+_LONGEST = 0.1  # [s] of the clock that one frame advances by at most: a slow machine plays slower
 PANEL = 248  # [px] width beside the picture
 _EDGE = 20  # [px] of the panel
 _PAPER: Colour = (250, 251, 253)
 _RED: Colour = (190, 30, 36)
 _DRIVERS = ("SDL_VIDEODRIVER", "SDL_VIDEO_DRIVER")  # variables that name SDL's driver
-_UNSEEN = ("offscreen", "dummy", "evdev")  # drivers whose windows nobody sees
+_INVISIBLE = ("offscreen", "dummy", "evdev")  # drivers without visible windows
 NO_AGENT = "P needs a checkout of the project"
 LOADING = "loading the trained agent ..."
 
@@ -39,12 +39,12 @@ class Predicts(Protocol):
 
 
 class Game:
-    """One environment, its episodes, and who acts in it; it knows nothing of windows and keys.
+    """One environment, its episodes, and who acts in it, without windows and keys.
 
     Args:
         env: ``JackInBox-v0`` made with ``render_mode="rgb_array"``.
         seed: of the first start; None: drawn.
-        chirp: whether the scene's drive acts where nobody else does.
+        chirp: whether the scene's drive acts if nobody else does.
     """
 
     def __init__(self, env: gym.Env[Any, Any], seed: int | None = None, chirp: bool = True) -> None:
@@ -58,14 +58,14 @@ class Game:
         self.restart(seed)
 
     def faster(self, by: float) -> None:
-        """Go so many times as fast."""
+        """Multiply the speed, within its limits."""
         self.speed = min(max(by * self.speed, SLOWEST), FASTEST)
 
     def restart(self, seed: int | None = None) -> None:
         """Start the next episode."""
         self._observation, _ = self.env.reset(seed=seed)
         self.earned, self.steps, self.over, self._owed, self._played = 0.0, 0, "", 0.0, False
-        self._memory: Any = None  # what the agent carries on
+        self._memory: Any = None  # the agent's state between predictions
 
     def acting(self) -> str:
         """Who acts now."""
@@ -76,7 +76,7 @@ class Game:
         return "chirp" if self.chirp else "nobody"
 
     def advance(self, seconds: float) -> None:
-        """Let so much time of the clock pass."""
+        """Advance by so much time of the clock."""
         if self.paused or self.over:
             return
         self._owed += min(seconds, _LONGEST) * self.speed / self.control_dt
@@ -103,7 +103,7 @@ class Game:
     def _action(self) -> Any:
         if self.push:
             self._played = True
-            self._memory = None  # the agent decides anew where it takes over
+            self._memory = None  # the agent starts afresh when it acts again
             return np.array([self.push], dtype=np.float32)
         if self.agent is not None:
             begins = np.array([self._memory is None])
@@ -113,26 +113,26 @@ class Game:
 
 
 def open_display(pygame: Any) -> None:
-    """Let pygame open the display.
+    """Open pygame's display.
 
     Raises:
-        RuntimeError: there is none. SDL then shows its windows to nobody, unless its variable asks for just that.
+        RuntimeError: there is none. SDL then uses an invisible driver; one that is set by its variable is accepted.
     """
     try:
         pygame.display.init()
-        unseen = pygame.display.get_driver() in _UNSEEN and not any(map(os.environ.get, _DRIVERS))
+        invisible = pygame.display.get_driver() in _INVISIBLE and not any(map(os.environ.get, _DRIVERS))
     except pygame.error as error:
         raise RuntimeError(f"there is no display to play on: {error}") from error
-    if unseen:
+    if invisible:
         pygame.display.quit()
         raise RuntimeError("there is no display to play on: start this on a desktop")
 
 
 class GameWindow:
-    """Shows a game and obeys the keys.
+    """Shows a game and handles the keys.
 
     Args:
-        game: to be played.
+        game: the game.
         trained: loads the trained agent; None: there is none.
 
     Raises:
@@ -143,15 +143,15 @@ class GameWindow:
     def __init__(self, game: Game, trained: Callable[[], Predicts] | None = None) -> None:
         self.pygame = import_pygame()
         self.game, self.open, self.note = game, True, ""
-        self._trained, self._held = trained, set[int]()
+        self._trained, self._pressed = trained, set[int]()
         open_display(self.pygame)
         self._screen = self.pygame.display.set_mode((SIZE + PANEL, SIZE))
         self.pygame.display.set_caption("Jack in a box")
 
     def frame(self, seconds: float) -> None:
-        """Obey the keys, let so much time of the clock pass, and show the game."""
+        """Handle the keys, advance by so much time of the clock, and show the game."""
         for event in self.pygame.event.get():
-            self._obey(event)
+            self._handle(event)
         self.game.advance(seconds)
         self._draw()
 
@@ -163,21 +163,21 @@ class GameWindow:
 
     # -- keys ---------------------------------------------------------------------------------------------------------
 
-    def _obey(self, event: pygame.event.Event) -> None:
+    def _handle(self, event: pygame.event.Event) -> None:
         pygame = self.pygame
         if event.type == pygame.QUIT:
             self.open = False
         elif event.type == pygame.KEYDOWN:
-            self._held.add(event.key)
+            self._pressed.add(event.key)
             self._press(event.key, getattr(event, "unicode", ""))
         elif event.type == pygame.KEYUP:
-            self._held.discard(event.key)
+            self._pressed.discard(event.key)
         elif event.type == pygame.WINDOWFOCUSLOST:
-            self._held.clear()  # the keys are let go elsewhere
-        self.game.push = float(pygame.K_LEFT in self._held) - float(pygame.K_RIGHT in self._held)
+            self._pressed.clear()  # their releases go elsewhere
+        self.game.push = float(pygame.K_LEFT in self._pressed) - float(pygame.K_RIGHT in self._pressed)
 
     def _press(self, key: int, letter: str) -> None:
-        """Do what a key stands for; + and - and the dot are where the keyboard has them."""
+        """Do the action of a key; + and - and the dot are read as letters, whatever the keyboard's layout."""
         game, name = self.game, letter if letter in ("+", "-", ".") else self.pygame.key.name(key)
         if name in ("escape", "q"):
             self.open = False
@@ -198,7 +198,7 @@ class GameWindow:
             self._hand_over()
 
     def _hand_over(self) -> None:
-        """Let the trained agent act, or no longer."""
+        """Switch the trained agent on or off."""
         if self.game.agent is not None:
             self.game.agent = None
         elif self._trained is None:
@@ -278,7 +278,7 @@ def play(
         env: ``JackInBox-v0`` made with ``render_mode="rgb_array"``.
         seed: of the first start; None: drawn.
         chirp: whether the scene's drive acts while no key is pressed.
-        trained: loads the agent that P hands over to; None: there is none, and P says so.
+        trained: loads the agent that P switches on; None: there is none, and P shows a note.
 
     Raises:
         gymnasium.error.DependencyNotInstalled: pygame is missing.

@@ -11,7 +11,8 @@ import pytest
 
 import jackbox_env
 from jackbox_env import Fit, Recording, Scene, fit, make_simulator
-from jackbox_env.measure.fitting import autocorrelations, rough_noise
+from jackbox_env.measure.recordings import rough_noise
+from jackbox_env.measure.residuals import autocorrelations
 from jackbox_env.measure.shooting import Parameters, Rows, Shooting, Window, units
 from jackbox_env.tasks import sample_start
 from tests.states import Array
@@ -85,7 +86,7 @@ def test_masses_without_any_known_force_are_identified_up_to_one_factor() -> Non
     states = np.array([simulator.state, *(_stepped(simulator) for _ in range(150))])
     states += 1e-4 * units(still) * np.random.default_rng(0).standard_normal(states.shape)
     fitted = fit(Recording(states, np.zeros(150), DT), ("box_mass", "jack_mass"), still)
-    assert fitted.unidentified == ("the recordings tell box_mass and jack_mass only up to one common factor",)
+    assert fitted.unidentified == ("the recordings identify box_mass and jack_mass only up to one common factor",)
     assert fitted.intervals == dict.fromkeys(("box_mass", "jack_mass"), (0.0, np.inf))
     assert fitted.scene.jack_mass / fitted.scene.box_mass == pytest.approx(12.0 / 300.0, rel=1e-2)
 
@@ -222,7 +223,9 @@ def test_derivatives_of_residuals_equal_differences() -> None:
         assert more is not None
         assert less is not None
         difference = (more.residuals - less.residuals) / 2e-7
-        np.testing.assert_allclose(rows.by[:, column], difference, atol=1e-5 * abs(difference).max() + 1e-6, rtol=1e-5)
+        np.testing.assert_allclose(
+            rows.jacobian[:, column], difference, atol=1e-5 * abs(difference).max() + 1e-6, rtol=1e-5
+        )
 
 
 @pytest.mark.parametrize(

@@ -78,12 +78,12 @@ def test_a_threshold_impact_is_the_impact_map_when_approaching_and_its_reflectio
 def test_threshold_loses_the_jack_through_a_wall_and_keeps_its_energy_all_the_while() -> None:
     threshold, exact, escaped = baseline("threshold", Scene(), 2), make_simulator(Scene(), "exact"), 0
     for seed in range(4, 8):
-        course = follow(threshold, chirped(seed), look=threshold.inside_last_step)
+        course = follow(threshold, chirped(seed), inspect=threshold.inside_last_step)
         if course.escaped:
             escaped += 1
             assert course.depth > BAND  # where nothing brings it back
             assert course.imbalance < 1e-5 * course.energy
-            assert not follow(exact, chirped(seed), look=None).escaped
+            assert not follow(exact, chirped(seed), inspect=None).escaped
     assert escaped
 
 
@@ -130,7 +130,7 @@ def test_one_straight_bounce_is_the_impact_map(name: str) -> None:
 def test_the_first_impact_comes_in_time_and_the_run_stays_balanced(name: str) -> None:
     case = chirped(1, 150)
     simulator = baseline(name, case.scene, 16)
-    course = follow(simulator, case, look=simulator.inside_last_step)
+    course = follow(simulator, case, inspect=simulator.inside_last_step)
     comparison = compare(case, course, reference_of(case))
     assert not course.escaped
     assert comparison.errors[0] < (BAND / 5.0 if name == "threshold" else 0.00125)  # h
@@ -165,4 +165,4 @@ def test_a_jack_that_would_leave_is_refused_and_the_simulator_stays_as_it_was(na
     np.testing.assert_array_equal(simulator.state, state)
     assert simulator.time == 3.0
     case = Case("too fast", WEIGHTLESS, state, 5)
-    assert follow(simulator, case, look=simulator.inside_last_step).escaped
+    assert follow(simulator, case, inspect=simulator.inside_last_step).escaped

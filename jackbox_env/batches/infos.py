@@ -1,0 +1,43 @@
+"""Infos of the vector environment: each array comes with the mask of the environments that it is valid for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from jackbox_env.batches.base import Flags, Outcome
+from jackbox_env.states import Array
+
+Infos = dict[str, Any]
+
+
+def masked(infos: Infos, mask: Flags) -> Infos:
+    """Add to each info ``name`` its mask ``_name``, as Gymnasium's vector environments do."""
+    both: Infos = {}
+    for name, values in infos.items():
+        both[name], both[f"_{name}"] = values, mask.copy()
+    return both
+
+
+def infos_at_start(names: Sequence[str], states: Array, times: Array, chosen: Flags) -> Infos:
+    """Infos, without masks, of the ``chosen`` environments that have just started: nothing has happened yet."""
+    infos: Infos = {name: np.zeros(len(chosen)) for name in names}
+    infos["impacts"] = np.zeros(len(chosen), dtype=np.int64)
+    infos["state"] = np.where(chosen[:, None], states, 0.0)
+    infos["time"] = np.where(chosen, times, 0.0)
+    return infos
+
+
+def infos_at_end(outcome: Outcome, drawn: Infos) -> Infos:
+    """Last observations and infos of the episodes that a step ended; ``drawn``: of their scenes, masked."""
+    ended = outcome.ended
+    last = np.full(len(ended), None, dtype=object)
+    for number in np.flatnonzero(ended):
+        last[number] = outcome.observations[number].copy()
+    final: Infos = {}
+    for name, values in outcome.infos.items():
+        final[name] = np.zeros_like(values)
+        final[name][ended] = values[ended]
+    return masked({"final_obs": last, "final_info": masked(final | drawn, ended)}, ended)

@@ -1,0 +1,134 @@
+"""Statistics of a fit's residuals: degrees of freedom, whiteness, identifiability, held-out errors.
+
+Pure functions of :class:`jackbox_env.measure.shooting.Rows`: residuals r and their Jacobian J, whose first F columns
+belong to the scene's fields and the others to the windows' starts. :mod:`jackbox_env.measure.fitting` uses them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jackbox_env.measure.shooting import Rows
+from jackbox_env.states import Array
+
+_LAGS = 4  # rows, up to which residuals are compared
+_UNIDENTIFIABLE = 5.0  # standard deviation of a logarithm beyond which a combination of fields is unidentifiable
+
+
+def highest_mean_square(count: int) -> float:
+    """Mean square of ``count`` residuals, in units of their noise, above which they are more than noise."""
+    return 1.5 + 9.0 / math.sqrt(count)
+
+
+def misfitting(rows: Rows, windows: int) -> NDArray[np.bool_]:
+    """Which windows do not fit, shape (windows,): their mean square residual is far above that of most."""
+    square, most = np.zeros(windows), np.full(windows, np.inf)
+    for index in range(windows):
+        of_window = (rows.window == index) & (rows.column >= 0)
+        if of_window.any():
+            square[index] = np.mean(rows.residuals[of_window] ** 2)
+            most[index] = highest_mean_square(int(of_window.sum()))
+    usual = max(1.0, float(np.median(square[square > 0.0]))) if (square > 0.0).any() else 1.0
+    misfits: NDArray[np.bool_] = square > most * usual
+    return misfits
+
+
+def leverage(rows: Rows) -> Array:
+    """Leverage of each residual, shape (rows,): the diagonal of H = J (J^T J)^+ J^T."""
+    diagonal: Array = (_column_space(rows.jacobian) ** 2).sum(axis=1)
+    return diagonal
+
+
+def autocorrelations(rows: Rows) -> Array:
+    """Autocorrelation of the residuals of each column and of all, lags 1 to 4 together, shape (14,).
+
+    In units of its standard deviation for white noise: products r_i r_j have the mean -H_ij in a right model (Durbin
+    and Watson 1950), H as in :func:`leverage`, and a variance of about 1. 0 for columns of fewer than 12 residuals.
+    """
+    basis, sums, counts = _column_space(rows.jacobian), np.zeros(14), np.zeros(14)
+    for column in range(13):
+        of_column = rows.column == column
+        r, u = rows.residuals[of_column], basis[of_column]  # H = u u^T
+        for lag in range(1, _LAGS + 1) if len(r) >= 12 else ():
+            sums[column] += (r[lag:] * r[:-lag]).sum() + (u[lag:] * u[:-lag]).sum()
+            counts[column] += len(r) - lag
+    sums[13], counts[13] = sums.sum(), counts.sum()
+    deviations: Array = sums / np.sqrt(np.maximum(counts, 1.0))
+    return deviations
+
+
+def field_jacobian(rows: Rows, fields: int) -> Array:
+    """Derivatives by the fields, (rows, F), without the part that the windows' starts can absorb."""
+    starts, jacobian = _unit_columns(rows.jacobian[:, fields:]), rows.jacobian[:, :fields]
+    remainder: Array = jacobian - starts @ np.linalg.lstsq(starts, jacobian, rcond=1e-10)[0]
+    return remainder
+
+
+def identified(rows: Rows, fields: int) -> tuple[Array, Array]:
+    """Covariance of the fields' numbers, (F, F), and the unidentifiable combinations, of length 1, (k, F)."""
+    _, values, directions = np.linalg.svd(np.linalg.qr(field_jacobian(rows, fields), mode="r"), full_matrices=True)
+    deviations = np.full(fields, np.inf)
+    deviations[: len(values)] = 1.0 / np.maximum(values, 1e-300)
+    unidentifiable = (deviations > _UNIDENTIFIABLE) | (deviations > 1e8 * deviations.min())
+    known = directions[~unidentifiable]
+    return known.T @ (deviations[~unidentifiable, None] ** 2 * known), directions[unidentifiable]
+
+
+def degrees_of_freedom(rows: Rows, covariance: Array, estimated: NDArray[np.bool_]) -> Array:
+    """Degrees of freedom of Student's t for each field, shape (F,).
+
+    The variance of a field is a sum over the kinds of observations. The noise of some is ``estimated``, bool (13,), and
+    the sum's degrees of freedom are those of Welch (1947) and Satterthwaite (1946).
+    """
+    jacobian, freedom = field_jacobian(rows, len(covariance)), 1.0 - leverage(rows)
+    total, spread = np.zeros(len(covariance)), np.zeros(len(covariance))
+    for column in np.unique(rows.column[rows.column >= 0]):
+        of_column = rows.column == column
+        variance = ((jacobian[of_column] @ covariance) ** 2).sum(axis=0)
+        total += variance
+        if estimated[column]:
+            spread += variance**2 / max(float(freedom[of_column].sum()), 1e-3)
+    degrees: Array = total**2 / np.maximum(spread, 1e-300)
+    return degrees
+
+
+def studentised(rows: Rows, covariance: Array) -> Array:
+    """(observed - fitted) over its standard deviation, of one window whose start was fitted to it, the fields not."""
+    fields = len(covariance)
+    basis, jacobian = _column_space(rows.jacobian[:, fields:]), rows.jacobian[:, :fields]
+    jacobian = jacobian - basis @ (basis.T @ jacobian)
+    variance = 1.0 - (basis**2).sum(axis=1) + np.einsum("if,fg,ig->i", jacobian, covariance, jacobian)
+    usable = (rows.column >= 0) & (variance > 1e-6)
+    result: Array = -rows.residuals[usable] / np.sqrt(variance[usable])
+    return result
+
+
+def unidentified_sentence(names: Sequence[str], direction: Array, logarithmic: NDArray[np.bool_]) -> str:
+    """A combination of fields that the recordings leave open, in words."""
+    direction = direction / direction[np.argmax(abs(direction))]
+    parts = [index for index in range(len(direction)) if abs(direction[index]) > 0.05]
+    listed = [names[index] for index in parts]
+    if len(parts) == 1:
+        return f"the recordings do not identify {listed[0]}"
+    if logarithmic[parts].all() and (abs(direction[parts] - 1.0) < 0.05).all():
+        return f"the recordings identify {' and '.join(listed)} only up to one common factor"
+    moves = [f"{name} by {direction[index]:+.2g} %" for name, index in zip(listed, parts, strict=True)]
+    return f"moving {' and '.join(moves)} changes nothing that was observed"
+
+
+def _unit_columns(jacobian: Array) -> Array:
+    """The columns at length 1; those that are 0 stay."""
+    lengths: Array = np.linalg.norm(jacobian, axis=0)
+    lengths[lengths == 0.0] = 1.0
+    return jacobian / lengths
+
+
+def _column_space(jacobian: Array) -> Array:
+    """Orthonormal basis of the columns, shape (rows, rank)."""
+    basis, values, _ = np.linalg.svd(_unit_columns(jacobian), full_matrices=False)
+    space: Array = basis[:, values > 1e-9 * values.max(initial=0.0)]
+    return space
