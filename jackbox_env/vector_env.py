@@ -203,7 +203,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         placed = self._arguments.states("states", states, chosen, as_restored)(self._batch.scene)
         checked = self._arguments.times("times", times, chosen)
         self._half = True
-        self._batch.place(chosen, placed, checked)
+        self._batch.set_states(chosen, placed, checked)
         self._half = False
 
     def _refuse_half_changed(self) -> None:
@@ -256,7 +256,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         self._half = True
         self._batch.start(starts)
         if plan.times.any():
-            self._batch.place(plan.chosen, self._batch.states, plan.times)
+            self._batch.set_states(plan.chosen, self._batch.states, plan.times)
         for number in numbers.tolist():
             new = plan.seeds[number]
             self._seeds[number] = self._seeds[number] if new is None else new

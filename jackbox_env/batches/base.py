@@ -66,7 +66,7 @@ def bad_action(action: float, number: int) -> ValueError:
 class Batch(Protocol):
     """N environments, of one scene or of one each. Steps leave an episode that is over as it is, until its restart.
 
-    :meth:`step` and :meth:`draw` may raise and change nothing. :meth:`take`, :meth:`start` and :meth:`place` then
+    :meth:`step` and :meth:`draw` may raise and change nothing. :meth:`take`, :meth:`start` and :meth:`set_states` then
     commit the results; they cannot fail.
     """
 
@@ -135,7 +135,7 @@ class Batch(Protocol):
     def start(self, starts: Starts) -> None:
         """Begin episodes at time 0. If all begin, this also repairs what an interruption left half changed."""
 
-    def place(self, chosen: Flags, states: Array, times: Array) -> None:
+    def set_states(self, chosen: Flags, states: Array, times: Array) -> None:
         """Set states, shape (N, 12), and times [s] of the ``chosen`` environments, checked beforehand.
 
         Their episodes go on. An episode that is over starts anew.

@@ -185,8 +185,8 @@ class ExactBatch:
             self._blocks[block, :12, lane] = states
         self._generators[numbers] = words
 
-    def place(self, chosen: Flags, states: Array, times: Array) -> None:
-        """See :meth:`jackbox_env.batches.base.Batch.place`."""
+    def set_states(self, chosen: Flags, states: Array, times: Array) -> None:
+        """See :meth:`jackbox_env.batches.base.Batch.set_states`."""
         blocks = self._blocks
         block, lane = np.divmod(np.flatnonzero(chosen), blocks.shape[2])
         blocks[block, :12, lane] = states[chosen]

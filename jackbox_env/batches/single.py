@@ -118,8 +118,8 @@ class SingleBatch:
         for env in self._envs if self._envs[0].render_mode == "human" else ():
             env.render()
 
-    def place(self, chosen: Flags, states: Array, times: Array) -> None:
-        """See :meth:`jackbox_env.batches.base.Batch.place`."""
+    def set_states(self, chosen: Flags, states: Array, times: Array) -> None:
+        """See :meth:`jackbox_env.batches.base.Batch.set_states`."""
         self._states[chosen], self._times[chosen] = states[chosen], times[chosen]
         anew = chosen & self._over
         self._steps[anew], self._over[anew] = 0, False

@@ -78,7 +78,7 @@ class Baseline(ContactModel):
         """
 
     def inside_last_step(self, simulator: Simulator, before: Array, time: float, torque: float | None) -> Between:
-        """Depth and work in the last step, which is repeated: an Inspect for :func:`jackbox_env.measure.accuracy.follow`.
+        """Depth and work in the repeated last step: an Inspect for :func:`jackbox_env.measure.accuracy.follow`.
 
         The depth is the largest at the ends of the substeps. The work is that of the true torque on the box as the
         model moved it: h * (mean torque) * (mean of omega before and after) in each substep.
