@@ -4,16 +4,16 @@
 
 Method: v + W^T x is the nearest point to v with W v + bias >= 0. Gradients of gaps have rank 3 at most, each being a
     combination of (n_x, n_y, n^perp . o). So all sets of one, two and three rows are tried. Each gives a point by
-    projection, and the right one needs no negative push and closes no gap.
-Exactness: rounding. The point is unique; if rows depend on each other, x is one of several.
-Fails: contacts whose rows are dependent and nearly parallel, as those of feet on opposite walls: pushes then cancel,
-    and rounding grows with them. A jack smaller than the box has no such contacts.
+    projection, and the right one has no negative multiplier and closes no gap.
+Exactness: rounding. The point is unique; if rows are dependent, x is one of several.
+Fails: contacts whose rows are dependent and nearly parallel, as those of feet on opposite walls: multipliers then
+    cancel, and rounding grows with them. A jack smaller than the box has no such contacts.
 Cost: n^3 / 6 projections for n contacts; a jack and a box have four at most outside special poses.
 Bits: the same on every processor, because the sums are written out. The functions are plain Python here, for
     :func:`jackbox_env.mechanics.simultaneous_impact_map`, and compiled for the exact contact model.
 
 The functions work in ``memory``, with fields of :class:`jackbox_env.exact.workspace.Workspace`: ``gradients``
-(n, 6), ``units`` W (n, 6), ``lengths`` (n,), ``bias`` (n,), ``rates`` v (6,), ``projected`` (6,), ``pushes`` (3,),
+(n, 6), ``units`` W (n, 6), ``lengths`` (n,), ``bias`` (n,), ``rates`` v (6,), ``projected`` (6,), ``multipliers`` (3,),
 ``best`` (3,), and ``basis`` (3 or 4, 6), ``triangle`` (3, 3), ``goals`` (3,) for Gram-Schmidt.
 """
 
@@ -50,9 +50,9 @@ def weigh(scene: SceneNumbers, memory: Any, count: int, rates: Array) -> None:
 
 
 def nearest(memory: Any, count: int) -> tuple[int, int, int]:
-    """The contacts, -1 for none, that push the weighted rates v to the nearest point with w v + bias >= 0 everywhere.
+    """The active contacts, -1 for none: their multipliers take v to the nearest point with w v + bias >= 0 everywhere.
 
-    It tries all sets of one, two and three of ``count`` contacts. The pushes of the best set are in ``memory.best``.
+    It tries all sets of one, two and three of ``count`` contacts. Those of the best set are in ``memory.best``.
     """
     lowest = 0.0
     for i in range(count):
@@ -72,13 +72,13 @@ def nearest(memory: Any, count: int) -> tuple[int, int, int]:
                     least = violation
                     one, two, three = k, i if size > 1 else -1, j if size > 2 else -1
                     for index in range(3):
-                        memory.best[index] = memory.pushes[index]
+                        memory.best[index] = memory.multipliers[index]
     return one, two, three
 
 
 def violation_of(memory: Any, count: int, size: int, one: int, two: int, three: int) -> float:
-    """By how much a set's projection closes gaps; infinity if its rows depend on each other or a push pulls."""
-    if not (project(memory, size, one, two, three) and pushing(memory, size)):
+    """By how much a set's projection closes gaps; infinity if its rows are dependent or a multiplier is negative."""
+    if not (project(memory, size, one, two, three) and admissible(memory, size)):
         return math.inf
     violation = 0.0
     for other in range(count):
@@ -92,11 +92,11 @@ def dot(a: Array, b: Array) -> float:
 
 
 def project(memory: Any, size: int, one: int, two: int, three: int) -> bool:
-    """Project the weighted rates v on w v + bias = 0 of ``size`` rows: the point v + sum of pushes times rows.
+    """Project v on w v + bias = 0 of ``size`` rows: the point v + sum of multipliers times rows.
 
     Returns whether the rows are independent. By modified Gram-Schmidt, rows = triangle^T basis.
     """
-    point, pushes = memory.projected, memory.pushes
+    point, multipliers = memory.projected, memory.multipliers
     for index in range(6):
         point[index] = memory.rates[index]
     for a in range(size):
@@ -119,19 +119,19 @@ def project(memory: Any, size: int, one: int, two: int, three: int) -> bool:
         for b in range(a):
             goal += memory.triangle[b, a] * memory.goals[b]
         memory.goals[a] = 0.0 - goal / length
-        pushes[a] = -(dot(memory.basis[a], point) - memory.goals[a])
+        multipliers[a] = -(dot(memory.basis[a], point) - memory.goals[a])
         for index in range(6):
-            point[index] += pushes[a] * memory.basis[a, index]
+            point[index] += multipliers[a] * memory.basis[a, index]
     for a in range(size - 1, -1, -1):
         for b in range(a + 1, size):
-            pushes[a] -= memory.triangle[a, b] * pushes[b]
-        pushes[a] /= memory.triangle[a, a]
+            multipliers[a] -= memory.triangle[a, b] * multipliers[b]
+        multipliers[a] /= memory.triangle[a, a]
     return True
 
 
-def pushing(memory: Any, size: int) -> bool:
-    """Whether no push of a projection pulls."""
-    pulling = False
+def admissible(memory: Any, size: int) -> bool:
+    """Whether a projection has no negative multiplier."""
+    negative = False
     for a in range(size):
-        pulling |= memory.pushes[a] < 0.0
-    return not pulling
+        negative |= memory.multipliers[a] < 0.0
+    return not negative

@@ -203,7 +203,7 @@ def simultaneous_impact_map(scene: Scene, state: ArrayLike, contacts: Sequence[t
     count = len(pairs)
     memory = SimpleNamespace(
         gradients=jacobian, units=np.zeros((count, 6)), lengths=np.zeros(count), bias=np.zeros(count),
-        rates=np.zeros(6), projected=np.zeros(6), pushes=np.zeros(3), best=np.zeros(3), basis=np.zeros((3, 6)),
+        rates=np.zeros(6), projected=np.zeros(6), multipliers=np.zeros(3), best=np.zeros(3), basis=np.zeros((3, 6)),
         triangle=np.zeros((3, 3)), goals=np.zeros(3),
     )  # fmt: skip
     weigh(scene.numbers, memory, count, before[RATES:])

@@ -1,11 +1,12 @@
-"""Bounds for the search of ``search.py``: how far the jack gets until a horizon, and how much a gap bends.
+"""Bounds for the search of ``search.py``: how far the jack gets until a horizon, and how curved a gap is.
 
-With upper bounds V, Omega, A, D of relative speed, |omega_box|, |alpha_box| and |r|, a gap bends by at most
+With upper bounds a, V, D of the centres' relative acceleration, speed and distance |r|, and Omega, A, S of |omega_box|,
+|alpha_box| and |omega_jack - omega_box|, the second derivative of gap = L - n . (r + o) obeys
 
-    K = |d2 gap / dt2| = a + 2 Omega V + (Omega^2 + A) D + l (max |omega_jack - omega_box|^2 + A)
+    |gap''| <= K = a + 2 Omega V + (Omega^2 + A) D + l (S^2 + A).
 
-with a the relative acceleration of the centres. So gap(t + s) >= gap + gap' s - K s^2 / 2 until the horizon.
-If |r| + l < L throughout, nothing can be hit.
+So gap(t + s) >= gap + gap' s - K s^2 / 2 until the horizon.
+If |r| + l < L throughout, no contact is possible.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ class Bounds(NamedTuple):
     """Upper bounds of the motion until a horizon."""
 
     far: float  # distance of the centres [m]
-    bend: float  # second derivative of a centre's distance from a wall [m/s^2]
-    swing: float  # that of a foot's distance from the jack's centre, along a wall's normal [m/s^2]
+    centre_curvature: float  # of |(n . r)''|, along a wall's normal [m/s^2]
+    foot_curvature: float  # of |(n . o)''| [m/s^2]
 
 
 def reach_of(scene: SceneNumbers, flight: Flight, horizon: float, push: float) -> float:
@@ -44,12 +45,16 @@ def bounds_of(scene: SceneNumbers, flight: Flight, horizon: float, spin_up: floa
     """Bounds within ``horizon`` [s]; the box's angular and linear acceleration stay below ``spin_up`` and ``push``."""
     far = reach_of(scene, flight, horizon, push)
     spin = abs(flight.jack_omega - flight.omega) + spin_up * horizon
-    bend = bend_of(flight.vx, flight.vy, flight.omega, far, scene.gravity + push, spin_up, horizon)
-    return Bounds(far, bend, scene.jack_arm * (spin * spin + spin_up) * _SLACK)
+    centre_curvature = centre_curvature_of(
+        flight.vx, flight.vy, flight.omega, far, scene.gravity + push, spin_up, horizon
+    )
+    return Bounds(far, centre_curvature, scene.jack_arm * (spin * spin + spin_up) * _SLACK)
 
 
-def bend_of(vx: float, vy: float, omega: float, far: float, pull: float, spin_up: float, horizon: float) -> float:
-    """Bound of the second derivative of a centre's distance from a wall within ``horizon`` [s] [m/s^2].
+def centre_curvature_of(
+    vx: float, vy: float, omega: float, far: float, pull: float, spin_up: float, horizon: float
+) -> float:
+    """Bound of the second derivative of n . r, along a wall's normal, within ``horizon`` [s] [m/s^2].
 
     The centres are at most ``far`` [m] apart, and accelerate relative to each other by ``pull`` [m/s^2] at most.
     """
@@ -58,15 +63,15 @@ def bend_of(vx: float, vy: float, omega: float, far: float, pull: float, spin_up
     return (pull + 2.0 * fastest * speed + (fastest * fastest + spin_up) * far) * _SLACK
 
 
-def bounds_to_impact(
+def curvature_to_impact(
     scene: SceneNumbers, flight: Flight, horizon: float, spin_up: float, push: float, outermost: float
 ) -> float:
-    """Bound of a gap's second derivative within ``horizon`` [s], until a foot first touches a wall [m/s^2].
+    """Bound K of a gap's second derivative within ``horizon`` [s], until a foot first touches a wall [m/s^2].
 
     Until then a foot is in the box, sqrt(2) L from its centre at most. Feet that are in a wall now get no deeper
     without touching: ``outermost`` [m], the largest coordinate of a foot on the box's axes now, replaces L if it is
-    larger. With p the foot's position from the box's centre and n the wall's normal, gap = L - n . p, so K = |p''| + 2
-    |n'| |p'| + |n''| |p|; p does not depend on the box's rotation.
+    larger. With p the foot's position from the box's centre and n the wall's normal, gap = L - n . p, so
+    |gap''| <= |p''| + 2 |n'| |p'| + |n''| |p|; p does not depend on the box's rotation.
     """
     arm, spin = scene.jack_arm, abs(flight.jack_omega)
     pull = scene.gravity + push
@@ -77,11 +82,11 @@ def bounds_to_impact(
 
 
 def inside(scene: SceneNumbers, flight: Flight, horizon: float, push: float) -> tuple[float, float]:
-    """Times within ``horizon`` [s] between which no foot can touch, however fast the box turns; 0 and 0 if none.
+    """Times [s] between which no foot can touch, however fast the box turns; 0 and 0 if there are none.
 
-    A foot touches a wall only if its distance from the box's centre is L or more. With r and v the relative position
-    and velocity of the centres, and a bound a of their acceleration, |r + v s| + a s^2 / 2 < L - l holds while |r + v
-    s| < R = L - l - a horizon^2 / 2.
+    They may lie outside [0, ``horizon``], where they prove nothing. A foot touches a wall only if its distance from the
+    box's centre is L or more. With r and v the relative position and velocity of the centres, and a bound a of their
+    acceleration, |r + v s| + a s^2 / 2 < L - l holds while |r + v s| < R = L - l - a horizon^2 / 2.
     """
     pull = scene.gravity + push
     room = (scene.box_half_width - scene.jack_arm - 0.5 * pull * horizon * horizon) * (1.0 - 1e-12)
@@ -98,12 +103,12 @@ def inside(scene: SceneNumbers, flight: Flight, horizon: float, push: float) -> 
 def curvature_of(scene: SceneNumbers, flight: Flight, horizon: float, piece: Piece) -> float:
     """Bound of a gap's second derivative within ``horizon`` [s] [m/s^2]."""
     bounds = bounds_of(scene, flight, horizon, piece.spin_up, piece.push)
-    return bounds.bend + bounds.swing
+    return bounds.centre_curvature + bounds.foot_curvature
 
 
-def walls_in_reach(scene: SceneNumbers, frame: BoxFrame, horizon: float, bend: float) -> int:
+def walls_in_reach(scene: SceneNumbers, frame: BoxFrame, horizon: float, centre_curvature: float) -> int:
     """Walls that the circle through the jack's feet may touch within ``horizon`` [s], as bits."""
-    reach = 0.5 * bend * horizon * horizon
+    reach = 0.5 * centre_curvature * horizon * horizon
     walls = 0
     for wall in range(4):
         ahead, speed = towards(frame, wall)

@@ -1,11 +1,11 @@
-"""The motion of box and jack while walls hold feet: power series in time. ``rest.hold`` calls it.
+"""The motion of box and jack while walls hold feet: power series in time. ``rest.advance_held`` calls it.
 
 A held foot's gap is a constraint of the Lagrangian motion
 
     M qddot = f + J^T lambda,    J qddot + Jdot qdot = 0.
 
 It is written on the box's axes. (X, Y) is the jack's centre, psi its angle relative to the box, omega and alpha are the
-box's rate and angular acceleration, n is a wall's normal, l E and l D are a foot's extent along n and across it:
+box's angular velocity and acceleration, n is a wall's normal, l E and l D are a foot's extent along n and across it:
 
     X'' = 2 omega Y' + omega^2 X + alpha Y + gravity and side force - (1/m_b + 1/m_j) sum n_x lambda,
     Y'' = -2 omega X' + omega^2 Y - alpha X + gravity and side force - (1/m_b + 1/m_j) sum n_y lambda,
@@ -14,7 +14,7 @@ box's rate and angular acceleration, n is a wall's normal, l E and l D are a foo
 
 Method: these are sums and products, and cosines that obey c' = -s psi', so each power of time follows from those before
 it (Taylor's method; Jorba and Zou 2005, Experimental Mathematics 14, 99). Powers are of u = s / T in [0, 1] over a
-stretch of T [s], rates are per unit of u. Walls do not move the common centre of mass, which falls as if alone.
+stretch of T [s], velocities are per unit of u. Walls do not move the common centre of mass, which falls as if alone.
 Order: 12 in the accelerations; a stretch is halved until its last powers are rounding.
 Cost: some 2 microseconds a stretch, which is a whole control step unless something turns fast.
 """
@@ -74,7 +74,7 @@ from jackbox_env.states import (
 
 Array = NDArray[np.float64]
 
-_RESOLVED = 1e-15  # last powers of the rates, over a speed
+_RESOLVED = 1e-15  # last powers of the velocities, over a speed
 
 
 def product(memory: Workspace, one: int, other: int, k: int) -> float:
@@ -258,7 +258,7 @@ def expand_rigid(scene: SceneNumbers, memory: Workspace, length: float, pushed: 
 
 
 def turn(memory: Workspace, k: int) -> None:
-    """Fill in the next powers of the box's rate, angle, cosine and sine from power k of its angular acceleration."""
+    """Fill in the next powers of the box's rotation, from power k of its angular acceleration."""
     series = memory.series
     share = SHARES[k]
     series[OMEGA, k + 1] = share * series[ALPHA, k]
@@ -297,7 +297,7 @@ def stretch(scene: SceneNumbers, memory: Workspace, piece: Piece, since: float, 
 
 
 def resolved(scene: SceneNumbers, memory: Workspace, way: float) -> bool:
-    """Whether the last two powers of the rates are below the rounding of a ``way`` [m]."""
+    """Whether the last two powers of the velocities are below the rounding of a ``way`` [m]."""
     series = memory.series
     tail = 0.0
     for k in (DEGREE, DEGREE + 1):
@@ -307,7 +307,7 @@ def resolved(scene: SceneNumbers, memory: Workspace, way: float) -> bool:
 
 
 def halve(memory: Workspace) -> None:
-    """Halve the stretch: scale the powers and rates, which are per stretch."""
+    """Halve the stretch: scale the powers and velocities, which are per stretch."""
     series = memory.series
     share = 1.0
     for k in range(DEGREE + 3):

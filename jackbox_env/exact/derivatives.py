@@ -11,7 +11,7 @@ import math
 from typing import NamedTuple
 
 from jackbox_env.exact.contact import SLOW, frame_of, gradient, rate_of
-from jackbox_env.exact.rest import bend
+from jackbox_env.exact.rest import bias_acceleration
 from jackbox_env.exact.step import CONSTANT, Plan, make_numbers, make_plan, touch_of
 from jackbox_env.exact.tangents import (
     FIRST_FIELD,
@@ -75,7 +75,7 @@ def scene_of(played: Played, i: int) -> tuple[SceneNumbers, Plan]:
     return scene, make_plan(scene, played.dt, played.kinds[index])
 
 
-def torque_of(played: Played, k: int) -> int:
+def torque_index(played: Played, k: int) -> int:
     """Index of the torque in step ``k``."""
     return int(k // max(1, played.smooth.shape[1] // max(1, played.torques.shape[1])))
 
@@ -96,21 +96,21 @@ def touching(scene: SceneNumbers, plan: Plan, state: Array, row: Array) -> int:
     """How feet touch walls: ``CLEAR``, or the worst of ``LEAVING``, ``OUTSIDE`` and leaving, ``APPROACHING``."""
     x, y = state[X_JACK] - state[X_BOX], state[Y_JACK] - state[Y_BOX]
     room = scene.box_half_width * (1.0 - 1e-12) - scene.jack_arm
-    near = touch_of(plan, state).together
-    if room > near and x * x + y * y < (room - near) * (room - near):
+    resolution = touch_of(plan, state).resolution
+    if room > resolution and x * x + y * y < (room - resolution) * (room - resolution):
         return CLEAR
     frame, worst = frame_of(state), CLEAR
     for wall in range(4):
         for foot in range(4):
             gap = gradient(scene, frame, wall, foot, row)
-            if gap <= near:
+            if gap <= resolution:
                 slow = rate_of(state, row) < SLOW * scene.speed_scale
-                worst = max(worst, APPROACHING if slow else OUTSIDE if gap < -near else LEAVING)
+                worst = max(worst, APPROACHING if slow else OUTSIDE if gap < -resolution else LEAVING)
     return worst
 
 
 def grazes(scene: SceneNumbers, plan: Plan, hit: Array, memory: Workspace) -> bool:
-    """Whether an impact, a row of a wide log, is so slow for the bend of its gap that rounding decides the derivative.
+    """Whether an impact, a row of a wide log, is so slow for its gap's curvature that rounding decides the derivative.
 
     Rounding shifts the impact, and so changes its rate by the gap's second derivative times the rounding over the rate.
     """
@@ -120,10 +120,10 @@ def grazes(scene: SceneNumbers, plan: Plan, hit: Array, memory: Workspace) -> bo
     for index in range(6):
         free[index] = 0.0
     accelerate(scene, hit, free, 1.0)
-    bent = bend(scene, at, frame, row, 0.0)
+    bent = bias_acceleration(scene, at, frame, row, 0.0)
     for index in range(6):
         bent += row[index] * free[index]
-    return bool(abs(bent) * _ROUNDING * touch_of(plan, at).together > _GRAZE * rate * rate)
+    return bool(abs(bent) * _ROUNDING * touch_of(plan, at).resolution > _GRAZE * rate * rate)
 
 
 def mark_smooth(data: RolloutData, nonsmooth: Flags, tangent: Array, workspaces: Workspaces) -> None:
@@ -189,14 +189,14 @@ def propagate(
 ) -> None:
     """Take a tangent through a step; it becomes NaN if there is no derivative.
 
-    ``by_time`` is filled with the delays of impacts, shape (rows of the log or 0, columns).
+    ``by_time`` is filled with the time shifts of impacts, shape (rows of the log or 0, columns).
     """
     if played.smooth[i, k]:
         before, after = played.trajectories[i, k], played.trajectories[i, k + 1]
         first, last = rows_of(played, i, k)
-        torque = played.torques[i, torque_of(played, k)]
-        later = by_time[first:last]
-        step_tangent(scene, plan, torque, before, after, played.hits[first:last], later, tangent, memory)
+        torque = played.torques[i, torque_index(played, k)]
+        shifts = by_time[first:last]
+        step_tangent(scene, plan, torque, before, after, played.hits[first:last], shifts, tangent, memory)
     else:
         tangent[:] = math.nan
 
@@ -271,7 +271,7 @@ def push_forward(
         for index in range(numbers.shape[1]):
             tangent[GRAVITY + index, 0] = numbers[i, index]
         for k in range(played.smooth.shape[1]):
-            tangent[TORQUE, 0] = torques[i, torque_of(played, k)]
+            tangent[TORQUE, 0] = torques[i, torque_index(played, k)]
             propagate(played, scene, plan, i, k, results[i, :0], tangent, workspaces[0])
             for index in range(12):
                 results[i, k + 1, index] = tangent[index, 0]
@@ -302,7 +302,7 @@ def pull_back(
         for index in range(12):
             pulled[index] = weights[i, steps, index]
         for k in range(steps - 1, -1, -1):
-            held, weight = torque_of(played, k), 0.0
+            knot, weight = torque_index(played, k), 0.0
             for index in range(12):
                 weight += abs(pulled[index])
             if weight == 0.0:  # later states have no weight
@@ -311,12 +311,12 @@ def pull_back(
                 continue
             if flies(played, i, k):
                 before, after = played.trajectories[i, k], played.trajectories[i, k + 1]
-                drifted(plan, played.torques[i, held] / scene.box_inertia, before, after, plan.dt, drift)
-                by_torque[i, held] += fly_back(scene, pulled, plan.dt, drift, seed, by_field[i])
+                drifted(plan, played.torques[i, knot] / scene.box_inertia, before, after, plan.dt, drift)
+                by_torque[i, knot] += fly_back(scene, pulled, plan.dt, drift, seed, by_field[i])
             else:
                 fill_identity(tangent, seed)
                 propagate(played, scene, plan, i, k, by_torque[:0], tangent, memory)
-                by_torque[i, held] += weighed(pulled, tangent, TORQUE)
+                by_torque[i, knot] += weighed(pulled, tangent, TORQUE)
                 for column in range(seed.shape[0]):
                     by_field[i, column] += weighed(pulled, tangent, FIRST_FIELD + column)
                 for column in range(12):

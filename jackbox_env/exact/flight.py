@@ -183,12 +183,12 @@ def stays_clear(x: float, y: float, vx: float, vy: float, fall: float, dt: float
 
 
 def moved(position: float, rate: float, dt: float) -> float:
-    """A coordinate after ``dt`` [s] at a constant rate."""
+    """A coordinate after ``dt`` [s] at a constant velocity."""
     return position + rate * dt
 
 
 def fallen(height: float, rate: float, fall: float, dt: float) -> float:
-    """A height after ``dt`` [s], in which gravity reduces its rate by ``fall`` [m/s]."""
+    """A height after ``dt`` [s], in which gravity reduces its velocity by ``fall`` [m/s]."""
     return height + (rate - 0.5 * fall) * dt
 
 
@@ -197,8 +197,8 @@ def turned(angle: float, omega: float, alpha: float, dt: float) -> float:
     return angle + (omega + 0.5 * alpha * dt) * dt
 
 
-def glide(before: Array, after: Array, fall: float, dt: float, alpha: float) -> None:
-    """Fly for ``dt`` [s], in which gravity changes the jack's rate by ``fall`` [m/s], without a search for impacts."""
+def free_flight(before: Array, after: Array, fall: float, dt: float, alpha: float) -> None:
+    """Fly for ``dt`` [s] without a search for impacts; gravity reduces the jack's velocity by ``fall`` [m/s]."""
     after[X_BOX] = moved(before[X_BOX], before[VX_BOX], dt)
     after[Y_BOX] = moved(before[Y_BOX], before[VY_BOX], dt)
     after[THETA_BOX] = turned(before[THETA_BOX], before[OMEGA_BOX], alpha, dt)
@@ -223,7 +223,7 @@ class BoxFrame(NamedTuple):
 
 
 def box_frame(x: float, y: float, vx: float, vy: float, angle: float, omega: float) -> BoxFrame:
-    """Transform relative position and velocity to the frame of a box at ``angle`` [rad] with rate ``omega`` [rad/s]."""
+    """Transform relative position and velocity to the frame of a box at ``angle`` [rad], rate ``omega`` [rad/s]."""
     c, s = cos_sin(angle)
     ahead, aside = on_axes(c, s, x, y)
     forward, sideways = on_axes(c, s, vx, vy)

@@ -1,8 +1,8 @@
 """Rows in free flight, moved many at a time; ``run.py`` calls it before it steps the others one by one.
 
 Each loop is over one coordinate of all rows, which the compiler vectorizes. Rows with a foot that may touch a wall are
-marked for ``step.py``. The law of motion is that of ``flight.glide`` under a constant torque and of ``flight.evolve``
-under the chirp. Sums have the same order there, so every row gets the bits that it would get alone.
+marked for ``step.py``. The law of motion is that of ``flight.free_flight`` under a constant torque and of
+``flight.evolve`` under the chirp. Sums have the same order there, so every row gets the bits that it would get alone.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.exact.bounds import bend_of, farthest, stays_off
+from jackbox_env.exact.bounds import centre_curvature_of, farthest, stays_off
 from jackbox_env.exact.drives import DEGREE, TURN, chirp_piece, chirp_pieces, horner
 from jackbox_env.exact.flight import fallen, moved, on_axes, stays_clear, turned
 from jackbox_env.exact.search import STEEPEST
@@ -24,8 +24,8 @@ from jackbox_env.exact.workspace import (
     ASIDE,
     HIT,
     IMPULSE_SUM,
-    LANE_BEND,
     LANE_COSINE,
+    LANE_CURVATURE,
     LANE_INDEX,
     LANE_OMEGA,
     LANE_PULL,
@@ -63,7 +63,7 @@ WIDEST = 128  # environments in a block
 LIMIT = 0  # of the torque [N m]
 INERTIA = 1  # of the box [kg m^2]
 FALL = 2  # speed that the jack gains in a step [m/s]
-CLEAR = 3  # square of the distance of the centres below which nothing is hit [m^2], as in ``step.Plan``
+CLEAR = 3  # squared centre distance within which contact is impossible [m^2], as in ``step.Plan``
 ROOM = 4  # distance of the centres at which the jack's feet reach a wall [m]
 ORDINARY = 5  # bound of ordinary numbers of the state, see ``ordinary``
 SCENE_LANES = 6
@@ -84,7 +84,7 @@ class Block(NamedTuple):
 def glide_block(dt: float, block: Block) -> None:
     """Fly all rows of a block for ``dt`` [s] under constant torques, and mark those where a foot may touch a wall.
 
-    The law is that of ``flight.glide``.
+    The law is that of ``flight.free_flight``.
     """
     before, after, lanes, count = block.before, block.after, block.lanes, block.size
     inertia, fall, torque = block.scenes[INERTIA], block.scenes[FALL], lanes[TORQUE]
@@ -146,7 +146,7 @@ def unmark_off_walls(dt: float, block: Block) -> None:
     x, y, vx, vy, alpha = lanes[0], lanes[1], lanes[2], lanes[3], lanes[ALPHA_BOUND]
     cosine, sine, omega = lanes[LANE_COSINE], lanes[LANE_SINE], lanes[LANE_OMEGA]
     ahead, aside = lanes[AHEAD], lanes[ASIDE]
-    bend, lane, room, pull = lanes[LANE_BEND], lanes[LANE_INDEX], lanes[LANE_ROOM], lanes[LANE_PULL]
+    curvature, lane, room, pull = lanes[LANE_CURVATURE], lanes[LANE_INDEX], lanes[LANE_ROOM], lanes[LANE_PULL]
     off = lanes[STAYS_OFF]
     count = 0
     for k in range(block.size):
@@ -163,7 +163,7 @@ def unmark_off_walls(dt: float, block: Block) -> None:
         cosine[j], sine[j] = cos_sin_within(cosine[j])
     for j in range(count):
         far = farthest(x[j], y[j], vx[j], vy[j], pull[j], 0.0, dt)
-        bend[j] = bend_of(vx[j], vy[j], omega[j], far, pull[j], alpha[j], dt)
+        curvature[j] = centre_curvature_of(vx[j], vy[j], omega[j], far, pull[j], alpha[j], dt)
     for j in range(count):
         ahead[j], aside[j] = on_axes(cosine[j], sine[j], x[j], y[j])
     ahead_rate, aside_rate = x, y  # in the same memory, as positions along x and y are no longer needed
@@ -173,7 +173,7 @@ def unmark_off_walls(dt: float, block: Block) -> None:
         aside_rate[j] = on_axes(cosine[j], sine[j], vx[j], vy[j])[1] - omega[j] * ahead[j]
     for position, rate in ((ahead, ahead_rate), (aside, aside_rate)):
         for j in range(count):
-            reach = 0.5 * bend[j] * dt * dt
+            reach = 0.5 * curvature[j] * dt * dt
             ahead_off = stays_off(room[j] - position[j], rate[j], dt, reach)
             behind_off = stays_off(room[j] + position[j], -rate[j], dt, reach)
             off[j] = off[j] if ahead_off & behind_off else 0.0
@@ -191,7 +191,7 @@ def is_ordinary(state: Array, most: float) -> bool:
 
 
 def ordinary(scene: SceneNumbers) -> float:
-    """Bound of positions [m], angles [rad] and rates [m/s, rad/s] that float64 resolves well enough here."""
+    """Bound of positions [m], angles [rad] and velocities [m/s, rad/s] that float64 resolves well enough here."""
     return _ORDINARY * min(1.0, min(scene.box_half_width, scene.speed_scale))
 
 

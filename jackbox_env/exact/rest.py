@@ -1,7 +1,7 @@
 """Feet at rest on walls: which ones rest, and how box and jack move while walls hold them.
 
-``step.advance`` calls :func:`settle` when ``search.py`` detects a slow foot on a wall, and :func:`hold` to move with
-the feet that rest.
+``step.advance`` calls :func:`settle` when ``search.py`` detects a slow foot on a wall, and :func:`advance_held` to
+integrate the motion with the feet that rest.
 A bounce lower than the resolution of contacts ends in rest. From then on the foot is held: its gap is a constraint of
 the Lagrangian motion
 
@@ -12,12 +12,13 @@ solve 0 <= lambda _|_ J qddot + Jdot qdot >= 0: the accelerations are the neares
 norm of M, that close no gap (Gauss's principle; Brogliato 2016, "Nonsmooth Mechanics", ch. 5).
 
 Method: over a stretch of time the motion is a power series (``constrained.py``). The gaps of the other feet follow from
-it, so the search for the next impact has the same guarantee as in free flight. At the start of a stretch the held gaps
-are corrected towards 0, by 1e-13 m at most, and their rates to 0, by the smallest change in the norm of M. So nothing
-drifts and no energy is gained.
-Resolution: with loss, a foot is at rest if it would rise by ``search.resolution`` at most. That is 1e-13 m, and grows
-to 1e-10 m in a step with many impacts. Coming to rest loses at most m_j K times that of the energy, with K of
-``bounds.py``.
+it, so the search for the next impact has the same guarantee as in free flight. At the start of a stretch the state is
+projected: the held gaps towards 0, by ``Touch.resolution`` at most (1e-13 m, more far from the origin), and their rates
+to 0, by the smallest change in the norm of M. So gaps do not drift. The projection of the velocities cannot gain
+energy; that of the positions changes the energy by about the weight times the correction.
+Resolution: with loss, a foot is at rest if it would rise by ``search.contact_resolution`` at most. That is
+``Touch.resolution``, and grows to 1e-10 m in a step with many impacts. Coming to rest loses at most m_j K times the
+resolution in energy, with K of ``bounds.py``.
 """
 
 from __future__ import annotations
@@ -64,14 +65,14 @@ from jackbox_env.states import (
 
 Array = NDArray[np.float64]
 
-_DEPENDENT = 1e-18  # square of a unit gradient's part orthogonal to those of held feet: below it, it depends on them
-_FAINT = 1e-9  # of the strongest push at held feet: a smaller acceleration counts as 0
-_PULL = 1e-12  # of the largest force in a stretch: a wall may pull that much before it lets go
+_DEPENDENT = 1e-18  # square of a unit gradient's part orthogonal to those of held feet: below it, linearly dependent
+_FAINT = 1e-9  # of the largest multiplier at held feet: a smaller acceleration counts as 0
+_PULL = 1e-12  # of the largest force in a stretch: a wall may pull that much before the foot is released
 _ROUNDED = 4e-16  # of L: rounding of a gap
 
 
-def bend(scene: SceneNumbers, state: Array, frame: Frame, row: Array, gap: float) -> float:
-    """Jdot qdot of a gap with the gradient ``row``: its second derivative without accelerations [m/s^2]."""
+def bias_acceleration(scene: SceneNumbers, state: Array, frame: Frame, row: Array, gap: float) -> float:
+    """Jdot qdot of a gap with the gradient ``row``: its second derivative at qddot = 0 [m/s^2]."""
     nx, ny = row[X_BOX], row[Y_BOX]
     vx, vy = state[VX_JACK] - state[VX_BOX], state[VY_JACK] - state[VY_BOX]
     omega, spin = state[OMEGA_BOX], state[OMEGA_JACK] - state[OMEGA_BOX]
@@ -102,30 +103,31 @@ def list_contacts(scene: SceneNumbers, memory: Workspace, state: Array, count: i
     return frame
 
 
-def bend_all(scene: SceneNumbers, memory: Workspace, state: Array, frame: Frame, count: int) -> None:
+def weigh_accelerations(scene: SceneNumbers, memory: Workspace, state: Array, frame: Frame, count: int) -> None:
     """Weight the free accelerations and the gradients, and fill in the bias Jdot qdot."""
     weigh(scene, memory, count, memory.free)
     for number in range(count):
-        turn = bend(scene, state, frame, memory.gradients[number], memory.gaps[number])
+        turn = bias_acceleration(scene, state, frame, memory.gradients[number], memory.gaps[number])
         memory.bias[number] = turn / memory.lengths[number]
 
 
-def list_slow(scene: SceneNumbers, memory: Workspace, frame: Frame, near: float, slow: float) -> int:
-    """List the contacts within ``near`` [m] at rates up to ``slow`` [m/s], except those let go; return their number."""
+def list_slow(scene: SceneNumbers, memory: Workspace, frame: Frame, resolution: float, slow: float) -> int:
+    """List contacts within ``resolution`` [m] at rates up to ``slow`` [m/s], but not released ones; return how many."""
     count, released = 0, memory.released
     for pair in range(16):
         row = memory.gradients[count]
         gap = gradient(scene, frame, pair // 4, pair % 4, row)
-        if gap <= near and abs(rate_of(memory.state, row)) <= slow and not released & (1 << pair):
+        if gap <= resolution and abs(rate_of(memory.state, row)) <= slow and not released & (1 << pair):
             memory.pairs[count] = pair
             count += 1
     return count
 
 
 def settle(
-    scene: SceneNumbers, memory: Workspace, piece: Piece, flight: Flight, horizon: float, touch: Touch, near: float
-) -> int:
-    """Determine the feet at rest on walls, and correct their gaps and rates.
+    scene: SceneNumbers, memory: Workspace, piece: Piece, flight: Flight, horizon: float, touch: Touch,
+    resolution: float,
+) -> int:  # fmt: skip
+    """Determine the feet at rest on walls, and project the state on their constraints.
 
     Args:
         scene: the scene.
@@ -134,7 +136,7 @@ def settle(
         flight: motion from this state on.
         horizon: how far the search for an impact went [s]; it bounds the rate of a foot at rest.
         touch: when feet touch.
-        near: gap within which feet may rest [m].
+        resolution: gap within which feet may rest [m].
 
     Returns:
         The pairs that are held, as bits. Their number is in ``memory.holding``, and they are first in
@@ -142,14 +144,14 @@ def settle(
     """
     state = memory.state
     frame = frame_of(state)
-    limits = Limits(curvature_of(scene, flight, horizon, piece), horizon, touch.tolerance)
-    count = list_slow(scene, memory, frame, near, slowest(scene, flight, limits, near))
+    limits = Limits(curvature_of(scene, flight, horizon, piece), horizon, 0.5 * touch.tolerance)
+    count = list_slow(scene, memory, frame, resolution, slowest(scene, flight, limits, resolution))
     accelerations(scene, memory, piece, flight.since)
     while count > 0:
         memory.evaluations += 1.0
         list_contacts(scene, memory, memory.state, count)
-        bend_all(scene, memory, state, frame, count)
-        chosen = pressed_set(memory, count)
+        weigh_accelerations(scene, memory, state, frame, count)
+        chosen = active_set(memory, count)
         # A foot that would bounce higher than the resolution is not at rest.
         bouncing = -1
         for index in range(3):
@@ -158,27 +160,27 @@ def settle(
                 # The acceleration of the foot by this contact, were it the only one.
                 pressed = memory.best[index] * memory.lengths[number]
                 rate = rate_of(state, memory.gradients[number])
-                if rate * rate > 2.0 * near * pressed:
+                if rate * rate > 2.0 * resolution * pressed:
                     bouncing = number
         if bouncing < 0:
-            return hold_these(scene, memory, touch, near, count, chosen)
+            return select_held(scene, memory, touch, resolution, count, chosen)
         count -= 1
         memory.pairs[bouncing] = memory.pairs[count]
     return 0
 
 
-def pressed_set(memory: Workspace, count: int) -> tuple[int, int, int]:
-    """What ``nearest`` returns, tried from large sets on: the first set that closes no gap.
+def active_set(memory: Workspace, count: int) -> tuple[int, int, int]:
+    """The largest admissible active set: no negative multiplier, and no gap that closes. Else what ``nearest`` returns.
 
-    The last projection is that of the set returned.
+    The last projection is that of this set.
     """
     for size in (3, 2, 1):
         for i in range(count if size > 2 else 1):
             for j in range(i + 1 if size > 2 else 0, count if size > 1 else 1):
                 for k in range(j + 1 if size > 1 else 0, count):
-                    if violation_of(memory, count, size, k, j, i) <= _FAINT * memory.pushes[0]:
+                    if violation_of(memory, count, size, k, j, i) <= _FAINT * memory.multipliers[0]:
                         for index in range(3):
-                            memory.best[index] = memory.pushes[index]
+                            memory.best[index] = memory.multipliers[index]
                         return k, j if size > 1 else -1, i if size > 2 else -1
     one, two, three = nearest(memory, count)
     if one >= 0:
@@ -186,13 +188,14 @@ def pressed_set(memory: Workspace, count: int) -> tuple[int, int, int]:
     return one, two, three
 
 
-def hold_these(
-    scene: SceneNumbers, memory: Workspace, touch: Touch, near: float, count: int, chosen: tuple[int, int, int]
+def select_held(
+    scene: SceneNumbers, memory: Workspace, touch: Touch, resolution: float, count: int, chosen: tuple[int, int, int]
 ) -> int:
-    """Hold the chosen of ``count`` contacts, those of the last projection, and bring them to rest.
+    """Select the contacts to hold, and project the state on them: the ``chosen``, of the last projection, and others.
 
-    A contact that needs no force and does not open is held too, so that the search can ignore it. If its wall would
-    have to pull, it is let go at once. A contact whose gradient depends on held ones stays closed by itself.
+    A degenerate contact (zero force, zero acceleration) is held too, so that the search can ignore it. If its wall
+    would have to pull, it is released at once. A contact whose gradient is linearly dependent on held ones stays closed
+    by itself.
 
     Returns:
         The pairs that are held, as bits.
@@ -214,7 +217,7 @@ def hold_these(
         remainder = orthogonalized(memory, size, row)
         if remainder < _DEPENDENT:
             held |= 1 << memory.pairs[number]
-        elif size < 3 and abs(opening) <= faint and rate * rate <= 2.0 * near * faint:
+        elif size < 3 and abs(opening) <= faint and rate * rate <= 2.0 * resolution * faint:
             length = math.sqrt(remainder)
             for index in range(6):
                 memory.basis[size, index] /= length
@@ -224,11 +227,11 @@ def hold_these(
     for index in range(size):
         gap = memory.gaps[memory.order[index]]
         memory.order[index] = memory.pairs[memory.order[index]]
-        memory.targets[index] = math.copysign(max(abs(gap) - touch.together, 0.0), gap)
+        memory.targets[index] = math.copysign(max(abs(gap) - touch.resolution, 0.0), gap)
     for index in range(size):
         memory.pairs[index] = memory.order[index]
     memory.holding = size
-    bring_back(scene, memory)
+    project_state(scene, memory)
     return held
 
 
@@ -247,8 +250,8 @@ def orthogonalized(memory: Workspace, size: int, row: Array) -> float:
     return dot(part, part)
 
 
-def bring_back(scene: SceneNumbers, memory: Workspace) -> None:
-    """Bring the held gaps to their targets and their rates to 0, each by the smallest change in the norm of M.
+def project_state(scene: SceneNumbers, memory: Workspace) -> None:
+    """Project the state: held gaps to their targets, their rates to 0, each by the smallest change in the norm of M.
 
     The gaps change by one Newton step, unless they are off by rounding only. The factors of the held rows stay in
     ``memory.triangle``.
@@ -276,13 +279,14 @@ def move_held(scene: SceneNumbers, memory: Workspace, count: int, first: int) ->
     """Change the six numbers of the state from ``first`` on so that the held rows with their bias are 0."""
     project(memory, count, 0, 1, 2)
     for number in range(count):
-        kick(scene, memory.state[first:], memory.gradients[number], memory.pushes[number] / memory.lengths[number])
+        kick(scene, memory.state[first:], memory.gradients[number], memory.multipliers[number] / memory.lengths[number])
 
 
-def hold(
-    scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, touch: Touch, near: float, since: float, held: int
-) -> tuple[Status, float]:
-    """Move with feet at rest to the end of a stretch, an impact, or the moment when a wall would have to pull.
+def advance_held(
+    scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, touch: Touch, resolution: float, since: float,
+    held: int,
+) -> tuple[Status, float]:  # fmt: skip
+    """Integrate the motion with held feet to the end of a stretch, an impact, or the first release.
 
     Args:
         scene: the scene.
@@ -290,12 +294,12 @@ def hold(
         log: filled with impacts.
         piece: what acts on the box.
         touch: when feet touch.
-        near: gap within which feet touch together [m].
+        resolution: gap within which contacts are simultaneous [m].
         since: [s] after the piece's start.
         held: the pairs that are held, as bits.
 
     Returns:
-        How it ended, and the time that passed [s]. Feet that were let go at once are added to ``memory.released``.
+        How it ended, and the time that passed [s]. Feet that are released at once are added to ``memory.released``.
     """
     memory.nonsmooth = 1
     count, free = memory.holding, flight_of(scene, memory.state, piece, since)
@@ -304,7 +308,7 @@ def hold(
     length = stretch(scene, memory, piece, since, view)
     if length == 0.0:
         return Status.TOO_MUCH_WORK, 0.0
-    end, released = first_let_go(memory, count, length)
+    end, released = first_release(memory, count, length)
     if not since + end > since:
         end = 0.0
     flight = Flight(
@@ -318,12 +322,12 @@ def hold(
     if pair == UNDECIDED:
         return why_undecided(memory), 0.0
     for contact in range(count):
-        memory.resting[memory.pairs[contact]] += max(impulse_of(memory, contact, end / length) / length, 0.0)
+        memory.resting[memory.pairs[contact]] += max(scaled_impulse(memory, contact, end / length) / length, 0.0)
     carry(scene, memory, flight, free, end)
     memory.elapsed += end
     if pair != NONE:
         memory.evaluations += 1.0
-        resolve(scene, memory, log, near, pair // 4, pair % 4)
+        resolve(scene, memory, log, resolution, pair // 4, pair % 4)
     elif released >= 0 and end == 0.0:
         memory.released += 1 << memory.pairs[released]
     if end > 0.0:
@@ -331,21 +335,24 @@ def hold(
     return Status.DONE, end
 
 
-def first_let_go(memory: Workspace, count: int, length: float) -> tuple[float, int]:
-    """When the first held foot is let go [s], and its index; the stretch's ``length`` and -1 if none is."""
+def first_release(memory: Workspace, count: int, length: float) -> tuple[float, int]:
+    """When the first held foot is released [s], and its index; the stretch's ``length`` and -1 if none is."""
     end, released, peak = length, -1, 0.0
     for contact in range(count):
         for k in range(DEGREE + 1):
             peak = max(peak, abs(memory.series[FORCE + contact, k]))
     for contact in range(count):
-        time = let_go(memory, contact, length, peak)
+        time = release_time(memory, contact, length, peak)
         if time < end:
             end, released = time, contact
     return end, released
 
 
-def let_go(memory: Workspace, contact: int, length: float, peak: float) -> float:
-    """When a held foot's force falls to 0 and the wall would have to pull, in [s]; infinity if it never does."""
+def release_time(memory: Workspace, contact: int, length: float, peak: float) -> float:
+    """When a held foot is released [s]: the first time at which its force is -``_PULL`` / 2 of the ``peak`` or less.
+
+    Infinity if there is none in the stretch, and also if the step's gap evaluations are exhausted.
+    """
     powers = memory.series[FORCE + contact]
     curvature = 0.0
     for k in range(2, DEGREE + 1):
@@ -370,8 +377,8 @@ def let_go(memory: Workspace, contact: int, length: float, peak: float) -> float
     return math.inf
 
 
-def impulse_of(memory: Workspace, contact: int, u: float) -> float:
-    """A held foot's impulse up to ``u``, times the stretch's length [N s^2]."""
+def scaled_impulse(memory: Workspace, contact: int, u: float) -> float:
+    """Integral of a held foot's scaled force up to ``u``: its impulse times the stretch's length [N s^2]."""
     impulse = 0.0
     for k in range(DEGREE, -1, -1):
         impulse = SHARES[k] * memory.series[FORCE + contact, k] + impulse * u

@@ -3,10 +3,14 @@
 ``step.advance`` calls :func:`first_impact`, and then :func:`strike` to fly to the impact and resolve it. The head of
 ``simulators/exact.py`` states order, cost and limits.
 
-Guarantee: with |d2 gap / dt2| <= K until the horizon (``bounds.py``), gap(t + s) >= gap + gap' s - K s^2 / 2. So a walk
-to the first positive root of that parabola never passes an impact. It converges quadratically if the foot arrives at
-speed. If |r| + l < L throughout, nothing can be hit and no gap is evaluated. In a box that turns far, K is large and
-many feet may reach many walls: :func:`first_in_a_turn` then follows all of them at once.
+Guarantee: gap = L - n . (r + o), with L half the box's width, n a wall's normal, r the jack's centre from the box's,
+o a foot from there, |o| = l. With |gap''| <= K until the horizon (``bounds.py``),
+
+    gap(t + s) >= gap + gap' s - K s^2 / 2,
+
+so a walk to the first positive root of that parabola never passes an impact. It converges quadratically if the foot
+arrives at speed. If |r| + l < L throughout, no contact is possible and no gap is evaluated. In a box that turns far, K
+is large and many feet may reach many walls: :func:`first_in_a_turn` then follows all of them at once.
 """
 
 from __future__ import annotations
@@ -16,7 +20,7 @@ from typing import NamedTuple
 
 from jackbox_env.exact.bounds import (
     bounds_of,
-    bounds_to_impact,
+    curvature_to_impact,
     inside,
     parabola_root,
     reach_of,
@@ -43,8 +47,8 @@ from jackbox_env.scene import SceneNumbers
 # In place of 4 * wall + foot: no impact, undecided after reasonable work, or a foot may be at rest now.
 NONE, UNDECIDED, AT_REST = -1, -2, -3
 MOST_WORK = 1_000_000  # gap evaluations in one step
-_RESTLESS = 65_536  # gap evaluations before a step may count as one at rest
-SHORT_HORIZON = 2.0**-12  # of a piece: how far a step at rest searches ahead
+_CHATTER_WORK = 65_536  # gap evaluations before a step may count as chattering
+SHORT_HORIZON = 2.0**-12  # of a piece: how far a chattering step searches ahead
 STEEPEST = 1e40  # K [m/s^2] and alpha [rad/s^2] beyond which squares overflow
 ALL = 15  # walls, as bits
 _TURNED = 0.25  # [rad] of the box's turn until the horizon, beyond which all feet are followed together
@@ -54,10 +58,10 @@ _OFTEN, _OFTEN_WITH_LOSS = 32, 256  # impacts of a step, see widened()
 
 
 class Touch(NamedTuple):
-    """Gaps at which feet touch."""
+    """Gaps at which feet touch in a step."""
 
     tolerance: float  # gap at which a foot touches [m]
-    together: float  # gap within which others touch at the same moment [m]
+    resolution: float  # gap within which contacts are simultaneous [m], before :func:`contact_resolution` widens it
 
 
 class Approach(NamedTuple):
@@ -75,7 +79,7 @@ class Limits(NamedTuple):
 
     curvature: float  # bound of a gap's second derivative [m/s^2]
     end: float  # of the search, since the flight's start [s]
-    tolerance: float  # gap at which a foot touches [m]
+    half_tolerance: float  # half the contact tolerance [m]
 
 
 def contact_tolerance(scene: SceneNumbers) -> float:
@@ -84,14 +88,14 @@ def contact_tolerance(scene: SceneNumbers) -> float:
 
 
 def deepest(scene: SceneNumbers) -> float:
-    """How deep a foot at rest may be in a wall [m]: 1e-10, less in boxes below 1 m."""
+    """Largest penetration that the search allows, and largest resolution [m]: 1e-10, less in boxes below 1 m."""
     return 1e-10 * min(1.0, scene.box_half_width)
 
 
 def widened(scene: SceneNumbers, memory: Workspace, gap: float) -> float:
     """A ``gap`` [m] doubled with every 32 impacts of a step, with loss every 256, up to :func:`deepest`.
 
-    Loss ends most series of bounces by itself, so their resolution is lowered later.
+    With loss most series of bounces shrink to the resolution by themselves (Zeno), so it grows later.
     """
     often = _OFTEN if scene.restitution == 1.0 else _OFTEN_WITH_LOSS
     doublings = memory.hits // often
@@ -99,18 +103,19 @@ def widened(scene: SceneNumbers, memory: Workspace, gap: float) -> float:
     return float(min(deepest(scene), gap * (1 << min(doublings, 60)) * (1.0 + part)))
 
 
-def resolution(scene: SceneNumbers, memory: Workspace, touch: Touch) -> float:
-    """Gap within which feet rest and touch together [m]; with loss it grows with the step's impacts."""
-    return max(touch.together, widened(scene, memory, touch.together)) if scene.restitution < 1.0 else touch.together
+def contact_resolution(scene: SceneNumbers, memory: Workspace, touch: Touch) -> float:
+    """Gap within which contacts are simultaneous and feet may rest [m]; with loss it grows with the step's impacts."""
+    gap = touch.resolution
+    return max(gap, widened(scene, memory, gap)) if scene.restitution < 1.0 else gap
 
 
-def rests(scene: SceneNumbers, memory: Workspace) -> bool:
-    """Whether the jack is at rest, judged by the step's work: many gaps evaluated, for impacts of next to no impulse.
+def is_chattering(scene: SceneNumbers, memory: Workspace) -> bool:
+    """Whether the step chatters (Zeno): many gap evaluations, and next to no impulse per impact.
 
-    Such a step searches only as far ahead as its next impacts. Otherwise it would search the whole rest of the step
+    Such a step searches only as far ahead as its next impacts. Otherwise it would search all that remains of the step
     after each of thousands of impacts.
     """
-    if memory.evaluations <= _RESTLESS:
+    if memory.evaluations <= _CHATTER_WORK:
         return False
     return bool(memory.impulse <= 1e-3 * scene.jack_mass * scene.speed_scale * memory.hits)
 
@@ -122,7 +127,7 @@ def first_impact(
     piece: Piece,
     horizon: float,
     tolerance: float,
-    rest: float,
+    resolution: float,
 ) -> tuple[float, int]:
     """Locate the first impact of a flight within ``horizon`` [s].
 
@@ -133,7 +138,7 @@ def first_impact(
         piece: what acts on the box.
         horizon: how far to search [s], at most to the end of the piece.
         tolerance: gap at which a foot touches [m].
-        rest: gap within which a slow foot may be at rest [m]; -inf: none may.
+        resolution: gap within which a slow foot may be at rest [m]; -inf: none may.
 
     Returns:
         Its time since the flight's start [s] and 4 * wall + foot; ``NONE`` if there is none, ``UNDECIDED`` if that
@@ -143,30 +148,30 @@ def first_impact(
         return horizon, NONE
     bounds = bounds_of(scene, flight, horizon, piece.spin_up, piece.push)
     frame = box_frame(flight.x, flight.y, flight.vx, flight.vy, flight.angle, flight.omega)
-    walls = walls_in_reach(scene, frame, horizon, bounds.bend)
+    walls = walls_in_reach(scene, frame, horizon, bounds.centre_curvature)
     if walls == 0:
         return horizon, NONE
-    curvature = bounds.bend + bounds.swing
+    curvature = bounds.centre_curvature + bounds.foot_curvature
     if not curvature < STEEPEST:
         return horizon, UNDECIDED
     # Half the tolerance, so that the foot that the search locates touches in spite of rounding.
     limits = Limits(curvature, horizon, 0.5 * tolerance)
     view = view_of(frame, flight.jack_angle - flight.angle, flight.jack_omega - flight.omega, 0.0)
     if flight.held == 0 and (abs(flight.omega) + piece.spin_up * horizon) * horizon > _TURNED:
-        return first_in_a_turn(scene, memory, flight, view, limits, rest, piece)
-    return first_of_all(scene, memory, flight, view, walls, NONE, limits, rest)
+        return first_in_a_turn(scene, memory, flight, view, limits, resolution, piece)
+    return first_of_all(scene, memory, flight, view, walls, NONE, limits, resolution)
 
 
 def first_of_all(
     scene: SceneNumbers, memory: Workspace, flight: Flight, view: View, walls: int, likely: int, limits: Limits,
-    rest: float,
+    resolution: float,
 ) -> tuple[float, int]:  # fmt: skip
     """The first impact of any foot on any of these ``walls`` (as bits): see :func:`first_impact`.
 
     There is none before the moment of the ``view``. The pair ``likely``, if there is one, is searched first.
     """
     best, pair = limits.end, NONE
-    curvature, tolerance = limits.curvature, limits.tolerance
+    curvature, half_tolerance = limits.curvature, limits.half_tolerance
     frame, cosine, sine, spin, since = view
     longest = scene.jack_arm * max(abs(cosine), abs(sine))
     if likely != NONE:
@@ -183,18 +188,18 @@ def first_of_all(
         nearest = scene.box_half_width - ahead - longest  # gap of the nearest foot, now
         horizon = best - since
         fall = max(speed, 0.0) + scene.jack_arm * abs(spin) + 0.5 * curvature * horizon
-        if nearest > tolerance and nearest - fall * horizon > 0.0:
+        if nearest > half_tolerance and nearest - fall * horizon > 0.0:
             continue
         for foot in range(4):
             gap, rate = foot_gap(scene, ahead, speed, cosine, sine, spin, foot - wall)
             horizon = best - since
-            if gap > tolerance and gap + (rate - 0.5 * curvature * horizon) * horizon > 0.0:
+            if gap > half_tolerance and gap + (rate - 0.5 * curvature * horizon) * horizon > 0.0:
                 continue
             if flight.held & (1 << (4 * wall + foot)) or 4 * wall + foot == likely:
                 continue
-            if may_rest(scene, flight, limits, gap, rate, rest):
+            if may_rest(scene, flight, limits, gap, rate, resolution):
                 return 0.0, AT_REST
-            shorter = Limits(curvature, best, tolerance)
+            shorter = Limits(curvature, best, half_tolerance)
             time = search(scene, memory, flight, Approach(wall, foot, since, gap, rate), shorter)
             if time < best or (time == best and pair == NONE):
                 best, pair = time, 4 * wall + foot
@@ -207,19 +212,19 @@ def first_in_a_turn(
     flight: Flight,
     view: View,
     limits: Limits,
-    rest: float,
+    resolution: float,
     piece: Piece,
 ) -> tuple[float, int]:
     """The first impact in a box that turns far: see :func:`first_impact`.
 
-    The bound K grows with the square of the box's rate, and many feet may reach many walls. So all feet are followed
-    together, from pose to pose, until one is about to arrive.
+    The bound K grows with the square of the box's angular velocity, and many feet may reach many walls. So all feet
+    are followed together, from pose to pose, until one is about to arrive.
     """
-    tolerance, end = limits.tolerance, limits.end
+    half_tolerance, end = limits.half_tolerance, limits.end
     frame, cosine, sine = view.frame, view.cosine, view.sine
     outermost = max(abs(frame.x), abs(frame.y)) + scene.jack_arm * max(abs(cosine), abs(sine))
-    bend = bounds_to_impact(scene, flight, end, piece.spin_up, piece.push, outermost)
-    curvature = min(limits.curvature, bend)
+    to_impact = curvature_to_impact(scene, flight, end, piece.spin_up, piece.push, outermost)
+    curvature = min(limits.curvature, to_impact)
     away, back = inside(scene, flight, end, piece.push)
     while True:
         frame, cosine, sine, spin, s = view
@@ -228,9 +233,10 @@ def first_in_a_turn(
             ahead, speed = towards(frame, wall)
             for foot in range(4):
                 gap, rate = foot_gap(scene, ahead, speed, cosine, sine, spin, foot - wall)
-                if (gap <= tolerance and rate < 0.0) or (s == 0.0 and may_rest(scene, flight, limits, gap, rate, rest)):
+                resting = s == 0.0 and may_rest(scene, flight, limits, gap, rate, resolution)
+                if (gap <= half_tolerance and rate < 0.0) or resting:
                     arrived = True
-                gap = max(gap, 0.1 * tolerance)
+                gap = max(gap, 0.1 * half_tolerance)  # above 0, so that the time advances
                 if gap + (rate - 0.5 * curvature * step) * step <= 0.0:
                     step, likely = parabola_root(gap, rate, curvature), 4 * wall + foot
                     closing = rate < 0.0 and rate * rate > _CLOSING * curvature * gap
@@ -246,49 +252,49 @@ def first_in_a_turn(
         frame = box_frame(pose.x, pose.y, pose.vx, pose.vy, pose.angle, pose.omega)
         view = view_of(frame, pose.jack_angle - pose.angle, pose.jack_omega - pose.omega, s)
     if view.time == 0.0:
-        return first_of_all(scene, memory, flight, view, ALL, NONE, limits, rest)
-    return first_of_all(scene, memory, flight, view, ALL, likely, Limits(curvature, end, tolerance), -math.inf)
+        return first_of_all(scene, memory, flight, view, ALL, NONE, limits, resolution)
+    return first_of_all(scene, memory, flight, view, ALL, likely, Limits(curvature, end, half_tolerance), -math.inf)
 
 
-def may_rest(scene: SceneNumbers, flight: Flight, limits: Limits, gap: float, rate: float, rest: float) -> bool:
-    """Whether a foot with this gap [m] and rate [m/s] may be at rest, within ``rest`` [m]; -inf: none may."""
-    return gap <= rest and abs(rate) <= slowest(scene, flight, limits, rest)
+def may_rest(scene: SceneNumbers, flight: Flight, limits: Limits, gap: float, rate: float, resolution: float) -> bool:
+    """Whether a foot with this gap [m] and rate [m/s] may be at rest, within ``resolution`` [m]; -inf: none may."""
+    return gap <= resolution and abs(rate) <= slowest(scene, flight, limits, resolution)
 
 
-def slowest(scene: SceneNumbers, flight: Flight, limits: Limits, rest: float) -> float:
+def slowest(scene: SceneNumbers, flight: Flight, limits: Limits, resolution: float) -> float:
     """The rate up to which a foot that touches may be at rest [m/s].
 
-    With loss a foot rests if it would rise by ``rest`` [m] at most. Without loss nothing comes to rest, but a foot
-    whose rate is rounding does not bounce.
+    With loss a foot rests if it would rise by ``resolution`` [m] at most. Without loss nothing comes to rest, but a
+    foot whose rate is rounding does not bounce.
     """
     if scene.restitution < 1.0:
-        return math.sqrt(2.0 * limits.curvature * rest)
+        return math.sqrt(2.0 * limits.curvature * resolution)
     return rounding(scene, flight, limits.end) + 1e-15 * flight.speeds
 
 
 def search(scene: SceneNumbers, memory: Workspace, flight: Flight, approach: Approach, limits: Limits) -> float:
     """First time within ``limits.end`` [s] at which a foot touches a wall and approaches; infinity if there is none.
 
-    One more step to the parabola's root ends the walk. The gap stays above that parabola, so the foot is not in the
-    wall there. The step s is at most sqrt(2 gap / K), so the gap is at most K s^2, which is twice the tolerance.
+    A foot within half the contact tolerance touches, and one more step to the parabola's root ends the walk. The gap
+    stays above that parabola, so the foot is not in the wall there. The step s is at most sqrt(2 gap / K), so the gap
+    there is at most K s^2 <= 2 gap, within the contact tolerance.
 
-    A foot that touches and does not approach stays within ``sink`` until the parabola through its present gap does.
-    Without that depth the time would not advance while a foot rests on a wall. For a foot that leaves, ``sink`` is the
-    tolerance at first and grows with the step's impacts, up to 1e-10 m. For a foot that slides along the wall it is
-    1e-10 m at once. So a jack that rests on a wall or slides along it costs thousands of gap evaluations and impacts,
-    not millions. In a step at rest a foot near the wall may be as deep.
+    A receding or sliding foot may penetrate by ``sink``; otherwise time would stall. For a receding foot ``sink`` is
+    half the contact tolerance at first and grows with the step's impacts, up to :func:`deepest`. For a sliding foot it
+    is :func:`deepest` at once. So a jack that rests on a wall or slides along it costs thousands of gap evaluations and
+    impacts, not millions. While :func:`is_chattering`, a foot that does not touch yet may penetrate as deep.
     """
     still = rounding(scene, flight, limits.end) + 1e-15 * flight.speeds
-    tolerance, s, gap, rate = limits.tolerance, approach.since, approach.gap, approach.rate
+    half_tolerance, s, gap, rate = limits.half_tolerance, approach.since, approach.gap, approach.rate
     while True:
-        if gap > tolerance:
-            granted = deepest(scene) if rests(scene, memory) else 0.0
+        if gap > half_tolerance:
+            granted = deepest(scene) if is_chattering(scene, memory) else 0.0
             after = s + parabola_root(gap + granted, rate, limits.curvature)
         elif rate < -still:
             return min(s + parabola_root(max(gap, 0.0), rate, limits.curvature), limits.end)
         else:
-            sink = widened(scene, memory, tolerance) if rate > still else deepest(scene)
-            least = 0.0 if rate > still else 0.1 * tolerance  # a foot that leaves needs time to come back as deep
+            sink = widened(scene, memory, half_tolerance) if rate > still else deepest(scene)
+            least = 0.0 if rate > still else 0.1 * half_tolerance  # above 0: sliding does not advance time
             after = s + parabola_root(max(gap + sink, least), max(rate, 0.0), limits.curvature)
         if not after <= limits.end or memory.evaluations > MOST_WORK:
             return math.inf
@@ -301,7 +307,7 @@ def search(scene: SceneNumbers, memory: Workspace, flight: Flight, approach: App
 
 
 def strike(
-    scene: SceneNumbers, memory: Workspace, log: Array, flight: Flight, time: float, pair: int, together: float
+    scene: SceneNumbers, memory: Workspace, log: Array, flight: Flight, time: float, pair: int, resolution: float
 ) -> None:
     """Fly for ``time`` [s] to an impact of ``pair`` = 4 * wall + foot, and resolve all contacts there."""
     evolve(memory, flight, time)
@@ -309,7 +315,7 @@ def strike(
     memory.evaluations += 1.0
     if memory.hits < log.shape[0] and log.shape[1] == WIDE:
         record_state(log[memory.hits], flight, memory, time)
-    resolve(scene, memory, log, together, pair // 4, pair % 4)
+    resolve(scene, memory, log, resolution, pair // 4, pair % 4)
 
 
 def record_state(row: Array, flight: Flight, memory: Workspace, time: float) -> None:

@@ -13,8 +13,8 @@ import math
 from typing import NamedTuple
 
 from jackbox_env.exact.drives import DEGREE, TURN, chirp_piece, chirp_pieces, horner, integrate
-from jackbox_env.exact.flight import Piece, constant_piece, curved_piece, evolve, flight_of, glide, stays_clear
-from jackbox_env.exact.rest import hold, record_rest, settle
+from jackbox_env.exact.flight import Piece, constant_piece, curved_piece, evolve, flight_of, free_flight, stays_clear
+from jackbox_env.exact.rest import advance_held, record_rest, settle
 from jackbox_env.exact.search import (
     AT_REST,
     NONE,
@@ -22,10 +22,10 @@ from jackbox_env.exact.search import (
     STEEPEST,
     UNDECIDED,
     Touch,
+    contact_resolution,
     contact_tolerance,
     first_impact,
-    resolution,
-    rests,
+    is_chattering,
     strike,
     why_undecided,
 )
@@ -61,9 +61,9 @@ class Plan(NamedTuple):
 
     dt: float  # [s]
     kind: int  # what turns the box
-    clear: float  # square of the distance of the centres below which nothing is hit [m^2]; negative: no distance
+    clear: float  # squared centre distance within which contact is impossible [m^2]; negative: test disabled
     tolerance: float  # gap at which a foot touches [m]
-    per_radian: float  # tolerance per radian of the larger angle, if that is more [m/rad]; 0 without loss
+    per_radian: float  # angle-rounding tolerance per radian of the larger angle [m/rad]; 0 if restitution is 1
 
 
 class Pieces(NamedTuple):
@@ -124,7 +124,7 @@ def step(
         if not clear:
             ended = advance(scene, memory, log, constant_piece(plan.dt, alpha), enter_frame(plan, before, memory))
         if ended == Status.FREE:  # no foot touches a wall
-            glide(before, after, fall, plan.dt, alpha)
+            free_flight(before, after, fall, plan.dt, alpha)
             return Status.DONE, scene.box_inertia * alpha
         return leave_frame(ended, plan, before, after, memory, log), scene.box_inertia * alpha
     if not is_resolved(scene, before):
@@ -272,7 +272,7 @@ def advance(scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, to
     """Advance ``memory.state`` through a piece, from impact to impact; return how it ended.
 
     Under a constant acceleration it returns FREE if no foot touches a wall. The state is then unchanged, because
-    :func:`glide` needs no frame at the box. The polynomial accelerations are in ``memory``.
+    :func:`free_flight` needs no frame at the box. The polynomial accelerations are in ``memory``.
     """
     memory.released = 0
     since, untouched = 0.0, not piece.curved
@@ -280,18 +280,18 @@ def advance(scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, to
     while since < piece.length:
         # Detect.
         remaining = piece.length - since
-        near = resolution(scene, memory, touch)
-        horizon = min(remaining, SHORT_HORIZON * piece.length) if rests(scene, memory) else remaining
+        resolution = contact_resolution(scene, memory, touch)
+        horizon = min(remaining, SHORT_HORIZON * piece.length) if is_chattering(scene, memory) else remaining
         flight = flight_of(scene, memory.state, piece, since)
-        rest = -math.inf if none_rests else near
-        time, pair = first_impact(scene, memory, flight, piece, horizon, touch.tolerance, rest)
+        rest_resolution = -math.inf if none_rests else resolution
+        time, pair = first_impact(scene, memory, flight, piece, horizon, touch.tolerance, rest_resolution)
         if pair == AT_REST:
-            held = settle(scene, memory, piece, flight, horizon, touch, near)
+            held = settle(scene, memory, piece, flight, horizon, touch, resolution)
             if held == 0:
                 none_rests = True
                 continue
             untouched = False
-            ended, time = hold(scene, memory, log, piece, touch, near, since, held)
+            ended, time = advance_held(scene, memory, log, piece, touch, resolution, since, held)
             if ended != Status.DONE:
                 return ended
             since += time
@@ -311,6 +311,6 @@ def advance(scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, to
             continue
         untouched = False
         # Evolve, resolve, record.
-        strike(scene, memory, log, flight, time, pair, near)
+        strike(scene, memory, log, flight, time, pair, resolution)
         since += time
     return Status.DONE

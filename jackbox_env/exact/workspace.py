@@ -40,14 +40,14 @@ class Workspace(np.record):  # type: ignore[misc]
     impulses: Annotated[Array, 17]  # [N s]
     rates: Annotated[Array, 6]  # weighted
     projected: Annotated[Array, 6]  # the weighted rates' projection
-    pushes: Annotated[Array, 3]  # of the projection
-    best: Annotated[Array, 3]  # pushes of the best projection so far
+    multipliers: Annotated[Array, 3]  # of the projection
+    best: Annotated[Array, 3]  # multipliers of the best projection so far
     basis: Annotated[Array, 4, 6]  # of Gram-Schmidt, orthonormal rows, with triangle and goals
     triangle: Annotated[Array, 3, 3]
     goals: Annotated[Array, 3]
 
     holding: int  # number of feet at rest, now or last in this step; they are first in pairs
-    released: int  # feet that were let go at this moment, bit 4 * wall + foot of each
+    released: int  # feet that were released at this moment, bit 4 * wall + foot of each
     resting: Annotated[Array, 16]  # impulses of held feet in this step [N s], by 4 * wall + foot
     order: Annotated[Counts, 3]  # of held feet among the listed gaps
     targets: Annotated[Array, 3]  # of their gaps [m]
@@ -76,7 +76,7 @@ TORQUE, TURNING = 4, 5  # [N m]; angular acceleration of the box [rad/s^2], or a
 NEAR, HIT, IMPULSE_SUM = 6, 7, 8  # whether a foot may touch a wall; impacts, their impulse [N s]
 # Rows of lanes near a wall, gathered at the front by ``glide.unmark_off_walls``.
 ALPHA_BOUND, LANE_COSINE, LANE_SINE, AHEAD, ASIDE, LANE_OMEGA = range(9, 15)
-LANE_BEND, LANE_INDEX, LANE_ROOM, LANE_PULL, STAYS_OFF = range(15, 20)
+LANE_CURVATURE, LANE_INDEX, LANE_ROOM, LANE_PULL, STAYS_OFF = range(15, 20)
 UNSCORED = 20  # whether a row earns nothing because its episode is over
 LANES = 21
 

@@ -143,8 +143,8 @@ def test_a_wall_that_held_on_would_carry_the_jack_along(monkeypatch: pytest.Monk
     scene = Scene(restitution=0.0, drive=None)
     start = lying(along=2.0)
     freed = plain_step(scene, start, 0.02, -6e4)[1]
-    monkeypatch.setattr(rest, "let_go", lambda *arguments: math.inf)
-    monkeypatch.setattr(rest, "pressed_set", lambda work, count: (0, 1, -1) if project(work, 2, 0, 1, -1) else None)
+    monkeypatch.setattr(rest, "release_time", lambda *arguments: math.inf)
+    monkeypatch.setattr(rest, "active_set", lambda work, count: (0, 1, -1) if project(work, 2, 0, 1, -1) else None)
     assert (
         gaps(scene, freed)[3, 2:4].max()
         > 1e-4

@@ -70,8 +70,8 @@ def test_the_bounds_hold_over_the_whole_flight() -> None:
         for wall, foot in rng.integers(0, 4, (4, 2)).tolist():
             gaps = [motion.gap_at(n, flight, w, wall, foot, time)[0] for time in times.tolist()]
             bent = np.abs(np.diff(gaps, 2)).max() / step**2
-            assert bent <= bound.bend + bound.swing + 1e-13 / step**2
-            broken += bent > 0.5 * (bound.bend + bound.swing)
+            assert bent <= bound.centre_curvature + bound.foot_curvature + 1e-13 / step**2
+            broken += bent > 0.5 * (bound.centre_curvature + bound.foot_curvature)
     assert broken > 100
     assert tightest < 0.5  # no wild exaggeration
 
@@ -83,8 +83,8 @@ def test_an_uncertified_step_would_let_feet_through(monkeypatch: pytest.MonkeyPa
     honest = bounds.bounds_of
 
     def brazen(*arguments: Any) -> bounds.Bounds:
-        far, bend, swing = honest(*arguments)
-        return bounds.Bounds(far, 0.01 * bend, 0.01 * swing)
+        far, centre, foot = honest(*arguments)
+        return bounds.Bounds(far, 0.01 * centre, 0.01 * foot)
 
     for module in (bounds, kernel):
         monkeypatch.setattr(module, "bounds_of", brazen)
@@ -143,7 +143,7 @@ def test_the_bounds_of_a_fast_box_hold_until_the_first_impact(deep: bool) -> Non
         outermost = scene.box_half_width - min(
             motion.gap_at(n, flight, work, wall, foot, 0.0)[0] for wall in range(4) for foot in range(4)
         )
-        curvature = bounds.bounds_to_impact(n, flight, duration, piece.spin_up, 0.0, outermost)
+        curvature = bounds.curvature_to_impact(n, flight, duration, piece.spin_up, 0.0, outermost)
         away, back = bounds.inside(n, flight, duration, 0.0)
         for wall, foot in ((0, 0), (1, 3), (2, 1)):
             h = until / 60.0

@@ -298,7 +298,7 @@ def rolled(
 
 def first_of_all(
     scene: SceneNumbers, memory: Workspace, flight: Flight, view: View, walls: int, likely: int, limits: Limits,
-    rest: float,
+    resolution: float,
 ) -> tuple[float, int]:  # fmt: skip
     """Unguarded search for impacts: gaps at the step's end, then Newton's method. It misses what happens in between.
 
@@ -321,7 +321,7 @@ def first_of_all(
             for _ in range(_MOST_ITERATIONS):
                 s = min(max(s - gap / rate, 0.0), limits.end)
                 gap, rate = gap_at(scene, flight, memory, wall, foot, s)
-                if abs(gap) <= limits.tolerance or rate == 0.0:
+                if abs(gap) <= limits.half_tolerance or rate == 0.0:
                     break
             if s <= best and rate < 0.0:
                 best, pair = s, 4 * wall + foot
