@@ -2,8 +2,9 @@
 
 ``derivatives.py`` calls it for the steps of a rollout, after ``run.py`` has recorded their impacts.
 A tangent has the shape (ROWS, columns): each column is the derivative of the state by one number, and below of the
-torque and the scene by that number. Flight is linear in the state and in the accelerations. At an impact, with the
-time t*, the gap g, the reset R (the impact law at a fixed pose) and the flow f before and after, a tangent d becomes
+torque and the scene's parameters by that number. Flight is linear in the state and in the accelerations. At an impact,
+with the time t*, the gap g, the reset R (the impact law at a fixed pose) and the flow f before and after, a tangent d
+becomes
 
     d+ = (DR + (f+ - DR f-) Dg / (Dg f-)) d,
 
@@ -11,10 +12,10 @@ the saltation matrix (Aizerman and Gantmacher 1958; Kong et al. 2024, "Saltation
 is applied as it is derived: to the moment of impact, dt* = -Dg d / (Dg f-), through the law there, and back.
 
 Exactness: rounding of the states and of the impacts' times, over the impact's rate.
-Fails: several contacts at one moment, an impact slower than 1e-6 v0 or so slow for the bend of its gap that rounding
+Fails: several contacts at one moment, an impact slower than 1e-6 v0 or so slow for its gap's curvature that rounding
     decides, feet at rest, a foot that touches at an end of a step, a step whose impacts multiply errors by 1e10. There
-    no derivative exists, or rounding hides it: it is NaN. Under a drive, P by the box's mass and inertia comes from
-    differences of states, with the rounding of positions and angles that are far from 0.
+    no derivative exists, or rounding hides it: it is NaN. Under a drive, derivatives with respect to the box's mass and
+    inertia come from differences of states, with the rounding of positions and angles that are far from 0.
 """
 
 from __future__ import annotations
@@ -50,13 +51,13 @@ from jackbox_env.states import (
 
 Array = NDArray[np.float64]
 
-# Rows of a tangent below the state's 12: a torque added throughout the step, and numbers of the scene.
+# Rows of a tangent below the state's 12: a torque added throughout the step, and the scene's parameters.
 FIELDS = (
     "gravity", "box_mass", "box_inertia", "jack_mass", "jack_inertia", "jack_arm", "box_half_width", "restitution",
 )  # fmt: skip
 TORQUE = 12
 GRAVITY, BOX_MASS, BOX_INERTIA, JACK_MASS, JACK_INERTIA, JACK_ARM, HALF_WIDTH, RESTITUTION = range(13, 21)
-LATER = 21  # delay of the last impact [s]
+IMPACT_TIME_SHIFT = 21  # of the last impact, positive if it comes later [s]
 ROWS = 22
 FIRST_FIELD = 13  # column
 
@@ -108,34 +109,34 @@ def fly_back(scene: SceneNumbers, weights: Array, s: float, drift: Array, seed: 
 
 
 def accelerate(scene: SceneNumbers, hit: Array, rates: Array, s: float) -> None:
-    """Change six rates by ``s`` [s] of the accelerations at an impact, a row of a wide log."""
+    """Change the six velocities ``rates`` by ``s`` [s] of the accelerations at an impact, a row of a wide log."""
     rates[X_BOX] += hit[DRIVEN_THERE + 1] * s
     rates[Y_BOX] += hit[DRIVEN_THERE + 2] * s
     rates[THETA_BOX] += hit[DRIVEN_THERE] * s
     rates[Y_JACK] -= scene.gravity * s
 
 
-def lateness(gap: float, rate: float) -> float:
-    """Delay of an impact whose gap is wider by ``gap`` [m] and changes at ``rate`` [m/s]: -dg / (Dg f-) [s]."""
+def impact_time_shift(gap: float, rate: float) -> float:
+    """Time shift of an impact whose gap is wider by ``gap`` [m] and changes at ``rate`` [m/s]: -dg / (Dg f-) [s]."""
     return -gap / rate
 
 
 def locate(scene: SceneNumbers, hit: Array, memory: Workspace) -> float:
     """Write the state at an impact, a row of a wide log, to ``memory.before``, and the gap's gradient to the first row.
 
-    The search ends with a gap within the tolerance. Returns the time from there until the gap is 0 [s], which is when
-    the state is taken.
+    The search ends with a gap within the tolerance. Returns the time from there until the gap is 0 [s]; the state is
+    that of then.
     """
     at, row = memory.before, memory.gradients[0]
     for index in range(12):
         at[index] = hit[AT_IMPACT + index]
     gap = gradient(scene, frame_of(at), int(hit[1]), int(hit[2]), row)
-    later = lateness(gap, rate_of(at, row))
+    shift = impact_time_shift(gap, rate_of(at, row))
     for index in range(6):
-        at[index] += at[RATES + index] * later
-    accelerate(scene, hit, at[RATES:], later)
+        at[index] += at[RATES + index] * shift
+    accelerate(scene, hit, at[RATES:], shift)
     gradient(scene, frame_of(at), int(hit[1]), int(hit[2]), row)
-    return later
+    return shift
 
 
 def saltate(scene: SceneNumbers, tangent: Array, hit: Array, memory: Workspace) -> None:
@@ -150,15 +151,15 @@ def saltate(scene: SceneNumbers, tangent: Array, hit: Array, memory: Workspace) 
     for column in range(tangent.shape[1]):
         d = tangent[:, column]
         wider = d[HALF_WIDTH] - extent / scene.jack_arm * d[JACK_ARM]
-        later = d[LATER] = lateness(gap_change(d, row) + wider, rate)
-        # To the moment of impact, through the law there, and back with the rates after it.
+        shift = d[IMPACT_TIME_SHIFT] = impact_time_shift(gap_change(d, row) + wider, rate)
+        # To the moment of impact, through the law there, and back with the velocities after it.
         for index in range(6):
-            d[index] += at[RATES + index] * later
-        accelerate(scene, hit, d[RATES:], later)
+            d[index] += at[RATES + index] * shift
+        accelerate(scene, hit, d[RATES:], shift)
         change_rates(scene, at, row, frame, rate, impulse, admittance, d)
         for index in range(6):
-            d[index] -= after[index] * later
-        accelerate(scene, hit, d[RATES:], -later)
+            d[index] -= after[index] * shift
+        accelerate(scene, hit, d[RATES:], -shift)
     for index in range(6):
         at[RATES + index] = after[index]
 
@@ -176,7 +177,7 @@ def gap_change(d: Array, row: Array) -> float:
 def change_rates(
     scene: SceneNumbers, at: Array, row: Array, frame: Frame, rate: float, impulse: float, admittance: float, d: Array
 ) -> None:
-    """Take a column of a tangent through the impact law at a fixed moment: change its rates.
+    """Take a column of a tangent through the impact law at a fixed moment: change its velocities.
 
     Args:
         scene: the scene.
@@ -233,7 +234,7 @@ def step_tangent(
 ) -> None:  # fmt: skip
     """Take a tangent through a step from one state to the next.
 
-    ``hits`` are the step's rows of a wide log. ``by_time`` is filled with the delay of each of them, shape (hits or 0,
+    ``hits`` are the step's rows of a wide log. ``by_time`` is filled with the time shift of each, shape (hits or 0,
     columns).
     """
     alpha, since, state, drift = torque / scene.box_inertia, 0.0, memory.state, memory.drift
@@ -251,6 +252,6 @@ def step_tangent(
             state[index] = memory.before[index]
         since = time
         for column in range(by_time.shape[1] if number < by_time.shape[0] else 0):
-            by_time[number, column] = tangent[LATER, column]
+            by_time[number, column] = tangent[IMPACT_TIME_SHIFT, column]
     drifted(plan, alpha, state, end, plan.dt - since, drift)
     fly(scene, tangent, plan.dt - since, drift)
