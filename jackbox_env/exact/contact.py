@@ -1,13 +1,15 @@
-"""Resolve: the impact law at the moment of impact. Which feet touch, how the rates jump, and the record of the impacts.
+"""Resolve: the impact law at the moment of impact. Which feet touch, how velocities jump, and the record of impacts.
 
-``search.strike`` calls :func:`resolve`, which changes the rates and records each impact in the log.
-Law: all contacts whose gap is within the tolerance obey the simultaneous Newton law at restitution e,
+``search.strike`` calls :func:`resolve`, which changes the velocities and records each impact in the log.
+Law: all contacts whose gap is within the resolution obey Moreau's impact law (1988, "Unilateral contact and dry
+friction in finite freedom dynamics") at the scene's restitution e,
 
     0 <= lambda  _|_  J qdot+ + e J qdot- >= 0,    M (qdot+ - qdot-) = J^T lambda,
 
-the law of :func:`jackbox_env.mechanics.simultaneous_impact_map`; tests compare the two. With w = J M^-1/2 and
-v = M^1/2 qdot it is v+ = (1 + e) P(v-) - e v-, where P(v) is the nearest point to v in the cone w v >= 0. Contacts of
-a jack and a square have rank 3 at most, so ``complementarity.py`` tries all sets of one, two and three contacts.
+also called the simultaneous Newton law. :func:`jackbox_env.mechanics.simultaneous_impact_map` computes it too; tests
+compare the two. With w = J M^-1/2 and v = M^1/2 qdot it is v+ = (1 + e) P(v-) - e v-, where P(v) is the nearest point
+to v in the cone w v >= 0. Contacts of a jack and a square have rank 3 at most, so ``complementarity.py`` tries all sets
+of one, two and three contacts.
 """
 
 from __future__ import annotations
@@ -97,26 +99,26 @@ def frame_of(state: Array) -> Frame:
     return Frame(state[X_JACK] - state[X_BOX], state[Y_JACK] - state[Y_BOX], c, s, cp, sp)
 
 
-def list_touching(scene: SceneNumbers, memory: Workspace, tolerance: float, wall: int, foot: int) -> int:
-    """List the contacts within ``tolerance`` [m], and that of ``wall`` and ``foot``; return how many there are."""
+def list_touching(scene: SceneNumbers, memory: Workspace, resolution: float, wall: int, foot: int) -> int:
+    """List the contacts within ``resolution`` [m], and that of ``wall`` and ``foot``; return how many there are."""
     frame = frame_of(memory.state)
     count = 0
     for k in range(4):
         for i in range(4):
             gap = gradient(scene, frame, k, i, memory.gradients[count])
-            if gap <= tolerance or (k == wall and i == foot):
+            if gap <= resolution or (k == wall and i == foot):
                 memory.pairs[count], memory.impulses[count], memory.gaps[count] = 4 * k + i, 0.0, gap
                 count += 1
     return count
 
 
-def resolve(scene: SceneNumbers, memory: Workspace, log: Array, tolerance: float, wall: int, foot: int) -> None:
-    """Apply the law to every contact within ``tolerance`` [m], and to that of ``wall`` and ``foot`` in any case.
+def resolve(scene: SceneNumbers, memory: Workspace, log: Array, resolution: float, wall: int, foot: int) -> None:
+    """Apply the law to every contact within ``resolution`` [m], and to that of ``wall`` and ``foot`` in any case.
 
-    It changes the rates in ``memory.state`` and records the impacts.
+    It changes the velocities in ``memory.state`` and records the impacts.
     """
     state = memory.state
-    count = list_touching(scene, memory, tolerance, wall, foot)
+    count = list_touching(scene, memory, resolution, wall, foot)
     slow = rate_of(state, memory.gradients[0]) > -SLOW * scene.speed_scale
     if count > 1 or slow or memory.gaps[0] < -_DEEP * min(1.0, scene.box_half_width):
         memory.nonsmooth = 1
@@ -174,7 +176,7 @@ def rate_of(state: Array, row: Array) -> float:
 
 
 def kick(scene: SceneNumbers, rates: Array, row: Array, impulse: float) -> None:
-    """Change six rates, those of box and jack, by M^-1 J^T lambda."""
+    """Change the six velocities ``rates`` of box and jack by M^-1 J^T lambda."""
     rates[X_BOX] += row[X_BOX] * impulse / scene.box_mass
     rates[Y_BOX] += row[Y_BOX] * impulse / scene.box_mass
     rates[THETA_BOX] += row[THETA_BOX] * impulse / scene.box_inertia
@@ -184,7 +186,7 @@ def kick(scene: SceneNumbers, rates: Array, row: Array, impulse: float) -> None:
 
 
 def bounce_together(scene: SceneNumbers, memory: Workspace, count: int) -> None:
-    """Several contacts: reflect the rates at their projection on the cone of rates that close no gap."""
+    """Several contacts: v+ = (1 + e) P(v-) - e v-, which at e = 1 reflects v- at its projection on the cone."""
     weigh(scene, memory, count, memory.state[RATES:])
     for i in range(count):
         memory.bias[i] = 0.0
