@@ -88,7 +88,7 @@ def contact_tolerance(scene: SceneNumbers) -> float:
 
 
 def deepest(scene: SceneNumbers) -> float:
-    """Largest penetration that the search allows, and largest resolution [m]: 1e-10, less in boxes below 1 m."""
+    """Depth in a wall up to which a foot may go, and resolutions may grow [m]: 1e-10, less in boxes below 1 m."""
     return 1e-10 * min(1.0, scene.box_half_width)
 
 
