@@ -24,6 +24,7 @@ from jackbox_env.states import Array, clearance, deepest_restored, start_toleran
 from tests.invariants.cases import Case, Wave
 
 ROUNDING = 1e-11  # of the largest number in a balance, over a case
+SIMULTANEOUS = 1e-6  # of the energy, in a step of pymunk in which several feet strike at once: its solver iterates
 
 
 def simulator_of(case: Case) -> Simulator | None:
@@ -104,7 +105,7 @@ class Balance:
         self._case, self._masses = case, np.array([case.scene.box_mass, case.scene.jack_mass])
         self._momentum, self._centre = self._totals(np.array(case.state))
         self._largest = dict.fromkeys(("momentum", "centre", "energy"), 0.0)
-        self._gained = 0.0
+        self._gained = self._granted = 0.0
         drive = case.scene.drive  # None, a chirp, or waves
         self._forces = [getattr(drive, name, None) for name in ("force_x", "force_y")]
         self._idle = getattr(drive, "torque", None) is None
@@ -156,7 +157,10 @@ class Balance:
         )
         if scene.elastic:
             self._gained += gained
-            self._assert_small("energy", abs(self._gained), size)
+            times = [impact.time for impact in run.impacts]
+            if self._case.contact == "pymunk" and len({*times}) < len(times):
+                self._granted += SIMULTANEOUS * size
+            self._assert_small("energy", abs(self._gained), size, self._granted)
         else:
             self._assert_small("energy", gained, size, _granted(self._case, before, run))
 
