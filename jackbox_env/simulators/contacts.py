@@ -48,10 +48,9 @@ class Recorder:
             self._failure = failure
 
     @property
-    def wedged(self) -> bool:
-        """Whether opposite walls pushed in one substep."""
-        pushed = {(hit.time, hit.wall) for hit in self.impacts} if len(self.impacts) > 1 else ()
-        return any((time, wall + 2) in pushed for time, wall in pushed)
+    def strained(self) -> bool:
+        """Whether several feet were struck in one substep, so that the solver may have stopped short."""
+        return len({hit.time for hit in self.impacts}) < len(self.impacts)
 
     def check(self) -> None:
         """Raise what was raised while recording."""
@@ -60,7 +59,9 @@ class Recorder:
 
 
 def iterations_for(scene: Scene) -> int:
-    """Iterations after which the contact solver is at rounding level for every set of contacts that a jack can make.
+    """Iterations after which the contact solver is at rounding level for contacts that a jack makes without overlap.
+
+    Feet that a coarse substep drives deep into walls may need more: :attr:`Recorder.strained`.
 
     Sequential impulses are the Gauss-Seidel method for A = J M^-1 J^T: the error falls by the largest eigenvalue of
     -(D + L)^-1 L^T in modulus per iteration; those of dependent contacts are 1 and belong to impulses that cancel.

@@ -16,8 +16,9 @@ Fails: a step in which a foot could move further than min(1 m, L) within a subst
     A jack inertia far below m_j l^2 couples the feet so strongly that the contact solver needs more iterations. Their
     number is chosen by the scene; scenes that want more than 100,000 are refused.
     A jack with an arm longer than L can be wedged: feet deep in opposite walls have next to no leverage, and no number
-    of iterations is enough. Where an elastic scene does not keep its energy over such a step it is divided further, and
-    refused if that does not help. A scene with loss is off by some percent there.
+    of iterations is enough. The same holds for feet that a coarse substep drives deep into walls. If an elastic scene
+    does not keep its energy to 1e-6 over a step with several contacts at once, the step is divided further, and refused
+    if that does not help. A scene with loss is off by some percent there.
 Bits: the same on every CPU on which the C library's cosine, sine, exp and pow have the same last place. The engine uses
     cosines and sines of both angles wherever a contact is possible, the chirp uses a sine, the observation cosines and
     sines. Restitution below 1 uses exp and pow. With one glibc that is every x86-64 CPU with FMA and AVX2 (from
@@ -74,7 +75,7 @@ _WALL_THICKNESS = 100.0 / 6.0  # R over L: 100 m by default
 _HASH_CELL = 1000.0 / 6.0  # over L: 1000 m by default
 _FARTHEST = 1e9  # over L: motion within one step that the spatial hash can index
 _FINER = (1, 2, 4, 8, 16, 32, 64)  # by which a step too fast for its substeps is divided further
-_UNRESOLVED = 1e-6  # of the energy in a step that opposite walls push in: the solver stopped short
+_UNRESOLVED = 1e-6  # of the energy in a step with contacts that strain the solver: it stopped short
 _PERSISTENCE = 1  # substeps for which the engine remembers a contact that has ended; 0 would turn collisions off
 _CORRECTION_TIME = 0.05  # in which overlap decays to 1 / e at restitution 0 [s]
 _FAR_OFF = 500.0  # over L: out of reach of every wall, whose far ends are 55 L away
@@ -180,7 +181,7 @@ class PymunkSimulator(ContactModel):
         if self._dirty:  # the last step was cut short, between two steps of the engine
             self._forget_contacts()
         self._dirty = True  # until the engine has forgotten this step, also if it is cut short
-        wedged = False
+        unresolved = False
         for finer in _FINER:
             substeps = finer * self.substeps
             h = check.real("dt / substeps", dt / substeps, above=0.0)
@@ -192,19 +193,19 @@ class PymunkSimulator(ContactModel):
             after = self._advance(h, load, push)
             moves = -clearance(self.scene, after)
             followed = moves <= self._deepest and math.isfinite(sum(after))
-            strained = followed and self.scene.elastic and self._recorder.wedged
-            wedged = strained and not self._resolved(after, dt, torque)
-            if followed and not wedged:
+            strained = followed and self.scene.elastic and self._recorder.strained
+            unresolved = strained and not self._resolved(after, dt, torque)
+            if followed and not unresolved:
                 if self._recorder.last_contact >= substeps - (_PERSISTENCE + 1):  # the engine may still remember it
                     after = self._corrected(after, self._forget_contacts(), h)
                 self._dirty = False
                 return after, load.mean
             self._forget_contacts()
         self._build()  # it may have overflowed
-        if wedged:
+        if unresolved:
             raise JackLostError(
-                f"the jack is wedged between opposite walls after t = {self.time:g} s and moves too fast to be "
-                f"followed in substeps of h = {h:.3g} s; use more of them, a smaller time step or contact='exact'"
+                f"the jack is wedged between walls after t = {self.time:g} s and moves too fast to be followed in "
+                f"substeps of h = {h:.3g} s; use more of them, a smaller time step or contact='exact'"
             )
         raise JackLostError(
             f"the jack would leave the box: after t = {self.time:g} s a foot moves {moves:.3g} m in h = {h:.3g} s, or "
