@@ -11,6 +11,7 @@ import gymnasium as gym
 
 from jackbox_env import Scene
 from jackbox_env import checks as check
+from jackbox_env.landing import steps_until_impact
 from jackbox_env.observation import BOUNDS
 from jackbox_env.randomization import NUMBERS
 from jackbox_env.simulators.fidelity import Setting, as_stored, chosen, explicit, resolve
@@ -138,9 +139,13 @@ _REAL: dict[str, dict[str, float]] = {
     "gae_lambda": {"at_least": 0.0, "at_most": 1.0}, "entropy_coefficient": {}, "initial_log_std": {},
 }  # fmt: skip
 
-# What trains best if actions are torques.
-_TORQUE_DEFAULTS: dict[str, Any] = {
-    "landing": False, "repeat": 4, "total_steps": 4_000_000, "num_envs": 1024, "epochs": 5, "gamma": 0.99,
+# What trains best if actions last a number of control steps: as landings, and as torques.
+_REPEATED: dict[str, Any] = {
+    "repeat": 20, "total_steps": 2_000_000, "num_envs": 256, "rollout_steps": 32, "learning_rate": 1e-3, "gamma": 0.905,
+    "initial_log_std": -0.7, "checkpoint_steps": 500_000, "eval_steps": 250_000,
+}  # fmt: skip
+_TORQUES: dict[str, Any] = {
+    **_REPEATED, "landing": False, "repeat": 4, "total_steps": 4_000_000, "num_envs": 1024, "epochs": 5, "gamma": 0.99,
     "hidden_units": (128, 128),
 }  # fmt: skip
 
@@ -149,27 +154,27 @@ _TORQUE_DEFAULTS: dict[str, Any] = {
 class TrainSettings(EnvSettings):
     """Everything that a training run depends on; `make demo` trains by the defaults, some 2 minutes on one core.
 
-    They are for juggle with landing control. :meth:`suited` has defaults for every task.
+    They are for juggle with one decision per bounce. :meth:`suited` has defaults for every task.
     """
 
     seed: int = 0
     """Seed of the network, the environments and the noise."""
-    total_steps: int = 2_000_000
-    """Steps to train for. Here and below a step is one action: `repeat` control steps of one environment."""
+    total_steps: int = 850_000
+    """Steps to train for. Here and below a step is one action of one environment, which lasts as `repeat` says."""
     max_minutes: float | None = None
     """Stop earlier when this much time has passed [min]."""
-    num_envs: int = 256
+    num_envs: int = 512
     """Environments stepped side by side."""
-    rollout_steps: int = 32
+    rollout_steps: int = 12
     """Steps of each environment between updates."""
     batch_size: int = 1024
     """Samples per gradient step."""
     epochs: int = 10
     """Passes over each rollout."""
-    learning_rate: float = 1e-3
+    learning_rate: float = 2e-3
     """Of Adam, falling linearly to 0 at total_steps."""
-    gamma: float = 0.905
-    """Discount per step."""
+    gamma: float = 0.72
+    """Discount per step; with `repeat` bounce per second of a step's duration."""
     gae_lambda: float = 0.9
     """Bias against variance of the advantage estimate."""
     clip_range: float = 0.2
@@ -178,10 +183,11 @@ class TrainSettings(EnvSettings):
     """Weight of the entropy bonus."""
     hidden_units: tuple[int, ...] = (64, 64)
     """Width of each hidden layer, of the policy and of the value alike."""
-    initial_log_std: float = -0.7
+    initial_log_std: float = -1.0
     """Logarithm of the actions' first standard deviation."""
-    repeat: Annotated[int, tyro.conf.arg(aliases=["--hold"])] = 20
-    """Action repeat: control steps of each action; divides the 500 of an episode."""
+    repeat: Annotated[int | Literal["bounce"], tyro.conf.arg(aliases=["--hold"])] = "bounce"
+    """Action repeat: control steps of each action, which divide the 500 of an episode; or bounce, with landing: an
+    action lasts until the next impact, 2 s at most."""
     preview: bool = True
     """Append to the observation where and how the jack will land. Such a model.zip loads only where a checkout of this
     project can be imported; scripts/export.py makes a policy of it that needs numpy alone."""
@@ -189,9 +195,9 @@ class TrainSettings(EnvSettings):
     """Rollouts that improve a plan before each action; the networks observe its return and those of 9 scripted ones."""
     landing: bool = True
     """Actions are the box's angle and rate at the landing, not torques: jackbox_env.LandingControl. For juggle."""
-    checkpoint_steps: int = 500_000
+    checkpoint_steps: int = 200_000
     """Steps between checkpoints, from which an interrupted run resumes."""
-    eval_steps: int = 250_000
+    eval_steps: int = 100_000
     """Steps between the separate evaluations that keep the best model."""
     eval_episodes: int = 64
     """Episodes of each of them."""
@@ -202,11 +208,13 @@ class TrainSettings(EnvSettings):
     def suited(cls, **settings: Any) -> Self:
         """Complete ``settings`` by the defaults that train best on their task with their kind of actions.
 
-        Without ``landing`` actions are torques, except on juggle without a lookahead.
+        Without ``landing`` actions are torques, except on juggle without a lookahead. With it they last until the next
+        impact, unless ``repeat`` is a number.
         """
         by_landing = settings.get("task", cls.task) == "juggle" and not settings.get("lookahead")
         landing = settings.setdefault("landing", by_landing)
-        return cls(**({} if landing else _TORQUE_DEFAULTS) | settings)
+        by_bounce = landing and settings.get("repeat", "bounce") == "bounce"
+        return cls(**({} if by_bounce else _REPEATED if landing else _TORQUES) | settings)
 
     @classmethod
     def of(cls, values: Any) -> Self:
@@ -237,10 +245,27 @@ class TrainSettings(EnvSettings):
         if self.num_envs * self.rollout_steps < 2:
             raise ValueError("num_envs * rollout_steps must be at least 2 for PPO, got 1")
 
+    @property
+    def period(self) -> float | Literal["bounce"]:
+        """How long an action lasts [s], or "bounce"; as LandingControl has it."""
+        return "bounce" if self.repeat == "bounce" else self.repeat * self.control_dt
+
+    @property
+    def longest(self) -> int:
+        """Control steps that an action lasts at most."""
+        return steps_until_impact(self.control_dt)[0] if self.repeat == "bounce" else self.repeat
+
+    @property
+    def resting(self) -> int:
+        """Control steps after which an impact ends an action in any case; 0: impacts do not end it."""
+        return steps_until_impact(self.control_dt)[1] if self.repeat == "bounce" else 0
+
     def _check_actions(self) -> None:
         """Check what an action is, and that preview, landing control and lookahead suit the scene."""
-        check.whole("repeat", self.repeat, at_least=1, at_most=EPISODE_STEPS)
-        if EPISODE_STEPS % self.repeat:
+        if isinstance(self.repeat, str) and self.repeat == "bounce":
+            if not self.landing:
+                raise ValueError("repeat must be a number of control steps without landing, got 'bounce'")
+        elif EPISODE_STEPS % check.whole("repeat", self.repeat, at_least=1, at_most=EPISODE_STEPS):
             raise ValueError(f"repeat must divide the {EPISODE_STEPS} control steps of an episode, got {self.repeat}")
         check.flag("preview", self.preview)
         check.flag("landing", self.landing)

@@ -1,70 +1,135 @@
-"""The time to the jack's landing, and the torque that turns the box to a target angle and rate by then.
+"""When the jack will land, and the torque that brings the box to a chosen angle and rate at that moment.
 
-The jack lands when its centre is L - l below the box's centre: there a foot pointing down touches the floor of a level
-box. Between impacts the jack flies freely, so the time follows from the state in closed form. Walls on the way are
-ignored.
+Between impacts the jack flies freely. The landing is the moment at which its centre is L - l below the box's centre,
+where a foot that points down touches the floor of a level box. The state determines it in closed form; walls on the way
+are ignored. The functions here are of one state; the exact model's loop compiles them as they stand.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from jackbox_env.states import OMEGA_BOX, THETA_BOX, VY_BOX, VY_JACK, Y_BOX, Y_JACK, Array
+from jackbox_env.scene import Scene, SceneNumbers
+from jackbox_env.states import Array, State
 
-LONGEST = 8.0  # [L / v0] the greatest time to the landing: twice the flight from the floor at v0 up and back on Earth
 QUARTER = 0.5 * math.pi
-_TINY = float(np.finfo(np.float32).tiny)
-WEAKEST = 1e-30  # gravity in place of 0, to divide by
+LONGEST = 8.0  # [L / v0] a time to the landing is cut there: twice the flight from the floor at v0 up and back on Earth
+ANGLE, RATE = 0.5, 2.5  # [rad], [rad/s] of an action of 1
+DECISION = 2.0  # [s] the longest until an impact
+RESTING = 0.4  # [s] the longest while every step has an impact
 
 
-def fall_time(gravity: Any, height: Any, rise: Any, longest: Any, library: Any = np) -> Any:
-    """Time until a body at ``height`` >= 0 with upward speed ``rise`` is at height 0, at most ``longest``.
-
-    Arrays of ``library`` (numpy or torch), in consistent units. Of the two forms of the root, the one without
-    cancellation is used.
-    """
-    impact = library.sqrt(rise * rise + 2.0 * gravity * height)
-    down = 2.0 * height / library.clip(impact - rise, _TINY, None)
-    up = (impact + rise) / gravity
-    return library.clip(library.where(rise > 0.0, up, down), None, longest)
+def steps_until_impact(control_dt: float) -> tuple[int, int]:
+    """Control steps [s] of a decision that an impact ends: at most, and at most while a foot rests; 1 or more."""
+    return max(1, round(DECISION / control_dt)), max(1, round(RESTING / control_dt))
 
 
-def landing_times(scene: Any, states: Array) -> Array:
-    """Times to the landing [s], shape (n,), from states, shape (n, 12); the scene's fields may be arrays (n,)."""
-    depth = scene.box_half_width - scene.jack_arm
-    height = np.maximum(states[:, Y_JACK] - states[:, Y_BOX] + depth, 0.0)
+class Landings(NamedTuple):
+    """Targets of landings for N environments, and how long they hold."""
+
+    targets: Array  # (N, 2) angles [rad] and rates [rad/s]
+    steps: int  # control steps at most
+    resting: int  # control steps after which an impact ends a decision anyway; 0: impacts do not end it
+
+
+def landing_time(scene: Scene | SceneNumbers, state: State) -> float:
+    """When the jack lands [s], at most ``LONGEST``."""
+    height = max(state.y_jack - state.y_box + scene.box_half_width - scene.jack_arm, 0.0)
+    rise = state.vy_jack - state.vy_box
+    speed = math.sqrt(rise * rise + 2.0 * scene.gravity * height)
     longest = LONGEST * scene.box_half_width / scene.speed_scale
-    with np.errstate(over="ignore"):
-        gravity, rise = np.maximum(scene.gravity, WEAKEST), states[:, VY_JACK] - states[:, VY_BOX]
-        times: Array = fall_time(gravity, height, rise, longest)
-    return times
+    # of the two forms of the root the one without cancellation
+    if rise > 0.0:
+        way, pace = speed + rise, scene.gravity
+    else:
+        way, pace = 2.0 * height, speed - rise
+    return way / pace if way < longest * pace else (longest if way > 0.0 else 0.0)
 
 
-def upright(states: Array) -> Array:
-    """The states with the box turned back by whole quarter turns, to within an eighth: the motion is the same."""
-    turned = states.copy()
-    turned[:, THETA_BOX] -= QUARTER * np.round(turned[:, THETA_BOX] / QUARTER)
-    return turned
+def upright(angle: float) -> float:
+    """An angle of the box [rad] turned back by whole quarter turns, to within an eighth: the box looks the same."""
+    turned = abs(angle) % QUARTER
+    if turned > 0.5 * QUARTER:
+        turned -= QUARTER
+    return turned if angle > 0.0 else -turned
 
 
-def torques(scene: Any, states: Array, times: Array, targets: Array, duration: float) -> Array:
-    """Torques, in units of the limit, that move boxes to targets in the times to the landing, shape (n,).
+def aim(scene: Scene | SceneNumbers, state: State, angle: float, rate: float, duration: float) -> float:
+    """The torque over its limit, within [-1, 1], that brings the box to an angle and a rate at the landing.
 
-    The box's angle follows the cubic in time that begins at its angle and rate and ends at the target's.
+    The box's angle follows the cubic in time from its present angle and rate to these.
 
     Args:
-        scene: its torque limit and its box's inertia.
-        states: shape (n, 12).
-        times: to the landing [s], shape (n,); raised to ``duration`` if less.
-        targets: angle [rad] and rate [rad/s] at the landing, shape (n, 2).
-        duration: of each constant torque [s], which is the cubic's mean over that time.
+        scene: its fall, its box's inertia and its torque limit.
+        state: now.
+        angle: of the box at the landing [rad], from the quarter turn that is nearest now.
+        rate: of the box at the landing [rad/s].
+        duration: for which the torque is held [s], > 0; it is the mean of the cubic's over that time.
     """
-    remaining, rate, target_rate = np.maximum(times, duration), states[:, OMEGA_BOX], targets[:, 1]
-    missing = targets[:, 0] - states[:, THETA_BOX]
-    first = 6.0 * missing / remaining**2 - (4.0 * rate + 2.0 * target_rate) / remaining  # [rad/s^2]
-    growth = -12.0 * missing / remaining**3 + 6.0 * (rate + target_rate) / remaining**2  # [rad/s^3]
-    shares: Array = (first + 0.5 * duration * growth) * scene.box_inertia / scene.torque_limit
-    return np.clip(shares, -1.0, 1.0)
+    left = max(landing_time(scene, state), duration)
+    missing = angle - upright(state.theta_box)
+    first = 6.0 * missing / (left * left) - (4.0 * state.omega_box + 2.0 * rate) / left  # [rad/s^2]
+    growth = -12.0 * missing / (left * left * left) + 6.0 * (state.omega_box + rate) / (left * left)  # [rad/s^3]
+    torque = (first + 0.5 * duration * growth) * scene.box_inertia
+    if abs(torque) < scene.torque_limit:
+        return torque / scene.torque_limit
+    return 1.0 if torque > 0.0 else -1.0
+
+
+def is_over(steps: Any, freed: Any, struck: Any, resting: int) -> Any:
+    """Whether an impact ends a decision after so many steps; of one decision, or of arrays.
+
+    Args:
+        steps: that it has lasted.
+        freed: whether one of them had no impact.
+        struck: whether the last one had an impact.
+        resting: steps after which it ends even if all had impacts, as while a foot rests; 0: impacts do not end it.
+    """
+    return struck & (resting > 0) & (freed | (steps >= resting))
+
+
+class Played(NamedTuple):
+    """How a decision went: what the last step returned, with the sum of the rewards, and the number of steps."""
+
+    observation: Any
+    reward: float
+    terminated: bool
+    truncated: bool
+    info: dict[str, Any]
+    steps: int
+
+
+def play(step: Callable[[Any], tuple[Any, ...]], env: Any, target: Sequence[float], landings: Landings) -> Played:
+    """Step a single environment until an impact, or the episode's end, ends a decision.
+
+    Args:
+        step: of the environment, or of wrappers around it.
+        env: the environment itself.
+        target: angle [rad] and rate [rad/s] of the box at the landing.
+        landings: how long the decision may last.
+    """
+    total, freed = 0.0, False
+    for steps in range(1, landings.steps + 1):
+        torque = aim(env.scene, State(*env.state.tolist()), target[0], target[1], env.control_dt)
+        observation, reward, terminated, truncated, info = step(np.array([torque]))
+        total += float(reward)
+        struck = info["impacts"] > 0
+        if terminated or truncated or is_over(steps, freed, struck, landings.resting):
+            break
+        freed = freed or not struck
+    return Played(observation, total, terminated, truncated, info, steps)
+
+
+def landing_times(scene: Scene, states: Array) -> Array:
+    """:func:`landing_time` of states, shape (n, 12): shape (n,)."""
+    return np.array([landing_time(scene, State(*row)) for row in states.tolist()])
+
+
+def torques(scene: Scene, states: Array, targets: Array, duration: float) -> Array:
+    """:func:`aim` from states, shape (n, 12), at angles [rad] and rates [rad/s], shape (n, 2): shape (n,)."""
+    rows = zip(states.tolist(), targets.tolist(), strict=True)
+    return np.array([aim(scene, State(*row), angle, rate, duration) for row, (angle, rate) in rows])

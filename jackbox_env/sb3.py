@@ -131,8 +131,11 @@ class JackInBoxVecEnv(VecEnv):
         observations, rewards, terminations, truncations, infos = self.vector_env.step(self._actions, self._repeat)
         dones, in_time = terminations | truncations, truncations & ~terminations
         returns, lengths = self._returns + rewards, self._lengths + infos.pop("steps", 1)
+        durations = infos.pop("duration", None)
         ended = np.flatnonzero(dones).tolist()
         rows = self._full_rows(infos, ended) if self._with_infos else [{} for _ in range(self.num_envs)]
+        for number, duration in enumerate([] if durations is None else durations.tolist()):
+            rows[number]["duration"] = duration
         for number in ended:
             rows[number]["episode"] = {
                 "r": round(float(returns[number]), 6),

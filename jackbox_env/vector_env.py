@@ -17,10 +17,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import checks as check
 from jackbox_env.batches.arguments import Arguments
-from jackbox_env.batches.base import Batch, Flags, Floats, Outcome, Starts
+from jackbox_env.batches.base import Batch, Flags, Floats, Outcome, Starts, repeated
 from jackbox_env.batches.infos import Infos, infos_at_end, infos_at_start, masked
 from jackbox_env.batches.resets import ResetPlan, as_autoreset_mode, plan_of
 from jackbox_env.env import JackInBoxEnv, Randomize
+from jackbox_env.landing import Landings
 from jackbox_env.randomization import NUMBERS, Randomization
 from jackbox_env.scene import Scene
 from jackbox_env.simulators import Impact, contact_model
@@ -119,8 +120,8 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         drawn = None if randomize is None else Randomization(randomize, scenes, single.simulator_of)
         # MemoryError now, not after hours of construction
         np.empty(self.num_envs * contact_model(single.contact).room, dtype=np.uint8)
-        self.task, self.render_mode, self.control_dt = task, render_mode, single.control_dt
-        self.torque_source = single.torque_source
+        self.task, self.render_mode = task, render_mode
+        self.control_dt, self.torque_source = single.control_dt, single.torque_source
         self.metadata = {**single.metadata, "autoreset_mode": self.autoreset_mode}
         self.single_observation_space, self.single_action_space = single.observation_space, single.action_space
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
@@ -141,8 +142,8 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         self._randomize = drawn
         self._seeds = [-1] * self.num_envs  # -1 where none was given
         self._started = np.zeros(self.num_envs, dtype=np.bool_)  # which have been reset
-        self._ready, self._waiting = False, False  # whether all have been reset; whether an episode may be over
-        self._half = False  # whether a change has begun and not ended
+        # Whether all have been reset, an episode may be over, and a change has begun and not ended.
+        self._ready, self._waiting, self._half = False, False, False
         self.changes = 0  # steps and resets so far
 
     # -- the simulated systems ----------------------------------------------------------------------------------------
@@ -279,13 +280,14 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         return plan_of(self._arguments, seed, options)
 
     def step(
-        self, actions: ArrayLike | Callable[[Array], ArrayLike] | None, repeat: int = 1
+        self, actions: ArrayLike | Callable[[Array], ArrayLike] | Landings | None, repeat: int = 1
     ) -> tuple[Floats, Array, Flags, Flags, Infos]:
         """Advance all environments by one control step under ``actions``, shape (N, 1) or (N,), or under the drive.
 
         ``repeat``, 1 to 1,000,000, repeats them for so many control steps, fewer if an episode ends before. Rewards are
         summed, infos are of the last of these steps, and ``infos["steps"]`` counts them, shape (N,). ``actions`` may be
-        a plain function of the states, shape (N, 12), which is called before each of these steps.
+        a plain function of the states, shape (N, 12), which is called before each of these steps. Under the
+        ``Landings`` of :class:`jackbox_env.LandingControlVector` each steps to its own impact.
 
         Raises:
             TypeError, ValueError: unusable actions.
@@ -297,13 +299,14 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         if not self._ready:
             raise RuntimeError("step must come after a reset of all environments, got none yet")
         self._refuse_half_changed()
-        checked = actions if isinstance(actions, FunctionType | None) else self._arguments.actions(actions)  # type: ignore[arg-type]
+        checked = actions if isinstance(actions, FunctionType | Landings | None) else self._arguments.actions(actions)  # type: ignore[arg-type]
         repeat = check.whole("repeat", repeat, at_least=1, at_most=1_000_000)
         waiting = self._over() if self._waiting else None
         saved = self._batch.saved() if repeat > 1 else None
         infos, restarting = Infos(), waiting
         try:
-            outcome, steps = self._repeated(None if self.torque_source == "chirp" else checked, repeat, waiting)
+            self._half = repeat > 1
+            outcome, steps = repeated(self._batch, self._actions_now(checked), repeat, waiting)
             if waiting is None and outcome.finished and self.autoreset_mode is AutoresetMode.SAME_STEP:
                 infos = infos_at_end(outcome, self._drawn(outcome.ended) if self._with_infos else {})
                 restarting = outcome.ended
@@ -321,26 +324,19 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         self.changes += 1
         self._half = False
         last = outcome.infos | self._drawn(self._started) if self._with_infos else {}
-        infos |= masked(last | {"steps": steps} if repeat > 1 else last, self._started)
+        if repeat > 1 or outcome.steps is not None:
+            last |= {"steps": steps}
+        if outcome.steps is not None:
+            last |= {"duration": steps * self.control_dt}
+        infos |= masked(last, self._started)
         return outcome.observations, outcome.rewards, outcome.terminations, outcome.truncations, infos
 
-    def _repeated(self, actions: Any, repeat: int, waiting: Flags | None) -> tuple[Outcome, Any]:
-        """``repeat`` steps as one outcome, and their number in each environment, shape (N,).
-
-        All but the last step are committed. Episodes that are over wait.
-        """
-
-        def present_actions() -> Array | None:
-            return self._arguments.actions(actions(self.states)) if isinstance(actions, FunctionType) else actions
-
-        outcome = self._batch.step(present_actions())
-        steps = 1 if waiting is None else np.where(waiting, 0, 1)
-        for _ in range(1, repeat):
-            self._half = True
-            self._batch.take(outcome.after)
-            steps = steps + np.where(self._batch.over, 0, 1)
-            outcome = outcome.followed_by(self._batch.step(present_actions()))
-        return outcome, steps
+    def _actions_now(self, actions: Any) -> Callable[[], Any]:
+        """A function that returns the batch's actions in the present states."""
+        if self.torque_source == "chirp":
+            return lambda: None
+        function = isinstance(actions, FunctionType)
+        return lambda: self._arguments.actions(actions(self.states)) if function else actions
 
     def render(self) -> tuple[Any, ...] | None:
         """A frame of each environment, uint8, shape (height, width, 3)."""

@@ -16,7 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env import Scene
-from jackbox_env.landing import LONGEST, WEAKEST, fall_time
+from jackbox_env.landing import LONGEST
+
+WEAKEST = 1e-30  # gravity that stands for none
+_ROUNDING = 1e-5  # [v0] float32's, of changes of velocities
+_TINY = float(np.finfo(np.float32).tiny)
 
 
 class LandingNumbers(NamedTuple):
@@ -92,3 +96,31 @@ def columns(numbers: LandingNumbers, observed: Any, library: Any) -> tuple[Any, 
         clip(spun / (0.5 * math.pi), -10.0, 10.0),
         clip(theta + turned, -10.0, 10.0),
     )
+
+
+def struck(scene: Scene, control_dt: float, before: NDArray[Any], after: NDArray[Any]) -> NDArray[np.bool_]:
+    """Whether an impact came between observations, shape (n, 10), a control step apart, shape (n,).
+
+    Between impacts the jack's velocity, seen from the box's centre, changes by gravity alone.
+    """
+    change = _velocity(after) - _velocity(before)
+    change[1] += scene.gravity * control_dt / scene.speed_scale
+    return np.asarray(np.hypot(*change) > _ROUNDING)
+
+
+def _velocity(observations: NDArray[Any]) -> NDArray[np.float64]:
+    """The jack's velocity on axes that do not turn, over v0, shape (2, n)."""
+    _, _, u, w, cosine, sine, *_ = observations.T.astype(np.float64)
+    return np.stack([cosine * u - sine * w, sine * u + cosine * w])
+
+
+def fall_time(gravity: Any, height: Any, rise: Any, longest: Any, library: Any = np) -> Any:
+    """When something at ``height`` >= 0 that is thrown up at ``rise`` is at height 0, at most ``longest``.
+
+    Arrays of numpy or torch, as ``library`` says, in any units that fit together. Of the two forms of the root this
+    takes the one without cancellation.
+    """
+    impact = library.sqrt(rise * rise + 2.0 * gravity * height)
+    down = 2.0 * height / library.clip(impact - rise, _TINY, None)
+    up = (impact + rise) / gravity
+    return library.clip(library.where(rise > 0.0, up, down), None, longest)

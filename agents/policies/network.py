@@ -23,16 +23,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.files import read_bounded, unpacked_arrays
-from agents.policies.landing_features import FEATURES, landing_numbers, preview
+from agents.policies.landing_features import FEATURES, landing_numbers, preview, struck
 from agents.policies.playing import Actions, RepeatingPolicy
 from agents.runs import SETTINGS
 from agents.settings import LOOKAHEAD_SIZE, MOST_LAYERS, MOST_WEIGHTS, EnvSettings, TrainSettings
 from jackbox_env import Scene
 from jackbox_env.files import write_bytes, write_json
+from jackbox_env.landing import ANGLE, RATE, torques
 from jackbox_env.observation import BOUNDS, state_of
 from jackbox_env.planning.features import Features, LookaheadOptions
 from jackbox_env.planning.icem import Plans
-from jackbox_env.planning.landing_control import aim
 from jackbox_env.tasks import TASKS
 
 WEIGHTS = "weights.npz"
@@ -56,11 +56,12 @@ class NetworkPolicy(RepeatingPolicy):
     """
 
     def __init__(self, settings: TrainSettings, layers: list[Layer]) -> None:
-        self.settings, self.repeat, self._layers = settings, settings.repeat, layers
+        self.settings, self._layers = settings, layers
+        self.repeat, self.resting = settings.longest, settings.resting
         self._scene, self.action_size = Scene.of(settings.scene_fields), 2 if settings.landing else 1
         self._numbers, self._features = landing_numbers(self._scene) if settings.preview else None, None
         if settings.lookahead:
-            options = LookaheadOptions(settings.repeat, samples=settings.lookahead, follow=True, num_threads=1)
+            options = LookaheadOptions(self.repeat, samples=settings.lookahead, follow=True, num_threads=1)
             self._features = Features(settings.task, settings.control_dt, options)
         inputs = len(BOUNDS) + LOOKAHEAD_SIZE * bool(settings.lookahead) + len(FEATURES) * settings.preview
         check_layers(layers, [inputs, *settings.hidden_units, self.action_size])
@@ -89,8 +90,12 @@ class NetworkPolicy(RepeatingPolicy):
         if not self.settings.landing:
             return actions
         states = np.array([state_of(self._scene, row) for row in observations.tolist()])
-        torques = aim(self._scene, self.settings.control_dt, actions, len(states))(states)
-        return torques.astype(np.float32)[:, None]
+        targets = actions.astype(np.float64) * (ANGLE, RATE)
+        return torques(self._scene, states, targets, self.settings.control_dt).astype(np.float32)[:, None]
+
+    def struck(self, before: NDArray[Any], after: NDArray[Any]) -> NDArray[np.bool_]:
+        """Whether the jack struck a wall between observations of successive control steps, shape (n,)."""
+        return struck(self._scene, self.settings.control_dt, before, after)
 
 
 def check_layers(layers: list[Layer], sizes: list[int]) -> None:

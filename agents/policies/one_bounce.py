@@ -77,6 +77,13 @@ class LandingSettings(EnvSettings):
         return np.stack([angles.ravel(), rates.ravel()], axis=1)
 
 
+def uprighted(states: Array) -> Array:
+    """States, shape (n, 12), with the boxes turned back by whole quarter turns, to within an eighth."""
+    turned = states.copy()
+    turned[:, THETA_BOX] = [upright(angle) for angle in states[:, THETA_BOX].tolist()]
+    return turned
+
+
 def flown(scene: Scene, states: Array, times: Array) -> Array:
     """States, shape (n, 12), after times [s], shape (n,), of free flight without torque."""
     later = states.copy()
@@ -134,10 +141,9 @@ class LandingPolicy(RepeatingPolicy):
 
     def towards_best(self, states: Array) -> Array:
         """Torques in units of the limit, shape (n,), for states, shape (n, 12)."""
-        states = upright(states)
-        times = landing_times(self._scene, states)
-        chosen = self._pairs[self.worth(states, times).argmax(axis=1)]
-        return torques(self._scene, states, times, chosen, self._duration)
+        states = uprighted(states)
+        chosen = self._pairs[self.worth(states, landing_times(self._scene, states)).argmax(axis=1)]
+        return torques(self._scene, states, chosen, self._duration)
 
     def worth(self, states: Array, times: Array) -> Array:
         """Value of each pair, shape (n, pairs), for states, shape (n, 12), and times to the landing, (n,)."""

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from jackbox_env.landing import is_over
 from jackbox_env.observation import BOUNDS
 from jackbox_env.planning.icem import Plans
 
@@ -23,12 +24,15 @@ class Memory(NamedTuple):
     actions: Actions  # (n, action size) of the last decisions
     repeats: NDArray[np.int64]  # (n,) calls that will still repeat each action
     plans: Plans | None  # warm-started plans, if the policy plans
+    freed: NDArray[np.bool_]  # (n,) whether a call since the last decision saw no impact
+    observations: NDArray[Any] | None = None  # (n, 10) of the last call
 
 
 class RepeatingPolicy:
     """A policy with Stable-Baselines3's ``predict`` that decides every ``repeat`` calls; always deterministic."""
 
     repeat: int
+    resting = 0  # calls after which an impact ends a decision in any case, see jackbox_env.landing; 0: none ends it
     action_size = 1
 
     def begin(self, count: int) -> Any:
@@ -37,6 +41,10 @@ class RepeatingPolicy:
 
     def decide(self, observations: NDArray[Any], plans: Any) -> tuple[NDArray[Any], Any]:
         """Return actions, shape (k, action_size), and the next plans, for k observations, shape (k, 10)."""
+        raise NotImplementedError
+
+    def struck(self, before: NDArray[Any], after: NDArray[Any]) -> NDArray[np.bool_]:
+        """Whether an impact came between observations of successive calls, shape (n, 10) each; shape (n,)."""
         raise NotImplementedError
 
     def torques(self, actions: Actions, observations: NDArray[Any]) -> Actions:
@@ -63,11 +71,16 @@ class RepeatingPolicy:
         count = len(rows)
         if state is None:
             state = Memory(
-                np.zeros((count, self.action_size), np.float32), np.zeros(count, np.int64), self.begin(count)
-            )
+                np.zeros((count, self.action_size), np.float32), np.zeros(count, np.int64), self.begin(count),
+                np.zeros(count, np.bool_),
+            )  # fmt: skip
         if len(state.repeats) != count:
             raise ValueError(f"state must be that of {count} environments, as observation is, got {len(state.repeats)}")
-        actions, repeats, plans = state.actions.copy(), state.repeats.copy(), state.plans
+        actions, repeats, plans, freed = state.actions.copy(), state.repeats.copy(), state.plans, state.freed
+        if self.resting and state.observations is not None:
+            struck = self.struck(state.observations, rows)
+            freed = freed | ~struck
+            repeats[is_over(self.repeat - repeats, freed, struck, self.resting)] = 0
         if episode_start is not None:
             new = _starting(episode_start, count)
             repeats[new] = 0
@@ -77,8 +90,10 @@ class RepeatingPolicy:
         if len(due):
             actions[due], next_plans = self.decide(rows[due], plans and plans.of(due))
             plans, repeats[due] = plans and plans.replaced(due, next_plans), self.repeat
+            freed = freed & (repeats < self.repeat)
         torques = self.torques(actions, rows)
-        return torques.copy() if np.ndim(observation) == 2 else torques[0].copy(), Memory(actions, repeats - 1, plans)
+        memory = Memory(actions, repeats - 1, plans, freed, rows.copy() if self.resting else None)
+        return torques.copy() if np.ndim(observation) == 2 else torques[0].copy(), memory
 
 
 def _starting(episode_start: Any, count: int) -> NDArray[np.int64]:

@@ -17,6 +17,7 @@ from agents.files import first_line
 from agents.policies.landing_features import landing_numbers
 from agents.runs import SETTINGS, TRAINED_BY, model_in, read_parameters, read_settings, run_folder
 from agents.settings import TrainSettings
+from agents.training.durations import DurationBuffer
 from agents.training.extractor import WithPreview
 from jackbox_env import Scene
 from jackbox_env.planning.sb3_wrappers import HoldingVecEnv, LandingControlVecEnv, LookaheadVecEnv
@@ -38,12 +39,12 @@ def make_vec_env(env_settings: dict[str, Any], num_envs: int, seed: int) -> VecE
 
 def wrapped(environments: VecEnv, settings: TrainSettings, num_threads: int | None = None) -> VecEnv:
     """The environments as training steps them: with action repeat, and a lookahead or landing control."""
-    repeat = settings.repeat
+    repeat = settings.longest
     if settings.lookahead:
         samples = settings.lookahead
         return LookaheadVecEnv(environments, hold=repeat, samples=samples, follow=True, num_threads=num_threads)
     if settings.landing:
-        return LandingControlVecEnv(environments, period=repeat * settings.control_dt)  # type: ignore[arg-type]
+        return LandingControlVecEnv(environments, period=settings.period)  # type: ignore[arg-type]
     return environments if repeat == 1 else HoldingVecEnv(environments, repeat)
 
 
@@ -59,8 +60,9 @@ def policy_kwargs(settings: TrainSettings) -> dict[str, Any]:
 def make_ppo(settings: TrainSettings, environments: VecEnv, **keywords: Any) -> PPO:
     """An untrained PPO model of these settings, for environments as :func:`wrapped` makes them.
 
-    A saved model loads without this project by ``stable_baselines3.PPO.load``, except if ``settings.preview`` is on:
-    then ``agents.training.extractor`` must be importable, as in a checkout. It stores the settings as ``trained_by``.
+    A saved model loads without this project by ``stable_baselines3.PPO.load``, except if ``settings.preview`` is on or
+    ``settings.repeat`` is "bounce": then ``agents.training`` must be importable, as in a checkout. It stores the
+    settings as ``trained_by``.
     """
     model = PPO(
         "MlpPolicy",
@@ -74,6 +76,7 @@ def make_ppo(settings: TrainSettings, environments: VecEnv, **keywords: Any) -> 
         clip_range=settings.clip_range,
         ent_coef=settings.entropy_coefficient,
         policy_kwargs=policy_kwargs(settings),
+        rollout_buffer_class=DurationBuffer if settings.repeat == "bounce" else None,
         seed=settings.seed,
         device="cpu",
         **keywords,

@@ -9,13 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from scipy import stats
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback, ProgressBarCallback
+from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.logger import configure
 
 from agents.files import first_line, locked, unpacked
 from agents.policies.network import WEIGHTS
-from agents.runs import MODEL, SETTINGS, TIME, describe, is_whole, read_settings
+from agents.runs import MODEL, SETTINGS, TIME, describe, is_whole, model_in, read_parameters, read_settings
 from agents.settings import TrainSettings
 from agents.training.best import KeepBest, read_evaluations
 from agents.training.checkpoints import (
@@ -25,9 +27,12 @@ from agents.training.checkpoints import (
     latest_checkpoint,
     model_file,
 )
-from agents.training.models import derived_seed, make_ppo, wrapped
+from agents.training.durations import Durations
+from agents.training.models import derived_seed, make_ppo, make_vec_env, wrapped
 from agents.training.timing import TimedEnvironments, TimedVecEnv, TrainingTimer, formatted
 from jackbox_env.files import make_folder, new_folder, remove_partials, write_bytes, write_json
+
+FRESH_EPISODES = 64  # that judge the trained model
 
 
 class Deadline(BaseCallback):
@@ -68,6 +73,8 @@ def train(settings: TrainSettings, folder: Path, progress: bool = True) -> PPO:
         model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
         checkpoint = Checkpoint(folder, settings.checkpoint_steps)
         callbacks: list[BaseCallback] = [checkpoint, KeepBest(folder, settings, checkpoint, done), timer]
+        if settings.repeat == "bounce":
+            callbacks.append(Durations())
         if settings.max_minutes is not None:
             callbacks.append(Deadline(settings.max_minutes))
         try:
@@ -114,14 +121,23 @@ def extended(folder: Path, total_steps: int) -> TrainSettings:
 
 
 def reached(folder: Path, settings: TrainSettings) -> str:
-    """One line: the best model's return in the evaluation that chose it."""
+    """One line: the return of a run's best model, or of its last one, on starts that neither trained nor chose it."""
     evaluations = read_evaluations(folder, settings.eval_episodes)
-    if not evaluations.results:
-        return "No evaluation was made: the run was shorter than eval_steps"
-    means = np.mean(evaluations.results, axis=1)
-    best = int(means.argmax())
-    earned = f"{means[best]:.1f} on {settings.task}, the mean of {settings.eval_episodes} episodes"
-    return f"The best model earned {earned}, after {evaluations.timesteps[best]:,} steps"
+    if evaluations.results:
+        steps = evaluations.timesteps[int(np.mean(evaluations.results, axis=1).argmax())]
+        name = f"best model, after {steps:,} steps,"
+    else:
+        name = "last model (no evaluation was made: the run was shorter than eval_steps)"
+    environments = wrapped(make_vec_env(settings.env_settings, FRESH_EPISODES, 0), settings)
+    model = make_ppo(settings, environments)
+    environments.seed(derived_seed("evaluation", settings.seed))  # PPO has seeded them by its own seed
+    model.set_parameters(read_parameters(model_in(folder)), device="cpu")
+    returns, _ = evaluate_policy(model, environments, FRESH_EPISODES, return_episode_rewards=True)
+    half = float(stats.t.ppf(0.975, FRESH_EPISODES - 1) * stats.sem(returns))
+    return (
+        f"The {name} earns {np.mean(returns):.1f} ± {half:.1f} on {settings.task}: mean and 95 % interval of "
+        f"{FRESH_EPISODES} episodes from fresh starts"
+    )
 
 
 def trained_in(folder: Path, settings: TrainSettings, progress: bool = True) -> None:

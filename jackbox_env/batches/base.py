@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from jackbox_env.landing import Landings
 from jackbox_env.scene import Scene
 from jackbox_env.simulators import Impact
 from jackbox_env.states import Array
@@ -30,6 +31,7 @@ class Outcome:
     infos: dict[str, NDArray[Any]]  # numbers of each environment's step, (N,) or (N, 12); empty unless asked for
     finished: int  # episodes that this step ends
     after: Any  # the environments after the step, for :meth:`Batch.take`
+    steps: NDArray[np.int64] | None = None  # (N,) control steps of each one's decision, under landing control
 
     @property
     def ended(self) -> Flags:
@@ -95,8 +97,10 @@ class Batch(Protocol):
     def impacts(self, number: int) -> list[Impact]:
         """The impacts of an environment's last step, in time order; none if its state was set since."""
 
-    def step(self, actions: Array | None) -> Outcome:
+    def step(self, actions: Array | Landings | None) -> Outcome:
         """Step all under ``actions``, shape (N,), or under the scene's drive; nothing changes before :meth:`take`.
+
+        Under :class:`Landings` each makes the steps of its own decision.
 
         Raises:
             ValueError, JackLostError, TaskError: as the single environment does.
@@ -149,3 +153,25 @@ class Batch(Protocol):
 
     def close(self) -> None:
         """Release the renderers' resources."""
+
+
+def repeated(batch: Batch, actions: Callable[[], Any], repeat: int, waiting: Flags | None) -> tuple[Outcome, Any]:
+    """``repeat`` steps of a batch as one outcome, and their number in each environment, shape (N,), or 1 for all.
+
+    All but the last step are committed. Episodes that are over wait. Under landing control it is one decision.
+
+    Args:
+        batch: to be stepped.
+        actions: returns the actions in the present states, see :meth:`Batch.step`.
+        repeat: steps.
+        waiting: episodes that are over before the first one; None: none.
+    """
+    outcome = batch.step(actions())
+    if outcome.steps is not None:
+        return outcome, outcome.steps
+    steps: Any = 1 if waiting is None else np.where(waiting, 0, 1)
+    for _ in range(1, repeat):
+        batch.take(outcome.after)
+        steps = steps + np.where(batch.over, 0, 1)
+        outcome = outcome.followed_by(batch.step(actions()))
+    return outcome, steps

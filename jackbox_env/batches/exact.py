@@ -14,8 +14,18 @@ from jackbox_env.batches.threads import Halt, Threads, thread_count
 from jackbox_env.exact import glide, restart, run, score
 from jackbox_env.exact.compiler import address_of, compiled
 from jackbox_env.exact.restart import WHOLE, WITH_HALVES, fresh, packed, seeded, unpacked
-from jackbox_env.exact.run import Call
-from jackbox_env.exact.workspace import NOTHING, Results, Rules, Scenes, Status, new_memory
+from jackbox_env.exact.workspace import (
+    LANDINGS,
+    NOTHING,
+    SHARES,
+    Call,
+    Results,
+    Rules,
+    Scenes,
+    Status,
+    new_memory,
+)
+from jackbox_env.landing import Landings, aim
 from jackbox_env.randomization import Randomization
 from jackbox_env.scene import Scene
 from jackbox_env.scoring import bad_reward, compiled_for
@@ -28,7 +38,7 @@ from jackbox_env.simulators.exact import (
     joined,
     pieces_for,
 )
-from jackbox_env.states import Array
+from jackbox_env.states import Array, State
 from jackbox_env.tasks import Task, draw_start
 
 _FEWEST_PER_THREAD = 4096  # below that, waking a thread costs more than it saves
@@ -77,7 +87,7 @@ class ExactBatch:
         self._threads = Threads(thread_count(num_threads, ranges))
         self._spare: Array | None = np.zeros_like(self._blocks)  # where the next step writes
         self._stepped = False  # whether that memory has the states before the last step
-        self._acted: Array | None = None  # the actions of the last step, None: the drive
+        self._acted: Array | Landings | None = None  # the actions of the last step, None: the drive
         self._calls: list[Call] | None = self._new_calls()
 
     def _new_calls(self) -> list[Call]:
@@ -118,7 +128,7 @@ class ExactBatch:
 
     def _column(self, row: int) -> Array:
         """A copy of one row of the blocks, shape (N,)."""
-        return self._blocks[:, row].reshape(-1)[: self._count].copy()
+        return _column(self._blocks, row, self._count)
 
     # -- episodes -----------------------------------------------------------------------------------------------------
 
@@ -210,58 +220,78 @@ class ExactBatch:
         if self._spare is None or not self._stepped:
             return []
         block, lane = divmod(number, self._blocks.shape[2])
-        simulator = self._stepped_again(number, self._spare, self._acted)
+        steps = int(self._blocks[block, glide.STEPS, lane] - self._spare[block, glide.STEPS, lane])
+        if steps < 1:  # it has restarted, maybe in another scene, or it waits
+            return []
+        simulator = self._stepped_again(number, self._spare, self._acted, steps)
         return simulator.impacts if np.array_equal(simulator.state, self._blocks[block, :12, lane]) else []
 
-    def _stepped_again(self, number: int, before: Array, actions: Array | None) -> ExactSimulator:
-        """A simulator of one environment, stepped from ``before`` under ``actions``."""
+    def _stepped_again(
+        self, number: int, before: Array, actions: Array | Landings | None, steps: int
+    ) -> ExactSimulator:
+        """A simulator of one environment, stepped so many times from ``before`` under ``actions``."""
         block, lane = divmod(number, before.shape[2])
-        simulator = ExactSimulator(self.scene(number))
-        limit = simulator.scene.torque_limit
-        torque = None if actions is None else min(max(float(actions[number]), -1.0), 1.0) * limit
+        scene = self.scene(number)
+        simulator, torque = ExactSimulator(scene), None
         simulator.reset(before[block, :12, lane], float(before[block, glide.TIME, lane]))
-        simulator.step(self._dt, torque)
+        for _ in range(steps):
+            if isinstance(actions, Landings):
+                angle, rate = actions.targets[number].tolist()
+                share = aim(scene, State(*simulator.state.tolist()), angle, rate, self._dt)
+                torque = share * scene.torque_limit
+            elif actions is not None:
+                torque = min(max(float(actions[number]), -1.0), 1.0) * scene.torque_limit
+            simulator.step(self._dt, torque)
         return simulator
 
     # -- stepping -----------------------------------------------------------------------------------------------------
 
-    def step(self, actions: Array | None) -> Outcome:
+    def step(self, actions: Array | Landings | None) -> Outcome:
         """See :meth:`jackbox_env.batches.base.Batch.step`."""
-        count, halt = self._count, Halt()
+        count, halt, landings = self._count, Halt(), actions if isinstance(actions, Landings) else None
         filled = Results(
-            np.empty((count, 10), dtype=np.float32), np.empty((1, count)), np.zeros(count, dtype=np.bool_),
-            np.empty(count, dtype=np.bool_),
-            np.zeros((count if self._with_infos else 0, score.TERMS + len(self._terms))), *NOTHING[5:],
+            np.empty((count, 10), dtype=np.float32), np.zeros((1, count)), np.zeros(count if landings else 0),
+            np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_),
+            np.zeros((count if self._with_infos else 0, score.TERMS + len(self._terms))), *NOTHING[6:],
         )  # fmt: skip
-        scenes, controls = self._scenes_of_step(actions), _NO_ACTIONS if actions is None else actions.reshape(1, -1)
-        rules = Rules(self._dt, 1, self._limit, True, False, False, self._score_address, run.PATIENCE)
-        blocks, after, calls = self._blocks, self._spare, self._calls
-        after = np.zeros_like(blocks) if after is None else after
+        kind, steps, resting = (LANDINGS, landings.steps, landings.resting) if landings else (SHARES, 1, 0)
+        scenes, controls = self._scenes_of_steps(int(actions is not None), steps), _controls(actions)
+        rules = Rules(self._dt, steps, self._limit, kind, False, resting, self._score_address, run.PATIENCE)
+        spare, calls = self._spare, self._calls
+        before = self._blocks.copy() if steps > 1 else self._blocks  # several steps overwrite it
+        spare = np.zeros_like(before) if spare is None else spare
         calls = self._new_calls() if calls is None else calls
         for call in calls:
-            call.prepare(scenes, rules, blocks, after, controls, filled)
+            call.prepare(scenes, rules, before, spare, controls, filled)
         self._spare = self._calls = None
         self._stepped, self._acted = False, actions  # until the step is taken
         step = compiled(run.run)
 
-        def work(thread: int, low: int, high: int) -> tuple[int, int]:
-            finished = 0
+        def work(thread: int, low: int, high: int) -> tuple[int, int, int]:
+            finished, first = 0, 0
             while True:
-                ended, number, _, now, _ = step(calls[thread].address, low, high, 0)
+                ended, number, made, now, _ = step(calls[thread].address, low, high, first)
                 finished += now
                 if ended != Status.PAUSED or halt.requested:
-                    return ended, number if ended else finished
-                low = number  # it paused so that an interruption is heard
+                    return ended, number if ended else finished, made
+                low, first = number, made  # it paused so that an interruption is heard
 
-        parts = self._threads.run(work, len(blocks), grain=_GRAIN, halt=halt)
-        self._spare, self._calls = after, calls
-        for ended, number in parts:
+        parts = self._threads.run(work, len(before), grain=_GRAIN, halt=halt)
+        self._spare, self._calls = spare, calls
+        for ended, number, made in parts:
             if ended:
-                raise self._failure(ended, number, actions)
+                raise self._failure(ended, number, actions, made)
+        finished = sum(finished for _, finished, _ in parts)
+        return self._outcome(filled, finished, spare if steps & 1 else before, landings is not None)
+
+    def _outcome(self, filled: Results, finished: int, after: Array, decided: bool) -> Outcome:
+        """The outcome of a step, or of decisions, which ends with the blocks ``after``."""
         infos = self._infos(after, filled.reports) if self._with_infos else {}
-        finished = sum(finished for _, finished in parts)
+        rewards, steps = filled.returns if decided else filled.rewards[0], None
+        if decided:
+            steps = (_column(after, glide.STEPS, self._count) - self._column(glide.STEPS)).astype(np.int64)
         return Outcome(
-            filled.observations, filled.rewards[0], filled.terminations, filled.truncations, infos, finished, after
+            filled.observations, rewards, filled.terminations, filled.truncations, infos, finished, after, steps
         )
 
     def take(self, after: Array) -> None:
@@ -276,9 +306,9 @@ class ExactBatch:
         """See :meth:`jackbox_env.batches.base.Batch.restore`."""
         self._blocks, self._stepped = saved, False
 
-    def _scenes_of_step(self, actions: Array | None) -> Scenes:
+    def _scenes_of_steps(self, torque: int, steps: int) -> Scenes:
         """The scenes, with the pieces of drives of functions, cut once for each drive and time."""
-        scenes, torque = self._scenes, int(actions is not None)
+        scenes = self._scenes
         if not scenes.cutting[torque]:
             return Scenes(scenes.values, scenes.lanes, scenes.kinds[torque], *NO_PIECES)
         tables, indices = list[Array](), dict[tuple[int, float], int]()
@@ -288,14 +318,15 @@ class ExactBatch:
             if (id(drive), time) not in indices:
                 end_of_step(time, self._dt)
                 indices[id(drive), time] = len(tables)
-                tables.append(pieces_for(drive, time, self._dt, 0.0 if torque else None))  # whatever is held
+                for start in np.add.accumulate([time, *[self._dt] * (steps - 1)]).tolist():
+                    tables.append(pieces_for(drive, start, self._dt, 0.0 if torque else None))  # whatever is held
             begins[number] = indices[id(drive), time]
         return Scenes(scenes.values, scenes.lanes, scenes.kinds[torque], *joined(tables, begins))
 
     def _infos(self, after: Array, reports: Array) -> dict[str, NDArray[Any]]:
         numbers = [
             _states(after, self._count),
-            after[:, glide.TIME].reshape(-1)[: self._count].copy(),
+            _column(after, glide.TIME, self._count),
             reports[:, score.REPORTED_TORQUE].copy(),
             reports[:, score.REPORTED_HITS].astype(np.int64),
             reports[:, score.REPORTED_IMPULSE].copy(),
@@ -303,12 +334,13 @@ class ExactBatch:
         ]
         return dict(zip(self.info_names, numbers, strict=True))
 
-    def _failure(self, ended: int, number: int, actions: Array | None) -> Exception:
-        if ended == Status.BAD_ACTION and actions is not None:
+    def _failure(self, ended: int, number: int, actions: Array | Landings | None, made: int) -> Exception:
+        if ended == Status.BAD_ACTION and isinstance(actions, np.ndarray):
             return bad_action(float(actions[number]), number)
         if ended == Status.BAD_REWARD:
-            return bad_reward(self._task, self._stepped_again(number, self._blocks, actions), f"environment {number}")
-        time = float(self.times[number])
+            simulator = self._stepped_again(number, self._blocks, actions, made + 1)
+            return bad_reward(self._task, simulator, f"environment {number}")
+        time = float(np.add.accumulate([self.times[number], *[self._dt] * made])[-1])
         if ended == Status.TOO_LATE:
             try:
                 end_of_step(time, self._dt)
@@ -322,6 +354,18 @@ class ExactBatch:
 
     def close(self) -> None:
         """Release nothing."""
+
+
+def _controls(actions: Array | Landings | None) -> Array:
+    """Actions as the loop reads them: none, shares (1, N), or angles and rates at landings, (2, N)."""
+    if isinstance(actions, Landings):
+        return np.ascontiguousarray(actions.targets.T)
+    return _NO_ACTIONS if actions is None else actions.reshape(1, -1)
+
+
+def _column(blocks: Array, row: int, count: int) -> Array:
+    """A copy of one row of blocks, shape (N,)."""
+    return blocks[:, row].reshape(-1)[:count].copy()
 
 
 def _states(blocks: Array, count: int) -> Array:

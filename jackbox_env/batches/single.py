@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from jackbox_env.batches.base import Change, Flags, Floats, Numbers, Outcome, Starts, bad_action
 from jackbox_env.env import JackInBoxEnv, put
+from jackbox_env.landing import Landings, play
 from jackbox_env.randomization import Randomization
 from jackbox_env.scene import Scene
 from jackbox_env.simulators import Impact
@@ -144,10 +145,11 @@ class SingleBatch:
 
     # -- stepping -----------------------------------------------------------------------------------------------------
 
-    def step(self, actions: Array | None) -> Outcome:
+    def step(self, actions: Array | Landings | None) -> Outcome:
         """See :meth:`jackbox_env.batches.base.Batch.step`."""
         count, going = len(self._envs), np.flatnonzero(~self.over).tolist()
-        self._refuse(actions, going)
+        landings = actions if isinstance(actions, Landings) else None
+        self._refuse(None if isinstance(actions, Landings) else actions, going)
         observations, rewards = np.zeros((count, 10), dtype=np.float32), np.zeros(count)
         infos = self._blank_infos() if self._with_infos else {}
         self._gather()
@@ -155,19 +157,26 @@ class SingleBatch:
         states, times, steps = self.states, self.times, self._steps.copy()
         terminations = np.zeros(count, dtype=np.bool_)
         for number in going:
-            action = None if actions is None else float(actions[number])
+            env, made, outcome = self._envs[number], 1, tuple[Any, ...]()
             try:
-                observations[number], rewards[number], terminations[number], _, info = self._envs[number].step(action)
+                if landings is None:
+                    outcome = env.step(None if actions is None else float(actions[number]))
+                else:
+                    most = min(landings.steps, int(self._limit - steps[number]))
+                    played = play(env.step, env, landings.targets[number], landings._replace(steps=most))
+                    outcome, made = played[:5], played.steps
+                observations[number], rewards[number], terminations[number], _, info = outcome
             except TaskError as error:
                 raise TaskError(f"{error}, in environment {number}") from error
             states[number], times[number] = info["state"], info["time"]
             for name, values in infos.items():
                 values[number] = info[name]
-        steps[going] += 1
+            steps[number] += made
         truncations = (steps >= self._limit) & ~self._over
         ended = terminations | truncations
         after = states, times, steps, self._over | ended
-        return Outcome(observations, rewards, terminations, truncations, infos, int(ended.sum()), after)
+        lengths = None if landings is None else steps - self._steps
+        return Outcome(observations, rewards, terminations, truncations, infos, int(ended.sum()), after, lengths)
 
     def take(self, after: tuple[Array, Array, NDArray[np.int64], Flags]) -> None:
         """See :meth:`jackbox_env.batches.base.Batch.take`."""

@@ -13,35 +13,36 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-
-from jackbox_env.exact.compiler import PACKED, block_score, compiled, packed, unpacked_as
-from jackbox_env.exact.glide import LIMIT, OVER, STEPS, TIME, Block, glide_block, glide_under_chirp
-from jackbox_env.exact.score import observe_block
+from jackbox_env.exact.compiler import block_score
+from jackbox_env.exact.glide import LIMIT, OVER, STEPS, TIME, WIDTH, Block, glide_block, glide_under_chirp
+from jackbox_env.exact.score import observe_block, state_in
 from jackbox_env.exact.step import CHIRP, CONSTANT, Pieces, Plan, effort, make_numbers, make_plan, step
 from jackbox_env.exact.workspace import (
+    FREED,
     HIT,
     IMPULSE_SUM,
+    LANDINGS,
     NEAR,
-    NOTHING,
+    SHARES,
     TORQUE,
     UNSCORED,
     Arguments,
     Array,
     Flags,
-    Memory,
     Results,
     Rules,
     Scenes,
     Status,
     Workspace,
-    new_workspaces,
+    arguments_at,
 )
+from jackbox_env.landing import aim, is_over
 from jackbox_env.mechanics import energy_of
 from jackbox_env.scene import SceneNumbers
 from jackbox_env.states import LATEST_TIME
 
 PATIENCE = 2e6  # gap evaluations before a call pauses: 0.3 s, 1.2 s if most of them find impacts
+STOPPED = 2.0  # in the row OVER of a block: an impact stopped the row; 1.0: its episode is over
 
 
 def run(address: Any, low: int, high: int, first: int) -> tuple[int, int, int, int, int]:
@@ -74,6 +75,8 @@ def run(address: Any, low: int, high: int, first: int) -> tuple[int, int, int, i
                 scenes.lanes[number if scenes.lanes.shape[0] > 1 else 0], number * width,
                 min(width, count - number * width),
             )  # fmt: skip
+            if k > 0 and rules.until_impact > 0 and skip_rest(call, block, k):
+                break
             # Move: rows in free flight together, then the others one by one.
             bad = set_torques(address, block, k)
             if bad >= 0:
@@ -91,20 +94,20 @@ def run(address: Any, low: int, high: int, first: int) -> tuple[int, int, int, i
             if rules.goes_on:
                 unscored, skipped = lanes[UNSCORED], mark_unscored(block, results.terminations)
             if results.rewards.shape[0]:
+                rewards = results.rewards[min(k, results.rewards.shape[0] - 1)]
                 ends = score(
-                    scenes.values, block.after, lanes, unscored, skipped, block.first, results.rewards[k],
-                    results.terminations, results.reports,
+                    scenes.values, block.after, lanes, unscored, skipped, block.first, rewards, results.terminations,
+                    results.reports,
                 )  # fmt: skip
-            if ends < 0:
-                bad = first_unusable(block, results.rewards[k])
-                return Status.BAD_REWARD.value, block.first + bad, k, finished, recorded
+                if ends < 0:
+                    bad = first_unusable(block, rewards)
+                    return Status.BAD_REWARD.value, block.first + bad, k, finished, recorded
+                for lane in range(block.size if results.returns.shape[0] else 0):
+                    results.returns[block.first + lane] += rewards[block.first + lane]
             # End episodes, and record.
-            finished += close_block(rules, block, results, waiting > 0, ends != 0)
+            finished += close_block(rules, block, results, waiting > 0, ends != 0, k + 1)
             record(address, scene, block, k)
-        if results.observations.shape[0]:
-            after = (call.after if rules.steps & 1 else call.before)[number]
-            size = min(width, count - number * width)
-            observe_block(scenes.values, after, size, lanes, number * width, results.observations)
+        finish_block(call, number)
     return Status.DONE.value, -1, rules.steps, finished, recorded
 
 
@@ -119,6 +122,9 @@ def set_torques(address: Any, block: Block, k: int) -> int:
         for lane in range(block.size):
             torque[lane] = 0.0
         return -1
+    if call.rules.kind == LANDINGS:
+        aim_block(call, block)
+        return -1
     step_controls = controls[k // (call.rules.steps // controls.shape[0])]
     for lane in range(block.size):
         torque[lane] = torque_of(call.rules, step_controls[block.first + lane], limit[lane])
@@ -130,7 +136,23 @@ def set_torques(address: Any, block: Block, k: int) -> int:
 
 def torque_of(rules: Rules, control: float, limit: float) -> float:
     """The torque of a control [N m]."""
-    return max(-1.0, min(1.0, control)) * limit if rules.actions else control
+    return max(-1.0, min(1.0, control)) * limit if rules.kind == SHARES else control
+
+
+def aim_block(call: Arguments, block: Block) -> None:
+    """Fill in the torques that aim at the targets of landings."""
+    values, scene = call.scenes.values, make_numbers(call.scenes.values[0])
+    for lane in range(block.size):
+        if block.before[OVER, lane] == 0.0:
+            if values.shape[0] > 1:
+                scene = make_numbers(values[block.first + lane])
+            block.lanes[TORQUE, lane] = aimed(call, scene, block, lane)
+
+
+def aimed(call: Arguments, scene: SceneNumbers, block: Block, lane: int) -> float:
+    """The torque of a lane that aims at the target of its landing [N m]."""
+    angle, rate = call.controls[0, block.first + lane], call.controls[1, block.first + lane]
+    return aim(scene, state_in(block.before[:, lane]), angle, rate, call.rules.dt) * scene.torque_limit
 
 
 def first_unusable(block: Block, numbers: Array) -> int:
@@ -187,7 +209,9 @@ def step_lanes(
             row_scene = make_numbers(scenes.values[row])
             row_plan = make_plan(row_scene, plan.dt, kind)
         torque = 0.0
-        if call.controls.shape[0]:  # not from the lanes, where gliding rounds it
+        if call.rules.kind == LANDINGS:  # not from the lanes, where gliding rounds it
+            torque = aimed(call, row_scene, block, lane)
+        elif call.controls.shape[0]:
             control = call.controls[k // (call.rules.steps // call.controls.shape[0]), row]
             torque = torque_of(call.rules, control, row_scene.torque_limit)
         pieces = Pieces(scenes.table, 0, 0)
@@ -211,6 +235,31 @@ def step_lanes(
     return Status.DONE, -1, evaluations, recorded
 
 
+def skip_rest(call: Arguments, block: Block, k: int) -> bool:
+    """Whether all rows of a block have stopped before step ``k``; then copies them to where the last step would."""
+    going = 0
+    for lane in range(block.size):
+        going += 1 if block.before[OVER, lane] == 0.0 else 0
+    if going or call.results.trajectories.shape[0]:
+        return False
+    for column in range(WIDTH if (call.rules.steps - k) & 1 else 0):
+        for lane in range(block.size):
+            block.after[column, lane] = block.before[column, lane]
+    return True
+
+
+def finish_block(call: Arguments, number: int) -> None:
+    """After the last step: let rows go on that an impact has stopped, and observe."""
+    width = call.before.shape[2]
+    rows, first = (call.after if call.rules.steps & 1 else call.before)[number], number * width
+    size = min(width, call.results.terminations.shape[0] - first)
+    for lane in range(size if call.rules.until_impact > 0 else 0):
+        if rows[OVER, lane] == STOPPED:
+            rows[OVER, lane] = 0.0
+    if call.results.observations.shape[0]:
+        observe_block(call.scenes.values, rows, size, call.memory.lanes, first, call.results.observations)
+
+
 def keep_waiting(block: Block) -> int:
     """Copy the states of episodes that are over; return their number."""
     over, waiting = block.before[OVER], 0
@@ -232,11 +281,11 @@ def mark_unscored(block: Block, terminations: Flags) -> int:
     return count
 
 
-def close_block(rules: Rules, block: Block, results: Results, waiting: bool, ends: bool) -> int:
+def close_block(rules: Rules, block: Block, results: Results, waiting: bool, ends: bool, made: int) -> int:
     """Advance times and step counts, and end episodes; return the number of episodes that ended.
 
     ``waiting``: whether some episodes were over before the step; those stay as they are. ``ends``: whether the task
-    ended some.
+    ended some. ``made``: steps of this call, with this one.
     """
     before, after, first, count = block.before, block.after, block.first, block.size
     terminations, truncations = results.terminations, results.truncations
@@ -250,20 +299,28 @@ def close_block(rules: Rules, block: Block, results: Results, waiting: bool, end
     for k in range(count):
         new_over[k] = 1.0 if new_steps[k] >= rules.longest else 0.0
     for k in range(count):
-        truncations[first + k] = new_over[k] != 0.0
+        truncations[first + k] |= new_over[k] != 0.0 and over[k] == 0.0
     for k in range(count if ends and not rules.goes_on else 0):
         new_over[k] = 1.0 if terminations[first + k] else new_over[k]
-    for k in range(count if rules.until_impact else 0):
-        new_over[k] = 1.0 if block.lanes[HIT, k] > 0.0 else new_over[k]
     for k in range(count):
         ended += 1 if new_over[k] != 0.0 else 0
+    if rules.until_impact > 0:
+        stop_rows(rules, block, made)
     if waiting:
         for k in range(count):
             if over[k] != 0.0:
-                ended -= 1 if new_over[k] != 0.0 else 0
-                truncations[first + k] = False
+                ended -= 1 if new_over[k] == 1.0 else 0
                 new_time[k], new_steps[k], new_over[k] = time[k], steps[k], over[k]
     return ended
+
+
+def stop_rows(rules: Rules, block: Block, made: int) -> None:
+    """Stop the rows that an impact stops after ``made`` steps."""
+    freed, hits, over = block.lanes[FREED], block.lanes[HIT], block.after[OVER]
+    for k in range(block.size):
+        freed[k] = 1.0 if hits[k] == 0.0 or (made > 1 and freed[k] != 0.0) else 0.0
+        if over[k] == 0.0 and is_over(made, freed[k] != 0.0, hits[k] > 0.0, rules.until_impact):
+            over[k] = STOPPED
 
 
 def record(address: Any, scene: SceneNumbers, block: Block, k: int) -> None:
@@ -288,58 +345,3 @@ def record(address: Any, scene: SceneNumbers, block: Block, k: int) -> None:
             hits[k, row], results.impulses[k, row] = int(block.lanes[HIT, lane]), block.lanes[IMPULSE_SUM, lane]
         if lengths.shape[0] and results.terminations[row] and lengths[row] == steps:
             lengths[row] = k + 1
-
-
-def example() -> Arguments:
-    """Empty arguments of the types that :func:`run` is compiled for."""
-    none, cube, counts = np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(0, np.int64)
-    rules = Rules(0.02, 1, math.inf, False, False, False, 0, PATIENCE)
-    memory = Memory(none, new_workspaces(), none)
-    return Arguments(Scenes(none, cube, counts, none, counts, counts), rules, cube, cube, none, NOTHING, memory)
-
-
-arguments_at = unpacked_as(example)
-
-
-class Call:
-    """A call of :func:`run`: its arguments at an ``address``, and the memory of the thread that calls."""
-
-    def __init__(self, memory: Memory) -> None:
-        self.memory = memory
-        self._packed = np.zeros(PACKED)  # the arguments as compiled code reads them
-        self.address, self._pack = 0, compiled(pack)
-
-    def prepare(
-        self, scenes: Scenes, rules: Rules, before: Array, after: Array, controls: Array, results: Results
-    ) -> None:
-        """Set the arguments. Numba unpacks plain tuples faster than named ones."""
-        self._arguments = scenes, rules, before, after, controls, results  # keeps the arrays alive
-        self.address = self._pack(
-            self._packed, tuple(scenes), tuple(rules), before, after, controls, tuple(results), tuple(self.memory)
-        )
-
-    def with_room(self) -> Call:
-        """A copy of this call whose log has room for twice as many impacts; an interruption leaves this one intact."""
-        log = self.memory.log
-        twin = Call(self.memory._replace(log=np.zeros((2 * len(log), log.shape[1]))))
-        twin.prepare(*self._arguments)
-        return twin
-
-
-def pack(
-    memory: Array, scenes: Any, rules: Any, before: Array, after: Array, controls: Array, results: Any, work: Any
-) -> Any:
-    """Store the arguments of :func:`run` in ``memory``; return the address there."""
-    return packed(
-        memory,
-        Arguments(
-            Scenes(scenes[0], scenes[1], scenes[2], scenes[3], scenes[4], scenes[5]),
-            Rules(rules[0], rules[1], rules[2], rules[3], rules[4], rules[5], rules[6], rules[7]),
-            before, after, controls,
-            Results(
-                results[0], results[1], results[2], results[3], results[4], results[5], results[6], results[7],
-                results[8], results[9], results[10],
-            ),
-            Memory(work[0], work[1], work[2]),
-        ),
-    )  # fmt: skip

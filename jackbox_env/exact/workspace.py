@@ -6,11 +6,14 @@ its address costs less than passing several arrays, which would take longer than
 
 from __future__ import annotations
 
+import math
 from enum import IntEnum
 from typing import Annotated, Any, NamedTuple, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
+
+from jackbox_env.exact.compiler import PACKED, compiled, packed, unpacked_as
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -78,7 +81,8 @@ NEAR, HIT, IMPULSE_SUM = 6, 7, 8  # whether a foot may touch a wall; impacts, th
 ALPHA_BOUND, LANE_COSINE, LANE_SINE, AHEAD, ASIDE, LANE_OMEGA = range(9, 15)
 LANE_CURVATURE, LANE_INDEX, LANE_ROOM, LANE_PULL, STAYS_OFF = range(15, 20)
 UNSCORED = 20  # whether a row earns nothing because its episode is over
-LANES = 21
+FREED = 21  # whether a step of the call had no impact
+LANES = 22
 
 
 def _field(name: str, hint: Any) -> tuple[Any, ...]:
@@ -136,15 +140,20 @@ class Scenes(NamedTuple):
     ends: Counts  # past the last piece of each step, after a leading 0 or the end of the step before
 
 
+# Kinds of controls: torques [N m]; shares of the torque limit, clipped to [-1, 1]; angles [rad] and rates [rad/s] that
+# boxes aim at for the landings of their jacks.
+TORQUES, SHARES, LANDINGS = range(3)
+
+
 class Rules(NamedTuple):
     """Settings of all rows and steps."""
 
     dt: float  # control step [s]
     steps: int
     longest: float  # steps after which an episode is truncated
-    actions: bool  # True: controls are shares of the torque limit, clipped to [-1, 1]; False: torques [N m]
+    kind: int  # of the controls: TORQUES, SHARES or LANDINGS
     goes_on: bool  # whether rows go on after their episode's end, without rewards
-    until_impact: bool  # whether a row stops after the step of its first impact
+    until_impact: int  # 0: impacts stop no row; else one does after a step without, or once so many steps are made
     score: Any  # address of the task's ``score_block``; unused without rewards
     patience: float  # gap evaluations before the call pauses
 
@@ -153,9 +162,10 @@ class Results(NamedTuple):
     """Arrays that a call fills in, except those of length 0."""
 
     observations: Floats  # after the last step, (N, 10)
-    rewards: Array  # (steps, N), zeros before
+    rewards: Array  # (steps, N), zeros before; (1, N): of the last step alone
+    returns: Array  # sums of the rewards, (N,), zeros before
     terminations: Flags  # (N,), False before; whether the task has ended the episode
-    truncations: Flags  # (N,)
+    truncations: Flags  # (N,), False before
     reports: Array  # of the last step, (N, TERMS + number of terms), zeros before
     lengths: Counts  # steps until the task ends the episode, (N,), all steps before
     trajectories: Array  # (N, steps + 1, 12), without the first states
@@ -191,14 +201,69 @@ class Arguments(NamedTuple):
     rules: Rules
     before: Array  # (blocks, 16, width): the rows; overwritten if there are several steps
     after: Array  # (blocks, 16, width): the rows after an odd number of steps; else they are in ``before``
-    controls: Array  # (steps / repeat, N), each repeated for as many steps; (0, 0): the drives act
+    controls: Array  # (steps / repeat, N), each repeated for as many steps; (0, 0): the drives act. LANDINGS: (2, N)
     results: Results
     memory: Memory
 
 
 NOTHING = Results(
-    np.zeros((0, 10), np.float32), np.zeros((0, 0)), np.zeros(0, np.bool_), np.zeros(0, np.bool_), np.zeros((0, 0)),
-    np.zeros(0, np.int64), np.zeros((0, 0, 12)), np.zeros((0, 0)), np.zeros((0, 0), np.int64), np.zeros((0, 0)),
-    np.zeros((0, 0), np.bool_),
+    np.zeros((0, 10), np.float32), np.zeros((0, 0)), np.zeros(0), np.zeros(0, np.bool_), np.zeros(0, np.bool_),
+    np.zeros((0, 0)), np.zeros(0, np.int64), np.zeros((0, 0, 12)), np.zeros((0, 0)), np.zeros((0, 0), np.int64),
+    np.zeros((0, 0)), np.zeros((0, 0), np.bool_),
 )  # fmt: skip
 """Results of which nothing is filled in."""
+
+
+def example() -> Arguments:
+    """Empty arguments of the types that :func:`jackbox_env.exact.run.run` is compiled for."""
+    none, cube, counts = np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(0, np.int64)
+    rules = Rules(0.02, 1, math.inf, TORQUES, False, 0, 0, 2e6)
+    memory = Memory(none, new_workspaces(), none)
+    return Arguments(Scenes(none, cube, counts, none, counts, counts), rules, cube, cube, none, NOTHING, memory)
+
+
+arguments_at = unpacked_as(example)
+
+
+class Call:
+    """A call of :func:`jackbox_env.exact.run.run`: its arguments at an ``address``, and the calling thread's memory."""
+
+    def __init__(self, memory: Memory) -> None:
+        self.memory = memory
+        self._packed = np.zeros(PACKED)  # the arguments as compiled code reads them
+        self.address, self._pack = 0, compiled(pack)
+
+    def prepare(
+        self, scenes: Scenes, rules: Rules, before: Array, after: Array, controls: Array, results: Results
+    ) -> None:
+        """Set the arguments. Numba unpacks plain tuples faster than named ones."""
+        self._arguments = scenes, rules, before, after, controls, results  # keeps the arrays alive
+        self.address = self._pack(
+            self._packed, tuple(scenes), tuple(rules), before, after, controls, tuple(results), tuple(self.memory)
+        )
+
+    def with_room(self) -> Call:
+        """A copy of this call whose log has room for twice as many impacts; an interruption leaves this one intact."""
+        log = self.memory.log
+        twin = Call(self.memory._replace(log=np.zeros((2 * len(log), log.shape[1]))))
+        twin.prepare(*self._arguments)
+        return twin
+
+
+def pack(
+    memory: Array, scenes: Any, rules: Any, before: Array, after: Array, controls: Array, results: Any, work: Any
+) -> Any:
+    """Store the arguments of :func:`jackbox_env.exact.run.run` in ``memory``; return the address there."""
+    return packed(
+        memory,
+        Arguments(
+            Scenes(scenes[0], scenes[1], scenes[2], scenes[3], scenes[4], scenes[5]),
+            Rules(rules[0], rules[1], rules[2], rules[3], rules[4], rules[5], rules[6], rules[7]),
+            before, after, controls,
+            Results(
+                results[0], results[1], results[2], results[3], results[4], results[5], results[6], results[7],
+                results[8], results[9], results[10], results[11],
+            ),
+            Memory(work[0], work[1], work[2]),
+        ),
+    )  # fmt: skip

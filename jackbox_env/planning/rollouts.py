@@ -19,9 +19,9 @@ from jackbox_env.batches.threads import Halt, Threads, thread_count
 from jackbox_env.exact.compiler import address_of, compiled
 from jackbox_env.exact.glide import SCENE_LANES, TIME, WIDTH
 from jackbox_env.exact.restart import outside, spread
-from jackbox_env.exact.run import PATIENCE, Call, run
+from jackbox_env.exact.run import PATIENCE, run
 from jackbox_env.exact.score import score_block
-from jackbox_env.exact.workspace import NOTHING, Results, Rules, Scenes, Status, new_log, new_memory
+from jackbox_env.exact.workspace import NOTHING, TORQUES, Call, Results, Rules, Scenes, Status, new_log, new_memory
 from jackbox_env.mechanics import energy_of
 from jackbox_env.scene import Scene, scenes_of
 from jackbox_env.scoring import bad_reward, compiled_for
@@ -213,7 +213,7 @@ def run_rollouts(
     played = _scenes_played(scenes, times, dt, options.side_forces, None if options.drives_turn else 0.0, blocks.shape)
     score = compiled_for(task, score_block) if task else None
     results = _new_results(scenes, starts, steps, options, tape is not None)
-    rules = Rules(dt, steps, math.inf, False, True, options.until_impact, address_of(score), PATIENCE)
+    rules = Rules(dt, steps, math.inf, TORQUES, True, int(options.until_impact), address_of(score), PATIENCE)
     controls = np.zeros((0, 0)) if options.drives_turn else np.ascontiguousarray(torques.T)
     calls = [Call(new_memory(width, 0 if tape is None else _ROOM, tape is not None)) for _ in range(threads.count)]
     for call in calls:
@@ -254,8 +254,9 @@ def _new_results(scenes: list[Scene], starts: Array, steps: int, options: Rollou
     results = Results(
         observations=NOTHING.observations,
         reports=NOTHING.reports,
+        returns=NOTHING.returns,
         terminations=np.zeros(count, np.bool_),
-        truncations=np.empty(count, np.bool_),
+        truncations=np.zeros(count, np.bool_),
         rewards=np.zeros((steps if scored else 0, count)),
         lengths=np.full(count if scored else 0, steps, np.int64),
         trajectories=np.empty((count if options.whole else 0, steps + 1, 12)),

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env import checks as check
+from jackbox_env.landing import Landings
 from jackbox_env.planning.features import LookaheadOptions
-from jackbox_env.planning.landing_control import Aiming
+from jackbox_env.planning.landing_control import Aiming, Period
 from jackbox_env.planning.wrappers import Control, LookingAhead, repeated
 from jackbox_env.sb3 import JackInBoxVecEnv
 
@@ -45,7 +46,7 @@ class ControlledVecEnv(VecEnvWrapper):
             JackLostError: a jack, or one in a rollout, cannot be followed. After either, reset before the next step.
         """
         if isinstance(self.venv, JackInBoxVecEnv):
-            self.venv.step_async(self._act, self._control.repeat)
+            self.venv.step_async(self._act, 1 if isinstance(self._act, Landings) else self._control.repeat)
             observations, rewards, dones, infos = self.venv.step_wait()
         else:
             observations, rewards, dones, infos = repeated(self.venv.step, self._act, self._control.repeat)
@@ -84,7 +85,7 @@ class LandingControlVecEnv(ControlledVecEnv):
         TypeError, ValueError: an argument out of its range, or other environments.
     """
 
-    def __init__(self, venv: JackInBoxVecEnv, *, period: float = 0.4) -> None:
+    def __init__(self, venv: JackInBoxVecEnv, *, period: Period = 0.4) -> None:
         if not isinstance(venv, JackInBoxVecEnv):
             raise TypeError(f"landing control needs the environments of make_sb3_vec_env, got {check.shown(venv)}")
         super().__init__(venv, Aiming(venv.vector_env, period))

@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from types import FunctionType
 from typing import Any
 
 import gymnasium as gym
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 
 from jackbox_env import checks as check
 from jackbox_env.batches.base import Flags, Floats
+from jackbox_env.landing import Landings, play
 from jackbox_env.observation import BOUNDS
 from jackbox_env.planning.features import Features, LookaheadOptions
 from jackbox_env.planning.icem import Plans
@@ -149,11 +149,14 @@ class ControlledEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructor
             TypeError, ValueError: an unusable action.
             JackLostError: the jack, or one in a rollout, cannot be followed. Reset before the next step.
         """
-        act, total, inner = self._control.act(action), 0.0, self.env.unwrapped
+        act, total = self._control.act(action), 0.0
+        if isinstance(act, Landings):
+            inner: Any = self.env.unwrapped
+            observation, total, terminated, truncated, info, steps = play(self.env.step, inner, act.targets[0], act)
+            info["duration"] = steps * inner.control_dt
+            return self._control.observe([observation], False)[0], total, terminated, truncated, info
         for _ in range(self._control.repeat):
-            aims = isinstance(act, FunctionType) and act is not action  # an agent's own function is refused
-            torque = act(inner.state[None]) if aims else act  # type: ignore[attr-defined]
-            observation, reward, terminated, truncated, info = self.env.step(torque)
+            observation, reward, terminated, truncated, info = self.env.step(act)
             total += float(reward)
             if terminated or truncated:
                 break
@@ -190,6 +193,7 @@ class ControlledVectorEnv(VectorWrapper):
         """
         act, repeat = self._control.act(actions), self._control.repeat
         native = isinstance(self.env, JackInBoxVectorEnv)
+        repeat = 1 if isinstance(act, Landings) else repeat
         outcome = self.env.step(act, repeat) if native else repeated(self.env.step, act, repeat)  # type: ignore[call-arg]
         observations, rewards, terminations, truncations, infos = outcome
         over = terminations | truncations

@@ -41,10 +41,10 @@ from jackbox_env import checks as check
 from jackbox_env.exact.compiler import compiled
 from jackbox_env.exact.drives import TABLE_WIDTH
 from jackbox_env.exact.glide import SCENE_LANES, TIME, WIDTH
-from jackbox_env.exact.run import Call, run
+from jackbox_env.exact.run import run
 from jackbox_env.exact.search import MOST_WORK
 from jackbox_env.exact.step import CHIRP, CONSTANT, CONSTANT_BESIDE_FORCES, FUNCTIONS
-from jackbox_env.exact.workspace import NOTHING, TORQUE, Rules, Scenes, Status, new_memory
+from jackbox_env.exact.workspace import NOTHING, TORQUE, TORQUES, Call, Rules, Scenes, Status, new_memory
 from jackbox_env.scene import Chirp, Drive, Scene, too_many_turns
 from jackbox_env.simulators.base import ContactModel, Impact, JackLostError, Present, end_of_step
 from jackbox_env.simulators.functions import function_pieces
@@ -178,7 +178,7 @@ class ExactSimulator(ContactModel):
             pieces = joined([pieces_for(self.scene.drive, self.time, dt, torque)], np.zeros(1, np.int64))
         numbers, lanes = np.array([self.scene.numbers]), np.zeros((1, SCENE_LANES, 1))
         scenes = Scenes(numbers, lanes, self._kinds[held], *pieces)
-        rules = Rules(dt, 1, math.inf, False, False, False, 0, math.inf)
+        rules = Rules(dt, 1, math.inf, TORQUES, False, 0, 0, math.inf)
         controls = self._controls if held else np.zeros((0, 0))
         results = NOTHING._replace(terminations=np.zeros(1, np.bool_), truncations=np.zeros(1, np.bool_))
         calls = [Call(call.memory) for call in self._calls]

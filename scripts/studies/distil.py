@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 from tqdm import trange
 
 from agents.policies.network import SHIPPED, write_with_layers
-from agents.policies.one_bounce import LANDING, LandingPolicy, LandingSettings
+from agents.policies.one_bounce import LANDING, LandingPolicy, LandingSettings, uprighted
 from agents.policies.value import UNIT, Value, read_value
 from jackbox_env import Rollout, Scene, rollout
 from jackbox_env.command_line import command_line
 from jackbox_env.files import make_folder
-from jackbox_env.landing import landing_times, torques, upright
+from jackbox_env.landing import landing_times, torques
 from jackbox_env.states import Array
 from jackbox_env.tasks import sample_start
 from scripts.studies.fitting import epoch, inputs_and_goals, layers_of, network
@@ -74,7 +74,7 @@ def starts(count: int, rng: np.random.Generator) -> Array:
 
 def drawn(policy: LandingPolicy, states: Array, rng: np.random.Generator) -> Array:
     """Angle and rate of the box at each jack's first landing, shape (n, 2), at random: good pairs more often."""
-    states = upright(states)
+    states = uprighted(states)
     worth = policy.worth(states, landing_times(SCENE, states))
     choice = (worth / TEMPERATURE + rng.gumbel(size=worth.shape)).argmax(axis=1)
     uniform = rng.random(len(states)) < UNIFORM
@@ -93,10 +93,10 @@ def played(policy: LandingPolicy, states: Array, rng: np.random.Generator) -> tu
     pairs, landed = drawn(policy, states, rng), np.full(len(states), -1)
     visited, earned = [states], []
     for decision in range(FIRST + COUNTED + HORIZON):
-        now, free = upright(visited[-1]), (landed < 0) & (decision < FIRST)
+        now, free = uprighted(visited[-1]), (landed < 0) & (decision < FIRST)
         acting = np.zeros(len(now))
         acting[~free] = policy.towards_best(now[~free])
-        acting[free] = torques(SCENE, now[free], landing_times(SCENE, now[free]), pairs[free], DECISION_TIME)
+        acting[free] = torques(SCENE, now[free], pairs[free], DECISION_TIME)
         after, rewards, struck = advanced(visited[-1], acting)
         landed[free & struck] = decision + 1
         visited.append(after)

@@ -211,7 +211,7 @@ def test_training_survives_ctrl_c_and_resumes_from_the_command_line(tmp_path: Pa
     assert "total_steps must be above the run's 4,096, got 4,096" in fewer
     done = script("train", "--resume", "run", "--total-steps", "8192", "--no-progress", cwd=tmp_path)
     assert "Going on after 4,096 steps" in done.stdout
-    assert re.search(r"The best model earned \d+\.\d on juggle, the mean of 2 episodes, after 8,192 steps", done.stdout)
+    assert re.search(r"The best model, after 8,192 steps, earns \d+\.\d ± \d+\.\d on juggle", done.stdout)
     assert (tmp_path / "run" / "model.zip").exists()
     assert json.loads((tmp_path / "run" / "settings.json").read_text())["total_steps"] == 8192
 

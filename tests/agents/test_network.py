@@ -22,6 +22,7 @@ KINDS = {
     "plain": replace(TINY, contact="exact"),
     "held, with the landing": replace(TINY, contact="exact", repeat=5, preview=True, hidden_units=(8, 6, 4)),
     "aiming": replace(TINY, contact="exact", repeat=20, landing=True),
+    "aiming until an impact": replace(TINY, contact="exact", repeat="bounce", landing=True),
     "looking ahead": replace(TINY, contact="exact", repeat=5, lookahead=8),
 }
 
@@ -41,16 +42,16 @@ def test_it_plays_in_the_ordinary_environment_as_the_model_does_in_that_of_its_s
     model = moving_model(settings)
     write_with_layers(tmp_path, "settings.json", settings, layers_of(model.get_parameters()["policy"]))
     policy = read_policy(tmp_path)
-    plain, inner = (make_vec_env(settings.env_settings, 3, 1) for _ in range(2))
+    plain, inner = (make_vec_env(settings.env_settings, 1, 1) for _ in range(2))
     environments = wrapped(inner, settings)
     observed: Any = environments.reset()
     seen: Any = plain.reset()
     state: Any = None
     moved = 0.0
     for _ in range(5):
-        observed, rewards, _, _ = environments.step(model.predict(observed, deterministic=True)[0])
-        total = np.zeros(3)
-        for _ in range(settings.repeat):
+        observed, rewards, _, infos = environments.step(model.predict(observed, deterministic=True)[0])
+        total = np.zeros(1)
+        for _ in range(round(infos[0]["duration"] / 0.02) if settings.landing else settings.longest):
             actions, state = policy.predict(seen, state)
             assert actions.dtype == np.float32
             moved += float(np.abs(actions).sum())

@@ -22,6 +22,7 @@ from jackbox_env import (
     TaskError,
     rollout,
 )
+from jackbox_env.landing import torques
 from jackbox_env.planning.landing_control import Aiming
 from jackbox_env.sb3 import make_sb3_vec_env
 from jackbox_env.sb3_wrappers import HoldingVecEnv, LookaheadVecEnv
@@ -137,9 +138,9 @@ def test_the_reward_of_an_episode_that_waits_is_not_evaluated(several: bool, con
 def test_landing_control_does_not_evaluate_the_reward_of_an_episode_that_waits(contact: str) -> None:
     batch, aims = JackInBoxVectorEnv(3, contact=contact), np.full((3, 2), 0.5)
     batch.reset(options={"state": ENDING})
-    act = Aiming(batch, 0.04).act(aims)
-    batch.step(act(batch.states))
-    ignored = act(batch.states)[0] * 9e4
+    targets = Aiming(batch, 0.04).act(aims).targets
+    batch.step(torques(batch.scene, batch.states, targets, 0.02))
+    ignored = torques(batch.scene, batch.states, targets, 0.02)[0] * 9e4
     task = Task(("part",), lambda scene, state, torque, impulse: (1.0 / (torque - ignored),), high)
     wrapped = LandingControlVector(JackInBoxVectorEnv(3, contact=contact, task=task), period=0.04)
     wrapped.reset(options={"state": ENDING})

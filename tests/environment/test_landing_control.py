@@ -12,13 +12,16 @@ from gymnasium.utils.env_checker import check_env as check_single
 from stable_baselines3.common.env_checker import check_env
 
 from jackbox_env import JackInBoxVectorEnv, LandingControl, LandingControlVector
+from jackbox_env.landing import aim
+from jackbox_env.planning.landing_control import Period
 from jackbox_env.sb3 import make_sb3_vec_env
 from jackbox_env.sb3_wrappers import LandingControlVecEnv
+from jackbox_env.states import State
 from tests.batches.several import EVERY_MODEL
 from tests.batches.test_ends import FALL
 
 
-def single(period: float = 0.4, **made: Any) -> LandingControl:
+def single(period: Period = 0.4, **made: Any) -> LandingControl:
     return LandingControl(gym.make("JackInBox-v0", **made), period=period)
 
 
@@ -40,14 +43,15 @@ def test_the_box_strikes_the_falling_jack_as_the_action_sets(angle: float, rate:
 
 
 @EVERY_MODEL
-def test_all_wrappers_do_the_same_and_end_with_the_episode(contact: str) -> None:
+@pytest.mark.parametrize("period", [0.3, "bounce"])
+def test_all_wrappers_do_the_same_and_end_with_the_episode(contact: str, period: Period) -> None:
     made: dict[str, Any] = {
         "contact": contact, "task": FALL, "max_episode_steps": 75,
         "randomize": {"gravity": (5.0, 15.0), "box_half_width": (4.0, 8.0), "torque_limit": (1e4, 9e4)},
     }  # fmt: skip
-    alone = single(0.3, **made)
-    vector = LandingControlVector(JackInBoxVectorEnv(3, autoreset_mode="SAME_STEP", **made), period=0.3)
-    stable = LandingControlVecEnv(make_sb3_vec_env(3, **made), period=0.3)
+    alone = single(period, **made)
+    vector = LandingControlVector(JackInBoxVectorEnv(3, autoreset_mode="SAME_STEP", **made), period=period)
+    stable = LandingControlVecEnv(make_sb3_vec_env(3, **made), period=period)
     stable.seed(4)
     np.testing.assert_array_equal(vector.reset(seed=4)[0], stable.reset())
     alone.reset(seed=4)
@@ -56,17 +60,82 @@ def test_all_wrappers_do_the_same_and_end_with_the_episode(contact: str) -> None
         actions = rng.uniform(-1.3, 1.3, (3, 2)).astype(np.float32)
         seen, rewards, terminations, truncations, infos = vector.step(actions)
         seen_too, rewards_too, dones, rows = stable.step(actions)
-        last, reward, terminated, truncated, _ = alone.step(actions[0])
+        last, reward, terminated, truncated, info = alone.step(actions[0])
         np.testing.assert_array_equal(seen, seen_too)
         np.testing.assert_array_equal(rewards.astype(np.float32), rewards_too)
         assert (rewards[0], terminations[0], truncations[0]) == (reward, terminated, truncated)
+        assert infos["duration"].tolist() == [row["duration"] for row in rows]
+        assert infos["duration"][0] == info["duration"] > 0.0
         ends |= {(terminated, truncated)}
         if dones[0]:
             np.testing.assert_array_equal(rows[0]["terminal_observation"], last)
             np.testing.assert_array_equal(infos["final_obs"][0], last)
             last = alone.reset()[0]
         np.testing.assert_array_equal(seen[0], last)
-    assert {(True, False), (False, True), (False, False)} <= ends
+    assert {(True, False), (False, True)} <= ends
+
+
+@pytest.mark.parametrize("mode", ["NEXT_STEP", "DISABLED"])
+def test_an_environment_that_restarts_makes_no_decision(mode: str) -> None:
+    made: dict[str, Any] = {"contact": "exact", "task": FALL, "max_episode_steps": 60}
+    alone = single("bounce", **made)
+    vector = LandingControlVector(JackInBoxVectorEnv(5, autoreset_mode=mode, **made), period="bounce")
+    vector.reset(seed=4)
+    alone.reset(seed=4)
+    rng, over, ends = np.random.default_rng(1), np.zeros(5, np.bool_), 0
+    while ends < 8:
+        if mode == "DISABLED" and over.any():
+            vector.reset(options={"reset_mask": over})
+            over = np.zeros(5, np.bool_)
+        actions = rng.uniform(-1.0, 1.0, (5, 2))
+        seen, rewards, terminations, truncations, infos = vector.step(actions)
+        if over[0]:
+            assert (rewards[0], infos["duration"][0]) == (0.0, 0.0)
+            np.testing.assert_array_equal(seen[0], alone.reset()[0])
+        else:
+            last, reward, terminated, truncated, info = alone.step(actions[0])
+            np.testing.assert_array_equal(seen[0], last)
+            assert (rewards[0], terminations[0], truncations[0]) == (reward, terminated, truncated)
+            assert infos["duration"][0] == info["duration"]
+        over = terminations | truncations
+        ends += bool(over[0])
+        if mode == "DISABLED" and over[0]:
+            alone.reset()
+
+
+@EVERY_MODEL
+def test_a_decision_ends_with_the_next_impact(contact: str) -> None:
+    env = single("bounce", contact=contact)
+    env.reset(seed=2)
+    inner: Any = env.unwrapped
+    for _ in range(6):
+        state, time = inner.state, inner.time
+        after = env.step([0.3, -0.2])[4]
+        steps = round(after["duration"] / 0.02)
+        inner.set_state(state, time)
+        struck = list[bool]()
+        for _ in range(steps):
+            share = aim(inner.scene, State(*inner.state.tolist()), 0.3 * 0.5, -0.2 * 2.5, 0.02)
+            struck.append(inner.step(np.array([share]))[4]["impacts"] > 0)
+        assert struck[-1] or steps == 100, struck
+        assert steps > 1, struck
+        assert not any(struck[1:-1]), struck  # a second foot may strike in the first step
+        np.testing.assert_array_equal(inner.state, after["state"])
+
+
+def test_decisions_last_while_a_foot_rests_without_impacts_and_in_long_steps() -> None:
+    resting = single("bounce", contact="exact", scene={"restitution": 0.0, "torque_limit": 1e-3})
+    start = np.zeros(12)
+    start[4], start[5] = -5.0, 0.25 * math.pi
+    resting.reset(options={"state": start})
+    durations = [resting.step([0.0, 0.0])[4]["duration"] for _ in range(12)]
+    assert durations[-5:] == pytest.approx([0.4] * 5), durations
+    floating = single("bounce", contact="exact", scene={"gravity": 0.0})
+    floating.reset(options={"state": np.zeros(12)})
+    assert floating.step([1.0, 0.0])[4]["duration"] == pytest.approx(2.0)
+    coarse = single("bounce", contact="exact", control_dt=2.5)
+    coarse.reset(seed=0)
+    assert coarse.step([0.0, 0.0])[4]["duration"] == pytest.approx(2.5)
 
 
 @pytest.mark.filterwarnings("ignore:.*is different from the unwrapped version")
@@ -93,6 +162,8 @@ def test_unusable_actions_and_environments_are_refused() -> None:
     several.reset(seed=0)
     with pytest.raises(ValueError, match=r"actions must have shape \(4, 2\), got \(\)"):
         several.step(0.0)
+    with pytest.raises(TypeError, match="period must be .*'landing'"):
+        single("landing")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="torque"):
         single(torque="chirp")
     with pytest.raises(TypeError, match="JackInBox-v0"):

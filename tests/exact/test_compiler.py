@@ -15,9 +15,8 @@ from jackbox_env.batches.threads import Threads, thread_count
 from jackbox_env.exact.compiler import compiled, compiled_with
 from jackbox_env.exact.flight import foot_gap
 from jackbox_env.exact.restart import fresh, packed, seeded, uniform
-from jackbox_env.exact.run import Call, example
 from jackbox_env.exact.trigonometry import _TURNS, _TURNS_OVER, FARTHEST, LARGEST, cos_sin, cos_sin_within
-from jackbox_env.exact.workspace import new_memory
+from jackbox_env.exact.workspace import Call, example, new_memory
 from jackbox_env.scene import Scene
 
 

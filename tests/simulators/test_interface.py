@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from jackbox_env import simulators
-from jackbox_env.exact.run import Call
+from jackbox_env.exact.workspace import Call
 from jackbox_env.scene import Drive, Scene
 from jackbox_env.simulators import CONTACT_MODELS, make_simulator
 from jackbox_env.simulators.exact import ExactSimulator
