@@ -20,10 +20,10 @@ import gymnasium as gym
 import numpy as np
 
 from agents.policies.network import SHIPPED, TRAINED, read_policy
-from agents.policies.planner import VALUED_KNOTS, Planner
+from agents.policies.planner import planner_for
 from agents.policies.scripted import Policy, RandomPolicy
-from agents.policies.value import read_value
 from agents.runs import versions
+from agents.settings import EnvSettings
 from jackbox_env import Scene
 from jackbox_env import checks as check
 from jackbox_env.command_line import ROOT, command_line
@@ -43,9 +43,8 @@ class Arguments:
 
 def policies(task: str) -> dict[str, Policy]:
     """The policies by name, made without the registry, which needs torch."""
-    ppo, value = (SHIPPED / f"{task}-{name}" for name in ("ppo", "value"))
-    options: dict[str, Any] = {"knots": VALUED_KNOTS, "value": read_value(value)} if value.is_dir() else {}
-    return {"random": RandomPolicy(0), "ppo": read_policy(ppo), "planner": Planner(Scene(), task, **options)}
+    planner = planner_for(EnvSettings(task=task, contact="exact"), Scene())
+    return {"random": RandomPolicy(0), "ppo": read_policy(SHIPPED / f"{task}-ppo"), "planner": planner}
 
 
 def record(env: gym.Env[Any, Any], policy: Policy, episodes: int) -> None:

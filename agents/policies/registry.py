@@ -4,42 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from agents.files import first_line
 from agents.policies.network import SHIPPED, WEIGHTS, NetworkPolicy, layers_of, read_policy
 from agents.policies.one_bounce import LANDING, read_landing
-from agents.policies.planner import VALUED_KNOTS, PlanAlone, Planner, decision_steps
+from agents.policies.planner import FAST_SEARCHES, PlanAlone, planner_for
 from agents.policies.scripted import Baseline, LevelPolicy, Policy, RandomPolicy, ZeroPolicy
-from agents.policies.value import VALUE, read_value
+from agents.policies.value import VALUE
 from agents.runs import SETTINGS, TRAINED_BY, model_in, read_parameters, read_settings, run_folder
 from agents.settings import EnvSettings, TrainSettings
 from jackbox_env import Scene
-
-_FAST: dict[str, Any] = {"samples": 64, "elites": 6, "iterations": 1}  # 1 ms for each decision
-
-
-def _planner(settings: EnvSettings, scene: Scene, seed: int) -> Planner:
-    """The planner of an environment; with shorter plans if a value was made for this very scene and task.
-
-    Raises:
-        FileNotFoundError, ValueError: the value that comes with the repository is damaged.
-    """
-    options: dict[str, Any] = {"seed": seed}
-    folder = SHIPPED / f"{settings.task}-value"
-    if folder.is_dir():
-        value = read_value(folder)
-        stored = value.settings
-        made_for = stored.task, stored.control_dt, Scene.of(stored.scene_fields).changed(drive=None)
-        if made_for == (settings.task, settings.control_dt, scene.changed(drive=None)):
-            options |= {"knots": VALUED_KNOTS, "value": value}
-    return Planner(scene, settings.task, settings.control_dt, repeat=decision_steps(settings), **options)
-
-
-def _fast_planner(settings: EnvSettings, scene: Scene, seed: int) -> Planner:
-    """A planner of few samples."""
-    return Planner(scene, settings.task, settings.control_dt, repeat=decision_steps(settings), seed=seed, **_FAST)
-
 
 SCRIPTED: dict[str, Callable[[EnvSettings, Scene, int], Baseline]] = {  # of the environment, its scene, and a seed
     "random": lambda _, scene, seed: Baseline(RandomPolicy(seed), {}),
@@ -50,9 +24,10 @@ SCRIPTED: dict[str, Callable[[EnvSettings, Scene, int], Baseline]] = {  # of the
 POLICIES: dict[str, Callable[[EnvSettings, Scene, int], Baseline]] = {
     **SCRIPTED,
     "lookahead": lambda settings, *_: Baseline(PlanAlone(settings), {}),
-    "planner-64": lambda settings, scene, seed: Baseline(_fast_planner(settings, scene, seed), {}),
-    "planner": lambda settings, scene, seed: Baseline(_planner(settings, scene, seed), {}),
+    "planner-fast": lambda settings, scene, seed: Baseline(planner_for(settings, scene, seed, FAST_SEARCHES), {}),
+    "planner": lambda settings, scene, seed: Baseline(planner_for(settings, scene, seed), {}),
 }
+_FORMER_NAMES = {"planner-64": "planner-fast"}
 
 
 def find_policy(name: str, settings: EnvSettings, seed: int = 0, trust: bool = False) -> Baseline:
@@ -61,6 +36,7 @@ def find_policy(name: str, settings: EnvSettings, seed: int = 0, trust: bool = F
     Raises:
         FileNotFoundError: it is none of these.
     """
+    name = _FORMER_NAMES.get(name, name)
     if name in POLICIES:
         return POLICIES[name](settings, Scene.of(settings.scene_fields), seed)
     if name in shipped_names(settings.task):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from agents.evaluation.returns import evaluate
-from agents.policies import registry
+from agents.policies import planner
 from agents.policies.network import SHIPPED, Layer, write_with_layers
 from agents.policies.observing import observations
 from agents.policies.planner import Planner
@@ -83,9 +83,9 @@ def test_a_value_is_written_and_read_and_damage_is_an_error(tmp_path: Path) -> N
 
 def search_in(**settings: Any) -> Search:
     """The search of the planner that the registry makes for an environment."""
-    planner = find_policy("planner", EnvSettings(**settings), 0).policy
-    assert isinstance(planner, Planner)
-    return planner._search
+    policy = find_policy("planner", EnvSettings(**settings), 0).policy
+    assert isinstance(policy, Planner)
+    return policy._search
 
 
 def test_the_planner_counts_the_value_where_one_was_made() -> None:
@@ -100,7 +100,7 @@ def test_the_planner_counts_the_value_where_one_was_made() -> None:
 def test_a_value_of_another_task_is_not_used_and_a_damaged_one_is_an_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(registry, "SHIPPED", tmp_path)
+    monkeypatch.setattr(planner, "SHIPPED", tmp_path)
     folder = tmp_path / "juggle-value"
     folder.mkdir()
     write_with_layers(folder, "value.json", EnvSettings(task="spin", contact="exact"), layers_for())

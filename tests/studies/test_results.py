@@ -39,14 +39,15 @@ def test_a_row_has_the_results_of_evaluate() -> None:
     policy, _ = find_policy("zero", settings, measured.SEED)
     evaluated = evaluate("zero", policy, settings.env_settings, 8, measured.SEED)
     assert (row["mean"], row["interval_95"]) == (evaluated.mean, evaluated.interval)
-    planned = measured.milliseconds(find_policy("planner-64", settings), settings)
+    planned = measured.milliseconds(find_policy("planner-fast", settings), settings)
     assert 0.0 < row["milliseconds"] < planned  # by far
 
 
 def test_a_curve_is_the_interquartile_mean_of_the_trainings() -> None:
     curves = np.random.default_rng(0).normal(size=(5, 3)) + np.array([0.0, 10.0, 20.0])
-    steps, middle, (low, high) = measured.curve_of([{"steps": [4, 8, 12], "curve": list(curve)} for curve in curves])
-    assert steps.tolist() == [4, 8, 12]
+    rows = [{"seconds": [4 + n, 8 + n, 12 + n], "curve": list(curve)} for n, curve in enumerate(curves)]
+    seconds, middle, (low, high) = measured.curve_of(rows)
+    assert seconds.tolist() == [6, 10, 14]
     np.testing.assert_allclose(middle, np.sort(curves, axis=0)[1:4].mean(axis=0))
     assert (low < middle).all()
     assert (middle < high).all()

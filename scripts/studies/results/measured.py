@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import bootstrap, trim_mean
 
-from agents.evaluation.returns import evaluate
+from agents.evaluation.returns import Returns, evaluate
+from agents.files import read_json
 from agents.policies.network import SHIPPED, TRAINED
 from agents.policies.registry import find_policy
 from agents.policies.scripted import Baseline
-from agents.runs import machine, read_settings, versions
+from agents.runs import TIME, machine, read_settings, versions
 from agents.settings import EPISODE_STEPS, EnvSettings, TrainSettings
 from agents.training.best import read_evaluations
 from agents.training.models import derived_seed
@@ -30,7 +31,8 @@ from jackbox_env.states import X_BOX, X_JACK, Y_BOX, Y_JACK, Array
 SEED = 1  # decides the starts
 RESAMPLES = 2000
 CONTACTS = ("exact", "pymunk")
-POLICIES = ("zero", "level", "chirp", "best chirp", "ppo", "distilled", "lookahead", "planner-64", "planner")
+POLICIES = ("zero", "level", "chirp", "best chirp", "ppo", "distilled", "lookahead", "planner-fast", "planner")
+BARE = "bare ppo"  # PPO on the environment as it is: ten numbers, a torque in each control step
 TIMED = 0.1  # [s] of an episode that computing times refer to
 
 # Chirps that are tried: amplitudes over the torque's limit, Hz, Hz/s; and starts of each, not the evaluation's.
@@ -40,6 +42,7 @@ RATES = (0.0, 0.03, 0.1, 0.3, 0.9)
 STARTS = 32
 
 SEEDS = (0, 1, 2, 3, 4)  # of trainings
+BARE_STEPS = 2_000_000  # control steps of a bare training
 
 # Scenes that two trainings are tried in: the shipped one on the default scene, and one on scenes that vary.
 RESTITUTIONS = (1.0, 0.9, 0.8, 0.7)
@@ -53,6 +56,8 @@ def trials(episodes: int, planner_episodes: int, across_episodes: int, training_
     trials: list[dict[str, Any]] = []
     for seed, task in product(SEEDS, TRAINED):
         trials.append({"part": "learning", "task": task, "seed": seed, "episodes": training_episodes})
+    for task, seed in product(TRAINED, SEEDS):
+        trials.append({"part": "bare", "task": task, "seed": seed, "episodes": episodes})
     for task, contact, policy in product(TRAINED, CONTACTS, POLICIES):
         count = planner_episodes if policy == "planner" else episodes
         trials.append({"part": "rows", "task": task, "contact": contact, "policy": policy, "episodes": count})
@@ -65,7 +70,7 @@ def trials(episodes: int, planner_episodes: int, across_episodes: int, training_
 def measured(folder: Path, trial: dict[str, Any]) -> dict[str, Any]:
     """The work of a trial; trainings have their run folders in ``folder``."""
     parts: dict[str, Callable[..., dict[str, Any]]]
-    parts = {"learning": learning, "rows": policy_row, "across": in_scene}
+    parts = {"learning": learning, "bare": bare, "rows": policy_row, "across": in_scene}
     arguments = {name: value for name, value in trial.items() if name != "part"}
     return {"row": parts[trial["part"]](folder, **arguments)}
 
@@ -86,15 +91,51 @@ def learning(folder: Path, task: str, seed: int, episodes: int) -> dict[str, Any
     settings = dataclasses.replace(read_settings(SHIPPED / f"{task}-ppo"), seed=seed)
     run = run_of(folder, task, seed)
     trained_in(run, settings, progress=False)
-    curve = read_evaluations(run, settings.eval_episodes)
+    curve, seconds = read_evaluations(run, settings.eval_episodes), read_json(run / TIME)["seconds"]
     return {
         "task": task,
         "seed": seed,
         **_evaluated("ppo", find_policy(str(run), settings).policy, settings.env_settings, episodes),
-        "steps": [settings.repeat * int(steps) for steps in curve.timesteps],  # control steps
+        # Updates take equally long all along.
+        "seconds": [seconds * int(steps) / settings.total_steps for steps in curve.timesteps],
         "curve": np.mean(curve.results, axis=1).tolist(),
         "settings": dataclasses.asdict(settings),
     }
+
+
+def bare(folder: Path, task: str, seed: int, episodes: int) -> dict[str, Any]:
+    """Mean returns of a training on the environment as it is, on each contact model, and its computing time."""
+    settings = TrainSettings.suited(
+        task=task, landing=False, preview=False, repeat=1, total_steps=BARE_STEPS, seed=seed
+    )
+    run = folder / f"bare-{task}-{seed}"
+    trained_in(run, settings, progress=False)
+    acting = find_policy(str(run), settings)
+    means = {
+        contact: _evaluated(BARE, acting.policy, EnvSettings(task=task, contact=contact).env_settings, episodes)["mean"]
+        for contact in CONTACTS
+    }
+    spent = milliseconds(acting, EnvSettings(task=task, contact="exact"))
+    return {
+        "task": task, "means": means, "milliseconds": spent, "commit": versions()["commit"], "machine": machine(),
+    }  # fmt: skip
+
+
+def with_bare(rows: list[dict[str, Any]], trained: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Rows of policies with one more for each task and contact model: the mean of the trainings of :func:`bare`, with
+    Student's interval, before PPO's."""
+    complete = []
+    for row in rows:
+        if row["policy"] == "ppo":
+            runs = [run for run in trained if run["task"] == row["task"]]
+            returns = Returns(BARE, tuple(run["means"][row["contact"]] for run in runs))
+            spent = float(np.mean([run["milliseconds"] for run in runs]))
+            complete.append(
+                {**row, "policy": BARE, "mean": returns.mean, "interval_95": returns.interval}
+                | {"milliseconds": spent, "episodes": row["episodes"] * len(runs)}
+            )
+        complete.append(row)
+    return complete
 
 
 def policy_row(folder: Path, task: str, contact: str, policy: str, episodes: int) -> dict[str, Any]:
@@ -133,13 +174,17 @@ def interquartile_mean(returns: Array, axis: int = -1) -> Any:
 
 
 def curve_of(rows: list[dict[str, Any]]) -> tuple[Array, Array, Array]:
-    """Learning curve of several trainings: control steps, shape (n,), interquartile mean of the returns, (n,), and the
-    ends of its 95 % interval by bootstrap over the trainings, (2, n)."""
+    """Learning curve of several trainings: seconds, shape (n,), interquartile mean of the returns, (n,), and the ends
+    of its 95 % interval by bootstrap over the trainings, (2, n)."""
     curves = np.array([row["curve"] for row in rows])
     interval = bootstrap(
         (curves,), interquartile_mean, axis=0, n_resamples=RESAMPLES, method="percentile", rng=np.random.default_rng(0)
     )
-    return np.array(rows[0]["steps"]), interquartile_mean(curves, 0), np.array(interval.confidence_interval)
+    return (
+        np.mean([row["seconds"] for row in rows], axis=0),
+        interquartile_mean(curves, 0),
+        np.array(interval.confidence_interval),
+    )
 
 
 def in_scene(folder: Path, scene: dict[str, float], policy: str, episodes: int) -> dict[str, Any]:

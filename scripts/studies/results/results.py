@@ -112,8 +112,9 @@ def _trained(rows: list[dict[str, Any]]) -> str:
         trainings = _of_task(rows, task)
         settings, means = trainings[0]["settings"], [row["mean"] for row in trainings]
         ends = f"{min(means):.1f} to {max(means):.1f}"
-        lines.append((task, f"{np.mean(means):.1f}", ends, f"{settings['total_steps']:,}"))
-    return table(("task", "mean of five", "lowest to highest", "decisions"), lines)
+        seconds = np.mean([row["seconds"][-1] for row in trainings])
+        lines.append((task, f"{np.mean(means):.1f}", ends, f"{settings['total_steps']:,}", f"{seconds:.0f}"))
+    return table(("task", "mean of five", "lowest to highest", "decisions", "seconds"), lines)
 
 
 def draw(rows: list[dict[str, Any]], learning: list[dict[str, Any]], path: Path) -> None:
@@ -128,12 +129,12 @@ def draw(rows: list[dict[str, Any]], learning: list[dict[str, Any]], path: Path)
     panels = figure.subplots(1, len(TRAINED))
     earned = {(row["task"], row["policy"]): row["mean"] for row in rows if row["contact"] == "exact"}
     for axes, task in zip(panels, TRAINED, strict=True):
-        steps, middle, (low, high) = these.curve_of(_of_task(learning, task))
-        axes.plot(steps / 1e6, middle, color=JACK, label="PPO, five seeds")
-        axes.fill_between(steps / 1e6, low, high, color=JACK, alpha=0.25, linewidth=0)
+        seconds, middle, (low, high) = these.curve_of(_of_task(learning, task))
+        axes.plot(seconds, middle, color=JACK, label="PPO, five seeds")
+        axes.fill_between(seconds, low, high, color=JACK, alpha=0.25, linewidth=0)
         for name, style in LINES.items():
             axes.axhline(earned[task, name], color=ACCENT, linewidth=1.2, linestyle=style, label=name)
-        axes.set(title=task, xlabel="control steps [million]", xlim=(0.0, steps[-1] / 1e6))
+        axes.set(title=task, xlabel="seconds of one core", xlim=(0.0, seconds[-1]))
         axes.margins(y=0.12)
         axes.spines[["top", "right"]].set_visible(False)
     panels[0].set_ylabel("return")
@@ -156,7 +157,7 @@ def gathered(arguments: Arguments) -> dict[str, Any]:
     counts = arguments.episodes, arguments.planner_episodes, arguments.across_episodes, arguments.training_episodes
     trials = these.trials(*counts)
     rows = swept(folder / "sweep", trials, partial(these.measured, folder), runner, arguments.progress)
-    parts: dict[str, list[Any]] = {"learning": [], "rows": [], "across": []}
+    parts: dict[str, list[Any]] = {"learning": [], "bare": [], "rows": [], "across": []}
     for row in rows:
         parts[row["part"]].append((row, row["row"]))
     across: dict[str, dict[str, Any]] = {}
@@ -165,7 +166,8 @@ def gathered(arguments: Arguments) -> dict[str, Any]:
     return {
         "seed": these.SEED,
         "resamples": these.RESAMPLES,
-        **{name: [row for _, row in parts[name]] for name in ("learning", "rows")},
+        "learning": [row for _, row in parts["learning"]],
+        "rows": these.with_bare([row for _, row in parts["rows"]], [row for _, row in parts["bare"]]),
         "across": [{"scene": json.loads(scene), "earned": earned} for scene, earned in across.items()],
         "spin_bound": these.spin_bound(arguments.episodes),
     }
