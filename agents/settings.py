@@ -152,14 +152,14 @@ _TORQUES: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class TrainSettings(EnvSettings):
-    """Everything that a training run depends on; `make demo` trains by the defaults, some 2 minutes on one core.
+    """Everything that a training run depends on; `make demo` trains by the defaults, some 45 seconds on one core.
 
     They are for juggle with one decision per bounce. :meth:`suited` has defaults for every task.
     """
 
     seed: int = 0
     """Seed of the network, the environments and the noise."""
-    total_steps: int = 850_000
+    total_steps: int = 1_200_000
     """Steps to train for. Here and below a step is one action of one environment, which lasts as `repeat` says."""
     max_minutes: float | None = None
     """Stop earlier when this much time has passed [min]."""

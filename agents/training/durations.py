@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import torch
 from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 
@@ -53,9 +54,23 @@ class DurationBuffer(RolloutBuffer):
 
 
 class Durations(BaseCallback):
-    """Writes the durations of decisions into the model's :class:`DurationBuffer`."""
+    """Writes the durations of decisions into the model's :class:`DurationBuffer`.
+
+    It also adds the values after episodes that the time limit ended, discounted by duration and all in one evaluation,
+    where PPO would evaluate them one by one with one discount.
+    """
 
     def _on_step(self) -> bool:
-        buffer: Any = self.model.rollout_buffer  # type: ignore[attr-defined]
-        buffer.durations[buffer.pos] = [info["duration"] for info in self.locals["infos"]]
+        model: Any = self.model
+        buffer, infos = model.rollout_buffer, self.locals["infos"]
+        durations = np.array([info["duration"] for info in infos])
+        buffer.durations[buffer.pos] = durations
+        cut = [number for number, info in enumerate(infos) if info.get("TimeLimit.truncated", False)]
+        if cut:
+            last = model.policy.obs_to_tensor(np.stack([infos[number]["terminal_observation"] for number in cut]))[0]
+            with torch.no_grad():
+                values = model.policy.predict_values(last).cpu().numpy().ravel()
+            self.locals["rewards"][cut] += model.gamma ** durations[cut] * values
+            for number in cut:
+                infos[number]["TimeLimit.truncated"] = False  # it is accounted for
         return True
