@@ -251,6 +251,14 @@ def spin_bound(episodes: int) -> float:
     return float(np.mean(EPISODE_STEPS - unpaid_steps(env.states)))
 
 
+def best_upright() -> float:
+    """The most that a jack earns on juggle, in the mean, that bounces upright in a level box, by its highest point."""
+    height = np.linspace(0.0, 1.0, 1001)  # over the box's middle [m]
+    drop = height + Scene().box_half_width - Scene().jack_arm
+    distance = 4.0 / 3.0 * height * np.sqrt(height / drop) - height + drop / 3.0  # mean, to the middle
+    return float(EPISODE_STEPS * (1.0 - distance / 5.0).max())
+
+
 def rattle_at(speed: float) -> float:
     """Return on rattle of a jack that flies to and fro at a speed [m/s], straight at the walls of a box at rest.
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from agents.policies.network import TRAINED
+from agents.policies.planner import FAST_SEARCHES, SEARCHES
 from jackbox_env.command_line import command_line
 from jackbox_env.scene import Scene
 from scripts.studies.pages import table
@@ -57,6 +58,10 @@ def page(record: dict[str, Any]) -> str:
         "episodes": [best["juggle", policy]["episodes"] for policy in ("zero", "planner")],
         "rows": {task: _table([row for row in record["rows"] if row["task"] == task]) for task in TRAINED},
         "tried": len(these.chirps()),
+        "upright": these.best_upright(),
+        "bare_steps": these.BARE_STEPS,
+        "rollouts": _rollouts(SEARCHES),
+        "fast_rollouts": _rollouts(FAST_SEARCHES),
         "bound": record["spin_bound"],
         "reached": earned["spin"]["planner"] / record["spin_bound"],
         "fast": [0.5 * fast, these.rattle_at(0.5 * fast), these.rattle_at(fast)],
@@ -71,6 +76,12 @@ def page(record: dict[str, Any]) -> str:
         "trained": _trained(record["learning"]),
     }
     return (Path(__file__).parent / "page.md").read_text().format(**fields)
+
+
+def _rollouts(searches: dict[str, dict[str, Any]]) -> str:
+    """Numbers of rollouts in a decision of the planners of all tasks."""
+    counts = [searches[task]["samples"] * searches[task]["iterations"] for task in TRAINED]
+    return f"{counts[0]:,}, {counts[1]:,} and {counts[2]:,}"
 
 
 def _cell(row: dict[str, Any]) -> str:
@@ -117,7 +128,7 @@ def _trained(rows: list[dict[str, Any]]) -> str:
     return table(("task", "mean of five", "lowest to highest", "decisions", "seconds"), lines)
 
 
-def draw(rows: list[dict[str, Any]], learning: list[dict[str, Any]], path: Path) -> None:
+def draw(rows: list[dict[str, Any]], learning: list[dict[str, Any]], spin_bound: float, path: Path) -> None:
     """Draw the learning curves of five trainings on each task, and other policies' returns as lines, for exact."""
     from matplotlib.figure import Figure
 
@@ -134,11 +145,13 @@ def draw(rows: list[dict[str, Any]], learning: list[dict[str, Any]], path: Path)
         axes.fill_between(seconds, low, high, color=JACK, alpha=0.25, linewidth=0)
         for name, style in LINES.items():
             axes.axhline(earned[task, name], color=ACCENT, linewidth=1.2, linestyle=style, label=name)
+        bound = {"juggle": these.best_upright(), "spin": spin_bound}.get(task, np.nan)
+        axes.axhline(bound, color="black", linewidth=0.8, label="bound")
         axes.set(title=task, xlabel="seconds of one core", xlim=(0.0, seconds[-1]))
         axes.margins(y=0.12)
         axes.spines[["top", "right"]].set_visible(False)
     panels[0].set_ylabel("return")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5, frameon=False)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=6, frameon=False)
     with replacing(path) as partial_file:
         figure.savefig(partial_file, dpi=120)
 
@@ -187,7 +200,7 @@ def main() -> None:
     check_writable(arguments.out)
     record = gathered(arguments)
     write_text(arguments.out / "results.md", page(record))
-    draw(record["rows"], record["learning"], arguments.out / "results.png")
+    draw(record["rows"], record["learning"], record["spin_bound"], arguments.out / "results.png")
     write_text(arguments.out / "results.json", json.dumps(record, indent=1) + "\n")
     print(f"Written: {arguments.out / 'results.md'}")
 
