@@ -76,10 +76,9 @@ def make_ppo(settings: TrainSettings, environments: VecEnv, **keywords: Any) -> 
         clip_range=settings.clip_range,
         ent_coef=settings.entropy_coefficient,
         policy_kwargs=policy_kwargs(settings),
-        rollout_buffer_class=DurationBuffer if settings.repeat == "bounce" else None,
         seed=settings.seed,
         device="cpu",
-        **keywords,
+        **{"rollout_buffer_class": DurationBuffer if settings.repeat == "bounce" else None, **keywords},
     )
     setattr(model, TRAINED_BY, dataclasses.asdict(settings))  # saved with the model
     return model

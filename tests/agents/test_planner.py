@@ -111,6 +111,10 @@ def test_the_planner_by_its_name_has_the_settings_of_the_environment() -> None:
     search = planner._search
     assert (planner._scene.gravity, search.repeat, search.seed, search.task.terms) == (3.0, 2, 7, ("spin",))
     assert Planner(Scene(drive=Drive(force_x=lambda t: t)))._scene.drive is None
+    fast, former = (find_policy(name, settings, 7).policy for name in ("planner-fast", "planner-64"))
+    assert isinstance(fast, Planner)
+    assert isinstance(former, Planner)
+    assert fast._search.samples == former._search.samples < search.samples
 
 
 def test_a_custom_task_is_planned_for() -> None:
