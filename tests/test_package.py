@@ -92,7 +92,7 @@ def test_each_block_of_the_readme_runs_alone(number: int) -> None:
     examples = blocks(ROOT / "README.md")
     assert len(examples) == 2
     assert len([line for line in examples[number].splitlines() if line]) <= 11
-    run(examples[number].replace("learn(200_000,", "learn(20_000,"))  # make readme trains in full
+    run(examples[number].replace("learn(400_000,", "learn(20_000,"))  # make readme trains in full
 
 
 def test_the_readme_is_short_and_its_tables_have_the_measured_numbers() -> None:

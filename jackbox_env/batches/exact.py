@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
-from jackbox_env.batches.base import Change, Flags, Floats, Numbers, Outcome, Starts, bad_action
+from jackbox_env.batches.base import Batch, Change, Flags, Floats, Numbers, Outcome, Starts, bad_action
 from jackbox_env.batches.scenes import SceneTable
 from jackbox_env.batches.threads import Halt, Threads, thread_count
 from jackbox_env.exact import glide, restart, run, score
@@ -46,7 +47,7 @@ _GRAIN = 4  # blocks that are worth a call
 _NO_ACTIONS: Array = np.zeros((0, 0))
 
 
-class ExactBatch:
+class ExactBatch(Batch):
     """See :class:`jackbox_env.batches.base.Batch`; 288 bytes per environment besides the arrays returned.
 
     With a scene for each environment it is 152 bytes more.
@@ -132,13 +133,14 @@ class ExactBatch:
 
     # -- episodes -----------------------------------------------------------------------------------------------------
 
+    @override
     def scene(self, number: int, starts: Starts | None = None) -> Scene:
-        """See :meth:`jackbox_env.batches.base.Batch.scene`."""
         if starts is None or starts.scenes is None or number not in starts.numbers:
             return self._scenes.scene(number)
         scene = starts.scenes[int(np.searchsorted(starts.numbers, number))]
         return scene if isinstance(scene, Scene) else self._scenes.scene_of(number, scene)
 
+    @override
     def draw(
         self,
         numbers: Numbers,
@@ -146,7 +148,6 @@ class ExactBatch:
         changes: Sequence[Change] | None = None,
         placed: bool = False,
     ) -> Starts:
-        """See :meth:`jackbox_env.batches.base.Batch.draw`."""
         ensure_compiled()
         words, table = self._generators[numbers], self._scenes
         for index, seed in enumerate(seeds or ()):
@@ -174,8 +175,8 @@ class ExactBatch:
             words[index] = packed(generator)[: words.shape[1]]
         return Starts(numbers, words, scenes or None, np.array(states) if starting else None)
 
+    @override
     def start(self, starts: Starts) -> None:
-        """See :meth:`jackbox_env.batches.base.Batch.start`."""
         numbers, words, scenes, states = starts
         if len(numbers) == self._count:
             self._spare = None
@@ -195,8 +196,8 @@ class ExactBatch:
             self._blocks[block, :12, lane] = states
         self._generators[numbers] = words
 
+    @override
     def set_states(self, chosen: Flags, states: Array, times: Array) -> None:
-        """See :meth:`jackbox_env.batches.base.Batch.set_states`."""
         blocks = self._blocks
         block, lane = np.divmod(np.flatnonzero(chosen), blocks.shape[2])
         blocks[block, :12, lane] = states[chosen]
@@ -204,16 +205,16 @@ class ExactBatch:
         over = blocks[block, glide.OVER, lane] != 0.0
         blocks[block[over], glide.STEPS, lane[over]] = blocks[block[over], glide.OVER, lane[over]] = 0.0
 
+    @override
     def observe(self, numbers: Numbers, observations: Floats) -> None:
-        """See :meth:`jackbox_env.batches.base.Batch.observe`."""
         compiled(restart.observe_blocks)(self._scenes.rows(numbers), self._blocks, numbers, observations)
 
+    @override
     def field(self, name: str) -> Array:
-        """See :meth:`jackbox_env.batches.base.Batch.field`."""
         return np.repeat(self._scenes.column(name), 1 if self._scenes.several else self._count)
 
     def impacts(self, number: int) -> list[Impact]:
-        """See :meth:`jackbox_env.batches.base.Batch.impacts`.
+        """As :meth:`jackbox_env.batches.base.Batch.impacts`.
 
         The step is repeated, from the memory that the next step will write to.
         """
@@ -246,8 +247,8 @@ class ExactBatch:
 
     # -- stepping -----------------------------------------------------------------------------------------------------
 
+    @override
     def step(self, actions: Array | Landings | None) -> Outcome:
-        """See :meth:`jackbox_env.batches.base.Batch.step`."""
         count, halt, landings = self._count, Halt(), actions if isinstance(actions, Landings) else None
         filled = Results(
             np.empty((count, 10), dtype=np.float32), np.zeros((1, count)), np.zeros(count if landings else 0),
@@ -294,16 +295,16 @@ class ExactBatch:
             filled.observations, rewards, filled.terminations, filled.truncations, infos, finished, after, steps
         )
 
+    @override
     def take(self, after: Array) -> None:
-        """See :meth:`jackbox_env.batches.base.Batch.take`."""
         self._blocks, self._spare, self._stepped = after, self._blocks, True
 
+    @override
     def saved(self) -> Array:
-        """See :meth:`jackbox_env.batches.base.Batch.saved`."""
         return self._blocks.copy()
 
+    @override
     def restore(self, saved: Array) -> None:
-        """See :meth:`jackbox_env.batches.base.Batch.restore`."""
         self._blocks, self._stepped = saved, False
 
     def _scenes_of_steps(self, torque: int, steps: int) -> Scenes:

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from gymnasium.utils.seeding import np_random
 from numpy.typing import NDArray
+from typing_extensions import override
 
-from jackbox_env.batches.base import Change, Flags, Floats, Numbers, Outcome, Starts, bad_action
+from jackbox_env.batches.base import Batch, Change, Flags, Floats, Numbers, Outcome, Starts, bad_action
 from jackbox_env.env import JackInBoxEnv, put
 from jackbox_env.landing import Landings, play
 from jackbox_env.randomization import Randomization
@@ -20,7 +21,7 @@ from jackbox_env.states import Array
 from jackbox_env.tasks import TaskError, draw_start, sample_start, task_of
 
 
-class SingleBatch:
+class SingleBatch(Batch):
     """See :class:`jackbox_env.batches.base.Batch`.
 
     A step moves the environments. If it is not taken, they are set back before they are used again.
@@ -68,24 +69,25 @@ class SingleBatch:
         """Names of the infos, those of the single environment."""
         return list(self._names)
 
+    @override
     def scene(self, number: int, starts: Starts | None = None) -> Scene:
-        """See :meth:`jackbox_env.batches.base.Batch.scene`."""
         if starts is None or starts.scenes is None or number not in starts.numbers:
             return self._scenes[number]
         scene: Scene = starts.scenes[int(np.searchsorted(starts.numbers, number))]
         return scene
 
+    @override
     def field(self, name: str) -> Array:
-        """See :meth:`jackbox_env.batches.base.Batch.field`."""
         return np.array([getattr(scene, name) for scene in self._scenes], dtype=np.float64)
 
+    @override
     def impacts(self, number: int) -> list[Impact]:
-        """See :meth:`jackbox_env.batches.base.Batch.impacts`."""
         self._gather()
         return self._envs[number].impacts
 
     # -- episodes -----------------------------------------------------------------------------------------------------
 
+    @override
     def draw(
         self,
         numbers: Numbers,
@@ -93,7 +95,6 @@ class SingleBatch:
         changes: Sequence[Change] | None = None,
         placed: bool = False,
     ) -> Starts:
-        """See :meth:`jackbox_env.batches.base.Batch.draw`."""
         generators, scenes, states = list[np.random.Generator](), list[Scene](), list[Array]()
         for index, number in enumerate(numbers.tolist()):
             seed = seeds[index] if seeds else None
@@ -106,8 +107,8 @@ class SingleBatch:
                 states.append(draw_start(self._task, scenes[-1] if scenes else self._scenes[number], generators[-1]))
         return Starts(numbers, generators, scenes or None, None if placed else np.array(states))
 
+    @override
     def start(self, starts: Starts) -> None:
-        """See :meth:`jackbox_env.batches.base.Batch.start`."""
         numbers = starts.numbers
         for index, number in enumerate(numbers.tolist()):
             self._generators[number] = starts.generators[index]
@@ -119,8 +120,8 @@ class SingleBatch:
         for env in self._envs if self._envs[0].render_mode == "human" else ():
             env.render()
 
+    @override
     def set_states(self, chosen: Flags, states: Array, times: Array) -> None:
-        """See :meth:`jackbox_env.batches.base.Batch.set_states`."""
         self._states[chosen], self._times[chosen] = states[chosen], times[chosen]
         anew = chosen & self._over
         self._steps[anew], self._over[anew] = 0, False
@@ -137,16 +138,16 @@ class SingleBatch:
             self._put(np.arange(len(self._envs)))
             self._astray = False
 
+    @override
     def observe(self, numbers: Numbers, observations: Floats) -> None:
-        """See :meth:`jackbox_env.batches.base.Batch.observe`."""
         self._gather()
         for number in numbers.tolist():
             observations[number] = self._envs[number].observation
 
     # -- stepping -----------------------------------------------------------------------------------------------------
 
+    @override
     def step(self, actions: Array | Landings | None) -> Outcome:
-        """See :meth:`jackbox_env.batches.base.Batch.step`."""
         count, going = len(self._envs), np.flatnonzero(~self.over).tolist()
         landings = actions if isinstance(actions, Landings) else None
         self._refuse(None if isinstance(actions, Landings) else actions, going)
@@ -178,17 +179,17 @@ class SingleBatch:
         lengths = None if landings is None else steps - self._steps
         return Outcome(observations, rewards, terminations, truncations, infos, int(ended.sum()), after, lengths)
 
+    @override
     def take(self, after: tuple[Array, Array, NDArray[np.int64], Flags]) -> None:
-        """See :meth:`jackbox_env.batches.base.Batch.take`."""
         self._states, self._times, self._steps, self._over = after
         self._astray = False
 
+    @override
     def saved(self) -> tuple[Array, Array, NDArray[np.int64], Flags]:
-        """See :meth:`jackbox_env.batches.base.Batch.saved`."""
         return self._states, self._times, self._steps, self._over
 
+    @override
     def restore(self, saved: tuple[Array, Array, NDArray[np.int64], Flags]) -> None:
-        """See :meth:`jackbox_env.batches.base.Batch.restore`."""
         self._states, self._times, self._steps, self._over = saved
         self._astray = True
 

@@ -161,7 +161,7 @@ class ContactModel(ABC):
 
     @abstractmethod
     def step(self, dt: float, torque: float | None = None) -> None:
-        """See :meth:`Simulator.step`."""
+        """Advance by ``dt`` [s] under a held ``torque`` [N m], or under the drive."""
 
     def _prepare(self) -> None:  # noqa: B027  # some have nothing to build
         """Build what is not pickled."""

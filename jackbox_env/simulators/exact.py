@@ -36,6 +36,7 @@ from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from typing_extensions import override
 
 from jackbox_env import checks as check
 from jackbox_env.exact.compiler import compiled
@@ -116,8 +117,8 @@ class ExactSimulator(ContactModel):
         super().__init__(scene)
         self._prepare()
 
+    @override
     def step(self, dt: float, torque: float | None = None) -> None:
-        """See :meth:`Simulator.step`."""
         dt = check.real("dt", dt, above=0.0)
         if torque is not None:
             torque = check.real("torque", torque)
@@ -141,8 +142,8 @@ class ExactSimulator(ContactModel):
         impacts = recorded(memory.log[:hits], present.time) if hits else ()
         self._present = Present(self._states[into], present.time + dt, memory.lanes.item(TORQUE, 0), impacts)
 
+    @override
     def reset(self, state: ArrayLike, time: float = 0.0) -> None:
-        """See :meth:`Simulator.reset`."""
         ensure_compiled()
         super().reset(state, time)
 

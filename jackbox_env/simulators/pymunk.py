@@ -47,6 +47,7 @@ from typing import NamedTuple, cast
 
 import pymunk
 from pymunk.batch import BodyFields, Buffer, get_space_bodies
+from typing_extensions import override
 
 from jackbox_env import checks as check
 from jackbox_env.mechanics import energy_of
@@ -146,8 +147,8 @@ class PymunkSimulator(ContactModel):
 
     # -- stepping -----------------------------------------------------------------------------------------------------
 
+    @override
     def step(self, dt: float, torque: float | None = None) -> None:
-        """See :meth:`Simulator.step`."""
         dt = check.real("dt", dt, above=0.0)
         if torque is not None:
             torque = check.real("torque", torque)

@@ -6,6 +6,8 @@ import math
 from abc import abstractmethod
 from typing import ClassVar
 
+from typing_extensions import override
+
 from jackbox_env import checks as check
 from jackbox_env.measure.accuracy import Between
 from jackbox_env.scene import Drive, Scene
@@ -43,8 +45,8 @@ class Baseline(ContactModel):
     def _as_stored(self, state: Array) -> list[float]:
         return [float(number) for number in state]
 
+    @override
     def step(self, dt: float, torque: float | None = None) -> None:
-        """See :meth:`Simulator.step`."""
         dt = check.real("dt", dt, above=0.0)
         if torque is not None:
             torque = check.real("torque", torque)
@@ -100,7 +102,7 @@ class Baseline(ContactModel):
         return torque if torque is not None else 0.5 * sum((self.scene.drive or Drive()).torque_means(time, h))
 
     def reset(self, state: object, time: float = 0.0) -> None:
-        """See :meth:`Simulator.reset`. An impact that is under way is forgotten."""
+        """As :meth:`Simulator.reset`; an impact under way is forgotten."""
         super().reset(state, time)  # type: ignore[arg-type]
         self._under_way = []
 
