@@ -55,7 +55,7 @@ def main() -> None:
     settings = TrainSettings(total_steps=arguments.total_steps, max_minutes=arguments.max_minutes, seed=arguments.seed)
     folder = new_folder(arguments.folder, "demo", lambda made: describe(made, settings))
     limit = "" if settings.max_minutes is None else f" (at most {settings.max_minutes:g} min)"
-    print(f"Training PPO for {settings.total_steps:,} steps of {settings.repeat} control steps each{limit}")
+    print(f"Training PPO for {settings.total_steps:,} decisions, one per bounce{limit}")
     train(settings, folder)
 
     print(f"Evaluating {arguments.episodes} episodes of each policy on fidelity exact, and on gym.make's balanced")
