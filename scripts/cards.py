@@ -12,8 +12,8 @@ from jackbox_env.files import write_text
 
 INPUTS = "From the observation, and eleven numbers about the jack's next landing that follow from it,"
 ORIGINS = {  # what a network is, and how it was trained
-    "ppo": f"""A network with two layers of {{hidden_units[0]}} neurons. {INPUTS} it chooses {{chosen}}, for {{repeat}} control steps of {{control_dt}} s each time.
-PPO trained it for {{total_steps:,}} decisions in {{num_envs}} environments: discount {{gamma}}, learning rate {{learning_rate}}, seed {{seed}}; settings.json has the rest. That took {{seconds:.0f}} s. Five such trainings, this one and four of other seeds, earn {{lowest:.1f}} to {{highest:.1f}}. `make networks` trains it again.""",  # noqa: E501
+    "ppo": f"""A network with two layers of {{hidden_units[0]}} neurons. {INPUTS} it chooses {{chosen}}, {{lasting}}.
+PPO trained it for {{total_steps:,}} decisions in {{num_envs}} environments: discount {{gamma}}{{per}}, learning rate {{learning_rate}}, seed {{seed}}; settings.json has the rest. That took {{seconds:.0f}} s. Five such trainings, this one and four of other seeds, earn {{lowest:.1f}} to {{highest:.1f}}. `make networks` trains it again.""",  # noqa: E501
     "distilled": f"""A network with two layers of {{hidden_units[0]}} neurons. {INPUTS} it chooses a torque, for {{repeat}} control steps of {{control_dt}} s each time.
 `scripts/studies/vine.py` tries torques from the same states, plays on by exact rollouts, and makes the better ones more likely by PPO's clipped loss.""",  # noqa: E501
     "juggle-distilled": """A network that evaluates a bounce. The policy predicts one bounce in closed form for many angles and rates of the box, and turns the box to the best.
@@ -60,6 +60,8 @@ def card(folder: Path, record: dict[str, Any]) -> str:
     means = [one["mean"] for one in record["learning"] if one["task"] == task]
     facts |= {"lowest": min(means), "highest": max(means), "metrics": "", "rows": ""}
     facts["chosen"] = "the box's angle and rate at the landing" if facts.get("landing") else "a torque"
+    by_bounce, steps = facts.get("repeat") == "bounce", f"{facts.get('repeat')} control steps of {facts['control_dt']} s"
+    facts |= {"lasting": "once a bounce" if by_bounce else f"for {steps} each time", "per": " per second" * by_bounce}
     for row in (row for row in record["rows"] if (row["task"], row["policy"]) == (task, facts["policy"])):
         half = (row["interval_95"][1] - row["interval_95"][0]) / 2.0
         facts["metrics"] += METRIC.format(**row, half=half)
