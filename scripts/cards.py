@@ -60,7 +60,8 @@ def card(folder: Path, record: dict[str, Any]) -> str:
     means = [one["mean"] for one in record["learning"] if one["task"] == task]
     facts |= {"lowest": min(means), "highest": max(means), "metrics": "", "rows": ""}
     facts["chosen"] = "the box's angle and rate at the landing" if facts.get("landing") else "a torque"
-    by_bounce, steps = facts.get("repeat") == "bounce", f"{facts.get('repeat')} control steps of {facts['control_dt']} s"
+    by_bounce = facts.get("repeat") == "bounce"
+    steps = f"{facts.get('repeat')} control steps of {facts['control_dt']} s"
     facts |= {"lasting": "once a bounce" if by_bounce else f"for {steps} each time", "per": " per second" * by_bounce}
     for row in (row for row in record["rows"] if (row["task"], row["policy"]) == (task, facts["policy"])):
         half = (row["interval_95"][1] - row["interval_95"][0]) / 2.0
