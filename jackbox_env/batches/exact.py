@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from jackbox_env.batches.base import Batch, Change, Flags, Floats, Numbers, Outcome, Starts, bad_action
-from jackbox_env.batches.scenes import SceneTable
+from jackbox_env.batches.scenes import Refusal, SceneTable
 from jackbox_env.batches.threads import Halt, Threads, thread_count
 from jackbox_env.exact import glide, restart, run, score
 from jackbox_env.exact.compiler import address_of, compiled
@@ -31,14 +31,7 @@ from jackbox_env.randomization import Randomization
 from jackbox_env.scene import Scene
 from jackbox_env.scoring import bad_reward, compiled_for
 from jackbox_env.simulators.base import Impact, end_of_step
-from jackbox_env.simulators.exact import (
-    NO_PIECES,
-    ExactSimulator,
-    ensure_compiled,
-    failure,
-    joined,
-    pieces_for,
-)
+from jackbox_env.simulators.exact import NO_PIECES, ExactSimulator, ensure_compiled, failure
 from jackbox_env.states import Array, State
 from jackbox_env.tasks import Task, draw_start
 
@@ -256,14 +249,14 @@ class ExactBatch(Batch):
             np.zeros((count if self._with_infos else 0, score.TERMS + len(self._terms))), *NOTHING[6:],
         )  # fmt: skip
         kind, steps, resting = (LANDINGS, landings.steps, landings.resting) if landings else (SHARES, 1, 0)
-        scenes, controls = self._scenes_of_steps(int(actions is not None), steps), _controls(actions)
+        scenes, refusals = self._scenes_of_steps(int(actions is not None), steps)
         rules = Rules(self._dt, steps, self._limit, kind, False, resting, self._score_address, run.PATIENCE)
         spare, calls = self._spare, self._calls
         before = self._blocks.copy() if steps > 1 else self._blocks  # several steps overwrite it
         spare = np.zeros_like(before) if spare is None else spare
         calls = self._new_calls() if calls is None else calls
         for call in calls:
-            call.prepare(scenes, rules, before, spare, controls, filled)
+            call.prepare(scenes, rules, before, spare, _controls(actions), filled)
         self._spare = self._calls = None
         self._stepped, self._acted = False, actions  # until the step is taken
         step = compiled(run.run)
@@ -281,9 +274,13 @@ class ExactBatch(Batch):
         self._spare, self._calls = spare, calls
         for ended, number, made in parts:
             if ended:
-                raise self._failure(ended, number, actions, made)
-        finished = sum(finished for _, finished, _ in parts)
-        return self._outcome(filled, finished, spare if steps & 1 else before, landings is not None)
+                raise self._failure(ended, number, actions, made, refusals)
+        after, finished = spare if steps & 1 else before, sum(finished for _, finished, _ in parts)
+        for number, refusal in refusals.items():
+            block, lane = divmod(number, after.shape[2])
+            if after[block, glide.STEPS, lane] - self._blocks[block, glide.STEPS, lane] > refusal.step:
+                raise refusal.error
+        return self._outcome(filled, finished, after, landings is not None)
 
     def _outcome(self, filled: Results, finished: int, after: Array, decided: bool) -> Outcome:
         """The outcome of a step, or of decisions, which ends with the blocks ``after``."""
@@ -307,22 +304,13 @@ class ExactBatch(Batch):
     def restore(self, saved: Array) -> None:
         self._blocks, self._stepped = saved, False
 
-    def _scenes_of_steps(self, torque: int, steps: int) -> Scenes:
-        """The scenes, with the pieces of drives of functions, cut once for each drive and time."""
+    def _scenes_of_steps(self, torque: int, steps: int) -> tuple[Scenes, dict[int, Refusal]]:
+        """See :meth:`jackbox_env.batches.scenes.SceneTable.of_steps`."""
         scenes = self._scenes
         if not scenes.cutting[torque]:
-            return Scenes(scenes.values, scenes.lanes, scenes.kinds[torque], *NO_PIECES)
-        tables, indices = list[Array](), dict[tuple[int, float], int]()
-        begins, times, drives = np.zeros(self._count, np.int64), self.times.tolist(), scenes.drives
-        for number in np.flatnonzero(scenes.cut[torque] & ~self.over).tolist():
-            drive, time = drives[number if scenes.several else 0], times[number]
-            if (id(drive), time) not in indices:
-                end_of_step(time, self._dt)
-                indices[id(drive), time] = len(tables)
-                for start in np.add.accumulate([time, *[self._dt] * (steps - 1)]).tolist():
-                    tables.append(pieces_for(drive, start, self._dt, 0.0 if torque else None))  # whatever is held
-            begins[number] = indices[id(drive), time]
-        return Scenes(scenes.values, scenes.lanes, scenes.kinds[torque], *joined(tables, begins))
+            return Scenes(scenes.values, scenes.lanes, scenes.kinds[torque], *NO_PIECES), {}
+        remaining = np.where(self.over, 0.0, np.minimum(steps, self._limit - self._column(glide.STEPS)))
+        return scenes.of_steps(torque, self.times, remaining.astype(np.int64))
 
     def _infos(self, after: Array, reports: Array) -> dict[str, NDArray[Any]]:
         numbers = [
@@ -335,7 +323,11 @@ class ExactBatch(Batch):
         ]
         return dict(zip(self.info_names, numbers, strict=True))
 
-    def _failure(self, ended: int, number: int, actions: Array | Landings | None, made: int) -> Exception:
+    def _failure(
+        self, ended: int, number: int, actions: Array | Landings | None, made: int, refusals: dict[int, Refusal]
+    ) -> Exception:
+        if number in refusals and made >= refusals[number].step:
+            return refusals[number].error
         if ended == Status.BAD_ACTION and isinstance(actions, np.ndarray):
             return bad_action(float(actions[number]), number)
         if ended == Status.BAD_REWARD:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import fields
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +13,10 @@ from jackbox_env.batches.base import Flags
 from jackbox_env.exact.compiler import compiled
 from jackbox_env.exact.glide import SCENE_LANES
 from jackbox_env.exact.restart import spread
+from jackbox_env.exact.workspace import Scenes
 from jackbox_env.scene import Chirp, Drive, Scene, SceneNumbers
-from jackbox_env.simulators.exact import WITH_PIECES, drive_kind
+from jackbox_env.simulators.base import end_of_step
+from jackbox_env.simulators.exact import NO_TABLE, WITH_PIECES, drive_kind, joined, pieces_for
 from jackbox_env.states import Array
 
 AnyDrive = Chirp | Drive | None
@@ -22,6 +24,13 @@ Counts = NDArray[np.int64]
 
 _FIELDS = tuple(part.name for part in fields(Scene) if part.name in SceneNumbers._fields)
 _COLUMNS = [SceneNumbers._fields.index(name) for name in _FIELDS]
+
+
+class Refusal(NamedTuple):
+    """A step of an environment, counted from 0, over which a function of its drive fails, and how."""
+
+    step: int
+    error: Exception
 
 
 class SceneTable:
@@ -97,6 +106,38 @@ class SceneTable:
         """A copy of the rows of some environments; of the only row if they share a scene."""
         return self.values[numbers] if self.several else self.values.copy()
 
+    def of_steps(self, torque: int, times: Array, steps: Counts) -> tuple[Scenes, dict[int, Refusal]]:
+        """The scenes with the pieces of drives of functions, cut once for each drive, time and number of steps.
+
+        Args:
+            torque: 1 if torques are held, 0 if the drives act.
+            times: at which the environments are [s], (N,).
+            steps: that each of them makes at most, (N,).
+
+        Returns:
+            The scenes, and by number the environments whose drive fails over a step that they may not reach.
+
+        Raises:
+            Exception: a drive fails over a first step.
+        """
+        tables, cut, begins = list[Array](), dict[tuple[int, float, int], int](), np.zeros(self.count, np.int64)
+        refusals, refused = dict[int, Refusal](), dict[int, Refusal]()  # by number; by first table
+        for number in np.flatnonzero(self.cut[torque] & (steps > 0)).tolist():
+            drive, time, most = self.drives[number if self.several else 0], float(times[number]), int(steps[number])
+            begin = cut.setdefault((id(drive), time, most), len(tables))
+            if begin == len(tables):
+                end_of_step(time, self.dt)
+                pieces, error = _pieces_ahead(drive, time, self.dt, most, 0.0 if torque else None)  # whatever is held
+                if error is not None:
+                    refused[begin] = Refusal(len(pieces), error)
+                tables += [*pieces, *[pieces[-1]] * (most - len(pieces))]
+            begins[number] = begin
+            if begin in refused:
+                refusals[number] = refused[begin]
+        # Environments without functions count their steps from the first table.
+        tables += [NO_TABLE] * (int(steps.max()) - len(tables))
+        return Scenes(self.values, self.lanes, self.kinds[torque], *joined(tables, begins)), refusals
+
     def put(self, numbers: Counts, rows: Array) -> None:
         """Set the numbers of some environments' scenes, or of all if they share one."""
         self._changing = True
@@ -149,3 +190,22 @@ class SceneTable:
         follows = original.changed(**{name: value for name, value in changed.items() if name not in original.derived})
         inertias = {name: numbers[name] for name in original.derived if numbers[name] != getattr(follows, name)}
         return follows.changed(**inertias) if inertias else follows
+
+
+def _pieces_ahead(
+    drive: AnyDrive, time: float, dt: float, steps: int, torque: float | None
+) -> tuple[list[Array], Exception | None]:
+    """The pieces of a drive over each of several steps; those before a step that fails, after the first, and its error.
+
+    Raises:
+        Exception: the drive fails over the first step.
+    """
+    tables = list[Array]()
+    for start in np.add.accumulate([time, *[dt] * (steps - 1)]).tolist():
+        try:
+            tables.append(pieces_for(drive, start, dt, torque))
+        except Exception as error:
+            if not tables:
+                raise
+            return tables, error
+    return tables, None

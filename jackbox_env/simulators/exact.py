@@ -52,8 +52,8 @@ from jackbox_env.simulators.functions import function_pieces
 from jackbox_env.states import Array, Numbers
 
 WITH_PIECES = (FUNCTIONS, CONSTANT_BESIDE_FORCES)  # kinds with functions, which are cut into pieces
-_NO_TABLE: Array = np.zeros((0, TABLE_WIDTH))
-NO_PIECES = _NO_TABLE, np.zeros(0, np.int64), np.zeros(1, np.int64)  # as of ``joined``, where no function acts
+NO_TABLE: Array = np.zeros((0, TABLE_WIDTH))
+NO_PIECES = NO_TABLE, np.zeros(0, np.int64), np.zeros(1, np.int64)  # as of ``joined``, where no function acts
 
 
 def drive_kind(drive: Chirp | Drive | None, held: bool = False) -> int:
@@ -69,7 +69,7 @@ def drive_kind(drive: Chirp | Drive | None, held: bool = False) -> int:
 def pieces_for(drive: Chirp | Drive | None, time: float, dt: float, torque: float | None) -> Array:
     """The pieces of a drive of functions over a step; none for any other drive, or if no function acts."""
     if not isinstance(drive, Drive) or drive_kind(drive, torque is not None) not in WITH_PIECES:
-        return _NO_TABLE
+        return NO_TABLE
     if torque is not None:
         drive = Drive(force_x=drive.force_x, force_y=drive.force_y)
     return function_pieces(drive, time, dt)
@@ -77,7 +77,7 @@ def pieces_for(drive: Chirp | Drive | None, time: float, dt: float, torque: floa
 
 def joined(tables: list[Array], begins: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
     """Pieces in the form of ``workspace.Scenes``, from tables of one step each; rows begin at table ``begins``."""
-    tables = tables or [_NO_TABLE]  # a step for rows without pieces
+    tables = tables or [NO_TABLE]  # a step for rows without pieces
     ends = np.cumsum([0, *map(len, tables)], dtype=np.int64)
     return np.concatenate(tables), begins, ends
 

@@ -11,7 +11,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env as check_single
 from stable_baselines3.common.env_checker import check_env
 
-from jackbox_env import JackInBoxVectorEnv, LandingControl, LandingControlVector
+from jackbox_env import Drive, JackInBoxVectorEnv, LandingControl, LandingControlVector, Scene
 from jackbox_env.landing import aim
 from jackbox_env.planning.landing_control import Period
 from jackbox_env.sb3 import make_sb3_vec_env
@@ -146,6 +146,36 @@ def test_decisions_last_while_a_foot_rests_without_impacts_and_in_long_steps() -
     coarse = single("bounce", contact="exact", control_dt=2.5)
     coarse.reset(seed=0)
     assert coarse.step([0.0, 0.0])[4]["duration"] == pytest.approx(2.5)
+
+
+def ends_early(time: float) -> float:
+    return 1e3 * math.sqrt(1.3 - time)  # an error later
+
+
+@pytest.mark.parametrize(("limit", "repeated"), [(60, 4), (500, 2)])
+def test_a_drive_is_not_needed_after_the_last_step_of_a_decision(limit: int, repeated: int) -> None:
+    made: dict[str, Any] = {"contact": "exact", "scene": Scene(drive=Drive(force_x=ends_early))}
+    alone = single("bounce", max_episode_steps=limit, **made)
+    inner = JackInBoxVectorEnv(3, limit, autoreset_mode="SAME_STEP", **made)
+    vector = LandingControlVector(inner, period="bounce")
+    vector.reset(seed=4)
+    alone.reset(seed=4)
+    for _ in range(repeated):
+        before, times = inner.states, inner.times
+        try:
+            _, reward, *ends, _ = alone.step([0.1, 0.1])
+        except ValueError as error:
+            with pytest.raises(ValueError, match=str(error)):
+                vector.step(np.full((3, 2), 0.1))
+            np.testing.assert_array_equal(inner.states, before)
+            np.testing.assert_array_equal(inner.times, times)
+            assert limit == 500
+            return
+        _, rewards, *all_ends, _ = vector.step(np.full((3, 2), 0.1))
+        assert (rewards[0], *(flags[0] for flags in all_ends)) == (reward, *ends)
+        if any(ends):
+            alone.reset()
+    assert limit == 60
 
 
 @pytest.mark.filterwarnings("ignore:.*is different from the unwrapped version")

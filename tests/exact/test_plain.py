@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jackbox_env import Scene, Task, rollout
+from jackbox_env import LandingControlVector, Scene, Task, rollout
 from jackbox_env.env import JackInBoxEnv
 from jackbox_env.vector_env import JackInBoxVectorEnv
+from tests.batches.several import SHAKEN
 from tests.fingerprints import digest
 
 
@@ -37,7 +38,10 @@ HEIGHT = Task(("height",), height, struck)
 
 
 def played(restitution: float) -> list[str]:
-    """Digests of a batch that restarts, a rollout and a single environment under the chirp, 60 steps with impacts."""
+    """Digests of a batch that restarts, a rollout and a single environment under the chirp, 60 steps with impacts.
+
+    And of decisions until an impact, of which some wait for the restart of the only environment whose drive has pieces.
+    """
     scene, rng = Scene(restitution=restitution), np.random.default_rng(0)
     batch = JackInBoxVectorEnv(5, 40, contact="exact", scene=scene, with_infos=True, task=HEIGHT)
     batch.reset(seed=3)
@@ -50,10 +54,16 @@ def played(restitution: float) -> list[str]:
     env = JackInBoxEnv(contact="exact", scene=scene, torque="chirp", task=HEIGHT)
     env.reset(seed=1)
     alone = [env.step(0.0)[:3] for _ in range(60)]
+    shaken = Scene(drive=SHAKEN, gravity=20.0, restitution=restitution)
+    aimed = LandingControlVector(JackInBoxVectorEnv(2, 100, contact="exact", scene=[shaken, scene]), period="bounce")
+    aimed.reset(seed=0)
+    decisions = [aimed.step(np.zeros((2, 2))) for _ in range(12)]
+    assert any(infos["duration"][0] == 0.0 < infos["duration"][1] for *_, infos in decisions)
     results: list[Iterable[object]] = [
         [part for seen, reward, _, _, infos in stepped for part in (seen, reward, infos["state"])],
         [part for part in rollouts if part is not None],
         [part for step in alone for part in step],
+        [part for seen, reward, _, _, infos in decisions for part in (seen, reward, infos["duration"])],
     ]
     return [digest(parts) for parts in results]
 
