@@ -12,12 +12,13 @@ import gymnasium as gym
 import numpy as np
 
 from jackbox_env import checks as check
-from jackbox_env.landing import ANGLE, RATE, Landings, steps_until_impact
+from jackbox_env.landing import ANGLE, DECISION, RATE, Landings, steps_until_impact
 from jackbox_env.planning.wrappers import Control, ControlledEnv, ControlledVectorEnv, refuse_other_torques
 from jackbox_env.vector_env import JackInBoxVectorEnv
 
 SPACE = gym.spaces.Box(-1.0, 1.0, (2,))
 Period = float | Literal["bounce"]
+_MOST_STEPS = 1e6  # control steps of a decision
 
 
 class Aiming(Control):
@@ -40,11 +41,12 @@ class Aiming(Control):
         control_dt, self._resting = inner.control_dt, 0
         if isinstance(period, str):
             if period != "bounce":
-                limit = f"a number [s] above 0, at most {1e6 * control_dt:g}"
+                limit = f"a number [s] above 0, at most {_MOST_STEPS * control_dt:g}"
                 raise TypeError(f'period must be "bounce" or {limit}, got {check.shown(period)}')
+            check.real('control_dt with period="bounce"', control_dt, at_least=DECISION / _MOST_STEPS)
             steps, self._resting = steps_until_impact(control_dt)
         else:
-            period = check.real("period", period, above=0.0, at_most=1e6 * control_dt)
+            period = check.real("period", period, above=0.0, at_most=_MOST_STEPS * control_dt)
             steps = max(1, round(period / control_dt))
         super().__init__(steps)
 

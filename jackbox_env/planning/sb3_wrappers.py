@@ -79,7 +79,7 @@ class LandingControlVecEnv(ControlledVecEnv):
 
     Args:
         venv: of :func:`jackbox_env.sb3.make_sb3_vec_env`.
-        period: of an action [s], rounded to control steps.
+        period: of an action [s], rounded to control steps; or "bounce".
 
     Raises:
         TypeError, ValueError: an argument out of its range, or other environments.

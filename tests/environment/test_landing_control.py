@@ -206,6 +206,9 @@ def test_unusable_actions_and_environments_are_refused() -> None:
         single("landing")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="torque"):
         single(torque="chirp")
+    with pytest.raises(ValueError, match="control_dt .* at least 2e-06, got 1e-19"):
+        single("bounce", control_dt=1e-19)
+    assert single("bounce", control_dt=2e-6).action_space.shape == (2,)
     with pytest.raises(TypeError, match="JackInBox-v0"):
         LandingControl(gym.make("CartPole-v1"))
     with pytest.raises(TypeError, match="JackInBox-v0"):
