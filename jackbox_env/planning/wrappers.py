@@ -310,7 +310,7 @@ def refuse_other_torques(who: str, env: Any) -> None:
     """Raise for environments, single or several, whose actions are not torques, which ``who`` needs.
 
     Raises:
-        ValueError: one is driven by the chirp, or there is a wrapper that changes actions.
+        ValueError: one is driven by the chirp, or there is a wrapper that changes or repeats actions.
     """
     if "chirp" in of_each(env, "torque_source"):
         raise ValueError(f'{who} needs an environment with torque="agent", for it steers, got torque="chirp"')
@@ -320,13 +320,13 @@ def refuse_other_torques(who: str, env: Any) -> None:
 
 
 def _action_wrapper(env: Any) -> str:
-    """The first wrapper that changes actions, of an environment or of several; "" if there is none."""
+    """The first wrapper that changes or repeats actions, of an environment or of several; "" if there is none."""
     inner = env.unwrapped
     if hasattr(inner, "env_is_wrapped"):  # of Stable-Baselines3
         return "an action wrapper" * any(env.env_is_wrapped(gym.ActionWrapper))
     for one in (env, *getattr(inner, "envs", ())):
         while isinstance(one, gym.Wrapper | VectorWrapper):
-            if isinstance(one, gym.ActionWrapper | VectorActionWrapper):
+            if isinstance(one, gym.ActionWrapper | VectorActionWrapper | ControlledEnv | ControlledVectorEnv):
                 return type(one).__name__
             one = one.env
     space = getattr(inner, "single_action_space", _TORQUES)

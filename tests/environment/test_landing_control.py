@@ -11,7 +11,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env as check_single
 from stable_baselines3.common.env_checker import check_env
 
-from jackbox_env import Drive, JackInBoxVectorEnv, LandingControl, LandingControlVector, Scene
+from jackbox_env import Drive, JackInBoxVectorEnv, LandingControl, LandingControlVector, Lookahead, Scene
 from jackbox_env.landing import aim
 from jackbox_env.planning.landing_control import Period
 from jackbox_env.sb3 import make_sb3_vec_env
@@ -215,3 +215,6 @@ def test_unusable_actions_and_environments_are_refused() -> None:
         LandingControlVector(gym.make_vec("CartPole-v1", 2))  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="action wrapper"):
         LandingControl(gym.wrappers.RescaleAction(gym.make("JackInBox-v0"), np.float32(-2), np.float32(2)))
+    for inside in (single(), Lookahead(gym.make("JackInBox-v0", contact="exact"), samples=8)):  # repeat actions
+        with pytest.raises(ValueError, match=f"action wrapper inside, got {type(inside).__name__}"):
+            LandingControl(inside)
