@@ -6,7 +6,7 @@ import shlex
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypedDict
+from typing import Literal, TypedDict
 
 from agents.runs import RUN, describe, read_settings
 from agents.settings import TaskName, TrainSettings
@@ -34,13 +34,17 @@ class Early(TypedDict, total=False):
     task: TaskName
     lookahead: int
     landing: bool
+    repeat: int | Literal["bounce"]
+    hold: int | Literal["bounce"]
 
 
 def suited() -> TrainSettings:
-    """The defaults of the command line: they depend on the task and on what an action is."""
+    """The defaults of the command line: they depend on the task, on what an action is and on how long it lasts."""
     import tyro
 
     early, _ = tyro.cli(Early, add_help=False, return_unknown_args=True)
+    if "hold" in early:  # the name of earlier versions
+        early.setdefault("repeat", early.pop("hold"))
     return TrainSettings.suited(**early)
 
 

@@ -113,6 +113,10 @@ def test_the_defaults_suit_the_task_and_the_meaning_of_actions(monkeypatch: pyte
     assert of_the_command("--task=spin") == torques
     assert of_the_command("--no-landing") == replace(torques, task="juggle")
     assert of_the_command("--lookahead", "32") == replace(torques, task="juggle", lookahead=32)
+    decided = TrainSettings.suited(repeat=20)
+    assert (decided.landing, decided.repeat, decided.gamma) == (True, 20, 0.905)
+    assert of_the_command("--repeat", "20") == of_the_command("--hold=20") == decided
+    assert of_the_command("--repeat", "bounce") == TrainSettings()
     assert TrainSettings.suited(task="rattle", repeat=5, gamma=0.9) == replace(
         torques, task="rattle", repeat=5, gamma=0.9
     )
