@@ -25,7 +25,7 @@ class Arguments:
     folder: Path | None = None
     """New folder for all that is written; None: runs/demo-<date>-<time>."""
     total_steps: int = TrainSettings.total_steps
-    """Steps to train for, each an action repeated for `repeat` control steps."""
+    """Steps to train for, each a decision that lasts until the jack's next impact."""
     max_minutes: float | None = None
     """Stop training after this time at the latest [min]; None: after all steps."""
     episodes: int = 128
