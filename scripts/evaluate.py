@@ -23,7 +23,7 @@ class Arguments:
     policy: tuple[str, ...] = ("random", "chirp", "zero", "level")
     """random: uniform torques; chirp: the scene's drive; zero: no torque; level: a PD controller that keeps the box
     level; planner: simulates many torque sequences by the exact model, up to 10 ms for each decision of 0.1 s;
-    planner-fast: fewer, 0.7 ms; lookahead: follows the plan of Lookahead; ppo: the network of the task in
+    planner-fast: fewer, 1 ms; lookahead: follows the plan of Lookahead; ppo: the network of the task in
     agents/trained; distilled: trained on exact rollouts, needs none at run time; or run folders, exported policies or
     model files. All act in the environment given here, whatever they were trained in."""
     episodes: int = 128
