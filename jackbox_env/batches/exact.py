@@ -305,7 +305,7 @@ class ExactBatch(Batch):
         self._blocks, self._stepped = saved, False
 
     def _scenes_of_steps(self, torque: int, steps: int) -> tuple[Scenes, dict[int, Refusal]]:
-        """See :meth:`jackbox_env.batches.scenes.SceneTable.of_steps`."""
+        """The scenes for so many steps, and failures of drives in them: ``SceneTable.of_steps``."""
         scenes = self._scenes
         if not scenes.cutting[torque]:
             return Scenes(scenes.values, scenes.lanes, scenes.kinds[torque], *NO_PIECES), {}

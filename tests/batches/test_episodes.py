@@ -163,7 +163,7 @@ def test_others_drives_are_not_sought_where_those_of_functions_wait() -> None:
     env.step(None)
     batch: Any = env._batch
     assert batch.over.tolist() == [True, False]
-    scenes = batch._scenes_of_steps(0, 1)
+    scenes, _ = batch._scenes_of_steps(0, 1)
     assert (scenes.begins + 1 < len(scenes.ends)).all()
 
 
