@@ -12,6 +12,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from filelock import FileLock
 from numpy.typing import NDArray
 from scipy.stats import bootstrap, trim_mean
 
@@ -192,7 +193,8 @@ def in_scene(folder: Path, scene: dict[str, float], policy: str, episodes: int) 
     settings = EnvSettings(scene=json.dumps(scene))
     if policy == "varied scenes":
         run = folder / "varied-scenes"
-        trained_in(run, VARIED, progress=False)
+        with FileLock(folder / "varied-scenes.lock"):  # other workers wait for the one that trains
+            trained_in(run, VARIED, progress=False)
         policy = str(run)
     acting = find_policy("ppo" if policy == "one scene" else policy, settings, SEED).policy
     return _evaluated(policy, acting, settings.env_settings, episodes)
