@@ -56,8 +56,8 @@ class DurationBuffer(RolloutBuffer):
 class Durations(BaseCallback):
     """Writes the durations of decisions into the model's :class:`DurationBuffer`.
 
-    It also adds the values after episodes that the time limit ended, discounted by duration and all in one evaluation,
-    where PPO would evaluate them one by one with one discount.
+    It also bootstraps episodes that the time limit truncated, discounted by duration and in one evaluation, where PPO
+    evaluates them one by one with one discount.
     """
 
     def _on_step(self) -> bool:

@@ -72,15 +72,15 @@ class LandingControl(ControlledEnv):
     """Choose for ``JackInBox-v0`` the box's angle and rate at the next landing, in place of torques.
 
     An action is two numbers: the box's angle over 0.5 rad, from the nearest quarter turn, and its rate over 2.5 rad/s.
-    In each control step the torque is computed anew: it follows the cubic in time to that angle and rate at the moment
-    when the jack's centre has fallen to where a foot pointing down touches a level box's floor. Walls on the way are
-    ignored. The rewards of a decision are summed, and ``info["duration"]`` is how long it lasted [s].
+    In each control step the torque is computed anew. It steers the box along a cubic in time that reaches that angle
+    and rate when the jack's centre has fallen to where a foot pointing down touches a level box's floor. Walls on the
+    way are ignored. The rewards of a decision are summed, and ``info["duration"]`` is how long it lasted [s].
 
     With ``period="bounce"`` an action holds until the jack's next impact:
 
     - Several impacts within a control step end one decision.
-    - An impact ends a decision only if one of its control steps had none, or after 0.4 s. So a second foot that strikes
-      in the next step does not count, and while a foot rests, which is an impact in each step, a decision lasts 0.4 s.
+    - An impact ends a decision only after a control step without one, or once 0.4 s have passed. So a second foot that
+      strikes in the next step does not end it, and while a foot rests, an impact in each step, a decision lasts 0.4 s.
     - Without an impact it ends after 2 s (without gravity, for instance), or after one control step if that is longer.
     - The end of an episode ends it, too.
 
