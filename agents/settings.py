@@ -160,7 +160,7 @@ class TrainSettings(EnvSettings):
     seed: int = 0
     """Seed of the network, the environments and the noise."""
     total_steps: int = 1_200_000
-    """Steps to train for. Here and below a step is one action of one environment, which lasts as `repeat` says."""
+    """Steps to train for. Here and below a step is one action of one environment; `repeat` sets how long it lasts."""
     max_minutes: float | None = None
     """Stop earlier when this much time has passed [min]."""
     num_envs: int = 512

@@ -24,7 +24,7 @@ RESTING = 0.4  # [s] the longest while every step has an impact
 
 
 def steps_until_impact(control_dt: float) -> tuple[int, int]:
-    """Control steps [s] of a decision that an impact ends: at most, and at most while a foot rests; 1 or more."""
+    """Control steps of ``control_dt`` [s] in a decision that an impact ends: at most, and at most at rest."""
     return max(1, round(DECISION / control_dt)), max(1, round(RESTING / control_dt))
 
 
@@ -87,13 +87,13 @@ def is_over(steps: Any, freed: Any, struck: Any, resting: int) -> Any:
         steps: that it has lasted.
         freed: whether one of them had no impact.
         struck: whether the last one had an impact.
-        resting: steps after which it ends even if all had impacts, as while a foot rests; 0: impacts do not end it.
+        resting: steps after which an impact ends it even if all had one, as while a foot rests; 0: no impact ends it.
     """
     return struck & (resting > 0) & (freed | (steps >= resting))
 
 
 class Played(NamedTuple):
-    """How a decision went: what the last step returned, with the sum of the rewards, and the number of steps."""
+    """A decision's outcome: the last step's results with the sum of the rewards, and the number of control steps."""
 
     observation: Any
     reward: float

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from jackbox_env import Scene
 from jackbox_env.landing import LONGEST
 
-WEAKEST = 1e-30  # gravity that stands for none
-_ROUNDING = 1e-5  # [v0] float32's, of changes of velocities
+WEAKEST = 1e-30  # gravity in place of 0, to divide by
+_ROUNDING = 1e-5  # [v0] changes of velocity up to this are rounding of float32
 _TINY = float(np.finfo(np.float32).tiny)
 
 
@@ -115,10 +115,10 @@ def _velocity(observations: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def fall_time(gravity: Any, height: Any, rise: Any, longest: Any, library: Any = np) -> Any:
-    """When something at ``height`` >= 0 that is thrown up at ``rise`` is at height 0, at most ``longest``.
+    """Time until a body at ``height`` >= 0 with upward speed ``rise`` is at height 0, at most ``longest``.
 
-    Arrays of numpy or torch, as ``library`` says, in any units that fit together. Of the two forms of the root this
-    takes the one without cancellation.
+    Arrays of ``library`` (numpy or torch), in consistent units. Of the two forms of the root, the one without
+    cancellation is used. Of one state: :func:`jackbox_env.landing.landing_time`.
     """
     impact = library.sqrt(rise * rise + 2.0 * gravity * height)
     down = 2.0 * height / library.clip(impact - rise, _TINY, None)

@@ -1,4 +1,4 @@
-"""Policies that decide once every few control steps and repeat the action in between.
+"""Policies that decide every few control steps, or once a bounce, and repeat the action in between.
 
 Such a policy plays in the ordinary environment, which needs an action in every control step and returns ten numbers.
 The planner, the one-bounce policy and the networks derive from :class:`RepeatingPolicy`.
@@ -29,7 +29,10 @@ class Memory(NamedTuple):
 
 
 class RepeatingPolicy:
-    """A policy with Stable-Baselines3's ``predict`` that decides every ``repeat`` calls; always deterministic."""
+    """A deterministic policy with Stable-Baselines3's ``predict`` that decides every ``repeat`` calls or earlier.
+
+    If ``resting`` is not 0, an impact ends a decision earlier, see :func:`jackbox_env.landing.is_over`.
+    """
 
     repeat: int
     resting = 0  # calls after which an impact ends a decision in any case, see jackbox_env.landing; 0: none ends it

@@ -1,7 +1,7 @@
-"""Actions that say how the box meets the jack, in place of torques: for single and vector environments.
+"""Landing control: an action is the box's angle and rate at the next landing, for single and vector environments.
 
-:class:`jackbox_env.sb3_wrappers.LandingControlVecEnv` is that for Stable-Baselines3. :mod:`jackbox_env.landing` has the
-formulas.
+:class:`jackbox_env.sb3_wrappers.LandingControlVecEnv` is the wrapper for Stable-Baselines3; :mod:`jackbox_env.landing`
+has the formulas and the end of a decision.
 """
 
 from __future__ import annotations

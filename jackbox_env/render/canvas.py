@@ -35,7 +35,7 @@ def import_pygame() -> ModuleType:
     """Return pygame.
 
     Raises:
-        gymnasium.error.DependencyNotInstalled: it is missing; the message says what to install.
+        gymnasium.error.DependencyNotInstalled: pygame is missing; the message names what to install.
     """
     try:
         import pygame

@@ -164,7 +164,7 @@ class ContactModel(ABC):
         """Advance by ``dt`` [s] under a held ``torque`` [N m], or under the drive."""
 
     def _prepare(self) -> None:  # noqa: B027  # some have nothing to build
-        """Build what is not pickled."""
+        """Build the parts that are not pickled."""
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: getattr(self, name) for name in ("scene", *self.settings, "_present")}

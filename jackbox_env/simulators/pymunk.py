@@ -16,9 +16,9 @@ Fails: a step in which a foot could move further than min(1 m, L) within a subst
     A jack inertia far below m_j l^2 couples the feet so strongly that the contact solver needs more iterations. Their
     number is chosen by the scene; scenes that want more than 100,000 are refused.
     A jack with an arm longer than L can be wedged: feet deep in opposite walls have next to no leverage, and no number
-    of iterations is enough. The same holds for feet that a coarse substep drives deep into walls. If an elastic scene
-    does not keep its energy to 1e-6 over a step with several contacts at once, the step is divided further, and refused
-    if that does not help. A scene with loss is off by some percent there.
+    of iterations is enough. Feet that a coarse substep drives deep into walls need more iterations, too. If an elastic
+    scene does not keep its energy to 1e-6 over a step with several contacts at once, the step is divided further, and
+    refused if that does not help. A scene with loss is off by some percent there.
 Bits: the same on every CPU on which the C library's cosine, sine, exp and pow have the same last place. The engine uses
     cosines and sines of both angles wherever a contact is possible, the chirp uses a sine, the observation cosines and
     sines. Restitution below 1 uses exp and pow. With one glibc that is every x86-64 CPU with FMA and AVX2 (from
