@@ -26,13 +26,14 @@ _GAUSS = (
 _PANELS_PER_TURN = 12
 # A chirp that turns more often within one step would take seconds to follow.
 MOST_TURNS = 83_333
-# Lengths, masses and inertias outside this range would under- or overflow once squared and multiplied.
-_SMALLEST = 1e-60
-_LARGEST = 1e60
-
-
-def _quantity(name: str, value: Any) -> float:
-    return check.real(name, value, at_least=_SMALLEST, at_most=_LARGEST)
+# The least and the largest value of each of a scene's numbers, in the order in which they are checked. Lengths, masses
+# and inertias outside 1e-60 to 1e60 would under- or overflow once squared and multiplied.
+BOUNDS = {
+    **dict.fromkeys(("box_half_width", "box_mass", "jack_arm", "jack_mass", "torque_limit"), (1e-60, 1e60)),
+    **dict.fromkeys(("box_inertia", "jack_inertia"), (1e-60, 1e60)),
+    "gravity": (0.0, 1e60),
+    "restitution": (0.0, 1.0),
+}
 
 
 def _hat_means(signal: Callable[[float], float], duration: float, panels: int = 1) -> tuple[float, float]:
@@ -295,17 +296,12 @@ class Scene:
         def assign(name: str, value: object) -> None:
             object.__setattr__(self, name, value)
 
-        for name in ("box_half_width", "box_mass", "jack_arm", "jack_mass", "torque_limit"):
-            assign(name, _quantity(name, getattr(self, name)))
         assign("_derived", tuple(name for name in ("box_inertia", "jack_inertia") if getattr(self, name) is None))
-        if self.box_inertia is None:
-            assign("box_inertia", square_inertia(self.box_mass, self.box_half_width))
-        if self.jack_inertia is None:
-            assign("jack_inertia", square_inertia(self.jack_mass, self.jack_arm))
-        for name in ("box_inertia", "jack_inertia"):
-            assign(name, _quantity(name, getattr(self, name)))
-        assign("gravity", check.real("gravity", self.gravity, at_least=0.0, at_most=_LARGEST))
-        assign("restitution", check.real("restitution", self.restitution, at_least=0.0, at_most=1.0))
+        for name, (least, largest) in BOUNDS.items():
+            if name in self.derived:
+                size = self.box_half_width if name == "box_inertia" else self.jack_arm
+                assign(name, square_inertia(getattr(self, name.replace("inertia", "mass")), size))
+            assign(name, check.real(name, getattr(self, name), at_least=least, at_most=largest))
         largest_arm = math.sqrt(2.0) * self.box_half_width
         if self.jack_arm >= largest_arm:
             raise ValueError(
