@@ -10,7 +10,8 @@ from jackbox_env.command_line import JACKBOX, ROOT, command_line, in_checkout
 
 _PACKAGED = {
     "simulate": "simulate the scene: CSV or npz, plots, an animated page",
-    "play": "play with the keyboard",
+    "play": "play in the browser",
+    "replay": "replay a game that was shared from there, bit for bit",
     "fit": "fit a scene's fields to recordings (needs the train extra)",
     "check": "does this installation work?",
 }
@@ -53,7 +54,7 @@ def main() -> None:
         sys.argv[0] = f"{JACKBOX} {name}"
         if in_checkout():
             sys.path.insert(0, str(ROOT))  # scripts and agents are beside the package
-        # There are two commands to play; that of a checkout has the trained agents.
+        # There are two commands to play; that of a checkout builds the page first.
         home = "scripts" if name in _IN_CHECKOUT or (name == "play" and in_checkout()) else "jackbox_env.commands"
         importlib.import_module(f"{home}.{name}").main()
 

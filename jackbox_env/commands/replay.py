@@ -1,0 +1,48 @@
+"""Replay a game that the page of `jackbox play` has shared: is it the same motion, bit for bit?"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import cast
+
+from jackbox_env.command_line import command_line
+from jackbox_env.commands.options import parser_of
+
+_MOST_READ = 1 << 20  # bytes of standard input: more than any game has
+
+
+def _arguments() -> argparse.Namespace:
+    parser = parser_of(__doc__)
+    text = "the shared text, or the link that ends in it; - reads it from standard input"
+    parser.add_argument("text", metavar="TEXT", help=text)
+    return parser.parse_args()
+
+
+@command_line
+def main() -> None:
+    """Parse, replay, compare; exits with 1 if the motion is another."""
+    text: str = _arguments().text
+    import gymnasium as gym
+
+    from jackbox_env.recording.game import read_game, replay_game
+    from jackbox_env.tasks import reward_of
+
+    if text == "-":
+        text = sys.stdin.buffer.read(_MOST_READ).decode(errors="replace")
+    game = read_game(text)
+    steps, episode = len(game.shares), cast(int, gym.spec("JackInBox-v0").max_episode_steps)
+    if not steps:
+        print(f"A start of {game.task} without steps: there is nothing to compare")
+        return
+    differs, rewards = replay_game(game)
+    played = f"{steps:,} steps of {game.task}, {steps * game.dt:g} s"
+    if differs is not None:
+        print(f"{played}: another motion from step {differs:,} on")
+        sys.exit(1)
+    first = f" in the first {episode * game.dt:g} s" if steps > episode else ""
+    print(f"{played}, return {reward_of(rewards[:episode]):.1f}{first}: the same, bit for bit")
+
+
+if __name__ == "__main__":
+    main()
