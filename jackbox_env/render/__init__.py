@@ -1,1 +1,1 @@
-"""Pictures: the renderer, and the window to play in."""
+"""Pictures of the box and the jack."""

@@ -1,4 +1,4 @@
-"""A frame's surface and the marks on it, for the renderer and the game's window.
+"""A frame's surface and the marks on it, for the renderer.
 
 Marks are drawn on a surface several times as large, which :meth:`Canvas.smooth` scales down; text is written on the
 frame itself. Points are complex numbers in pixels of the frame: x to the right, y (imaginary) down from the top left,
@@ -65,9 +65,7 @@ def _written(text: str, size: int, colour: Colour) -> pygame.Surface:
     return pygame.transform.smoothscale(large, (width // _FINER, height // _FINER)) if width else large
 
 
-def write(
-    surface: pygame.Surface, text: str, point: complex, size: int = 22, colour: Colour = INK, align: float = 0.0
-) -> None:
+def write(surface: pygame.Surface, text: str, point: complex, size: int, colour: Colour, align: float) -> None:
     """Write with the left end (align 0), the middle (0.5) or the right end (1) at ``point``, half way down.
 
     Args:

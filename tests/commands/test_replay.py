@@ -1,0 +1,198 @@
+"""Games as text: `jackbox replay`, and `jackbox play`, whose page shares them."""
+
+from __future__ import annotations
+
+import json
+import re
+import struct
+import subprocess
+import sys
+import webbrowser
+from base64 import urlsafe_b64decode, urlsafe_b64encode
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from jackbox_env import JackLostError, Scene, make_simulator
+from jackbox_env.commands import play
+from jackbox_env.recording.game import read_game, replay_game, write_game
+from jackbox_env.tasks import sample_start
+
+ROOT = Path(__file__).parents[2]
+SCENE: dict[str, Any] = {"jack_mass": 5.0, "gravity": 3.7}
+START = sample_start(Scene(**SCENE), np.random.default_rng(3)).tolist()
+SHARES = [None] * 200 + [0.25] * 150 + [-0.0] * 3 + [0.0] * 50 + np.linspace(-1.0, 1.0, 197).tolist()
+GAME: dict[str, Any] = json.loads(write_game(SCENE, START, SHARES, "rattle"))
+
+
+def text(**changes: Any) -> str:
+    """The game's text with other values; None: without that key."""
+    return json.dumps({key: value for key, value in {**GAME, **changes}.items() if value is not None})
+
+
+def encoded(kind: str, *numbers: float) -> str:
+    return urlsafe_b64encode(struct.pack(f"<{len(numbers)}{kind}", *numbers)).decode().rstrip("=")
+
+
+def decoded(name: str, kind: str) -> list[Any]:
+    return [number for (number,) in struct.iter_unpack(f"<{kind}", urlsafe_b64decode(GAME[name] + "=="))]
+
+
+def test_a_text_has_the_runs_of_torques_and_the_hash_of_all_states() -> None:
+    simulator, number, checks = make_simulator(SCENE, "exact"), 0xCBF29CE484222325, bytearray()
+    simulator.reset(GAME["start"])
+    for share, count in zip(decoded("shares", "d"), decoded("counts", "H"), strict=True):
+        for _ in range(count % 32768):
+            simulator.step(0.02, None if count >= 32768 else share * 90000.0)
+            for word in struct.unpack("<12Q", simulator.state.tobytes()):
+                number = (number ^ word) * 0x100000001B3 % 2**64
+            checks.append(number >> 56)
+    assert bytes(decoded("checks", "B")) == checks
+    assert int(GAME["digest"], 16) == number
+
+
+@pytest.mark.parametrize("link", [False, True])
+def test_a_text_or_link_replays_with_the_environments_rewards(link: bool) -> None:
+    game = read_game(f"https://a.b/play.html#{quote(text())}" if link else text())
+    assert (repr(game.shares), game.start.tolist(), game.task) == (repr(SHARES), START, "rattle")
+    env: Any = gym.make("JackInBox-v0", fidelity="exact", task="rattle", scene=SCENE, max_episode_steps=-1)
+    env.reset(options={"state": START})
+    rewards = [env.step(None if share is None else np.array([share]))[1] for share in SHARES]
+    assert sum(map(abs, rewards)) > 1.0
+    assert replay_game(game) == (None, rewards)
+
+
+def test_equal_torques_make_one_run_up_to_its_longest() -> None:
+    long = write_game(None, START, [None] * 40_000, "spin", 0.001)
+    assert len(long) < 54_000
+    assert read_game(long).shares == [None] * 40_000
+
+
+@pytest.mark.parametrize(
+    ("changes", "step"),
+    [
+        ({"scene": {**SCENE, "gravity": 3.71}}, 1),
+        ({"dt": 0.021}, 1),
+        ({"start": [*START[:5], START[5] + 1e-15, *START[6:]]}, 1),
+        ({"checks": encoded("B", *decoded("checks", "B")[:99], 255 - decoded("checks", "B")[99], *[0] * 500)}, 100),
+        ({"digest": "0123456789abcdef"}, 600),
+    ],
+)
+def test_another_motion_is_seen_at_its_first_step(changes: dict[str, Any], step: int) -> None:
+    differs, _ = replay_game(read_game(text(**changes)))
+    assert differs is not None
+    assert step <= differs <= step + 1
+
+
+def test_the_words_of_a_generator_draw_the_start() -> None:
+    state = np.random.default_rng(3).bit_generator.state["state"]
+    words = [str(word) for number in (state["state"], state["inc"]) for word in divmod(number, 2**64)]
+    assert read_game(text(start=words)).start.tolist() == START
+
+
+@pytest.mark.parametrize(
+    ("bad", "sentence"),
+    [
+        (text()[:500], "a game must be a JSON object, got '{"),
+        ("[1]", "a game must be a JSON object, got '\\[1\\]'"),
+        ("[" * 60_000, "a game must be a JSON object"),
+        (text(package="a" * 65_536), r"at most 65,536 characters, got 6\d,\d{3}"),
+        (text(version=2), "version must be 1, which jackbox .* reads, got 2"),
+        (text(version=True), "version must be 1, .* got True"),
+        (text(code="f()"), "a game takes only 'version', .* got 'code'"),
+        (text(task="fly"), "task must be one of 'juggle', .* got 'fly'"),
+        (text(dt=2), "dt must be .* above 0 and at most 1, got 2"),
+        (text(dt="0.02"), "dt must be .* got '0.02'"),
+        (text(scene={"gravity": -1}), "gravity must be a finite number at least 0 and at most 1e\\+60, got -1"),
+        (text(scene={"jack_arm": float("nan")}), "jack_arm must be a finite number .* got nan"),
+        (text(scene={"jack_arm": 9}), "jack_arm must be below"),
+        (text(scene={"box_mass": 40}), "scene takes only 'jack_mass', .* got 'box_mass'"),
+        (text(scene=[1]), "scene must be .* got \\[1\\]"),
+        (text(start=None), "start must be a list of 12 numbers, or 4 words .* got None"),
+        (text(start=[0.0] * 11), "must have shape \\(12,\\)"),
+        (text(start=[True, *START[1:]]), "start must be a list of 12 numbers"),
+        (text(start=[float("inf"), *START[1:]]), "must be finite, got x_box = inf"),
+        (text(start=[*START[:3], 8.0, *START[4:]]), "every foot inside the box"),
+        (text(start=["1", "2", "3", "4"]), "the last one odd, got \\['1', '2', '3', '4'\\]"),
+        (text(start=["1", "2", str(2**64), "5"]), "each below 2\\^64"),
+        (text(shares=None), "shares must be base64url .* got None"),
+        (text(shares="AAAA+AAA"), "shares must be base64url without padding, .* got 'AAAA\\+AAA'"),
+        (text(shares="AAAA"), "shares must be base64url without padding, of 8 bytes a number"),
+        (text(shares=encoded("d", 0.5, 0.5)), "a count .* for each share, .* got 2 shares, 201 counts of 600 steps"),
+        (text(counts=encoded("H", *[0] * 201)), "a count of at least 1 step"),
+        (text(checks=GAME["checks"][:-4]), "a check for each step, .* 600 steps, and 597 checks"),
+        (text(shares=encoded("d", 1.5), counts=encoded("H", 600)), "shares must be from -1 to 1, .* got 1.5"),
+        (text(shares=encoded("d", float("nan")), counts=encoded("H", 600)), "shares must be from -1 to 1, .* got nan"),
+        (text(shares=encoded("d", 0.5), counts=encoded("H", 600 + 32768)), "0 where the scene's drive acts, got 0.5"),
+        (text(digest="0x12"), "digest must be 16 digits of 0-9 and a-f, got '0x12'"),
+    ],
+)
+def test_a_bad_text_is_refused_in_one_sentence(bad: str, sentence: str) -> None:
+    with pytest.raises(ValueError, match=sentence) as refused:
+        read_game(bad)
+    assert len(str(refused.value)) < 300
+    assert "\n" not in str(refused.value)
+
+
+def test_a_scene_beyond_the_texts_fields_is_not_written() -> None:
+    with pytest.raises(ValueError, match="differ from the default in jack_mass, .* only, got Scene"):
+        write_game({"box_mass": 40.0}, START)
+    with pytest.raises(ValueError, match="a share must be .* at most 1, got 2"):
+        write_game(None, START, [2])
+    with pytest.raises(JackLostError, match="step 2 of 2 cannot be followed: the jack"):
+        write_game(None, [0.0] * 11 + [2e5], [0.0, 1.0], dt=1.0)
+
+
+@pytest.mark.parametrize(
+    ("shared", "status", "said"),
+    [
+        (text(), 0, r"600 steps of rattle, 12 s, return \d+\.\d in the first 10 s: the same, bit for bit"),
+        (text(digest="0" * 16), 1, "600 steps of rattle, 12 s: another motion from step 600 on"),
+        (write_game(None, START), 0, "A start of juggle without steps: there is nothing to compare"),
+        (text()[:-1], 2, "a game must be a JSON object, got .*"),
+    ],
+)
+def test_the_command_compares(shared: str, status: int, said: str) -> None:
+    for argument, typed in ((shared, ""), ("-", shared)):
+        command = [sys.executable, "-m", "jackbox_env", "replay", argument]
+        done = subprocess.run(command, input=typed, capture_output=True, text=True, check=False)
+        assert done.returncode == status, done.stderr
+        assert re.fullmatch(f"{said}\n", done.stderr if status == 2 else done.stdout)
+
+
+def test_the_scenes_of_the_physics_page_can_be_read() -> None:
+    links = re.findall(r"""<a target="play" href='play.html#([^']*)'>""", (ROOT / "docs" / "physics.md").read_text())
+    games = [read_game(link) for link in links]
+    assert [(game.scene.restitution, game.scene.gravity > 0.0) for game in games] == [
+        *[(1.0, True)] * 3, (0.5, True), (1.0, False),
+    ]  # fmt: skip
+
+
+# -- play -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("opens", [True, False])
+def test_play_opens_its_page_or_says_that_it_cannot(
+    opens: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    opened: list[str] = []
+
+    def show(address: str) -> bool:
+        opened.append(address)
+        return opens
+
+    monkeypatch.setattr(webbrowser, "open", show)
+    monkeypatch.setattr(play, "PAGE", tmp_path / "a b.html")
+    monkeypatch.setattr(sys, "argv", ["jackbox play"])
+    with pytest.raises(SystemExit):
+        play.main()
+    assert "built without its page" in capsys.readouterr().err
+    play.PAGE.touch()
+    play.main()
+    assert opened == [f"{tmp_path.as_uri()}/a%20b.html"]
+    out, err = capsys.readouterr()
+    assert (out, "No browser" in err) == (f"{play.PAGE}\n", not opens)
