@@ -78,9 +78,12 @@ def main() -> None:
     """Build both; exits with a message on other platforms than Linux on x86-64."""
     import tyro
 
+    from scripts.site.build import ensure_page
+
     tyro.cli(lambda: None, description=__doc__)
     if sysconfig.get_platform() != "linux-x86_64":
         raise SystemExit("compiled code is for Linux on x86-64; for any platform: python -m build --wheel")
+    ensure_page()
     out = ROOT / "dist"
     out.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as scratch:
