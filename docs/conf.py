@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 from pathlib import Path
 
 import jackbox_env
@@ -56,20 +57,16 @@ def _plain(app, what, name, obj, options, signature, return_annotation):
     )
 
 
-def _write_episode(app, exception):
-    """The animated page that the site opens with: an episode of the planner."""
+def _copy_page(app, exception):
+    """The page of ``jackbox play``, which the site shows in frames."""
     if exception or app.builder.format != "html":
         return
-    from agents.evaluation.episodes import page_of_episode
-    from agents.policies.registry import find_policy
-    from agents.settings import EnvSettings
+    from scripts.site.build import ensure_page
 
-    settings, path = EnvSettings(contact="exact"), Path(app.outdir, "planner.html")
-    path.unlink(missing_ok=True)
-    page_of_episode(path, "planner", find_policy("planner", settings, 0), settings, 0)
+    shutil.copy(ensure_page(), app.outdir)
 
 
 def setup(app):
     """Connect the above."""
     app.connect("autodoc-process-signature", _plain)
-    app.connect("build-finished", _write_episode)
+    app.connect("build-finished", _copy_page)
