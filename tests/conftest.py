@@ -7,6 +7,7 @@ missing.
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -18,6 +19,7 @@ import pytest
 os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # pictures need no display
 
 import jackbox_env
+from tests.browser import browser  # noqa: F401  # a fixture
 
 # What the extras and make test install beyond the package's dependencies, pytest and Hypothesis.
 OPTIONAL = {"flint", "imageio", "matplotlib", "mpmath", "scipy", "stable_baselines3", "sympy"}
@@ -57,6 +59,10 @@ def pytest_xdist_setupnodes() -> None:
     env.reset(seed=0)
     env.close()
     jackbox_env.rollout(None, np.zeros(12), np.zeros((2, 3)), 0.02)
+    with contextlib.suppress(ImportError):  # of the agents' libraries
+        from scripts.site.build import ensure_page
+
+        ensure_page()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

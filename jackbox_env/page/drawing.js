@@ -1,4 +1,4 @@
-// -- what all drawings share: colours, sharp canvases, numbers with units ---------------------------------------------
+// -- what all drawings share: the data, colours, sharp canvases, numbers with units -----------------------------------
 
 const byId = (id) => document.getElementById(id);
 const make = (tag, name, text) => {
@@ -7,6 +7,52 @@ const make = (tag, name, text) => {
   if (text !== undefined) element.textContent = text;
   return element;
 };
+
+const data = JSON.parse(byId("data").textContent);
+const WIDTH = data.columns.length;
+const COLUMN = Object.fromEntries(data.columns.map((name, number) => [name, number]));
+const unpacked = (packed, Kind) => {
+  const text = atob(packed);
+  const bytes = new Uint8Array(text.length);
+  for (let place = 0; place < text.length; place++) bytes[place] = text.charCodeAt(place);
+  return new Kind(bytes.buffer);
+};
+
+// The last row at or before a time: just after an impact at that very time.
+function rowAt(time) {
+  let low = 0;
+  let high = COUNT;
+  while (high - low > 1) {
+    const middle = (low + high) >> 1;
+    if (at(middle, 0) <= time) low = middle;
+    else high = middle;
+  }
+  return low;
+}
+
+// Number of impacts at or before a time.
+function impactsBy(time) {
+  let low = 0;
+  let high = impacts.length;
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (impacts[middle].time <= time) low = middle + 1;
+    else high = middle;
+  }
+  return low;
+}
+
+// Where a foot is: [x, y] from the jack's centre; and where that is on the box's own axes.
+function footOf(state, foot) {
+  const angle = state[COLUMN.theta_jack] + (foot * Math.PI) / 2;
+  return [data.arm * Math.cos(angle), data.arm * Math.sin(angle)];
+}
+function placeOf(state, foot) {
+  const [ox, oy] = footOf(state, foot);
+  const [x, y] = [state[COLUMN.x_jack] - state[COLUMN.x_box] + ox, state[COLUMN.y_jack] - state[COLUMN.y_box] + oy];
+  const [cosine, sine] = [Math.cos(state[COLUMN.theta_box]), Math.sin(state[COLUMN.theta_box])];
+  return { x: cosine * x + sine * y, y: cosine * y - sine * x };
+}
 
 let colours = {};
 function readColours() {
@@ -59,5 +105,3 @@ function roundStep(least) {
   const power = 10 ** Math.floor(Math.log10(least));
   return [1, 2, 5, 10].map((factor) => factor * power).find((step) => step >= 0.999 * least);
 }
-
-const secondsDigits = Math.min(6, Math.max(2, Math.ceil(-Math.log10(Math.max(LASTS, 1e-9) / 500))));

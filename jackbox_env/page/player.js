@@ -4,6 +4,7 @@ const PLAY = "M8 5v14l11-7z";
 const PAUSE = "M6 5h4v14H6zM14 5h4v14h-4z";
 const FRAME = 1 / 60; // [s]
 const READ = 80; // between new numbers beside the plots, while it plays [ms]
+const secondsDigits = Math.min(6, Math.max(2, Math.ceil(-Math.log10(Math.max(LASTS, 1e-9) / 500))));
 const KNOB = 8; // half of the slider's, which stays inside its track [px]
 
 readColours();

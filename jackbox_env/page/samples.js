@@ -1,33 +1,12 @@
 // -- the samples: decoded, and interpolated in time -------------------------------------------------------------------
 // A row is [time, 6 places, 6 rates, torque, energy, work]. Two rows have one time where there is an impact.
 
-const data = JSON.parse(document.getElementById("data").textContent);
-const WIDTH = data.columns.length;
-const COLUMN = Object.fromEntries(data.columns.map((name, number) => [name, number]));
-const unpacked = (packed, Kind) => {
-  const text = atob(packed);
-  const bytes = new Uint8Array(text.length);
-  for (let place = 0; place < text.length; place++) bytes[place] = text.charCodeAt(place);
-  return new Kind(bytes.buffer);
-};
 const rows = unpacked(data.samples, Float64Array);
 const COUNT = rows.length / WIDTH;
 const START = rows[0];
 const END = rows[(COUNT - 1) * WIDTH];
 const LASTS = END - START;
 const at = (row, column) => rows[row * WIDTH + column];
-
-// The last row at or before a time: just after an impact at that very time.
-function rowAt(time) {
-  let low = 0;
-  let high = COUNT;
-  while (high - low > 1) {
-    const middle = (low + high) >> 1;
-    if (at(middle, 0) <= time) low = middle;
-    else high = middle;
-  }
-  return low;
-}
 
 // The row's numbers at a time, into `into`: places by the cubic through both places and rates, the rest by a line.
 function sampleAt(time, into) {
@@ -47,34 +26,10 @@ function sampleAt(time, into) {
   return into;
 }
 
-// Where a foot is: [x, y] from the jack's centre.
-function footOf(state, foot) {
-  const angle = state[COLUMN.theta_jack] + (foot * Math.PI) / 2;
-  return [data.arm * Math.cos(angle), data.arm * Math.sin(angle)];
-}
-
 // All impacts, each with the place of its foot in the box's own frame.
 const impulses = unpacked(data.impulses, Float64Array);
 const meetings = unpacked(data.meetings, Uint8Array); // 4 times the wall, and the foot
 const impacts = Array.from(unpacked(data.impacts, Float64Array), (time, number) => {
   const [wall, foot, impulse] = [meetings[number] >> 2, meetings[number] & 3, impulses[number]];
-  const state = sampleAt(time, new Float64Array(WIDTH));
-  const [ox, oy] = footOf(state, foot);
-  const x = state[COLUMN.x_jack] - state[COLUMN.x_box] + ox;
-  const y = state[COLUMN.y_jack] - state[COLUMN.y_box] + oy;
-  const cosine = Math.cos(state[COLUMN.theta_box]);
-  const sine = Math.sin(state[COLUMN.theta_box]);
-  return { time, wall, foot, impulse, x: cosine * x + sine * y, y: cosine * y - sine * x };
+  return { time, wall, foot, impulse, ...placeOf(sampleAt(time, new Float64Array(WIDTH)), foot) };
 });
-
-// Number of impacts at or before a time.
-function impactsBy(time) {
-  let low = 0;
-  let high = impacts.length;
-  while (low < high) {
-    const middle = (low + high) >> 1;
-    if (impacts[middle].time <= time) low = middle + 1;
-    else high = middle;
-  }
-  return low;
-}

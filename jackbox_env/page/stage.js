@@ -136,8 +136,9 @@ function makeStage() {
     const shown = new Array(16).fill(Infinity); // when a wall and a foot flashed that are drawn already [s]
     for (let number = impactsBy(time) - 1; number >= 0 && time - impacts[number].time < FLASH; number--) {
       const hit = impacts[number];
-      if (shown[meetings[number]] - hit.time < FLASH / 8) continue; // of a foot at rest
-      shown[meetings[number]] = hit.time;
+      const pair = 4 * hit.wall + hit.foot;
+      if (shown[pair] - hit.time < FLASH / 8) continue; // of a foot at rest
+      shown[pair] = hit.time;
       const age = (time - hit.time) / FLASH;
       const strength = Math.min(1, hit.impulse / data.knock);
       inBoxFrame(() => {

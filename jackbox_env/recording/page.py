@@ -69,15 +69,16 @@ def _described(scene: Scene, trajectory: Trajectory, shown: Samples, title: str,
         "timeScale": scene.box_half_width / scene.speed_scale,  # of a fall across the box [s]
         "held": not trajectory.driven,
         "columns": ["time", *STATE_NAMES, "torque", "energy", "work"],
-        "samples": _packed(columns, "<f8"),
+        "samples": packed(columns, "<f8"),
         "listed": _MOST_LISTED,
-        "impacts": _packed([hit.time for hit in trajectory.impacts], "<f8"),
-        "impulses": _packed([hit.impulse for hit in trajectory.impacts], "<f8"),
-        "meetings": _packed([4 * hit.wall + hit.foot for hit in trajectory.impacts], "u1"),  # of a wall and a foot
+        "impacts": packed([hit.time for hit in trajectory.impacts], "<f8"),
+        "impulses": packed([hit.impulse for hit in trajectory.impacts], "<f8"),
+        "meetings": packed([4 * hit.wall + hit.foot for hit in trajectory.impacts], "u1"),  # of a wall and a foot
     }
 
 
-def _packed(numbers: Any, kind: str) -> str:
+def packed(numbers: Any, kind: str) -> str:
+    """Numbers as base64 of an array of this kind, numpy's name of it."""
     return base64.b64encode(np.asarray(numbers).astype(kind).tobytes()).decode()
 
 
@@ -128,16 +129,20 @@ def _scene_facts(scene: Scene) -> Facts:
 
 def _assembled(data: dict[str, Any]) -> str:
     """The page's text: ``page.html`` with the files that it names, and the data."""
-    folder = files("jackbox_env") / "page"
+    return assembled((files("jackbox_env") / "page" / "page.html").read_text(encoding="utf-8"), data)
+
+
+def assembled(template: str, data: dict[str, Any], **parts: str) -> str:
+    """A page: a template with its ``{{parts}}``, which are ``parts`` or files of ``jackbox_env/page``, and its data."""
     # "<" would let a title end the script that the data stands in.
     text = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    values = {"data": text, "colours": _colours(), **parts}
 
-    values = {"data": text, "colours": _colours()}
+    def part(match: re.Match[str]) -> str:
+        name = match[1]
+        return values.get(name) or (files("jackbox_env") / "page" / name).read_text(encoding="utf-8").strip()
 
-    def part(named: re.Match[str]) -> str:
-        return values.get(named[1]) or (folder / named[1]).read_text(encoding="utf-8").strip()
-
-    return re.sub(r"\{\{([\w.]+)\}\}", part, (folder / "page.html").read_text(encoding="utf-8"))
+    return re.sub(r"\{\{([\w.]+)\}\}", part, template)
 
 
 def _colours() -> str:

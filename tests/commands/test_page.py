@@ -1,9 +1,7 @@
-"""The animated page in a browser: headless Chromium, driven by playwright."""
+"""The animated page in a browser."""
 
 from __future__ import annotations
 
-import shutil
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,12 +13,7 @@ from jackbox_env import Scene, make_simulator
 from jackbox_env.colours import FIRST_FOOT, JACK, TORQUE, WALL, hexed
 from jackbox_env.recording.page import write_page
 from jackbox_env.recording.trajectory import Trajectory, simulate
-
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-FLAGS = (
-    "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
-    "--disable-component-update --disable-sync"
-)
+from tests.browser import Opened
 
 
 @pytest.fixture(scope="module")
@@ -36,33 +29,8 @@ def file(trajectory: Trajectory, tmp_path_factory: pytest.TempPathFactory) -> Pa
     return write_page(path, Scene(), trajectory, "</script><b>a test", [("contact model", "exact")])
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    if CHROMIUM is None:
-        sentence = "Chromium is not installed, so nothing looks at the animated page: apt-get install chromium"
-        print(f"\n*** {sentence} ***", file=sys.__stderr__)
-        pytest.skip(sentence)
-    playwright = pytest.importorskip("playwright.sync_api").sync_playwright().start()
-    browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS.split())
-    yield browser
-    browser.close()
-    playwright.stop()
-
-
-class Opened:
-    """The page, with its requests and its complaints."""
-
-    def __init__(self, browser: Any, file: Path) -> None:
-        self.page = browser.new_page(viewport={"width": 1280, "height": 860})
-        self.asked, self.complaints = list[str](), list[str]()
-        self.page.on("request", lambda request: self.asked.append(request.url))
-        self.page.on("console", lambda message: self.complaints.append(message.text))
-        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
-        self.page.goto(file.as_uri())
-
-    @property
-    def time(self) -> float:
-        return float(self.page.locator("#clock").inner_text())
+class Film(Opened):
+    """The animated page."""
 
     @property
     def playing(self) -> bool:
@@ -82,15 +50,13 @@ class Opened:
 
 
 @pytest.fixture
-def opened(browser: Any, file: Path) -> Iterator[Opened]:
-    opened = Opened(browser, file)
+def opened(browser: Any, file: Path) -> Iterator[Film]:
+    opened = Film(browser, file)
     yield opened
-    assert opened.complaints == []
-    assert opened.asked == [file.as_uri()]  # one file, and nothing from a network
-    opened.page.close()
+    opened.close()
 
 
-def test_it_plays_by_itself_and_never_faster_than_the_clock(opened: Opened) -> None:
+def test_it_plays_by_itself_and_never_faster_than_the_clock(opened: Film) -> None:
     code = "() => [performance.now() / 1000, Number(document.getElementById('clock').textContent)]"
     before = opened.page.evaluate(code)
     opened.page.wait_for_timeout(1500)
@@ -99,7 +65,7 @@ def test_it_plays_by_itself_and_never_faster_than_the_clock(opened: Opened) -> N
     assert 0.0 < after[1] - before[1] < after[0] - before[0] + 0.2  # a busy machine lets it fall behind
 
 
-def test_pause_holds_and_play_goes_on(opened: Opened) -> None:
+def test_pause_holds_and_play_goes_on(opened: Film) -> None:
     opened.pause()
     held = opened.time
     opened.page.wait_for_timeout(300)
@@ -111,7 +77,7 @@ def test_pause_holds_and_play_goes_on(opened: Opened) -> None:
     assert opened.time > held
 
 
-def test_the_list_names_each_impact_and_a_click_jumps_to_it(opened: Opened, trajectory: Trajectory) -> None:
+def test_the_list_names_each_impact_and_a_click_jumps_to_it(opened: Film, trajectory: Trajectory) -> None:
     listed = opened.page.locator("#impacts tr")
     assert listed.count() == len(trajectory.impacts)
     for index in (0, 4, len(trajectory.impacts) - 1):
@@ -126,7 +92,7 @@ def test_the_list_names_each_impact_and_a_click_jumps_to_it(opened: Opened, traj
 
 
 @pytest.mark.parametrize("part", ["#impacts button >> nth=3", "#after", "#loop", "#play"])
-def test_space_plays_on_after_a_click(opened: Opened, part: str) -> None:
+def test_space_plays_on_after_a_click(opened: Film, part: str) -> None:
     opened.pause()
     opened.page.click(part)
     opened.pause()
@@ -138,7 +104,7 @@ def test_space_plays_on_after_a_click(opened: Opened, part: str) -> None:
 
 
 @pytest.mark.parametrize("plots", ["box-plots", "jack-plots", "torque-plots", "energy-plots"])
-def test_a_click_in_a_plot_seeks(opened: Opened, plots: str) -> None:
+def test_a_click_in_a_plot_seeks(opened: Film, plots: str) -> None:
     opened.pause()
     canvas = opened.page.locator(f"#{plots} canvas").first
     canvas.scroll_into_view_if_needed()
@@ -152,7 +118,7 @@ def test_a_click_in_a_plot_seeks(opened: Opened, plots: str) -> None:
 
 
 @pytest.mark.parametrize("since", [-0.004, 0.0005, 0.0137])
-def test_between_its_samples_it_shows_where_the_model_is(opened: Opened, trajectory: Trajectory, since: float) -> None:
+def test_between_its_samples_it_shows_where_the_model_is(opened: Film, trajectory: Trajectory, since: float) -> None:
     """Also next to an impact, between two stored states: the corner is not cut."""
     opened.pause()
     for hit in trajectory.impacts[:4]:
@@ -166,7 +132,7 @@ def test_between_its_samples_it_shows_where_the_model_is(opened: Opened, traject
 
 
 @pytest.mark.parametrize(("width", "height"), [(320, 568), (390, 844), (1920, 1080)])
-def test_every_width_shows_all_without_sideways_scrolling(opened: Opened, width: int, height: int) -> None:
+def test_every_width_shows_all_without_sideways_scrolling(opened: Film, width: int, height: int) -> None:
     opened.page.set_viewport_size({"width": width, "height": height})
     opened.pause()
     assert opened.page.evaluate("document.documentElement.scrollWidth") <= width
@@ -183,18 +149,17 @@ def test_impacts_beyond_the_list_are_counted_and_stepped_through(browser: Any, t
     simulator = make_simulator(scene)
     simulator.reset([0.0] * 12)
     trajectory = simulate(simulator, 8.0, 0.005, progress=False)  # comes to rest
-    opened = Opened(browser, write_page(tmp_path / "trajectory.html", scene, trajectory, "rest", []))
+    opened = Film(browser, write_page(tmp_path / "trajectory.html", scene, trajectory, "rest", []))
     opened.pause()
     opened.seek(8.0)
     assert len(trajectory.impacts) > opened.page.locator("#impacts tr").count() == 2000
     assert opened.page.locator("#hits").inner_text() == str(len(trajectory.impacts))
     opened.page.keyboard.press("Shift+ArrowLeft")
     assert opened.time == pytest.approx(trajectory.impacts[-2].time, abs=0.006)
-    assert opened.complaints == []
-    opened.page.close()
+    opened.close()
 
 
-def test_the_page_and_the_sketch_have_the_colours_of_frames_and_plots(opened: Opened) -> None:
+def test_the_page_and_the_sketch_have_the_colours_of_frames_and_plots(opened: Film) -> None:
     root, shared = Path(__file__).parents[2], {"box": WALL, "jack": JACK, "foot": FIRST_FOOT, "torque": TORQUE}
     for scheme in ("light", "dark"):
         opened.page.emulate_media(color_scheme=scheme)
@@ -218,10 +183,8 @@ def test_the_accuracy_chart_shows_the_numbers_of_the_point_under_the_pointer(bro
     assert len(errors) == opened.page.locator("[id^=ring]").count() > 1
     opened.page.mouse.move(2, 2)
     assert texts.all_text_contents() == usual
-    assert opened.complaints == []
-    assert len(opened.asked) == 1
-    opened.page.close()
+    opened.close()
 
 
-def test_text_from_outside_is_shown_as_text(opened: Opened) -> None:
+def test_text_from_outside_is_shown_as_text(opened: Film) -> None:
     assert "</script><b>a test" in opened.page.locator("#subtitle").inner_text()
