@@ -10,6 +10,8 @@ The observation determines this moment, and position, speed and angles at it.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -67,35 +69,47 @@ def preview(numbers: LandingNumbers, observations: NDArray[np.float32]) -> NDArr
     The box is assumed not to move, and to turn at its present rate. Walls on the way are ignored. Without gravity a
     jack that does not fall lands after ``LONGEST``.
     """
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # clipped or not selected, see ``columns``
-        return np.stack(columns(numbers, observations.T, np), axis=1)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # clipped or not selected, see ``columns_by``
+        return np.stack(columns_by(np)(numbers, observations.T), axis=1)
 
 
-def columns(numbers: LandingNumbers, observed: Any, library: Any) -> tuple[Any, ...]:
-    """The features, an array each, from the ten numbers of observations, an array each, by numpy or torch."""
-    clip, atan2 = library.clip, library.arctan2
-    x, y, vx, vy, cosine, sine, omega_box, cosine_4, sine_4, omega_jack = observed
-    height = clip(sine * x + cosine * y + numbers.floor, 0.0, None)
-    rise = sine * vx + cosine * vy
-    time = fall_time(max(numbers.gravity, WEAKEST), height, rise, LONGEST, library)
-    offset = cosine * x - sine * y + (cosine * vx - sine * vy) * time
-    theta = atan2(sine, cosine)
-    turned, spun = omega_box * time, numbers.spin * omega_jack * time
-    relative = atan2(sine_4, cosine_4) + 4.0 * (spun - turned)
-    world = relative + 4.0 * (theta + turned)
-    return (
-        0.5 * time,
-        library.cos(relative),
-        library.sin(relative),
-        library.cos(2.0 * relative),
-        library.sin(2.0 * relative),
-        library.cos(world),
-        library.sin(world),
-        clip(offset, -2.0, 2.0),
-        clip(numbers.gravity * time - rise, -10.0, 10.0),
-        clip(spun / (0.5 * math.pi), -10.0, 10.0),
-        clip(theta + turned, -10.0, 10.0),
-    )
+@cache
+def columns_by(library: Any) -> Callable[[LandingNumbers, Any], tuple[Any, ...]]:
+    """A function that computes the features from ten numbers, by the functions of numpy, of torch, or of one number.
+
+    It returns an array for each feature, from the ten numbers of observations, an array each. The time to the landing
+    is :func:`jackbox_env.landing.landing_time`, in units of L / v0.
+    """
+    clip, where, sqrt = library.clip, library.where, library.sqrt
+    cos, sin, atan2 = library.cos, library.sin, library.arctan2
+
+    def columns(numbers: LandingNumbers, observed: Any) -> tuple[Any, ...]:
+        x, y, vx, vy, cosine, sine, omega_box, cosine_4, sine_4, omega_jack = observed
+        gravity, height = max(numbers.gravity, WEAKEST), clip(sine * x + cosine * y + numbers.floor, 0.0, None)
+        rise = sine * vx + cosine * vy
+        speed = sqrt(rise * rise + 2.0 * gravity * height)
+        down = 2.0 * height / clip(speed - rise, _TINY, None)  # of the two forms the one without cancellation
+        time = clip(where(rise > 0.0, (speed + rise) / gravity, down), None, LONGEST)
+        offset = cosine * x - sine * y + (cosine * vx - sine * vy) * time
+        theta = atan2(sine, cosine)
+        turned, spun = omega_box * time, numbers.spin * omega_jack * time
+        relative = atan2(sine_4, cosine_4) + 4.0 * (spun - turned)
+        world = relative + 4.0 * (theta + turned)
+        return (
+            0.5 * time,
+            cos(relative),
+            sin(relative),
+            cos(2.0 * relative),
+            sin(2.0 * relative),
+            cos(world),
+            sin(world),
+            clip(offset, -2.0, 2.0),
+            clip(numbers.gravity * time - rise, -10.0, 10.0),
+            clip(spun / (0.5 * math.pi), -10.0, 10.0),
+            clip(theta + turned, -10.0, 10.0),
+        )
+
+    return columns
 
 
 def struck(scene: Scene, control_dt: float, before: NDArray[Any], after: NDArray[Any]) -> NDArray[np.bool_]:
@@ -112,15 +126,3 @@ def _velocity(observations: NDArray[Any]) -> NDArray[np.float64]:
     """The jack's velocity on axes that do not turn, over v0, shape (2, n)."""
     _, _, u, w, cosine, sine, *_ = observations.T.astype(np.float64)
     return np.stack([cosine * u - sine * w, sine * u + cosine * w])
-
-
-def fall_time(gravity: Any, height: Any, rise: Any, longest: Any, library: Any = np) -> Any:
-    """Time until a body at ``height`` >= 0 with upward speed ``rise`` is at height 0, at most ``longest``.
-
-    Arrays of ``library`` (numpy or torch), in consistent units. Of the two forms of the root, the one without
-    cancellation is used. Of one state: :func:`jackbox_env.landing.landing_time`.
-    """
-    impact = library.sqrt(rise * rise + 2.0 * gravity * height)
-    down = 2.0 * height / library.clip(impact - rise, _TINY, None)
-    up = (impact + rise) / gravity
-    return library.clip(library.where(rise > 0.0, up, down), None, longest)

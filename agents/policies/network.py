@@ -56,7 +56,7 @@ class NetworkPolicy(RepeatingPolicy):
     """
 
     def __init__(self, settings: TrainSettings, layers: list[Layer]) -> None:
-        self.settings, self._layers = settings, layers
+        self.settings, self.layers = settings, layers
         self.repeat, self.resting = settings.longest, settings.resting
         self._scene, self.action_size = Scene.of(settings.scene_fields), 2 if settings.landing else 1
         self._numbers, self._features = landing_numbers(self._scene) if settings.preview else None, None
@@ -83,7 +83,7 @@ class NetworkPolicy(RepeatingPolicy):
         values = np.asarray(observations, dtype=np.float32)
         if self._numbers:
             values = np.concatenate([values, preview(self._numbers, values[:, : len(BOUNDS)])], axis=1)
-        return np.clip(outputs(self._layers, values), -1.0, 1.0)
+        return np.clip(outputs(self.layers, values), -1.0, 1.0)
 
     def torques(self, actions: Actions, observations: NDArray[Any]) -> Actions:
         """The actions; if they are landings of the box, the torques that steer to them now."""

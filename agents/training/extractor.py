@@ -8,7 +8,7 @@ import gymnasium as gym
 import torch
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
-from agents.policies.landing_features import FEATURES, LandingNumbers, columns
+from agents.policies.landing_features import FEATURES, LandingNumbers, columns_by
 from jackbox_env.observation import BOUNDS
 
 
@@ -21,5 +21,5 @@ class WithPreview(BaseFeaturesExtractor):
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         """Features, shape (n, k + 11), of observations of shape (n, k), k at least 10."""
-        features = columns(self._numbers, observations[:, : len(BOUNDS)].unbind(1), torch)
+        features = columns_by(torch)(self._numbers, observations[:, : len(BOUNDS)].unbind(1))
         return torch.cat((observations, torch.stack(features, dim=1)), dim=1)

@@ -70,6 +70,22 @@ def compiled_for_users(function: F, **substitutes: Callable[..., Any]) -> F:
         return cast(F, _Compilation(tuple(substitutes.items()), users=True).compiled(function))
 
 
+def intermediate_code(
+    function: Callable[..., Any], arguments: tuple[Any, ...], **substitutes: Callable[..., Any]
+) -> tuple[Any, str]:
+    """LLVM's module of a function with all that it calls, not yet machine code, and the function's name in it.
+
+    Args:
+        function: a plain function.
+        arguments: numba's types of them.
+        **substitutes: functions that replace those of these names.
+    """
+    dispatcher = _Compilation(tuple(substitutes.items())).compiled(function, inner=True)
+    dispatcher.compile(arguments)
+    result = dispatcher.overloads[arguments]
+    return result.library.linked_module(), result.fndesc.llvm_func_name
+
+
 def returned_by(function: Callable[..., Any]) -> Any:
     """Numba's type of the value of a user's task function.
 
@@ -174,6 +190,7 @@ def _pipeline(inner: bool) -> Any:
     """
     from numba.core.codegen import JITCodeLibrary
     from numba.core.compiler import Compiler
+    from numba.core.compiler_lock import global_compiler_lock
 
     class NoEnvironment:
         @staticmethod
@@ -191,6 +208,11 @@ def _pipeline(inner: bool) -> Any:
 
         def get_pointer_to_function(self, name: str) -> int:
             return 0
+
+        def linked_module(self) -> Any:
+            with global_compiler_lock:
+                self._ensure_finalized()  # type: ignore[no-untyped-call]
+            return self._final_module.clone()
 
         @property
         def codegen(self) -> Any:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from agents.policies.landing_features import FEATURES, columns, landing_numbers, preview
+from agents.policies.landing_features import FEATURES, columns_by, landing_numbers, preview
 from agents.settings import PREVIEW_SIZE
 from agents.training.models import make_ppo, make_vec_env
 from jackbox_env import Scene, make_simulator
@@ -71,7 +71,7 @@ def test_every_observation_has_a_finite_preview(fields: dict[str, float]) -> Non
     inside = rng.uniform(-1.0, 1.0, (1000, 10))
     rows = (np.concatenate([corners, tiny, inside]) * BOUNDS).astype(np.float32)
     values = preview(landing_numbers(scene), rows)
-    by_torch = torch.stack(columns(landing_numbers(scene), torch.from_numpy(rows).unbind(1), torch), dim=1)
+    by_torch = torch.stack(columns_by(torch)(landing_numbers(scene), torch.from_numpy(rows).unbind(1)), dim=1)
     assert values.dtype == np.float32
     for previews in (values, by_torch.numpy()):
         assert previews.shape == (len(rows), len(FEATURES))
