@@ -1,0 +1,1 @@
+"""The page in which the jack in a box is played, with the exact model compiled for WebAssembly."""

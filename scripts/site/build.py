@@ -1,0 +1,137 @@
+"""Build the page in which the jack in a box is played: ``python -m scripts.site.build``.
+
+One HTML file without a network: the exact model as a WebAssembly module, the trained networks, the script. The module
+is compiled once for each version of the source, and stored with the package's compiled code.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import llvmlite  # type: ignore[import-untyped]
+import numba
+import numpy as np
+
+import jackbox_env
+from agents.policies import landing_features
+from agents.policies.network import SHIPPED, read_policy
+from jackbox_env import Scene
+from jackbox_env.command_line import command_line
+from jackbox_env.commands.play import PAGE
+from jackbox_env.exact.compiler import cache_folders
+from jackbox_env.exact.restart import seeded
+from jackbox_env.exact.workspace import new_workspaces
+from jackbox_env.files import replacing
+from jackbox_env.recording.game import LONGEST, VERSION
+from jackbox_env.recording.page import assembled, packed
+from jackbox_env.scene import BOUNDS, SceneNumbers
+from jackbox_env.states import START_TOLERANCE, STATE_NAMES
+from jackbox_env.tasks import TASKS
+from scripts.site import entries
+
+HERE = Path(__file__).parent
+ROOT = HERE.parents[1]
+GOALS = {
+    "juggle": "Keep the jack near the middle of the box.",
+    "spin": "Spin the jack counter-clockwise in a calm box.",
+    "rattle": "Make the jack knock hard against the walls, with little torque.",
+}
+COMPARED = {"level": "level", "ppo": "PPO", "planner": "planner"}  # policies of docs/results.json
+# Sliders: label, unit, ends, and whether equal ways on the slider are equal factors.
+SLIDERS = {
+    "jack_mass": {"label": "jack's mass", "unit": "kg", "least": 0.4, "most": 400.0, "factors": True},
+    "jack_arm": {"label": "jack's arm", "unit": "m", "least": 0.2, "most": 8.4},
+    "restitution": {"label": "restitution", "unit": "", "least": 0.0, "most": 1.0},
+    "gravity": {"label": "gravity", "unit": "m/s\N{SUPERSCRIPT TWO}", "least": 0.0, "most": 25.0},
+}
+
+
+def module() -> bytes:
+    """The physics, compiled if it is not yet stored for this source."""
+    sources = [*sorted(HERE.glob("*.py")), Path(landing_features.__file__)]
+    of = numba.__version__, llvmlite.__version__, *(source.read_text() for source in sources)
+    path = cache_folders()[-1] / f"page-{hashlib.sha256(repr(of).encode()).hexdigest()[:16]}.wasm"
+    if not path.is_file():
+        print("jackbox compiles its page to play, once for this version of the source (20 seconds)", file=sys.stderr)
+        command = [sys.executable, "-m", "scripts.site.module", str(path)]
+        subprocess.run(command, cwd=ROOT, check=True)
+    return path.read_bytes()
+
+
+def ensure_page() -> Path:
+    """The path of the finished page, which is written anew if it is not of this source."""
+    parts = {name: (HERE / name).read_text(encoding="utf-8").strip() for name in ("physics.js", "game.js", "play.js")}
+    text = assembled((HERE / "play.html").read_text(encoding="utf-8"), _described(), **parts)
+    if not PAGE.is_file() or PAGE.read_text(encoding="utf-8") != text:
+        with replacing(PAGE) as partial:
+            partial.write_text(text, encoding="utf-8")
+    return PAGE
+
+
+def _described() -> dict[str, Any]:
+    """The page's data, for JSON."""
+    scene = Scene()
+    return {
+        "version": VERSION, "package": jackbox_env.__version__, "mostText": LONGEST,
+        "module": packed(np.frombuffer(module(), np.uint8), "u1"), "workspace": new_workspaces().nbytes,
+        "places": entries.PLACES, "log": entries.LOG, "size": entries.SIZE, "mostImpacts": entries.MOST_IMPACTS,
+        "values": list(scene.numbers), "limit": SceneNumbers._fields.index("torque_limit"),
+        "seed": [str(word) for word in seeded(0)[:4].tolist()], "startTolerance": START_TOLERANCE,
+        "fields": {name: {**_field(scene, name), **slider} for name, slider in SLIDERS.items()},
+        "inertia": _field(scene, "jack_inertia"), "tasks": {name: _task(name) for name in TASKS},
+        "columns": ["time", *STATE_NAMES, "torque", "energy", "work"], "halfWidth": scene.box_half_width,
+        "timeScale": scene.box_half_width / scene.speed_scale, "speedScale": scene.speed_scale,
+    }  # fmt: skip
+
+
+def _field(scene: Scene, name: str) -> dict[str, Any]:
+    """A field of the scene, with its bounds and the sentences that refuse values beyond them."""
+    low, high, above = *BOUNDS[name], 1e61
+    if name == "jack_arm":
+        high, above = math.nextafter(math.sqrt(2.0) * scene.box_half_width, 0.0), 1e20
+    return {
+        "index": SceneNumbers._fields.index(name), "low": low, "high": high,
+        "below": _refused(name, -1.0), "above": _refused(name, above),
+    }  # fmt: skip
+
+
+def _refused(name: str, value: float) -> str:
+    """The sentence that refuses a value of a field, with {} for the value."""
+    try:
+        Scene.of({name: value})
+    except ValueError as error:
+        return str(error).replace(str(value), "{}")
+    raise AssertionError(f"{name} = {value} is accepted")
+
+
+def _task(name: str) -> dict[str, Any]:
+    """A task's goal, what policies earn, and the trained network."""
+    policy = read_policy(SHIPPED / f"{name}-ppo")
+    weights = np.concatenate([part.ravel() for layer in policy.layers for part in layer])
+    scale = float(abs(weights).max()) / 32767.0  # 16 bits a weight keep the page small
+    rows = json.loads((ROOT / "docs" / "results.json").read_text())["rows"]
+    earned = {row["policy"]: row["mean"] for row in rows if (row["task"], row["contact"]) == (name, "exact")}
+    return {
+        "goal": GOALS[name], "earned": {label: earned[policy] for policy, label in COMPARED.items()},
+        "agent": {
+            "weights": packed(np.round(weights / scale), "<i2"), "scale": scale,
+            "hidden": policy.settings.hidden_units[0], "outputs": policy.action_size,
+            "longest": policy.settings.longest, "resting": policy.settings.resting,
+        },
+    }  # fmt: skip
+
+
+@command_line
+def main() -> None:
+    """Build the page and print its path."""
+    print(ensure_page())
+
+
+if __name__ == "__main__":
+    main()

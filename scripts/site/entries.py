@@ -1,0 +1,158 @@
+"""The functions that the page calls, on memory that it passes: plain Python, compiled as it stands.
+
+All of them share one array of float64, the desk, whose parts are named below; ``places`` lists them for the page.
+"""
+
+from __future__ import annotations
+
+import math
+from types import ModuleType
+from typing import Any
+
+from numba.np.arrayobj import get_cfarray_intrinsic
+
+from agents.policies.landing_features import FEATURES, columns_by, landing_numbers
+from jackbox_env import Scene
+from jackbox_env.exact.drives import TABLE_WIDTH
+from jackbox_env.exact.glide import WIDTH
+from jackbox_env.exact.restart import ARM, JACK_INERTIA, JACK_MASS, restart_blocks
+from jackbox_env.exact.score import score_one, state_in
+from jackbox_env.exact.step import Pieces, make_numbers, make_plan
+from jackbox_env.exact.step import step as step_once
+from jackbox_env.exact.workspace import AT_IMPACT
+from jackbox_env.landing import ANGLE, RATE, aim, is_over
+from jackbox_env.mechanics import energy_of
+from jackbox_env.observation import BOUNDS
+from jackbox_env.scene import SceneNumbers, square_inertia
+from jackbox_env.states import clearance
+
+MOST_IMPACTS = 128  # recorded of a step
+TERMS = 2  # of a task's reward, at most
+SCENE, OBSERVED, INPUTS = len(SceneNumbers._fields), len(BOUNDS), len(BOUNDS) + len(FEATURES)
+
+# Parts of the desk, and their lengths.
+PARTS = {
+    "SCENE": SCENE, "DT": 1, "KIND": 1, "TIME": 1, "TORQUE": 1, "BEFORE": 12, "AFTER": WIDTH, "STATUS": 1, "HITS": 1,
+    "MEAN_TORQUE": 1, "IMPULSE": 1, "REWARDS": TERMS, "ENERGY": 1, "SHARE": 1, "ACTION": 2, "STEPS": 1, "FREED": 1,
+    "GAP": 1,
+}  # fmt: skip
+
+
+def _places() -> tuple[dict[str, int], int]:
+    places, first = dict[str, int](), 0
+    for name, length in PARTS.items():
+        places[name], first = first, first + length
+    return places, -(-first // AT_IMPACT) * AT_IMPACT
+
+
+PLACES, LOG = _places()
+SIZE = LOG + AT_IMPACT * MOST_IMPACTS
+(
+    SCENE_AT, DT, KIND, TIME, TORQUE, BEFORE, AFTER, STATUS, HITS, MEAN_TORQUE, IMPULSE, REWARDS, ENERGY, SHARE, ACTION,
+    STEPS, FREED, GAP,
+) = PLACES.values()  # fmt: skip
+array: Any = get_cfarray_intrinsic("C", None)  # type: ignore[no-untyped-call]  # numba's carray, which would want its runtime
+
+
+def step(desk: Any, workspace: Any) -> None:
+    """Step BEFORE to AFTER by DT [s], under TORQUE [N m] or, if KIND is ``step.CHIRP``, the scene's chirp."""
+    d, memory = array(desk, (SIZE,)), array(workspace, (1,))[0]
+    log = array(desk, (SIZE // AT_IMPACT, AT_IMPACT))[LOG // AT_IMPACT :]
+    scene, none = make_numbers(d[SCENE_AT : SCENE_AT + SCENE]), Pieces(array(desk, (0, TABLE_WIDTH)), 0, 0)
+    plan, before, after = make_plan(scene, d[DT], int(d[KIND])), d[BEFORE : BEFORE + 12], d[AFTER : AFTER + 12]
+    status, d[MEAN_TORQUE] = step_once(scene, plan, before, after, d[TIME], d[TORQUE], none, memory, log)
+    d[STATUS], d[HITS], d[IMPULSE] = status.value, memory.hits, memory.impulse
+
+
+def score(desk: Any, observation: Any) -> None:
+    """Observe AFTER, and fill in the REWARDS of the step to it and its ENERGY [J]."""
+    d = array(desk, (SIZE,))
+    values, after, rewards = d[SCENE_AT : SCENE_AT + SCENE], d[AFTER : AFTER + 12], d[REWARDS : REWARDS + TERMS]
+    rewards[0] = rewards[1] = 0.0
+    score_one(values, after, d[MEAN_TORQUE], d[IMPULSE], array(observation, (OBSERVED,)), rewards)
+    d[ENERGY] = energy_of(make_numbers(values), after)
+
+
+def start(desk: Any, numbers: Any, words: Any) -> None:
+    """Draw a start into AFTER, from a generator's words; ``numbers`` is one 0."""
+    values = array(desk, (1, SIZE))[:, SCENE_AT : SCENE_AT + SCENE]
+    blocks = array(desk, (1, SIZE, 1))[:, AFTER : AFTER + WIDTH]
+    restart_blocks(values, blocks, array(numbers, (1,)), array(words, (1, 4)))
+
+
+def derive(desk: Any) -> None:
+    """Set the jack's inertia that follows from its mass and arm."""
+    d = array(desk, (SIZE,))
+    d[SCENE_AT + JACK_INERTIA] = square_inertia(d[SCENE_AT + JACK_MASS], d[SCENE_AT + ARM])
+
+
+def measure(desk: Any) -> None:
+    """Set the smallest GAP [m] of BEFORE, negative if a foot is outside the box."""
+    d = array(desk, (SIZE,))
+    d[GAP] = clearance(make_numbers(d[SCENE_AT : SCENE_AT + SCENE]), d[BEFORE : BEFORE + 12])
+
+
+def act(
+    desk: Any, observation: Any, weights: Any, values: Any, hidden: int, outputs: int, longest: int, resting: int
+) -> None:
+    """The trained agent's SHARE of the torque limit in the step from AFTER.
+
+    It decides after ``longest`` steps, or when an impact ends a decision, see :func:`jackbox_env.landing.is_over`.
+    STEPS are those since its decision, -1 before the first.
+    """
+    d = array(desk, (SIZE,))
+    if 0.0 <= d[STEPS] < longest:
+        d[FREED] = max(d[FREED], 1.0 if d[HITS] == 0.0 else 0.0)
+        if is_over(d[STEPS], d[FREED] != 0.0, d[HITS] > 0.0, resting):
+            d[STEPS] = -1.0
+    if not 0.0 <= d[STEPS] < longest:
+        decide(d, array(observation, (OBSERVED,)), weights, values, hidden, outputs)
+        d[STEPS] = d[FREED] = 0.0
+    d[STEPS] += 1.0
+    d[SHARE] = d[ACTION]
+    if outputs == 2:
+        scene, state = make_numbers(d[SCENE_AT : SCENE_AT + SCENE]), state_in(d[AFTER : AFTER + 12])
+        d[SHARE] = aim(scene, state, d[ACTION] * ANGLE, d[ACTION + 1] * RATE, d[DT])
+
+
+def decide(d: Any, observation: Any, weights: Any, values: Any, hidden: int, outputs: int) -> None:
+    """A network's ACTION: two layers of ``hidden`` neurons with tanh, from an observation and its landing features.
+
+    ``weights`` has each layer's weights and biases; ``values`` is memory for inputs and neurons.
+    """
+    w = array(weights, (hidden * (hidden + INPUTS + 2 + outputs) + outputs,))
+    v = array(values, (INPUTS + 2 * hidden + outputs,))
+    for k in range(OBSERVED):
+        v[k] = observation[k]
+    features = columns(NUMBERS, (v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8], v[9]))
+    for k in range(len(features)):
+        v[OBSERVED + k] = features[k]
+    first, low, width = 0, 0, INPUTS
+    for layer in range(3):
+        height = outputs if layer == 2 else hidden
+        for i in range(height):
+            total = float(w[first + height * width + i])
+            for j in range(width):
+                total += w[first + i * width + j] * v[low + j]
+            v[low + width + i] = total if layer == 2 else math.tanh(total)
+        first, low, width = first + height * (width + 1), low + width, height
+    for i in range(outputs):
+        d[ACTION + i] = max(-1.0, min(1.0, v[low + i]))
+
+
+def _clip(value: Any, low: Any, high: Any) -> Any:
+    if low is not None:
+        value = max(value, low)
+    if high is not None:
+        value = min(value, high)
+    return value
+
+
+def _where(condition: Any, value: Any, other: Any) -> Any:
+    return value if condition else other
+
+
+NUMBERS = landing_numbers(Scene())  # of the scene in which the networks were trained
+NUMBER = ModuleType("number")  # numpy's functions, for one number
+NUMBER.__dict__.update(clip=_clip, where=_where, sqrt=math.sqrt, cos=math.cos, sin=math.sin, arctan2=math.atan2)
+columns = columns_by(NUMBER)

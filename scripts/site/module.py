@@ -1,0 +1,41 @@
+"""Compile the physics of the page: ``python -m scripts.site.module FILE`` in a process of its own.
+
+Afterwards nothing that numba compiles in this process can be called.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from numba import typeof, types
+
+from jackbox_env.exact.workspace import new_workspaces
+from jackbox_env.files import replacing
+from jackbox_env.tasks import TASKS
+from scripts.site import entries
+from scripts.site.webassembly import Export, compile_for_webassembly, module_of
+
+
+def physics() -> bytes:
+    """The module of the functions in ``entries.py``; ``score`` once for each task."""
+    whole, scratch = types.int64, typeof(new_workspaces()).dtype  # type: ignore[no-untyped-call]
+    numbers, floats, words, counts, workspace = map(
+        types.CPointer, (types.float64, types.float32, types.uint64, types.int64, scratch)
+    )
+    exports = {
+        "step": Export(entries.step, (numbers, workspace)),
+        "start": Export(entries.start, (numbers, counts, words)),
+        "derive": Export(entries.derive, (numbers,)),
+        "measure": Export(entries.measure, (numbers,)),
+        "act": Export(entries.act, (numbers, floats, floats, numbers, whole, whole, whole, whole)),
+    }
+    for name, task in TASKS.items():
+        exports[f"score_{name}"] = Export(entries.score, (numbers, floats), {"task_terms": task.values})
+    return module_of(exports)
+
+
+if __name__ == "__main__":
+    compile_for_webassembly()
+    with replacing(Path(sys.argv[1])) as partial:
+        partial.write_bytes(physics())

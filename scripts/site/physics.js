@@ -1,0 +1,92 @@
+// -- the physics: the compiled module, and desks that it works on ------------------------------------------------------
+
+const STACK = 131072; // [bytes] of the stack, which grows down; desks lie beyond it
+
+async function loadPhysics(bytes, { places, log, size, mostImpacts, workspace }) {
+  const memory = new WebAssembly.Memory({ initial: 16 });
+  const unsigned = (value) => BigInt.asUintN(64, value);
+  const env = {
+    __linear_memory: memory,
+    __stack_pointer: new WebAssembly.Global({ value: "i32", mutable: true }, STACK),
+    fmod: (a, b) => a % b, // exact, as in C
+    ...{ sin: Math.sin, cos: Math.cos }, // of angles beyond 2^53, and in the agent
+    ...{ tanh: Math.tanh, atan2: Math.atan2 }, // in the agent
+    __multi3: (to, a, aHigh, b, bHigh) => {
+      const product = unsigned(a) * unsigned(b) + (unsigned(a * bHigh + aHigh * b) << 64n);
+      new BigUint64Array(memory.buffer, to, 2).set([unsigned(product), unsigned(product >> 64n)]);
+    },
+  };
+  const { exports } = (await WebAssembly.instantiate(bytes, { env })).instance;
+  let free = STACK;
+  const allocate = (Kind, count) => {
+    const array = new Kind(memory.buffer, free, count);
+    free += 8 * Math.ceil(array.byteLength / 8);
+    return array;
+  };
+  const answer = allocate(Float64Array, 8); // of calls, and their errors
+  const call = (name, ...values) => {
+    const failed = exports[name](answer.byteOffset, answer.byteOffset + 32, ...values.map((one) => one.byteOffset ?? one));
+    if (failed) throw new Error(`${name} has failed: ${failed}`);
+  };
+  const [words, zero] = [allocate(BigUint64Array, 4), allocate(BigInt64Array, 1)];
+
+  // A desk: a state before and after a step, its scene and its impacts.
+  function makeDesk() {
+    const [desk, scratch] = [allocate(Float64Array, size), allocate(Uint8Array, workspace)];
+    const observation = allocate(Float32Array, 10);
+    const part = (name, count) => desk.subarray(places[name], places[name] + count);
+    const [scene, before, after] = [part("SCENE", 13), part("BEFORE", 12), part("AFTER", 12)];
+    const write = (numbers) => Object.entries(numbers).forEach(([name, value]) => (desk[places[name]] = value));
+    return {
+      scene, after, observation,
+      number: (name) => desk[places[name]],
+      setScene(values) {
+        scene.set(values);
+        call("derive", desk);
+      },
+      // Put a state there, as after a step without torque and impacts.
+      place(state, dt, task) {
+        after.set(state);
+        write({ DT: dt, HITS: 0, MEAN_TORQUE: 0, IMPULSE: 0 });
+        this.reward(task);
+      },
+      // Step `from` by `dt` [s] under a torque [N m], or under the chirp (null). False: the step failed.
+      step(from, time, dt, torque) {
+        before.set(from);
+        write({ DT: dt, KIND: torque === null ? 1 : 0, TIME: time, TORQUE: torque ?? 0 });
+        call("step", desk, scratch);
+        return desk[places.STATUS] === 0;
+      },
+      impacts: (most = mostImpacts) => Array.from({ length: Math.min(desk[places.HITS], most) }, (_, row) => {
+        const [since, wall, foot, impulse] = desk.subarray(log + 4 * row, log + 4 * row + 4);
+        return { since, wall, foot, impulse };
+      }),
+      start(generator) {
+        words.set(generator);
+        call("start", desk, zero, words);
+        return after.slice();
+      },
+      // The smallest gap of a state [m].
+      gap(state) {
+        before.set(state);
+        call("measure", desk);
+        return desk[places.GAP];
+      },
+      reward(task) {
+        call(`score_${task}`, desk, observation);
+        return 0 + desk[places.REWARDS] + desk[places.REWARDS + 1];
+      },
+      // A trained policy: a function that returns its share of the torque limit in the step from `after`.
+      agent({ weights, hidden, outputs, longest, resting }) {
+        const [stored, values] = [allocate(Float32Array, weights.length), allocate(Float64Array, 23 + 2 * hidden)];
+        stored.set(weights);
+        const act = () => {
+          call("act", desk, observation, stored, values, ...[hidden, outputs, longest, resting].map(BigInt));
+          return desk[places.SHARE];
+        };
+        return Object.assign(act, { restart: () => write({ STEPS: -1 }) });
+      },
+    };
+  }
+  return { makeDesk };
+}

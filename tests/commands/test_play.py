@@ -1,0 +1,168 @@
+"""The page of `jackbox play` in a browser."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from typing import Any
+from urllib.parse import quote
+
+import pytest
+
+from jackbox_env import Scene
+from jackbox_env.recording.game import read_game, write_game
+from jackbox_env.tasks import TASKS
+from scripts.site.build import ensure_page
+from tests.browser import Opened
+
+REST = [0.0] * 12
+
+
+class Page(Opened):
+    """The page, its message, and its game's text."""
+
+    @property
+    def message(self) -> str:
+        return str(self.page.locator("#message").inner_text())
+
+    @property
+    def text(self) -> str:
+        self.page.click("#share")
+        text = self.page.locator("#text").input_value()
+        self.page.keyboard.press("Escape")
+        return str(text)
+
+    def play(self, text: str) -> None:
+        """Paste a text and play it."""
+        self.page.click("#share")
+        self.page.locator("#text").fill(text)
+        self.page.click("text=Play this text")
+
+    def wait_for(self, message: str) -> None:
+        self.page.locator("#message", has_text=message).wait_for()
+
+
+@pytest.fixture
+def opened(browser: Any) -> Iterator[Page]:
+    opened = Page(browser, ensure_page())
+    yield opened
+    opened.close()
+
+
+def test_nothing_moves_before_a_key(opened: Page) -> None:
+    opened.page.wait_for_timeout(300)
+    assert opened.time == 0.0
+    opened.page.keyboard.press("ArrowLeft")
+    opened.page.wait_for_timeout(300)
+    assert opened.time > 0.0
+    opened.page.keyboard.press("Space")
+    time = opened.time
+    opened.page.wait_for_timeout(300)
+    assert opened.time <= time + 0.1
+
+
+def test_a_game_of_2000_steps_is_replayed_to_the_last_bit(opened: Page) -> None:
+    opened.page.select_option("#speed", "4")
+    side = 0
+    while opened.time < 40.0:
+        key = ("ArrowLeft", "ArrowRight", "c", "c")[side % 4]
+        opened.page.keyboard.down(key)
+        opened.page.wait_for_timeout(150)
+        opened.page.keyboard.up(key)
+        side += 1
+    text = opened.text
+    assert len(read_game(text).shares) >= 1990
+    done = subprocess.run(
+        [sys.executable, "-m", "jackbox_env", "replay", text], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, "the same, bit for bit" in done.stdout) == (0, True), done.stderr
+
+
+def test_a_text_of_the_package_plays_and_ends_with_a_verdict(opened: Page) -> None:
+    opened.page.select_option("#speed", "4")
+    shares = [None] * 50 + [0.3] * 100 + [k / 1e3 for k in range(50)]
+    text = write_game(Scene(restitution=0.8, jack_mass=2.0), REST, shares, "spin")
+    opened.play(text)
+    opened.wait_for("after 200 steps: the same, bit for bit")
+    assert json.loads(opened.text) == json.loads(text)
+    changed = json.loads(text)
+    changed["start"][0] = 1e-15
+    opened.play(json.dumps(changed))
+    opened.wait_for("another motion from step 1 on")
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_the_agent_plays_and_such_an_episode_is_never_the_best(task: str, opened: Page) -> None:
+    opened.page.select_option("#task", task)
+    opened.page.select_option("#speed", "4")
+    opened.page.keyboard.press("a")
+    opened.page.wait_for_timeout(100)
+    opened.page.keyboard.press("a")
+    opened.page.keyboard.press("ArrowLeft")
+    opened.wait_for("10 s are over")
+    assert "your best" not in opened.message
+    assert len(set(read_game(opened.text).shares)) > 2
+    opened.page.keyboard.press("r")
+    opened.page.keyboard.press("ArrowLeft")
+    opened.wait_for("your best")
+
+
+def altered(**values: Any) -> Callable[[str], str]:
+    return lambda text: json.dumps({**json.loads(text), **values})
+
+
+BAD = [
+    ("cut off", lambda text: text[:-30], "cut off"),
+    ("huge", lambda text: text + " " * 65536, "65536 characters"),
+    ("another version", altered(version=2), "version must be 1"),
+    ("NaN", altered(start=[float("nan")] * 12), "cut off"),
+    ("NaN torque", altered(shares="AAAAAAAA-H8"), "shares must be from -1 to 1"),
+    ("gravity", altered(scene={"gravity": -1}), "gravity must be a finite number at least 0 and at most 1e+60, got -1"),
+    (
+        "arm",
+        altered(scene={"jack_arm": 9}),
+        "jack_arm must be below sqrt(2) * box_half_width = 8.48528 m to fit",
+    ),
+    ("inertia", altered(scene={"jack_arm": 1e-40}), "jack_inertia must be a finite number at least 1e-60"),
+    ("code", altered(task="__proto__"), "task must be one of juggle, spin, rattle"),
+    ("a foot outside", altered(start=[0, 0, 0, 9, *REST[4:]]), "every foot inside"),
+    ("missing checks", altered(checks=""), "a check for each step"),
+    ("unknown key", altered(script="<b>"), "has no script"),
+]
+
+
+@pytest.mark.parametrize(("damage", "sentence"), [row[1:] for row in BAD], ids=[row[0] for row in BAD])
+def test_a_bad_text_is_refused_in_one_sentence_by_page_and_package(
+    damage: Callable[[str], str], sentence: str, opened: Page
+) -> None:
+    text = damage(write_game(None, REST, [0.5]))
+    opened.play(text)
+    opened.wait_for("cannot be played")
+    assert sentence in opened.message
+    assert opened.page.locator("#hint").is_visible()  # as at the beginning
+    with pytest.raises(ValueError):  # noqa: PT011  # its sentences have their own test
+        read_game(text)
+    opened.page.keyboard.press("ArrowLeft")
+    opened.page.wait_for_timeout(200)
+    assert opened.time > 0.0
+
+
+def test_a_link_opens_its_scene(browser: Any) -> None:
+    fragment = "#" + quote(json.dumps({"version": 1, "start": REST, "scene": {"gravity": 0, "jack_arm": 2.5}}))
+    opened = Page(browser, ensure_page(), fragment)
+    assert opened.page.locator("#sliders output").all_inner_texts() == ["4.00 kg", "2.50 m", "1.00", "0.00 m/s²"]
+    opened.page.keyboard.press("ArrowLeft")
+    opened.page.wait_for_timeout(400)
+    opened.page.keyboard.press("Space")
+    assert json.loads(opened.text)["scene"] == {"gravity": 0, "jack_arm": 2.5}
+    opened.close()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_no_width_scrolls_sideways(scheme: str, opened: Page) -> None:
+    opened.page.emulate_media(color_scheme=scheme)
+    for width in (320, 400, 1920):
+        opened.page.set_viewport_size({"width": width, "height": 800})
+        assert opened.page.evaluate("document.documentElement.scrollWidth") <= width
