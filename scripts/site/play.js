@@ -136,7 +136,7 @@ function tick(moment) {
 function press(key) {
   const name = { a: "agent", c: "chirp" }[key];
   if (key === " ") player.playing = !player.playing;
-  else if (key === "r") restart();
+  else if (key === "r") typeof game.start[0] === "number" ? restart(game.task, game.fields, game.dt, game.start) : restart();
   else if (name) {
     player[name] = !player[name];
     player.playing ||= player[name];
