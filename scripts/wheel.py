@@ -18,6 +18,7 @@ from pathlib import Path
 from zipfile import ZIP_DEFLATED, ZipFile
 
 from jackbox_env.command_line import ROOT, command_line
+from scripts.site.build import ensure_page
 
 # Of the C library the code calls fmod, memmove, memset and sincos, which every glibc has; numba needs a newer one.
 TAG = "cp{0}{1}-cp{0}{1}-manylinux_2_17_x86_64".format(*sys.version_info)
@@ -77,8 +78,6 @@ def with_code(pure: Path, cache: Path, out: Path) -> None:
 def main() -> None:
     """Build both; exits with a message on other platforms than Linux on x86-64."""
     import tyro
-
-    from scripts.site.build import ensure_page
 
     tyro.cli(lambda: None, description=__doc__)
     if sysconfig.get_platform() != "linux-x86_64":

@@ -175,7 +175,7 @@ def _start(scene: Scene, values: Any) -> Array:
     """The state that 12 numbers are, or the one that a generator draws."""
     kinds = {*map(type, values)} if isinstance(values, list) else {None}
     if kinds <= {int, float}:
-        return as_start(scene, values)
+        return as_start(scene, values) + 0.0  # no -0, which JSON does not keep
     words = [int(one) for one in values if re.fullmatch("[0-9]{1,20}", one)] if kinds == {str} else []
     if not len(words) == WHOLE == len(values) or max(words) > _WORD or words[-1] % 2 == 0:
         expected = "12 numbers, or 4 words of a generator, each below 2^64 and the last one odd"

@@ -39,7 +39,7 @@ function begin(task, fields, dt, start, recorded = null) {
   for (const one of [desk, sketch]) one.setScene(valuesOf(fields));
   data.arm = desk.scene[data.fields.jack_arm.index];
   data.knock = 2 * desk.scene[data.fields.jack_mass.index] * data.speedScale; // the impulse of a hard impact [N s]
-  const state = typeof start[0] === "string" ? desk.start(start.map(BigInt)) : Float64Array.from(start);
+  const state = typeof start[0] === "string" ? desk.start(start.map(BigInt)) : Float64Array.from(start, (number) => number + 0); // no -0, which JSON does not keep
   for (const one of [desk, sketch]) one.place(state, dt, task);
   Object.assign(game, {
     task, fields, dt, start, recorded, state, time: 0, open: null, lost: false, acted: false, assisted: false,
@@ -124,13 +124,14 @@ const must = (condition, sentence) => {
 
 // The arguments of `begin` from a text, or from a link that ends in one.
 function readGame(link) {
-  must(link.length <= data.mostText, `a game must have at most ${data.mostText} characters, got ${link.length}`);
-  let values;
+  let [text, values] = [link.slice(link.indexOf("#") + 1)];
   try {
-    values = JSON.parse(decodeURIComponent(link.slice(link.indexOf("#") + 1)));
+    text = decodeURIComponent(text);
+    values = text.length <= data.mostText && JSON.parse(text);
   } catch {
     must(false, "the text is no whole game: it is cut off or damaged");
   }
+  must(text.length <= data.mostText, `a game must have at most ${data.mostText} characters, got ${text.length}`);
   must(values?.constructor === Object, "a game must be a JSON object");
   const { version, package: _, task = "juggle", scene = {}, dt = 0.02, start, shares, counts, checks, digest, ...rest } = values;
   const [unknown] = Object.keys(rest);
