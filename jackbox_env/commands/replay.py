@@ -38,7 +38,7 @@ def main() -> None:
     differs, rewards = replay_game(game)
     played = f"{steps:,} steps of {game.task}, {steps * game.dt:g} s"
     if differs is not None:
-        print(f"{played}: another motion from step {differs:,} on")
+        print(f"{played}: it differs from step {differs:,} on")
         sys.exit(1)
     first = f" in the first {episode * game.dt:g} s" if steps > episode else ""
     print(f"{played}, return {reward_of(rewards[:episode]):.1f}{first}: the same, bit for bit")

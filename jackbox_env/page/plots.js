@@ -55,7 +55,8 @@ function rangeOf(panel) {
       high = Math.max(high, value);
     }
   }
-  const room = high > low ? 0.06 * (high - low) : Math.abs(high) * 0.1 || 1;
+  const visible = high - low > 1e-6 * Math.max(Math.abs(low), Math.abs(high)); // not only rounding
+  const room = visible ? 0.06 * (high - low) : Math.abs(high) * 0.1 || 1;
   return [low - room, high + room];
 }
 
@@ -88,7 +89,8 @@ function drawFrame(pen, width, height, [low, high]) {
   pen.textAlign = "right";
   pen.textBaseline = "middle";
   pen.lineWidth = 1;
-  for (let line = Math.ceil(low / step); line * step <= high; line++) {
+  const first = Math.ceil(low / step);
+  for (let line = first; line * step <= high && line < first + 100; line++) {
     const place = Math.round(y(line * step)) + 0.5;
     pen.strokeStyle = line === 0 ? colours.soft : colours.line;
     pen.globalAlpha = line === 0 ? 0.55 : 1;

@@ -3,7 +3,7 @@
 The text is a JSON object, or a link that ends in one after a ``#``, percent-encoded or not:
 
 - ``version``: of this format, 1. ``package``: of the jackbox that wrote it, for information.
-- ``task``: juggle (default), spin or rattle. ``dt``: control step [s], default 0.02, at most 1.
+- ``task``: juggle (default), spin or rattle. ``dt``: control step [s], default 0.02, from 0.001 to 1.
 - ``scene``: an object of jack_mass, jack_arm, restitution and gravity, as far as they differ from the default scene.
 - ``start``: the state in which the game starts, 12 numbers; or four strings of decimal digits, the words of a PCG64
   generator (state high and low, increment high and low) that draws it as :func:`jackbox_env.tasks.sample_start`.
@@ -42,6 +42,7 @@ from jackbox_env.tasks import TASKS, reward_of, sample_start
 VERSION = 1
 LONGEST = 65_536  # characters of a text
 FIELDS = ("jack_mass", "jack_arm", "restitution", "gravity")  # of the scene
+FARTHEST = 1e6  # numbers of a start, at most
 _ARRAYS = {"shares": "<f8", "counts": "<u2", "checks": "u1"}
 _KEYS = ("version", "package", "task", "scene", "dt", "start", *_ARRAYS, "digest")
 _DRIVEN = 1 << 15  # the mark in a count; a run is shorter than this
@@ -88,7 +89,7 @@ def read_game(text: str) -> Game:
         scene = Scene.of(values.get("scene"))
         check.known_keys("a game's scene", values.get("scene") or (), FIELDS)
         task = check.choice("task", values.get("task", "juggle"), TASKS)
-        dt = check.real("dt", values.get("dt", 0.02), above=0.0, at_most=1.0)
+        dt = check.real("dt", values.get("dt", 0.02), at_least=0.001, at_most=1.0)
         game = Game(task, scene, dt, _start(scene, values.get("start")))
     except TypeError as error:
         raise ValueError(str(error)) from error
@@ -127,7 +128,7 @@ def write_game(
         start: the state at time 0, shape (12,), every foot inside the box.
         shares: the torque of each step over the torque limit, from -1 to 1, or None for the scene's drive.
         task: juggle, spin or rattle.
-        dt: control step [s], at most 1.
+        dt: control step [s], from 0.001 to 1.
 
     Raises:
         TypeError, ValueError: an unusable value, or more than 65,536 characters: those of some 4,400 steps if every
@@ -175,6 +176,8 @@ def _start(scene: Scene, values: Any) -> Array:
     """The state that 12 numbers are, or the one that a generator draws."""
     kinds = {*map(type, values)} if isinstance(values, list) else {None}
     if kinds <= {int, float}:
+        for value in values:
+            check.real("a number of start", value, at_least=-FARTHEST, at_most=FARTHEST)
         return as_start(scene, values) + 0.0  # no -0, which JSON does not keep
     words = [int(one) for one in values if re.fullmatch("[0-9]{1,20}", one)] if kinds == {str} else []
     if not len(words) == WHOLE == len(values) or max(words) > _WORD or words[-1] % 2 == 0:

@@ -28,7 +28,7 @@ from jackbox_env.exact.compiler import cache_folders
 from jackbox_env.exact.restart import seeded
 from jackbox_env.exact.workspace import new_workspaces
 from jackbox_env.files import replacing
-from jackbox_env.recording.game import LONGEST, VERSION
+from jackbox_env.recording.game import FARTHEST, LONGEST, VERSION
 from jackbox_env.recording.page import assembled, packed
 from jackbox_env.scene import BOUNDS, SceneNumbers
 from jackbox_env.states import START_TOLERANCE, STATE_NAMES
@@ -38,14 +38,14 @@ from scripts.site import entries
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 GOALS = {
-    "juggle": "Keep the jack near the middle of the box.",
-    "spin": "Spin the jack counter-clockwise in a calm box.",
-    "rattle": "Make the jack knock hard against the walls, with little torque.",
+    "juggle": "Keep the jack near the middle of the box: a step earns up to 1, in the middle.",
+    "spin": "Spin the jack counter-clockwise: a step earns up to 1, less the faster the box turns.",
+    "rattle": "Knock the jack hard against the walls; torque costs a little.",
 }
-COMPARED = {"level": "level", "ppo": "PPO", "planner": "planner"}  # policies of docs/results.json
-# Sliders: label, unit, ends, and whether equal ways on the slider are equal factors.
+COMPARED = {"level": "keeps the box level", "ppo": "trained agent (A)", "planner": "planner (searches ahead)"}
+# Sliders: label, unit, ends.
 SLIDERS = {
-    "jack_mass": {"label": "jack's mass", "unit": "kg", "least": 0.4, "most": 400.0, "factors": True},
+    "jack_mass": {"label": "jack's mass", "unit": "kg", "least": 0.4, "most": 400.0, "logarithmic": True},
     "jack_arm": {"label": "jack's arm", "unit": "m", "least": 0.2, "most": 8.4},
     "restitution": {"label": "restitution", "unit": "", "least": 0.0, "most": 1.0},
     "gravity": {"label": "gravity", "unit": "m/s\N{SUPERSCRIPT TWO}", "least": 0.0, "most": 25.0},
@@ -55,8 +55,8 @@ SLIDERS = {
 def module() -> bytes:
     """The physics, compiled if it is not yet stored for this source."""
     sources = [*sorted(HERE.glob("*.py")), Path(landing_features.__file__)]
-    of = numba.__version__, llvmlite.__version__, *(source.read_text() for source in sources)
-    path = cache_folders()[-1] / f"page-{hashlib.sha256(repr(of).encode()).hexdigest()[:16]}.wasm"
+    versions = numba.__version__, llvmlite.__version__, *(source.read_text() for source in sources)
+    path = cache_folders()[-1] / f"page-{hashlib.sha256(repr(versions).encode()).hexdigest()[:16]}.wasm"
     if not path.is_file():
         print("jackbox compiles its page to play, once for this version of the source (20 seconds)", file=sys.stderr)
         command = [sys.executable, "-m", "scripts.site.module", str(path)]
@@ -78,10 +78,11 @@ def _described() -> dict[str, Any]:
     """The page's data, for JSON."""
     scene = Scene()
     return {
-        "version": VERSION, "package": jackbox_env.__version__, "mostText": LONGEST,
+        "version": VERSION, "package": jackbox_env.__version__, "mostText": LONGEST, "farthest": FARTHEST,
         "module": packed(np.frombuffer(module(), np.uint8), "u1"), "workspace": new_workspaces().nbytes,
-        "places": entries.PLACES, "log": entries.LOG, "size": entries.SIZE, "mostImpacts": entries.MOST_IMPACTS,
-        "values": list(scene.numbers), "limit": SceneNumbers._fields.index("torque_limit"),
+        "offsets": entries.OFFSETS, "impactsAt": entries.IMPACTS_AT, "length": entries.LENGTH,
+        "mostImpacts": entries.MOST_IMPACTS,
+        "values": list(scene.numbers), "torqueLimit": SceneNumbers._fields.index("torque_limit"),
         "seed": [str(word) for word in seeded(0)[:4].tolist()], "startTolerance": START_TOLERANCE,
         "fields": {name: {**_field(scene, name), **slider} for name, slider in SLIDERS.items()},
         "inertia": _field(scene, "jack_inertia"), "tasks": {name: _task(name) for name in TASKS},

@@ -1,11 +1,12 @@
 """The functions that the page calls, on memory that it passes: plain Python, compiled as it stands.
 
-All of them share one array of float64, the desk, whose parts are named below; ``places`` lists them for the page.
+Each works in one buffer of float64, whose parts are named below; ``OFFSETS`` lists them for the page.
 """
 
 from __future__ import annotations
 
 import math
+from itertools import accumulate
 from types import ModuleType
 from typing import Any
 
@@ -30,7 +31,7 @@ MOST_IMPACTS = 128  # recorded of a step
 TERMS = 2  # of a task's reward, at most
 SCENE, OBSERVED, INPUTS = len(SceneNumbers._fields), len(BOUNDS), len(BOUNDS) + len(FEATURES)
 
-# Parts of the desk, and their lengths.
+# Parts of the buffer, and their lengths.
 PARTS = {
     "SCENE": SCENE, "DT": 1, "KIND": 1, "TIME": 1, "TORQUE": 1, "BEFORE": 12, "AFTER": WIDTH, "STATUS": 1, "HITS": 1,
     "MEAN_TORQUE": 1, "IMPULSE": 1, "REWARDS": TERMS, "ENERGY": 1, "SHARE": 1, "ACTION": 2, "STEPS": 1, "FREED": 1,
@@ -38,69 +39,63 @@ PARTS = {
 }  # fmt: skip
 
 
-def _places() -> tuple[dict[str, int], int]:
-    places, first = dict[str, int](), 0
-    for name, length in PARTS.items():
-        places[name], first = first, first + length
-    return places, -(-first // AT_IMPACT) * AT_IMPACT
-
-
-PLACES, LOG = _places()
-SIZE = LOG + AT_IMPACT * MOST_IMPACTS
+OFFSETS = dict(zip(PARTS, accumulate(PARTS.values(), initial=0), strict=False))
+IMPACTS_AT = -(-sum(PARTS.values()) // AT_IMPACT) * AT_IMPACT  # rows of the log follow
+LENGTH = IMPACTS_AT + AT_IMPACT * MOST_IMPACTS
 (
     SCENE_AT, DT, KIND, TIME, TORQUE, BEFORE, AFTER, STATUS, HITS, MEAN_TORQUE, IMPULSE, REWARDS, ENERGY, SHARE, ACTION,
     STEPS, FREED, GAP,
-) = PLACES.values()  # fmt: skip
+) = OFFSETS.values()  # fmt: skip
 array: Any = get_cfarray_intrinsic("C", None)  # type: ignore[no-untyped-call]  # numba's carray, which would want its runtime
 
 
-def step(desk: Any, workspace: Any) -> None:
+def step(buffer: Any, workspace: Any) -> None:
     """Step BEFORE to AFTER by DT [s], under TORQUE [N m] or, if KIND is ``step.CHIRP``, the scene's chirp."""
-    d, memory = array(desk, (SIZE,)), array(workspace, (1,))[0]
-    log = array(desk, (SIZE // AT_IMPACT, AT_IMPACT))[LOG // AT_IMPACT :]
-    scene, none = make_numbers(d[SCENE_AT : SCENE_AT + SCENE]), Pieces(array(desk, (0, TABLE_WIDTH)), 0, 0)
+    d, memory = array(buffer, (LENGTH,)), array(workspace, (1,))[0]
+    log = array(buffer, (LENGTH // AT_IMPACT, AT_IMPACT))[IMPACTS_AT // AT_IMPACT :]
+    scene, none = make_numbers(d[SCENE_AT : SCENE_AT + SCENE]), Pieces(array(buffer, (0, TABLE_WIDTH)), 0, 0)
     plan, before, after = make_plan(scene, d[DT], int(d[KIND])), d[BEFORE : BEFORE + 12], d[AFTER : AFTER + 12]
     status, d[MEAN_TORQUE] = step_once(scene, plan, before, after, d[TIME], d[TORQUE], none, memory, log)
     d[STATUS], d[HITS], d[IMPULSE] = status.value, memory.hits, memory.impulse
 
 
-def score(desk: Any, observation: Any) -> None:
+def score(buffer: Any, observation: Any) -> None:
     """Observe AFTER, and fill in the REWARDS of the step to it and its ENERGY [J]."""
-    d = array(desk, (SIZE,))
+    d = array(buffer, (LENGTH,))
     values, after, rewards = d[SCENE_AT : SCENE_AT + SCENE], d[AFTER : AFTER + 12], d[REWARDS : REWARDS + TERMS]
     rewards[0] = rewards[1] = 0.0
     score_one(values, after, d[MEAN_TORQUE], d[IMPULSE], array(observation, (OBSERVED,)), rewards)
     d[ENERGY] = energy_of(make_numbers(values), after)
 
 
-def start(desk: Any, numbers: Any, words: Any) -> None:
+def start(buffer: Any, numbers: Any, words: Any) -> None:
     """Draw a start into AFTER, from a generator's words; ``numbers`` is one 0."""
-    values = array(desk, (1, SIZE))[:, SCENE_AT : SCENE_AT + SCENE]
-    blocks = array(desk, (1, SIZE, 1))[:, AFTER : AFTER + WIDTH]
+    values = array(buffer, (1, LENGTH))[:, SCENE_AT : SCENE_AT + SCENE]
+    blocks = array(buffer, (1, LENGTH, 1))[:, AFTER : AFTER + WIDTH]
     restart_blocks(values, blocks, array(numbers, (1,)), array(words, (1, 4)))
 
 
-def derive(desk: Any) -> None:
+def derive(buffer: Any) -> None:
     """Set the jack's inertia that follows from its mass and arm."""
-    d = array(desk, (SIZE,))
+    d = array(buffer, (LENGTH,))
     d[SCENE_AT + JACK_INERTIA] = square_inertia(d[SCENE_AT + JACK_MASS], d[SCENE_AT + ARM])
 
 
-def measure(desk: Any) -> None:
+def measure(buffer: Any) -> None:
     """Set the smallest GAP [m] of BEFORE, negative if a foot is outside the box."""
-    d = array(desk, (SIZE,))
+    d = array(buffer, (LENGTH,))
     d[GAP] = clearance(make_numbers(d[SCENE_AT : SCENE_AT + SCENE]), d[BEFORE : BEFORE + 12])
 
 
 def act(
-    desk: Any, observation: Any, weights: Any, values: Any, hidden: int, outputs: int, longest: int, resting: int
+    buffer: Any, observation: Any, weights: Any, values: Any, hidden: int, outputs: int, longest: int, resting: int
 ) -> None:
     """The trained agent's SHARE of the torque limit in the step from AFTER.
 
     It decides after ``longest`` steps, or when an impact ends a decision, see :func:`jackbox_env.landing.is_over`.
     STEPS are those since its decision, -1 before the first.
     """
-    d = array(desk, (SIZE,))
+    d = array(buffer, (LENGTH,))
     if 0.0 <= d[STEPS] < longest:
         d[FREED] = max(d[FREED], 1.0 if d[HITS] == 0.0 else 0.0)
         if is_over(d[STEPS], d[FREED] != 0.0, d[HITS] > 0.0, resting):

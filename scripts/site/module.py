@@ -19,7 +19,7 @@ from scripts.site.webassembly import Export, compile_for_webassembly, module_of
 
 def physics() -> bytes:
     """The module of the functions in ``entries.py``; ``score`` once for each task."""
-    whole, scratch = types.int64, typeof(new_workspaces()).dtype  # type: ignore[no-untyped-call]
+    integer, scratch = types.int64, typeof(new_workspaces()).dtype  # type: ignore[no-untyped-call]
     numbers, floats, words, counts, workspace = map(
         types.CPointer, (types.float64, types.float32, types.uint64, types.int64, scratch)
     )
@@ -28,7 +28,7 @@ def physics() -> bytes:
         "start": Export(entries.start, (numbers, counts, words)),
         "derive": Export(entries.derive, (numbers,)),
         "measure": Export(entries.measure, (numbers,)),
-        "act": Export(entries.act, (numbers, floats, floats, numbers, whole, whole, whole, whole)),
+        "act": Export(entries.act, (numbers, floats, floats, numbers, integer, integer, integer, integer)),
     }
     for name, task in TASKS.items():
         exports[f"score_{name}"] = Export(entries.score, (numbers, floats), {"task_terms": task.values})

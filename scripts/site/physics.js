@@ -1,16 +1,18 @@
-// -- the physics: the compiled module, and desks that it works on ------------------------------------------------------
+// -- the physics: the compiled module, and buffers that it works in ------------------------------------------------------
 
-const STACK = 131072; // [bytes] of the stack, which grows down; desks lie beyond it
+const STACK = 131072; // [bytes] of the stack, which grows down; buffers lie beyond it
 
-async function loadPhysics(bytes, { places, log, size, mostImpacts, workspace }) {
+const { sin, cos, tanh, atan2 } = Math;
+
+async function loadPhysics(bytes, { offsets, impactsAt, length, mostImpacts, workspace }) {
   const memory = new WebAssembly.Memory({ initial: 16 });
   const unsigned = (value) => BigInt.asUintN(64, value);
   const env = {
     __linear_memory: memory,
     __stack_pointer: new WebAssembly.Global({ value: "i32", mutable: true }, STACK),
     fmod: (a, b) => a % b, // exact, as in C
-    ...{ sin: Math.sin, cos: Math.cos }, // of angles beyond 2^53, and in the agent
-    ...{ tanh: Math.tanh, atan2: Math.atan2 }, // in the agent
+    sin, cos, // of angles beyond 2^53, and in the agent
+    tanh, atan2, // in the agent
     __multi3: (to, a, aHigh, b, bHigh) => {
       const product = unsigned(a) * unsigned(b) + (unsigned(a * bHigh + aHigh * b) << 64n);
       new BigUint64Array(memory.buffer, to, 2).set([unsigned(product), unsigned(product >> 64n)]);
@@ -30,19 +32,19 @@ async function loadPhysics(bytes, { places, log, size, mostImpacts, workspace })
   };
   const [words, zero] = [allocate(BigUint64Array, 4), allocate(BigInt64Array, 1)];
 
-  // A desk: a state before and after a step, its scene and its impacts.
-  function makeDesk() {
-    const [desk, scratch] = [allocate(Float64Array, size), allocate(Uint8Array, workspace)];
+  // A buffer: a state before and after a step, its scene and its impacts.
+  function makeBuffer() {
+    const [buffer, scratch] = [allocate(Float64Array, length), allocate(Uint8Array, workspace)];
     const observation = allocate(Float32Array, 10);
-    const part = (name, count) => desk.subarray(places[name], places[name] + count);
+    const part = (name, count) => buffer.subarray(offsets[name], offsets[name] + count);
     const [scene, before, after] = [part("SCENE", 13), part("BEFORE", 12), part("AFTER", 12)];
-    const write = (numbers) => Object.entries(numbers).forEach(([name, value]) => (desk[places[name]] = value));
+    const write = (numbers) => Object.entries(numbers).forEach(([name, value]) => (buffer[offsets[name]] = value));
     return {
       scene, after, observation,
-      number: (name) => desk[places[name]],
+      number: (name) => buffer[offsets[name]],
       setScene(values) {
         scene.set(values);
-        call("derive", desk);
+        call("derive", buffer);
       },
       // Put a state there, as after a step without torque and impacts.
       place(state, dt, task) {
@@ -54,39 +56,39 @@ async function loadPhysics(bytes, { places, log, size, mostImpacts, workspace })
       step(from, time, dt, torque) {
         before.set(from);
         write({ DT: dt, KIND: torque === null ? 1 : 0, TIME: time, TORQUE: torque ?? 0 });
-        call("step", desk, scratch);
-        return desk[places.STATUS] === 0;
+        call("step", buffer, scratch);
+        return buffer[offsets.STATUS] === 0;
       },
-      impacts: (most = mostImpacts) => Array.from({ length: Math.min(desk[places.HITS], most) }, (_, row) => {
-        const [since, wall, foot, impulse] = desk.subarray(log + 4 * row, log + 4 * row + 4);
+      impacts: (most = mostImpacts) => Array.from({ length: Math.min(buffer[offsets.HITS], most) }, (_, row) => {
+        const [since, wall, foot, impulse] = buffer.subarray(impactsAt + 4 * row, impactsAt + 4 * row + 4);
         return { since, wall, foot, impulse };
       }),
       start(generator) {
         words.set(generator);
-        call("start", desk, zero, words);
+        call("start", buffer, zero, words);
         return after.slice();
       },
       // The smallest gap of a state [m].
       gap(state) {
         before.set(state);
-        call("measure", desk);
-        return desk[places.GAP];
+        call("measure", buffer);
+        return buffer[offsets.GAP];
       },
       reward(task) {
-        call(`score_${task}`, desk, observation);
-        return 0 + desk[places.REWARDS] + desk[places.REWARDS + 1];
+        call(`score_${task}`, buffer, observation);
+        return 0 + buffer[offsets.REWARDS] + buffer[offsets.REWARDS + 1];
       },
       // A trained policy: a function that returns its share of the torque limit in the step from `after`.
       agent({ weights, hidden, outputs, longest, resting }) {
         const [stored, values] = [allocate(Float32Array, weights.length), allocate(Float64Array, 23 + 2 * hidden)];
         stored.set(weights);
         const act = () => {
-          call("act", desk, observation, stored, values, ...[hidden, outputs, longest, resting].map(BigInt));
-          return desk[places.SHARE];
+          call("act", buffer, observation, stored, values, ...[hidden, outputs, longest, resting].map(BigInt));
+          return buffer[offsets.SHARE];
         };
         return Object.assign(act, { restart: () => write({ STEPS: -1 }) });
       },
     };
   }
-  return { makeDesk };
+  return { makeBuffer };
 }

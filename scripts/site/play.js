@@ -1,24 +1,33 @@
 // -- the page: who turns the box, numbers, keys, buttons ----------------------------------------------------------------
 
 const READ = 80; // between new numbers [ms]
-const RAMP = 0.5; // [s] that a key is held until the torque is at its limit
+const SLOWEST = 50; // computing time of a frame; a slow machine plays slower [ms]
+const RAMP = 0.8; // [s] that a key is held until the torque is at its limit
+const START_HINT = "Tap \u2190 or \u2192, or press here on the left or right. The box keeps turning: tap the other way to stop it.";
 const SIDES = { ArrowLeft: 1, ArrowRight: -1 };
 const pressed = new Map(); // keys and touches that turn the box: to which side, and whether a step has used them
 const best = {}; // returns of this visit, by task
 const player = { playing: false, agent: false, chirp: false, now: 0, push: 0, since: 0, drawn: null, read: -READ };
 
 const say = (text) => (byId("message").textContent = text);
-const drawn = () => Array.from(crypto.getRandomValues(new BigUint64Array(4)), (word, k) => String(k < 3 ? word : word | 1n));
+const randomWords = () => Array.from(crypto.getRandomValues(new BigUint64Array(4)), (word, k) => String(k < 3 ? word : word | 1n));
 const changed = () => Object.keys(game.fields).length > 0;
 
-function restart(task = game.task, fields = game.fields, dt = 0.02, start = drawn(), recorded = null) {
+function restart(task, fields, dt, start, recorded = null, shared = true) {
   begin(task, fields, dt, start, recorded);
+  game.assisted = shared;
   Object.assign(player, { playing: Boolean(recorded) || player.agent || player.chirp, now: 0, push: 0 });
   byId("task").value = task;
   byId("goal").textContent = data.tasks[task].goal;
   for (const [name, field] of Object.entries(data.fields)) field.show(fields[name] ?? data.values[field.index]);
-  say("");
+  say(recorded ? "A shared game plays. An arrow key takes over." : "");
   showReturns();
+}
+
+// Start again: from a start that was set, if it fits into the scene, else from another one.
+function again(task = game.task, fields = game.fields) {
+  const repeats = typeof game.start[0] === "number" && inspected(game.start, fields).outside <= data.startTolerance;
+  restart(task, fields, repeats ? game.dt : 0.02, repeats ? game.start : randomWords(), null, repeats);
 }
 
 // The share of the torque limit in the next step: recorded, a pressed key's, the agent's, 0; null: the chirp.
@@ -42,32 +51,35 @@ function nextShare() {
 
 function advance(seconds) {
   player.now += seconds * Number(byId("speed").value);
+  const late = performance.now() + SLOWEST;
   while (game.shares.length !== game.recorded?.shares.length) {
     if (!game.open) openStep(nextShare());
     if (game.lost) break;
+    if (performance.now() > late) player.now = Math.min(player.now, game.time + 0.999 * game.dt);
     if (player.now < game.time + game.dt) return;
     closeStep();
     if (game.shares.length === SCORED && !game.recorded) endEpisode();
   }
   Object.assign(player, { now: game.time, playing: false });
-  if (game.lost) say("The jack moves too fast to be followed. R starts anew.");
+  if (game.lost) say("The jack moves too fast to be followed. Press R to start again.");
   else endRecord();
 }
 
 function endEpisode() {
-  const better = game.acted && !game.assisted && !changed() && !(best[game.task] >= game.scored);
+  const counts = game.acted && !game.assisted && !changed();
+  const better = counts && !(best[game.task] >= game.scored);
   if (better) best[game.task] = game.scored;
-  say(`10 s are over: ${fixed(game.scored, 1)}${better ? ", your best" : ""}. Play on, or R starts anew.`);
+  const note = better ? ", your best here" : game.assisted ? ", not counted as yours: the agent, the chirp or a shared start helped" : "";
+  say(`${general(SCORED * game.dt, 2)} s are over: the return is ${fixed(game.scored, 1)}${note}. Play on, or press R to start again.`);
   showReturns();
 }
 
 function endRecord() {
   const same = !game.differs && game.digest === game.recorded.digest;
-  const verdict = same ? "the same, bit for bit" : `another motion from step ${game.differs || game.shares.length} on`;
+  const verdict = same ? "the same, bit for bit" : `it differs from step ${game.differs || game.shares.length} on`;
   say(`The shared game ends here, after ${game.shares.length} steps: ${verdict}. An arrow key plays on.`);
-  takeOver();
+  Object.assign(game, { recorded: null, assisted: true });
 }
-const takeOver = () => Object.assign(game, { recorded: null, assisted: true });
 
 function showReturns() {
   const others = changed() ? {} : { ...data.tasks[game.task].earned, "your best here": best[game.task] };
@@ -78,6 +90,8 @@ function showReturns() {
     return line;
   });
   byId("returns").replaceChildren(...lines);
+  byId("compared").textContent = changed()
+    ? "Another scene: there is nothing to compare with." : "Returns of the first 10 s, at most 500. The others' are means over many starts.";
 }
 
 // -- numbers and plots ----------------------------------------------------------------------------------------------------
@@ -108,7 +122,7 @@ function drawPlots() {
 
 function show(moment) {
   stage.draw(player.now);
-  const torque = stage.state[COLUMN.torque] / desk.scene[data.limit];
+  const torque = stage.state[COLUMN.torque] / main.scene[data.torqueLimit];
   byId("gauge").style.transform = `scaleX(${-torque})`; // a torque to the left shows to the left
   if (moment - player.read < READ) return;
   player.read = moment;
@@ -117,18 +131,19 @@ function show(moment) {
   byId("hits").textContent = game.hits;
   byId("torque").textContent = `${fixed(100 * torque, 0)} %`;
   byId("returns").firstChild.lastChild.textContent = fixed(game.scored, 1);
-  byId("hint").hidden = player.playing || game.lost;
-  byId("hint").firstChild.textContent = begun ? "Paused" : "Press \u2190 or \u2192, or touch a side";
+  const over = player.playing && game.shares.length >= SCORED && game.shares.length < SCORED + 150;
+  byId("hint").hidden = !over && (player.playing || game.lost);
+  byId("hint").firstChild.textContent = over ? `Return ${fixed(game.scored, 1)}` : begun ? "Paused" : START_HINT;
   const on = { a: player.agent, c: player.chirp, " ": Boolean(begun) && !player.playing, r: false };
   for (const button of document.querySelectorAll("[data-key]")) button.setAttribute("aria-pressed", on[button.dataset.key]);
   drawPlots();
 }
 
 function tick(moment) {
+  requestAnimationFrame(tick);
   if (player.playing) advance(Math.min(0.1, (moment - (player.drawn ?? moment)) / 1000));
   player.drawn = moment;
   show(moment);
-  requestAnimationFrame(tick);
 }
 
 // -- keys and touches -----------------------------------------------------------------------------------------------------
@@ -136,19 +151,18 @@ function tick(moment) {
 function press(key) {
   const name = { a: "agent", c: "chirp" }[key];
   if (key === " ") player.playing = !player.playing;
-  else if (key === "r") typeof game.start[0] === "number" ? restart(game.task, game.fields, game.dt, game.start) : restart();
+  else if (key === "r") again();
   else if (name) {
-    player[name] = !player[name];
+    Object.assign(player, { agent: false, chirp: false, [name]: !player[name] });
     player.playing ||= player[name];
     agents[game.task].restart();
   }
-  return name || " r".includes(key);
 }
 
 function turn(by, side) {
   pressed.set(by, { side });
   player.playing = true;
-  if (game.recorded) takeOver();
+  if (game.recorded) Object.assign(game, { recorded: null, assisted: true }); // and the player takes over
 }
 
 // A short press still turns the box in the next step.
@@ -161,13 +175,17 @@ function release(by) {
 document.addEventListener("keydown", (event) => {
   const busy = event.target.matches("select, input") || byId("sharing").open || event.ctrlKey || event.metaKey || event.altKey;
   if (busy || (event.key === " " && event.target.matches("button"))) return;
-  const side = SIDES[event.key];
-  if (event.repeat || (side ? turn(event.key, side) : !press(event.key.toLowerCase()))) return;
+  const key = event.key.toLowerCase();
+  if (!(event.key in SIDES) && !"acr ".includes(key)) return;
   event.preventDefault();
+  if (event.repeat) return;
+  if (event.key in SIDES) turn(event.key, SIDES[event.key]);
+  else press(key);
 });
 document.addEventListener("keyup", (event) => release(event.key));
 addEventListener("blur", () => pressed.clear());
 byId("stage").addEventListener("pointerdown", (event) => {
+  if (event.button !== 0) return;
   const { left, width } = byId("stage").getBoundingClientRect();
   byId("stage").setPointerCapture(event.pointerId);
   turn(event.pointerId, event.clientX < left + width / 2 ? 1 : -1);
@@ -183,20 +201,21 @@ for (const button of document.querySelectorAll("[data-key]")) {
 // -- choices, sliders, sharing --------------------------------------------------------------------------------------------
 
 byId("task").append(...Object.keys(data.tasks).map((task) => make("option", "", task)));
-byId("task").addEventListener("change", (event) => restart(event.target.value));
+byId("task").addEventListener("change", (event) => again(event.target.value));
 for (const id of ["task", "speed"]) byId(id).addEventListener("change", (event) => event.target.blur());
 
 for (const [name, field] of Object.entries(data.fields)) {
   const [label, input, output] = [make("label", "slider"), make("input"), make("output")];
-  const [to, from] = field.factors ? [Math.log, Math.exp] : [Number, Number];
+  const [to, from] = field.logarithmic ? [Math.log, Math.exp] : [Number, Number];
   const value = () => Number(from(Number(input.value)).toPrecision(3));
   const write = (number) => (output.textContent = `${general(number, 3)} ${field.unit}`);
   Object.assign(input, { type: "range", step: "any", min: to(field.least), max: to(field.most) });
   field.show = (number) => write(number, (input.value = to(number)));
   input.addEventListener("input", () => write(value()));
+  input.addEventListener("pointerup", () => input.blur()); // so that the arrow keys turn the box again
   input.addEventListener("change", () => {
     const { [name]: _, ...others } = game.fields;
-    restart(game.task, value() === data.values[field.index] ? others : { ...others, [name]: value() });
+    again(game.task, value() === data.values[field.index] ? others : { ...others, [name]: value() });
   });
   label.append(make("span", "", field.label), output, input);
   byId("sliders").append(label);
@@ -208,8 +227,7 @@ function open(text) {
     restart(...read);
     player.playing = Boolean(read[4]);
   } catch (error) {
-    if (!(error instanceof Refused)) throw error;
-    say(`This game cannot be played: ${error.message}.`);
+    say(`This game cannot be played: ${error instanceof Refused ? error.message : "it is damaged"}.`);
   }
 }
 
@@ -219,18 +237,23 @@ byId("share").addEventListener("click", () => {
   const fits = text.length <= data.mostText;
   byId("text").value = !fits ? "" : served ? `${location.href.split("#")[0]}#${encodeURIComponent(text)}` : text;
   byId("about-text").textContent = fits
-    ? `${game.shares.length} steps. Any copy of this page plays ${served ? "this link" : "this text"}, and so does jackbox replay.`
+    ? `Send ${served ? "this link" : "this text"}: any copy of this page replays the ${game.shares.length} steps, and jackbox replay checks them bit for bit.`
     : `This game is too long to share: it has ${text.length} characters, at most ${data.mostText} fit.`;
+  byId("copy").textContent = "Copy";
+  byId("sharing").returnValue = "";
   byId("sharing").showModal();
 });
-byId("sharing").addEventListener("close", () => byId("sharing").returnValue === "play" && open(byId("text").value));
+byId("sharing").addEventListener("close", () => {
+  byId("share").blur(); // so that Space does not open it again
+  if (byId("sharing").returnValue === "play") open(byId("text").value);
+});
 byId("copy").addEventListener("click", () => {
   byId("text").select();
-  navigator.clipboard?.writeText(byId("text").value).catch(() => document.execCommand("copy"));
+  byId("copy").textContent = document.execCommand("copy") ? "Copied" : "Press Ctrl+C";
 });
 
 readColours();
-restart("juggle", {}, 0.02, data.seed);
+restart("juggle", {}, 0.02, data.seed, null, false);
 const stage = makeStage();
 const openLink = () => location.hash.length > 1 && open(location.hash);
 const redraw = () => {

@@ -78,21 +78,21 @@ def compile_for_webassembly() -> None:
 
 def module_of(exports: Mapping[str, Export]) -> bytes:
     """A WebAssembly module that exports these functions by name."""
-    whole = llvm.parse_assembly("")
+    linked = llvm.parse_assembly("")
     for name, export in exports.items():
         module, function = intermediate_code(export.function, export.arguments, **export.substitutes)
         module.get_function(function).name = name
         for variable in module.global_variables:
             if not variable.is_declaration:
                 variable.linkage = "internal"
-        whole.link_in(module)
-    for function in whole.functions:
+        linked.link_in(module)
+    for function in linked.functions:
         if not function.is_declaration and function.name not in exports:
             function.linkage = "internal"
     machine = cpu_target.target_context.codegen()._tm
     builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=2))
-    builder.getModulePassManager().run(whole, builder)
-    text = str(whole)
+    builder.getModulePassManager().run(linked, builder)
+    text = str(linked)
     for name in exports:
         text, count = re.subn(rf"^(define .*@{name}\(.*)\{{$", rf'\1"wasm-export-name"="{name}" {{', text, flags=re.M)
         assert count == 1, name

@@ -38,7 +38,7 @@ class Page(Opened):
         """Paste a text and play it."""
         self.page.click("#share")
         self.page.locator("#text").fill(text)
-        self.page.click("text=Play this text")
+        self.page.click("text=Play the text above")
 
     def wait_for(self, message: str) -> None:
         self.page.locator("#message", has_text=message).wait_for()
@@ -90,7 +90,7 @@ def test_a_text_of_the_package_plays_and_ends_with_a_verdict(opened: Page) -> No
     changed = json.loads(text)
     changed["start"][0] = 1e-15
     opened.play(json.dumps(changed))
-    opened.wait_for("another motion from step 1 on")
+    opened.wait_for("it differs from step 1 on")
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -114,10 +114,10 @@ def altered(**values: Any) -> Callable[[str], str]:
 
 
 BAD = [
-    ("cut off", lambda text: text[:-30], "cut off"),
+    ("cut off", lambda text: text[:-30], "not a complete game"),
     ("huge", lambda text: text + " " * 65536, "65536 characters"),
     ("another version", altered(version=2), "version must be 1"),
-    ("NaN", altered(start=[float("nan")] * 12), "cut off"),
+    ("NaN", altered(start=[float("nan")] * 12), "not a complete game"),
     ("NaN torque", altered(shares="AAAAAAAA-H8"), "shares must be from -1 to 1"),
     ("gravity", altered(scene={"gravity": -1}), "gravity must be a finite number at least 0 and at most 1e+60, got -1"),
     (
@@ -128,8 +128,11 @@ BAD = [
     ("inertia", altered(scene={"jack_arm": 1e-40}), "jack_inertia must be a finite number at least 1e-60"),
     ("code", altered(task="__proto__"), "task must be one of juggle, spin, rattle"),
     ("a foot outside", altered(start=[0, 0, 0, 9, *REST[4:]]), "every foot inside"),
+    ("dt", altered(dt="0.02"), "dt must be from 0.001 to 1 s"),
+    ("tiny dt", altered(dt=1e-7), "dt must be from 0.001 to 1 s"),
+    ("deep", lambda text: text[:-1] + ',"dt":' + "[" * 9000 + "]" * 9000 + "}", "cannot be played"),
     ("missing checks", altered(checks=""), "a check for each step"),
-    ("unknown key", altered(script="<b>"), "has no script"),
+    ("unknown key", altered(script="<b>"), 'has no "script"'),
 ]
 
 
@@ -147,6 +150,15 @@ def test_a_bad_text_is_refused_in_one_sentence_by_page_and_package(
     opened.page.keyboard.press("ArrowLeft")
     opened.page.wait_for_timeout(200)
     assert opened.time > 0.0
+
+
+def test_a_flat_plot_and_a_shared_start_do_no_harm(opened: Page) -> None:
+    opened.page.select_option("#speed", "4")
+    opened.play(write_game(Scene(gravity=0.0), [0, 0, 1e6, 0, 0, 0, 0, 0, 1e-6, 0, 0, 0]))
+    opened.page.keyboard.press("ArrowLeft")
+    opened.wait_for("10 s are over")
+    assert "not counted as yours" in opened.message
+    assert opened.time > 9.0
 
 
 def test_a_link_opens_its_scene(browser: Any) -> None:
