@@ -59,8 +59,8 @@ def module() -> bytes:
     path = cache_folders()[-1] / f"page-{hashlib.sha256(repr(versions).encode()).hexdigest()[:16]}.wasm"
     if not path.is_file():
         print("jackbox compiles its page to play, once for this version of the source (20 seconds)", file=sys.stderr)
-        command = [sys.executable, "-m", "scripts.site.module", str(path)]
-        subprocess.run(command, cwd=ROOT, check=True)
+        code = f"from scripts.site.module import write; write({str(path)!r})"
+        subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
     return path.read_bytes()
 
 
@@ -131,6 +131,9 @@ def _task(name: str) -> dict[str, Any]:
 @command_line
 def main() -> None:
     """Build the page and print its path."""
+    import tyro
+
+    tyro.cli(lambda: None, description=__doc__)
     print(ensure_page())
 
 

@@ -1,11 +1,7 @@
-"""Compile the physics of the page: ``python -m scripts.site.module FILE`` in a process of its own.
-
-Afterwards nothing that numba compiles in this process can be called.
-"""
+"""The module of the page's physics, compiled in a process of its own by ``build.py``."""
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 from numba import typeof, types
@@ -35,7 +31,8 @@ def physics() -> bytes:
     return module_of(exports)
 
 
-if __name__ == "__main__":
+def write(path: str) -> None:
+    """Compile for WebAssembly and write the module; afterwards nothing that numba compiles here can be called."""
     compile_for_webassembly()
-    with replacing(Path(sys.argv[1])) as partial:
+    with replacing(Path(path)) as partial:
         partial.write_bytes(physics())

@@ -95,11 +95,11 @@ def by_browser(
     ]
 
 
-def differing(found: NDArray[Any], expected: NDArray[Any]) -> int:
+def differing(numbers: NDArray[Any], expected: NDArray[Any]) -> int:
     """The number of bits that differ; of arrays of other lengths, all."""
-    if found.shape != expected.shape:
-        return 8 * max(found.nbytes, expected.nbytes)
-    return int(np.unpackbits(found.view(np.uint8) ^ expected.view(np.uint8)).sum())
+    if numbers.shape != expected.shape:
+        return 8 * max(numbers.nbytes, expected.nbytes)
+    return int(np.unpackbits(numbers.view(np.uint8) ^ expected.view(np.uint8)).sum())
 
 
 @pytest.fixture(scope="module")
