@@ -13,7 +13,7 @@ UNDER_OLD_GYMNASIUM := $(addprefix tests/,environment/test_env.py environment/te
 	environment/test_tools.py batches/test_vector_env.py batches/test_episodes.py \
 	guarantees/test_bits.py refusals/test_refusals.py)
 
-.PHONY: demo test test-all test-slow benchmark benchmark-quick throughput speed costs derivatives prove prove-quick soak extremes machines kills mutants results networks readme docs recipes wheel dataset ranges clean
+.PHONY: demo test test-all test-slow benchmark benchmark-quick throughput speed costs derivatives prove prove-quick reference soak extremes machines kills mutants results networks readme docs recipes wheel dataset ranges clean
 .DELETE_ON_ERROR:
 
 demo: .venv/usable
@@ -64,6 +64,10 @@ prove: .venv/ready
 
 prove-quick: .venv/ready
 	@OMP_NUM_THREADS=1 $(BIN)/python -m tests.proving --quick
+
+# The proven motions of docs/reference.md, a few seconds; the same bytes each time.
+reference: .venv/ready
+	@OMP_NUM_THREADS=1 $(BIN)/python -m tests.reference
 
 # Random cases for hours, others in each round of some 40 minutes, until an invariant does not hold.
 soak: .venv/ready

@@ -66,7 +66,7 @@ class UndecidedError(Exception):
 
 
 def prove(
-    scene: Scene, state: Sequence[float], torques: Sequence[float | None], dt: float, *, time: float = 0.0,
+    scene: Scene, state: Sequence[arb | float], torques: Sequence[float | None], dt: float, *, time: float = 0.0,
     bits: int = 128, most_bits: int = 4096, together: float = 0.0, radius: float = 1e-20,
 ) -> Proof:  # fmt: skip
     """Enclose the impacts and states of a motion.
@@ -103,7 +103,7 @@ def prove(
 class Motion:
     """A motion enclosed step by step, at one precision."""
 
-    def __init__(self, scene: Scene, state: Sequence[float], time: float, together: float, radius: float) -> None:
+    def __init__(self, scene: Scene, state: Sequence[arb | float], time: float, together: float, radius: float) -> None:
         self.scene, self.time, self.together, self.radius = scene, arb(time), arb(together), arb(radius)
         self.impacts: list[Impact] = []
         self.states = [[arb(number) for number in state]]

@@ -1,0 +1,70 @@
+"""The published reference: the same bytes again, its schema, and the independent references of tests/data."""
+
+from __future__ import annotations
+
+import copy
+import json
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+from flint import arb, ctx
+
+from tests import reference
+from tests.proof import UndecidedError
+from tests.states import load
+
+TEXT = (reference.FOLDER / "cases.json").read_text()
+SCHEMA = json.loads((reference.FOLDER / "schema.json").read_text())
+CASES: dict[str, Any] = {case["name"]: case for case in json.loads(TEXT)["cases"]}
+
+
+def test_the_file_is_written_with_the_same_bytes() -> None:
+    assert reference.text_of([reference.completed(case) for case in reference.cases()]) == TEXT, "make reference"
+    assert len(TEXT) <= 1_000_000
+    assert len(CASES) == 40
+
+
+def test_the_file_has_the_form_of_its_schema() -> None:
+    jsonschema.validate(json.loads(TEXT), SCHEMA)
+    case = copy.deepcopy(CASES["bounce"])
+    case["impacts"][0]["wall"] = 4
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(json.loads(TEXT) | {"cases": [case]}, SCHEMA)
+
+
+@pytest.mark.parametrize("file", ["exact_trajectories", "loss_trajectories"])
+def test_the_60_digit_trajectories_are_those_of_the_reference(file: str) -> None:
+    for record in load(file):  # of 9.81 and 0.02 themselves, not of the float64 next to them
+        case = CASES[record["name"]]
+        assert [(hit["wall"], hit["foot"]) for hit in case["impacts"]] == [
+            (hit["wall"], hit["foot"]) for hit in record["impacts"]
+        ]
+        for hit, known in zip(case["impacts"], record["impacts"], strict=True):
+            assert abs(float(hit["time"]) - known["time"]) < 1e-12
+
+
+def test_the_derivatives_are_those_computed_with_60_digits() -> None:
+    for number, record in enumerate(load("derivatives")):
+        by_start = np.array(CASES[f"derivatives-{number}"]["derivatives"]).T
+        known = np.array(record["by_start"])
+        assert np.abs(by_start - known).max() <= 1e-11 * np.abs(known).max()
+
+
+def test_a_motion_that_cannot_be_proven_is_an_error() -> None:
+    case = copy.deepcopy(CASES["bounce"])
+    case["scene"]["restitution"] = 0.0
+    with pytest.raises(UndecidedError, match="bounce: an impact without restitution"):
+        reference.proven(case)
+
+
+def test_digits_and_float64_that_a_ball_leaves_open_are_errors() -> None:
+    with ctx.workprec(256):
+        assert reference.digits(arb("1.25", "1e-60")) == "1.25" + 27 * "0"
+        assert reference.nearest(arb("0.1", "1e-60")) == 0.1
+        assert reference.nearest(arb(0, "1e-40")) == 0.0
+        with pytest.raises(UndecidedError, match="30 digits"):
+            reference.digits(arb("1.25", "1e-25"))
+        with pytest.raises(UndecidedError, match="float64 next to 0.1"):
+            reference.nearest(arb("0.1", "1e-17"))
