@@ -22,6 +22,7 @@ from flint import arb, ctx
 from jackbox_env.files import write_text
 from jackbox_env.scene import Chirp, Scene
 from jackbox_env.states import STATE_NAMES
+from scripts.referee import scene_of
 from tests.proof import Proof, UndecidedError, prove
 from tests.states import load
 
@@ -68,13 +69,6 @@ def nearest(ball: arb) -> float:
 
 
 # -- a case ------------------------------------------------------------------------------------------------------------
-
-
-def scene_of(case: Case) -> Scene:
-    """The scene of a case, with its chirp as the drive."""
-    torque = case["torque"]
-    chirp = Chirp(*(torque[name] for name in ("amplitude", "start_frequency", "rate"))) if "rate" in torque else None
-    return Scene(**case["scene"], drive=chirp)
 
 
 def proof_of(case: Case, start: Sequence[arb | float], **precision: Any) -> Proof:

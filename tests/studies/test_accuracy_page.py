@@ -51,17 +51,15 @@ def test_a_planted_order_of_convergence_is_estimated_within_its_interval(order: 
 
 def test_claims_hold_in_the_stored_results_and_each_fails_where_it_is_broken(stored: measured.Results) -> None:
     assert [claim.what for claim in benchmark.claims(stored) if not claim.holds] == []
-    exact, coarse, digits, seeds = measured.EXACT, measured.pymunk(2).name, measured.DIGITS, measured.ALL
+    exact, coarse, proven, seeds = measured.EXACT, measured.pymunk(2).name, measured.REFERENCE, measured.ALL
     breakages: list[tuple[str, str, str, dict[str, Any]]] = [
-        (exact, digits, "first_1", {"worst": 1e-10}),
-        (exact, digits, "first_1", {"n": 9}),
-        (exact, digits, "first_5", {"worst": 1e-9}),
-        (exact, digits, "first_5", {"worst": math.nan, "n": 0}),
-        (exact, digits, "lacking", {"worst": 1.0}),
-        (exact, digits, "flight", {"worst": 1e-9}),
-        (exact, measured.LOSS, "first_1", {"worst": 1e-10}),
-        (exact, measured.LOSS, "first_1", {"n": 9}),
-        (exact, measured.LOSS, "lacking", {"worst": 1.0}),
+        (exact, proven, "first_1", {"worst": 1e-10}),
+        (exact, proven, "first_5", {"worst": 1e-9}),
+        (exact, proven, "first_5", {"worst": math.nan, "n": 0}),
+        (exact, proven, "lacking", {"worst": 1.0}),
+        (exact, proven, "depth", {"worst": 1e-6}),
+        (exact, proven, "prefix", {"total": 50.0}),
+        (measured.USUAL, proven, "prefix", {"total": 60.0}),
         (exact, seeds, "depth", {"worst": 1e-6}),
         (coarse, seeds, "first_1", {"worst": 0.011}),
         (coarse, seeds, "wrong", {"total": 1.0}),

@@ -7,13 +7,15 @@ import importlib.util
 import numpy as np
 import pytest
 
-from jackbox_env.measure.accuracy import Case, compare, follow, reference_of
+from jackbox_env.measure.accuracy import Case, compare, follow, prefix_errors, reference_of
 from jackbox_env.mechanics import energy, impact_map
 from jackbox_env.scene import Chirp, Scene
 from jackbox_env.simulators import make_simulator
 from jackbox_env.states import Array
 from jackbox_env.tasks import sample_start
+from scripts.referee import reference
 from scripts.studies import baselines
+from scripts.studies.baselines import solve_ivp
 from scripts.studies.baselines.base import Baseline
 from scripts.studies.baselines.threshold import BAND, reflect
 from tests.states import inside, one_foot_on_wall
@@ -166,3 +168,27 @@ def test_a_jack_that_would_leave_is_refused_and_the_simulator_stays_as_it_was(na
     assert simulator.time == 3.0
     case = Case("too fast", WEIGHTLESS, state, 5)
     assert follow(simulator, case, inspect=simulator.inside_last_step).escaped
+
+
+def test_solve_ivp_has_the_proven_impacts_and_misses_a_foot_that_goes_in_and_out_within_a_step() -> None:
+    loose, tight = (baselines.baseline("solve_ivp")(WEIGHTLESS, tolerance=tolerance) for tolerance in (1e-3, 1e-10))
+    for name in ("chirp-0", "corner", "held-e0.6"):
+        case, impacts = reference()[name]
+        for tolerance, bound in ((1e-3, 1e-9), (1e-10, 1e-10)):
+            course = follow(baselines.baseline("solve_ivp")(case.scene, tolerance=tolerance), case, inspect=None)
+            errors = prefix_errors(course.impacts, impacts)
+            assert len(errors) == len(course.impacts) == len(impacts)
+            assert errors[0] < bound
+    for simulator in (loose, tight, make_simulator(WEIGHTLESS, "exact")):
+        simulator.reset([0.0, 0.0, 0.0, 5.2, 0.0, -0.79, 0.0, 0.0, 0.0, 0.0, 0.0, 79.0])
+        simulator.step(0.02)
+    assert loose.impacts == tight.impacts == []
+    assert [hit[1:3] for hit in simulator.impacts] == [(0, 0)]
+
+
+def test_solve_ivp_gives_up_after_a_thousand_impacts_of_a_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(solve_ivp, "MOST", 1)
+    simulator = baselines.baseline("solve_ivp")(WEIGHTLESS, tolerance=1e-3)
+    simulator.reset([0.0, 0.0, 0.0, 4.9, 0.0, 0.0, 0.0, 0.0, 0.0, 10.0, 0.0, 0.0])
+    with pytest.raises(RuntimeError, match="more than 1 impacts in the 0.02 s after t = 0 s"):
+        simulator.step(0.02)

@@ -9,29 +9,35 @@ from typing import Any
 import pytest
 
 from jackbox_env import FIDELITIES
+from scripts import referee
 from scripts.studies.accuracy import benchmark, measured
 
 FEW = ("--quick", "--cases", "2", "--rounds", "1", "--seconds", "0.001", "--no-progress")
 
 
-def test_the_trajectories_known_to_60_digits_are_all_there() -> None:
-    known = measured.with_references(measured.DIGITS, 0)
-    assert len(known) == 10
-    assert sum(reference.sure for _, reference in known) == 73
-    default = next(reference for case, reference in known if case.steps == 500)
-    assert default.impacts[0].time == pytest.approx(1.0205739846186, abs=1e-13)
+def test_the_referee_scores_an_engine_of_the_study() -> None:
+    (pymunk,) = (one for one in measured.contenders(quick=True) if one.name == measured.DEFAULT)
+    record = measured.refereed(pymunk, referee.reference()["bounce"])
+    assert record["kind"] == measured.REFERENCE
+    assert record["prefix"] == record["correct"] == 1
+    assert 0.0 < record["errors"][0] < 0.005
+    values = {quantity.name: quantity.values([record]) for quantity in measured.REFEREED}
+    assert values["first_1"] == values["impact_1"] == record["errors"]
+    assert values["first_3"] == values["impact_2"] == []
+    assert values["lacking"] == [0]
 
 
 def test_an_interrupted_sweep_continues_to_the_results_of_an_uninterrupted_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    of_all, references, one_case, cases = measured.settings, measured.with_references, measured.measured, list[str]()
+    of_all, few, one_case, cases = measured.settings, dict(list(referee.reference().items())[:2]), measured.measured, []
     names = {measured.USUAL, measured.pymunk(4, 1).name, measured.BATCH, *map(measured.of_fidelity, FIDELITIES)}
     monkeypatch.setattr(measured, "settings", lambda quick: [one for one in of_all(quick) if one.name in names])
-    monkeypatch.setattr(measured, "with_references", lambda kind, count: references(kind, count)[:2])
+    monkeypatch.setattr(referee, "reference", lambda: few)
     monkeypatch.setattr(measured, "STEPS", 150)
     monkeypatch.setattr(measured, "TOGETHER", 2)
-    monkeypatch.setattr(benchmark, "draw", lambda results, path: None)  # test_accuracy_page draws
+    for name in ("draw", "draw_impacts"):  # test_accuracy_page draws
+        monkeypatch.setattr(benchmark, name, lambda *arguments: None)
     monkeypatch.setattr(benchmark, "claims", lambda records: [])  # cases are too short for some
 
     def counted(*arguments: Any) -> Any:
@@ -50,7 +56,7 @@ def test_an_interrupted_sweep_continues_to_the_results_of_an_uninterrupted_one(
         run(tmp_path / "cut")
     assert stopped.value.code == 130
     cut = run(tmp_path / "cut")
-    assert len(cases) == 20 + (4 * 6 + 5) * 2 - 2 * 9  # the tenth trial is lost; the usual way takes no loss
+    assert len(cases) == 20 + 3 * 6 * 2 - 2 * 9  # the tenth trial is lost
     whole = run(tmp_path / "whole")
     assert len(whole.rows) > 300
     for key, row in whole.rows.items():

@@ -7,7 +7,6 @@ process, where nothing else runs.
 from __future__ import annotations
 
 import csv
-import json
 import math
 import time
 from collections.abc import Callable, Iterable
@@ -24,10 +23,11 @@ from agents.sweep import Runner
 from jackbox_env import Scene, make_simulator, rollout
 from jackbox_env.files import replacing, write_json
 from jackbox_env.measure.accuracy import Case, Reference, between, compare, follow, quantities, reference_of, restarts
-from jackbox_env.simulators import Impact, Simulator
+from jackbox_env.simulators import Simulator
 from jackbox_env.simulators.fidelity import FIDELITIES
 from jackbox_env.states import OMEGA_BOX, Array
 from jackbox_env.tasks import sample_start
+from scripts import referee
 from scripts.studies import baselines
 from scripts.studies.sweeping import swept
 from scripts.studies.timing import Timed, core_seconds, measure, ratios, repeat
@@ -35,12 +35,10 @@ from scripts.studies.timing import Timed, core_seconds, measure, ratios, repeat
 # -- cases -------------------------------------------------------------------------------------------------------------
 
 KINDS = ("chirp", "held", "weightless")  # of seeded cases
-DIGITS, LOSS = "60 digits", "60 digits, with loss"  # kinds of those with an independent reference
+REFERENCE = "reference"  # the kind of the proven cases, which the referee scores
 DT = 0.02  # control step [s]
 STEPS = 500  # control steps of a seeded case: 10 s
 WEIGHTLESS = Scene(gravity=0.0, drive=None)
-_FILES = {DIGITS: ("exact_trajectories.json", "seed_scene.json"), LOSS: ("loss_trajectories.json",)}
-_DATA = Path(__file__).parents[3] / "tests" / "data"
 
 
 def seeded(kind: str, seed: int) -> Case:
@@ -60,29 +58,6 @@ def seeded(kind: str, seed: int) -> Case:
     return Case(f"{kind} {seed}", scene, state, STEPS, torques, DT)
 
 
-def with_references(kind: str, count: int) -> list[tuple[Case, Reference]]:
-    """The cases of a kind: all that are known to 60 digits, or ``count`` seeded ones with the exact model's motion."""
-    if kind in _FILES:
-        return [_from_record(record) for file in _FILES[kind] for record in json.loads((_DATA / file).read_text())]
-    cases = [seeded(kind, seed) for seed in range(count)]
-    return [(case, reference_of(case)) for case in cases]
-
-
-def _from_record(record: dict[str, Any]) -> tuple[Case, Reference]:
-    """A trajectory of 3 to 10 s, computed with 60 digits independently of this project."""
-    driven = record["drive"] != "none"
-    scene = Scene(gravity=record["gravity"], restitution=record.get("restitution", 1.0)) if driven else WEIGHTLESS
-    start = np.array(record["q"] + record["qdot"], dtype=np.float64)
-    torques = None
-    if record["drive"] == "held":
-        torques = [scene.torque_limit * float(np.float32(action)) for action in record["actions"]]
-    times = np.array([0.0] + [entry["time"] for entry in record["states"]])
-    states = np.array([start] + [entry["state"] for entry in record["states"]])
-    impacts = [Impact(hit["time"], hit["wall"], hit["foot"], hit["impulse"]) for hit in record["impacts"]]
-    case = Case(record["name"], scene, start, round(record["T"] / DT), torques, DT)
-    return case, Reference(times, states, impacts, len(impacts))
-
-
 # -- settings ----------------------------------------------------------------------------------------------------------
 
 TOGETHER = 1024
@@ -99,11 +74,6 @@ class Setting(NamedTuple):
     family: str
     substeps: int | None = None
     make: Callable[[Scene], Simulator] | None = None  # None: a batch, which differs only in cost
-
-    @property
-    def measured_with_loss(self) -> bool:
-        """False for MuJoCo, which is tuned for elastic scenes, and for the usual way, which has no loss."""
-        return self.make is not None and self.family.split(",")[0] in (EXACT, PYMUNK, "box2d")
 
 
 def named(family: str, substeps: int, iterations: int | None = None) -> str:
@@ -136,6 +106,18 @@ def settings(quick: bool) -> list[Setting]:
     return [*exact, *map(pymunk, SUBSTEPS), *fewer, *_of_others((1, 4, 16, 64))]
 
 
+def contenders(quick: bool) -> list[Setting]:
+    """Those that play the reference's cases; when quick without other packages."""
+    own = [of_fidelity(name) for name in FIDELITIES] + [USUAL]
+    finest = [named(name, 64) for name in ("box2d", "mujoco")] * (not quick)
+    solver = baselines.baseline("solve_ivp")
+    solvers = [
+        Setting(f"solve_ivp, tolerance {tolerance:g}", "solve_ivp", None, partial(solver, tolerance=tolerance))
+        for tolerance in (() if quick else (1e-3, 1e-10))
+    ]
+    return [one for one in settings(quick) if one.name in (*own, *finest)] + solvers
+
+
 def of_fidelity(fidelity: str) -> str:
     """Name of the setting that a fidelity stands for."""
     setting = FIDELITIES[fidelity]
@@ -148,11 +130,9 @@ DEFAULT = of_fidelity("balanced")
 # -- summaries ---------------------------------------------------------------------------------------------------------
 
 ALL = "all seeds"
-PREDICTABLE = 14  # impacts that float64 can predict
+PREDICTABLE = 11  # impacts of a case that float64 can predict
 SPREAD, LEAST, MEAN, TOTAL = "median and worst", "median and least", "mean with interval", "total"
 TABLE, ABOUT = "results.csv", "results.json"
-_NEED_NO_REFERENCE = ("prefix", "sure", "depth", "imbalance", "escaped", "rate", "speed", "fast", "impulse")
-_ELASTIC_ONLY = ("imbalance",)  # with loss, lost energy is no error
 
 Record = dict[str, Any]  # of one setting on one case
 
@@ -177,12 +157,16 @@ def over_first(count: int) -> Quantity:
     return Quantity(name, "s", SPREAD, lambda one: [max(one["errors"][:count])] if one["prefix"] >= count else [])
 
 
+def impact(number: int) -> Quantity:
+    """The time error of the impact of this number, from 1, in the cases in which it is correct."""
+    return Quantity(f"impact_{number}", "s", SPREAD, lambda one: one["errors"][number - 1 : number])
+
+
 QUANTITIES = (
     Quantity("flight", "m"),
     *map(over_first, (1, 3, 5, 10)),
     Quantity("prefix", "impacts", LEAST),
     Quantity("sure", "impacts"),
-    Quantity("lacking", "impacts", SPREAD, lambda one: [min(one["sure"], PREDICTABLE) - one["prefix"]]),
     Quantity("local", "m", SPREAD, lambda one: one["local"]),
     Quantity("imbalance", "1"),
     Quantity("depth", "m"),
@@ -191,6 +175,16 @@ QUANTITIES = (
     *(Quantity(name, "impacts", TOTAL) for name in ("expected", "missed", "extra")),
     *(Quantity(name, unit, MEAN) for name, unit in (("rate", "1/s"), ("speed", "m/s"), ("fast", "m/s"))),
     Quantity("impulse", "N s", MEAN),
+)
+# Of the reference's cases, by the referee.
+REFEREED = (
+    *map(over_first, (1, 3, 5, 10)),
+    *map(impact, range(1, PREDICTABLE + 1)),
+    *(Quantity(name, "impacts", TOTAL) for name in ("known", "prefix")),
+    Quantity("lacking", "impacts", SPREAD, lambda one: [min(one["known"], PREDICTABLE) - one["prefix"]]),
+    Quantity("depth", "m"),
+    Quantity("imbalance", "1", SPREAD, lambda one: [] if one["imbalance"] is None else [one["imbalance"]]),
+    *(Quantity(name, "cases", TOTAL) for name in ("complete", "escaped")),
 )
 
 
@@ -224,10 +218,10 @@ def summed_up(values: Iterable[float], summed: str = SPREAD) -> dict[str, Any]:
 
 
 def rows_of(setting: Setting, records: list[Record], cost: list[float], over_default: list[float]) -> list[Row]:
-    """A setting's costs, and every quantity over each kind of cases and over all seeded ones if there are any."""
+    """A setting's costs, and every quantity over each kind of cases and over all seeded ones, of what there is."""
     head = setting[:3]
-    rows = [Row(*head, "", "cost", "us/s", **summed_up(cost))]
-    rows.append(Row(*head, "", "cost_over_default", "1", **summed_up(over_default)))
+    costs = {("cost", "us/s"): cost, ("cost_over_default", "1"): over_default}
+    rows = [Row(*head, "", *names, **summed_up(values)) for names, values in costs.items() if values]
 
     parts: dict[str, list[Record]] = {}
     for record in records:
@@ -236,8 +230,7 @@ def rows_of(setting: Setting, records: list[Record], cost: list[float], over_def
     return rows + [
         Row(*head, kind, quantity.name, quantity.unit, **summed_up(quantity.values(part), quantity.summed))
         for kind, part in parts.items()
-        for quantity in QUANTITIES
-        if kind != LOSS or quantity.name not in _ELASTIC_ONLY
+        for quantity in (REFEREED if kind == REFERENCE else QUANTITIES)
     ]
 
 
@@ -255,17 +248,17 @@ class Results:
         """Index the rows by setting, kind and quantity."""
         self.rows = {(row.setting, row.kind, row.quantity): row for row in rows}
         self.about = about
-        self.settings = list(dict.fromkeys(row.setting for row in self.rows.values()))
+        self.settings = [name for name, kind, quantity in self.rows if (kind, quantity) == ("", "cost")]
 
     def of(self, setting: str, quantity: str, kind: str | None = None) -> Row:
         """A quantity of a setting over a kind of cases; None: over all seeds.
 
-        The exact model is the reference over the seeds, so None means the 60-digit trajectories for its own errors.
+        The exact model is the reference over the seeds, so None means the proven cases for its own errors.
         """
         if quantity.startswith("cost"):
             return self.rows[setting, "", quantity]
         setting = EXACT if setting == BATCH else setting
-        default = DIGITS if setting == EXACT and quantity not in _NEED_NO_REFERENCE else ALL
+        default = REFERENCE if setting == EXACT and quantity.startswith("first") else ALL
         return self.rows[setting, kind or default, quantity]
 
     def some(self, setting: str, *quantities: str) -> list[Row]:
@@ -306,19 +299,22 @@ def _row(line: list[str]) -> Row:
 
 def run(folder: Path, quick: bool, count: int, rounds: int, seconds: float, bars: bool, runner: Runner) -> Results:
     """Sweep, or resume an interrupted sweep of the same code in ``folder``."""
-    before, chosen = core_seconds(), settings(quick)
+    before, chosen, played = core_seconds(), settings(quick), contenders(quick)
     trials = [
         {"setting": setting.name, "kind": kind, "count": count}
-        for kind in (DIGITS, LOSS, *KINDS)
-        for setting in chosen
-        if (setting.measured_with_loss if kind == LOSS else setting.make)
+        for kind in (REFERENCE, *KINDS)
+        for setting in (played if kind == REFERENCE else chosen)
+        if setting.make
     ]
     finished = swept(folder, trials, _measured_kind, runner, bars)
     rates = measure({setting.name: cost_of(setting, seconds) for setting in chosen}, rounds, bars)
     rows = list[Row]()
-    for setting in chosen:
+    for setting in dict.fromkeys(chosen + played):
         records = [record for trial in finished if trial["setting"] == setting.name for record in trial["records"]]
-        costs = [1e6 / rate for rate in rates[setting.name]], ratios(rates, DEFAULT, setting.name)
+        timed = setting.name in rates
+        costs = (
+            ([1e6 / rate for rate in rates[setting.name]], ratios(rates, DEFAULT, setting.name)) if timed else ([], [])
+        )
         rows += rows_of(setting, records, *costs)
     busy, total = core_seconds()
     about = {
@@ -336,15 +332,32 @@ def run(folder: Path, quick: bool, count: int, rounds: int, seconds: float, bars
 
 def _measured_kind(trial: dict[str, Any]) -> dict[str, Any]:
     """All errors of one setting on the cases of a kind."""
-    (setting,) = (setting for setting in settings(quick=False) if setting.name == trial["setting"])
-    kind = trial["kind"]
+    everyone = {setting.name: setting for setting in settings(quick=False) + contenders(quick=False)}
+    setting, kind = everyone[trial["setting"]], trial["kind"]
+    if kind == REFERENCE:
+        cases = [
+            known for known in referee.reference().values() if known[0].scene.elastic or setting.family != "mujoco"
+        ]
+        return {"records": [refereed(setting, known) for known in cases]}
     return {"records": [measured(setting, kind, *case) for case in _references(kind, trial["count"])]}
 
 
 @cache
 def _references(kind: str, count: int) -> list[tuple[Case, Reference]]:
-    """As :func:`with_references`, once for each process."""
-    return with_references(kind, count)
+    """Seeded cases with the exact model's motion, once for each process."""
+    cases = [seeded(kind, seed) for seed in range(count)]
+    return [(case, reference_of(case)) for case in cases]
+
+
+def refereed(setting: Setting, known: referee.Known) -> Record:
+    """The referee's score of one setting on one proven case."""
+    assert setting.make is not None
+    case, _ = known
+    course = follow(setting.make(case.scene), case, inspect=None)
+    times: Array = case.dt * np.arange(len(course.states), dtype=np.float64)
+    score = referee.score(known, times, course.states, course.impacts)
+    record = {"setting": setting.name, "kind": REFERENCE, "prefix": score.correct, "depth": score.penetration}
+    return score._asdict() | record
 
 
 def measured(setting: Setting, kind: str, case: Case, reference: Reference) -> Record:

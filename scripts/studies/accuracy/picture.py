@@ -1,13 +1,25 @@
-"""The picture of docs/accuracy.md: the first impact's time error against cost. ``benchmark.py`` draws it."""
+"""The pictures of docs/accuracy.md: time errors against cost, and of each impact. ``benchmark.py`` draws them."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from jackbox_env.files import replacing
-from scripts.studies.accuracy.measured import BATCH, EXACT, NAIVE, PYMUNK, Results, of_fidelity, pymunk
+from scripts.studies.accuracy.measured import (
+    BATCH,
+    EXACT,
+    NAIVE,
+    PREDICTABLE,
+    PYMUNK,
+    REFERENCE,
+    Results,
+    impact,
+    of_fidelity,
+    pymunk,
+)
 from scripts.studies.pages import two_digits
 
 _COLOURS = {EXACT: "C0", BATCH: "C0", PYMUNK: "C2", NAIVE: "C3", "box2d": "0.5", "mujoco": "0.5"}
@@ -120,3 +132,24 @@ def _plot(axis: Any, lines: dict[str, dict[str, list[Any]]]) -> None:
         for name, *point in zip(line["setting"], line["cost"], line["median"], strict=True):
             text, offset, aligned = _LABELS.get(name, ("", (0, 0), "left"))
             axis.annotate(text, point, xytext=offset, textcoords="offset points", color=colour, ha=aligned, va="center")
+
+
+def draw_impacts(results: Results, settings: Sequence[str], path: Path) -> None:
+    """Draw the median error of the k-th impact's time against k: a line for each setting, of the proven cases."""
+    from matplotlib.figure import Figure
+
+    import jackbox_env.commands.plots  # noqa: F401  # the style of all plots
+
+    figure = Figure(figsize=(6.4, 4.2), layout="constrained")
+    axis = figure.subplots()
+    for marker, name in zip("osv^D<>phd", settings, strict=False):
+        rows = [results.of(name, impact(number).name, REFERENCE) for number in range(1, PREDICTABLE + 1)]
+        errors = [max(row.median, _LEAST) for row in rows if row.n]
+        colour = _COLOURS.get(rows[0].family, "C1")
+        axis.plot(range(1, len(errors) + 1), errors, marker=marker, markersize=4, color=colour, label=name)
+    axis.set(yscale="log", xlabel="number of the impact", xticks=range(1, PREDICTABLE + 1))
+    axis.set_title("Median error of a correct impact's time [s]", loc="left", fontsize="medium")
+    axis.grid()
+    figure.legend(loc="outside right center", fontsize="small", frameon=False)
+    with replacing(path) as partial:
+        figure.savefig(partial, dpi=150, format="png", metadata={"Software": None})

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+from collections.abc import Callable
 
 from scripts.studies.baselines.base import Baseline
 
@@ -22,11 +23,11 @@ def missing() -> dict[str, str]:
     }
 
 
-def baseline(name: str) -> type[Baseline]:
-    """The model called threshold, box2d or mujoco.
+def baseline(name: str) -> Callable[..., Baseline]:
+    """The model called threshold, solve_ivp, box2d or mujoco.
 
     Raises:
         ImportError: its engine is not installed.
     """
-    model: type[Baseline] = importlib.import_module(f"{__name__}.{name}").Model
+    model: Callable[..., Baseline] = importlib.import_module(f"{__name__}.{name}").Model
     return model
