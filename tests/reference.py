@@ -23,10 +23,12 @@ from jackbox_env.files import write_text
 from jackbox_env.scene import Chirp, Scene
 from jackbox_env.states import STATE_NAMES
 from scripts.referee import scene_of
+from scripts.studies.pages import fill, table
 from tests.proof import Proof, UndecidedError, prove
 from tests.states import load
 
 FOLDER = Path(__file__).parents[1] / "docs" / "reference"
+PAGE = FOLDER.with_suffix(".md")
 DT = 0.02  # [s]
 DIGITS = 30  # of an impact's time
 FIELDS = (
@@ -206,13 +208,19 @@ def text_of(written: list[Case]) -> str:
     return f'{{"version": 1, "state": {json.dumps(STATE_NAMES)}, "cases": [\n{lines}\n]}}\n'
 
 
+def table_of(written: list[Case]) -> str:
+    """The table of the page."""
+    rows = [(f"`{one['name']}`", one["about"], f"{one['duration']:g}", str(len(one["impacts"]))) for one in written]
+    return table(("case", "what it is", "duration [s]", "impacts"), rows)
+
+
 def main() -> None:
-    """Write the file."""
+    """Write the file, and the table of the page."""
     written = [completed(case) for case in cases()]
     write_text(FOLDER / "cases.json", text_of(written))
-    print(
-        f"Wrote {FOLDER / 'cases.json'}: {len(written)} cases, {sum(len(case['impacts']) for case in written)} impacts"
-    )
+    write_text(PAGE, fill(PAGE.read_text(), "cases", table_of(written)))
+    impacts = sum(len(case["impacts"]) for case in written)
+    print(f"Wrote {FOLDER / 'cases.json'}: {len(written)} cases, {impacts} impacts")
 
 
 if __name__ == "__main__":

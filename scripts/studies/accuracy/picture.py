@@ -87,8 +87,8 @@ def draw(results: Results, path: Path) -> None:
     upper.set_yticks([1e-4, 1e-3, 1e-2], ["0.1 ms", "1 ms", "10 ms"])
     upper.spines.bottom.set_visible(False)
     upper.tick_params(axis="x", which="both", length=0)
-    lower.set(ylim=(_LEAST, 1e-14), xlabel="computing time per simulated second")
-    lower.set_yticks([1e-15], ["$10^{-15}$ s"])
+    lower.set(ylim=(_LEAST, 1e-11), xlabel="computing time per simulated second")
+    lower.set_yticks([1e-15, 1e-12], ["$10^{-15}$ s", "$10^{-12}$ s"])
     lower.set_xticks([1e1, 1e2, 1e3, 1e4], ["10 µs", "0.1 ms", "1 ms", "10 ms"])
     lower.spines.top.set(visible=True, linestyle=(0, (4, 4)))  # the axis is cut here
     lines = _add_rings(results, upper, lower)

@@ -1,0 +1,245 @@
+"""The referee: its scores of known outputs, its refusals, and the programs on the page of the reference."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jackbox_env.measure.accuracy import follow
+from jackbox_env.mechanics import energy
+from jackbox_env.simulators import Impact, make_simulator
+from jackbox_env.states import OMEGA_BOX, VX_JACK, X_JACK, Array
+from scripts import referee
+from tests import reference
+
+NODE = pytest.mark.skipif(shutil.which("node") is None, reason="node is not installed")
+
+
+def played(name: str) -> tuple[referee.Known, Array, Array, list[Impact]]:
+    """A case, and times, states and impacts of the exact model."""
+    known = referee.reference()[name]
+    course = follow(make_simulator(known[0].scene, "exact"), known[0], inspect=None)
+    return known, known[0].dt * np.arange(len(course.states), dtype=float), course.states, course.impacts
+
+
+def write(folder: Path, *names: str) -> tuple[Path, Path]:
+    """Files of the exact model's states and impacts."""
+    states, impacts = [",".join(referee.STATES)], [",".join(referee.IMPACTS)]
+    for name in names:
+        _, times, numbers, hits = played(name)
+        rows = zip(times.tolist(), numbers.tolist(), strict=True)
+        states += [",".join([name, *map(repr, (time, *row))]) for time, row in rows]
+        impacts += [f"{name},{hit.time!r},{hit.wall},{hit.foot}" for hit in hits]
+    files = folder / "states.csv", folder / "impacts.csv"
+    for file, lines in zip(files, (states, impacts), strict=True):
+        file.write_text("\n".join(lines) + "\n")
+    return files
+
+
+def judge(monkeypatch: pytest.MonkeyPatch, *words: object) -> None:
+    monkeypatch.setattr(sys, "argv", ["referee.py", *map(str, words)])
+    referee.main()
+
+
+# -- scores ------------------------------------------------------------------------------------------------------------
+
+
+def test_right_output_is_complete() -> None:
+    for name in ("chirp-2", "held-e0.6", "corner", "flight"):
+        score = referee.score(*played(name))
+        assert score.complete
+        assert score.correct == score.known == len(referee.reference()[name][1])
+        assert not score.escaped
+        assert score.penetration == 0.0
+        assert max(score.errors or [0.0]) < 1e-10
+        assert (score.imbalance is None) == (name in ("chirp-2", "held-e0.6"))
+        assert score.imbalance is None or score.imbalance < 1e-13
+
+
+@pytest.mark.parametrize(
+    ("change", "correct"),
+    [
+        (lambda hits: [*hits[:3], hits[3]._replace(foot=(hits[3].foot + 1) % 4), *hits[4:]], 3),
+        (lambda hits: [*hits[:2], *hits[3:]], 2),
+        (lambda hits: [*hits[:5], hits[5]._replace(time=hits[5].time + 0.011), *hits[6:]], 5),
+        (lambda hits: [*hits[:1], hits[0], *hits[1:]], 1),
+    ],
+    ids=["another foot", "one missing", "one late", "one twice"],
+)
+def test_impacts_count_until_the_first_wrong_one(change: Any, correct: int) -> None:
+    known, times, states, impacts = played("chirp-2")
+    score = referee.score(known, times, states, change(impacts))
+    assert score.correct == correct
+    assert score.complete is False
+
+
+def test_impacts_reported_at_one_time_have_no_order_and_others_make_a_case_incomplete() -> None:
+    known, times, states, (first, second) = played("two-feet")
+    swapped = [second._replace(time=first.time), first]
+    assert referee.score(known, times, states, swapped).complete
+    assert not referee.score(known, times, states, [second, first._replace(time=second.time + 1e-6)]).correct
+    more = referee.score(known, times, states, [first, second, second._replace(time=1.9)])
+    assert (more.correct, more.complete) == (2, False)
+    assert "2 of 2, and others" in referee.table_of([more])
+    assert referee.score(known, times, states, None).correct is None
+
+
+def test_states_are_scored_by_penetration_energy_and_escape() -> None:
+    known, times, states, _ = played("graze-passes")
+    deep = states.copy()
+    deep[3, X_JACK] += 6.5
+    inside, moved = referee.score(known, times, states, None), referee.score(known, times, deep, None)
+    assert inside.penetration == 0.0
+    assert not inside.escaped
+    assert moved.escaped
+    assert moved.penetration > 2.0
+    faster = states.copy()
+    faster[50:76, VX_JACK] *= 1.1
+    gained = energy(known[0].scene, faster[50]) - energy(known[0].scene, states[50])
+    assert referee.score(known, times, faster, None).imbalance == pytest.approx(
+        gained / energy(known[0].scene, faster[50])
+    )
+    assert referee.score(known, times[:50], states[:50], None).escaped
+
+
+def test_the_work_is_that_of_the_torque_on_the_box() -> None:
+    known, times, states, _ = played("flight")
+    unmoved = states.copy()
+    unmoved[:, OMEGA_BOX] = states[0, OMEGA_BOX]  # its angle goes on as before
+    assert (referee.score(known, times, states, None).imbalance or 0.0) < 1e-13
+    assert (referee.score(known, times, unmoved, None).imbalance or 0.0) > 0.01
+
+
+def test_a_state_after_an_impact_at_a_step_end_counts_and_an_end_without_a_state_is_an_error() -> None:
+    known, times, states, _ = played("bounce")
+    twice = np.repeat(states, 2, axis=0)
+    twice[::2, VX_JACK] = 100.0
+    assert referee.score(known, np.repeat(times, 2), twice, None).imbalance == pytest.approx(0.0, abs=1e-12)
+    with pytest.raises(ValueError, match="bounce must have a state at t = 0.1 s, the end of a control step"):
+        referee.score(known, np.delete(times, 5), np.delete(states, 5, axis=0), None)
+
+
+# -- the command -------------------------------------------------------------------------------------------------------
+
+
+def test_the_command_prints_a_table_and_writes_scores_and_plot(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    states, impacts = write(tmp_path, "bounce", "spin")
+    judge(monkeypatch, states, "--impacts", impacts, "--out", tmp_path / "out")
+    printed = capsys.readouterr().out
+    assert "38 of 40 cases are missing and not scored: flight, two-feet" in printed
+    assert re.search(r"bounce +1 of 1 ", printed)
+    written = json.loads((tmp_path / "out" / "scores.json").read_text())
+    assert written["summary"]["known"] == 32
+    assert [one["case"] for one in written["cases"]] == ["bounce", "spin"]
+    assert written["cases"][1]["correct"] >= 11
+    assert (tmp_path / "out" / "impacts.png").stat().st_size > 10_000
+    with pytest.raises(SystemExit):
+        judge(monkeypatch, states, "--out", tmp_path / "out")
+    assert "out" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ("case,time,x_box", "case,t,x_box", r"must begin with the columns case,time,x_box.*, got 'case,t,x_box"),
+        ("bounce,0.02,", "bonce,0.02,", "line 3: there is no case 'bonce' .did you mean 'bounce'"),
+        ("bounce,0.02,0.0", "bounce,0.02,nan", "line 3: a case must be followed by 13 finite numbers, got 0.02,nan"),
+        ("bounce,0.02,0.0", "bounce,0.02,x", "line 3: a case must be followed by 13 finite numbers, got 0.02,x"),
+        ("bounce,0.02,0.0", "bounce,0.02", "line 3: a case must be followed by 13 finite numbers, got 0.02"),
+        ("bounce,0.04,", "bounce,0.01,", "line 4: the time must be from 0.02 s on, .* to 2 s, got 0.01 s"),
+        ("bounce,2.0,", "bounce,2.1,", "line 102: the time must be from 1.98 s on, .* to 2 s, got 2.1 s"),
+        ("bounce,0.02,", "bounce,0.03,", "bounce must have a state at t = 0.02 s, the end of a control step"),
+    ],
+)
+def test_bad_states_are_refused_in_a_sentence(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    old: str,
+    new: str,
+    sentence: str,
+) -> None:
+    states, _ = write(tmp_path, "bounce")
+    text = states.read_text()
+    assert old in text
+    states.write_text(text.replace(old, new, 1))
+    with pytest.raises(SystemExit, match="2"):
+        judge(monkeypatch, states, "--out", tmp_path / "out")
+    (line,) = capsys.readouterr().err.splitlines()
+    assert re.search(sentence, line)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("line", "sentence"),
+    [
+        ("bounce,1.11,4,3", r"walls and feet of bounce must be 0, 1, 2 or 3, got \[4.0, 3.0\]"),
+        ("spin,1.11,3,3", "spin has impacts, so it must have states too"),
+        ("bounce,1.11,3", "line 2: a case must be followed by 3 finite numbers, got 1.11,3"),
+    ],
+)
+def test_bad_impacts_are_refused_in_a_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], line: str, sentence: str
+) -> None:
+    states, impacts = write(tmp_path, "bounce")
+    impacts.write_text(f"case,time,wall,foot\n{line}\n")
+    with pytest.raises(SystemExit, match="2"):
+        judge(monkeypatch, states, "--impacts", impacts, "--out", tmp_path / "out")
+    assert re.search(sentence, capsys.readouterr().err)
+    states.write_text(",".join(referee.STATES))
+    with pytest.raises(SystemExit, match="2"):
+        judge(monkeypatch, states)
+    assert "there is no case in the file of states" in capsys.readouterr().err
+
+
+# -- the page ----------------------------------------------------------------------------------------------------------
+
+
+def programs(language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", reference.PAGE.read_text(), re.DOTALL)
+
+
+def test_the_python_of_the_page_reads_the_file(tmp_path: Path) -> None:
+    (program,) = programs("python")
+    assert len(program.splitlines()) <= 10
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=reference.FOLDER, check=True, capture_output=True, text=True
+    )
+    assert "One bounce: a drop, off centre. Gravity: 9.81\n1.1101113912089" in done.stdout
+
+
+@NODE
+def test_the_javascript_of_the_page_reads_the_file() -> None:
+    (program,) = programs("js")
+    assert len(program.splitlines()) <= 10
+    done = subprocess.run(["node", "-e", program], cwd=reference.FOLDER, check=True, capture_output=True, text=True)
+    assert "One bounce: a drop, off centre. Gravity: 9.81\n1.1101113912089" in done.stdout
+
+
+@NODE
+def test_the_engine_of_the_page_scores_what_the_page_says(tmp_path: Path) -> None:
+    for name in ("cases.json", "engine.js"):
+        shutil.copy(reference.FOLDER / name, tmp_path)
+    subprocess.run(["node", "engine.js"], cwd=tmp_path, check=True)
+    states = referee.read_table(tmp_path / "states.csv", referee.STATES)
+    impacts = referee.read_table(tmp_path / "impacts.csv", referee.IMPACTS)
+    scores = referee.scores_of(states, impacts, referee.TOLERANCE)
+    total = referee.summary(scores)
+    assert [one.case for one in scores if not one.complete] == ["spin", "graze-hits"]
+    counted = f"{total['complete']} of its {total['cases']} cases complete"
+    assert f"{counted}, and first impacts right to {total['first_worst']:.2g} s" in reference.PAGE.read_text()
+
+
+def test_the_page_lists_the_cases() -> None:
+    cases = json.loads((reference.FOLDER / "cases.json").read_text())["cases"]
+    assert reference.table_of(cases) in reference.PAGE.read_text(), "make reference"
