@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from jackbox_env.command_line import ROOT
 from jackbox_env.measure.accuracy import follow
 from jackbox_env.mechanics import energy
 from jackbox_env.simulators import Impact, make_simulator
@@ -209,12 +210,10 @@ def programs(language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", reference.PAGE.read_text(), re.DOTALL)
 
 
-def test_the_python_of_the_page_reads_the_file(tmp_path: Path) -> None:
+def test_the_python_of_the_page_reads_the_file() -> None:
     (program,) = programs("python")
     assert len(program.splitlines()) <= 10
-    done = subprocess.run(
-        [sys.executable, "-c", program], cwd=reference.FOLDER, check=True, capture_output=True, text=True
-    )
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, check=True, capture_output=True, text=True)
     assert "One bounce: a drop, off centre. Gravity: 9.81\n1.1101113912089" in done.stdout
 
 
@@ -222,7 +221,7 @@ def test_the_python_of_the_page_reads_the_file(tmp_path: Path) -> None:
 def test_the_javascript_of_the_page_reads_the_file() -> None:
     (program,) = programs("js")
     assert len(program.splitlines()) <= 10
-    done = subprocess.run(["node", "-e", program], cwd=reference.FOLDER, check=True, capture_output=True, text=True)
+    done = subprocess.run(["node", "-e", program], cwd=ROOT, check=True, capture_output=True, text=True)
     assert "One bounce: a drop, off centre. Gravity: 9.81\n1.1101113912089" in done.stdout
 
 

@@ -108,14 +108,14 @@ def settings(quick: bool) -> list[Setting]:
 
 def contenders(quick: bool) -> list[Setting]:
     """Those that play the reference's cases; when quick without other packages."""
-    own = [of_fidelity(name) for name in FIDELITIES] + [USUAL]
+    names = [of_fidelity(name) for name in FIDELITIES] + [USUAL]
     finest = [named(name, 64) for name in ("box2d", "mujoco")] * (not quick)
     solver = baselines.baseline("solve_ivp")
     solvers = [
         Setting(f"solve_ivp, tolerance {tolerance:g}", "solve_ivp", None, partial(solver, tolerance=tolerance))
         for tolerance in (() if quick else (1e-3, 1e-10))
     ]
-    return [one for one in settings(quick) if one.name in (*own, *finest)] + solvers
+    return [one for one in settings(quick) if one.name in (*names, *finest)] + solvers
 
 
 def of_fidelity(fidelity: str) -> str:
