@@ -37,7 +37,7 @@ AHEAD = 8  # trials submitted for each core of the cluster: short ones do not wa
 POLL = 0.5  # [s] between two polls of the running tasks
 CONNECT_TIMEOUT = 10.0  # [s]
 _ROOT = Path(__file__).parents[1]
-_SENT_FOLDERS = ("jackbox_env", "agents", "scripts", "tests/data")  # of the checkout, if they exist
+_SENT_FOLDERS = ("jackbox_env", "agents", "scripts", "docs/reference")  # of the checkout, if they exist
 _CODE = "compiled"  # folder of compiled code, beside them
 
 

@@ -24,12 +24,12 @@ from jackbox_env.measure.accuracy import Case, prefix_errors
 from jackbox_env.mechanics import energy_of
 from jackbox_env.scene import Chirp, Scene
 from jackbox_env.simulators import Impact
-from jackbox_env.states import STATE_NAMES, THETA_BOX, Y_JACK, Array, clearance
+from jackbox_env.states import LARGEST, STATE_NAMES, THETA_BOX, Y_JACK, Array, clearance
 
 STATES, IMPACTS = ("case", "time", *STATE_NAMES), ("case", "time", "wall", "foot")  # columns of the files
 TOLERANCE = 0.01  # [s]
 NEAR = 1e-6  # [s] a state this near to the end of a control step is the state there
-LEAST = 1e-17  # stands for 0: an error in the plot [s], the arm of a jack that is only its centre [m]
+LEAST = 1e-17  # stands for 0: an error in the plot [s], the arm of a jack that is only its centre [m], no energy [J]
 
 Known = tuple[Case, list[Impact]]  # a case of the reference, and its impacts
 Table = dict[str, list[list[float]]]  # by case: the numbers of its lines
@@ -118,7 +118,7 @@ def _imbalance(scene: Scene, torques: Sequence[float], states: Array) -> float |
     energies = np.array([energy_of(scene, state) for state in states.tolist()])
     works = np.cumsum(torques[: len(states) - 1] * np.diff(states[:, THETA_BOX]))
     kinetic = energies - scene.jack_mass * scene.gravity * states[:, Y_JACK]
-    return float(np.abs(energies[1:] - energies[0] - works).max(initial=0.0) / kinetic.max())
+    return float(np.abs(energies[1:] - energies[0] - works).max(initial=0.0) / max(LEAST, kinetic.max()))
 
 
 def summary(scores: Sequence[Score], tolerance: float = TOLERANCE) -> dict[str, Any]:
@@ -147,7 +147,7 @@ def read_table(path: Path, columns: Sequence[str]) -> Table:
     """Read a CSV file.
 
     Raises:
-        ValueError: other columns, an unknown case, something that is not a finite number, or times that decrease or
+        ValueError: other columns, an unknown case, something that is not a number below 1e100, or times that decrease or
             are not within the case.
     """
     table: Table = {}
@@ -162,14 +162,14 @@ def read_table(path: Path, columns: Sequence[str]) -> Table:
             numbers = [float(cell) for cell in cells]
         except ValueError:
             numbers = []
-        if len(numbers) != len(columns) - 1 or not np.isfinite(numbers).all():
+        if len(numbers) != len(columns) - 1 or not all(abs(number) < LARGEST for number in numbers):
             raise ValueError(
-                f"{line} a case must be followed by {len(columns) - 1} finite numbers, got {','.join(cells)}"
+                f"{line} a case must be followed by {len(columns) - 1} numbers below {LARGEST:g}, got {','.join(cells)}"
             )
         rows, case = table.setdefault(name, []), reference()[name][0]
         since = rows[-1][0] if rows else 0.0
         if not since <= numbers[0] <= case.dt * case.steps + NEAR:
-            bounds = f"from {since:g} s on, where the line before is, to {case.dt * case.steps:g} s"
+            bounds = f"from {since:g} s{', that of the line before,' * bool(rows)} to {case.dt * case.steps:g} s"
             raise ValueError(f"{line} the time must be {bounds}, got {numbers[0]:g} s")
         rows.append(numbers)
     return table
@@ -232,8 +232,13 @@ def draw(scores: Sequence[Score], path: Path) -> None:
     for one in scores:
         axes.plot(range(1, len(one.errors or []) + 1), np.maximum(one.errors or [], LEAST), color=GREY, alpha=0.4)
     axes.plot(range(1, len(medians(scores)) + 1), medians(scores), "o-", color=JACK)
-    axes.set(yscale="log", xlabel="impact", ylabel="error of its time [s]", title="Correct impacts; with dots: median")
-    axes.locator_params(axis="x", integer=True)
+    axes.set(
+        yscale="log",
+        xticks=range(1, len(medians(scores)) + 1, 2),
+        xlabel="impact",
+        ylabel="error of its time [s]",
+        title="Correct impacts; with dots: median",
+    )
     write_figure(figure, path)
 
 

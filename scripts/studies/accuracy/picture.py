@@ -25,7 +25,7 @@ from scripts.studies.pages import two_digits
 _COLOURS = {EXACT: "C0", BATCH: "C0", PYMUNK: "C2", NAIVE: "C3", "box2d": "0.5", "mujoco": "0.5"}
 _LABELS = {  # at the points: text, offset [points], alignment
     EXACT: ("exact", (7, 0), "left"),
-    BATCH: ("exact,\nin a batch", (7, -4), "left"),
+    BATCH: ("exact,\nin a batch", (7, 12), "left"),
     of_fidelity("coarse"): ("coarse", (-6, 0), "right"),
     of_fidelity("balanced"): ("balanced", (-6, -7), "right"),
     of_fidelity("fine"): ("fine", (-7, -7), "right"),
