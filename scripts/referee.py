@@ -147,8 +147,8 @@ def read_table(path: Path, columns: Sequence[str]) -> Table:
     """Read a CSV file.
 
     Raises:
-        ValueError: other columns, an unknown case, something that is not a number below 1e100, or times that decrease or
-            are not within the case.
+        ValueError: other columns, an unknown case, something that is not a number below 1e100, or times that decrease
+            or are not within the case.
     """
     table: Table = {}
     head, *lines = list(csv.reader(path.read_text().splitlines())) or [[]]
