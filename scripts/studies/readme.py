@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import json
 import re
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ SPEED = ROOT / "docs" / "speed.json"
 RESULTS = ROOT / "docs" / "results.json"
 ENVIRONMENT = ROOT / "docs" / "environment.md"
 PICTURE = ROOT / "docs" / "jackbox.gif"
+PAGE = ROOT / "docs" / "play.png"
 
 
 @dataclass(frozen=True)
@@ -27,7 +29,7 @@ class Arguments:
     """Write the README's tables and picture."""
 
     picture: bool = True
-    """Film the picture anew."""
+    """Film the picture and photograph the page anew; the page needs playwright and Chromium."""
 
 
 def returns_table(record: dict[str, Any]) -> str:
@@ -62,6 +64,24 @@ def film_picture() -> None:
     partial.replace(PICTURE)
 
 
+def photograph_page() -> None:
+    """Photograph the page to play on, in which the trained agent has just turned the box under the jack."""
+    from playwright.sync_api import sync_playwright
+
+    from scripts.site.build import ensure_page
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": 1200, "height": 690})
+        page.goto(ensure_page().as_uri())
+        page.keyboard.press("a")
+        page.locator("#clock", has_text=re.compile("^7")).wait_for()
+        page.keyboard.press(" ")
+        page.add_style_tag(content="#hint { visibility: hidden; }")
+        page.screenshot(path=PAGE)
+        browser.close()
+
+
 def filled(page: str) -> str:
     """The README with its tables filled from the stored results."""
     from scripts.studies.accuracy.benchmark import fidelity_table
@@ -92,6 +112,7 @@ def main() -> None:
     arguments = tyro.cli(Arguments, description=__doc__)
     if arguments.picture:
         film_picture()
+        photograph_page()
     (ROOT / "README.md").write_text(filled((ROOT / "README.md").read_text()))
     ENVIRONMENT.write_text(environment_page())
     print("Wrote README.md and docs/environment.md")
