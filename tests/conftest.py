@@ -22,7 +22,7 @@ import jackbox_env
 from tests.browser import browser  # noqa: F401  # a fixture
 
 # What the extras and make test install beyond the package's dependencies, pytest and Hypothesis.
-OPTIONAL = {"flint", "imageio", "matplotlib", "mpmath", "scipy", "stable_baselines3", "sympy"}
+OPTIONAL = {"flint", "imageio", "jsonschema", "matplotlib", "mpmath", "scipy", "stable_baselines3", "sympy"}
 OPTIONAL |= {"torch", "tqdm", "tyro"}
 
 
