@@ -151,7 +151,7 @@ def read_table(path: Path, columns: Sequence[str]) -> Table:
             or are not within the case.
     """
     table: Table = {}
-    head, *lines = list(csv.reader(path.read_text().splitlines())) or [[]]
+    head, *lines = list(csv.reader(path.read_text(encoding="utf-8").splitlines())) or [[]]
     if tuple(head) != tuple(columns):
         raise ValueError(f"{path} must begin with the columns {','.join(columns)}, got {check.shown(','.join(head))}")
     for number, (name, *cells) in enumerate(filter(None, lines), 2):
