@@ -8,6 +8,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
@@ -21,7 +22,7 @@ from jackbox_env.observation import BOUNDS
 from jackbox_env.randomization import Randomization
 from jackbox_env.scene import Scene
 from jackbox_env.scoring import Score, make_score
-from jackbox_env.simulators import Impact, Simulator
+from jackbox_env.simulators import Impact, Simulator, make_simulator
 from jackbox_env.simulators.base import total_impulse
 from jackbox_env.simulators.fidelity import FURTHER, resolve
 from jackbox_env.states import LATEST_TIME, Array, as_start
@@ -193,8 +194,9 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         self.task, self._task = task, tasks.task_of(task)
         self._builtin_task = self._task in tasks.TASKS.values()  # it never fails; a user's may
         self._first_scene = Scene.of(scene)
-        self.simulator_of: Callable[[Scene], Simulator] = setting.simulator
-        self._parts = self.simulator_of(self._first_scene), make_score(self._first_scene, self._task, self.contact)
+        self.simulator_of: Callable[[Scene], Simulator] = partial(make_simulator, **setting._asdict())
+        simulator = make_simulator(self._first_scene, **setting._asdict())
+        self._parts = simulator, make_score(self._first_scene, self._task, self.contact)
         if not self._builtin_task:  # an unfit task is refused now
             self._parts[1].observe(tasks.sample_start(self._first_scene, np_random(0)[0]))
         self._randomize = None

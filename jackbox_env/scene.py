@@ -377,6 +377,10 @@ class Scene:
         )  # fmt: skip
 
 
+for _kind in (Chirp, Drive, Scene):  # an unknown field is refused with the closest one
+    _kind.__init__ = check.refuse_unknown(_kind.__name__, {})(_kind.__init__)  # type: ignore[method-assign]
+
+
 def scenes_of(scene: Any) -> tuple[list[Scene], bool]:
     """The scenes from one scene, or from a list with one for each environment or row; whether it was a list.
 

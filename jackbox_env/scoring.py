@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import partial
 from types import FunctionType
 from typing import Any, Protocol, cast
 from weakref import WeakKeyDictionary
@@ -140,22 +141,29 @@ def compiled_for(task: Task, function: Callable[..., Any]) -> Callable[..., Any]
         return compiled(function, task_terms=task.values)
     variants = _compiled.setdefault(task, {})
     if function not in variants:
-        _refuse_unfit(task)
         ends = {} if task.over is None else {"task_over": task.over}
-        variants[function] = compiled_for_users(function, task_terms=task.values, **ends)
+        variants[function] = compiled_for_users(function, **_terms_of(task), **ends)
     return variants[function]
 
 
-def _refuse_unfit(task: Task) -> None:
-    """Compile the functions of a user's task, and check the types that they return."""
+def _terms_of(task: Task) -> dict[str, Any]:
+    """Substitutes for the placeholders of ``exact.score`` in a user's task, whose functions return the right types.
+
+    Raises:
+        TypeError: they do not, or cannot be compiled.
+    """
     from numba import config
     from numba.core import types
 
+    from jackbox_env.exact.score import one_term
+
     if config.DISABLE_JIT:  # type: ignore[attr-defined]
-        return  # plain Python raises its own errors
+        return {"task_terms": partial(_plain_terms, task.values)}
     returned: Any = _returned_by(task.values)
-    fits = isinstance(returned, types.UniTuple) and isinstance(returned.dtype, types.Number | types.Boolean)
-    if not (fits and len(returned) == len(task.terms) and returned.dtype not in types.complex_domain):
+    single = isinstance(returned, types.Number | types.Boolean)
+    terms: Any = types.UniTuple(returned, 1) if single else returned  # type: ignore[no-untyped-call]
+    fits = isinstance(terms, types.UniTuple) and isinstance(terms.dtype, types.Number | types.Boolean)
+    if not (fits and len(terms) == len(task.terms) and terms.dtype not in types.complex_domain):
         raise TypeError(
             f"the task's function {task.values.__qualname__} must return a tuple of {len(task.terms)} floats, one for "
             f"each term, got what numba calls {returned}"
@@ -164,6 +172,13 @@ def _refuse_unfit(task: Task) -> None:
         raise TypeError(
             f"the task's function {task.over.__qualname__} must return True or False, got what numba calls {returned}"
         )
+    return {"task_terms": one_term, "task_number": task.values} if single else {"task_terms": task.values}
+
+
+def _plain_terms(values: Callable[..., Any], *arguments: Any) -> tuple[float, ...]:
+    """What a task's function returns, as a tuple; its types are not checked."""
+    returned = values(*arguments)
+    return returned if isinstance(returned, tuple) else (returned,)
 
 
 def _returned_by(function: Callable[..., Any]) -> Any:

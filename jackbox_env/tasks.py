@@ -36,7 +36,7 @@ class Task:
     A task of your own is accepted wherever the name of one is::
 
         def lift(scene, state, torque, impulse):
-            return ((state.y_jack - state.y_box) / scene.box_half_width,)
+            return (state.y_jack - state.y_box) / scene.box_half_width
 
 
         env = gym.make("JackInBox-v0", contact="exact", task=jackbox_env.Task(("lift",), lift))
@@ -53,10 +53,10 @@ class Task:
 
     Attributes:
         terms: names of the terms; ``info`` has each as ``reward_<name>``.
-        values: function of (scene, state, torque, impulse) that returns a tuple of as many floats. ``scene`` has the
-            fields of :class:`jackbox_env.scene.SceneNumbers`. ``state`` is the :class:`jackbox_env.State` after the
-            step, a tuple of 12 numbers. ``torque`` is the mean over the step [N m], ``impulse`` the sum over its
-            impacts [N s].
+        values: function of (scene, state, torque, impulse) that returns a tuple of as many floats, or one float if
+            there is one term. ``scene`` has the fields of :class:`jackbox_env.scene.SceneNumbers`. ``state`` is the
+            :class:`jackbox_env.State` after the step, a tuple of 12 numbers. ``torque`` is the mean over the step
+            [N m], ``impulse`` the sum over its impacts [N s].
         over: function of the same that returns True if the step terminates the episode. None: no step does.
         start: function of the :class:`jackbox_env.Scene` and the environment's ``numpy.random.Generator`` that draws
             the state in which an episode starts, shape (12,), every foot inside the box. It is plain Python, called at
@@ -64,9 +64,13 @@ class Task:
     """
 
     terms: tuple[str, ...]
-    values: Callable[[SceneNumbers, State, float, float], tuple[float, ...]]
+    values: Callable[[SceneNumbers, State, float, float], tuple[float, ...] | float] = None  # type: ignore[assignment]
     over: Callable[[SceneNumbers, State, float, float], bool] | None = None
     start: Callable[[Scene, np.random.Generator], ArrayLike] | None = None
+
+    def __post_init__(self) -> None:
+        if self.values is None:
+            raise TypeError(f"a Task must have names of its terms and a function, got {_without_names(self.terms)}")
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Task:
         return self  # so that copies of an environment share what is compiled
@@ -74,6 +78,14 @@ class Task:
     def __reduce__(self) -> tuple[Any, ...]:
         name = next((name for name, task in TASKS.items() if task is self), None)
         return (task_of, (name,)) if name else (Task, (self.terms, self.values, self.over, self.start))
+
+
+def _without_names(value: object) -> str:
+    """A value in place of a Task; if it is a function, with the Task that it belongs in."""
+    if not isinstance(value, FunctionType):
+        return check.shown(value)
+    name = value.__name__ if value.__name__.isidentifier() else "f"
+    return f'{check.shown(value)}: write Task(("reward",), {name}) for {name}(scene, state, torque, impulse)'
 
 
 EFFORT_COST = 0.01  # of a step at the torque limit, in knocks
@@ -190,7 +202,7 @@ def task_of(task: str | Task, argument: str = "task") -> Task:
         return TASKS[check.choice(argument, task, TASKS)]
     if not isinstance(task, Task):
         listed = ", ".join(repr(name) for name in TASKS)
-        raise TypeError(f"{argument} must be one of {listed}, or a jackbox_env.Task, got {check.shown(task)}")
+        raise TypeError(f"{argument} must be one of {listed}, or a jackbox_env.Task, got {_without_names(task)}")
     terms, values, over, start = task.terms, task.values, task.over, task.start
     listed = list(terms) if isinstance(terms, Sequence) and not isinstance(terms, str) else []
     if not listed or not all(isinstance(name, str) and name for name in listed) or len({*listed}) < len(listed):
@@ -205,7 +217,7 @@ def task_of(task: str | Task, argument: str = "task") -> Task:
 
 
 def checked_terms(task: Task, values: object) -> tuple[float, ...]:
-    """Return the values that a task's function has returned, if they are a tuple with one number for each term.
+    """Return the values that a task's function has returned: a tuple of a number for each term; one number is one term.
 
     Raises:
         TypeError: it is not.
@@ -213,6 +225,8 @@ def checked_terms(task: Task, values: object) -> tuple[float, ...]:
     if isinstance(values, tuple) and len(values) == len(task.terms) and all(isinstance(one, Real) for one in values):
         return values
     count = len(task.terms)
+    if isinstance(values, Real) and count == 1:
+        return (values,)  # type: ignore[return-value]
     raise TypeError(
         f"a task's values must return a tuple of {count} numbers, one for each term, got {check.shown(values)}"
     )

@@ -78,7 +78,7 @@ def _write(folder: Path, arguments: argparse.Namespace, scene: Scene, setting: S
 def main() -> None:
     """Parse, simulate, write."""
     arguments = _arguments()
-    from jackbox_env import Scene
+    from jackbox_env import Scene, make_simulator
     from jackbox_env.recording.trajectory import simulate
     from jackbox_env.simulators.fidelity import words
 
@@ -86,7 +86,7 @@ def main() -> None:
     _refuse_impossible(arguments)
     setting = chosen_setting(arguments)
     scene = Scene.of(check.from_json("scene", arguments.scene, dict))
-    simulator = setting.simulator(scene)
+    simulator = make_simulator(scene, **setting._asdict())
     simulator.reset(check.from_json("state", arguments.state, list), arguments.time)
     try:
         trajectory = simulate(simulator, arguments.seconds, arguments.dt)

@@ -83,6 +83,16 @@ def task_terms(scene: SceneNumbers, state: State, torque: float, impulse: float)
     raise NotImplementedError
 
 
+def one_term(scene: SceneNumbers, state: State, torque: float, impulse: float) -> tuple[float]:
+    """Replaces :func:`task_terms` for a task whose function returns a number, not a tuple."""
+    return (task_number(scene, state, torque, impulse),)
+
+
+def task_number(scene: SceneNumbers, state: State, torque: float, impulse: float) -> float:
+    """Placeholder for the task's function if it returns a number."""
+    raise NotImplementedError
+
+
 def task_over(scene: SceneNumbers, state: State, torque: float, impulse: float) -> bool:
     """Placeholder for the task's function that ends episodes, which replaces it when a task is compiled."""
     return False

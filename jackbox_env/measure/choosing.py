@@ -219,7 +219,7 @@ def _measured(setting: Setting, drawn: list[tuple[Case, list[Impact]]], bounds: 
 def _simulators(setting: Setting, cases: list[Case]) -> list[Simulator]:
     """A simulator for each case, the same one for all cases of a scene."""
     scenes = {id(case.scene): case.scene for case in cases}
-    simulators = {number: setting.simulator(scene) for number, scene in scenes.items()}
+    simulators = {number: make_simulator(scene, **setting._asdict()) for number, scene in scenes.items()}
     return [simulators[id(case.scene)] for case in cases]
 
 

@@ -9,6 +9,7 @@ from typing import Any
 from jackbox_env import checks as check
 from jackbox_env.scene import Scene
 from jackbox_env.simulators.base import ContactModel, Impact, JackLostError, Simulator
+from jackbox_env.simulators.fidelity import Setting, resolve
 
 CONTACT_MODELS = MappingProxyType(  # where the class of each is
     {
@@ -29,20 +30,30 @@ def contact_model(name: str) -> type[ContactModel]:
     return model
 
 
-def make_simulator(scene: Scene | dict[str, Any] | None = None, contact: str = "pymunk", **settings: Any) -> Simulator:
-    """Make the simulator of a scene with the contact model of that name.
+def make_simulator(
+    scene: Scene | dict[str, Any] | None = None,
+    contact: str | None = None,
+    fidelity: str | None = None,
+    **settings: Any,
+) -> Simulator:
+    """Make the simulator of a scene, by the same names as the environments.
 
     Args:
         scene: a Scene, a dict of some of its fields, or None for the default scene.
         contact: ``"pymunk"``, time stepping (:mod:`jackbox_env.simulators.pymunk`), or ``"exact"``, from impact to
-            impact (:mod:`jackbox_env.simulators.exact`).
+            impact (:mod:`jackbox_env.simulators.exact`). None: that of the fidelity, else pymunk.
+        fidelity: a name of ``FIDELITIES``, for a contact model and its substeps.
         **settings: those that the model's class lists: ``substeps`` (4) and ``iterations`` (64) for pymunk, none for
             exact; None means the default.
 
     Raises:
-        TypeError, ValueError: an unknown model or setting, or a setting out of its range.
+        TypeError, ValueError: an unknown model or setting, one out of its range, or one that conflicts with the
+            fidelity.
     """
-    model, scene = contact_model(contact), Scene.of(scene)
+    named = resolve(fidelity, contact, **{name: settings.pop(name, None) for name in Setting._fields[1:]})
+    contact, scene = named.contact, Scene.of(scene)
+    model = contact_model(contact)
+    settings |= {name: value for name, value in named._asdict().items() if name != "contact"}
     chosen = {name: value for name, value in settings.items() if value is not None}
     for name, value in chosen.items():
         if name not in model.settings:

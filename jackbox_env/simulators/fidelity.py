@@ -11,8 +11,6 @@ from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple
 
 from jackbox_env import checks as check
-from jackbox_env.scene import Scene
-from jackbox_env.simulators import Simulator, make_simulator
 
 DEFAULT = "pymunk"  # contact model by default
 
@@ -25,10 +23,6 @@ class Setting(NamedTuple):
 
     contact: str
     substeps: Annotated[int | None, "engine steps of pymunk per step, beside --contact; default: 4"] = None
-
-    def simulator(self, scene: Scene) -> Simulator:
-        """A simulator of the scene."""
-        return make_simulator(scene, **self._asdict())
 
 
 KEYWORDS = ("fidelity", *Setting._fields)  # which choose how impacts are computed

@@ -26,8 +26,8 @@ def test_plain_python_gives_the_bits_of_the_compiled_code(restitution: float) ->
     assert plain.stdout.split() == played(restitution)
 
 
-def height(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float]:
-    return (state[4] - state[1],)
+def height(scene: Any, state: Any, torque: float, impulse: float) -> float:
+    return float(state[4] - state[1])
 
 
 def struck(scene: Any, state: Any, torque: float, impulse: float) -> bool:

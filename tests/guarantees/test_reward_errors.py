@@ -103,7 +103,7 @@ def test_a_task_is_tried_where_an_episode_may_start() -> None:
 
 
 def test_a_reset_that_finds_an_unfit_task_changes_nothing() -> None:
-    task = Task(("a",), lambda scene, state, torque, impulse: (0.0,) if abs(state[3]) <= 1.0 else 0.0)
+    task = Task(("a",), lambda scene, state, torque, impulse: (0.0,) * (1 if abs(state[3]) <= 1.0 else 2))
     env, right = JackInBoxEnv(task=task), 2.0 * (np.arange(12) == 3)
     env.reset(seed=0)
     before = env.state

@@ -171,6 +171,26 @@ def test_every_number_of_the_scene_is_there_by_its_name(contact: str) -> None:
     assert tuple(info[f"reward_{name}"] for name in SceneNumbers._fields) == scene.numbers
 
 
+@pytest.mark.parametrize("number", [1, True, 0.1], ids=repr)
+def test_a_plain_number_is_one_term_with_the_same_bits(number: Any) -> None:
+    plain = Task(("one",), lambda scene, state, torque, impulse: number / state[5])
+    tuples = Task(("one",), lambda scene, state, torque, impulse: (number / state[5],))
+    assert paid_everywhere(plain) == paid_everywhere(tuples)
+    assert paid_now(plain, "pymunk") == paid_now(tuples, "pymunk") == pytest.approx(paid_now(plain), rel=1e-12)
+    assert paid_now(Task(("one",), lambda scene, state, torque, impulse: number)) == number
+
+
+@EVERY_MODEL
+def test_a_plain_number_is_refused_for_two_terms_and_divides_by_zero_as_in_python(contact: str) -> None:
+    for make in MAKERS:
+        with pytest.raises(TypeError, match="must return a tuple of 2"):
+            make(contact=contact, task=Task(("a", "b"), lambda scene, state, torque, impulse: 1.0))
+    env = JackInBoxEnv(contact=contact, task=Task(("a",), lambda scene, state, torque, impulse: 1.0 / torque))
+    env.reset(seed=0)
+    with pytest.raises(ZeroDivisionError):
+        env.step(0.0)
+
+
 def test_terms_are_summed_in_their_order() -> None:
     task = Task(("a", "b", "c"), lambda scene, state, torque, impulse: (1e16, 1.0 + 0.0 * state[0], -1e16))
     assert paid_everywhere(task) == (1e16 + 1.0) - 1e16 != math.fsum((1e16, 1.0, -1e16))
@@ -179,9 +199,9 @@ def test_terms_are_summed_in_their_order() -> None:
 # -- nobody is paid another's ------------------------------------------------------------------------------------------
 
 
-def paid_now(task: Task) -> float:
+def paid_now(task: Task, contact: str = "exact") -> float:
     """The reward of a first step in a new environment."""
-    env = JackInBoxEnv(contact="exact", task=task)
+    env = JackInBoxEnv(contact=contact, task=task)
     env.reset(seed=0)
     return env.step(0.0)[1]
 

@@ -65,6 +65,7 @@ SUBSTEPS = whole(2, 1, 1_000_000, none=True)
 UNNAMED = jackbox_env.Task(("a", "a"), lambda scene, state, torque, impulse: (1.0, 1.0))
 TASK = instance(
     "spin", "text", "empty_text", unknown=out("fly", "'fly'", *map(repr, TASKS)),
+    plain_function=wrong(UNNAMED.values, "jackbox_env.Task", 'write Task(("reward",), f)'),
     no_names=out(replace(UNNAMED, terms=()), "terms", "()", named="task"),
     same_names=out(UNNAMED, "terms", "('a', 'a')", named="task"),
     no_plain_function=wrong(replace(UNNAMED, terms=("a",), values=math.sin), "values", named="task"),
@@ -367,7 +368,8 @@ FUNCTIONS: list[tuple[Callable[..., Any], Kinds]] = [
         make_simulator,
         {
             "scene": ONE_SCENE,
-            "contact": choice("pymunk", CONTACT_MODELS),
+            "contact": CONTACT,
+            "fidelity": choice(None, FIDELITIES, none=True),
             "substeps": SUBSTEPS,
             "iterations": SUBSTEPS,
         },

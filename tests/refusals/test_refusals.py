@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 
 import jackbox_env
-from jackbox_env import JackInBoxEnv, JackInBoxVectorEnv, Scene, make_simulator, mechanics, states
+from jackbox_env import Chirp, JackInBoxEnv, JackInBoxVectorEnv, Scene, Task, make_simulator, mechanics, states
 from jackbox_env.sb3 import make_sb3_vec_env
 from jackbox_env.simulators import Simulator
+from jackbox_env.tasks import juggle
 from tests.refusals.kinds import Hostile, out, real
 from tests.refusals.table import TABLE, Row, simulator
 
@@ -124,6 +125,24 @@ SENTENCES: list[tuple[Callable[[], object], type[Exception], str]] = [
     (lambda: make_simulator(None, "exact", substeps=4), ValueError, "contact='exact' has no .*substeps=4"),
     (lambda: JackInBoxEnv(contact="exact", substeps=4), ValueError, "contact='exact' has no .*substeps=4"),
     (lambda: JackInBoxEnv(fidelity="exact", substeps=4), ValueError, "fidelity='exact' stands for .*substeps=4"),
+    (lambda: make_simulator(fidelity="fine", substeps=4), ValueError, "fidelity='fine' stands for .*substeps=4"),
+    (lambda: make_simulator(fidelity="exact", iterations=9), ValueError, "contact='exact' has no .*iterations=9"),
+    (
+        lambda: Scene(**dict[str, Any](mass=2.0)),
+        TypeError,
+        r"^Scene has no argument 'mass' \(did you mean 'box_mass'\?\)",
+    ),
+    (
+        lambda: Chirp(**{"amplitud": 2.0}),
+        TypeError,
+        r"^Chirp has no argument 'amplitud' \(did you mean 'amplitude'\?\)",
+    ),
+    (lambda: Task(abs), TypeError, "names of its terms and a function, got <built-in function abs>$"),
+    (
+        lambda: Task(juggle),
+        TypeError,
+        r'write Task\(\("reward",\), juggle\) for juggle\(scene, state, torque, impulse\)$',
+    ),
     (lambda: JackInBoxEnv().step(with_gradients()), TypeError, r"action must .*requires grad: pass its detach\(\)"),
     (lambda: JackInBoxVectorEnv(2).step(None), RuntimeError, "step must come after a reset of all environments"),
 ]
