@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -331,6 +331,16 @@ class Scene:
             raise TypeError(f"scene must be a Scene, a dict of its fields or None, got {check.shown(given)}")
         check.known_keys("scene", given, (part.name for part in fields(cls)))
         return cls(**given)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The fields from which :meth:`of` makes this scene, for JSON; without the inertias that it derives.
+
+        Raises:
+            ValueError: the drive is a Drive of functions, which have no JSON form.
+        """
+        if isinstance(self.drive, Drive):
+            raise ValueError("a Drive of functions has no JSON form, got one")
+        return {name: value for name, value in asdict(self).items() if name not in self.derived}
 
     def changed(self, **values: Any) -> Scene:
         """This scene with other values of some fields; an inertia that was not given follows mass and size.

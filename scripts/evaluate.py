@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from agents.settings import EnvSettings
 from jackbox_env import checks as check
 from jackbox_env.command_line import command_line
+from jackbox_env.commands.options import SceneFields, scene_as_json
 from jackbox_env.files import check_new, check_writable, new_folder, write_json
 
 if TYPE_CHECKING:
@@ -20,6 +21,7 @@ class Arguments:
     """Evaluate policies on JackInBox-v0."""
 
     settings: EnvSettings
+    scene_fields: SceneFields
     policy: tuple[str, ...] = ("random", "chirp", "zero", "level")
     """random: uniform torques; chirp: the scene's drive; zero: no torque; level: a PD controller that keeps the box
     level; planner: simulates many torque sequences by the exact model, up to 10 ms for each decision of 0.1 s;
@@ -67,6 +69,7 @@ def main() -> None:
     import tyro
 
     arguments = tyro.cli(Arguments, description=__doc__, config=(tyro.conf.OmitArgPrefixes,))
+    settings = replace(arguments.settings, scene=scene_as_json(arguments.settings.scene, arguments.scene_fields))
     _check(arguments)
     from agents.evaluation.provenance import describe_env, warn_of_other_training
     from agents.evaluation.returns import evaluate, table
@@ -74,16 +77,14 @@ def main() -> None:
     from agents.runs import versions
     from agents.training.models import derived_seed
 
-    env_settings = arguments.settings.env_settings
-    policies = [
-        (name, find_policy(name, arguments.settings, arguments.seed, arguments.trust)) for name in arguments.policy
-    ]
-    print(f"{arguments.episodes} episodes each, seed {arguments.seed}, {describe_env(arguments.settings)}")
+    env_settings = settings.env_settings
+    policies = [(name, find_policy(name, settings, arguments.seed, arguments.trust)) for name in arguments.policy]
+    print(f"{arguments.episodes} episodes each, seed {arguments.seed}, {describe_env(settings)}")
     rows = []
     for name, (policy, extra_settings) in policies:
-        warn_of_other_training(name, arguments.settings)
-        settings = {**env_settings, **extra_settings}
-        rows.append(evaluate(name, policy, settings, arguments.episodes, arguments.seed, progress=True))
+        warn_of_other_training(name, settings)
+        keywords = {**env_settings, **extra_settings}
+        rows.append(evaluate(name, policy, keywords, arguments.episodes, arguments.seed, progress=True))
     print(table(rows))
     if arguments.film is not None:
         from agents.evaluation.film import film_episode
@@ -93,7 +94,7 @@ def main() -> None:
         record = {"env": env_settings, "seed": arguments.seed, "versions": versions()}
         write_json(arguments.json, {**record, "results": [row.as_json() for row in rows]})
     if arguments.html:
-        _write_pages(arguments.folder, dict(policies), arguments.settings, arguments.seed)
+        _write_pages(arguments.folder, dict(policies), settings, arguments.seed)
 
 
 def _write_pages(path: Path | None, acts: dict[str, Baseline], settings: EnvSettings, seed: int) -> None:

@@ -11,6 +11,7 @@ from typing import Literal, TypedDict
 from agents.runs import RUN, describe, read_settings
 from agents.settings import TaskName, TrainSettings
 from jackbox_env.command_line import called, command_line
+from jackbox_env.commands.options import SceneFields, scene_as_json
 from jackbox_env.files import new_folder
 
 
@@ -19,6 +20,7 @@ class Arguments:
     """Train PPO on JackInBox-v0."""
 
     settings: TrainSettings
+    scene_fields: SceneFields
     folder: Path | None = None
     """New folder for all that is written; None: runs/<task>-<date>-<time>."""
     resume: Path | None = None
@@ -54,22 +56,23 @@ def main() -> None:
     import tyro
 
     config = (tyro.conf.OmitArgPrefixes,)
-    arguments = tyro.cli(Arguments, description=__doc__, default=Arguments(suited()), config=config)
+    arguments = tyro.cli(Arguments, description=__doc__, default=Arguments(suited(), SceneFields()), config=config)
+    chosen = replace(arguments.settings, scene=scene_as_json(arguments.settings.scene, arguments.scene_fields))
     from agents.evaluation.provenance import describe_env
     from agents.training.models import make_vec_env
     from agents.training.ppo import extended, train
 
     if arguments.resume is not None:
-        others = replace(arguments.settings, total_steps=TrainSettings.total_steps)
+        others = replace(chosen, total_steps=TrainSettings.total_steps)
         if others != TrainSettings() or arguments.folder is not None:
             raise ValueError("--resume uses the settings of its run folder: give no other settings than --total-steps")
         folder, settings = arguments.resume, read_settings(arguments.resume)
         if not (folder / RUN).is_file():
             raise FileNotFoundError(f"{folder} is no training run: it has no {RUN}, so there is nothing to resume")
         if any(word.split("=")[0] in ("--total-steps", "--total_steps") for word in sys.argv):
-            settings = extended(folder, arguments.settings.total_steps)
+            settings = extended(folder, chosen.total_steps)
     else:
-        settings = arguments.settings
+        settings = chosen
         make_vec_env(settings.env_settings, 1, 0).close()  # raises before there is a folder
         folder = new_folder(arguments.folder, settings.task, lambda made: describe(made, settings))
     print(f"Training on {describe_env(settings)}")

@@ -3,9 +3,36 @@
 from __future__ import annotations
 
 import argparse
-from typing import get_args, get_type_hints
+import json
+from dataclasses import make_dataclass
+from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
+from jackbox_env import checks as check
 from jackbox_env.simulators.fidelity import Setting, chosen, resolve
+
+SCENE_HELP = {
+    "box_half_width": "L, the walls are at +-L in the box frame [m]",
+    "box_mass": "mass of the box [kg]",
+    "box_inertia": "inertia of the box [kg m^2]; default: follows its mass and half width",
+    "jack_arm": "distance of each foot from the jack's centre [m]",
+    "jack_mass": "mass of the jack [kg]",
+    "jack_inertia": "inertia of the jack [kg m^2]; default: follows its mass and arm",
+    "gravity": "acts downwards on the jack [m/s^2]",
+    "restitution": "from 0 to 1, elastic",
+    "torque_limit": "torque of an agent's action 1 [N m]",
+}
+if TYPE_CHECKING:
+    SceneFields = Any
+else:
+    SceneFields = make_dataclass("SceneFields", [(name, float | None, None) for name in SCENE_HELP], frozen=True)
+    SceneFields.__doc__ = "\n".join(  # tyro reads the help of each option from it
+        [
+            "Fields of the scene, also in --scene.",
+            "",
+            "Attributes:",
+            *(f"    {one}: {SCENE_HELP[one]}" for one in SCENE_HELP),
+        ]
+    )
 
 
 def parser_of(text: str | None) -> argparse.ArgumentParser:
@@ -25,8 +52,35 @@ def add_model_options(parser: argparse.ArgumentParser) -> None:
         model.add_argument(f"--{name}", type=get_args(kind)[0], metavar="N", help=text)
     text = "duration of a control step [s]; default: 0.02"
     model.add_argument("--dt", "--control-dt", type=float, default=0.02, metavar="S", help=text)
+    add_scene_options(model)
+
+
+def add_scene_options(parser: argparse._ActionsContainer) -> None:
+    """Add --scene, and an option for each number of a scene; :func:`chosen_scene` reads them."""
     text = """fields that differ from the default, as JSON, e.g. '{"gravity": 1.62}'"""
-    model.add_argument("--scene", default="{}", metavar="JSON", help=text)
+    parser.add_argument("--scene", default="{}", metavar="JSON", help=text)
+    for name, text in SCENE_HELP.items():
+        spellings = dict.fromkeys((f"--{name.replace('_', '-')}", f"--{name}"))
+        parser.add_argument(*spellings, type=float, metavar="N", help=text)
+
+
+def chosen_scene(scene: str, options: object) -> dict[str, Any]:
+    """Fields of the scene: those of the JSON of --scene, and the options of single ones, attributes of ``options``.
+
+    Raises:
+        ValueError: it is no JSON object, or a field is chosen by both.
+    """
+    fields = check.from_json("scene", scene, dict)
+    single = {name: getattr(options, name) for name in SCENE_HELP if getattr(options, name) is not None}
+    for name in fields.keys() & single.keys():
+        raise ValueError(f"{name} must be chosen once, got {fields[name]!r} in --scene and {single[name]:g} beside it")
+    return {**fields, **single}
+
+
+def scene_as_json(scene: str, options: object) -> str:
+    """The same as JSON; ``scene`` itself if there are no options of single fields."""
+    fields = chosen_scene(scene, options)
+    return scene if fields == check.from_json("scene", scene, dict) else json.dumps(fields)
 
 
 def chosen_setting(arguments: argparse.Namespace) -> Setting:

@@ -1,33 +1,44 @@
-"""Simulate the scene under its own drive: the state after each step and the impacts, plots, and an animated page."""
+"""Simulate the scene: the state after each step and the impacts, plots, and an animated page."""
 
 from __future__ import annotations
 
 import argparse
 import importlib.util
+import math
 import sys
+import zipfile
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from jackbox_env import checks as check
 from jackbox_env.command_line import command_line
-from jackbox_env.commands.options import add_model_options, chosen_setting, parser_of
+from jackbox_env.commands.options import add_model_options, chosen_scene, chosen_setting, parser_of
 from jackbox_env.files import check_new, new_folder, stamped
+from jackbox_env.states import STATE_NAMES, Array
 
 if TYPE_CHECKING:
     from jackbox_env.recording.trajectory import Trajectory
     from jackbox_env.scene import Scene
     from jackbox_env.simulators.fidelity import Setting
 
+_STEP_TOLERANCE = 1e-6  # relative, of steps of time
 _MOST_ON_PAGE = 20_000  # steps: a page of some 10 MB
 
 
 def _arguments() -> argparse.Namespace:
     parser = parser_of(__doc__)
-    parser.add_argument("--seconds", type=float, default=10.0, metavar="S", help="simulated time [s]; default: 10")
+    text = "simulated time [s]; default: 10, or as long as the FILE of --torque"
+    parser.add_argument("--seconds", type=float, metavar="S", help=text)
+    text = "on the box: chirp, the scene's drive; none; or a FILE with one for each control step, the column torque of "
+    text += "a CSV file or the array torque of an npz file, as this command writes them; default: chirp"
+    parser.add_argument("--torque", default="chirp", metavar="chirp|none|FILE", help=text)
     add_model_options(parser)
     start = parser.add_argument_group("start")
-    text = "the 12 numbers to start from, as a JSON list, e.g. a row of states.csv; default: all 0"
-    start.add_argument("--state", default=str([0.0] * 12), metavar="JSON", help=text)
+    text = "what to start from: numbers by name, e.g. x_jack=1,omega_jack=3, or all 12 as a JSON list, e.g. a row of "
+    text += "states.csv; default: all 0"
+    start.add_argument("--state", default="", metavar="NAME=N,...", help=text)
     text = "time at the start [s], which the drive sees; default: 0"
     start.add_argument("--time", type=float, default=0.0, metavar="S", help=text)
     files = parser.add_argument_group("files")
@@ -41,10 +52,81 @@ def _arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
+def _state(text: str) -> list[Any]:
+    """The 12 numbers of --state.
+
+    Raises:
+        ValueError: unusable text, an unknown name, or one that comes twice.
+    """
+    if text.lstrip().startswith("["):
+        return check.from_json("state", text, list)
+    numbers = dict[str, float]()
+    for part in filter(None, text.split(",")):
+        name, _, value = (word.strip() for word in part.partition("="))
+        check.known_keys("state", [name], STATE_NAMES)
+        try:
+            number = float(value)
+        except ValueError:
+            number = math.nan
+        if not math.isfinite(number) or name in numbers:
+            what = "come once" if name in numbers else "be a finite number"
+            raise ValueError(f"{name} in state must {what}, got {check.shown(part)}")
+        numbers[name] = number
+    return [numbers.get(name, 0.0) for name in STATE_NAMES]
+
+
+# -- torques -----------------------------------------------------------------------------------------------------------
+
+
+def _torques(path: Path, dt: float) -> Array:
+    """Torques of a CSV or npz file [N m], one for each control step.
+
+    Raises:
+        ValueError: unusable content, or times of another ``dt`` [s]; the message names the file.
+    """
+    if not path.is_file():
+        raise ValueError(f"torque must be chirp, none or a CSV or npz file, got {check.shown(str(path))}")
+    try:
+        if path.suffix == ".npz":
+            columns = dict(np.load(path))
+        else:  # names of columns may have units, which come after an underscore then
+            rows = np.genfromtxt(path, delimiter=",", names=True, encoding="utf-8-sig", ndmin=1)
+            columns = {name.partition("_")[0]: rows[name] for name in rows.dtype.names or ()}
+        column, times = columns.get("torque", np.zeros(0)), columns.get("time", np.zeros(0))
+    except (OSError, TypeError, ValueError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{path}: {' '.join(str(error).split())}") from error
+    torques: Array = column[:-1] if np.isnan(column[-1:]).any() else column  # no step begins in the last row
+    if not len(torques) or not np.isfinite(torques).all():
+        raise ValueError(f"{path}: there must be a column torque [N m] of finite numbers, one for each control step")
+    steps = np.diff(times[: len(torques)])
+    uneven = abs(steps - dt) > _STEP_TOLERANCE * dt + 4.0 * np.spacing(abs(times).max(initial=0.0))
+    if uneven.any():
+        raise ValueError(f"{path}: times must be dt = {dt:g} s apart, got {steps[uneven][0]:g} s; choose another --dt")
+    return torques
+
+
+def _completed(arguments: argparse.Namespace) -> Array | None:
+    """The torque of each control step [N m]; None: the scene's drive acts. Completes ``arguments.seconds``.
+
+    Raises:
+        ValueError: a duration that cannot be simulated; a file that is unusable or shorter.
+    """
+    dt, torques = check.real("dt", arguments.dt, above=0.0), None
+    if arguments.torque not in ("chirp", "none"):
+        torques = _torques(Path(arguments.torque), dt)
+    if arguments.seconds is None:
+        arguments.seconds = 10.0 if torques is None else len(torques) * dt
+    _refuse_impossible(arguments)
+    steps = max(1, round(arguments.seconds / dt))
+    if torques is not None and len(torques) < steps:
+        lasts = f"as long as {arguments.torque} lasts"
+        raise ValueError(f"seconds must be at most {len(torques) * dt:g}, {lasts}, got {arguments.seconds:g}")
+    return np.zeros(steps) if arguments.torque == "none" else torques
+
+
 def _refuse_impossible(arguments: argparse.Namespace) -> None:
     """Raise ValueError for a duration that cannot be simulated, and for files that cannot be written."""
     check.real("seconds", arguments.seconds, above=0.0, at_most=1e6)
-    check.real("dt", arguments.dt, above=0.0)
     if arguments.dt > arguments.seconds:
         raise ValueError(f"dt must be at most seconds = {arguments.seconds:g}, got {arguments.dt:g}")
     steps = arguments.seconds / arguments.dt
@@ -61,11 +143,13 @@ def _write(folder: Path, arguments: argparse.Namespace, scene: Scene, setting: S
     """Write the files that the options select."""
     from jackbox_env.recording.trajectory import write_csv, write_npz
 
-    (write_csv if arguments.format == "csv" else write_npz)(trajectory, folder)
+    (write_csv if arguments.format == "csv" else write_npz)(trajectory, scene, folder)
     if arguments.html:
         from jackbox_env.recording.page import model_facts, write_page
 
-        write_page(folder / "trajectory.html", scene, trajectory, "The scene's drive", model_facts(setting))
+        titles = {"chirp": "The scene's drive", "none": "No torque"}
+        title = titles.get(arguments.torque, f"Torques of {arguments.torque}")
+        write_page(folder / "trajectory.html", scene, trajectory, title, model_facts(setting))
     if arguments.plots is not False and importlib.util.find_spec("matplotlib"):
         from jackbox_env.commands.plots import trajectory_figures
 
@@ -83,13 +167,13 @@ def main() -> None:
     from jackbox_env.simulators.fidelity import words
 
     arguments.folder = arguments.folder or stamped("simulate")
-    _refuse_impossible(arguments)
+    torques = _completed(arguments)
     setting = chosen_setting(arguments)
-    scene = Scene.of(check.from_json("scene", arguments.scene, dict))
+    scene = Scene.of(chosen_scene(arguments.scene, arguments))
     simulator = make_simulator(scene, **setting._asdict())
-    simulator.reset(check.from_json("state", arguments.state, list), arguments.time)
+    simulator.reset(_state(arguments.state), arguments.time)
     try:
-        trajectory = simulate(simulator, arguments.seconds, arguments.dt)
+        trajectory = simulate(simulator, arguments.seconds, arguments.dt, torques=torques)
         folder = new_folder(
             arguments.folder, "simulate", lambda new: _write(new, arguments, scene, setting, trajectory)
         )

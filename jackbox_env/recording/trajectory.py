@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import importlib
+import json
 from collections.abc import Iterable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
@@ -14,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.files import new_file
+from jackbox_env.scene import Scene
 from jackbox_env.simulators import Impact, JackLostError, Simulator
-from jackbox_env.states import STATE_NAMES, STATE_UNITS, Array
+from jackbox_env.states import STATE_NAMES, STATE_UNITS, Array, Numbers
 
 
 @dataclass(frozen=True)
@@ -75,13 +77,23 @@ class TrajectoryRecorder:
         )
 
 
-def simulate(simulator: Simulator, seconds: float, dt: float, progress: bool = True) -> Trajectory:
-    """Step under the scene's drive for ``seconds`` in steps of ``dt`` [s]; a jack that leaves the box ends it early."""
-    recorder = TrajectoryRecorder(simulator.state, simulator.time)
+def simulate(
+    simulator: Simulator, seconds: float, dt: float, progress: bool = True, torques: Numbers | None = None
+) -> Trajectory:
+    """Step for ``seconds`` in steps of ``dt`` [s]; a jack that leaves the box ends it early.
+
+    Args:
+        simulator: from its present state on.
+        seconds: simulated time [s].
+        dt: duration of a step [s].
+        progress: show a bar.
+        torques: on the box in each step [N m]; None: the scene's drive acts.
+    """
+    recorder = TrajectoryRecorder(simulator.state, simulator.time, torques is None)
     with _bar(range(max(1, round(seconds / dt))), progress) as steps:
-        for _ in steps:
+        for number in steps:
             try:
-                simulator.step(dt)
+                simulator.step(dt, None if torques is None else torques[number])
             except JackLostError as error:
                 return recorder.trajectory(str(error))
             recorder.add(simulator.state, simulator.time, simulator.torque, simulator.impacts)
@@ -98,15 +110,17 @@ def _bar(steps: Iterable[int], progress: bool) -> AbstractContextManager[Iterabl
     return bar
 
 
-def write_csv(trajectory: Trajectory, folder: Path) -> list[Path]:
-    """Write states.csv (time, the 12 numbers, torque) and impacts.csv (time, wall, foot, impulse), digits in full.
+def write_csv(trajectory: Trajectory, scene: Scene, folder: Path) -> list[Path]:
+    """Write states.csv (time, the 12 numbers, torque), impacts.csv (time, wall, foot, impulse) and scene.json.
 
-    The first line names each column with its unit. A row's torque is the mean over the step that begins there; the last
-    row's is empty.
+    Digits are in full. The first line names each column with its unit. A row's torque is the mean over the step that
+    begins there; the last row's is empty.
 
     Raises:
         FileExistsError: a file is there already.
+        ValueError: the scene's drive has no JSON form.
     """
+    fields = scene.as_dict()
     units = zip(STATE_NAMES, STATE_UNITS, strict=True)
     states = ["time [s]", *(f"{name} [{unit}]" for name, unit in units), "torque [N m]"]
     torques: list[float | str] = [*trajectory.torques.tolist(), ""]
@@ -115,7 +129,14 @@ def write_csv(trajectory: Trajectory, folder: Path) -> list[Path]:
     return [
         _table(folder / "states.csv", states, [[*row, torque] for row, torque in zip(rows, torques, strict=True)]),
         _table(folder / "impacts.csv", impacts, trajectory.impacts),
+        _json(folder / "scene.json", fields),
     ]
+
+
+def _json(path: Path, content: Any) -> Path:
+    with new_file(path) as partial:
+        partial.write_text(json.dumps(content, indent=2) + "\n")
+    return path
 
 
 def _table(path: Path, names: Sequence[str], rows: Iterable[Sequence[float | str]]) -> Path:
@@ -124,14 +145,22 @@ def _table(path: Path, names: Sequence[str], rows: Iterable[Sequence[float | str
     return path
 
 
-def write_npz(trajectory: Trajectory, folder: Path) -> list[Path]:
+def write_npz(trajectory: Trajectory, scene: Scene, folder: Path) -> list[Path]:
     """Write trajectory.npz: time (n,), state (n, 12), torque (n - 1,), and impact_time, _wall, _foot, _impulse (m,).
+
+    Its text ``scene`` is the JSON of the scene's fields.
 
     Raises:
         FileExistsError: the file is there already.
+        ValueError: the scene's drive has no JSON form.
     """
     path = folder / "trajectory.npz"
-    arrays = {"time": trajectory.times, "state": trajectory.states, "torque": trajectory.torques}
+    arrays: dict[str, NDArray[Any]] = {
+        "time": trajectory.times,
+        "state": trajectory.states,
+        "torque": trajectory.torques,
+    }
+    arrays["scene"] = np.array(json.dumps(scene.as_dict()))
     for name in Impact._fields:
         arrays[f"impact_{name}"] = np.array([getattr(hit, name) for hit in trajectory.impacts])
     with new_file(path) as partial:

@@ -166,9 +166,19 @@ def test_evaluate_writes_an_episode_of_each_policy_as_a_page(tmp_path: Path, run
     )
 
 
+def test_a_single_field_of_the_scene_is_an_option_too(tmp_path: Path) -> None:
+    few = ["--policy", "zero", "--episodes", "2"]
+    single = script("evaluate", *few, "--jack-mass", "5", cwd=tmp_path).stdout
+    assert single == script("evaluate", *few, "--scene", '{"jack_mass": 5.0}', cwd=tmp_path).stdout
+    assert "scene {" in single
+    both = ["--jack-mass", "5", "--scene", '{"jack_mass": 4}']
+    assert "chosen once" in script("evaluate", *few, *both, cwd=tmp_path, status=2).stderr
+    assert "give no other settings" in script("train", "--resume", "x", "--gravity", "2", cwd=tmp_path, status=2).stderr
+
+
 def test_train_prints_a_command_that_evaluates_in_the_same_environment(tmp_path: Path) -> None:
     small = "--num-envs 4 --rollout-steps 64 --batch-size 64 --eval-episodes 2 --total-steps 256 --no-progress"
-    chosen = ["--task", "spin", "--contact", "exact", "--scene", '{"jack_mass": 5.0}', "--control-dt", "0.025"]
+    chosen = ["--task", "spin", "--contact", "exact", "--jack-mass", "5", "--control-dt", "0.025"]
     done = script("train", *chosen, *small.split(), "--folder", "a run's", cwd=tmp_path)
     (line,) = (line for line in done.stdout.splitlines() if "evaluate.py" in line)
     _, _, *options = shlex.split(line)

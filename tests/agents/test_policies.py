@@ -161,7 +161,7 @@ def test_a_planner_of_impossible_settings_is_refused(settings: dict[str, Any]) -
 
 def test_npz_of_a_weightless_scene_without_impacts(tmp_path: Path) -> None:
     simulator = make_simulator(Scene(gravity=0.0, drive=None))
-    (path,) = write_npz(simulate(simulator, 0.1, 0.02, progress=False), tmp_path)
+    (path,) = write_npz(simulate(simulator, 0.1, 0.02, progress=False), Scene(), tmp_path)
     with np.load(path) as stored:
         assert stored["state"].shape == (6, 12)
         assert stored["impact_time"].shape == (0,)

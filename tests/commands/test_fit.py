@@ -28,7 +28,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The files of a simulation of 4 s, and noisy.csv, whose states have noise."""
     made = tmp_path_factory.mktemp("recorded")
     rng = np.random.default_rng(0)
-    with write_csv(simulate(make_simulator(TRUE, contact="exact"), 4.0, 0.02, progress=False), made)[0].open() as file:
+    with write_csv(simulate(make_simulator(TRUE, contact="exact"), 4.0, 0.02, progress=False), TRUE, made)[
+        0
+    ].open() as file:
         head, *rows = csv.reader(file)
     noisy = [[row[0], *(float(cell) + NOISE * rng.standard_normal() for cell in row[1:13]), row[13]] for row in rows]
     with (made / "noisy.csv").open("w", newline="") as file:

@@ -52,7 +52,7 @@ def test_files_are_written_wherever_the_output_leads(tmp_path: Path, leads: str,
     command = ["bash", "-c", f"{simulate} {leads}; exit ${{PIPESTATUS[0]}}"]
     done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
     assert done.returncode == status, done.stderr
-    assert sorted(path.name for path in (tmp_path / "run").iterdir()) == ["impacts.csv", "states.csv"]
+    assert sorted(path.name for path in (tmp_path / "run").iterdir()) == ["impacts.csv", "scene.json", "states.csv"]
     lines = [line for line in done.stderr.splitlines() if line.strip() and "step/s" not in line]
     assert lines == ["standard output, or a file, cannot be used: No space left on device"] * (status == 2)
 

@@ -115,4 +115,4 @@ def test_an_early_end_without_a_step_is_one_sample(tmp_path: Path) -> None:
     trajectory = TrajectoryRecorder(np.zeros(12), 2.0).trajectory("why")
     samples = samples_of(Scene(), trajectory)
     assert samples.times.tolist() == [2.0]
-    assert write_csv(trajectory, tmp_path)[0].read_text().count("\n") == 2
+    assert write_csv(trajectory, Scene(), tmp_path)[0].read_text().count("\n") == 2

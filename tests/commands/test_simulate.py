@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -13,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jackbox_env import Chirp, make_simulator
+from jackbox_env import Chirp, Drive, Scene, make_simulator
 from jackbox_env.commands import simulate
 from jackbox_env.recording import trajectory as trajectories
 
@@ -73,7 +74,9 @@ def test_it_goes_on_from_its_last_row_with_a_foot_in_a_wall(tmp_path: Path, monk
 def test_the_files_hold_each_steps_torque(tmp_path: Path, contact: str) -> None:
     simulator = make_simulator(contact=contact)
     trajectory = trajectories.simulate(simulator, 0.5, 0.02, progress=False)
-    (states, _), (arrays,) = trajectories.write_csv(trajectory, tmp_path), trajectories.write_npz(trajectory, tmp_path)
+    scene = simulator.scene
+    states, *_ = trajectories.write_csv(trajectory, scene, tmp_path)
+    (arrays,) = trajectories.write_npz(trajectory, scene, tmp_path)
     with states.open() as file:
         *rows, last = csv.DictReader(file)
     assert last["torque [N m]"] == ""
@@ -81,6 +84,87 @@ def test_the_files_hold_each_steps_torque(tmp_path: Path, contact: str) -> None:
     assert torques == np.load(arrays)["torque"].tolist()
     means = [0.5 * sum(Chirp().torque_means(0.02 * step, 0.02)) for step in range(25)]
     np.testing.assert_allclose(torques, means, rtol=1e-6)
+
+
+def test_the_scene_is_written_beside_the_states_and_makes_the_same_scene(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options = [
+        "--seconds",
+        "0.1",
+        "--scene",
+        '{"drive": null, "jack_inertia": 3}',
+        "--jack-mass",
+        "5",
+        "--box_mass",
+        "9",
+    ]
+    run(monkeypatch, tmp_path, *options, "--folder", "csv")
+    run(monkeypatch, tmp_path, *options, "--folder", "npz", "--format", "npz")
+    scene = Scene(drive=None, jack_inertia=3.0, jack_mass=5.0, box_mass=9.0)
+    fields = json.loads((tmp_path / "csv" / "scene.json").read_text())
+    assert fields == json.loads(np.load(tmp_path / "npz" / "trajectory.npz")["scene"].item())
+    assert Scene.of(fields) == scene
+    assert Scene.of(fields).changed(box_mass=1.0).box_inertia == 36.0  # it still follows the mass
+    assert "box_inertia" not in fields
+    with pytest.raises(ValueError, match="a Drive of functions has no JSON form"):
+        Scene(drive=Drive(np.cos)).as_dict()
+
+
+def test_torques_come_from_a_file_or_are_none_and_a_state_has_names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    start = ["--state", "x_jack=1, vy_jack=-9", "--dt", "0.05"]
+    (tmp_path / "kicks.csv").write_text("torque [N m]\n" + "3e4\n" * 20 + "-5e4\n" * 20)
+    run(monkeypatch, tmp_path, *start, "--torque", "kicks.csv", "--folder", "kicked", "--html")
+    simulator = make_simulator(fidelity="exact")
+    simulator.reset([0.0, 0.0, 0.0, 1.0] + [0.0] * 6 + [-9.0, 0.0])
+    for step in range(40):
+        simulator.step(0.05, 3e4 if step < 20 else -5e4)
+    for number, torque in enumerate(["kicked/states.csv", "0/trajectory.npz"]):  # what it wrote it reads
+        options = "--torque", torque, "--format", "npz", "--folder", str(number)
+        run(monkeypatch, tmp_path, *start, *options)
+        arrays = np.load(tmp_path / str(number) / "trajectory.npz")
+        np.testing.assert_array_equal(arrays["state"][-1], simulator.state)
+    assert "Torques of kicks.csv" in (tmp_path / "kicked" / "trajectory.html").read_text()
+    run(monkeypatch, tmp_path, *start, "--torque", "none", "--format", "npz", "--folder", "calm")
+    calm = np.load(tmp_path / "calm" / "trajectory.npz")
+    assert len(calm["torque"]) == 200
+    assert not calm["torque"].any()
+    assert calm["state"][0, 3:5].tolist() == [1.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ("--state x=1", "state takes only 'x_box', .*, got 'x'"),
+        ("--state x_jack=a", "x_jack in state must be a finite number, got 'x_jack=a'"),
+        ("--state x_jack=1,x_jack=2", "x_jack in state must come once, got 'x_jack=2'"),
+        ("--torque calm", "torque must be chirp, none or a CSV or npz file, got 'calm'"),
+        ("--torque even.csv --seconds 3", "seconds must be at most 0.04, as long as even.csv lasts, got 3"),
+        ("--torque even.csv --dt 0.01", "even.csv: times must be dt = 0.01 s apart, got 0.02 s; choose another --dt"),
+        ("--torque other.csv", r"other.csv: there must be a column torque \[N m\] of finite numbers"),
+        ("--torque ragged.csv", "ragged.csv: .*Line #2"),
+        ("--torque gap.csv", "gap.csv: could not convert string to float"),
+        ("--torque text.npz", "text.npz: "),
+        ('--gravity 3 --scene {"gravity":2}', "gravity must be chosen once, got 2 in --scene and 3 beside it"),
+        ("--restitution 2", "restitution must be a finite number at least 0 and at most 1, got 2.0"),
+    ],
+)
+def test_unusable_torques_states_and_fields_are_refused_in_one_sentence(
+    options: str, sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = {
+        "even.csv": "time,torque\n0,1\n0.02,2\n0.04,\n", "other.csv": "time\n0\n", "gap.csv": "torque\n1\nx\n2\n",
+        "ragged.csv": "time,torque\n0\n", "text.npz": "torque",
+    }  # fmt: skip
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    with pytest.raises(SystemExit):
+        run(monkeypatch, tmp_path, *options.split())
+    (line,) = capsys.readouterr().err.splitlines()
+    assert re.search(sentence, line)
+    assert not (tmp_path / "runs").exists()
 
 
 def test_a_page_of_too_many_steps_is_refused(

@@ -82,6 +82,7 @@ def test_simulate_writes_files_without_plots_and_refuses_to_draw_them(site: Path
     done = jackbox(site, tmp_path, "simulate", "--seconds", "2", "--html", "--folder", "out", *PYMUNK)
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
         "impacts.csv",
+        "scene.json",
         "states.csv",
         "trajectory.html",
     ]
