@@ -53,6 +53,15 @@ def first_line(error: Exception) -> str:
     return f"{type(error).__name__}{': ' * bool(message)}{message}"
 
 
+@contextmanager
+def as_value_error(problem: str) -> Iterator[None]:
+    """Turn any exception in the block into a ValueError that names the problem."""
+    try:
+        yield
+    except Exception as error:
+        raise ValueError(f"{problem}: {first_line(error)}") from error
+
+
 def read_bounded(path: Path, max_bytes: int) -> bytes:
     """The content of a file.
 

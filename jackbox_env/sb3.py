@@ -17,6 +17,7 @@ from gymnasium.wrappers import OrderEnforcing, TimeLimit
 from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import checks as check
+from jackbox_env.saved_models import save_model as save_model
 from jackbox_env.scene import Scene
 from jackbox_env.simulators import Impact
 from jackbox_env.simulators.fidelity import FURTHER

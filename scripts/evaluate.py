@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from agents.settings import EnvSettings
 from jackbox_env import checks as check
@@ -41,7 +41,14 @@ class Arguments:
     film: Path | None = None
     """Also film an episode of all policies side by side, in this new .mp4 or .gif file."""
     trust: bool = False
-    """Unpickle models that have no settings.json beside them: only those of people you trust."""
+    """Unpickle models that have no settings.json beside them: only those of people you trust. They act as env.json
+    beside them describes, which jackbox_env.sb3.save_model writes, or by the next three options."""
+    landing: float | Literal["bounce"] | None = None
+    """Such models choose landings, as under LandingControlVecEnv, for this period [s] or until the next impact."""
+    repeat: int | None = None
+    """Such models repeat an action for so many control steps, as under HoldingVecEnv."""
+    vecnormalize: Path | None = None
+    """File of the statistics by which VecNormalize normalized what such models observe."""
 
 
 def _check(arguments: Arguments) -> None:
@@ -73,12 +80,16 @@ def main() -> None:
     _check(arguments)
     from agents.evaluation.provenance import describe_env, warn_of_other_training
     from agents.evaluation.returns import evaluate, table
+    from agents.policies.models import Options
     from agents.policies.registry import find_policy
     from agents.runs import versions
     from agents.training.models import derived_seed
 
     env_settings = settings.env_settings
-    policies = [(name, find_policy(name, settings, arguments.seed, arguments.trust)) for name in arguments.policy]
+    options = Options(arguments.landing, arguments.repeat, arguments.vecnormalize)
+    policies = [
+        (name, find_policy(name, settings, arguments.seed, arguments.trust, options)) for name in arguments.policy
+    ]
     print(f"{arguments.episodes} episodes each, seed {arguments.seed}, {describe_env(settings)}")
     rows = []
     for name, (policy, extra_settings) in policies:

@@ -27,6 +27,7 @@ ORDER = """
     env
     batches
     vector_env
+    saved_models
     sb3
     planning
     torch sb3_wrappers

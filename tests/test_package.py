@@ -18,8 +18,9 @@ ROOT = Path(__file__).parents[1]
 HEAVY = ("pymunk", "pygame", "numba", "torch", "stable_baselines3", "matplotlib", "scipy")
 
 
-def run(code: str) -> str:
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
+def run(*words: str, cwd: Path | None = None) -> str:
+    command = [sys.executable, *words]
+    return subprocess.run(command, capture_output=True, text=True, check=True, cwd=cwd).stdout.strip()
 
 
 @pytest.mark.parametrize(
@@ -31,7 +32,9 @@ def run(code: str) -> str:
     ],
 )
 def test_nothing_heavy_is_loaded_that_is_not_stepped(code: str, loaded: list[str]) -> None:
-    names = run(f"import sys, gymnasium, jackbox_env\n{code}\nprint([name for name in {HEAVY} if name in sys.modules])")
+    names = run(
+        "-c", f"import sys, gymnasium, jackbox_env\n{code}\nprint([name for name in {HEAVY} if name in sys.modules])"
+    )
     assert names.replace(", 'scipy'", "") == str(loaded)  # numba itself tries scipy
 
 
@@ -87,12 +90,15 @@ def blocks(path: Path) -> list[str]:
 
 
 @pytest.mark.parametrize("number", [pytest.param(0, marks=pytest.mark.slow), 1])
-def test_each_block_of_the_readme_runs_alone(number: int) -> None:
+def test_each_block_of_the_readme_runs_alone(number: int, tmp_path: Path) -> None:
     pytest.importorskip("stable_baselines3")
     examples = blocks(ROOT / "README.md")
     assert len(examples) == 2
-    assert len([line for line in examples[number].splitlines() if line]) <= 11
-    run(examples[number].replace("learn(400_000,", "learn(20_000,"))  # make readme trains in full
+    assert len([line for line in examples[number].splitlines() if line]) <= 13
+    run("-c", examples[number].replace("learn(400_000,", "learn(20_000,"), cwd=tmp_path)  # make readme trains in full
+    for words in re.findall(r"^# jackbox (.*)", examples[number], re.MULTILINE):
+        run("-m", "jackbox_env", *words.split(), "--episodes", "2", cwd=tmp_path)
+        assert (tmp_path / "juggler.gif").stat().st_size > 100_000
 
 
 def test_the_readme_is_short_and_its_tables_have_the_measured_numbers() -> None:
@@ -109,8 +115,11 @@ PAGES = sorted(path.name for path in (ROOT / "docs").glob("*.md") if blocks(path
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", PAGES)
-def test_each_block_of_a_page_runs_alone(page: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_each_block_of_a_page_runs_alone(
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     pytest.importorskip("stable_baselines3")
+    monkeypatch.chdir(tmp_path)
     for block in blocks(ROOT / "docs" / page):
         exec(compile(block, page, "exec"), {"__name__": "__main__"})
         names = capsys.readouterr().out

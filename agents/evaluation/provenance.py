@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from dataclasses import fields, replace
 from pathlib import Path
 
+from agents.policies.models import stored_beside
 from agents.policies.network import SHIPPED
 from agents.policies.one_bounce import LANDING, read_landing
 from agents.policies.registry import POLICIES, SCRIPTED, shipped_names
@@ -34,8 +36,17 @@ def _settings_of(name: str, here: EnvSettings) -> EnvSettings | None:
     elif ((folder or Path(name)) / LANDING).is_file():
         settings = read_landing(folder or Path(name)).settings
     else:
-        return None
+        return _stored_env(Path(name))
     return EnvSettings(**{part.name: getattr(settings, part.name) for part in fields(EnvSettings)})
+
+
+def _stored_env(file: Path) -> EnvSettings | None:
+    """The environment in the env.json beside a model; None if there is none, or a task of one's own."""
+    stored = stored_beside(file)
+    if stored is None or stored["env"].get("task") is None:
+        return None
+    texts = {name: json.dumps(stored["env"][name]) for name in ("scene", "randomize") if name in stored["env"]}
+    return EnvSettings.of({**stored["env"], **texts})
 
 
 def warn_of_other_training(name: str, here: EnvSettings) -> None:

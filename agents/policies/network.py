@@ -23,16 +23,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.files import read_bounded, unpacked_arrays
-from agents.policies.landing_features import FEATURES, landing_numbers, preview, struck
-from agents.policies.playing import Actions, RepeatingPolicy
+from agents.policies.landing_features import FEATURES, landing_numbers, preview
+from agents.policies.playing import Actions
+from agents.policies.trained import Acting, TrainedPolicy
 from agents.runs import SETTINGS
 from agents.settings import LOOKAHEAD_SIZE, MOST_LAYERS, MOST_WEIGHTS, EnvSettings, TrainSettings
 from jackbox_env import Scene
 from jackbox_env.files import write_bytes, write_json
-from jackbox_env.landing import ANGLE, RATE, torques
-from jackbox_env.observation import BOUNDS, state_of
+from jackbox_env.observation import BOUNDS
 from jackbox_env.planning.features import Features, LookaheadOptions
-from jackbox_env.planning.icem import Plans
 from jackbox_env.tasks import TASKS
 
 WEIGHTS = "weights.npz"
@@ -44,7 +43,7 @@ _MOST_JSON = 100_000  # [bytes]
 _HEADERS = 65_536  # [bytes] of an npz file, at most
 
 
-class NetworkPolicy(RepeatingPolicy):
+class NetworkPolicy(TrainedPolicy):
     """A trained policy with Stable-Baselines3's ``predict``: it acts by the mean of its distribution.
 
     Args:
@@ -57,26 +56,16 @@ class NetworkPolicy(RepeatingPolicy):
 
     def __init__(self, settings: TrainSettings, layers: list[Layer]) -> None:
         self.settings, self.layers = settings, layers
-        self.repeat, self.resting = settings.longest, settings.resting
-        self._scene, self.action_size = Scene.of(settings.scene_fields), 2 if settings.landing else 1
-        self._numbers, self._features = landing_numbers(self._scene) if settings.preview else None, None
+        scene, features = Scene.of(settings.scene_fields), None
+        self._numbers = landing_numbers(scene) if settings.preview else None
         if settings.lookahead:
-            options = LookaheadOptions(self.repeat, samples=settings.lookahead, follow=True, num_threads=1)
-            self._features = Features(settings.task, settings.control_dt, options)
+            options = LookaheadOptions(settings.longest, samples=settings.lookahead, follow=True, num_threads=1)
+            features = Features(settings.task, settings.control_dt, options)
+        super().__init__(
+            Acting(scene, settings.control_dt, settings.longest, settings.resting, settings.landing, features)
+        )
         inputs = len(BOUNDS) + LOOKAHEAD_SIZE * bool(settings.lookahead) + len(FEATURES) * settings.preview
         check_layers(layers, [inputs, *settings.hidden_units, self.action_size])
-
-    def begin(self, count: int) -> Plans | None:
-        """Plans of no torque with a lookahead, else None."""
-        return self._features.begin(count) if self._features else None
-
-    def decide(self, observations: NDArray[Any], plans: Any) -> tuple[NDArray[Any], Any]:
-        """The network's actions; with a lookahead they correct its plans."""
-        if self._features is None:
-            return self.act(observations), None
-        appended, next_plans = self._features.compute([self._scene], observations, plans)
-        extended = np.concatenate([observations, appended], axis=1)
-        return self._features.torques(self.act(extended), extended), next_plans
 
     def act(self, observations: NDArray[Any]) -> Actions:
         """The network's outputs, shape (n, action_size), for observations as in training, shape (n, 10 or more)."""
@@ -84,18 +73,6 @@ class NetworkPolicy(RepeatingPolicy):
         if self._numbers:
             values = np.concatenate([values, preview(self._numbers, values[:, : len(BOUNDS)])], axis=1)
         return np.clip(outputs(self.layers, values), -1.0, 1.0)
-
-    def torques(self, actions: Actions, observations: NDArray[Any]) -> Actions:
-        """The actions; if they are landings of the box, the torques that steer to them now."""
-        if not self.settings.landing:
-            return actions
-        states = np.array([state_of(self._scene, row) for row in observations.tolist()])
-        targets = actions.astype(np.float64) * (ANGLE, RATE)
-        return torques(self._scene, states, targets, self.settings.control_dt).astype(np.float32)[:, None]
-
-    def struck(self, before: NDArray[Any], after: NDArray[Any]) -> NDArray[np.bool_]:
-        """Whether the jack struck a wall between observations of successive control steps, shape (n,)."""
-        return struck(self._scene, self.settings.control_dt, before, after)
 
 
 def check_layers(layers: list[Layer], sizes: list[int]) -> None:

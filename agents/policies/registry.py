@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from agents.files import first_line
+from agents.files import as_value_error
+from agents.policies.models import Options, load, policy_of
 from agents.policies.network import SHIPPED, WEIGHTS, NetworkPolicy, layers_of, read_policy
 from agents.policies.one_bounce import LANDING, read_landing
 from agents.policies.planner import FAST_SEARCHES, PlanAlone, planner_for
@@ -30,8 +31,17 @@ POLICIES: dict[str, Callable[[EnvSettings, Scene, int], Baseline]] = {
 _FORMER_NAMES = {"planner-64": "planner-fast"}
 
 
-def find_policy(name: str, settings: EnvSettings, seed: int = 0, trust: bool = False) -> Baseline:
+def find_policy(
+    name: str, settings: EnvSettings, seed: int = 0, trust: bool = False, options: Options | None = None
+) -> Baseline:
     """One of ``POLICIES`` or a shipped policy by its name, or a trained one by its run folder or file.
+
+    Args:
+        name: of the policy.
+        settings: of the environment that it plays in.
+        seed: of what it draws.
+        trust: unpickle a model that has no settings.json.
+        options: how such a model acts; None: as env.json beside it describes.
 
     Raises:
         FileNotFoundError: it is none of these.
@@ -46,41 +56,39 @@ def find_policy(name: str, settings: EnvSettings, seed: int = 0, trust: bool = F
         raise FileNotFoundError(f"a policy must be one of {known}, or a run folder or model file, got {name!r}")
     if (Path(name) / WEIGHTS).is_file():
         return Baseline(_read(Path(name)), {})
-    return Baseline(_trained(model_in(Path(name)), trust), {})
+    file = model_in(Path(name))
+    folder = run_folder(file)
+    return Baseline(_trained(file, folder) if folder else _trusted(file, settings, trust, options or Options()), {})
 
 
-def _trained(file: Path, trust: bool) -> Policy:
-    """The policy in a model file of Stable-Baselines3, with the settings of its run folder, else those that it stores.
-
-    In a run folder nothing is unpickled. A model without settings decides at every control step.
-
-    Args:
-        file: the model.
-        trust: unpickle a model that has no settings.json.
+def _trained(file: Path, folder: Path) -> Policy:
+    """The policy in a model file of a run folder, with the folder's settings; nothing is unpickled.
 
     Raises:
-        FileNotFoundError: the model has no settings.json, and ``trust`` is off.
         ValueError: the file is damaged, or no model of these settings.
     """
-    folder = run_folder(file)
-    if folder is None and not trust:
+    settings = read_settings(folder)
+    with as_value_error(f"{file} is no model of the settings beside it"):
+        return NetworkPolicy(settings, layers_of(read_parameters(file)["policy"]))
+
+
+def _trusted(file: Path, settings: EnvSettings, trust: bool, options: Options) -> Policy:
+    """The policy in a model file without a run folder, by the settings that it stores, by env.json or ``options``.
+
+    Raises:
+        FileNotFoundError: ``trust`` is off.
+        ValueError: the file is damaged, or does not fit.
+    """
+    if not trust:
         raise FileNotFoundError(
             f"{file} has no {SETTINGS} beside it to rebuild the model from; if you trust its author, use --trust"
         )
-    settings = None if folder is None else read_settings(folder)
-    of = "of Stable-Baselines3" if settings is None else "of the settings beside it"
-    try:
-        if settings is not None:
-            return NetworkPolicy(settings, layers_of(read_parameters(file)["policy"]))
-        from stable_baselines3 import PPO
-
-        model = PPO.load(file, device="cpu")
-        trained_by = getattr(model, TRAINED_BY, None)
-        if trained_by is None:
-            return model
+    model = load(file)
+    trained_by = getattr(model, TRAINED_BY, None)
+    if trained_by is None or options != Options():
+        return policy_of(file, model, settings, options)
+    with as_value_error(f"{file} is no model of the settings that it stores"):
         return NetworkPolicy(TrainSettings.of(trained_by), layers_of(model.get_parameters()["policy"]))
-    except Exception as error:
-        raise ValueError(f"{file} is no model {of}: {first_line(error)}") from error
 
 
 def _read(folder: Path) -> Policy:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +11,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv
 
-from agents.files import first_line
+from agents.files import as_value_error
 from agents.policies.landing_features import landing_numbers
 from agents.runs import SETTINGS, TRAINED_BY, model_in, read_parameters, read_settings, run_folder
 from agents.settings import TrainSettings
@@ -104,18 +102,9 @@ def load_model(path: Path) -> PPO:
     if folder is None:
         raise FileNotFoundError(f"{file} has no {SETTINGS} beside it to rebuild the model from")
     settings = read_settings(folder)
-    with _as_value_error(f"{folder / SETTINGS} makes no model"):
+    with as_value_error(f"{folder / SETTINGS} makes no model"):
         environments = make_vec_env(settings.env_settings, 1, settings.seed)
         model = make_ppo(settings, wrapped(environments, settings))
-    with _as_value_error(f"{file} is no model of the settings beside it"):
+    with as_value_error(f"{file} is no model of the settings beside it"):
         model.set_parameters(read_parameters(file), device="cpu")
     return model
-
-
-@contextmanager
-def _as_value_error(problem: str) -> Iterator[None]:
-    """Turn any exception in the block into a ValueError that names the problem."""
-    try:
-        yield
-    except Exception as error:
-        raise ValueError(f"{problem}: {first_line(error)}") from error

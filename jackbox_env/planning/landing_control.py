@@ -49,6 +49,7 @@ class Aiming(Control):
             period = check.real("period", period, above=0.0, at_most=_MOST_STEPS * control_dt)
             steps = max(1, round(period / control_dt))
         super().__init__(steps)
+        self.stored = {"landing": period}
 
     def act(self, actions: Any) -> Landings:
         """Targets for actions, shape (N, 2), or (2,) of one alone.

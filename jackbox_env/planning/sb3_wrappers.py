@@ -29,6 +29,11 @@ class ControlledVecEnv(VecEnvWrapper):
         self._control = control
         self._act: Any = np.zeros((self.num_envs, 1), dtype=np.float32)
 
+    @property
+    def stored(self) -> dict[str, Any]:
+        """How a saved model acts, for JSON."""
+        return self._control.stored
+
     def reset(self) -> Any:
         """Start an episode in each environment."""
         return self._control.observe(self.venv.reset(), True)

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from typing import Any
 
 import gymnasium as gym
@@ -40,6 +41,7 @@ class Control:
 
     def __init__(self, repeat: int) -> None:
         self.repeat = repeat
+        self.stored: dict[str, Any] = {"repeat": repeat}  # how a saved model acts: jackbox_env.sb3.save_model
 
     def act(self, actions: Any) -> Any:
         """The environments' actions for those of the agents, or a function from states, shape (N, 12), to them."""
@@ -90,6 +92,7 @@ class LookingAhead(Control):
         count = 1 if self._alone else env.num_envs
         self._plans, self._begun = self._features.begin(count), np.zeros(count, dtype=np.bool_)
         self._scenes: list[Scene] = []  # of the last observations
+        self.stored = {"repeat": options.repeat, "lookahead": asdict(options)}
         self._last: Floats | None = None  # the last observations, (N, 10 + F)
 
     def act(self, actions: Any) -> Any:
@@ -136,6 +139,11 @@ class ControlledEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructor
         self._control = control
         self.action_space = control.action_space or env.action_space
         self.observation_space = control.observation_space or env.observation_space
+
+    @property
+    def stored(self) -> dict[str, Any]:
+        """How a saved model acts, for JSON."""
+        return self._control.stored
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start an episode."""

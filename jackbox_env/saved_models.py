@@ -1,0 +1,120 @@
+"""Models of Stable-Baselines3 saved together with how they act."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from jackbox_env import checks as check
+from jackbox_env.files import replacing, write_json
+from jackbox_env.scene import Drive, Scene
+from jackbox_env.simulators.fidelity import KEYWORDS
+
+try:
+    from stable_baselines3.common.base_class import BaseAlgorithm
+    from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
+except ModuleNotFoundError as error:
+    raise ModuleNotFoundError(check.extra_needed("jackbox_env.sb3", "Stable-Baselines3", "train")) from error
+
+ENV = "env.json"  # beside saved models: how they act
+# Wrappers that change neither what an agent observes nor how it acts.
+_WITHOUT_EFFECT = {
+    "Monitor", "OrderEnforcing", "PassiveEnvChecker", "RecordEpisodeStatistics", "RecordVideo", "TimeLimit",
+    "VecCheckNan", "VecMonitor", "VecVideoRecorder",
+}  # fmt: skip
+_KEYS = {"env", "repeat", "landing", "lookahead", "normalize", "unknown"}  # of an entry
+_MOST_BYTES = 10_000_000  # that are read of env.json
+
+
+def save_model(model: BaseAlgorithm, path: str | Path) -> Path:
+    """Save a model of Stable-Baselines3, and in env.json beside it how the model acts.
+
+    ``jackbox evaluate --policy model.zip --trust`` then plays it as it was trained. env.json has an entry for each
+    model of its folder: the environment, action repeat, landing control, look-ahead, and the statistics of
+    ``VecNormalize`` as numbers. Both files are replaced in one stroke.
+
+    Args:
+        model: trained on :func:`make_sb3_vec_env`, or on ``gymnasium.make("JackInBox-v0")`` in any of
+            Stable-Baselines3's environments.
+        path: of the model's file; without a suffix it gets ``.zip``.
+
+    Returns:
+        The model's path.
+
+    Raises:
+        TypeError: the model has no such environment.
+        ValueError: env.json is there and holds no such entries.
+    """
+    path = Path(path)
+    path = path if path.suffix else path.with_suffix(".zip")
+    stored = {**read_stored(path.parent / ENV), path.name: _stored(model.get_env())}
+    with replacing(path) as partial:
+        model.save(partial)
+    write_json(path.parent / ENV, stored)
+    return path
+
+
+def read_stored(path: Path) -> dict[str, dict[str, Any]]:
+    """The entries of an env.json by the name of the model's file; empty if the file is missing.
+
+    Raises:
+        ValueError: it is damaged, or something else.
+    """
+    if not path.is_file():
+        return {}
+    entries = check.from_json(str(path), path.read_bytes()[:_MOST_BYTES].decode(errors="replace"), dict)
+    for name, entry in entries.items():
+        if not isinstance(entry, dict) or not entry.keys() >= _KEYS:
+            raise ValueError(f"{path}: {name} must have {', '.join(sorted(_KEYS))}, got {check.shown(entry)}")
+    return entries
+
+
+def _stored(venv: VecEnv | None) -> dict[str, Any]:
+    """How agents act in environments of Stable-Baselines3, for JSON."""
+    inner: Any = None if venv is None else venv.unwrapped
+    spec = inner and inner.get_attr("spec")[0]
+    if inner is None or spec is None or spec.id != "JackInBox-v0":
+        raise TypeError(f"save_model needs a model with environments of JackInBox-v0, got {check.shown(venv)}")
+    unknown, stored = list[str](), dict[str, Any](repeat=1, landing=None, lookahead=None, normalize=None)
+    for wrapper in spec.additional_wrappers:
+        if wrapper.name in ("LandingControl", "Lookahead"):
+            stored |= inner.get_attr("stored")[0]
+        elif wrapper.name not in _WITHOUT_EFFECT:
+            unknown.append(wrapper.name)
+    layers = list[VecEnv]()
+    while isinstance(venv, VecEnvWrapper):
+        layers, venv = [venv, *layers], venv.venv
+    for layer in layers:
+        if isinstance(layer, VecNormalize):
+            stored["normalize"] = statistics_of(layer)
+        elif hasattr(type(layer), "stored"):
+            stored |= layer.stored  # type: ignore[attr-defined]
+        elif type(layer).__name__ not in _WITHOUT_EFFECT:
+            unknown.append(type(layer).__name__)
+    task = inner.get_attr("task")[0]
+    env = {"task": task if isinstance(task, str) else None, **_storable(spec.kwargs)}
+    return {"env": env, **stored, "unknown": unknown}
+
+
+def _storable(keywords: Mapping[str, Any]) -> dict[str, Any]:
+    """Keywords of an environment that differ from the default, as JSON has them; functions are left out."""
+    stored = {name: keywords[name] for name in (*KEYWORDS, "control_dt") if name in keywords}
+    stored |= {name: dict(keywords[name]) for name in ("randomize",) if isinstance(keywords.get(name), Mapping)}
+    scene = Scene.of(keywords.get("scene"))
+    if isinstance(scene.drive, Drive):
+        return stored
+    default = Scene().as_dict()
+    fields = {name: value for name, value in scene.as_dict().items() if name not in default or value != default[name]}
+    return {**stored, "scene": fields}
+
+
+def statistics_of(normalize: VecNormalize) -> dict[str, Any] | None:
+    """How ``VecNormalize`` changes observations, for JSON; None if it changes rewards only."""
+    if not normalize.norm_obs:
+        return None
+    statistics: Any = normalize.obs_rms
+    return {
+        "mean": statistics.mean.tolist(), "variance": statistics.var.tolist(), "clip": float(normalize.clip_obs),
+        "epsilon": float(normalize.epsilon),
+    }  # fmt: skip

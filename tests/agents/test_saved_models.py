@@ -1,0 +1,204 @@
+"""Models that were trained without this project's command play as they were trained, or the refusal says what would."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from stable_baselines3 import A2C, PPO, SAC, TD3
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecFrameStack, VecNormalize
+
+from agents.policies.models import ModelPolicy, Options
+from agents.policies.registry import find_policy
+from agents.settings import EnvSettings
+from jackbox_env import Drive, LandingControl, Scene, Task
+from jackbox_env.sb3 import make_sb3_vec_env, save_model
+from jackbox_env.sb3_wrappers import HoldingVecEnv, LandingControlVecEnv, LookaheadVecEnv
+from jackbox_env.tasks import juggle
+from tests.agents.test_commands import script
+
+HERE = EnvSettings(fidelity="exact")
+
+
+def native(count: int = 2, **keywords: Any) -> Any:
+    return make_sb3_vec_env(count, fidelity="exact", **keywords)
+
+
+def single(**landing: Any) -> VecEnv:
+    made: Any = gym.make("JackInBox-v0", fidelity="exact")
+    return DummyVecEnv([lambda: Monitor(LandingControl(made, **landing) if landing else made)])
+
+
+def trained(envs: VecEnv, steps: int = 64) -> PPO:
+    """A PPO that acts strongly; a little training updates statistics and stores observations."""
+    model = PPO("MlpPolicy", envs, n_steps=32, batch_size=32, n_epochs=1, learning_rate=0.0, seed=0, device="cpu")
+    network: Any = model.policy.action_net
+    network.weight.data *= 100.0
+    return model.learn(steps)
+
+
+WRAPPED: dict[str, tuple[Callable[[], VecEnv], Options]] = {
+    "torques": (native, Options(repeat=1)),
+    "held": (lambda: HoldingVecEnv(native(), 4), Options(repeat=4)),
+    "bounce": (lambda: LandingControlVecEnv(native(), period="bounce"), Options(landing="bounce")),
+    "period": (lambda: LandingControlVecEnv(native(), period=0.2), Options(landing=0.2)),
+    "single": (lambda: single(period="bounce"), Options(landing="bounce")),
+    "normalized": (lambda: VecNormalize(HoldingVecEnv(native(), 5)), Options(repeat=5, vecnormalize=Path("stats.pkl"))),
+}
+
+
+@pytest.mark.parametrize("name", WRAPPED)
+def test_a_saved_model_acts_as_it_was_trained(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make, options = WRAPPED[name]
+    monkeypatch.chdir(tmp_path)
+    envs = make()
+    model = trained(envs)
+    assert save_model(model, tmp_path / "model") == tmp_path / "model.zip"
+    if isinstance(envs, VecNormalize):
+        envs.save("stats.pkl")
+        envs.training = envs.norm_reward = False
+    saved = find_policy("model.zip", HERE, trust=True).policy
+    (tmp_path / "env.json").rename(tmp_path / "elsewhere.json")
+    by_options = find_policy("model.zip", HERE, trust=True, options=options).policy
+    envs.seed(3)
+    under_wrappers, _ = evaluate_policy(model, envs, 2, return_episode_rewards=True)
+    for policy in (saved, by_options):
+        plain = native(envs.num_envs)
+        plain.seed(3)
+        assert isinstance(policy, ModelPolicy)
+        alone, _ = evaluate_policy(policy, plain, 2, return_episode_rewards=True)  # type: ignore[arg-type]
+        # Landing control computes its torques from observations, which are rounded to float32: chaos sees it.
+        exact = options.landing is None
+        np.testing.assert_allclose(alone, under_wrappers, rtol=1e-12 if exact else 0.2)
+
+
+def test_otherwise_it_would_earn_something_else(tmp_path: Path) -> None:
+    envs = HoldingVecEnv(native(), 4)
+    model = trained(envs)
+    model.save(tmp_path / "model.zip")
+    policies = [
+        find_policy(str(tmp_path / "model.zip"), HERE, trust=True, options=Options(repeat=repeat)).policy
+        for repeat in (4, 1)
+    ]
+    returns = []
+    for policy in policies:
+        plain = native()
+        plain.seed(3)
+        returns.append(evaluate_policy(policy, plain, 2)[0])
+    assert returns[0] != pytest.approx(returns[1], rel=1e-3)
+
+
+def test_a_lookahead_is_stored_with_its_options(tmp_path: Path) -> None:
+    envs = LookaheadVecEnv(native(), hold=10, turns=3, samples=8, pieces=8, follow=True)
+    save_model(trained(envs), tmp_path / "model.zip")
+    policy: Any = find_policy(str(tmp_path / "model.zip"), HERE, trust=True).policy
+    actions, memory = policy.predict(np.zeros((2, 10), np.float32))
+    assert actions.shape == (2, 1)
+    assert memory.repeats.tolist() == [9, 9]
+    assert memory.plans is not None
+
+
+@pytest.mark.parametrize("algorithm", [A2C, SAC, TD3])
+def test_other_algorithms_load_too(algorithm: Any, tmp_path: Path) -> None:
+    model = algorithm("MlpPolicy", native(1), device="cpu")
+    save_model(model, tmp_path / "model.zip")
+    policy: Any = find_policy(str(tmp_path / "model.zip"), HERE, trust=True).policy
+    assert type(policy.model) is algorithm
+
+
+# -- env.json ----------------------------------------------------------------------------------------------------------
+
+
+def entry(folder: Path) -> Any:
+    return json.loads((folder / "env.json").read_text())["model.zip"]
+
+
+def test_the_environment_is_stored_where_it_differs_and_functions_are_left_out(tmp_path: Path) -> None:
+    save_model(PPO("MlpPolicy", native(task="spin", scene={"gravity": 2}, control_dt=0.01)), tmp_path / "model.zip")
+    env = {"task": "spin", "fidelity": "exact", "control_dt": 0.01, "scene": {"gravity": 2.0}}
+    assert entry(tmp_path)["env"] == env
+    of_mine = native(task=Task(("a",), juggle), scene=Scene(drive=Drive(np.cos)), randomize=lambda rng: {})
+    save_model(PPO("MlpPolicy", of_mine), tmp_path / "model.zip")
+    assert entry(tmp_path)["env"] == {"task": None, "fidelity": "exact"}
+
+
+def test_models_share_a_folder_and_a_renamed_one_is_known(tmp_path: Path) -> None:
+    one, other = tmp_path / "model.zip", tmp_path / "other.zip"
+    save_model(PPO("MlpPolicy", HoldingVecEnv(native(), 4)), one)
+    one.rename(other)
+    assert find_policy(str(other), HERE, trust=True).policy.repeat == 4  # type: ignore[attr-defined]
+    save_model(PPO("MlpPolicy", native()), one)
+    save_model(PPO("MlpPolicy", HoldingVecEnv(native(), 2)), other)
+    assert find_policy(str(one), HERE, trust=True).policy.repeat == 1  # type: ignore[attr-defined]
+    other.rename(tmp_path / "third.zip")
+    with pytest.raises(ValueError, match="must have an entry for third.zip, got only model.zip, other.zip"):
+        find_policy(str(tmp_path / "third.zip"), HERE, trust=True)
+    (tmp_path / "env.json").write_text('{"model.zip": {}}')
+    for call in (lambda: find_policy(str(one), HERE, trust=True), lambda: save_model(PPO("MlpPolicy", native()), one)):
+        with pytest.raises(ValueError, match=r"env.json: model.zip must have env, .*, got {}"):
+            call()
+
+
+def test_a_model_of_another_environment_is_not_saved(tmp_path: Path) -> None:
+    with pytest.raises(TypeError, match="save_model needs a model with environments of JackInBox-v0"):
+        save_model(PPO("MlpPolicy", "Pendulum-v1"), tmp_path / "model.zip")
+    assert not list(tmp_path.iterdir())
+
+
+# -- what does not fit -------------------------------------------------------------------------------------------------
+
+REFUSED: dict[str, tuple[Callable[[], VecEnv], list[str], str]] = {
+    "landing": (
+        lambda: LandingControlVecEnv(native(), period="bounce"), [],
+        r"must observe 10 numbers and choose 1, got shapes \(10,\) and \(2,\); LandingControlVecEnv would fit: use --",
+    ),
+    "torques": (native, ["--landing", "0.4"], "actions are torques: leave --landing out"),
+    "lookahead": (
+        lambda: LookaheadVecEnv(native(), samples=8, pieces=8), [],
+        r"LookaheadVecEnv would perhaps fit: save the model by jackbox_env.sb3.save_model",
+    ),
+    "stacked": (lambda: VecFrameStack(native(), 3), [], "VecFrameStack would perhaps fit"),
+    "statistics": (
+        lambda: VecNormalize(native()), ["--repeat", "2"],
+        "was trained under VecNormalize, whose statistics are missing: use --vecnormalize FILE.pkl, or save it by jack",
+    ),
+    "other statistics": (native, ["--vecnormalize", "model.zip"], "model.zip has no statistics of VecNormalize: "),
+    "repeat": (native, ["--repeat", "0"], "repeat must be a whole number from 1 to 500, got 0"),
+    "period": (native, ["--landing", "0"], "landing must be a finite number above 0 and at most 10, got 0.0"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_model_that_does_not_fit_is_refused_with_what_would(name: str, tmp_path: Path) -> None:
+    make, options, sentence = REFUSED[name]
+    trained(make()).save(tmp_path / "model.zip")
+    done = script("evaluate", "--policy", "model.zip", "--trust", *options, cwd=tmp_path, status=2)
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("model.zip ")
+    with pytest.raises(ValueError, match=sentence):
+        raise ValueError(line)
+
+
+def test_an_unknown_wrapper_is_named(tmp_path: Path) -> None:
+    save_model(trained(VecFrameStack(native(), 3)), tmp_path / "model.zip")
+    with pytest.raises(ValueError, match="was trained under VecFrameStack, which cannot be played here"):
+        find_policy(str(tmp_path / "model.zip"), HERE, trust=True)
+
+
+def test_without_env_json_and_in_another_environment_there_is_a_note(tmp_path: Path) -> None:
+    save_model(trained(native(task="spin")), tmp_path / "model.zip")
+    few = ["--policy", "model.zip", "--episodes", "1"]
+    done = script("evaluate", *few, "--trust", cwd=tmp_path)
+    assert "Note: model.zip was trained in another environment (task spin, fidelity exact)" in done.stderr
+    assert "Note:" not in script("evaluate", *few, "--trust", "--task", "spin", cwd=tmp_path).stderr
+    assert "use --trust" in script("evaluate", *few, cwd=tmp_path, status=2).stderr
+    (tmp_path / "env.json").unlink()
+    done = script("evaluate", *few, "--trust", cwd=tmp_path)
+    assert "Note: model.zip has no env.json beside it, so it decides in every control step (--repeat)" in done.stderr
