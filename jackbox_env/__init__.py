@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from jackbox_env.measure.fitting import Fit, fit
     from jackbox_env.measure.recordings import Recording
     from jackbox_env.planning import Rollout, rollout
+    from jackbox_env.planning.ilqr import ilqr
     from jackbox_env.planning.landing_control import LandingControl, LandingControlVector
     from jackbox_env.planning.linearization import Linearization, linearize
     from jackbox_env.planning.wrappers import Lookahead, LookaheadVector
@@ -44,6 +45,7 @@ _LAZY = {
     "TaskError": "tasks",
     "cheapest": "measure.choosing",
     "fit": "measure.fitting",
+    "ilqr": "planning.ilqr",
     "linearize": "planning.linearization",
     "rollout": "planning",
 }
@@ -70,6 +72,7 @@ __all__ = [
     "TaskError",
     "cheapest",
     "fit",
+    "ilqr",
     "linearize",
     "make_simulator",
     "rollout",

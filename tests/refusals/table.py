@@ -21,7 +21,7 @@ from jackbox_env.sb3_wrappers import HoldingVecEnv, LandingControlVecEnv, Lookah
 from jackbox_env.simulators import CONTACT_MODELS, Simulator
 from jackbox_env.simulators.fidelity import FIDELITIES
 from jackbox_env.states import STATE_NAMES
-from jackbox_env.tasks import TASKS
+from jackbox_env.tasks import SLOPES, TASKS
 from tests.refusals.kinds import Argument, array, choice, each, flag, instance, mask, out, real, size, whole, wrong
 
 START = np.array([0.125, 0.25, 0.5, 0.5, -0.375, 0.25, 0.125, 0.0, 0.25, 3.0, 1.0, 2.0])
@@ -297,6 +297,15 @@ LINEARIZING: Kinds = {
         },
     ),
 }
+IMPROVING: Kinds = {
+    **{name: ROLLOUT[name] for name in ("dt", "time", "num_threads")},
+    "scene": ONE_SCENE,
+    "state": state(1.0),
+    "torques": array([0.0, 64.0]).but(beyond=out([0.0, 1e5], "90000", "100000"), more=None),
+    "task": choice("juggle", SLOPES),
+    "cost": Argument(None, {"number": wrong(3.0)}),
+    "repeat": whole(2, 1, 1_000_000),
+}
 CHOOSING: Kinds = {
     "scene": SCENES.but(many=out([None] * 3, "cases", "3", "2")),
     **{name: real(8.0, above=0.0).but(inf=None) for name in ("first_impact_error", "penetration")},
@@ -380,6 +389,7 @@ FUNCTIONS: list[tuple[Callable[..., Any], Kinds]] = [
     (drawn, {"randomize": DRAWN}),
     (jackbox_env.rollout, ROLLOUT),
     (jackbox_env.linearize, {**LINEARIZING, "steps": Argument(None, {})}),
+    (jackbox_env.ilqr, IMPROVING),
     (cheapest, CHOOSING),
     (jackbox_env.Lookahead, {**LOOKAHEAD, **WRAPPED}),
     (jackbox_env.LookaheadVector, {**LOOKAHEAD, **VECTOR}),

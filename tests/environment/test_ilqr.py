@@ -1,0 +1,79 @@
+"""iLQR: better torques through impacts, their states, costs of one's own, and what is refused."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jackbox_env import Drive, Scene, ilqr, rollout
+from jackbox_env.planning import ilqr as method
+from jackbox_env.states import X_JACK, Y_JACK, Array
+
+SCENE = Scene(drive=Drive(force_x=lambda time: 300.0 * math.sin(time)))
+START = np.array([0.0, 0.0, 0.05, 0.5, 0.3, 0.2, 0.0, 0.0, 0.0, 0.4, 0.0, 0.5])
+PLAN = np.zeros(25)  # 2.5 s, some two impacts
+TARGET = np.array([1.5, 0.5])  # [m]
+
+
+def near_the_target(states: Array) -> tuple[Array, Array, Array]:
+    """Half the square of the jack's distance from a target at the end."""
+    off = states[-1, [X_JACK, Y_JACK]] - TARGET
+    costs, slopes, curvatures = np.zeros(len(states)), np.zeros((len(states), 12)), np.zeros((len(states), 12, 12))
+    costs[-1] = 0.5 * off @ off
+    slopes[-1, [X_JACK, Y_JACK]] = off
+    curvatures[-1, [X_JACK, Y_JACK], [X_JACK, Y_JACK]] = 1.0
+    return costs, slopes, curvatures
+
+
+@pytest.mark.parametrize(("task", "gain"), [("juggle", 15.0), ("spin", 15.0)])
+def test_it_earns_more_and_returns_the_states_that_it_plays(task: str, gain: float) -> None:
+    improved = ilqr(SCENE, START, PLAN, 0.02, task=task, repeat=5, time=2.0)
+    torques, states, value, before, iterations, nonsmooth = improved
+    played = rollout(SCENE, START, torques[None], 0.02, 2.0, rewards=task, repeat=5, impacts=True)
+    assert played.impacts is not None
+    assert played.impacts.sum() >= 2
+    np.testing.assert_array_equal(played.trajectories[0], states)
+    assert value == pytest.approx(played.rewards.sum(), rel=1e-13)
+    assert value > before + gain
+    assert before == pytest.approx(
+        rollout(SCENE, START, PLAN[None], 0.02, 2.0, rewards=task, repeat=5).rewards.sum(), rel=1e-13
+    )
+    assert abs(torques).max() <= SCENE.torque_limit
+    assert 0 < iterations <= method.MOST_ITERATIONS
+    assert nonsmooth == 0
+
+
+def test_a_cost_replaces_the_task() -> None:
+    improved = ilqr(SCENE, START, PLAN, 0.02, cost=near_the_target, repeat=5)
+    assert improved.value == -near_the_target(improved.states[1:])[0].sum()
+    assert improved.value > 0.5 * improved.before
+    assert improved.before == -near_the_target(rollout(SCENE, START, PLAN[None], 0.02, repeat=5)[0, 1:])[0].sum()
+
+
+def test_wrong_derivatives_improve_little_and_without_any_the_plan_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    lost = method._Problem._lost
+    monkeypatch.setattr(method._Problem, "_lost", lambda self, states: (-lost(self, states)[0], lost(self, states)[1]))
+    improved = ilqr(SCENE, START, PLAN, 0.02, repeat=5)
+    assert improved.value < improved.before + 3.0
+    np.testing.assert_array_equal(ilqr(SCENE, START, [0.0], 0.02, cost=constant).torques, [0.0])
+
+
+def constant(states: Array) -> Any:
+    return np.ones(len(states)), np.zeros((len(states), 12)), np.zeros((len(states), 12, 12))
+
+
+@pytest.mark.parametrize(
+    ("returned", "error", "sentence"),
+    [
+        (1.0, TypeError, "cost must return costs, slopes and curvatures, got 1.0"),
+        (("a", 1.0, 1.0), TypeError, "cost's costs must hold numbers, got 'a'"),
+        ((np.zeros(4), np.zeros(4), np.zeros(4)), ValueError, r"cost's costs must .* shape \(2,\), got .* of \(4,\)"),
+        ((np.full(2, math.nan), np.zeros((2, 12)), np.zeros((2, 12, 12))), ValueError, "cost's costs must be finite"),
+    ],
+)
+def test_unusable_costs_are_refused(returned: Any, error: type[Exception], sentence: str) -> None:
+    with pytest.raises(error, match=sentence):
+        ilqr(None, START, [0.0], 0.02, cost=lambda states: returned, repeat=2)
