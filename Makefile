@@ -97,7 +97,7 @@ results: .venv/ready
 networks: .venv/ready
 	@$(BIN)/python scripts/studies/networks.py
 
-# The site in docs/_build/html; both notebooks run, some two minutes. A warning, and so a broken link, is an error.
+# The site in docs/_build/html; the notebooks run, some two minutes. A warning, and so a broken link, is an error.
 docs: .venv/ready
 	@SDL_VIDEODRIVER=dummy $(BIN)/python -m sphinx -q -W --keep-going docs docs/_build/html
 	@echo "Open docs/_build/html/index.html"

@@ -78,7 +78,7 @@ class Reference(NamedTuple):
     times: Array  # (n,) [s]
     states: Array  # (n, 12) at these times
     impacts: list[Impact]
-    sure: int  # impacts that are certain: chaos multiplies rounding by about 5 with each
+    sure: int  # impacts that are certain: chaos multiplies rounding by about 10 with each
 
 
 class Comparison(NamedTuple):
@@ -104,7 +104,7 @@ class Restarts(NamedTuple):
 def between(simulator: Simulator, before: Array, time: float, torque: float | None) -> Between:
     """Replay the last step of a contact model of this package (:mod:`jackbox_env.simulators.replay`).
 
-    Each impact multiplies rounding by about 5. If the replay of a long step ends elsewhere than the model did, the
+    Each impact multiplies rounding by about 10. If the replay of a long step ends elsewhere than the model did, the
     result is NaN.
 
     Args:

@@ -8,8 +8,8 @@ Law: flight in closed form (``exact/flight.py``); at an impact all feet that tou
     (``exact/rest.py``). A held foot counts as one impact per wall and step: at the step's end, with the impulse of the
     whole step. So ``impacts``, the environment's counts and impulses, and the task rattle include the weight that rests
     on a wall, m_j g dt in a step.
-Order: none; the error is rounding, whatever the control step. The system is chaotic and multiplies any error by about 5
-    per impact, so even this model predicts only some 15 impacts.
+Order: none; the error is rounding, whatever the control step. The system is chaotic and multiplies any error by about
+    10 per impact (docs/derivatives.md), so even this model predicts only 11 to 16 impacts.
 Cost: below 0.1 microseconds per control step in a batch. Work is in proportion to the impacts. A step with held feet
     takes some 5 to 6 microseconds (docs/costs.md).
 Fails: a step that needs more than 1,000,000 gap evaluations raises JackLostError: rotation or impacts far too fast for
