@@ -193,15 +193,12 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         overlay = check.flag("render_overlay", render_overlay)
         self.task, self._task = task, tasks.task_of(task)
         self._builtin_task = self._task in tasks.TASKS.values()  # it never fails; a user's may
-        self._first_scene = Scene.of(scene)
+        self._first_scene = scene = Scene.of(scene)
         self.simulator_of: Callable[[Scene], Simulator] = partial(make_simulator, **setting._asdict())
-        simulator = make_simulator(self._first_scene, **setting._asdict())
-        self._parts = simulator, make_score(self._first_scene, self._task, self.contact)
+        self._parts = make_simulator(scene, **setting._asdict()), make_score(scene, self._task, self.contact)
         if not self._builtin_task:  # an unfit task is refused now
             self._parts[1].observe(tasks.sample_start(self._first_scene, np_random(0)[0]))
-        self._randomize = None
-        if randomize is not None:
-            self._randomize = Randomization(randomize, [self._first_scene], self.simulator_of)
+        self._randomize = None if randomize is None else Randomization(randomize, [scene], self.simulator_of)
         self._terms = [f"reward_{name}" for name in self._task.terms]
         self.observation_space = gym.spaces.Box(-BOUNDS, BOUNDS, dtype=np.float32)
         self.action_space = gym.spaces.Box(-1.0, 1.0, shape=(1,), dtype=np.float32)

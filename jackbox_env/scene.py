@@ -201,9 +201,7 @@ class Drive:
     @property
     def force_means(self) -> tuple[Callable[[float, float], tuple[float, float]], ...]:
         """The functions that correspond to ``torque_means`` for the forces along x and y [N]; empty if neither acts."""
-        if self.force_bound == 0.0:
-            return ()
-        return partial(self._means, "force_x"), partial(self._means, "force_y")
+        return () if self.force_bound == 0.0 else (partial(self._means, "force_x"), partial(self._means, "force_y"))
 
     def _means(self, part: str, time: float, duration: float) -> tuple[float, float]:
         function = getattr(self, part)
@@ -293,9 +291,7 @@ class Scene:
     drive: Chirp | Drive | None = field(default_factory=Chirp)
 
     def __post_init__(self) -> None:
-        def assign(name: str, value: object) -> None:
-            object.__setattr__(self, name, value)
-
+        assign = partial(object.__setattr__, self)
         assign("_derived", tuple(name for name in ("box_inertia", "jack_inertia") if getattr(self, name) is None))
         for name, (least, largest) in BOUNDS.items():
             if name in self.derived:
@@ -323,21 +319,15 @@ class Scene:
         Raises:
             TypeError, ValueError: something else, an unknown field, or a field out of its range.
         """
-        if given is None:
-            return cls()
-        if isinstance(given, cls):
-            return given
+        if given is None or isinstance(given, cls):
+            return given or cls()
         if not isinstance(given, Mapping):
             raise TypeError(f"scene must be a Scene, a dict of its fields or None, got {check.shown(given)}")
         check.known_keys("scene", given, (part.name for part in fields(cls)))
         return cls(**given)
 
     def as_dict(self) -> dict[str, Any]:
-        """The fields from which :meth:`of` makes this scene, for JSON; without the inertias that it derives.
-
-        Raises:
-            ValueError: the drive is a Drive of functions, which have no JSON form.
-        """
+        """The fields from which :meth:`of` makes this scene, for JSON; ValueError for a Drive, which has functions."""
         if isinstance(self.drive, Drive):
             raise ValueError("a Drive of functions has no JSON form, got one")
         return {name: value for name, value in asdict(self).items() if name not in self.derived}

@@ -298,14 +298,11 @@ LINEARIZING: Kinds = {
     ),
 }
 IMPROVING: Kinds = {
-    **{name: ROLLOUT[name] for name in ("dt", "time", "num_threads")},
-    "scene": ONE_SCENE,
-    "state": state(1.0),
+    **{name: ROLLOUT[name] for name in ("dt", "time", "num_threads", "repeat")},
+    "scene": ONE_SCENE, "state": state(1.0),
     "torques": array([0.0, 64.0]).but(beyond=out([0.0, 1e5], "90000", "100000"), more=None),
-    "task": choice("juggle", SLOPES),
-    "cost": Argument(None, {"number": wrong(3.0)}),
-    "repeat": whole(2, 1, 1_000_000),
-}
+    "task": choice("juggle", SLOPES), "cost": Argument(None, {"number": wrong(3.0)}),
+}  # fmt: skip
 CHOOSING: Kinds = {
     "scene": SCENES.but(many=out([None] * 3, "cases", "3", "2")),
     **{name: real(8.0, above=0.0).but(inf=None) for name in ("first_impact_error", "penetration")},
@@ -375,13 +372,7 @@ FUNCTIONS: list[tuple[Callable[..., Any], Kinds]] = [
     (Drive, DRIVES),
     (
         make_simulator,
-        {
-            "scene": ONE_SCENE,
-            "contact": CONTACT,
-            "fidelity": choice(None, FIDELITIES, none=True),
-            "substeps": SUBSTEPS,
-            "iterations": SUBSTEPS,
-        },
+        {**{name: SETTINGS[name] for name in ("scene", "contact", "fidelity", "substeps")}, "iterations": SUBSTEPS},
     ),
     (JackInBoxEnv, SETTINGS),
     (JackInBoxVectorEnv, {**OF_VECTORS, "autoreset_mode": MODES}),
