@@ -16,7 +16,6 @@ from jackbox_env.env import JackInBoxEnv
 from scripts.studies.pages import fill
 
 ROOT = Path(__file__).parents[2]
-SWEEP = ROOT / "docs" / "accuracy"
 SPEED = ROOT / "docs" / "speed.json"
 RESULTS = ROOT / "docs" / "results.json"
 ENVIRONMENT = ROOT / "docs" / "environment.md"
@@ -84,13 +83,11 @@ def photograph_page() -> None:
 
 def filled(page: str) -> str:
     """The README with its tables filled from the stored results."""
-    from scripts.studies.accuracy.benchmark import fidelity_table
-    from scripts.studies.accuracy.measured import Results
     from scripts.studies.speed import speed
 
-    page = fill(page, "fidelity", fidelity_table(Results.load(SWEEP)))
     page = fill(page, "returns", returns_table(json.loads(RESULTS.read_text())))
-    return fill(page, "speed", speed.for_the_readme(json.loads(SPEED.read_text())))
+    sentence = speed.for_the_readme(json.loads(SPEED.read_text()))
+    return re.sub("(<!-- speed -->).*?(<!-- /speed -->)", rf"\1{sentence}\2", page)
 
 
 def environment_page() -> str:

@@ -169,11 +169,12 @@ def page(results: Results) -> str:
 
 
 def for_the_readme(results: Results) -> str:
-    """The README's table: the numbers of the picture."""
-    lines = ["| control steps per second on one core | |", "|---|---:|"]
-    lines += [f"| {name} | {rounded(rate)} |" for name, rate in pictured(results).items()]
-    machine = results["alone"]["made"].split(";")[0]
-    return "\n".join([*lines, "", f"Measured by `make speed` on {machine}."])
+    """The README's sentence on speed."""
+    rates = pictured(results)
+    batch, cart_pole = (
+        rounded(rates[name]) for name in ("exact, batch of 1,024", "CartPole, Gymnasium's batch of 1,024")
+    )
+    return f"a batch of 1,024 makes [{batch} control steps a second](docs/speed.md), Gymnasium's CartPole {cart_pole}"
 
 
 def pictured(results: Results) -> dict[str, float]:
