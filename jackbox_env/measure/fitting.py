@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike
 
 from jackbox_env import checks as check
 from jackbox_env.exact.tangents import FIELDS
-from jackbox_env.measure.recordings import IMPACT, Recording, first_state, known_noise, rough_noise
+from jackbox_env.measure.chain import UNHEARD, Chain, Rows, minimise
+from jackbox_env.measure.recordings import IMPACT, Recording, known_noise, rough_noise, state_at
 from jackbox_env.measure.residuals import (
     autocorrelations,
     degrees_of_freedom,
@@ -28,12 +29,13 @@ from jackbox_env.measure.residuals import (
     studentised,
     unidentified_sentence,
 )
-from jackbox_env.measure.shooting import UNHEARD, Parameters, Rows, Shooting, Window, motion, next_window, units
+from jackbox_env.measure.shooting import Parameters, Shooting, Window, end_state, motion, next_start, next_window, units
 from jackbox_env.scene import Scene
 from jackbox_env.states import STATE_NAMES, THETA_JACK, Array
 
 try:
-    from scipy import optimize, stats
+    from scipy import stats
+    from tqdm import tqdm
 except ImportError as error:
     raise ImportError(check.extra_needed("jackbox_env.fit", "scipy", "train")) from error
 
@@ -47,8 +49,8 @@ _REST_SKIPPED = 0.2  # [s] between trials to go on while the jack rests
 _TRIAL_ANGLES = (-0.6, -0.4, -0.2, 0.0, 0.2, 0.4, 0.6, 0.8)
 _PRIOR_WIDTH = 0.5  # standard deviation, of logarithms of fields and of an unobserved jack's angle [rad]
 _PRIOR_START_WIDTH = 0.02  # of the other numbers of a first state, in units of the state
-_FAILED_RESIDUAL = 1e6  # of a motion that the model cannot follow, in units of the noise
 _MOST_CORRELATED = 4.5  # autocorrelation of white residuals, in standard deviations
+_MOST_DROPPED = 0.02  # windows that may turn out not to fit as links are tightened, where an impact is nearly another
 _MOST_SKIPPED = 0.2  # steps that could not be followed, over the steps in windows
 
 
@@ -86,11 +88,11 @@ class Fit:
 
 def fit(
     recordings: Recording | Sequence[Recording], fields: Sequence[str], start: Scene | Mapping[str, Any] | None = None,
-    *, noise: float | ArrayLike | Mapping[str, float] | None = None,
+    *, noise: float | ArrayLike | Mapping[str, float] | None = None, progress: bool = False,
 ) -> Fit:  # fmt: skip
     """Fit fields of a scene to recordings, by multiple shooting with exact derivatives (``measure/shooting.py``).
 
-    Least squares by SciPy. The intervals are those of the linearised problem, in logarithms of masses, lengths and
+    The intervals are those of the linearised problem, in logarithms of masses, lengths and
     inertias.
 
     Args:
@@ -101,6 +103,7 @@ def fit(
         noise: standard deviations of what was observed: one number, 12 in the order of a state, or by name ("x_jack",
             "impacts" [s]). None, and names left out: estimated from the residuals. An estimate needs some dozens of
             observations of a kind, so give the noise of a handful of impacts' times.
+        progress: whether to show a bar, which tqdm draws.
 
     Raises:
         TypeError, ValueError: unusable values; recordings that no motion of the scene at the start can follow.
@@ -115,13 +118,18 @@ def fit(
     if len({*fields}) < len(fields):
         raise ValueError(f"fields must be different names, at least one, got {check.shown(fields)}")
     parameters = Parameters(fields, Scene.of(start))
-    return _Search(list(several), parameters, known_noise(noise)).fit()
+    total = sum(len(one.states) - 1 for one in several)
+    with tqdm(
+        total=total, unit="step", desc="cutting", leave=False, disable=not check.flag("progress", progress)
+    ) as bar:
+        return _Search(list(several), parameters, known_noise(noise), bar).fit()
 
 
 class _Search:
     """One fit: its windows, and the present values of the fields' numbers and of the noise."""
 
-    def __init__(self, recordings: list[Recording], parameters: Parameters, known_noise: Array) -> None:
+    def __init__(self, recordings: list[Recording], parameters: Parameters, known_noise: Array, progress: Any) -> None:
+        self._progress = progress  # a bar of tqdm
         self._recordings, self._parameters, self._known_noise = recordings, parameters, known_noise
         self._units = units(parameters.start)
         rough = rough_noise(recordings, np.append(self._units, 1.0))
@@ -136,18 +144,27 @@ class _Search:
         """Cut the recordings into windows, then fit all windows together."""
         self._cut_first()
         for number, recording in enumerate(self._recordings[1:], start=1):
-            self._cut(number, first_state(recording))
+            self._cut(number, state_at(recording))
         if not self._windows:
             reasons = "the scene at the start leads elsewhere, or they are at rest"
             if np.isfinite(self._known_noise).any():
                 reasons += ", or the noise is larger than given"
             raise ValueError(f"recordings must be followed for a while: {reasons}")
-        shooting = self._without_misfits(Shooting(self._recordings, self._parameters, self._windows))
+        self._progress.reset(total=len(_LINK_SLACKS) + 2)
+        self._progress.set_description("fitting")
+        shooting = Shooting(self._recordings, self._parameters, self._windows)
+        self._solve(shooting, _LINK_SLACKS[0])
+        shooting = self._without_misfits(shooting, _LINK_SLACKS[0], len(self._windows))
+        fewest = math.ceil((1.0 - _MOST_DROPPED) * len(self._windows))
         for slack in (*_LINK_SLACKS, _LINK_SLACKS[-1]):
-            solution = self._solve(shooting, slack)
-            rows = self._rows(shooting, slack)
-            self._estimate_noise(rows)
-        return self._result(shooting, rows, solution)
+            ended = self._solve(shooting, slack)
+            before, shooting = shooting, self._without_misfits(shooting, slack, len(self._windows) - fewest)
+            if shooting is not before:
+                ended = self._solve(shooting, slack)
+            chain = Chain(self._rows(shooting, slack), len(self._windows))
+            self._estimate_noise(chain)
+            self._progress.update()
+        return self._result(chain, ended)
 
     # -- solving ------------------------------------------------------------------------------------------------------
 
@@ -160,41 +177,29 @@ class _Search:
         assert rows is not None  # the search has evaluated them here
         return rows
 
-    def _solve(self, shooting: Shooting, slack: float, free: bool = True, most: int = 60) -> Any:
-        """Optimise the windows' starts, and the fields too if they are ``free``; return SciPy's result."""
+    def _solve(self, shooting: Shooting, slack: float, free: bool = True, most: int = 60) -> bool:
+        """Optimise the windows' starts, and the fields too if they are ``free``; return whether the search ended."""
         fixed = np.zeros(0) if free else self._numbers
         first, noise, scaled_slack = shooting.unknowns(self._numbers), self._noise, self._scaled_slack(slack)
-        cache: dict[bytes, tuple[Array, Array]] = {}  # the last motion that was followed, and failures since
 
-        def evaluate(unknowns: Array) -> tuple[Array, Array]:
-            key = unknowns.tobytes()
-            if key not in cache:
-                rows = shooting.rows(np.concatenate([fixed, unknowns]), noise, scaled_slack)
-                if rows is None:
-                    shape = next(iter(cache.values()))[1].shape if cache else (0, 0)
-                    cache[key] = np.full(shape[0], _FAILED_RESIDUAL), np.zeros(shape)
-                else:
-                    cache.clear()
-                    cache[key] = rows.residuals, rows.jacobian[:, len(fixed) :]
-            return cache[key]
+        def evaluate(unknowns: Array) -> Rows | None:
+            self._progress.refresh()
+            rows = shooting.rows(np.concatenate([fixed, unknowns]), noise, scaled_slack)
+            width = None if rows is None else rows.jacobian.shape[1] - len(fixed)
+            return rows if rows is None or free else rows._replace(jacobian=rows.jacobian[:, :width])
 
-        begin = first[len(fixed) :]
-        residuals, jacobian = evaluate(begin)
-        method: Any = "lm" if len(residuals) >= jacobian.shape[1] else "trf"
-        solution = optimize.least_squares(
-            lambda u: evaluate(u)[0], begin, lambda u: evaluate(u)[1], method=method, x_scale="jac", max_nfev=most,
-            xtol=1e-10, ftol=1e-10,
-        )  # fmt: skip
-        numbers = shooting.set_starts(np.concatenate([fixed, solution.x]))
+        unknowns, ended = minimise(evaluate, first[len(fixed) :], len(shooting.windows), most)
+        numbers = shooting.set_starts(np.concatenate([fixed, unknowns]))
         numbers = np.clip(numbers, self._parameters.low, self._parameters.high)
         if shooting.rows(shooting.unknowns(numbers), noise, scaled_slack) is None:  # clipping has broken the motion
             numbers = shooting.set_starts(first)
         self._numbers = numbers
-        return solution
+        return ended
 
-    def _estimate_noise(self, rows: Rows) -> None:
+    def _estimate_noise(self, chain: Chain) -> None:
         """Estimate the unknown noise from residuals, with as many degrees of freedom as the unknowns leave."""
-        freedom, least = 1.0 - leverage(rows), _NOISE_FLOOR * np.append(self._units, 1.0)
+        rows = chain.rows
+        freedom, least = 1.0 - leverage(rows, chain.projections()), _NOISE_FLOOR * np.append(self._units, 1.0)
         for column in np.flatnonzero(~np.isfinite(self._known_noise)):
             of_column = rows.column == column
             count = float(freedom[of_column].sum())
@@ -209,6 +214,7 @@ class _Search:
         furthest, best = -1, (self._numbers, self._windows, 0)
         for numbers, state in list(self._first_guesses()):
             self._numbers, self._windows, self._resting_steps = numbers, [], 0
+            self._progress.reset()
             complete = self._cut(0, state)
             covered = sum(window.last - window.first for window in self._windows)
             if covered > furthest:
@@ -219,7 +225,7 @@ class _Search:
 
     def _first_guesses(self) -> Iterator[tuple[Array, Array]]:
         """Guesses of the fields' numbers and of the first state."""
-        first, numbers, positive = first_state(self._recordings[0]), self._numbers, self._parameters.logarithmic
+        first, numbers, positive = state_at(self._recordings[0]), self._numbers, self._parameters.logarithmic
         for angle in (0.0,) if np.isfinite(self._recordings[0].states[0, THETA_JACK]) else _TRIAL_ANGLES:
             yield numbers, first + angle * np.eye(12)[THETA_JACK]
         for factor in (0.7, 1.4):
@@ -229,14 +235,16 @@ class _Search:
     def _cut(self, number: int, state: Array) -> bool:
         """Cut a recording into windows, each from the end of the one before it; return whether its end was reached."""
         recording = self._recordings[number]
-        first, end, linked = 0, state, False
+        first, end, linked, skipped, shown = 0, state, False, 0, 0
         while first < len(recording.states) - 1:
+            self._progress.update(first - shown)
+            shown = first
             window = next_window(recording, number, first, end, self._parameters, self._numbers)
             if window is None:  # at rest
                 pause = max(1, round(_REST_SKIPPED / recording.dt))
                 window = Window(number, first, min(first + pause, len(recording.states) - 1), start=end)
                 self._resting_steps += window.last - first
-                end, first, linked = self._end_state(window), window.last, False
+                end, first, linked = end_state(recording, window, self._parameters, self._numbers), window.last, False
                 continue
             if linked:
                 self._windows[-1].linked = True
@@ -251,11 +259,12 @@ class _Search:
                 del self._windows[-1]
                 if linked:
                     self._windows[-1].linked = False
-                if not np.isfinite(recording.states[whole]).all():
+                skipped += whole - first
+                if skipped > _MOST_SKIPPED * len(recording.states):
                     return False
             first, linked = self._windows[-1].last if explained else whole, explained
-            observed = recording.states[first]
-            end = observed if np.isfinite(observed).all() else self._end_state(self._windows[-1])
+            last = self._windows[-1] if explained else window
+            end = next_start(recording, last, self._parameters, self._numbers, explained)
         return True
 
     def _fit_last(self) -> bool:
@@ -295,30 +304,21 @@ class _Search:
         width[:count], width[count + THETA_JACK] = _PRIOR_WIDTH, _PRIOR_WIDTH
         return mean, width
 
-    def _end_state(self, window: Window) -> Array:
-        """The model's state at a window's end; if it cannot follow, the observed numbers there."""
-        recording = self._recordings[window.recording]
-        modelled = motion(recording, window, self._parameters, self._numbers)
-        if modelled is not None:
-            end: Array = modelled.states[-1]
-            return end
-        observed = recording.states[window.last]
-        return np.where(np.isfinite(observed), observed, window.start)
-
-    def _without_misfits(self, shooting: Shooting) -> Shooting:
-        """Drop the windows that a first fit with loose links does not explain."""
-        self._solve(shooting, _LINK_SLACKS[0])
-        misfits = misfitting(self._rows(shooting, _LINK_SLACKS[0]), len(self._windows))
+    def _without_misfits(self, shooting: Shooting, slack: float, most: int) -> Shooting:
+        """Drop the windows that a fit does not explain, if they are ``most`` at most."""
+        misfits = misfitting(self._rows(shooting, slack), len(self._windows))
+        if not 0 < misfits.sum() <= most:
+            return shooting
         _unlink(self._windows, np.flatnonzero(misfits).tolist())
         self._windows = [window for window, out in zip(self._windows, misfits, strict=True) if not out]
         return Shooting(self._recordings, self._parameters, self._windows)
 
     # -- the result ---------------------------------------------------------------------------------------------------
 
-    def _result(self, shooting: Shooting, rows: Rows, solution: Any) -> Fit:
-        numbers, parameters = self._numbers.copy(), self._parameters
-        covariance, unidentified = identified(rows, len(numbers))
-        freedom = degrees_of_freedom(rows, covariance, ~np.isfinite(self._known_noise))
+    def _result(self, chain: Chain, ended: bool) -> Fit:
+        numbers, parameters, rows = self._numbers.copy(), self._parameters, chain.rows
+        (covariance, unidentified), projections = identified(chain), chain.projections()
+        freedom = degrees_of_freedom(rows, projections, unidentified, ~np.isfinite(self._known_noise))
         half_widths = stats.t.ppf(0.975, np.clip(freedom, 1.0, 1e9)) * np.sqrt(np.diag(covariance))
         half_widths[(abs(unidentified) > 0.05).any(axis=0)] = np.inf
         least = np.where(parameters.logarithmic, -np.inf, 0.0)
@@ -335,19 +335,21 @@ class _Search:
             {name: float(self._noise[k]) for k, name in enumerate((*STATE_NAMES, IMPACT)) if (rows.column == k).any()},
             motions,
             left_out,
-            tuple(self._problems(rows, solution, residuals, left_out, covered)),
+            tuple(self._problems(ended, rows, autocorrelations(rows, projections), residuals, left_out, covered)),
         )
 
-    def _problems(self, rows: Rows, solution: Any, held_out: Array, left_out: int, covered: int) -> Iterator[str]:
+    def _problems(
+        self, ended: bool, rows: Rows, deviations: Array, held_out: Array, left_out: int, covered: int
+    ) -> Iterator[str]:
         """Why the intervals are not to be trusted, in sentences."""
-        if solution.status <= 0:
+        if not ended:
             yield "the search did not end"
         misfits, unheard = int(misfitting(rows, len(self._windows)).sum()), int((rows.column == UNHEARD).sum())
         if misfits:
             yield f"{misfits} of {len(self._windows)} windows do not fit within the noise"
         if unheard:
             yield f"the fitted motion lacks {unheard} of the impacts that were heard"
-        names, deviations = (*STATE_NAMES, IMPACT, "all numbers together"), autocorrelations(rows)
+        names = *STATE_NAMES, IMPACT, "all numbers together"
         correlated = [name for name, value in zip(names, deviations, strict=True) if value > _MOST_CORRELATED]
         if correlated:
             yield f"residuals of {', '.join(correlated)} are correlated in time: something that is not fitted is wrong"

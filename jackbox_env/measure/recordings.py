@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jackbox_env import checks as check
+from jackbox_env.measure.columns import Table, evened, table_of
+from jackbox_env.scene import Scene
 from jackbox_env.states import LATEST_TIME, RATES, STATE_NAMES, Array
 
 SHORTEST = 1e-9  # [s] between states
@@ -34,6 +36,7 @@ class Recording:
 
     Attributes:
         states, torques, dt, time, impacts: the same, as arrays and floats.
+        notes: what :meth:`from_frame` changed, each in a sentence without a full stop.
 
     Raises:
         TypeError, ValueError: unusable values, or nothing observed.
@@ -62,6 +65,54 @@ class Recording:
         heard = self.impacts is not None and len(self.impacts) > 0
         if not (heard or np.isfinite(self.states).any()):
             raise ValueError("states must hold something that was observed, got NaN only and no impacts")
+        self.notes: tuple[str, ...] = ()
+
+    @classmethod
+    def from_frame(
+        cls, columns: Any, scene: Scene | Mapping[str, Any] | None = None,
+        *, names: Mapping[str, str] | None = None, y_down: bool = False, impacts: ArrayLike | None = None,
+    ) -> Recording:  # fmt: skip
+        """The recording of a table, of a camera for example.
+
+        The columns are ``time``, any of the 12 numbers of a state, and ``torque``. A header may have a unit, as
+        ``x_jack [mm]``; SI without one. Times may be off an even grid by 5 % of a step. Frames that are missing are
+        left open, and the torque of the row before them goes on. Angles that stay within one turn and jump are
+        unwrapped. Torques that are the means of the scene's drive, or none, mean that the drive acts.
+
+        >>> seen = {"t [ms]": [0.0, 16.7, 50.0], "ball [mm]": [10.0, 12.0, None]}
+        >>> recording = Recording.from_frame(seen, names={"time": "t", "x_jack": "ball"})
+        >>> recording.states[:, 3], recording.notes
+        (array([0.01 , 0.012,   nan,   nan]), ('1 of 4 frames is missing, and left open',))
+
+        Args:
+            columns: a dict of columns, a DataFrame of pandas or polars, or an array with named fields; NaN or None
+                where something was not observed.
+            scene: whose sizes and drive the recording is compared with; None: the default scene.
+            names: headers that stand for other names here, as ``{"x_jack": "ball_x", "time": "t [ms]"}``. Headers
+                that are no names here are then left out.
+            y_down: whether y points downwards and angles are clockwise, as in images. A torque stays.
+            impacts: times at which impacts were heard [s].
+
+        Raises:
+            TypeError, ValueError: unusable columns, and sizes that are no metres, radians or seconds.
+        """
+        check.flag("y_down", y_down)
+        return cls.from_table(table_of(columns), Scene.of(scene), names, y_down, impacts)
+
+    @classmethod
+    def from_table(
+        cls, table: Table, scene: Scene, names: Mapping[str, str] | None = None, y_down: bool = False,
+        impacts: ArrayLike | None = None,
+    ) -> Recording:  # fmt: skip
+        """:meth:`from_frame` of a :class:`jackbox_env.measure.columns.Table`."""
+        heard = None if impacts is None else _finite("impacts", impacts)
+        even = evened(table, scene, names, y_down, heard)
+        try:
+            recording = cls(*even[:-1])
+        except ValueError as error:
+            raise ValueError(f"{table.source.removesuffix(', ')}: {error}" if table.source else str(error)) from error
+        recording.notes = even.notes
+        return recording
 
 
 def _finite(name: str, values: Any) -> Array:
@@ -71,9 +122,9 @@ def _finite(name: str, values: Any) -> Array:
     return array
 
 
-def first_state(recording: Recording) -> Array:
-    """A guess of a recording's first state: observed numbers, rates from the first positions, else 0."""
-    observed, state = recording.states, np.zeros(12)
+def state_at(recording: Recording, first: int = 0) -> Array:
+    """A guess of the state in a row: observed numbers, rates from the next positions, else 0."""
+    observed, state = recording.states[first:], np.zeros(12)
     for column in range(RATES):
         rows = np.flatnonzero(np.isfinite(observed[:, column]))[:5]
         if len(rows):

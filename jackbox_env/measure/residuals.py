@@ -1,7 +1,7 @@
 """Statistics of a fit's residuals: degrees of freedom, whiteness, identifiability, held-out errors.
 
-Pure functions of :class:`jackbox_env.measure.shooting.Rows`: residuals r and their Jacobian J, whose first F columns
-belong to the scene's fields and the others to the windows' starts. :mod:`jackbox_env.measure.fitting` uses them.
+Pure functions of :class:`jackbox_env.measure.chain.Rows` and :class:`jackbox_env.measure.chain.Chain`: residuals r and
+their Jacobian J by the scene's fields and the windows' starts. :mod:`jackbox_env.measure.fitting` uses them.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.measure.shooting import Rows
+from jackbox_env.measure.chain import LAGS, WIDTH, Chain, Indices, Rows
 from jackbox_env.states import Array
 
 _LAGS = 4  # rows, up to which residuals are compared
@@ -26,51 +26,56 @@ def highest_mean_square(count: int) -> float:
 
 def misfitting(rows: Rows, windows: int) -> NDArray[np.bool_]:
     """Which windows do not fit, shape (windows,): their mean square residual is far above that of most."""
-    square, most = np.zeros(windows), np.full(windows, np.inf)
-    for index in range(windows):
-        of_window = (rows.window == index) & (rows.column >= 0)
-        if of_window.any():
-            square[index] = np.mean(rows.residuals[of_window] ** 2)
-            most[index] = highest_mean_square(int(of_window.sum()))
+    seen = rows.column >= 0
+    counts = np.bincount(rows.window[seen], minlength=windows)
+    square = np.bincount(rows.window[seen], rows.residuals[seen] ** 2, windows) / np.maximum(counts, 1)
+    most = np.array([highest_mean_square(count) if count else np.inf for count in counts.tolist()])
     usual = max(1.0, float(np.median(square[square > 0.0]))) if (square > 0.0).any() else 1.0
     misfits: NDArray[np.bool_] = square > most * usual
     return misfits
 
 
-def leverage(rows: Rows) -> Array:
+def leverage(rows: Rows, projections: Array) -> Array:
     """Leverage of each residual, shape (rows,): the diagonal of H = J (J^T J)^+ J^T."""
-    diagonal: Array = (_column_space(rows.jacobian) ** 2).sum(axis=1)
+    diagonal: Array = _covariances(rows, projections, np.arange(len(projections)), 0)
     return diagonal
 
 
-def autocorrelations(rows: Rows) -> Array:
+def _covariances(rows: Rows, projections: Array, later: Indices, lag: int) -> Array:
+    """H_ij of rows i = ``later`` and the rows j before them, by Chain.projections."""
+    earlier = later[: len(later) - lag]
+    later = later[lag:]
+    apart, past = rows.window[later] - rows.window[earlier], WIDTH * (1 + LAGS)
+    near = apart <= LAGS  # the starts of windows further apart are taken to be independent
+    columns = WIDTH * np.where(near, apart, 0)[:, None] + np.arange(WIDTH)
+    by_start = np.take_along_axis(projections[later], columns, axis=1) * near[:, None]
+    covariances: Array = (by_start * rows.jacobian[earlier, :WIDTH]).sum(axis=1)
+    covariances += (projections[later, past:] * rows.jacobian[earlier, 2 * WIDTH :]).sum(axis=1)
+    return covariances
+
+
+def autocorrelations(rows: Rows, projections: Array) -> Array:
     """Autocorrelation of the residuals of each column and of all, lags 1 to 4 together, shape (14,).
 
     In units of its standard deviation for white noise: products r_i r_j have the mean -H_ij in a right model (Durbin
     and Watson 1950), H as in :func:`leverage`, and a variance of about 1. 0 for columns of fewer than 12 residuals.
     """
-    basis, sums, counts = _column_space(rows.jacobian), np.zeros(14), np.zeros(14)
+    sums, counts = np.zeros(14), np.zeros(14)
     for column in range(13):
-        of_column = rows.column == column
-        r, u = rows.residuals[of_column], basis[of_column]  # H = u u^T
+        of_column = np.flatnonzero(rows.column == column)
+        r = rows.residuals[of_column]
         for lag in range(1, _LAGS + 1) if len(r) >= 12 else ():
-            sums[column] += (r[lag:] * r[:-lag]).sum() + (u[lag:] * u[:-lag]).sum()
+            sums[column] += (r[lag:] * r[:-lag]).sum() + _covariances(rows, projections, of_column, lag).sum()
             counts[column] += len(r) - lag
     sums[13], counts[13] = sums.sum(), counts.sum()
     deviations: Array = sums / np.sqrt(np.maximum(counts, 1.0))
     return deviations
 
 
-def field_jacobian(rows: Rows, fields: int) -> Array:
-    """Derivatives by the fields, (rows, F), without the part that the windows' starts can absorb."""
-    starts, jacobian = _unit_columns(rows.jacobian[:, fields:]), rows.jacobian[:, :fields]
-    remainder: Array = jacobian - starts @ np.linalg.lstsq(starts, jacobian, rcond=1e-10)[0]
-    return remainder
-
-
-def identified(rows: Rows, fields: int) -> tuple[Array, Array]:
+def identified(chain: Chain) -> tuple[Array, Array]:
     """Covariance of the fields' numbers, (F, F), and the unidentifiable combinations, of length 1, (k, F)."""
-    _, values, directions = np.linalg.svd(np.linalg.qr(field_jacobian(rows, fields), mode="r"), full_matrices=True)
+    fields = chain.rows.fields
+    _, values, directions = np.linalg.svd(chain.information(), full_matrices=True)
     deviations = np.full(fields, np.inf)
     deviations[: len(values)] = 1.0 / np.maximum(values, 1e-300)
     unidentifiable = (deviations > _UNIDENTIFIABLE) | (deviations > 1e8 * deviations.min())
@@ -78,17 +83,19 @@ def identified(rows: Rows, fields: int) -> tuple[Array, Array]:
     return known.T @ (deviations[~unidentifiable, None] ** 2 * known), directions[unidentifiable]
 
 
-def degrees_of_freedom(rows: Rows, covariance: Array, estimated: NDArray[np.bool_]) -> Array:
+def degrees_of_freedom(rows: Rows, projections: Array, unidentified: Array, estimated: NDArray[np.bool_]) -> Array:
     """Degrees of freedom of Student's t for each field, shape (F,).
 
     The variance of a field is a sum over the kinds of observations. The noise of some is ``estimated``, bool (13,), and
     the sum's degrees of freedom are those of Welch (1947) and Satterthwaite (1946).
     """
-    jacobian, freedom = field_jacobian(rows, len(covariance)), 1.0 - leverage(rows)
-    total, spread = np.zeros(len(covariance)), np.zeros(len(covariance))
+    freedom, fields = 1.0 - leverage(rows, projections), rows.fields
+    gains = projections[:, WIDTH * (1 + LAGS) :]  # of the fields' estimates by the residuals
+    gains = gains - gains @ unidentified.T @ unidentified
+    total, spread = np.zeros(fields), np.zeros(fields)
     for column in np.unique(rows.column[rows.column >= 0]):
         of_column = rows.column == column
-        variance = ((jacobian[of_column] @ covariance) ** 2).sum(axis=0)
+        variance = (gains[of_column] ** 2).sum(axis=0)
         total += variance
         if estimated[column]:
             spread += variance**2 / max(float(freedom[of_column].sum()), 1e-3)
@@ -98,8 +105,7 @@ def degrees_of_freedom(rows: Rows, covariance: Array, estimated: NDArray[np.bool
 
 def studentised(rows: Rows, covariance: Array) -> Array:
     """(observed - fitted) over its standard deviation, of one window whose start was fitted to it, the fields not."""
-    fields = len(covariance)
-    basis, jacobian = _column_space(rows.jacobian[:, fields:]), rows.jacobian[:, :fields]
+    basis, jacobian = _column_space(rows.jacobian[:, :WIDTH]), rows.jacobian[:, 2 * WIDTH :]
     jacobian = jacobian - basis @ (basis.T @ jacobian)
     variance = 1.0 - (basis**2).sum(axis=1) + np.einsum("if,fg,ig->i", jacobian, covariance, jacobian)
     usable = (rows.column >= 0) & (variance > 1e-6)

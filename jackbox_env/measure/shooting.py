@@ -15,21 +15,21 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from jackbox_env.measure.recordings import Recording
+from jackbox_env.measure.chain import LINK, UNHEARD, WIDTH, Indices, Rows
+from jackbox_env.measure.recordings import Recording, state_at
 from jackbox_env.planning.linearization import linearize
 from jackbox_env.scene import Scene
 from jackbox_env.simulators import JackLostError
-from jackbox_env.states import Array
-
-Indices = NDArray[np.intp]
+from jackbox_env.states import RATES, Array
 
 _AHEAD = 2.0  # [s] simulated at first to locate a window's end
 _APART = 0.05  # [s] between impacts of one window and of the next
 _SHORTEST = 0.06  # [s] of a window; bounces that pile up leave less
 _MOST_IMPACTS = 4  # in a window; more are bounces that pile up, which identify nothing
+_GROUPED = 8  # steps, by less than which windows that are played together differ in length
 _NEAR = 0.5  # [s] within which an impact that was heard may be the model's
+_SOON = 5  # rows
 _LOGARITHMIC = ("box_mass", "box_inertia", "jack_mass", "jack_inertia", "jack_arm", "box_half_width")
 _WIDEST = math.log(1e3)  # logarithm of how far from the start's a mass or a length may be
 
@@ -97,33 +97,77 @@ def units(scene: Scene) -> Array:
     return np.array([length, length, 1.0, length, length, 1.0, *rates])
 
 
-def motion(recording: Recording, window: Window, parameters: Parameters, numbers: Array) -> Motion | None:
-    """The motion of a window from its start; None if the model cannot follow it."""
-    steps, count = slice(window.first, window.last), window.last - window.first
+def motions(
+    recordings: Sequence[Recording], windows: Sequence[Window], parameters: Parameters, numbers: Array
+) -> list[Motion] | None:
+    """The motions of windows from their starts; None if the model cannot follow one.
+
+    Windows of about the same length, of a recording with torques, are played in one call: each as long as the longest.
+    """
+    groups = dict[tuple[int, int, int], list[int]]()
+    for index, window in enumerate(windows):
+        length, alone = (window.last - window.first) // _GROUPED, -1
+        if recordings[window.recording].torques is None:  # a drive depends on the time
+            alone = index
+        groups.setdefault((window.recording, length, alone), []).append(index)
+    results = dict[int, Motion]()
+    for (recording, *_), members in groups.items():
+        together = [windows[index] for index in members]
+        played = _played(recordings[recording], together, parameters, numbers)
+        if played is None and len(together) > 1:  # what comes after a shorter one may be at fault
+            single = [_played(recordings[recording], [window], parameters, numbers) for window in together]
+            played = [one[0] for one in single if one is not None]
+        if played is None or len(played) < len(members):
+            return None
+        results.update(zip(members, played, strict=True))
+    return [results[index] for index in range(len(windows))]
+
+
+def _played(
+    recording: Recording, windows: Sequence[Window], parameters: Parameters, numbers: Array
+) -> list[Motion] | None:
+    """The motions of windows of a recording, several only with torques; None if the model cannot follow one."""
+    counts = [window.last - window.first for window in windows]
+    longest, torques = max(counts), None
+    if recording.torques is not None:
+        steps = np.add.outer([window.first for window in windows], np.arange(longest))
+        torques = recording.torques[np.minimum(steps, len(recording.torques) - 1)]
     inside = (numbers >= parameters.low) & (numbers <= parameters.high)  # beyond it nothing changes
     numbers = np.clip(numbers, parameters.low, parameters.high)
-    torques = None if recording.torques is None else recording.torques[steps]
-    time = recording.time + window.first * recording.dt
+    times = [recording.time + window.first * recording.dt for window in windows]
     try:
         lin = linearize(
-            parameters.scene(numbers), window.start, torques, recording.dt, time, fields=parameters.fields,
-            steps=count if torques is None else None, num_threads=1,
+            parameters.scene(numbers), [window.start for window in windows], torques, recording.dt, min(times),
+            fields=parameters.fields, steps=longest if torques is None else None, num_threads=1,
         )  # fmt: skip
     except (ValueError, JackLostError):
         return None
-    smooth = count if lin.smooth.all() else int(np.argmin(lin.smooth[0]))
-    jacobians = np.zeros((count + 1, 12, 12 + len(numbers)))
-    jacobians[0, :, :12] = np.eye(12)
+    smooth = np.where(lin.smooth.all(axis=1), longest, np.argmin(lin.smooth, axis=1))
+    jacobians = np.zeros((longest + 1, len(windows), 12, 12 + len(numbers)))
+    jacobians[0, :, :, :12] = np.eye(12)
     slopes = parameters.slopes(numbers) * inside
-    for k in range(smooth):
-        jacobians[k + 1] = lin.A[0, k] @ jacobians[k]
-        jacobians[k + 1, :, 12:] += lin.P[0, k] * slopes
-    step, since, gradients = lin.impacts(0)
-    usable = step < smooth
-    step, since, gradients = step[usable], since[usable], gradients[usable]
-    times_jacobian = np.einsum("mi,mij->mj", gradients[:, :12], jacobians[step])
-    times_jacobian[:, 12:] += gradients[:, 13:] * slopes
-    return Motion(lin.trajectories[0], jacobians, smooth, time + step * recording.dt + since, times_jacobian)
+    followed = (np.arange(longest) < smooth[:, None])[:, :, None, None]
+    by_state, by_field = np.where(followed, lin.A, 0.0), np.where(followed, lin.P * slopes, 0.0)
+    for k in range(int(smooth.max())):
+        np.matmul(by_state[:, k], jacobians[k], out=jacobians[k + 1])
+        jacobians[k + 1, :, :, 12:] += by_field[:, k]
+    results = list[Motion]()
+    for row, (count, time) in enumerate(zip(counts, times, strict=True)):
+        step, since, gradients = lin.impacts(row)
+        usable = step < min(smooth[row], count)
+        step, since, gradients = step[usable], since[usable], gradients[usable]
+        by_start = jacobians[: count + 1, row]
+        times_jacobian = np.einsum("mi,mij->mj", gradients[:, :12], by_start[step])
+        times_jacobian[:, 12:] += gradients[:, 13:] * slopes
+        states, at = lin.trajectories[row, : count + 1], time + step * recording.dt + since
+        results.append(Motion(states, by_start, min(int(smooth[row]), count), at, times_jacobian))
+    return results
+
+
+def motion(recording: Recording, window: Window, parameters: Parameters, numbers: Array) -> Motion | None:
+    """The motion of a window from its start; None if the model cannot follow it."""
+    played = _played(recording, [window], parameters, numbers)
+    return None if played is None else played[0]
 
 
 def nearest_pairs(heard: Array, times: Array) -> tuple[Indices, Indices]:
@@ -138,18 +182,6 @@ def nearest_pairs(heard: Array, times: Array) -> tuple[Indices, Indices]:
                 last = nearest
     matched = np.array(pairs, dtype=np.intp).reshape(-1, 2)
     return matched[:, 0], matched[:, 1]
-
-
-LINK, UNHEARD = -1, -2  # columns of residuals that are no observations: a link, an impact that the model lacks
-
-
-class Rows(NamedTuple):
-    """Residuals, their Jacobian, and what each residual belongs to."""
-
-    residuals: Array  # (modelled - observed) / noise
-    jacobian: Array  # (rows, unknowns)
-    column: Indices  # index into the state, 12: an impact's time; LINK or UNHEARD
-    window: Indices  # index of the window
 
 
 class Shooting:
@@ -185,25 +217,27 @@ class Shooting:
             slack: of a link, in units of the state.
         """
         numbers, parts = self.set_starts(unknowns), list[Rows]()
-        for index, window in enumerate(self.windows):
-            modelled = motion(self.recordings[window.recording], window, self.parameters, numbers)
-            if modelled is None:
-                return None
+        if self._prior is not None:
+            mean, width = self._prior
+            count = len(mean)
+            fields = count - WIDTH
+            jacobian = np.zeros((count, 2 * WIDTH + fields))
+            jacobian[:fields, 2 * WIDTH :], jacobian[fields:, :WIDTH] = np.eye(fields), np.eye(WIDTH)
+            off = (unknowns[:count] - mean) / width
+            parts.append(Rows(off, jacobian / width[:, None], np.full(count, LINK), np.zeros(count, np.intp)))
+        played = motions(self.recordings, self.windows, self.parameters, numbers)
+        if played is None:
+            return None
+        for index, (window, modelled) in enumerate(zip(self.windows, played, strict=True)):
             parts.append(self._observed(index, window, modelled, noise))
             if window.linked:
                 parts.append(self._link(index, modelled, slack))
-        if self._prior is not None:
-            mean, width = self._prior
-            off, count = (unknowns[: len(mean)] - mean) / width, len(mean)
-            parts.append(Rows(off, np.eye(count, len(unknowns)) / width[:, None], *[np.full(count, LINK)] * 2))
         return Rows(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
-    def _spread(self, index: int, jacobian: Array) -> Array:
-        """Put derivatives by a window's start and the fields into the columns of all unknowns."""
-        fields = len(self.parameters.fields)
-        whole = np.zeros((len(jacobian), fields + 12 * len(self.windows)))
-        whole[:, :fields] = jacobian[:, 12:]
-        whole[:, fields + 12 * index : fields + 12 * index + 12] = jacobian[:, :12] * self.units
+    def _spread(self, jacobian: Array) -> Array:
+        """Derivatives by a window's start and the fields as rows of a chain."""
+        whole = np.zeros((len(jacobian), WIDTH + jacobian.shape[1]))
+        whole[:, :WIDTH], whole[:, 2 * WIDTH :] = jacobian[:, :WIDTH] * self.units, jacobian[:, WIDTH:]
         return whole
 
     def _observed(self, index: int, window: Window, modelled: Motion, noise: Array) -> Rows:
@@ -223,12 +257,12 @@ class Shooting:
             off = np.concatenate([off, late / noise[12]])
             jacobian = np.concatenate([jacobian, gradients / noise[12]])
             column = np.concatenate([column, np.where(np.isin(np.arange(len(heard)), of_heard), 12, UNHEARD)])
-        return Rows(off, self._spread(index, jacobian), column, np.full(len(off), index))
+        return Rows(off, self._spread(jacobian), column, np.full(len(off), index))
 
     def _link(self, index: int, modelled: Motion, slack: float) -> Rows:
-        scale, fields = slack * self.units, len(self.parameters.fields)
-        jacobian = self._spread(index, modelled.jacobians[-1] / scale[:, None])
-        jacobian[:, fields + 12 * index + 12 : fields + 12 * index + 24] -= np.eye(12) / slack
+        scale = slack * self.units
+        jacobian = self._spread(modelled.jacobians[-1] / scale[:, None])
+        jacobian[:, WIDTH : 2 * WIDTH] = -np.eye(WIDTH) / slack
         off = (modelled.states[-1] - self.windows[index + 1].start) / scale
         return Rows(off, jacobian, np.full(12, LINK), np.full(12, index))
 
@@ -259,3 +293,29 @@ def next_window(
         if last == most:
             return window
         ahead *= 2
+
+
+def end_state(recording: Recording, window: Window, parameters: Parameters, numbers: Array) -> Array:
+    """The model's state at a window's end; if it cannot follow, the observed numbers there."""
+    modelled = motion(recording, window, parameters, numbers)
+    if modelled is not None:
+        end: Array = modelled.states[-1]
+        return end
+    observed = recording.states[window.last]
+    return np.where(np.isfinite(observed), observed, window.start)
+
+
+def next_start(recording: Recording, window: Window, parameters: Parameters, numbers: Array, explained: bool) -> Array:
+    """Where the window after this one starts: the observed state, else the model's.
+
+    After a window that the model does not explain, its state is no guess: what is observed soon is taken in its stead.
+    """
+    observed = recording.states[window.last]
+    if explained and np.isfinite(observed).all():
+        start: Array = observed
+        return start
+    end = end_state(recording, window, parameters, numbers)
+    if explained:
+        return end
+    near = np.flatnonzero(np.isfinite(recording.states[window.last : window.last + _SOON]).any(axis=0)) % RATES
+    return np.where(np.isin(np.arange(12) % RATES, near), state_at(recording, window.last), end)

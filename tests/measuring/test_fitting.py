@@ -11,9 +11,10 @@ import pytest
 
 import jackbox_env
 from jackbox_env import Fit, Recording, Scene, fit, make_simulator
+from jackbox_env.measure.chain import Chain, Rows, minimise
 from jackbox_env.measure.recordings import rough_noise
-from jackbox_env.measure.residuals import autocorrelations
-from jackbox_env.measure.shooting import Parameters, Rows, Shooting, Window, units
+from jackbox_env.measure.residuals import autocorrelations, identified, leverage
+from jackbox_env.measure.shooting import Parameters, Shooting, Window, units
 from jackbox_env.tasks import sample_start
 from tests.states import Array
 
@@ -158,20 +159,108 @@ def test_noise_is_estimated_from_the_rows_that_were_observed() -> None:
     assert noise[3] == 1e-2  # not observed: a guess
 
 
+def chained(rows: Rows, windows: int) -> Array:
+    """The Jacobian of rows as one dense matrix: fields, then starts."""
+    fields, count = rows.fields, len(rows.residuals)
+    dense = np.zeros((count, fields + 12 * windows + 12))
+    dense[:, :fields] = rows.jacobian[:, 24:]
+    for row, window in enumerate(rows.window):
+        dense[row, fields + 12 * window : fields + 12 * window + 24] = rows.jacobian[row, :24]
+    return dense[:, :-12]
+
+
+def linked_windows(rng: np.random.Generator, windows: int, fields: int) -> Rows:
+    """Random rows of windows that are linked, but for every third."""
+    parts = list[Rows]()
+    for window in range(windows):
+        jacobian = rng.standard_normal((60, 24 + fields)) * (0.05 if window % 4 else 1.0)
+        jacobian[:, 12:24] = 0.0
+        column = np.repeat([3, 4, 12], 20)
+        if window % 3 and window < windows - 1:
+            jacobian[:12] = 1e3 * rng.standard_normal((12, 24 + fields))
+            jacobian[:12, 12:24] = -1e3 * np.eye(12)
+            column[:12] = -1
+        parts.append(Rows(rng.standard_normal(60), jacobian, column, np.full(60, window)))
+    return Rows(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def test_a_chain_equals_dense_least_squares() -> None:
+    rng = np.random.default_rng(0)
+    for windows, fields in ((1, 2), (9, 0), (9, 3)):
+        rows = linked_windows(rng, windows, fields)
+        dense, chain = chained(rows, windows), Chain(rows, windows)
+        expected = -np.linalg.lstsq(dense, rows.residuals, rcond=None)[0]
+        step = chain.step(0.0)
+        np.testing.assert_allclose(
+            np.append(step.fields, step.starts.ravel()), expected, atol=1e-9 * abs(expected).max()
+        )
+        left = float(((rows.residuals + dense @ expected) ** 2).sum())
+        assert step.decrease == pytest.approx(float((rows.residuals**2).sum()) - left, rel=1e-9)
+        inverse = np.linalg.inv(dense.T @ dense)
+        if fields:
+            information = chain.information()
+            np.testing.assert_allclose(np.linalg.inv(information.T @ information), inverse[:fields, :fields], rtol=1e-6)
+        seen = rows.column >= 0
+        hat, projections = dense @ inverse @ dense.T, chain.projections()
+        np.testing.assert_allclose(leverage(rows, projections)[seen], np.diag(hat)[seen], rtol=1e-6, atol=1e-9)
+        r, deviations = rows.residuals, autocorrelations(rows, projections)
+        for column in (3, 4, 12):
+            of, total, count = np.flatnonzero(rows.column == column), 0.0, 0
+            for lag in range(1, 5):
+                total += float((r[of[lag:]] * r[of[:-lag]] + hat[of[lag:], of[:-lag]]).sum())
+                count += len(of) - lag
+            assert deviations[column] == pytest.approx(total / math.sqrt(count), rel=1e-6, abs=1e-9)
+
+
+def test_directions_that_nothing_determines_stay() -> None:
+    rng = np.random.default_rng(1)
+    rows = linked_windows(rng, 4, 2)
+    rows.jacobian[rows.window == 0, 5] = 0.0
+    rows.jacobian[:, 25] = 2.0 * rows.jacobian[:, 24]
+    chain = Chain(rows, 4)
+    step = chain.step(0.0)
+    assert abs(step.starts[0, 5]) < 1e-12
+    assert step.fields[1] == pytest.approx(0.5 * step.fields[0])  # the shortest, in columns of length 1
+    _, unidentified = identified(chain)
+    assert len(unidentified) == 1
+    np.testing.assert_allclose(abs(unidentified[0]), np.array([2.0, 1.0]) / math.sqrt(5.0), rtol=1e-6)
+
+
+def test_a_search_goes_around_where_nothing_can_be_followed_and_says_whether_it_ended() -> None:
+    def evaluate(unknowns: Array) -> Rows | None:
+        """Rosenbrock's valley in two fields, of which one may not be above 1.05."""
+        x, y = unknowns[:2]
+        if x > 1.05:
+            return None
+        jacobian = np.zeros((15, 26))
+        jacobian[0, 24:], jacobian[1, 24], jacobian[2, 25] = (-20.0 * x, 10.0), -1.0, 1e-3
+        jacobian[3:, :12] = np.eye(12)
+        residuals = np.concatenate([[10.0 * (y - x * x), 1.0 - x, 1e-3 * (y - 1.0)], unknowns[2:]])
+        return Rows(residuals, jacobian, np.zeros(15, np.intp), np.zeros(15, np.intp))
+
+    first = np.concatenate([[-1.2, 1.0], np.ones(12)])
+    unknowns, ended = minimise(evaluate, first, 1, 200)
+    assert ended
+    np.testing.assert_allclose(unknowns, np.append([1.0, 1.0], np.zeros(12)), atol=1e-6)
+    assert not minimise(evaluate, first, 1, 3)[1]
+
+
 def test_white_residuals_have_no_autocorrelation_and_a_fit_with_many_unknowns_is_allowed_for() -> None:
     rng = np.random.default_rng(0)
-    by = np.cos(np.outer(np.arange(200), np.arange(40)) * math.pi / 200.0)  # 40 smooth unknowns
-    hat = by @ np.linalg.pinv(by)
+    smooth = np.cos(np.outer(np.arange(200), np.arange(40)) * math.pi / 200.0)  # 40 smooth unknowns
+    by, zeros = np.insert(smooth, [12] * 12, 0.0, axis=1), np.zeros(200, np.intp)
+    hat = smooth @ np.linalg.pinv(smooth)
+    projections = Chain(Rows(np.zeros(200), by, zeros, zeros), 1).projections()
     correlations = []
     for _ in range(300):
         noise = rng.standard_normal(200)
-        rows = Rows(noise - hat @ noise, by, np.zeros(200, np.intp), np.zeros(200, np.intp))
-        correlations.append(autocorrelations(rows)[0])
+        correlations.append(autocorrelations(Rows(noise - hat @ noise, by, zeros, zeros), projections)[0])
     assert abs(np.mean(correlations)) < 0.2  # without what the unknowns take it is about -5
     assert 0.4 < np.std(correlations) < 1.2
-    slow = np.sin(np.arange(200) / 15.0)
-    wrong = Rows(rng.standard_normal(200) + slow, by[:, :1], np.zeros(200, np.intp), np.zeros(200, np.intp))
-    assert autocorrelations(wrong)[0] > 4.5
+    slow, one = np.sin(np.arange(200) / 15.0), np.zeros((200, 24))
+    one[:, 0] = 1.0
+    wrong = Rows(rng.standard_normal(200) + slow, one, zeros, zeros)
+    assert autocorrelations(wrong, Chain(wrong, 1).projections())[0] > 4.5
 
 
 def test_a_recording_without_noise_converges() -> None:
@@ -217,15 +306,14 @@ def test_derivatives_of_residuals_equal_differences() -> None:
     rows = shooting.rows(at, noise, 1e-2)
     assert rows is not None
     assert {-1, 12} <= {*rows.column.tolist()}  # links and heard impacts among them
+    dense = chained(rows, 2)
     for column in range(len(at)):
         step = 1e-7 * np.eye(len(at))[column]
         more, less = (shooting.rows(at + sign * step, noise, 1e-2) for sign in (1.0, -1.0))
         assert more is not None
         assert less is not None
         difference = (more.residuals - less.residuals) / 2e-7
-        np.testing.assert_allclose(
-            rows.jacobian[:, column], difference, atol=1e-5 * abs(difference).max() + 1e-6, rtol=1e-5
-        )
+        np.testing.assert_allclose(dense[:, column], difference, atol=1e-5 * abs(difference).max() + 1e-6, rtol=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,197 @@
+"""Least squares over a chain of windows, whose Jacobian has blocks: time and memory grow with their number only.
+
+Each row depends on the start of its window, on that of the next if it links the two, and on the fields. The starts are
+eliminated by orthogonal transformations one after the other, from the last window to the first; then the fields are
+solved for, and the starts follow forwards. That is a square-root information smoother (Bierman 1977, "Factorization
+Methods for Discrete Sequential Estimation", chapter 10). Backwards, because a link determines the next start well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jackbox_env.states import Array
+
+Indices = NDArray[np.intp]
+
+LINK, UNHEARD = -1, -2  # columns of residuals that are no observations: a link or a prior, an impact the model lacks
+WIDTH = 12  # unknowns of a window
+LAGS = 4  # windows back, up to which covariances are computed
+_RANK = 1e-9  # of the largest singular value of columns of length 1; less is unidentified, and stays
+_AT_ONCE = 200  # rows of a decomposition, so few that no threads are started, which costs more than they save
+_TOLERANCE = 1e-10  # relative change of the sum of squares, or of the unknowns, at which a search ends
+_FIRST_DAMPING, _LEAST_DAMPING = 1e-6, 1e-14  # of the squared lengths of the observations' columns
+
+
+class Rows(NamedTuple):
+    """Residuals in the order of their windows, their Jacobian, and what each residual belongs to."""
+
+    residuals: Array  # (modelled - observed) / noise
+    jacobian: Array  # by the window's start, the next window's, and the fields: (rows, 24 + F)
+    column: Indices  # index into the state, 12: an impact's time; LINK or UNHEARD
+    window: Indices  # index of the window
+
+    @property
+    def fields(self) -> int:
+        """F."""
+        return int(self.jacobian.shape[1]) - 2 * WIDTH
+
+
+class Step(NamedTuple):
+    """A solution of the linear problem."""
+
+    fields: Array  # (F,)
+    starts: Array  # (windows, 12)
+    decrease: float  # of the sum of squares, predicted
+
+
+class _Eliminated(NamedTuple):
+    """Some unknowns as a function of others: ``by @ (others, 1) + root @ noise``, noise of variance 1."""
+
+    by: Array
+    root: Array
+
+
+class Chain:
+    """The rows of each window, compressed to triangles."""
+
+    def __init__(self, rows: Rows, windows: int) -> None:
+        self.rows, self.windows = rows, windows
+        ends = np.searchsorted(rows.window, np.arange(windows + 1))
+        with_residuals = np.column_stack([rows.jacobian, rows.residuals])
+        with_residuals = with_residuals[:, np.r_[WIDTH : 2 * WIDTH, :WIDTH, 2 * WIDTH : with_residuals.shape[1]]]
+        self._blocks = [  # by the next start, the start, the fields, and residuals
+            _triangle(with_residuals[first:last]) for first, last in pairwise(ends)
+        ]
+        seen = rows.column >= 0
+        squares = np.zeros((windows, WIDTH))
+        np.add.at(squares, rows.window[seen], rows.jacobian[seen, :WIDTH] ** 2)
+        self._starts_lengths = squares + 1e-4 * squares.mean()
+        lengths = (rows.jacobian[seen, 2 * WIDTH :] ** 2).sum(axis=0)
+        self._fields_lengths = lengths + 1e-4 * lengths.mean() if len(lengths) else lengths
+
+    def step(self, damping: float) -> Step:
+        """Minimise the squares of residuals and Jacobian times step, and ``damping`` times that of the scaled step."""
+        fields, starts, _ = self._eliminate(damping)
+        step = fields.by[:, 0]
+        every, start = np.empty((self.windows, WIDTH)), np.zeros(WIDTH)
+        for index, eliminated in enumerate(starts):
+            start = every[index] = eliminated.by @ np.concatenate([start, step, [1.0]])
+        after = self.rows.residuals + self._times(step, every)
+        return Step(step, every, float((self.rows.residuals**2).sum() - (after**2).sum()))
+
+    def information(self) -> Array:
+        """Triangle R of the fields' inverse covariance R^T R, which the starts are free for, (k, F)."""
+        return self._eliminate(0.0)[2][:, : self.rows.fields]
+
+    def projections(self) -> Array:
+        """Covariances of the residuals' linear parts with the unknowns, (rows, 12 (1 + LAGS) + F).
+
+        J C with C the covariance of all unknowns, for the start of the row's window, those of the LAGS windows before
+        it, and the fields.
+        """
+        fields, starts, _ = self._eliminate(0.0)
+        rows, past = self.rows, WIDTH * (1 + LAGS)
+        covariance = np.zeros((past + rows.fields, past + rows.fields))
+        covariance[past:, past:] = fields.root @ fields.root.T
+        result = np.empty((len(rows.residuals), len(covariance)))
+        ends = np.searchsorted(rows.window, np.arange(self.windows + 1))
+        for index, eliminated in enumerate(starts):
+            shifted, others = np.zeros_like(covariance), np.r_[: past - WIDTH, past : len(covariance)]
+            later = np.r_[WIDTH : len(covariance)]
+            shifted[np.ix_(later, later)] = covariance[np.ix_(others, others)]
+            by = np.zeros((WIDTH, len(covariance)))
+            by[:, WIDTH : 2 * WIDTH], by[:, past:] = eliminated.by[:, :WIDTH], eliminated.by[:, WIDTH:-1]
+            shifted[:WIDTH] = by @ shifted
+            shifted[WIDTH:, :WIDTH] = shifted[:WIDTH, WIDTH:].T
+            shifted[:WIDTH, :WIDTH] = by @ shifted[:, :WIDTH] + eliminated.root @ eliminated.root.T
+            covariance = shifted
+            block = rows.jacobian[ends[index] : ends[index + 1]]
+            own, of_fields = block[:, :WIDTH], block[:, 2 * WIDTH :]
+            result[ends[index] : ends[index + 1]] = own @ covariance[:WIDTH] + of_fields @ covariance[past:]
+        return result
+
+    def _times(self, fields: Array, starts: Array) -> Array:
+        """The Jacobian times a step."""
+        window, jacobian = self.rows.window, self.rows.jacobian
+        following = np.append(starts, np.zeros((1, WIDTH)), axis=0)[1:]
+        both = np.column_stack([starts, following])[window]
+        product: Array = np.einsum("ij,ij->i", jacobian[:, : 2 * WIDTH], both) + jacobian[:, 2 * WIDTH :] @ fields
+        return product
+
+    def _eliminate(self, damping: float) -> tuple[_Eliminated, list[_Eliminated], Array]:
+        """The fields; each start by the start before it and the fields; rows left for the fields."""
+        count = self.rows.fields
+        carry, starts = np.zeros((0, WIDTH + count + 1)), list[_Eliminated]()
+        for index in reversed(range(self.windows)):
+            before = self._blocks[index - 1] if index else np.zeros((0, 2 * WIDTH + count + 1))
+            if index == self.windows - 1:
+                carry = self._blocks[index][:, WIDTH:]
+            stack = np.zeros((len(before) + len(carry) + WIDTH, 2 * WIDTH + count + 1))
+            stack[: len(before)] = before
+            stack[len(before) : -WIDTH, :WIDTH] = carry[:, :WIDTH]
+            stack[len(before) : -WIDTH, 2 * WIDTH :] = carry[:, WIDTH:]
+            stack[-WIDTH:, :WIDTH] = np.diag(np.sqrt(damping * self._starts_lengths[index]))
+            eliminated, carry = _solve(stack, WIDTH)
+            starts.append(eliminated)
+        rest = carry[:, WIDTH:]
+        damped = np.column_stack([np.diag(np.sqrt(damping * self._fields_lengths)), np.zeros(count)])
+        return _solve(np.concatenate([rest, damped]), count)[0], starts[::-1], rest
+
+
+def _solve(stack: Array, width: int) -> tuple[_Eliminated, Array]:
+    """Solve for the first unknowns, and return what is left for the others."""
+    if width == 0:
+        return _Eliminated(np.zeros((0, stack.shape[1])), np.zeros((0, 0))), stack
+    lengths = np.linalg.norm(stack[:, :width], axis=0)
+    lengths[lengths == 0.0] = 1.0
+    left, values, right = np.linalg.svd(stack[:, :width] / lengths)
+    rank = int((values > _RANK * values.max(initial=0.0)).sum())
+    rotated = left.T @ stack[:, width:]
+    root = (right[:rank].T / values[:rank]) / lengths[:, None]
+    return _Eliminated(-root @ rotated[:rank], root), _triangle(rotated[rank:])
+
+
+def _triangle(rows: Array) -> Array:
+    """As many rows as columns at most, with the same products of columns."""
+    if len(rows) <= rows.shape[1]:
+        return rows
+    if len(rows) > _AT_ONCE:
+        parts = [_triangle(rows[first : first + _AT_ONCE]) for first in range(0, len(rows), _AT_ONCE)]
+        return _triangle(np.concatenate(parts))
+    return np.asarray(np.linalg.qr(rows, mode="r"))
+
+
+def minimise(evaluate: Callable[[Array], Rows | None], unknowns: Array, windows: int, most: int) -> tuple[Array, bool]:
+    """Least squares by Levenberg and Marquardt: the unknowns, fields first, and whether the search ended.
+
+    Args:
+        evaluate: the rows of unknowns; None if there are none, so that a shorter step is tried. Not None at the first.
+        unknowns: fields, then starts.
+        windows: how many there are.
+        most: evaluations.
+    """
+    rows = evaluate(unknowns)
+    assert rows is not None
+    chain, damping, growth = Chain(rows, windows), _FIRST_DAMPING, 2.0
+    for _ in range(most):
+        square = float((chain.rows.residuals**2).sum())
+        step = chain.step(damping)
+        moved = np.concatenate([step.fields, step.starts.ravel()])
+        trial = evaluate(unknowns + moved)
+        decrease = -np.inf if trial is None else square - float((trial.residuals**2).sum())
+        small = float(np.linalg.norm(moved)) <= _TOLERANCE * float(np.linalg.norm(unknowns))
+        ended = small or max(abs(decrease), abs(step.decrease)) <= _TOLERANCE * square
+        if trial is not None and decrease > 1e-4 * step.decrease:
+            unknowns, chain = unknowns + moved, Chain(trial, windows)
+            damping, growth = max(0.1 * damping, _LEAST_DAMPING), 2.0
+        else:
+            damping, growth = max(growth * damping, _FIRST_DAMPING), 4.0 * growth
+        if ended:
+            return unknowns, True
+    return unknowns, False

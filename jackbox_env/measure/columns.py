@@ -1,0 +1,315 @@
+"""Recordings from columns as cameras and loggers write them: other names and units, wrapped angles, dropped frames.
+
+``Recording.from_frame`` and ``jackbox fit`` use it.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jackbox_env import checks as check
+from jackbox_env.scene import Chirp, Drive, Scene
+from jackbox_env.states import LATEST_TIME, STATE_NAMES, STATE_UNITS, Array
+
+UNITS = {"time": "s", **dict(zip(STATE_NAMES, STATE_UNITS, strict=True)), "torque": "N m"}  # columns and their units
+EVEN = 0.05  # of a step, by which times may be off an even grid
+_TURN, _LATEST = 2.0 * math.pi, 1e10  # [rad]; [s] of a row, Unix times are below
+_OTHER_UNITS = {  # in SI units, by the SI unit
+    "s": {"ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0},
+    "m": {"cm": 1e-2, "mm": 1e-3},
+    "m/s": {"cm/s": 1e-2, "mm/s": 1e-3},
+    "rad": {"deg": _TURN / 360.0, "°": _TURN / 360.0, "mrad": 1e-3, "turns": _TURN, "rev": _TURN},
+    "rad/s": {"deg/s": _TURN / 360.0, "°/s": _TURN / 360.0, "rpm": _TURN / 60.0, "rev/s": _TURN},
+    "N m": {"Nm": 1.0, "N mm": 1e-3, "Nmm": 1e-3, "kN m": 1e3, "kNm": 1e3},
+}
+_MOST_MISSING = 10  # frames for each row
+_TORQUE_TOLERANCE = 1e-6  # relative
+_FARTHEST = 2.0  # half widths that a jack may be from the box's centre
+_FASTEST = 10.0  # v0 / L or v0 / l: a median rate beyond is no rate in rad/s
+_LARGEST_STEP = 5.0 * _TURN  # from row to row
+
+
+class Table(NamedTuple):
+    """Columns by their headers, and where they come from, for messages."""
+
+    columns: Mapping[str, Array]
+    source: str = ""  # a file and ", "
+    lines: Sequence[int] | None = None  # of the file, of each row
+
+    def at(self, row: int) -> str:
+        """A row, in words."""
+        return f"{self.source}row {row if self.lines is None else self.lines[row]}"
+
+    def header(self) -> str:
+        """Begins a sentence about a header."""
+        return f"{self.source}row 1: column" if self.source else "column"
+
+
+def table_of(columns: Any) -> Table:
+    """The table of a dict, a DataFrame of pandas or polars, or an array with named fields.
+
+    Raises:
+        TypeError, ValueError: something else; columns of other things than numbers, or of different lengths.
+    """
+    listed = getattr(columns, "columns", None)
+    listed = getattr(getattr(columns, "dtype", None), "names", None) if listed is None else listed
+    if listed is None and not isinstance(columns, Mapping):
+        raise TypeError(f"columns must be a dict of columns or a DataFrame, got {check.shown(columns)}")
+    arrays = {str(name): _numbers(name, columns[name]) for name in (columns if listed is None else listed)}
+    if len({len(array) for array in arrays.values()}) > 1:
+        lengths = ", ".join(f"{name} {len(array)}" for name, array in arrays.items())
+        raise ValueError(f"columns must have the same number of rows, got {lengths}")
+    return Table(arrays)
+
+
+def _numbers(name: Any, values: Any) -> Array:
+    array = np.asarray(values)
+    try:
+        numbers = np.array(array, dtype=np.float64) if array.dtype.kind in "fiuO" else None
+    except (TypeError, ValueError):  # an object that is no number
+        numbers = None
+    if numbers is None or numbers.ndim != 1:
+        raise TypeError(f"column {name!r} must hold numbers, got {check.shown(values)}")
+    if np.isinf(numbers).any():
+        raise ValueError(
+            f"column {name!r} must hold finite numbers or NaN, got inf in row {np.isinf(numbers).argmax()}"
+        )
+    return numbers
+
+
+# -- names and units ---------------------------------------------------------------------------------------------------
+
+
+def in_si_units(
+    table: Table, units: Mapping[str, str], names: Mapping[str, str] | None = None
+) -> tuple[dict[str, Array], tuple[str, ...]]:
+    """Columns by their names here, in SI units, and the headers that are left out because ``names`` lacks them.
+
+    Args:
+        table: with headers such as ``x_box``, ``x_box [mm]`` or a name of ``names``.
+        units: the columns that may be there, and their SI units.
+        names: headers, with or without a unit, by the names here.
+
+    Raises:
+        ValueError: an unknown or missing column, one that comes twice, an unknown unit.
+    """
+    check.known_keys("names", names or {}, units)
+    wanted = {name: _parts(text) for name, text in (names or {}).items()}
+    columns, left_out = dict[str, Array](), list[str]()
+    for header, values in table.columns.items():
+        bare, unit = _parts(header)
+        by_name = [name for name, (text, _) in wanted.items() if text == bare]
+        name = by_name[0] if by_name else bare
+        if names and not by_name and (bare not in units or bare in wanted):
+            left_out.append(header)
+            continue
+        if name not in units or name in columns:
+            allowed = ", ".join(f"{one} [{of}]" if of else one for one, of in units.items())
+            what = "comes twice" if name in columns else f"must be one of {allowed}"
+            raise ValueError(f"{table.header()} {check.shown(header)} {what}")
+        columns[name] = values * _factor(table, header, unit or wanted.get(name, ("", ""))[1], units[name])
+    for name, (text, _) in wanted.items():
+        if name not in columns:
+            listed = ", ".join(map(repr, table.columns))
+            raise ValueError(f"{table.header()} {text!r}, which is to be {name}, must be one of {listed}")
+    if "time" not in columns:
+        raise ValueError(f"{table.source}{'row 1: ' if table.source else ''}there must be a column time [s]")
+    return columns, tuple(left_out)
+
+
+def _parts(header: str) -> tuple[str, str]:
+    """Name and unit of ``x_box [mm]``; no unit is ""."""
+    match = re.fullmatch(r"(.*?)\s*\[([^][]*)\]", header.strip())
+    return (match[1], match[2].strip()) if match else (header.strip(), "")
+
+
+def _factor(table: Table, header: str, unit: str, si: str) -> float:
+    if unit in ("", si):
+        return 1.0
+    factors = _OTHER_UNITS.get(si, {})
+    if unit not in factors:
+        allowed = ", ".join((si, *factors)) if si else "none"
+        raise ValueError(f"{table.header()} {check.shown(header)} must be in one of the units {allowed}, got {unit!r}")
+    return factors[unit]
+
+
+# -- recordings --------------------------------------------------------------------------------------------------------
+
+
+class Evened(NamedTuple):
+    """Arguments of a Recording, and sentences about what was changed."""
+
+    states: Array
+    torques: Array | None
+    dt: float
+    time: float
+    impacts: Array | None
+    notes: tuple[str, ...]
+
+
+def evened(
+    table: Table, scene: Scene, names: Mapping[str, str] | None = None, y_down: bool = False,
+    impacts: Array | None = None,
+) -> Evened:  # fmt: skip
+    """The recording of a table: in SI units and y upwards, with a row for each frame, and angles that do not wrap.
+
+    If the torques are the drive's means, the drive acts instead: a constant torque of the same mean would lead
+    elsewhere. Constant torques do not depend on the time, so Unix times then count from the first row.
+
+    Raises:
+        TypeError, ValueError: unusable content; the message names row and column.
+    """
+    columns, left_out = in_si_units(table, UNITS, names)
+    times, rows, dt = _frames(table, columns["time"], scene)
+    missing = int(rows[-1]) + 1 - len(rows)
+    verb = "is" if missing == 1 else "are"
+    notes = [f"left out, because no name stands for them: {', '.join(left_out)}"] * bool(left_out)
+    notes += [f"{missing} of {rows[-1] + 1} frames {verb} missing, and left open"] * bool(missing)
+    states = np.full((int(rows[-1]) + 1, 12), np.nan)
+    for index, name in enumerate(STATE_NAMES):
+        values = columns.get(name)
+        if values is not None and name.startswith("theta"):
+            values, jumps = unwrapped(values)
+            notes += [f"{name} wraps: {jumps} jumps of a turn were taken out"] * bool(jumps)
+        if values is not None:
+            states[rows, index] = -values if y_down and index % 3 else values
+    torques = columns.get("torque")
+    if torques is not None:
+        torques = filled(table, "torque", torques[:-1])
+        torques = None if _is_of(scene.drive, times, dt, torques) else np.repeat(torques, np.diff(rows))
+    _refuse_sizes(table, scene, states, dt)
+    begin = float(times[0])
+    if torques is not None and abs(times).max() > LATEST_TIME:
+        begin, impacts = 0.0, None if impacts is None else impacts - times[0]
+    return Evened(states, torques, dt, begin, impacts, tuple(notes))
+
+
+def filled(table: Table, name: str, values: Array) -> Array:
+    """Return a column without empty cells; else raise ValueError."""
+    if np.isnan(values).any():
+        raise ValueError(f"{table.at(int(np.isnan(values).argmax()))}, column {name}: must be a number, got none")
+    return values
+
+
+def unwrapped(angles: Array) -> tuple[Array, int]:
+    """Angles [rad] without jumps of a turn, and how many there were: only of angles that stay within one turn."""
+    seen = np.isfinite(angles)
+    values = angles[seen]
+    if not len(values) or np.ptp(values) > _TURN * (1.0 + 1e-6):
+        return angles, 0
+    result, jumps = angles.copy(), int((abs(np.diff(values)) > 0.5 * _TURN).sum())
+    result[seen] = np.unwrap(values) if jumps else values
+    return result, jumps
+
+
+def _frames(table: Table, times: Array, scene: Scene) -> tuple[Array, Any, float]:
+    """Even times of the rows, the frame of each row, and the time between frames; ValueError if there are none."""
+    filled(table, "time", times)
+    if len(times) < 2:
+        where = f"{table.source}row {table.lines[-1] if table.lines else 1}"
+        raise ValueError(f"{where}: there must be two rows of numbers at least")
+    far, steps = abs(times) > _LATEST, np.diff(times)
+    if far.any():
+        row = int(far.argmax())
+        raise ValueError(f"{table.at(row)}, column time: must be within +-{_LATEST:g} s, got {times[row]:g} s")
+    if (steps <= 0.0).any():
+        row = int((steps <= 0.0).argmax())
+        raise ValueError(
+            f"{table.at(row + 1)}, column time: must increase, got {times[row + 1]:.10g} s after {times[row]:.10g} s"
+        )
+    usual = float(np.quantile(steps, 0.2, method="lower"))  # more than every second frame may be missing
+    near = steps[abs(steps / usual - 1.0) < 0.5]
+    dt = float(near.mean())  # rounding of the times shifts a single step
+    _refuse_coarse(table, scene, float(times[-1]), dt)
+    gaps = np.round(steps / dt)
+    if gaps.sum() > _MOST_MISSING * len(times):
+        raise ValueError(
+            f"{table.source}column time: {gaps.sum() + 1 - len(times):g} frames are missing between {len(times)} rows; "
+            "give stretches as recordings of their own"
+        )
+    rows = np.concatenate([[0], np.cumsum(gaps)]).astype(np.int64)
+    dt, begin = float(times[-1] - times[0]) / max(int(rows[-1]), 1), float(times[0])
+    rounding = 4.0 * float(np.spacing(abs(times).max()))
+    if abs(times - begin - dt * rows).max() > 1e-6 * dt + rounding:  # rounded times: all of them count
+        dt, shift = (float(number) for number in np.polyfit(rows, times - begin, 1))
+        begin += shift
+    even = np.float64(begin) + dt * rows.astype(np.float64)
+    uneven = (abs(times - even) > EVEN * dt + rounding) | np.append(False, np.diff(rows) < 1)
+    if uneven.any():
+        row = int(abs(steps / usual - np.round(steps / usual)).argmax())
+        raise ValueError(
+            f"{table.at(row + 1)}, column time: must increase evenly, to {EVEN:.0%} of a step, by {usual:g} s or a "
+            f"multiple where frames are missing, got {steps[row]:g} s"
+        )
+    return even, rows, dt
+
+
+# -- sizes -------------------------------------------------------------------------------------------------------------
+
+
+def _refuse_coarse(table: Table, scene: Scene, end: float, dt: float) -> None:
+    """Raise ValueError if a jack at the scene's speed scale would cross half the box in one step."""
+    coarsest = scene.box_half_width / scene.speed_scale
+    if dt > coarsest:
+        unit = "numbers of frames" if dt == 1.0 else "milliseconds" if dt < 1e3 * coarsest else "microseconds"
+        raise ValueError(
+            f"{table.source}column time: time runs to {_grouped(end)} s in steps of {dt:.3g} s, which must be at most "
+            f"{coarsest:.2g} s: {unit}?"
+        )
+
+
+def _refuse_sizes(table: Table, scene: Scene, states: Array, dt: float) -> None:
+    """Raise ValueError for positions and angles that are no metres and radians."""
+    half, seen = scene.box_half_width, np.isfinite(states)
+    for axis in range(2):
+        box, jack = states[:, axis], states[:, axis + 3]
+        near = slice(None) if (seen[:, axis] & seen[:, axis + 3]).any() else slice(math.ceil(1.0 / dt))
+        reaches = jack - box if near == slice(None) else (jack - jack[seen[:, axis + 3]][:1].sum())[near]
+        reach = float(np.nanmax(abs(reaches), initial=0.0)) if np.isfinite(reaches).any() else 0.0
+        if reach > _FARTHEST * half * (1.0 if near == slice(None) else 5.0):
+            raise ValueError(
+                f"{table.source}column {STATE_NAMES[axis + 3]}: {STATE_NAMES[axis + 3]} reaches {_grouped(reach)} m in "
+                f"a box of half width {half:g} m: {_length_of(reach / half)}"
+            )
+    for column, unit in ((2, half), (5, scene.jack_arm)):
+        rows = np.flatnonzero(seen[:, column])
+        steps = abs(np.diff(states[rows, column]))
+        fast = steps / (np.diff(rows) * dt) > _FASTEST * scene.speed_scale / unit
+        if len(steps) and (np.median(fast) > 0.5 or steps.max() > _LARGEST_STEP):
+            name = STATE_NAMES[column]
+            raise ValueError(
+                f"{table.source}column {name}: {name} changes by up to {_grouped(float(steps.max()))} rad from row to "
+                "row: degrees?"
+            )
+
+
+def _grouped(value: float) -> str:
+    return f"{value:,.0f}" if value >= 100.0 else f"{value:.3g}"
+
+
+def _length_of(half_widths: float) -> str:
+    """A guess at what is wrong with a position that is as many half widths from the box's centre."""
+    if half_widths < 10.0:
+        return "is box_half_width right?"
+    if half_widths < 150.0:
+        return "centimetres or millimetres?"
+    return "millimetres?" if half_widths < 1500.0 else "pixels?"
+
+
+def _is_of(drive: Chirp | Drive | None, times: Array, dt: float, torques: Array) -> bool:
+    """Whether torques [N m] are the means of a drive in steps that begin at times [s]; False if it has none there."""
+    if drive is None:
+        return False
+    tolerance = _TORQUE_TOLERANCE * float(abs(torques).max())
+    try:
+        return all(
+            abs(torque - 0.5 * sum(drive.torque_means(time, dt))) <= tolerance
+            for torque, time in zip(torques.tolist(), times[:-1].tolist(), strict=True)
+        )
+    except ValueError:
+        return False

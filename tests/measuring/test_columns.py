@@ -1,0 +1,147 @@
+"""Recordings from columns as cameras write them: names, units, y downwards, wrapped angles, dropped frames."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jackbox_env import Chirp, Recording, Scene
+from jackbox_env.measure.columns import UNITS
+
+STILL = Scene(drive=None)
+
+
+class Frame:
+    """What DataFrames of pandas and polars have in common: ``columns`` and ``frame[name]``."""
+
+    def __init__(self, columns: dict[str, Any]) -> None:
+        self.columns, self._columns = list(columns), columns
+
+    def __getitem__(self, name: str) -> Any:
+        return self._columns[name]
+
+
+def observed(recording: Recording, name: str) -> list[float]:
+    """A column of a recording's states."""
+    values: list[float] = recording.states[:, list(UNITS).index(name) - 1].tolist()
+    return values
+
+
+@pytest.mark.parametrize("kind", [dict, Frame, "fields"])
+def test_dicts_frames_and_named_fields_are_read(kind: Any) -> None:
+    columns = {"time": [0.0, 0.1, 0.2], "x_jack": [1.0, np.nan, 2.0]}
+    table: Any = np.array(list(zip(*columns.values(), strict=True)), dtype=[(name, float) for name in columns])
+    recording = Recording.from_frame(table if kind == "fields" else kind(columns), STILL)
+    np.testing.assert_array_equal(observed(recording, "x_jack"), [1.0, np.nan, 2.0])
+    assert (recording.dt, recording.time, recording.torques, recording.notes) == (0.1, 0.0, None, ())
+
+
+def test_units_are_converted() -> None:
+    converted = {
+        "time [ms]": ("time", 1e-3), "x_box [cm]": ("x_box", 1e-2), "x_jack [mm]": ("x_jack", 1e-3),
+        "theta_box[deg]": ("theta_box", math.pi / 180.0), "theta_jack [°]": ("theta_jack", math.pi / 180.0),
+        "vx_box [mm/s]": ("vx_box", 1e-3), "omega_box [rpm]": ("omega_box", math.pi / 30.0),
+        "omega_jack [deg/s]": ("omega_jack", math.pi / 180.0), "torque [N mm]": ("torque", 1e-3),
+    }  # fmt: skip
+    recording = Recording.from_frame({header: [2.0, 3.0, 4.0] for header in converted}, STILL)
+    assert (recording.dt, recording.time) == (pytest.approx(1e-3), pytest.approx(2e-3))
+    assert recording.torques is not None
+    np.testing.assert_allclose(recording.torques, np.array([2e-3, 3e-3]))
+    for name, factor in converted.values():
+        if name not in ("time", "torque"):
+            np.testing.assert_allclose(observed(recording, name), factor * np.array([2.0, 3.0, 4.0]))
+
+
+def test_names_may_have_units_and_leave_other_columns_out() -> None:
+    columns = {"t": [0.0, 20.0], "ball [mm]": [5.0, 6.0], "x_box": [1.0, 1.0], "quality": [0.9, 0.8]}
+    recording = Recording.from_frame(columns, STILL, names={"time": "t [ms]", "x_jack": "ball"})
+    assert recording.dt == pytest.approx(0.02)
+    np.testing.assert_allclose(observed(recording, "x_jack"), [5e-3, 6e-3])
+    assert observed(recording, "x_box") == [1.0, 1.0]
+    assert recording.notes == ("left out, because no name stands for them: quality",)
+    other = {"time": [0.0, 0.1], "x_jack": [1.0, 1.0], "smooth": [2.0, 2.0]}
+    recording = Recording.from_frame(other, STILL, names={"x_jack": "smooth"})
+    assert observed(recording, "x_jack") == [2.0, 2.0]
+    assert recording.notes == ("left out, because no name stands for them: x_jack",)
+
+
+def test_y_down_turns_y_and_angles_over_but_no_torque() -> None:
+    names = list(UNITS)[1:-1]
+    columns = {"time": [0.0, 0.1], "torque": [7.0, 7.0], **{name: [0.5, 0.5] for name in names}}
+    recording = Recording.from_frame(columns, STILL, y_down=True)
+    turned = {name for name in names if observed(recording, name)[0] == -0.5}
+    assert turned == {f"{kind}_{body}" for kind in ("y", "theta", "vy", "omega") for body in ("box", "jack")}
+    assert recording.torques is not None
+    assert recording.torques.tolist() == [7.0]
+
+
+def test_angles_that_wrap_are_unwrapped_and_others_are_not() -> None:
+    angles = np.linspace(0.0, 20.0, 100)
+    wrapped = (angles + 1.0) % (2.0 * math.pi) - 1.0
+    wrapped[40] = np.nan
+    times = 0.02 * np.arange(100)
+    recording = Recording.from_frame({"time": times, "theta_box": angles, "theta_jack": wrapped}, STILL)
+    np.testing.assert_array_equal(observed(recording, "theta_box"), angles)
+    np.testing.assert_allclose(np.delete(observed(recording, "theta_jack"), 40), np.delete(angles, 40), atol=1e-12)
+    assert recording.notes == ("theta_jack wraps: 3 jumps of a turn were taken out",)
+    fast = {"time": [0.0, 0.5, 1.0, 1.5], "theta_jack": [0.0, 4.0, 8.0, 12.0]}
+    assert observed(Recording.from_frame(fast, STILL), "theta_jack") == [0.0, 4.0, 8.0, 12.0]
+
+
+@pytest.mark.parametrize("digits", [3, 4])
+def test_rounded_times_are_even_and_dropped_frames_are_left_open(digits: int) -> None:
+    frames = np.delete(np.arange(600), [7, 30, 31, 500])
+    times = np.round(3.0 + frames / 60.0, digits)
+    columns = {"time": times, "x_jack": 1e-3 * frames, "torque": frames // 10}
+    recording = Recording.from_frame(columns, STILL)
+    assert recording.dt == pytest.approx(1.0 / 60.0, rel=1e-5)
+    assert recording.time == pytest.approx(3.0, abs=2e-4)
+    assert np.flatnonzero(np.isnan(observed(recording, "x_jack"))).tolist() == [7, 30, 31, 500]
+    assert recording.notes == ("4 of 600 frames are missing, and left open",)
+    assert recording.torques is not None
+    assert recording.torques[[29, 30, 31, 32]].tolist() == [2.0, 2.0, 2.0, 3.0]  # that of the row before goes on
+
+
+def test_more_than_every_second_frame_may_be_missing() -> None:
+    frames = np.array([0, 1, 3, 5, 7, 9, 10, 12, 15])
+    recording = Recording.from_frame({"time": frames / 60.0, "x_jack": frames * 0.1}, STILL)
+    np.testing.assert_allclose(np.array(observed(recording, "x_jack"))[frames], frames * 0.1)
+    assert len(recording.states) == 16
+
+
+def test_a_drive_is_recognised_in_a_file_with_dropped_frames() -> None:
+    times = np.delete(0.02 * np.arange(50), [10, 11])
+    torques = [0.5 * sum(Chirp().torque_means(time, 0.02)) for time in times.tolist()]
+    columns = {"time": times, "x_jack": 0.0 * times, "torque": torques}
+    assert Recording.from_frame(columns).torques is None
+    assert Recording.from_frame(columns, {"drive": None}).torques is not None
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"columns": [1.0]}, r"columns must be a dict of columns or a DataFrame, got \[1.0\]"),
+        ({"columns": {"time": [0.0, 1.0], "x_jack": [1.0]}}, "same number of rows, got time 2, x_jack 1"),
+        ({"columns": {"time": ["a", "b"]}}, "column 'time' must hold numbers, got \\['a', 'b'\\]"),
+        ({"columns": {"time": [0.0, "b"]}}, "column 'time' must hold numbers, got \\[0.0, 'b'\\]"),
+        ({"columns": {"time": [[0.0]]}}, "column 'time' must hold numbers"),
+        ({"columns": {"time": np.array(["2026-01-01"], "M8[s]")}}, "column 'time' must hold numbers"),
+        ({"columns": {"time": [0.0, math.inf]}}, "must hold finite numbers or NaN, got inf in row 1"),
+        ({"columns": {"x_jack": [0.0, 1.0]}}, r"there must be a column time \[s\]"),
+        ({"columns": {"time": [0.0, 0.1], "ball": [0.0, 1.0]}}, r"column 'ball' must be one of time \[s\], x_box"),
+        ({"columns": {"time": [0.0, None], "x_jack": [0.0, 1.0]}}, "row 1, column time: must be a number, got none"),
+        ({"columns": {"time": [0.0, 0.1], "x_jack": [None, None]}}, "must hold something that was observed"),
+        ({"names": {"x_jack": "ball"}}, "column 'ball', which is to be x_jack, must be one of 'time', 'x_jack'"),
+        ({"names": {"weight": "ball"}}, "names takes only 'time', 'x_box'"),
+        ({"y_down": 1}, "y_down must be True or False, got 1"),
+        ({"scene": 3}, "scene must be a Scene"),
+        ({"impacts": [0.2, 0.1]}, "impacts must be times in order"),
+    ],
+)
+def test_unusable_columns_are_refused(change: dict[str, Any], sentence: str) -> None:
+    arguments = {"columns": {"time": [0.0, 0.1], "x_jack": [0.0, 1.0]}, **change}
+    with pytest.raises((TypeError, ValueError), match=sentence):
+        Recording.from_frame(**arguments)
