@@ -1,0 +1,180 @@
+"""Fit made-up recordings of a camera for docs/fitting.md: what is printed, how often it is right, seconds and memory.
+
+The file has names of its own, mm, degrees, y downwards, angles that wrap and one dropped frame in fifty.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import multiprocessing
+import resource
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from jackbox_env import Recording, Scene, fit, make_simulator
+from jackbox_env.command_line import command_line
+from jackbox_env.scene import Chirp
+from jackbox_env.states import OMEGA_BOX, RATES, STATE_NAMES, THETA_BOX, Array
+from jackbox_env.tasks import sample_start
+from scripts.studies import timing
+from scripts.studies.pages import fill, table
+
+TRUE = {"jack_mass": 4.6, "restitution": 0.9}
+START = {"jack_mass": 4.0, "restitution": 0.95}  # where the fits of long recordings begin
+HEADERS = ("box_x [mm]", "box_y [mm]", "box_angle [deg]", "ball_x [mm]", "ball_y [mm]", "ball_angle [deg]")
+COLUMNS = ",".join(
+    ["time=t", *(f"{n}={h.partition(' ')[0]}" for n, h in zip(STATE_NAMES[:RATES], HEADERS, strict=True))]
+)
+OPTIONS = ("--columns", COLUMNS, "--y-down")
+_NOISE = np.array([5e-3, 5e-3, 1e-3, 5e-3, 5e-3, 5e-3])  # [m] and [rad]
+_DROPPED = 50  # frames, one of which is lost
+_HELD = 0.5  # [s] that a torque is held for
+_SLOW = Chirp(start_frequency=0.5, rate=0.0)
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Fit, and write the page."""
+
+    count: int = 100
+    """Files at each rate."""
+    lengths: tuple[float, ...] = (4.0, 40.0, 400.0)
+    """Of the long recordings [s]."""
+    out: Path = Path("docs")
+    """Folder of the page fitting.md."""
+
+
+def observed(scene: Scene, rate: float, seconds: float, seed: int) -> tuple[Array, Array]:
+    """Positions with noise, NaN in dropped frames, (H + 1, 6), and the torques of a motor, (H,); a drive goes before.
+
+    The motor's torque is held for half a second, and keeps the box from spinning.
+    """
+    rng, steps = np.random.default_rng(seed), round(seconds * rate)
+    simulator = make_simulator(scene, contact="exact")
+    simulator.reset(sample_start(scene, rng))
+    states, torques, torque = [simulator.state], np.zeros(steps), 0.0
+    for step in range(steps):
+        if step % round(_HELD * rate) == 0:
+            back = scene.box_inertia * (simulator.state[OMEGA_BOX] + simulator.state[THETA_BOX])
+            torque = float(rng.uniform(-5e4, 5e4)) - back
+        simulator.step(1.0 / rate, None if scene.drive else torque)
+        torques[step] = torque
+        states.append(simulator.state)
+    seen: Array = np.array(states)[:, :RATES] + _NOISE * rng.standard_normal((steps + 1, RATES))
+    seen[rng.choice(np.arange(1, steps), steps // _DROPPED, replace=False)] = np.nan
+    return seen, torques
+
+
+def write_camera_file(path: Path, rate: float = 60.0, seconds: float = 10.0, seed: int = 0) -> Scene:
+    """Write what a camera with this many frames a second sees of the scene under its drive; return the scene."""
+    scene = Scene.of(TRUE)
+    seen, _ = observed(scene, rate, seconds, seed)
+    seen = seen * np.array([1e3, -1e3, -np.rad2deg(1.0)] * 2)
+    seen[:, 2::3] = (seen[:, 2::3] + 180.0) % 360.0 - 180.0
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["t [ms]", *HEADERS, "frame"])
+        for frame in np.flatnonzero(np.isfinite(seen[:, 0])):
+            writer.writerow([f"{1e3 * frame / rate:.1f}", *(f"{value:.2f}" for value in seen[frame]), frame])
+    return scene
+
+
+def fitted_file(rate: float, seed: int) -> tuple[bool, bool]:
+    """Fit a file by the reader of ``jackbox fit``: whether it converged, and whether the interval has the mass."""
+    from jackbox_env.commands.fit import column_names, read_recording
+
+    with TemporaryDirectory() as folder:
+        write_camera_file(Path(folder, "cam.csv"), rate, seed=seed)
+        recording = read_recording(Path(folder, "cam.csv"), Scene(), None, column_names(COLUMNS), y_down=True)
+    result = fit(recording, ("jack_mass", "restitution"))
+    low, high = result.intervals["jack_mass"]
+    return result.converged, low <= TRUE["jack_mass"] <= high
+
+
+def fitted_long(driven: bool, seconds: float) -> dict[str, float]:
+    """Fit a long recording in this process: its steps, seconds, memory, whether it converged and has the mass."""
+    scene = Scene.of({**TRUE, "drive": _SLOW if driven else None})
+    seen, torques = observed(scene, 60.0, seconds, seed=0)
+    states = np.full((len(seen), 12), np.nan)
+    states[:, :RATES] = seen
+    recording = Recording(states, None if driven else torques, 1.0 / 60.0)
+    fit(Recording(states[:60], None if driven else torques[:59], 1.0 / 60.0), ("jack_mass",), scene)  # compiles
+    began = time.perf_counter()
+    result = fit(recording, ("jack_mass", "restitution"), scene.changed(**START))
+    low, high = result.intervals["jack_mass"]
+    return {
+        "seconds": time.perf_counter() - began, "width": high - low, "converged": result.converged,
+        "contains": low <= TRUE["jack_mass"] <= high, "left_out": result.left_out,
+        "mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+    }  # fmt: skip
+
+
+def _alone(driven: bool, seconds: float) -> dict[str, float]:
+    """:func:`fitted_long` in a process of its own, whose memory counts."""
+    code = (
+        f"import json\nfrom scripts.studies import cameras\nprint(json.dumps(cameras.fitted_long({driven}, {seconds})))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    result: dict[str, float] = json.loads(done.stdout)
+    return result
+
+
+def printed() -> str:
+    """What the command prints of one file, but for its progress."""
+    with TemporaryDirectory() as folder:
+        write_camera_file(Path(folder, "cam.csv"))
+        command = [sys.executable, "-m", "jackbox_env", "fit", "cam.csv", *OPTIONS]
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
+    notes = [line for line in done.stderr.splitlines() if line.startswith("cam.csv")]
+    return "\n".join([*notes, *done.stdout.splitlines()])
+
+
+@command_line
+def main() -> None:
+    """Parse, fit, write the page."""
+    import tyro
+    from tqdm import tqdm
+
+    from jackbox_env.files import check_writable, write_text
+
+    arguments = tyro.cli(Arguments, description=__doc__)
+    check_writable(arguments.out)
+    page, rows = arguments.out / "fitting.md", list[list[str]]()
+    for seconds in arguments.lengths:
+        held, driven = (_alone(kind, seconds) for kind in (False, True))
+        cells = [f"{one['seconds']:.1f} s" for one in (held, driven)] + [f"{held['mib']:.0f} MiB"]
+        good = ["yes" if one["converged"] and one["contains"] else "no" for one in (held, driven)]
+        rows.append([f"{seconds:g} s", *cells, f"{held['width']:.1g} kg", *good])
+        print(rows[-1])
+    heads = (
+        "recording",
+        "torques held",
+        "a drive",
+        "memory",
+        "interval of the mass",
+        "converged, right",
+        "the drive's",
+    )
+    lines, context = [table(heads, rows)], multiprocessing.get_context("spawn")
+    with context.Pool() as pool:
+        for rate in (60.0, 30.0):
+            work = pool.imap_unordered(partial(fitted_file, rate), range(arguments.count))
+            outcomes = np.array(list(tqdm(work, total=arguments.count, unit="fit")))
+            converged = outcomes[:, 0]
+            text = f"Of {arguments.count} such files at {rate:g} frames a second {converged.sum()} converge, and the "
+            lines.append(f"{text}mass is within the 95 % interval of {(converged & outcomes[:, 1]).sum()} of these.")
+    made = f"`python scripts/studies/cameras.py` on {timing.measured_with(('jackbox', 'numpy', 'scipy', 'numba'))}."
+    text = fill(page.read_text(), "camera", f"```text\n{printed()}\n```")
+    write_text(page, fill(text, "lengths", "\n\n".join([*lines, made])))
+
+
+if __name__ == "__main__":
+    main()
