@@ -92,7 +92,7 @@ def by_differences(
 ) -> SimpleNamespace:
     """``linearize`` of shooting, by differences of motions from each state, in each number that may change."""
     lin = linearize(scene, starts, torques, dt, time, fields=fields, **settings)
-    rows, steps = len(lin.smooth), lin.smooth.shape[1]
+    rows, steps = len(lin.trajectories), lin.trajectories.shape[1] - 1
     before, after = lin.trajectories[:, :-1].reshape(-1, 12), lin.trajectories[:, 1:].reshape(-1, 12)
     held = np.broadcast_to(torques, (rows, steps)).reshape(-1, 1)
 

@@ -47,7 +47,7 @@ def test_units_are_converted() -> None:
         "omega_jack [deg/s]": ("omega_jack", math.pi / 180.0), "torque [N mm]": ("torque", 1e-3),
     }  # fmt: skip
     recording = Recording.from_frame({header: [2.0, 3.0, 4.0] for header in converted}, STILL)
-    assert (recording.dt, recording.time) == (pytest.approx(1e-3), pytest.approx(2e-3))
+    assert [recording.dt, recording.time] == pytest.approx([1e-3, 2e-3])
     assert recording.torques is not None
     np.testing.assert_allclose(recording.torques, np.array([2e-3, 3e-3]))
     for name, factor in converted.values():
