@@ -50,7 +50,7 @@ _TRIAL_ANGLES = (-0.6, -0.4, -0.2, 0.0, 0.2, 0.4, 0.6, 0.8)
 _PRIOR_WIDTH = 0.5  # standard deviation, of logarithms of fields and of an unobserved jack's angle [rad]
 _PRIOR_START_WIDTH = 0.02  # of the other numbers of a first state, in units of the state
 _MOST_CORRELATED = 4.5  # autocorrelation of white residuals, in standard deviations
-_MOST_DROPPED = 0.02  # windows that may turn out not to fit as links are tightened, where an impact is nearly another
+_MOST_DROPPED = 0.04  # windows that may turn out not to fit as links are tightened, where an impact is nearly another
 _MOST_SKIPPED = 0.2  # steps that could not be followed, over the steps in windows
 
 

@@ -21,7 +21,6 @@ import numpy as np
 
 from jackbox_env import Recording, Scene, fit, make_simulator
 from jackbox_env.command_line import command_line
-from jackbox_env.scene import Chirp
 from jackbox_env.states import OMEGA_BOX, RATES, STATE_NAMES, THETA_BOX, Array
 from jackbox_env.tasks import sample_start
 from scripts.studies import timing
@@ -37,14 +36,13 @@ OPTIONS = ("--columns", COLUMNS, "--y-down")
 _NOISE = np.array([5e-3, 5e-3, 1e-3, 5e-3, 5e-3, 5e-3])  # [m] and [rad]
 _DROPPED = 50  # frames, one of which is lost
 _HELD = 0.5  # [s] that a torque is held for
-_SLOW = Chirp(start_frequency=0.5, rate=0.0)
 
 
 @dataclass(frozen=True)
 class Arguments:
     """Fit, and write the page."""
 
-    count: int = 100
+    count: int = 40
     """Files at each rate."""
     lengths: tuple[float, ...] = (4.0, 40.0, 400.0)
     """Of the long recordings [s]."""
@@ -99,16 +97,15 @@ def fitted_file(rate: float, seed: int) -> tuple[bool, bool]:
     return result.converged, low <= TRUE["jack_mass"] <= high
 
 
-def fitted_long(driven: bool, seconds: float) -> dict[str, float]:
-    """Fit a long recording in this process: its steps, seconds, memory, whether it converged and has the mass."""
-    scene = Scene.of({**TRUE, "drive": _SLOW if driven else None})
-    seen, torques = observed(scene, 60.0, seconds, seed=0)
+def fitted_long(seconds: float) -> dict[str, float]:
+    """Fit a long recording in this process: seconds, memory, the interval's width, whether it has the mass."""
+    scene = Scene.of({**TRUE, "drive": None})
+    seen, torques = observed(scene, 60.0, seconds, seed=1)
     states = np.full((len(seen), 12), np.nan)
     states[:, :RATES] = seen
-    recording = Recording(states, None if driven else torques, 1.0 / 60.0)
-    fit(Recording(states[:60], None if driven else torques[:59], 1.0 / 60.0), ("jack_mass",), scene)  # compiles
+    fit(Recording(states[:60], torques[:59], 1.0 / 60.0), ("jack_mass",), scene)  # compiles
     began = time.perf_counter()
-    result = fit(recording, ("jack_mass", "restitution"), scene.changed(**START))
+    result = fit(Recording(states, torques, 1.0 / 60.0), ("jack_mass", "restitution"), scene.changed(**START))
     low, high = result.intervals["jack_mass"]
     return {
         "seconds": time.perf_counter() - began, "width": high - low, "converged": result.converged,
@@ -117,11 +114,9 @@ def fitted_long(driven: bool, seconds: float) -> dict[str, float]:
     }  # fmt: skip
 
 
-def _alone(driven: bool, seconds: float) -> dict[str, float]:
+def fitted_alone(seconds: float) -> dict[str, float]:
     """:func:`fitted_long` in a process of its own, whose memory counts."""
-    code = (
-        f"import json\nfrom scripts.studies import cameras\nprint(json.dumps(cameras.fitted_long({driven}, {seconds})))"
-    )
+    code = f"import json; from scripts.studies import cameras; print(json.dumps(cameras.fitted_long({seconds})))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     result: dict[str, float] = json.loads(done.stdout)
     return result
@@ -148,20 +143,18 @@ def main() -> None:
     arguments = tyro.cli(Arguments, description=__doc__)
     check_writable(arguments.out)
     page, rows = arguments.out / "fitting.md", list[list[str]]()
-    for seconds in arguments.lengths:
-        held, driven = (_alone(kind, seconds) for kind in (False, True))
-        cells = [f"{one['seconds']:.1f} s" for one in (held, driven)] + [f"{held['mib']:.0f} MiB"]
-        good = ["yes" if one["converged"] and one["contains"] else "no" for one in (held, driven)]
-        rows.append([f"{seconds:g} s", *cells, f"{held['width']:.1g} kg", *good])
-        print(rows[-1])
+    for seconds in tqdm(arguments.lengths, unit="recording"):
+        one = fitted_alone(seconds)
+        good = ("no", "yes")[bool(one["converged"] and one["contains"])]
+        cells = f"{one['seconds']:.1f} s", f"{one['mib']:.0f} MiB", f"{one['width']:.1g} kg", good
+        rows.append([f"{seconds:g} s", *cells, f"{one['left_out']:g} of {60.0 * seconds:g} steps"])
     heads = (
         "recording",
-        "torques held",
-        "a drive",
+        "time of the fit",
         "memory",
-        "interval of the mass",
-        "converged, right",
-        "the drive's",
+        "width of the mass's interval",
+        "converged and right",
+        "left out",
     )
     lines, context = [table(heads, rows)], multiprocessing.get_context("spawn")
     with context.Pool() as pool:
