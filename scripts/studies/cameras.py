@@ -103,7 +103,7 @@ def fitted_long(seconds: float) -> dict[str, float]:
     seen, torques = observed(scene, 60.0, seconds, seed=1)
     states = np.full((len(seen), 12), np.nan)
     states[:, :RATES] = seen
-    fit(Recording(states[:60], torques[:59], 1.0 / 60.0), ("jack_mass",), scene)  # compiles
+    fit(Recording(states[:60], torques[:59], 1.0 / 60.0), ("jack_mass",), scene)  # loads what is compiled
     began = time.perf_counter()
     result = fit(Recording(states, torques, 1.0 / 60.0), ("jack_mass", "restitution"), scene.changed(**START))
     low, high = result.intervals["jack_mass"]
@@ -143,6 +143,7 @@ def main() -> None:
     arguments = tyro.cli(Arguments, description=__doc__)
     check_writable(arguments.out)
     page, rows = arguments.out / "fitting.md", list[list[str]]()
+    fitted_alone(arguments.lengths[0])  # compiles, which takes memory
     for seconds in tqdm(arguments.lengths, unit="recording"):
         one = fitted_alone(seconds)
         good = ("no", "yes")[bool(one["converged"] and one["contains"])]
