@@ -112,8 +112,8 @@ class Chain:
             shifted[:WIDTH, :WIDTH] = by @ shifted[:, :WIDTH] + eliminated.root @ eliminated.root.T
             covariance = shifted
             block = rows.jacobian[ends[index] : ends[index + 1]]
-            own, of_fields = block[:, :WIDTH], block[:, 2 * WIDTH :]
-            result[ends[index] : ends[index + 1]] = own @ covariance[:WIDTH] + of_fields @ covariance[past:]
+            of_start, of_fields = block[:, :WIDTH], block[:, 2 * WIDTH :]
+            result[ends[index] : ends[index + 1]] = of_start @ covariance[:WIDTH] + of_fields @ covariance[past:]
         return result
 
     def _times(self, fields: Array, starts: Array) -> Array:
