@@ -25,6 +25,7 @@ LAGS = 4  # windows back, up to which covariances are computed
 _RANK = 1e-9  # of the largest singular value of columns of length 1; less is unidentified, and stays
 _AT_ONCE = 200  # rows of a decomposition, so few that no threads are started, which costs more than they save
 _TOLERANCE = 1e-10  # relative change of the sum of squares, or of the unknowns, at which a search ends
+_GROWTH = 8.0  # of the damping after a step that fails
 _FIRST_DAMPING, _LEAST_DAMPING = 1e-6, 1e-14  # of the squared lengths of the observations' columns
 
 
@@ -178,7 +179,7 @@ def minimise(evaluate: Callable[[Array], Rows | None], unknowns: Array, windows:
     """
     rows = evaluate(unknowns)
     assert rows is not None
-    chain, damping, growth = Chain(rows, windows), _FIRST_DAMPING, 2.0
+    chain, damping = Chain(rows, windows), _FIRST_DAMPING
     for _ in range(most):
         square = float((chain.rows.residuals**2).sum())
         step = chain.step(damping)
@@ -189,9 +190,9 @@ def minimise(evaluate: Callable[[Array], Rows | None], unknowns: Array, windows:
         ended = small or max(abs(decrease), abs(step.decrease)) <= _TOLERANCE * square
         if trial is not None and decrease > 1e-4 * step.decrease:
             unknowns, chain = unknowns + moved, Chain(trial, windows)
-            damping, growth = max(0.1 * damping, _LEAST_DAMPING), 2.0
+            damping = max(0.1 * damping, _LEAST_DAMPING)
         else:
-            damping, growth = max(growth * damping, _FIRST_DAMPING), 4.0 * growth
+            damping = max(_GROWTH * damping, _FIRST_DAMPING)
         if ended:
             return unknowns, True
     return unknowns, False

@@ -51,6 +51,7 @@ _PRIOR_WIDTH = 0.5  # standard deviation, of logarithms of fields and of an unob
 _PRIOR_START_WIDTH = 0.02  # of the other numbers of a first state, in units of the state
 _MOST_CORRELATED = 4.5  # autocorrelation of white residuals, in standard deviations
 _MOST_DROPPED = 0.04  # windows that may turn out not to fit as links are tightened, where an impact is nearly another
+_FEW_SKIPPED = 0.02  # steps, over those of a recording; other guesses of its start are tried if there are more
 _MOST_SKIPPED = 0.2  # steps that could not be followed, over the steps in windows
 
 
@@ -265,7 +266,7 @@ class _Search:
             first, linked = self._windows[-1].last if explained else whole, explained
             last = self._windows[-1] if explained else window
             end = next_start(recording, last, self._parameters, self._numbers, explained)
-        return True
+        return skipped <= _FEW_SKIPPED * len(recording.states)
 
     def _fit_last(self) -> bool:
         """Fit the last window, with those before it; return whether it is explained.
