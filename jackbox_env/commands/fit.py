@@ -18,7 +18,7 @@ import numpy as np
 from jackbox_env import checks as check
 from jackbox_env.command_line import command_line
 from jackbox_env.commands.fit_page import sentences, table_of, write_fit_page
-from jackbox_env.commands.options import parser_of
+from jackbox_env.commands.options import add_scene_options, chosen_scene, parser_of
 
 if TYPE_CHECKING:
     from jackbox_env.measure.columns import Table
@@ -43,8 +43,8 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--columns", metavar="NAMES", help=text)
     text = "y points downwards and angles are clockwise, as in images"
     parser.add_argument("--y-down", action="store_true", help=text)
-    text = "where the search starts, and all that is not fitted: fields that differ from the default, as JSON"
-    parser.add_argument("--scene", default="{}", metavar="JSON", help=text)
+    text = "where the search starts, and all that is not fitted; default: scene.json beside the files, if there is one"
+    add_scene_options(parser.add_argument_group("scene", text))
     text = (
         """standard deviation of what was observed: a number, or by name, e.g. '{"x_jack": 0.01, "impacts": 0.001}'"""
     )
@@ -132,6 +132,19 @@ def _noise(text: str | None) -> Any:
         raise ValueError(f"noise must be a number or a JSON object, got {check.shown(text)}") from error
 
 
+def _stored_scene(paths: Sequence[Path]) -> dict[str, Any]:
+    """The scene that ``jackbox simulate`` has written beside the recordings; no field if there is none.
+
+    Raises:
+        ValueError: the recordings have different ones, or one is damaged.
+    """
+    files = dict.fromkeys(path.with_name("scene.json") for path in paths)
+    stored = [check.from_json(str(file), file.read_text(encoding="utf-8"), dict) for file in files if file.is_file()]
+    if any(fields != stored[0] for fields in stored):
+        raise ValueError(f"the recordings must be of one scene, got different ones in {' and '.join(map(str, files))}")
+    return stored[0] if stored else {}
+
+
 # -- the command -------------------------------------------------------------------------------------------------------
 
 
@@ -156,7 +169,9 @@ def main() -> None:
         raise ValueError("html needs matplotlib: pip install matplotlib, or leave --html out")
     if arguments.html:
         check_new(folder)
-    start, noise = Scene.of(check.from_json("scene", arguments.scene, dict)), _noise(arguments.noise)
+    chosen = chosen_scene(arguments.scene, arguments)
+    stored = {} if chosen else _stored_scene(paths)
+    start, noise = Scene.of(chosen or stored), _noise(arguments.noise)
     impacts = arguments.impacts or [None] * len(paths)
     recordings: list[Recording] = []
     names = column_names(arguments.columns)
@@ -164,6 +179,8 @@ def main() -> None:
         recordings.append(read_recording(path, start, heard, names, arguments.y_down))
         for note in recordings[-1].notes:
             print(f"{path}: {note}.", file=sys.stderr)
+    if stored:
+        print(f"The search starts at the scene of {paths[0].with_name('scene.json')}.", file=sys.stderr)
     steps = sum(len(np.asarray(one.states)) - 1 for one in recordings)
     print(f"Fitting {', '.join(arguments.fields)} to {steps} steps ...", file=sys.stderr, flush=True)
     from jackbox_env.measure.fitting import fit  # takes a while

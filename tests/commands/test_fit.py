@@ -71,6 +71,20 @@ def test_a_noisy_recording_identifies_mass_and_restitution_and_the_page_shows_th
     assert "never overwritten" in capsys.readouterr().err
 
 
+def test_the_search_starts_at_the_scene_that_simulate_has_written(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run(monkeypatch, folder, "noisy.csv", "--fields", "jack_mass")
+    out, err = capsys.readouterr()
+    assert "The search starts at the scene of scene.json." in err
+    assert re.split(r"  +", out.splitlines()[1])[3] == "4.5"
+    (tmp_path / "scene.json").write_text('{"gravity": 1.62}')
+    (tmp_path / "noisy.csv").write_text((folder / "noisy.csv").read_text())
+    with pytest.raises(SystemExit):
+        run(monkeypatch, folder, "noisy.csv", str(tmp_path / "noisy.csv"))
+    assert "the recordings must be of one scene" in capsys.readouterr().err
+
+
 def test_torques_that_equal_the_drives_mean_the_drive(folder: Path) -> None:
     assert fit.read_recording(folder / "states.csv", Scene()).torques is None
     held = fit.read_recording(folder / "states.csv", Scene(drive=Chirp(amplitude=80000.0))).torques
