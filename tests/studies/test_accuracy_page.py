@@ -59,7 +59,7 @@ def test_claims_hold_in_the_stored_results_and_each_fails_where_it_is_broken(sto
         (exact, proven, "lacking", {"worst": 1.0}),
         (exact, proven, "depth", {"worst": 1e-6}),
         (exact, proven, "prefix", {"total": 50.0}),
-        (measured.USUAL, proven, "prefix", {"total": 60.0}),
+        (measured.THRESHOLD, proven, "prefix", {"total": 60.0}),
         (exact, seeds, "depth", {"worst": 1e-6}),
         (coarse, seeds, "first_1", {"worst": 0.011}),
         (coarse, seeds, "wrong", {"total": 1.0}),

@@ -31,7 +31,7 @@ def test_an_interrupted_sweep_continues_to_the_results_of_an_uninterrupted_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     of_all, few, one_case, cases = measured.settings, dict(list(referee.reference().items())[:2]), measured.measured, []
-    names = {measured.USUAL, measured.pymunk(4, 1).name, measured.BATCH, *map(measured.of_fidelity, FIDELITIES)}
+    names = {measured.THRESHOLD, measured.pymunk(4, 1).name, measured.BATCH, *map(measured.of_fidelity, FIDELITIES)}
     monkeypatch.setattr(measured, "settings", lambda quick: [one for one in of_all(quick) if one.name in names])
     monkeypatch.setattr(referee, "reference", lambda: few)
     monkeypatch.setattr(measured, "STEPS", 150)

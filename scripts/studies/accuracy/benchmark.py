@@ -21,7 +21,7 @@ from scripts.studies.accuracy.measured import (
     PYMUNK,
     REFERENCE,
     SUBSTEPS,
-    USUAL,
+    THRESHOLD,
     Results,
     Row,
     named,
@@ -93,9 +93,9 @@ def claims(results: Results) -> list[Claim]:
             lacking.worst <= 0,
         ),
         Claim(
-            "exact has the most correct impacts of the proven cases, the usual way the fewest",
+            "exact has the most correct impacts of the proven cases, threshold detection the fewest",
             ", ".join(f"{name}: {results.of(name, 'prefix', REFERENCE).total:g}" for name in (best, last)),
-            (best, last) == (EXACT, USUAL),
+            (best, last) == (EXACT, THRESHOLD),
         ),
         Claim("exact: no foot is deeper in a wall than 1e-9 m", f"{deep:.1e} m", deep <= 1e-9),
         Claim(
@@ -119,7 +119,7 @@ def _worst(row: Row, unit: str) -> str:
 # -- the page ----------------------------------------------------------------------------------------------------------
 
 _ENGINES = [named(engine, n) for engine in ("box2d", "mujoco") for n in (4, 64)]
-TABLED = (EXACT, *(pymunk(n).name for n in (2, 4, 16, 64)), USUAL, *_ENGINES)
+TABLED = (EXACT, *(pymunk(n).name for n in (2, 4, 16, 64)), THRESHOLD, *_ENGINES)
 COLUMNS = {
     "impacts": {
         "µs per simulated s": "cost", "first impact [s]": "first_1", "first 3 [s]": "first_3", "first 5 [s]": "first_5",
@@ -172,13 +172,13 @@ def fidelity_table(results: Results) -> str:
 
 def _words(results: Results) -> dict[str, Any]:
     about, single = results.about, pymunk(4, 1).name
-    wrong, lost = results.some(USUAL, "imbalance", "escaped")
+    wrong, lost = results.some(THRESHOLD, "imbalance", "escaped")
     alone, batch = results.of(EXACT, "cost").median, results.of(BATCH, "cost").median
     return {name: _of_setting(results, of_fidelity(name)) for name in FIDELITIES} | {
         "many": _times(alone / batch / results.of(EXACT, "cost_over_default").median),
         "within": _within(results),
-        "usual_energy": figure(wrong.median),
-        "usual_lost": f"{lost.total:g} of {lost.n}",
+        "threshold_energy": figure(wrong.median),
+        "threshold_lost": f"{lost.total:g} of {lost.n}",
         "halving": f"{2.0 ** results.order('first_1')[0]:.1f}",
         "orders": ["{:.2f} ({:.2f} to {:.2f})".format(*results.order(quantity)) for quantity in ("first_1", "depth")],
         "single_cost": _percent(results.of(single, "cost_over_default").median),

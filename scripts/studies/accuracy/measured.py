@@ -61,8 +61,8 @@ def seeded(kind: str, seed: int) -> Case:
 # -- settings ----------------------------------------------------------------------------------------------------------
 
 TOGETHER = 1024
-EXACT, BATCH, PYMUNK, NAIVE = "exact", f"exact, {TOGETHER:,} at once", "pymunk", "usual way"  # families: lines
-USUAL = f"{NAIVE}, RK4 at 0.01 s"
+EXACT, BATCH, PYMUNK, DETECTION = "exact", f"exact, {TOGETHER:,} at once", "pymunk", "threshold detection"  # lines
+THRESHOLD = f"{DETECTION}, RK4 at 0.01 s"
 SUBSTEPS = (1, 2, 4, 8, 16, 32, 64, 128, 256)  # per control step of 0.02 s
 ITERATIONS = (1, 2, 5, 10, 20)
 
@@ -90,10 +90,10 @@ def pymunk(substeps: int, iterations: int | None = None) -> Setting:
 
 
 def _of_others(counts: tuple[int, ...]) -> list[Setting]:
-    usual = Setting(USUAL, NAIVE, 2, partial(baselines.baseline("threshold"), substeps=2))
+    detection = Setting(THRESHOLD, DETECTION, 2, partial(baselines.baseline("threshold"), substeps=2))
     engines = [name for name in ("box2d", "mujoco") if name not in baselines.missing()]
     settings = [(name, n, partial(baselines.baseline(name), substeps=n)) for name in engines for n in counts]
-    return [usual, *(Setting(named(name, n), name, n, make) for name, n, make in settings)]
+    return [detection, *(Setting(named(name, n), name, n, make) for name, n, make in settings)]
 
 
 def settings(quick: bool) -> list[Setting]:
@@ -108,7 +108,7 @@ def settings(quick: bool) -> list[Setting]:
 
 def contenders(quick: bool) -> list[Setting]:
     """Those that play the reference's cases; when quick without other packages."""
-    names = [of_fidelity(name) for name in FIDELITIES] + [USUAL]
+    names = [of_fidelity(name) for name in FIDELITIES] + [THRESHOLD]
     finest = [named(name, 64) for name in ("box2d", "mujoco")] * (not quick)
     solver = baselines.baseline("solve_ivp")
     solvers = [

@@ -10,8 +10,8 @@ from typing import Any
 from jackbox_env.files import replacing
 from scripts.studies.accuracy.measured import (
     BATCH,
+    DETECTION,
     EXACT,
-    NAIVE,
     PREDICTABLE,
     PYMUNK,
     REFERENCE,
@@ -22,7 +22,7 @@ from scripts.studies.accuracy.measured import (
 )
 from scripts.studies.pages import two_digits
 
-_COLOURS = {EXACT: "C0", BATCH: "C0", PYMUNK: "C2", NAIVE: "C3", "box2d": "0.5", "mujoco": "0.5"}
+_COLOURS = {EXACT: "C0", BATCH: "C0", PYMUNK: "C2", DETECTION: "C3", "box2d": "0.5", "mujoco": "0.5"}
 _LABELS = {  # at the points: text, offset [points], alignment
     EXACT: ("exact", (7, 0), "left"),
     BATCH: ("exact,\nin a batch", (7, 12), "left"),
@@ -31,7 +31,7 @@ _LABELS = {  # at the points: text, offset [points], alignment
     of_fidelity("fine"): ("fine", (-7, -7), "right"),
     pymunk(1).name: ("pymunk, 1 substep", (-6, 2), "right"),
     pymunk(256).name: ("256 substeps", (-3, -12), "right"),
-    f"{NAIVE}, RK4 at 0.01 s": ("usual way", (3, 40), "left"),
+    f"{DETECTION}, RK4 at 0.01 s": ("threshold\ndetection", (3, 40), "left"),
     "mujoco, 64 substeps": ("Box2D,\nMuJoCo", (5, 72), "right"),
 }
 _LEAST = 1e-16  # where a logarithmic axis shows zero
