@@ -190,13 +190,12 @@ def curve_of(rows: list[dict[str, Any]]) -> tuple[Array, Array, Array]:
 
 def in_scene(folder: Path, scene: dict[str, float], policy: str, episodes: int) -> dict[str, Any]:
     """Returns of the level box or of one of the trainings in a scene."""
-    settings = EnvSettings(scene=json.dumps(scene))
+    settings, run = EnvSettings(scene=json.dumps(scene)), folder / "varied-scenes"
     if policy == "varied scenes":
-        run = folder / "varied-scenes"
         with FileLock(folder / "varied-scenes.lock"):  # other workers wait for the one that trains
             trained_in(run, VARIED, progress=False)
-        policy = str(run)
-    acting = find_policy("ppo" if policy == "one scene" else policy, settings, SEED).policy
+    named = {"one scene": "ppo", "varied scenes": str(run)}.get(policy, policy)
+    acting = find_policy(named, settings, SEED).policy
     return _evaluated(policy, acting, settings.env_settings, episodes)
 
 

@@ -53,6 +53,8 @@ def page(record: dict[str, Any]) -> str:
     fast = 2.0 * Scene().speed_scale
     fields = {
         "earned": earned,
+        "by_pymunk": _mean(record["rows"], "rattle", "planner", "pymunk"),
+        "anchors": {name: ", ".join(f"{earned[task][name]:.1f}" for task in TRAINED) for name in ("zero", "planner")},
         "seed": record["seed"],
         "resamples": record["resamples"],
         "episodes": [best["juggle", policy]["episodes"] for policy in ("zero", "planner")],
@@ -76,6 +78,11 @@ def page(record: dict[str, Any]) -> str:
         "trained": _trained(record["learning"]),
     }
     return (Path(__file__).parent / "page.md").read_text().format(**fields)
+
+
+def _mean(rows: list[dict[str, Any]], *wanted: str) -> float:
+    """The mean return of a task, policy and contact model."""
+    return float(next(row["mean"] for row in rows if (row["task"], row["policy"], row["contact"]) == wanted))
 
 
 def _rollouts(searches: dict[str, dict[str, Any]]) -> str:
