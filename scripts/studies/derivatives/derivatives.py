@@ -1,4 +1,4 @@
-"""Write docs/derivatives.md: uses of derivatives through impacts, with a picture of each, in two minutes."""
+"""Write docs/derivatives.md: uses of derivatives through impacts, with a picture of each, in about a minute."""
 
 from __future__ import annotations
 
@@ -89,6 +89,7 @@ def _bounce(results: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _lyapunov(results: Mapping[str, Any]) -> dict[str, Any]:
+    ends = [of["forgotten_after_impacts"] for of in results.values()]
     factors = {policy: math.exp(of["log_per_impact"]["mean"]) for policy, of in results.items()}
     rows = [
         [f"`{policy}`", f"{spread(of['exponent'], 2)} / s", spread(of["impacts"]), figure(factors[policy]),
@@ -100,6 +101,7 @@ def _lyapunov(results: Mapping[str, Any]) -> dict[str, Any]:
         "starts": results["zero"]["starts"],
         "table": table(heads, rows),
         "growth": f"{min(factors.values()):.0f} to {max(factors.values()):.0f}",
+        "ends": f"{min(ends):.0f} to {max(ends):.0f}",
     }
 
 
