@@ -21,19 +21,19 @@ LOSS, STARTS = "Loss", "Feet that start on a wall or behind it"
 
 HEAD = """
 *holds*: the result is within its bound. `0.22 of 1 m` means 0.22 m with a bound of 1 m. *refused*: the call raises an
-error with that sentence and changes nothing. *FAILS*: neither; the row's test then fails too.
+error with this sentence and changes nothing. *FAILS*: neither; the row's test then fails too.
 
 Errors of momentum, energy and rates (the six velocities) without a unit are relative to the largest of their kind. They
-are differences from the law at the pose where an impact acts: the impact map, or the simultaneous law where feet touch
-together.
+are differences from the law at the pose of an impact: the impact map, or the simultaneous law if several feet touch.
 
-`pymunk` lets an impact act at the end of its substep, which is a quarter of a step by default and less at speed. A foot
-may then be as deep in a wall as it moves in a substep, 1 m at most. A foot that dips in and out again within a substep
-is not seen. `exact` finds impacts to rounding. Angles are rounded too: at 1e6 rad their unit in the last place is
-1.2e-10 rad. Beyond that a foot may be outside by up to 4 L times this unit: 5e-10 L at 1e6 rad, 5e-4 L at 1e12 rad.
+`pymunk` applies an impact at the end of its substep, which is a quarter of a step by default and shorter at high
+speed. A foot may then be as deep in a wall as it moves in a substep, 1 m at most. A foot that enters and leaves a wall
+within a substep is missed. `exact` locates impacts to rounding. Angles are rounded too: at 1e6 rad their unit in the
+last place is 1.2e-10 rad. A foot may then be outside by up to 4 L times this unit: 5e-10 L at 1e6 rad, 5e-4 L at 1e12
+rad.
 
-Unless a row says otherwise, the box has the half width L = 6 m and 400 kg, the jack has arms of 1 m and 4 kg, both
-start at some m/s and rad/s, and there is neither gravity nor torque.
+Unless a row differs, the box has the half width L = 6 m and 400 kg, the jack has arms of 1 m and 4 kg, both start at
+several m/s and rad/s, and there is neither gravity nor torque.
 """
 
 
@@ -118,11 +118,11 @@ def answer(findings: Findings) -> str:
     """The page in three sentences."""
     cases, verdicts = len({what for what, _ in findings}), [finding.verdict for finding in findings.values()]
     return (
-        f"{cases} extremes were given to both contact models: {verdicts.count(HOLDS)} answers hold to their bounds, "
-        f"{verdicts.count(REFUSED)} are refusals in one sentence, and {verdicts.count(FAILS) or 'none'} FAIL. `exact` "
-        "keeps the laws to rounding and every foot inside to 1e-9 m, whatever masses, speeds, spins and steps were "
-        "tried. `pymunk` keeps momentum and energy as well, but a foot may be up to 1 m in a wall at the end of a "
-        "step, and a step in which one would move further is refused."
+        f"{cases} extremes were tried on both contact models: {verdicts.count(HOLDS)} results are within their bounds, "
+        f"{verdicts.count(REFUSED)} are errors of one sentence, and {verdicts.count(FAILS) or 'none'} FAIL. `exact` "
+        "follows the laws to rounding and keeps every foot inside to 1e-9 m, for all masses, speeds, spins and steps "
+        "tried. `pymunk` conserves momentum and energy as well, but a foot may be up to 1 m in a wall at the end of a "
+        "step; a step in which it would move further raises an error."
     )
 
 
