@@ -6,6 +6,7 @@ Imports inside functions count too, and no modules form a circle.
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -110,6 +111,12 @@ def _circle(sources: dict[str, Path]) -> list[str]:
 
 def test_every_name_of_the_order_is_a_module() -> None:
     assert set(LEVELS) <= set(_sources())
+
+
+def test_the_page_has_every_package_in_this_order() -> None:
+    rows = (ROOT / "docs" / "architecture.md").read_text().split("|---|---|---|")[1].split("\n\n")[0].splitlines()
+    named = [re.findall(r"`([\w.]+)`", row.split("|")[1]) for row in rows if row]
+    assert [name for names in named for name in names] == ORDER.split()
 
 
 def test_imports_go_down_and_not_in_circles() -> None:
