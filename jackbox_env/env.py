@@ -44,27 +44,27 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
 
     A square box of half width L = 6 m and a jack, a cross with a point mass at each of its four feet, move in a
     vertical plane. The feet bounce off the inside of the walls without friction, and without loss unless the scene's
-    `restitution` is below 1. A lift carries the box's weight, nothing carries the jack's. So the jack falls, the walls
-    hit it, and the box slowly sinks because the impacts push it down. The agent sets the torque that turns the box.
+    `restitution` is below 1. A lift carries the box's weight; nothing carries the jack's. So the jack falls and
+    bounces, and each bounce pushes the box down a little. The agent applies a torque to the box.
 
-    The law is stated in `jackbox_env.mechanics`. How well a contact model keeps it is stated at the head of its file in
-    `jackbox_env.simulators`.
+    `jackbox_env.mechanics` states the law, and each file of `jackbox_env.simulators` how exactly its contact model
+    follows it.
 
     ## Action Space
 
     `Box(-1, 1, (1,), float32)`: the torque on the box in units of `scene.torque_limit` (90000 N m), positive
-    counter-clockwise, held for one control step. Finite values outside are clipped, NaN and infinities are refused. A
-    plain number counts as shape (1,).
+    counter-clockwise, constant for one control step. Finite values outside are clipped; NaN and infinities raise
+    ValueError. A plain number is accepted too.
 
     `step(None)` applies the scene's own drive instead. By default that is a chirp: a sine of 90000 N m whose frequency
-    grows from 0.5 Hz by 0.9 Hz per second, continuous in time. Action wrappers, Gymnasium's vector environments and
-    Stable-Baselines3 cannot pass None: make the environment with `torque="chirp"` there, and the drive acts whatever
-    the action. An action replaces the drive's torque. The drive's side forces act in any case.
+    grows from 0.5 Hz by 0.9 Hz per second, continuous in time. The native vector environment accepts None too. Action
+    wrappers, Gymnasium's Sync and AsyncVectorEnv and Stable-Baselines3 cannot pass None: make the environment with
+    `torque="chirp"` there, which ignores the action. An action replaces the drive's torque, not its side forces.
 
     ## Observation Space
 
-    `Box` of shape (10,), float32, from the state alone, with v0 = sqrt(2 * 9.81 * L) = 10.85 m/s and the jack's arm
-    l = 1 m. Values are clipped to the bounds; `info["state"]` has them raw.
+    `Box` of shape (10,), float32, a function of the state, with v0 = sqrt(2 * 9.81 * L) = 10.85 m/s and the jack's arm
+    l = 1 m. Values are clipped to the bounds; `info["state"]` has the full state.
 
     | Num | Observation                                    | Min | Max | Unit     |
     |-----|------------------------------------------------|-----|-----|----------|
@@ -83,9 +83,9 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
 
     ## Rewards
 
-    Chosen by `task` (`jackbox_env.tasks`); every reward is a sum of named terms, in `info` as `reward_<term>`.
+    `task` selects the reward, a sum of named terms, in `info` as `reward_<term>`:
 
-    - `"juggle"`: `centre`, 1 with the jack in the middle of the box, falling linearly to 0 at max(L - l, L / 6).
+    - `"juggle"`: `centre`, 1 if the jack is in the middle of the box, falling linearly to 0 at max(L - l, L / 6).
     - `"spin"`: `spin`, the jack's counter-clockwise rate over v0 / l within [-1, 1], times 1 - |omega_box| L / v0.
     - `"rattle"`: `knock`, the impulse of the step's impacts over 4 m_j v0, at most 1, times 1 - |omega_box| L / (2 v0),
       and `effort`, -0.01 times the square of the torque over its limit. Neither factor falls below 0.
@@ -99,15 +99,14 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     ## Episode End
 
     The episode never terminates, unless a task of your own ends it. The time limit that `gymnasium.make` adds truncates
-    it after 500 steps (by default 10 s). A jack that would leave the box raises `JackLostError`, a RuntimeError. In the
-    default scene 10 s of torque cannot make it fast enough for that.
+    it after 500 steps (by default 10 s). If the jack would leave the box, `step` raises `JackLostError`, a
+    RuntimeError. In the default scene 10 s of torque cannot make it fast enough for that.
 
     ## Information
 
     `reset` and `step` return the same keys: `state` (float64, (12,): x, y, angle of the box and of the jack, then their
     rates, SI units), `time` [s], `torque` (mean over the step) [N m], `impacts` (count in the step), `impulse` (their
-    sum) [N s] and `reward_<term>` for each term. Under `randomize`, `scene` holds the numbers that were drawn, a dict
-    by field.
+    sum) [N s] and `reward_<term>` for each term. With `randomize` there is also `scene`, a dict of the drawn fields.
 
     ## Arguments
 
@@ -125,26 +124,26 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     | `render_size`    | `(512, 512)` | width and height of a frame [pixels], from 16 to 4096; below 400 without text  |
     | `render_overlay` | `True`       | False: a frame shows box, jack and ruled lines alone, for learning from pixels |
 
-    `reset(options={"state": ..., "time": ...})` starts from exactly these 12 numbers at that time. Every foot must be
-    inside, up to 1e-9 m, or far from the origin 4 units in the last place. `env.unwrapped.set_state(state, time)`
-    continues from any state that `info` has shown, also in contact; `env.unwrapped.observation` is its observation.
+    `reset(options={"state": ..., "time": ...})` starts from these 12 numbers at that time. Every foot must be inside,
+    up to 1e-9 m (far from the origin, 4 units in the last place). `env.unwrapped.set_state(state, time)` restores any
+    state from `info`, also one in contact; `env.unwrapped.observation` is then its observation.
 
     ## Other Scenes
 
     `reset(options={"scene": {"gravity": 1.62}})` overrides fields of the environment's scene until the next reset with
-    that option. An inertia that was not given follows mass and size. `env.unwrapped.scene` is the present scene.
+    that option. Unless set, inertias follow mass and size. `env.unwrapped.scene` is the present scene.
 
     `randomize={"jack_mass": (2.0, 6.0), "restitution": (0.8, 1.0)}` draws these fields at each reset, uniformly, in the
     order of `Scene`'s fields and before the start. Ranges that include an invalid scene raise ValueError at once.
     `randomize` may also be a function that takes the environment's `numpy.random.Generator` and returns a dict of
-    fields. The option `"scene"` then overrides the drawn fields, for that one episode.
+    fields. The option `"scene"` then overrides drawn fields for that episode.
 
     ## Fidelity
 
-    `fidelity` chooses how impacts are computed: `"coarse"`, `"balanced"` (the default) and `"fine"` are pymunk with 2,
-    4 and 64 substeps, `"exact"` is the exact model. docs/accuracy.md states the error and the speed of each. `contact`
-    and `substeps` select combinations without a name; if they conflict with `fidelity`, they raise ValueError.
-    `jackbox_env.cheapest` measures which setting keeps given bounds for a scene of your own.
+    `fidelity` sets how impacts are computed: `"coarse"`, `"balanced"` (the default) and `"fine"` are pymunk with 2, 4
+    and 64 substeps, `"exact"` is the exact model. docs/accuracy.md has the error and the speed of each. `contact` and
+    `substeps` select unnamed combinations; if they conflict with `fidelity`, they raise ValueError.
+    `jackbox_env.cheapest` measures which setting stays within given bounds in your own scene.
 
     >>> import gymnasium as gym, jackbox_env
     >>> env = gym.make("JackInBox-v0")

@@ -167,14 +167,6 @@ def test_the_command_compares(shared: str, status: int, said: str) -> None:
         assert re.fullmatch(f"{said}\n", done.stderr if status == 2 else done.stdout)
 
 
-def test_the_scenes_of_the_physics_page_can_be_read() -> None:
-    links = re.findall(r"""<a target="play" href='play.html#([^']*)'>""", (ROOT / "docs" / "physics.md").read_text())
-    games = [read_game(link) for link in links]
-    assert [(game.scene.restitution, game.scene.gravity > 0.0) for game in games] == [
-        *[(1.0, True)] * 3, (0.5, True), (1.0, False),
-    ]  # fmt: skip
-
-
 # -- play -------------------------------------------------------------------------------------------------------------
 
 

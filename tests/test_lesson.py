@@ -1,0 +1,80 @@
+"""The answers of docs/lesson.md are those of the exact model."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jackbox_env import Impact, make_simulator
+from jackbox_env.recording.game import Game, read_game
+from tests.states import Array
+
+LESSON = (Path(__file__).parents[1] / "docs" / "lesson.md").read_text()
+LINKS = re.findall(r"""<a target="play" href='play.html#([^']*)'>""", LESSON)
+DROP, LOSS, SPIN, WEDGE, LEANING, NEARER, WEIGHTLESS = map(read_game, LINKS)
+
+
+def played(game: Game, seconds: float) -> tuple[Array, list[Impact]]:
+    """States every 0.02 s, and impacts, of a scene under no torque."""
+    simulator = make_simulator(game.scene.changed(drive=None), contact="exact")
+    simulator.reset(game.start)
+    states, impacts = [np.array(simulator.state)], list[Impact]()
+    for _ in range(round(seconds / 0.02)):
+        simulator.step(0.02)
+        states.append(np.array(simulator.state))
+        impacts += simulator.impacts
+    return np.array(states), impacts
+
+
+def test_a_drop() -> None:
+    states, _ = played(DROP, 10.0)
+    assert states[60:150, 4].max() == pytest.approx(-0.20, abs=0.005)
+    assert (states[:, 4] - states[:, 1]).max() == 0.0
+    assert states[-1, 1] == pytest.approx(-4.86, abs=0.005)
+
+
+def test_restitution_of_a_half() -> None:
+    _, impacts = played(LOSS, 3.02)
+    flights = np.diff([hit.time for hit in impacts])
+    assert impacts[0].time == pytest.approx(1.01, abs=0.005)
+    np.testing.assert_allclose(flights[:6], impacts[0].time * 0.5 ** np.arange(6))
+    assert 3.0 * impacts[0].time == pytest.approx(3.03, abs=0.005)
+
+
+def test_a_spin() -> None:
+    states, impacts = played(SPIN, 1.02)
+    assert len(impacts) == 1
+    assert states[50, [10, 11]] == pytest.approx([-10.0, 20.0], abs=0.5)
+    assert states[51, [10, 11]] == pytest.approx([16.0, 15.0], abs=0.5)
+
+
+def test_the_links_of_the_wedges_differ_as_the_page_says() -> None:
+    angles = [game.start[5] for game in (WEDGE, LEANING, NEARER)]
+    np.testing.assert_allclose(np.diff(angles), [1e-3, 1e-6 - 1e-3])
+
+
+@pytest.mark.parametrize(("by", "time", "count"), [(1e-3, 3.8, 3), (1e-6, 7.2, 7), (1e-9, 10.7, 11)])
+def test_two_wedges(by: float, time: float, count: int) -> None:
+    game = WEDGE._replace(start=WEDGE.start + by * np.eye(12)[5])
+    (states, impacts), (others, _) = played(WEDGE, 11.0), played(game, 11.0)
+    apart = 0.02 * (abs(states - others)[:, 3:5].max(axis=1) > 0.1).argmax()
+    assert f"{time} s, or {count}" in LESSON
+    assert apart == pytest.approx(time, abs=0.05)
+    assert sum(hit.time < apart for hit in impacts) == count
+
+
+def test_without_gravity() -> None:
+    states, impacts = played(WEIGHTLESS, 10.0)
+    energy, momentum, angular = 0.0, np.zeros(2), 0.0
+    for mass, inertia, first in ((400.0, 14400.0, 0), (4.0, 4.0, 3)):
+        (x, y, _), (vx, vy, omega) = states[:, first : first + 3].T, states[:, first + 6 : first + 9].T
+        energy = energy + 0.5 * (mass * (vx**2 + vy**2) + inertia * omega**2)
+        momentum = momentum + mass * np.stack([vx, vy], axis=1)
+        angular = angular + mass * (x * vy - y * vx) + inertia * omega
+    assert len(impacts) > 3
+    np.testing.assert_allclose(energy, 112.0)
+    np.testing.assert_allclose(momentum, [[24.0, 16.0]] * len(states))
+    np.testing.assert_allclose(angular, 8.0)
