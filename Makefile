@@ -36,7 +36,7 @@ test-slow: .venv/ready $(OLD_GYMNASIUM)/ready
 	EXPECTED_GYMNASIUM=1.2.2 PYTHONPATH=$(OLD_GYMNASIUM) $(PYTEST) $(WORKERS) $(UNDER_OLD_GYMNASIUM)
 	EXPECTED_GYMNASIUM=1.4.0 $(PYTEST) $(WORKERS) --whole -m "slow or sweep"
 
-# Speed against accuracy: the full sweep writes docs/accuracy.md, the quick one (2 minutes) only its run folder.
+# Speed against accuracy: the full sweep writes docs/accuracy.md, the quick one (about 2 minutes) only its run folder.
 benchmark: .venv/ready
 	@$(BIN)/python scripts/studies/accuracy/benchmark.py --out docs
 
@@ -53,7 +53,7 @@ speed: .venv/ready
 costs: .venv/ready
 	@$(BIN)/python scripts/studies/costs/costs.py
 
-# What derivatives are good for: iLQR, a bounce that repeats, Lyapunov exponents; half a minute.
+# Uses of derivatives: iLQR, a periodic bounce, Lyapunov exponents; about a minute.
 derivatives: .venv/ready
 	@$(BIN)/python scripts/studies/derivatives/derivatives.py
 
@@ -69,7 +69,7 @@ prove-quick: .venv/ready
 reference: .venv/ready
 	@OMP_NUM_THREADS=1 $(BIN)/python -m tests.reference
 
-# Random cases for hours, others in each round of some 40 minutes, until an invariant does not hold.
+# Random cases for hours, new ones in each round of about 40 minutes, until an invariant fails.
 soak: .venv/ready
 	@for round in $$(seq 12); do \
 		HYPOTHESIS_PROFILE=hours $(PYTEST) tests/invariants tests/guarantees/test_random_scenes.py || exit 1; done
@@ -77,7 +77,7 @@ soak: .venv/ready
 extremes: .venv/ready
 	@$(BIN)/python -m tests.extremes
 
-# ARM takes Debian's debootstrap and qemu-user-static, root and some 10 minutes; what is missing is skipped and named.
+# ARM needs Debian's debootstrap and qemu-user-static, root and about 10 minutes; else it is skipped and named.
 machines: .venv/ready
 	@JACKBOX_MACHINES=all $(PYTEST) -rs tests/guarantees/test_other_machines.py
 
@@ -85,19 +85,19 @@ machines: .venv/ready
 kills: .venv/ready
 	@JACKBOX_KILLS=200 $(PYTEST) tests/guarantees/test_kills.py
 
-# What the tests see: 60 small faults, one at a time, and the first test that fails of each; some hours.
+# Mutation testing: 60 small faults, one at a time, and the first test that fails of each; some hours.
 mutants: .venv/ready
 	@$(BIN)/python -m tests.mutants $(MUTANTS)
 
-# What every policy earns, docs/results.md; goes on where it was interrupted. The planner takes most of its 15 minutes.
+# Returns of every policy, docs/results.md; resumes if interrupted. The planner takes most of its 15 minutes.
 results: .venv/ready
 	@$(BIN)/python scripts/studies/results/results.py
 
-# The networks in agents/trained again, 8 million steps each, some 8 minutes of one core each.
+# Train the networks of agents/trained again: 1.2 to 4 million decisions, about 40 to 140 s of one core each.
 networks: .venv/ready
 	@$(BIN)/python scripts/studies/networks.py
 
-# The site in docs/_build/html; the notebooks run, some two minutes. A warning, and so a broken link, is an error.
+# The site in docs/_build/html; the notebooks run, about two minutes. A warning, and so a broken link, is an error.
 docs: .venv/ready
 	@SDL_VIDEODRIVER=dummy $(BIN)/python -m sphinx -q -W --keep-going docs docs/_build/html
 	@echo "Open docs/_build/html/index.html"
@@ -115,7 +115,7 @@ wheel: .venv/ready
 ranges: .venv/ready
 	@$(BIN)/python scripts/ranges.py
 
-# Minari datasets of random torques, PPO and the planner on each task, in runs/dataset; some 3 minutes.
+# Minari datasets of random torques, PPO and the planner on each task, in runs/dataset; about 3 minutes.
 dataset: .venv/ready
 	@OMP_NUM_THREADS=1 $(BIN)/python scripts/dataset.py
 
