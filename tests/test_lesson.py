@@ -31,24 +31,24 @@ def played(game: Game, seconds: float) -> tuple[Array, list[Impact]]:
 
 def test_a_drop() -> None:
     states, _ = played(DROP, 10.0)
-    assert states[60:150, 4].max() == pytest.approx(-0.20, abs=0.005)
+    assert f"{-states[60:150, 4].max():.2f} m below its start" in LESSON
     assert (states[:, 4] - states[:, 1]).max() == 0.0
-    assert states[-1, 1] == pytest.approx(-4.86, abs=0.005)
+    assert f"\n{-states[-1, 1]:.2f} m. Gravity" in LESSON
 
 
 def test_restitution_of_a_half() -> None:
     _, impacts = played(LOSS, 3.02)
     flights = np.diff([hit.time for hit in impacts])
-    assert impacts[0].time == pytest.approx(1.01, abs=0.005)
     np.testing.assert_allclose(flights[:6], impacts[0].time * 0.5 ** np.arange(6))
-    assert 3.0 * impacts[0].time == pytest.approx(3.03, abs=0.005)
+    assert f"= {impacts[0].time:.2f} s. The flight" in LESSON
+    assert f"= {3.0 * impacts[0].time:.2f} s. Then" in LESSON
 
 
 def test_a_spin() -> None:
     states, impacts = played(SPIN, 1.02)
     assert len(impacts) == 1
-    assert states[50, [10, 11]] == pytest.approx([-10.0, 20.0], abs=0.5)
-    assert states[51, [10, 11]] == pytest.approx([16.0, 15.0], abs=0.5)
+    assert f"with {states[50, 11]:.0f} rad/s.\nIt arrives at {-states[50, 10]:.0f} m/s" in LESSON
+    assert f"At {states[51, 10]:.0f} m/s upwards, with {states[51, 11]:.0f} rad/s left" in LESSON
 
 
 def test_the_links_of_the_wedges_differ_as_the_page_says() -> None:
@@ -56,14 +56,12 @@ def test_the_links_of_the_wedges_differ_as_the_page_says() -> None:
     np.testing.assert_allclose(np.diff(angles), [1e-3, 1e-6 - 1e-3])
 
 
-@pytest.mark.parametrize(("by", "time", "count"), [(1e-3, 3.8, 3), (1e-6, 7.2, 7), (1e-9, 10.7, 11)])
-def test_two_wedges(by: float, time: float, count: int) -> None:
+@pytest.mark.parametrize("by", [1e-3, 1e-6, 1e-9])
+def test_two_wedges(by: float) -> None:
     game = WEDGE._replace(start=WEDGE.start + by * np.eye(12)[5])
     (states, impacts), (others, _) = played(WEDGE, 11.0), played(game, 11.0)
     apart = 0.02 * (abs(states - others)[:, 3:5].max(axis=1) > 0.1).argmax()
-    assert f"{time} s, or {count}" in LESSON
-    assert apart == pytest.approx(time, abs=0.05)
-    assert sum(hit.time < apart for hit in impacts) == count
+    assert f"fter {apart:.1f} s, or {sum(hit.time < apart for hit in impacts)}" in LESSON
 
 
 def test_without_gravity() -> None:

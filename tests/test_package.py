@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import doctest
 import importlib
+import json
+import math
 import re
 import subprocess
 import sys
@@ -109,6 +111,68 @@ def test_the_readme_is_short_and_its_tables_have_the_measured_numbers() -> None:
     assert readme.ENVIRONMENT.read_text() == readme.environment_page(), "make readme"
     for link in re.findall(r"\]\(([^)#]+)", page):
         assert "://" in link or (ROOT / link).exists(), link
+
+
+WRITTEN = [ROOT / "CHANGELOG.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+
+def anchors(page: Path) -> set[str]:
+    """The anchors of a page's headings, as the site makes them."""
+    headings = re.findall(r"^#+ (.*)$", page.read_text(), re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", heading).strip().lower().replace(" ", "-") for heading in headings}
+
+
+def broken(page: Path) -> list[str]:
+    """Links of a page to files or headings that do not exist."""
+    links = re.findall(r"\]\(([^)\s]+)\)", page.read_text())
+    found = []
+    for link in (link for link in links if "://" not in link and link != "ADDRESS"):
+        name, _, anchor = link.partition("#")
+        target = page.parent / name if name else page
+        if not target.exists() or (anchor and anchor not in anchors(target)):
+            found.append(link)
+    return found
+
+
+@pytest.mark.parametrize("page", [path for path in WRITTEN if "_build" not in path.parts], ids=lambda path: path.name)
+def test_links_of_a_page_lead_somewhere(page: Path) -> None:
+    assert broken(page) == []
+
+
+def test_broken_links_are_found(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("# `One` thing\n[a](#one-thing) [b](#two) [c](page.md#one-thing) [d](gone.md)")
+    assert broken(page) == ["#two", "gone.md"]
+
+
+def test_numbers_in_hand_written_sentences_are_the_stored_ones() -> None:
+    pytest.importorskip("scipy")
+    from scripts.studies.results.measured import best_upright
+
+    results, derivatives = (
+        json.loads((ROOT / "docs" / f"{name}.json").read_text()) for name in ("results", "derivatives")
+    )
+    earned = {(row["task"], row["policy"]): row["mean"] for row in results["rows"] if row["contact"] == "exact"}
+    level, ppo = (round(earned["juggle", policy]) for policy in ("level", "ppo"))
+    seconds = [row["seconds"][-1] for row in results["learning"] if row["task"] == "spin"]
+    ends = [row["forgotten_after_impacts"] for row in derivatives["lyapunov"].values()]
+    growth = [math.exp(row["log_per_impact"]["mean"]) for row in derivatives["lyapunov"].values()]
+    wanted = {
+        "index": [f"earns {level}"],
+        "start": [f"a PD controller earns {level}", f"reaches {ppo}"],
+        "lesson": [f"who beats {level}?"],
+        "tasks": [
+            f"{best_upright():.0f} at best",
+            f"About {results['spin_bound']:.0f} of",
+            f"earns {earned['juggle', 'zero']:.0f}",
+        ],
+        "training": [f"about {round(sum(seconds) / len(seconds), -1):.0f} s"],
+        "physics": [f"[{min(ends):.0f} to {max(ends):.0f}]"],
+        "faq": [f"[{min(growth):.0f} to {max(growth):.0f} times]"],
+    }
+    for name, sentences in wanted.items():
+        page = (ROOT / "docs" / f"{name}.md").read_text()
+        assert [words for words in sentences if words not in page] == [], name
 
 
 PAGES = sorted(path.name for path in (ROOT / "docs").glob("*.md") if blocks(path))
