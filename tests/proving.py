@@ -365,11 +365,11 @@ def page(tallies: dict[str, Tally], seed: int) -> str:
 
 Seed {seed}. Reasons for undecided steps: {reasons}. {more:,} motions needed more than 128 bits.
 
-- At the time of a first impact its foot is at most {max(one.position for one in apart):.2g} m from where its wall is.
+- At the time of a first impact its foot is at most {max(one.position for one in apart):.2g} m from its wall.
   {100.0 * sum(time > 4.0 for time in times) / len(times):.0f} % of these times are more than 4 units off.
 - {len(grazes):,} feet bounce although their gap is proven positive, by at most {gap:.2g} m. Velocities then differ
   by at most {changed:.2g} m/s or rad/s.
-- Steps in which two feet strike nearly at once, and one is first where the law has both at once or the other first:
+- Steps in which two feet strike nearly at once, simultaneously or in another order than proven:
   {len(ties):,}. Velocities then differ by up to {max(ties, default=0.0):.2g} m/s or rad/s.
 """
 

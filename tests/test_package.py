@@ -125,13 +125,13 @@ def anchors(page: Path) -> set[str]:
 def broken(page: Path) -> list[str]:
     """Links of a page to files or headings that do not exist."""
     links = re.findall(r"\]\(([^)\s]+)\)", page.read_text())
-    found = []
+    dangling = []
     for link in (link for link in links if "://" not in link and link != "ADDRESS"):
         name, _, anchor = link.partition("#")
         target = page.parent / name if name else page
         if not target.exists() or (anchor and anchor not in anchors(target)):
-            found.append(link)
-    return found
+            dangling.append(link)
+    return dangling
 
 
 @pytest.mark.parametrize("page", [path for path in WRITTEN if "_build" not in path.parts], ids=lambda path: path.name)
@@ -139,7 +139,7 @@ def test_links_of_a_page_lead_somewhere(page: Path) -> None:
     assert broken(page) == []
 
 
-def test_broken_links_are_found(tmp_path: Path) -> None:
+def test_broken_links_are_reported(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text("# `One` thing\n[a](#one-thing) [b](#two) [c](page.md#one-thing) [d](gone.md)")
     assert broken(page) == ["#two", "gone.md"]

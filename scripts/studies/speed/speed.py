@@ -50,10 +50,10 @@ RATIOS = {
     },
     "together": {
         "`rollout` over the bare pymunk loop": (these.ROLLOUT, these.BARE),
-        "unguarded search over the certified one: what certifying costs": (these.UNGUARDED, these.ROLLOUT),
+        "unguarded search over the certified one: the cost of certifying": (these.UNGUARDED, these.ROLLOUT),
         "`linearize` with all A and B over `rollout`": (these.MATRICES, these.ROLLOUT),
         "`linearize` and `vjp` over `rollout`": (these.PULLED, these.ROLLOUT),
-        "batch over `rollout`: what observation, reward and restarts leave": (these.BATCH, these.ROLLOUT),
+        "batch over `rollout`: the cost of observation, reward and restarts": (these.BATCH, these.ROLLOUT),
         "batch under the chirp over the same under actions": (these.BATCH_CHIRP, these.BATCH),
         "batch with a scene for each environment over one scene for all": (these.BATCH_SCENES, these.BATCH),
         "batch with jacks drawn at each reset over one scene for all": (these.BATCH_DRAWN, these.BATCH),
