@@ -184,6 +184,7 @@ def test_each_block_of_a_page_runs_alone(
     page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("stable_baselines3")
+    (tmp_path / "docs").symlink_to(ROOT / "docs")
     monkeypatch.chdir(tmp_path)
     for block in blocks(ROOT / "docs" / page):
         exec(compile(block, page, "exec"), {"__name__": "__main__"})
