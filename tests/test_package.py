@@ -113,7 +113,7 @@ def test_the_readme_is_short_and_its_tables_have_the_measured_numbers() -> None:
         assert "://" in link or (ROOT / link).exists(), link
 
 
-WRITTEN = [ROOT / "CHANGELOG.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+WRITTEN = [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def anchors(page: Path) -> set[str]:
