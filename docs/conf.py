@@ -20,6 +20,7 @@ version = release = jackbox_env.__version__
 extensions = [
     "myst_nb",
     "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
     "sphinx.ext.napoleon",
     "sphinx_copybutton",
     "sphinx-mathjax-offline",
@@ -44,10 +45,11 @@ nb_merge_streams = True
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_class_signature = "mixed"
-autodoc_type_aliases = {name: name for name in ("Array", "ArrayLike", "Counts", "Flags", "Floats", "Infos", "Numbers")}
+_ALIASES = "Array", "ArrayLike", "Counts", "Flags", "Floats", "Indices", "Infos", "Numbers"
+autodoc_type_aliases = {**{name: name for name in _ALIASES}, "Observation": "Floats"}
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
-napoleon_use_ivar = True
+napoleon_use_ivar = False  # attributes are entries of their own, which links find
 
 
 def _plain(app, what, name, obj, options, signature, return_annotation):
@@ -55,6 +57,18 @@ def _plain(app, what, name, obj, options, signature, return_annotation):
     return tuple(
         text and re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", text) for text in (signature, return_annotation)
     )
+
+
+def _in_short(app, what, name, obj, options, lines):
+    """Of the environment's docstring its first line: the rest is the page environment.md, in Markdown."""
+    if name == "jackbox_env.JackInBoxEnv":
+        lines[1:] = ["", "Its spaces, rewards and arguments are on its page, :doc:`/environment`."]
+
+
+def _whole(app, what, name, obj, options, lines):
+    """Put an empty comment first: napoleon reads words before a colon in a property's first line as its type."""
+    if what == "property":
+        lines[:0] = ["..", ""]
 
 
 def _copy_page(app, exception):
@@ -69,4 +83,6 @@ def _copy_page(app, exception):
 def setup(app):
     """Connect the above."""
     app.connect("autodoc-process-signature", _plain)
+    app.connect("autodoc-process-docstring", _in_short)
+    app.connect("autodoc-process-docstring", _whole, priority=100)  # before napoleon
     app.connect("build-finished", _copy_page)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from gymnasium.envs.registration import register
@@ -21,10 +22,14 @@ if TYPE_CHECKING:
     from jackbox_env.planning.linearization import Linearization, linearize
     from jackbox_env.planning.wrappers import Lookahead, LookaheadVector
     from jackbox_env.simulators import Impact, JackLostError, Simulator, make_simulator
-    from jackbox_env.simulators.fidelity import FIDELITIES
+    from jackbox_env.simulators.fidelity import Setting
     from jackbox_env.vector_env import JackInBoxVectorEnv
 
 __version__ = "0.1.0"
+
+#: Contact model and substeps of the fidelities "coarse", "balanced", "fine" and "exact".
+FIDELITIES: Mapping[str, Setting]
+
 _LAZY = {
     "FIDELITIES": "simulators.fidelity",
     "Fit": "measure.fitting",

@@ -47,6 +47,7 @@ class State(NamedTuple):
 ) = range(len(State._fields))  # fmt: skip
 RATES = VX_BOX  # where the rates begin
 
+#: The names of a state's 12 numbers, in order.
 STATE_NAMES = State._fields
 STATE_UNITS = ("m", "m", "rad") * 2 + ("m/s", "m/s", "rad/s") * 2
 

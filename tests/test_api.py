@@ -1,0 +1,79 @@
+"""The API reference has every public name, in its index and in full."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import re
+from pathlib import Path
+
+import pytest
+
+import jackbox_env
+
+DOCS = Path(__file__).parents[1] / "docs"
+INDEX = (DOCS / "api.md").read_text(encoding="utf-8")
+DETAILS = "".join(path.read_text(encoding="utf-8") for path in sorted((DOCS / "api").glob("*.md")))
+MODULES = ("mechanics", "sb3", "sb3_wrappers", "torch")  # public ones, docs/versions.md
+
+
+def _public(module: str) -> list[str]:
+    """Names that a module offers: those of ``__all__``, or what it defines and documents without an underscore."""
+    loaded = importlib.import_module(f"jackbox_env.{module}")
+    if hasattr(loaded, "__all__"):
+        return list(loaded.__all__)
+    members = inspect.getmembers(loaded, lambda member: inspect.isclass(member) or inspect.isfunction(member))
+    return [
+        name
+        for name, member in members
+        if not name.startswith("_") and member.__doc__
+        if member.__module__ == loaded.__name__
+    ]
+
+
+def _missing(names: list[str], index: str, details: str) -> list[str]:
+    """The names that are not in the index, or have no full entry."""
+    indexed = re.findall(r"^   ([\w.]+)$", index, re.MULTILINE)
+    entries = re.findall(r"auto(?:class|exception|function|data):: jackbox_env\.([\w.]+)", details)
+    for module, members in re.findall(r"automodule:: jackbox_env\.([\w.]+)\n   :members: (.*)", details):
+        entries += [f"{module}.{member}" for member in members.split(", ")]
+    return [name for name in names if name not in indexed or name not in entries]
+
+
+def test_every_public_name_is_in_the_reference() -> None:
+    assert _missing(jackbox_env.__all__, INDEX, DETAILS) == []
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_every_name_of_a_public_module_is_in_the_reference(module: str) -> None:
+    if module != "mechanics":
+        pytest.importorskip({"torch": "torch"}.get(module, "stable_baselines3"))
+    names = [f"{module}.{name}" for name in _public(module)]
+    assert names
+    assert _missing(names, INDEX, DETAILS) == []
+    assert module in (DOCS / "versions.md").read_text(encoding="utf-8")
+
+
+def test_the_index_and_the_entries_are_of_the_same_names() -> None:
+    indexed = re.findall(r"^   ([\w.]+)$", INDEX, re.MULTILINE)
+    assert _missing(indexed, INDEX, DETAILS) == []
+
+
+def test_a_name_that_is_left_out_is_seen() -> None:
+    assert _missing(["rollout"], INDEX.replace("   rollout\n", ""), DETAILS) == ["rollout"]
+    assert _missing(["rollout"], INDEX, DETAILS.replace("jackbox_env.rollout\n", "\n")) == ["rollout"]
+    assert _missing(["mechanics.gaps"], INDEX, DETAILS.replace("members: gaps, ", "members: ")) == ["mechanics.gaps"]
+
+
+@pytest.mark.parametrize(
+    ("owner", "names"),
+    [
+        ("Linearization", "A, B, P, impacts, vjp, jvp"),
+        ("JackInBoxVectorEnv", "reset, step, set_states, states, times, scenes, impacts, tiled"),
+    ],
+)
+def test_the_methods_are_listed(owner: str, names: str) -> None:
+    (members,) = re.findall(rf"autoclass:: jackbox_env\.{owner}(?:\(\))?\n   :members: (.*)", DETAILS)
+    assert set(names.split(", ")) <= set(members.split(", "))
+    for name in members.split(", "):
+        assert getattr(jackbox_env, owner).__dict__[name] is not None
