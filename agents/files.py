@@ -70,7 +70,7 @@ def read_bounded(path: Path, max_bytes: int) -> bytes:
         ValueError: it has more than ``max_bytes`` bytes.
     """
     if not path.is_file():
-        raise FileNotFoundError(f"{path.parent} holds no {path.name}")
+        raise FileNotFoundError(f"{path.parent} has no {path.name}")
     if path.stat().st_size > max_bytes:
         raise ValueError(f"{path} must be at most {max_bytes:,} bytes, got {path.stat().st_size:,}")
     return path.read_bytes()

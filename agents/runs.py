@@ -91,7 +91,7 @@ def read_settings(folder: Path) -> TrainSettings:
     try:
         return TrainSettings.of(json.loads(read_bounded(path, _LARGEST_SETTINGS)))
     except (RecursionError, TypeError, ValueError) as error:
-        raise ValueError(f"{path} holds no settings of a run: {error}") from error
+        raise ValueError(f"{path} has no settings of a run: {error}") from error
 
 
 # -- models ------------------------------------------------------------------------------------------------------------
@@ -115,9 +115,9 @@ def model_in(path: Path) -> Path:
     if path.is_dir():
         file = path / BEST if is_whole(path / BEST) else path / MODEL
     if not file.is_file():
-        raise FileNotFoundError(f"{path} holds no model: {BEST} or {MODEL} was looked for")
+        raise FileNotFoundError(f"{path} has no model: neither {BEST} nor {MODEL}")
     if file.suffix == ".npz":
-        raise ValueError(f"{file} holds weights alone: give its folder, {file.parent}")
+        raise ValueError(f"{file} has only weights: pass its folder, {file.parent}")
     return file
 
 

@@ -57,7 +57,7 @@ def _is_real(value: Any) -> bool:
 
 
 def whole(name: str, value: Any, *, at_least: int, at_most: int | None = None) -> int:
-    """Return ``value`` as a Python int within the given bounds (True, 2.0 and "2" are refused).
+    """Return ``value`` as a Python int within the given bounds; True, 2.0 and "2" are no whole numbers.
 
     Raises:
         TypeError: it is no whole number.
@@ -160,7 +160,7 @@ def choice(name: str, value: Any, allowed: Iterable[str]) -> str:
 
 
 def known_keys(name: str, keys: Iterable[Any], allowed: Iterable[str]) -> None:
-    """Refuse keys outside ``allowed``.
+    """Check that all keys are ``allowed``.
 
     Raises:
         ValueError: there is an unknown key.
@@ -169,7 +169,7 @@ def known_keys(name: str, keys: Iterable[Any], allowed: Iterable[str]) -> None:
     for key in keys:
         if key not in names:
             listed = ", ".join(repr(one) for one in names)
-            raise ValueError(f"{name} takes only {listed}, got {shown(key)}{closest(key, names)}")
+            raise ValueError(f"{name} accepts only {listed}, got {shown(key)}{closest(key, names)}")
 
 
 def closest(key: Any, names: Iterable[str]) -> str:
@@ -204,7 +204,7 @@ def refuse_unknown(
                     raise TypeError(f"{owner} has no argument {name!r}: it {elsewhere[name]}")
                 if name not in names:
                     listed = ", ".join(names)
-                    raise TypeError(f"{owner} has no argument {name!r}{closest(name, names)}: it takes {listed}")
+                    raise TypeError(f"{owner} has no argument {name!r}{closest(name, names)}: it accepts {listed}")
             init(*args, **keywords)
 
         return checked

@@ -82,5 +82,5 @@ def called(name: str, *arguments: str) -> str:
 
 
 def in_checkout() -> bool:
-    """Whether this package is that of a checkout, with the scripts beside it."""
+    """Whether this package is part of a checkout, which has the scripts too."""
     return (ROOT / "scripts" / "train.py").is_file() and (ROOT / "pyproject.toml").is_file()

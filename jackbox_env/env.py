@@ -29,7 +29,7 @@ from jackbox_env.states import LATEST_TIME, Array, as_start
 
 Observation = NDArray[np.float32]
 Action = NDArray[np.float32] | float | None
-# Arguments of the vector environment alone, and the sentence that refuses them here.
+# Arguments of the vector environment alone, and the end of the sentence that is raised for them here.
 VECTOR_ONLY = dict.fromkeys(
     ("num_envs", "autoreset_mode", "num_threads", "with_infos"),
     'belongs to the native vector environment: gymnasium.make_vec with vectorization_mode="vector_entry_point"',
@@ -195,7 +195,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         self._first_scene = scene = Scene.of(scene)
         self.simulator_of: Callable[[Scene], Simulator] = partial(make_simulator, **setting._asdict())
         self._parts = make_simulator(scene, **setting._asdict()), make_score(scene, self._task, self.contact)
-        if not self._builtin_task:  # an unfit task is refused now
+        if not self._builtin_task:  # an unfit task raises now
             self._parts[1].observe(tasks.sample_start(self._first_scene, np_random(0)[0]))
         self._randomize = None if randomize is None else Randomization(randomize, [scene], self.simulator_of)
         self._terms = [f"reward_{name}" for name in self._task.terms]
@@ -249,12 +249,12 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         return self._parts[1].observe(self.state)
 
     def set_state(self, state: ArrayLike, time: float = 0.0) -> None:
-        """Set the state, shape (12,), and the time [s], exactly; the episode goes on.
+        """Set the state, shape (12,), and the time [s], exactly. The episode continues.
 
-        Any state that the contact model produces is accepted: a foot may be up to 1 m outside.
+        Every state of a contact model is valid, so a foot may be up to 1 m outside.
 
         Raises:
-            TypeError, ValueError: unusable values; the environment stays as it was.
+            TypeError, ValueError: unusable values. The environment is unchanged.
         """
         self._simulator.reset(state, time)
         self._started = True
@@ -265,10 +265,10 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Start an episode; the class documents ``options`` and how the start is drawn.
+        """Start an episode. The class documents ``options`` and the distribution of starts.
 
         Raises:
-            TypeError, ValueError: an unusable option; the environment stays as it was.
+            TypeError, ValueError: an unusable option. The environment is unchanged.
         """
         if not isinstance(options, Mapping | None):
             names = "'state', 'time' and 'scene'"
@@ -303,7 +303,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         return self._first_scene.changed(**{**drawn, **(changes or {})})
 
     def _adopt(self, parts: tuple[Simulator, Score]) -> None:
-        """Go on with a simulator that is already in its state, and show it."""
+        """Continue with a simulator whose state is set, and draw it."""
         if self._renderer is not None and parts[0].scene != self.scene:
             self._renderer.show(parts[0].scene)
         self._parts, self._started = parts, True
@@ -314,10 +314,10 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
 
         Raises:
             TypeError, ValueError: an unusable action.
-            gymnasium.error.ResetNeeded: there was no reset yet.
+            gymnasium.error.ResetNeeded: the environment was never reset.
             JackLostError: the jack would leave the box, or cannot be followed.
-            jackbox_env.TaskError: the reward of a task of your own is NaN or infinite. After any error the environment
-                is as it was.
+            jackbox_env.TaskError: the reward of a task of your own is NaN or infinite. An error leaves the environment
+                unchanged.
         """
         torque = None
         if action is not None and self.torque_source == "agent":
@@ -357,7 +357,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
             self._renderer = None
 
     def get_keys_to_action(self) -> dict[tuple[int, ...], Action]:
-        """Keys for `gymnasium.utils.play`: the left arrow turns the box counter-clockwise, the right one clockwise."""
+        """Keys for `gymnasium.utils.play`. Left turns the box counter-clockwise, right clockwise."""
         import pygame
 
         left, right = np.array([[1.0], [-1.0]], dtype=np.float32)
@@ -367,7 +367,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
 
     def _torque_of(self, action: Action) -> float:
         if not (type(action) is np.ndarray and action.dtype.char in "fd"):  # these are fast
-            action = check.array("action", action, "hold one finite number (clipped to [-1, 1])")
+            action = check.array("action", action, "be one finite number (clipped to [-1, 1])")
         if action.shape not in ((1,), ()):
             raise ValueError(f"action must have shape (1,), got shape {action.shape}")
         value = float(action.item())
@@ -392,7 +392,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
 
 
 def put(env: JackInBoxEnv, scene: Scene, state: Array, time: float) -> None:
-    """Set an environment's scene, state and time [s], all of them checked: for batches of environments."""
+    """Set an environment's scene, state and time [s], which are checked. Batches of environments use it."""
     parts = env._parts if scene == env.scene else env._parts_for(scene)
     parts[0].reset(state, time)
     env._adopt(parts)

@@ -15,10 +15,9 @@ Hamiltonian is kept (Brogliato, Nonsmooth Mechanics, 3rd ed. 2016, ch. 4; Glocke
 
     M (qdot+ - qdot-) = lambda J^T,    J qdot+ = -e J qdot-    =>    lambda = -(1 + e) J qdot- / (J M^-1 J^T)
 
-No contact model calls the maps below: they are the law that the models are checked against. Their sums are written out
-and not left to a linear algebra library, so from the same cosines and sines they give the same bits on every processor.
-The cosines and sines are numpy's. Their last place may differ between processors: with glibc it does where a processor
-lacks FMA and AVX2.
+No contact model calls the maps below; the models are checked against them. Their sums are written out and not left to
+a linear algebra library, so equal cosines and sines give the same bits on every processor. The cosines and sines are
+numpy's. Their last place may differ between processors; with glibc it does on processors without FMA and AVX2.
 """
 
 from __future__ import annotations
@@ -64,7 +63,7 @@ def _directions(angle: float | Array) -> Array:
 
 
 def gaps(scene: Scene, state: ArrayLike) -> Array:
-    """Gap between each wall and each foot [m], shape (4 walls, 4 feet); negative outside.
+    """The gap between each wall and each foot [m], shape (4 walls, 4 feet); negative outside.
 
     >>> gaps(Scene(), np.zeros(12))[0]  # wall 0 is at x = 6 m, the feet at x = 1, 0, -1 and 0 m
     array([5., 6., 7., 6.])
@@ -81,9 +80,10 @@ def gaps(scene: Scene, state: ArrayLike) -> Array:
 
 
 def gap_jacobian(scene: Scene, state: ArrayLike, wall: int, foot: int) -> Array:
-    """Derivative of one gap with respect to (x_box, y_box, theta_box, x_jack, y_jack, theta_jack), shape (6,).
+    """The derivative of one gap with respect to the six positions, shape (6,), dimensionless and, by angles, in m.
 
-    Units: 1 for the four coordinates, m for the two angles.
+    >>> gap_jacobian(Scene(), np.zeros(12), wall=0, foot=1).tolist()
+    [1.0, 0.0, -1.0, -1.0, -0.0, 1.0]
 
     Raises:
         TypeError, ValueError: the state is not 12 finite numbers, scene is no Scene, or wall or foot is no whole number
@@ -106,6 +106,10 @@ def contacts_of(scene: Scene, states: Array, walls: Indices, feet: Indices) -> t
 
     :func:`gaps` and :func:`gap_jacobian` for many states, without checks.
 
+    >>> gap, derivative = contacts_of(Scene(), np.zeros((2, 12)), walls=np.array([0, 1]), feet=np.array([0, 0]))
+    >>> gap
+    array([5., 6.])
+
     Args:
         scene: the scene.
         states: shape (n, 12).
@@ -125,7 +129,7 @@ def contacts_of(scene: Scene, states: Array, walls: Indices, feet: Indices) -> t
 def impact_map(scene: Scene, state: ArrayLike, wall: int, foot: int) -> tuple[Array, float]:
     """Apply the impact law of one foot on one wall: lambda = -(1 + e) J qdot- / (J M^-1 J^T).
 
-    The law is local: the gap need not be closed. A contact that separates (J qdot- >= 0) changes nothing.
+    The gap need not be closed. A contact that separates (J qdot- >= 0) changes nothing.
 
     >>> state = [0, 0, 0, 5, 0, 0, 0, 0, 0, 1, 0, 0]  # foot 0 touches wall 0, and the jack flies there at 1 m/s
     >>> after, impulse = impact_map(Scene(), state, wall=0, foot=0)
@@ -150,6 +154,11 @@ def impact_map(scene: Scene, state: ArrayLike, wall: int, foot: int) -> tuple[Ar
 def impact_maps(scene: Scene, states: Array, walls: Indices, feet: Indices) -> tuple[Array, Array]:
     """:func:`impact_map` for many states, without checks: the states after, (n, 12), and the impulses [N s], (n,).
 
+    >>> states = np.zeros((2, 12))
+    >>> states[:, 9] = 1.0, 2.0  # the jack flies at wall 0
+    >>> impact_maps(Scene(), states, walls=np.array([0, 0]), feet=np.array([0, 0]))[1].round(2)
+    array([ 7.92, 15.84])
+
     Args:
         scene: the scene.
         states: shape (n, 12).
@@ -170,12 +179,16 @@ def simultaneous_impact_map(scene: Scene, state: ArrayLike, contacts: Sequence[t
 
         0 <= lambda  _|_  J qdot+ + e J qdot- >= 0,    M (qdot+ - qdot-) = J^T lambda
 
-    (Moreau 1988, "Unilateral contact and dry friction in finite freedom dynamics"; Glocker 2001.) Each listed contact
-    takes part whether it approaches or not; list those whose gap is within the tolerance of the moment. The law is the
-    optimality condition of a convex problem (:mod:`jackbox_env.complementarity`), so qdot+ is unique even where the
-    impulses are not (a foot in a corner has four contacts of rank 3); then the impulses are one valid choice.
-    Resolving the contacts one after the other gives other answers that conserve the energy as well. This project's
-    convention is the simultaneous law.
+    (Moreau 1988, "Unilateral contact and dry friction in finite freedom dynamics"; Glocker 2001.) All listed contacts
+    enter, also separating ones; list the closed ones. The law is the optimality condition of a convex problem
+    (:mod:`jackbox_env.complementarity`), so qdot+ is unique. The impulses need not be (a foot in a corner has four
+    contacts of rank 3); the result is then one valid choice. Resolving the contacts one after the other conserves the
+    energy too, but leads to other velocities. This project's convention is the simultaneous law.
+
+    >>> state = [0, 0, 0, 0, -5.3, np.pi / 4, 0, 0, 0, 0, -1, 0]  # two feet fall onto wall 3, the floor
+    >>> after, impulses = simultaneous_impact_map(Scene(), state, [(3, 2), (3, 3)])
+    >>> after[10].round(3).item(), impulses.round(2)
+    (0.98, array([3.96, 3.96]))
 
     Args:
         scene: the scene.
@@ -232,7 +245,7 @@ def _dots(a: Array, b: Array) -> Array:
 
 
 def energy(scene: Scene, state: ArrayLike) -> float:
-    """Kinetic energy plus m_j g y_jack [J] (the lift cancels the box's weight).
+    """The kinetic energy plus m_j g y_jack [J]; a lift carries the box's weight.
 
     >>> energy(Scene(gravity=10.0), [0, 0, 0, 0, 2.5, 0, 0, 0, 0, 3, 0, 0])  # 4 kg at 2.5 m and 3 m/s
     118.0

@@ -54,7 +54,7 @@ STATE_UNITS = ("m", "m", "rad") * 2 + ("m/s", "m/s", "rad/s") * 2
 # A start is inside if no foot is further out than this [m], or than 4 units in the last place of a far-off position.
 START_TOLERANCE = 1e-9
 
-# A state from a contact model is accepted with a foot up to this far outside [m], or up to L if that is less.
+# A restored state may have a foot this far outside [m], or L if that is less, as contact models leave it.
 DEEPEST = 1.0
 
 # Beyond this, squares and products of states and masses would overflow.
@@ -74,7 +74,7 @@ def as_state(state: ArrayLike) -> Array:
         TypeError: it is not an array of numbers.
         ValueError: its shape is not (12,), or a number, which the message names, is NaN, infinite or beyond 1e100.
     """
-    array = np.array(check.array("state", state, "hold 12 numbers"), dtype=np.float64)
+    array = np.array(check.array("state", state, "be 12 numbers"), dtype=np.float64)
     if array.shape != (12,):
         raise ValueError(f"state must have shape (12,), got shape {array.shape}")
     if not np.isfinite(array).all():
@@ -128,7 +128,7 @@ def as_start(scene: Scene, state: ArrayLike) -> Array:
     if not outside <= tolerance:
         raise ValueError(
             f"a start must have every foot inside the box (at most {tolerance:g} m outside), got a foot {outside:g} m "
-            "outside; a state taken while a foot touches goes back with set_state"
+            "outside; set_state restores states in contact"
         )
     return array
 

@@ -34,11 +34,17 @@ _NO_LIMIT = 10**15  # steps; float64 counts them all
 
 
 class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
-    """Many jacks in boxes side by side: ``gymnasium.make_vec("JackInBox-v0", num_envs=1024, contact="exact")``.
+    """Many environments stepped together, made by ``gymnasium.make_vec("JackInBox-v0", num_envs=1024)``.
 
-    Environment i seeded with s + i equals the single environment seeded with s + i, bit for bit and across restarts.
-    With ``contact="exact"`` all of it (physics, observation, reward, time limit, restart) is one compiled loop.
-    Otherwise, or with pictures, the environments are stepped one by one.
+    Environment i, seeded with s + i, equals the single environment with that seed, bit for bit and across restarts.
+    With ``contact="exact"`` and no ``render_mode``, physics, rewards and restarts are one compiled loop. Otherwise the
+    environments are stepped one by one.
+
+    >>> envs = JackInBoxVectorEnv(3, contact="exact")
+    >>> observations, infos = envs.reset(seed=0)
+    >>> observations, rewards, terminated, truncated, infos = envs.step([0.5, 0.0, -0.5])
+    >>> observations.shape, envs.times
+    ((3, 10), array([0.02, 0.02, 0.02]))
 
     Args:
         num_envs: number of environments N.
@@ -47,29 +53,24 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
             new start and reward 0. ``SAME_STEP``: the step that ends it returns the new start, and the last observation
             in ``infos["final_obs"]``. ``DISABLED``: you restart it, by ``reset`` with a ``reset_mask``.
         num_threads: of the exact model; None: those of the machine, fewer for a small batch. Results do not change.
-        with_infos: fill the step's infos with the numbers of the single environment's info, as arrays.
+        with_infos: return the single environment's info, as arrays.
         render_mode: None or "rgb_array"; "human" for one environment.
-        contact: "pymunk" or "exact", in place of a fidelity. This and the arguments below are those of the single
-            environment; see its page.
+        contact: "pymunk" or "exact", in place of a fidelity. From here on, the arguments of the single environment.
         substeps: engine steps of pymunk per control step; None: 4.
         scene: a :class:`Scene`, a dict of some of its fields, or a list of N of them, one for each environment.
         task: the name of one, or a :class:`Task`.
         control_dt: duration of a step [s].
-        torque: "agent": the actions are torques; "chirp": the scene's drive acts whatever they are.
+        torque: "agent": the actions are torques; "chirp": the scene's drive acts, and actions are ignored.
         fidelity: "coarse", "balanced", "fine" or "exact"; None: "balanced".
-        randomize: fields of the scenes that are drawn at each reset, by each environment's own generator.
+        randomize: fields of the scenes that each environment draws at each reset.
         render_size: width and height of each environment's frame [pixels].
         render_overlay: False: frames show box, jack and ruled lines alone.
 
-    ``reset`` accepts a seed (an int, or a list of ints and None) and ``options``: "state", shape (12,) or (N, 12),
-    "time" [s], a number or shape (N,), "scene", a dict of fields for all or a list of N, and "reset_mask", bool (N,),
-    to restart some only. Returned arrays are never written again.
-
-    An interruption (Ctrl-C) of ``step`` changes nothing, unless it strikes while the new states replace the old ones.
-    Then the environments refuse to step until all are ``reset``.
+    Returned arrays are never written again. Ctrl-C in ``step`` changes nothing, unless it strikes while the new states
+    replace the old ones. Then ``step`` raises RuntimeError until all environments are ``reset``.
 
     Raises:
-        TypeError, ValueError: an argument out of its range. A refused call leaves all environments as they were.
+        TypeError, ValueError: an argument out of its range.
         MemoryError: too many environments for the machine's memory.
     """
 
@@ -154,7 +155,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         return [self.scene_of(number) for number in range(self.num_envs)]
 
     def scene_of(self, number: int) -> Scene:
-        """The present scene of the environment of that number.
+        """The present scene of one environment.
 
         Raises:
             TypeError, ValueError: there is no such environment.
@@ -166,11 +167,11 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         """The scene of all environments.
 
         Raises:
-            ValueError: they have different ones; read ``scenes``.
+            ValueError: they differ; read ``scenes``.
         """
         scenes = self.scenes
         if any(scene != scenes[0] for scene in scenes):
-            raise ValueError("the environments have different scenes: read scenes, a list of them")
+            raise ValueError("the environments have different scenes: read the list scenes")
         return scenes[0]
 
     @property
@@ -193,11 +194,11 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
     def set_states(self, states: ArrayLike, times: ArrayLike, chosen: Flags | None = None) -> None:
         """Set states, shape (12,) or (N, 12), and times [s], a number or shape (N,).
 
-        Episodes go on and keep their remaining steps; a finished episode starts anew there. ``chosen``, bool (N,),
-        selects environments; None: all. A foot may be up to 1 m outside, as contact models leave it.
+        Episodes continue and keep their remaining steps; a finished episode starts anew. ``chosen``, bool (N,), selects
+        environments; None: all. Every state of a contact model is valid, so a foot may be up to 1 m outside.
 
         Raises:
-            TypeError, ValueError: unusable values; all environments stay as they were.
+            TypeError, ValueError: unusable values. All environments are unchanged.
         """
         chosen = np.ones(self.num_envs, dtype=np.bool_) if chosen is None else self._arguments.mask("chosen", chosen)
         self._refuse_half_changed()
@@ -213,7 +214,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
             raise RuntimeError("an interruption has left the environments half changed: reset all of them first")
 
     def field(self, name: str) -> Array:
-        """A number of each environment's present scene, by its name in :class:`Scene`, shape (N,).
+        """One field of each environment's present scene, a number, by its name in :class:`Scene`, shape (N,).
 
         Raises:
             TypeError, ValueError: a scene has no such number.
@@ -221,9 +222,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         return self._batch.field(check.choice("name", name, (*NUMBERS, "speed_scale")))
 
     def impacts(self, number: int) -> list[Impact]:
-        """The impacts of the last step of the environment of that number, in time order.
-
-        Empty if it has been reset since, by itself or by you, or if its state was set.
+        """The last step's impacts of one environment, in time order; empty after a restart or :meth:`set_states`.
 
         Raises:
             TypeError, ValueError: there is no such environment.
@@ -242,8 +241,13 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
     ) -> tuple[Floats, Infos]:
         """Start an episode in each environment, or in those of ``options["reset_mask"]``.
 
+        Args:
+            seed: s for the seeds s + i, or a list of ints and None.
+            options: "state", shape (12,) or (N, 12), "time" [s], a number or shape (N,), "scene", a dict of fields for
+                all or a list of N, and "reset_mask", bool (N,), to restart only some.
+
         Raises:
-            TypeError, ValueError: an unusable seed or option; all environments stay as they were.
+            TypeError, ValueError: an unusable seed or option. All environments are unchanged.
         """
         plan = self.check_reset(seed, options)
         if not plan.chosen.all():
@@ -272,7 +276,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         return self.observations, infos
 
     def check_reset(self, seed: int | Sequence[int | None] | None, options: Mapping[str, Any] | None) -> ResetPlan:
-        """Check a reset's arguments and change nothing. The reset itself checks scenes, and states in them.
+        """Check a reset's arguments without changing anything. The reset itself checks scenes, and states in them.
 
         Raises:
             TypeError, ValueError: an unusable seed or option.
@@ -284,17 +288,18 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
     ) -> tuple[Floats, Array, Flags, Flags, Infos]:
         """Advance all environments by one control step under ``actions``, shape (N, 1) or (N,), or under the drive.
 
-        ``repeat``, 1 to 1,000,000, repeats them for so many control steps, fewer if an episode ends before. Rewards are
-        summed, infos are of the last of these steps, and ``infos["steps"]`` counts them, shape (N,). ``actions`` may be
-        a plain function of the states, shape (N, 12), which is called before each of these steps. Under the
-        ``Landings`` of :class:`jackbox_env.LandingControlVector` each steps to its own impact.
+        Args:
+            actions: shares of the torque limit, or None. Or a function of the states, shape (N, 12), that returns them,
+                called before each control step. Under the ``Landings`` of :class:`jackbox_env.LandingControlVector`
+                each environment steps to its next impact.
+            repeat: control steps, 1 to 1,000,000, fewer in an episode that ends before. Rewards are summed, infos are
+                of the last step, and ``infos["steps"]`` counts the steps, shape (N,).
 
         Raises:
             TypeError, ValueError: unusable actions.
             JackLostError: a jack would leave its box, or cannot be followed.
             jackbox_env.TaskError: a reward of a task of your own is NaN or infinite.
-            RuntimeError: there was no reset yet, or an interruption has left the environments half changed. After any
-                other error all environments are as they were.
+            RuntimeError: no reset yet, or half changed by an interruption. Other errors change nothing.
         """
         if not self._ready:
             raise RuntimeError("step must come after a reset of all environments, got none yet")
@@ -346,10 +351,9 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         return self._batch.render()
 
     def tiled(self, first: int = 16, size: tuple[int, int] = (128, 128)) -> NDArray[np.uint8]:
-        """One picture of the ``first`` environments as they are now, row by row in a grid, uint8, shape (H, W, 3).
+        """One picture of the ``first`` environments, row by row in a grid, uint8, shape (H, W, 3).
 
-        It needs no ``render_mode``, so a compiled batch is shown too. ``size`` is width and height of a tile [pixels],
-        from 16 to 1024.
+        It needs no ``render_mode``. ``size`` is width and height of a tile [pixels], from 16 to 1024.
 
         Raises:
             TypeError, ValueError: an argument out of its range.

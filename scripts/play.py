@@ -9,7 +9,7 @@ from scripts.site.build import ensure_page
 
 @command_line
 def main() -> None:
-    """Build the page if it is not of this source, and open it."""
+    """Build the page unless it is up to date, and open it."""
     ensure_page()
     play.main()
 

@@ -156,7 +156,7 @@ def read_with_layers(folder: Path, name: str, kind: str, make: Callable[[Any, li
     except FileNotFoundError:
         raise
     except Exception as error:
-        raise ValueError(f"{folder} holds no {kind}: {error}") from error
+        raise ValueError(f"{folder} has no {kind}: {error}") from error
 
 
 def read_policy(folder: Path) -> NetworkPolicy:

@@ -42,7 +42,7 @@ def read_evaluations(folder: Path, episodes: int) -> Evaluations:
                 timesteps, *others = (stored[name] for name in Evaluations._fields)
                 shape = (len(timesteps), episodes)
                 if any(other.shape != shape for other in others) or np.any(np.diff(timesteps) <= 0):
-                    raise ValueError(f"it does not hold evaluations of {episodes} episodes each")
+                    raise ValueError(f"its evaluations are not of {episodes} episodes each")
                 return Evaluations(timesteps.tolist(), *(other.tolist() for other in others))
     except DamagedFileError as error:
         report_skipped(error)

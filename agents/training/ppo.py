@@ -59,7 +59,7 @@ def train(settings: TrainSettings, folder: Path, progress: bool = True) -> PPO:
         ValueError: the checkpoint was made by other settings.
     """
     if (folder / WEIGHTS).exists():
-        raise FileExistsError(f"{folder} holds an exported policy, which cannot be trained on: choose another folder")
+        raise FileExistsError(f"{folder} is an exported policy, which cannot be trained further: choose another folder")
     with locked(folder):
         remove_partials(folder, folder / CHECKPOINTS)
         if is_whole(folder / MODEL):
@@ -69,7 +69,7 @@ def train(settings: TrainSettings, folder: Path, progress: bool = True) -> PPO:
             )
         model, timer = _resumed(settings, folder)
         done = model.num_timesteps
-        print(f"Going on after {done:,} steps" if done else "Starting from the beginning")
+        print(f"Continuing after {done:,} steps" if done else "Starting from the beginning")
         model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
         checkpoint = Checkpoint(folder, settings.checkpoint_steps)
         callbacks: list[BaseCallback] = [checkpoint, KeepBest(folder, settings, checkpoint, done), timer]

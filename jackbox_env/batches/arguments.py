@@ -22,7 +22,7 @@ class Arguments:
 
     def actions(self, actions: ArrayLike) -> Array:
         """Actions of shape (N, 1) or (N,), as float64 of shape (N,)."""
-        numbers = check.array("actions", actions, "hold numbers (clipped to [-1, 1])")
+        numbers = check.array("actions", actions, "be numbers (clipped to [-1, 1])")
         if numbers.shape not in ((self.num_envs, 1), (self.num_envs,)):
             raise ValueError(
                 f"actions must have shape ({self.num_envs}, 1) or ({self.num_envs},), got shape {numbers.shape}"
@@ -30,7 +30,7 @@ class Arguments:
         return numbers.reshape(self.num_envs).astype(np.float64)
 
     def seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
-        """A seed for each environment: s + i for a whole number s, or as listed; None for environments without one."""
+        """A seed for each environment: s + i for a whole number s, or as listed; None: no seed."""
         if seed is None:
             return [None] * self.num_envs
         several = isinstance(seed, Sequence | np.ndarray) and not isinstance(seed, str | bytes)
@@ -55,8 +55,8 @@ class Arguments:
         return mask.copy()
 
     def times(self, name: str, numbers: ArrayLike, chosen: Flags) -> Array:
-        """Times [s], a number or shape (N,), within their limits where ``chosen``, 0 elsewhere."""
-        times = check.array(name, numbers, "hold numbers")
+        """Times [s], a number or shape (N,), checked if ``chosen``, 0 otherwise."""
+        times = check.array(name, numbers, "be numbers")
         if times.shape not in ((), (self.num_envs,)):
             raise ValueError(f"{name} must be a number or have shape ({self.num_envs},), got shape {times.shape}")
         all_times = np.broadcast_to(times.astype(np.float64), (self.num_envs,))
@@ -67,12 +67,12 @@ class Arguments:
     def states(
         self, name: str, numbers: ArrayLike, chosen: Flags, checked: Callable[[Scene, Any], Array]
     ) -> Callable[[Callable[[int], Scene]], Array]:
-        """Rows of states, shape (N, 12): a function that checks those ``chosen`` against the scenes.
+        """A function that checks the ``chosen`` rows of states, shape (N, 12), against the scenes and returns all.
 
         Raises:
-            TypeError, ValueError: numbers in another shape; the function raises it for an unusable state.
+            TypeError, ValueError: another shape. The function raises it for an unusable state.
         """
-        states = check.array(name, numbers, "hold numbers")
+        states = check.array(name, numbers, "be numbers")
         if states.shape not in ((12,), (self.num_envs, 12)):
             raise ValueError(f"{name} must have shape (12,) or ({self.num_envs}, 12), got shape {states.shape}")
 

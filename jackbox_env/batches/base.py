@@ -28,7 +28,7 @@ class Outcome:
     rewards: Array  # (N,)
     terminations: Flags  # (N,)
     truncations: Flags  # (N,)
-    infos: dict[str, NDArray[Any]]  # numbers of each environment's step, (N,) or (N, 12); empty unless asked for
+    infos: dict[str, NDArray[Any]]  # numbers of each environment's step, (N,) or (N, 12); empty unless requested
     finished: int  # episodes that this step ends
     after: Any  # the environments after the step, for :meth:`Batch.take`
     steps: NDArray[np.int64] | None = None  # (N,) control steps of each one's decision, under landing control
@@ -39,7 +39,7 @@ class Outcome:
         return self.terminations | self.truncations
 
     def followed_by(self, later: Outcome) -> Outcome:
-        """This step and a later one combined; episodes that ended in this one did not move in the later one."""
+        """This step and a later one combined. Episodes that ended in this step did not move in the later one."""
         ended = self.ended
         later.observations[ended] = self.observations[ended]
         for name, values in later.infos.items():
@@ -52,11 +52,11 @@ class Outcome:
 
 
 class Starts(NamedTuple):
-    """Episodes that are drawn and have not begun."""
+    """Episodes that are drawn but not begun."""
 
     numbers: Numbers  # (k,) of their environments
-    generators: Any  # of these environments from then on
-    scenes: Any  # of these environments from then on, in the batch's own form; None: they stay
+    generators: Any  # of these environments from their start on
+    scenes: Any  # of these environments from their start on, in the batch's own form; None: unchanged
     states: Array | None = None  # (k, 12) in which they start, checked; None: drawn when they begin
 
 
@@ -66,7 +66,7 @@ def bad_action(action: float, number: int) -> ValueError:
 
 
 class Batch(Protocol):
-    """N environments, of one scene or of one each. Steps leave an episode that is over as it is, until its restart.
+    """N environments with one scene for all or one for each. Steps do not change a finished episode.
 
     :meth:`step` and :meth:`draw` may raise and change nothing. :meth:`take`, :meth:`start` and :meth:`set_states` then
     commit the results; they cannot fail.
@@ -100,7 +100,7 @@ class Batch(Protocol):
     def step(self, actions: Array | Landings | None) -> Outcome:
         """Step all under ``actions``, shape (N,), or under the scene's drive; nothing changes before :meth:`take`.
 
-        Under :class:`Landings` each makes the steps of its own decision.
+        Under :class:`Landings` each environment makes the steps of its own decision.
 
         Raises:
             ValueError, JackLostError, TaskError: as the single environment does.
@@ -110,7 +110,7 @@ class Batch(Protocol):
         """Replace the present environments by those of an outcome."""
 
     def saved(self) -> Any:
-        """The environments as they are now, for :meth:`restore`."""
+        """The present environments, for :meth:`restore`."""
 
     def restore(self, saved: Any) -> None:
         """Return to saved environments; only steps may have changed them since."""
@@ -126,14 +126,13 @@ class Batch(Protocol):
 
         Args:
             numbers: of the environments, shape (k,).
-            seeds: of each one's generator; None: it goes on.
-            changes: for each of them, fields of its original scene that an option changes. None: the scene stays,
-            unless
+            seeds: of each one's generator; None: the generator continues.
+            changes: for each of them, fields of its original scene that an option changes. None: no change, unless
                 scenes are drawn at each reset.
             placed: whether the caller sets the first states, so that no start is drawn.
 
         Raises:
-            TypeError, ValueError: a scene, or a task's start, that is refused.
+            TypeError, ValueError: an invalid scene, or an invalid start from the task.
         """
 
     def start(self, starts: Starts) -> None:
@@ -142,7 +141,7 @@ class Batch(Protocol):
     def set_states(self, chosen: Flags, states: Array, times: Array) -> None:
         """Set states, shape (N, 12), and times [s] of the ``chosen`` environments, checked beforehand.
 
-        Their episodes go on. An episode that is over starts anew.
+        Their episodes continue. A finished episode starts anew.
         """
 
     def observe(self, numbers: Numbers, observations: Floats) -> None:
@@ -158,13 +157,13 @@ class Batch(Protocol):
 def repeated(batch: Batch, actions: Callable[[], Any], repeat: int, waiting: Flags | None) -> tuple[Outcome, Any]:
     """``repeat`` steps of a batch as one outcome, and their number in each environment, shape (N,), or 1 for all.
 
-    All but the last step are committed. Episodes that are over wait. Under landing control it is one decision.
+    All but the last step are committed. Finished episodes wait. Under landing control it is one decision.
 
     Args:
         batch: to be stepped.
         actions: returns the actions in the present states, see :meth:`Batch.step`.
         repeat: steps.
-        waiting: episodes that are over before the first one; None: none.
+        waiting: episodes that have finished before the first step; None: none.
     """
     outcome = batch.step(actions())
     if outcome.steps is not None:

@@ -88,7 +88,7 @@ class ExactBatch(Batch):
         return [Call(new_memory(self._blocks.shape[2])) for _ in range(self._threads.count)]
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**vars(self), "_score": None, "_score_address": 0, "_calls": None}  # addresses hold in one process only
+        return {**vars(self), "_score": None, "_score_address": 0, "_calls": None}  # addresses are of this process
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
@@ -215,7 +215,7 @@ class ExactBatch(Batch):
             return []
         block, lane = divmod(number, self._blocks.shape[2])
         steps = int(self._blocks[block, glide.STEPS, lane] - self._spare[block, glide.STEPS, lane])
-        if steps < 1:  # it has restarted, maybe in another scene, or it waits
+        if steps < 1:  # it has restarted, possibly in another scene, or it waits
             return []
         simulator = self._stepped_again(number, self._spare, self._acted, steps)
         return simulator.impacts if np.array_equal(simulator.state, self._blocks[block, :12, lane]) else []
@@ -223,7 +223,7 @@ class ExactBatch(Batch):
     def _stepped_again(
         self, number: int, before: Array, actions: Array | Landings | None, steps: int
     ) -> ExactSimulator:
-        """A simulator of one environment, stepped so many times from ``before`` under ``actions``."""
+        """A simulator of one environment, stepped that often from ``before`` under ``actions``."""
         block, lane = divmod(number, before.shape[2])
         scene = self.scene(number)
         simulator, torque = ExactSimulator(scene), None
@@ -268,7 +268,7 @@ class ExactBatch(Batch):
                 finished += now
                 if ended != Status.PAUSED or halt.requested:
                     return ended, number if ended else finished, made
-                low, first = number, made  # it paused so that an interruption is heard
+                low, first = number, made  # it paused so that Python can handle an interruption
 
         parts = self._threads.run(work, len(before), grain=_GRAIN, halt=halt)
         self._spare, self._calls = spare, calls
@@ -305,7 +305,7 @@ class ExactBatch(Batch):
         self._blocks, self._stepped = saved, False
 
     def _scenes_of_steps(self, torque: int, steps: int) -> tuple[Scenes, dict[int, Refusal]]:
-        """The scenes for so many steps, and failures of drives in them: ``SceneTable.of_steps``."""
+        """The scenes for these numbers of steps, and failures of drives in them: ``SceneTable.of_steps``."""
         scenes = self._scenes
         if not scenes.cutting[torque]:
             return Scenes(scenes.values, scenes.lanes, scenes.kinds[torque], *NO_PIECES), {}

@@ -1,4 +1,4 @@
-"""Infos of the vector environment: each array comes with the mask of the environments that it is valid for."""
+"""Infos of the vector environment: arrays, each with a mask of the environments for which it is valid."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def masked(infos: Infos, mask: Flags) -> Infos:
 
 
 def infos_at_start(names: Sequence[str], states: Array, times: Array, chosen: Flags) -> Infos:
-    """Infos, without masks, of the ``chosen`` environments that have just started: nothing has happened yet."""
+    """Infos, without masks, of the ``chosen`` environments at the start of an episode."""
     infos: Infos = {name: np.zeros(len(chosen)) for name in names}
     infos["impacts"] = np.zeros(len(chosen), dtype=np.int64)
     infos["state"] = np.where(chosen[:, None], states, 0.0)

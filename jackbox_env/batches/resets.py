@@ -20,7 +20,7 @@ class ResetPlan(NamedTuple):
 
     chosen: Flags  # (N,) the environments to reset
     seeds: list[int | None]
-    changes: list[Change] | None  # of the scenes of those chosen; None: they stay, or are drawn
+    changes: list[Change] | None  # of the chosen environments' scenes; None: unchanged, or drawn
     states: Callable[[Callable[[int], Scene]], Array] | None  # the starts (N, 12), checked in the scenes; None: drawn
     times: Array  # (N,) [s]
 

@@ -27,7 +27,7 @@ _COLUMNS = [SceneNumbers._fields.index(name) for name in _FIELDS]
 
 
 class Refusal(NamedTuple):
-    """A step of an environment, counted from 0, over which a function of its drive fails, and how."""
+    """A step of an environment, counted from 0, in which a function of its drive fails, and the error."""
 
     step: int
     error: Exception
@@ -59,7 +59,7 @@ class SceneTable:
         numbers = np.arange(count if several else shape[2])
         compiled(spread)(self.values, dt, self.lanes, numbers)
         self._derive_kinds()
-        self._changing = False  # whether an interruption has left a change half made
+        self._changing = False  # whether an interruption has left a change unfinished
 
     def _derive_kinds(self) -> None:
         kinds = [(drive_kind(drive), drive_kind(drive, held=True)) for drive in self.drives]
@@ -150,7 +150,7 @@ class SceneTable:
         self._changing = False
 
     def repair(self) -> None:
-        """If an interruption has left a change half made, derive all anew from the numbers and the drives."""
+        """If an interruption has left a change unfinished, derive all anew from the numbers and the drives."""
         if self._changing:
             everyone = np.arange(self.count)
             self.put(everyone, self.values.copy())

@@ -24,7 +24,7 @@ from jackbox_env.tasks import TaskError, draw_start, sample_start, task_of
 class SingleBatch(Batch):
     """See :class:`jackbox_env.batches.base.Batch`.
 
-    A step moves the environments. If it is not taken, they are set back before they are used again.
+    A step moves the environments. If it is not taken, they are reset to the batch's states before their next use.
     """
 
     def __init__(

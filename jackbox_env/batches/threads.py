@@ -13,7 +13,7 @@ from jackbox_env import checks as check
 R = TypeVar("R")
 
 _PIECES = 2  # for each thread
-_MOST = 256  # threads: a typo must not ask the system for a million
+_MOST = 256  # threads, so that a typo does not start a million
 
 
 def thread_count(num_threads: int | None, ranges: int) -> int:
@@ -31,7 +31,7 @@ def thread_count(num_threads: int | None, ranges: int) -> int:
 
 
 class Halt:
-    """A request to the threads of a job to stop early, because its result is no longer needed."""
+    """A request to the threads of a job to stop early: its result is no longer needed."""
 
     requested = False
 
@@ -47,9 +47,9 @@ class Threads:
         self._pool: tuple[int, ThreadPoolExecutor] | None = None  # with its process: threads do not survive a fork
 
     def run(self, work: Callable[[int, int, int], R], total: int, grain: int = 1, halt: Halt | None = None) -> list[R]:
-        """Call ``work(number, low, high)`` for ranges that make up ``total``; return its results in their order.
+        """Call ``work(number, low, high)`` for ranges that make up ``total``, and return the results in their order.
 
-        ``number``, below ``count``, is different for calls at the same time. A range has ``grain`` items at least.
+        Simultaneous calls have different ``number``, below ``count``. A range has at least ``grain`` items.
 
         An error or an interruption sets ``halt``, which long work polls, and is raised once all threads have stopped.
         A second interruption ends this wait: a thread may then still write to the arrays that its work refers to.

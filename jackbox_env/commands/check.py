@@ -1,4 +1,4 @@
-"""Does this installation work? Versions, extras, the exact model's compiling, states put back, energy."""
+"""Check this installation: versions, extras, compiled code, restored states, energy balance."""
 
 from __future__ import annotations
 
@@ -48,24 +48,24 @@ def _extras() -> dict[str, list[str]]:
 
 
 def extra_lines() -> list[str]:
-    """A line for each extra: installed, or how to install what is missing."""
+    """A line for each extra: installed, or the command that installs its packages."""
     lines = []
     for name, requirements in _extras().items():
         missing = " ".join(f'"{requirement}"' for requirement in requirements if not _installed(requirement))
         if name not in ("all", "dev", "docs", "peers"):  # the others together; for work on the project itself
-            lines.append(f"{name}: {f'not installed; to get it: pip install {missing}' if missing else 'installed'}")
+            lines.append(f"{name}: {f'not installed, pip install {missing}' if missing else 'installed'}")
     return lines
 
 
 def _compiled(ready: Callable[[], None]) -> str:
-    """Compile a part of the exact model, or load it."""
+    """Compile a part of the exact model, or load its compiled code."""
     began = time.perf_counter()
     ready()
-    return f"ready after {time.perf_counter() - began:.1f} s; later processes load what was compiled"
+    return f"ready after {time.perf_counter() - began:.1f} s; later processes load the compiled code"
 
 
 def restores(contact: str) -> str:
-    """Restore a state, and check that the same steps follow.
+    """Restore a state, and check that it leads to the same steps.
 
     Raises:
         RuntimeError: a bit of the final state differs.
@@ -77,8 +77,8 @@ def restores(contact: str) -> str:
     for simulator in [whole, again] * 75:
         simulator.step(_DT)
     if whole.state.tobytes() != again.state.tobytes():
-        raise RuntimeError("a state that was put back leads elsewhere")
-    return "a state put back gives the same 75 steps, bit for bit"
+        raise RuntimeError("a restored state leads to another motion")
+    return "75 steps from a restored state are the same, bit for bit"
 
 
 def obeys_the_law() -> str:
@@ -105,7 +105,7 @@ _CHECKS: dict[str, Callable[[], str]] = {
 
 @command_line
 def main() -> None:
-    """Check one thing after the other; exit with 1 if any fails."""
+    """Run all checks; exit with 1 if any fails."""
     parser_of(__doc__).parse_args()
     print(_versions())
     for line in extra_lines():
@@ -114,7 +114,7 @@ def main() -> None:
     for name, check in _CHECKS.items():
         try:
             print(f"ok      {name}: {check()}", flush=True)
-        except Exception as error:  # the other checks run all the same
+        except Exception as error:  # the other checks still run
             failed = True
             print(f"FAILED  {name}: {type(error).__name__}: {error}", flush=True)
     print("This installation does not work." if failed else "This installation works.")

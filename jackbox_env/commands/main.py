@@ -1,4 +1,4 @@
-"""The command ``jackbox``, also ``python -m jackbox_env``: runs the command that is named first."""
+"""The command ``jackbox``, also ``python -m jackbox_env``: runs the command named by its first argument."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from jackbox_env import __version__
 from jackbox_env.command_line import JACKBOX, ROOT, command_line, in_checkout
 
 _PACKAGED = {
-    "simulate": "simulate the scene: CSV or npz, plots, an animated page",
+    "simulate": "simulate the scene; write CSV or npz, plots, an animated page",
     "play": "play in the browser",
-    "replay": "replay a game that was shared from there, bit for bit",
+    "replay": "replay a shared game and compare it bit for bit",
     "fit": "fit a scene's fields to recordings (needs the train extra)",
-    "check": "does this installation work?",
+    "check": "check this installation",
 }
 _IN_CHECKOUT = {
     "demo": "train an agent, compare it with baselines, film it",
@@ -24,7 +24,7 @@ _IN_CHECKOUT = {
 
 
 def _help() -> str:
-    lines = ["usage: jackbox COMMAND [options]; jackbox COMMAND --help says more", ""]
+    lines = ["usage: jackbox COMMAND [options]; for its options: jackbox COMMAND --help", ""]
     lines += [f"  {name:<9} {text}" for name, text in _PACKAGED.items()]
     lines += ["", "from a checkout of the repository:"]
     lines += [f"  {name:<9} {text}" for name, text in _IN_CHECKOUT.items()]
@@ -48,7 +48,7 @@ def main() -> None:
         raise ValueError(f"the command must be one of {', '.join((*_PACKAGED, *_IN_CHECKOUT))}, got {name!r}")
     elif name in _IN_CHECKOUT and not in_checkout():
         raise RuntimeError(
-            f"jackbox {name} needs a checkout: git clone the repository, and there pip install -e '.[all]'"
+            f"jackbox {name} needs a checkout: clone the repository and run pip install -e '.[all]' in it"
         )
     else:
         sys.argv[0] = f"{JACKBOX} {name}"

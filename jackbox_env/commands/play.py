@@ -1,4 +1,4 @@
-"""Play JackInBox-v0 in the browser: the exact model itself, in one page that needs no network."""
+"""Play JackInBox-v0 in the browser, on the exact model, in one page that needs no network."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ PAGE = Path(__file__).parents[1] / "page" / "play.html"
 
 def _arguments() -> argparse.Namespace:
     parser = parser_of(__doc__)
-    parser.add_argument("--no-browser", action="store_true", help="only print where the page is")
+    parser.add_argument("--no-browser", action="store_true", help="only print the path of the page")
     return parser.parse_args()
 
 
 @command_line
 def main() -> None:
-    """Print where the page is, and open it.
+    """Print the path of the page, and open it.
 
     Raises:
         FileNotFoundError: this package was built without the page.
@@ -33,7 +33,7 @@ def main() -> None:
         )
     print(PAGE, flush=True)
     if not arguments.no_browser and not webbrowser.open(PAGE.as_uri()):
-        print("No browser can be opened from here: open this file in one.", file=sys.stderr)
+        print("No browser could be opened: open this file in one.", file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Replay a game that the page of `jackbox play` has shared: is it the same motion, bit for bit?"""
+"""Replay a game shared by the page of `jackbox play`, and compare its motion bit for bit."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def _arguments() -> argparse.Namespace:
 
 @command_line
 def main() -> None:
-    """Parse, replay, compare; exits with 1 if the motion is another."""
+    """Parse, replay, compare; exit with 1 if the motion differs."""
     text: str = _arguments().text
     import gymnasium as gym
 
@@ -33,7 +33,7 @@ def main() -> None:
     game = read_game(text)
     steps, episode = len(game.shares), cast(int, gym.spec("JackInBox-v0").max_episode_steps)
     if not steps:
-        print(f"A start of {game.task} without steps: there is nothing to compare")
+        print(f"This game of {game.task} has no steps: there is nothing to compare")
         return
     differs, rewards = replay_game(game)
     played = f"{steps:,} steps of {game.task}, {steps * game.dt:g} s"

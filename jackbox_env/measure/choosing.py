@@ -21,17 +21,25 @@ from jackbox_env.states import Array, as_start
 from jackbox_env.tasks import sample_start
 
 _CANDIDATES = (1, 2, 4, 8, 16, 32, 64, 128, 256)  # substeps of pymunk, cheapest first
-_ROUNDS = 5  # in which the costs of two settings are compared
+_ROUNDS = 5  # of interleaved timings of two settings
 
 
 class Choice(NamedTuple):
-    """A setting and its measurements; errors are the worst over the cases."""
+    """A setting and its measurements; errors are the worst over the cases.
+
+    Attributes:
+        setting: contact model and substeps.
+        first_impact_error: of the time of the first impact [s].
+        penetration: deepest that a foot was in a wall at an impact or a step's end [m].
+        microseconds: per control step.
+        cases: the number of cases with an impact.
+    """
 
     setting: Setting
-    first_impact_error: float  # [s]
-    penetration: float  # deepest that a foot was in a wall at an impact or a step's end [m]
-    microseconds: float  # per control step
-    cases: int  # that had an impact
+    first_impact_error: float
+    penetration: float
+    microseconds: float
+    cases: int
 
 
 def cheapest(
@@ -46,15 +54,15 @@ def cheapest(
     seed: int = 0,
     contact: str | None = None,
 ) -> Choice:
-    """Return the cheapest setting that keeps both errors within bounds, for one scene or for several.
+    """Measure the cheapest setting whose errors stay within bounds, for one scene or for several.
 
-    The cases are starts of the environment, alternately under random torques within ``scene.torque_limit``, one per
-    step, and under the scene's drive. The first impact is compared with the exact model's, whose own error is rounding.
-    Restitution has no effect before it, so scenes with loss are measured too. The fewest substeps of pymunk (1, 2, 4,
-    ... 256) that keep both bounds are timed against the exact model, and the faster is returned. A setting that loses a
-    jack, or whose first impact is that of another foot or wall, is never returned.
+    The cases begin at starts of the environment, alternately under random torques within ``scene.torque_limit``, one
+    per step, and under the scene's drive. The reference for the first impact is the exact model, whose error is
+    rounding. Restitution has no effect before it, so scenes with loss are measured too. The fewest substeps of pymunk
+    (1, 2, 4, ... 256) within both bounds are timed against the exact model, and the faster is returned. A setting that
+    loses a jack, or whose first impact is of another foot or wall, is never returned.
 
-    If your scenes are drawn at random, give a list of some of them. One setting then keeps the bounds in all cases.
+    For scenes drawn at random, pass a list of some. One setting is then within the bounds in all cases.
 
     It takes seconds for an ordinary scene; the first exact step on a machine compiles. The result is a measurement on
     these cases, not a guarantee.
@@ -63,9 +71,8 @@ def cheapest(
         scene: a Scene, a dict of some of its fields, or None for the default scene; or a list of these.
         first_impact_error: largest error of the time of the first impact [s], > 0.
         penetration: deepest that a foot may be in a wall, at an impact or at the end of a control step [m], > 0.
-        states: starts, each of shape (12,), taken in turn by each scene; None: the environment's own.
-        cases: how many courses to simulate, 1 to 10,000, at least one for each scene. Those without an impact are left
-            out.
+        states: starts, each of shape (12,), used in turn by each scene; None: the environment's own.
+        cases: number of trajectories, 1 to 10,000, at least one for each scene. Those without an impact do not count.
         steps: control steps of each, 1 to 1,000,000.
         control_dt: control step [s].
         seed: of the starts and the torques.
@@ -75,8 +82,8 @@ def cheapest(
         The setting with its measurements: ``gym.make("JackInBox-v0", **choice.setting._asdict())``.
 
     Raises:
-        TypeError, ValueError: an argument out of its range; no jack touches a wall; or no setting keeps the bounds:
-            the message has the errors of the finest.
+        TypeError, ValueError: an argument out of its range; no jack touches a wall; or no setting is within the bounds,
+            and the message has the errors of the finest.
         JackLostError: the exact model cannot follow a case to its first impact.
 
     >>> from jackbox_env import cheapest
@@ -107,7 +114,7 @@ def cheapest(
     if not suitable:
         finest = measured[-1]
         raise ValueError(
-            f"no setting keeps the first impact within {bounds[0]:g} s and penetration within {bounds[1]:g} m; "
+            f"no setting has the first impact within {bounds[0]:g} s and penetration within {bounds[1]:g} m; "
             f"the finest, {finest.setting}, reaches {finest.first_impact_error:.3g} s and "
             f"{finest.penetration:.3g} m or more"
         )
@@ -119,14 +126,14 @@ def cheapest(
 
 
 def _bound(name: str, value: float) -> float:
-    """A bound above 0; infinity is no bound."""
+    """A bound above 0; infinity means none."""
     if isinstance(value, float | np.floating) and value == math.inf:
         return math.inf
     return check.real(name, value, above=0.0)
 
 
 def _within(choice: Choice, bounds: tuple[float, float]) -> bool:
-    """Whether both errors keep their bounds. False if an error is NaN or infinite."""
+    """Whether both errors are within their bounds. False if an error is NaN or infinite."""
     errors = choice.first_impact_error, choice.penetration
     return all(error <= bound and error < math.inf for error, bound in zip(errors, bounds, strict=True))
 
@@ -134,7 +141,7 @@ def _within(choice: Choice, bounds: tuple[float, float]) -> bool:
 def _cases(
     scenes: list[Scene], states: Sequence[ArrayLike] | None, cases: int, steps: int, control_dt: float, seed: int
 ) -> list[tuple[Case, list[Impact]]]:
-    """Cases that have an impact, with their first impacts; the scenes take turns."""
+    """Cases with an impact, and their first impacts; the scenes alternate."""
     check.whole("cases", cases, at_least=1, at_most=10_000)
     if cases < len(scenes):
         raise ValueError(f"cases must be at least {len(scenes)}, one for each scene, got {cases}")
@@ -155,8 +162,8 @@ def _cases(
             drawn.append((case, first))
     if not drawn:
         raise ValueError(
-            f"no foot reaches a wall within {steps} steps of {dt:g} s in any of {cases} cases, so nothing can be "
-            "measured; give more steps, or states from which one does"
+            f"no foot reaches a wall within {steps} steps of {dt:g} s in any of {cases} cases: pass more steps, or "
+            "states nearer to a wall"
         )
     return drawn
 
@@ -170,7 +177,7 @@ def _starts(scenes: list[Scene], states: Sequence[ArrayLike] | None) -> list[Arr
     except TypeError as error:
         raise TypeError(f"states must be a list of starts, got {check.shown(states)}") from error
     if not listed:
-        raise ValueError("states must hold at least one start, got none")
+        raise ValueError("states must have at least one start, got none")
     for scene in scenes:
         starts = [as_start(scene, state) for state in listed]
     return starts
@@ -224,7 +231,7 @@ def _simulators(setting: Setting, cases: list[Case]) -> list[Simulator]:
 
 
 def _costs(settings: list[Setting], cases: list[Case]) -> list[float]:
-    """Microseconds per control step of each setting: medians over rounds in which they take turns."""
+    """Microseconds per control step of each setting, as medians over interleaved rounds."""
     costs: list[list[float]] = [[] for _ in settings]
     simulators = [_simulators(setting, cases) for setting in settings]
     for _ in range(_ROUNDS if len(settings) > 1 else 1):

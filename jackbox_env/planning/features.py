@@ -37,31 +37,31 @@ _RANGES = {  # of the options, with the names of their keyword arguments
 
 @dataclass(frozen=True)
 class LookaheadOptions:
-    """How far and how widely to look ahead.
+    """Number, length and kind of the rollouts.
 
-    Refusals name the keyword arguments of :class:`jackbox_env.Lookahead`. :class:`Search` checks the last two.
+    Errors name the keyword arguments of :class:`jackbox_env.Lookahead`. :class:`Search` checks the last two.
 
     Raises:
         TypeError, ValueError: an option out of its range.
     """
 
-    repeat: int = 5  # control steps between decisions (``hold``); each torque of a rollout is repeated as often
+    repeat: int = 5  # control steps between decisions, and of each torque of a rollout (``hold``)
     manoeuvres: int = 9  # scripted rollouts (``turns``), an odd number, or 0
     samples: int = 32  # rollouts that improve the plan in each decision, 8 or more, or 0: no plan
     knots: int = 32  # torques of a rollout (``pieces``), so it lasts ``knots * repeat`` control steps
     follow: bool = False  # whether actions are added to the plan's next torque
     seed: int = 0  # of the plan's variations
-    num_threads: int | None = None  # that play the rollouts; results do not depend on it
+    num_threads: int | None = None  # for the rollouts; results do not depend on it
 
     def __post_init__(self) -> None:
         for field, (name, least, most) in _RANGES.items():
             object.__setattr__(self, field, check.whole(name, getattr(self, field), at_least=least, at_most=most))
         if self.manoeuvres % 2 == 0 and self.manoeuvres:
-            raise ValueError(f"turns must be odd, for the middle one is no turn, or 0, got {self.manoeuvres}")
+            raise ValueError(f"turns must be odd or 0, got {self.manoeuvres}")
         if 0 < self.samples < 8:
             raise ValueError(f"samples must be at least 8, or 0 for no plan, got {self.samples}")
         if check.flag("follow", self.follow) and not self.samples:
-            raise ValueError("follow needs a plan to follow, got samples = 0")
+            raise ValueError("follow needs a plan, so samples must be at least 8, got 0")
 
 
 class Features:
@@ -70,7 +70,7 @@ class Features:
     Args:
         task: whose rewards are summed, a name or a :class:`jackbox_env.Task`.
         control_dt: control step [s].
-        options: how far and how widely.
+        options: of the rollouts.
 
     Raises:
         TypeError, ValueError: an argument out of its range.
@@ -93,7 +93,7 @@ class Features:
         return self._search.begin(count)
 
     def torques(self, actions: Any, seen: Floats) -> Any:
-        """The environment's actions for those of an agent whose last observation was ``seen``.
+        """The environment's actions for the actions of an agent whose last observation was ``seen``.
 
         Shapes (n, 1) and (n, 10 + F), or (1,) and (10 + F,).
 
@@ -103,7 +103,7 @@ class Features:
         if not self.options.follow:
             return actions
         planned = seen[..., -_AHEAD : seen.shape[-1] - _AHEAD + 1]
-        numbers = check.array("actions", actions, "hold numbers (clipped to [-1, 1])")
+        numbers = check.array("actions", actions, "be numbers (clipped to [-1, 1])")
         if numbers.shape not in (planned.shape, planned.shape[:-1]):
             raise ValueError(f"actions must have shape {planned.shape} or {planned.shape[:-1]}, got {numbers.shape}")
         corrections = np.clip(numbers.astype(np.float32).reshape(planned.shape), -1.0, 1.0)
@@ -137,7 +137,7 @@ class Features:
         return np.clip(appended, self.low, self.high).astype(np.float32), plans
 
     def _next_impact(self, scenes: list[Scene], each: list[Scene], states: Array) -> Array:
-        """Time of the next impact without torque, in shares of a rollout, 1 for none; and the observation after it."""
+        """Time of the next impact without torque over a rollout's duration, 1: none; and the observation after it."""
         search = self._search
         options = RolloutOptions(
             side_forces=False, impacts=True, repeat=search.repeat, until_impact=True, num_threads=search.num_threads
@@ -151,9 +151,9 @@ class Features:
         return np.concatenate([steps[:, None] / self._steps, observed], axis=1)
 
     def _manoeuvres(self, each: list[Scene], states: Array) -> Array:
-        """Torques that turn each box by so much and stop it, in units of the limit, shape (n, manoeuvres, knots).
+        """Torques that turn each box and stop it, in units of the limit, shape (n, manoeuvres, knots).
 
-        The box is sped up for ``_HALF`` knots and stopped in as many. The furthest are those that the torque's limit
+        The box is sped up for ``_HALF`` knots and stopped in as many. The widest turns are those that the torque limit
         allows from rest.
         """
         search, count = self._search, self.options.manoeuvres

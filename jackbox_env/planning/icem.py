@@ -1,8 +1,8 @@
-"""Warm-started plans of torques, improved in each decision by playing many variations of them.
+"""Warm-started plans of torques, improved in each decision by simulating many variations of them.
 
 iCEM, the improved cross-entropy method (Pinneri et al. 2020, arXiv:2008.06389): coloured noise around the last plan,
-the best candidates make the next mean, some of them are tried again. All candidates of an iteration are played in one
-compiled call. A candidate that cannot be followed raises JackLostError.
+the best candidates make the next mean, and some of them are tried again. All candidates of an iteration are simulated
+in one compiled call, which raises JackLostError if one of them cannot be followed.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Plans(NamedTuple):
 
     means: Array  # (N, knots) torques in units of the limit
     elites: Array  # (N, reused, knots) the best candidates, tried again
-    decisions: NDArray[np.int64]  # (N,) made since the plan was begun
+    decisions: NDArray[np.int64]  # (N,) made since the plan began
 
     def of(self, numbers: NDArray[np.int64]) -> Plans:
         """Those of some jacks."""
@@ -58,13 +58,13 @@ class Search:
     Args:
         task: whose rewards are summed, a name or a :class:`jackbox_env.Task`.
         control_dt: control step [s].
-        repeat: control steps that each torque of a plan is repeated for; a decision is made as often.
+        repeat: control steps of each torque of a plan, and between decisions.
         knots: torques of a plan, 2 or more.
         samples: candidates in each iteration, 2 or more.
         elites: best candidates that make the next mean, 1 to ``samples``.
         iterations: of each decision.
         seed: of the candidates. A plan depends on it and on its own states, not on other plans.
-        num_threads: that play them; the plans do not depend on it.
+        num_threads: that simulate them; the plans do not depend on it.
 
     Raises:
         TypeError, ValueError: an argument out of its range.
@@ -97,7 +97,7 @@ class Search:
 
         Args:
             scene: of all, or a list of n.
-            states: from which they are played, shape (n, 12).
+            states: shape (n, 12).
             plans: the last ones, of n jacks.
             scripted: further candidates of the first iteration, shape (n, k, knots).
         """

@@ -57,7 +57,7 @@ class Aiming(Control):
         Raises:
             TypeError, ValueError: unusable actions.
         """
-        values = check.array("actions", actions, "hold numbers (clipped to [-1, 1])")
+        values = check.array("actions", actions, "be numbers (clipped to [-1, 1])")
         shapes = [(self._count, 2)] if self._count > 1 else [(1, 2), (2,)]
         if values.shape not in shapes:
             raise ValueError(f"actions must have shape {shapes[-1]}, got {values.shape}")

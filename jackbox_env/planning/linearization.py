@@ -22,15 +22,21 @@ from jackbox_env.scene import Scene, scenes_of
 from jackbox_env.simulators.exact import drive_kind
 from jackbox_env.states import LATEST_TIME, Array
 
+Counts = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 _AT_ONCE = 100_000  # steps of one call, after which Python can handle an interruption
 
 
 class Linearization:
-    """Trajectories and their derivatives, in SI units; ``linearize`` makes it.
+    """Trajectories and their derivatives, in SI units, from :func:`linearize`.
 
     The matrices are computed when they are first read; ``vjp`` and ``jvp`` do not need them. It unpacks as
     ``trajectories, A, B, P, smooth``.
+
+    >>> lin = linearize(None, [0, 0, 0, 4.9, 0, 0, 0, 0, 0, 10, 0, 0], [0.0], dt=0.02)  # the jack flies at a wall
+    >>> steps, times, derivatives = lin.impacts(0)
+    >>> times.round(6), derivatives[0, 3].round(6).item()  # starting 1 m closer would save 0.1 s
+    (array([0.01]), -0.1)
 
     Attributes:
         trajectories: shape (N, H + 1, 12), those of ``rollout`` bit for bit.
@@ -59,17 +65,17 @@ class Linearization:
 
     @property
     def A(self) -> Array:  # noqa: N802
-        """By the state at the step's start: A[n, k, i, j] = d x_i(k + 1) / d x_j(k), shape (N, H, 12, 12)."""
+        """Derivative by the step's first state, A[n, k, i, j] = d x_i(k + 1) / d x_j(k), shape (N, H, 12, 12)."""
         return self._matrices[0]
 
     @property
     def B(self) -> Array:  # noqa: N802
-        """By the torque held in the step [1 / (N m)], shape (N, H, 12); under a drive, by a torque added to its own."""
+        """Derivative by the step's torque [1 / (N m)], shape (N, H, 12); under a drive, by a torque added to it."""
         return self._matrices[1]
 
     @property
     def P(self) -> Array:  # noqa: N802
-        """By the scene's ``fields`` in their order, shape (N, H, 12, F)."""
+        """Derivative by the scene's ``fields`` in their order, shape (N, H, 12, F)."""
         return self._matrices[2]
 
     @cached_property
@@ -82,8 +88,8 @@ class Linearization:
         _lock(*results)
         return results
 
-    def impacts(self, row: int) -> tuple[NDArray[np.int64], Array, Array]:
-        """Impacts of a row, in time order, and the derivatives of their times; NaN in a step without a derivative.
+    def impacts(self, row: int) -> tuple[Counts, Array, Array]:
+        """The impacts of a row, in time order, and the derivatives of their times; NaN in a step without a derivative.
 
         Returns:
             The step of each impact, (m,), its time since the step's start [s], (m,), and the derivatives of that time
@@ -96,10 +102,10 @@ class Linearization:
         return within, self._tape.rows[rows, 0], self._matrices[3][rows]
 
     def vjp(self, g: ArrayLike) -> tuple[Array, Array, Array]:
-        """Pull weights of the trajectories' states back: the gradient of sum(g * trajectories).
+        """The gradient of sum(g * trajectories), a vector-Jacobian product.
 
         Args:
-            g: shape (N, H + 1, 12).
+            g: weights of the trajectories' states, shape (N, H + 1, 12).
 
         Returns:
             The gradient by the first states, (N, 12), by the torques, (N, H / repeat), and by the fields, (N, F), of
@@ -120,7 +126,7 @@ class Linearization:
     def jvp(
         self, dstates: ArrayLike | None = None, dtorques: ArrayLike | None = None, dfields: ArrayLike | None = None
     ) -> Array:
-        """Push changes forward: the first-order change of the trajectories, shape (N, H + 1, 12).
+        """The first-order change of the trajectories, shape (N, H + 1, 12), a Jacobian-vector product.
 
         Args:
             dstates: of the first states, (N, 12); None: no change.
@@ -173,10 +179,14 @@ def linearize(
     steps: int | None = None,
     num_threads: int | None = None,
 ) -> Linearization:
-    """Play torques like ``rollout``, and differentiate each step by its state, its torque and the scene.
+    """Play torques like :func:`rollout`, and differentiate each step by its state, its torque and the scene.
 
-    The derivatives are those of the motion with its impacts: the saltation matrices of ``exact/tangents.py``, exact
-    but for rounding. Each impact multiplies them by about 10, as it does every error (docs/derivatives.md).
+    The derivatives include the impacts, by saltation matrices (``exact/tangents.py``), exact up to rounding. Each
+    impact multiplies them by about 10, like every error (docs/derivatives.md).
+
+    >>> lin = linearize({"gravity": 10.0}, [0.0] * 12, [0.0], dt=0.02, fields=["gravity"])
+    >>> lin.A[0, 0, 4, 10].item(), lin.P[0, 0, 10, 0].item()  # of the jack's y by its rate, of its rate by gravity
+    (0.02, -0.02)
 
     Args:
         scene: a Scene, a dict of some of its fields, or None; or a list of N, one for each row.
@@ -184,12 +194,11 @@ def linearize(
         torques: on the box [N m], shape (N, H), or (H,) for all states; None: the scene's drive acts for ``steps``.
         dt: duration of a step [s], > 0.
         time: at which all start [s].
-        fields: by which of the scene's numbers to differentiate, at fixed torques in N m: any of gravity, box_mass,
-            box_inertia, jack_mass, jack_inertia, jack_arm, box_half_width, restitution. An inertia that the scene
-            derives follows its mass and length; one that was given stays. At restitution 1 the derivative by it is the
-            formula's, from below.
-        repeat: steps that each torque is held for; H below is then the number of all steps.
-        steps: H, where ``torques`` is None.
+        fields: of the scene, to differentiate by, at fixed torques in N m: any of gravity, box_mass, box_inertia,
+            jack_mass, jack_inertia, jack_arm, box_half_width, restitution. An inertia that the scene derives follows
+            its mass and length; one that you set stays. By restitution 1 the derivative is one-sided, from below.
+        repeat: steps that each torque is repeated for; H is then the number of all steps.
+        steps: H, if ``torques`` is None.
         num_threads: None: as many as the machine has. Results do not depend on it.
 
     Raises:
@@ -203,10 +212,10 @@ def linearize(
     driven = torques is None
     if torques is None:
         if repeat != 1:
-            raise ValueError(f"repeat goes with torques, got repeat={repeat} and torques=None")
+            raise ValueError(f"repeat must be 1 if torques is None, got {repeat}")
         torques = np.zeros(check.whole("steps", steps, at_least=0, at_most=10_000_000))
     elif steps is not None:
-        raise TypeError(f"steps goes with torques=None, where the scene's drive acts, got steps={steps} and torques")
+        raise TypeError(f"steps must be None if there are torques, got {steps}")
     seeds = np.array([_seeds(one, fields) for one in scenes])
     starts, rows = sequences(scenes, several, states, torques)
     tape = Tape()
@@ -250,7 +259,7 @@ def _lock(*arrays: NDArray[Any]) -> None:
 
 def _floats(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
     """An argument as an array of the one type for which the code is compiled."""
-    numbers = np.require(check.array(name, values, "hold numbers"), np.float64, ("C", "A", "W"))
+    numbers = np.require(check.array(name, values, "be numbers"), np.float64, ("C", "A", "W"))
     if numbers.shape != shape:
         raise ValueError(f"{name} must have shape {shape}, got {numbers.shape}")
     return numbers

@@ -1,7 +1,7 @@
 """Rollouts: many sequences of torques played from many states, by the exact contact model.
 
-``rollout`` is for users. :func:`run_rollouts` does the work, also for ``icem.py``, ``features.py`` and
-``linearization.py``: it calls ``exact/run.py`` on blocks of rows, on several threads.
+Users call ``rollout``. It checks its arguments and calls :func:`run_rollouts`, which ``icem.py``, ``features.py`` and
+``linearization.py`` call too. That runs ``exact/run.py`` on blocks of rows, on several threads.
 """
 
 from __future__ import annotations
@@ -53,15 +53,15 @@ Lengths = TypeVar("Lengths")
 
 
 class Rollout(NamedTuple, Generic[Rewards, Lengths]):
-    """Results of ``rollout`` with more than trajectories; None if not requested.
+    """Results of :func:`rollout` besides trajectories; None for what was not requested.
 
     Attributes:
         trajectories: shape (N, H + 1, 12); with ``trajectories=False`` the first and the last states, (N, 2, 12).
         energy: of each state [J], shape (N, H + 1).
-        impacts: in each step, shape (N, H), int64.
-        impulse: their sum in each step [N s], shape (N, H).
-        rewards: of each step, shape (N, H); 0 after the step that ends the task's episode.
-        lengths: steps up to that one, H if there is none, shape (N,), int64; returned with the rewards.
+        impacts: their number in each step, shape (N, H), int64.
+        impulse: the sum of their impulses in each step [N s], shape (N, H).
+        rewards: of each step, shape (N, H); 0 after the end of the task's episode.
+        lengths: steps of the episode, at most H, shape (N,), int64; returned with the rewards.
     """
 
     trajectories: Array
@@ -118,9 +118,14 @@ def rollout(
     trajectories: bool = True,
     num_threads: int | None = None,
 ) -> Array | Rollout[Any, Any]:
-    """Play torques, each held for ``dt``, from each state, by ``contact="exact"``.
+    """Simulate sequences of torques from many states by the exact contact model.
 
-    Equal bit for bit to stepping ``make_simulator(scene, contact="exact")`` from each state.
+    Each torque is constant for ``dt``. The states equal those of ``make_simulator(scene, contact="exact")`` bitwise.
+
+    >>> torques = np.zeros((2, 60))  # two sequences of 1.2 s
+    >>> played = rollout(None, np.zeros(12), torques, dt=0.02, rewards="juggle", impacts=True)
+    >>> played.trajectories.shape, played.impacts.sum(axis=1)
+    ((2, 61, 12), array([1, 1]))
 
     Args:
         scene: a Scene, a dict of some of its fields, or None; or a list of N, one for each row. A drive's side forces
@@ -132,8 +137,8 @@ def rollout(
         energy: also return the energy of each state.
         impacts: also return the number of impacts in each step and their impulse.
         rewards: also return the rewards in this task, a name or a :class:`jackbox_env.Task`, and the ``lengths`` of
-            the episodes. After the task has ended an episode, steps earn 0, and the states go on.
-        repeat: steps that each torque is held for, 1 to 1,000,000; H below is then the number of all steps.
+            the episodes. The states continue after the end of an episode, with rewards of 0.
+        repeat: steps that each torque is repeated for, 1 to 1,000,000; H is then the number of all steps.
         trajectories: False: return only the first and the last states, which saves memory and time.
         num_threads: None: as many as the machine has. Results do not depend on it.
 
@@ -164,7 +169,7 @@ def rollout(
 
 @dataclass
 class Tape:
-    """Record of a rollout that its derivatives need besides the states."""
+    """What a rollout records for its derivatives."""
 
     rows: Array = field(default_factory=lambda: new_log(0, True))  # a wide log of all impacts, step by step
     hits: Counts = field(default_factory=lambda: np.zeros((0, 0), np.int64))  # (N, H) impacts of each step
@@ -172,11 +177,11 @@ class Tape:
 
 
 class RolloutOptions(NamedTuple):
-    """How :func:`run_rollouts` plays, and what it returns besides the last states."""
+    """How :func:`run_rollouts` plays, and which results it adds to the last states."""
 
     side_forces: bool = True  # whether the drives' side forces act
-    drives_turn: bool = False  # whether the drives' torques act, in place of those given
-    repeat: int = 1  # steps that each torque is held for
+    drives_turn: bool = False  # whether the drives' torques act, in place of the arguments'
+    repeat: int = 1  # steps that each torque is repeated for
     until_impact: bool = False  # whether a row ends with the step of its first impact; needs ``impacts``
     num_threads: int | None = None  # as many at most; None: as many as the machine has
     whole: bool = False  # whether all states are returned
@@ -249,7 +254,7 @@ def run_rollouts(
 
 
 def _new_results(scenes: list[Scene], starts: Array, steps: int, options: RolloutOptions, taped: bool) -> Results:
-    """Arrays for what is to be returned, with the first states; arrays of length 0 for the rest."""
+    """Arrays for the requested results, with the first states; arrays of length 0 for the others."""
     count, scored = len(starts), options.task is not None
     results = Results(
         observations=NOTHING.observations,
@@ -288,7 +293,7 @@ def _run_blocks(
             calls[thread] = calls[thread].with_room()
         if ended not in (Status.PAUSED, Status.FULL) or halt.requested:
             return ended, number, step, logs
-        low, first = number, step  # it paused so that an interruption is heard
+        low, first = number, step  # it paused so that Python can handle an interruption
 
 
 def _by_row(hits: Counts, width: int) -> Counts:
@@ -347,7 +352,7 @@ def sequences(scenes: list[Scene], several: bool, states: ArrayLike, torques: Ar
     if held.ndim not in (1, 2):
         raise ValueError(f"torques must have shape (N, H) or (H,), got {held.shape}")
     if starts.ndim == held.ndim == 2 and len(starts) != len(held):
-        raise ValueError(f"states and torques must be as many, got {len(starts)} and {len(held)}")
+        raise ValueError(f"states must have as many rows as torques, got {len(starts)} and {len(held)}")
     if not np.isfinite(held).all():
         raise ValueError(f"torques must be finite, got {held[~np.isfinite(held)][0]}")
     counts = [len(rows) for rows in (starts, held) if rows.ndim == 2] or ([len(scenes)] if several else [1])
@@ -368,4 +373,4 @@ def sequences(scenes: list[Scene], several: bool, states: ArrayLike, torques: Ar
 
 
 def _numbers(name: str, values: ArrayLike) -> Array:
-    return check.array(name, values, "hold numbers").astype(np.float64, copy=False)  # only read
+    return check.array(name, values, "be numbers").astype(np.float64, copy=False)  # only read

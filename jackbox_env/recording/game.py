@@ -1,4 +1,4 @@
-"""A game as text: what the page of ``jackbox play`` shares, and the package replays to the last bit.
+"""Games as text, which the page of ``jackbox play`` shares and the package replays to the last bit.
 
 The text is a JSON object, or a link that ends in one after a ``#``, percent-encoded or not:
 
@@ -50,7 +50,7 @@ _BASIS, _PRIME, _WORD = 0xCBF29CE484222325, 0x100000001B3, (1 << 64) - 1  # of t
 
 
 class Game(NamedTuple):
-    """What happened in a game, which starts at time 0.
+    """A shared game, which starts at time 0.
 
     Attributes:
         task: juggle, spin or rattle.
@@ -72,10 +72,10 @@ class Game(NamedTuple):
 
 
 def read_game(text: str) -> Game:
-    """Read the text of a game, or a link that ends in one.
+    """Read a shared game from its text, or from a link that ends in it.
 
     Raises:
-        ValueError: it is none, or has a value that is not allowed.
+        ValueError: the text is no game, or has a value out of its range.
     """
     text = unquote(text.partition("#")[2] or text)
     if len(text) > LONGEST:
@@ -97,7 +97,7 @@ def read_game(text: str) -> Game:
 
 
 def replay_game(game: Game) -> tuple[int | None, list[float]]:
-    """Simulate a game by the exact model, and compare each state with that of the text.
+    """Simulate a game by the exact model, and compare each state with the text's.
 
     Returns:
         The first step whose state differs, counted from 1, or None, and the rewards of the steps before it. A

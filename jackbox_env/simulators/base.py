@@ -15,11 +15,11 @@ from jackbox_env.states import LATEST_TIME, Array, Numbers, as_restored
 
 
 class JackLostError(RuntimeError):
-    """A contact model cannot follow the jack: it would leave the box, or moves too fast. The state stays as it was."""
+    """The jack would leave the box, or moves too fast for the contact model. The state is unchanged."""
 
 
 class Impact(NamedTuple):
-    """One impact of one foot on one wall.
+    """One impact of one foot on one wall, a named tuple.
 
     Attributes:
         time: absolute time [s].
@@ -55,15 +55,22 @@ def total_impulse(impacts: list[Impact]) -> float:
 
 
 class Simulator(Protocol):
-    """A contact model that carries a state (12 float64, see :mod:`jackbox_env.mechanics`) through time.
+    """A contact model with a state (12 float64, see :mod:`jackbox_env.mechanics`) and a time, which it steps.
 
-    A step depends on nothing but (state, time) and its arguments: the same call from the same state gives bitwise the
-    same result, whatever the simulator did before, also after pickling and copying.
+    A step depends only on state, time and its arguments. Equal calls from equal states return equal bits, also after
+    pickling and copying.
+
+    >>> from jackbox_env import make_simulator
+    >>> simulator = make_simulator({"gravity": 10.0}, contact="exact")
+    >>> simulator.reset([0, 0, 0, 0, -4.9, 0, 0, 0, 0, 0, -10, 0])  # foot 3 is 0.1 m above wall 3, the floor
+    >>> simulator.step(0.02)
+    >>> [(impact.wall, impact.foot) for impact in simulator.impacts]
+    [(3, 3)]
     """
 
     @property
     def scene(self) -> Scene:
-        """The scene simulated."""
+        """The scene."""
 
     @property
     def state(self) -> Array:
@@ -85,18 +92,17 @@ class Simulator(Protocol):
         """Set the state, shape (12,), and the time [s], exactly.
 
         Raises:
-            TypeError, ValueError: unusable values; the simulator stays as it was.
+            TypeError, ValueError: unusable values. The simulator is unchanged.
         """
 
     def step(self, dt: float, torque: float | None = None) -> None:
-        """Advance by ``dt`` > 0 [s] under a held ``torque`` on the box [N m], or under the scene's drive (None).
+        """Advance by ``dt`` > 0 [s] under a constant ``torque`` on the box [N m], or under the scene's drive (None).
 
-        ``torque`` replaces the drive's torque only: its side forces act all the same.
+        ``torque`` replaces only the drive's torque. Its side forces act in any case.
 
         Raises:
             TypeError, ValueError: unusable values.
-            JackLostError: the jack would leave the box, or cannot be followed. After any error the simulator is as it
-                was.
+            JackLostError: the jack would leave the box, or cannot be followed. An error leaves the simulator unchanged.
         """
 
 
@@ -161,7 +167,7 @@ class ContactModel(ABC):
 
     @abstractmethod
     def step(self, dt: float, torque: float | None = None) -> None:
-        """Advance by ``dt`` [s] under a held ``torque`` [N m], or under the drive."""
+        """Advance by ``dt`` [s] under a constant ``torque`` [N m], or under the drive."""
 
     def _prepare(self) -> None:  # noqa: B027  # some have nothing to build
         """Build the parts that are not pickled."""

@@ -211,7 +211,7 @@ def test_training_survives_ctrl_c_and_resumes_from_the_command_line(tmp_path: Pa
     assert not (tmp_path / "run" / "model.zip").exists()
     assert "give no other setting" in script("train", "--resume", "run", "--seed", "3", cwd=tmp_path, status=2).stderr
     done = script("train", "--resume", "run", "--no-progress", cwd=tmp_path)
-    assert "Going on after" in done.stdout
+    assert "Continuing after" in done.stdout
     assert "Trained. Models, settings and evaluations: run" in done.stdout
     assert (tmp_path / "run" / "model.zip").exists()
     finished = script("train", "--resume", "run", cwd=tmp_path, status=2).stderr
@@ -220,7 +220,7 @@ def test_training_survives_ctrl_c_and_resumes_from_the_command_line(tmp_path: Pa
     fewer = script("train", "--resume", "run", "--total-steps", "4096", cwd=tmp_path, status=2).stderr
     assert "total_steps must be above the run's 4,096, got 4,096" in fewer
     done = script("train", "--resume", "run", "--total-steps", "8192", "--no-progress", cwd=tmp_path)
-    assert "Going on after 4,096 steps" in done.stdout
+    assert "Continuing after 4,096 steps" in done.stdout
     assert re.search(r"The best model, after 8,192 steps, earns \d+\.\d ± \d+\.\d on juggle", done.stdout)
     assert (tmp_path / "run" / "model.zip").exists()
     assert json.loads((tmp_path / "run" / "settings.json").read_text())["total_steps"] == 8192
@@ -260,7 +260,7 @@ def test_scenes_that_vary_are_settings_too(tmp_path: Path) -> None:
     assert len(masses) == 5
     assert all(2.0 <= mass <= 6.0 for mass in masses)
     assert EnvSettings().env_settings["randomize"] is None
-    for ranges, said in (("[1]", "randomize must be a JSON object"), ('{"mass": [1, 2]}', "randomize takes only")):
+    for ranges, said in (("[1]", "randomize must be a JSON object"), ('{"mass": [1, 2]}', "randomize accepts only")):
         done = script("evaluate", "--randomize", ranges, cwd=tmp_path, status=2)
         assert said in done.stderr, done.stderr
     with pytest.raises(ValueError, match="lookahead must be 0 where scenes vary"):

@@ -102,7 +102,7 @@ def test_a_damaged_checkpoint_is_skipped_for_the_one_before(
     goes_on_to_its_end(stopped)
     said = capsys.readouterr()
     assert skipped(said.err, stopped / NEWEST)
-    assert "Going on after 48 steps" in said.out
+    assert "Continuing after 48 steps" in said.out
     assert read_evaluations(stopped, SMALL.eval_episodes).timesteps == expected_steps(SMALL)
 
 

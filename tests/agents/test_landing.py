@@ -95,7 +95,7 @@ def test_what_pairs_are_worth_does_not_depend_on_the_jacks_beside() -> None:
 
 
 def test_damaged_and_unfit_files_are_errors(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match=r"holds no landing.json"):
+    with pytest.raises(FileNotFoundError, match=r"has no landing.json"):
         read_landing(tmp_path)
     write_with_layers(tmp_path, "landing.json", SMALL, layers_for())
     damaged: list[tuple[dict[str, Any], str]] = [
@@ -108,7 +108,7 @@ def test_damaged_and_unfit_files_are_errors(tmp_path: Path) -> None:
     ]
     for content, sentence in damaged:
         write_json(tmp_path / "landing.json", content)
-        with pytest.raises(ValueError, match=f"holds no policy of landings: .*{sentence}"):
+        with pytest.raises(ValueError, match=f"has no policy of landings: .*{sentence}"):
             read_landing(tmp_path)
 
 

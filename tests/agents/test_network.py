@@ -96,12 +96,12 @@ def test_damaged_and_unfit_files_are_errors(tmp_path: Path) -> None:
         NetworkPolicy(replace(settings, hidden_units=(8,)), layers)
     with pytest.raises(ValueError, match="finite"):
         NetworkPolicy(settings, [(weight * np.nan, bias) for weight, bias in layers])
-    with pytest.raises(FileNotFoundError, match="holds no settings.json"):
+    with pytest.raises(FileNotFoundError, match="has no settings.json"):
         read_policy(tmp_path)
     write_with_layers(tmp_path, "settings.json", settings, layers)
     weights.write_bytes(weights.read_bytes()[:-100])
-    with pytest.raises(ValueError, match="holds no policy: File is not a zip file"):
+    with pytest.raises(ValueError, match="has no policy: File is not a zip file"):
         read_policy(tmp_path)
     weights.unlink()
-    with pytest.raises(FileNotFoundError, match=r"holds no weights.npz"):
+    with pytest.raises(FileNotFoundError, match=r"has no weights.npz"):
         read_policy(tmp_path)

@@ -132,7 +132,7 @@ def test_a_deadline_ends_training(tmp_path: Path) -> None:
 
 
 def test_models_that_are_not_there_or_do_not_fit_are_refused(run: Path, tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match="holds no model: best_model.zip or model.zip was looked for"):
+    with pytest.raises(FileNotFoundError, match="has no model: neither best_model.zip nor model.zip"):
         load_model(tmp_path)
     lonely = tmp_path / "a" / "b" / "model.zip"
     lonely.parent.mkdir(parents=True)

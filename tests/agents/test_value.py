@@ -69,15 +69,15 @@ def test_a_value_is_written_and_read_and_damage_is_an_error(tmp_path: Path) -> N
         ({"contact": "pymunk", "substeps": -1}, "substeps must .* got -1"),
     ):
         write_json(tmp_path / "value.json", content)
-        with pytest.raises(ValueError, match=f"holds no value: .*{sentence}"):
+        with pytest.raises(ValueError, match=f"has no value: .*{sentence}"):
             read_value(tmp_path)
     write_with_layers(tmp_path, "value.json", EXACT, layers_for())
     weights.write_bytes(weights.read_bytes()[:-100])
-    with pytest.raises(ValueError, match="holds no value: "):
+    with pytest.raises(ValueError, match="has no value: "):
         read_value(tmp_path)
     for name in ("weights.npz", "value.json"):
         (tmp_path / name).unlink()
-        with pytest.raises(FileNotFoundError, match=f"holds no {name}"):
+        with pytest.raises(FileNotFoundError, match=f"has no {name}"):
             read_value(tmp_path)
 
 
@@ -106,7 +106,7 @@ def test_a_value_of_another_task_is_not_used_and_a_damaged_one_is_an_error(
     write_with_layers(folder, "value.json", EnvSettings(task="spin", contact="exact"), layers_for())
     assert not isinstance(search_in(), ValuedSearch)
     (folder / "value.json").unlink()
-    with pytest.raises(FileNotFoundError, match=r"holds no value.json"):
+    with pytest.raises(FileNotFoundError, match=r"has no value.json"):
         search_in()
 
 

@@ -149,7 +149,7 @@ def test_ppo_trains_on_it_as_on_dummy_vec_env(contact: str) -> None:
 
 def test_unusable_arguments_are_refused() -> None:
     for name in ("autoreset_mode", "gravity"):
-        with pytest.raises(ValueError, match=f"make_sb3_vec_env takes only .* got '{name}'"):
+        with pytest.raises(ValueError, match=f"make_sb3_vec_env accepts only .* got '{name}'"):
             make_sb3_vec_env(2, **{name: 0.0})
     with pytest.raises(TypeError, match="num_envs .* got 1.5"):
         make_sb3_vec_env(1.5)  # type: ignore[arg-type]

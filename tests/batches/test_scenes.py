@@ -235,7 +235,7 @@ def test_states_are_checked_against_the_scene_that_comes_with_them() -> None:
         ({"jack_arm": (1.0, 5.0), "box_half_width": (3.0, 9.0)}, "jack_arm=5, .* jack_arm must be below"),
         ({"jack_mass": (6.0, 2.0)}, r"randomize\['jack_mass'\] .*\(6.0, 2.0\)"),
         ({"jack_mass": 6.0}, r"randomize\['jack_mass'\] .* got 6.0"),
-        ({"drive": (1.0, 2.0)}, "randomize takes only .* got 'drive'"),
+        ({"drive": (1.0, 2.0)}, "randomize accepts only .* got 'drive'"),
         ("jack_mass", "randomize must be a dict .* got 'jack_mass'"),
     ],
 )

@@ -93,7 +93,7 @@ def test_check_sees_a_state_that_does_not_come_back(monkeypatch: pytest.MonkeyPa
         reset(self, np.asarray(state) * (1.0 + 2**-52), time)
 
     monkeypatch.setattr(PymunkSimulator, "reset", forgetful)
-    with pytest.raises(RuntimeError, match="leads elsewhere"):
+    with pytest.raises(RuntimeError, match="leads to another motion"):
         check.restores("pymunk")
 
 

@@ -103,7 +103,7 @@ def test_check_finds_that_it_works_and_which_extras_are_missing(site: Path, cach
     run = partial(jackbox, site, tmp_path, "check", status=0, **OLDEST, NUMBA_CACHE_DIR=str(cache))
     done, again = run(), run()
     assert done.stdout.count("ok      ") == again.stdout.count("ok      ") == 5
-    assert re.search(r'extra train: not installed; to get it: pip install .*"torch', done.stdout)
+    assert re.search(r'extra train: not installed, pip install .*"torch', done.stdout)
     said = re.findall(r"jackbox compiles .* for ([a-z ]+), once on this machine", done.stderr)
     assert said == ["all environments", "derivatives"]
     assert "compiles" not in again.stderr

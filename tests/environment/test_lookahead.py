@@ -208,7 +208,7 @@ def test_actions_that_correct_a_plan_are_checked_and_clipped() -> None:
     assert (env.reset(seed=0)[0][:, -3] < -0.1).all()
     with pytest.raises(ValueError, match=r"actions must have shape \(3, 1\) or \(3,\), got \(1, 3\)"):
         env.step(np.zeros((1, 3)))
-    with pytest.raises(TypeError, match=r"actions must hold numbers \(clipped to \[-1, 1\]\), got None"):
+    with pytest.raises(TypeError, match=r"actions must be numbers \(clipped to \[-1, 1\]\), got None"):
         env.step(None)
     seen = env.step(np.full(3, 5.0))[0]
     env.reset(seed=0)
@@ -249,7 +249,7 @@ def test_a_plan_is_not_followed_where_actions_are_no_torques() -> None:
     for make in driven:
         with pytest.raises(ValueError, match='follow needs an environment with torque="agent", .* got torque="chirp"'):
             make()
-    with pytest.raises(ValueError, match="follow needs a plan to follow, got samples = 0"):
+    with pytest.raises(ValueError, match="follow needs a plan, so samples must be at least 8, got 0"):
         single(follow=True, samples=0)
 
 

@@ -342,13 +342,13 @@ def test_unusable_arguments_of_linearize_and_its_products_are_refused() -> None:
         lin.vjp(np.zeros((2, 3, 12)))
     with pytest.raises(ValueError, match=r"dtorques must have shape \(2, 3\), got \(3,\)"):
         lin.jvp(dtorques=np.zeros(3))
-    with pytest.raises(TypeError, match="g must hold numbers, got 'up'"):
+    with pytest.raises(TypeError, match="g must be numbers, got 'up'"):
         lin.vjp("up")
     with pytest.raises(TypeError, match="steps must be a whole number"):
         linearize(None, np.zeros(12), None, 0.02)
-    with pytest.raises(TypeError, match="steps goes with torques=None"):
+    with pytest.raises(TypeError, match="steps must be None if there are torques, got 3"):
         linearize(None, np.zeros(12), np.zeros(3), 0.02, steps=3)
-    with pytest.raises(ValueError, match="repeat goes with torques, got repeat=2"):
+    with pytest.raises(ValueError, match="repeat must be 1 if torques is None, got 2"):
         linearize(None, np.zeros(12), None, 0.02, steps=3, repeat=2)
     with pytest.raises(ValueError, match="row must be a whole number from 0 to 1, got 2"):
         lin.impacts(2)

@@ -67,7 +67,7 @@ def changed(**values: Any) -> str:
 )
 def test_unusable_settings_are_refused_in_one_sentence(tmp_path: Path, settings: str | bytes, reason: str) -> None:
     folder = folder_with(tmp_path, settings)
-    with pytest.raises(ValueError, match=f"^{folder}/settings.json holds no settings of a run: .*{reason}") as refusal:
+    with pytest.raises(ValueError, match=f"^{folder}/settings.json has no settings of a run: .*{reason}") as refusal:
         read_settings(folder)
     assert "\n" not in str(refusal.value)
     assert len(str(refusal.value)) < 600
@@ -86,7 +86,7 @@ def test_unusable_settings_are_refused_in_one_sentence(tmp_path: Path, settings:
 def test_absurd_sizes_are_refused_before_anything_is_made(tmp_path: Path, values: dict[str, Any], reason: str) -> None:
     folder = folder_with(tmp_path, changed(**values))
     (folder / "model.zip").write_bytes(b"")
-    with little_memory(), pytest.raises(ValueError, match=f"holds no settings of a run: {reason}"):
+    with little_memory(), pytest.raises(ValueError, match=f"has no settings of a run: {reason}"):
         load_model(folder)
 
 
@@ -173,7 +173,7 @@ def test_arrays_are_inflated_to_no_more_than_arrays_take(
     for name in (WEIGHTS, EVALUATIONS):
         (folder / name).write_bytes(understated(content) if understate else content)
     with little_memory():
-        with pytest.raises(ValueError, match="holds no policy: "):
+        with pytest.raises(ValueError, match="has no policy: "):
             read_policy(folder)
         assert read_evaluations(folder, 2).timesteps == []
     assert f"Skipped: {folder / EVALUATIONS} is damaged" in capsys.readouterr().err

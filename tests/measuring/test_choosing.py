@@ -190,7 +190,7 @@ def test_a_scene_that_pymunk_does_not_solve_leaves_the_exact_model_for_all() -> 
     [
         ({"scene": []}, "scene must be one scene or a list of at least one, got an empty list"),
         ({"scene": [{}, 3.0]}, r"scene\[1\]: scene must be a Scene, a dict of its fields or None, got 3.0"),
-        ({"scene": [{}, {}, {"mass": 1}]}, r"scene\[2\]: scene takes only"),
+        ({"scene": [{}, {}, {"mass": 1}]}, r"scene\[2\]: scene accepts only"),
         ({"scene": [{}] * 3, "cases": 2}, "cases must be at least 3, one for each scene, got 2"),
         ({"scene": [{}, {"box_half_width": 4.0}], "states": [4.5 * np.eye(12)[3]]}, "a start must have"),
         ({"first_impact_error": 0.0}, "first_impact_error must be a finite number above 0, got 0.0"),
@@ -200,7 +200,7 @@ def test_a_scene_that_pymunk_does_not_solve_leaves_the_exact_model_for_all() -> 
         ({"control_dt": -1.0}, "control_dt must be a finite number above 0, got -1.0"),
         ({"contact": "box2d"}, "contact must be one of 'pymunk', 'exact', got 'box2d'"),
         ({"seed": -1}, "seed must be a whole number >= 0, got -1"),
-        ({"states": []}, "states must hold at least one start, got none"),
+        ({"states": []}, "states must have at least one start, got none"),
         ({"states": [9.0 * np.eye(12)[3]]}, "a start must have every foot inside the box"),
         (
             {"scene": WEIGHTLESS, "states": [np.zeros(12)], "cases": 2, "steps": 1},
@@ -208,7 +208,7 @@ def test_a_scene_that_pymunk_does_not_solve_leaves_the_exact_model_for_all() -> 
         ),
         (
             {"scene": {"restitution": 0.5}, "first_impact_error": 1e-9, "cases": 1, "contact": "pymunk"},
-            "no setting keeps the first impact within 1e-09 s and penetration within inf m; the finest, .*256",
+            "no setting has the first impact within 1e-09 s and penetration within inf m; the finest, .*256",
         ),
     ],
 )

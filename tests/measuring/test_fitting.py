@@ -350,7 +350,7 @@ def test_unusable_recordings_are_refused(change: dict[str, Any], complaint: str)
         ({"fields": None}, "fields must be different names, at least one, got None"),
         ({"fields": [["gravity"]]}, "a field must be one of 'gravity'"),
         ({"fields": ("gravity", "gravity")}, "fields must be different names"),
-        ({"noise": {"x": 1.0}}, "noise takes only 'x_box'"),
+        ({"noise": {"x": 1.0}}, "noise accepts only 'x_box'"),
     ],
 )
 def test_unusable_arguments_of_fits_are_refused(change: dict[str, Any], complaint: str) -> None:

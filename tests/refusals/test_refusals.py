@@ -116,12 +116,12 @@ def with_gradients() -> Any:
 
 
 SENTENCES: list[tuple[Callable[[], object], type[Exception], str]] = [
-    (lambda: JackInBoxEnv(contct="exact"), TypeError, "no argument 'contct' .*'contact'.*: it takes .*randomize"),
+    (lambda: JackInBoxEnv(contct="exact"), TypeError, "no argument 'contct' .*'contact'.*: it accepts .*randomize"),
     (lambda: gym.make("JackInBox-v0", contct="exact"), TypeError, "no argument 'contct' .*'contact'"),
     (lambda: JackInBoxEnv(num_threads=2), TypeError, "'num_threads': it belongs to the native vector environment"),
     (lambda: make_sb3_vec_env(2, with_info=True), ValueError, r"got 'with_info' \(did you mean 'with_infos'"),
     (lambda: JackInBoxEnv().reset(options={"scen": {}}), ValueError, r"got 'scen' \(did you mean 'scene'\?\)"),
-    (lambda: make_simulator(None, "exact", something=1), ValueError, "takes only 'substeps', 'iterations'"),
+    (lambda: make_simulator(None, "exact", something=1), ValueError, "accepts only 'substeps', 'iterations'"),
     (lambda: make_simulator(None, "exact", substeps=4), ValueError, "contact='exact' has no .*substeps=4"),
     (lambda: JackInBoxEnv(contact="exact", substeps=4), ValueError, "contact='exact' has no .*substeps=4"),
     (lambda: JackInBoxEnv(fidelity="exact", substeps=4), ValueError, "fidelity='exact' stands for .*substeps=4"),

@@ -90,7 +90,7 @@ def test_a_model_declares_its_settings(monkeypatch: pytest.MonkeyPatch) -> None:
     assert soft.softness == 0.0
     with pytest.raises(ValueError, match="^contact='exact' has no softness, got softness=0.5$"):
         make_simulator(None, "exact", softness=0.5)
-    with pytest.raises(ValueError, match="takes only 'substeps', 'iterations', 'softness', got 'sofness' "):
+    with pytest.raises(ValueError, match="accepts only 'substeps', 'iterations', 'softness', got 'sofness' "):
         make_simulator(None, "soft", sofness=0.5)
 
 
