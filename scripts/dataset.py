@@ -2,7 +2,8 @@
 
 They are called jackbox/juggle-random-v0 and so on. The infos hold state, time, torque, count and impulse of the impacts
 and the reward's terms, the metadata each episode's seed and the versions. Minari, in an environment of its own, loads
-each dataset, and every episode is replayed: the bits must be the same. An existing dataset is not replaced.
+each dataset, and every episode is replayed: the bits must be the same. An existing dataset is not replaced. The card of
+all datasets is jackbox/README.md.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import sys
 import warnings
 from dataclasses import dataclass
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -27,6 +29,8 @@ from agents.settings import EnvSettings
 from jackbox_env import Scene
 from jackbox_env import checks as check
 from jackbox_env.command_line import ROOT, command_line
+from jackbox_env.files import write_text
+from scripts.cards import datasets_card
 
 PACKAGES = ("jackbox", "gymnasium", "numpy", "numba", "pymunk", "minari")
 TEXT = """The jack in a box, task {}, policy {}: episodes of 10 s on the exact contact model. infos/state holds x, y and
@@ -77,8 +81,12 @@ def replay(env: Any, seed: int, episode: Any) -> None:
                 raise RuntimeError(f"episode {episode.id} has other bits when it is played from step {first}")
 
 
-def write(task: str, name: str, policy: Policy, episodes: int) -> None:
-    """Write one dataset, load and replay it, and print its mean return."""
+def write(task: str, name: str, policy: Policy, episodes: int) -> tuple[str, int, int, float]:
+    """Write one dataset, load and replay it, and print its mean return.
+
+    Returns:
+        Its name, its numbers of episodes and steps, and its mean return.
+    """
     import minari
 
     dataset_id, author = f"jackbox/{task}-{name}-v0", "The jackbox developers"
@@ -93,6 +101,7 @@ def write(task: str, name: str, policy: Policy, episodes: int) -> None:
         replay(inner, about["seed"], episode)
         earned.append(episode.rewards.sum())
     print(f"{dataset_id}: {len(earned)} episodes replayed bit for bit, mean return {np.mean(earned):.1f}", flush=True)
+    return dataset_id, len(earned), int(dataset.total_steps), float(np.mean(earned))
 
 
 @command_line
@@ -109,9 +118,14 @@ def main() -> None:
         sys.exit(subprocess.run([python, *sys.argv], check=False).returncode)
     os.environ.setdefault("MINARI_DATASETS_PATH", str(ROOT / "runs" / "dataset"))  # before it is imported
     warnings.filterwarnings("ignore", "`(code_permalink|author_email|eval_env)` is set to None")
-    for task in TRAINED:
-        for name, policy in policies(task).items():
-            write(task, name, policy, max(1, episodes // 10) if name == "planner" else episodes)
+    rows = [
+        write(task, name, policy, max(1, episodes // 10) if name == "planner" else episodes)
+        for task in TRAINED
+        for name, policy in policies(task).items()
+    ]
+    write_text(
+        Path(os.environ["MINARI_DATASETS_PATH"]) / "jackbox" / "README.md", datasets_card(rows, versions(PACKAGES))
+    )
 
 
 if __name__ == "__main__":
