@@ -47,22 +47,22 @@ def renamed(values: dict[str, Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class EnvSettings:
-    """Settings of the environment, each of a type that JSON has."""
+    """Settings of the environment, each of a JSON type."""
 
     task: TaskName = "juggle"
     """What is rewarded."""
     contact: str | None = None
-    """In place of a fidelity, the contact model: pymunk or exact."""
+    """Contact model in place of a fidelity: pymunk or exact."""
     substeps: int | None = None
-    """Engine steps of pymunk per control step, beside contact; None: 4."""
+    """Engine steps of pymunk per control step, with contact; None: 4."""
     control_dt: Annotated[float, tyro.conf.arg(name="dt", aliases=["--control-dt"])] = 0.02
     """Duration of a control step [s]."""
     scene: str = "{}"
     """Fields of the scene that differ from the default, as JSON, e.g. '{"gravity": 1.62}'."""
     fidelity: str | None = None
-    """How impacts are computed: coarse, balanced, fine or exact; None: exact, unless contact or substeps is given."""
+    """How impacts are computed: coarse, balanced, fine or exact; None: exact, unless contact or substeps is set."""
     randomize: str = "{}"
-    """Ranges of the scene's fields, drawn anew in each episode, as JSON, e.g. '{"jack_mass": [2, 6]}'."""
+    """Ranges of the scene's fields, drawn at each reset, as JSON, e.g. '{"jack_mass": [2, 6]}'."""
 
     def __post_init__(self) -> None:
         """Raises ValueError for an unknown fidelity or an invalid scene; the environment checks the rest."""
@@ -139,7 +139,7 @@ _REAL: dict[str, dict[str, float]] = {
     "gae_lambda": {"at_least": 0.0, "at_most": 1.0}, "entropy_coefficient": {}, "initial_log_std": {},
 }  # fmt: skip
 
-# What trains best if actions last a number of control steps: as landings, and as torques.
+# The best settings of training if actions last a number of control steps: for landings, and for torques.
 _REPEATED: dict[str, Any] = {
     "repeat": 20, "total_steps": 2_000_000, "num_envs": 256, "rollout_steps": 32, "learning_rate": 1e-3, "gamma": 0.905,
     "initial_log_std": -0.7, "checkpoint_steps": 500_000, "eval_steps": 250_000,
@@ -152,7 +152,7 @@ _TORQUES: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class TrainSettings(EnvSettings):
-    """Everything that a training run depends on; `make demo` trains by the defaults, some 45 seconds on one core.
+    """All settings of a training run. With the defaults, those of `make demo`, it takes about 45 s on one core.
 
     They are for juggle with one decision per bounce. :meth:`suited` has defaults for every task.
     """
@@ -160,11 +160,11 @@ class TrainSettings(EnvSettings):
     seed: int = 0
     """Seed of the network, the environments and the noise."""
     total_steps: int = 1_200_000
-    """Steps to train for. Here and below a step is one action of one environment; `repeat` sets how long it lasts."""
+    """Steps to train for. A step is one action of one environment; `repeat` sets its duration."""
     max_minutes: float | None = None
-    """Stop earlier when this much time has passed [min]."""
+    """Time limit [min]; None: no limit."""
     num_envs: int = 512
-    """Environments stepped side by side."""
+    """Environments stepped together."""
     rollout_steps: int = 12
     """Steps of each environment between updates."""
     batch_size: int = 1024
@@ -172,41 +172,42 @@ class TrainSettings(EnvSettings):
     epochs: int = 10
     """Passes over each rollout."""
     learning_rate: float = 2e-3
-    """Of Adam, falling linearly to 0 at total_steps."""
+    """Learning rate of Adam, falling linearly to 0 at total_steps."""
     gamma: float = 0.72
-    """Discount per step; with `repeat` bounce per second of a step's duration."""
+    """Discount per step; with `repeat` bounce, per second."""
     gae_lambda: float = 0.9
-    """Bias against variance of the advantage estimate."""
+    """Lambda of the generalised advantage estimate: bias against variance."""
     clip_range: float = 0.2
-    """Of the probability ratio."""
+    """Clip range of the probability ratio."""
     entropy_coefficient: float = 0.0
     """Weight of the entropy bonus."""
     hidden_units: tuple[int, ...] = (64, 64)
-    """Width of each hidden layer, of the policy and of the value alike."""
+    """Width of each hidden layer, in policy and value network."""
     initial_log_std: float = -1.0
-    """Logarithm of the actions' first standard deviation."""
+    """Initial logarithm of the actions' standard deviation."""
     repeat: Annotated[int | Literal["bounce"], tyro.conf.arg(aliases=["--hold"])] = "bounce"
-    """Action repeat: control steps of each action, which divide the 500 of an episode; or bounce, with landing: an
-    action lasts until the next impact, 2 s at most."""
+    """Action repeat: control steps of each action, a divisor of the episode's 500. Or bounce, with landing: an action
+    lasts until the next impact, at most 2 s."""
     preview: bool = True
-    """Append to the observation where and how the jack will land. Such a model.zip loads only where a checkout of this
-    project can be imported; scripts/export.py makes a policy of it that needs numpy alone."""
+    """Append landing features to the observation. Such a model.zip loads only if this checkout can be imported;
+    scripts/export.py makes a policy from it that needs only numpy."""
     lookahead: int = 0
-    """Rollouts that improve a plan before each action; the networks observe its return and those of 9 scripted ones."""
+    """Rollouts that improve a plan before each action; the networks observe its return, and those of 9 scripted
+    manoeuvres."""
     landing: bool = True
     """Actions are the box's angle and rate at the landing, not torques: jackbox_env.LandingControl. For juggle."""
     checkpoint_steps: int = 200_000
     """Steps between checkpoints, from which an interrupted run resumes."""
     eval_steps: int = 100_000
-    """Steps between the separate evaluations that keep the best model."""
+    """Steps between the evaluations that select the best model."""
     eval_episodes: int = 64
-    """Episodes of each of them."""
+    """Episodes of each evaluation."""
     torch_threads: int = 1
-    """Threads of torch; small networks are fastest on one."""
+    """Threads of torch; small networks are fastest with one."""
 
     @classmethod
     def suited(cls, **settings: Any) -> Self:
-        """Complete ``settings`` by the defaults that train best on their task with their kind of actions.
+        """Complete ``settings`` with the defaults that train best on their task with their kind of actions.
 
         Without ``landing`` actions are torques, except on juggle without a lookahead. With it they last until the next
         impact, unless ``repeat`` is a number.
@@ -218,7 +219,7 @@ class TrainSettings(EnvSettings):
 
     @classmethod
     def of(cls, values: Any) -> Self:
-        """As :meth:`EnvSettings.of`; what is missing has the default of an earlier version."""
+        """As :meth:`EnvSettings.of`; missing settings have the defaults of the version that did not know them."""
         return super().of({**_EARLIER_DEFAULTS, **renamed(values)} if isinstance(values, dict) else values)
 
     def __post_init__(self) -> None:
@@ -247,12 +248,12 @@ class TrainSettings(EnvSettings):
 
     @property
     def period(self) -> float | Literal["bounce"]:
-        """How long an action lasts [s], or "bounce"; as LandingControl has it."""
+        """Duration of an action [s], or "bounce", for LandingControl."""
         return "bounce" if self.repeat == "bounce" else self.repeat * self.control_dt
 
     @property
     def longest(self) -> int:
-        """Control steps that an action lasts at most."""
+        """The most control steps of an action."""
         return steps_until_impact(self.control_dt)[0] if self.repeat == "bounce" else self.repeat
 
     @property
@@ -272,18 +273,16 @@ class TrainSettings(EnvSettings):
         for name, scene_fields in (("preview", PREVIEW_FIELDS), ("landing", LANDING_FIELDS)):
             varied = [field for field in scene_fields if field in self.randomized]
             if getattr(self, name) and varied:
-                raise ValueError(
-                    f"{name} must be off where {' and '.join(varied)} varies: it is computed for one scene"
-                )
+                raise ValueError(f"{name} must be off if {' and '.join(varied)} varies: it is computed for one scene")
         if check.whole("lookahead", self.lookahead, at_least=0, at_most=MOST_LOOKAHEAD) in range(1, 8):
             raise ValueError(f"lookahead must be 0 or from 8 to {MOST_LOOKAHEAD}, got {self.lookahead}")
         if self.lookahead and self.landing:
-            raise ValueError("landing must be off with a lookahead, whose plans are torques")
+            raise ValueError("landing must be off with a lookahead: its plans are torques")
         if self.lookahead and self.randomized:
-            raise ValueError("lookahead must be 0 where scenes vary: a trained model plays its rollouts in one scene")
+            raise ValueError("lookahead must be 0 if scenes vary: its rollouts use one scene")
 
     def _check_sizes(self, counts: list[str]) -> None:
-        """Raise ValueError for sizes that fit in no memory, before anything is allocated."""
+        """Raise ValueError for sizes beyond any memory, before allocating."""
         for name in counts:
             check.whole(name, getattr(self, name), at_least=1, at_most=MOST_STEPS)
         check.whole("torch_threads", self.torch_threads, at_least=1, at_most=MOST_THREADS)

@@ -42,7 +42,7 @@ class Arguments:
     """Write all datasets."""
 
     steps: int = 100_000
-    """Control steps of random and of ppo on each task; of the planner a tenth."""
+    """Control steps of random and ppo on each task; the planner plays a tenth of it."""
 
 
 def policies(task: str) -> dict[str, Policy]:

@@ -1,4 +1,4 @@
-"""Train a PPO agent on JackInBox-v0, compare it with the scripted baselines, and film it beside them and a planner.
+"""Train a PPO agent on JackInBox-v0, compare it with scripted baselines, and film it with them and a planner.
 
 It trains on fidelity exact, and evaluates on that and on balanced, the default of `gymnasium.make`.
 """
@@ -25,13 +25,13 @@ class Arguments:
     folder: Path | None = None
     """New folder for all that is written; None: runs/demo-<date>-<time>."""
     total_steps: int = TrainSettings.total_steps
-    """Steps to train for, each a decision that lasts until the jack's next impact."""
+    """Steps to train for, each a decision that lasts until the next impact."""
     max_minutes: float | None = None
-    """Stop training after this time at the latest [min]; None: after all steps."""
+    """Time limit of the training [min]; None: no limit."""
     episodes: int = 128
     """Episodes of each policy."""
     seed: int = 0
-    """Seed of all that is drawn; evaluation starts from others than training."""
+    """Seed of all random numbers; evaluation and training use different starts."""
 
 
 @command_line

@@ -1,4 +1,4 @@
-"""Write the policy of a training run as plain arrays: it then plays with numpy alone, without torch."""
+"""Write the policy of a training run as plain arrays, to play with only numpy, without torch."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Arguments:
     run: Path
     """Run folder, or a model file in it."""
     folder: Path
-    """New folder for settings.json, weights.npz and, if known, learning curve and times of the training."""
+    """New folder for settings.json, weights.npz and, if there are any, the training's learning curve and times."""
 
 
 @command_line

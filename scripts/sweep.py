@@ -1,6 +1,6 @@
-"""Run a grid of policies or of trainings over tasks, settings, scenes and seeds: one table, whatever it ran on.
+"""Run a grid of policies or of trainings over tasks, settings, scenes and seeds, and write one table.
 
-In this process, on this machine's cores, or on a cluster with Ray (the extra `scale`): the table is the same.
+It runs in this process, on this machine's cores, or on a cluster with Ray (the extra `scale`), with the same table.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Grid:
     scene: tuple[str, ...] = ("{}",)
     """Fields of the scene that differ from the default, as JSON, e.g. '{"gravity": 1.62}'."""
     seeds: int = 1
-    """Seeds 0, 1, ... of each: of the starts of a policy's episodes, or of a training."""
+    """Number of seeds, from 0 on: of the starts of a policy's episodes, or of a training."""
     episodes: int = 16
     """Episodes of each trial."""
 
@@ -47,18 +47,18 @@ class Arguments:
     folder: Path | None = None
     """New folder for all that is written; None: runs/sweep-<date>-<time>."""
     resume: Path | None = None
-    """Folder of a sweep to go on with: what has not finished, and what has failed."""
+    """Folder of a sweep to continue: runs unfinished and failed trials."""
     workers: int | None = None
-    """So many trials side by side, each in a process of its own; None: one after the other in this process."""
+    """Number of trials at a time, each in a separate process; None: one after the other in this process."""
     address: str | None = None
-    """On a cluster of Ray: the address of its head, or auto on one of its machines."""
+    """Address of the head of a Ray cluster, or auto on one of its machines."""
     progress: bool = True
     """Show a progress bar."""
 
 
 @command_line
 def main() -> None:
-    """Parse, run the trials, print what failed and where the table is."""
+    """Parse, run the trials, print the failures and the path of the table."""
     import tyro
 
     arguments = tyro.cli(Arguments, description=__doc__, config=(tyro.conf.OmitArgPrefixes,))
@@ -67,25 +67,27 @@ def main() -> None:
 
     runner = runner_for(arguments.workers, arguments.address)
     if arguments.grid.train is not None and arguments.grid.policy != Grid.policy:
-        raise ValueError("--train runs trainings in place of policies: give no --policy")
+        raise ValueError("--train runs trainings in place of policies: leave out --policy")
     if arguments.resume is None:
         trials = grid(**asdict(arguments.grid))
         folder = new_sweep(arguments.folder, trials)
     elif arguments.grid == Grid() and arguments.folder is None:
         trials, folder = read_sweep(arguments.resume), arguments.resume
     else:
-        raise ValueError("--resume runs the sweep of its folder: give no other grid")
+        raise ValueError("--resume continues the sweep of its folder: leave out other settings")
     command = shlex.join(["python", "scripts/sweep.py", "--resume", str(folder)])
     try:
         rows = carry_out(folder, trials, partial(run_trial, folder.resolve()), runner, arguments.progress)
     except KeyboardInterrupt:
-        print(f"\nInterrupted. Go on with: {command}", file=sys.stderr)
+        print(f"\nInterrupted. Continue with: {command}", file=sys.stderr)
         raise
     print(f"{len(rows)} trials: {folder / TABLE}")
     failed = sum(row["error"] is not None for row in rows)
     if failed:
-        message = f"{failed} of {len(trials)} trials failed: {folder / TABLE} says which"
-        print(f"{message}, {folder / LOG} where. Try them again with: {command}", file=sys.stderr)
+        message = (
+            f"{failed} of {len(trials)} trials failed, marked in {folder / TABLE}, with tracebacks in {folder / LOG}"
+        )
+        print(f"{message}. Try them again with: {command}", file=sys.stderr)
         sys.exit(1)
 
 

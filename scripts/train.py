@@ -1,4 +1,4 @@
-"""Train PPO on JackInBox-v0 in a run folder; interrupt it with Ctrl-C, or kill it, and resume it with --resume."""
+"""Train PPO on JackInBox-v0 in a run folder. After Ctrl-C or a kill, --resume continues it."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ class Arguments:
     folder: Path | None = None
     """New folder for all that is written; None: runs/<task>-<date>-<time>."""
     resume: Path | None = None
-    """Run folder to resume, with its own settings, from its newest whole checkpoint; with --total-steps N a run goes on
-    to N steps in all, a finished one too."""
+    """Run folder to resume, with its settings, from its newest intact checkpoint. With --total-steps N it continues to
+    N steps in all, also if it was finished."""
     progress: bool = True
     """Show a progress bar."""
 
 
 class Early(TypedDict, total=False):
-    """The options that the other options' defaults depend on, if the command line has them."""
+    """The options on which other defaults depend."""
 
     task: TaskName
     lookahead: int
@@ -41,7 +41,7 @@ class Early(TypedDict, total=False):
 
 
 def suited() -> TrainSettings:
-    """The defaults of the command line: they depend on the task, on what an action is and on how long it lasts."""
+    """The defaults of the command line, which depend on the task, and on the kind and duration of actions."""
     import tyro
 
     early, _ = tyro.cli(Early, add_help=False, return_unknown_args=True)
@@ -52,7 +52,7 @@ def suited() -> TrainSettings:
 
 @command_line
 def main() -> None:
-    """Parse, train, print where the files are."""
+    """Parse, train, print the path of the files."""
     import tyro
 
     config = (tyro.conf.OmitArgPrefixes,)
@@ -65,10 +65,10 @@ def main() -> None:
     if arguments.resume is not None:
         others = replace(chosen, total_steps=TrainSettings.total_steps)
         if others != TrainSettings() or arguments.folder is not None:
-            raise ValueError("--resume uses the settings of its run folder: give no other settings than --total-steps")
+            raise ValueError("--resume uses the settings of its run folder: only --total-steps may be added")
         folder, settings = arguments.resume, read_settings(arguments.resume)
         if not (folder / RUN).is_file():
-            raise FileNotFoundError(f"{folder} is no training run: it has no {RUN}, so there is nothing to resume")
+            raise FileNotFoundError(f"{folder} is no training run: it has no {RUN}")
         if any(word.split("=")[0] in ("--total-steps", "--total_steps") for word in sys.argv):
             settings = extended(folder, chosen.total_steps)
     else:
@@ -79,7 +79,7 @@ def main() -> None:
     try:
         train(settings, folder, progress=arguments.progress)
     except KeyboardInterrupt:
-        print(f"\nInterrupted. Go on with: {called('train', '--resume', str(folder))}", file=sys.stderr)
+        print(f"\nInterrupted. Continue with: {called('train', '--resume', str(folder))}", file=sys.stderr)
         raise
     print(f"Trained. Models, settings and evaluations: {folder}")
     print("  " + called("evaluate", *settings.options, "--policy", "zero", str(folder)))

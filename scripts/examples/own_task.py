@@ -1,4 +1,4 @@
-"""Train PPO on a task of one's own: throw the jack through a window in the upper half of the box."""
+"""Train PPO on a task of your own: throw the jack through a window in the upper half of the box."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def through(scene: Any, state: Any, torque: float, impulse: float) -> bool:
 
 
 def reward(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float, float]:
-    """1 for getting there, and each of the 500 steps up to then costs 0.002."""
+    """1 for reaching the window, minus 0.002 for each step until then."""
     return 1.0 if through(scene, state, torque, impulse) else 0.0, -0.002
 
 
@@ -39,7 +39,7 @@ class Arguments:
     total_steps: int = 400_000
     """Control steps to train for."""
     episodes: int = 64
-    """Episodes of each policy, run side by side."""
+    """Episodes of each policy, run together."""
     seed: int = 0
     """Seed of the network and of the training's starts; evaluation starts from others."""
 

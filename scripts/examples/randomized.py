@@ -1,4 +1,4 @@
-"""Train PPO on jacks of any mass and bounce, and see what it earns on light and heavy, lively and dull ones."""
+"""Train PPO on jacks of random mass and restitution, and evaluate it on light and heavy, lively and dull ones."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Arguments:
     total_steps: int = 400_000
     """Environment steps of each training."""
     episodes: int = 64
-    """Episodes of each policy in each scene, run side by side."""
+    """Episodes of each policy in each scene, run together."""
     seed: int = 0
     """Seed of the network and of the training's starts; evaluation starts from others."""
 

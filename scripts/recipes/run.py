@@ -17,7 +17,7 @@ TORCH = "torch==2.13.0"  # else the newest build comes, of several GB
 
 
 class Recipe(NamedTuple):
-    """A program and the packages that it needs beside the checkout; with some it runs in an environment of its own."""
+    """A program and the packages that it needs besides the checkout; with any it runs in a separate environment."""
 
     arguments: tuple[str, ...]
     needs: tuple[str, ...] = ()
@@ -48,9 +48,9 @@ class Arguments:
     """Run recipes."""
 
     names: tuple[str, ...]
-    """Which; none: all."""
+    """Names of recipes; none: all."""
     environments: Path = Path("runs/recipes")
-    """Folder of the environments that are made; one that is ready is used again."""
+    """Folder of the environments; an existing one is used again."""
 
 
 def python_for(recipe: Recipe, folder: Path) -> str:

@@ -165,7 +165,7 @@ def tables(rows: list[dict[str, Any]]) -> str:
 
 @command_line
 def main() -> None:
-    """Parse, fit what is missing, write the page."""
+    """Parse, run the missing fits, write the page."""
     import multiprocessing
 
     import tyro

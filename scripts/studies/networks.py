@@ -1,4 +1,4 @@
-"""Train the networks of agents/trained again, with the settings stored beside them.
+"""Train the networks of agents/trained again, with their stored settings.
 
 An interrupted training resumes. A finished one is only exported.
 """
@@ -26,7 +26,7 @@ class Arguments:
 
 @command_line
 def main() -> None:
-    """Parse, train what is not finished, export."""
+    """Parse, finish the trainings, export."""
     import tyro
 
     arguments = tyro.cli(Arguments, description=__doc__)

@@ -45,7 +45,7 @@ def fill(page: str, mark: str, text: str) -> str:
 
 
 def dots(path: Path, title: str, rows: Mapping[str, float]) -> None:
-    """Draw a dot for each row on a logarithmic axis, the largest value on top, and write the value beside it."""
+    """Draw a dot for each row on a logarithmic axis, the largest value on top, with its value."""
     from matplotlib.figure import Figure
 
     from jackbox_env.commands.plots import GREY, JACK

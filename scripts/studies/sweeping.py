@@ -25,9 +25,9 @@ def swept(
     try:
         rows = carry_out(folder, trials, work, runner, progress)
     except KeyboardInterrupt:
-        print(f"\nInterrupted; what has finished is kept in {folder}, where --runs goes on", file=sys.stderr)
+        print(f"\nInterrupted. Finished trials are in {folder}; --runs continues there", file=sys.stderr)
         raise
     failed = sum(row["error"] is not None for row in rows)
     if failed:
-        raise RuntimeError(f"{failed} of {len(trials)} trials failed: {folder / TABLE} says which")
+        raise RuntimeError(f"{failed} of {len(trials)} trials failed, marked in {folder / TABLE}")
     return rows

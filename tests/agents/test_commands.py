@@ -207,9 +207,12 @@ def test_training_survives_ctrl_c_and_resumes_from_the_command_line(tmp_path: Pa
     at_work.send_signal(signal.SIGINT)
     _, errors = at_work.communicate(timeout=60)
     assert at_work.returncode == 130, errors
-    assert "Go on with: python scripts/train.py --resume run" in errors
+    assert "Continue with: python scripts/train.py --resume run" in errors
     assert not (tmp_path / "run" / "model.zip").exists()
-    assert "give no other setting" in script("train", "--resume", "run", "--seed", "3", cwd=tmp_path, status=2).stderr
+    assert (
+        "only --total-steps may be added"
+        in script("train", "--resume", "run", "--seed", "3", cwd=tmp_path, status=2).stderr
+    )
     done = script("train", "--resume", "run", "--no-progress", cwd=tmp_path)
     assert "Continuing after" in done.stdout
     assert "Trained. Models, settings and evaluations: run" in done.stdout
@@ -263,9 +266,9 @@ def test_scenes_that_vary_are_settings_too(tmp_path: Path) -> None:
     for ranges, said in (("[1]", "randomize must be a JSON object"), ('{"mass": [1, 2]}', "randomize accepts only")):
         done = script("evaluate", "--randomize", ranges, cwd=tmp_path, status=2)
         assert said in done.stderr, done.stderr
-    with pytest.raises(ValueError, match="lookahead must be 0 where scenes vary"):
+    with pytest.raises(ValueError, match="lookahead must be 0 if scenes vary"):
         dataclasses.replace(TINY, lookahead=8, repeat=5, randomize='{"jack_mass": [2, 6]}')
-    with pytest.raises(ValueError, match="preview must be off where gravity varies"):
+    with pytest.raises(ValueError, match="preview must be off if gravity varies"):
         dataclasses.replace(TINY, preview=True, randomize='{"gravity": [1, 9]}')
-    with pytest.raises(ValueError, match="landing must be off where torque_limit varies"):
+    with pytest.raises(ValueError, match="landing must be off if torque_limit varies"):
         dataclasses.replace(TINY, landing=True, randomize='{"torque_limit": [80000, 90000]}')

@@ -182,10 +182,12 @@ def test_the_command_is_killed_and_interrupted_on_two_cores_and_goes_on_to_the_s
 
     assert stopped(2, signal.SIGKILL, *FEW, "--folder", "s")[0] == -signal.SIGKILL
     finished, again = log.read_bytes().count(b"\n"), "python scripts/sweep.py --resume s\n"
-    said = f"\nInterrupted. Go on with: {again}"
+    said = f"\nInterrupted. Continue with: {again}"
     assert stopped(finished + 4, signal.SIGINT, "--resume", "s", "--no-progress") == (130, said)
     assert finished < len(rows_of(tmp_path / "s")) < 24  # three may have failed and begun again
-    said = f"3 of 24 trials failed: s/table.csv says which, s/trials.jsonl where. Try them again with: {again}"
+    said = (
+        f"3 of 24 trials failed, marked in s/table.csv, with tracebacks in s/trials.jsonl. Try them again with: {again}"
+    )
     assert script("sweep", "--resume", "s", "--no-progress", cwd=tmp_path, status=1) == (
         f"24 trials: s/{TABLE}\n",
         said,

@@ -52,13 +52,13 @@ class Arguments:
     """Folder of the sweep; made if there is none. What is finished there is not done again. None:
     runs/benchmark-<date>-<time>."""
     page_from: Path | None = None
-    """Do not sweep: write page and pictures again from this results.json and the results.csv beside it."""
+    """Do not sweep: write page and pictures again from this results.json and the results.csv in its folder."""
     workers: int | None = None
     """So many settings measured side by side; None: one after the other. Costs are measured alone."""
     address: str | None = None
     """With Ray on a cluster: the address of its head, or auto on one of its machines."""
     out: Path | None = None
-    """Folder of the page, with its files beside it in accuracy/, e.g. docs; None: the run folder."""
+    """Folder of the page, e.g. docs, with its files in accuracy/; None: the run folder."""
     progress: bool = True
     """Show progress bars."""
 
@@ -150,7 +150,7 @@ def figure(value: float) -> str:
 
 
 def page(results: Results) -> str:
-    """The whole page; its files are beside it in accuracy/."""
+    """The whole page; its files are in accuracy/."""
     fields = _words(results) | _tables(results) | {"fidelity_table": fidelity_table(results)}
     return (Path(__file__).parent / "page.md").read_text().format(**fields)
 
@@ -276,7 +276,7 @@ def _cell(results: Results, name: str, quantity: str, runs: int) -> str:
 
 
 def write(results: Results, folder: Path) -> None:
-    """Write the page, and beside it the picture and the numbers."""
+    """Write the page, its picture and its numbers."""
     beside = folder / BESIDE
     beside.mkdir(exist_ok=True)
     draw(results, beside / PICTURE)

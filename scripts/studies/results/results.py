@@ -27,15 +27,15 @@ class Arguments:
     episodes: int = 256
     """Episodes of each policy."""
     planner_episodes: int = 32
-    """Episodes of the planner on each task and contact model, a second or two of computing for each."""
+    """Episodes of the planner on each task and contact model, one or two seconds of computing each."""
     training_episodes: int = 1024
     """Episodes of each of the five trainings on a task."""
     across_episodes: int = 128
-    """Episodes of each policy in each of the scenes that vary."""
+    """Episodes of each policy in each varied scene."""
     runs: Path = Path("runs/results")
-    """Folder of trainings and evaluations; made if there is none. What is finished there is not done again."""
+    """Folder of trainings and evaluations, made if missing. Finished ones in it are not repeated."""
     workers: int | None = None
-    """So many evaluations side by side, each in a process of its own; None: one after the other in this process."""
+    """Number of evaluations at a time, each in a separate process; None: one after the other in this process."""
     out: Path = Path("docs")
     """Folder for results.md, results.json and results.png."""
     progress: bool = True
@@ -195,7 +195,7 @@ def gathered(arguments: Arguments) -> dict[str, Any]:
 
 @command_line
 def main() -> None:
-    """Parse, evaluate what is missing, write the page."""
+    """Parse, run the missing evaluations, write the page."""
     import tyro
 
     arguments = tyro.cli(Arguments, description=__doc__)

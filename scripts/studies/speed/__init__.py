@@ -1,1 +1,1 @@
-"""How fast the environment and the exact model are, beside others on the same core: docs/speed.md."""
+"""How fast the environment and the exact model are, compared with others on the same core: docs/speed.md."""

@@ -1,4 +1,4 @@
-"""The steps that ``speed.py`` times: single environments, batches and rollouts, beside others that do the same.
+"""The steps that ``speed.py`` times: single environments, batches and rollouts, and others that do the same.
 
 Actions are random and drawn beforehand. Episodes have 500 steps from the environment's own starts; a batch too large
 for whole episodes starts from states at random moments of them.

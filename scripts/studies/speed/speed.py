@@ -1,4 +1,4 @@
-"""Write docs/speed.md: the speed of the environment and the exact model, beside others on the same core."""
+"""Write docs/speed.md: the speed of the environment and the exact model, and of others on the same core."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Arguments:
     """Measure in interleaved rounds; every figure is the median over the rounds."""
 
     parts: tuple[Part, ...] = ("alone", "together", "threads", "start")
-    """Parts of the page to measure; the others stay as stored. None: only write the page from what is stored."""
+    """Parts of the page to measure; the others stay as stored. None: only write the page from stored results."""
     rounds: int = 5
     """Rounds; each measures everything once, so that a slow moment of the machine falls on all."""
     seconds: float = 0.4
