@@ -31,7 +31,7 @@ class DamagedFileError(ValueError):
 
 
 class FolderInUseError(RuntimeError):
-    """Another process works in the folder."""
+    """Another process uses the folder."""
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Run folders: what a training started from and everything that it wrote. A folder is never used for another run.
+"""Run folders: the settings and the results of a training. A folder is never used for another run.
 
 Training writes these files; evaluation, export and resuming read them.
 
@@ -8,9 +8,9 @@ checkpoints/ppo_N.zip    weights and optimiser after N steps
 best_model.zip           the best by the separate evaluation, and its mean return
 model.zip                the last
 evaluations.npz          the separate evaluations
-time.json                steps and seconds of the process that finished the run, and where the time went
+time.json                steps and seconds of the process that finished the run, by parts
 tensorboard/             curves
-lock                     locked by the process that works here
+lock                     locked by the process that uses the folder
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ sweep.json     the trials, and the versions and the code that they are run with
 trials.jsonl   a line for each finished trial, in the order of finishing, on the disk at once
 table.csv      a row for each finished trial, in the order of the grid: the same bytes wherever the trials ran
 runs/          the trainings' run folders
-lock           locked by the process that works here
+lock           locked by the process that uses the folder
 
 A trial is its settings. Its work is a function from settings to a result; both are plain JSON. A runner calls the work
 for each trial and yields the trials as they finish, in any order: in this process (:func:`in_turn`), on this machine's
@@ -55,7 +55,7 @@ _ENV, _TRAIN = ([part.name for part in fields(kind)] for kind in (EnvSettings, T
 
 
 class Finished(NamedTuple):
-    """A trial that has ended: a line of the log."""
+    """A finished trial: a line of the log."""
 
     settings: dict[str, Any]
     result: dict[str, Any] | None = None  # None if it failed
@@ -86,10 +86,10 @@ def in_turn(trials: Trials, work: Work) -> Results:
 
 
 def on_cores(workers: int, trials: Trials, work: Work) -> Results:
-    """Run trials in so many processes of this machine, each in one thread.
+    """Run trials in a number of processes of this machine, each in one thread.
 
-    Each process has an executor of its own, so one that dies fails the trial that it ran and no other. Closing the
-    iterator ends the processes, and so does the end of this process, even by SIGKILL.
+    Each process has its own executor, so if it dies, only its trial fails. Closing the iterator ends the processes, and
+    so does the end of this process, even by SIGKILL.
     """
     os.environ.update(ONE_THREAD)  # for the new processes; this one has loaded numpy already
     new, before = partial(ProcessPoolExecutor, 1, get_context("spawn"), _end_with_parent), active_children()
@@ -184,7 +184,7 @@ def read_sweep(folder: Path) -> list[dict[str, Any]]:
 def carry_out(
     folder: Path, trials: list[dict[str, Any]], work: Work, runner: Runner, progress: bool = True
 ) -> list[dict[str, Any]]:
-    """Run the trials that have not finished or have failed, and write the table; each is logged as it finishes.
+    """Run the unfinished and failed trials, and write the table; each is logged when it finishes.
 
     Returns:
         The rows of the table in the order of ``trials``: settings, result and error (None if there is none) of each.
@@ -231,7 +231,7 @@ def _read_log(path: Path) -> dict[str, dict[str, Any]]:
 
 
 def _row(line: bytes) -> dict[str, dict[str, Any]]:
-    """The table's row of a line of the log, by its trial's key; raises some exception if the line is damaged."""
+    """The table's row of a line of the log, by its trial's key; raises an exception if the line is damaged."""
     done = Finished(**json.loads(line))
     row = {**done.settings, **(done.result or {}), "error": done.error}
     _csv([row]).encode()  # raises for half a character

@@ -1,7 +1,7 @@
 """Run a sweep's trials on a cluster, as plain tasks of Ray, each in one thread on one core.
 
 A task is run again if its worker or its machine dies. The cluster's machines need this project's requirements and Ray
-in the same versions. They receive the checkout's code and what this machine has compiled.
+in the same versions. They receive the checkout's code and this machine's compiled code.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _CODE = "compiled"  # folder of compiled code, beside them
 
 
 def runner_for(workers: int | None, address: str | None) -> Runner:
-    """The runner that a command line chooses: this process, so many processes of this machine, or a cluster.
+    """The runner that a command line selects: this process, processes of this machine, or a cluster.
 
     Args:
         workers: processes; None: without others.
@@ -123,7 +123,7 @@ def _join(ray: Any, address: str) -> None:
 
 
 def _copy_code(folder: Path) -> None:
-    """Copy what is sent to a cluster's machines: the checkout's code, and what this machine has compiled.
+    """Copy the files for a cluster's machines: the checkout's code, and this machine's compiled code.
 
     Compiled code is for one kind of processor. Machines of other kinds compile for themselves.
     """

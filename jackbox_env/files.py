@@ -1,4 +1,4 @@
-"""Files that survive kills: each is written under another name beside its path, then renamed.
+"""Files that survive kills: each is written under another name in the same folder, then renamed.
 
 A process killed at any moment, or a power cut, leaves the old file or the new one: the new one is on the disk before
 it is renamed. A killed process leaves ``.<name>.<process>.partial`` behind. Nobody reads such files, and

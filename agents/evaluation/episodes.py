@@ -33,7 +33,7 @@ def record_episode(act: Baseline, env_settings: dict[str, Any], seed: int) -> Ep
     """Let a policy act from a start until the time limit.
 
     Args:
-        act: the policy and what it needs of the environment.
+        act: the policy and its settings of the environment.
         env_settings: keyword arguments for ``gymnasium.make("JackInBox-v0", ...)``.
         seed: of the start.
 

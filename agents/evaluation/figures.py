@@ -1,4 +1,4 @@
-"""Plots of returns: while learning, and beside the scripted policies'."""
+"""Plots of returns: while learning, and compared with scripted policies."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ACCENT = GREY
 
 
 def learning_figure(folder: Path, rows: list[Returns], task: str) -> Path:
-    """Write results.png to a run folder: returns while learning beside the final table as bars."""
+    """Write results.png to a run folder: returns while learning, and the final table as bars."""
     figure = Figure(figsize=(10.0, 4.2), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
     evaluations = folder / "evaluations.npz"

@@ -66,7 +66,7 @@ def film(
     """Let each policy act from the same start and write their frames side by side; return their sums of rewards.
 
     Args:
-        acts: caption -> policy and what it needs of the environment.
+        acts: caption -> policy and its settings of the environment.
         env_settings: keyword arguments for ``gymnasium.make("JackInBox-v0", ...)``.
         path: .gif or .mp4; must not exist.
         seed: of the start.

@@ -59,7 +59,7 @@ def evaluate(
     deterministic: bool = True,
     progress: bool = False,
 ) -> Returns:
-    """Run whole episodes, up to 16 side by side, from starts that ``seed`` decides and that no training uses."""
+    """Run whole episodes, up to 16 at a time, from starts that ``seed`` determines and that no training uses."""
     starts = derived_seed("evaluation", seed)
     environments = make_vec_env(env_settings, min(16, episodes), starts)
     environments.reset()  # compiles, before the bar
@@ -92,7 +92,7 @@ def table(rows: list[Returns]) -> str:
 
 
 def above(rows: list[Returns], upper: str, lower: str) -> str:
-    """In words: whether the whole interval of one policy's mean is above that of another's."""
+    """A sentence: whether the whole interval of one policy's mean is above another's."""
     by_policy = {row.policy: row for row in rows}
     high, low = by_policy[upper], by_policy[lower]
     is_above = high.interval[0] > low.interval[1]

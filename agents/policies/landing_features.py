@@ -1,6 +1,6 @@
-"""Landing features: where and how the jack will land, in closed form from the observation.
+"""Landing features: time, position, speed and angles at the jack's next landing, in closed form.
 
-Networks use them beside the ten numbers (the setting ``preview``).
+Networks use them in addition to the ten numbers (the setting ``preview``).
 
 Between impacts the jack flies freely, and without a torque the box turns at a constant rate. The landing is the moment
 at which the jack's centre is L - l below the box's centre: a foot that points down touches the floor of a level box.

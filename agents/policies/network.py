@@ -1,4 +1,4 @@
-"""Trained policies as plain arrays: they act with numpy alone, without torch and Stable-Baselines3.
+"""Trained policies as plain arrays, which need only numpy, without torch and Stable-Baselines3.
 
 A folder of such a policy has
 
@@ -6,7 +6,7 @@ settings.json   its training's settings
 weights.npz     weight_0, bias_0 of the first layer, and so on; float32, weights of shape (outputs, inputs)
 evaluations.npz, time.json   its learning curve and its times, if they are known
 
-tanh is applied between the layers. The last layer's output is the mean of the actions; the policy acts by it.
+tanh is applied between the layers. The last layer's output is the mean of the actions, and the policy's action.
 """
 
 from __future__ import annotations

@@ -46,15 +46,15 @@ class Planner(RepeatingPolicy):
 
     Args:
         scene: that it plans in.
-        task: whose rewards it sums, a name or a :class:`jackbox_env.Task`.
+        task: whose rewards are summed, a name or a :class:`jackbox_env.Task`.
         control_dt: the environment's control step [s].
-        repeat: control steps that each torque of a plan is repeated for; a decision is made as often.
+        repeat: control steps of each torque of a plan, and between decisions.
         knots: torques of a plan, 2 or more.
         samples: candidates in each iteration, 2 or more.
         elites: best candidates that make the next mean, 1 to ``samples``.
         iterations: of each decision.
-        seed: of the candidates. An environment's plan does not depend on those beside it.
-        num_threads: that play them; the plans do not depend on it.
+        seed: of the candidates. An environment's plan does not depend on other environments.
+        num_threads: that simulate them; the plans do not depend on it.
         value: of the last state of a plan, added to its rewards; None: none.
 
     Raises:

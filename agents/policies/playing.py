@@ -62,8 +62,8 @@ class RepeatingPolicy:
         Args:
             observation: of one environment or of n.
             state: as returned by the last call; None: every environment decides.
-            episode_start: shape (n,), True where an episode starts, which forces a decision; None: nowhere.
-            deterministic: ignored, for these policies draw no actions.
+            episode_start: shape (n,), True at the start of an episode, which forces a decision; None: none starts.
+            deterministic: ignored, because these policies draw no actions.
 
         Raises:
             ValueError: another shape, or a state or ``episode_start`` of another number of environments.

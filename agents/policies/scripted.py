@@ -1,4 +1,4 @@
-"""Scripted policies with Stable-Baselines3's ``predict``, so that ``evaluate_policy`` runs them and PPO alike."""
+"""Scripted policies with Stable-Baselines3's ``predict``, so that ``evaluate_policy`` runs them like PPO."""
 
 from __future__ import annotations
 

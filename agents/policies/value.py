@@ -53,15 +53,15 @@ class Value:
         return np.concatenate([observed, preview(self._numbers, observed)], axis=1)
 
     def of(self, states: Array) -> Array:
-        """The sum of rewards that is to come, shape (n,), for states, shape (n, 12)."""
+        """The sum of future rewards, shape (n,), for states, shape (n, 12)."""
         return UNIT * outputs(self.layers, self.inputs(states))[:, 0].astype(np.float64)
 
 
 class ValuedSearch(Search):
     """A search that adds the value of each candidate's last state to its rewards.
 
-    Each jack's candidates are evaluated by themselves. So a plan does not depend on what is planned beside it, although
-    a product of matrices may depend on how many rows it has.
+    Each jack's candidates are evaluated separately, because a product of matrices may depend on its number of rows. So
+    a plan does not depend on other jacks' plans.
     """
 
     def __init__(self, value: Value, *arguments: Any, **settings: Any) -> None:

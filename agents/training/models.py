@@ -23,13 +23,13 @@ from jackbox_env.sb3 import make_sb3_vec_env
 
 
 def derived_seed(purpose: str, *numbers: int) -> int:
-    """A seed below 2^31 from a purpose and numbers: training and evaluation never share starts by accident."""
+    """A seed below 2^31 from a purpose and numbers, so that training and evaluation do not share starts."""
     words = np.random.SeedSequence([*purpose.encode(), *numbers]).generate_state(1)
     return int(words[0] >> 1)
 
 
 def make_vec_env(env_settings: dict[str, Any], num_envs: int, seed: int) -> VecEnv:
-    """Environments of the default time limit side by side, with statistics of episodes; i starts from ``seed`` + i."""
+    """Environments with the default time limit and statistics of episodes; i starts from ``seed`` + i."""
     environments = make_sb3_vec_env(num_envs, **env_settings)
     environments.seed(seed)
     return environments

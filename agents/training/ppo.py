@@ -91,7 +91,7 @@ def train(settings: TrainSettings, folder: Path, progress: bool = True) -> PPO:
 
 
 def _learn(model: PPO, steps: int, callbacks: list[BaseCallback], progress: bool) -> None:
-    """Train for so many more steps, with a progress bar that is closed on any exit."""
+    """Train for a number of further steps, with a progress bar that is closed on any exit."""
     bar = ProgressBarCallback()
     try:
         model.learn(steps, callback=[*callbacks, *[bar] * progress], reset_num_timesteps=False)
@@ -101,7 +101,7 @@ def _learn(model: PPO, steps: int, callbacks: list[BaseCallback], progress: bool
 
 
 def extended(folder: Path, total_steps: int) -> TrainSettings:
-    """Give a run more steps to train for: its settings are changed, and its last model becomes a checkpoint.
+    """Extend a run to more steps: its settings are changed, and its last model becomes a checkpoint.
 
     Raises:
         FolderInUseError: another process trains in the folder.

@@ -1,4 +1,4 @@
-"""Measures where a training's time goes: time.json in its run folder."""
+"""Measures the time of a training's parts: time.json in its run folder."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class TimedEnvironments(JackInBoxVecEnv):
 
 
 class TrainingTimer(BaseCallback):
-    """Adds up where the time of a training goes.
+    """Adds up the time of a training's parts.
 
     Args:
         inner: the environments alone.

@@ -43,7 +43,7 @@ def write_page(path: Path, scene: Scene, trajectory: Trajectory, title: str, fac
         path: of the new file.
         scene: of the trajectory.
         trajectory: to show.
-        title: what moved the box, in a few words.
+        title: the cause of the box's motion, in a few words.
         facts: rows above the scene's numbers.
 
     Raises:

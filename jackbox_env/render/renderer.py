@@ -175,7 +175,7 @@ class Renderer:
     def _contact_point(self, impact: Impact, state: Sequence[float] | Array) -> complex:
         """Return the point of the wall that the foot struck, in the box frame [m].
 
-        The pose is carried back from the end of the step by the velocities after the impact, and put onto the wall.
+        The pose follows from the step's end by the velocities after the impact, and is moved onto the wall.
         """
         pose = [float(state[i]) - float(state[i + RATES]) * (self._time - impact.time) for i in range(RATES)]
         if not all(map(math.isfinite, pose)):
@@ -231,7 +231,7 @@ class Renderer:
         return canvas.pixels()
 
     def close(self) -> None:
-        """Destroy the window and the surfaces; calling it again does nothing. Other renderers go on."""
+        """Destroy the window and the surfaces; a second call does nothing. Other renderers continue."""
         if self._window is not None:
             self._window.destroy()
         self._canvas = self._window = self._clock = None

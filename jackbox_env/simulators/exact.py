@@ -2,29 +2,29 @@
 
 Law: flight in closed form (``exact/flight.py``); at an impact all feet that touch, within 1e-13 m or 4 units in the
     last place of a far-off position, obey the simultaneous Newton law of
-    :func:`jackbox_env.mechanics.simultaneous_impact_map`. With loss, bounces pile up. A foot that would rise by 1e-13 m
-    at most comes to rest; this limit doubles with every 256 impacts of a step, up to 1e-10 m. By the law alone that
-    bounce's energy would be lost too, at the end of the pile. The wall then holds the foot until it would have to pull
-    (``exact/rest.py``). A held foot counts as one impact per wall and step: at the step's end, with the impulse of the
-    whole step. So ``impacts``, the environment's counts and impulses, and the task rattle include the weight that rests
-    on a wall, m_j g dt in a step.
-Order: none; the error is rounding, whatever the control step. The system is chaotic and multiplies any error by about
-    10 per impact (docs/derivatives.md), so even this model predicts only 11 to 16 impacts.
-Cost: below 0.1 microseconds per control step in a batch. Work is in proportion to the impacts. A step with held feet
-    takes some 5 to 6 microseconds (docs/costs.md).
+    :func:`jackbox_env.mechanics.simultaneous_impact_map`. With loss, bounces accumulate (Zeno). A foot that would rise
+    by at most 1e-13 m comes to rest; this limit doubles with every 256 impacts of a step, up to 1e-10 m. By the law
+    alone, the rest of the series would dissipate that energy too. The foot then stays on the wall until the force
+    changes sign (``exact/rest.py``). A resting foot counts as one impact per wall and step: at the step's end, with the
+    impulse of the whole step. So ``impacts``, the environment's counts and impulses, and the task rattle include the
+    weight on a wall, m_j g dt in a step.
+Order: none; the error is rounding for every control step. The system is chaotic and multiplies any error by about 10
+    per impact (docs/derivatives.md), so even this model predicts only 11 to 16 impacts.
+Cost: below 0.1 microseconds per control step in a batch, in proportion to the number of impacts. A step with resting
+    feet takes 5 to 6 microseconds (docs/costs.md).
 Fails: a step that needs more than 1,000,000 gap evaluations raises JackLostError: rotation or impacts far too fast for
-    the step. A chirp that turns more than 83,333 times in a step is refused. Without loss a foot that bounces by
-    1e-10 m and less does so some thousand times per control step; a foot that reaches another wall meanwhile may be as
-    deep in that wall when it bounces. With loss no foot is deeper than 2.4e-10 m. Angles are rounded to their unit in
-    the last place: beyond 1e6 rad a foot may be outside by up to 4 L times that unit (5e-10 L at 1e6 rad, 5e-4 L at
-    1e12 rad). A drive's functions are interpolated, see ``functions.py``: a pulse that begins and ends between two of
-    the 13 points of a piece is not seen.
+    the step. A chirp of more than 83,333 turns in a step raises ValueError. Without loss a foot that bounces by 1e-10 m
+    or less does so about a thousand times per control step; a foot that reaches another wall meanwhile may be as deep
+    in that wall when it bounces. With loss no foot is deeper than 2.4e-10 m. Angles are rounded to their unit in the
+    last place: beyond 1e6 rad a foot may be outside by up to 4 L times that unit (5e-10 L at 1e6 rad, 5e-4 L at
+    1e12 rad). A drive's functions are interpolated, see ``functions.py``: a pulse between two of the 13 points of a
+    piece is missed.
 Bits: the same on every x86-64 CPU and under Linux on ARM, whatever the C library, for states, impacts, observations and
     rewards. Compiled code adds in the order written, fuses no product with a sum, and has its own cosines
     (``trigonometry.py``).
     Three things depend on the C library: functions of a drive that call it (``math.sin``), the cosine of an angle
-    beyond 2^53 rad, and whether a state at the very limit of accepted ones is refused.
-Reference: Lygeros et al. 2003, "Dynamical properties of hybrid automata"; the bound stands in ``exact/bounds.py``.
+    beyond 2^53 rad, and whether a state at the limit of valid ones raises ValueError.
+Reference: Lygeros et al. 2003, "Dynamical properties of hybrid automata"; the bound is in ``exact/bounds.py``.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ NO_PIECES = NO_TABLE, np.zeros(0, np.int64), np.zeros(1, np.int64)  # as of ``jo
 
 
 def drive_kind(drive: Chirp | Drive | None, held: bool = False) -> int:
-    """The kind of a step in compiled code: what turns the box, a constant (``held``) torque or the scene's drive."""
+    """The kind of a step in compiled code: under a constant (``held``) torque, or under the scene's drive."""
     if isinstance(drive, Chirp):
         return CONSTANT if held else CHIRP
     forced = drive is not None and drive.force_bound > 0.0

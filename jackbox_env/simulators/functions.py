@@ -5,14 +5,13 @@ Method: interpolation in the 13 Chebyshev points of the second kind (Trefethen 2
     piece is accepted when its last three Chebyshev coefficients are rounding. Otherwise it is cut: at a jump if
     bisection locates one, else in the middle.
 Exactness: rounding, of the function's largest value in the step. A jump is located within 2^-44 of the step, or within
-    the spacing of float64 times where that is wider.
-Cost: 13 calls of a function for a smooth step, some 80 more for each jump, some 1,000 more for each kink.
-Fails: a pulse that begins and ends between two of the 13 points is not seen; the widest gap is 0.13 of a piece. A
-    residual below 1e-5 of the largest value counts as the function's rounding if four cuts in a row do not reduce it.
-    In the rest of the step up to four times that residual then counts as rounding too. More than 4,096 pieces in a step
-    are refused.
+    the spacing of float64 times if that is wider.
+Cost: 13 calls of a function for a smooth step, about 80 more for each jump, about 1,000 more for each kink.
+Fails: a pulse between two of the 13 points is missed; the widest gap is 0.13 of a piece. A residual below 1e-5 of the
+    largest value counts as the function's rounding if four cuts in a row do not reduce it. In the rest of the step up
+    to four times that residual then counts as rounding too. More than 4,096 pieces in a step raise ValueError.
 Bits: the points are literals, and compiled code takes the sums in the order written. So the pieces are the same on
-    every machine where the functions return the same. ``math.sin`` does not: its last place is the C library's.
+    every machine on which the functions return the same. ``math.sin`` does not: its last place is the C library's.
 """
 
 from __future__ import annotations

@@ -1,31 +1,31 @@
 """``contact="pymunk"``: fixed substeps in the Chipmunk engine.
 
-Law: contacts that overlap at a substep's end take the simultaneous Newton law of
+Law: contacts that overlap at a substep's end obey the simultaneous Newton law of
     :func:`jackbox_env.mechanics.simultaneous_impact_map`, solved by sequential impulses. Between contacts flight is
-    exact for gravity, held torque and smooth drives alike.
-Order: first in the substep h = dt / substeps: an impact waits for the end of the substep it happens in.
-Cost: about the engine's own where a contact is possible within the step; elsewhere the flight is closed form and the
-    engine is not called. A step that ends with a contact alive adds two empty engine steps.
+    exact under gravity, constant torques and smooth drives.
+Order: first in the substep h = dt / substeps: impacts are resolved at the end of their substep.
+Cost: about the engine's own if a contact is possible within the step; otherwise flight is in closed form without the
+    engine. A step that ends in contact adds two empty engine steps.
 Fails: a step in which a foot could move further than min(1 m, L) within a substep, or that ends with a foot deeper than
-    that in a wall (above 200 m/s at h = 5 ms), is taken with up to 64 times the substeps. If that is not enough it
+    that in a wall (above 200 m/s at h = 5 ms), is repeated with up to 64 times the substeps. If that is not enough it
     raises JackLostError.
-    A foot that dips into a wall and out again within a substep is not seen. Slow bounces that rise and fall within a
-    few substeps come back too fast.
-    Below restitution 1 a foot that sank v h into a wall is lifted out again, which gives back up to m_j g v h of the
-    energy that the impact lost.
-    A jack inertia far below m_j l^2 couples the feet so strongly that the contact solver needs more iterations. Their
-    number is chosen by the scene; scenes that want more than 100,000 are refused.
-    A jack with an arm longer than L can be wedged: feet deep in opposite walls have next to no leverage, and no number
+    A foot that enters and leaves a wall within a substep is missed. Bounces that last only a few substeps return too
+    fast.
+    Below restitution 1 a foot that sank v h into a wall is lifted out again, which returns up to m_j g v h of the
+    energy that the impact dissipated.
+    A jack inertia far below m_j l^2 couples the feet so strongly that the contact solver needs more iterations. The
+    scene determines their number; scenes that need more than 100,000 raise ValueError.
+    A jack with an arm longer than L can be wedged: feet deep in opposite walls have almost no leverage, and no number
     of iterations is enough. Feet that a coarse substep drives deep into walls need more iterations, too. If an elastic
-    scene does not keep its energy to 1e-6 over a step with several contacts at once, the step is divided further, and
-    refused if that does not help. A scene with loss is off by some percent there.
+    scene does not conserve its energy to 1e-6 over a step with several simultaneous contacts, the step is divided
+    further, and raises JackLostError if that does not help. A scene with loss is off by a few percent there.
 Bits: the same on every CPU on which the C library's cosine, sine, exp and pow have the same last place. The engine uses
     cosines and sines of both angles wherever a contact is possible, the chirp uses a sine, the observation cosines and
     sines. Restitution below 1 uses exp and pow. With one glibc that is every x86-64 CPU with FMA and AVX2 (from
     2013 or 2015 on); without them one cosine in 1,500 differs.
 Reference: Catto 2005, "Iterative dynamics with temporal coherence"; pymunk 7.3 (Munk2D).
 
-How the engine is held to the law:
+How the engine obeys the law:
 
 - It moves first, by v h, then changes v by a h. Started from v + a h/2 its positions under constant acceleration are
   exact, and v - a h/2 is the velocity at the step's end. A drive that varies enters through its averages over each
@@ -34,10 +34,10 @@ How the engine is held to the law:
   a foot anywhere in them, only a foot that passes R within a substep is lost.
 - Position correction is off at e = 1: it would add energy. A jack that loses energy comes to rest on a wall, and
   would sink in where the wall turns under it: below e = 1 overlap decays at the rate (1 - e) / 0.05 s.
-- Each step works in a frame that starts at the box's centre, so it is as good far from the origin as near it.
-- Cached contacts and the order left in the spatial index are state that (state, time) does not hold. So walls and feet
-  share the same few cells of a spatial hash. And a step that ends with a contact alive makes the engine forget it, by
-  stepping with the jack far away. The future then follows from (state, time) bitwise.
+- Each step uses a frame at the box's centre, so accuracy does not depend on the distance from the origin.
+- Cached contacts and the order in the spatial index are state besides (state, time). So walls and feet share the same
+  few cells of a spatial hash, and after a step that ends in contact the engine drops it by stepping with the jack far
+  away. Then (state, time) determines the motion bitwise.
 """
 
 from __future__ import annotations
