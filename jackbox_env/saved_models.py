@@ -44,7 +44,7 @@ def save_model(model: BaseAlgorithm, path: str | Path) -> Path:
 
     Raises:
         TypeError: the model has no such environment.
-        ValueError: env.json is there and holds no such entries.
+        ValueError: an existing env.json has other contents.
     """
     path = Path(path)
     path = path if path.suffix else path.with_suffix(".zip")

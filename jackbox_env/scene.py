@@ -85,6 +85,9 @@ def too_many_turns(turns: float, time: float, duration: float) -> str:
 class Chirp:
     """The torque ``amplitude * sin(2 pi (start_frequency t + rate t^2 / 2))`` on the box.
 
+    >>> Chirp(amplitude=100.0, start_frequency=1.0, rate=0.0).torque(0.25)
+    100.0
+
     Attributes:
         amplitude: [N m], any finite number.
         start_frequency: frequency at t = 0 [Hz], from -1e9 to 1e9.
@@ -153,17 +156,14 @@ class Chirp:
 
 @dataclass(frozen=True)
 class Drive:
-    """A drive given by functions of time, for scenes of your own.
+    """A drive given by functions of time, ``Scene(drive=Drive(torque=lambda time: 9000.0 * time))``.
 
     Each function has one argument, the time as a Python float [s], and returns a finite number. The pymunk model
     samples it at five points of every substep, so it should be smooth on that scale. The exact model interpolates it to
     rounding and locates each jump within 2^-44 of the control step, or within the spacing of float64 times if that is
-    wider. It samples 13 points of each smooth stretch, both ends included, at most 0.13 of the stretch apart; a pulse
-    between two of them is missed. A function left out acts as zero and costs nothing. A Drive of functions has no JSON
-    form: an environment made with one cannot write its spec as JSON.
-
-    Trajectories are the same to the bit on machines where the functions return the same. The last place of
-    ``math.sin`` and its like depends on the machine's C library.
+    wider. It samples 13 points of each smooth stretch, at most 0.13 of it apart, and misses a pulse between two.
+    A Drive has no JSON form, so an environment made with one cannot write its spec as JSON. Bits are the same on
+    machines on which the functions return the same; the last place of ``math.sin`` depends on the C library.
 
     Attributes:
         torque: torque on the box [N m].

@@ -33,20 +33,18 @@ class TaskError(RuntimeError):
 class Task:
     """A reward as named terms, and optionally when episodes end and how they start.
 
-    A task of your own is accepted wherever the name of one is::
+    A task of your own is accepted wherever the name of one is, ``gym.make("JackInBox-v0", task=lift)``.
 
-        def lift(scene, state, torque, impulse):
-            return (state.y_jack - state.y_box) / scene.box_half_width
-
-
-        env = gym.make("JackInBox-v0", contact="exact", task=jackbox_env.Task(("lift",), lift))
+    >>> def height(scene, state, torque, impulse):
+    ...     return (state.y_jack - state.y_box) / scene.box_half_width
+    >>> lift = Task(("lift",), height)
 
     Under ``contact="exact"`` ``values`` and ``over`` are compiled, together with the plain functions that they call. So
     they must be plain arithmetic on numbers, with ``math`` and without numpy. That happens once for each Task, when it
-    is first used. A function that reads other values later, globals for example, needs a new Task. ``/``, ``//`` and
-    ``%`` by zero raise ZeroDivisionError with every contact model. Powers and ``math`` out of their range give NaN or
-    an infinity under ``"exact"``, where Python raises an error. A reward that is NaN or infinite raises
-    :class:`TaskError`, and the step has not happened.
+    is first used. If a function's globals change later, it needs a new Task. ``/``, ``//`` and ``%`` by zero raise
+    ZeroDivisionError with every contact model. Powers and ``math`` out of their range return NaN or an infinity under
+    ``"exact"``, and raise otherwise. A reward that is NaN or infinite raises :class:`TaskError`, and the environment is
+    unchanged.
 
     An environment evaluates the task at its construction, in a start of :func:`sample_start`, and at each start of an
     episode, without torque and impulse. A wrong type raises TypeError there. Arithmetic errors are ignored.

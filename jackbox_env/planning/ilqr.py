@@ -30,7 +30,7 @@ _CLOSEST = 1.0 / 60.0  # [L] from the middle, where the kink of juggle's reward 
 
 
 class Improved(NamedTuple):
-    """What ``ilqr`` returns.
+    """The result of :func:`ilqr`.
 
     Attributes:
         torques: on the box [N m], shape (K,).
@@ -61,7 +61,7 @@ def ilqr(
     time: float = 0.0,
     num_threads: int | None = None,
 ) -> Improved:
-    """Improve torques, from a plan, until an iteration gains less than 0.001, by the exact model and its derivatives.
+    """Improve a plan of torques by derivatives of the exact model, until an iteration gains less than 0.001.
 
     A local method: it polishes a plan, and it returns the plan itself if it cannot. Sampling finds plans
     (:class:`jackbox_env.Lookahead`).
@@ -79,7 +79,7 @@ def ilqr(
         cost: in place of a task, a function of the states after each step, shape (H, 12). It returns for each step a
             cost, (H,), which may be of some steps only, its slope by the state, (H, 12), and its curvature,
             (H, 12, 12), positive semidefinite.
-        repeat: steps that each torque is held for, so H = K * repeat.
+        repeat: steps that each torque is repeated for, so H = K * repeat.
         time: at the start [s].
         num_threads: None: as many as the machine has. Results do not depend on it.
 
@@ -88,7 +88,7 @@ def ilqr(
         JackLostError: a jack moves too fast to be followed.
     """
     problem = _Problem(Scene.of(scene), state, dt, task, cost, repeat, time, num_threads)
-    plan = check.array("torques", torques, "hold numbers").astype(np.float64) / problem.scene.torque_limit
+    plan = check.array("torques", torques, "be numbers").astype(np.float64) / problem.scene.torque_limit
     if plan.ndim != 1 or not len(plan):
         raise ValueError(f"torques must have shape (K,), got {plan.shape}")
     if not (abs(plan) <= 1.0).all():
@@ -205,7 +205,7 @@ class _Problem:
         if not isinstance(returned, tuple) or len(returned) != 3:
             raise TypeError(f"cost must return costs, slopes and curvatures, got {check.shown(returned)}")
         names, shapes = ("costs", "slopes", "curvatures"), ((count,), (count, 12), (count, 12, 12))
-        arrays = [check.array(f"cost's {name}", one, "hold numbers") for name, one in zip(names, returned, strict=True)]
+        arrays = [check.array(f"cost's {name}", one, "be numbers") for name, one in zip(names, returned, strict=True)]
         for name, array, shape in zip(names, arrays, shapes, strict=True):
             if array.shape != shape or not np.isfinite(array).all():
                 raise ValueError(

@@ -77,7 +77,13 @@ class LandingControl(ControlledEnv):
     and rate when the jack's centre has fallen to where a foot pointing down touches a level box's floor. Walls on the
     way are ignored. The rewards of a decision are summed, and ``info["duration"]`` is how long it lasted [s].
 
-    With ``period="bounce"`` an action holds until the jack's next impact:
+    >>> env = LandingControl(gym.make("JackInBox-v0"), period=0.4)
+    >>> observation, info = env.reset(seed=0)
+    >>> observation, reward, terminated, truncated, info = env.step([0.1, 0.0])  # tilt the box by 0.05 rad, at rest
+    >>> info["duration"]
+    0.4
+
+    With ``period="bounce"`` an action lasts until the jack's next impact:
 
     - Several impacts within a control step end one decision.
     - An impact ends a decision only after a control step without one, or once 0.4 s have passed. So a second foot that
@@ -103,8 +109,14 @@ class LandingControl(ControlledEnv):
 class LandingControlVector(ControlledVectorEnv):
     """:class:`LandingControl` of a native vector environment: the same in each of its environments.
 
-    With ``period="bounce"`` a step takes each environment to an impact of its own: their times differ afterwards. An
-    environment that restarts in a step (``autoreset_mode="NEXT_STEP"``) has the duration 0 there.
+    With ``period="bounce"`` each environment steps to its next impact, so their times differ afterwards. An environment
+    that restarts in a step (``autoreset_mode="NEXT_STEP"``) has the duration 0 there.
+
+    >>> envs = LandingControlVector(JackInBoxVectorEnv(2, contact="exact"), period="bounce")
+    >>> observations, infos = envs.reset(seed=0)
+    >>> observations, rewards, terminated, truncated, infos = envs.step([[0.1, 0.0], [-0.1, 0.0]])
+    >>> np.allclose(infos["duration"], envs.unwrapped.times)
+    True
 
     Args:
         env: of ``gymnasium.make_vec("JackInBox-v0", ...)``.

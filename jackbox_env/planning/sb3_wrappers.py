@@ -64,15 +64,20 @@ class ControlledVecEnv(VecEnvWrapper):
 
 
 class HoldingVecEnv(ControlledVecEnv):
-    """Environments that take one action for ``hold`` of their steps and give the sum of the rewards.
+    """Repeats each action for ``hold`` steps of the environments, and sums the rewards.
 
-    Observation, done and info are those of the last of these steps. An ``episode`` in an info is the environments' own:
-    its length is in their steps.
+    Observation, done and info are those of the last of these steps. The length of an ``episode`` in an info is in steps
+    of the environments.
+
+    >>> from jackbox_env.sb3 import make_sb3_vec_env
+    >>> envs = HoldingVecEnv(make_sb3_vec_env(4, contact="exact"), hold=20)
+    >>> envs.reset().shape, envs.step(np.zeros((4, 1)))[1].shape
+    ((4, 10), (4,))
 
     Args:
         venv: the environments. Those of :func:`jackbox_env.sb3.make_sb3_vec_env` may end at any step, which ends the
-            hold. Episodes of others must last a multiple of ``hold`` steps.
-        hold: steps that each action is held for.
+            repetition. Episodes of others must last a multiple of ``hold`` steps.
+        hold: steps that each action is repeated for.
     """
 
     def __init__(self, venv: VecEnv, hold: int) -> None:

@@ -237,6 +237,10 @@ class Lookahead(ControlledEnv):
     those that the torque's limit allows. The plan is warm-started from the last step's and improved by
     ``samples`` variations (:mod:`jackbox_env.planning.icem`); an episode starts with none. An agent need not follow it.
 
+    >>> env = Lookahead(gym.make("JackInBox-v0"), hold=5, samples=0)
+    >>> env.reset(seed=0)[0].shape  # ten numbers, and 22 of these
+    (32,)
+
     Args:
         env: the environment, of either contact model.
         hold: control steps of a step here, 1 or more.
@@ -246,7 +250,7 @@ class Lookahead(ControlledEnv):
         follow: True: an action is added to the plan's next torque, so a zero action follows the plan. It needs an
             environment whose actions are torques: no action wrapper inside, and ``torque="agent"``.
         seed: of the variations.
-        num_threads: that play the rollouts; None: as many as the machine has. Results do not depend on it.
+        num_threads: for the rollouts; None: as many as the machine has. Results do not depend on it.
 
     Raises:
         TypeError, ValueError: an argument out of its range, or ``env`` is no ``JackInBox-v0``.
@@ -266,9 +270,13 @@ class Lookahead(ControlledEnv):
 class LookaheadVector(ControlledVectorEnv):
     """:class:`Lookahead` of a vector environment: the same numbers for each of its environments.
 
-    All rollouts of a step are one compiled loop. Where ``hold`` is above 1 an episode must restart in the step that
-    ends it (``autoreset_mode="SAME_STEP"``). In vector environments of single ones it must last a multiple of ``hold``
+    All rollouts of a step are one compiled loop. If ``hold`` is above 1, an episode must restart in the step that ends
+    it (``autoreset_mode="SAME_STEP"``). In vector environments of single ones it must last a multiple of ``hold``
     steps.
+
+    >>> envs = LookaheadVector(JackInBoxVectorEnv(4, contact="exact", autoreset_mode="SAME_STEP"), samples=0)
+    >>> envs.reset(seed=0)[0].shape
+    (4, 32)
 
     Args:
         env: the vector environment of ``JackInBox-v0``, native or of single ones. The others are those of
@@ -284,7 +292,7 @@ class LookaheadVector(ControlledVectorEnv):
     ) -> None:  # fmt: skip
         control = LookingAhead(env, LookaheadOptions(hold, turns, samples, pieces, follow, seed, num_threads))
         if control.repeat > 1 and env.metadata.get("autoreset_mode") is not AutoresetMode.SAME_STEP:
-            raise ValueError(f"hold must be 1 where autoreset_mode is not SAME_STEP, got {check.shown(hold)}")
+            raise ValueError(f"hold must be 1 if autoreset_mode is not SAME_STEP, got {check.shown(hold)}")
         super().__init__(env, control)
 
 

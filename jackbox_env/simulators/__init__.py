@@ -38,10 +38,15 @@ def make_simulator(
 ) -> Simulator:
     """Make the simulator of a scene, by the same names as the environments.
 
+    >>> simulator = make_simulator({"gravity": 1.62}, fidelity="exact")
+    >>> simulator.step(0.02, torque=0.0)
+    >>> simulator.time
+    0.02
+
     Args:
         scene: a Scene, a dict of some of its fields, or None for the default scene.
         contact: ``"pymunk"``, time stepping (:mod:`jackbox_env.simulators.pymunk`), or ``"exact"``, from impact to
-            impact (:mod:`jackbox_env.simulators.exact`). None: that of the fidelity, else pymunk.
+            impact (:mod:`jackbox_env.simulators.exact`). None: the fidelity's, else pymunk.
         fidelity: a name of ``FIDELITIES``, for a contact model and its substeps.
         **settings: those that the model's class lists: ``substeps`` (4) and ``iterations`` (64) for pymunk, none for
             exact; None means the default.

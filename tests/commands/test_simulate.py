@@ -137,7 +137,7 @@ def test_torques_come_from_a_file_or_are_none_and_a_state_has_names(
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ("--state x=1", "state takes only 'x_box', .*, got 'x'"),
+        ("--state x=1", "state accepts only 'x_box', .*, got 'x'"),
         ("--state x_jack=a", "x_jack in state must be a finite number, got 'x_jack=a'"),
         ("--state x_jack=1,x_jack=2", "x_jack in state must come once, got 'x_jack=2'"),
         ("--torque calm", "torque must be chirp, none or a CSV or npz file, got 'calm'"),

@@ -69,7 +69,7 @@ def constant(states: Array) -> Any:
     ("returned", "error", "sentence"),
     [
         (1.0, TypeError, "cost must return costs, slopes and curvatures, got 1.0"),
-        (("a", 1.0, 1.0), TypeError, "cost's costs must hold numbers, got 'a'"),
+        (("a", 1.0, 1.0), TypeError, "cost's costs must be numbers, got 'a'"),
         ((np.zeros(4), np.zeros(4), np.zeros(4)), ValueError, r"cost's costs must .* shape \(2,\), got .* of \(4,\)"),
         ((np.full(2, math.nan), np.zeros((2, 12)), np.zeros((2, 12, 12))), ValueError, "cost's costs must be finite"),
     ],

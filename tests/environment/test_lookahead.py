@@ -263,7 +263,7 @@ def test_other_environments_and_several_tasks_are_refused() -> None:
         (alone(seen), TypeError, "looking ahead needs the ten numbers of JackInBox-v0, got observations in"),
         (alone(single()), TypeError, "looking ahead needs the ten numbers"),
         (together(gym.vector.SyncVectorEnv(tasks)), ValueError, r"must have one task, got \['juggle', 'spin'\]"),
-        (together(JackInBoxVectorEnv(2), hold=5), ValueError, "hold must be 1 where autoreset_mode is not SAME_STEP"),
+        (together(JackInBoxVectorEnv(2), hold=5), ValueError, "hold must be 1 if autoreset_mode is not SAME_STEP"),
     ]
     for make, error, sentence in refused:
         with pytest.raises(error, match=sentence):
