@@ -61,7 +61,7 @@ def test_an_error_leaves_no_pages(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         (["--folder", "pages"], "folder goes with --html"),
         (["--film", "/proc/film.GIF"], "/proc cannot be used: "),
         (["--json", "/proc/out.json"], "/proc cannot be used: "),
-        (["--policy", str(SHIPPED / "juggle-ppo" / "weights.npz")], f"give its folder, {SHIPPED / 'juggle-ppo'}"),
+        (["--policy", str(SHIPPED / "juggle-ppo" / "weights.npz")], f"pass its folder, {SHIPPED / 'juggle-ppo'}"),
         (["--policy", "/dev/null"], "/dev/null"),
     ],
 )
@@ -99,6 +99,6 @@ def test_an_exported_policy_is_not_trained_over(tmp_path: Path) -> None:
     before = {path.name: path.read_bytes() for path in copy.iterdir()}
     done = script("train", "--resume", "copy", cwd=tmp_path, status=2)
     assert "copy is no training run: it has no run.json" in done.stderr
-    with pytest.raises(FileExistsError, match="copy holds an exported policy"):
+    with pytest.raises(FileExistsError, match="copy is an exported policy"):
         training.train(TINY, copy, progress=False)
     assert {path.name: path.read_bytes() for path in copy.iterdir()} == before

@@ -127,7 +127,7 @@ def test_play_has_its_page(site: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("command", ["demo", "train"])
 def test_commands_that_need_a_checkout_name_it_in_one_line(command: str, site: Path, tmp_path: Path) -> None:
     said = jackbox(site, tmp_path, command, status=2).stderr
-    assert "git clone" in said
+    assert "clone the repository" in said
     assert said.count("\n") == 1
 
 
