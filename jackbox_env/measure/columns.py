@@ -74,11 +74,9 @@ def _numbers(name: Any, values: Any) -> Array:
     except (TypeError, ValueError):  # an object that is no number
         numbers = None
     if numbers is None or numbers.ndim != 1:
-        raise TypeError(f"column {name!r} must hold numbers, got {check.shown(values)}")
+        raise TypeError(f"column {name!r} must be numbers, got {check.shown(values)}")
     if np.isinf(numbers).any():
-        raise ValueError(
-            f"column {name!r} must hold finite numbers or NaN, got inf in row {np.isinf(numbers).argmax()}"
-        )
+        raise ValueError(f"column {name!r} must be finite numbers or NaN, got inf in row {np.isinf(numbers).argmax()}")
     return numbers
 
 

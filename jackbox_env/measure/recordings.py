@@ -46,7 +46,7 @@ class Recording:
         self, states: ArrayLike, torques: ArrayLike | None, dt: float, time: float = 0.0,
         impacts: ArrayLike | None = None,
     ) -> None:  # fmt: skip
-        self.states: Array = np.array(check.array("states", states, "hold numbers"), dtype=np.float64)
+        self.states: Array = np.array(check.array("states", states, "be numbers"), dtype=np.float64)
         if self.states.ndim != 2 or self.states.shape[1] != 12 or len(self.states) < 2:
             raise ValueError(f"states must have shape (H + 1, 12) with H >= 1, got {self.states.shape}")
         if np.isinf(self.states).any():
@@ -64,7 +64,7 @@ class Recording:
             raise ValueError(f"impacts must be times in order, got {check.shown(impacts)}")
         heard = self.impacts is not None and len(self.impacts) > 0
         if not (heard or np.isfinite(self.states).any()):
-            raise ValueError("states must hold something that was observed, got NaN only and no impacts")
+            raise ValueError("states must have an observed number, got NaN only and no impacts")
         self.notes: tuple[str, ...] = ()
 
     @classmethod
@@ -116,7 +116,7 @@ class Recording:
 
 
 def _finite(name: str, values: Any) -> Array:
-    array = np.array(check.array(name, values, "hold numbers"), dtype=np.float64)
+    array = np.array(check.array(name, values, "be numbers"), dtype=np.float64)
     if not np.isfinite(array).all():
         raise ValueError(f"{name} must be finite, got {array[~np.isfinite(array)][0]}")
     return array
@@ -145,7 +145,7 @@ def known_noise(noise: Any) -> Array:
         for name, value in noise.items():
             known[names.index(name)] = check.real(f"noise[{name!r}]", value, at_least=_SMALLEST_NOISE)
     elif noise is not None:
-        values = np.array(check.array("noise", noise, "hold numbers"), dtype=np.float64)
+        values = np.array(check.array("noise", noise, "be numbers"), dtype=np.float64)
         if values.shape not in ((), (12,)) or not (np.isfinite(values).all() and (values >= _SMALLEST_NOISE).all()):
             requirement = f"noise must be finite and at least {_SMALLEST_NOISE:g}, one number or 12 or by name"
             raise ValueError(f"{requirement}, got {check.shown(noise)}")

@@ -173,7 +173,10 @@ def test_a_single_field_of_the_scene_is_an_option_too(tmp_path: Path) -> None:
     assert "scene {" in single
     both = ["--jack-mass", "5", "--scene", '{"jack_mass": 4}']
     assert "chosen once" in script("evaluate", *few, *both, cwd=tmp_path, status=2).stderr
-    assert "only --total-steps may be added" in script("train", "--resume", "x", "--gravity", "2", cwd=tmp_path, status=2).stderr
+    assert (
+        "only --total-steps may be added"
+        in script("train", "--resume", "x", "--gravity", "2", cwd=tmp_path, status=2).stderr
+    )
 
 
 def test_train_prints_a_command_that_evaluates_in_the_same_environment(tmp_path: Path) -> None:

@@ -203,7 +203,7 @@ def test_names_without_units_and_empty_cells_are_read(tmp_path: Path) -> None:
             "column theta_jack: theta_jack changes by up to 345 rad from row to row: degrees?",
         ),
         ("time,x_box,torque\n0,1,5\n0.1,1,\n0.2,1,5\n", "row 3, column torque: must be a number, got none"),
-        ("time,x_box\n0,\n0.1,\n", "states must hold something that was observed"),
+        ("time,x_box\n0,\n0.1,\n", "states must have an observed number"),
     ],
 )
 def test_a_file_that_is_no_recording_is_refused_in_one_sentence(
@@ -227,7 +227,7 @@ def test_a_file_that_is_no_recording_is_refused_in_one_sentence(
         (["--impacts", "states.csv"], "states.csv, row 1: column 'x_box [m]' must be one of time [s], wall, foot, "),
         (["--folder", "here"], "folder goes with --html"),
         (["--columns", "x_jack"], "columns must be like x_jack=ball_x,time=t_ms, got 'x_jack'"),
-        (["--columns", "x_jak=x_jack"], "names takes only 'time', 'x_box', "),
+        (["--columns", "x_jak=x_jack"], "names accepts only 'time', 'x_box', "),
         (["--columns", "x_jack=ball"], "row 1: column 'ball', which is to be x_jack, must be one of 'time [s]', 'x_b"),
         (["--scene", '{"jack_mas": 4}'], "did you mean 'jack_mass'?"),
     ],

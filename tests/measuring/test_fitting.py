@@ -321,8 +321,8 @@ def test_derivatives_of_residuals_equal_differences() -> None:
     [
         ({"states": np.zeros((1, 12))}, r"states must have shape \(H \+ 1, 12\) with H >= 1, got \(1, 12\)"),
         ({"states": np.full((4, 12), np.inf)}, "states must be finite or NaN, got x_box = inf in row 0"),
-        ({"states": np.full((4, 12), np.nan)}, "must hold something that was observed"),
-        ({"states": "up"}, "states must hold numbers, got 'up'"),
+        ({"states": np.full((4, 12), np.nan)}, "must have an observed number"),
+        ({"states": "up"}, "states must be numbers, got 'up'"),
         ({"torques": [1.0]}, r"torques must have shape \(3,\), one for each step, got \(1,\)"),
         ({"torques": [np.nan] * 3}, "torques must be finite, got nan"),
         ({"dt": 0.0}, "dt must be a finite number at least 1e-09 and at most 1e\\+09, got 0.0"),
