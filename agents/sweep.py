@@ -21,6 +21,7 @@ import hashlib
 import io
 import json
 import os
+import signal
 import shutil
 import sys
 import threading
@@ -119,12 +120,13 @@ def on_cores(workers: int, trials: Trials, work: Work) -> Results:
 
 
 def _end_with_parent() -> None:
-    """Make a worker end with its parent, however that ends."""
+    """Make a worker end with its parent, however that ends, and not by Ctrl-C."""
 
     def end() -> None:
         parent_process().join()  # type: ignore[union-attr]
         os._exit(1)
 
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends it; idle, it would print a traceback
     tqdm.set_lock(threading.RLock())  # one for many processes would outlive a worker that is killed
     threading.Thread(target=end, daemon=True).start()
 
