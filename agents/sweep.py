@@ -21,8 +21,8 @@ import hashlib
 import io
 import json
 import os
-import signal
 import shutil
+import signal
 import sys
 import threading
 import traceback
