@@ -77,7 +77,7 @@ def write_camera_file(path: Path, rate: float = 60.0, seconds: float = 10.0, see
     seen, _ = observed(scene, rate, seconds, seed)
     seen = seen * np.array([1e3, -1e3, -np.rad2deg(1.0)] * 2)
     seen[:, 2::3] = (seen[:, 2::3] + 180.0) % 360.0 - 180.0
-    with path.open("w", newline="") as file:
+    with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(["t [ms]", *HEADERS, "frame"])
         for frame in np.flatnonzero(np.isfinite(seen[:, 0])):

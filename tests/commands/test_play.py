@@ -39,6 +39,8 @@ class Page(Opened):
         self.page.click("#share")
         self.page.locator("#text").fill(text)
         self.page.click("text=Play the text above")
+        self.page.locator("#sharing").wait_for(state="hidden")
+        self.page.wait_for_timeout(100)  # the dialog's event comes a moment later
 
     def wait_for(self, message: str) -> None:
         self.page.locator("#message", has_text=message).wait_for()

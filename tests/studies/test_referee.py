@@ -256,7 +256,7 @@ def test_the_engine_of_the_page_scores_what_the_page_says(tmp_path: Path) -> Non
     total = referee.summary(scores)
     assert [one.case for one in scores if not one.complete] == ["spin", "graze-hits"]
     counted = f"{total['complete']} of its {total['cases']} cases complete"
-    assert f"{counted}, and first impacts right to {total['first_worst']:.2g} s" in reference.PAGE.read_text()
+    assert f"{counted}, and first impacts correct to {total['first_worst']:.2g} s" in reference.PAGE.read_text()
 
 
 def test_the_page_lists_the_cases() -> None:
