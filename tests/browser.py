@@ -19,7 +19,7 @@ FLAGS = (
 
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Any]:
-    """Chromium; without it the test is skipped, and says so."""
+    """Chromium; without it the test is skipped with a message."""
     if CHROMIUM is None:
         sentence = "Chromium is not installed, so nothing looks at the pages: apt-get install chromium"
         print(f"\n*** {sentence} ***", file=sys.__stderr__)

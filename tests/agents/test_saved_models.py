@@ -1,4 +1,4 @@
-"""Models that were trained without this project's command play as they were trained, or the refusal says what would."""
+"""Models that were trained without this project's command play as they were trained, or are refused with the option that would."""
 
 from __future__ import annotations
 

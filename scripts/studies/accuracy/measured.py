@@ -318,15 +318,10 @@ def run(folder: Path, quick: bool, count: int, rounds: int, seconds: float, bars
         rows += rows_of(setting, records, *costs)
     busy, total = core_seconds()
     about = {
-        "quick": quick,
-        "cases": count,
-        "rounds": rounds,
-        "seconds": seconds,
-        "machine": machine(),
+        "quick": quick, "cases": count, "rounds": rounds, "seconds": seconds, "machine": machine(),
         "versions": versions((*PACKAGES[:-1], "numba", "mujoco", "box2d")),
-        "busy": round(max(0.0, busy - before[0]) / max(total - before[1], 1e-9), 2),
-        "missing": baselines.missing(),
-    }
+        "busy": round(max(0.0, busy - before[0]) / max(total - before[1], 1e-9), 2), "missing": baselines.missing(),
+    }  # fmt: skip
     return Results(rows, about)
 
 
