@@ -1,4 +1,4 @@
-"""Models that were trained without this project's command play as they were trained, or are refused with the option that would."""
+"""Models trained without this project's command: played as trained, or refused with the option that would help."""
 
 from __future__ import annotations
 

@@ -38,7 +38,6 @@ KINDS = ("chirp", "held", "weightless")  # of seeded cases
 REFERENCE = "reference"  # the kind of the proven cases, which the referee scores
 DT = 0.02  # control step [s]
 STEPS = 500  # control steps of a seeded case: 10 s
-WEIGHTLESS = Scene(gravity=0.0, drive=None)
 
 
 def seeded(kind: str, seed: int) -> Case:
@@ -48,7 +47,7 @@ def seeded(kind: str, seed: int) -> Case:
     5 rad/s, and its box 1 rad/s: nothing else would move them.
     """
     rng = np.random.default_rng([KINDS.index(kind), seed])
-    scene = WEIGHTLESS if kind == "weightless" else Scene()
+    scene = Scene(gravity=0.0, drive=None) if kind == "weightless" else Scene()
     state: Array = sample_start(scene, rng)
     torques = None
     if kind == "held":
@@ -153,8 +152,9 @@ class Quantity(NamedTuple):
 
 def over_first(count: int) -> Quantity:
     """The largest time error of the first ``count`` impacts, in the cases with as many correct ones."""
-    name = f"first_{count}"
-    return Quantity(name, "s", SPREAD, lambda one: [max(one["errors"][:count])] if one["prefix"] >= count else [])
+    return Quantity(
+        f"first_{count}", "s", SPREAD, lambda one: [max(one["errors"][:count])] if one["prefix"] >= count else []
+    )
 
 
 def impact(number: int) -> Quantity:
