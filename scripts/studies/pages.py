@@ -1,10 +1,11 @@
-"""Building blocks of the studies' pages: formatted numbers, tables, templates, dot plots."""
+"""Building blocks of the studies' pages: formatted numbers, tables, templates, labels of lines."""
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Mapping
-from pathlib import Path
+from typing import Any
 
 
 def figure(value: float) -> str:
@@ -44,22 +45,18 @@ def fill(page: str, mark: str, text: str) -> str:
     return pattern.sub(lambda match: f"{match[1]}{text}\n{match[2]}", page)
 
 
-def dots(path: Path, title: str, rows: Mapping[str, float]) -> None:
-    """Draw a dot for each row on a logarithmic axis, the largest value on top, with its value."""
-    from matplotlib.figure import Figure
+def label_ends(axes: Any, ends: Mapping[str, tuple[float, float]], apart: float = 0.09) -> None:
+    """Write the names of lines beside their ends (x, y), right of the axes and at least ``apart`` of its height.
 
-    from jackbox_env.commands.plots import GREY, JACK
+    Both limits of the axes must be final. Thin lines lead to the labels.
+    """
+    from jackbox_env.commands.plots import GREY
 
-    shown = sorted(rows.items(), key=lambda row: row[1])
-    drawn = Figure(figsize=(5.0, 0.8 + 0.32 * len(rows)), layout="constrained")
-    axes = drawn.subplots()
-    for line, (_, value) in enumerate(shown):
-        axes.plot(value, line, "o", color=JACK)
-        axes.annotate(rounded(value), (value, line), xytext=(8, 0), textcoords="offset points", va="center")
-    axes.set_yticks(range(len(shown)), [name.replace("`", "") for name, _ in shown])
-    drawn.suptitle(title, x=0.02, ha="left", fontsize="medium")
-    axes.set_xscale("log")
-    axes.margins(x=0.15)
-    left, _ = axes.set_xlim(axes.get_xlim())
-    axes.hlines(range(len(shown)), left, [value for _, value in shown], color=GREY, alpha=0.3)
-    drawn.savefig(path, dpi=150)
+    axes.autoscale_view()
+    last = math.inf
+    for name, end in sorted(ends.items(), key=lambda item: -item[1][1]):
+        height = axes.transAxes.inverted().transform(axes.transData.transform(end))[1]
+        last = min(height, last - apart)
+        places = {"xy": end, "xytext": (1.04, last), "textcoords": "axes fraction", "annotation_clip": False}
+        leader = {"arrowstyle": "-", "color": GREY, "linewidth": 0.6, "shrinkA": 1.0, "shrinkB": 3.0}
+        axes.annotate(name, **places, va="center", arrowprops=leader)

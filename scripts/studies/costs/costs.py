@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from jackbox_env.command_line import command_line
-from scripts.studies import pages, timing
+from scripts.studies import timing
 from scripts.studies.costs import measured as these
 from scripts.studies.pages import figure, rounded, table
 from scripts.studies.timing import Rates
@@ -50,7 +50,7 @@ class Arguments:
     seconds: float = 0.03
     """Time per measurement [s], or once through the moments."""
     out: Path = Path("docs")
-    """Folder of the page costs.md, its picture costs.png and its results costs.json."""
+    """Folder of the page costs.md and its results costs.json."""
     render: bool = False
     """Measure nothing: write the page from the results that are stored."""
 
@@ -176,19 +176,6 @@ def _loss_table(loss: Figures, impacts: Mapping[str, float]) -> str:
     return table(heads, rows)
 
 
-def pictured(results: Mapping[str, Any]) -> dict[str, float]:
-    """The dots of the picture: a step of one exact environment, plain and with one thing more [ns]."""
-    plain, costly = (
-        _plain(results)[EXACT],
-        {what: costs[EXACT] for what, costs in results["on_top"].items() if EXACT in costs},
-    )
-    return {"a plain step": plain} | {
-        what.split(", in place")[0]: plain + statistics.median(values)
-        for what, values in costly.items()
-        if abs(statistics.median(values)) > 0.05 * plain
-    }
-
-
 @command_line
 def main() -> None:
     """Parse, measure, write, print."""
@@ -206,7 +193,6 @@ def main() -> None:
         timing.on_cores({max(os.sched_getaffinity(0))} if timing.PINNED else ())
         write_json(path, measured(rounds, seconds))
     results = json.loads(path.read_text())
-    pages.dots(arguments.out / "costs.png", "ns of a control step of one exact environment", pictured(results))
     write_text(arguments.out / "costs.md", page(results))
     print(page(results))
 

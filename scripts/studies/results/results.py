@@ -13,11 +13,14 @@ import numpy as np
 from agents.policies.network import TRAINED
 from agents.policies.planner import FAST_SEARCHES, SEARCHES
 from jackbox_env.command_line import command_line
+from jackbox_env.files import check_writable, make_folder, replacing, write_text
 from jackbox_env.scene import Scene
-from scripts.studies.pages import table
+from scripts.studies.pages import label_ends, table
 from scripts.studies.results import measured as these
 
-LINES = {"planner": "-", "distilled": "--", "level": "-.", "best chirp": ":"}  # in the picture
+# The picture's lines, and notes on the bounds.
+LINES = {"upper bound": "-", "planner": (0, (9, 3)), "distilled": "--", "level": "-.", "best chirp": ":"}
+NOTES = {"juggle": " (upper bound: of an upright bounce)", "spin": "", "rattle": " (upper bound: 500, off the scale)"}
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,8 @@ class Arguments:
     """Folder for results.md, results.json and results.png."""
     progress: bool = True
     """Show a progress bar."""
+    render: bool = False
+    """Measure nothing: write the page and draw the picture from the results that are stored."""
 
 
 # -- the page ----------------------------------------------------------------------------------------------------------
@@ -136,31 +141,32 @@ def _trained(rows: list[dict[str, Any]]) -> str:
 
 
 def draw(rows: list[dict[str, Any]], learning: list[dict[str, Any]], spin_bound: float, path: Path) -> None:
-    """Draw the learning curves of five trainings on each task, and other policies' returns as lines, for exact."""
+    """Draw the learning curves of five trainings on each task, other policies' returns and upper bounds, for exact."""
     from matplotlib.figure import Figure
 
-    from agents.evaluation.figures import ACCENT
-    from jackbox_env.commands.plots import JACK
-    from jackbox_env.files import replacing
+    from jackbox_env.commands.plots import GREY, JACK
 
-    figure = Figure(figsize=(10.0, 3.8), layout="constrained")
-    panels = figure.subplots(1, len(TRAINED))
-    earned = {(row["task"], row["policy"]): row["mean"] for row in rows if row["contact"] == "exact"}
+    figure = Figure(figsize=(5.0, 7.4), layout="constrained")
+    panels = figure.subplots(len(TRAINED), 1)
+    known = {(row["task"], row["policy"]): row["mean"] for row in rows if row["contact"] == "exact"}
+    known |= {("juggle", "upper bound"): these.best_upright(), ("spin", "upper bound"): spin_bound}
     for axes, task in zip(panels, TRAINED, strict=True):
         seconds, middle, (low, high) = these.curve_of(_of_task(learning, task))
-        axes.plot(seconds, middle, color=JACK, label="PPO, five seeds")
+        axes.plot(seconds, middle, "o-", color=JACK, markersize=4, clip_on=False)
         axes.fill_between(seconds, low, high, color=JACK, alpha=0.25, linewidth=0)
+        ends = {"PPO, 5 seeds": middle[-1]}
         for name, style in LINES.items():
-            axes.axhline(earned[task, name], color=ACCENT, linewidth=1.2, linestyle=style, label=name)
-        bound = {"juggle": these.best_upright(), "spin": spin_bound}.get(task, np.nan)
-        axes.axhline(bound, color="black", linewidth=0.8, label="bound")
-        axes.set(title=task, xlabel="seconds of one core", xlim=(0.0, seconds[-1]))
-        axes.margins(y=0.12)
-        axes.spines[["top", "right"]].set_visible(False)
-    panels[0].set_ylabel("return")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=6, frameon=False)
+            if (task, name) in known:
+                value, width = known[task, name], 2.0 if name == "upper bound" else 1.2
+                axes.axhline(value, color=GREY, linewidth=width, linestyle=style)
+                ends[f"{name} {value:.0f}"] = value
+        axes.set_title(f"{task}: return{NOTES[task]}", loc="left", fontsize="medium")
+        axes.set_xlim(0.0, seconds[-1])
+        axes.margins(y=0.08)
+        label_ends(axes, {name: (seconds[-1], end) for name, end in ends.items()}, apart=0.105)
+    panels[-1].set_xlabel("seconds of training on one core")
     with replacing(path) as partial_file:
-        figure.savefig(partial_file, dpi=120)
+        figure.savefig(partial_file, dpi=150)
 
 
 # -- the command -------------------------------------------------------------------------------------------------------
@@ -169,7 +175,6 @@ def draw(rows: list[dict[str, Any]], learning: list[dict[str, Any]], spin_bound:
 def gathered(arguments: Arguments) -> dict[str, Any]:
     """All results; unfinished trials in the folder are run."""
     from agents.sweep_ray import runner_for
-    from jackbox_env.files import make_folder
     from scripts.studies.sweeping import swept
 
     folder, runner = arguments.runs.resolve(), runner_for(arguments.workers, None)
@@ -200,15 +205,15 @@ def main() -> None:
 
     arguments = tyro.cli(Arguments, description=__doc__)
     from jackbox_env import checks as check
-    from jackbox_env.files import check_writable, write_text
 
     for name in ("episodes", "planner_episodes", "training_episodes", "across_episodes"):
         check.whole(name, getattr(arguments, name), at_least=4)
     check_writable(arguments.out)
-    record = gathered(arguments)
+    path = arguments.out / "results.json"
+    record = json.loads(path.read_text()) if arguments.render else gathered(arguments)
     write_text(arguments.out / "results.md", page(record))
     draw(record["rows"], record["learning"], record["spin_bound"], arguments.out / "results.png")
-    write_text(arguments.out / "results.json", json.dumps(record, indent=1) + "\n")
+    write_text(path, json.dumps(record, indent=1) + "\n")
     print(f"Written: {arguments.out / 'results.md'}")
 
 

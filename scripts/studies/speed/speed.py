@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from jackbox_env.command_line import command_line
-from scripts.studies import pages, timing
+from scripts.studies import timing
 from scripts.studies.pages import figure, rounded, table
 from scripts.studies.speed import measured as these
 from scripts.studies.timing import Rates
@@ -33,7 +33,7 @@ class Arguments:
     seconds: float = 0.4
     """Time per measurement [s]."""
     out: Path = Path("docs")
-    """Folder of the page speed.md, its picture speed.png and its results speed.json."""
+    """Folder of the page speed.md and its results speed.json."""
 
 
 # Results are stored by part: rates and ratios in each round; made: machine, versions and rounds; kept: ratios of an
@@ -70,14 +70,6 @@ RATIOS = {
     },
 }
 ONE = {"pymunk": these.PYMUNK, "exact": these.EXACT, "lander": these.LANDER, "pole": these.POLE}
-PICTURE = {
-    "exact, batch of 1,024": ("together", these.BATCH),
-    "CartPole, Gymnasium's batch of 1,024": ("together", these.POLES),
-    "exact, one": ("alone", these.EXACT),
-    "CartPole, one": ("alone", these.POLE),
-    "pymunk (the default), one": ("alone", these.PYMUNK),
-    "LunarLander, one": ("alone", these.LANDER),
-}
 
 
 def ratios_of(part: str, rates: Rates) -> Rates:
@@ -170,16 +162,9 @@ def page(results: Results) -> str:
 
 def for_the_readme(results: Results) -> str:
     """The README's sentence on speed."""
-    rates = pictured(results)
-    batch, cart_pole = (
-        rounded(rates[name]) for name in ("exact, batch of 1,024", "CartPole, Gymnasium's batch of 1,024")
-    )
+    rates = results["together"]["rates"]
+    batch, cart_pole = (rounded(statistics.median(rates[name])) for name in (these.BATCH, these.POLES))
     return f"a batch of 1,024 makes [{batch} control steps a second](docs/speed.md), Gymnasium's CartPole {cart_pole}"
-
-
-def pictured(results: Results) -> dict[str, float]:
-    """The dots of the picture: steps per second."""
-    return {label: statistics.median(results[part]["rates"][name]) for label, (part, name) in PICTURE.items()}
 
 
 @command_line
@@ -202,7 +187,6 @@ def main() -> None:
     for part in arguments.parts:
         results[part] = measured(part, arguments.rounds, arguments.seconds, results.get(part, {}))
         write_json(path, results)
-    pages.dots(arguments.out / "speed.png", "control steps per second on one core", pictured(results))
     write_text(arguments.out / "speed.md", page(results))
     print(_section(results["alone"]), results["alone"]["made"], sep="\n\n")
 
