@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
+import matplotlib.image
 import numpy as np
 import pymunk
 import pytest
+from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from jackbox_env import Scene, make_simulator
 from scripts.studies import timing
@@ -43,6 +47,33 @@ def test_other_numbers_would_make_another_page() -> None:
     data = stored("results")
     data["rows"][0]["mean"] += 50.0
     assert results.page(data) != (DOCS / "results.md").read_text()
+
+
+@pytest.mark.parametrize("part", derivatives.PICTURED)
+def test_a_picture_of_derivatives_is_drawn_from_the_stored_numbers(part: str, tmp_path: Path) -> None:
+    derivatives.PICTURED[part].draw(stored("derivatives")[part], tmp_path / "picture.png")
+    assert matplotlib.image.imread(tmp_path / "picture.png")[..., 3].any()
+
+
+def test_the_picture_of_returns_has_the_upper_bounds_and_no_label_on_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[Figure] = []
+    save = Figure.savefig
+
+    def saved(figure: Figure, *arguments: Any, **settings: Any) -> None:
+        drawn.append(figure)
+        save(figure, *arguments, **settings)
+
+    monkeypatch.setattr(Figure, "savefig", saved)
+    data = stored("results")
+    results.draw(data["rows"], data["learning"], data["spin_bound"], tmp_path / "results.png")
+    labels = [[text for text in axes.texts if text.get_text()] for axes in drawn[0].axes]
+    bounds = [[text.get_text() for text in of if "upper bound" in text.get_text()] for of in labels]
+    assert bounds == [["upper bound 347"], ["upper bound 450"], []]  # rattle's is off the scale
+    for of in labels:
+        boxes = [Text.get_window_extent(text) for text in of]  # without the lines that lead to them
+        assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
 
 
 # -- figures -----------------------------------------------------------------------------------------------------------

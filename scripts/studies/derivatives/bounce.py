@@ -13,6 +13,7 @@ any phase, and bounces of other heights are next to it. So each Newton step is t
 
 The LQR turns the box by angles and sideways motion. To first order no torque changes the height, so it is left alone.
 The gains belong to the 51 phases of a period. They are chosen by the clock, or by the phase that the jack is in.
+A jack starts in each of these phases, with some spin. Its lean is the angle by which it is not upright.
 """
 
 from __future__ import annotations
@@ -49,15 +50,15 @@ DT, PERIOD = 0.02, 51  # control step [s]; control steps of the bounce
 FLOOR = SCENE.jack_arm - SCENE.box_half_width  # y at the impact [m]
 SPEED = (SCENE.gravity * SCENE.jack_arm) ** 0.5  # unit of speeds [m/s]
 UNITS = np.array([SCENE.jack_arm] * 2 + [1.0] * 2 + [SPEED] * 2 + [SPEED / SCENE.jack_arm] * 2)
-SIDEWAYS, DISTURBED = [0, 2, 3, 4, 6, 7], [0, 3, 4, 7]  # all but the height; those of the jack
 _ORDER = [X_JACK, Y_JACK, THETA_BOX, THETA_JACK, VX_JACK, VY_JACK, OMEGA_BOX, OMEGA_JACK]
 REDUCE, LIFT = np.eye(12)[_ORDER], np.eye(12)[:, _ORDER]
 REDUCE[[0, 1, 4, 5], [X_BOX, Y_BOX, VX_BOX, VY_BOX]] = -1.0
 
 WEIGHTS = np.array([0.01, 0.0, 1.0, 1.0, 0.01, 0.0, 1.0, 1.0])  # of z^2 in UNITS; position and sideways speed may wait
 EFFORT = 100.0  # weight of a torque^2 in units of the limit
-SIZES, SHOWN = (0.01, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 1.0), 3  # of disturbances; which one is drawn
-STARTS, SECONDS, NEAR, SEED = 256, 20.0, 0.1, 1  # of each size; deviation in the last period that counts as held
+SPINS, SHOWN = (1.0, 2.0, 3.0, 5.0, 7.0, 10.0, 15.0, 20.0, 30.0, 40.0), 10.0  # at the start [°/s]; the one over time
+STYLES = {"gains by phase": (JACK, "-", "o"), "gains by clock": (BOX, "--", "s"), "no torque": (GREY, ":", "^")}
+SECONDS, UPRIGHT = 20.0, 3.0  # a jack is stabilised that leans less [°] throughout the last period
 
 
 def period(z: Array) -> tuple[Array, Array, Array]:
@@ -106,73 +107,69 @@ def phase(z: Array) -> Array:
     return 0.5 - 0.5 * z[:, 5] / np.maximum(landing, 1e-9)
 
 
-def disturbed(bounce: Array) -> Array:
-    """Starts (sizes * STARTS, 8): x, angle, sideways speed and spin of the jack moved in random directions."""
-    directions = np.random.default_rng(SEED).standard_normal((len(SIZES), STARTS, len(DISTURBED)))
-    directions *= np.array(SIZES)[:, None, None] / np.linalg.norm(directions, axis=2, keepdims=True)
-    starts = np.tile(bounce[0], (len(SIZES), STARTS, 1))
-    starts[..., DISTURBED] += directions * UNITS[DISTURBED]
-    return starts.reshape(-1, 8)
-
-
-def deviations(bounce: Array, feedback: Array, clock: bool) -> Array:
-    """Distances of the jacks from the bounce after each step, in UNITS without the height, (steps, sizes, STARTS).
+def leans_of(bounce: Array, feedback: Array, clock: bool) -> Array:
+    """The jacks' leans [°] after each step, (steps, SPINS, PERIOD), from each spin in each phase of the bounce.
 
     ``feedback`` has the gains (PERIOD, 8), chosen by the ``clock`` or by the jack's phase.
     """
-    states, distances = disturbed(bounce) @ LIFT.T, []
+    starts = np.tile(bounce[:PERIOD], (len(SPINS), 1, 1))
+    starts[..., _ORDER.index(OMEGA_JACK)] += np.radians(SPINS)[:, None]
+    states, phases, leaning = starts.reshape(-1, 8) @ LIFT.T, np.tile(np.arange(PERIOD), len(SPINS)), []
     for step in trange(round(SECONDS / DT), desc="bounces", unit="step", leave=False):
         z = states @ REDUCE.T
-        ahead = np.full(len(z), step) if clock else np.rint((phase(z) - phase(bounce[:1])) * PERIOD)
+        ahead = phases + step if clock else np.rint((phase(z) - phase(bounce[:1])) * PERIOD)
         k = ahead.astype(np.intp) % PERIOD
         torques = -((z - bounce[k]) * feedback[k]).sum(axis=1).clip(-SCENE.torque_limit, SCENE.torque_limit)
         states = rollout(SCENE, states, torques[:, None], DT, trajectories=False)[0][:, 1]
-        off = (states @ REDUCE.T - bounce[0])[:, SIDEWAYS] / UNITS[SIDEWAYS]
-        distances.append(np.linalg.norm(off, axis=1).reshape(len(SIZES), STARTS))
-    return np.array(distances)
+        leaning.append(np.degrees(abs(states[:, THETA_JACK])).reshape(len(SPINS), PERIOD))
+    return np.array(leaning)
 
 
 def measure() -> dict[str, Any]:
-    """Newton's residuals, multipliers (real, imaginary), products of their pairs, and deviations of disturbed jacks."""
+    """Newton's residuals, multipliers (real, imaginary), products of their pairs, and leans of spun jacks."""
     start, residuals = newton(np.array([0.1, FLOOR + 1.3, 0.02, 0.03, 0.02, 0.05, -0.01, 0.03]))
     bounce, by_state, by_torque = period(start)
     feedback = gains(by_state, by_torque)
     closed_loop = by_state - by_torque[:, :, None] * feedback[:, None]
     free, controlled = multipliers(by_state), multipliers(closed_loop)
     runs = {
-        "by phase": (feedback, False),
-        "by clock": (feedback, True),
+        "gains by phase": (feedback, False),
+        "gains by clock": (feedback, True),
         "no torque": (np.zeros_like(feedback), True),
     }
-    off = {name: deviations(bounce, *how) for name, how in runs.items()}
+    leaning = {name: leans_of(bounce, *how) for name, how in runs.items()}
     return {
         "start": start.tolist(),
         "residuals": residuals,
         "multipliers": np.stack([free.real, free.imag], axis=1).tolist(),
         "pairs": abs(free * free[::-1])[:4].tolist(),
         "controlled": np.stack([controlled.real, controlled.imag], axis=1).tolist(),
-        "starts": STARTS,
+        "starts": PERIOD,
         "seconds": SECONDS,
-        "sizes": SIZES,
-        "share_held": {name: (one[-PERIOD:].max(axis=0) < NEAR).mean(axis=1).tolist() for name, one in off.items()},
-        "deviation": {name: np.median(one[4::5, SHOWN], axis=1).tolist() for name, one in off.items()},
+        "spins": SPINS,
+        "share_held": {
+            name: (of[-PERIOD:].max(axis=0) < UPRIGHT).mean(axis=1).tolist() for name, of in leaning.items()
+        },
+        "lean": {name: np.median(of[4::5, SPINS.index(SHOWN)], axis=1).tolist() for name, of in leaning.items()},
     }
 
 
 def draw(results: Mapping[str, Any], path: Path) -> None:
-    """Draw how a disturbance grows or fades, and the share held against the disturbance's size."""
-    figure = Figure(figsize=(8.0, 4.0), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    styles = {"by phase": (JACK, "-"), "by clock": (BOX, "--"), "no torque": (GREY, ":")}
-    for name, (color, line) in styles.items():
-        off = results["deviation"][name]
-        times = results["seconds"] * np.arange(1, len(off) + 1) / len(off)
-        left.semilogy(times, off, line, color=color)
-        shares = 100.0 * np.array(results["share_held"][name])
-        right.semilogx(results["sizes"], shares, line, marker="o", markersize=4, color=color, label=name)
-    left.set(xlabel="time [s]", ylabel=f"deviation (median), from {SIZES[SHOWN]:g}")
-    right.set(xlabel="size of the disturbance", ylabel=f"held for {results['seconds']:g} s [%]")
-    right.legend(frameon=False, labelcolor=GREY)
-    for axes in (left, right):
+    """Draw how the lean grows or fades, and the share of stabilised jacks against their spin at the start."""
+    figure = Figure(figsize=(5.0, 6.2), layout="constrained")
+    upper, lower = figure.subplots(2, 1)
+    for name, (color, line, marker) in STYLES.items():
+        leans, shares = results["lean"][name], 100.0 * np.array(results["share_held"][name])
+        times = results["seconds"] * np.arange(1, len(leans) + 1) / len(leans)
+        upper.semilogy(times, leans, line, marker=marker, markevery=25, markersize=5, color=color, label=name)
+        lower.semilogx(results["spins"], shares, line, marker=marker, markersize=5, color=color)
+    upper.set_title(f"Lean after a spin of {SHOWN:g} °/s: median [°]", loc="left", fontsize="medium")
+    upper.set(xlabel="time [s]", xlim=(0.0, results["seconds"]), xticks=range(0, 21, 5))
+    upper.legend(frameon=False, labelcolor=GREY)
+    lower.set_title(f"Jacks upright after {results['seconds']:g} s [%]", loc="left", fontsize="medium")
+    lower.set_xlabel("spin at the start [°/s]")
+    lower.set_xticks(results["spins"], [f"{spin:g}" for spin in results["spins"]], minor=False)
+    lower.minorticks_off()
+    for axes in (upper, lower):
         axes.grid(True)
     write_figure(figure, path)

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from jackbox_env.command_line import command_line
 from scripts.studies import timing
@@ -15,7 +15,9 @@ from scripts.studies.derivatives import bounce, gradients, ilqr, lyapunov
 from scripts.studies.pages import figure, table
 
 PACKAGES = ("jackbox", "numpy", "numba", "torch")
-PARTS = {"ilqr": ilqr, "bounce": bounce, "lyapunov": lyapunov}  # each with a picture
+Part = Literal["ilqr", "bounce", "lyapunov", "gradients"]
+PICTURED = {"ilqr": ilqr, "bounce": bounce, "lyapunov": lyapunov}
+MEASURES = {name: part.measure for name, part in PICTURED.items()} | {"gradients": gradients.measure}
 PLANS = {"level": "PD controller", "planner": "planner's iCEM, 3 iterations", "longer": "iCEM, 50 iterations"}
 
 
@@ -23,10 +25,10 @@ PLANS = {"level": "PD controller", "planner": "planner's iCEM, 3 iterations", "l
 class Arguments:
     """Measure everything, and write the page."""
 
+    parts: tuple[Part, ...] = ("ilqr", "bounce", "lyapunov", "gradients")
+    """Parts of the page to measure; the others stay as stored. None: only write the page from stored results."""
     out: Path = Path("docs")
     """Folder of the page derivatives.md, its results derivatives.json and the folder of its pictures, derivatives."""
-    render: bool = False
-    """Measure nothing: write the page from the results that are stored."""
 
 
 def spread(estimate: Mapping[str, float], digits: int = 1) -> str:
@@ -46,7 +48,7 @@ def page(results: Mapping[str, Any]) -> str:
         "ilqr": _ilqr(results["ilqr"]),
         "bounce": _bounce(results["bounce"]),
         "lyapunov": _lyapunov(results["lyapunov"]),
-        "made": f"`make derivatives` measures this page. {results['made']}",
+        "made": "\n".join(f"- `{part}`: {text}" for part, text in results["made"].items()),
     }
     return (Path(__file__).parent / "page.md").read_text().format(**fields)
 
@@ -74,8 +76,8 @@ def _ilqr(results: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _bounce(results: Mapping[str, Any]) -> dict[str, Any]:
-    at = results["sizes"].index(0.1)
-    shares = {name: f"{of_sizes[at]:.0%}" for name, of_sizes in results["share_held"].items()}
+    at = results["spins"].index(bounce.SHOWN)
+    shares = {name: f"{of_spins[at]:.0%}" for name, of_spins in results["share_held"].items()}
     return {
         "period": f"{bounce.PERIOD * bounce.DT:.2f}",
         "residuals": ", ".join(f"{value:.1g}" for value in results["residuals"][:5]),
@@ -83,8 +85,10 @@ def _bounce(results: Mapping[str, Any]) -> dict[str, Any]:
         "pairs": f"{max(abs(pair - 1.0) for pair in results['pairs']):.0e}",
         "seconds": f"{results['seconds']:g}",
         "starts": results["starts"],
-        "held": shares["by phase"],
-        "clock": shares["by clock"],
+        "spin": f"{bounce.SHOWN:g}",
+        "upright": f"{bounce.UPRIGHT:g}",
+        "held": shares["gains by phase"],
+        "clock": shares["gains by clock"],
     }
 
 
@@ -115,15 +119,17 @@ def main() -> None:
     arguments = tyro.cli(Arguments, description=__doc__)
     pictures, path = arguments.out / "derivatives", arguments.out / "derivatives.json"
     check_writable(arguments.out)
-    if not arguments.render:
+    results: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {"made": {}}
+    missing = [name for name in MEASURES if name not in {*arguments.parts, *results}]
+    if missing:
+        raise ValueError(f"parts must name {' and '.join(missing)} too: {path} has no such results yet")
+    for measured in arguments.parts:
         before = timing.core_seconds()
-        results: dict[str, Any] = {name: part.measure() for name, part in PARTS.items()}
-        results["gradients"] = gradients.measure()
-        results["made"] = f"{timing.measured_with(PACKAGES)}. {timing.busy_since(before)}"
+        results[measured] = MEASURES[measured]()
+        results["made"][measured] = f"{timing.measured_with(PACKAGES)}. {timing.busy_since(before)}"
         write_json(path, results)
-    results = json.loads(path.read_text())
     pictures.mkdir(exist_ok=True)
-    for name, part in PARTS.items():
+    for name, part in PICTURED.items():
         (pictures / f"{name}.png").unlink(missing_ok=True)
         part.draw(results[name], pictures / f"{name}.png")
     write_text(arguments.out / "derivatives.md", page(results))

@@ -95,19 +95,20 @@ def measure() -> dict[str, Any]:
 
 def draw(results: Mapping[str, Any], path: Path) -> None:
     """Draw the returns of each start before and after iLQR, and their means with the times that they took."""
-    figure = Figure(figsize=(8.0, 4.0), layout="constrained")
-    panels = figure.subplots(1, 3, sharey=True)
-    for axes, (kind, iterations) in zip(panels, ITERATIONS.items(), strict=True):
-        of = results[kind]
+    figure = Figure(figsize=(5.0, 4.2), layout="constrained")
+    axes, rows = figure.subplots(), dict[int, str]()
+    for number, (kind, iterations) in enumerate(ITERATIONS.items()):
+        of, pair = results[kind], [3 * number, 3 * number + 1]
         *means, planning, seconds = (of[name]["mean"] for name in ("before", "after", "planning", "seconds"))
-        axes.plot(np.transpose(of["returns"]), "o-", color=GREY, alpha=0.35, markersize=3.0, linewidth=0.8)
-        axes.plot(means, "o-", color=JACK, markersize=8.0, linewidth=3.0)
-        for end, mean in enumerate(means):
-            offset = {"xytext": (20 * end - 10, 0), "textcoords": "offset points", "va": "center"}
-            axes.annotate(f"{mean:.1f}", (end, mean), ha="left" if end else "right", **offset)
-        axes.set_title(f"iCEM, {iterations} iterations" if iterations else "PD controller", fontsize="medium")
-        axes.set_xticks([0, 1], [f"plan\n{planning:.3f} s", f"then iLQR\n{planning + seconds:.3f} s"])
-        axes.set_xlim(-0.6, 1.6)
-        axes.grid(True, axis="y")
-    panels[0].set_ylabel("return of 160 control steps")
+        axes.plot(np.transpose(of["returns"]), pair, "o-", color=GREY, alpha=0.35, markersize=3.0, linewidth=0.8)
+        axes.plot(means, pair, "o-", color=JACK, markersize=8.0, linewidth=3.0)
+        for mean, row, offset in zip(means, pair, (14, -14), strict=True):
+            at: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "va": "center"}
+            axes.annotate(f"{mean:.1f}", (mean, row), (0, offset), **at)
+        plan = f"iCEM, {iterations} iterations" if iterations else "PD controller"
+        rows |= {pair[0]: f"{plan}\n{planning:.3f} s", pair[1]: f"then iLQR\n{planning + seconds:.3f} s"}
+    axes.set_yticks(list(rows), list(rows.values()))
+    axes.set_ylim(7.8, -0.8)
+    axes.set_xlabel("return of 160 control steps")
+    axes.grid(True, axis="x")
     write_figure(figure, path)

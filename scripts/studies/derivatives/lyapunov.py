@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +27,12 @@ from jackbox_env.states import Array
 SCENE, DT, STARTS, SEED = Scene(), 0.02, 256, 1
 LENGTH, SPEED = SCENE.box_half_width, SCENE.speed_scale
 UNITS = np.array([LENGTH, LENGTH, 1.0] * 2 + [SPEED, SPEED, SPEED / LENGTH, SPEED, SPEED, SPEED / SCENE.jack_arm])
-COLORS = {"zero": GREY, "chirp": BOX, "ppo": JACK}  # of policies
+STYLES = {"zero": (GREY, ":", "^"), "chirp": (BOX, "--", "s"), "ppo": (JACK, "-", "o")}  # of policies
+LAST = "impacts; a line ends at the last one after which\nat least half of the jacks bounce again within 10 s"
+PANELS = (  # of the picture: quantity, its step, points for each mark, label with the reason for the lines' ends
+    ("by_time", 5.0 * DT, 10, "time [s]; an episode ends at 10 s"),
+    ("by_impact", 1.0, 1, LAST),
+)
 FORGOTTEN = math.log(0.1 / 1e-16)  # of sigma, when rounding has grown to a tenth
 
 
@@ -101,23 +105,23 @@ def figures(policy: str) -> dict[str, Any]:
 
 def measure() -> dict[str, Any]:
     """The exponents of the motion under each policy, and how its errors grow with time."""
-    return {policy: figures(policy) for policy in tqdm(COLORS, desc="exponents", leave=False)}
+    return {policy: figures(policy) for policy in tqdm(STYLES, desc="exponents", leave=False)}
 
 
 def draw(results: Mapping[str, Any], path: Path) -> None:
     """Draw the growth of errors with time and with impacts: the median over the starts, and the middle 80 %."""
-    figure = Figure(figsize=(8.0, 4.0), layout="constrained")
-    rows = figure.subplots(1, 2, sharey=True)
-    for (policy, color), (axes, by) in product(COLORS.items(), zip(rows, ("by_time", "by_impact"), strict=True)):
-        low, middle, high = np.exp(results[policy][by])
-        along = np.arange(1, len(middle) + 1) * (5.0 * DT if by == "by_time" else 1.0)
-        axes.fill_between(along, low, high, color=color, alpha=0.2, linewidth=0.0)
-        axes.semilogy(along, middle, color=color, label=policy)
-    for axes, label in zip(rows, ("time [s]", "impacts"), strict=True):
-        axes.axhline(math.exp(FORGOTTEN), color=GREY, linestyle=":")
-        axes.set_xlabel(label)
+    figure = Figure(figsize=(5.0, 6.4), layout="constrained")
+    for axes, (by, step, every, label) in zip(figure.subplots(2, 1), PANELS, strict=True):
+        for policy, (color, line, marker) in STYLES.items():
+            low, middle, high = np.exp(results[policy][by])
+            along, marks = step * np.arange(1, len(middle) + 1), (every - 1, every)
+            axes.fill_between(along, low, high, color=color, alpha=0.2, linewidth=0.0)
+            axes.semilogy(along, middle, line, marker=marker, markevery=marks, markersize=5, color=color, label=policy)
+        axes.axhline(math.exp(FORGOTTEN), color=GREY, linestyle=(0, (1, 3)))
+        axes.text(along[0], 2.0 * math.exp(FORGOTTEN), "an error of 1e-16 has grown to 0.1", color=GREY)
+        axes.set(xlabel=label, ylim=(1.0, 1e18))
         axes.grid(True)
-    rows[0].text(0.0, math.exp(FORGOTTEN), "rounding has grown to 0.1", color=GREY, va="bottom")
-    rows[0].set_ylabel("growth of the worst error")
-    rows[1].legend(frameon=False, labelcolor=GREY, loc="lower right")
+    axes.legend(frameon=False, labelcolor=GREY, loc="lower right", title="torques of")
+    title = "Growth of the worst small error [times]\nLine: median. Band: 80 % of the starts."
+    figure.suptitle(title, x=0.02, ha="left", fontsize="medium")
     write_figure(figure, path)
