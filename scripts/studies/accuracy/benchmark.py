@@ -291,8 +291,6 @@ def main() -> None:
     import tyro
 
     arguments = tyro.cli(Arguments, description=__doc__)
-    import matplotlib  # noqa: F401  # raises now rather than after the sweep
-
     from agents.sweep_ray import runner_for
     from jackbox_env import checks as check
 

@@ -330,9 +330,7 @@ def _measured_kind(trial: dict[str, Any]) -> dict[str, Any]:
     everyone = {setting.name: setting for setting in settings(quick=False) + contenders(quick=False)}
     setting, kind = everyone[trial["setting"]], trial["kind"]
     if kind == REFERENCE:
-        cases = [
-            known for known in referee.reference().values() if known[0].scene.elastic or setting.family != "mujoco"
-        ]
+        cases = [one for one in referee.reference().values() if one[0].scene.elastic or setting.family != "mujoco"]
         return {"records": [refereed(setting, known) for known in cases]}
     return {"records": [measured(setting, kind, *case) for case in _references(kind, trial["count"])]}
 

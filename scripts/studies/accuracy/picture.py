@@ -7,6 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import matplotlib
+from matplotlib.figure import Figure
+
+from jackbox_env.commands.plots import GREY  # this import sets the style of all plots
 from jackbox_env.files import replacing
 from scripts.studies.accuracy.measured import (
     BATCH,
@@ -23,18 +27,20 @@ from scripts.studies.accuracy.measured import (
 from scripts.studies.pages import two_digits
 
 _COLOURS = {EXACT: "C0", BATCH: "C0", PYMUNK: "C2", DETECTION: "C3", "box2d": "0.5", "mujoco": "0.5"}
+_MARKERS = {EXACT: "D", BATCH: "D", PYMUNK: "o", DETECTION: "X", "box2d": "s", "mujoco": "^"}
 _LABELS = {  # at the points: text, offset [points], alignment
     EXACT: ("exact", (7, 0), "left"),
     BATCH: ("exact,\nin a batch", (7, 12), "left"),
     of_fidelity("coarse"): ("coarse", (-6, 0), "right"),
     of_fidelity("balanced"): ("balanced", (-6, -7), "right"),
     of_fidelity("fine"): ("fine", (-7, -7), "right"),
-    pymunk(1).name: ("pymunk, 1 substep", (-6, 2), "right"),
+    pymunk(1).name: ("pymunk, 1 substep", (-9, 2), "right"),
     pymunk(256).name: ("256 substeps", (-3, -12), "right"),
     f"{DETECTION}, RK4 at 0.01 s": ("threshold\ndetection", (3, 40), "left"),
-    "mujoco, 64 substeps": ("Box2D,\nMuJoCo", (5, 72), "right"),
+    "mujoco, 64 substeps": ("■ Box2D\n▲ MuJoCo", (5, 72), "right"),
 }
 _LEAST = 1e-16  # where a logarithmic axis shows zero
+_LATE = 1e-8  # first impacts [s]: later of all settings with fixed steps, earlier of all that locate impacts
 
 
 def points(results: Results, quantity: str) -> dict[str, dict[str, list[Any]]]:
@@ -70,11 +76,6 @@ addEventListener("pointermove", (event) => {
 
 def draw(results: Results, path: Path) -> None:
     """Draw it, legible at 390 pixels; its title shows the numbers of the setting under the pointer."""
-    import matplotlib
-    from matplotlib.figure import Figure
-
-    import jackbox_env.commands.plots  # noqa: F401  # the style of all plots
-
     figure = Figure(figsize=(4.0, 4.8), dpi=200, layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3.4, 1.0))
     for axis in (upper, lower):
@@ -100,8 +101,6 @@ def draw(results: Results, path: Path) -> None:
 
 def _add_rings(results: Results, *axes: Any) -> dict[str, list[str]]:
     """Draw an invisible ring around each point; return its two lines of text: setting and cost, and error."""
-    from jackbox_env.commands.plots import GREY
-
     lines = dict[str, list[str]]()
     for name in results.settings:
         error, cost = results.some(name, "first_1", "cost")
@@ -127,7 +126,8 @@ def _plot(axis: Any, lines: dict[str, dict[str, list[Any]]]) -> None:
     for family, line in lines.items():
         colour = _COLOURS.get(family)  # none: variants of another family, which would lie on its points
         if colour:
-            axis.plot("cost", "median", "o-", data=line, markersize=4, color=colour)
+            style = {"marker": _MARKERS[family], "markersize": 7 if family == DETECTION else 4, "color": colour}
+            axis.plot("cost", "median", data=line, zorder=3 if family == DETECTION else 2, **style)
             axis.vlines("cost", "median", "worst", data=line, color=colour, alpha=0.4)
         for name, *point in zip(line["setting"], line["cost"], line["median"], strict=True):
             text, offset, aligned = _LABELS.get(name, ("", (0, 0), "left"))
@@ -135,21 +135,25 @@ def _plot(axis: Any, lines: dict[str, dict[str, list[Any]]]) -> None:
 
 
 def draw_impacts(results: Results, settings: Sequence[str], path: Path) -> None:
-    """Draw the median error of the k-th impact's time against k: a line for each setting, of the proven cases."""
-    from matplotlib.figure import Figure
+    """Draw the median error of the k-th impact's time against k: a line for each setting, of the proven cases.
 
-    import jackbox_env.commands.plots  # noqa: F401  # the style of all plots
-
-    figure = Figure(figsize=(6.4, 4.2), layout="constrained")
-    axis = figure.subplots()
-    for marker, name in zip("osv^D<>phd", settings, strict=False):
+    Settings that find impacts at their time are below, those of fixed steps above, on an axis of its own.
+    """
+    figure = Figure(figsize=(5.0, 7.2), layout="constrained")
+    panels = figure.subplots(2, 1)
+    for marker, dashes, name in zip("osv^D<>ph", ("-", "--", ":") * 3, settings, strict=False):
         rows = [results.of(name, impact(number).name, REFERENCE) for number in range(1, PREDICTABLE + 1)]
         errors = [max(row.median, _LEAST) for row in rows if row.n]
+        axis = panels[int(rows[0].median < _LATE)]
         colour = _COLOURS.get(rows[0].family, "C1")
-        axis.plot(range(1, len(errors) + 1), errors, marker=marker, markersize=4, color=colour, label=name)
-    axis.set(yscale="log", xlabel="number of the impact", xticks=range(1, PREDICTABLE + 1))
-    axis.set_title("Median error of a correct impact's time [s]", loc="left", fontsize="medium")
-    axis.grid()
-    figure.legend(loc="outside right center", fontsize="small", frameon=False)
+        style = {"marker": marker, "linestyle": dashes, "markersize": 5, "color": colour}
+        axis.plot(range(1, len(errors) + 1), errors, label=name, **style)
+    for axis, which in zip(panels, ("fixed steps", "located impacts"), strict=True):
+        axis.set(
+            yscale="log", xlim=(0.5, PREDICTABLE + 0.5), xticks=range(1, PREDICTABLE + 1), xlabel="number of the impact"
+        )
+        axis.set_title(f"Median error of a correct impact's time [s]: {which}", loc="left", fontsize="medium")
+        axis.grid()
+        axis.legend(fontsize="small", frameon=False, loc="upper left", bbox_to_anchor=(0.0, -0.18), ncols=2)
     with replacing(path) as partial:
         figure.savefig(partial, dpi=150, format="png", metadata={"Software": None})
