@@ -62,6 +62,7 @@ def film(
     seconds: float = 10.0,
     width: int = WIDTH,
     progress: bool = True,
+    begin: float = 0.0,
 ) -> dict[str, float]:
     """Let each policy act from the same start and write their frames side by side; return their sums of rewards.
 
@@ -73,6 +74,7 @@ def film(
         seconds: simulated time shown.
         width: of each picture [pixels].
         progress: show a progress bar.
+        begin: simulated time before the first frame [s]; its rewards count.
 
     Raises:
         OSError, ValueError: no film can be written to ``path``.
@@ -87,11 +89,11 @@ def film(
     earned, states = dict.fromkeys(acts, 0.0), dict[str, Any].fromkeys(acts)
     control_dt = float(env_settings.get("control_dt", 0.02))
     every = max(1, round(0.04 / control_dt))  # 25 frames per second
-    frames = []
-    steps = range(max(1, round(seconds / control_dt)))
+    frames, first = [], round(begin / control_dt)
+    steps = range(first + max(1, round(seconds / control_dt)))
     with tqdm(steps, desc="film", disable=not progress, unit="step", leave=False) as bar:
         for step in bar:
-            if step % every == 0:
+            if step >= first and (step - first) % every == 0:
                 frames.append(_frame(environments, earned, width))
             for caption, act in acts.items():
                 action, states[caption] = act.policy.predict(

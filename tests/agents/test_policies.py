@@ -196,6 +196,20 @@ def test_films_show_the_policies_side_by_side(tmp_path: Path, suffix: str) -> No
         film(acts, {}, path, seed=0)
 
 
+def test_a_film_may_begin_later_and_its_returns_count_from_the_start(tmp_path: Path) -> None:
+    import imageio.v3 as imageio
+
+    acts = {name: find_policy(name, EnvSettings()) for name in ("zero", "chirp")}
+    whole = film(acts, {}, tmp_path / "whole.gif", seed=0, seconds=0.8, width=128, progress=False)
+    part = film(acts, {}, tmp_path / "part.gif", seed=0, seconds=0.4, width=128, progress=False, begin=0.4)
+    assert part == whole
+    frames, later = (imageio.imread(tmp_path / f"{name}.gif").astype(int) for name in ("whole", "part"))
+    assert len(later) == 10 == len(frames) // 2
+    assert (
+        np.abs(later[0] - frames[10]).mean() < 1.0 < np.abs(later[0] - frames[0]).mean()
+    )  # of palettes, and of motion
+
+
 def test_a_whole_episode_is_filmed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
