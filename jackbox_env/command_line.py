@@ -75,6 +75,12 @@ def _sentence(error: Exception) -> str:
     return str(error)
 
 
+def loading_libraries() -> None:
+    """Print on a terminal that the libraries of training are imported now, which lasts some seconds."""
+    if sys.stderr.isatty():
+        print("Loading PyTorch and Stable-Baselines3 ...", file=sys.stderr, flush=True)
+
+
 def called(name: str, *arguments: str) -> str:
     """A command line to continue with: of ``jackbox`` if that started this process, else of the script of that name."""
     by_jackbox = sys.argv[0].startswith(f"{JACKBOX} ")

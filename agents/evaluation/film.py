@@ -103,7 +103,7 @@ def film(
                 earned[caption] += float(reward)
     for environment in environments.values():
         environment.close()
-    _write(frames, path, fps=1.0 / (every * control_dt))
+    _write(frames, path, 1.0 / (every * control_dt), progress)
     return earned
 
 
@@ -126,13 +126,14 @@ def _captioned(picture: Any, caption: str, width: int) -> Frame:
     return np.asarray(page)
 
 
-def _write(frames: list[Frame], path: Path, fps: float) -> None:
+def _write(frames: list[Frame], path: Path, fps: float, progress: bool) -> None:
     if path.suffix.lower() == ".gif":
         # One palette for all frames keeps the background still and the file small.
         palette = _palette(np.concatenate(frames[:: max(1, len(frames) // 24)]).reshape(-1, 3))
-        pages = [Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+        bar = tqdm(frames, desc=f"writing {path}", disable=not progress, unit="frame", leave=False)
+        pages = (Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in bar)
         with replacing(path) as partial:
-            pages[0].save(partial, save_all=True, append_images=pages[1:], duration=round(1000.0 / fps), loop=0)
+            next(pages).save(partial, save_all=True, append_images=pages, duration=round(1000.0 / fps), loop=0)
     else:
         with replacing(path) as partial:
             imageio.imwrite(partial, np.stack(frames), fps=fps, codec="libx264", macro_block_size=4)
@@ -140,8 +141,11 @@ def _write(frames: list[Frame], path: Path, fps: float) -> None:
 
 def _palette(pixels: Frame) -> Image.Image:
     """A palette of 256 colours: the widest areas' own, and others so that small things (flash, gauge) keep theirs."""
-    colours, areas = np.unique(pixels, axis=0, return_counts=True)
-    widest = colours[np.argsort(areas)[-32:]]
+    packed = pixels @ np.array([1 << 16, 1 << 8, 1], np.uint32)  # colours as whole numbers
+    areas = np.bincount(packed, minlength=1 << 24)
+    numbers = np.flatnonzero(areas)
+    colours = np.stack([numbers >> 16, numbers >> 8 & 255, numbers & 255], axis=1).astype(np.uint8)
+    widest = colours[np.argsort(areas[numbers], kind="stable")[-32:]]
     spread = Image.fromarray(colours[None]).quantize(256 - len(widest), method=Image.Quantize.MEDIANCUT)
     palette = Image.new("P", (1, 1))
     palette.putpalette(widest.ravel().tolist() + (spread.getpalette() or []))

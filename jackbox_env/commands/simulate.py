@@ -174,13 +174,13 @@ def main() -> None:
     simulator.reset(_state(arguments.state), arguments.time)
     try:
         trajectory = simulate(simulator, arguments.seconds, arguments.dt, torques=torques)
+        print(f"{len(trajectory.impacts)} impacts by t = {simulator.time:g} s, {words(setting)}; writing", flush=True)
         folder = new_folder(
             arguments.folder, "simulate", lambda new: _write(new, arguments, scene, setting, trajectory)
         )
     except KeyboardInterrupt:
         print("\nInterrupted: nothing was written", file=sys.stderr)
         raise
-    print(f"{len(trajectory.impacts)} impacts by t = {simulator.time:g} s, {words(setting)}; wrote")
     for path in sorted(folder.iterdir()):
         print(f"  {path}")
     if trajectory.failure:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from jackbox_env.command_line import command_line
+from jackbox_env.command_line import command_line, loading_libraries
 from jackbox_env.states import THETA_JACK, X_JACK, Y_JACK
 
 
@@ -47,8 +47,11 @@ class Arguments:
 @command_line
 def main() -> None:
     """Train, evaluate, print."""
-    import torch
     import tyro
+
+    arguments = tyro.cli(Arguments, description=__doc__)
+    loading_libraries()
+    import torch
     from stable_baselines3 import PPO
     from stable_baselines3.common.evaluation import evaluate_policy
 
@@ -56,7 +59,6 @@ def main() -> None:
     from jackbox_env.sb3 import make_sb3_vec_env
     from jackbox_env.sb3_wrappers import HoldingVecEnv
 
-    arguments = tyro.cli(Arguments, description=__doc__)
     task = Task(("there", "time"), reward, over=through, start=below)
 
     def make_envs(count: int) -> HoldingVecEnv:
