@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import json
 import re
 from pathlib import Path
 
@@ -77,3 +78,16 @@ def test_the_methods_are_listed(owner: str, names: str) -> None:
     assert set(names.split(", ")) <= set(members.split(", "))
     for name in members.split(", "):
         assert getattr(jackbox_env, owner).__dict__[name] is not None
+
+
+@pytest.mark.parametrize("notebook", sorted(DOCS.glob("*.ipynb")), ids=lambda path: path.name)
+def test_notebooks_import_public_names_alone(notebook: Path) -> None:
+    cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
+    code = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
+    imported = [
+        f"{module}.{name.strip()}".removeprefix(".")
+        for module, names in re.findall(r"^from jackbox_env(\S*) import ([\w, ]+)", code, re.MULTILINE)
+        for name in names.split(",")
+    ]
+    assert "jackbox_env" in code
+    assert _missing(imported, INDEX, DETAILS) == []

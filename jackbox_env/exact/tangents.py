@@ -8,7 +8,7 @@ becomes
 
     d+ = (DR + (f+ - DR f-) Dg / (Dg f-)) d,
 
-the saltation matrix (Aizerman and Gantmacher 1958; Kong et al. 2024, "Saltation Matrices", Proceedings of the IEEE). It
+the saltation matrix (Aizerman and Gantmakher 1958; Kong et al. 2024, "Saltation Matrices", Proceedings of the IEEE). It
 is applied as it is derived: to the moment of impact, dt* = -Dg d / (Dg f-), through the law there, and back.
 
 Exactness: rounding of the states and of the impacts' times, over the impact's rate.

@@ -112,13 +112,17 @@ def _table(rows: list[dict[str, Any]]) -> str:
 def _across(rows: list[dict[str, Any]]) -> dict[str, Any]:
     names = list(rows[0]["earned"])
     default = next(row["earned"] for row in rows if Scene.of(dict(row["scene"])) == Scene())
-    lines = []
-    for row in rows:
-        fields = row["scene"]["restitution"], row["scene"]["jack_mass"]
-        lines.append([*(f"{field:g}" for field in fields), *(_cell(earned) for earned in row["earned"].values())])
+    lines, spreads = [], []
+    for restitution in dict.fromkeys(row["scene"]["restitution"] for row in rows):
+        earned = {
+            row["scene"]["jack_mass"]: row["earned"] for row in rows if row["scene"]["restitution"] == restitution
+        }
+        lines.append([f"{restitution:g}", *(_cell(earned[Scene().jack_mass][name]) for name in names)])
+        spreads += [np.ptp([of_mass[name]["mean"] for of_mass in earned.values()]) for name in names]
     return {
         "scenes": len(rows),
-        "across": table(("restitution", "jack's mass [kg]", *names), lines),
+        "across": table(("restitution", *names), lines),
+        "by_mass": max(spreads),
         "means": {name: float(np.mean([row["earned"][name]["mean"] for row in rows])) for name in names},
         "own": {name: default[name]["mean"] for name in names},
         "ranges": these.RANGES,

@@ -108,17 +108,15 @@ def measured(part: Part, rounds: int, seconds: float, stored: dict[str, Any]) ->
 
 
 def _section(results: Mapping[str, Any]) -> str:
-    """The tables of a part: rates with the time of one, and ratios; those of an earlier run last."""
-    rates = [
-        [name, *_cells(values), figure(1e9 / statistics.median(values))] for name, values in results["rates"].items()
-    ]
+    """The tables of a part: rates and ratios; those of an earlier run last."""
+    rates = [[name, *_cells(values)] for name, values in results["rates"].items()]
     ratios = [[what, *_cells(values)] for what, values in all_ratios(results).items()]
     earlier = [
         f"Not installed here, and kept from an earlier run: {what}. {one['made']}"
         for what, one in results["kept"].items()
     ]
     lines = [
-        table(("what", "per second", "smallest to largest", "ns each"), rates),
+        table(("what", "per second", "smallest to largest"), rates),
         table(("ratio", "median", "smallest to largest"), ratios),
         *earlier,
     ]
@@ -155,9 +153,18 @@ def page(results: Results) -> str:
         "tables": {part: _section(results[part]) for part in rates},
         "lost": together["lost"],
         "memory": results["start"],
-        "made": "\n".join(f"- `{part}`: {of['made']}" for part, of in results.items()),
+        "made": _made(results),
     }
     return (Path(__file__).parent / "page.md").read_text().format(**fields)
+
+
+def _made(results: Results) -> str:
+    """Machine and versions, once for all parts that share them, and each part's commit and rounds."""
+    parts = dict[str, list[str]]()
+    for part, of in results.items():
+        shared, _, rest = of["made"].partition(", commit ")
+        parts.setdefault(shared, []).append(f"`{part}` at commit {rest}")
+    return "\n".join(f"- {shared}: {' '.join(ones)}" for shared, ones in parts.items())
 
 
 def for_the_readme(results: Results) -> str:
