@@ -23,7 +23,7 @@ _WITHOUT_EFFECT = {
     "Monitor", "OrderEnforcing", "PassiveEnvChecker", "RecordEpisodeStatistics", "RecordVideo", "TimeLimit",
     "VecCheckNan", "VecMonitor", "VecVideoRecorder",
 }  # fmt: skip
-_KEYS = {"env", "repeat", "landing", "lookahead", "normalize", "unknown"}  # of an entry
+_KEYS = {"env", "repeat", "landing", "lookahead", "normalize", "unknown", "functions"}  # of an entry
 _MOST_BYTES = 10_000_000  # that are read of env.json
 
 
@@ -32,7 +32,8 @@ def save_model(model: BaseAlgorithm, path: str | Path) -> Path:
 
     ``jackbox evaluate --policy model.zip --trust`` then plays it as it was trained. env.json has an entry for each
     model of its folder: the environment, action repeat, landing control, look-ahead, and the statistics of
-    ``VecNormalize`` as numbers. Both files are replaced in one stroke.
+    ``VecNormalize`` as numbers. Functions, such as a task of your own, are named but not stored. Both files are
+    replaced in one stroke.
 
     Args:
         model: trained on :func:`make_sb3_vec_env`, or on ``gymnasium.make("JackInBox-v0")`` in any of
@@ -92,16 +93,22 @@ def _stored(venv: VecEnv | None) -> dict[str, Any]:
             stored |= layer.stored  # type: ignore[attr-defined]
         elif type(layer).__name__ not in _WITHOUT_EFFECT:
             unknown.append(type(layer).__name__)
-    task = inner.get_attr("task")[0]
-    env = {"task": task if isinstance(task, str) else None, **_storable(spec.kwargs)}
-    return {"env": env, **stored, "unknown": unknown}
+    keywords = {**spec.kwargs, "task": inner.get_attr("task")[0], "scene": Scene.of(spec.kwargs.get("scene"))}
+    functions = {
+        "task": not isinstance(keywords["task"], str),
+        "randomize": callable(keywords.get("randomize")),
+        "scene": isinstance(keywords["scene"].drive, Drive),
+    }
+    of_functions = [name for name, is_function in functions.items() if is_function]
+    env = {"task": None if functions["task"] else keywords["task"], **_storable(keywords)}
+    return {"env": env, **stored, "unknown": unknown, "functions": of_functions}
 
 
 def _storable(keywords: Mapping[str, Any]) -> dict[str, Any]:
     """Keywords of an environment that differ from the default, as JSON has them; functions are left out."""
     stored = {name: keywords[name] for name in (*KEYWORDS, "control_dt") if name in keywords}
     stored |= {name: dict(keywords[name]) for name in ("randomize",) if isinstance(keywords.get(name), Mapping)}
-    scene = Scene.of(keywords.get("scene"))
+    scene = keywords["scene"]
     if isinstance(scene.drive, Drive):
         return stored
     default = Scene().as_dict()

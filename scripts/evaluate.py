@@ -42,7 +42,8 @@ class Arguments:
     """Also film an episode of all policies side by side, in this new .mp4 or .gif file."""
     trust: bool = False
     """Unpickle models that have no settings.json beside them: only those of people you trust. They act as env.json
-    beside them describes, which jackbox_env.sb3.save_model writes, or by the next three options."""
+    beside them describes, which jackbox_env.sb3.save_model writes; without an entry there, by the next three
+    options."""
     landing: float | Literal["bounce"] | None = None
     """Such models choose landings, as under LandingControlVecEnv, for this period [s] or until the next impact."""
     repeat: int | None = None

@@ -41,9 +41,9 @@ def _settings_of(name: str, here: EnvSettings) -> EnvSettings | None:
 
 
 def _stored_env(file: Path) -> EnvSettings | None:
-    """The environment in the env.json beside a model; None if there is none, or a task of one's own."""
+    """The environment in the env.json beside a model; None if there is none, or functions describe it."""
     stored = stored_beside(file)
-    if stored is None or stored["env"].get("task") is None:
+    if stored is None or stored["functions"]:
         return None
     texts = {name: json.dumps(stored["env"][name]) for name in ("scene", "randomize") if name in stored["env"]}
     return EnvSettings.of({**stored["env"], **texts})
@@ -53,6 +53,12 @@ def warn_of_other_training(name: str, here: EnvSettings) -> None:
     """Print a note if a policy was trained in another environment, or plans in another scene than those drawn."""
     if name in POLICIES and name not in SCRIPTED and here.randomized:
         print(f"Note: {name} plans in the scene that is given, not in those that randomize draws", file=sys.stderr)
+    if name not in POLICIES and (functions := (stored_beside(Path(name)) or {}).get("functions")):
+        here_on = f"here it plays on {describe_env(here)}"
+        print(
+            f"Note: {name} was trained with {' and '.join(functions)} by functions of its own; {here_on}",
+            file=sys.stderr,
+        )
     trained = _settings_of(name, here)
     if trained is None:
         return

@@ -32,7 +32,7 @@ _CIRCLES = [4, 5], [7, 8]  # components of an observation that are a cosine and 
 
 
 class Options(NamedTuple):
-    """How models act, where they differ from env.json; None: as there, else a torque in each control step."""
+    """How a model acts that env.json does not describe; None: a torque in each control step, not normalized."""
 
     landing: float | Literal["bounce"] | None = None  # period of landing control [s], or until an impact
     repeat: int | None = None  # control steps of an action
@@ -79,22 +79,19 @@ def load(file: Path) -> Any:
 
 
 def stored_beside(file: Path) -> dict[str, Any] | None:
-    """How a model acts by the env.json beside it; None if there is none.
+    """How a model acts by the env.json beside it; None if that has no entry for it.
 
     A model that was renamed has the only entry.
 
     Raises:
-        ValueError: it is damaged, or has other models only.
+        ValueError: env.json is damaged.
     """
     from jackbox_env.saved_models import ENV, read_stored
 
     entries = read_stored(file.parent / ENV)
-    if not entries or file.name in entries:
-        return entries.get(file.name)
-    ((name, entry), *others) = entries.items()
-    if others or (file.parent / name).exists():
-        raise ValueError(f"{file.parent / ENV} must have an entry for {file.name}, got only {', '.join(entries)}")
-    return entry
+    if len(entries) == 1 and not any((file.parent / name).exists() for name in entries):
+        return next(iter(entries.values()))
+    return entries.get(file.name)
 
 
 def policy_of(file: Path, model: Any, settings: EnvSettings, options: Options) -> ModelPolicy:
@@ -102,9 +99,12 @@ def policy_of(file: Path, model: Any, settings: EnvSettings, options: Options) -
 
     Raises:
         TypeError, ValueError: the model does not fit, or statistics of its observations are missing; the message names
-            the wrapper or the option that would fit.
+            the wrapper or the option that would fit. There are options, and env.json describes the model too.
     """
     beside = stored_beside(file)
+    if beside is not None and options != Options():
+        chosen = " and ".join(f"--{name}" for name, value in options._asdict().items() if value is not None)
+        raise ValueError(f"{file} acts as env.json beside it describes: leave {chosen} out, or move the model")
     stored = {"repeat": 1, "landing": None, "lookahead": None, "normalize": None, "unknown": [], **(beside or {})}
     stored |= {name: value for name, value in options._asdict().items() if value is not None}
     if stored["unknown"]:
@@ -121,7 +121,8 @@ def policy_of(file: Path, model: Any, settings: EnvSettings, options: Options) -
         )
     if beside is None and options == Options():
         print(
-            f"Note: {file} has no env.json beside it, so it decides in every control step (--repeat)", file=sys.stderr
+            f"Note: no env.json beside {file} describes it, so it decides in every control step (--repeat)",
+            file=sys.stderr,
         )
     return ModelPolicy(model, acting, stored["normalize"])
 

@@ -127,6 +127,7 @@ def test_the_environment_is_stored_where_it_differs_and_functions_are_left_out(t
     of_mine = native(task=Task(("a",), juggle), scene=Scene(drive=Drive(np.cos)), randomize=lambda rng: {})
     save_model(PPO("MlpPolicy", of_mine), tmp_path / "model.zip")
     assert entry(tmp_path)["env"] == {"task": None, "fidelity": "exact"}
+    assert entry(tmp_path)["functions"] == ["task", "randomize", "scene"]
 
 
 def test_models_share_a_folder_and_a_renamed_one_is_known(tmp_path: Path) -> None:
@@ -137,9 +138,13 @@ def test_models_share_a_folder_and_a_renamed_one_is_known(tmp_path: Path) -> Non
     save_model(PPO("MlpPolicy", native()), one)
     save_model(PPO("MlpPolicy", HoldingVecEnv(native(), 2)), other)
     assert find_policy(str(one), HERE, trust=True).policy.repeat == 1  # type: ignore[attr-defined]
-    other.rename(tmp_path / "third.zip")
-    with pytest.raises(ValueError, match="must have an entry for third.zip, got only model.zip, other.zip"):
-        find_policy(str(tmp_path / "third.zip"), HERE, trust=True)
+    other.rename(tmp_path / "third.zip")  # env.json has two entries, but none of this name: options describe it
+    by_options = find_policy(str(tmp_path / "third.zip"), HERE, trust=True, options=Options(repeat=3)).policy
+    assert by_options.repeat == 3  # type: ignore[attr-defined]
+    with pytest.raises(
+        ValueError, match=r"model.zip acts as env.json beside it describes: leave --repeat out, or move"
+    ):
+        find_policy(str(one), HERE, trust=True, options=Options(repeat=3))
     (tmp_path / "env.json").write_text('{"model.zip": {}}')
     for call in (lambda: find_policy(str(one), HERE, trust=True), lambda: save_model(PPO("MlpPolicy", native()), one)):
         with pytest.raises(ValueError, match=r"env.json: model.zip must have env, .*, got {}"):
@@ -199,6 +204,9 @@ def test_without_env_json_and_in_another_environment_there_is_a_note(tmp_path: P
     assert "Note: model.zip was trained in another environment (task spin, fidelity exact)" in done.stderr
     assert "Note:" not in script("evaluate", *few, "--trust", "--task", "spin", cwd=tmp_path).stderr
     assert "use --trust" in script("evaluate", *few, cwd=tmp_path, status=2).stderr
+    save_model(trained(native(task=Task(("a",), juggle))), tmp_path / "model.zip")
+    done = script("evaluate", *few, "--trust", cwd=tmp_path)
+    assert "Note: model.zip was trained with task by functions of its own; here it plays on task juggle" in done.stderr
     (tmp_path / "env.json").unlink()
     done = script("evaluate", *few, "--trust", cwd=tmp_path)
-    assert "Note: model.zip has no env.json beside it, so it decides in every control step (--repeat)" in done.stderr
+    assert "Note: no env.json beside model.zip describes it, so it decides in every control step" in done.stderr
