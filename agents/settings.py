@@ -186,14 +186,21 @@ class TrainSettings(EnvSettings):
     initial_log_std: float = -1.0
     """Initial logarithm of the actions' standard deviation."""
     repeat: Annotated[int | Literal["bounce"], tyro.conf.arg(aliases=["--hold"])] = "bounce"
-    """Action repeat: control steps of each action, a divisor of the episode's 500. Or bounce, with landing: an action
-    lasts until the next impact, at most 2 s."""
+    # Parentheses, because tyro's help would keep a docstring's line breaks.
+    (
+        "Action repeat: control steps of each action, a divisor of the episode's 500. Or bounce, with landing: an "
+        "action lasts until the next impact, at most 2 s."
+    )
     preview: bool = True
-    """Append landing features to the observation. Such a model.zip loads only if this checkout can be imported;
-    scripts/export.py makes a policy from it that needs only numpy."""
+    (
+        "Append landing features to the observation. Such a model.zip loads only if this checkout can be imported; "
+        "scripts/export.py makes a policy from it that needs only numpy."
+    )
     lookahead: int = 0
-    """Rollouts that improve a plan before each action; the networks observe its return, and those of 9 scripted
-    manoeuvres."""
+    (
+        "Rollouts that improve a plan before each action; the networks observe its return, and those of 9 scripted "
+        "manoeuvres."
+    )
     landing: bool = True
     """Actions are the box's angle and rate at the landing, not torques: jackbox_env.LandingControl. For juggle."""
     checkpoint_steps: int = 200_000

@@ -134,9 +134,9 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     that option. Unless set, inertias follow mass and size. `env.unwrapped.scene` is the present scene.
 
     `randomize={"jack_mass": (2.0, 6.0), "restitution": (0.8, 1.0)}` draws these fields at each reset, uniformly, in the
-    order of `Scene`'s fields and before the start. Ranges that include an invalid scene raise ValueError at once.
-    `randomize` may also be a function that takes the environment's `numpy.random.Generator` and returns a dict of
-    fields. The option `"scene"` then overrides drawn fields for that episode.
+    order of `Scene`'s fields and before the start. They are not observed. Ranges that include an invalid scene raise
+    ValueError at once. `randomize` may also be a function that takes the environment's `numpy.random.Generator` and
+    returns a dict of fields. The option `"scene"` then overrides drawn fields for that episode.
 
     ## Fidelity
 

@@ -23,11 +23,13 @@ class Arguments:
     settings: EnvSettings
     scene_fields: SceneFields
     policy: tuple[str, ...] = ("random", "chirp", "zero", "level")
-    """random: uniform torques; chirp: the scene's drive; zero: no torque; level: a PD controller that keeps the box
-    level; planner: simulates many torque sequences by the exact model, up to 10 ms for each decision of 0.1 s;
-    planner-fast: fewer, 1 ms; lookahead: follows the plan of Lookahead; ppo: the network of the task in
-    agents/trained; distilled: trained on exact rollouts, needs none at run time; or run folders, exported policies or
-    model files. All act in the environment given here, whatever they were trained in."""
+    (
+        "random: uniform torques; chirp: the scene's drive; zero: no torque; level: a PD controller that keeps the "
+        "box level; planner: simulates many torque sequences by the exact model, up to 10 ms for each decision of 0.1 "
+        "s; planner-fast: fewer, 1 ms; lookahead: follows the plan of Lookahead; ppo: the network of the task in "
+        "agents/trained; distilled: trained on exact rollouts, needs none at run time; or run folders, exported "
+        "policies or model files. All act in the environment given here, whatever they were trained in."
+    )
     episodes: int = 128
     """Episodes of each policy."""
     seed: int = 0
@@ -41,9 +43,11 @@ class Arguments:
     film: Path | None = None
     """Also film an episode of all policies side by side, in this new .mp4 or .gif file."""
     trust: bool = False
-    """Unpickle models that have no settings.json beside them: only those of people you trust. They act as env.json
-    beside them describes, which jackbox_env.sb3.save_model writes; without an entry there, by the next three
-    options."""
+    (
+        "Unpickle models that have no settings.json beside them: only those of people you trust. They act as env.json "
+        "beside them describes, which jackbox_env.sb3.save_model writes; without an entry there, by the next three "
+        "options."
+    )
     landing: float | Literal["bounce"] | None = None
     """Such models choose landings, as under LandingControlVecEnv, for this period [s] or until the next impact."""
     repeat: int | None = None

@@ -10,6 +10,7 @@ from scripts.site.build import ensure_page
 @command_line
 def main() -> None:
     """Build the page unless it is up to date, and open it."""
+    play.options()  # --help need not wait for the page
     ensure_page()
     play.main()
 

@@ -25,8 +25,10 @@ class Grid:
     policy: tuple[str, ...] = ("level", "ppo")
     """As in scripts/evaluate.py: names, run folders, exported policies."""
     train: str | None = None
-    """In place of policies: settings of scripts/train.py as JSON, each with a list of values, e.g.
-    '{"total_steps": [100000], "learning_rate": [0.0005, 0.001]}'. The best model of each training is evaluated."""
+    (
+        "In place of policies: settings of scripts/train.py as JSON, each with a list of values, e.g. "
+        '\'{"total_steps": [100000], "learning_rate": [0.0005, 0.001]}\'. The best model of each training is evaluated.'
+    )
     task: tuple[TaskName, ...] = ("juggle",)
     """What is rewarded."""
     setting: tuple[str, ...] = ("exact",)

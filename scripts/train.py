@@ -24,8 +24,10 @@ class Arguments:
     folder: Path | None = None
     """New folder for all that is written; None: runs/<task>-<date>-<time>."""
     resume: Path | None = None
-    """Run folder to resume, with its settings, from its newest intact checkpoint. With --total-steps N it continues to
-    N steps in all, also if it was finished."""
+    (
+        "Run folder to resume, with its settings, from its newest intact checkpoint. With --total-steps N it "
+        "continues to N steps in all, also if it was finished."
+    )
     progress: bool = True
     """Show a progress bar."""
 

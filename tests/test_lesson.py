@@ -60,7 +60,7 @@ def test_the_links_of_the_wedges_differ_as_the_page_says() -> None:
 def test_two_wedges(by: float) -> None:
     game = WEDGE._replace(start=WEDGE.start + by * np.eye(12)[5])
     (states, impacts), (others, _) = played(WEDGE, 11.0), played(game, 11.0)
-    apart = 0.02 * (abs(states - others)[:, 3:5].max(axis=1) > 0.1).argmax()
+    apart = 0.02 * (np.hypot(*(states - others)[:, 3:5].T) > 0.1).argmax()
     assert f"fter {apart:.1f} s, or {sum(hit.time < apart for hit in impacts)}" in LESSON
 
 

@@ -49,7 +49,7 @@ def film_episode(acts: dict[str, Baseline], env_settings: dict[str, Any], path: 
     seconds = EPISODE_STEPS * float(env_settings.get("control_dt", 0.02))
     named = {Path(name).name: act for name, act in acts.items()}
     earned = film(named if len(named) == len(acts) else acts, env_settings, path, seed, seconds, WIDTH)
-    print(f"Film of {', '.join(acts)}: {path}, one episode from the start of environment seed {seed}")
+    print(f"Film of {', '.join(acts)}: {path}, the first episode")
     for name, one in zip(acts, earned.values(), strict=True):
         print(f"  {name}: return {one:.1f}")
 

@@ -13,7 +13,8 @@ from jackbox_env.commands.options import parser_of
 PAGE = Path(__file__).parents[1] / "page" / "play.html"
 
 
-def _arguments() -> argparse.Namespace:
+def options() -> argparse.Namespace:
+    """The command's options; ``--help`` ends the process here."""
     parser = parser_of(__doc__)
     parser.add_argument("--no-browser", action="store_true", help="only print the path of the page")
     return parser.parse_args()
@@ -26,13 +27,13 @@ def main() -> None:
     Raises:
         FileNotFoundError: this package was built without the page.
     """
-    arguments = _arguments()
+    chosen = options()
     if not PAGE.is_file():
         raise FileNotFoundError(
             f"this jackbox was built without its page, {PAGE}: in a checkout `jackbox play` builds it"
         )
     print(PAGE, flush=True)
-    if not arguments.no_browser and not webbrowser.open(PAGE.as_uri()):
+    if not chosen.no_browser and not webbrowser.open(PAGE.as_uri()):
         print("No browser could be opened: open this file in one.", file=sys.stderr)
 
 

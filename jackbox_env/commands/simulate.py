@@ -106,7 +106,7 @@ def _torques(path: Path, dt: float) -> Array:
 
 
 def _completed(arguments: argparse.Namespace) -> Array | None:
-    """The torque of each control step [N m]; None: the scene's drive acts. Completes ``arguments.seconds``.
+    """The torque of each control step [N m] from a file; None: the scene's drive acts. Completes ``arguments.seconds``.
 
     Raises:
         ValueError: a duration that cannot be simulated; a file that is unusable or shorter.
@@ -121,7 +121,7 @@ def _completed(arguments: argparse.Namespace) -> Array | None:
     if torques is not None and len(torques) < steps:
         lasts = f"as long as {arguments.torque} lasts"
         raise ValueError(f"seconds must be at most {len(torques) * dt:g}, {lasts}, got {arguments.seconds:g}")
-    return np.zeros(steps) if arguments.torque == "none" else torques
+    return torques
 
 
 def _refuse_impossible(arguments: argparse.Namespace) -> None:
@@ -170,6 +170,8 @@ def main() -> None:
     torques = _completed(arguments)
     setting = chosen_setting(arguments)
     scene = Scene.of(chosen_scene(arguments.scene, arguments))
+    if arguments.torque == "none":
+        scene = scene.changed(drive=None)
     simulator = make_simulator(scene, **setting._asdict())
     simulator.reset(_state(arguments.state), arguments.time)
     try:

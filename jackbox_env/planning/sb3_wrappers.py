@@ -97,7 +97,8 @@ class LandingControlVecEnv(ControlledVecEnv):
 
     def __init__(self, venv: JackInBoxVecEnv, *, period: Period = 0.4) -> None:
         if not isinstance(venv, JackInBoxVecEnv):
-            raise TypeError(f"landing control needs the environments of make_sb3_vec_env, got {check.shown(venv)}")
+            what = "the environments of make_sb3_vec_env, with other wrappers outside"
+            raise TypeError(f"landing control needs {what}, got {check.shown(venv)}")
         super().__init__(venv, Aiming(venv.vector_env, period))
 
 

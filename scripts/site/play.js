@@ -102,6 +102,9 @@ const panels = [
     series: [series("gained", "energy", COLUMN.energy, false, 1e-3), series("work", "ink", COLUMN.work, true, 1e-3)],
   },
   { title: "box angle", unit: "rad", series: [series("\u03b8", "box", COLUMN.theta_box)] },
+  { title: "height", unit: "m", series: [series("jack", "jack", COLUMN.y_jack), series("box", "box", COLUMN.y_box, true)] },
+  { title: "upward velocity", unit: "m/s", series: [series("jack", "jack", COLUMN.vy_jack), series("box", "box", COLUMN.vy_box, true)] },
+  { title: "jack's spin", unit: "rad/s", series: [series("\u03c9", "jack", COLUMN.omega_jack)] },
 ];
 panels[0].series[0].wide = 5;
 const times = make("canvas");

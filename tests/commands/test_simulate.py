@@ -131,6 +131,7 @@ def test_torques_come_from_a_file_or_are_none_and_a_state_has_names(
     calm = np.load(tmp_path / "calm" / "trajectory.npz")
     assert len(calm["torque"]) == 200
     assert not calm["torque"].any()
+    assert Scene.of(json.loads(calm["scene"].item())) == Scene(drive=None)
     assert calm["state"][0, 3:5].tolist() == [1.0, 0.0]
 
 

@@ -49,8 +49,10 @@ class Arguments:
     seconds: float = 0.3
     """Time per measurement of cost [s]."""
     runs: Path | None = None
-    """Folder of the sweep; made if there is none. What is finished there is not done again. None:
-    runs/benchmark-<date>-<time>."""
+    (
+        "Folder of the sweep; made if there is none. What is finished there is not done again. None: "
+        "runs/benchmark-<date>-<time>."
+    )
     page_from: Path | None = None
     """Do not sweep: write page and pictures again from this results.json and the results.csv in its folder."""
     workers: int | None = None
