@@ -73,7 +73,7 @@ def photograph_page() -> None:
 
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
-        page = browser.new_page(viewport={"width": 1000, "height": 884})
+        page = browser.new_page(viewport={"width": 1000, "height": 838})
         page.goto(ensure_page().as_uri())
         page.keyboard.press("a")
         page.locator("#clock", has_text=re.compile("^3")).wait_for()
