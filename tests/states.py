@@ -33,12 +33,14 @@ def inside(scene: Scene, rng: np.random.Generator, speed: float = 5.0) -> Array:
     return state
 
 
-def lying(along: float = 0.0, omega: float = 0.0, tilt: float = 0.0) -> Array:
-    """A jack on two feet on the floor of a box at an angle, both turning as one."""
+def lying(
+    along: float = 0.0, omega: float = 0.0, tilt: float = 0.0, turned: float = math.pi / 4.0, depth: float = FLAT
+) -> Array:
+    """A jack on the floor of a box at an angle, both turning as one; turned by 45 degrees it lies on two feet."""
     state = np.zeros(12)
-    state[2], state[5] = tilt, tilt + math.pi / 4.0
-    state[3] = along * math.cos(tilt) + FLAT * math.sin(tilt)
-    state[4] = along * math.sin(tilt) - FLAT * math.cos(tilt)
+    state[2], state[5] = tilt, tilt + turned
+    state[3] = along * math.cos(tilt) + depth * math.sin(tilt)
+    state[4] = along * math.sin(tilt) - depth * math.cos(tilt)
     state[[8, 11]], state[9], state[10] = omega, -omega * state[4], omega * state[3]
     return state
 
@@ -64,26 +66,19 @@ def several_contacts(scene: Scene, rng: np.random.Generator, kind: str) -> tuple
 
     ``kind``: "one wall" (two feet at 45 degrees), "two walls" (one foot on each of two neighbours), or "corner".
     """
-    half, arm = scene.box_half_width, scene.jack_arm
+    contacts = {
+        "one wall": [(0, 0), (0, 3)], "two walls": [(0, 0), (1, 1)], "corner": [(0, 0), (1, 0), (1, 1), (0, 3)],
+    }[kind]  # fmt: skip
     while True:
         state = inside(scene, rng)
         # In the box frame, turned so that walls 0 and 1 (and feet 0 and 1, or 0 and 3) are the ones touched.
+        relative = rng.uniform(-0.6, 0.6) if kind == "two walls" else math.pi / 4.0
+        x = y = scene.box_half_width - scene.jack_arm * math.cos(relative)
         if kind == "one wall":
-            relative = math.pi / 4.0
-            centre = np.array([half - arm * math.cos(relative), rng.uniform(-0.5, 0.5) * (half - arm)])
-            contacts = [(0, 0), (0, 3)]
-        elif kind == "two walls":
-            relative = rng.uniform(-0.6, 0.6)
-            centre = np.array([half - arm * math.cos(relative), half - arm * math.cos(relative)])
-            contacts = [(0, 0), (1, 1)]
-        else:
-            relative = math.pi / 4.0
-            centre = np.full(2, half - arm * math.cos(relative))
-            contacts = [(0, 0), (1, 0), (1, 1), (0, 3)]
-        turn = state[2]
-        rotation = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
-        state[3:5] = state[0:2] + rotation @ centre
-        state[5] = turn + relative
+            y = rng.uniform(-0.5, 0.5) * (scene.box_half_width - scene.jack_arm)
+        cosine, sine = math.cos(state[2]), math.sin(state[2])
+        state[3:5] = state[0:2] + np.array([[cosine, -sine], [sine, cosine]]) @ [x, y]
+        state[5] = state[2] + relative
         rates = [gap_jacobian(scene, state, wall, foot) @ state[6:] for wall, foot in contacts]
         if max(rates) < -0.1:
             return state, contacts

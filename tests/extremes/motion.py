@@ -10,7 +10,7 @@ import numpy as np
 from jackbox_env.mechanics import gap_jacobian, gaps
 from jackbox_env.scene import Chirp, Scene
 from jackbox_env.states import clearance
-from tests.closed_forms import chirp_motion_by_fresnel
+from tests.closed_forms import chirp_motion
 from tests.extremes.measures import (
     DEEPEST,
     WEIGHTLESS,
@@ -133,7 +133,7 @@ def the_chirp_after_a_million_seconds(contact: str) -> Finding:
     for dt in (1.3e-5, 0.02):
         simulator = started(Scene(gravity=0.0, drive=chirp), contact, np.zeros(12), 1e6)
         simulator.step(dt)
-        spun, turned = chirp_motion_by_fresnel(chirp, 14400.0, 1e6, dt)
+        spun, turned = chirp_motion(chirp, 14400.0, 1e6, dt)
         assert abs(spun) > 1e-9
         rates.append(abs(simulator.state[8] - spun))
         angles.append(abs(simulator.state[2] - turned))

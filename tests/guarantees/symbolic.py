@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -128,11 +129,6 @@ class Derivation:
         return sp.Matrix([self.lagrangian]).jacobian(RATES).T
 
     @cached_property
-    def mass_matrix(self) -> sp.Matrix:
-        """d p / d qdot."""
-        return self.momenta.jacobian(RATES)
-
-    @cached_property
     def hamiltonian(self) -> sp.Expr:
         """H = p qdot - Lagrangian [J]."""
         return sp.expand((self.momenta.T * RATES)[0] - self.lagrangian)
@@ -159,16 +155,8 @@ class Derivation:
 
     def evaluate(self, scene: Scene, state: Array, wall: int, foot: int) -> Evaluation:
         """All derived quantities at one state for one wall and foot."""
-        parameters = (
-            scene.box_half_width,
-            scene.jack_arm,
-            scene.box_mass,
-            scene.box_inertia,
-            scene.jack_mass,
-            scene.jack_inertia,
-            scene.gravity,
-        )
-        quarter = np.pi / 2.0
+        names = "box_half_width jack_arm box_mass box_inertia jack_mass jack_inertia gravity"
+        parameters, quarter = attrgetter(*names.split())(scene), np.pi / 2.0
         values = self._numbers(parameters, tuple(state[:6]), tuple(state[6:]), wall * quarter, foot * quarter)
         gap, gradient, hamiltonian, after, impulse = values
         return Evaluation(float(gap), np.ravel(gradient), float(hamiltonian), np.ravel(after), float(impulse))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -14,7 +13,7 @@ import sympy as sp
 from jackbox_env.mechanics import contacts_of, energy, gap_jacobian, gaps, impact_map, impact_maps
 from jackbox_env.scene import Scene
 from jackbox_env.simulators import CONTACT_MODELS, make_simulator
-from jackbox_env.states import clearance, start_tolerance
+from jackbox_env.states import clearance
 from tests.guarantees.poses import (
     PAIRS,
     approaching,
@@ -26,8 +25,6 @@ from tests.guarantees.poses import (
 )
 from tests.guarantees.symbolic import (
     ARM,
-    BOX_INERTIA,
-    BOX_MASS,
     JACK_INERTIA,
     JACK_MASS,
     WORLD_JACK,
@@ -57,15 +54,6 @@ def test_four_point_feet_are_a_body_of_inertia_m_l_squared() -> None:
     (inertia,) = sp.solve(feet - body, JACK_INERTIA)
     assert sp.simplify(inertia - JACK_MASS * ARM**2) == 0
     assert Scene(jack_mass=7.0, jack_arm=0.5).jack_inertia == 1.75
-
-
-def test_momenta_are_the_mass_matrix_times_the_velocities(derivation: Derivation) -> None:
-    # The package stores M as a diagonal; M from the frames must be one.
-    scene = Scene(box_inertia=3.0, jack_inertia=5.0)
-    symbols = (BOX_MASS, BOX_INERTIA, JACK_MASS, JACK_INERTIA)
-    numbers = (scene.box_mass, scene.box_inertia, scene.jack_mass, scene.jack_inertia)
-    matrix = derivation.mass_matrix.subs(dict(zip(symbols, numbers, strict=True)))
-    assert np.array_equal(np.array(matrix, dtype=float), np.diag(scene.mass_diagonal))
 
 
 @pytest.mark.parametrize(("wall", "foot"), PAIRS)
@@ -132,36 +120,7 @@ def test_clearance_is_the_smallest_gap() -> None:
         assert smallest == pytest.approx(gaps(scene, state).min(), rel=0.0, abs=1e-14 * scene.box_half_width)
 
 
-def test_clearance_of_a_state_that_is_not_finite_is_never_inside() -> None:
-    for index, value in itertools.product(range(6), (math.nan, math.inf, -math.inf)):
-        state = [0.0] * 12
-        state[index] = value
-        assert not clearance(Scene(), state) > -math.inf
-
-
-def test_start_tolerance_grows_with_the_distance_from_the_origin() -> None:
-    for index, sign in itertools.product((0, 1, 3, 4), (-1.0, 1.0)):
-        state = [0.0] * 12
-        state[2] = state[5] = state[7] = 1e12  # angles and speeds do not count
-        state[index] = sign * 1e5  # 4 ulp(1e5) = 5.8e-11 m
-        assert start_tolerance(state) == 1e-9
-        state[index] = sign * 1e9
-        assert start_tolerance(state) == 4.0 * 2.0**-23  # 2^29 <= 1e9 < 2^30: an ulp is 2^(29 - 52)
-
-
 # -- one contact -------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("speed", [1e-12, 1.0, 1e6])
-def test_head_on_impact_by_hand(speed: float) -> None:
-    # The jack moves along x at the middle of wall 0: two balls of 4 kg and 400 kg, the second at rest. However slow, it
-    # is an impact. After it the jack has (4 - 400) / 404 and the box 2 * 4 / 404 of the speed; impulse 400 kg of that.
-    state = np.zeros(12)
-    state[3], state[9] = 5.0, speed
-    after, impulse = impact_map(Scene(), state, 0, 0)
-    expected = [8.0 / 404.0 * speed, 0.0, 0.0, -396.0 / 404.0 * speed, 0.0, 0.0]
-    np.testing.assert_allclose(after[6:], expected, rtol=1e-15, atol=1e-15 * speed)
-    assert impulse == pytest.approx(400.0 * 8.0 / 404.0 * speed, rel=1e-15, abs=0.0)
 
 
 @pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])
@@ -183,21 +142,19 @@ def test_gap_rate_comes_back_times_minus_e(restitution: float) -> None:
 
 
 @pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])
-def test_a_separating_contact_and_the_arguments_stay_as_they_are(restitution: float) -> None:
+def test_a_contact_that_does_not_approach_changes_nothing(restitution: float) -> None:
     rng = np.random.default_rng(7)
     scene = Scene(restitution=restitution)
     for wall, foot in PAIRS:
         state = approaching(scene, rng, wall, foot)
-        original = state.copy()
-        impact_map(scene, state, wall, foot)
-        assert np.array_equal(state, original)
-        state[6:] *= -1.0
-        after, impulse = impact_map(scene, state, wall, foot)
-        assert np.array_equal(after, state)
-        assert not np.shares_memory(after, state)
-        assert impulse == 0.0
-    at_rest = np.array([*inside(scene, rng)[:6], *np.zeros(6)])  # a gap rate of exactly zero does not approach
-    assert np.array_equal(impact_map(scene, at_rest, 0, 0)[0], at_rest)
+        for factor in (-1.0, 0.0):  # leaving, and at rest
+            state[6:] *= factor
+            original = state.copy()
+            after, impulse = impact_map(scene, state, wall, foot)
+            assert np.array_equal(state, original)
+            assert np.array_equal(after, original)
+            assert not np.shares_memory(after, state)
+            assert impulse == 0.0
 
 
 @pytest.mark.parametrize("contact", CONTACT_MODELS)
@@ -216,21 +173,6 @@ def test_both_contact_models_apply_the_map(contact: str, restitution: float, cas
         assert simulator.impacts[0].impulse == pytest.approx(impulse, abs=1e-9 * 4.0 * np.abs(state[6:]).max())
 
 
-# -- energy ------------------------------------------------------------------------------------------------------------
-
-
-def test_energy_by_hand() -> None:
-    state = [0.0, 7.0, 0.3, 0.0, 10.0, -0.4, 1.0, 2.0, 0.5, 3.0, 4.0, 2.0]
-    # box:    400 kg (1 + 4) / 2 = 1000 J, 14400 kg m^2 0.25 / 2 = 1800 J, its height of 7 m counts for nothing
-    # jack:   4 kg (9 + 16) / 2 = 50 J,    4 kg m^2 4 / 2 = 8 J,           4 kg 9.81 m/s^2 10 m = 392.4 J
-    assert energy(Scene(), state) == pytest.approx(3250.4, rel=1e-15)
-    # box:    2 kg 5 / 2 = 5 J,     3 kg m^2 0.25 / 2 = 0.375 J
-    # jack:   5 kg 25 / 2 = 62.5 J, 7 kg m^2 4 / 2 = 14 J,          5 kg 2 m/s^2 10 m = 100 J
-    scene = Scene(box_mass=2.0, box_inertia=3.0, jack_mass=5.0, jack_inertia=7.0, gravity=2.0)
-    assert energy(scene, state) == pytest.approx(181.875, rel=1e-15)
-    assert isinstance(energy(scene, state), float)
-
-
 def test_many_states_at_once_are_each_alone(cases: Callable[[int], int]) -> None:
     rng, count = np.random.default_rng(5), cases(400)
     scene = Scene(restitution=0.9, jack_mass=7.0)
@@ -238,12 +180,11 @@ def test_many_states_at_once_are_each_alone(cases: Callable[[int], int]) -> None
     walls, feet = rng.integers(0, 4, count), rng.integers(0, 4, count)
     distances, jacobians = contacts_of(scene, states, walls, feet)
     after, impulses = impact_maps(scene, states, walls, feet)
-    for row in range(count):
-        wall, foot = int(walls[row]), int(feet[row])
-        expected, impulse = impact_map(scene, states[row], wall, foot)
+    for row, (state, wall, foot) in enumerate(zip(states, walls.tolist(), feet.tolist(), strict=True)):
+        expected, impulse = impact_map(scene, state, wall, foot)
         assert np.array_equal(after[row], expected)
         assert impulses[row] == impulse
-        assert np.array_equal(jacobians[row], gap_jacobian(scene, states[row], wall, foot))
-        assert distances[row] == pytest.approx(gaps(scene, states[row])[wall, foot], abs=1e-14)
+        assert np.array_equal(jacobians[row], gap_jacobian(scene, state, wall, foot))
+        assert distances[row] == pytest.approx(gaps(scene, state)[wall, foot], abs=1e-14)
     assert (impulses > 0.0).any()
     assert (impulses == 0.0).any()

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 from jackbox_env.exact import search as kernel
-from jackbox_env.exact.rest import release_time
-from jackbox_env.exact.workspace import FORCE, new_workspaces
 from jackbox_env.mechanics import energy
 from jackbox_env.scene import Scene
 from jackbox_env.simulators.exact import ExactSimulator
@@ -67,42 +65,3 @@ def test_a_rattle_is_not_mistaken_for_rest(monkeypatch: pytest.MonkeyPatch) -> N
     assert guarded[2] == without[2]
     monkeypatch.setattr(kernel, "is_chattering", lambda n, w: bool(w.evaluations > 1000))
     assert not np.array_equal(plain_step(scene, state, 0.005, 0.0)[1], without[1])
-
-
-def test_the_resolution_of_rest_grows_with_impacts_not_with_work() -> None:
-    touch = kernel.Touch(1e-13, 1e-13)
-    for restitution, hits, resolution, sink in (
-        (1.0, 0, 1e-13, 1e-13),
-        (1.0, 16, 1e-13, 1.5e-13),
-        (1.0, 32, 1e-13, 2e-13),
-        (0.5, 0, 1e-13, 1e-13),
-        (0.5, 256, 2e-13, 2e-13),
-        (0.5, 100_000, 1e-10, 1e-10),
-    ):
-        scene, w = Scene(restitution=restitution).numbers, new_workspaces()[0]
-        w.evaluations, w.hits = 900_000.0, hits
-        limits = kernel.contact_resolution(scene, w, touch), kernel.widened(scene, w, 1e-13)
-        assert limits == pytest.approx((resolution, sink), rel=1e-15, abs=0.0)
-
-
-def test_chattering_is_much_work_for_little_impulse() -> None:
-    scene, w = Scene(), new_workspaces()[0]
-    light = 1e-4 * scene.jack_mass * scene.speed_scale  # [N s]
-    for work, hits, impulse, chattering in (
-        (kernel._CHATTER_WORK, 10_000, light, False),
-        (kernel._CHATTER_WORK + 1, 10_000, light, True),
-        (kernel._CHATTER_WORK + 1, 0, 0.0, True),  # a foot that creeps along a wall
-        (kernel._CHATTER_WORK + 1, 10_000, 100.0 * light, False),
-    ):
-        w.evaluations, w.hits, w.impulse = work, hits, hits * impulse
-        assert kernel.is_chattering(scene.numbers, w) is chattering
-
-
-@pytest.mark.parametrize(
-    ("powers", "moment"), [([1.0, -2.0], 0.5), ([1.0, 0.0, 0.0, -(0.9**-3)], 0.9), ([1.0, -3.0, 2.5], None)]
-)
-def test_a_held_foot_is_released_when_its_force_falls_to_zero(powers: list[float], moment: float | None) -> None:
-    work, length = new_workspaces()[0], 0.02
-    work.series[FORCE, : len(powers)] = powers
-    time = release_time(work, 0, length, max(map(abs, powers)))
-    assert time == (math.inf if moment is None else pytest.approx(moment * length, rel=1e-9))

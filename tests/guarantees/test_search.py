@@ -112,27 +112,6 @@ def fast_flights(count: int, deep: bool = False) -> Iterator[tuple[Scene, motion
 
 
 @pytest.mark.parametrize("deep", [False, True])
-def test_feet_followed_together_have_the_first_impact_of_feet_followed_singly(
-    deep: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    evaluated, hits = [], 0
-    for scene, flight, piece, duration in fast_flights(150, deep):
-        first_impacts = []
-        for turned in (0.25, math.inf):
-            monkeypatch.setattr(kernel, "_TURNED", turned)
-            work = new_workspaces()[0]
-            first_impacts.append(kernel.first_impact(scene.numbers, work, flight, piece, duration, 1e-13, 1e-13))
-            evaluated.append(work.evaluations)
-        (time, pair), (expected, expected_pair) = first_impacts
-        assert pair == expected_pair
-        # Only the next gap evaluation shows that a foot in a wall has turned back.
-        assert abs(time - expected) <= (1e-3 if deep else 1e-12) * duration
-        hits += pair >= 0
-    assert hits > 60
-    assert (1.0 if deep else 3.0) * sum(evaluated[::2]) < sum(evaluated[1::2])
-
-
-@pytest.mark.parametrize("deep", [False, True])
 def test_the_bounds_of_a_fast_box_hold_until_the_first_impact(deep: bool) -> None:
     tightest, quiet = math.inf, 0
     for scene, flight, piece, duration in fast_flights(150, deep):
@@ -157,15 +136,3 @@ def test_the_bounds_of_a_fast_box_hold_until_the_first_impact(deep: bool) -> Non
             tightest = min(tightest, curvature / bent.max())
     assert tightest < 2.0
     assert quiet > (0 if deep else 500)
-
-
-def test_feet_are_followed_together_with_loss_if_rest_is_not_sought() -> None:
-    hits = 0
-    for scene, flight, piece, duration in fast_flights(40):
-        actual, expected = (
-            kernel.first_impact(one.numbers, new_workspaces()[0], flight, piece, duration, 1e-13, rest)
-            for one, rest in ((scene.changed(restitution=0.5), -math.inf), (scene, 1e-13))
-        )
-        assert actual == expected
-        hits += actual[1] >= 0
-    assert hits > 10
