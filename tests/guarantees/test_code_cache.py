@@ -5,13 +5,11 @@ from __future__ import annotations
 import os
 import pickle
 import random
-import re
 import shutil
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from types import FunctionType
 from typing import Any
 
 import llvmlite  # type: ignore[import-untyped]
@@ -53,22 +51,6 @@ def files(cache: Path) -> list[Path]:
     return sorted(cache.glob("compiled-*/*.kept"))
 
 
-def test_code_is_cached_once_for_each_signature_and_loaded_by_later_processes(cache: Path) -> None:
-    made = fresh(quarter)
-    for number in range(4):
-        made(0.8, 0.6, number)
-    assert len(files(cache)) == 1
-    made(0.8, 0.6, True)
-    assert len(files(cache)) == 2
-    assert turned() == 1
-
-
-def test_without_a_compiler_nothing_is_cached(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(numba.config, "DISABLE_JIT", 1)
-    assert isinstance(fresh(quarter), FunctionType)
-    assert not cache.exists()
-
-
 def test_a_later_process_loads_the_whole_exact_model() -> None:
     jackbox_env.make_simulator(contact="exact").step(0.02, 1.0)
     code = (
@@ -78,32 +60,6 @@ def test_a_later_process_loads_the_whole_exact_model() -> None:
     )
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert (ran.stdout, ran.stderr) == ("1 0\n", "")
-
-
-# Announces what takes long to compile where it is loaded, too.
-_ANNOUNCING = """
-import runpy, sys
-from jackbox_env.exact import code_cache
-load = code_cache.CodeCache.load_overload
-def announcing(self, *given):
-    if self._long is not None:
-        code_cache._announce(*self._long)
-    return load(self, *given)
-code_cache.CodeCache.load_overload = announcing
-del sys.argv[0]
-runpy.run_path(sys.argv[0], run_name="__main__")
-"""
-
-
-def test_compiling_is_announced_before_any_progress_bar() -> None:
-    root = Path(jackbox_env.__file__).parents[1]
-    evaluate = [str(root / "scripts" / "evaluate.py"), "--policy", "planner", "--episodes", "1"]
-    environment = {**os.environ, "PYTHONPATH": str(root)}
-    command = [sys.executable, "-c", _ANNOUNCING, *evaluate]
-    said = subprocess.run(command, capture_output=True, text=True, check=True, env=environment).stderr
-    before, bar = said.split("planner:", 1)
-    assert re.findall(r"for ([a-z ]+), once", before) == ["all environments"]
-    assert "compiles" not in bar
 
 
 # -- damage -----------------------------------------------------------------------------------------------------------

@@ -23,9 +23,6 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 
-from jackbox_env import Scene
-from jackbox_env.mechanics import gap_jacobian
-from jackbox_env.simulators.contacts import iterations_for
 from tests.fingerprints import Digests, fingerprints
 
 ROOT = Path(__file__).parents[2]
@@ -173,53 +170,3 @@ def test_an_emulated_arm_gives_the_same_bits(folder: Path) -> None:
     kinds = ["exact", "scenes", "pymunk"] if platform.libc_ver() == ("glibc", "2.36") else ["exact", "scenes"]
     settings = {"NUMBA_CACHE_DIR": str(folder / "kept"), "PYTHONPATH": packages}
     assert_same(kinds, settings, "qemu-aarch64-static", "-L", str(folder), str(folder / "usr" / "bin" / "python3"))
-
-
-# -- numbers that were the C library's or BLAS's ----------------------------------------------------------------------
-
-
-def test_inertias_are_rounded_products() -> None:
-    rng = np.random.default_rng(0)
-    for width in rng.uniform(1.0, 9.0, 5000).tolist():
-        scene = Scene(box_half_width=width, jack_arm=width / 7.0)
-        assert scene.box_inertia == scene.box_mass * (width * width)
-        assert scene.jack_inertia == scene.jack_mass * ((width / 7.0) * (width / 7.0))
-
-
-def test_iterations_are_those_of_the_eigenvalues() -> None:
-    rng = np.random.default_rng(1)
-    counts = set()
-    for _ in range(300):
-        half = 10.0 ** rng.uniform(-2.0, 2.0)
-        arm = half * rng.choice([rng.uniform(0.05, 1.4), 1.0 + 10.0 ** rng.uniform(-3.0, -0.4)])
-        scene = Scene(
-            box_half_width=half, jack_arm=arm, box_mass=10.0 ** rng.uniform(0.0, 4.0),
-            jack_inertia=4.0 * arm**2 * 10.0 ** rng.uniform(-2.0, 1.0),
-        )  # fmt: skip
-        expected = iterations_by_linear_algebra(scene)
-        if expected <= 100_000:
-            assert iterations_for(scene) == expected
-            counts.add(expected)
-        else:
-            with pytest.raises(ValueError, match="couple the feet so strongly"):
-                iterations_for(scene)
-    assert len(counts) > 100
-
-
-def iterations_by_linear_algebra(scene: Scene) -> int:
-    half, arm = scene.box_half_width, scene.jack_arm
-    depth, turned = half - arm * np.sqrt(0.5), np.pi / 4.0
-    cases = [((depth, height, turned), [(0, 0), (0, 3)]) for height in (0.0, 0.5 * depth, depth)]
-    cases.append(((depth, depth, turned), [(0, 0), (0, 3), (1, 0), (1, 1)]))
-    if arm > half:
-        cases.append(((0.0, 0.0, np.arccos(half / arm)), [(0, 0), (1, 1), (2, 2)]))
-    worst = 1e-16
-    for pose, contacts in cases:
-        state = np.array([0.0, 0.0, 0.0, *pose, *[0.0] * 6])
-        rows = np.array([gap_jacobian(scene, state, wall, foot) for wall, foot in contacts])
-        rows /= np.sqrt(scene.mass_diagonal)
-        matrix = rows @ rows.T
-        lower = np.tril(matrix)
-        factors = np.sort(np.abs(np.linalg.eigvals(-np.linalg.solve(lower, matrix - lower))))
-        worst = max(worst, float(factors[min(len(contacts), 3) - 1]))
-    return max(64, int(np.ceil(np.log(1e-16) / np.log(worst))))

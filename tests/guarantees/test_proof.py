@@ -94,6 +94,16 @@ def test_the_proof_shares_only_the_scene_with_what_it_proves() -> None:
     assert {name for name in modules | plain if name.split(".")[0] in ("jackbox_env", "tests")} == {"jackbox_env.scene"}
 
 
+# -- proven ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("regime", proving.REGIMES)
+def test_no_step_of_any_regime_is_refuted(regime: str) -> None:
+    tally = proving.tally_of(regime, seed=1, share=40)
+    assert tally.refuted == []
+    assert tally.proven > 0.5 * tally.steps
+
+
 # -- refuted -----------------------------------------------------------------------------------------------------------
 
 

@@ -88,20 +88,6 @@ def test_arithmetic_that_fails_before_the_first_step_is_no_verdict(case: str, co
         assert np.isfinite(seen).all()
 
 
-def test_a_task_is_tried_where_an_episode_may_start() -> None:
-    states = []
-
-    def noting(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float]:
-        states.append(state)
-        return (0.0,)
-
-    env = JackInBoxEnv(task=Task(("nothing",), noting))
-    assert len(states) == 1
-    assert 0.0 < math.hypot(*states[0][3:5]) < math.hypot(1.0, 1.0)
-    env.reset(seed=0)
-    assert states[1] == tuple(env.state)
-
-
 def test_a_reset_that_finds_an_unfit_task_changes_nothing() -> None:
     task = Task(("a",), lambda scene, state, torque, impulse: (0.0,) * (1 if abs(state[3]) <= 1.0 else 2))
     env, right = JackInBoxEnv(task=task), 2.0 * (np.arange(12) == 3)
