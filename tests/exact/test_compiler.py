@@ -12,24 +12,10 @@ import pytest
 from numba.core.errors import TypingError
 
 from jackbox_env.batches.threads import Threads, thread_count
-from jackbox_env.exact.compiler import compiled, compiled_with
-from jackbox_env.exact.flight import foot_gap
+from jackbox_env.exact.compiler import compiled
 from jackbox_env.exact.restart import fresh, packed, seeded, uniform
-from jackbox_env.exact.trigonometry import _TURNS, _TURNS_OVER, FARTHEST, LARGEST, cos_sin, cos_sin_within
+from jackbox_env.exact.trigonometry import _TURNS, FARTHEST, LARGEST, cos_sin, cos_sin_within
 from jackbox_env.exact.workspace import Call, example, new_memory
-from jackbox_env.scene import Scene
-
-
-def other_quarter(cosine: float, sine: float, quarters: int) -> tuple[float, float]:
-    return 0.25, 0.75
-
-
-def test_a_function_can_be_replaced_by_another() -> None:
-    # Compiled code turns by quarters with ``quarter``; here another rule replaces it.
-    arguments = Scene().numbers, 1.0, 0.0, 0.8, 0.6, 0.0, 1
-    assert compiled_with(foot_gap)(*arguments) == compiled(foot_gap)(*arguments) == foot_gap(*arguments)
-    swapped = compiled_with(foot_gap, quarter=other_quarter)(*arguments)
-    assert swapped[0] == Scene().box_half_width - 1.0 - 0.25
 
 
 @pytest.mark.parametrize("kind", [np.int32, np.float32])
@@ -67,11 +53,6 @@ def test_cosine_and_sine_are_right(kind: str, ulps: float) -> None:
         with mp.workdps(60):
             for value, reference in zip(values, (mp.cos(angle), mp.sin(angle)), strict=True):
                 assert abs(value - reference) <= ulps * math.ulp(float(reference)) + (ulps > 1.0) * 1e-18
-
-
-def test_whole_turns_are_known_to_forty_digits() -> None:
-    with mp.workdps(40):
-        assert mp.mpf(_TURNS) - 58 * mp.pi == pytest.approx(_TURNS_OVER, rel=1e-15)
 
 
 def test_angles_beyond_the_reduction_are_handed_on() -> None:

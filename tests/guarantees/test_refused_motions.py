@@ -53,19 +53,20 @@ def test_the_tolerance_grows_far_from_the_origin_and_shrinks_with_the_box() -> N
         as_restored(Scene(box_half_width=0.9, jack_arm=0.5), with_foot(1.41, 0.9))
 
 
-# Motion that cannot be followed: scene fields, column of the state, its value, and the action.
-RUNAWAYS: dict[str, tuple[dict[str, Any], int, float, float]] = {
-    "speed of the jack": ({}, 9, 1e90, 0.0),
-    "speed of the box": ({}, 6, 1e90, 0.0),
-    "spin": ({}, 11, 1e90, 0.0),
-    "torque": ({"torque_limit": 1e60}, 8, 0.0, 1.0),
+# Motion that cannot be followed: scene fields, columns of the state, their value, and the action.
+RUNAWAYS: dict[str, tuple[dict[str, Any], list[int], float, float]] = {
+    "speed of the jack": ({}, [9], 1e90, 0.0),
+    "speed of the box": ({}, [6], 1e90, 0.0),
+    "spin": ({}, [11], 1e90, 0.0),
+    "torque in a corner": ({"torque_limit": 1e60}, [8], 0.0, 1.0),
+    "torque in mid-air": ({"torque_limit": 1e60}, [3, 4], 0.0, 1.0),
 }
 
 
 @EVERY_MODEL
 @pytest.mark.parametrize("runaway", RUNAWAYS)
 def test_motion_that_cannot_be_followed_raises_and_changes_nothing(runaway: str, contact: str) -> None:
-    fields, column, value, action = RUNAWAYS[runaway]
+    fields, columns, value, action = RUNAWAYS[runaway]
     scene, state, actions = Scene(**fields, drive=None), np.zeros(12), np.zeros(3)
     state[3:6], actions[1] = (5.2, 5.2, math.pi / 4.0), action  # in a corner
     env, several = JackInBoxEnv(contact, scene=scene), JackInBoxVectorEnv(3, contact=contact, scene=scene)
@@ -73,7 +74,7 @@ def test_motion_that_cannot_be_followed_raises_and_changes_nothing(runaway: str,
     several.reset(seed=0)
     rows = several.states
     rows[1] = state
-    rows[1, column] = value
+    rows[1, columns] = value
     env.set_state(rows[1], 1.0)
     several.set_states(rows, 1.0)
     sentence = "too fast to be followed|gap evaluations|would leave the box"
@@ -91,15 +92,6 @@ def test_motion_that_cannot_be_followed_raises_and_changes_nothing(runaway: str,
     several.set_states(state, 0.0)
     env.step(0.0)
     several.step(np.zeros(3))
-
-
-def test_a_torque_that_would_overflow_is_refused_in_mid_air_too() -> None:
-    scene = {"torque_limit": 1e60, "box_inertia": 1e-60, "drive": None}
-    env = JackInBoxVectorEnv(3, contact="exact", scene=scene)
-    env.reset(seed=0)
-    with pytest.raises(JackLostError, match="the jack of environment 1 moves too fast to be followed"):
-        env.step([0.0, 1.0, 0.0])
-    env.step([0.0, 0.0, 0.0])
 
 
 @EVERY_MODEL
@@ -159,13 +151,12 @@ def wedged(scenes: int = 15) -> tuple[list[str], float]:
         state[5], state[6:] = math.pi / 4.0, 3.0 * rng.standard_normal(6)
         state[11] = rng.uniform(1.0, 20.0)
         simulator.reset(state)
-        for _ in range(20):
-            try:
+        try:
+            for _ in range(20):
                 simulator.step(0.02, 0.0)
-            except JackLostError as error:
-                refused.append(str(error))
-                break
-            loss = max(loss, abs(1.0 - energy(scene, simulator.state) / energy(scene, state)))
+                loss = max(loss, abs(1.0 - energy(scene, simulator.state) / energy(scene, state)))
+        except JackLostError as error:
+            refused.append(str(error))
     return refused, loss
 
 
