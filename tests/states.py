@@ -15,6 +15,7 @@ from jackbox_env.scene import Scene
 
 DATA = Path(__file__).parent / "data"
 Array = NDArray[np.float64]
+WEIGHTLESS = Scene(gravity=0.0, drive=None)
 FLAT = 6.0 - math.sqrt(0.5)  # of the jack's centre from a wall that carries two of its feet [m]
 
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import ast
 
-import pytest
-
 from tests import mutants
 
 
@@ -14,9 +12,3 @@ def test_each_fault_is_another_program() -> None:
     assert len(chosen) == 12
     for path, number in chosen:
         assert ast.dump(ast.parse(mutants.faulty(path, number)[0])) != ast.dump(ast.parse(path.read_text()))
-
-
-def test_a_pattern_that_matches_no_file_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mutants, "GROUPS", ((("jackbox_env/nothing.py", *mutants.LAW), 1.0),))
-    with pytest.raises(AssertionError, match=r"nothing\.py.* matches no file"):
-        mutants.drawn(0, 1)

@@ -11,7 +11,6 @@ from jackbox_env.mechanics import energy, gap_jacobian, gaps
 from jackbox_env.scene import Scene
 from jackbox_env.states import clearance
 from tests.extremes.measures import (
-    WEIGHTLESS,
     courses,
     flown,
     momentum,
@@ -20,7 +19,7 @@ from tests.extremes.measures import (
     started,
 )
 from tests.extremes.page import LOSS, MASSES, SLOW, STARTS, Bound, Finding, case, within
-from tests.states import Array, inside, lying, one_foot_on_wall, several_contacts
+from tests.states import WEIGHTLESS, Array, inside, lying, one_foot_on_wall, several_contacts
 
 LIGHT = Scene(gravity=0.0, drive=None, jack_inertia=0.004)
 RATIOS = [Scene(gravity=0.0, drive=None, jack_mass=400.0 * 10.0**power) for power in range(-9, 10, 3)]

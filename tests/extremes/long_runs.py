@@ -17,9 +17,9 @@ from jackbox_env.mechanics import energy
 from jackbox_env.scene import Scene
 from jackbox_env.states import clearance
 from jackbox_env.vector_env import JackInBoxVectorEnv
-from tests.extremes.measures import DEEPEST, WEIGHTLESS, angular_momentum, momentum, momentum_scale, started
+from tests.extremes.measures import DEEPEST, angular_momentum, momentum, momentum_scale, started
 from tests.extremes.page import MILLIONS, Bound, Finding, case, within
-from tests.states import Array, inside
+from tests.states import WEIGHTLESS, Array, inside
 
 TOGETHER = {"pymunk": 16, "exact": 4096}  # environments in a batch
 MORE_BLOCKS, MORE_BYTES = 2_000, 16 * 2**20  # of memory that are no growth, whatever the steps

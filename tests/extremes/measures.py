@@ -15,7 +15,6 @@ from jackbox_env.states import clearance
 from tests.extremes.page import Bound, Finding, Measure, within
 from tests.states import Array
 
-WEIGHTLESS = Scene(gravity=0.0, drive=None)
 DEEPEST = {"pymunk": 1.0, "exact": 1e-9}  # a foot outside at a step's end [m]: after a substep, and rounding
 
 

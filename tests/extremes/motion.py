@@ -13,7 +13,6 @@ from jackbox_env.states import clearance
 from tests.closed_forms import chirp_motion
 from tests.extremes.measures import (
     DEEPEST,
-    WEIGHTLESS,
     angular_momentum,
     conserved,
     course_of,
@@ -22,7 +21,7 @@ from tests.extremes.measures import (
     started,
 )
 from tests.extremes.page import FORCES, SPEEDS, STEPS, Bound, Finding, case, refuses, within
-from tests.states import Array, inside, one_foot_on_wall
+from tests.states import WEIGHTLESS, Array, inside, one_foot_on_wall
 
 TOO_FAST_FOR_SUBSTEPS = "the jack would leave the box: .* use more substeps, a smaller time step or less torque"
 

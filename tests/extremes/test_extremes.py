@@ -22,12 +22,9 @@ def test_the_answer_to_an_extreme_is_within_its_bounds_or_a_refusal(case: Case, 
 
 
 @pytest.mark.parametrize("seen", [2e-12, math.nan, math.inf])
-def test_a_number_over_its_bound_would_fail(seen: float) -> None:
+def test_a_number_over_its_bound_and_a_refusal_for_another_reason_would_fail(seen: float) -> None:
     assert within(Bound("error", 1e-12, 1e-12, "m")).verdict == HOLDS
     assert within(Bound("error", 1e-15, 1e-12, "m"), Bound("error", seen, 1e-12, "m")).verdict == FAILS
-
-
-def test_a_call_that_is_accepted_or_refused_for_another_reason_would_fail() -> None:
     assert refuses(lambda: float("x"), "could not convert").verdict == REFUSED
     assert refuses(lambda: float("x"), "mass must be").verdict == FAILS
     assert refuses(lambda: float("1"), "").verdict == FAILS

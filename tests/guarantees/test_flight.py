@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 import pytest
 
-from jackbox_env.scene import Chirp, Drive, Scene
+from jackbox_env.scene import Chirp, Scene
 from jackbox_env.simulators import CONTACT_MODELS, make_simulator
 from jackbox_env.simulators.pymunk import PymunkSimulator
 from tests.closed_forms import chirp_motion
@@ -39,23 +38,6 @@ def test_flight_before_the_first_impact_equals_the_60_digit_reference(
             np.testing.assert_allclose(simulator.state, reference["state"], rtol=0.0, atol=1e-12)
             checked += 1
     assert checked >= 3
-
-
-@EVERY_MODEL
-def test_side_forces_push_the_box_exactly(contact: str) -> None:
-    # force_x = 4000 cos(2 t) N on 400 kg: vx = 5 sin 2t, x = 2.5 (1 - cos 2t); force_y held.
-    scene = Scene(gravity=0.0, drive=Drive(force_x=lambda t: 4000.0 * math.cos(2.0 * t), force_y=lambda t: 400.0))
-    simulator = make_simulator(scene, contact)
-    simulator.reset(np.zeros(12))
-    for _ in range(40):
-        simulator.step(0.02, torque=None)
-    x, vx = 2.5 * (1.0 - math.cos(1.6)), 5.0 * math.sin(1.6)
-    np.testing.assert_allclose(simulator.state[[0, 1, 6, 7]], [x, 0.32, vx, 0.8], atol=1e-12)
-    simulator.reset(np.zeros(12))
-    simulator.step(0.02, torque=14400.0)  # replaces the drive's torque only
-    assert simulator.state[8] == pytest.approx(0.02)
-    assert simulator.state[6] == pytest.approx(5.0 * math.sin(0.04), abs=1e-12)
-    assert simulator.torque == 14400.0
 
 
 @EVERY_MODEL

@@ -199,13 +199,3 @@ def test_the_tolerance_decides_whether_two_feet_strike_together() -> None:
     assert [hit.time.overlaps(together.impacts[0].time) for hit in together.impacts] == [True, True]
     assert apart.impacts[0].time < apart.impacts[1].time
     assert not apart.states[1][11].overlaps(together.states[1][11])
-
-
-def test_balls_wider_than_the_radius_take_more_bits() -> None:
-    start = next(record["q"] + record["qdot"] for record in RECORDS if record["name"] == "chirp-2")
-    proofs = {
-        radius: prove(Scene(), start, [None] * 250, 0.02, radius=radius, most_bits=most)
-        for radius, most in ((1e-10, 4096), (1e-50, 4096), (1e-200, 256))
-    }
-    assert [(one.decided, one.bits) for one in proofs.values()] == [(True, 128), (True, 256), (False, 256)]
-    assert proofs[1e-200].why == "more impacts than the bits follow"

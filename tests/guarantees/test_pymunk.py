@@ -13,8 +13,7 @@ from jackbox_env.scene import Scene
 from jackbox_env.simulators import JackLostError
 from jackbox_env.simulators.pymunk import PymunkSimulator
 from jackbox_env.states import clearance
-from tests.simulators.engine import WEIGHTLESS
-from tests.states import inside
+from tests.states import WEIGHTLESS, inside
 
 # -- impacts -----------------------------------------------------------------------------------------------------------
 

@@ -22,6 +22,7 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 
 from jackbox_env.scene import Chirp, Drive, Scene
+from tests.states import lying
 
 T = TypeVar("T")
 STEPS = 24  # control steps of a case
@@ -175,14 +176,12 @@ def _flying(draw: random.Random, scene: Scene, dt: float) -> tuple[float, ...]:
 
 def _lying(draw: random.Random, scene: Scene, start: tuple[float, ...]) -> tuple[float, ...]:
     """The box of a start, and in it the jack on two feet on the lowest wall, turning with it."""
-    x_box, y_box, turn, *_ = start
-    vx, vy, omega = start[6:9]
-    tilt = math.remainder(turn, math.pi / 2.0)  # of the lowest wall
     away = scene.box_half_width - scene.jack_arm * math.sqrt(0.5)  # the most that lets the jack in
-    along, cosine, sine = away * draw.uniform(-1.0, 1.0), math.cos(tilt), math.sin(tilt)
-    x, y = cosine * along + sine * away, sine * along - cosine * away
-    jack = x_box + x, y_box + y, tilt + math.pi / 4.0
-    return (x_box, y_box, turn, *jack, vx, vy, omega, vx - omega * y, vy + omega * x, omega)
+    tilt = math.remainder(start[2], math.pi / 2.0)  # of the lowest wall
+    state = lying(away * draw.uniform(-1.0, 1.0), start[8], tilt, depth=away)
+    state[3:5] += start[:2]
+    state[9:11] += start[6:8]
+    return (*start[:3], *state[3:6].tolist(), *start[6:9], *state[9:12].tolist())
 
 
 def _actions(draw: random.Random, steps: int) -> tuple[float | None, ...]:
