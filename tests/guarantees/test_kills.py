@@ -9,6 +9,7 @@ import re
 import shutil
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -21,72 +22,58 @@ pytestmark = pytest.mark.timeout(300 + 30 * KILLS)
 KILLED = -9
 
 
-class Uninterrupted:
-    """Time of an undisturbed training [s], and its number of operations on the disk."""
+class Uninterrupted(NamedTuple):
+    """An undisturbed training."""
 
-    def __init__(self, folder: Path) -> None:
-        began = time.monotonic()
-        assert ended(start(killing.train, folder / "run", folder / "out.txt", 0)) == 0
-        self.seconds = time.monotonic() - began
-        self.folder = folder / "run"
-        check_finished(self.folder)
-        (count,) = re.findall(r"(\d+) operations", (folder / "out.txt").read_text())
-        self.operations = int(count)
+    folder: Path
+    seconds: float  # that it took
+    operations: int  # on the disk
 
 
 @pytest.fixture(scope="module")
 def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> Uninterrupted:
-    return Uninterrupted(tmp_path_factory.mktemp("uninterrupted"))
+    folder, began = tmp_path_factory.mktemp("uninterrupted"), time.monotonic()
+    assert ended(start(killing.train, folder / "run", folder / "out.txt", 0)) == 0
+    seconds = time.monotonic() - began
+    check_finished(folder / "run")
+    (count,) = re.findall(r"(\d+) operations", (folder / "out.txt").read_text())
+    return Uninterrupted(folder / "run", seconds, int(count))
 
 
 @pytest.mark.slow
 def test_a_training_killed_at_random_moments_comes_to_its_end(tmp_path: Path, uninterrupted: Uninterrupted) -> None:
-    rng = np.random.default_rng(0)
-    kills, runs, seconds = 0, 0, uninterrupted.seconds
-    while kills < KILLS or (tmp_path / f"run-{runs}").exists():
-        folder, output, began = tmp_path / f"run-{runs}", tmp_path / f"out-{runs}.txt", time.monotonic()
-        new = not folder.exists()
+    rng, folder, output = np.random.default_rng(0), tmp_path / "run", tmp_path / "out.txt"
+    for number in range(KILLS):
         process = start(killing.train, folder, output)
-        if kills < KILLS:
-            process.join(rng.uniform(0.0, seconds))
-            process.kill()
-        status = ended(process)
-        assert status in (0, KILLED), f"after {kills} kills: {output.read_text()}"
-        kills += status == KILLED
+        process.join(rng.uniform(0.0, uninterrupted.seconds))
+        process.kill()
+        assert ended(process) in (0, KILLED), f"after {number} kills: {output.read_text()}"
         if (folder / MODEL).exists():
             check_finished(folder)
-            runs += 1
-            if new:
-                seconds = 0.5 * (seconds + time.monotonic() - began)  # others use the processor, more or less
+            folder = tmp_path / f"run-{number}"
         elif folder.exists():
             check_whole(folder)
-    print(f"{kills} kills at random moments, {runs} runs finished")
+    assert ended(start(killing.train, folder, output)) == 0, output.read_text()
+    check_finished(folder)
 
 
 @pytest.mark.slow
 def test_a_training_killed_before_any_operation_on_the_disk_comes_to_its_end(
     tmp_path: Path, uninterrupted: Uninterrupted
 ) -> None:
-    rng = np.random.default_rng(1)
-    count = uninterrupted.operations
+    rng, count = np.random.default_rng(1), uninterrupted.operations
     assert count > 50
-    kills = 0
     for point in np.unique(np.linspace(1, count, min(KILLS, count)).round()).astype(int).tolist():
         folder, output = tmp_path / f"run-{point}", tmp_path / f"out-{point}.txt"
         assert ended(start(killing.train, folder, output, point)) == KILLED
-        again = rng.integers(1, count)  # and once more while it is resumed
-        for kill_at in (int(again), None):
+        for kill_at in (int(rng.integers(1, count)), None):  # once more while it is resumed
             if folder.exists():
                 check_whole(folder)
-            kills += 1
-            if (folder / MODEL).exists():  # all that was left to do was to end
+            if (folder / MODEL).exists():  # it has ended, or all that was left to do was to end
                 break
             status = ended(start(killing.train, folder, output, kill_at))
-            assert status == 0 if kill_at is None else status in (0, KILLED), output.read_text()
-            if status == 0:
-                break
+            assert status == 0 or (kill_at and status == KILLED), output.read_text()
         check_finished(folder)
-    print(f"{kills} kills before operations on the disk")
 
 
 def test_a_full_disk_is_reported_and_the_run_goes_on_when_there_is_room(tmp_path: Path) -> None:

@@ -65,18 +65,14 @@ OLDEST = OLD_BLAS | PLAIN_NUMPY | PLAIN_NUMBA | WITHOUT_FMA
 SAME_LIBRARY = OLD_BLAS | PLAIN_NUMPY | PLAIN_NUMBA
 
 
-def start(kinds: list[str], settings: dict[str, str], python: tuple[str, ...]) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [*python, "-m", "tests.fingerprints", *kinds],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT, env={**os.environ, **settings},
-    )  # fmt: skip
-
-
 def differing(
     kinds: list[str], settings: dict[str, str], python: tuple[str, ...] = (sys.executable,)
 ) -> tuple[list[str], Digests]:
     """Names of the digests that differ in a process of ``python`` with ``settings``, and the digests here."""
-    other = start(kinds, settings, python)
+    other = subprocess.Popen(
+        [*python, "-m", "tests.fingerprints", *kinds],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT, env={**os.environ, **settings},
+    )  # fmt: skip
     here = fingerprints(kinds)
     printed, failed = other.communicate()
     assert other.returncode == 0, failed
