@@ -14,7 +14,7 @@ from numba.core.errors import TypingError
 from jackbox_env.batches.threads import Threads, thread_count
 from jackbox_env.exact.compiler import compiled
 from jackbox_env.exact.restart import fresh, packed, seeded, uniform
-from jackbox_env.exact.trigonometry import _TURNS, FARTHEST, LARGEST, cos_sin, cos_sin_within
+from jackbox_env.exact.trigonometry import _TURNS, FARTHEST, LARGEST, cos_sin, cos_sin_within, without_turns
 from jackbox_env.exact.workspace import Call, example, new_memory
 
 
@@ -53,6 +53,15 @@ def test_cosine_and_sine_are_right(kind: str, ulps: float) -> None:
         with mp.workdps(60):
             for value, reference in zip(values, (mp.cos(angle), mp.sin(angle)), strict=True):
                 assert abs(value - reference) <= ulps * math.ulp(float(reference)) + (ulps > 1.0) * 1e-18
+
+
+def test_angles_without_turns_are_those_angles() -> None:
+    for angle in (RNG.uniform(-1.0, 1.0, 500) * 10.0 ** RNG.uniform(0.0, 15.9, 500)).tolist():
+        rest = without_turns(angle)
+        with mp.workdps(60):
+            turns = (mp.mpf(angle) - mp.mpf(rest)) / (2 * mp.pi)
+            assert abs(turns - mp.nint(turns)) * 2 * mp.pi < 1e-15
+        assert abs(rest) <= math.pi * (1.0 + 1e-15)
 
 
 def test_angles_beyond_the_reduction_are_handed_on() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -36,15 +37,26 @@ def test_bounces_that_pile_up_end_in_rest(e: float) -> None:
     assert sum(hit.impulse for hit in run.impacts) == pytest.approx(weight, rel=1e-12)
 
 
-def test_a_wall_that_falls_faster_than_the_jack_lets_it_go() -> None:
-    # From t = 0.013 s on the box falls at 3 g: the feet part from the floor at 2 g, not before.
-    heavy, force = 1e9, -3.0 * 9.81 * 1e9  # so heavy that it gives way by 1e-8 at most
-    drive = Drive(force_y=lambda t: force if t >= 0.013 else 0.0)
+@pytest.mark.parametrize(
+    ("fall", "gap", "pressed"),
+    [
+        # At once at 3 g from t = 0.013 s on: the feet part from the floor at 2 g.
+        (lambda t: 3.0 * 9.81 if t >= 0.013 else 0.0, 9.81 * 0.007**2, 0.013),
+        # Ever faster, at g when t = 0.013 s: half of the weight on average presses until then.
+        (lambda t: 9.81 * t / 0.013, 9.81 / 0.013 * 0.007**3 / 6.0, 0.0065),
+    ],
+    ids=["a jump", "a ramp"],
+)
+def test_a_wall_that_falls_faster_than_the_jack_lets_it_go_and_not_before(
+    fall: Callable[[float], float], gap: float, pressed: float
+) -> None:
+    heavy = 1e9  # [kg] so that the box gives way by 1e-8 at most
+    drive = Drive(force_y=lambda t: -heavy * fall(t))
     scene = Scene(restitution=0.5, box_mass=heavy, box_inertia=36.0 * heavy, drive=drive)
     run = simulator(scene, lying())
     run.step(0.02)
-    assert gaps(scene, run.state)[3, 2:4] == pytest.approx([9.81 * 0.007**2] * 2, rel=1e-8)
-    assert sum(hit.impulse for hit in run.impacts) == pytest.approx(4.0 * 9.81 * 0.013, rel=1e-8)
+    assert gaps(scene, run.state)[3, 2:4] == pytest.approx([gap] * 2, rel=1e-8)
+    assert sum(hit.impulse for hit in run.impacts) == pytest.approx(4.0 * 9.81 * pressed, rel=1e-8)
 
 
 # -- negative controls ------------------------------------------------------------------------------------------------
