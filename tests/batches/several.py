@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium.vector import AutoresetMode
 
 from jackbox_env import Chirp, Drive, JackInBoxEnv, JackInBoxVectorEnv, Scene
 
@@ -81,6 +83,54 @@ def columns(infos: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Infos of single environments as a batch has them."""
     values = {name: [info[name] for info in infos] for name in infos[0]}
     return {name: columns(one) if isinstance(one[0], dict) else np.array(one) for name, one in values.items()}
+
+
+def assert_alike(
+    vector: Any, alone: Sequence[Any], actions: Iterable[Any], stable: Any = None, seed: int = 4
+) -> Counter[tuple[bool, bool]]:
+    """Step a vector environment, single ones that equal its first ones, and environments of Stable-Baselines3.
+
+    All outputs are compared, in any autoreset mode; those of Stable-Baselines3 restart in the same step. Returns how
+    often steps of the single environments were (terminated, truncated).
+    """
+    mode, ends, waits = vector.metadata["autoreset_mode"], Counter[tuple[bool, bool]](), [False] * len(alone)
+    seen = vector.reset(seed=seed)[0]
+    assert_same(list(seen[: len(alone)]), [env.reset(seed=seed + i)[0] for i, env in enumerate(alone)])
+    if stable is not None:
+        stable.seed(seed)
+        assert_same(stable.reset(), seen)
+    for action in actions:
+        seen, rewards, terminations, truncations, infos = vector.step(action)
+        if stable is not None:
+            *others, rows = stable.step(action)
+            assert_same(others, [seen, rewards.astype(np.float32), terminations | truncations])
+        for i, env in enumerate(alone):
+            outcome = rewards[i], terminations[i], truncations[i]
+            if waits[i]:
+                waits[i] = False
+                assert_same(seen[i], env.reset()[0])
+                assert (outcome, infos.get("duration", [0.0] * len(alone))[i]) == ((0.0, False, False), 0.0)
+                continue
+            last, *expected, info = env.step(action[i])
+            assert outcome == tuple(expected)
+            assert all(infos[name][i] == info[name] for name in ("duration", "steps") if name in info)
+            ended = expected[1] or expected[2]
+            ends[expected[1], expected[2]] += 1
+            if stable is not None:
+                assert rows[i].get("duration") == info.get("duration")
+            if ended and stable is not None:
+                assert_same(rows[i]["terminal_observation"], last)
+                assert rows[i]["TimeLimit.truncated"] == (expected[1:] == [False, True])
+                assert rows[i]["episode"]["l"] == round(info["time"] / env.unwrapped.control_dt)
+            if ended and mode is AutoresetMode.SAME_STEP:
+                assert_same(infos["final_obs"][i], last)
+                last = env.reset()[0]
+            assert_same(seen[i], last)
+            waits[i] = ended and mode is AutoresetMode.NEXT_STEP
+            if ended and mode is AutoresetMode.DISABLED:
+                seen = vector.reset(options={"reset_mask": np.arange(vector.num_envs) == i})[0]
+                assert_same(seen[i], env.reset()[0])
+    return ends
 
 
 def assert_same(actual: Any, expected: Any, path: str = "") -> None:

@@ -14,19 +14,14 @@ from gymnasium.vector import AutoresetMode
 from jackbox_env import (
     JackInBoxEnv,
     JackInBoxVectorEnv,
-    LandingControlVector,
-    Lookahead,
-    LookaheadVector,
     Scene,
     Task,
     TaskError,
     rollout,
 )
-from jackbox_env.landing import torques
-from jackbox_env.planning.landing_control import Aiming
 from jackbox_env.sb3 import make_sb3_vec_env
-from jackbox_env.sb3_wrappers import HoldingVecEnv, LookaheadVecEnv
-from tests.batches.several import EVERY_MODEL, RANGES, assert_same
+from jackbox_env.sb3_wrappers import HoldingVecEnv
+from tests.batches.several import EVERY_MODEL, RANGES, assert_alike, assert_same
 
 
 def terms(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float, float]:
@@ -49,42 +44,19 @@ FALL = Task(("height", "effort"), terms, struck, above)
 LIMIT = 55  # falls end before and after it
 
 
+def actions(steps: int, count: int = 3) -> Any:
+    return np.random.default_rng(0).uniform(-1.0, 1.0, (steps, count, 1)).astype(np.float32)
+
+
 @EVERY_MODEL
 @pytest.mark.parametrize("randomize", [None, RANGES], ids=["one scene", "drawn scenes"])
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 def test_a_batch_ends_and_starts_as_single_environments_do(mode: AutoresetMode, randomize: Any, contact: str) -> None:
     made: dict[str, Any] = {"contact": contact, "task": FALL, "randomize": randomize, "max_episode_steps": LIMIT}
-    batch = JackInBoxVectorEnv(3, autoreset_mode=mode, **made)
     alone = [gym.make("JackInBox-v0", **made) for _ in range(3)]
-    seen, _ = batch.reset(seed=5)
-    np.testing.assert_array_equal(seen, [env.reset(seed=5 + number)[0] for number, env in enumerate(alone)])
-    rng, waiting, ends = np.random.default_rng(0), [False] * 3, [0, 0]
-    for _ in range(300):
-        actions = rng.uniform(-1.0, 1.0, 3)
-        seen, rewards, terminations, truncations, infos = batch.step(actions)
-        for number, env in enumerate(alone):
-            outcome = rewards[number], terminations[number], truncations[number]
-            if waiting[number]:
-                waiting[number] = False
-                np.testing.assert_array_equal(seen[number], env.reset()[0])
-                assert outcome == (0.0, False, False)
-                continue
-            last, *expected, _ = env.step(actions[number : number + 1])
-            assert outcome == tuple(expected)
-            ends[0] += bool(outcome[1])
-            ends[1] += bool(outcome[2])
-            if not any(expected[1:]):
-                np.testing.assert_array_equal(seen[number], last)
-            elif mode is AutoresetMode.SAME_STEP:
-                np.testing.assert_array_equal(infos["final_obs"][number], last)
-                np.testing.assert_array_equal(seen[number], env.reset()[0])
-            elif mode is AutoresetMode.NEXT_STEP:
-                np.testing.assert_array_equal(seen[number], last)
-                waiting[number] = True
-            else:
-                fresh, _ = batch.reset(options={"reset_mask": np.arange(3) == number})
-                np.testing.assert_array_equal(fresh[number], env.reset()[0])
-    assert min(ends) >= 2
+    ends = assert_alike(JackInBoxVectorEnv(3, autoreset_mode=mode, **made), alone, actions(300), seed=5)
+    assert ends[True, False] >= 2
+    assert ends[False, True] >= 2
 
 
 @EVERY_MODEL
@@ -134,77 +106,37 @@ def test_the_reward_of_an_episode_that_waits_is_not_evaluated(several: bool, con
     assert terminations.tolist() == [True, False, True]
 
 
-@EVERY_MODEL
-def test_landing_control_does_not_evaluate_the_reward_of_an_episode_that_waits(contact: str) -> None:
-    batch, aims = JackInBoxVectorEnv(3, contact=contact), np.full((3, 2), 0.5)
-    batch.reset(options={"state": ENDING})
-    targets = Aiming(batch, 0.04).act(aims).targets
-    batch.step(torques(batch.scene, batch.states, targets, 0.02))
-    ignored = torques(batch.scene, batch.states, targets, 0.02)[0] * 9e4
-    task = Task(("part",), lambda scene, state, torque, impulse: (1.0 / (torque - ignored),), high)
-    wrapped = LandingControlVector(JackInBoxVectorEnv(3, contact=contact, task=task), period=0.04)
-    wrapped.reset(options={"state": ENDING})
-    assert wrapped.step(aims)[2].tolist() == [True, False, True]
-
-
 # -- actions that are held --------------------------------------------------------------------------------------------
 
 
+class Held(gym.Wrapper[Any, Any, Any, Any]):
+    """Repeats an action for four steps, or until the episode ends."""
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Sum the rewards."""
+        total, steps, terminated, truncated = 0.0, 0, False, False
+        while steps < 4 and not (terminated or truncated):
+            seen, reward, terminated, truncated, info = self.env.step(action)
+            total, steps = total + float(reward), steps + 1
+        return seen, total, terminated, truncated, {**info, "steps": steps}
+
+
+class HeldVector(gym.vector.VectorWrapper):
+    """Repeats the actions of a native vector environment for four steps."""
+
+    def step(self, actions: Any) -> Any:
+        """Sum the rewards."""
+        return self.env.step(actions, repeat=4)  # type: ignore[call-arg]
+
+
 @EVERY_MODEL
-def test_held_actions_end_with_the_episode(contact: str) -> None:
+@pytest.mark.parametrize("mode", ["SAME_STEP", "DISABLED"])
+def test_held_actions_end_with_the_episode(mode: str, contact: str) -> None:
     made: dict[str, Any] = {"contact": contact, "task": FALL, "max_episode_steps": LIMIT}
-    batch = JackInBoxVectorEnv(3, autoreset_mode="SAME_STEP", with_infos=True, **made)
-    stable = HoldingVecEnv(make_sb3_vec_env(3, with_infos=True, **made), 4)
-    stable.seed(5)
-    alone = [gym.make("JackInBox-v0", **made) for _ in range(3)]
-    np.testing.assert_array_equal(batch.reset(seed=5)[0], stable.reset())
-    for number, env in enumerate(alone):
-        env.reset(seed=5 + number)
-    rng, early, kinds, lengths = np.random.default_rng(0), 0, set(), [0] * 3
-    for _ in range(60):
-        actions = rng.uniform(-1.0, 1.0, (3, 1)).astype(np.float32)
-        seen, rewards, terminations, truncations, infos = batch.step(actions, repeat=4)
-        seen_too, rewards_too, dones, rows = stable.step(actions)
-        np.testing.assert_array_equal(seen, seen_too)
-        np.testing.assert_array_equal(rewards.astype(np.float32), rewards_too)
-        np.testing.assert_array_equal(terminations | truncations, dones)
-        for number, env in enumerate(alone):
-            total, steps = 0.0, 0
-            while steps < 4:
-                last, reward, terminated, truncated, info = env.step(actions[number])
-                total, steps = total + float(reward), steps + 1
-                if terminated or truncated:
-                    break
-            assert (total, terminated, truncated) == (rewards[number], terminations[number], truncations[number])
-            assert infos["steps"][number] == steps
-            lengths[number] += steps
-            kinds |= {(terminated, truncated)}
-            if terminated or truncated:
-                early += steps < 4
-                np.testing.assert_array_equal(infos["final_obs"][number], last)
-                np.testing.assert_array_equal(rows[number]["terminal_observation"], last)
-                assert rows[number]["TimeLimit.truncated"] == (truncated and not terminated)
-                assert rows[number]["episode"]["l"] == lengths[number]
-                assert_same(infos["final_info"]["state"][number], info["state"])
-                last, lengths[number] = env.reset()[0], 0
-            else:
-                assert infos["impacts"][number] == info["impacts"] == rows[number]["impacts"]
-            np.testing.assert_array_equal(seen[number], last)
-    assert early >= 5
-    assert {(True, False), (False, True), (False, False)} <= kinds
-
-
-@EVERY_MODEL
-def test_an_episode_that_ends_in_a_held_step_stays_where_it_ended(contact: str) -> None:
-    made: dict[str, Any] = {"contact": contact, "task": FALL}
-    batch, alone = JackInBoxVectorEnv(3, autoreset_mode="DISABLED", **made), [JackInBoxEnv(**made) for _ in range(3)]
-    batch.reset(seed=5)
-    batch.step(np.full(3, 0.2), repeat=70)
-    for number, env in enumerate(alone):
-        env.reset(seed=5 + number)
-        while not env.step(0.2)[2]:
-            pass
-        assert_same((batch.states[number], batch.times[number]), (env.state, np.float64(env.time)))
+    batch = HeldVector(JackInBoxVectorEnv(3, autoreset_mode=mode, with_infos=True, **made))
+    stable = HoldingVecEnv(make_sb3_vec_env(3, with_infos=True, **made), 4) if mode == "SAME_STEP" else None
+    ends = assert_alike(batch, [Held(gym.make("JackInBox-v0", **made)) for _ in range(3)], actions(60), stable, seed=5)
+    assert {(True, False), (False, True), (False, False)} <= set(ends)
 
 
 @EVERY_MODEL
@@ -231,32 +163,6 @@ def test_a_held_step_that_fails_has_not_happened(contact: str) -> None:
     assert batch.step(None)[2].tolist() == [False, True]
 
 
-def test_lookahead_ends_with_the_episode_in_all_wrappers() -> None:
-    small: dict[str, Any] = {"samples": 8, "turns": 3, "pieces": 8, "num_threads": 1}
-    made: dict[str, Any] = {"contact": "exact", "task": FALL, "max_episode_steps": LIMIT}
-    one = Lookahead(gym.make("JackInBox-v0", **made), **small)
-    vector = LookaheadVector(JackInBoxVectorEnv(2, autoreset_mode="SAME_STEP", **made), **small)
-    stable = LookaheadVecEnv(make_sb3_vec_env(2, **made), **small)
-    stable.seed(5)
-    seen = one.reset(seed=5)[0]
-    np.testing.assert_array_equal(vector.reset(seed=5)[0], stable.reset())
-    ends = 0
-    for _ in range(40):
-        action = np.full((2, 1), 0.3, dtype=np.float32)
-        all_seen, rewards, terminations, truncations, infos = vector.step(action)
-        seen_too, _, dones, rows = stable.step(action)
-        seen, reward, terminated, truncated, _ = one.step(action[0])
-        assert (rewards[0], terminations[0], truncations[0]) == (reward, terminated, truncated)
-        np.testing.assert_array_equal(all_seen, seen_too)
-        if dones[0]:
-            ends += 1
-            np.testing.assert_array_equal(infos["final_obs"][0], seen)
-            np.testing.assert_array_equal(rows[0]["terminal_observation"], seen)
-            seen = one.reset()[0]
-        np.testing.assert_array_equal(all_seen[0], seen)
-    assert ends >= 2
-
-
 # -- rollouts ---------------------------------------------------------------------------------------------------------
 
 
@@ -281,35 +187,29 @@ def test_rollouts_earn_nothing_after_the_end() -> None:
 
 
 @EVERY_MODEL
-@pytest.mark.parametrize("terms", [(math.nan, 1.0), (1.0, math.inf), (1e308, 1e308)])
-def test_a_reward_that_is_no_number_names_its_term(terms: tuple[float, float], contact: str) -> None:
-    one, two = terms
-
-    def values(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float, float]:
-        return (one, two) if impulse > 0.0 else (0.0, 0.0)
-
-    task = Task(("one", "two"), values)
-    guilty = [f"'{name}' is {value}" for name, value in zip(task.terms, terms, strict=True)]
-    said = ", ".join([text for text, value in zip(guilty, terms, strict=True) if not math.isfinite(value)] or guilty)
+@pytest.mark.parametrize(
+    ("bad", "sentence"),
+    [
+        ((math.nan, 1.0), "'one' is nan"),
+        ((1.0, math.inf), "'two' is inf"),
+        ((1e308, 1e308), "'one' is 1e+308, 'two' is 1e+308"),
+    ],
+)
+def test_a_reward_that_is_no_number_names_its_term(bad: tuple[float, float], sentence: str, contact: str) -> None:
+    task = Task(("one", "two"), lambda scene, state, torque, impulse: bad if impulse > 0.0 else (0.0, 0.0))
     env, batch = JackInBoxEnv(contact=contact, task=task), JackInBoxVectorEnv(1, contact=contact, task=task)
-    env.reset(seed=0)
-    batch.reset(seed=0)
-    refused: TaskError | None = None
-    while refused is None:
-        before = env.state
-        assert_same(batch.states, before[None])
-        try:
-            env.step(0.0)
-            batch.step(np.zeros(1))
-        except TaskError as error:
-            refused = error
-    assert str(refused).endswith(said)
-    with pytest.raises(TaskError, match=re.escape(said) + ", in environment 0"):
+    start = np.zeros(12)
+    start[[4, 10]] = -4.99, -5.0  # a foot strikes in the first step
+    env.reset(options={"state": start})
+    batch.reset(options={"state": start})
+    with pytest.raises(TaskError, match=re.escape(sentence) + "$"):
+        env.step(0.0)
+    with pytest.raises(TaskError, match=re.escape(sentence) + ", in environment 0$"):
         batch.step(np.zeros(1))
-    assert_same((env.state, batch.states), (before, before[None]))
+    assert_same((env.state, batch.states), (start, start[None]))
     if contact == "exact":
-        with pytest.raises(TaskError, match=re.escape(said) + r", in step \d+ of states\[1\]"):
-            rollout({"gravity": 0.0}, [np.zeros(12), 9.0 * (np.arange(12) == 10)], np.zeros(99), 0.02, rewards=task)
+        with pytest.raises(TaskError, match=re.escape(sentence) + r", in step 0 of states\[1\]"):
+            rollout(None, [np.zeros(12), start], np.zeros(9), 0.02, rewards=task)
 
 
 @EVERY_MODEL

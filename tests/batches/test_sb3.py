@@ -122,20 +122,6 @@ def test_single_environments_can_be_read_and_set(contact: str) -> None:
 
 
 @EVERY_MODEL
-def test_images_are_those_of_single_environments(contact: str) -> None:
-    native, plain = (make(2, contact=contact, render_mode="rgb_array") for make in (make_sb3_vec_env, dummy))
-    for env in (native, plain):
-        env.seed(3)
-        env.reset()
-        for step in range(30):
-            env.step(actions_at(step, 2))
-    assert_same(native.get_images(), plain.get_images())
-    native.close()
-    with pytest.warns(UserWarning, match="render_mode .* got None"):
-        assert make_sb3_vec_env(2, contact=contact).get_images() == [None, None]
-
-
-@EVERY_MODEL
 def test_ppo_trains_on_it_as_on_dummy_vec_env(contact: str) -> None:
     def weights(env: Any) -> Any:
         model = PPO("MlpPolicy", env, n_steps=32, batch_size=32, n_epochs=2, seed=0, device="cpu")

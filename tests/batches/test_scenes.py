@@ -7,7 +7,6 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.vector import AutoresetMode
 
 from jackbox_env import Chirp, JackInBoxEnv, JackInBoxVectorEnv, Scene
 from jackbox_env.sb3 import make_sb3_vec_env
@@ -127,22 +126,6 @@ def test_an_inertia_that_is_fixed_or_drawn_does_not_follow_the_mass() -> None:
     assert all(scene.jack_inertia == 3.0 for scene in fixed.scenes)
 
 
-@pytest.mark.parametrize("mode", list(AutoresetMode))
-def test_every_way_to_restart_draws_the_same_scenes(mode: AutoresetMode) -> None:
-    batch = JackInBoxVectorEnv(2, 5, mode, contact="exact", randomize=RANGES)
-    batch.reset(seed=0)
-    for _ in range(6 if mode is AutoresetMode.NEXT_STEP else 5):
-        batch.step(None)
-    if mode is AutoresetMode.DISABLED:
-        batch.reset(options={"reset_mask": np.ones(2, dtype=bool)})
-    twin = JackInBoxVectorEnv(2, contact="exact", randomize=RANGES)
-    twin.reset(seed=0)
-    first = twin.scenes
-    twin.reset()
-    assert batch.scenes == twin.scenes != first
-    assert_same((batch.states, batch.observations), (twin.states, twin.observations))
-
-
 # -- options["scene"] -------------------------------------------------------------------------------------------------
 
 
@@ -225,32 +208,6 @@ def test_states_are_checked_against_the_scene_that_comes_with_them() -> None:
         assert env.scene.box_half_width == 9.0
 
 
-# -- refusals ---------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("make", [JackInBoxEnv, JackInBoxVectorEnv])
-@pytest.mark.parametrize(
-    ("randomize", "named"),
-    [
-        ({"jack_arm": (1.0, 5.0), "box_half_width": (3.0, 9.0)}, "jack_arm=5, .* jack_arm must be below"),
-        ({"jack_mass": (6.0, 2.0)}, r"randomize\['jack_mass'\] .*\(6.0, 2.0\)"),
-        ({"jack_mass": 6.0}, r"randomize\['jack_mass'\] .* got 6.0"),
-        ({"drive": (1.0, 2.0)}, "randomize accepts only .* got 'drive'"),
-        ("jack_mass", "randomize must be a dict .* got 'jack_mass'"),
-    ],
-)
-def test_ranges_that_could_draw_a_misfit_are_refused(make: Any, randomize: Any, named: str) -> None:
-    with pytest.raises((TypeError, ValueError), match=named):
-        make(randomize=randomize)
-
-
-def test_ranges_that_the_contact_model_refuses_are_refused() -> None:
-    ranges = {"jack_inertia": (1e-6, 4.0)}
-    JackInBoxEnv(contact="exact", randomize=ranges)
-    with pytest.raises(ValueError, match="jack_inertia=1e-06"):
-        JackInBoxEnv(contact="pymunk", randomize=ranges)
-
-
 @EVERY_MODEL
 def test_a_function_that_draws_a_misfit_leaves_all_as_it_was(contact: str) -> None:
     bad: list[Any] = []
@@ -270,47 +227,3 @@ def test_a_function_that_draws_a_misfit_leaves_all_as_it_was(contact: str) -> No
         one.step(None)
     assert env.reset()[0].tolist() == batch.reset()[0][0].tolist()
     assert env.scene == batch.scene
-
-
-@pytest.mark.parametrize(
-    ("options", "named"),
-    [
-        ({"scene": 3.0}, r"options\['scene'\] .* 3.0"),
-        ({"scene": {"jack_arm": 100.0}}, "jack_arm must be below"),
-    ],
-)
-def test_options_that_are_refused_leave_all_as_it_was(options: Any, named: str) -> None:
-    for env in (JackInBoxEnv(), JackInBoxVectorEnv(2), JackInBoxVectorEnv(2, contact="exact")):
-        env.reset(seed=0)
-        with pytest.raises((TypeError, ValueError), match=named):
-            env.reset(options=options)
-        assert env.scene == Scene()
-        env.step(None)
-
-
-@pytest.mark.parametrize("chosen", [None, np.array([True, False, True])])
-def test_a_scene_that_the_contact_model_refuses_leaves_all_as_it_was(chosen: Any) -> None:
-    """A scene accepts a jack of so little inertia; only the simulator of pymunk refuses it."""
-    batch = JackInBoxVectorEnv(3)
-    batch.reset(seed=0)
-    batch.step(None)
-    states, times = batch.states.copy(), batch.times.copy()
-    light = {"scene": {"jack_inertia": 1e-6}}
-    with pytest.raises(ValueError, match="couple the feet"):
-        batch.reset(options=light if chosen is None else {**light, "reset_mask": chosen})
-    assert np.array_equal(batch.states, states)
-    assert np.array_equal(batch.times, times)
-    assert batch.scenes == [Scene()] * 3
-    twin = JackInBoxVectorEnv(3)
-    twin.reset(seed=0)
-    twin.step(None)
-    assert np.array_equal(batch.step(None)[0], twin.step(None)[0])
-
-
-def test_lists_of_another_length_are_refused() -> None:
-    with pytest.raises(ValueError, match="scene .* list of 3, got 2"):
-        JackInBoxVectorEnv(3, scene=[Scene(), Scene()])
-    with pytest.raises(TypeError, match=r"scene\[1\]"):
-        JackInBoxVectorEnv(2, scene=[None, 3.0])  # type: ignore[list-item]
-    with pytest.raises(TypeError, match="a list of 3"):
-        JackInBoxVectorEnv(3).reset(options={"scene": [{}, {}]})

@@ -1,4 +1,4 @@
-"""Vector environments: arguments, returned arrays, pictures."""
+"""Vector environments: arguments, returned arrays, memory."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gymnasium.vector import AutoresetMode
 
 from jackbox_env import JackInBoxVectorEnv
 from jackbox_env.env import JackInBoxEnv
-from tests.batches.several import EVERY_MODEL, EVERY_SIZE, actions_at, assert_same
+from tests.batches.several import EVERY_SIZE, actions_at, assert_same
 
 
 def test_the_same_arguments_mean_the_same_physics() -> None:
@@ -22,24 +22,7 @@ def test_the_same_arguments_mean_the_same_physics() -> None:
     for name, parameter in single.items():
         assert batched[name].default == parameter.default, name
     assert batched["max_episode_steps"].default == gym.spec("JackInBox-v0").max_episode_steps
-    named = gym.make_vec("JackInBox-v0", num_envs=2, autoreset_mode="SAME_STEP")
-    assert isinstance(named.unwrapped, JackInBoxVectorEnv)
-    assert named.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
-
-
-@EVERY_MODEL
-def test_none_lets_the_drive_act_and_actions_are_clipped(contact: str) -> None:
-    driven, chirped = (JackInBoxVectorEnv(2, contact=contact, torque=torque) for torque in ("agent", "chirp"))
-    for env in (driven, chirped):
-        env.reset(seed=1)
-    for step in range(80):
-        assert_same(driven.step(None)[0], chirped.step(actions_at(step, 2))[0])
-    np.testing.assert_array_equal(driven.states, chirped.states)
-    wild, tame = (JackInBoxVectorEnv(2, contact=contact) for _ in range(2))
-    for env, action in ((wild, 1e30), (tame, 1.0)):
-        env.reset(seed=1)
-        env.step(np.full((2, 1), action))
-    np.testing.assert_array_equal(wild.states, tame.states)
+    assert isinstance(gym.make_vec("JackInBox-v0", num_envs=2).unwrapped, JackInBoxVectorEnv)
 
 
 def arrays_in(handed: Any) -> list[Any]:
@@ -85,21 +68,3 @@ def test_memory_is_a_few_hundred_bytes_per_environment() -> None:
     env.reset(seed=0)
     env.step(None)
     assert env._batch.nbytes / 10_000 <= 300  # type: ignore[attr-defined]
-
-
-@EVERY_MODEL
-def test_pictures_are_those_of_single_environments(contact: str) -> None:
-    env = JackInBoxVectorEnv(2, contact=contact, render_mode="rgb_array")
-    single = gym.make("JackInBox-v0", contact=contact, render_mode="rgb_array")
-    env.reset(seed=4)
-    single.reset(seed=5)
-    for step in range(60):
-        env.step(actions_at(step, 2))
-        single.step(actions_at(step, 2)[1])
-    frames = env.render()
-    assert frames is not None
-    assert len(frames) == 2
-    np.testing.assert_array_equal(frames[1], single.render())
-    env.close()
-    with pytest.warns(UserWarning, match="render_mode"):
-        assert JackInBoxVectorEnv(2, contact=contact).render() is None

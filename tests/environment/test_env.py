@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import os
 import warnings
@@ -12,10 +13,11 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from jackbox_env import Chirp, JackInBoxEnv, Scene, make_simulator
+from jackbox_env import Chirp, JackInBoxEnv, LandingControl, Lookahead, Scene, make_simulator
 from jackbox_env.observation import BOUNDS, observe
-from tests.environment.start import Env, make
 from tests.states import load
+
+make: Any = functools.partial(gym.make, "JackInBox-v0")
 
 
 @pytest.mark.skipif("EXPECTED_GYMNASIUM" not in os.environ, reason="only where make test says which one")
@@ -35,7 +37,20 @@ def test_the_checkers_of_gymnasium_and_stable_baselines3_pass_with_warnings_as_e
         stable.check_env(make(**settings), warn=True)
 
 
-def test_the_spaces_are_the_documented_ones(env: Env) -> None:
+@pytest.mark.filterwarnings("ignore:.*is different from the unwrapped version")
+@pytest.mark.parametrize("wrapper", [LandingControl, functools.partial(Lookahead, samples=8, follow=True, seed=3)])
+def test_wrappers_pass_the_checkers_and_their_spec_makes_them_again(wrapper: Any) -> None:
+    stable = pytest.importorskip("stable_baselines3.common.env_checker")
+    env = wrapper(make(contact="exact"))
+    stable.check_env(env)
+    check_env(env, skip_render_check=True)
+    again, action = gym.make(env.spec), np.full(env.action_space.shape, 0.3, np.float32)
+    np.testing.assert_equal(env.reset(seed=1), again.reset(seed=1))
+    np.testing.assert_equal(env.step(action), again.step(action))
+
+
+def test_the_spaces_are_the_documented_ones() -> None:
+    env = make()
     assert env.observation_space == gym.spaces.Box(
         np.array([-1, -1, -10, -10, -1, -1, -10, -1, -1, -10], np.float32),
         np.array([1, 1, 10, 10, 1, 1, 10, 1, 1, 10], np.float32),
@@ -62,8 +77,8 @@ def test_an_observation_equals_the_documented_table() -> None:
     np.testing.assert_allclose(observe(Scene(), quarter_turn), observation, atol=1e-6)
 
 
-def test_observations_are_clipped_and_info_is_raw(env: Env) -> None:
-    state = np.zeros(12)
+def test_observations_are_clipped_and_info_is_raw() -> None:
+    env, state = make(), np.zeros(12)
     state[6:] = [0.0, 0.0, -400.0, 500.0, -500.0, 9000.0]
     observation, info = env.reset(options={"state": state})
     np.testing.assert_array_equal(observation[[2, 3, 6, 9]], [10.0, -10.0, -10.0, 10.0])
@@ -76,8 +91,8 @@ def test_observations_are_clipped_and_info_is_raw(env: Env) -> None:
 # -- stepping ----------------------------------------------------------------------------------------------------------
 
 
-def test_none_is_the_chirp_and_an_action_is_the_agents_torque_instead(env: Env) -> None:
-    record = load("seed_scene")[0]
+def test_none_is_the_chirp_and_an_action_is_the_agents_torque_instead() -> None:
+    env, record = make(), load("seed_scene")[0]
     start = np.array(record["q"] + record["qdot"])
     env.reset(options={"state": start})
     for step in range(50):

@@ -124,7 +124,8 @@ RANDOMIZE = instance(
     no_ends=wrong({"gravity": 1.0}, "'gravity'", "1.0"), text=wrong({"gravity": "ab"}, "'gravity'", "'ab'"),
     words=wrong({"gravity": ("a", 2.0)}, "'gravity'", "'a'"), nan=out({"gravity": (math.nan, 2.0)}, "'gravity'", "nan"),
     turned=out({"gravity": (2.0, 1.0)}, "'gravity'", "(2.0, 1.0)"),
-    refused_scene=out({"gravity": (-1.0, 2.0)}, "gravity=-1", "-1.0"),
+    refused_scene=out({"gravity": (-1.0, 2.0)}, "gravity=-1", "-1.0"), drive=out({"drive": (1.0, 2.0)}, "'drive'"),
+    misfit=out({"jack_arm": (1.0, 5.0), "box_half_width": (3.0, 9.0)}, "jack_arm=5", "jack_arm must be below"),
 )  # fmt: skip
 DRAWN = instance({"gravity": 1.5}, "dict", unknown=out({"mass": 3.0}, "'mass'", named="scene"))
 OPTIONS = instance({}, "nothing", dict=out({"stat": 1.0}, "'stat'", "'state'", "'time'", "'scene'"))
@@ -189,7 +190,8 @@ def methods_of(contact: str) -> Iterator[Row]:
         attrgetter("states", "times", "np_random_seed", "scenes"),
     )
     held, start, time = state(1.0), state(1e-9).but(nothing=None), real(1.0, at_least=-1e9, at_most=1e9)
-    options: Kinds = {"options": OPTIONS, "options.scene": CHANGES}
+    light = out({"jack_inertia": 1e-6}, "couple the feet", named="jack_inertia") if contact == "pymunk" else None
+    options: Kinds = {"options": OPTIONS, "options.scene": CHANGES.but(light=light)}
     first: Kinds = {
         "seed": SEEDS,
         "options": OPTIONS,

@@ -7,19 +7,39 @@ import inspect
 import math
 import re
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
+from gymnasium.wrappers import RescaleAction, RescaleObservation
+from gymnasium.wrappers.vector import ClipAction
+from stable_baselines3.common.vec_env import DummyVecEnv
 
 import jackbox_env
-from jackbox_env import Chirp, JackInBoxEnv, JackInBoxVectorEnv, Scene, Task, make_simulator, mechanics, states
+from jackbox_env import (
+    Chirp,
+    JackInBoxEnv,
+    JackInBoxVectorEnv,
+    LandingControl,
+    LandingControlVector,
+    Lookahead,
+    LookaheadVector,
+    Scene,
+    Task,
+    make_simulator,
+    mechanics,
+    rollout,
+    states,
+)
 from jackbox_env.sb3 import make_sb3_vec_env
+from jackbox_env.sb3_wrappers import LookaheadVecEnv
 from jackbox_env.simulators import Simulator
 from jackbox_env.tasks import juggle
 from tests.refusals.kinds import Hostile, out, real
-from tests.refusals.table import TABLE, Row, simulator
+from tests.refusals.table import START, TABLE, Row, simulator
 
 
 def flat(seen: Any) -> list[Any]:
@@ -115,6 +135,26 @@ def with_gradients() -> Any:
     return pytest.importorskip("torch").ones(1, requires_grad=True)
 
 
+def aiming(count: int = 1, period: Any = 0.4, **made: Any) -> Any:
+    """Landing control of one environment or of several."""
+    if count > 1:
+        return LandingControlVector(JackInBoxVectorEnv(count, **made), period=period)
+    return LandingControl(gym.make("JackInBox-v0", **made), period=period)
+
+
+def looking(env: Any, wrapper: Any = Lookahead, **settings: Any) -> Any:
+    return wrapper(env, **{"samples": 8, "hold": 1, **settings})
+
+
+def rescaled() -> Any:
+    return RescaleAction(gym.make("JackInBox-v0"), np.float32(-2), np.float32(2))
+
+
+following, dummy = partial(looking, follow=True), (lambda make: DummyVecEnv([make]))
+NO_TORQUES = "follow needs actions that are torques, without an action wrapper"
+DRIVEN = 'follow needs an environment with torque="agent", .* got torque="chirp"'
+ONE, ZERO, TWO = gym.make("JackInBox-v0", contact="exact"), np.float32(0), np.float32(2)
+TASKS_APART = [partial(gym.make, "JackInBox-v0", task=task) for task in ("juggle", "spin")]
 SENTENCES: list[tuple[Callable[[], object], type[Exception], str]] = [
     (lambda: JackInBoxEnv(contct="exact"), TypeError, "no argument 'contct' .*'contact'.*: it accepts .*randomize"),
     (lambda: gym.make("JackInBox-v0", contct="exact"), TypeError, "no argument 'contct' .*'contact'"),
@@ -145,6 +185,40 @@ SENTENCES: list[tuple[Callable[[], object], type[Exception], str]] = [
     ),
     (lambda: JackInBoxEnv().step(with_gradients()), TypeError, r"action must .*requires grad: pass its detach\(\)"),
     (lambda: JackInBoxVectorEnv(2).step(None), RuntimeError, "step must come after a reset of all environments"),
+    (lambda: JackInBoxEnv(randomize={"jack_inertia": (1e-6, 4.0)}), ValueError, "jack_inertia=1e-06"),
+    (lambda: rollout(None, START, np.zeros(5), 0.02, time=1e9), ValueError, "dt .* end by 1e[+]09 s"),
+    # landing control
+    (lambda: aiming(period="landing"), TypeError, "period must be .*'landing'"),
+    (lambda: aiming(torque="chirp"), ValueError, "torque"),
+    (lambda: aiming(period="bounce", control_dt=1e-19), ValueError, "control_dt .* at least 2e-06, got 1e-19"),
+    (lambda: LandingControl(gym.make("CartPole-v1")), TypeError, "landing control needs JackInBox-v0, got"),
+    (lambda: LandingControlVector(gym.make_vec("CartPole-v1", 2)), TypeError, "JackInBox-v0"),  # type: ignore[arg-type]
+    (lambda: LandingControl(rescaled()), ValueError, "action wrapper"),
+    (lambda: LandingControl(aiming()), ValueError, "action wrapper inside, got LandingControl"),
+    (lambda: LandingControl(looking(ONE)), ValueError, "action wrapper inside, got Lookahead"),
+    (lambda: aiming(4).step(0.0), ValueError, r"actions must have shape \(4, 2\), got \(\)"),
+    # looking ahead
+    (lambda: looking(gym.make("CartPole-v1")), TypeError, "looking ahead needs JackInBox-v0, got"),
+    (lambda: looking(gym.make_vec("CartPole-v1", 2), LookaheadVector), TypeError, "needs JackInBox-v0, got"),
+    (lambda: looking(dummy(partial(gym.make, "CartPole-v1")), LookaheadVecEnv), TypeError, "needs JackInBox-v0, got"),
+    (
+        lambda: looking(RescaleObservation(ONE, ZERO, TWO)),
+        TypeError,
+        "the ten numbers of JackInBox-v0, got observations",
+    ),
+    (lambda: looking(looking(ONE)), TypeError, "looking ahead needs the ten numbers"),
+    (lambda: looking(SyncVectorEnv(TASKS_APART), LookaheadVector), ValueError, r"one task, got \['juggle', 'spin'\]"),
+    (lambda: looking(JackInBoxVectorEnv(2), LookaheadVector, hold=5), ValueError, "hold must be 1 if autoreset_mode"),
+    # following a plan
+    (lambda: following(SyncVectorEnv([rescaled]), LookaheadVector), ValueError, NO_TORQUES),
+    (lambda: following(ClipAction(JackInBoxVectorEnv(2)), LookaheadVector), ValueError, NO_TORQUES),
+    (lambda: following(AsyncVectorEnv([rescaled]), LookaheadVector), ValueError, NO_TORQUES),
+    (lambda: following(rescaled()), ValueError, NO_TORQUES),
+    (lambda: following(dummy(rescaled), LookaheadVecEnv), ValueError, NO_TORQUES),
+    (lambda: following(JackInBoxEnv(torque="chirp")), ValueError, DRIVEN),
+    (lambda: following(JackInBoxVectorEnv(2, torque="chirp"), LookaheadVector), ValueError, DRIVEN),
+    (lambda: following(make_sb3_vec_env(2, torque="chirp"), LookaheadVecEnv), ValueError, DRIVEN),
+    (lambda: following(ONE, samples=0), ValueError, "follow needs a plan, so samples must be at least 8, got 0"),
 ]
 
 

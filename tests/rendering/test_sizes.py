@@ -76,20 +76,33 @@ def test_a_small_frame_has_no_letters_to_squint_at(width: int, lettered: bool, w
 # -- several environments ----------------------------------------------------------------------------------------------
 
 
-def test_each_environment_of_a_vector_has_a_frame_of_the_size() -> None:
-    options = {"render_size": (80, 60), **BARE}
-    env = gym.make_vec("JackInBox-v0", num_envs=3, **options)
-    env.reset(seed=4)
-    frames: Any = env.render()
-    single = gym.make("JackInBox-v0", **options)
-    several = make_sb3_vec_env(3, **options)
-    several.seed(4)
-    several.reset()
-    for number, image in enumerate(several.get_images()):
+@pytest.mark.parametrize("options", [{"contact": "exact"}, {"contact": "pymunk", "render_size": (80, 60), **BARE}])
+def test_each_environment_of_a_vector_has_the_frame_of_a_single_one(options: dict[str, Any]) -> None:
+    options, actions = {"render_mode": "rgb_array", **options}, np.random.default_rng(0).uniform(-1.0, 1.0, (40, 3, 1))
+    several, stable = gym.make_vec("JackInBox-v0", num_envs=3, **options), make_sb3_vec_env(3, **options)
+    several.reset(seed=4)
+    stable.seed(4)
+    stable.reset()
+    for action in actions:
+        several.step(action)
+        stable.step(action)
+    frames: Any = several.render()
+    for number, image in enumerate(stable.get_images()):
+        single = gym.make("JackInBox-v0", **options)
         single.reset(seed=4 + number)
+        for action in actions[:, number]:
+            single.step(action)
         np.testing.assert_array_equal(frames[number], single.render())
         np.testing.assert_array_equal(image, frames[number])
-    assert several.render().shape == (2 * 60, 2 * 80, 3)  # type: ignore[union-attr]
+    height, width, _ = frames[0].shape
+    assert stable.render().shape == (2 * height, 2 * width, 3)  # type: ignore[union-attr]
+
+
+def test_several_environments_without_a_render_mode_have_no_pictures() -> None:
+    with pytest.warns(UserWarning, match="render_mode"):
+        assert JackInBoxVectorEnv(2).render() is None
+    with pytest.warns(UserWarning, match="render_mode .* got None"):
+        assert make_sb3_vec_env(2).get_images() == [None, None]
 
 
 @pytest.mark.parametrize("contact", ["pymunk", "exact"])
