@@ -16,6 +16,7 @@ from types import FrameType
 from typing import Any
 
 import numpy as np
+import pytest
 import torch._dynamo  # noqa: F401  # Adam does so at its first use, which takes seconds
 from stable_baselines3.common.vec_env import VecEnv
 
@@ -23,36 +24,22 @@ from agents.files import read_json
 from agents.runs import BEST, EVALUATIONS, MODEL, read_parameters
 from agents.settings import TrainSettings
 from agents.training import best
+from agents.training import ppo as training
 from agents.training.best import read_evaluations
-from agents.training.checkpoints import checkpoint_path, steps_of_checkpoints
+from agents.training.checkpoints import Checkpoint, checkpoint_path, steps_of_checkpoints
 from agents.training.models import make_vec_env
 from scripts import train as command
 
 # Six rollouts, three evaluations, three checkpoints, the first for an evaluation: a fraction of a second.
-SMALL = TrainSettings(
-    total_steps=96,
-    num_envs=2,
-    rollout_steps=8,
-    batch_size=16,
-    epochs=1,
-    checkpoint_steps=24,
-    eval_steps=32,
-    eval_episodes=2,
-    hidden_units=(8,),
-)
+SIZES = {
+    "total_steps": 96, "num_envs": 2, "rollout_steps": 8, "batch_size": 16, "epochs": 1, "checkpoint_steps": 24,
+    "eval_steps": 32, "eval_episodes": 2,
+}  # fmt: skip
+SMALL = TrainSettings(**SIZES, hidden_units=(8,))
 KILLS = int(os.environ.get("JACKBOX_KILLS", "3"))
 # Operations that change a disk, or decide what is on it, where our code does them itself or by pathlib.
 _WRITES = {"open", "write", "close", "fsync", "replace", "rename", "unlink", "mkdir", "flock"}
 _OURS = (f"{os.sep}agents{os.sep}", f"{os.sep}jackbox_env{os.sep}files.py", f"{os.sep}pathlib")
-
-
-def _words(settings: TrainSettings) -> list[str]:
-    default = TrainSettings()
-    changed = {name: value for name, value in vars(settings).items() if value != getattr(default, name)}
-    words = []
-    for name, value in changed.items():
-        words += [f"--{name.replace('_', '-')}", *map(str, value if isinstance(value, tuple) else (value,))]
-    return words
 
 
 def short_episodes(env_settings: dict[str, Any], num_envs: int, seed: int) -> VecEnv:
@@ -66,7 +53,7 @@ def train(folder: Path, output: Path, kill_at: int | None = None, file_size: int
     Args:
         run folder to make or to resume.
         output: what the command line says.
-        kill_at: number of the operation on the disk before which the process kills itself; 0: none, but ``output`` says
+        kill_at: number of the operation on the disk before which the process kills itself; without it ``output`` has
             how many there were.
         file_size: no file may become larger, as if the disk were full [bytes].
     """
@@ -74,13 +61,11 @@ def train(folder: Path, output: Path, kill_at: int | None = None, file_size: int
     os.dup2(log, 1)
     os.dup2(log, 2)
     setattr(best, "make_vec_env", short_episodes)  # as monkeypatch does  # noqa: B010
-    asked = ["--resume", str(folder)] if folder.exists() else ["--folder", str(folder), *_words(SMALL)]
-    sys.argv = ["train.py", *asked, "--no-progress"]
+    asked = ["--resume", str(folder)] if folder.exists() else ["--folder", str(folder), "--hidden-units", "8"]
+    sizes = [] if folder.exists() else [f"--{name.replace('_', '-')}={value}" for name, value in SIZES.items()]
+    sys.argv = ["train.py", *asked, *sizes, "--no-progress"]
     if file_size is not None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (file_size, file_size))
-    if kill_at is None:
-        command.main()
-        return
     watch = _Watch(kill_at)
     sys.setprofile(watch)
     command.main()
@@ -91,7 +76,7 @@ def train(folder: Path, output: Path, kill_at: int | None = None, file_size: int
 class _Watch:
     """A profiler that counts operations on the disk and kills the process just before one of them."""
 
-    def __init__(self, kill_at: int) -> None:
+    def __init__(self, kill_at: int | None) -> None:
         self.kill_at, self.count = kill_at, 0
 
     def __call__(self, frame: FrameType, event: str, called: Any) -> None:
@@ -126,6 +111,21 @@ def ended(process: ForkServerProcess) -> int | None:
 def expected_steps(settings: TrainSettings) -> list[int]:
     """Steps of the evaluations of an uninterrupted run."""
     return list(range(settings.eval_steps, settings.total_steps + 1, settings.eval_steps))
+
+
+def stop_after(steps: int, settings: TrainSettings, folder: Path) -> None:
+    """Train in a described folder, and interrupt the training after so many steps."""
+
+    class Interrupt(Checkpoint):
+        def _on_step(self) -> bool:
+            if self.num_timesteps > steps:
+                raise KeyboardInterrupt
+            return True
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(training, "Checkpoint", Interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            training.train(settings, folder, progress=False)
 
 
 def check_whole(folder: Path) -> None:

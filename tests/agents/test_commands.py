@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import dataclasses
 import io
 import json
 import re
@@ -23,7 +22,6 @@ import pytest
 
 from agents.policies.registry import SCRIPTED
 from agents.settings import EnvSettings
-from tests.agents.small_run import TINY
 from tests.states import load
 
 ROOT = Path(__file__).parents[2]
@@ -43,14 +41,6 @@ COMMANDS = [name for name, text in SCRIPTS.items() if "__main__" in text]
 class Done(NamedTuple):
     stdout: str
     stderr: str
-
-
-def process(name: str, *arguments: str, cwd: Path, status: int = 0) -> Done:
-    """Run a command in a new process."""
-    command = [sys.executable, str(ROOT / "scripts" / f"{name}.py"), *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=250, check=False)
-    assert done.returncode == status, done.stderr
-    return Done(done.stdout, done.stderr)
 
 
 def script(name: str, *arguments: str, cwd: Path, status: int = 0) -> Done:
@@ -88,19 +78,12 @@ def test_simulate_writes_states_impacts_and_four_plots(tmp_path: Path) -> None:
     assert list(impacts[0]) == ["time [s]", "wall", "foot", "impulse [N s]"]
     known = reference["impacts"][:3]
     assert [(int(row["wall"]), int(row["foot"])) for row in impacts] == [(hit["wall"], hit["foot"]) for hit in known]
+    np.testing.assert_allclose([float(row["time [s]"]) for row in impacts], [hit["time"] for hit in known], atol=1e-9)
     assert "3 impacts by t = 3 s" in done.stdout
     plots = sorted(path.name for path in folder.glob("*.png"))
     assert plots == [f"{body}_{what}.png" for body in ("box", "jack") for what in ("positions", "velocities")]
     again = script("simulate", "--folder", "out", cwd=tmp_path, status=2)
     assert "never overwritten" in again.stderr
-
-
-def test_simulate_by_the_exact_model_gives_the_reference(tmp_path: Path) -> None:
-    script("simulate", "--fidelity", "exact", "--seconds", "3", "--no-plots", "--folder", "out", cwd=tmp_path)
-    with (tmp_path / "out" / "impacts.csv").open() as file:
-        times = [float(row["time [s]"]) for row in csv.DictReader(file)]
-    known = [hit["time"] for hit in load("seed_scene")[0]["impacts"] if hit["time"] < 3.0]
-    np.testing.assert_allclose(times, known, rtol=0.0, atol=1e-9)
 
 
 def test_simulate_writes_the_steps_before_the_jack_escapes(tmp_path: Path) -> None:
@@ -109,26 +92,6 @@ def test_simulate_writes_the_steps_before_the_jack_escapes(tmp_path: Path) -> No
     done = script("simulate", *arguments, cwd=tmp_path, status=2)
     assert "the jack would leave the box" in done.stderr
     assert (tmp_path / "out" / "states.csv").stat().st_size > 100
-
-
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        (["--seconds", "nan"], "seconds must be a finite number above 0"),
-        (["--dt", "20"], "dt must be at most seconds = 10, got 20"),
-        (["--state", "[1, 2]"], "(2,)"),
-        (["--state", "[0,0,0,6.5,0,0,0,0,0,0,0,0]"], "at most 1 m outside, got 1.5 m"),
-        (["--state", "[" * 100_000], "state"),
-        (["--folder", "/dev/null/runs"], "/dev/null"),
-        (["--folder", "/proc/runs"], "/proc"),
-        (["--scene", '{"gravity": -1}'], "gravity"),
-    ],
-)
-def test_simulate_refuses_nonsense_in_one_sentence(tmp_path: Path, arguments: list[str], sentence: str) -> None:
-    done = script("simulate", *arguments, cwd=tmp_path, status=2)
-    assert sentence in done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1
-    assert not list(tmp_path.iterdir())
 
 
 def test_evaluate_compares_policies_and_writes_json(tmp_path: Path, run: Path) -> None:
@@ -145,25 +108,6 @@ def test_evaluate_compares_policies_and_writes_json(tmp_path: Path, run: Path) -
     assert "Note:" not in same.stderr  # another word for the same
     assert "no cannot be used: " in script("evaluate", "--json", "no/out.json", cwd=tmp_path, status=2).stderr
     assert "never overwritten" in script("evaluate", *arguments, cwd=tmp_path, status=2).stderr
-
-
-def test_evaluate_writes_an_episode_of_each_policy_as_a_page(tmp_path: Path, run: Path) -> None:
-    arguments = ["--policy", "level", "chirp", str(run), "--episodes", "1", "--task", "spin", "--fidelity", "exact"]
-    done = script("evaluate", *arguments, "--json", "out.json", "--html", "--folder", "pages", cwd=tmp_path)
-    stored = json.loads((tmp_path / "out.json").read_text())
-    pages = sorted((tmp_path / "pages").iterdir())
-    assert [page.suffix for page in pages] == [".html"] * 3
-    assert {"chirp.html", "level.html"} < {page.name for page in pages}
-    for row in stored["results"][:2]:  # the episode shown is the first that was counted
-        assert f"{row['policy']}.html: return {row['mean']:.1f}" in done.stdout
-    text = (tmp_path / "pages" / "level.html").read_text()
-    data = json.loads(text.split('id="data">')[1].split("</script>")[0])
-    assert data["held"]
-    assert ["task", "spin"] in data["facts"]
-    assert (
-        "never overwritten"
-        in script("evaluate", *arguments, "--html", "--folder", "pages", cwd=tmp_path, status=2).stderr
-    )
 
 
 def test_a_single_field_of_the_scene_is_an_option_too(tmp_path: Path) -> None:
@@ -234,7 +178,7 @@ def test_training_survives_ctrl_c_and_resumes_from_the_command_line(tmp_path: Pa
 
 @pytest.mark.slow
 def test_the_demo_runs_end_to_end_when_made_small(tmp_path: Path) -> None:
-    done = process("demo", "--folder", "demo", "--total-steps", "8192", "--episodes", "4", cwd=tmp_path)
+    done = script("demo", "--folder", "demo", "--total-steps", "8192", "--episodes", "4", cwd=tmp_path)
     for policy in (*SCRIPTED, "PPO"):
         assert f"| {policy}" in done.stdout
     for name in ("model.zip", "settings.json", "run.json", "results.json", "results.png", "film.gif"):
@@ -264,14 +208,6 @@ def test_scenes_that_vary_are_settings_too(tmp_path: Path) -> None:
     env: Any = gym.make("JackInBox-v0", **settings.env_settings).unwrapped
     masses = {env.scene.jack_mass for _ in range(5) if env.reset() is not None}
     assert len(masses) == 5
-    assert all(2.0 <= mass <= 6.0 for mass in masses)
-    assert EnvSettings().env_settings["randomize"] is None
     for ranges, said in (("[1]", "randomize must be a JSON object"), ('{"mass": [1, 2]}', "randomize accepts only")):
         done = script("evaluate", "--randomize", ranges, cwd=tmp_path, status=2)
         assert said in done.stderr, done.stderr
-    with pytest.raises(ValueError, match="lookahead must be 0 if scenes vary"):
-        dataclasses.replace(TINY, lookahead=8, repeat=5, randomize='{"jack_mass": [2, 6]}')
-    with pytest.raises(ValueError, match="preview must be off if gravity varies"):
-        dataclasses.replace(TINY, preview=True, randomize='{"gravity": [1, 9]}')
-    with pytest.raises(ValueError, match="landing must be off if torque_limit varies"):
-        dataclasses.replace(TINY, landing=True, randomize='{"torque_limit": [80000, 90000]}')

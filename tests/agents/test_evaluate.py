@@ -19,18 +19,26 @@ from agents.training import ppo as training
 from agents.training.models import derived_seed
 from tests.agents.small_run import TINY
 from tests.agents.test_commands import script
+from tests.commands.test_report import data_of
 
 
-def test_a_page_shows_the_scene_that_was_drawn(tmp_path: Path) -> None:
+def test_it_writes_an_episode_of_each_policy_as_a_page_of_the_scene_that_was_drawn(tmp_path: Path, run: Path) -> None:
     varied = '{"box_half_width": [3.0, 9.0], "gravity": [1.0, 20.0]}'
-    arguments = ["--policy", "level", "--episodes", "1", "--randomize", varied, "--html", "--folder", "pages"]
-    script("evaluate", *arguments, cwd=tmp_path)
-    page = (tmp_path / "pages" / "level.html").read_text()
-    data = json.loads(page.split('id="data">')[1].split("</script>")[0])
-    settings = EnvSettings(randomize=varied).env_settings
-    scene = record_episode(find_policy("level", EnvSettings()), settings, derived_seed("evaluation", 0)).scene
+    arguments = ["--policy", "level", "chirp", str(run), "--episodes", "1", "--task", "spin", "--randomize", varied]
+    arguments += ["--fidelity", "exact", "--html", "--folder", "pages"]
+    done = script("evaluate", *arguments, "--json", "out.json", cwd=tmp_path)
+    names = sorted(page.name for page in (tmp_path / "pages").iterdir())
+    assert len(names) == 3
+    assert {"chirp.html", "level.html"} < set(names)
+    for row in json.loads((tmp_path / "out.json").read_text())["results"][:2]:  # the first episode that was counted
+        assert f"{row['policy']}.html: return {row['mean']:.1f}" in done.stdout
+    settings = EnvSettings(randomize=varied)
+    scene = record_episode(find_policy("level", settings), settings.env_settings, derived_seed("evaluation", 0)).scene
+    data = data_of(tmp_path / "pages" / "level.html")
+    assert data["held"]
     assert data["halfWidth"] == scene.box_half_width != 6.0
-    assert dict(data["facts"])["gravity"] == f"{scene.gravity:g} m/s\u00b2"
+    assert {"task": "spin", "gravity": f"{scene.gravity:g} m/s\u00b2"}.items() <= dict(data["facts"]).items()
+    assert "never overwritten" in script("evaluate", *arguments, cwd=tmp_path, status=2).stderr
 
 
 def test_names_of_pages_are_distinct() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,13 +17,11 @@ from agents.policies.one_bounce import (
     LandingSettings,
     bounced,
     flown,
-    read_landing,
     uprighted,
 )
 from agents.policies.registry import find_policy
 from agents.settings import EnvSettings
 from jackbox_env import Scene, make_simulator
-from jackbox_env.files import write_json
 from jackbox_env.landing import landing_times, torques
 from jackbox_env.states import Array
 from jackbox_env.tasks import sample_start
@@ -92,24 +89,6 @@ def test_what_pairs_are_worth_does_not_depend_on_the_jacks_beside() -> None:
     for number, together in enumerate(policy.worth(states, times)):
         one = slice(number, number + 1)
         np.testing.assert_array_equal(policy.worth(states[one], times[one])[0], together)
-
-
-def test_damaged_and_unfit_files_are_errors(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match=r"has no landing.json"):
-        read_landing(tmp_path)
-    write_with_layers(tmp_path, "landing.json", SMALL, layers_for())
-    damaged: list[tuple[dict[str, Any], str]] = [
-        ({"repeat": 0}, "repeat must .* got 0"),
-        ({"angles": []}, r"angles must .* got \[\]"),
-        ({"angles": [0.0] * 40, "rates": [0.0] * 40}, "1,000 pairs, got 1,600"),
-        ({"angles": [3.0]}, "angles must .* got 3.0"),
-        ({"rates": ["fast"]}, "rates must .* got 'fast'"),
-        ({"speed": 1}, "'speed'"),
-    ]
-    for content, sentence in damaged:
-        write_json(tmp_path / "landing.json", content)
-        with pytest.raises(ValueError, match=f"has no policy of landings: .*{sentence}"):
-            read_landing(tmp_path)
 
 
 def test_the_shipped_one_juggles_better_than_ppo() -> None:

@@ -13,10 +13,14 @@ import pytest
 
 from agents.evaluation.returns import evaluate
 from agents.policies.network import TRAINED, NetworkPolicy, layers_of, read_policy, write_with_layers
+from agents.policies.one_bounce import LandingSettings, read_landing
 from agents.policies.registry import find_policy
+from agents.policies.value import read_value
 from agents.settings import EnvSettings, TrainSettings
 from agents.training.models import make_ppo, make_vec_env, wrapped
+from jackbox_env.files import write_json
 from tests.agents.small_run import TINY
+from tests.agents.untrained import layers_for
 
 KINDS = {
     "plain": replace(TINY, contact="exact"),
@@ -89,19 +93,57 @@ def test_a_shipped_policy_does_better_than_the_level_box(task: str) -> None:
     assert ppo.interval[0] > level.interval[1], (ppo.interval, level.interval)
 
 
-def test_damaged_and_unfit_files_are_errors(tmp_path: Path) -> None:
-    settings, weights = KINDS["plain"], tmp_path / "weights.npz"
+def test_unfit_layers_are_errors() -> None:
+    settings = KINDS["plain"]
     layers = layers_of(moving_model(settings).get_parameters()["policy"])
     with pytest.raises(ValueError, match=r"have shapes \[\(\(8, 10\), \(8,\)\).* got \[\(\(16, 10\)"):
         NetworkPolicy(replace(settings, hidden_units=(8,)), layers)
     with pytest.raises(ValueError, match="finite"):
         NetworkPolicy(settings, [(weight * np.nan, bias) for weight, bias in layers])
-    with pytest.raises(FileNotFoundError, match="has no settings.json"):
-        read_policy(tmp_path)
-    write_with_layers(tmp_path, "settings.json", settings, layers)
+
+
+FILES: dict[str, tuple[Any, Any, str]] = {  # how they are read and written, and what they have
+    "settings.json": (read_policy, KINDS["plain"], "policy"),
+    "landing.json": (read_landing, LandingSettings(angles=(-0.3, 0.3), rates=(0.0,)), "policy of landings"),
+    "value.json": (read_value, EnvSettings(contact="exact"), "value"),
+}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_damaged_and_missing_files_are_errors(name: str, tmp_path: Path) -> None:
+    read, settings, what = FILES[name]
+    layers = layers_of(moving_model(settings).get_parameters()["policy"]) if name == "settings.json" else layers_for()
+    write_with_layers(tmp_path, name, settings, layers)
+    assert read(tmp_path)
+    weights = tmp_path / "weights.npz"
     weights.write_bytes(weights.read_bytes()[:-100])
-    with pytest.raises(ValueError, match="has no policy: File is not a zip file"):
-        read_policy(tmp_path)
-    weights.unlink()
-    with pytest.raises(FileNotFoundError, match=r"has no weights.npz"):
-        read_policy(tmp_path)
+    with pytest.raises(ValueError, match=f"has no {what}: File is not a zip file"):
+        read(tmp_path)
+    for missing in ("weights.npz", name):
+        (tmp_path / missing).unlink()
+        with pytest.raises(FileNotFoundError, match=f"has no {missing}"):
+            read(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "sentence"),
+    [
+        ("landing.json", {"repeat": 0}, "repeat must .* got 0"),
+        ("landing.json", {"angles": []}, r"angles must .* got \[\]"),
+        ("landing.json", {"angles": [0.0] * 40, "rates": [0.0] * 40}, "1,000 pairs, got 1,600"),
+        ("landing.json", {"angles": [3.0]}, "angles must .* got 3.0"),
+        ("landing.json", {"rates": ["fast"]}, "rates must .* got 'fast'"),
+        ("landing.json", {"speed": 1}, "'speed'"),
+        ("value.json", {"gravity": 3.0}, "'gravity'"),
+        ("value.json", {"scene": 3}, "scene must .* got 3"),
+        ("value.json", [], r"got \[\]"),
+        ("value.json", {"task": "dance"}, "task must .* got 'dance'"),
+        ("value.json", {"contact": "pymunk", "substeps": -1}, "substeps must .* got -1"),
+    ],
+)
+def test_unfit_settings_in_files_are_errors(name: str, content: Any, sentence: str, tmp_path: Path) -> None:
+    read, settings, what = FILES[name]
+    write_with_layers(tmp_path, name, settings, layers_for())
+    write_json(tmp_path / name, content)
+    with pytest.raises(ValueError, match=f"has no {what}: .*{sentence}"):
+        read(tmp_path)

@@ -1,4 +1,4 @@
-"""Action repeat: in training, and by a trained policy in the ordinary environment."""
+"""Action repeat: by a trained policy in the ordinary environment, and in training."""
 
 from __future__ import annotations
 
@@ -23,36 +23,6 @@ from tests.agents.small_run import TINY
 
 REPEAT = 5
 REPEATED = replace(TINY, contact="exact", repeat=REPEAT, preview=True)
-
-
-# -- training ----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("contact", ["exact", "pymunk"])
-def test_repeating_environments_are_the_environments_stepped_by_hand(contact: str) -> None:
-    count, settings = 3, {"contact": contact}
-    repeating, plain = wrapped(make_vec_env(settings, count, 7), REPEATED), make_vec_env(settings, count, 7)
-    np.testing.assert_array_equal(repeating.reset(), plain.reset())
-    rng = np.random.default_rng(0)
-    ended = 0
-    for _ in range(2 * 500 // REPEAT):
-        actions = rng.uniform(-1.0, 1.0, (count, 1)).astype(np.float32)
-        observations, rewards, dones, infos = repeating.step(actions)
-        by_hand = [plain.step(actions) for _ in range(REPEAT)]
-        total = np.sum([step[1] for step in by_hand], axis=0)
-        np.testing.assert_allclose(rewards, total, rtol=1e-6)
-        assert rewards.dtype == np.float32
-        np.testing.assert_array_equal(observations, by_hand[-1][0])
-        np.testing.assert_array_equal(dones, by_hand[-1][2])
-        for mine, other in zip(infos, by_hand[-1][3], strict=True):
-            assert set(mine) == set(other)
-            if "episode" in mine:
-                ended += 1
-                assert mine["episode"]["l"] == other["episode"]["l"] == 500
-                assert mine["episode"]["r"] == other["episode"]["r"]
-                assert mine["TimeLimit.truncated"] is other["TimeLimit.truncated"] is True
-                np.testing.assert_array_equal(mine["terminal_observation"], other["terminal_observation"])
-    assert ended == 2 * count
 
 
 # -- playing -----------------------------------------------------------------------------------------------------------

@@ -17,9 +17,10 @@ from agents.runs import describe, read_settings
 from agents.settings import TrainSettings
 from agents.training import ppo as training
 from agents.training.best import choosing_seed
-from agents.training.checkpoints import Checkpoint, latest_checkpoint, steps_of_checkpoints
+from agents.training.checkpoints import latest_checkpoint, steps_of_checkpoints
 from agents.training.models import load_model, make_ppo, make_vec_env
 from jackbox_env.files import new_folder
+from tests.agents.killing import stop_after
 from tests.agents.small_run import TINY
 
 # -- training ----------------------------------------------------------------------------------------------------------
@@ -58,20 +59,10 @@ def test_the_best_model_is_the_best_evaluation(run: Path) -> None:
     assert best == pytest.approx(stored["results"].mean(axis=1).max(), rel=1e-6)
 
 
-def test_interrupted_training_resumes_to_the_same_total(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupted_training_resumes_to_the_same_total(tmp_path: Path) -> None:
     folder = new_folder(tmp_path / "run", "test")
     describe(folder, TINY)
-
-    class Interrupt(Checkpoint):
-        def _on_step(self) -> bool:
-            if self.num_timesteps >= 1300:
-                raise KeyboardInterrupt
-            return True
-
-    with monkeypatch.context() as patched:
-        patched.setattr(training, "Checkpoint", Interrupt)
-        with pytest.raises(KeyboardInterrupt):
-            training.train(TINY, folder, progress=False)
+    stop_after(1299, TINY, folder)
     # the last checkpoint was made for the evaluation at 1024, the rollout under way began at 1280
     assert steps_of_checkpoints(folder) == [1280, 768, 512]
     assert not (folder / "model.zip").exists()

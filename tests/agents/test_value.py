@@ -17,7 +17,6 @@ from agents.policies.registry import find_policy, shipped_names
 from agents.policies.value import UNIT, Value, ValuedSearch, read_value
 from agents.settings import EnvSettings
 from jackbox_env import Scene
-from jackbox_env.files import write_json
 from jackbox_env.planning.icem import Search
 from tests.agents.untrained import layers_for, states_in
 
@@ -53,32 +52,12 @@ def test_the_ends_of_candidates_are_valued() -> None:
 def test_misfits_are_refused(layers: list[Layer], sentence: str) -> None:
     with pytest.raises(ValueError, match=sentence):
         Value(EXACT, layers)
-    with pytest.raises(TypeError, match="value must be .*, got 'good'"):
-        Planner(Scene(), value="good")  # type: ignore[arg-type]
 
 
-def test_a_value_is_written_and_read_and_damage_is_an_error(tmp_path: Path) -> None:
+def test_a_value_is_written_and_read(tmp_path: Path) -> None:
     write_with_layers(tmp_path, "value.json", EXACT, layers_for())
-    states, weights = states_in(Scene(), 5), tmp_path / "weights.npz"
+    states = states_in(Scene(), 5)
     np.testing.assert_array_equal(read_value(tmp_path).of(states), Value(EXACT, layers_for()).of(states))
-    for content, sentence in (
-        ({"gravity": 3.0}, "'gravity'"),
-        ({"scene": 3}, "scene must .* got 3"),
-        ([], r"got \[\]"),
-        ({"task": "dance"}, "task must .* got 'dance'"),
-        ({"contact": "pymunk", "substeps": -1}, "substeps must .* got -1"),
-    ):
-        write_json(tmp_path / "value.json", content)
-        with pytest.raises(ValueError, match=f"has no value: .*{sentence}"):
-            read_value(tmp_path)
-    write_with_layers(tmp_path, "value.json", EXACT, layers_for())
-    weights.write_bytes(weights.read_bytes()[:-100])
-    with pytest.raises(ValueError, match="has no value: "):
-        read_value(tmp_path)
-    for name in ("weights.npz", "value.json"):
-        (tmp_path / name).unlink()
-        with pytest.raises(FileNotFoundError, match=f"has no {name}"):
-            read_value(tmp_path)
 
 
 def search_in(**settings: Any) -> Search:

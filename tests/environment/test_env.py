@@ -138,7 +138,7 @@ def test_the_environment_steps_what_the_simulator_steps() -> None:
         simulator.step(0.05, float(action) * 90000.0)
         np.testing.assert_array_equal(info["state"], simulator.state)
         np.testing.assert_array_equal(observation, observe(scene, simulator.state.tolist()))
-        assert info["impacts"] == len(simulator.impacts) == len(env.unwrapped.impacts)  # type: ignore[attr-defined]
+        assert info["impacts"] == len(simulator.impacts) == len(env.unwrapped.impacts)
         assert info["impulse"] == pytest.approx(sum(hit.impulse for hit in simulator.impacts))
         assert (terminated, truncated) == (False, False)
         hits += info["impacts"]

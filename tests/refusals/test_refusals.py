@@ -19,6 +19,9 @@ from gymnasium.wrappers.vector import ClipAction
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 import jackbox_env
+from agents.policies.planner import Planner
+from agents.policies.registry import find_policy
+from agents.settings import EnvSettings, TrainSettings
 from jackbox_env import (
     Chirp,
     JackInBoxEnv,
@@ -150,6 +153,10 @@ def rescaled() -> Any:
     return RescaleAction(gym.make("JackInBox-v0"), np.float32(-2), np.float32(2))
 
 
+def varied(field: str, **settings: Any) -> TrainSettings:
+    return TrainSettings.suited(**{"landing": False, "randomize": f'{{"{field}": [80000, 90000]}}', **settings})
+
+
 following, dummy = partial(looking, follow=True), (lambda make: DummyVecEnv([make]))
 NO_TORQUES = "follow needs actions that are torques, without an action wrapper"
 DRIVEN = 'follow needs an environment with torque="agent", .* got torque="chirp"'
@@ -187,6 +194,21 @@ SENTENCES: list[tuple[Callable[[], object], type[Exception], str]] = [
     (lambda: JackInBoxVectorEnv(2).step(None), RuntimeError, "step must come after a reset of all environments"),
     (lambda: JackInBoxEnv(randomize={"jack_inertia": (1e-6, 4.0)}), ValueError, "jack_inertia=1e-06"),
     (lambda: rollout(None, START, np.zeros(5), 0.02, time=1e9), ValueError, "dt .* end by 1e[+]09 s"),
+    # settings of trainings, and policies
+    (lambda: TrainSettings(scene="[1]"), ValueError, r"scene must .*\[1"),
+    (lambda: TrainSettings(scene="{"), ValueError, "scene must .*{"),
+    (lambda: varied("jack_mass", lookahead=8, repeat=5), ValueError, "lookahead must be 0 if scenes vary"),
+    (lambda: varied("gravity", preview=True), ValueError, "preview must be off if gravity varies"),
+    (lambda: varied("torque_limit", landing=True), ValueError, "landing must be off if torque_limit varies"),
+    (lambda: find_policy("pid", EnvSettings(), 0), FileNotFoundError, "must be one of .*planner, .*ppo, .* got 'pid'"),
+    (lambda: find_policy("value", EnvSettings(), 0), FileNotFoundError, "a policy must be one of .* got 'value'"),
+    (lambda: Planner(Scene(), samples=1), ValueError, "samples must .*, got 1"),
+    (lambda: Planner(Scene(), elites=300), ValueError, "elites must .*, got 300"),
+    (lambda: Planner(Scene(), knots=1), ValueError, "knots must .*, got 1"),
+    (lambda: Planner(Scene(), repeat=0), ValueError, "repeat must .*, got 0"),
+    (lambda: Planner(Scene(), num_threads=0), ValueError, "num_threads must .*, got 0"),
+    (lambda: Planner(Scene(), control_dt=0.0), ValueError, "control_dt must .*, got 0.0"),
+    (lambda: Planner(Scene(), value="good"), TypeError, "value must be .*, got 'good'"),  # type: ignore[arg-type]
     # landing control
     (lambda: aiming(period="landing"), TypeError, "period must be .*'landing'"),
     (lambda: aiming(torque="chirp"), ValueError, "torque"),
@@ -204,7 +226,7 @@ SENTENCES: list[tuple[Callable[[], object], type[Exception], str]] = [
     (
         lambda: looking(RescaleObservation(ONE, ZERO, TWO)),
         TypeError,
-        "the ten numbers of JackInBox-v0, got observations",
+        "the ten numbers of .*, got observations",
     ),
     (lambda: looking(looking(ONE)), TypeError, "looking ahead needs the ten numbers"),
     (lambda: looking(SyncVectorEnv(TASKS_APART), LookaheadVector), ValueError, r"one task, got \['juggle', 'spin'\]"),
