@@ -22,7 +22,7 @@ from agents.policies.one_bounce import (
 from agents.policies.registry import find_policy
 from agents.settings import EnvSettings
 from jackbox_env import Scene, make_simulator
-from jackbox_env.landing import landing_times, torques
+from jackbox_env.landing import landing_times
 from jackbox_env.states import Array
 from jackbox_env.tasks import sample_start
 from tests.agents.untrained import layers_for, states_in
@@ -60,13 +60,6 @@ def test_a_box_turned_by_quarters_is_the_same_box() -> None:
     np.testing.assert_allclose(policy.towards_best(turned), policy.towards_best(states), atol=1e-9)
 
 
-def test_the_box_is_turned_to_the_pair_that_is_worth_most(monkeypatch: pytest.MonkeyPatch) -> None:
-    policy, states = LandingPolicy(SMALL, layers_for()), starts(5)
-    monkeypatch.setattr(policy, "worth", lambda states, times: np.tile(np.eye(15)[13], (5, 1)))  # the pair (0.3, 0.0)
-    expected = torques(FREE, states, np.tile([[0.3, 0.0]], (5, 1)), 0.1)
-    np.testing.assert_array_equal(policy.towards_best(states), expected)
-
-
 def test_a_policy_is_written_read_and_held(tmp_path: Path) -> None:
     write_with_layers(tmp_path, "landing.json", SMALL, layers_for())
     policy = find_policy(str(tmp_path), EnvSettings(), 0).policy
@@ -81,14 +74,6 @@ def test_a_policy_is_written_read_and_held(tmp_path: Path) -> None:
     anew = policy.predict(others, state)[0]
     np.testing.assert_array_equal(anew, policy.predict(others)[0])
     assert not np.array_equal(anew, actions)
-
-
-def test_what_pairs_are_worth_does_not_depend_on_the_jacks_beside() -> None:
-    policy, states = LandingPolicy(SMALL, layers_for(96)), starts(9)
-    times = landing_times(FREE, states)
-    for number, together in enumerate(policy.worth(states, times)):
-        one = slice(number, number + 1)
-        np.testing.assert_array_equal(policy.worth(states[one], times[one])[0], together)
 
 
 def test_the_shipped_one_juggles_better_than_ppo() -> None:

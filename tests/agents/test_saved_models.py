@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
+import os
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,11 +21,13 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecFrameStack,
 
 from agents.policies.models import ModelPolicy, Options
 from agents.policies.registry import find_policy
-from agents.settings import EnvSettings
+from agents.settings import EnvSettings, TrainSettings
+from agents.training.models import make_ppo, make_vec_env
 from jackbox_env import Drive, LandingControl, Scene, Task
 from jackbox_env.sb3 import make_sb3_vec_env, save_model
 from jackbox_env.sb3_wrappers import HoldingVecEnv, LandingControlVecEnv, LookaheadVecEnv
 from jackbox_env.tasks import juggle
+from tests.agents.small_run import TINY
 from tests.agents.test_commands import script
 
 HERE = EnvSettings(fidelity="exact")
@@ -207,3 +213,33 @@ def test_without_env_json_and_in_another_environment_there_is_a_note(tmp_path: P
     (tmp_path / "env.json").unlink()
     done = script("evaluate", *few, "--trust", cwd=tmp_path)
     assert "Note: no env.json beside model.zip describes it, so it decides in every control step" in done.stderr
+
+
+# -- loaded where there is no checkout of this project -----------------------------------------------------------------
+
+LOADING = """
+import sys
+class Refused:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in ("agents", "jackbox_env", "scripts", "tests"):
+            raise ModuleNotFoundError(f"No module named {name!r}")
+sys.meta_path.insert(0, Refused())
+import numpy as np
+from stable_baselines3 import PPO
+model = PPO.load("model.zip")
+print(model.lr_schedule(0.5), model.predict(np.zeros((3, 10), np.float32), deterministic=True)[0].ravel().tolist())
+"""
+
+
+def test_a_saved_model_loads_without_this_project_and_stores_its_settings(tmp_path: Path) -> None:
+    settings = dataclasses.replace(TINY, repeat=4)
+    model = make_ppo(settings, make_vec_env(settings.env_settings, 2, 0))
+    model.save(tmp_path / "model.zip")
+    actions, _ = model.policy.predict(np.zeros((3, 10), np.float32), deterministic=True)
+    command = [sys.executable, "-W", "error::UserWarning", "-c", LOADING]
+    out = subprocess.check_output(command, cwd=tmp_path, env={**os.environ, "PYTHONPATH": ""}, text=True)
+    assert out == f"{0.5 * TINY.learning_rate} {actions.ravel().tolist()}\n"
+    again: Any = PPO.load(tmp_path / "model.zip", device="cpu")
+    assert TrainSettings.of(again.trained_by) == settings
+    for remaining in (1.0, 0.25, 0.0):  # it falls to 0
+        assert model.lr_schedule(remaining) == pytest.approx(TINY.learning_rate * remaining, abs=1e-18)

@@ -65,18 +65,6 @@ def test_it_plays_by_itself_and_never_faster_than_the_clock(opened: Film) -> Non
     assert 0.0 < after[1] - before[1] < after[0] - before[0] + 0.2  # a busy machine lets it fall behind
 
 
-def test_pause_holds_and_play_goes_on(opened: Film) -> None:
-    opened.pause()
-    held = opened.time
-    opened.page.wait_for_timeout(300)
-    assert opened.time == held
-    opened.page.keyboard.press("ArrowRight")
-    opened.page.locator("#rows").focus()
-    opened.page.keyboard.press("Space")
-    opened.page.wait_for_timeout(300)
-    assert opened.time > held
-
-
 def test_the_list_names_each_impact_and_a_click_jumps_to_it(opened: Film, trajectory: Trajectory) -> None:
     listed = opened.page.locator("#impacts tr")
     assert listed.count() == len(trajectory.impacts)
@@ -91,12 +79,14 @@ def test_the_list_names_each_impact_and_a_click_jumps_to_it(opened: Film, trajec
         assert opened.page.locator("#hits").inner_text() == str(index + 1)
 
 
-@pytest.mark.parametrize("part", ["#impacts button >> nth=3", "#after", "#loop", "#play"])
-def test_space_plays_on_after_a_click(opened: Film, part: str) -> None:
+@pytest.mark.parametrize("part", ["#impacts button >> nth=3", "#after", "#loop", "#play", "#rows"])
+def test_pause_holds_and_space_plays_on_wherever_the_focus_is(opened: Film, part: str) -> None:
     opened.pause()
-    opened.page.click(part)
+    opened.page.locator(part).focus() if part == "#rows" else opened.page.click(part)
     opened.pause()
     held = opened.time
+    opened.page.wait_for_timeout(300)
+    assert opened.time == held
     opened.page.keyboard.press("Space")
     assert opened.playing
     opened.page.wait_for_timeout(300)

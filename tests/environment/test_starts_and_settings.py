@@ -80,16 +80,6 @@ def test_the_same_actions_from_a_saved_state_give_the_same_future_bitwise(contac
             np.testing.assert_array_equal(twin.step(action)[0], seen)
 
 
-def test_set_state_accepts_states_that_pymunk_may_produce() -> None:
-    env, deep = JackInBoxEnv(), np.zeros(12)
-    env.reset(seed=0)
-    deep[[3, 9]] = 5.7, 3.0
-    env.set_state(deep, time=2.0)
-    np.testing.assert_array_equal(env.state, deep)
-    *_, info = env.step(0.0)
-    assert (info["impacts"], info["time"]) == (1, 2.02)
-
-
 # -- construction ------------------------------------------------------------------------------------------------------
 
 
@@ -122,8 +112,3 @@ def test_scenes_with_functions_run_end_to_end_and_have_no_json_form() -> None:
     assert all(info["torque"] == 0.0 for info in infos)
     with pytest.raises(TypeError, match="not JSON serializable"):
         env.spec.to_json()
-
-
-def test_a_contact_that_is_an_array_is_refused_beside_a_fidelity_too() -> None:
-    with pytest.raises(ValueError, match="^fidelity='coarse' stands for contact='pymunk', got contact="):
-        JackInBoxEnv(fidelity="coarse", contact=np.array(["pymunk", "exact"]))  # type: ignore[arg-type]

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import threading
-import time
 from pathlib import Path
 from typing import Any
 
@@ -141,40 +139,23 @@ def test_errors_of_missing_packages_name_the_command_that_installs_them() -> Non
 # -- play -------------------------------------------------------------------------------------------------------------
 
 
-def played(presses: list[tuple[float, int, int]], seconds: float, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """Play without a display; each press is (after seconds, event type, key). Return (action, info) per step."""
+def test_play_drives_by_the_chirp_until_an_arrow_key_pushes(monkeypatch: pytest.MonkeyPatch) -> None:
     backend = pytest.importorskip("matplotlib")
     monkeypatch.setattr(backend, "use", lambda *arguments, **settings: None)  # play opens a Tk window at import
     from gymnasium.utils.play import play
 
-    seen: list[Any] = []
+    presses = {10: pygame.KEYDOWN, 20: pygame.KEYUP, 30: pygame.QUIT}  # after so many steps
+    actions, torques = list[Any](), list[float]()
 
     def remember(before: Any, after: Any, action: Any, reward: Any, terminated: Any, truncated: Any, info: Any) -> None:
-        seen.append((action, info))
+        actions.append(action if action is None else float(action[0]))
+        torques.append(info["torque"])
+        if len(actions) in presses:
+            pygame.event.post(pygame.event.Event(presses[len(actions)], {"key": pygame.K_LEFT}))
 
-    def press() -> None:
-        began = time.monotonic()
-        for after, kind, key in [*presses, (seconds, pygame.QUIT, 0)]:
-            time.sleep(max(0.0, began + after - time.monotonic()))
-            pygame.event.post(pygame.event.Event(kind, {"key": key} if key else {}))
-
-    env = gym.make("JackInBox-v0", render_mode="rgb_array")
-    typist = threading.Timer(0.5, press)
-    typist.start()
-    play(env, callback=remember, noop=None, seed=0)
-    typist.join()
-    return seen
-
-
-def test_play_drives_by_the_chirp_until_an_arrow_key_pushes(monkeypatch: pytest.MonkeyPatch) -> None:
-    seen = played([(0.4, pygame.KEYDOWN, pygame.K_LEFT), (0.8, pygame.KEYUP, pygame.K_LEFT)], 1.2, monkeypatch)
-    actions = [None if action is None else float(action[0]) for action, _ in seen]
-    assert actions[0] is None
-    assert actions[-1] is None
-    assert 1.0 in actions
-    pushed = [info["torque"] for action, info in seen if action is not None]
-    assert set(pushed) == {90000.0}
-    driven = [info["torque"] for action, info in seen if action is None]
-    assert all(torque not in (0.0, 90000.0) for torque in driven)
+    play(gym.make("JackInBox-v0", render_mode="rgb_array"), callback=remember, noop=None, seed=0)
+    assert actions == [None] * 10 + [1.0] * 10 + [None] * 10
+    assert set(torques[10:20]) == {90000.0}
+    assert not {0.0, 90000.0} & {*torques[:10], *torques[20:]}
     keys: Any = gym.make("JackInBox-v0").get_wrapper_attr("get_keys_to_action")()
     assert keys[(pygame.K_LEFT,)] == -keys[(pygame.K_RIGHT,)] == 1.0

@@ -158,6 +158,7 @@ def varied(field: str, **settings: Any) -> TrainSettings:
 
 
 following, dummy = partial(looking, follow=True), (lambda make: DummyVecEnv([make]))
+ARRAY = "^fidelity='coarse' stands for contact='pymunk', got contact="
 NO_TORQUES = "follow needs actions that are torques, without an action wrapper"
 DRIVEN = 'follow needs an environment with torque="agent", .* got torque="chirp"'
 ONE, ZERO, TWO = gym.make("JackInBox-v0", contact="exact"), np.float32(0), np.float32(2)
@@ -194,6 +195,13 @@ SENTENCES: list[tuple[Callable[[], object], type[Exception], str]] = [
     (lambda: JackInBoxVectorEnv(2).step(None), RuntimeError, "step must come after a reset of all environments"),
     (lambda: JackInBoxEnv(randomize={"jack_inertia": (1e-6, 4.0)}), ValueError, "jack_inertia=1e-06"),
     (lambda: rollout(None, START, np.zeros(5), 0.02, time=1e9), ValueError, "dt .* end by 1e[+]09 s"),
+    (
+        lambda: make_sb3_vec_env(2, autoreset_mode=0.0),
+        ValueError,
+        "accepts only .* got 'autoreset_mode'",
+    ),
+    (lambda: make_sb3_vec_env(2, gravity=0.0), ValueError, "make_sb3_vec_env accepts only .* got 'gravity'"),
+    (partial(JackInBoxEnv, fidelity="coarse", contact=np.array(["pymunk", "exact"])), ValueError, ARRAY),
     # settings of trainings, and policies
     (lambda: TrainSettings(scene="[1]"), ValueError, r"scene must .*\[1"),
     (lambda: TrainSettings(scene="{"), ValueError, "scene must .*{"),

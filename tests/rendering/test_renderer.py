@@ -95,12 +95,6 @@ def test_arrays_need_no_display() -> None:
     subprocess.run([sys.executable, "-c", code], env={**os.environ, "SDL_VIDEODRIVER": "no such driver"}, check=True)
 
 
-def test_missing_pygame_is_named_with_what_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pygame", None)
-    with pytest.raises(gym.error.DependencyNotInstalled, match="pip install pygame-ce"):
-        Renderer(Scene(), "rgb_array", 50)
-
-
 # -- the window --------------------------------------------------------------------------------------------------------
 
 

@@ -11,6 +11,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from types import FrameType, FunctionType
 from typing import Any, NamedTuple
 
@@ -19,7 +20,6 @@ import numpy as np
 from jackbox_env.env import JackInBoxEnv
 from jackbox_env.exact import compiler as _compiled
 from jackbox_env.scene import Drive, Scene
-from jackbox_env.tasks import Task
 from jackbox_env.vector_env import JackInBoxVectorEnv
 
 PYMUNK, EXACT, BATCH = "pymunk", "exact", "exact, batch"
@@ -77,31 +77,24 @@ def times_called(counts: Calls, function: str, caller: str = "") -> int:
     )
 
 
-def count_steps(model: str, driven: bool = False, frames: bool = False, made: bool = False, **settings: Any) -> Calls:
+def count_steps(model: str, driven: bool = False, frames: bool = False, **settings: Any) -> Calls:
     """Count ``STEPS`` control steps from a moving start under random actions, or under the drive.
 
     Args:
         model: ``PYMUNK``, ``EXACT`` or ``BATCH``.
         driven: whether the scene's drive acts in place of the actions.
         frames: whether a frame is drawn after each step.
-        made: whether the making of another such environment is counted too.
         **settings: of the environment.
     """
     contact = "pymunk" if model == PYMUNK else "exact"
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (STEPS, SIDE_BY_SIDE))
 
-    def make() -> Any:
-        if model != BATCH:
-            return JackInBoxEnv(contact=contact, **settings)
-        return JackInBoxVectorEnv(SIDE_BY_SIDE, contact=contact, **settings)
-
+    make: Any = partial(JackInBoxVectorEnv, SIDE_BY_SIDE) if model == BATCH else JackInBoxEnv
     with uncompiled():
-        env = make()
+        env = make(contact=contact, **settings)
         env.reset(options={"state": np.array(_START)})
 
         def run() -> None:
-            if made:
-                make()
             for action in actions:
                 env.step(None if driven else action if model == BATCH else action[:1])
                 if frames:
@@ -135,14 +128,6 @@ def _wave(time: float) -> float:
     return 4000.0 * math.sin(3.0 * time)
 
 
-def height(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float]:
-    """A custom reward: the height of the jack in the box [m]."""
-    return (state[4] - state[1],)
-
-
-HEIGHT = Task(("height",), height)
-
-
 _WEIGHTLESS: dict[str, Any] = {"scene": Scene(gravity=0.0)}
 _UNDRIVEN: dict[str, Any] = {"scene": Scene(drive=None), "driven": True}
 _PUSHED: dict[str, Any] = {"scene": Scene(drive=Drive(force_x=_wave, force_y=_wave))}
@@ -152,9 +137,6 @@ _PICTURE: dict[str, Any] = {"render_mode": "rgb_array"}
 _RESTARTS: dict[str, Any] = {"max_episode_steps": 50}
 _RANDOM: dict[str, Any] = {**_RESTARTS, "randomize": {"jack_mass": (3.0, 5.0)}}
 _CHOSEN: dict[str, Any] = {**_RESTARTS, "randomize": lambda rng: {"jack_mass": rng.uniform(3.0, 5.0)}}
-_MADE: dict[str, Any] = {"made": True}
-_CUSTOM: dict[str, Any] = {**_MADE, "task": HEIGHT}
-
 PROOFS = (
     Proof("gravity", PYMUNK, "the engine is given a force", "Body.force", _WEIGHTLESS, {}, "_advance"),
     Proof("drive", PYMUNK, "the engine is given a torque", "Body.torque", _UNDRIVEN, _CHIRP, "_advance"),

@@ -9,13 +9,11 @@ import pytest
 
 from jackbox_env.measure.accuracy import Case, compare, follow, prefix_errors, reference_of
 from jackbox_env.mechanics import energy, impact_map
-from jackbox_env.scene import Chirp, Scene
+from jackbox_env.scene import Scene
 from jackbox_env.simulators import make_simulator
-from jackbox_env.states import Array
 from jackbox_env.tasks import sample_start
 from scripts.referee import reference
 from scripts.studies import baselines
-from scripts.studies.baselines import solve_ivp
 from scripts.studies.baselines.base import Baseline
 from scripts.studies.baselines.threshold import BAND, reflect
 from tests.states import inside, one_foot_on_wall
@@ -39,27 +37,6 @@ def started(name: str, scene: Scene, substeps: int, numbers: dict[int, float], t
 
 def chirped(seed: int, steps: int = 500) -> Case:
     return Case(f"seed {seed}", Scene(), sample_start(Scene(), np.random.default_rng(seed)), steps)
-
-
-def test_threshold_flight_is_classical_runge_kutta_stage_by_stage() -> None:
-    scene = Scene()
-
-    def slope(y: Array, t: float) -> Array:
-        return np.array([*y[6:], 0.0, 0.0, Chirp().torque(t) / 14400.0, 0.0, -9.81, 0.0])
-
-    state = inside(scene, np.random.default_rng(4), speed=0.3)
-    h, t, y = 0.01, 1.3, state.copy()
-    simulator = baseline("threshold", scene, 3)
-    simulator.reset(state, t)
-    simulator.step(3 * h)
-    for _ in range(3):
-        k1 = slope(y, t)
-        k2 = slope(y + 0.5 * h * k1, t + 0.5 * h)
-        k3 = slope(y + 0.5 * h * k2, t + 0.5 * h)
-        k4 = slope(y + h * k3, t + h)
-        y, t = y + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4), t + h
-    assert simulator.impacts == []
-    np.testing.assert_allclose(simulator.state, y, rtol=1e-13, atol=1e-13)
 
 
 def test_a_threshold_impact_is_the_impact_map_when_approaching_and_its_reflection_when_leaving() -> None:
@@ -183,11 +160,3 @@ def test_solve_ivp_has_the_proven_impacts_and_misses_a_foot_that_goes_in_and_out
         simulator.reset([0.0, 0.0, 0.0, 5.2, 0.0, -0.79, 0.0, 0.0, 0.0, 0.0, 0.0, 79.0])
         simulator.step(0.02)
         assert [hit[1:3] for hit in simulator.impacts] == struck
-
-
-def test_solve_ivp_gives_up_after_a_thousand_impacts_of_a_step(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(solve_ivp, "MOST", 1)
-    simulator = baselines.baseline("solve_ivp")(WEIGHTLESS, tolerance=1e-3)
-    simulator.reset([0.0, 0.0, 0.0, 4.9, 0.0, 0.0, 0.0, 0.0, 0.0, 10.0, 0.0, 0.0])
-    with pytest.raises(RuntimeError, match="more than 1 impacts in the 0.02 s after t = 0 s"):
-        simulator.step(0.02)

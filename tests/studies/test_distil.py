@@ -1,14 +1,18 @@
-"""The script that makes the policy `distilled`, made small."""
+"""The scripts that make the policies `distilled`, made small."""
 
 from __future__ import annotations
 
 from collections import deque
+from typing import Any
 
 import numpy as np
+import torch
 
 from agents.policies.network import SHIPPED
 from agents.policies.value import read_value
-from scripts.studies import distil
+from jackbox_env import rollout
+from jackbox_env.tasks import TASKS
+from scripts.studies import distil, vine
 from scripts.studies.fitting import layers_of, network
 
 
@@ -25,3 +29,47 @@ def test_fitting_comes_closer() -> None:
         last = distil.fit(net, value, batches, 1e-3)
     assert first > 10.0
     assert last < 0.5 * first
+
+
+# -- spin and rattle ---------------------------------------------------------------------------------------------------
+
+SMALL = (16,)
+
+
+def nets() -> tuple[Any, Any]:
+    torch.manual_seed(0)
+    return vine.network(SMALL), vine.network(SMALL)
+
+
+def test_the_worth_of_a_torque_is_the_return_of_the_torque_and_then_the_network() -> None:
+    (net, critic), rng = nets(), np.random.default_rng(0)
+    recipe = vine.RECIPES["rattle"]._replace(symmetric=False, ahead=1, discount=0.0, task=TASKS["spin"])
+    states = vine.starts(40, rng)
+    states[:, 11] = 5.0  # so that a torque matters at once
+    judged = vine.judged(net, critic, recipe, states, rng)
+    np.testing.assert_allclose(judged.advantages.mean(dim=1), 0.0, atol=1e-5)
+    torques = np.clip(judged.tried.numpy().astype(float), -1.0, 1.0).reshape(-1, 1) * vine.SCENE.torque_limit
+    played = rollout(
+        vine.SCENE, np.repeat(states, vine.TRIES, axis=0), torques, 0.02, rewards="spin", repeat=vine.REPEAT
+    )
+    earned = played.rewards.sum(axis=1).reshape(40, vine.TRIES)
+    assert np.abs(vine.UNIT * judged.worth.numpy()[:, 0] - earned.mean(axis=1)).max() < 1e-5
+
+
+def test_improving_moves_the_network_to_better_torques() -> None:
+    both, rng = nets(), np.random.default_rng(0)
+    judged = vine.judged(*both, vine.RECIPES["rattle"], vine.starts(600, rng), rng)
+    optimisers = torch.optim.Adam(both[0].parameters(), 1e-3), torch.optim.Adam(both[1].parameters(), 1e-3)
+
+    def towards_better() -> float:
+        moved = both[0](judged.inputs) - judged.means
+        return float((moved * (judged.tried - judged.means) * judged.advantages).mean().detach())
+
+    def missed() -> float:
+        return float(((both[1](judged.inputs) - judged.worth) ** 2).mean().detach())
+
+    first, off = towards_better(), missed()
+    for _ in range(10):
+        vine.improve(both, optimisers, judged)
+    assert towards_better() > first + 0.01
+    assert missed() < off

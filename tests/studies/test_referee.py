@@ -180,9 +180,13 @@ def test_the_command_prints_a_table_and_writes_scores_and_plot(
             "line 102: the time must be from 1.98 s, that of the line before, to 2 s, got 2.1 s",
         ),
         ("bounce,0.02,", "bounce,0.03,", "bounce must have a state at t = 0.02 s, the end of a control step"),
+        (",3,3\n", ",4,3\n", r"walls and feet of bounce must be 0, 1, 2 or 3, got \[4.0, 3.0\]"),
+        ("bounce,1.11", "spin,1.11", "spin has impacts, so it must have states too"),
+        (",3,3\n", ",3\n", "line 2: a case must be followed by 3 numbers below 1e\\+100, got 1.11"),
+        ("\nbounce.*", "\n", "there is no case in the file of states"),
     ],
 )
-def test_bad_states_are_refused_in_a_sentence(
+def test_bad_states_and_impacts_are_refused_in_a_sentence(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -190,58 +194,29 @@ def test_bad_states_are_refused_in_a_sentence(
     new: str,
     sentence: str,
 ) -> None:
-    states, _ = write(tmp_path, "bounce")
-    text = states.read_text()
-    assert old in text
-    states.write_text(text.replace(old, new, 1))
+    files = write(tmp_path, "bounce")
+    texts = [file.read_text() for file in files]
+    changed = [re.sub(old, new, text, count=1, flags=re.DOTALL) for text in texts]
+    assert changed != texts
+    for file, text in zip(files, changed, strict=True):
+        file.write_text(text)
     with pytest.raises(SystemExit, match="2"):
-        judge(monkeypatch, states, "--out", tmp_path / "out")
+        judge(monkeypatch, files[0], "--impacts", files[1], "--out", tmp_path / "out")
     (line,) = capsys.readouterr().err.splitlines()
     assert re.search(sentence, line)
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize(
-    ("line", "sentence"),
-    [
-        ("bounce,1.11,4,3", r"walls and feet of bounce must be 0, 1, 2 or 3, got \[4.0, 3.0\]"),
-        ("spin,1.11,3,3", "spin has impacts, so it must have states too"),
-        ("bounce,1.11,3", "line 2: a case must be followed by 3 numbers below 1e\\+100, got 1.11,3"),
-    ],
-)
-def test_bad_impacts_are_refused_in_a_sentence(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], line: str, sentence: str
-) -> None:
-    states, impacts = write(tmp_path, "bounce")
-    impacts.write_text(f"case,time,wall,foot\n{line}\n")
-    with pytest.raises(SystemExit, match="2"):
-        judge(monkeypatch, states, "--impacts", impacts, "--out", tmp_path / "out")
-    assert re.search(sentence, capsys.readouterr().err)
-    states.write_text(",".join(referee.STATES))
-    with pytest.raises(SystemExit, match="2"):
-        judge(monkeypatch, states)
-    assert "there is no case in the file of states" in capsys.readouterr().err
-
-
 # -- the page ----------------------------------------------------------------------------------------------------------
 
 
-def programs(language: str) -> list[str]:
-    return re.findall(rf"```{language}\n(.*?)```", reference.PAGE.read_text(), re.DOTALL)
-
-
-def test_the_python_of_the_page_reads_the_file() -> None:
-    (program,) = programs("python")
+@pytest.mark.parametrize(
+    ("language", "command"), [("python", [sys.executable, "-c"]), pytest.param("js", ["node", "-e"], marks=NODE)]
+)
+def test_a_program_of_the_page_reads_the_file(language: str, command: list[str]) -> None:
+    (program,) = re.findall(rf"```{language}\n(.*?)```", reference.PAGE.read_text(), re.DOTALL)
     assert len(program.splitlines()) <= 10
-    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, check=True, capture_output=True, text=True)
-    assert "One bounce: a drop, off centre. Gravity: 9.81\n1.1101113912089" in done.stdout
-
-
-@NODE
-def test_the_javascript_of_the_page_reads_the_file() -> None:
-    (program,) = programs("js")
-    assert len(program.splitlines()) <= 10
-    done = subprocess.run(["node", "-e", program], cwd=ROOT, check=True, capture_output=True, text=True)
+    done = subprocess.run([*command, program], cwd=ROOT, check=True, capture_output=True, text=True)
     assert "One bounce: a drop, off centre. Gravity: 9.81\n1.1101113912089" in done.stdout
 
 

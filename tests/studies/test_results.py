@@ -43,13 +43,6 @@ def test_a_row_has_the_results_of_evaluate() -> None:
     assert 0.0 < row["milliseconds"] < planned  # by far
 
 
-def test_a_row_of_the_varied_training_names_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(measured, "trained_in", lambda *_, **__: None)
-    monkeypatch.setattr(measured, "find_policy", lambda name, settings, seed: find_policy("level", settings, seed))
-    row = measured.in_scene(tmp_path, {"restitution": 0.9}, "varied scenes", 4)
-    assert row["policy"] == "varied scenes"
-
-
 def test_a_curve_is_the_interquartile_mean_of_the_trainings() -> None:
     curves = np.random.default_rng(0).normal(size=(5, 3)) + np.array([0.0, 10.0, 20.0])
     rows = [{"seconds": [4 + n, 8 + n, 12 + n], "curve": list(curve)} for n, curve in enumerate(curves)]
