@@ -95,16 +95,18 @@ def test_simulate_writes_the_steps_before_the_jack_escapes(tmp_path: Path) -> No
 
 
 def test_evaluate_compares_policies_and_writes_json(tmp_path: Path, run: Path) -> None:
-    arguments = ["--policy", "zero", "chirp", str(run), "--episodes", "4", "--task", "spin", "--json", "out.json"]
+    arguments = ["--policy", "zero", "chirp", "ppo", str(run), "--episodes", "4", "--task", "spin"]
+    arguments += ["--json", "out.json"]
     done = script("evaluate", *arguments, "--substeps", "2", cwd=tmp_path)
     stored = json.loads((tmp_path / "out.json").read_text())
     assert stored["env"]["task"] == "spin"
-    assert [row["policy"] for row in stored["results"]] == ["zero", "chirp", str(run)]
+    assert [row["policy"] for row in stored["results"]] == ["zero", "chirp", "ppo", str(run)]
     assert all(len(row["returns"]) == row["episodes"] == 4 for row in stored["results"])
     assert f"{stored['results'][0]['mean']:.1f}" in done.stdout
     assert "4 episodes each, seed 0, task spin, fidelity coarse" in done.stdout
-    assert f"Note: {run} was trained in another environment (task juggle, fidelity exact)" in done.stderr
-    same = script("evaluate", "--policy", str(run), "--episodes", "2", "--contact", "exact", cwd=tmp_path)
+    for name, task in ((str(run), "juggle"), ("ppo", "spin")):
+        assert f"Note: {name} was trained in another environment (task {task}, fidelity exact)" in done.stderr
+    same = script("evaluate", "--policy", str(run), "ppo", "--episodes", "2", "--contact", "exact", cwd=tmp_path)
     assert "Note:" not in same.stderr  # another word for the same
     assert "no cannot be used: " in script("evaluate", "--json", "no/out.json", cwd=tmp_path, status=2).stderr
     assert "never overwritten" in script("evaluate", *arguments, cwd=tmp_path, status=2).stderr

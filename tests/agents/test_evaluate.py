@@ -19,7 +19,7 @@ from agents.training import ppo as training
 from agents.training.models import derived_seed
 from tests.agents.small_run import TINY
 from tests.agents.test_commands import script
-from tests.commands.test_report import data_of
+from tests.commands.test_samples import data_of
 
 
 def test_it_writes_an_episode_of_each_policy_as_a_page_of_the_scene_that_was_drawn(tmp_path: Path, run: Path) -> None:
@@ -87,13 +87,6 @@ def test_an_empty_file_is_no_model(tmp_path: Path) -> None:
     (tmp_path / "empty.zip").touch()
     done = script("evaluate", "--policy", "empty.zip", "--trust", cwd=tmp_path, status=2)
     assert done.stderr.startswith("empty.zip is no model of Stable-Baselines3: ")
-
-
-@pytest.mark.parametrize(("contact", "is_noted"), [("pymunk", True), ("exact", False)])
-def test_shipped_networks_are_noted_that_were_trained_elsewhere(tmp_path: Path, contact: str, is_noted: bool) -> None:
-    done = script("evaluate", "--policy", "ppo", "zero", "--contact", contact, "--episodes", "1", cwd=tmp_path)
-    assert ("Note: ppo was trained in another environment (task juggle, fidelity exact)" in done.stderr) == is_noted
-    assert done.stderr.count("Note: ") == is_noted
 
 
 def test_a_planner_among_varied_scenes_is_noted(capsys: pytest.CaptureFixture[str]) -> None:

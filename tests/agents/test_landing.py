@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from agents.evaluation.returns import evaluate
+from agents.policies.landing_features import FEATURES, columns_by, landing_numbers, preview
 from agents.policies.network import write_with_layers
 from agents.policies.observing import observations
 from agents.policies.one_bounce import (
@@ -20,11 +25,14 @@ from agents.policies.one_bounce import (
     uprighted,
 )
 from agents.policies.registry import find_policy
-from agents.settings import EnvSettings
+from agents.settings import PREVIEW_SIZE, EnvSettings
+from agents.training.models import make_ppo, make_vec_env
 from jackbox_env import Scene, make_simulator
-from jackbox_env.landing import landing_times
+from jackbox_env.landing import LONGEST, landing_times
+from jackbox_env.observation import BOUNDS, observe
 from jackbox_env.states import Array
 from jackbox_env.tasks import sample_start
+from tests.agents.small_run import TINY
 from tests.agents.untrained import layers_for, states_in
 
 FREE = Scene(drive=None)
@@ -60,20 +68,11 @@ def test_a_box_turned_by_quarters_is_the_same_box() -> None:
     np.testing.assert_allclose(policy.towards_best(turned), policy.towards_best(states), atol=1e-9)
 
 
-def test_a_policy_is_written_read_and_held(tmp_path: Path) -> None:
+def test_a_policy_is_written_and_read(tmp_path: Path) -> None:
     write_with_layers(tmp_path, "landing.json", SMALL, layers_for())
-    policy = find_policy(str(tmp_path), EnvSettings(), 0).policy
-    assert isinstance(policy, LandingPolicy)
     seen = observations(Scene(), states_in(Scene(), 6))
-    actions, state = policy.predict(seen)
+    actions = find_policy(str(tmp_path), EnvSettings(), 0).policy.predict(seen)[0]
     np.testing.assert_array_equal(actions, LandingPolicy(SMALL, layers_for()).predict(seen)[0])
-    others = np.roll(seen, 1, axis=0)
-    for _ in range(4):
-        held, state = policy.predict(others, state)
-        np.testing.assert_array_equal(held, actions)
-    anew = policy.predict(others, state)[0]
-    np.testing.assert_array_equal(anew, policy.predict(others)[0])
-    assert not np.array_equal(anew, actions)
 
 
 def test_the_shipped_one_juggles_better_than_ppo() -> None:
@@ -83,3 +82,87 @@ def test_the_shipped_one_juggles_better_than_ppo() -> None:
         for name, episodes in (("distilled", 5), ("ppo", 64))
     )
     assert distilled.mean > ppo.interval[1], (distilled, ppo.interval)
+
+
+# -- the features of the landing ---------------------------------------------------------------------------------------
+
+
+SCENES = [Scene(), Scene(gravity=1.62), Scene(box_half_width=3.0, jack_arm=0.5), Scene(gravity=30.0, jack_arm=2.0)]
+
+
+def features(scene: Scene, state: Array) -> list[float]:
+    values: list[float] = preview(landing_numbers(scene), observe(scene, state.tolist())[None])[0].tolist()
+    return values
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_the_preview_is_the_flight_of_the_exact_model(scene: Scene) -> None:
+    """The box turns slowly, at no torque."""
+    rng, flown = np.random.default_rng(0), 0
+    length, v0 = scene.box_half_width, scene.speed_scale
+    for _ in range(80):
+        start = sample_start(scene, rng)
+        start[[2, 8]] = rng.uniform(-0.05, 0.05, 2)
+        start[9:] = v0 * rng.uniform([-0.15, -0.5, -0.4], [0.15, 0.3, 0.4])
+        time, *seen = features(scene, start)
+        simulator = make_simulator(scene, contact="exact")
+        simulator.reset(start)
+        simulator.step(2.0 * time * length / v0, 0.0)
+        if simulator.impacts or time == 0.5 * LONGEST:  # a wall came first, or the flight is cut
+            continue
+        flown += 1
+        _, _, box, x, y, jack, *_, vy, _ = simulator.state
+        assert y == pytest.approx(scene.jack_arm - length, abs=1e-4 * length)
+        angles = np.array([4.0 * (jack - box), 8.0 * (jack - box), 4.0 * jack])
+        np.testing.assert_allclose(seen[:6], np.stack([np.cos(angles), np.sin(angles)], axis=1).ravel(), atol=2e-3)
+        turned = np.clip((jack - start[5]) / (0.5 * math.pi), -10.0, 10.0)
+        np.testing.assert_allclose(seen[6:], [x / length, -vy / v0, turned, box], atol=1e-4)
+    assert flown >= 20
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {},
+        {"gravity": 0.0},
+        {"gravity": 1e-50},
+        {"gravity": 1e60},
+        {"jack_arm": 1e-40, "jack_inertia": 1.0},
+        {"box_half_width": 1e25},
+        {"jack_arm": 8.0},
+    ],
+)
+def test_every_observation_has_a_finite_preview(fields: dict[str, float]) -> None:
+    scene, rng = Scene.of(fields), np.random.default_rng(0)
+    corners, tiny = rng.choice([-1.0, 0.0, 1.0], (4000, 10)), rng.choice([-1e-45, 0.0, 1e-45], (200, 10))
+    inside = rng.uniform(-1.0, 1.0, (1000, 10))
+    rows = (np.concatenate([corners, tiny, inside]) * BOUNDS).astype(np.float32)
+    values = preview(landing_numbers(scene), rows)
+    by_torch = torch.stack(columns_by(torch)(landing_numbers(scene), torch.from_numpy(rows).unbind(1)), dim=1)
+    assert values.dtype == np.float32
+    for previews in (values, by_torch.numpy()):
+        assert previews.shape == (len(rows), len(FEATURES))
+        assert np.abs(previews).max() <= 10.0  # so none is NaN
+    plain = np.abs(values[:, 9]) < 1.0  # rounding of a long time turns the jack little
+    np.testing.assert_allclose(values[plain], by_torch.numpy()[plain], atol=0.01)
+    assert plain.sum() > 500 or scene.jack_arm < 0.1
+    assert 0.0 <= values[:, 0].min() <= values[:, 0].max() <= 0.5 * LONGEST
+
+
+def test_without_gravity_a_jack_lands_only_if_it_falls() -> None:
+    scene, upwards = Scene(gravity=0.0), np.eye(12)[10]
+    assert 2.0 * features(scene, -5.0 * upwards)[0] * 6.0 / scene.speed_scale == pytest.approx(1.0, rel=1e-5)
+    for rate in (0.0, 5.0):
+        assert features(scene, rate * upwards)[0] == 0.5 * LONGEST
+
+
+def test_the_networks_see_the_observation_and_the_preview_of_their_scene() -> None:
+    environments = make_vec_env({}, 1, 0)
+    settings = replace(TINY, preview=True, scene='{"gravity": 1.62}')
+    model = make_ppo(settings, environments)
+    rows = torch.from_numpy(np.random.default_rng(0).uniform(-1.0, 1.0, (5, 10)).astype(np.float32))
+    seen: Any = model.policy.extract_features(rows)
+    expected = np.concatenate([rows.numpy(), preview(landing_numbers(Scene(gravity=1.62)), rows.numpy())], axis=1)
+    np.testing.assert_allclose(seen.numpy(), expected, atol=1e-3)
+    assert len(FEATURES) == PREVIEW_SIZE
+    assert model.observation_space == make_ppo(TINY, environments).observation_space

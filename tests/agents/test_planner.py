@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
@@ -125,14 +125,11 @@ def test_it_juggles_better_than_the_level_box(contact: str) -> None:
 
 def test_the_planner_by_its_name_has_the_settings_of_the_environment() -> None:
     settings = EnvSettings(task="spin", control_dt=0.05, scene='{"gravity": 3.0}')
-    planner = find_policy("planner", settings, 7).policy
-    assert isinstance(planner, Planner)
+    names = "planner", "planner-fast", "planner-64"
+    planner, fast, former = (cast(Planner, find_policy(name, settings, 7).policy) for name in names)
     search = planner._search
     assert (planner._scene.gravity, search.repeat, search.seed, search.task.terms) == (3.0, 2, 7, ("spin",))
     assert Planner(Scene(drive=Drive(force_x=lambda t: t)))._scene.drive is None
-    fast, former = (find_policy(name, settings, 7).policy for name in ("planner-fast", "planner-64"))
-    assert isinstance(fast, Planner)
-    assert isinstance(former, Planner)
     assert fast._search.samples == former._search.samples < search.samples
 
 

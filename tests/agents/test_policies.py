@@ -156,16 +156,6 @@ def test_a_film_may_begin_later_and_its_returns_count_from_the_start(tmp_path: P
     )  # of palettes, and of motion
 
 
-def test_a_whole_episode_is_filmed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(filming, "EPISODE_STEPS", 15)
-    acts = {str(tmp_path / name): find_policy("zero", EnvSettings()) for name in ("one", "other")}
-    filming.film_episode(acts, {}, tmp_path / "film.gif", seed=0)
-    assert (tmp_path / "film.gif").stat().st_size > 0
-    assert all(f"{name}: return " in capsys.readouterr().out for name in [*acts][:1])
-
-
 @pytest.mark.parametrize(
     ("name", "error"),
     [("film.avi", ValueError), ("nowhere/film.gif", FileNotFoundError), ("there.gif", FileExistsError)],

@@ -9,14 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from stable_baselines3.common.evaluation import evaluate_policy
 
 from agents.evaluation.returns import evaluate
 from agents.policies.network import NetworkPolicy, layers_of
 from agents.policies.registry import find_policy
 from agents.runs import describe
 from agents.training import ppo as training
-from agents.training.models import derived_seed, make_ppo, make_vec_env, wrapped
+from agents.training.models import make_ppo, make_vec_env
 from jackbox_env.files import new_folder
 from tests.agents.small_run import TINY
 
@@ -65,22 +64,3 @@ def test_a_model_with_lookahead_is_trained_and_loaded(tmp_path: Path, capsys: py
 
 
 # -- run folders -------------------------------------------------------------------------------------------------------
-
-
-def test_training_with_repeat_and_preview_saves_loads_and_resumes(tmp_path: Path) -> None:
-    folder = new_folder(tmp_path / "run", "test")
-    describe(folder, REPEATED)
-    half = replace(REPEATED, total_steps=1024)
-    training.train(half, folder, progress=False)
-    (folder / "model.zip").unlink()
-    model = training.train(REPEATED, folder, progress=False)
-    assert model.num_timesteps == REPEATED.total_steps
-    assert [episode["l"] for episode in model.ep_info_buffer or ()] == [500] * 12  # from 768 on: 320 actions each
-    stored = np.load(folder / "evaluations.npz")
-    assert stored["timesteps"].tolist() == [1024, 2048]
-    assert np.all(stored["ep_lengths"] == 500)
-    played = find_policy(str(folder / "model.zip"), REPEATED).policy
-    returns = evaluate("PPO", played, REPEATED.env_settings, 2, seed=0).returns
-    environments = wrapped(make_vec_env(REPEATED.env_settings, 2, derived_seed("evaluation", 0)), REPEATED)
-    earned, _ = evaluate_policy(model, environments, 2, return_episode_rewards=True)
-    np.testing.assert_allclose(returns, earned, rtol=0.2)  # torch and numpy round in different ways

@@ -19,7 +19,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecFrameStack, VecNormalize
 
-from agents.policies.models import ModelPolicy, Options
+from agents.policies.models import Options
 from agents.policies.registry import find_policy
 from agents.settings import EnvSettings, TrainSettings
 from agents.training.models import make_ppo, make_vec_env
@@ -83,7 +83,6 @@ def test_a_saved_model_acts_as_it_was_trained(name: str, tmp_path: Path, monkeyp
     envs.seed(3)
     under_wrappers, _ = evaluate_policy(model, envs, 2, return_episode_rewards=True)
     for policy in (saved, by_options):
-        assert isinstance(policy, ModelPolicy)
         # Landing control computes its torques from observations, which are rounded to float32: chaos sees it.
         exact = options.landing is None
         np.testing.assert_allclose(earned(policy, envs.num_envs), under_wrappers, rtol=1e-12 if exact else 0.2)

@@ -104,30 +104,17 @@ def hold(folder: Path, ready: Path) -> None:
         time.sleep(60.0)
 
 
-def wait_for(path: Path) -> None:
-    deadline = time.monotonic() + 60.0
-    while not path.exists():
+def test_a_folder_is_held_against_a_second_use_until_its_process_ends(tmp_path: Path) -> None:
+    process, deadline = start(hold, tmp_path, tmp_path / "ready"), time.monotonic() + 60.0
+    while not (tmp_path / "ready").exists():
         assert time.monotonic() < deadline
-        time.sleep(0.01)
-
-
-def test_a_folder_is_held_until_its_process_is_killed(tmp_path: Path) -> None:
-    process = start(hold, tmp_path, tmp_path / "ready")
-    wait_for(tmp_path / "ready")
-    for _ in range(2):
-        with pytest.raises(FolderInUseError, match=f"^{tmp_path} is in use by another process: wait"), locked(tmp_path):
-            pass
+    with pytest.raises(FolderInUseError, match=f"^{tmp_path} is in use by another process: wait"), locked(tmp_path):
+        pass
     process.kill()
     assert ended(process) == -9
     assert (tmp_path / LOCK).exists()  # it could not tidy up
-    with locked(tmp_path):
-        pass
-
-
-def test_a_folder_is_held_against_a_second_use_in_the_same_process(tmp_path: Path) -> None:
-    with locked(tmp_path):
-        for _ in range(2):  # being refused has not let go of it
-            with pytest.raises(FolderInUseError), locked(tmp_path):
-                pass
-    with locked(tmp_path):
-        pass
+    for _ in range(2):
+        with locked(tmp_path):
+            for _ in range(2):  # being refused has not let go of it
+                with pytest.raises(FolderInUseError), locked(tmp_path):
+                    pass

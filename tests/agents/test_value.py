@@ -62,9 +62,9 @@ def test_a_value_is_written_and_read(tmp_path: Path) -> None:
 
 def search_in(**settings: Any) -> Search:
     """The search of the planner that the registry makes for an environment."""
-    policy = find_policy("planner", EnvSettings(**settings), 0).policy
-    assert isinstance(policy, Planner)
-    return policy._search
+    policy: Any = find_policy("planner", EnvSettings(**settings), 0).policy
+    search: Search = policy._search
+    return search
 
 
 def test_the_planner_counts_the_value_where_one_was_made() -> None:

@@ -13,7 +13,6 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 from gymnasium.wrappers import RecordEpisodeStatistics, TimeLimit
-from stable_baselines3 import PPO
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
@@ -119,18 +118,6 @@ def test_single_environments_can_be_read_and_set(contact: str) -> None:
     assert all(isinstance(view, EnvView) for view in env.get_attr("unwrapped"))
     assert env.env_is_wrapped(Monitor, indices=[0]) == env.env_is_wrapped(TimeLimit, indices=1) == [True]
     assert env.env_is_wrapped(RecordEpisodeStatistics) == [False] * 3
-
-
-@EVERY_MODEL
-def test_ppo_trains_on_it_as_on_dummy_vec_env(contact: str) -> None:
-    def weights(env: Any) -> Any:
-        model = PPO("MlpPolicy", env, n_steps=32, batch_size=32, n_epochs=2, seed=0, device="cpu")
-        model.learn(256)
-        assert len(model.ep_info_buffer or ()) > 0
-        return {name: value.numpy() for name, value in model.policy.state_dict().items()}
-
-    arguments = {"contact": contact, "max_episode_steps": 40}
-    assert_same(weights(make_sb3_vec_env(2, **arguments)), weights(dummy(2, **arguments)))
 
 
 def test_refused_actions_change_nothing() -> None:

@@ -1,4 +1,4 @@
-"""Vector environments: arguments, returned arrays, memory."""
+"""Vector environments: arguments and returned arrays."""
 
 from __future__ import annotations
 
@@ -61,10 +61,3 @@ def test_returned_and_passed_arrays_belong_to_the_caller(contact: str, mode: Aut
         scribble(actual)
     assert_same(scribbled.states, twin.states)
     assert_same(handed_out, copied)  # none of it was written again
-
-
-def test_memory_is_a_few_hundred_bytes_per_environment() -> None:
-    env = JackInBoxVectorEnv(10_000, contact="exact")
-    env.reset(seed=0)
-    env.step(None)
-    assert env._batch.nbytes / 10_000 <= 300  # type: ignore[attr-defined]

@@ -12,15 +12,14 @@ import pytest
 from jackbox_env import Scene, make_simulator
 from jackbox_env.colours import FIRST_FOOT, JACK, TORQUE, WALL, hexed
 from jackbox_env.recording.page import write_page
-from jackbox_env.recording.trajectory import Trajectory, simulate
+from jackbox_env.recording.trajectory import Trajectory
 from tests.browser import Opened
+from tests.commands.test_samples import run
 
 
 @pytest.fixture(scope="module")
 def trajectory() -> Trajectory:
-    simulator = make_simulator(Scene(), contact="exact")
-    simulator.reset([0.0] * 12)
-    return simulate(simulator, 10.0, 0.02, progress=False)
+    return run(Scene(), 10.0, contact="exact")
 
 
 @pytest.fixture(scope="module")
@@ -136,9 +135,7 @@ def test_every_width_shows_all_without_sideways_scrolling(opened: Film, width: i
 
 def test_impacts_beyond_the_list_are_counted_and_stepped_through(browser: Any, tmp_path: Path) -> None:
     scene = Scene(restitution=0.4, drive=None)
-    simulator = make_simulator(scene)
-    simulator.reset([0.0] * 12)
-    trajectory = simulate(simulator, 8.0, 0.005, progress=False)  # comes to rest
+    trajectory = run(scene, 8.0, 0.005)  # comes to rest
     opened = Film(browser, write_page(tmp_path / "trajectory.html", scene, trajectory, "rest", []))
     opened.pause()
     opened.seek(8.0)

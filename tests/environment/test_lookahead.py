@@ -10,7 +10,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from jackbox_env import JackInBoxVectorEnv, JackLostError, Lookahead, LookaheadVector, Rollout, Scene, Task, rollout
+from jackbox_env import JackInBoxVectorEnv, JackLostError, Lookahead, LookaheadVector, Scene, Task, rollout
 from jackbox_env.observation import observe, state_of
 from jackbox_env.planning.features import Features, LookaheadOptions
 from jackbox_env.planning.sb3_wrappers import LookaheadVecEnv
@@ -65,9 +65,7 @@ def test_the_next_impact_is_that_of_a_rollout_without_torque() -> None:
     appended, _ = features.compute([scene], seen, features.begin(20))
     struck = 0
     for row, shown in zip(seen, appended, strict=True):
-        played = rollout(scene, state_of(scene, row.tolist()), np.zeros(80), 0.02, impacts=True)
-        assert isinstance(played, Rollout)
-        assert played.impacts is not None
+        played: Any = rollout(scene, state_of(scene, row.tolist()), np.zeros(80), 0.02, impacts=True)
         hits = np.flatnonzero(played.impacts[0])
         step = hits[0] + 1 if len(hits) else 80
         assert shown[0] == np.float32(step / 80)

@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -110,8 +111,7 @@ def windows(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Renderer, Rendere
     pygame.display.quit()
 
 
-def shown_by(renderer: Renderer) -> Frame:
-    assert renderer._window is not None
+def shown_by(renderer: Any) -> Frame:
     shown: Frame = np.transpose(pygame.surfarray.array3d(renderer._window.get_surface()), (1, 0, 2))
     return shown
 
@@ -160,6 +160,5 @@ def test_window_survives_others_and_leaves_theirs(
 def test_the_window_has_the_size_asked_for() -> None:
     env = JackInBoxEnv(render_mode="human", render_size=(320, 240))
     env.reset(seed=0)
-    assert env._renderer is not None
     assert shown_by(env._renderer).shape == (240, 320, 3)
     env.close()

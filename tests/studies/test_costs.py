@@ -1,35 +1,170 @@
-"""Features that a scene does not use run no code. Calls and lines are counted; the times are in docs/costs.md.
+"""Features that a scene does not use run no code. Calls are counted; the times are in docs/costs.md.
 
-Each count comes with its negative control: with the feature, the same code runs.
+Counts, unlike times, are the same on every machine. Each of ``PROOFS`` names a function that is called with a feature
+and is not called without it. The exact model's code is plain Python that is compiled, so it is counted uncompiled.
 """
 
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
-from typing import Any
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from functools import partial
+from types import FrameType, FunctionType
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
+from jackbox_env.env import JackInBoxEnv
 from jackbox_env.exact import compiler as _compiled
 from jackbox_env.exact import run, workspace
 from jackbox_env.exact.workspace import new_log
-from jackbox_env.scene import Scene
+from jackbox_env.scene import Drive, Scene
 from jackbox_env.simulators import make_simulator
 from jackbox_env.vector_env import JackInBoxVectorEnv
-from tests.studies.counting import (
-    BATCH,
-    EXACT,
-    PROOFS,
-    PYMUNK,
-    Calls,
-    Proof,
-    calls_of,
-    count_steps,
-    times_called,
-    uncompiled,
+
+PYMUNK, EXACT, BATCH = "pymunk", "exact", "exact, batch"
+STEPS = 120  # counted
+SIDE_BY_SIDE = 6  # environments in a batch that is counted
+_START = [0.0] * 3 + [0.5, 0.2, 0.3] + [0.0] * 3 + [6.0, -4.0, 2.0]  # the jack moves, so that it bounces also unweighed
+
+Calls = Counter[tuple[str, str]]  # of (caller, function): qualified names without the module
+
+
+def calls_of(run: Callable[[], object]) -> Calls:
+    """Count the calls of functions, Python's and others, while ``run`` runs."""
+    counts: Calls = Counter()
+
+    def note(frame: FrameType, event: str, called: Any) -> None:
+        if event == "call":
+            by = frame.f_back
+            while by and by.f_code.co_name == "__setattr__":  # pymunk's, which passes the call on
+                by = by.f_back
+            counts[by.f_code.co_qualname if by else "", frame.f_code.co_qualname] += 1
+        elif event == "c_call":
+            counts[frame.f_code.co_qualname, getattr(called, "__qualname__", str(called))] += 1
+
+    before = sys.getprofile()
+    sys.setprofile(note)
+    try:
+        run()
+    finally:
+        sys.setprofile(before)
+    return counts
+
+
+@contextmanager
+def uncompiled() -> Iterator[None]:
+    """Run compiled functions as plain Python, in all that is made and stepped within the block."""
+
+    def plain(function: FunctionType, instead: tuple[tuple[str, Any], ...], keep: bool) -> FunctionType:
+        return FunctionType(function.__code__, {**function.__globals__, **dict(instead)}) if instead else function
+
+    before = _compiled._compiled_once
+    _compiled._compiled_once = plain  # type: ignore[assignment]
+    try:
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # compiled generators wrap around
+            yield
+    finally:
+        _compiled._compiled_once = before
+
+
+def times_called(counts: Calls, function: str, caller: str = "") -> int:
+    """How often a function was called, by ``caller`` or by any function; the front of a name may be left out."""
+    return sum(
+        count
+        for (by, name), count in counts.items()
+        if f".{name}".endswith(f".{function}") and f".{by}".endswith(f".{caller}" if caller else "")
+    )
+
+
+def count_steps(model: str, driven: bool = False, frames: bool = False, **settings: Any) -> Calls:
+    """Count ``STEPS`` control steps from a moving start under random actions, or under the drive.
+
+    Args:
+        model: ``PYMUNK``, ``EXACT`` or ``BATCH``.
+        driven: whether the scene's drive acts in place of the actions.
+        frames: whether a frame is drawn after each step.
+        **settings: of the environment.
+    """
+    contact = "pymunk" if model == PYMUNK else "exact"
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (STEPS, SIDE_BY_SIDE))
+
+    make: Any = partial(JackInBoxVectorEnv, SIDE_BY_SIDE) if model == BATCH else JackInBoxEnv
+    with uncompiled():
+        env = make(contact=contact, **settings)
+        env.reset(options={"state": np.array(_START)})
+
+        def run() -> None:
+            for action in actions:
+                env.step(None if driven else action if model == BATCH else action[:1])
+                if frames:
+                    env.render()
+
+        try:
+            return calls_of(run)
+        finally:
+            env.close()
+
+
+class Proof(NamedTuple):
+    """A function that must run with a feature, and must not run without it."""
+
+    thing: str
+    model: str
+    what: str  # the function does, in words
+    function: str
+    without: Mapping[str, Any] = {}
+    having: Mapping[str, Any] = {}
+    caller: str = ""
+
+    def counts(self) -> tuple[int, int]:
+        """Calls without the feature, and with it."""
+        without = count_steps(self.model, **self.without)
+        having = count_steps(self.model, **self.having)
+        return times_called(without, self.function, self.caller), times_called(having, self.function, self.caller)
+
+
+def _wave(time: float) -> float:
+    return 4000.0 * math.sin(3.0 * time)
+
+
+_WEIGHTLESS: dict[str, Any] = {"scene": Scene(gravity=0.0)}
+_UNDRIVEN: dict[str, Any] = {"scene": Scene(drive=None), "driven": True}
+_PUSHED: dict[str, Any] = {"scene": Scene(drive=Drive(force_x=_wave, force_y=_wave))}
+_TURNED: dict[str, Any] = {"scene": Scene(drive=Drive(torque=_wave))}
+_CHIRP: dict[str, Any] = {"driven": True}
+_PICTURE: dict[str, Any] = {"render_mode": "rgb_array"}
+_RESTARTS: dict[str, Any] = {"max_episode_steps": 50}
+_RANDOM: dict[str, Any] = {**_RESTARTS, "randomize": {"jack_mass": (3.0, 5.0)}}
+_CHOSEN: dict[str, Any] = {**_RESTARTS, "randomize": lambda rng: {"jack_mass": rng.uniform(3.0, 5.0)}}
+PROOFS = (
+    Proof("gravity", PYMUNK, "the engine is given a force", "Body.force", _WEIGHTLESS, {}, "_advance"),
+    Proof("drive", PYMUNK, "the engine is given a torque", "Body.torque", _UNDRIVEN, _CHIRP, "_advance"),
+    Proof("drive", PYMUNK, "the chirp is averaged", "Chirp.torque_means", {}, _CHIRP),
+    Proof("drive", EXACT, "the chirp's powers are worked out", "chirp_piece", {}, _CHIRP),
+    Proof("drive", EXACT, "a polynomial is integrated", "integrate", {}, _CHIRP),
+    Proof("drive", EXACT, "a polynomial is evaluated", "horner", {}, _CHIRP),
+    Proof("drive", EXACT, "a function is interpolated", "function_pieces", _TURNED, {**_TURNED, "driven": True}),
+    Proof("drive", BATCH, "the chirp's powers are worked out", "chirp_piece", {}, _CHIRP),
+    Proof("side forces", PYMUNK, "a force is averaged", "Drive._means", {}, _PUSHED),
+    Proof("side forces", EXACT, "pieces of functions are followed", "advance_pieces", {}, _PUSHED),
+    Proof("side forces", BATCH, "pieces of functions are followed", "advance_pieces", {}, _PUSHED),
+    Proof("infos of a batch", BATCH, "infos are gathered", "ExactBatch._infos", {}, {"with_infos": True}),
+    Proof("rendering", PYMUNK, "the picture is told of a step", "Renderer.record", {}, _PICTURE),
+    Proof("rendering", EXACT, "the picture is told of a step", "Renderer.record", {}, _PICTURE),
+    Proof("a frame", PYMUNK, "a frame is drawn", "Renderer.render", _PICTURE, {**_PICTURE, "frames": True}),
+    Proof("another task", PYMUNK, "its reward is worked out", "rattle", {}, {"task": "rattle"}),
+    Proof("another task", EXACT, "its reward is worked out", "rattle", {}, {"task": "rattle"}),
+    Proof("drawn scenes", BATCH, "scenes are drawn", "draw_scenes", _RESTARTS, _RANDOM),
+    Proof("drawn scenes", BATCH, "scenes are drawn by a function", "Randomization.draw", _RESTARTS, _CHOSEN),
+    Proof("drawn scenes", BATCH, "new scenes are written", "SceneTable.put", _RESTARTS, _RANDOM),
 )
+
 
 MID_AIR = np.array([0.0] * 3 + [0.5, 0.2, 0.3] + [0.0] * 3 + [1.0, -1.0, 2.0])
 NEAR_A_WALL = np.array([0.0] * 3 + [5.0, 0.0, 0.3] + [0.0] * 3 + [6.0, -4.0, 2.0])
