@@ -10,7 +10,7 @@ PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q
 WORKERS := -n 2 --dist loadfile
 TESTS := not slow
 UNDER_OLD_GYMNASIUM := $(addprefix tests/,environment/test_env.py environment/test_starts_and_settings.py \
-	environment/test_tools.py batches/test_vector_env.py batches/test_episodes.py \
+	environment/test_tools.py batches/test_vector_env.py \
 	guarantees/test_bits.py refusals/test_refusals.py)
 
 .PHONY: demo test test-all test-slow benchmark benchmark-quick throughput speed costs derivatives prove prove-quick reference soak extremes machines kills mutants results networks readme docs recipes wheel dataset ranges clean

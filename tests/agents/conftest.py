@@ -2,6 +2,21 @@
 
 from __future__ import annotations
 
-from tests.agents.small_run import run
+from pathlib import Path
 
-__all__ = ["run"]
+import pytest
+
+from agents.runs import describe
+from jackbox_env.files import new_folder
+from tests.agents.small_run import TINY
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished run of training."""
+    from agents.training import ppo as training  # this module is imported where PyTorch is missing too
+
+    folder = new_folder(tmp_path_factory.mktemp("runs") / "run", "test")
+    describe(folder, TINY)
+    training.train(TINY, folder, progress=False)
+    return folder

@@ -31,7 +31,7 @@ from agents.training.models import make_vec_env
 from scripts import train as command
 
 # Six rollouts, three evaluations, three checkpoints, the first for an evaluation: a fraction of a second.
-SIZES = {
+SIZES: dict[str, Any] = {
     "total_steps": 96, "num_envs": 2, "rollout_steps": 8, "batch_size": 16, "epochs": 1, "checkpoint_steps": 24,
     "eval_steps": 32, "eval_episodes": 2,
 }  # fmt: skip
@@ -66,29 +66,25 @@ def train(folder: Path, output: Path, kill_at: int | None = None, file_size: int
     sys.argv = ["train.py", *asked, *sizes, "--no-progress"]
     if file_size is not None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (file_size, file_size))
-    watch = _Watch(kill_at)
-    sys.setprofile(watch)
-    command.main()
-    sys.setprofile(None)
-    print(f"{watch.count} operations")
+    count = 0
 
-
-class _Watch:
-    """A profiler that counts operations on the disk and kills the process just before one of them."""
-
-    def __init__(self, kill_at: int | None) -> None:
-        self.kill_at, self.count = kill_at, 0
-
-    def __call__(self, frame: FrameType, event: str, called: Any) -> None:
+    def watch(frame: FrameType, event: str, called: Any) -> None:
+        """Count operations on the disk, and kill the process just before one of them."""
+        nonlocal count
         if event != "c_call" or called.__name__ not in _WRITES or isinstance(called.__self__, str | set):
             return
         if not any(part in frame.f_code.co_filename for part in _OURS):
             return
         if called.__name__ == "open" and "r" in str(frame.f_locals.get("mode")):
             return
-        self.count += 1
-        if self.count == self.kill_at:
+        count += 1
+        if count == kill_at:
             os.kill(os.getpid(), signal.SIGKILL)
+
+    sys.setprofile(watch)
+    command.main()
+    sys.setprofile(None)
+    print(f"{count} operations")
 
 
 def start(target: Callable[..., None], *arguments: Any) -> ForkServerProcess:

@@ -108,6 +108,7 @@ def test_a_folder_is_held_against_a_second_use_until_its_process_ends(tmp_path: 
     process, deadline = start(hold, tmp_path, tmp_path / "ready"), time.monotonic() + 60.0
     while not (tmp_path / "ready").exists():
         assert time.monotonic() < deadline
+        time.sleep(0.01)
     with pytest.raises(FolderInUseError, match=f"^{tmp_path} is in use by another process: wait"), locked(tmp_path):
         pass
     process.kill()

@@ -56,13 +56,17 @@ def asked_by(package: metadata.Distribution) -> list[str]:
     return [one.name for one in asked if one.marker is None or one.marker.evaluate({"extra": ""})]
 
 
+def run(site: Path, cwd: Path, *words: str, **settings: str) -> subprocess.CompletedProcess[str]:
+    """Run Python with the wheel installed; -S hides the packages of this environment."""
+    env, command = {**os.environ, **settings, "PYTHONPATH": str(site)}, [sys.executable, "-S", *words]
+    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, env=env, timeout=250, check=False)
+
+
 def jackbox(
     site: Path, cwd: Path, *arguments: str, status: int = 0, **settings: str
 ) -> subprocess.CompletedProcess[str]:
-    """Run the command that the wheel installs; -S hides the packages of this environment."""
-    env = {**os.environ, **settings, "PYTHONPATH": str(site)}
-    command = [sys.executable, "-S", str(site / "bin" / "jackbox"), *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, env=env, timeout=250, check=False)
+    """Run the command that the wheel installs."""
+    done = run(site, cwd, str(site / "bin" / "jackbox"), *arguments, **settings)
     assert done.returncode == status, done.stderr
     return done
 
@@ -100,8 +104,8 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow  # compiles anew
 def test_check_finds_that_it_works_and_which_extras_are_missing(site: Path, cache: Path, tmp_path: Path) -> None:
-    run = partial(jackbox, site, tmp_path, "check", status=0, **OLDEST, NUMBA_CACHE_DIR=str(cache))
-    done, again = run(), run()
+    check = partial(jackbox, site, tmp_path, "check", status=0, **OLDEST, NUMBA_CACHE_DIR=str(cache))
+    done, again = check(), check()
     assert done.stdout.count("ok      ") == again.stdout.count("ok      ") == 5
     assert re.search(r'extra train: not installed, pip install .*"torch', done.stdout)
     said = re.findall(r"jackbox compiles .* for ([a-z ]+), once on this machine", done.stderr)
@@ -156,9 +160,7 @@ def shipped(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def first(site: Path, cwd: Path, code: str, **settings: str) -> subprocess.CompletedProcess[str]:
     """Run code with the wheel installed, an empty cache and no compiler."""
-    env = {**os.environ, **settings, "PYTHONPATH": str(site), "NUMBA_CACHE_DIR": str(cwd)}
-    command = [sys.executable, "-S", "-c", f"{NOTHING_COMPILES}\n{code}"]
-    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, env=env, timeout=250, check=False)
+    return run(site, cwd, "-c", f"{NOTHING_COMPILES}\n{code}", **settings, NUMBA_CACHE_DIR=str(cwd))
 
 
 @pytest.mark.parametrize("kind", FIRST)
@@ -172,7 +174,7 @@ def test_shipped_code_takes_the_first_steps_within_3_seconds(kind: str, shipped:
 
 
 def test_shipped_code_gives_the_same_bits(shipped: Path, tmp_path: Path) -> None:
-    run = f"runpy.run_path({str(ROOT / 'tests' / 'fingerprints.py')!r})['fingerprints']"
-    done = first(shipped, tmp_path, f"import json, runpy; print(json.dumps({run}(['exact'])))")
+    marks = f"runpy.run_path({str(ROOT / 'tests' / 'fingerprints.py')!r})['fingerprints']"
+    done = first(shipped, tmp_path, f"import json, runpy; print(json.dumps({marks}(['exact'])))")
     assert (done.returncode, done.stderr) == (0, "")
     assert json.loads(done.stdout) == fingerprints(["exact"])
