@@ -45,7 +45,8 @@ def test_all_wrappers_show_and_do_the_same_and_end_with_the_episode(mode: Autore
 
 
 def test_a_plan_is_begun_anew_at_a_reset() -> None:
-    played, fresh = single(hold=1, follow=True), single(hold=1, follow=True)
+    made = [gym.make("JackInBox-v0", contact="exact", task=STEERED) for _ in range(2)]
+    played, fresh = (Lookahead(env, hold=1, follow=True, **SMALL) for env in made)
     played.reset(seed=1)
     for _ in range(3):
         played.step(np.zeros(1))
