@@ -20,11 +20,12 @@ SPEEDS, STEPS, FORCES = "Spins and speeds", "Steps and arms", "Forces, times and
 LOSS, STARTS = "Loss", "Feet that start on a wall or behind it"
 
 HEAD = """
-*holds*: the result is within its bound. `0.22 of 1 m` means 0.22 m with a bound of 1 m. *refused*: the call raises an
-error with this sentence and changes nothing. *FAILS*: neither; the row's test then fails too.
+`0.22 of 1 m` means 0.22 m with a bound of 1 m. A cell has the result that is closest to its bound;
+[extremes.jsonl](extremes.jsonl) has all. *refused*: the call raises an error with this sentence and changes nothing.
+*FAILS*: a result beyond its bound; the row's test then fails too.
 
 Errors of momentum, energy and rates (the six velocities) without a unit are relative to the largest of their kind. They
-are differences from the law at the pose of an impact: the impact map, or the simultaneous law if several feet touch.
+are differences from the impact map, or from the simultaneous law if several feet touch.
 
 `pymunk` applies an impact at the end of its substep, which is a quarter of a step by default and shorter at high
 speed. A foot may then be as deep in a wall as it moves in a substep, 1 m at most. A foot that enters and leaves a wall
@@ -99,6 +100,18 @@ def refuses(call: Callable[[], object], match: str) -> Finding:
     return Finding("no error", FAILS)
 
 
+def closest(finding: Finding) -> str:
+    """The cell of a finding: of results within their bounds, the one closest to its bound."""
+    if finding.verdict != HOLDS:
+        return f"{finding.verdict}: {finding.seen}"
+    shares = dict[str, float]()
+    for result in finding.seen.split("; "):
+        numbers = re.search(r" ([-\d.e]+) of ([-\d.e]+)", result)
+        if numbers:
+            shares[result] = float(numbers[1]) / float(numbers[2])
+    return max(shares, key=shares.__getitem__)
+
+
 # -- the record and the page -------------------------------------------------------------------------------------------
 
 
@@ -140,6 +153,6 @@ def page(findings: Findings) -> str:
                 "|---|" + "---|" * len(CONTACT_MODELS),
             ]
         row = [findings.get((case.what, contact), Finding("", "not measured")) for contact in CONTACT_MODELS]
-        cells = [case.what, *(f"{one.verdict}: {one.seen}" for one in row)]
+        cells = [case.what, *(closest(one) for one in row)]
         lines.append("| " + " | ".join(" ".join(cell.replace("|", "\\|").split()) for cell in cells) + " |")
     return "\n".join(lines) + "\n"
