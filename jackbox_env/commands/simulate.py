@@ -176,7 +176,7 @@ def main() -> None:
     simulator.reset(_state(arguments.state), arguments.time)
     try:
         trajectory = simulate(simulator, arguments.seconds, arguments.dt, torques=torques)
-        print(f"{len(trajectory.impacts)} impacts by t = {simulator.time:g} s, {words(setting)}; writing", flush=True)
+        print(f"{len(trajectory.impacts)} impacts by t = {simulator.time:g} s, {words(setting)}; writing")
         folder = new_folder(
             arguments.folder, "simulate", lambda new: _write(new, arguments, scene, setting, trajectory)
         )
