@@ -75,10 +75,10 @@ def _sentence(error: Exception) -> str:
     return str(error)
 
 
-def loading_libraries() -> None:
-    """Print on a terminal that the libraries of training are imported now, which lasts some seconds."""
-    if sys.stderr.isatty():
-        print("Loading PyTorch and Stable-Baselines3 ...", file=sys.stderr, flush=True)
+def progress(text: str) -> None:
+    """Print on a terminal what begins now and lasts some seconds."""
+    if sys.stderr is not None and sys.stderr.isatty():
+        print(text, file=sys.stderr, flush=True)
 
 
 def called(name: str, *arguments: str) -> str:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from agents.settings import TrainSettings
-from jackbox_env.command_line import command_line, loading_libraries
+from jackbox_env.command_line import command_line, progress
 
 if TYPE_CHECKING:
     from agents.evaluation.returns import Returns
@@ -41,7 +41,7 @@ def main() -> None:
 
     arguments = tyro.cli(Arguments, description=__doc__)
     began = time.monotonic()
-    loading_libraries()
+    progress("Loading PyTorch and Stable-Baselines3 ...")
     from agents.evaluation.figures import learning_figure
     from agents.evaluation.film import film
     from agents.evaluation.returns import above, table

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 from agents.settings import EnvSettings
 from jackbox_env import checks as check
-from jackbox_env.command_line import command_line, loading_libraries
+from jackbox_env.command_line import command_line, progress
 from jackbox_env.commands.options import SceneFields, scene_as_json
 from jackbox_env.files import check_new, check_writable, new_folder, write_json
 
@@ -83,7 +83,7 @@ def main() -> None:
     arguments = tyro.cli(Arguments, description=__doc__, config=(tyro.conf.OmitArgPrefixes,))
     settings = replace(arguments.settings, scene=scene_as_json(arguments.settings.scene, arguments.scene_fields))
     _check(arguments)
-    loading_libraries()
+    progress("Loading PyTorch and Stable-Baselines3 ...")
     from agents.evaluation.provenance import describe_env, warn_of_other_training
     from agents.evaluation.returns import evaluate, table
     from agents.policies.models import Options

@@ -10,7 +10,7 @@ from typing import Literal, TypedDict
 
 from agents.runs import RUN, describe, read_settings
 from agents.settings import TaskName, TrainSettings
-from jackbox_env.command_line import called, command_line, loading_libraries
+from jackbox_env.command_line import called, command_line, progress
 from jackbox_env.commands.options import SceneFields, scene_as_json
 from jackbox_env.files import new_folder
 
@@ -60,7 +60,7 @@ def main() -> None:
     config = (tyro.conf.OmitArgPrefixes,)
     arguments = tyro.cli(Arguments, description=__doc__, default=Arguments(suited(), SceneFields()), config=config)
     chosen = replace(arguments.settings, scene=scene_as_json(arguments.settings.scene, arguments.scene_fields))
-    loading_libraries()
+    progress("Loading PyTorch and Stable-Baselines3 ...")
     from agents.evaluation.provenance import describe_env
     from agents.training.models import make_vec_env
     from agents.training.ppo import extended, train

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jackbox_env import checks as check
-from jackbox_env.command_line import command_line
+from jackbox_env.command_line import command_line, progress
 from jackbox_env.commands.options import add_model_options, chosen_scene, chosen_setting, parser_of
 from jackbox_env.files import check_new, new_folder, stamped
 from jackbox_env.states import STATE_NAMES, Array
@@ -151,6 +151,7 @@ def _write(folder: Path, arguments: argparse.Namespace, scene: Scene, setting: S
         title = titles.get(arguments.torque, f"Torques of {arguments.torque}")
         write_page(folder / "trajectory.html", scene, trajectory, title, model_facts(setting))
     if arguments.plots is not False and importlib.util.find_spec("matplotlib"):
+        progress("Drawing plots ...")
         from jackbox_env.commands.plots import trajectory_figures
 
         trajectory_figures(trajectory, folder)
@@ -176,13 +177,13 @@ def main() -> None:
     simulator.reset(_state(arguments.state), arguments.time)
     try:
         trajectory = simulate(simulator, arguments.seconds, arguments.dt, torques=torques)
-        print(f"{len(trajectory.impacts)} impacts by t = {simulator.time:g} s, {words(setting)}; writing")
         folder = new_folder(
             arguments.folder, "simulate", lambda new: _write(new, arguments, scene, setting, trajectory)
         )
     except KeyboardInterrupt:
         print("\nInterrupted: nothing was written", file=sys.stderr)
         raise
+    print(f"{len(trajectory.impacts)} impacts by t = {simulator.time:g} s, {words(setting)}; wrote")
     for path in sorted(folder.iterdir()):
         print(f"  {path}")
     if trajectory.failure:

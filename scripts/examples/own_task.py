@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from jackbox_env.command_line import command_line, loading_libraries
+from jackbox_env.command_line import command_line, progress
 from jackbox_env.states import THETA_JACK, X_JACK, Y_JACK
 
 
@@ -50,7 +50,7 @@ def main() -> None:
     import tyro
 
     arguments = tyro.cli(Arguments, description=__doc__)
-    loading_libraries()
+    progress("Loading PyTorch and Stable-Baselines3 ...")
     import torch
     from stable_baselines3 import PPO
     from stable_baselines3.common.evaluation import evaluate_policy
