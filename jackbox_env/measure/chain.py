@@ -25,7 +25,9 @@ LAGS = 4  # windows back, up to which covariances are computed
 _RANK = 1e-9  # of the largest singular value of columns of length 1; less is unidentified, and stays
 _AT_ONCE = 200  # rows of a decomposition, so few that no threads are started, which costs more than they save
 _TOLERANCE = 1e-10  # relative change of the sum of squares, or of the unknowns, at which a search ends
-_GROWTH = 8.0  # of the damping after a step that fails
+_COVARIANCE_DAMPING = 1e-10  # keeps the covariance of what nothing determines below what rounding destroys
+_GROWTH = 8.0  # of the damping after a step that was shortened
+_SHORTER = 0.25  # of a step that fails
 _FIRST_DAMPING, _LEAST_DAMPING = 1e-6, 1e-14  # of the squared lengths of the observations' columns
 
 
@@ -96,7 +98,7 @@ class Chain:
         J C with C the covariance of all unknowns, for the start of the row's window, those of the LAGS windows before
         it, and the fields.
         """
-        fields, starts, _ = self._eliminate(0.0)
+        fields, starts, _ = self._eliminate(_COVARIANCE_DAMPING)
         rows, past = self.rows, WIDTH * (1 + LAGS)
         covariance = np.zeros((past + rows.fields, past + rows.fields))
         covariance[past:, past:] = fields.root @ fields.root.T
@@ -171,6 +173,8 @@ def _triangle(rows: Array) -> Array:
 def minimise(evaluate: Callable[[Array], Rows | None], unknowns: Array, windows: int, most: int) -> tuple[Array, bool]:
     """Least squares by Levenberg and Marquardt: the unknowns, fields first, and whether the search ended.
 
+    A step that fails is shortened: damping alone would first have to reach the squared lengths of the columns.
+
     Args:
         evaluate: the rows of unknowns; None if there are none, so that a shorter step is tried. Not None at the first.
         unknowns: fields, then starts.
@@ -180,19 +184,21 @@ def minimise(evaluate: Callable[[Array], Rows | None], unknowns: Array, windows:
     rows = evaluate(unknowns)
     assert rows is not None
     chain, damping = Chain(rows, windows), _FIRST_DAMPING
+    step, share = chain.step(damping), 1.0
     for _ in range(most):
         square = float((chain.rows.residuals**2).sum())
-        step = chain.step(damping)
-        moved = np.concatenate([step.fields, step.starts.ravel()])
+        moved = share * np.concatenate([step.fields, step.starts.ravel()])
         trial = evaluate(unknowns + moved)
         decrease = -np.inf if trial is None else square - float((trial.residuals**2).sum())
+        expected = share * (2.0 - share) * step.decrease
         small = float(np.linalg.norm(moved)) <= _TOLERANCE * float(np.linalg.norm(unknowns))
-        ended = small or max(abs(decrease), abs(step.decrease)) <= _TOLERANCE * square
-        if trial is not None and decrease > 1e-4 * step.decrease:
+        ended = small or max(abs(decrease), abs(expected)) <= _TOLERANCE * square
+        if trial is not None and decrease > 1e-4 * expected:
             unknowns, chain = unknowns + moved, Chain(trial, windows)
-            damping = max(0.1 * damping, _LEAST_DAMPING)
+            damping = max(0.1 * damping, _LEAST_DAMPING) if share == 1.0 else max(_GROWTH * damping, _FIRST_DAMPING)
+            step, share = chain.step(damping), 1.0
         else:
-            damping = max(_GROWTH * damping, _FIRST_DAMPING)
+            share *= _SHORTER
         if ended:
             return unknowns, True
     return unknowns, False

@@ -102,16 +102,12 @@ def motions(
 ) -> list[Motion] | None:
     """The motions of windows from their starts; None if the model cannot follow one.
 
-    Windows of about the same length, of a recording with torques, are played in one call: each as long as the longest.
+    Windows of about the same length, of a recording, are played in one call: each as long as the longest.
     """
-    groups = dict[tuple[int, int, int], list[int]]()
+    groups, results = dict[tuple[int, int], list[int]](), dict[int, Motion]()
     for index, window in enumerate(windows):
-        length, alone = (window.last - window.first) // _GROUPED, -1
-        if recordings[window.recording].torques is None:  # a drive depends on the time
-            alone = index
-        groups.setdefault((window.recording, length, alone), []).append(index)
-    results = dict[int, Motion]()
-    for (recording, *_), members in groups.items():
+        groups.setdefault((window.recording, (window.last - window.first) // _GROUPED), []).append(index)
+    for (recording, _), members in groups.items():
         together = [windows[index] for index in members]
         played = _played(recordings[recording], together, parameters, numbers)
         if played is None and len(together) > 1:  # what comes after a shorter one may be at fault
@@ -126,7 +122,7 @@ def motions(
 def _played(
     recording: Recording, windows: Sequence[Window], parameters: Parameters, numbers: Array
 ) -> list[Motion] | None:
-    """The motions of windows of a recording, several only with torques; None if the model cannot follow one."""
+    """The motions of windows of a recording; None if the model cannot follow one."""
     counts = [window.last - window.first for window in windows]
     longest, torques = max(counts), None
     if recording.torques is not None:
@@ -137,7 +133,7 @@ def _played(
     times = [recording.time + window.first * recording.dt for window in windows]
     try:
         lin = linearize(
-            parameters.scene(numbers), [window.start for window in windows], torques, recording.dt, min(times),
+            parameters.scene(numbers), [window.start for window in windows], torques, recording.dt, times,
             fields=parameters.fields, steps=longest if torques is None else None, num_threads=1,
         )  # fmt: skip
     except (ValueError, JackLostError):

@@ -172,7 +172,7 @@ def linearize(
     states: ArrayLike,
     torques: ArrayLike | None,
     dt: float,
-    time: float = 0.0,
+    time: float | ArrayLike = 0.0,
     *,
     fields: Sequence[str] = (),
     repeat: int = 1,
@@ -193,7 +193,7 @@ def linearize(
         states: shape (N, 12), or (12,) for all sequences; a foot may be up to 1 m outside.
         torques: on the box [N m], shape (N, H), or (H,) for all states; None: the scene's drive acts for ``steps``.
         dt: duration of a step [s], > 0.
-        time: at which all start [s].
+        time: at which all start [s], or each row, shape (N,).
         fields: of the scene, to differentiate by, at fixed torques in N m: any of gravity, box_mass, box_inertia,
             jack_mass, jack_inertia, jack_arm, box_half_width, restitution. An inertia that the scene derives follows
             its mass and length; one that you set stays. By restitution 1 the derivative is one-sided, from below.
@@ -208,7 +208,7 @@ def linearize(
     scenes, several = scenes_of(scene)
     repeat = check.whole("repeat", repeat, at_least=1, at_most=1_000_000)
     dt = check.real("dt", dt, above=0.0)
-    time = check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
+    times = [check.real("time", one, at_least=-LATEST_TIME, at_most=LATEST_TIME) for one in np.ravel(time).tolist()]
     driven = torques is None
     if torques is None:
         if repeat != 1:
@@ -216,11 +216,15 @@ def linearize(
         torques = np.zeros(check.whole("steps", steps, at_least=0, at_most=10_000_000))
     elif steps is not None:
         raise TypeError(f"steps must be None if there are torques, got {steps}")
-    seeds = np.array([_seeds(one, fields) for one in scenes])
     starts, rows = sequences(scenes, several, states, torques)
+    if np.ndim(time) and len(times) != len(starts):
+        raise ValueError(f"time must be one number or {len(starts)}, as many as rows, got {check.shown(time)}")
+    if len(times) > len(scenes):
+        scenes = scenes * len(times)
+    seeds = np.array([_seeds(one, fields) for one in scenes])
     tape = Tape()
     options = RolloutOptions(impacts=True, repeat=repeat, whole=True, num_threads=num_threads, drives_turn=driven)
-    trajectories = run_rollouts(scenes, starts, rows, dt, time, options, tape).trajectories
+    trajectories = run_rollouts(scenes, starts, rows, dt, np.array(times), options, tape).trajectories
     kinds = np.array([drive_kind(one.drive, held=not driven) for one in scenes])
     return Linearization(scenes, dt, rows, kinds, seeds, trajectories, tape, num_threads)
 

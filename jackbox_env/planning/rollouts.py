@@ -194,7 +194,7 @@ _PLAIN = RolloutOptions()
 
 
 def run_rollouts(
-    scenes: list[Scene], starts: Array, torques: Array, dt: float, time: float = 0.0,
+    scenes: list[Scene], starts: Array, torques: Array, dt: float, time: float | Array = 0.0,
     options: RolloutOptions = _PLAIN, tape: Tape | None = None,
 ) -> Rollout[Any, Any]:  # fmt: skip
     """:func:`rollout` of checked arguments: float64 rows, and one scene or one for each of them.
@@ -204,7 +204,7 @@ def run_rollouts(
         starts: shape (N, 12).
         torques: [N m], shape (N, H / repeat).
         dt: duration of a step [s].
-        time: at which all start [s].
+        time: at which all start [s]; or of each row, shape (N,), if there is a scene for each.
         options: how to play, and what to return.
         tape: to be filled in; needs ``impacts`` and ``whole``.
     """
@@ -231,14 +231,14 @@ def run_rollouts(
 
     parts = threads.run(work, len(blocks[0]), grain=-(-_GRAIN // max(1, steps * width)), halt=halt)
     for ended, row, step, _ in parts:
-        scene = scenes[row if len(scenes) > 1 else 0]
+        scene, at = scenes[row if len(scenes) > 1 else 0], float(times[step, row if times.shape[1] > 1 else 0])
         if ended == Status.BAD_REWARD and task is not None:
             simulator = ExactSimulator(scene if options.side_forces else scene.changed(drive=None))
-            simulator.reset(blocks[step % 2, row // width, :12, row % width], times[step])
+            simulator.reset(blocks[step % 2, row // width, :12, row % width], at)
             simulator.step(dt, torques[row, step // options.repeat])
             raise bad_reward(task, simulator, f"step {step} of states[{row}]")
         if ended:
-            raise failure(ended, scene, times[step], dt, f"the jack of states[{row}]")
+            raise failure(ended, scene, at, dt, f"the jack of states[{row}]")
     hits, trajectories = np.ascontiguousarray(results.hits.T), results.trajectories
     if tape is not None:
         log = np.concatenate([new_log(0, True), *(rows for *_, logs in parts for rows in logs)])
@@ -306,18 +306,19 @@ def _by_row(hits: Counts, width: int) -> Counts:
     return np.argsort(np.repeat(row.reshape(-1), recorded.reshape(-1)), kind="stable")
 
 
-def _put_rows(blocks: Array, starts: Array, time: float) -> None:
-    """Write states, shape (N, 12), and their time into blocks, shape (blocks, 16, width)."""
+def _put_rows(blocks: Array, starts: Array, time: float | Array) -> None:
+    """Write states, shape (N, 12), and their times into blocks, shape (blocks, 16, width)."""
     width = blocks.shape[2]
     number, lane = np.divmod(np.arange(len(starts)), width)
     blocks[number, :12, lane], blocks[number, TIME, lane] = starts, time
 
 
-def _times(time: float, dt: float, steps: int) -> Array:
-    """Times at which each step begins and the last one ends [s], shape (steps + 1,): added up one by one."""
-    times: Array = np.add.accumulate(np.concatenate([[time], np.full(steps, dt)]))
-    if (times[1:] == times[:-1]).any() or times[-1] > LATEST_TIME:
-        for start in times[:-1].tolist():
+def _times(time: float | Array, dt: float, steps: int) -> Array:
+    """Times at which each step begins and the last one ends [s], shape (steps + 1, 1 or N): added up one by one."""
+    first = np.atleast_1d(np.asarray(time, np.float64))[None]
+    times: Array = np.add.accumulate(np.concatenate([first, np.full((steps, first.size), dt)]))
+    if (times[1:] == times[:-1]).any() or (times[-1] > LATEST_TIME).any():
+        for start in times[:-1].ravel().tolist():
             end_of_step(start, dt)  # raises for one of them
     return times
 
@@ -336,12 +337,14 @@ def _scenes_played(
     kinds = np.array([drive_kind(drive, torque is not None) for drive in drives], np.int64)
     if not any(kind in WITH_PIECES for kind in kinds.tolist()):
         return Scenes(values, lanes, kinds, *NO_PIECES)
-    starts, tables, begins = (times[:-1] if len(times) > 1 else times).tolist(), list[Array](), dict[int, int]()
-    for drive in drives:
-        if id(drive) not in begins:
-            begins[id(drive)] = len(tables)
-            tables += [pieces_for(drive, start, dt, torque) for start in starts]
-    return Scenes(values, lanes, kinds, *joined(tables, np.array([begins[id(drive)] for drive in drives], np.int64)))
+    starts, tables, begins = (times[:-1] if len(times) > 1 else times).T.tolist(), list[Array](), dict[Any, int]()
+    rows = [(drive, starts[row if len(starts) > 1 else 0]) for row, drive in enumerate(drives)]
+    for drive, begin in rows:
+        if (id(drive), begin[0]) not in begins:
+            begins[id(drive), begin[0]] = len(tables)
+            tables += [pieces_for(drive, start, dt, torque) for start in begin]
+    first = np.array([begins[id(drive), begin[0]] for drive, begin in rows], np.int64)
+    return Scenes(values, lanes, kinds, *joined(tables, first))
 
 
 def sequences(scenes: list[Scene], several: bool, states: ArrayLike, torques: ArrayLike) -> tuple[Array, Array]:
