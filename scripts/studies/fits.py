@@ -1,4 +1,4 @@
-"""Fit some hundred synthetic recordings, and fill in docs/fitting.md: how often 95 % intervals hold, and times.
+"""Fit some hundred synthetic recordings, and fill in docs/fitting.md: how often 95 % intervals contain the truth, and times.
 
 Some fits are made again with finite differences in place of exact derivatives. An interrupted run resumes.
 """
@@ -123,25 +123,29 @@ def fitted(differences: bool, seed: int) -> dict[str, Any]:
     for name, (low, high) in estimate.intervals.items():
         true, value = getattr(scene, name), getattr(estimate.scene, name)
         identified = bool(np.isfinite(high) and (low, high) != (0.0, 1.0))
-        outcomes[name] = {"holds": bool(low <= true <= high), "told": identified, "error": abs(value - true) / true}
+        outcomes[name] = {
+            "contains": bool(low <= true <= high), "identified": identified, "error": abs(value - true) / true,
+        }  # fmt: skip
     held_out = float(np.mean(estimate.residuals**2)) if len(estimate.residuals) else None
     return {
-        "seed": seed, "differences": differences, "seen": kind, "noise": noise, "seconds": seconds,
+        "seed": seed, "differences": differences, "observed": kind, "noise": noise, "seconds": seconds,
         "converged": bool(estimate.converged), "fields": outcomes, "held_out": held_out,
     }  # fmt: skip
 
 
 def spread(rows: Iterable[dict[str, Any]]) -> list[str]:
-    """Fits, those that converged, how many intervals hold with a 95 % interval of that share, seconds, median error."""
+    """Fits, those that converged, how many intervals contain the truth (and the 95 % interval of that share), seconds,
+    median error.
+    """
     rows = list(rows)
     good = [row for row in rows if row["converged"]]
-    fields = [of for row in good for of in row["fields"].values() if of["told"]]
-    holding = sum(of["holds"] for of in fields)
-    low, high = stats.binomtest(holding, len(fields)).proportion_ci() if fields else (0.0, 1.0)
+    fields = [of for row in good for of in row["fields"].values() if of["identified"]]
+    right = sum(of["contains"] for of in fields)
+    low, high = stats.binomtest(right, len(fields)).proportion_ci() if fields else (0.0, 1.0)
     seconds = f"{statistics.median(row['seconds'] for row in rows):.1f} s" if rows else ""
     return [
         str(len(rows)), f"{len(good) / max(1, len(rows)):.0%}",
-        f"{holding / max(1, len(fields)):.1%} ({low:.1%} to {high:.1%})", seconds,
+        f"{right / max(1, len(fields)):.1%} ({low:.1%} to {high:.1%})", seconds,
         f"{statistics.median(of['error'] for of in fields):.1e}" if fields else "",
     ]  # fmt: skip
 
@@ -149,8 +153,8 @@ def spread(rows: Iterable[dict[str, Any]]) -> list[str]:
 def tables(rows: list[dict[str, Any]]) -> str:
     """The page's tables."""
     exact, other = ([row for row in rows if row["differences"] is kind] for kind in (False, True))
-    heads = ("what was seen", "fits", "converged", "95 % intervals that hold", "time of a fit", "error")
-    lines = [[kind, *spread(row for row in exact if row["seen"] == kind)] for kind in MEASURED]
+    heads = ("observed", "fits", "converged", "95 % intervals that contain the truth", "time of a fit", "error")
+    lines = [[kind, *spread(row for row in exact if row["observed"] == kind)] for kind in MEASURED]
     again = {row["seed"] for row in other}
     twins = [row for row in exact if row["seed"] in again]
     compared = [["exact derivatives", *spread(twins)], ["finite differences", *spread(other)]]
