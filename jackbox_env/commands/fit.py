@@ -1,4 +1,4 @@
-"""Fit fields of a scene to recordings: CSV files of a camera, or of ``jackbox simulate``."""
+"""Fit fields of a scene to recordings: CSV files of a camera, or CSV or npz files of ``jackbox simulate``."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import json
 import math
 import sys
 import time
+import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,8 +35,8 @@ def _arguments() -> argparse.Namespace:
     parser = parser_of(__doc__)
     text = "files of one scene: time, any of the 12 numbers of a state (an empty cell: not observed), and torque, held "
     text += "from each row to the next; the scene's drive acts if there is none, or if it is the drive's; headers may "
-    text += "have units, as in x_jack [mm], theta_box [deg], time [ms]"
-    parser.add_argument("recordings", nargs="+", type=Path, metavar="CSV", help=text)
+    text += "have units, as in x_jack [mm], theta_box [deg], time [ms]; or npz files of jackbox simulate"
+    parser.add_argument("recordings", nargs="+", type=Path, metavar="FILE", help=text)
     text = "what to fit: gravity, box_mass, box_inertia, jack_mass, jack_inertia, jack_arm, box_half_width, restitution"
     text += f"; default: {' '.join(_FIELDS)}"
     parser.add_argument("--fields", nargs="+", default=_FIELDS, metavar="FIELD", help=text)
@@ -43,14 +44,16 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--columns", metavar="NAMES", help=text)
     text = "y points downwards and angles are clockwise, as in images"
     parser.add_argument("--y-down", action="store_true", help=text)
-    text = "where the search starts, and all that is not fitted; default: scene.json beside the files, if there is one"
+    text = "where the search starts, and all that is not fitted; default: that of the npz file, or of scene.json "
+    text += "in the folder of the files"
     add_scene_options(parser.add_argument_group("scene", text))
     text = (
         """standard deviation of what was observed: a number, or by name, e.g. '{"x_jack": 0.01, "impacts": 0.001}'"""
     )
     parser.add_argument("--noise", metavar="JSON", help=f"{text}; default: estimated")
-    text = "times at which impacts were heard: for each recording a file with the column time, like impacts.csv"
-    parser.add_argument("--impacts", nargs="+", type=Path, default=[], metavar="CSV", help=text)
+    text = "times at which impacts were heard: for each recording a file with the column time, like impacts.csv, or an "
+    text += "npz file of jackbox simulate"
+    parser.add_argument("--impacts", nargs="+", type=Path, default=[], metavar="FILE", help=text)
     text = "also write fit.html: recordings against the fit, and residuals, in one page that any browser opens"
     parser.add_argument("--html", action="store_true", help=text)
     text = "new folder for all that is written; default: runs/fit-<date>-<time>"
@@ -64,7 +67,7 @@ def _arguments() -> argparse.Namespace:
 def read_recording(
     path: Path, scene: Scene, impacts: Path | None = None, names: Mapping[str, str] | None = None, y_down: bool = False
 ) -> Recording:
-    """The recording of a CSV file, and of another with the times of impacts that were heard.
+    """The recording of a CSV or npz file, and of another with the times of impacts that were heard.
 
     Raises:
         ValueError: unusable content; the message names the file, the row's line and the column.
@@ -74,17 +77,32 @@ def read_recording(
 
     heard = None
     if impacts is not None:
-        table = _table(impacts)
+        table = _table(impacts, impacts=True)
         heard = filled(table, "time", in_si_units(table, _IMPACTS)[0]["time"])
     return Recording.from_table(_table(path), scene, names, y_down, heard)
 
 
-def _table(path: Path) -> Table:
-    """The columns of a file by their headers; NaN for an empty cell."""
+def _arrays(path: Path) -> dict[str, Any]:
+    """The arrays of an npz file."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return {**file}
+    except (EOFError, TypeError, ValueError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{path}: must be an npz file of jackbox simulate, got {' '.join(str(error).split())}") from error
+
+
+def _table(path: Path, impacts: bool = False) -> Table:
+    """The columns of a file by their headers; NaN for an empty cell. Of an npz file: the states, or the impacts."""
     from tqdm import tqdm
 
-    from jackbox_env.measure.columns import Table
+    from jackbox_env.measure.columns import Table, table_of
 
+    if path.suffix == ".npz":
+        arrays = _arrays(path)
+        needed = "impact_time" if impacts else "state"
+        if needed not in arrays:
+            raise ValueError(f"{path}: there must be an array {needed}, got {', '.join(arrays)}")
+        return table_of({"time": arrays[needed]} if impacts else arrays, f"{path}, ")
     with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
         reader = csv.reader(file)
         try:
@@ -133,13 +151,20 @@ def _noise(text: str | None) -> Any:
 
 
 def _stored_scene(paths: Sequence[Path]) -> dict[str, Any]:
-    """The scene that ``jackbox simulate`` has written beside the recordings; no field if there is none.
+    """The scene that ``jackbox simulate`` has written with the recordings; no field if there is none.
 
     Raises:
         ValueError: the recordings have different ones, or one is damaged.
     """
-    files = dict.fromkeys(path.with_name("scene.json") for path in paths)
-    stored = [check.from_json(str(file), file.read_text(encoding="utf-8"), dict) for file in files if file.is_file()]
+    from jackbox_env.measure.columns import stored_scene
+
+    files = dict.fromkeys(path if path.suffix == ".npz" else path.with_name("scene.json") for path in paths)
+    stored = list[dict[str, Any]]()
+    for file in files:
+        if file.suffix == ".npz":
+            stored.append(stored_scene(_arrays(file), f"{file}, ") or {})
+        elif file.is_file():
+            stored.append(check.from_json(str(file), file.read_text(encoding="utf-8"), dict))
     if any(fields != stored[0] for fields in stored):
         raise ValueError(f"the recordings must be of one scene, got different ones in {' and '.join(map(str, files))}")
     return stored[0] if stored else {}
@@ -180,7 +205,8 @@ def main() -> None:
         for note in recordings[-1].notes:
             print(f"{path}: {note}.", file=sys.stderr)
     if stored:
-        print(f"The search starts at the scene of {paths[0].with_name('scene.json')}.", file=sys.stderr)
+        file = paths[0] if paths[0].suffix == ".npz" else paths[0].with_name("scene.json")
+        print(f"The search starts at the scene of {file}.", file=sys.stderr)
     steps = sum(len(np.asarray(one.states)) - 1 for one in recordings)
     print(f"Fitting {', '.join(arguments.fields)} to {steps} steps ...", file=sys.stderr, flush=True)
     from jackbox_env.measure.fitting import fit  # takes a while

@@ -50,12 +50,14 @@ class Table(NamedTuple):
         return f"{self.source}row 1: column" if self.source else "column"
 
 
-def table_of(columns: Any) -> Table:
-    """The table of a dict, a DataFrame of pandas or polars, or an array with named fields.
+def table_of(columns: Any, source: str = "") -> Table:
+    """The table of a dict, a DataFrame, an array with named fields, or the arrays of ``jackbox simulate --format npz``.
 
     Raises:
         TypeError, ValueError: something else; columns of other things than numbers, or of different lengths.
     """
+    if isinstance(columns, Mapping) and "state" in columns:
+        columns = _columns_of(columns, source)
     listed = getattr(columns, "columns", None)
     listed = getattr(getattr(columns, "dtype", None), "names", None) if listed is None else listed
     if listed is None and not isinstance(columns, Mapping):
@@ -64,7 +66,24 @@ def table_of(columns: Any) -> Table:
     if len({len(array) for array in arrays.values()}) > 1:
         lengths = ", ".join(f"{name} {len(array)}" for name, array in arrays.items())
         raise ValueError(f"columns must have the same number of rows, got {lengths}")
-    return Table(arrays)
+    return Table(arrays, source)
+
+
+def _columns_of(arrays: Mapping[str, Any], source: str) -> dict[str, Any]:
+    """Columns of the arrays time (n,), state (n, 12), and torque (n - 1,), if there is one."""
+    if np.ndim(arrays["state"]) != 2 or np.shape(arrays["state"])[1] != 12:
+        raise ValueError(f"{source}state must have shape (n, 12), got {np.shape(arrays['state'])}")
+    columns = dict(zip(STATE_NAMES, np.transpose(arrays["state"]), strict=True))
+    columns |= {"time": arrays["time"]} if "time" in arrays else {}
+    columns |= {"torque": np.append(arrays["torque"], np.nan)} if "torque" in arrays else {}
+    return columns
+
+
+def stored_scene(arrays: Any, source: str = "") -> dict[str, Any] | None:
+    """The fields of the scene among the arrays of ``jackbox simulate --format npz``; None if there is none."""
+    if not isinstance(arrays, Mapping) or "scene" not in arrays:
+        return None
+    return check.from_json(f"{source}scene", str(np.asarray(arrays["scene"])), dict)
 
 
 def _numbers(name: Any, values: Any) -> Array:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jackbox_env import checks as check
-from jackbox_env.measure.columns import Table, evened, table_of
+from jackbox_env.measure.columns import Table, evened, stored_scene, table_of
 from jackbox_env.scene import Scene
 from jackbox_env.states import LATEST_TIME, RATES, STATE_NAMES, Array
 
@@ -86,8 +86,9 @@ class Recording:
 
         Args:
             columns: a dict of columns, a DataFrame of pandas or polars, or an array with named fields; NaN or None
-                where something was not observed.
-            scene: whose sizes and drive the recording is compared with; None: the default scene.
+                if something was not observed. Or ``np.load("trajectory.npz")``, of ``jackbox simulate --format npz``.
+            scene: whose sizes and drive the recording is compared with; None: the scene in the npz file, else the
+                default scene.
             names: headers that stand for other names here, as ``{"x_jack": "ball_x", "time": "t [ms]"}``. Headers
                 that are no names here are then left out.
             y_down: whether y points downwards and angles are clockwise, as in images. A torque stays.
@@ -97,7 +98,8 @@ class Recording:
             TypeError, ValueError: unusable columns, and sizes that are no metres, radians or seconds.
         """
         check.flag("y_down", y_down)
-        return cls.from_table(table_of(columns), Scene.of(scene), names, y_down, impacts)
+        scene = Scene.of(stored_scene(columns) if scene is None else scene)
+        return cls.from_table(table_of(columns), scene, names, y_down, impacts)
 
     @classmethod
     def from_table(

@@ -1,4 +1,4 @@
-"""Fit some hundred synthetic recordings, and fill in docs/fitting.md: how often 95 % intervals contain the truth, and times.
+"""Fit 900 synthetic recordings, and fill in docs/fitting.md: how often 95 % intervals contain the truth, and times.
 
 Some fits are made again with finite differences in place of exact derivatives. An interrupted run resumes.
 """
@@ -61,7 +61,7 @@ class Arguments:
 
 
 def recorded(seed: int) -> tuple[Scene, Scene, tuple[str, ...], Recording, str, float]:
-    """A scene, the fit's first guess, the fields to fit, a noisy recording, what was measured and its noise."""
+    """A scene, the fit's first guess, the fields to fit, a noisy recording, what was observed, and its noise."""
     rng = np.random.default_rng(seed)
     kind, noise = list(MEASURED)[seed % len(MEASURED)], NOISE[seed // len(MEASURED) % len(NOISE)]
     fields = FIELDS[int(rng.integers(len(FIELDS)))]

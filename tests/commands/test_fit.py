@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import csv
+import json
 import re
 import shlex
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from jackbox_env import Chirp, Scene, make_simulator
+from jackbox_env import Chirp, Recording, Scene, make_simulator
 from jackbox_env.commands import fit
 from jackbox_env.commands import simulate as simulating
 from jackbox_env.recording.trajectory import simulate, write_csv
@@ -83,6 +85,59 @@ def test_the_search_starts_at_the_scene_that_simulate_has_written(
     with pytest.raises(SystemExit):
         run(monkeypatch, folder, "noisy.csv", str(tmp_path / "noisy.csv"))
     assert "the recordings must be of one scene" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("drive", [Chirp(), None])
+def test_an_npz_file_of_simulate_brings_its_scene(
+    drive: Chirp | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    scene = json.dumps({"gravity": 3.7, "jack_mass": 6.0, "drive": drive and {"amplitude": 5e4}})
+    start = ["--state", "x_jack=0.3,theta_jack=0.2,vx_jack=1", "--scene", scene, "--folder", "run"]
+    monkeypatch.setattr(sys, "argv", ["jackbox simulate", "--format", "npz", "--no-plots", "--seconds", "5", *start])
+    simulating.main()
+    capsys.readouterr()
+    run(monkeypatch, tmp_path, "run/trajectory.npz", "--fields", "gravity")
+    out, err = capsys.readouterr()
+    assert "The search starts at the scene of run/trajectory.npz." in err
+    name, fitted, _, begun = re.split(r"  +", out.splitlines()[1])
+    assert (name, begun) == ("gravity", "3.7")
+    assert float(fitted) == pytest.approx(3.7, rel=1e-6)
+    assert "Converged" in out
+    with np.load("run/trajectory.npz") as arrays:
+        recording = Recording.from_frame(arrays, impacts=arrays["impact_time"])
+        np.testing.assert_array_equal(recording.states, arrays["state"])
+    again = fit.read_recording(Path("run/trajectory.npz"), Scene.of(json.loads(scene)), Path("run/trajectory.npz"))
+    assert (recording.torques is None) == (again.torques is None) == (drive is not None)
+    assert recording.impacts is not None
+    np.testing.assert_array_equal(recording.impacts, again.impacts)
+
+
+@pytest.mark.parametrize(
+    ("arrays", "sentence"),
+    [
+        ({"states": np.zeros((2, 12))}, "there must be an array state, got states"),
+        ({"state": np.zeros((2, 11)), "time": np.arange(2.0)}, "state must have shape (n, 12), got (2, 11)"),
+        ({"state": np.zeros((2, 12))}, "there must be a column time [s]"),
+        ({"state": np.zeros((2, 12)), "time": np.arange(2.0) / 9, "scene": np.array("{")}, "scene must be a JSON object"),
+        ({"state": np.array([None, {}], dtype=object)}, "must be an npz file of jackbox simulate, got Object arrays"),
+        (None, "must be an npz file of jackbox simulate"),
+    ],
+)
+def test_an_npz_file_that_is_no_recording_is_refused_in_one_sentence(
+    arrays: dict[str, Any] | None, sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    if arrays is None:
+        (tmp_path / "bad.npz").write_text("nothing")
+    else:
+        np.savez(tmp_path / "bad.npz", **arrays)
+    with pytest.raises(SystemExit):
+        run(monkeypatch, tmp_path, "bad.npz")
+    said = capsys.readouterr().err
+    assert said.startswith("bad.npz")
+    assert sentence in said
+    assert said.count("\n") == 1
 
 
 def test_torques_that_equal_the_drives_mean_the_drive(folder: Path) -> None:

@@ -226,6 +226,14 @@ def test_directions_that_nothing_determines_stay() -> None:
     np.testing.assert_allclose(abs(unidentified[0]), np.array([2.0, 1.0]) / math.sqrt(5.0), rtol=1e-6)
 
 
+def test_leverages_are_right_if_the_starts_absorb_a_field() -> None:
+    rows = linked_windows(np.random.default_rng(2), 2, 2)
+    rows.jacobian[:, 24] = rows.jacobian[:, :12] @ np.arange(12.0)
+    dense, projections = chained(rows, 2), Chain(rows, 2).projections()
+    hat = dense @ np.linalg.pinv(dense, rcond=1e-9)
+    np.testing.assert_allclose(leverage(rows, projections), np.diag(hat), atol=1e-6)
+
+
 def test_a_search_goes_around_where_nothing_can_be_followed_and_says_whether_it_ended() -> None:
     def evaluate(unknowns: Array) -> Rows | None:
         """Rosenbrock's valley in two fields, of which one may not be above 1.05."""
