@@ -59,6 +59,12 @@ _MOST_SKIPPED = 0.2  # steps that could not be followed, over the steps in windo
 class Fit:
     """A scene fitted to recordings.
 
+    >>> from jackbox_env import rollout
+    >>> still, torques = Scene(drive=None), np.zeros(150)  # nothing pushes, so only the ratio of the masses matters
+    >>> states = rollout(still, 0.3 * np.eye(12)[THETA_JACK], torques, dt=0.02)[0]
+    >>> fit(Recording(states, torques, dt=0.02), ("box_mass", "jack_mass"), still).unidentified
+    ('the recordings identify box_mass and jack_mass only up to one common factor',)
+
     Attributes:
         scene: the scene.
         intervals: 95 % interval of each field; (0, inf), of restitution (0, 1), if it is unidentifiable.
@@ -93,8 +99,14 @@ def fit(
 ) -> Fit:  # fmt: skip
     """Fit fields of a scene to recordings, by multiple shooting with exact derivatives (``measure/shooting.py``).
 
-    The intervals are those of the linearised problem, in logarithms of masses, lengths and
-    inertias.
+    The intervals are those of the linearised problem, in logarithms of masses, lengths and inertias.
+
+    >>> from jackbox_env import rollout
+    >>> torques = np.repeat([2e4, -3e4, 1e4, -1e4], 40)  # [N m]
+    >>> states = rollout(Scene(jack_mass=6.0), 0.3 * np.eye(12)[THETA_JACK], torques, dt=0.02)[0]
+    >>> found = fit(Recording(states, torques, dt=0.02), ["jack_mass"])
+    >>> round(found.scene.jack_mass, 6), found.converged
+    (6.0, True)
 
     Args:
         recordings: one or several, of the same scene.

@@ -27,6 +27,12 @@ _LEAST_DIFFERENCES = 20  # third differences, more of which give an estimate of 
 class Recording:
     """Observed states of a jack in a box, the torques that acted, and the times at which impacts were heard.
 
+    >>> states = np.full((3, 12), np.nan)
+    >>> states[:, 4] = 1.0, 0.998, 0.992  # only the jack's height was observed
+    >>> recording = Recording(states, torques=[5e3, 5e3], dt=0.02)
+    >>> recording.torques, recording.impacts
+    (array([5000., 5000.]), None)
+
     Args:
         states: shape (H + 1, 12), NaN where something was not observed.
         torques: on the box [N m], each constant for ``dt``, shape (H,); None: the scene's drive acted.

@@ -55,6 +55,10 @@ Lengths = TypeVar("Lengths")
 class Rollout(NamedTuple, Generic[Rewards, Lengths]):
     """Results of :func:`rollout` besides trajectories; None for what was not requested.
 
+    >>> played = rollout(None, np.zeros(12), np.zeros(60), dt=0.02, impacts=True)
+    >>> played.impacts.sum().item(), played.impulse.max().round(2).item(), played.energy
+    (1, 78.45, None)
+
     Attributes:
         trajectories: shape (N, H + 1, 12); with ``trajectories=False`` the first and the last states, (N, 2, 12).
         energy: of each state [J], shape (N, H + 1).

@@ -21,6 +21,14 @@ class JackLostError(RuntimeError):
 class Impact(NamedTuple):
     """One impact of one foot on one wall, a named tuple.
 
+    >>> from jackbox_env import make_simulator
+    >>> simulator = make_simulator({"drive": None}, contact="exact")
+    >>> simulator.reset([0.0] * 12)  # the jack falls 5 m
+    >>> simulator.step(1.2)
+    >>> hit = simulator.impacts[0]
+    >>> round(hit.time, 6), hit.wall, hit.foot, round(hit.impulse, 2)
+    (1.009638, 3, 3, 78.45)
+
     Attributes:
         time: absolute time [s].
         wall: 0..3, counter-clockwise from the right one of a level box: outward normal at theta_box + wall pi/2.
