@@ -88,7 +88,9 @@ def _arrays(path: Path) -> dict[str, Any]:
         with np.load(path, allow_pickle=False) as file:
             return {**file}
     except (EOFError, TypeError, ValueError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{path}: must be an npz file of jackbox simulate, got {' '.join(str(error).split())}") from error
+        raise ValueError(
+            f"{path}: must be an npz file of jackbox simulate, got {' '.join(str(error).split())}"
+        ) from error
 
 
 def _table(path: Path, impacts: bool = False) -> Table:

@@ -119,7 +119,10 @@ def test_an_npz_file_of_simulate_brings_its_scene(
         ({"states": np.zeros((2, 12))}, "there must be an array state, got states"),
         ({"state": np.zeros((2, 11)), "time": np.arange(2.0)}, "state must have shape (n, 12), got (2, 11)"),
         ({"state": np.zeros((2, 12))}, "there must be a column time [s]"),
-        ({"state": np.zeros((2, 12)), "time": np.arange(2.0) / 9, "scene": np.array("{")}, "scene must be a JSON object"),
+        (
+            {"state": np.zeros((2, 12)), "time": np.arange(2.0) / 9, "scene": np.array("{")},
+            "scene must be a JSON object",
+        ),
         ({"state": np.array([None, {}], dtype=object)}, "must be an npz file of jackbox simulate, got Object arrays"),
         (None, "must be an npz file of jackbox simulate"),
     ],

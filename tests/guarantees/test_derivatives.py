@@ -220,8 +220,6 @@ def test_each_row_may_start_at_a_time_of_its_own(drive: str) -> None:
         linearize(scene, states, None, 0.02, [0.0, 1.0], steps=25)
 
 
-
-
 @pytest.mark.parametrize("held", [True, False])
 @pytest.mark.parametrize("drive", ["chirp", "smooth functions"])
 def test_drives_equal_differences(drive: str, held: bool) -> None:

@@ -9,24 +9,13 @@ import numpy as np
 import pytest
 
 from jackbox_env import Chirp, Drive, Impact, Scene, make_simulator
-from jackbox_env.measure.accuracy import (
-    Case,
-    Course,
-    Reference,
-    at_ends,
-    compare,
-    follow,
-    pose_errors,
-    prefix_errors,
-    quantities,
-    reference_of,
-    restarts,
-)
+from jackbox_env.measure.accuracy import Case, Course, at_ends, follow, pose_errors, prefix_errors
 from jackbox_env.simulators.base import JackLostError, Present
 from jackbox_env.simulators.exact import ExactSimulator
 from jackbox_env.simulators.replay import flown, replayed
 from jackbox_env.states import Array
 from jackbox_env.tasks import sample_start
+from scripts.studies.accuracy.comparing import Reference, compare, quantities, reference_of, restarts
 
 WEIGHTLESS = Scene(gravity=0.0, drive=None)
 Hit = tuple[float, int, int]

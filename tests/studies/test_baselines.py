@@ -7,13 +7,14 @@ import importlib.util
 import numpy as np
 import pytest
 
-from jackbox_env.measure.accuracy import Case, compare, follow, prefix_errors, reference_of
+from jackbox_env.measure.accuracy import Case, follow, prefix_errors
 from jackbox_env.mechanics import energy, impact_map
 from jackbox_env.scene import Scene
 from jackbox_env.simulators import make_simulator
 from jackbox_env.tasks import sample_start
 from scripts.referee import reference
 from scripts.studies import baselines
+from scripts.studies.accuracy.comparing import compare, reference_of
 from scripts.studies.baselines.base import Baseline
 from scripts.studies.baselines.threshold import BAND, reflect
 from tests.states import inside, one_foot_on_wall
