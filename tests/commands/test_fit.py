@@ -143,29 +143,6 @@ def test_an_npz_file_that_is_no_recording_is_refused_in_one_sentence(
     assert said.count("\n") == 1
 
 
-def test_torques_that_equal_the_drives_mean_the_drive(folder: Path) -> None:
-    assert fit.read_recording(folder / "states.csv", Scene()).torques is None
-    held = fit.read_recording(folder / "states.csv", Scene(drive=Chirp(amplitude=80000.0))).torques
-    assert held is not None
-
-
-def test_a_torque_column_that_is_not_the_drives_is_compared_up_to_the_first_difference(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    means, evaluated = Chirp.torque_means, list[float]()
-
-    def counted(self: Chirp, time: float, duration: float) -> tuple[float, float]:
-        evaluated.append(time)
-        return means(self, time, duration)
-
-    monkeypatch.setattr(Chirp, "torque_means", counted)
-    head, *rows = (folder / "states.csv").read_text().splitlines()
-    later = [",".join([str(float(row.split(",")[0]) + 1e5), *row.split(",")[1:]]) for row in rows]
-    (folder / "later.csv").write_text("\n".join([head, *later]))
-    assert fit.read_recording(folder / "later.csv", Scene()).torques is not None
-    assert len(evaluated) <= 2
-
-
 def test_unix_times_count_from_the_first_row_if_the_torques_are_held(folder: Path) -> None:
     (folder / "unix.csv").write_text("time,x_jack,torque\n1700000000.0,1,5\n1700000000.02,1,6\n")
     (folder / "heard.csv").write_text("time\n1700000000.01\n")
@@ -188,26 +165,13 @@ def test_the_documented_commands_converge(
     for name, options in commands:
         monkeypatch.setattr(sys, "argv", [f"jackbox {name}", *shlex.split(options)])
         {"simulate": simulating, "fit": fit}[name].main()
-    out = capsys.readouterr().out
-    assert out.count("Converged: the search ended") == 2
-    assert len(list((tmp_path / "runs").glob("fit-*/fit.html"))) == 1
-
-
-@pytest.mark.parametrize("rate", [60.0, 30.0])
-def test_a_cameras_file_gives_the_mass_by_one_command(
-    rate: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    cameras.write_camera_file(tmp_path / "cam.csv", rate, seconds=6.0)
-    run(monkeypatch, tmp_path, "cam.csv", *cameras.OPTIONS)
     out, err = capsys.readouterr()
-    assert "Converged" in out
+    assert out.count("Converged: the search ended") == 2
     low, high = map(float, re.findall(r"jack_mass +[\d.]+ +([\d.]+) to ([\d.]+)", out)[0])
-    assert low < cameras.TRUE["jack_mass"] < high
-    assert high - low < 0.05
+    assert low < cameras.TRUE["jack_mass"] < high < low + 0.05
     assert re.search(r"^cam\.csv: \d+ of \d+ frames are missing, and left open\.$", err, re.M)
-    assert re.search(r"^cam\.csv: theta_jack wraps: \d+ jumps of a turn were taken out\.$", err, re.M)
-    assert "cam.csv: left out, because no name stands for them: frame.\n" in err
     assert "fitting" in err  # the bar
+    assert len(list((tmp_path / "runs").glob("fit-*/fit.html"))) == 1
 
 
 def test_names_without_units_and_empty_cells_are_read(tmp_path: Path) -> None:
