@@ -158,22 +158,13 @@ def _factor(table: Table, header: str, unit: str, si: str) -> float:
 # -- recordings --------------------------------------------------------------------------------------------------------
 
 
-class Evened(NamedTuple):
-    """Arguments of a Recording, and sentences about what was changed."""
-
-    states: Array
-    torques: Array | None
-    dt: float
-    time: float
-    impacts: Array | None
-    notes: tuple[str, ...]
-
-
 def evened(
     table: Table, scene: Scene, names: Mapping[str, str] | None = None, y_down: bool = False,
     impacts: Array | None = None,
-) -> Evened:  # fmt: skip
-    """The recording of a table: in SI units and y upwards, with a row for each frame, and angles that do not wrap.
+) -> tuple[dict[str, Any], tuple[str, ...]]:  # fmt: skip
+    """Arguments of a Recording, and sentences about what was changed.
+
+    In SI units and y upwards, with a row for each frame, and angles that do not wrap.
 
     If the torques are the drive's means, the drive acts instead: a constant torque of the same mean would lead
     elsewhere. Constant torques do not depend on the time, so Unix times then count from the first row.
@@ -203,7 +194,7 @@ def evened(
     begin = float(times[0])
     if torques is not None and abs(times).max() > LATEST_TIME:
         begin, impacts = 0.0, None if impacts is None else impacts - times[0]
-    return Evened(states, torques, dt, begin, impacts, tuple(notes))
+    return {"states": states, "torques": torques, "dt": dt, "time": begin, "impacts": impacts}, tuple(notes)
 
 
 def filled(table: Table, name: str, values: Array) -> Array:
@@ -275,7 +266,7 @@ def _refuse_coarse(table: Table, scene: Scene, end: float, dt: float) -> None:
     if dt > coarsest:
         unit = "numbers of frames" if dt == 1.0 else "milliseconds" if dt < 1e3 * coarsest else "microseconds"
         raise ValueError(
-            f"{table.source}column time: time runs to {_grouped(end)} s in steps of {dt:.3g} s, which must be at most "
+            f"{table.source}column time: time runs to {end:,.6g} s in steps of {dt:.3g} s, which must be at most "
             f"{coarsest:.2g} s: {unit}?"
         )
 
@@ -290,7 +281,7 @@ def _refuse_sizes(table: Table, scene: Scene, states: Array, dt: float) -> None:
         reach = float(np.nanmax(abs(reaches), initial=0.0)) if np.isfinite(reaches).any() else 0.0
         if reach > _FARTHEST * half * (1.0 if near == slice(None) else 5.0):
             raise ValueError(
-                f"{table.source}column {STATE_NAMES[axis + 3]}: {STATE_NAMES[axis + 3]} reaches {_grouped(reach)} m in "
+                f"{table.source}column {STATE_NAMES[axis + 3]}: {STATE_NAMES[axis + 3]} reaches {reach:,.4g} m in "
                 f"a box of half width {half:g} m: {_length_of(reach / half)}"
             )
     for column, unit in ((2, half), (5, scene.jack_arm)):
@@ -300,13 +291,8 @@ def _refuse_sizes(table: Table, scene: Scene, states: Array, dt: float) -> None:
         if len(steps) and (np.median(fast) > 0.5 or steps.max() > _LARGEST_STEP):
             name = STATE_NAMES[column]
             raise ValueError(
-                f"{table.source}column {name}: {name} changes by up to {_grouped(float(steps.max()))} rad from row to "
-                "row: degrees?"
+                f"{table.source}column {name}: {name} changes by up to {steps.max():,.4g} rad from row to row: degrees?"
             )
-
-
-def _grouped(value: float) -> str:
-    return f"{value:,.0f}" if value >= 100.0 else f"{value:.3g}"
 
 
 def _length_of(half_widths: float) -> str:

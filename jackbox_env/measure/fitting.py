@@ -29,7 +29,16 @@ from jackbox_env.measure.residuals import (
     studentised,
     unidentified_sentence,
 )
-from jackbox_env.measure.shooting import Parameters, Shooting, Window, end_state, motion, next_start, next_window, units
+from jackbox_env.measure.shooting import (
+    Parameters,
+    Shooting,
+    Window,
+    end_state,
+    motions,
+    next_start,
+    next_window,
+    units,
+)
 from jackbox_env.scene import Scene
 from jackbox_env.states import STATE_NAMES, THETA_JACK, Array
 
@@ -337,7 +346,7 @@ class _Search:
         least = np.where(parameters.logarithmic, -np.inf, 0.0)
         most = np.where(parameters.logarithmic, np.inf, parameters.high)
         ends = (parameters.values(np.clip(numbers + sign * half_widths, least, most)) for sign in (-1.0, 1.0))
-        motions, covered = self._motions()
+        states, covered = self._motions()
         left_out = sum(len(one.states) - 1 for one in self._recordings) - covered
         residuals = self._held_out_residuals(covariance)
         return Fit(
@@ -346,7 +355,7 @@ class _Search:
             residuals,
             tuple(unidentified_sentence(parameters.fields, row, parameters.logarithmic) for row in unidentified),
             {name: float(self._noise[k]) for k, name in enumerate((*STATE_NAMES, IMPACT)) if (rows.column == k).any()},
-            motions,
+            states,
             left_out,
             tuple(self._problems(ended, rows, autocorrelations(rows, projections), residuals, left_out, covered)),
         )
@@ -376,13 +385,13 @@ class _Search:
 
     def _motions(self) -> tuple[tuple[Array, ...], int]:
         """The fitted motion of each recording, and the number of steps in windows."""
-        motions, covered = tuple(np.full(one.states.shape, np.nan) for one in self._recordings), 0
-        for window in self._windows:
-            modelled = motion(self._recordings[window.recording], window, self._parameters, self._numbers)
-            if modelled is not None:
-                motions[window.recording][window.first : window.last + 1] = modelled.states
+        states, covered = tuple(np.full(one.states.shape, np.nan) for one in self._recordings), 0
+        played = motions(self._recordings, self._windows, self._parameters, self._numbers)
+        assert played is not None  # the search has evaluated them here
+        for window, modelled in zip(self._windows, played, strict=True):
+            states[window.recording][window.first : window.last + 1] = modelled.states
             covered += window.last - window.first
-        return motions, covered
+        return states, covered
 
     def _held_out_residuals(self, covariance: Array) -> Array:
         """Studentised residuals of every fifth window, or the last of fewer, in fits without it."""

@@ -114,12 +114,12 @@ class Recording:
     ) -> Recording:  # fmt: skip
         """:meth:`from_frame` of a :class:`jackbox_env.measure.columns.Table`."""
         heard = None if impacts is None else _finite("impacts", impacts)
-        even = evened(table, scene, names, y_down, heard)
+        arguments, notes = evened(table, scene, names, y_down, heard)
         try:
-            recording = cls(*even[:-1])
+            recording = cls(**arguments)
         except ValueError as error:
             raise ValueError(f"{table.source.removesuffix(', ')}: {error}" if table.source else str(error)) from error
-        recording.notes = even.notes
+        recording.notes = notes
         return recording
 
 

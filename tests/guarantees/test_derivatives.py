@@ -206,7 +206,7 @@ def test_trajectories_are_those_of_rollout_and_threads_change_nothing() -> None:
 
 
 @pytest.mark.parametrize("drive", ["chirp", "smooth functions"])
-def test_each_row_may_start_at_a_time_of_its_own(drive: str) -> None:
+def test_rows_that_start_at_different_times_equal_single_ones(drive: str) -> None:
     scene, rng, times = Scene(drive=DRIVES[drive]), np.random.default_rng(4), [0.0, 1.3, 0.4, 1.3]
     states = np.array([inside(scene, rng, 8.0) for _ in times])
     together = linearize(scene, states, None, 0.02, times, fields=("gravity",), steps=25)
@@ -214,8 +214,8 @@ def test_each_row_may_start_at_a_time_of_its_own(drive: str) -> None:
         alone = linearize(scene, states[row], None, 0.02, time, fields=("gravity",), steps=25)
         for one, other in zip(alone, together, strict=True):
             np.testing.assert_array_equal(one[0], other[row])
-        for one, other in zip(alone.impacts(0), together.impacts(row), strict=True):
-            np.testing.assert_array_equal(one, other)
+        for alone_impacts, others in zip(alone.impacts(0), together.impacts(row), strict=True):
+            np.testing.assert_array_equal(alone_impacts, others)
     with pytest.raises(ValueError, match=r"time must be one number or 4, as many as rows, got \[0.0, 1.0\]"):
         linearize(scene, states, None, 0.02, [0.0, 1.0], steps=25)
 
