@@ -44,6 +44,11 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--columns", metavar="NAMES", help=text)
     text = "y points downwards and angles are clockwise, as in images"
     parser.add_argument("--y-down", action="store_true", help=text)
+    text = (
+        "what turns the box in files without a column torque: drive, the scene's, a chirp unless --scene has another; "
+    )
+    text += "or none"
+    parser.add_argument("--torque", choices=("drive", "none"), default="drive", help=f"{text}; default: drive")
     text = "where the search starts, and all that is not fitted; default: that of the npz file, or of scene.json "
     text += "in the folder of the files"
     add_scene_options(parser.add_argument_group("scene", text))
@@ -117,7 +122,8 @@ def _table(path: Path, impacts: bool = False) -> Table:
             raise ValueError(f"{path}, row 1: column {check.shown(header)} comes twice")
     for line, row in rows:
         if len(row) != len(headers):
-            raise ValueError(f"{path}, row {line}: must have {len(headers)} cells like row 1, got {len(row)}")
+            cells = f"{len(headers)} cells like row 1, with commas between and points in numbers"
+            raise ValueError(f"{path}, row {line}: must have {cells}, got {len(row)}")
     bar = tqdm(rows, f"reading {path}", unit="row", leave=False, delay=_PATIENCE)
     cells = [[_number(path, line, *pair) for pair in zip(headers, row, strict=True)] for line, row in bar]
     columns = np.array(cells, dtype=np.float64).reshape(len(rows), len(headers)).T
@@ -184,7 +190,7 @@ def _printed(rows: Sequence[Sequence[str]]) -> str:
 def main() -> None:
     """Read the recordings, fit, print the result, and write the page."""
     arguments = _arguments()
-    from jackbox_env import Scene
+    from jackbox_env import Chirp, Scene
     from jackbox_env.files import check_new, new_folder, stamped
 
     paths, folder = arguments.recordings, arguments.folder or stamped("fit")
@@ -199,6 +205,7 @@ def main() -> None:
     chosen = chosen_scene(arguments.scene, arguments)
     stored = {} if chosen else _stored_scene(paths)
     start, noise = Scene.of(chosen or stored), _noise(arguments.noise)
+    start = start.changed(drive=None) if arguments.torque == "none" else start
     impacts = arguments.impacts or [None] * len(paths)
     recordings: list[Recording] = []
     names = column_names(arguments.columns)
@@ -209,6 +216,9 @@ def main() -> None:
     if stored:
         file = paths[0] if paths[0].suffix == ".npz" else paths[0].with_name("scene.json")
         print(f"The search starts at the scene of {file}.", file=sys.stderr)
+    if start.drive is not None and any(one.torques is None for one in recordings):
+        most = f", a chirp of up to {abs(start.drive.amplitude):,g} N m" if isinstance(start.drive, Chirp) else ""
+        print(f"The scene's drive turns the box{most}; --torque none if nothing does.", file=sys.stderr)
     steps = sum(len(np.asarray(one.states)) - 1 for one in recordings)
     print(f"Fitting {', '.join(arguments.fields)} to {steps} steps ...", file=sys.stderr, flush=True)
     from jackbox_env.measure.fitting import fit  # takes a while

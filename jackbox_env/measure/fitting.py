@@ -169,6 +169,8 @@ class _Search:
             self._cut(number, state_at(recording))
         if not self._windows:
             reasons = "the scene at the start leads elsewhere, or they are at rest"
+            if self._parameters.start.drive is not None and any(one.torques is None for one in self._recordings):
+                reasons += ", or its drive did not turn their box"
             if np.isfinite(self._known_noise).any():
                 reasons += ", or the noise is larger than given"
             raise ValueError(f"recordings must be followed for a while: {reasons}")

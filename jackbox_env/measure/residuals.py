@@ -16,7 +16,9 @@ from jackbox_env.measure.chain import LAGS, WIDTH, Chain, Indices, Rows
 from jackbox_env.states import Array
 
 _LAGS = 4  # rows, up to which residuals are compared
-_UNIDENTIFIABLE = 5.0  # standard deviation of a logarithm beyond which a combination of fields is unidentifiable
+# Standard deviation of a logarithm beyond which a combination of fields is unidentifiable: what is linear at the
+# estimate is not over the interval, which spans a factor of 7, and values near 0 may fit as well.
+_UNIDENTIFIABLE = 0.5
 
 
 def highest_mean_square(count: int) -> float:

@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jackbox_env import Chirp, Recording, Scene, make_simulator
+from jackbox_env import Chirp, Recording, Scene, make_simulator, rollout
 from jackbox_env.commands import fit
 from jackbox_env.commands import simulate as simulating
 from jackbox_env.recording.trajectory import simulate, write_csv
+from jackbox_env.states import STATE_NAMES
 
 pytest.importorskip("scipy")
 cameras = pytest.importorskip("scripts.studies.cameras")
@@ -62,7 +63,10 @@ def test_a_noisy_recording_identifies_mass_and_restitution_and_the_page_shows_th
     assert "Converged" in out
     assert re.search(r"x_jack 0\.00[45]\d* m,", out)  # noise
     assert "of 200 steps" in out
-    assert err.startswith("Fitting jack_mass, restitution to 200 steps ...\n")
+    assert err.startswith(
+        "The scene's drive turns the box, a chirp of up to 90,000 N m; --torque none if nothing does.\n"
+    )
+    assert "\nFitting jack_mass, restitution to 200 steps ...\n" in err
     assert re.search(r"\.\.\. took [\d.]+ s\n$", err)
     page = (folder / "out" / "fit.html").read_text()
     assert all(f"<td>{cell}</td>" in page for row in table[1:] for cell in row)
@@ -85,6 +89,18 @@ def test_the_search_starts_at_the_scene_that_simulate_has_written(
     with pytest.raises(SystemExit):
         run(monkeypatch, folder, "noisy.csv", str(tmp_path / "noisy.csv"))
     assert "the recordings must be of one scene" in capsys.readouterr().err
+
+
+def test_nothing_turns_the_box_under_torque_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    states = rollout(Scene(drive=None), 0.3 * np.eye(12)[5], np.zeros(100), 0.02)[0][:, :6]
+    rows = np.column_stack([0.02 * np.arange(101), states])
+    np.savetxt(tmp_path / "calm.csv", rows, delimiter=",", header=",".join(("time", *STATE_NAMES[:6])), comments="")
+    run(monkeypatch, tmp_path, "calm.csv", "--torque", "none", "--gravity", "9", "--fields", "gravity")
+    out, err = capsys.readouterr()
+    assert float(re.split(r"  +", out.splitlines()[1])[1]) == pytest.approx(9.81, rel=1e-6)
+    assert "turns the box" not in err
 
 
 @pytest.mark.parametrize("drive", [Chirp(), None])
@@ -196,7 +212,10 @@ def test_names_without_units_and_empty_cells_are_read(tmp_path: Path) -> None:
         ("time,x_box\n", "row 1: there must be two rows of numbers at least"),
         ("time,x_box\n0,1\n\n0.1,1\n0.2,left\n", "row 5, column x_box: must be a number or empty, got 'left'"),
         ("time,x_box\n0,1\n0.1,inf\n", "row 3, column x_box: must be a number or empty, got 'inf'"),
-        ("time,x_box\n0,1\n0.1\n", "row 3: must have 2 cells like row 1, got 1"),
+        (
+            "time,x_box\n0,1\n0.1\n",
+            "row 3: must have 2 cells like row 1, with commas between and points in numbers, got 1",
+        ),
         ("time,x_box\n0,1\n,2\n", "row 3, column time: must be a number, got none"),
         (
             "time,x_box\n0,1\n0.1,1\n0.2,1\n0.55,1\n",

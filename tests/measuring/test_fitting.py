@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import jackbox_env
-from jackbox_env import Fit, Recording, Scene, fit, make_simulator
+from jackbox_env import Chirp, Fit, Recording, Scene, fit, make_simulator, rollout
 from jackbox_env.measure.chain import Chain, Rows, minimise
 from jackbox_env.measure.residuals import autocorrelations, identified, leverage
 from jackbox_env.measure.shooting import Parameters, Shooting, Window, units
@@ -89,6 +89,20 @@ def test_masses_without_any_known_force_are_identified_up_to_one_factor() -> Non
     assert fitted.scene.jack_mass / fitted.scene.box_mass == pytest.approx(12.0 / 300.0, rel=1e-2)
 
 
+def test_a_jack_in_a_clamped_box_gives_restitution_and_an_unidentified_mass() -> None:
+    true = Scene(box_mass=1e6, box_half_width=0.15, jack_arm=0.04, jack_mass=0.06, restitution=0.85, drive=None)
+    states = rollout(true, 0.3 * np.eye(12)[5], np.zeros(120), 1.0 / 120.0)[0]
+    seen = states + 5e-4 * np.random.default_rng(1).standard_normal(states.shape)
+    seen[:, 6:] = np.nan
+    start = true.changed(jack_mass=0.05, restitution=0.9)
+    fitted = fit(Recording(seen, None, 1.0 / 120.0), ("jack_mass", "restitution"), start)
+    assert fitted.intervals["jack_mass"] == (0.0, np.inf)
+    assert fitted.unidentified == ("the recordings do not identify jack_mass",)
+    low, high = fitted.intervals["restitution"]
+    assert low < 0.85 < high < low + 0.01
+    assert fitted.converged
+
+
 def test_rest_is_excluded_and_counted() -> None:
     scene = Scene(jack_mass=12.0, restitution=0.3, drive=None)
     states, torques, _ = recorded(scene, steps=250, noise=0.0, torque=0.0)
@@ -102,6 +116,8 @@ def test_a_start_that_cannot_be_followed_is_refused() -> None:
     states, torques, _ = recorded()
     with pytest.raises(ValueError, match="recordings must be followed for a while: the scene at the start leads"):
         fit(Recording(states, -torques, DT), ("jack_mass", "restitution"), START)
+    with pytest.raises(ValueError, match="or they are at rest, or its drive did not turn their box"):
+        fit(Recording(states, None, DT), ("jack_mass",), START.changed(drive=Chirp()))
 
 
 @pytest.mark.parametrize("every", [1, 2])
