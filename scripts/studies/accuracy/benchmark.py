@@ -199,15 +199,12 @@ def _words(results: Results) -> dict[str, Any]:
 
 
 def _of_setting(results: Results, setting: str) -> dict[str, str]:
-    first, depth, cost = results.some(setting, "first_1", "depth", "cost_over_default")
+    first, cost = results.some(setting, "first_1", "cost_over_default")
     return {
         "late": f"{1e3 * first.median:.2g}",
-        "worst": f"{1e3 * first.worst:.2g}",
         "worst_s": figure(first.worst),
-        "deep": figure(depth.worst),
         "slower": _times(cost.median),
         "faster": _times(1.0 / cost.median),
-        "saves": _percent(1.0 - cost.median),
     }
 
 
