@@ -103,25 +103,34 @@ class Played(NamedTuple):
     steps: int
 
 
-def play(step: Callable[[Any], tuple[Any, ...]], env: Any, target: Sequence[float], landings: Landings) -> Played:
-    """Step a single environment until an impact, or the episode's end, ends a decision.
+def play(step: Callable[[Any], tuple[Any, ...]], choose: Callable[[], Any], most: int, resting: int) -> Played:
+    """Step a single environment ``most`` times, or until an impact or the episode's end ends a decision.
 
     Args:
         step: of the environment, or of wrappers around it.
-        env: the environment itself.
-        target: angle [rad] and rate [rad/s] of the box at the landing.
-        landings: how long the decision may last.
+        choose: returns the action of the next control step.
+        most: control steps.
+        resting: see :func:`is_over`.
     """
     total, freed = 0.0, False
-    for steps in range(1, landings.steps + 1):
-        torque = aim(env.scene, State(*env.state.tolist()), target[0], target[1], env.control_dt)
-        observation, reward, terminated, truncated, info = step(np.array([torque]))
+    for steps in range(1, most + 1):
+        observation, reward, terminated, truncated, info = step(choose())
         total += float(reward)
         struck = info["impacts"] > 0
-        if terminated or truncated or is_over(steps, freed, struck, landings.resting):
+        if terminated or truncated or is_over(steps, freed, struck, resting):
             break
         freed = freed or not struck
     return Played(observation, total, terminated, truncated, info, steps)
+
+
+def always(action: Any) -> Callable[[], Any]:
+    """A function that returns the same action in each control step."""
+    return lambda: action
+
+
+def aiming(env: Any, target: Sequence[float]) -> Callable[[], Array]:
+    """A function that returns the action of a single environment that aims at an angle [rad] and a rate [rad/s]."""
+    return lambda: np.array([aim(env.scene, State(*env.state.tolist()), target[0], target[1], env.control_dt)])
 
 
 def landing_times(scene: Scene, states: Array) -> Array:

@@ -5,8 +5,7 @@ The batch (:mod:`jackbox_env.batches`) steps the states; this file checks argume
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from types import FunctionType
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -17,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import checks as check
 from jackbox_env.batches.arguments import Arguments
-from jackbox_env.batches.base import Batch, Flags, Floats, Outcome, Starts, repeated
+from jackbox_env.batches.base import Batch, Flags, Floats, Outcome, Starts
 from jackbox_env.batches.infos import Infos, infos_at_end, infos_at_start, masked
 from jackbox_env.batches.resets import ResetPlan, as_autoreset_mode, plan_of
 from jackbox_env.env import JackInBoxEnv, Randomize
@@ -283,15 +282,12 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         """
         return plan_of(self._arguments, seed, options)
 
-    def step(
-        self, actions: ArrayLike | Callable[[Array], ArrayLike] | Landings | None, repeat: int = 1
-    ) -> tuple[Floats, Array, Flags, Flags, Infos]:
+    def step(self, actions: ArrayLike | Landings | None, repeat: int = 1) -> tuple[Floats, Array, Flags, Flags, Infos]:
         """Advance all environments by one control step under ``actions``, shape (N, 1) or (N,), or under the drive.
 
         Args:
-            actions: shares of the torque limit, or None. Or a function of the states, shape (N, 12), that returns them,
-                called before each control step. Under the ``Landings`` of :class:`jackbox_env.LandingControlVector`
-                each environment steps to its next impact.
+            actions: shares of the torque limit, or None. Under the ``Landings`` of
+                :class:`jackbox_env.LandingControlVector` each environment steps to its next impact.
             repeat: control steps, 1 to 1,000,000, fewer in an episode that ends before. Rewards are summed, infos are
                 of the last step, and ``infos["steps"]`` counts the steps, shape (N,).
 
@@ -304,23 +300,15 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         if not self._ready:
             raise RuntimeError("step must come after a reset of all environments, got none yet")
         self._refuse_half_changed()
-        checked = actions if isinstance(actions, FunctionType | Landings | None) else self._arguments.actions(actions)  # type: ignore[arg-type]
+        checked = actions if isinstance(actions, Landings | None) else self._arguments.actions(actions)
         repeat = check.whole("repeat", repeat, at_least=1, at_most=1_000_000)
         waiting = self._over() if self._waiting else None
-        saved = self._batch.saved() if repeat > 1 else None
         infos, restarting = Infos(), waiting
-        try:
-            self._half = repeat > 1
-            outcome, steps = repeated(self._batch, self._actions_now(checked), repeat, waiting)
-            if waiting is None and outcome.finished and self.autoreset_mode is AutoresetMode.SAME_STEP:
-                infos = infos_at_end(outcome, self._drawn(outcome.ended) if self._with_infos else {})
-                restarting = outcome.ended
-            starts = None if restarting is None else self._batch.draw(np.flatnonzero(restarting))
-        except BaseException:
-            if self._half:
-                self._batch.restore(saved)
-                self._half = False
-            raise
+        outcome = self._batch.step(None if self.torque_source == "chirp" else checked, repeat)
+        if waiting is None and outcome.finished and self.autoreset_mode is AutoresetMode.SAME_STEP:
+            infos = infos_at_end(outcome, self._drawn(outcome.ended) if self._with_infos else {})
+            restarting = outcome.ended
+        starts = None if restarting is None else self._batch.draw(np.flatnonzero(restarting))
         self._half = True
         self._batch.take(outcome.after)
         if starts is not None:
@@ -329,19 +317,11 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         self.changes += 1
         self._half = False
         last = outcome.infos | self._drawn(self._started) if self._with_infos else {}
-        if repeat > 1 or outcome.steps is not None:
-            last |= {"steps": steps}
         if outcome.steps is not None:
-            last |= {"duration": steps * self.control_dt}
+            last |= {"steps": outcome.steps}
+            last |= {"duration": outcome.steps * self.control_dt} if isinstance(checked, Landings) else {}
         infos |= masked(last, self._started)
         return outcome.observations, outcome.rewards, outcome.terminations, outcome.truncations, infos
-
-    def _actions_now(self, actions: Any) -> Callable[[], Any]:
-        """A function that returns the batch's actions in the present states."""
-        if self.torque_source == "chirp":
-            return lambda: None
-        function = isinstance(actions, FunctionType)
-        return lambda: self._arguments.actions(actions(self.states)) if function else actions
 
     def render(self) -> tuple[Any, ...] | None:
         """A frame of each environment, uint8, shape (height, width, 3)."""

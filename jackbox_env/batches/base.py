@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
@@ -22,7 +22,7 @@ Numbers = NDArray[np.int64]  # of environments
 
 @dataclass(slots=True)
 class Outcome:
-    """Results of a step: fresh arrays, which the batch never writes again."""
+    """Results of a step, or of several: fresh arrays, which the batch never writes again. Rewards are summed."""
 
     observations: Floats  # (N, 10)
     rewards: Array  # (N,)
@@ -31,24 +31,12 @@ class Outcome:
     infos: dict[str, NDArray[Any]]  # numbers of each environment's step, (N,) or (N, 12); empty unless requested
     finished: int  # episodes that this step ends
     after: Any  # the environments after the step, for :meth:`Batch.take`
-    steps: NDArray[np.int64] | None = None  # (N,) control steps of each one's decision, under landing control
+    steps: NDArray[np.int64] | None = None  # (N,) control steps that each made; None: a plain step
 
     @property
     def ended(self) -> Flags:
         """Which episodes this step ends, shape (N,)."""
         return self.terminations | self.truncations
-
-    def followed_by(self, later: Outcome) -> Outcome:
-        """This step and a later one combined. Episodes that ended in this step did not move in the later one."""
-        ended = self.ended
-        later.observations[ended] = self.observations[ended]
-        for name, values in later.infos.items():
-            values[ended] = self.infos[name][ended]
-        later.rewards += self.rewards
-        later.terminations |= self.terminations
-        later.truncations |= self.truncations
-        later.finished += self.finished
-        return later
 
 
 class Starts(NamedTuple):
@@ -97,10 +85,11 @@ class Batch(Protocol):
     def impacts(self, number: int) -> list[Impact]:
         """The impacts of an environment's last step, in time order; none if its state was set since."""
 
-    def step(self, actions: Array | Landings | None) -> Outcome:
+    def step(self, actions: Array | Landings | None, repeat: int = 1) -> Outcome:
         """Step all under ``actions``, shape (N,), or under the scene's drive; nothing changes before :meth:`take`.
 
-        Under :class:`Landings` each environment makes the steps of its own decision.
+        It makes ``repeat`` steps, fewer in an episode that ends before. Under :class:`Landings` each environment makes
+        the steps of its own decision.
 
         Raises:
             ValueError, JackLostError, TaskError: as the single environment does.
@@ -108,12 +97,6 @@ class Batch(Protocol):
 
     def take(self, after: Any) -> None:
         """Replace the present environments by those of an outcome."""
-
-    def saved(self) -> Any:
-        """The present environments, for :meth:`restore`."""
-
-    def restore(self, saved: Any) -> None:
-        """Return to saved environments; only steps may have changed them since."""
 
     def draw(
         self,
@@ -152,25 +135,3 @@ class Batch(Protocol):
 
     def close(self) -> None:
         """Release the renderers' resources."""
-
-
-def repeated(batch: Batch, actions: Callable[[], Any], repeat: int, waiting: Flags | None) -> tuple[Outcome, Any]:
-    """``repeat`` steps of a batch as one outcome, and their number in each environment, shape (N,), or 1 for all.
-
-    All but the last step are committed. Finished episodes wait. Under landing control it is one decision.
-
-    Args:
-        batch: to be stepped.
-        actions: returns the actions in the present states, see :meth:`Batch.step`.
-        repeat: steps.
-        waiting: episodes that have finished before the first step; None: none.
-    """
-    outcome = batch.step(actions())
-    if outcome.steps is not None:
-        return outcome, outcome.steps
-    steps: Any = 1 if waiting is None else np.where(waiting, 0, 1)
-    for _ in range(1, repeat):
-        batch.take(outcome.after)
-        steps = steps + np.where(batch.over, 0, 1)
-        outcome = outcome.followed_by(batch.step(actions()))
-    return outcome, steps

@@ -241,14 +241,15 @@ class ExactBatch(Batch):
     # -- stepping -----------------------------------------------------------------------------------------------------
 
     @override
-    def step(self, actions: Array | Landings | None) -> Outcome:
+    def step(self, actions: Array | Landings | None, repeat: int = 1) -> Outcome:
         count, halt, landings = self._count, Halt(), actions if isinstance(actions, Landings) else None
+        kind, steps, resting = (LANDINGS, landings.steps, landings.resting) if landings else (SHARES, repeat, 0)
+        summed = landings is not None or repeat > 1
         filled = Results(
-            np.empty((count, 10), dtype=np.float32), np.zeros((1, count)), np.zeros(count if landings else 0),
+            np.empty((count, 10), dtype=np.float32), np.zeros((1, count)), np.zeros(count if summed else 0),
             np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_),
             np.zeros((count if self._with_infos else 0, score.TERMS + len(self._terms))), *NOTHING[6:],
         )  # fmt: skip
-        kind, steps, resting = (LANDINGS, landings.steps, landings.resting) if landings else (SHARES, 1, 0)
         scenes, refusals = self._scenes_of_steps(int(actions is not None), steps)
         rules = Rules(self._dt, steps, self._limit, kind, False, resting, self._score_address, run.PATIENCE)
         spare, calls = self._spare, self._calls
@@ -280,29 +281,21 @@ class ExactBatch(Batch):
             block, lane = divmod(number, after.shape[2])
             if after[block, glide.STEPS, lane] - self._blocks[block, glide.STEPS, lane] > refusal.step:
                 raise refusal.error
-        return self._outcome(filled, finished, after, landings is not None)
+        return self._outcome(filled, finished, after, summed)
 
-    def _outcome(self, filled: Results, finished: int, after: Array, decided: bool) -> Outcome:
-        """The outcome of a step, or of decisions, which ends with the blocks ``after``."""
+    def _outcome(self, filled: Results, finished: int, after: Array, summed: bool) -> Outcome:
+        """The outcome of a step, or of several whose rewards are ``summed``, which ends with the blocks ``after``."""
         infos = self._infos(after, filled.reports) if self._with_infos else {}
-        rewards, steps = filled.returns if decided else filled.rewards[0], None
-        if decided:
-            steps = (_column(after, glide.STEPS, self._count) - self._column(glide.STEPS)).astype(np.int64)
+        rewards, made = filled.returns if summed else filled.rewards[0], None
+        if summed:
+            made = (_column(after, glide.STEPS, self._count) - self._column(glide.STEPS)).astype(np.int64)
         return Outcome(
-            filled.observations, rewards, filled.terminations, filled.truncations, infos, finished, after, steps
+            filled.observations, rewards, filled.terminations, filled.truncations, infos, finished, after, made
         )
 
     @override
     def take(self, after: Array) -> None:
         self._blocks, self._spare, self._stepped = after, self._blocks, True
-
-    @override
-    def saved(self) -> Array:
-        return self._blocks.copy()
-
-    @override
-    def restore(self, saved: Array) -> None:
-        self._blocks, self._stepped = saved, False
 
     def _scenes_of_steps(self, torque: int, steps: int) -> tuple[Scenes, dict[int, Refusal]]:
         """The scenes for these numbers of steps, and failures of drives in them: ``SceneTable.of_steps``."""

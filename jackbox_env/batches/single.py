@@ -13,7 +13,7 @@ from typing_extensions import override
 
 from jackbox_env.batches.base import Batch, Change, Flags, Floats, Numbers, Outcome, Starts, bad_action
 from jackbox_env.env import JackInBoxEnv, put
-from jackbox_env.landing import Landings, play
+from jackbox_env.landing import Landings, aiming, always, play
 from jackbox_env.randomization import Randomization
 from jackbox_env.scene import Scene
 from jackbox_env.simulators import Impact
@@ -147,10 +147,15 @@ class SingleBatch(Batch):
     # -- stepping -----------------------------------------------------------------------------------------------------
 
     @override
-    def step(self, actions: Array | Landings | None) -> Outcome:
+    def step(self, actions: Array | Landings | None, repeat: int = 1) -> Outcome:
         count, going = len(self._envs), np.flatnonzero(~self.over).tolist()
         landings = actions if isinstance(actions, Landings) else None
-        self._refuse(None if isinstance(actions, Landings) else actions, going)
+        shares: list[float | None] = [None] * count
+        if isinstance(actions, np.ndarray):
+            shares = actions.tolist()
+            for number in going:
+                if not np.isfinite(actions[number]):
+                    raise bad_action(float(actions[number]), number)
         observations, rewards = np.zeros((count, 10), dtype=np.float32), np.zeros(count)
         infos = self._blank_infos() if self._with_infos else {}
         self._gather()
@@ -158,17 +163,15 @@ class SingleBatch(Batch):
         states, times, steps = self.states, self.times, self._steps.copy()
         terminations = np.zeros(count, dtype=np.bool_)
         for number in going:
-            env, made, outcome = self._envs[number], 1, tuple[Any, ...]()
+            env, share = self._envs[number], shares[number]
+            choose, most, resting = always(share), repeat, 0
+            if landings is not None:
+                choose, most, resting = aiming(env, landings.targets[number]), landings.steps, landings.resting
             try:
-                if landings is None:
-                    outcome = env.step(None if actions is None else float(actions[number]))
-                else:
-                    most = min(landings.steps, int(self._limit - steps[number]))
-                    played = play(env.step, env, landings.targets[number], landings._replace(steps=most))
-                    outcome, made = played[:5], played.steps
-                observations[number], rewards[number], terminations[number], _, info = outcome
+                played = play(env.step, choose, min(most, self._limit - int(steps[number])), resting)
             except TaskError as error:
                 raise TaskError(f"{error}, in environment {number}") from error
+            observations[number], rewards[number], terminations[number], _, info, made = played
             states[number], times[number] = info["state"], info["time"]
             for name, values in infos.items():
                 values[number] = info[name]
@@ -176,27 +179,13 @@ class SingleBatch(Batch):
         truncations = (steps >= self._limit) & ~self._over
         ended = terminations | truncations
         after = states, times, steps, self._over | ended
-        lengths = None if landings is None else steps - self._steps
+        lengths = None if landings is None and repeat == 1 else steps - self._steps
         return Outcome(observations, rewards, terminations, truncations, infos, int(ended.sum()), after, lengths)
 
     @override
     def take(self, after: tuple[Array, Array, NDArray[np.int64], Flags]) -> None:
         self._states, self._times, self._steps, self._over = after
         self._astray = False
-
-    @override
-    def saved(self) -> tuple[Array, Array, NDArray[np.int64], Flags]:
-        return self._states, self._times, self._steps, self._over
-
-    @override
-    def restore(self, saved: tuple[Array, Array, NDArray[np.int64], Flags]) -> None:
-        self._states, self._times, self._steps, self._over = saved
-        self._astray = True
-
-    def _refuse(self, actions: Array | None, going: list[int]) -> None:
-        for number in going if actions is not None else []:
-            if not np.isfinite(actions[number]):  # type: ignore[index]
-                raise bad_action(float(actions[number]), number)  # type: ignore[index]
 
     def _blank_infos(self) -> dict[str, NDArray[Any]]:
         count = len(self._envs)

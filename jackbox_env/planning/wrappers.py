@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
-from typing import Any
+from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from jackbox_env import checks as check
 from jackbox_env.batches.base import Flags, Floats
-from jackbox_env.landing import Landings, play
+from jackbox_env.landing import Landings, aiming, always, play
 from jackbox_env.observation import BOUNDS
 from jackbox_env.planning.features import Features, LookaheadOptions
 from jackbox_env.planning.icem import Plans
@@ -44,7 +44,7 @@ class Control:
         self.stored: dict[str, Any] = {"repeat": repeat}  # how a saved model acts: jackbox_env.sb3.save_model
 
     def act(self, actions: Any) -> Any:
-        """The environments' actions for those of the agents, or a function from states, shape (N, 12), to them."""
+        """The environments' actions for those of the agents."""
         return actions
 
     def observe(self, observations: Any, begun: Flags | bool, chosen: Flags | None = None) -> Any:
@@ -157,18 +157,14 @@ class ControlledEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructor
             TypeError, ValueError: an unusable action.
             JackLostError: the jack, or one in a rollout, cannot be followed. Reset before the next step.
         """
-        act, total = self._control.act(action), 0.0
+        act, inner = self._control.act(action), cast(Any, self.env.unwrapped)
+        choose, resting = always(act), 0
         if isinstance(act, Landings):
-            inner: Any = self.env.unwrapped
-            observation, total, terminated, truncated, info, steps = play(self.env.step, inner, act.targets[0], act)
-            info["duration"] = steps * inner.control_dt
-            return self._control.observe([observation], False)[0], total, terminated, truncated, info
-        for _ in range(self._control.repeat):
-            observation, reward, terminated, truncated, info = self.env.step(act)
-            total += float(reward)
-            if terminated or truncated:
-                break
-        return self._control.observe([observation], False)[0], total, terminated, truncated, info
+            choose, resting = aiming(inner, act.targets[0]), act.resting
+        played = play(self.env.step, choose, self._control.repeat, resting)
+        if isinstance(act, Landings):
+            played.info["duration"] = played.steps * inner.control_dt
+        return self._control.observe([played.observation], False)[0], *played[1:5]
 
 
 class ControlledVectorEnv(VectorWrapper):
