@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from types import FunctionType
-from typing import Any, Protocol, cast
+from typing import Any, cast
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -31,42 +31,14 @@ _compiled: WeakKeyDictionary[Task, dict[Callable[..., Any], Callable[..., Any]]]
 _ARITHMETIC = ArithmeticError, ValueError  # math.log(0.0) raises a ValueError
 
 
-class Score(Protocol):
-    """A function of the state, shape (12,), the mean torque [N m] and the impulse [N s] of a step."""
-
-    def __call__(self, state: Array, torque: float, impulse: float) -> Scored:
-        """Return the observation, shape (10,), the values of the reward's terms, and whether the episode is over."""
-
-    def observe(self, state: Array) -> NDArray[np.float32]:
-        """Return the observation of a state, shape (10,), and evaluate the task there, without torque and impulse.
-
-        Arithmetic errors of the task are ignored: perhaps no step ends in this state.
-
-        Raises:
-            TypeError: the task returns a wrong type.
-        """
-
-    def of(self, scene: Scene) -> Score:
-        """The same for another scene, with the task's functions as they were compiled."""
-
-
-def make_score(scene: Scene, task: Task, contact: str) -> Score:
-    """Return the function that observes and rewards.
-
-    Raises:
-        TypeError: a function of the task cannot be compiled, or returns a wrong type.
-    """
-    return CompiledScore(scene, task) if contact_model(contact).compiled else PlainScore(scene, task)
-
-
 class PlainScore:
-    """In plain Python."""
+    """A function of the state, shape (12,), the mean torque [N m] and the impulse [N s] of a step; in plain Python."""
 
     def __init__(self, scene: Scene, task: Task) -> None:
         self._scene, self._numbers, self._task = scene, scene.numbers, task
 
     def __call__(self, state: Array, torque: float, impulse: float) -> Scored:
-        """Return the observation, the values of the terms, and whether the episode is over."""
+        """Return the observation, shape (10,), the values of the reward's terms, and whether the episode is over."""
         after, over = State(*state.tolist()), False
         terms = checked_terms(self._task, self._task.values(self._numbers, after, torque, impulse))
         if self._task.over is not None:
@@ -76,7 +48,13 @@ class PlainScore:
         return observe(self._scene, after), terms, bool(over)
 
     def observe(self, state: Array) -> NDArray[np.float32]:
-        """Return the observation, shape (10,), and evaluate the task."""
+        """Return the observation of a state, shape (10,), and evaluate the task there, without torque and impulse.
+
+        Arithmetic errors of the task are ignored: perhaps no step ends in this state.
+
+        Raises:
+            TypeError: the task returns a wrong type.
+        """
         with suppress(*_ARITHMETIC):
             self(state, 0.0, 0.0)
         return observe(self._scene, state.tolist())
@@ -87,7 +65,7 @@ class PlainScore:
 
 
 class CompiledScore:
-    """Compiled by numba."""
+    """:class:`PlainScore` compiled by numba."""
 
     def __init__(self, scene: Scene, task: Task, call: Callable[..., Any] | None = None) -> None:
         from jackbox_env.exact.score import score_one
@@ -115,6 +93,18 @@ class CompiledScore:
     def of(self, scene: Scene) -> CompiledScore:
         """The same for another scene, without compiling again."""
         return CompiledScore(scene, self._arguments[1], self._call)
+
+
+Score = PlainScore | CompiledScore
+
+
+def make_score(scene: Scene, task: Task, contact: str) -> Score:
+    """Return the function that observes and rewards.
+
+    Raises:
+        TypeError: a function of the task cannot be compiled, or returns a wrong type.
+    """
+    return CompiledScore(scene, task) if contact_model(contact).compiled else PlainScore(scene, task)
 
 
 def bad_reward(task: Task, simulator: Simulator, where: str) -> TaskError:

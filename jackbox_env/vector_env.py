@@ -120,7 +120,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         drawn = None if randomize is None else Randomization(randomize, scenes, single.simulator_of)
         # MemoryError now, not after hours of construction
         np.empty(self.num_envs * contact_model(single.contact).room, dtype=np.uint8)
-        self.task, self.render_mode = task, render_mode
+        self.task, self.render_mode, self._terms = task, render_mode, task_of(task).terms
         self.control_dt, self.torque_source = single.control_dt, single.torque_source
         self.metadata = {**single.metadata, "autoreset_mode": self.autoreset_mode}
         self.single_observation_space, self.single_action_space = single.observation_space, single.action_space
@@ -270,7 +270,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         self._half = False
         infos = Infos()
         if self._with_infos:
-            infos = infos_at_start(self._batch.info_names, self.states, self.times, plan.chosen)
+            infos = infos_at_start(self._terms, self.states, self.times, plan.chosen)
             infos = masked(infos | self._drawn(plan.chosen), plan.chosen)
         return self.observations, infos
 
@@ -370,7 +370,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         if self._with_infos:
             chosen = np.zeros(self.num_envs, dtype=np.bool_)
             chosen[starts.numbers] = True
-            infos = infos_at_start(self._batch.info_names, self.states, self.times, chosen)
+            infos = infos_at_start(self._terms, self.states, self.times, chosen)
             for name in infos.keys() & outcome.infos.keys():
                 outcome.infos[name][chosen] = infos[name][chosen]
 

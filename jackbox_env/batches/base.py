@@ -72,10 +72,6 @@ class Batch(Protocol):
     def over(self) -> Flags:
         """Which episodes are over, shape (N,)."""
 
-    @property
-    def info_names(self) -> list[str]:
-        """Names of the infos, those of the single environment."""
-
     def scene(self, number: int, starts: Starts | None = None) -> Scene:
         """The scene that an environment has now, or once ``starts`` have begun."""
 

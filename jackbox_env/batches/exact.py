@@ -11,7 +11,7 @@ from typing_extensions import override
 
 from jackbox_env.batches.base import Batch, Change, Flags, Floats, Numbers, Outcome, Starts, bad_action
 from jackbox_env.batches.scenes import Refusal, SceneTable
-from jackbox_env.batches.threads import Halt, Threads, thread_count
+from jackbox_env.batches.threads import Ended, Halt, Threads, run_blocks, thread_count
 from jackbox_env.exact import glide, restart, run, score
 from jackbox_env.exact.compiler import address_of, compiled
 from jackbox_env.exact.restart import WHOLE, WITH_HALVES, fresh, packed, seeded, unpacked
@@ -65,9 +65,8 @@ class ExactBatch(Batch):
         Raises:
             TypeError: a function of the task cannot be compiled.
         """
-        self._dt, self._terms = control_dt, [f"reward_{name}" for name in task.terms]
-        self._limit, self._with_infos, self._randomize = float(max_episode_steps), with_infos, randomize
-        self._task = task
+        self._dt, self._task, self._limit = control_dt, task, float(max_episode_steps)
+        self._with_infos, self._randomize = with_infos, randomize
         self._score = compiled_for(task, score.score_block)  # stored, because the loop calls it by its address
         self._score_address = address_of(self._score)
         width = min(glide.WIDEST, -(-num_envs // (num_threads or 1)))
@@ -99,11 +98,6 @@ class ExactBatch(Batch):
     def nbytes(self) -> int:
         """Bytes of the arrays that grow with the environments."""
         return 2 * self._blocks.nbytes + self._generators.nbytes
-
-    @property
-    def info_names(self) -> list[str]:
-        """Names of the infos, those of the single environment."""
-        return ["state", "time", "torque", "impacts", "impulse", *self._terms]
 
     @property
     def states(self) -> Array:
@@ -248,7 +242,7 @@ class ExactBatch(Batch):
         filled = Results(
             np.empty((count, 10), dtype=np.float32), np.zeros((1, count)), np.zeros(count if summed else 0),
             np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_),
-            np.zeros((count if self._with_infos else 0, score.TERMS + len(self._terms))), *NOTHING[6:],
+            np.zeros((count if self._with_infos else 0, score.TERMS + len(self._task.terms))), *NOTHING[6:],
         )  # fmt: skip
         scenes, refusals = self._scenes_of_steps(int(actions is not None), steps)
         rules = Rules(self._dt, steps, self._limit, kind, False, resting, self._score_address, run.PATIENCE)
@@ -260,23 +254,17 @@ class ExactBatch(Batch):
             call.prepare(scenes, rules, before, spare, _controls(actions), filled)
         self._spare = self._calls = None
         self._stepped, self._acted = False, actions  # until the step is taken
-        step = compiled(run.run)
+        loop = compiled(run.run)
 
-        def work(thread: int, low: int, high: int) -> tuple[int, int, int]:
-            finished, first = 0, 0
-            while True:
-                ended, number, made, now, _ = step(calls[thread].address, low, high, first)
-                finished += now
-                if ended != Status.PAUSED or halt.requested:
-                    return ended, number if ended else finished, made
-                low, first = number, made  # it paused so that Python can handle an interruption
+        def work(thread: int, low: int, high: int) -> Ended:
+            return run_blocks(loop, calls, thread, low, high, halt)
 
         parts = self._threads.run(work, len(before), grain=_GRAIN, halt=halt)
         self._spare, self._calls = spare, calls
-        for ended, number, made in parts:
+        for ended, number, made, *_ in parts:
             if ended:
                 raise self._failure(ended, number, actions, made, refusals)
-        after, finished = spare if steps & 1 else before, sum(finished for _, finished, _ in parts)
+        after, finished = spare if steps & 1 else before, sum(finished for *_, finished, _ in parts)
         for number, refusal in refusals.items():
             block, lane = divmod(number, after.shape[2])
             if after[block, glide.STEPS, lane] - self._blocks[block, glide.STEPS, lane] > refusal.step:
@@ -306,15 +294,14 @@ class ExactBatch(Batch):
         return scenes.of_steps(torque, self.times, remaining.astype(np.int64))
 
     def _infos(self, after: Array, reports: Array) -> dict[str, NDArray[Any]]:
-        numbers = [
-            _states(after, self._count),
-            _column(after, glide.TIME, self._count),
-            reports[:, score.REPORTED_TORQUE].copy(),
-            reports[:, score.REPORTED_HITS].astype(np.int64),
-            reports[:, score.REPORTED_IMPULSE].copy(),
-            *(reports[:, score.TERMS + k].copy() for k in range(len(self._terms))),
-        ]
-        return dict(zip(self.info_names, numbers, strict=True))
+        return {
+            "state": _states(after, self._count),
+            "time": _column(after, glide.TIME, self._count),
+            "torque": reports[:, score.REPORTED_TORQUE].copy(),
+            "impacts": reports[:, score.REPORTED_HITS].astype(np.int64),
+            "impulse": reports[:, score.REPORTED_IMPULSE].copy(),
+            **{f"reward_{name}": reports[:, score.TERMS + k].copy() for k, name in enumerate(self._task.terms)},
+        }
 
     def _failure(
         self, ended: int, number: int, actions: Array | Landings | None, made: int, refusals: dict[int, Refusal]

@@ -21,10 +21,16 @@ def masked(infos: Infos, mask: Flags) -> Infos:
     return both
 
 
-def infos_at_start(names: Sequence[str], states: Array, times: Array, chosen: Flags) -> Infos:
+def blank(terms: Sequence[str], count: int) -> Infos:
+    """Infos of ``count`` environments under the names of the single one, all 0; ``terms``: of the task's reward."""
+    names = ("time", "torque", "impacts", "impulse", *(f"reward_{term}" for term in terms))
+    numbers: Infos = {name: np.zeros(count) for name in names}
+    return {"state": np.zeros((count, 12)), **numbers, "impacts": np.zeros(count, dtype=np.int64)}
+
+
+def infos_at_start(terms: Sequence[str], states: Array, times: Array, chosen: Flags) -> Infos:
     """Infos, without masks, of the ``chosen`` environments at the start of an episode."""
-    infos: Infos = {name: np.zeros(len(chosen)) for name in names}
-    infos["impacts"] = np.zeros(len(chosen), dtype=np.int64)
+    infos = blank(terms, len(chosen))
     infos["state"] = np.where(chosen[:, None], states, 0.0)
     infos["time"] = np.where(chosen, times, 0.0)
     return infos

@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from jackbox_env.batches.base import Batch, Change, Flags, Floats, Numbers, Outcome, Starts, bad_action
+from jackbox_env.batches.infos import blank
 from jackbox_env.env import JackInBoxEnv, put
 from jackbox_env.landing import Landings, aiming, always, play
 from jackbox_env.randomization import Randomization
 from jackbox_env.scene import Scene
 from jackbox_env.simulators import Impact
 from jackbox_env.states import Array
-from jackbox_env.tasks import TaskError, draw_start, sample_start, task_of
+from jackbox_env.tasks import TaskError, draw_start, task_of
 
 
 class SingleBatch(Batch):
@@ -41,8 +42,6 @@ class SingleBatch(Batch):
         self._envs = [JackInBoxEnv(scene=scene, **settings) for scene in self._originals]
         self._with_infos, self._randomize, self._limit = with_infos, randomize, max_episode_steps
         self._task = task_of(settings["task"])
-        plain = sample_start(self._originals[0], np_random()[0])
-        self._names = list(self._envs[0].reset(options={"state": plain})[1])
         self._states = np.array([env.state for env in self._envs])
         self._times, self._steps = np.zeros(num_envs), np.zeros(num_envs, dtype=np.int64)
         self._over = np.zeros(num_envs, dtype=np.bool_)
@@ -63,11 +62,6 @@ class SingleBatch(Batch):
     def over(self) -> Flags:
         """Which episodes are over, shape (N,)."""
         return self._over.copy()
-
-    @property
-    def info_names(self) -> list[str]:
-        """Names of the infos, those of the single environment."""
-        return list(self._names)
 
     @override
     def scene(self, number: int, starts: Starts | None = None) -> Scene:
@@ -157,7 +151,7 @@ class SingleBatch(Batch):
                 if not np.isfinite(actions[number]):
                     raise bad_action(float(actions[number]), number)
         observations, rewards = np.zeros((count, 10), dtype=np.float32), np.zeros(count)
-        infos = self._blank_infos() if self._with_infos else {}
+        infos = blank(self._task.terms, count) if self._with_infos else {}
         self._gather()
         self._astray = True
         states, times, steps = self.states, self.times, self._steps.copy()
@@ -186,12 +180,6 @@ class SingleBatch(Batch):
     def take(self, after: tuple[Array, Array, NDArray[np.int64], Flags]) -> None:
         self._states, self._times, self._steps, self._over = after
         self._astray = False
-
-    def _blank_infos(self) -> dict[str, NDArray[Any]]:
-        count = len(self._envs)
-        infos: dict[str, NDArray[Any]] = {name: np.zeros(count) for name in self._names}
-        infos["state"], infos["impacts"] = np.zeros((count, 12)), np.zeros(count, dtype=np.int64)
-        return infos
 
     def render(self) -> tuple[Any, ...]:
         """A frame of each environment."""

@@ -9,6 +9,7 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Any, TypeVar
 
 from jackbox_env import checks as check
+from jackbox_env.exact.workspace import Array, Call, Status
 
 R = TypeVar("R")
 
@@ -34,6 +35,28 @@ class Halt:
     """A request to the threads of a job to stop early: its result is no longer needed."""
 
     requested = False
+
+
+Ended = tuple[int, int, int, int, list[Array]]
+
+
+def run_blocks(loop: Callable[..., Any], calls: list[Call], thread: int, low: int, high: int, halt: Halt) -> Ended:
+    """Run blocks from ``low`` to ``high`` by the compiled ``loop``: to the end, to an error, or until a halt.
+
+    Returns:
+        How it ended, the row and the step that failed, the number of episodes that ended, and the recorded impacts.
+    """
+    first, finished, logs = 0, 0, list[Array]()
+    while True:
+        ended, number, step, now, recorded = loop(calls[thread].address, low, high, first)
+        finished += now
+        if recorded:
+            logs.append(calls[thread].memory.log[:recorded].copy())
+        if ended == Status.FULL:
+            calls[thread] = calls[thread].with_room()
+        if ended not in (Status.PAUSED, Status.FULL) or halt.requested:
+            return ended, number, step, finished, logs
+        low, first = number, step  # it paused so that Python can handle an interruption
 
 
 class Threads:

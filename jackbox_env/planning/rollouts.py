@@ -7,7 +7,7 @@ Users call ``rollout``. It checks its arguments and calls :func:`run_rollouts`, 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Generic, Literal, NamedTuple, TypeVar, overload
 
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import checks as check
-from jackbox_env.batches.threads import Halt, Threads, thread_count
+from jackbox_env.batches.threads import Ended, Halt, Threads, run_blocks, thread_count
 from jackbox_env.exact.compiler import address_of, compiled
 from jackbox_env.exact.glide import SCENE_LANES, TIME, WIDTH
 from jackbox_env.exact.restart import outside, spread
@@ -230,11 +230,11 @@ def run_rollouts(
     loop, halt = compiled(run), Halt()
 
     # The score is called by its address, also in threads that a second interruption left at work: they keep it alive.
-    def work(thread: int, low: int, high: int, _score: Any = score) -> tuple[int, int, int, list[Array]]:
-        return _run_blocks(loop, calls, thread, low, high, halt)
+    def work(thread: int, low: int, high: int, _score: Any = score) -> Ended:
+        return run_blocks(loop, calls, thread, low, high, halt)
 
     parts = threads.run(work, len(blocks[0]), grain=-(-_GRAIN // max(1, steps * width)), halt=halt)
-    for ended, row, step, _ in parts:
+    for ended, row, step, *_ in parts:
         scene, at = scenes[row if len(scenes) > 1 else 0], float(times[step, row if times.shape[1] > 1 else 0])
         if ended == Status.BAD_REWARD and task is not None:
             simulator = ExactSimulator(scene if options.side_forces else scene.changed(drive=None))
@@ -278,26 +278,6 @@ def _new_results(scenes: list[Scene], starts: Array, steps: int, options: Rollou
     for row in range(count if options.energy and not steps else 0):
         results.energies[row, 0] = energy_of(scenes[row if len(scenes) > 1 else 0].numbers, starts[row])
     return results
-
-
-def _run_blocks(
-    loop: Callable[..., Any], calls: list[Call], thread: int, low: int, high: int, halt: Halt
-) -> tuple[int, int, int, list[Array]]:
-    """Run some blocks to the end, to an error, or until ``halt`` is set.
-
-    Returns:
-        How it ended, the row and the step that failed, and the recorded impacts.
-    """
-    first, logs = 0, list[Array]()
-    while True:
-        ended, number, step, _, recorded = loop(calls[thread].address, low, high, first)
-        if recorded:
-            logs.append(calls[thread].memory.log[:recorded].copy())
-        if ended == Status.FULL:
-            calls[thread] = calls[thread].with_room()
-        if ended not in (Status.PAUSED, Status.FULL) or halt.requested:
-            return ended, number, step, logs
-        low, first = number, step  # it paused so that Python can handle an interruption
 
 
 def _by_row(hits: Counts, width: int) -> Counts:

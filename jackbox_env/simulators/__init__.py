@@ -8,7 +8,7 @@ from typing import Any
 
 from jackbox_env import checks as check
 from jackbox_env.scene import Scene
-from jackbox_env.simulators.base import ContactModel, Impact, JackLostError, Simulator
+from jackbox_env.simulators.base import Impact, JackLostError, Simulator
 from jackbox_env.simulators.fidelity import Setting, resolve
 
 CONTACT_MODELS = MappingProxyType(  # where the class of each is
@@ -19,14 +19,14 @@ CONTACT_MODELS = MappingProxyType(  # where the class of each is
 )
 
 
-def contact_model(name: str) -> type[ContactModel]:
+def contact_model(name: str) -> type[Simulator]:
     """The class of a contact model; its module, and so its engine, is loaded now.
 
     Raises:
         TypeError, ValueError: there is none of that name.
     """
     module, _, kind = CONTACT_MODELS[check.choice("contact", name, CONTACT_MODELS)].rpartition(".")
-    model: type[ContactModel] = getattr(importlib.import_module(module), kind)
+    model: type[Simulator] = getattr(importlib.import_module(module), kind)
     return model
 
 

@@ -1,10 +1,10 @@
-"""The interface and the common base of the contact models, and the record of an impact."""
+"""The common base of the contact models, and the record of an impact."""
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -62,7 +62,16 @@ def total_impulse(impacts: list[Impact]) -> float:
     return total
 
 
-class Simulator(Protocol):
+class Present(NamedTuple):
+    """A simulator's state and the results of its last step: assigned together, so an interrupt cannot separate them."""
+
+    state: Numbers  # 12 numbers, never written again
+    time: float  # [s]
+    torque: float = 0.0  # mean over the last step [N m]
+    impacts: tuple[Impact, ...] = ()  # of the last step
+
+
+class Simulator(ABC):
     """A contact model with a state (12 float64, see :mod:`jackbox_env.mechanics`) and a time, which it steps.
 
     A step depends only on state, time and its arguments. Equal calls from equal states return equal bits, also after
@@ -74,57 +83,6 @@ class Simulator(Protocol):
     >>> simulator.step(0.02)
     >>> [(impact.wall, impact.foot) for impact in simulator.impacts]
     [(3, 3)]
-    """
-
-    @property
-    def scene(self) -> Scene:
-        """The scene."""
-
-    @property
-    def state(self) -> Array:
-        """A copy of the present state, float64, shape (12,), SI units."""
-
-    @property
-    def time(self) -> float:
-        """Present time [s]."""
-
-    @property
-    def torque(self) -> float:
-        """Mean torque on the box over the last step [N m], 0 after a reset."""
-
-    @property
-    def impacts(self) -> list[Impact]:
-        """The impacts of the last step in time order; a fresh list."""
-
-    def reset(self, state: ArrayLike, time: float = 0.0) -> None:
-        """Set the state, shape (12,), and the time [s], exactly.
-
-        Raises:
-            TypeError, ValueError: unusable values. The simulator is unchanged.
-        """
-
-    def step(self, dt: float, torque: float | None = None) -> None:
-        """Advance by ``dt`` > 0 [s] under a constant ``torque`` on the box [N m], or under the scene's drive (None).
-
-        ``torque`` replaces only the drive's torque. Its side forces act in any case.
-
-        Raises:
-            TypeError, ValueError: unusable values.
-            JackLostError: the jack would leave the box, or cannot be followed. An error leaves the simulator unchanged.
-        """
-
-
-class Present(NamedTuple):
-    """A simulator's state and the results of its last step: assigned together, so an interrupt cannot separate them."""
-
-    state: Numbers  # 12 numbers, never written again
-    time: float  # [s]
-    torque: float = 0.0  # mean over the last step [N m]
-    impacts: tuple[Impact, ...] = ()  # of the last step
-
-
-class ContactModel(ABC):
-    """The common base of the contact models: the present state, resets and pickling.
 
     A contact model of your own derives from this class and implements ``step``. Its ``__init__`` raises ValueError for
     a scene that it cannot simulate.
@@ -175,7 +133,14 @@ class ContactModel(ABC):
 
     @abstractmethod
     def step(self, dt: float, torque: float | None = None) -> None:
-        """Advance by ``dt`` [s] under a constant ``torque`` [N m], or under the drive."""
+        """Advance by ``dt`` > 0 [s] under a constant ``torque`` on the box [N m], or under the scene's drive (None).
+
+        ``torque`` replaces only the drive's torque. Its side forces act in any case.
+
+        Raises:
+            TypeError, ValueError: unusable values.
+            JackLostError: the jack would leave the box, or cannot be followed. An error leaves the simulator unchanged.
+        """
 
     def _prepare(self) -> None:  # noqa: B027  # some have nothing to build
         """Build the parts that are not pickled."""

@@ -47,7 +47,7 @@ from jackbox_env.exact.search import MOST_WORK
 from jackbox_env.exact.step import CHIRP, CONSTANT, CONSTANT_BESIDE_FORCES, FUNCTIONS
 from jackbox_env.exact.workspace import NOTHING, TORQUE, TORQUES, Call, Rules, Scenes, Status, new_memory
 from jackbox_env.scene import Chirp, Drive, Scene, too_many_turns
-from jackbox_env.simulators.base import ContactModel, Impact, JackLostError, Present, end_of_step
+from jackbox_env.simulators.base import Impact, JackLostError, Present, Simulator, end_of_step
 from jackbox_env.simulators.functions import function_pieces
 from jackbox_env.states import Array, Numbers
 
@@ -104,7 +104,7 @@ def ensure_compiled() -> None:
     simulator.step(0.02, 0.0)
 
 
-class ExactSimulator(ContactModel):
+class ExactSimulator(Simulator):
     """Event-driven simulation; the module's head states the law, :class:`Simulator` the methods."""
 
     name = "exact"

@@ -52,7 +52,7 @@ from typing_extensions import override
 from jackbox_env import checks as check
 from jackbox_env.mechanics import energy_of
 from jackbox_env.scene import Drive, Scene
-from jackbox_env.simulators.base import ContactModel, JackLostError, Present, end_of_step
+from jackbox_env.simulators.base import JackLostError, Present, Simulator, end_of_step
 from jackbox_env.simulators.contacts import Recorder, iterations_for
 from jackbox_env.simulators.flight import fly, reach
 from jackbox_env.simulators.replay import replayed
@@ -119,7 +119,7 @@ def _total(values: list[float]) -> float:
     return total
 
 
-class PymunkSimulator(ContactModel):
+class PymunkSimulator(Simulator):
     """Time stepping in pymunk; the module's head states the law, :class:`Simulator` the methods."""
 
     name = "pymunk"

@@ -11,7 +11,7 @@ from typing_extensions import override
 from jackbox_env import checks as check
 from jackbox_env.measure.accuracy import Between
 from jackbox_env.scene import Drive, Scene
-from jackbox_env.simulators.base import ContactModel, Impact, JackLostError, Present, Simulator, end_of_step
+from jackbox_env.simulators.base import Impact, JackLostError, Present, Simulator, end_of_step
 from jackbox_env.states import OMEGA_BOX, Array, clearance, deepest_restored
 
 DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))  # of walls 0 to 3 and of feet 0 to 3
@@ -19,7 +19,7 @@ Pair = tuple[int, int]  # wall, foot
 Trace = list[tuple[list[float], list[float]]]  # states before and after each substep, without the jump at its end
 
 
-class Baseline(ContactModel):
+class Baseline(Simulator):
     """A contact model with equal substeps of h = dt / substeps; see :class:`Simulator` for the methods.
 
     (state, time) determines the motion. It does not determine the record of impacts: of an engine, a later step reports
