@@ -78,9 +78,11 @@ def nearest(memory: Any, count: int) -> tuple[int, int, int]:
 
 def violation_of(memory: Any, count: int, size: int, one: int, two: int, three: int) -> float:
     """By how much a set's projection closes gaps; infinity if its rows are dependent or a multiplier is negative."""
-    if not (project(memory, size, one, two, three) and admissible(memory, size)):
+    if not project(memory, size, one, two, three):
         return math.inf
     violation = 0.0
+    for index in range(size):
+        violation = math.inf if memory.multipliers[index] < 0.0 else violation
     for other in range(count):
         violation = max(violation, -(dot(memory.units[other], memory.projected) + memory.bias[other]))
     return violation
@@ -127,11 +129,3 @@ def project(memory: Any, size: int, one: int, two: int, three: int) -> bool:
             multipliers[a] -= memory.triangle[a, b] * multipliers[b]
         multipliers[a] /= memory.triangle[a, a]
     return True
-
-
-def admissible(memory: Any, size: int) -> bool:
-    """Whether a projection has no negative multiplier."""
-    negative = False
-    for a in range(size):
-        negative |= memory.multipliers[a] < 0.0
-    return not negative

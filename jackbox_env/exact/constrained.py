@@ -77,18 +77,10 @@ Array = NDArray[np.float64]
 _RESOLVED = 1e-15  # last powers of the velocities, over a speed
 
 
-def product(memory: Workspace, one: int, other: int, k: int) -> float:
-    """Power k of the product of two series."""
+def product(memory: Workspace, one: int, other: int, k: int, first: int = 0) -> float:
+    """Power k of the product of two series, of the first one from its power ``first`` on."""
     total = 0.0
-    for j in range(k + 1):
-        total += memory.series[one, j] * memory.series[other, k - j]
-    return total
-
-
-def earlier(memory: Workspace, one: int, other: int, k: int) -> float:
-    """Power k of the product of two series, without the term with power k of the second."""
-    total = 0.0
-    for j in range(1, k + 1):
+    for j in range(first, k + 1):
         total += memory.series[one, j] * memory.series[other, k - j]
     return total
 
@@ -179,8 +171,8 @@ def solve_forces(scene: SceneNumbers, memory: Workspace, count: int, k: int, x: 
     box = jack = 0.0
     for contact in range(count):
         write_levers(scene, memory, contact, k)
-        box += earlier(memory, BOX_LEVER + contact, FORCE + contact, k)
-        jack += earlier(memory, JACK_LEVER + contact, FORCE + contact, k)
+        box += product(memory, BOX_LEVER + contact, FORCE + contact, k, 1)
+        jack += product(memory, JACK_LEVER + contact, FORCE + contact, k, 1)
     series[ALPHA, k] = series[DRIVEN, k] + box / scene.box_inertia
     series[JACK_ALPHA, k] = jack / scene.jack_inertia
     for contact in range(count):

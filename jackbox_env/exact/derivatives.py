@@ -60,14 +60,6 @@ class Played(NamedTuple):
     smooth: Flags  # which steps have a derivative, shape (N, H)
 
 
-RolloutData = tuple[Array, Counts, float, Array, Array, Array, Counts, Flags]
-
-
-def rollout_of(data: RolloutData) -> Played:
-    """The rollout from its plain tuple."""
-    return Played(data[0], data[1], data[2], data[3], data[4], data[5], data[6], data[7])
-
-
 def scene_of(played: Played, i: int) -> tuple[SceneNumbers, Plan]:
     """Scene and plan of a row."""
     index = i if played.values.shape[0] > 1 else 0
@@ -126,18 +118,18 @@ def grazes(scene: SceneNumbers, plan: Plan, hit: Array, memory: Workspace) -> bo
     return bool(abs(bent) * _ROUNDING * touch_of(plan, at).resolution > _GRAZE * rate * rate)
 
 
-def mark_smooth(data: RolloutData, nonsmooth: Flags, tangent: Array, workspaces: Workspaces) -> None:
+def mark_smooth(played: Played, nonsmooth: Flags, tangent: Array, workspaces: Workspaces) -> None:
     """Fill in which steps have a derivative.
 
     A step has none if it is ``nonsmooth``, if a foot touches a wall at an end, or if rounding hides the derivative.
 
     Args:
-        data: the rollout.
+        played: the rollout.
         nonsmooth: steps that have none, shape (N, H).
         tangent: scratch, shape (ROWS, len(GROWING)).
         workspaces: one, scratch.
     """
-    played, memory, steps = rollout_of(data), workspaces[0], nonsmooth.shape[1]
+    memory, steps = workspaces[0], nonsmooth.shape[1]
     row, none = memory.gradients[0], played.torques[:0]
     for i in range(nonsmooth.shape[0]):
         scene, plan = scene_of(played, i)
@@ -215,13 +207,13 @@ def fill_identity(tangent: Array, seeds: Array) -> None:
 
 
 def matrices(
-    data: RolloutData, seeds: Array, span: tuple[int, int], results: tuple[Array, Array, Array, Array], tangent: Array,
+    played: Played, seeds: Array, span: tuple[int, int], results: tuple[Array, Array, Array, Array], tangent: Array,
     workspaces: Workspaces,
 ) -> None:  # fmt: skip
     """Fill in the derivatives of all steps of some rows; NaN where there is none.
 
     Args:
-        data: the rollout.
+        played: the rollout.
         seeds: of :func:`fill_identity`, shape (1 or N, F, 8).
         span: first row, past the last.
         results: derivatives by state, (N, H, 12, 12), torque, (N, H, 12), and fields, (N, H, 12, F); of the times of
@@ -229,7 +221,6 @@ def matrices(
         tangent: scratch, shape (ROWS, 13 + F).
         workspaces: one, scratch.
     """
-    played = rollout_of(data)
     by_state, by_torque, by_field, by_time = results
     for i in range(span[0], span[1]):
         scene, plan = scene_of(played, i)
@@ -249,20 +240,19 @@ def matrices(
 
 
 def push_forward(
-    data: RolloutData, moved: tuple[Array, Array, Array], span: tuple[int, int], results: Array, tangent: Array,
+    played: Played, moved: tuple[Array, Array, Array], span: tuple[int, int], results: Array, tangent: Array,
     workspaces: Workspaces,
 ) -> None:  # fmt: skip
     """Fill in the change of trajectories, shape (N, H + 1, 12), with NaN after a step without a derivative.
 
     Args:
-        data: the rollout.
+        played: the rollout.
         moved: changes of the first states, (N, 12), the torques, (N, H / repeat), and the scenes' numbers, (N, 8).
         span: first row, past the last.
         results: to be filled in.
         tangent: scratch, shape (ROWS, 1).
         workspaces: one, scratch.
     """
-    played = rollout_of(data)
     states, torques, numbers = moved
     for i in range(span[0], span[1]):
         scene, plan = scene_of(played, i)
@@ -278,13 +268,13 @@ def push_forward(
 
 
 def pull_back(
-    data: RolloutData, seeds: Array, span: tuple[int, int], weights: Array, results: tuple[Array, Array, Array],
+    played: Played, seeds: Array, span: tuple[int, int], weights: Array, results: tuple[Array, Array, Array],
     tangent: Array, workspaces: Workspaces,
 ) -> None:  # fmt: skip
     """Fill in the derivatives of a sum of weights times states by first states, torques and fields.
 
     Args:
-        data: the rollout.
+        played: the rollout.
         seeds: as in :func:`matrices`.
         span: first row, past the last.
         weights: shape (N, H + 1, 12).
@@ -293,8 +283,7 @@ def pull_back(
         tangent: scratch, shape (ROWS, 13 + F).
         workspaces: one, scratch.
     """
-    played, memory = rollout_of(data), workspaces[0]
-    by_start, by_torque, by_field = results
+    memory, (by_start, by_torque, by_field) = workspaces[0], results
     steps, drift = played.smooth.shape[1], memory.drift
     for i in range(span[0], span[1]):
         scene, plan = scene_of(played, i)

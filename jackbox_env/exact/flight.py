@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.exact.contact import gap_and_lever
+from jackbox_env.exact.contact import gap_and_lever, quarter
 from jackbox_env.exact.drives import DEGREE, PUSH_X, PUSH_Y, TURN, horner
 from jackbox_env.exact.trigonometry import cos_sin
 from jackbox_env.exact.workspace import POSITION_X, POSITION_Y, PSI, RATE_X, RATE_Y, SPIN, Workspace
@@ -66,19 +66,6 @@ class Flight(NamedTuple):
     pushed: bool  # whether the box's centre is accelerated too
     held: int  # feet at rest on walls, bit 4 * wall + foot of each
     speeds: float  # sum of the speeds of box and jack, to bound the rounding of a gap's rate [m/s]
-
-
-class Pose(NamedTuple):
-    """Relative motion at one moment."""
-
-    x: float
-    y: float
-    vx: float
-    vy: float
-    angle: float
-    omega: float
-    jack_angle: float
-    jack_omega: float
 
 
 def constant_piece(length: float, alpha: float) -> Piece:
@@ -134,8 +121,8 @@ def driven_at(flight: Flight, memory: Workspace, s: float) -> tuple[float, float
     return turn, horner(memory.powers[3 * PUSH_X], DEGREE, u), horner(memory.powers[3 * PUSH_Y], DEGREE, u)
 
 
-def pose_at(flight: Flight, memory: Workspace, s: float) -> Pose:
-    """The relative motion ``s`` [s] into the flight."""
+def view_at(flight: Flight, memory: Workspace, s: float) -> View:
+    """The jack relative to the box ``s`` [s] into the flight."""
     x = flight.x + flight.vx * s
     y = flight.y + (flight.vy - 0.5 * flight.gravity * s) * s
     vx, vy = flight.vx, flight.vy - flight.gravity * s
@@ -147,9 +134,9 @@ def pose_at(flight: Flight, memory: Workspace, s: float) -> Pose:
             x, vx = x - moved, vx - pushed
             moved, pushed = excursion(memory, PUSH_Y, flight, s)
             y, vy = y - moved, vy - pushed
-    angle = flight.angle + (flight.omega * s + turned)
+    angle, omega = flight.angle + (flight.omega * s + turned), flight.omega + spun
     jack_angle = flight.jack_angle + flight.jack_omega * s
-    return Pose(x, y, vx, vy, angle, flight.omega + spun, jack_angle, flight.jack_omega)
+    return view_of(box_frame(x, y, vx, vy, angle, omega), jack_angle - angle, flight.jack_omega - omega, s)
 
 
 def evolve(memory: Workspace, flight: Flight, s: float) -> None:
@@ -253,13 +240,7 @@ def view_of(frame: BoxFrame, angle: float, spin: float, time: float) -> View:
 
 def towards(frame: BoxFrame, wall: int) -> tuple[float, float]:
     """Coordinate of the jack's centre along a wall's normal [m], and its rate [m/s]."""
-    if wall == 0:
-        return frame.x, frame.vx
-    if wall == 1:
-        return frame.y, frame.vy
-    if wall == 2:
-        return -frame.x, -frame.vx
-    return -frame.y, -frame.vy
+    return quarter(frame.x, -frame.y, wall)[0], quarter(frame.vx, -frame.vy, wall)[0]
 
 
 def foot_gap(
@@ -278,14 +259,9 @@ def gap_at(
 ) -> tuple[float, float]:
     """Gap between a wall and a foot ``s`` [s] into the flight [m], and its rate [m/s]."""
     memory.evaluations += 1.0
-    if flight.held:
-        view = held_view(flight, memory, s)
-        ahead, speed = towards(view.frame, wall)
-        return foot_gap(scene, ahead, speed, view.cosine, view.sine, view.spin, foot - wall)
-    pose = pose_at(flight, memory, s)
-    ahead, speed = towards(box_frame(pose.x, pose.y, pose.vx, pose.vy, pose.angle, pose.omega), wall)
-    cosine, sine = cos_sin(pose.jack_angle - pose.angle)
-    return foot_gap(scene, ahead, speed, cosine, sine, pose.jack_omega - pose.omega, foot - wall)
+    view = held_view(flight, memory, s) if flight.held else view_at(flight, memory, s)
+    ahead, speed = towards(view.frame, wall)
+    return foot_gap(scene, ahead, speed, view.cosine, view.sine, view.spin, foot - wall)
 
 
 def held_view(flight: Flight, memory: Workspace, s: float) -> View:

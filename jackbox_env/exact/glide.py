@@ -21,6 +21,7 @@ from jackbox_env.exact.trigonometry import LARGEST, cos_sin_within
 from jackbox_env.exact.workspace import (
     AHEAD,
     ALPHA_BOUND,
+    APPLIED,
     ASIDE,
     HIT,
     IMPULSE_SUM,
@@ -87,10 +88,10 @@ def glide_block(dt: float, block: Block) -> None:
     The law is that of ``flight.free_flight``.
     """
     before, after, lanes, count = block.before, block.after, block.lanes, block.size
-    inertia, fall, torque = block.scenes[INERTIA], block.scenes[FALL], lanes[TORQUE]
+    inertia, fall, applied, torque = block.scenes[INERTIA], block.scenes[FALL], lanes[APPLIED], lanes[TORQUE]
     alpha, hits, impulses = lanes[TURNING], lanes[HIT], lanes[IMPULSE_SUM]
     for k in range(count):
-        alpha[k] = torque[k] / inertia[k]
+        alpha[k] = applied[k] / inertia[k]
     for k in range(count):
         torque[k] = inertia[k] * alpha[k]
         hits[k] = impulses[k] = 0.0

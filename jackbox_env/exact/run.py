@@ -18,6 +18,7 @@ from jackbox_env.exact.glide import LIMIT, OVER, STEPS, TIME, WIDTH, Block, glid
 from jackbox_env.exact.score import observe_block, state_in
 from jackbox_env.exact.step import CHIRP, CONSTANT, Pieces, Plan, effort, make_numbers, make_plan, step
 from jackbox_env.exact.workspace import (
+    APPLIED,
     FREED,
     HIT,
     IMPULSE_SUM,
@@ -117,7 +118,7 @@ def set_torques(address: Any, block: Block, k: int) -> int:
     Controls of episodes that are over are not checked.
     """
     call = arguments_at(address)
-    torque, limit, controls = block.lanes[TORQUE], block.scenes[LIMIT], call.controls
+    torque, limit, controls = block.lanes[APPLIED], block.scenes[LIMIT], call.controls
     if not controls.shape[0]:
         for lane in range(block.size):
             torque[lane] = 0.0
@@ -126,33 +127,23 @@ def set_torques(address: Any, block: Block, k: int) -> int:
         aim_block(call, block)
         return -1
     step_controls = controls[k // (call.rules.steps // controls.shape[0])]
-    for lane in range(block.size):
-        torque[lane] = torque_of(call.rules, step_controls[block.first + lane], limit[lane])
     unusable = 0
     for lane in range(block.size):
-        unusable += 0 if abs(step_controls[block.first + lane]) < math.inf else 1
+        control = step_controls[block.first + lane]
+        torque[lane] = max(-1.0, min(1.0, control)) * limit[lane] if call.rules.kind == SHARES else control
+        unusable += 0 if abs(control) < math.inf else 1
     return first_unusable(block, step_controls) if unusable else -1
-
-
-def torque_of(rules: Rules, control: float, limit: float) -> float:
-    """The torque of a control [N m]."""
-    return max(-1.0, min(1.0, control)) * limit if rules.kind == SHARES else control
 
 
 def aim_block(call: Arguments, block: Block) -> None:
     """Fill in the torques that aim at the targets of landings."""
-    values, scene = call.scenes.values, make_numbers(call.scenes.values[0])
+    values, angles, rates = call.scenes.values, call.controls[0], call.controls[1]
     for lane in range(block.size):
         if block.before[OVER, lane] == 0.0:
-            if values.shape[0] > 1:
-                scene = make_numbers(values[block.first + lane])
-            block.lanes[TORQUE, lane] = aimed(call, scene, block, lane)
-
-
-def aimed(call: Arguments, scene: SceneNumbers, block: Block, lane: int) -> float:
-    """The torque of a lane that aims at the target of its landing [N m]."""
-    angle, rate = call.controls[0, block.first + lane], call.controls[1, block.first + lane]
-    return aim(scene, state_in(block.before[:, lane]), angle, rate, call.rules.dt) * scene.torque_limit
+            row = block.first + lane
+            scene = make_numbers(values[row if values.shape[0] > 1 else 0])
+            share = aim(scene, state_in(block.before[:, lane]), angles[row], rates[row], call.rules.dt)
+            block.lanes[APPLIED, lane] = share * scene.torque_limit
 
 
 def first_unusable(block: Block, numbers: Array) -> int:
@@ -208,19 +199,13 @@ def step_lanes(
         if varied:
             row_scene = make_numbers(scenes.values[row])
             row_plan = make_plan(row_scene, plan.dt, kind)
-        torque = 0.0
-        if call.rules.kind == LANDINGS:  # not from the lanes, where gliding rounds it
-            torque = aimed(call, row_scene, block, lane)
-        elif call.controls.shape[0]:
-            control = call.controls[k // (call.rules.steps // call.controls.shape[0]), row]
-            torque = torque_of(call.rules, control, row_scene.torque_limit)
         pieces = Pieces(scenes.table, 0, 0)
         if scenes.begins.shape[0]:
             begin = scenes.begins[row if scenes.begins.shape[0] > 1 else 0] + k
             pieces = Pieces(scenes.table, scenes.ends[begin], scenes.ends[begin + 1])
         room = log[recorded:]
         ended, lanes[TORQUE, lane] = step(
-            row_scene, row_plan, before[:, lane], after[:, lane], time, torque, pieces, memory, room
+            row_scene, row_plan, before[:, lane], after[:, lane], time, lanes[APPLIED, lane], pieces, memory, room
         )  # fmt: skip
         if ended != Status.DONE:
             return ended, lane, evaluations, recorded

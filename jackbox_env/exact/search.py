@@ -37,8 +37,8 @@ from jackbox_env.exact.flight import (
     evolve,
     foot_gap,
     gap_at,
-    pose_at,
     towards,
+    view_at,
     view_of,
 )
 from jackbox_env.exact.workspace import AT_IMPACT, DRIVEN_THERE, WIDE, Array, Status, Workspace
@@ -62,16 +62,6 @@ class Touch(NamedTuple):
 
     tolerance: float  # gap at which a foot touches [m]
     resolution: float  # gap within which contacts are simultaneous [m], before :func:`contact_resolution` widens it
-
-
-class Approach(NamedTuple):
-    """A foot on its way to a wall."""
-
-    wall: int
-    foot: int
-    since: float  # start of the search, since the flight's start [s]
-    gap: float  # then [m]
-    rate: float  # of the gap [m/s]
 
 
 class Limits(NamedTuple):
@@ -178,7 +168,7 @@ def first_of_all(
         wall, foot = likely // 4, likely % 4
         ahead, speed = towards(frame, wall)
         gap, rate = foot_gap(scene, ahead, speed, cosine, sine, spin, foot - wall)
-        time = search(scene, memory, flight, Approach(wall, foot, since, gap, rate), limits)
+        time = search(scene, memory, flight, limits, likely, since, gap, rate)
         if time <= best:
             best, pair = time, likely
     for wall in range(4):
@@ -195,14 +185,14 @@ def first_of_all(
             horizon = best - since
             if gap > half_tolerance and gap + (rate - 0.5 * curvature * horizon) * horizon > 0.0:
                 continue
-            if flight.held & (1 << (4 * wall + foot)) or 4 * wall + foot == likely:
+            number = 4 * wall + foot
+            if flight.held & (1 << number) or number == likely:
                 continue
             if may_rest(scene, flight, limits, gap, rate, resolution):
                 return 0.0, AT_REST
-            shorter = Limits(curvature, best, half_tolerance)
-            time = search(scene, memory, flight, Approach(wall, foot, since, gap, rate), shorter)
+            time = search(scene, memory, flight, Limits(curvature, best, half_tolerance), number, since, gap, rate)
             if time < best or (time == best and pair == NONE):
-                best, pair = time, 4 * wall + foot
+                best, pair = time, number
     return best, UNDECIDED if memory.evaluations > MOST_WORK else pair
 
 
@@ -248,9 +238,7 @@ def first_in_a_turn(
         if likely == NONE or s >= end:
             return end, NONE
         memory.evaluations += 1.0
-        pose = pose_at(flight, memory, s)
-        frame = box_frame(pose.x, pose.y, pose.vx, pose.vy, pose.angle, pose.omega)
-        view = view_of(frame, pose.jack_angle - pose.angle, pose.jack_omega - pose.omega, s)
+        view = view_at(flight, memory, s)
     if view.time == 0.0:
         return first_of_all(scene, memory, flight, view, ALL, NONE, limits, resolution)
     return first_of_all(scene, memory, flight, view, ALL, likely, Limits(curvature, end, half_tolerance), -math.inf)
@@ -272,8 +260,12 @@ def slowest(scene: SceneNumbers, flight: Flight, limits: Limits, resolution: flo
     return rounding(scene, flight, limits.end) + 1e-15 * flight.speeds
 
 
-def search(scene: SceneNumbers, memory: Workspace, flight: Flight, approach: Approach, limits: Limits) -> float:
+def search(
+    scene: SceneNumbers, memory: Workspace, flight: Flight, limits: Limits, pair: int, s: float, gap: float, rate: float
+) -> float:
     """First time within ``limits.end`` [s] at which a foot touches a wall and approaches; infinity if there is none.
+
+    ``s`` [s] is where the search starts, with the ``gap`` [m] and ``rate`` [m/s] of ``pair`` = 4 * wall + foot.
 
     A foot within half the contact tolerance touches, and one more step to the parabola's root ends the walk. The gap
     stays above that parabola, so the foot is not in the wall there. The step s is at most sqrt(2 gap / K), so the gap
@@ -285,7 +277,7 @@ def search(scene: SceneNumbers, memory: Workspace, flight: Flight, approach: App
     impacts, not millions. While :func:`is_chattering`, a foot that does not touch yet may penetrate as deep.
     """
     still = rounding(scene, flight, limits.end) + 1e-15 * flight.speeds
-    half_tolerance, s, gap, rate = limits.half_tolerance, approach.since, approach.gap, approach.rate
+    half_tolerance = limits.half_tolerance
     while True:
         if gap > half_tolerance:
             granted = deepest(scene) if is_chattering(scene, memory) else 0.0
@@ -303,7 +295,7 @@ def search(scene: SceneNumbers, memory: Workspace, flight: Flight, approach: App
                 return s
             after = s + 2.3e-16 * s
         s = after
-        gap, rate = gap_at(scene, flight, memory, approach.wall, approach.foot, s)
+        gap, rate = gap_at(scene, flight, memory, pair // 4, pair % 4, s)
 
 
 def strike(

@@ -75,14 +75,15 @@ FORCE = 19  # at held feet, 3 rows; below: their levers about box and jack, and 
 BOX_LEVER, JACK_LEVER, EXTENT = 22, 25, 28  # 3 rows each
 
 # Rows of a thread's memory for a block of environments, (LANES, width); 0 to 3 are scratch.
-TORQUE, TURNING = 4, 5  # [N m]; angular acceleration of the box [rad/s^2], or a bound of it
+TORQUE, TURNING = 4, 5  # mean over the step [N m]; angular acceleration of the box [rad/s^2], or a bound of it
 NEAR, HIT, IMPULSE_SUM = 6, 7, 8  # whether a foot may touch a wall; impacts, their impulse [N s]
 # Rows of lanes near a wall, gathered at the front by ``glide.unmark_off_walls``.
 ALPHA_BOUND, LANE_COSINE, LANE_SINE, AHEAD, ASIDE, LANE_OMEGA = range(9, 15)
 LANE_CURVATURE, LANE_INDEX, LANE_ROOM, LANE_PULL, STAYS_OFF = range(15, 20)
 UNSCORED = 20  # whether a row earns nothing because its episode is over
 FREED = 21  # whether a step of the call had no impact
-LANES = 22
+APPLIED = 22  # torque of the controls [N m]
+LANES = 23
 
 
 def _field(name: str, hint: Any) -> tuple[Any, ...]:

@@ -54,9 +54,9 @@ class Linearization:
         self._seeds, self._num_threads, self._tape = seeds, num_threads, tape
         begins = np.concatenate([[0], np.cumsum(tape.hits)])
         numbers = np.array([scene.numbers for scene in scenes])
-        self._data = numbers, kinds, dt, torques, trajectories, tape.rows, begins, self.smooth
+        self._played = derivatives.Played(numbers, kinds, dt, torques, trajectories, tape.rows, begins, self.smooth)
         compiled(derivatives.mark_smooth)(
-            self._data, tape.nonsmooth, np.zeros((tangents.ROWS, len(derivatives.GROWING))), new_workspaces()
+            self._played, tape.nonsmooth, np.zeros((tangents.ROWS, len(derivatives.GROWING))), new_workspaces()
         )
         _lock(self.trajectories, self.smooth)
 
@@ -84,7 +84,7 @@ class Linearization:
         by_time = np.full((len(self._tape.rows), columns), np.nan)
         results = np.empty((*shape, 12)), np.empty(shape), np.empty((*shape, columns - 13)), by_time
         call = compiled(derivatives.matrices)
-        self._spread(columns, lambda span, *memory: call(self._data, self._seeds, span, results, *memory))
+        self._spread(columns, lambda span, *memory: call(self._played, self._seeds, span, results, *memory))
         _lock(*results)
         return results
 
@@ -96,7 +96,7 @@ class Linearization:
             by the state at the step's start, the torque and the fields, (m, 13 + F).
         """
         count, steps = len(self.trajectories), self.trajectories.shape[1] - 1
-        row, begins = check.whole("row", row, at_least=0, at_most=count - 1), self._data[6]
+        row, begins = check.whole("row", row, at_least=0, at_most=count - 1), self._played.begins
         rows = slice(begins[row * steps], begins[(row + 1) * steps])
         within = np.repeat(np.arange(steps), self._tape.hits[row])
         return within, self._tape.rows[rows, 0], self._matrices[3][rows]
@@ -119,7 +119,7 @@ class Linearization:
         call = compiled(derivatives.pull_back)
         self._spread(
             13 + self._seeds.shape[1],
-            lambda span, *memory: call(self._data, self._seeds, span, weights, results, *memory),
+            lambda span, *memory: call(self._played, self._seeds, span, weights, results, *memory),
         )
         return results
 
@@ -145,12 +145,12 @@ class Linearization:
         for field in range(scene.shape[1]):
             numbers += scene[:, field, None] * self._seeds[:, field]
         results, call = np.empty(self.trajectories.shape), compiled(derivatives.push_forward)
-        self._spread(1, lambda span, *memory: call(self._data, (states, torques, numbers), span, results, *memory))
+        self._spread(1, lambda span, *memory: call(self._played, (states, torques, numbers), span, results, *memory))
         return results
 
     def _zeros(self) -> tuple[Array, Array, Array]:
         count = len(self.trajectories)
-        return np.zeros((count, 12)), np.zeros(self._data[3].shape), np.zeros((count, self._seeds.shape[1]))
+        return np.zeros((count, 12)), np.zeros(self._played.torques.shape), np.zeros((count, self._seeds.shape[1]))
 
     def _spread(self, columns: int, call: Callable[..., None]) -> None:
         """Call ``call`` for ranges of rows, on several threads."""

@@ -61,8 +61,8 @@ def test_the_bounds_hold_over_the_whole_flight() -> None:
         bound = bounds.bounds_of(n, flight, duration, abs(alpha), 0.0)
         times, step = np.linspace(0.0, duration, 41, retstep=True)
         for time in times.tolist():
-            pose = motion.pose_at(flight, w, time)
-            distance = math.hypot(pose.x, pose.y)
+            frame = motion.view_at(flight, w, time).frame
+            distance = math.hypot(frame.x, frame.y)
             assert distance <= min(bound.far, bounds.reach_of(n, flight, duration, 0.0))
             tightest = min(tightest, bound.far - distance)
         for wall, foot in rng.integers(0, 4, (4, 2)).tolist():

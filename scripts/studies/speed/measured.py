@@ -27,10 +27,9 @@ from numpy.typing import NDArray
 
 from jackbox_env import Scene, Task, linearize
 from jackbox_env.exact.compiler import compiled, compiled_with
-from jackbox_env.exact.flight import Flight, View, box_frame, foot_gap, gap_at, pose_at, towards
+from jackbox_env.exact.flight import Flight, View, foot_gap, gap_at, towards, view_at
 from jackbox_env.exact.restart import outside
 from jackbox_env.exact.search import NONE, Limits
-from jackbox_env.exact.trigonometry import cos_sin
 from jackbox_env.exact.workspace import Workspace
 from jackbox_env.planning import rollouts
 from jackbox_env.scene import SceneNumbers
@@ -306,15 +305,13 @@ def first_of_all(
     the gaps that are closed at the end. The difference is the price of the guarantee.
     """
     best, pair = limits.end, NONE
-    end = pose_at(flight, memory, limits.end)
-    at_end = box_frame(end.x, end.y, end.vx, end.vy, end.angle, end.omega)
-    cosine, sine = cos_sin(end.jack_angle - end.angle)
+    at_end, cosine, sine, spin, _ = view_at(flight, memory, limits.end)
     for wall in range(4):
         if not walls & (1 << wall):
             continue
         ahead, speed = towards(at_end, wall)
         for foot in range(4):
-            gap, rate = foot_gap(scene, ahead, speed, cosine, sine, flight.jack_omega - end.omega, foot - wall)
+            gap, rate = foot_gap(scene, ahead, speed, cosine, sine, spin, foot - wall)
             if gap > 0.0 or rate >= 0.0:
                 continue
             s = limits.end
