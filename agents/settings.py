@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from itertools import pairwise
@@ -14,7 +15,7 @@ from jackbox_env import checks as check
 from jackbox_env.landing import steps_until_impact
 from jackbox_env.observation import BOUNDS
 from jackbox_env.randomization import NUMBERS
-from jackbox_env.simulators.fidelity import Setting, as_stored, chosen, explicit, resolve
+from jackbox_env.simulators.fidelity import FIDELITIES, Setting, chosen, explicit, resolve
 from jackbox_env.tasks import TASKS
 
 with suppress(ImportError):  # command lines need it; settings are also read without it
@@ -43,6 +44,22 @@ def renamed(values: dict[str, Any]) -> dict[str, Any]:
     """Settings under their present names: ``repeat`` was called ``hold``."""
     old = {} if "repeat" in values else {"hold": "repeat"}
     return {old.get(name, name): value for name, value in values.items()}
+
+
+def as_stored(stored: Mapping[str, Any]) -> dict[str, Any]:
+    """Stored settings in which fidelity, contact and substeps mean what they meant in all earlier versions.
+
+    A contact model or substeps beside a fidelity overrode it, and without all three it was "balanced".
+    """
+    fidelity, contact, substeps = (stored.get(name) for name in ("fidelity", "contact", "substeps"))
+    if (fidelity, contact, substeps) == (None, None, None):
+        return {**stored, "fidelity": "balanced"}
+    if isinstance(fidelity, str) and fidelity in FIDELITIES and (contact, substeps) != (None, None):
+        named = FIDELITIES[fidelity]
+        if contact in (None, named.contact):
+            contact, substeps = named.contact, named.substeps if substeps is None else substeps
+        return {**stored, "fidelity": None, "contact": contact, "substeps": substeps}
+    return dict(stored)
 
 
 @dataclass(frozen=True)

@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     from jackbox_env.measure.choosing import cheapest
     from jackbox_env.measure.fitting import Fit, fit
     from jackbox_env.measure.recordings import Recording
-    from jackbox_env.planning import Rollout, rollout
     from jackbox_env.planning.ilqr import ilqr
     from jackbox_env.planning.landing_control import LandingControl, LandingControlVector
     from jackbox_env.planning.linearization import Linearization, linearize
+    from jackbox_env.planning.rollouts import Rollout, rollout
     from jackbox_env.planning.wrappers import Lookahead, LookaheadVector
     from jackbox_env.simulators import Impact, JackLostError, Simulator, make_simulator
     from jackbox_env.simulators.fidelity import Setting
@@ -45,14 +45,14 @@ _LAZY = {
     "Simulator": "simulators",
     "make_simulator": "simulators",
     "Recording": "measure.recordings",
-    "Rollout": "planning",
+    "Rollout": "planning.rollouts",
     "Task": "tasks",
     "TaskError": "tasks",
     "cheapest": "measure.choosing",
     "fit": "measure.fitting",
     "ilqr": "planning.ilqr",
     "linearize": "planning.linearization",
-    "rollout": "planning",
+    "rollout": "planning.rollouts",
 }
 __all__ = [
     "FIDELITIES",

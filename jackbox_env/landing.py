@@ -133,11 +133,6 @@ def aiming(env: Any, target: Sequence[float]) -> Callable[[], Array]:
     return lambda: np.array([aim(env.scene, State(*env.state.tolist()), target[0], target[1], env.control_dt)])
 
 
-def landing_times(scene: Scene, states: Array) -> Array:
-    """:func:`landing_time` of states, shape (n, 12): shape (n,)."""
-    return np.array([landing_time(scene, State(*row)) for row in states.tolist()])
-
-
 def torques(scene: Scene, states: Array, targets: Array, duration: float) -> Array:
     """:func:`aim` from states, shape (n, 12), at angles [rad] and rates [rad/s], shape (n, 2): shape (n,)."""
     rows = zip(states.tolist(), targets.tolist(), strict=True)

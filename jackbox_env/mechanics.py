@@ -90,13 +90,7 @@ def gap_jacobian(scene: Scene, state: ArrayLike, wall: int, foot: int) -> Array:
             from 0 to 3.
     """
     refuse_no_scene(scene)
-    q = as_state(state)
-    wall = check.whole("wall", wall, at_least=0, at_most=3)
-    foot = check.whole("foot", foot, at_least=0, at_most=3)
-    return _gap_jacobian(scene, q, wall, foot)
-
-
-def _gap_jacobian(scene: Scene, q: Array, wall: int, foot: int) -> Array:
+    q, (wall, foot) = as_state(state), _pair((wall, foot))
     jacobian: Array = contacts_of(scene, q[None], np.array([wall]), np.array([foot]))[1][0]
     return jacobian
 
@@ -144,9 +138,7 @@ def impact_map(scene: Scene, state: ArrayLike, wall: int, foot: int) -> tuple[Ar
             from 0 to 3.
     """
     refuse_no_scene(scene)
-    q = as_state(state)
-    wall = check.whole("wall", wall, at_least=0, at_most=3)
-    foot = check.whole("foot", foot, at_least=0, at_most=3)
+    q, (wall, foot) = as_state(state), _pair((wall, foot))
     after, impulses = impact_maps(scene, q[None], np.array([wall]), np.array([foot]))
     return after[0], float(impulses[0])
 
@@ -212,8 +204,8 @@ def simultaneous_impact_map(scene: Scene, state: ArrayLike, contacts: Sequence[t
         raise ValueError(f"contacts must be distinct (wall, foot) pairs, got {pairs}")
     if not pairs:
         return before, np.zeros(0)
-    jacobian = np.array([_gap_jacobian(scene, before, wall, foot) for wall, foot in pairs])  # (n, 6)
-    count = len(pairs)
+    count, (walls, feet) = len(pairs), np.array(pairs).T
+    _, jacobian = contacts_of(scene, np.tile(before, (count, 1)), walls, feet)  # (n, 6)
     memory = SimpleNamespace(
         gradients=jacobian, units=np.zeros((count, 6)), lengths=np.zeros(count), bias=np.zeros(count),
         rates=np.zeros(6), projected=np.zeros(6), multipliers=np.zeros(3), best=np.zeros(3), basis=np.zeros((3, 6)),

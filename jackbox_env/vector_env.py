@@ -6,7 +6,7 @@ The batch (:mod:`jackbox_env.batches`) steps the states; this file checks argume
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import checks as check
 from jackbox_env.batches.arguments import Arguments
-from jackbox_env.batches.base import Batch, Flags, Floats, Outcome, Starts
+from jackbox_env.batches.base import Flags, Floats, Outcome, Starts
 from jackbox_env.batches.infos import Infos, infos_at_end, infos_at_start, masked
 from jackbox_env.batches.resets import ResetPlan, as_autoreset_mode, plan_of
 from jackbox_env.env import JackInBoxEnv, Randomize
@@ -27,6 +27,10 @@ from jackbox_env.simulators import Impact, contact_model
 from jackbox_env.simulators.fidelity import FURTHER
 from jackbox_env.states import Array, as_restored
 from jackbox_env.tasks import Task, task_of
+
+if TYPE_CHECKING:
+    from jackbox_env.batches.exact import ExactBatch
+    from jackbox_env.batches.single import SingleBatch
 
 _MOST_ENVS = 1_000_000_000
 _NO_LIMIT = 10**15  # steps; float64 counts them all
@@ -126,7 +130,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         self.single_observation_space, self.single_action_space = single.observation_space, single.action_space
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self._batch: Batch
+        self._batch: ExactBatch | SingleBatch
         if single.contact == "exact" and render_mode is None:
             from jackbox_env.batches.exact import ExactBatch
 

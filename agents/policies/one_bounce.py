@@ -28,10 +28,10 @@ from agents.policies.value import Value
 from agents.settings import EPISODE_STEPS, EnvSettings
 from jackbox_env import Scene
 from jackbox_env import checks as check
-from jackbox_env.landing import QUARTER, landing_times, torques, upright
+from jackbox_env.landing import QUARTER, landing_time, torques, upright
 from jackbox_env.mechanics import contacts_of, impact_maps
 from jackbox_env.observation import state_of
-from jackbox_env.states import OMEGA_BOX, RATES, THETA_BOX, THETA_JACK, VY_JACK, Y_JACK, Array
+from jackbox_env.states import OMEGA_BOX, RATES, THETA_BOX, THETA_JACK, VY_JACK, Y_JACK, Array, State
 
 LANDING = "landing.json"
 FLOOR = 3  # the wall under the jack while the box is turned by less than an eighth of a turn
@@ -75,6 +75,11 @@ class LandingSettings(EnvSettings):
         """All pairs of an angle and a rate, shape (angles * rates, 2)."""
         angles, rates = np.meshgrid(self.angles, self.rates, indexing="ij")
         return np.stack([angles.ravel(), rates.ravel()], axis=1)
+
+
+def landing_times(scene: Scene, states: Array) -> Array:
+    """:func:`landing_time` of states, shape (n, 12): shape (n,)."""
+    return np.array([landing_time(scene, State(*row)) for row in states.tolist()])
 
 
 def uprighted(states: Array) -> Array:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from threading import Event
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from typing_extensions import override
 
-from jackbox_env.batches.base import Batch, Change, Flags, Floats, Numbers, Outcome, Starts, bad_action
+from jackbox_env.batches.base import Change, Flags, Floats, Numbers, Outcome, Starts, bad_action
 from jackbox_env.batches.scenes import Refusal, SceneTable
-from jackbox_env.batches.threads import Ended, Halt, Threads, run_blocks, thread_count
+from jackbox_env.batches.threads import Ended, Threads, run_blocks, thread_count
 from jackbox_env.exact import glide, restart, run, score
 from jackbox_env.exact.compiler import address_of, compiled
 from jackbox_env.exact.restart import WHOLE, WITH_HALVES, fresh, packed, seeded, unpacked
@@ -40,8 +40,8 @@ _GRAIN = 4  # blocks that are worth a call
 _NO_ACTIONS: Array = np.zeros((0, 0))
 
 
-class ExactBatch(Batch):
-    """See :class:`jackbox_env.batches.base.Batch`; 288 bytes per environment besides the arrays returned.
+class ExactBatch:
+    """As :class:`jackbox_env.batches.single.SingleBatch`; 288 bytes per environment besides the arrays returned.
 
     With a scene for each environment it is 152 bytes more.
 
@@ -120,14 +120,13 @@ class ExactBatch(Batch):
 
     # -- episodes -----------------------------------------------------------------------------------------------------
 
-    @override
     def scene(self, number: int, starts: Starts | None = None) -> Scene:
+        """The scene that an environment has now, or once ``starts`` have begun."""
         if starts is None or starts.scenes is None or number not in starts.numbers:
             return self._scenes.scene(number)
         scene = starts.scenes[int(np.searchsorted(starts.numbers, number))]
         return scene if isinstance(scene, Scene) else self._scenes.scene_of(number, scene)
 
-    @override
     def draw(
         self,
         numbers: Numbers,
@@ -135,6 +134,7 @@ class ExactBatch(Batch):
         changes: Sequence[Change] | None = None,
         placed: bool = False,
     ) -> Starts:
+        """Seed generators, and draw scenes and starts for episodes to come."""
         ensure_compiled()
         words, table = self._generators[numbers], self._scenes
         for index, seed in enumerate(seeds or ()):
@@ -162,8 +162,8 @@ class ExactBatch(Batch):
             words[index] = packed(generator)[: words.shape[1]]
         return Starts(numbers, words, scenes or None, np.array(states) if starting else None)
 
-    @override
     def start(self, starts: Starts) -> None:
+        """Begin episodes at time 0. If all begin, this also repairs what an interruption left half changed."""
         numbers, words, scenes, states = starts
         if len(numbers) == self._count:
             self._spare = None
@@ -183,8 +183,8 @@ class ExactBatch(Batch):
             self._blocks[block, :12, lane] = states
         self._generators[numbers] = words
 
-    @override
     def set_states(self, chosen: Flags, states: Array, times: Array) -> None:
+        """Set states, shape (N, 12), and times [s] of the ``chosen`` environments, checked beforehand."""
         blocks = self._blocks
         block, lane = np.divmod(np.flatnonzero(chosen), blocks.shape[2])
         blocks[block, :12, lane] = states[chosen]
@@ -192,16 +192,16 @@ class ExactBatch(Batch):
         over = blocks[block, glide.OVER, lane] != 0.0
         blocks[block[over], glide.STEPS, lane[over]] = blocks[block[over], glide.OVER, lane[over]] = 0.0
 
-    @override
     def observe(self, numbers: Numbers, observations: Floats) -> None:
+        """Write the observations of some environments into their rows, shape (N, 10)."""
         compiled(restart.observe_blocks)(self._scenes.rows(numbers), self._blocks, numbers, observations)
 
-    @override
     def field(self, name: str) -> Array:
+        """A number of each environment's scene, by the name of its field, shape (N,)."""
         return np.repeat(self._scenes.column(name), 1 if self._scenes.several else self._count)
 
     def impacts(self, number: int) -> list[Impact]:
-        """As :meth:`jackbox_env.batches.base.Batch.impacts`.
+        """The impacts of an environment's last step, in time order; none if its state was set since.
 
         The step is repeated, from the memory that the next step will write to.
         """
@@ -234,9 +234,9 @@ class ExactBatch(Batch):
 
     # -- stepping -----------------------------------------------------------------------------------------------------
 
-    @override
     def step(self, actions: Array | Landings | None, repeat: int = 1) -> Outcome:
-        count, halt, landings = self._count, Halt(), actions if isinstance(actions, Landings) else None
+        """Step all under ``actions``, shape (N,), or under the scene's drive; nothing changes before :meth:`take`."""
+        count, halt, landings = self._count, Event(), actions if isinstance(actions, Landings) else None
         kind, steps, resting = (LANDINGS, landings.steps, landings.resting) if landings else (SHARES, repeat, 0)
         summed = landings is not None or repeat > 1
         filled = Results(
@@ -281,8 +281,8 @@ class ExactBatch(Batch):
             filled.observations, rewards, filled.terminations, filled.truncations, infos, finished, after, made
         )
 
-    @override
     def take(self, after: Array) -> None:
+        """Replace the present environments by those of an outcome."""
         self._blocks, self._spare, self._stepped = after, self._blocks, True
 
     def _scenes_of_steps(self, torque: int, steps: int) -> tuple[Scenes, dict[int, Refusal]]:

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from gymnasium.utils.seeding import np_random
 from numpy.typing import NDArray
-from typing_extensions import override
 
-from jackbox_env.batches.base import Batch, Change, Flags, Floats, Numbers, Outcome, Starts, bad_action
+from jackbox_env.batches.base import Change, Flags, Floats, Numbers, Outcome, Starts, bad_action
 from jackbox_env.batches.infos import blank
 from jackbox_env.env import JackInBoxEnv, put
 from jackbox_env.landing import Landings, aiming, always, play
@@ -22,8 +21,11 @@ from jackbox_env.states import Array
 from jackbox_env.tasks import TaskError, draw_start, task_of
 
 
-class SingleBatch(Batch):
-    """See :class:`jackbox_env.batches.base.Batch`.
+class SingleBatch:
+    """N environments with one scene for all or one for each. Steps do not change a finished episode.
+
+    :meth:`step` and :meth:`draw` may raise and change nothing. :meth:`take`, :meth:`start` and :meth:`set_states` then
+    commit the results; they cannot fail. :class:`jackbox_env.batches.exact.ExactBatch` has the same methods.
 
     A step moves the environments. If it is not taken, they are reset to the batch's states before their next use.
     """
@@ -63,25 +65,24 @@ class SingleBatch(Batch):
         """Which episodes are over, shape (N,)."""
         return self._over.copy()
 
-    @override
     def scene(self, number: int, starts: Starts | None = None) -> Scene:
+        """The scene that an environment has now, or once ``starts`` have begun."""
         if starts is None or starts.scenes is None or number not in starts.numbers:
             return self._scenes[number]
         scene: Scene = starts.scenes[int(np.searchsorted(starts.numbers, number))]
         return scene
 
-    @override
     def field(self, name: str) -> Array:
+        """A number of each environment's scene as it is now, by the name of its field, a fresh array, shape (N,)."""
         return np.array([getattr(scene, name) for scene in self._scenes], dtype=np.float64)
 
-    @override
     def impacts(self, number: int) -> list[Impact]:
+        """The impacts of an environment's last step, in time order; none if its state was set since."""
         self._gather()
         return self._envs[number].impacts
 
     # -- episodes -----------------------------------------------------------------------------------------------------
 
-    @override
     def draw(
         self,
         numbers: Numbers,
@@ -89,6 +90,18 @@ class SingleBatch(Batch):
         changes: Sequence[Change] | None = None,
         placed: bool = False,
     ) -> Starts:
+        """Seed generators, and draw scenes and starts for episodes to come.
+
+        Args:
+            numbers: of the environments, shape (k,).
+            seeds: of each one's generator; None: the generator continues.
+            changes: for each of them, fields of its original scene that an option changes. None: no change, unless
+                scenes are drawn at each reset.
+            placed: whether the caller sets the first states, so that no start is drawn.
+
+        Raises:
+            TypeError, ValueError: an invalid scene, or an invalid start from the task.
+        """
         generators, scenes, states = list[np.random.Generator](), list[Scene](), list[Array]()
         for index, number in enumerate(numbers.tolist()):
             seed = seeds[index] if seeds else None
@@ -101,8 +114,8 @@ class SingleBatch(Batch):
                 states.append(draw_start(self._task, scenes[-1] if scenes else self._scenes[number], generators[-1]))
         return Starts(numbers, generators, scenes or None, None if placed else np.array(states))
 
-    @override
     def start(self, starts: Starts) -> None:
+        """Begin episodes at time 0. If all begin, this also repairs what an interruption left half changed."""
         numbers = starts.numbers
         for index, number in enumerate(numbers.tolist()):
             self._generators[number] = starts.generators[index]
@@ -114,8 +127,11 @@ class SingleBatch(Batch):
         for env in self._envs if self._envs[0].render_mode == "human" else ():
             env.render()
 
-    @override
     def set_states(self, chosen: Flags, states: Array, times: Array) -> None:
+        """Set states, shape (N, 12), and times [s] of the ``chosen`` environments, checked beforehand.
+
+        Their episodes continue. A finished episode starts anew.
+        """
         self._states[chosen], self._times[chosen] = states[chosen], times[chosen]
         anew = chosen & self._over
         self._steps[anew], self._over[anew] = 0, False
@@ -132,16 +148,23 @@ class SingleBatch(Batch):
             self._put(np.arange(len(self._envs)))
             self._astray = False
 
-    @override
     def observe(self, numbers: Numbers, observations: Floats) -> None:
+        """Write the observations of some environments into their rows, shape (N, 10)."""
         self._gather()
         for number in numbers.tolist():
             observations[number] = self._envs[number].observation
 
     # -- stepping -----------------------------------------------------------------------------------------------------
 
-    @override
     def step(self, actions: Array | Landings | None, repeat: int = 1) -> Outcome:
+        """Step all under ``actions``, shape (N,), or under the scene's drive; nothing changes before :meth:`take`.
+
+        It makes ``repeat`` steps, fewer in an episode that ends before. Under :class:`Landings` each environment makes
+        the steps of its own decision.
+
+        Raises:
+            ValueError, JackLostError, TaskError: as the single environment does.
+        """
         count, going = len(self._envs), np.flatnonzero(~self.over).tolist()
         landings = actions if isinstance(actions, Landings) else None
         shares: list[float | None] = [None] * count
@@ -176,8 +199,8 @@ class SingleBatch(Batch):
         lengths = None if landings is None and repeat == 1 else steps - self._steps
         return Outcome(observations, rewards, terminations, truncations, infos, int(ended.sum()), after, lengths)
 
-    @override
     def take(self, after: tuple[Array, Array, NDArray[np.int64], Flags]) -> None:
+        """Replace the present environments by those of an outcome."""
         self._states, self._times, self._steps, self._over = after
         self._astray = False
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from jackbox_env.exact.flight import BoxFrame, Flight, Piece, towards
+from jackbox_env.exact.flight import BoxFrame, Flight, towards
 from jackbox_env.scene import SceneNumbers
 
 _SLACK = 1.0 + 1e-12  # for the rounding of bounds
@@ -98,12 +98,6 @@ def inside(scene: SceneNumbers, flight: Flight, horizon: float, push: float) -> 
         return 0.0, 0.0
     root = math.sqrt(root) * (1.0 - 1e-9)
     return (-linear - root) / square, (root - linear) / square
-
-
-def curvature_of(scene: SceneNumbers, flight: Flight, horizon: float, piece: Piece) -> float:
-    """Bound of a gap's second derivative within ``horizon`` [s] [m/s^2]."""
-    bounds = bounds_of(scene, flight, horizon, piece.spin_up, piece.push)
-    return bounds.centre_curvature + bounds.foot_curvature
 
 
 def walls_in_reach(scene: SceneNumbers, frame: BoxFrame, horizon: float, centre_curvature: float) -> int:

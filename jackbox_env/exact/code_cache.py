@@ -38,7 +38,7 @@ _NEEDS = {"+avx2", "+bmi", "+bmi2", "+cx16", "+f16c", "+fma", "+lzcnt", "+movbe"
 # Functions that take long to compile: their purpose, and the time.
 _LONG = {
     "run": ("all environments", "20 seconds"),
-    **dict.fromkeys(("mark_smooth", "matrices", "pull_back", "push_forward"), ("derivatives", "5 seconds")),
+    **dict.fromkeys(("mark_smooth", "matrices", "pull_back"), ("derivatives", "5 seconds")),
 }
 
 

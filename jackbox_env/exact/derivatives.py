@@ -1,8 +1,8 @@
 """Derivatives of whole rollouts of the exact contact model: the tangents of its steps, chained.
 
 :func:`mark_smooth` decides which steps have a derivative. :func:`matrices` fills in the derivatives of each step,
-:func:`push_forward` chains them in the order of time, :func:`pull_back` against it. ``tangents.py`` has the law of one
-step. :mod:`jackbox_env.planning.linearization` calls all of it, for ``jackbox_env.linearize``.
+and :func:`pull_back` chains them against the order of time. ``tangents.py`` has the law of one step.
+:mod:`jackbox_env.planning.linearization` calls all of it, for ``jackbox_env.linearize``.
 """
 
 from __future__ import annotations
@@ -237,34 +237,6 @@ def matrices(
                 by_torque[i, k, row] = tangent[row, TORQUE]
                 for column in range(by_field.shape[3]):
                     by_field[i, k, row, column] = tangent[row, FIRST_FIELD + column]
-
-
-def push_forward(
-    played: Played, moved: tuple[Array, Array, Array], span: tuple[int, int], results: Array, tangent: Array,
-    workspaces: Workspaces,
-) -> None:  # fmt: skip
-    """Fill in the change of trajectories, shape (N, H + 1, 12), with NaN after a step without a derivative.
-
-    Args:
-        played: the rollout.
-        moved: changes of the first states, (N, 12), the torques, (N, H / repeat), and the scenes' numbers, (N, 8).
-        span: first row, past the last.
-        results: to be filled in.
-        tangent: scratch, shape (ROWS, 1).
-        workspaces: one, scratch.
-    """
-    states, torques, numbers = moved
-    for i in range(span[0], span[1]):
-        scene, plan = scene_of(played, i)
-        for index in range(12):
-            tangent[index, 0] = results[i, 0, index] = states[i, index]
-        for index in range(numbers.shape[1]):
-            tangent[GRAVITY + index, 0] = numbers[i, index]
-        for k in range(played.smooth.shape[1]):
-            tangent[TORQUE, 0] = torques[i, torque_index(played, k)]
-            propagate(played, scene, plan, i, k, results[i, :0], tangent, workspaces[0])
-            for index in range(12):
-                results[i, k + 1, index] = tangent[index, 0]
 
 
 def pull_back(

@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.polynomial.chebyshev import cheb2poly
 from numpy.typing import NDArray
 
 from jackbox_env.exact.trigonometry import cos_sin
@@ -94,14 +95,6 @@ def _cosine(twelfths: int) -> float:
     return _COSINES[folded] if folded <= 6 else -_COSINES[12 - folded]
 
 
-def _powers_of_chebyshev() -> list[list[int]]:
-    """The powers of u in T_0 to T_12: T_k = 2 u T_{k-1} - T_{k-2}."""
-    rows = [[1] + [0] * DEGREE, [0, 1] + [0] * (DEGREE - 1)]
-    while len(rows) <= DEGREE:
-        rows.append([2 * a - b for a, b in zip([0, *rows[-1][:-1]], rows[-2], strict=True)])
-    return rows
-
-
 POINTS = np.array([-_cosine(j) for j in range(DEGREE + 1)])  # in [-1, 1]
 # Coefficient k of an interpolant is the sum of row k times the values; the first and last of each count half.
 _TO_CHEBYSHEV = np.array(
@@ -110,7 +103,8 @@ _TO_CHEBYSHEV = np.array(
         for k in range(DEGREE + 1)
     ]
 )
-_TO_POWERS = np.array(_powers_of_chebyshev(), dtype=np.float64)
+# The powers of u in T_0 to T_12: whole numbers, so they are exact.
+_TO_POWERS = np.array([np.pad(cheb2poly(unit[: k + 1]), (0, DEGREE - k)) for k, unit in enumerate(np.eye(DEGREE + 1))])
 
 
 def interpolate(values: Array, row: Array, first: int) -> tuple[float, float, float]:

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.complementarity import dot, nearest, project, violation_of, weigh
-from jackbox_env.exact.bounds import curvature_of, parabola_root
+from jackbox_env.exact.bounds import bounds_of, parabola_root
 from jackbox_env.exact.constrained import carry, curvature_while_held, stretch
 from jackbox_env.exact.contact import Frame, frame_of, gradient, kick, rate_of, record_impact, resolve
 from jackbox_env.exact.drives import DEGREE, PUSH_X, PUSH_Y, SHARES, TURN, horner
@@ -144,7 +144,8 @@ def settle(
     """
     state = memory.state
     frame = frame_of(state)
-    limits = Limits(curvature_of(scene, flight, horizon, piece), horizon, 0.5 * touch.tolerance)
+    bounds = bounds_of(scene, flight, horizon, piece.spin_up, piece.push)
+    limits = Limits(bounds.centre_curvature + bounds.foot_curvature, horizon, 0.5 * touch.tolerance)
     count = list_slow(scene, memory, frame, resolution, slowest(scene, flight, limits, resolution))
     accelerations(scene, memory, piece, flight.since)
     while count > 0:

@@ -30,7 +30,7 @@ _AT_ONCE = 100_000  # steps of one call, after which Python can handle an interr
 class Linearization:
     """Trajectories and their derivatives, in SI units, from :func:`linearize`.
 
-    The matrices are computed when they are first read; ``vjp`` and ``jvp`` do not need them. It unpacks as
+    The matrices are computed when they are first read; ``vjp`` does not need them. It unpacks as
     ``trajectories, A, B, P, smooth``.
 
     >>> lin = linearize(None, [0, 0, 0, 4.9, 0, 0, 0, 0, 0, 10, 0, 0], [0.0], dt=0.02)  # the jack flies at a wall
@@ -141,12 +141,13 @@ class Linearization:
             zero if change is None else _floats(name, change, zero.shape)
             for name, change, zero in zip(names, (dstates, dtorques, dfields), self._zeros(), strict=True)
         )
-        numbers = np.zeros((len(scene), len(tangents.FIELDS)))
-        for field in range(scene.shape[1]):
-            numbers += scene[:, field, None] * self._seeds[:, field]
-        results, call = np.empty(self.trajectories.shape), compiled(derivatives.push_forward)
-        self._spread(1, lambda span, *memory: call(self._played, (states, torques, numbers), span, results, *memory))
-        return results
+        changes, steps = np.empty(self.trajectories.shape), self._played.smooth.shape[1]
+        held = np.repeat(torques, steps // max(1, self._played.torques.shape[1]), axis=1)
+        changes[:, 0] = states
+        for k in range(steps):
+            changes[:, k + 1] = np.einsum("nij,nj->ni", self.A[:, k], changes[:, k]) + self.B[:, k] * held[:, k, None]
+            changes[:, k + 1] += np.einsum("nif,nf->ni", self.P[:, k], scene)
+        return changes
 
     def _zeros(self) -> tuple[Array, Array, Array]:
         count = len(self.trajectories)
@@ -234,7 +235,6 @@ def ensure_compiled() -> None:
     """Compile all derivatives, or load them."""
     linearization = linearize(None, np.zeros(12), np.zeros(1), 0.02)
     linearization.vjp(linearization.trajectories)
-    linearization.jvp()
     _ = linearization.A
 
 

@@ -5,7 +5,6 @@ docs/accuracy.md shows where they lie among all settings measured.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from numbers import Real
 from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple
@@ -68,22 +67,6 @@ def chosen(by: object) -> dict[str, Any]:
     """The :data:`KEYWORDS` among an object's attributes that are not None; without any, the fidelity of commands."""
     values = {name: getattr(by, name) for name in KEYWORDS if getattr(by, name) is not None}
     return values or {"fidelity": COMMANDS}
-
-
-def as_stored(stored: Mapping[str, Any]) -> dict[str, Any]:
-    """Stored settings in which fidelity, contact and substeps mean what they meant in all earlier versions.
-
-    A contact model or substeps beside a fidelity overrode it, and without all three it was "balanced".
-    """
-    fidelity, contact, substeps = (stored.get(name) for name in ("fidelity", "contact", "substeps"))
-    if (fidelity, contact, substeps) == (None, None, None):
-        return {**stored, "fidelity": "balanced"}
-    if isinstance(fidelity, str) and fidelity in FIDELITIES and (contact, substeps) != (None, None):
-        named = FIDELITIES[fidelity]
-        if contact in (None, named.contact):
-            contact, substeps = named.contact, named.substeps if substeps is None else substeps
-        return {**stored, "fidelity": None, "contact": contact, "substeps": substeps}
-    return dict(stored)
 
 
 def words(setting: Setting) -> str:

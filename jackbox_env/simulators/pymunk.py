@@ -187,7 +187,8 @@ class PymunkSimulator(Simulator):
             substeps = finer * self.substeps
             h = check.real("dt / substeps", dt / substeps, above=0.0)
             load, push = self._loads(h, substeps, torque)
-            moves = self._moves(h, load, push)
+            # How far a foot may move against the walls within one substep [m]; perhaps infinite or NaN.
+            moves = reach(self.scene, self._numbers, h, load.peak, sum(force.peak for force in push))
             if not moves <= self._deepest:
                 continue
             self._recorder.start(self.time)
@@ -231,10 +232,6 @@ class PymunkSimulator(Simulator):
                 f"the jack would leave the box: it or the box moves {travel:.3g} m within dt = {dt:g} s, at most "
                 f"{farthest:.3g} m is followed; use a smaller time step or speed"
             )
-
-    def _moves(self, h: float, load: _Load, push: tuple[_Load, ...]) -> float:
-        """Bound of how far a foot moves against the walls within one substep [m]; may be infinite or NaN."""
-        return reach(self.scene, self._numbers, h, load.peak, sum(force.peak for force in push))
 
     def _loads(self, h: float, substeps: int, torque: float | None) -> tuple[_Load, tuple[_Load, ...]]:
         """The torque, and the side forces along x and y if there are any."""

@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 from tqdm import trange
 
 from agents.policies.network import SHIPPED, write_with_layers
-from agents.policies.one_bounce import LANDING, LandingPolicy, LandingSettings, uprighted
+from agents.policies.one_bounce import LANDING, LandingPolicy, LandingSettings, landing_times, uprighted
 from agents.policies.value import UNIT, Value, read_value
 from jackbox_env import Rollout, Scene, rollout
 from jackbox_env.command_line import command_line
 from jackbox_env.files import make_folder
-from jackbox_env.landing import landing_times, torques
+from jackbox_env.landing import torques
 from jackbox_env.states import Array
 from jackbox_env.tasks import sample_start
 from scripts.studies.fitting import epoch, inputs_and_goals, layers_of, network

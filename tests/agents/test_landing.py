@@ -22,13 +22,14 @@ from agents.policies.one_bounce import (
     LandingSettings,
     bounced,
     flown,
+    landing_times,
     uprighted,
 )
 from agents.policies.registry import find_policy
 from agents.settings import PREVIEW_SIZE, EnvSettings
 from agents.training.models import make_ppo, make_vec_env
 from jackbox_env import Scene, make_simulator
-from jackbox_env.landing import LONGEST, landing_times
+from jackbox_env.landing import LONGEST
 from jackbox_env.observation import BOUNDS, observe
 from jackbox_env.states import Array
 from jackbox_env.tasks import sample_start

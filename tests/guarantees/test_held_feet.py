@@ -141,6 +141,6 @@ def test_without_the_turn_of_the_box_held_feet_leave_the_lagrangian_motion(monke
     monkeypatch.setattr(
         constrained,
         "product",
-        lambda work, one, other, k: 0.0 if one == OMEGA_SQUARED else product(work, one, other, k),
+        lambda work, one, other, k, first=0: 0.0 if one == OMEGA_SQUARED else product(work, one, other, k, first),
     )
     assert np.abs(plain_step(scene, ON_ONE_FOOT, 0.02)[1] - right).max() > 1e-6
