@@ -27,7 +27,7 @@ from collections.abc import Sequence
 from types import SimpleNamespace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from jackbox_env import checks as check
 from jackbox_env.complementarity import nearest, weigh
@@ -47,12 +47,12 @@ from jackbox_env.states import (
     Y_BOX,
     Y_JACK,
     Array,
+    Indices,
     Numbers,
     as_state,
     refuse_no_scene,
 )
 
-Indices = NDArray[np.int64]
 _QUARTERS = np.arange(4) * (math.pi / 2.0)
 
 

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from jackbox_env import checks as check
 
@@ -100,6 +100,8 @@ class Chirp:
     amplitude: float = 90000.0  # [N m] gain 30000 times 3
     start_frequency: float = 0.5  # [Hz]
     rate: float = 0.9  # [Hz/s]
+    force_bound: ClassVar[float] = 0.0  # a chirp has no side force [N]
+    force_means: ClassVar[tuple[()]] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "amplitude", check.real("amplitude", self.amplitude, at_least=-1e60, at_most=1e60))
@@ -118,16 +120,6 @@ class Chirp:
     def torque_bound(self) -> float:
         """The torque never exceeds this [N m]."""
         return abs(self.amplitude)
-
-    @property
-    def force_bound(self) -> float:
-        """A chirp has no side force [N]."""
-        return 0.0
-
-    @property
-    def force_means(self) -> tuple[Callable[[float, float], tuple[float, float]], ...]:
-        """A chirp has no side force."""
-        return ()
 
     def torque_means(self, time: float, duration: float) -> tuple[float, float]:
         """Torque over [time, time + duration] [N m], averaged under a falling and under a rising triangle.
@@ -243,6 +235,14 @@ def square_inertia(mass: float, length: float) -> float:
 def fall_speed(height: float) -> float:
     """Speed after a fall from a height [m] on Earth [m/s]."""
     return math.sqrt(2.0 * 9.81 * height)
+
+
+def total(values: Sequence[float]) -> float:
+    """Sum in the order given, as in compiled code; Python's own ``sum`` rounds otherwise."""
+    result = 0.0
+    for value in values:
+        result += value
+    return result
 
 
 def between(low: float, high: float, share: float) -> float:

@@ -64,6 +64,10 @@ LARGEST = 1e100
 LATEST_TIME = 1e9  # [s]
 
 Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+Flags = NDArray[np.bool_]
+Counts = NDArray[np.int64]
+Indices = NDArray[np.int64]
 Numbers = Sequence[float] | Array  # 12 of them
 
 

@@ -19,8 +19,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jackbox_env import checks as check
-from jackbox_env.scene import Scene, SceneNumbers
-from jackbox_env.states import OMEGA_BOX, OMEGA_JACK, THETA_JACK, X_BOX, X_JACK, Y_BOX, Y_JACK, Array, State, as_start
+from jackbox_env.scene import Scene, SceneNumbers, total
+from jackbox_env.states import (
+    OMEGA_BOX,
+    OMEGA_JACK,
+    THETA_JACK,
+    X_BOX,
+    X_JACK,
+    Y_BOX,
+    Y_JACK,
+    Array,
+    State,
+    as_start,
+)
 
 AnyScene = Scene | SceneNumbers
 
@@ -230,21 +241,13 @@ def checked_terms(task: Task, values: object) -> tuple[float, ...]:
     )
 
 
-def reward_of(terms: Sequence[float]) -> float:
-    """The reward: the terms summed in their order, as in compiled code; Python's own ``sum`` rounds otherwise."""
-    total = 0.0
-    for term in terms:
-        total += term
-    return total
-
-
 def checked_reward(task: Task, terms: Sequence[float]) -> float:
     """The reward, if it is finite.
 
     Raises:
         TaskError: it is not.
     """
-    reward = reward_of(terms)
+    reward = total(terms)
     if math.isfinite(reward):
         return reward
     listed = [f"{name!r} is {value}" for name, value in zip(task.terms, terms, strict=True)]

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import checks as check
 from jackbox_env.batches.arguments import Arguments
-from jackbox_env.batches.base import Flags, Floats, Outcome, Starts
+from jackbox_env.batches.base import Outcome, Starts
 from jackbox_env.batches.infos import Infos, infos_at_end, infos_at_start, masked
 from jackbox_env.batches.resets import ResetPlan, as_autoreset_mode, plan_of
 from jackbox_env.env import JackInBoxEnv, Randomize
@@ -25,7 +25,7 @@ from jackbox_env.randomization import NUMBERS, Randomization
 from jackbox_env.scene import Scene
 from jackbox_env.simulators import Impact, contact_model
 from jackbox_env.simulators.fidelity import FURTHER
-from jackbox_env.states import Array, as_restored
+from jackbox_env.states import Array, Flags, Floats, as_restored
 from jackbox_env.tasks import Task, task_of
 
 if TYPE_CHECKING:

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jackbox_env import checks as check
-from jackbox_env.batches.base import Change, Flags
+from jackbox_env.batches.base import Change
 from jackbox_env.scene import Scene, scenes_of
-from jackbox_env.states import LATEST_TIME, Array
+from jackbox_env.states import LATEST_TIME, Array, Flags
 
 
 class Arguments:

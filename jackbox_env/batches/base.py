@@ -9,12 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.states import Array
+from jackbox_env.states import Array, Flags, Floats, Indices
 
 Change = Mapping[str, Any]  # fields of a scene that change
-Flags = NDArray[np.bool_]
-Floats = NDArray[np.float32]
-Numbers = NDArray[np.int64]  # of environments
 
 
 @dataclass(slots=True)
@@ -39,7 +36,7 @@ class Outcome:
 class Starts(NamedTuple):
     """Episodes that are drawn but not begun."""
 
-    numbers: Numbers  # (k,) of their environments
+    numbers: Indices  # (k,) of their environments
     generators: Any  # of these environments from their start on
     scenes: Any  # of these environments from their start on, in the batch's own form; None: unchanged
     states: Array | None = None  # (k, 12) in which they start, checked; None: drawn when they begin

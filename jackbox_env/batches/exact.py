@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.batches.base import Change, Flags, Floats, Numbers, Outcome, Starts, bad_action
-from jackbox_env.batches.scenes import Refusal, SceneTable
+from jackbox_env.batches.base import Change, Outcome, Starts, bad_action
+from jackbox_env.batches.scenes import SceneTable
 from jackbox_env.batches.threads import Ended, Threads, run_blocks, thread_count
 from jackbox_env.exact import glide, restart, run, score
 from jackbox_env.exact.compiler import address_of, compiled
@@ -31,8 +31,8 @@ from jackbox_env.randomization import Randomization
 from jackbox_env.scene import Scene
 from jackbox_env.scoring import bad_reward, compiled_for
 from jackbox_env.simulators.base import Impact, end_of_step
-from jackbox_env.simulators.exact import NO_PIECES, ExactSimulator, ensure_compiled, failure
-from jackbox_env.states import Array, State
+from jackbox_env.simulators.exact import NO_PIECES, ExactSimulator, ensure_compiled, failure, pieces_for
+from jackbox_env.states import Array, Flags, Floats, Indices, State
 from jackbox_env.tasks import Task, draw_start
 
 _FEWEST_PER_THREAD = 4096  # below that, waking a thread costs more than it saves
@@ -129,7 +129,7 @@ class ExactBatch:
 
     def draw(
         self,
-        numbers: Numbers,
+        numbers: Indices,
         seeds: Sequence[int | None] | None = None,
         changes: Sequence[Change] | None = None,
         placed: bool = False,
@@ -192,7 +192,7 @@ class ExactBatch:
         over = blocks[block, glide.OVER, lane] != 0.0
         blocks[block[over], glide.STEPS, lane[over]] = blocks[block[over], glide.OVER, lane[over]] = 0.0
 
-    def observe(self, numbers: Numbers, observations: Floats) -> None:
+    def observe(self, numbers: Indices, observations: Floats) -> None:
         """Write the observations of some environments into their rows, shape (N, 10)."""
         compiled(restart.observe_blocks)(self._scenes.rows(numbers), self._blocks, numbers, observations)
 
@@ -244,7 +244,7 @@ class ExactBatch:
             np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_),
             np.zeros((count if self._with_infos else 0, score.TERMS + len(self._task.terms))), *NOTHING[6:],
         )  # fmt: skip
-        scenes, refusals = self._scenes_of_steps(int(actions is not None), steps)
+        scenes = self._scenes_of_steps(int(actions is not None), steps)
         rules = Rules(self._dt, steps, self._limit, kind, False, resting, self._score_address, run.PATIENCE)
         spare, calls = self._spare, self._calls
         before = self._blocks.copy() if steps > 1 else self._blocks  # several steps overwrite it
@@ -263,12 +263,8 @@ class ExactBatch:
         self._spare, self._calls = spare, calls
         for ended, number, made, *_ in parts:
             if ended:
-                raise self._failure(ended, number, actions, made, refusals)
+                raise self._failure(ended, number, actions, made)
         after, finished = spare if steps & 1 else before, sum(finished for *_, finished, _ in parts)
-        for number, refusal in refusals.items():
-            block, lane = divmod(number, after.shape[2])
-            if after[block, glide.STEPS, lane] - self._blocks[block, glide.STEPS, lane] > refusal.step:
-                raise refusal.error
         return self._outcome(filled, finished, after, summed)
 
     def _outcome(self, filled: Results, finished: int, after: Array, summed: bool) -> Outcome:
@@ -285,11 +281,11 @@ class ExactBatch:
         """Replace the present environments by those of an outcome."""
         self._blocks, self._spare, self._stepped = after, self._blocks, True
 
-    def _scenes_of_steps(self, torque: int, steps: int) -> tuple[Scenes, dict[int, Refusal]]:
-        """The scenes for these numbers of steps, and failures of drives in them: ``SceneTable.of_steps``."""
+    def _scenes_of_steps(self, torque: int, steps: int) -> Scenes:
+        """The scenes for these numbers of steps: ``SceneTable.of_steps``."""
         scenes = self._scenes
         if not scenes.cutting[torque]:
-            return Scenes(scenes.values, scenes.lanes, scenes.kinds[torque], *NO_PIECES), {}
+            return Scenes(scenes.values, scenes.lanes, scenes.kinds[torque], *NO_PIECES)
         remaining = np.where(self.over, 0.0, np.minimum(steps, self._limit - self._column(glide.STEPS)))
         return scenes.of_steps(torque, self.times, remaining.astype(np.int64))
 
@@ -303,22 +299,20 @@ class ExactBatch:
             **{f"reward_{name}": reports[:, score.TERMS + k].copy() for k, name in enumerate(self._task.terms)},
         }
 
-    def _failure(
-        self, ended: int, number: int, actions: Array | Landings | None, made: int, refusals: dict[int, Refusal]
-    ) -> Exception:
-        if number in refusals and made >= refusals[number].step:
-            return refusals[number].error
+    def _failure(self, ended: int, number: int, actions: Array | Landings | None, made: int) -> Exception:
         if ended == Status.BAD_ACTION and isinstance(actions, np.ndarray):
             return bad_action(float(actions[number]), number)
         if ended == Status.BAD_REWARD:
             simulator = self._stepped_again(number, self._blocks, actions, made + 1)
             return bad_reward(self._task, simulator, f"environment {number}")
         time = float(np.add.accumulate([self.times[number], *[self._dt] * made])[-1])
-        if ended == Status.TOO_LATE:
-            try:
+        try:  # what has failed then says why
+            if ended == Status.TOO_LATE:
                 end_of_step(time, self._dt)
-            except ValueError as error:
-                return error
+            if ended == Status.NO_DRIVE:
+                pieces_for(self.scene(number).drive, time, self._dt, None if actions is None else 0.0)
+        except Exception as error:
+            return error
         return failure(ended, self.scene(number), time, self._dt, f"the jack of environment {number}")
 
     def render(self) -> tuple[Any, ...]:

@@ -10,9 +10,9 @@ from gymnasium.vector import AutoresetMode
 
 from jackbox_env import checks as check
 from jackbox_env.batches.arguments import Arguments
-from jackbox_env.batches.base import Change, Flags
+from jackbox_env.batches.base import Change
 from jackbox_env.scene import Scene
-from jackbox_env.states import Array, as_start
+from jackbox_env.states import Array, Flags, as_start
 
 
 class ResetPlan(NamedTuple):

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import fields
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from jackbox_env.batches.base import Flags
 from jackbox_env.exact.compiler import compiled
 from jackbox_env.exact.glide import SCENE_LANES
 from jackbox_env.exact.restart import spread
@@ -17,20 +15,12 @@ from jackbox_env.exact.workspace import Scenes
 from jackbox_env.scene import Chirp, Drive, Scene, SceneNumbers
 from jackbox_env.simulators.base import end_of_step
 from jackbox_env.simulators.exact import NO_TABLE, WITH_PIECES, drive_kind, joined, pieces_for
-from jackbox_env.states import Array
+from jackbox_env.states import Array, Counts, Flags
 
 AnyDrive = Chirp | Drive | None
-Counts = NDArray[np.int64]
 
 _FIELDS = tuple(part.name for part in fields(Scene) if part.name in SceneNumbers._fields)
 _COLUMNS = [SceneNumbers._fields.index(name) for name in _FIELDS]
-
-
-class Refusal(NamedTuple):
-    """A step of an environment, counted from 0, in which a function of its drive fails, and the error."""
-
-    step: int
-    error: Exception
 
 
 class SceneTable:
@@ -65,13 +55,12 @@ class SceneTable:
         kinds = [(drive_kind(drive), drive_kind(drive, held=True)) for drive in self.drives]
         columns = np.array(kinds, dtype=np.int64).T
         # Of each environment, or of all: whether its drive is not the original one; what turns the box under the drive
-        # and under a constant torque; whether functions are cut into pieces then, and whether any are.
+        # and under a constant torque. And whether functions of any are cut into pieces then.
         self.driven_otherwise: Flags = np.array(
             [drive is not self.original_of(number).drive for number, drive in enumerate(self.drives)]
         )
         self.kinds: tuple[Counts, Counts] = columns[0].copy(), columns[1].copy()
-        self.cut: tuple[Flags, Flags] = np.isin(columns[0], WITH_PIECES), np.isin(columns[1], WITH_PIECES)
-        self.cutting: tuple[bool, bool] = bool(self.cut[0].any()), bool(self.cut[1].any())
+        self.cutting = [bool(np.isin(column, WITH_PIECES).any()) for column in columns]
 
     def spread_out(self, shape: tuple[int, ...]) -> SceneTable:
         """This table with a row for each environment."""
@@ -106,37 +95,30 @@ class SceneTable:
         """A copy of the rows of some environments; of the only row if they share a scene."""
         return self.values[numbers] if self.several else self.values.copy()
 
-    def of_steps(self, torque: int, times: Array, steps: Counts) -> tuple[Scenes, dict[int, Refusal]]:
+    def of_steps(self, torque: int, times: Array, steps: Counts) -> Scenes:
         """The scenes with the pieces of drives of functions, cut once for each drive, time and number of steps.
+
+        A drive that fails over a later step has no pieces there: the environment may not reach it.
 
         Args:
             torque: 1 if torques are held, 0 if the drives act.
             times: at which the environments are [s], (N,).
             steps: that each of them makes at most, (N,).
 
-        Returns:
-            The scenes, and by number the environments whose drive fails over a step that they may not reach.
-
         Raises:
             Exception: a drive fails over a first step.
         """
         tables, cut, begins = list[Array](), dict[tuple[int, float, int], int](), np.zeros(self.count, np.int64)
-        refusals, refused = dict[int, Refusal](), dict[int, Refusal]()  # by number; by first table
-        for number in np.flatnonzero(self.cut[torque] & (steps > 0)).tolist():
+        for number in np.flatnonzero(np.isin(self.kinds[torque], WITH_PIECES) & (steps > 0)).tolist():
             drive, time, most = self.drives[number if self.several else 0], float(times[number]), int(steps[number])
             begin = cut.setdefault((id(drive), time, most), len(tables))
             if begin == len(tables):
                 end_of_step(time, self.dt)
-                pieces, error = _pieces_ahead(drive, time, self.dt, most, 0.0 if torque else None)  # whatever is held
-                if error is not None:
-                    refused[begin] = Refusal(len(pieces), error)
-                tables += [*pieces, *[pieces[-1]] * (most - len(pieces))]
+                tables += _pieces_ahead(drive, time, self.dt, most, 0.0 if torque else None)  # whatever is held
             begins[number] = begin
-            if begin in refused:
-                refusals[number] = refused[begin]
         # Environments without functions count their steps from the first table.
         tables += [NO_TABLE] * (int(steps.max()) - len(tables))
-        return Scenes(self.values, self.lanes, self.kinds[torque], *joined(tables, begins)), refusals
+        return Scenes(self.values, self.lanes, self.kinds[torque], *joined(tables, begins))
 
     def put(self, numbers: Counts, rows: Array) -> None:
         """Set the numbers of some environments' scenes, or of all if they share one."""
@@ -192,10 +174,8 @@ class SceneTable:
         return follows.changed(**inertias) if inertias else follows
 
 
-def _pieces_ahead(
-    drive: AnyDrive, time: float, dt: float, steps: int, torque: float | None
-) -> tuple[list[Array], Exception | None]:
-    """The pieces of a drive over each of several steps; those before a step that fails, after the first, and its error.
+def _pieces_ahead(drive: AnyDrive, time: float, dt: float, steps: int, torque: float | None) -> list[Array]:
+    """The pieces of a drive over each of several steps; none from a step on that fails, after the first.
 
     Raises:
         Exception: the drive fails over the first step.
@@ -204,8 +184,8 @@ def _pieces_ahead(
     for start in np.add.accumulate([time, *[dt] * (steps - 1)]).tolist():
         try:
             tables.append(pieces_for(drive, start, dt, torque))
-        except Exception as error:
+        except Exception:
             if not tables:
                 raise
-            return tables, error
-    return tables, None
+            break
+    return tables + [NO_TABLE] * (steps - len(tables))

@@ -10,14 +10,14 @@ import numpy as np
 from gymnasium.utils.seeding import np_random
 from numpy.typing import NDArray
 
-from jackbox_env.batches.base import Change, Flags, Floats, Numbers, Outcome, Starts, bad_action
+from jackbox_env.batches.base import Change, Outcome, Starts, bad_action
 from jackbox_env.batches.infos import blank
 from jackbox_env.env import JackInBoxEnv, put
 from jackbox_env.landing import Landings, aiming, always, play
 from jackbox_env.randomization import Randomization
 from jackbox_env.scene import Scene
 from jackbox_env.simulators import Impact
-from jackbox_env.states import Array
+from jackbox_env.states import Array, Flags, Floats, Indices
 from jackbox_env.tasks import TaskError, draw_start, task_of
 
 
@@ -85,7 +85,7 @@ class SingleBatch:
 
     def draw(
         self,
-        numbers: Numbers,
+        numbers: Indices,
         seeds: Sequence[int | None] | None = None,
         changes: Sequence[Change] | None = None,
         placed: bool = False,
@@ -137,7 +137,7 @@ class SingleBatch:
         self._steps[anew], self._over[anew] = 0, False
         self._put(np.flatnonzero(chosen))
 
-    def _put(self, numbers: Numbers) -> None:
+    def _put(self, numbers: Indices) -> None:
         """Set some environments to the batch's scenes, states and times."""
         for number in numbers.tolist():
             put(self._envs[number], self._scenes[number], self._states[number], float(self._times[number]))
@@ -148,7 +148,7 @@ class SingleBatch:
             self._put(np.arange(len(self._envs)))
             self._astray = False
 
-    def observe(self, numbers: Numbers, observations: Floats) -> None:
+    def observe(self, numbers: Indices, observations: Floats) -> None:
         """Write the observations of some environments into their rows, shape (N, 10)."""
         self._gather()
         for number in numbers.tolist():

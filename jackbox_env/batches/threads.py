@@ -10,7 +10,8 @@ from threading import Event
 from typing import Any, TypeVar
 
 from jackbox_env import checks as check
-from jackbox_env.exact.workspace import Array, Call, Status
+from jackbox_env.exact.workspace import Call, Status
+from jackbox_env.states import Array
 
 R = TypeVar("R")
 

@@ -8,7 +8,7 @@ from dataclasses import make_dataclass
 from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 from jackbox_env import checks as check
-from jackbox_env.simulators.fidelity import Setting, chosen, resolve
+from jackbox_env.simulators.fidelity import Setting
 
 SCENE_HELP = {
     "box_half_width": "L, the walls are at +-L in the box frame [m]",
@@ -81,8 +81,3 @@ def scene_as_json(scene: str, options: object) -> str:
     """The same as JSON; ``scene`` itself if there are no options of single fields."""
     fields = chosen_scene(scene, options)
     return scene if fields == check.from_json("scene", scene, dict) else json.dumps(fields)
-
-
-def chosen_setting(arguments: argparse.Namespace) -> Setting:
-    """The contact model and settings of these options, by :func:`jackbox_env.simulators.fidelity.resolve`."""
-    return resolve(**chosen(arguments))

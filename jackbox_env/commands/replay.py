@@ -26,7 +26,7 @@ def main() -> None:
     import gymnasium as gym
 
     from jackbox_env.recording.game import read_game, replay_game
-    from jackbox_env.tasks import reward_of
+    from jackbox_env.scene import total
 
     if text == "-":
         text = sys.stdin.buffer.read(_MOST_READ).decode(errors="replace")
@@ -41,7 +41,7 @@ def main() -> None:
         print(f"{played}: it differs from step {differs:,} on")
         sys.exit(1)
     first = f" in the first {episode * game.dt:g} s" if steps > episode else ""
-    print(f"{played}, return {reward_of(rewards[:episode]):.1f}{first}: the same, bit for bit")
+    print(f"{played}, return {total(rewards[:episode]):.1f}{first}: the same, bit for bit")
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ import numpy as np
 
 from jackbox_env import checks as check
 from jackbox_env.command_line import command_line, progress
-from jackbox_env.commands.options import add_model_options, chosen_scene, chosen_setting, parser_of
+from jackbox_env.commands.options import add_model_options, chosen_scene, parser_of
 from jackbox_env.files import check_new, new_folder, stamped
 from jackbox_env.states import STATE_NAMES, Array
 
@@ -165,11 +165,11 @@ def main() -> None:
     arguments = _arguments()
     from jackbox_env import Scene, make_simulator
     from jackbox_env.recording.trajectory import simulate
-    from jackbox_env.simulators.fidelity import words
+    from jackbox_env.simulators.fidelity import chosen, resolve, words
 
     arguments.folder = arguments.folder or stamped("simulate")
     torques = _completed(arguments)
-    setting = chosen_setting(arguments)
+    setting = resolve(**chosen(arguments))
     scene = Scene.of(chosen_scene(arguments.scene, arguments))
     if arguments.torque == "none":
         scene = scene.changed(drive=None)

@@ -23,9 +23,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
 from jackbox_env.exact.contact import quarter
 from jackbox_env.exact.drives import DEGREE, PUSH_X, PUSH_Y, SHARES, TURN, horner
 from jackbox_env.exact.flight import Flight, Piece, View, excursion, held_view, on_axes
@@ -71,8 +68,6 @@ from jackbox_env.states import (
     Y_BOX,
     Y_JACK,
 )
-
-Array = NDArray[np.float64]
 
 _RESOLVED = 1e-15  # last powers of the velocities, over a speed
 

@@ -16,9 +16,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from jackbox_env.complementarity import nearest, weigh
 from jackbox_env.exact.trigonometry import cos_sin
 from jackbox_env.exact.workspace import Workspace
@@ -37,9 +34,8 @@ from jackbox_env.states import (
     X_JACK,
     Y_BOX,
     Y_JACK,
+    Array,
 )
-
-Array = NDArray[np.float64]
 
 SLOW = 1e-6  # of v0: rounding hides the derivative of a slower impact
 _DEEP = 2e-10  # [m] in boxes of 1 m and more: a foot that strikes from inside is less deep
@@ -188,8 +184,7 @@ def kick(scene: SceneNumbers, rates: Array, row: Array, impulse: float) -> None:
 def bounce_together(scene: SceneNumbers, memory: Workspace, count: int) -> None:
     """Several contacts: v+ = (1 + e) P(v-) - e v-, which at e = 1 reflects v- at its projection on the cone."""
     weigh(scene, memory, count, memory.state[RATES:])
-    for i in range(count):
-        memory.bias[i] = 0.0
+    memory.bias[:] = 0.0
     chosen = nearest(memory, count)
     for index in range(3):
         number = chosen[index]

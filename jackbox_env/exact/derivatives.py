@@ -23,7 +23,7 @@ from jackbox_env.exact.tangents import (
     locate,
     step_tangent,
 )
-from jackbox_env.exact.workspace import Array, Counts, Flags, Workspace, Workspaces
+from jackbox_env.exact.workspace import Workspace, Workspaces
 from jackbox_env.scene import SceneNumbers
 from jackbox_env.states import (
     OMEGA_BOX,
@@ -37,6 +37,9 @@ from jackbox_env.states import (
     X_JACK,
     Y_BOX,
     Y_JACK,
+    Array,
+    Counts,
+    Flags,
 )
 
 CLEAR, LEAVING, OUTSIDE, APPROACHING = range(4)  # how feet touch walls
@@ -109,8 +112,7 @@ def grazes(scene: SceneNumbers, plan: Plan, hit: Array, memory: Workspace) -> bo
     at, row, free = memory.before, memory.gradients[0], memory.free
     locate(scene, hit, memory)
     frame, rate = frame_of(at), rate_of(at, row)
-    for index in range(6):
-        free[index] = 0.0
+    free[:] = 0.0
     accelerate(scene, hit, free, 1.0)
     bent = bias_acceleration(scene, at, frame, row, 0.0)
     for index in range(6):

@@ -17,13 +17,11 @@ import math
 
 import numpy as np
 from numpy.polynomial.chebyshev import cheb2poly
-from numpy.typing import NDArray
 
 from jackbox_env.exact.trigonometry import cos_sin
 from jackbox_env.exact.workspace import Workspace
 from jackbox_env.scene import MOST_TURNS, SceneNumbers
-
-Array = NDArray[np.float64]
+from jackbox_env.states import Array
 
 TURN, PUSH_X, PUSH_Y = range(3)
 POWERS = 16  # stored of each polynomial

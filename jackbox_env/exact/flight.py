@@ -10,9 +10,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from jackbox_env.exact.contact import gap_and_lever, quarter
 from jackbox_env.exact.drives import DEGREE, PUSH_X, PUSH_Y, TURN, horner
 from jackbox_env.exact.trigonometry import cos_sin
@@ -31,9 +28,8 @@ from jackbox_env.states import (
     X_JACK,
     Y_BOX,
     Y_JACK,
+    Array,
 )
-
-Array = NDArray[np.float64]
 
 
 class Piece(NamedTuple):

@@ -9,9 +9,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from jackbox_env.exact.bounds import centre_curvature_of, farthest, stays_off
 from jackbox_env.exact.drives import DEGREE, TURN, chirp_piece, chirp_pieces, horner
 from jackbox_env.exact.flight import fallen, moved, on_axes, stays_clear, turned
@@ -53,9 +50,8 @@ from jackbox_env.states import (
     X_JACK,
     Y_BOX,
     Y_JACK,
+    Array,
 )
-
-Array = NDArray[np.float64]
 
 WIDTH = 16
 TIME, STEPS, OVER = 12, 13, 14  # [s], steps in the episode, 1 if it has ended

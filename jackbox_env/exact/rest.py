@@ -25,9 +25,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
 from jackbox_env.complementarity import dot, nearest, project, violation_of, weigh
 from jackbox_env.exact.bounds import bounds_of, parabola_root
 from jackbox_env.exact.constrained import carry, curvature_while_held, stretch
@@ -61,9 +58,8 @@ from jackbox_env.states import (
     X_JACK,
     Y_BOX,
     Y_JACK,
+    Array,
 )
-
-Array = NDArray[np.float64]
 
 _DEPENDENT = 1e-18  # square of a unit gradient's part orthogonal to those of held feet: below it, linearly dependent
 _FAINT = 1e-9  # of the largest multiplier at held feet: a smaller acceleration counts as 0
@@ -264,15 +260,13 @@ def project_state(scene: SceneNumbers, memory: Workspace) -> None:
         off = max(off, abs(memory.gaps[number] - memory.targets[number]))
     weigh(scene, memory, count, state[RATES:])
     if off > _ROUNDED * scene.box_half_width:
-        for index in range(6):
-            memory.rates[index] = 0.0
+        memory.rates[:] = 0.0
         for number in range(count):
             memory.bias[number] = (memory.gaps[number] - memory.targets[number]) / memory.lengths[number]
         move_held(scene, memory, count, X_BOX)
         list_contacts(scene, memory, state, count)
         weigh(scene, memory, count, state[RATES:])
-    for number in range(count):
-        memory.bias[number] = 0.0
+    memory.bias[:] = 0.0
     move_held(scene, memory, count, RATES)
 
 

@@ -13,16 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.exact.glide import CLEAR, FALL, INERTIA, LIMIT, ORDINARY, ROOM, WIDTH, ordinary
+from jackbox_env.exact.glide import CLEAR, FALL, INERTIA, LIMIT, ORDINARY, ROOM, ordinary
 from jackbox_env.exact.score import observe
 from jackbox_env.exact.step import CONSTANT, make_numbers, make_plan
 from jackbox_env.scene import SceneNumbers, between, fall_speed, square_inertia
-from jackbox_env.states import THETA_JACK, X_JACK, Y_JACK, clearance
+from jackbox_env.states import THETA_JACK, X_JACK, Y_JACK, Array, Counts, Floats, clearance
 from jackbox_env.tasks import start_pose
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
-Counts = NDArray[np.int64]
 
 (HALF_WIDTH, BOX_MASS, BOX_INERTIA, ARM, JACK_MASS, JACK_INERTIA, SPEED_SCALE) = (
     SceneNumbers._fields.index(name)
@@ -83,8 +79,7 @@ def restart_blocks(values: Array, blocks: Array, numbers: Counts, words: Words) 
     for k in range(numbers.shape[0]):
         scene = make_numbers(values[k if values.shape[0] > 1 else 0])
         row = blocks[numbers[k] // width, :, numbers[k] % width]
-        for index in range(WIDTH):
-            row[index] = 0.0
+        row[:] = 0.0
         x = -1.0 + 2.0 * uniform(words[k])
         y = -1.0 + 2.0 * uniform(words[k])
         angle = -1.0 + 2.0 * uniform(words[k])

@@ -28,8 +28,6 @@ from jackbox_env.exact.workspace import (
     TORQUE,
     UNSCORED,
     Arguments,
-    Array,
-    Flags,
     Results,
     Rules,
     Scenes,
@@ -40,7 +38,7 @@ from jackbox_env.exact.workspace import (
 from jackbox_env.landing import aim, is_over
 from jackbox_env.mechanics import energy_of
 from jackbox_env.scene import SceneNumbers
-from jackbox_env.states import LATEST_TIME
+from jackbox_env.states import LATEST_TIME, Array, Flags
 
 PATIENCE = 2e6  # gap evaluations before a call pauses: 0.3 s, 1.2 s if most of them find impacts
 STOPPED = 2.0  # in the row OVER of a block: an impact stopped the row; 1.0: its episode is over
@@ -84,10 +82,9 @@ def run(address: Any, low: int, high: int, first: int) -> tuple[int, int, int, i
                 return Status.BAD_ACTION.value, block.first + bad, k, finished, recorded
             glided = glide(scene, plan, scenes, block, memory)
             ended, lane, evaluations, recorded = step_lanes(scene, plan, address, block, k, glided, recorded)
-            if ended == Status.FULL:
-                return ended.value, number, k, finished, recorded
             if ended != Status.DONE:
-                return ended.value, block.first + lane, k, finished, recorded
+                failed = number if ended == Status.FULL else block.first + lane  # a full log: go on with the block
+                return ended.value, failed, k, finished, recorded
             worked += block.size + evaluations
             # Reward.
             waiting = keep_waiting(block)
@@ -120,8 +117,7 @@ def set_torques(address: Any, block: Block, k: int) -> int:
     call = arguments_at(address)
     torque, limit, controls = block.lanes[APPLIED], block.scenes[LIMIT], call.controls
     if not controls.shape[0]:
-        for lane in range(block.size):
-            torque[lane] = 0.0
+        torque[:] = 0.0
         return -1
     if call.rules.kind == LANDINGS:
         aim_block(call, block)

@@ -10,19 +10,12 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
 from jackbox_env.exact.step import make_numbers
 from jackbox_env.exact.trigonometry import LARGEST, cos_sin, cos_sin_within
 from jackbox_env.exact.workspace import HIT, IMPULSE_SUM, TORQUE
 from jackbox_env.observation import components
-from jackbox_env.scene import SceneNumbers
-from jackbox_env.states import THETA_BOX, THETA_JACK, Array, State
-from jackbox_env.tasks import reward_of
-
-Floats = NDArray[np.float32]
-Flags = NDArray[np.bool_]
+from jackbox_env.scene import SceneNumbers, total
+from jackbox_env.states import THETA_BOX, THETA_JACK, Array, Flags, Floats, State
 
 # Columns of a report: the numbers of a step's info except state and time.
 REPORTED_TORQUE, REPORTED_HITS, REPORTED_IMPULSE, TERMS = range(4)
@@ -137,7 +130,7 @@ def score_block(
     if not (several or waiting):
         scene = make_numbers(values[0])
         for k in range(count):
-            rewards[first + k] = reward_of(task_terms(scene, state_in(after[:, k]), torque[k], impulses[k]))
+            rewards[first + k] = total(task_terms(scene, state_in(after[:, k]), torque[k], impulses[k]))
         for k in range(count):
             if task_over(scene, state_in(after[:, k]), torque[k], impulses[k]):
                 terminations[first + k] = True
@@ -147,7 +140,7 @@ def score_block(
             rewards[first + k] = 0.0
             if over[k] == 0.0:
                 row_scene = make_numbers(values[first + k if several else 0])
-                rewards[first + k] = reward_of(task_terms(row_scene, state_in(after[:, k]), torque[k], impulses[k]))
+                rewards[first + k] = total(task_terms(row_scene, state_in(after[:, k]), torque[k], impulses[k]))
                 if task_over(row_scene, state_in(after[:, k]), torque[k], impulses[k]):
                     terminations[first + k] = True
                     ends += 1

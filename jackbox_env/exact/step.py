@@ -30,7 +30,7 @@ from jackbox_env.exact.search import (
     why_undecided,
 )
 from jackbox_env.exact.trigonometry import without_turns
-from jackbox_env.exact.workspace import Array, Status, Workspace
+from jackbox_env.exact.workspace import Status, Workspace
 from jackbox_env.scene import SceneNumbers, chirp_turns
 from jackbox_env.states import (
     LARGEST,
@@ -45,6 +45,7 @@ from jackbox_env.states import (
     X_JACK,
     Y_BOX,
     Y_JACK,
+    Array,
 )
 
 _HOLDING_COST = 40.0  # gap evaluations that take as long as a step with feet at rest
@@ -143,8 +144,7 @@ def reset_counters(memory: Workspace) -> None:
     memory.hits, memory.impulse, memory.evaluations, memory.elapsed, memory.nonsmooth = 0, 0.0, 0.0, 0.0, 0
     if memory.holding > 0:
         memory.holding = 0
-        for pair in range(16):
-            memory.resting[pair] = 0.0
+        memory.resting[:] = 0.0
 
 
 def effort(memory: Workspace) -> float:
@@ -250,6 +250,8 @@ def advance_pieces(
 ) -> tuple[Status, float]:
     """Advance through a step under a drive of functions, or a held torque and its side forces."""
     impulse, table = 0.0, pieces.table
+    if pieces.first == pieces.last:
+        return Status.NO_DRIVE, 0.0
     for number in range(pieces.first, pieces.last):
         length = table[number, 1]
         for axis in range(3):

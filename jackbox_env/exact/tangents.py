@@ -20,9 +20,6 @@ Fails: several contacts at one moment, an impact slower than 1e-6 v0 or so slow 
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from jackbox_env.exact.contact import Frame, frame_of, gradient, inverse_mass, kick, rate_of
 from jackbox_env.exact.step import (
     CONSTANT,
@@ -47,9 +44,8 @@ from jackbox_env.states import (
     X_JACK,
     Y_BOX,
     Y_JACK,
+    Array,
 )
-
-Array = NDArray[np.float64]
 
 # Rows of a tangent below the state's 12: a torque added throughout the step, and the scene's parameters.
 FIELDS = (
@@ -215,8 +211,7 @@ def change_rates(
 
 def drifted(plan: Plan, alpha: float, before: Array, after: Array, s: float, drift: Array) -> None:
     """Write the change of the box by the drive between two states, ``s`` [s] apart without an impact in between."""
-    for index in range(6):
-        drift[index] = 0.0
+    drift[:] = 0.0
     if plan.kind == CONSTANT or plan.kind == CONSTANT_BESIDE_FORCES:
         drift[2], drift[5] = 0.5 * alpha * s * s, alpha * s
     else:

@@ -14,11 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.exact.compiler import PACKED, compiled, packed, unpacked_as
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
-Counts = NDArray[np.int64]
-Flags = NDArray[np.bool_]
+from jackbox_env.states import Array, Counts, Flags, Floats
 
 
 class Workspace(np.record):  # type: ignore[misc]
@@ -95,14 +91,9 @@ _FIELDS = [_field(*of) for of in get_type_hints(Workspace, include_extras=True).
 _LAYOUT = np.dtype((Workspace, np.dtype(_FIELDS, align=True)))
 
 
-def new_lanes(width: int) -> Array:
-    """Memory of one thread for blocks of ``width`` rows, shape (LANES, width)."""
-    return np.zeros((LANES, width))
-
-
-def new_workspaces(count: int = 1) -> Workspaces:
-    """Workspaces, one for each of ``count`` threads."""
-    return np.zeros(count, _LAYOUT)
+def new_workspaces() -> Workspaces:
+    """The workspace of one thread, as an array of one record."""
+    return np.zeros(1, _LAYOUT)
 
 
 # Columns of a log: time since the step's start [s], wall, foot, impulse [N s]. A wide log, for derivatives, adds the
@@ -128,6 +119,7 @@ class Status(IntEnum):
     PAUSED = 7  # after long work, so that Python can handle an interruption: call again
     FULL = 8  # no room for a step's impacts: call again with more
     FREE = 9  # of a piece: no foot touches a wall, and the state is unchanged
+    NO_DRIVE = 10  # a function of the drive fails over the step
 
 
 class Scenes(NamedTuple):
@@ -138,7 +130,7 @@ class Scenes(NamedTuple):
     kinds: Counts  # (1 or N,), what turns the box, see step.py
     table: Array  # pieces of the drives' functions, (pieces, TABLE_WIDTH)
     begins: Counts  # (1 or N,), where the steps of a row's drive begin in ``ends``
-    ends: Counts  # past the last piece of each step, after a leading 0 or the end of the step before
+    ends: Counts  # past the last piece of each step, after a leading 0 or the end of the step before; none: a failure
 
 
 # Kinds of controls: torques [N m]; shares of the torque limit, clipped to [-1, 1]; angles [rad] and rates [rad/s] that
@@ -192,7 +184,7 @@ def new_memory(width: int, impacts: int = 0, wide: bool = False) -> Memory:
         impacts: room in the log at first.
         wide: whether the log records the states at impacts, for derivatives.
     """
-    return Memory(new_lanes(width), new_workspaces(), new_log(impacts, wide))
+    return Memory(np.zeros((LANES, width)), new_workspaces(), new_log(impacts, wide))
 
 
 class Arguments(NamedTuple):

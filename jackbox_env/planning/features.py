@@ -14,12 +14,11 @@ from typing import Any
 import numpy as np
 
 from jackbox_env import checks as check
-from jackbox_env.batches.base import Floats
 from jackbox_env.observation import BOUNDS, observe, state_of
 from jackbox_env.planning.icem import Plans, Search
 from jackbox_env.planning.rollouts import RolloutOptions, run_rollouts
 from jackbox_env.scene import Scene
-from jackbox_env.states import OMEGA_BOX, Array
+from jackbox_env.states import OMEGA_BOX, Array, Floats
 from jackbox_env.tasks import Task
 
 _AHEAD = 3  # torques of the plan that are observed

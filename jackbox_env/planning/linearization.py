@@ -20,10 +20,8 @@ from jackbox_env.exact.workspace import new_workspaces
 from jackbox_env.planning.rollouts import FEWEST_PER_THREAD, OneOrMore, RolloutOptions, Tape, run_rollouts, sequences
 from jackbox_env.scene import Scene, scenes_of
 from jackbox_env.simulators.exact import drive_kind
-from jackbox_env.states import LATEST_TIME, Array
+from jackbox_env.states import LATEST_TIME, Array, Counts, Flags
 
-Counts = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 _AT_ONCE = 100_000  # steps of one call, after which Python can handle an interruption
 
 

@@ -13,7 +13,7 @@ from threading import Event
 from typing import Any, Generic, Literal, NamedTuple, TypeVar, overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from jackbox_env import checks as check
 from jackbox_env.batches.threads import Ended, Threads, run_blocks, thread_count
@@ -36,11 +36,9 @@ from jackbox_env.simulators.exact import (
     joined,
     pieces_for,
 )
-from jackbox_env.states import LATEST_TIME, Array, as_restored, deepest_restored
+from jackbox_env.states import LATEST_TIME, Array, Counts, Flags, as_restored, deepest_restored
 from jackbox_env.tasks import Task, task_of
 
-Counts = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 OneOrMore = Scene | Mapping[str, Any] | None | Sequence[Scene | Mapping[str, Any] | None]
 
 _GRAIN = 1000  # steps in a call, at least

@@ -17,13 +17,12 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from jackbox_env import checks as check
-from jackbox_env.batches.base import Flags, Floats
 from jackbox_env.landing import Landings, aiming, always, play
 from jackbox_env.observation import BOUNDS
 from jackbox_env.planning.features import Features, LookaheadOptions
 from jackbox_env.planning.icem import Plans
 from jackbox_env.scene import Scene
-from jackbox_env.states import Array
+from jackbox_env.states import Array, Flags, Floats
 from jackbox_env.vector_env import JackInBoxVectorEnv
 
 _TORQUES = gym.spaces.Box(-1.0, 1.0, (1,))

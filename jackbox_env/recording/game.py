@@ -32,12 +32,12 @@ from numpy.typing import ArrayLike, NDArray
 from jackbox_env import __version__
 from jackbox_env import checks as check
 from jackbox_env.exact.restart import WHOLE, unpacked
-from jackbox_env.scene import Scene
+from jackbox_env.scene import Scene, total
 from jackbox_env.scoring import make_score
 from jackbox_env.simulators import JackLostError, make_simulator
 from jackbox_env.simulators.base import total_impulse
 from jackbox_env.states import Array, as_start
-from jackbox_env.tasks import TASKS, reward_of, sample_start
+from jackbox_env.tasks import TASKS, sample_start
 
 VERSION = 1
 LONGEST = 65_536  # characters of a text
@@ -169,7 +169,7 @@ def _simulated(game: Game) -> Iterator[tuple[int, float]]:
         for word in simulator.state.view(np.uint64).tolist():
             number = (number ^ word) * _PRIME & _WORD
         _, terms, _ = score(simulator.state, simulator.torque, total_impulse(simulator.impacts))
-        yield number, reward_of(terms)
+        yield number, total(terms)
 
 
 def _start(scene: Scene, values: Any) -> Array:

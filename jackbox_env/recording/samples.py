@@ -65,20 +65,14 @@ class _Step(NamedTuple):
         yield _Sample(self.end, self.after, box_energy(scene, self.after) - at_first)
 
     def contact(self, scene: Scene) -> Iterator[_Sample]:
-        """The moments of a step with impacts, and its end, with the work since its start.
-
-        In flight the box's kinetic energy changes by the work alone, so the work is its change between the impacts.
-        """
+        """The moments of a step with impacts, and its end, with the work since its start."""
         replay = replayed(scene, self.before, self.start, self.impacts, self.end, self.torque)
-        work, flying = 0.0, box_energy(scene, self.before)
         for moment in replay.moments:
-            work += box_energy(scene, moment.before) - flying
-            flying = box_energy(scene, moment.after)
             if self._rests(scene, moment):
                 break
-            yield _Sample(min(moment.time, self.end), moment.before, work)
+            yield _Sample(min(moment.time, self.end), moment.before, moment.work)
             if moment.time < self.end:
-                yield _Sample(moment.time, moment.after, work)
+                yield _Sample(moment.time, moment.after, moment.work)
         yield _Sample(self.end, self.after, replay.work + self._missed_work(scene, replay.state))
 
     def _missed_work(self, scene: Scene, ended: list[float]) -> float:

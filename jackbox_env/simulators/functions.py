@@ -23,14 +23,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jackbox_env import checks as check
 from jackbox_env.exact.compiler import compiled
 from jackbox_env.exact.drives import DEGREE, POINTS, TABLE_WIDTH, interpolate
 from jackbox_env.scene import Drive
+from jackbox_env.states import Array
 
-Array = NDArray[np.float64]
 Sampled = Callable[[float], float]  # a function's value at a number of ticks since the step's start
 
 _TICKS = 1 << 44  # in a step; all cuts are at whole ticks

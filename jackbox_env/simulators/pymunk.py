@@ -51,7 +51,7 @@ from typing_extensions import override
 
 from jackbox_env import checks as check
 from jackbox_env.mechanics import energy_of
-from jackbox_env.scene import Drive, Scene
+from jackbox_env.scene import Drive, Scene, total
 from jackbox_env.simulators.base import JackLostError, Present, Simulator, end_of_step
 from jackbox_env.simulators.contacts import Recorder, iterations_for
 from jackbox_env.simulators.flight import fly, reach
@@ -107,16 +107,8 @@ class _Load(NamedTuple):
         falling = [mean[0] for mean in means]
         rising = [mean[1] for mean in means]
         during = [0.5 * (now + after) for now, after in zip(rising, [*falling[1:], rising[-1]], strict=True)]
-        mean = (_total(falling) + _total(rising)) / (2.0 * len(means))
+        mean = (total(falling) + total(rising)) / (2.0 * len(means))
         return cls(falling[0], during, rising[-1], mean, max(map(abs, falling + rising)))
-
-
-def _total(values: list[float]) -> float:
-    """Sum in the order given; Python's own rounds otherwise from 3.12 on."""
-    total = 0.0
-    for value in values:
-        total += value
-    return total
 
 
 class PymunkSimulator(Simulator):

@@ -25,6 +25,7 @@ class Moment(NamedTuple):
     time: float  # [s]
     before: list[float]  # the state just before, 12 numbers
     after: list[float]  # the state just after, 12 numbers
+    work: float  # of torque and side forces on the box since the step's start [J]
 
 
 class Replay(NamedTuple):
@@ -60,7 +61,7 @@ def replayed(
         if moments and moments[-1].time == time:
             moments[-1] = moments[-1]._replace(after=now)
         else:
-            moments.append(Moment(time, before, now))
+            moments.append(Moment(time, before, now, work))
     after = flown(scene, now, time, end - time, torque)
     return Replay(after, depth, work + box_energy(scene, after) - box_energy(scene, now), moments)
 

@@ -22,10 +22,10 @@ import jackbox_env
 from jackbox_env import JackInBoxEnv, JackInBoxVectorEnv, Scene, Task, scoring
 from jackbox_env.exact import compiler
 from jackbox_env.exact.compiler import cache_folders
-from jackbox_env.scene import SceneNumbers
+from jackbox_env.scene import SceneNumbers, total
 from jackbox_env.scoring import CompiledScore, PlainScore
 from jackbox_env.simulators import CONTACT_MODELS
-from jackbox_env.tasks import TASKS, reward_of
+from jackbox_env.tasks import TASKS
 
 EVERY_MODEL = pytest.mark.parametrize("contact", CONTACT_MODELS)
 MAKERS: list[Any] = [JackInBoxEnv, functools.partial(JackInBoxVectorEnv, 2)]
@@ -84,7 +84,7 @@ def test_a_task_sees_the_same_numbers_everywhere(reading: str) -> None:
             _, reward, _, _, info = env.step(0.5)
             terms = read(env.scene.numbers, info["state"].tolist(), info["torque"], info["impulse"])
             assert [info[f"reward_{name}"] for name in names] == pytest.approx(list(terms), rel=1e-14, abs=1e-13)
-            assert reward == pytest.approx(reward_of(terms), rel=1e-14, abs=1e-13)
+            assert reward == pytest.approx(total(terms), rel=1e-14, abs=1e-13)
             assert reward == earned[2] or env is plain
             knocks += info["impacts"]
     assert knocks > 0
