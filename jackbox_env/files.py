@@ -62,11 +62,6 @@ def write_json(path: Path, content: Any) -> None:
     write_text(path, json.dumps(content, indent=2) + "\n")
 
 
-def make_folder(path: Path) -> None:
-    """Make a folder, and the missing folders above it."""
-    path.mkdir(parents=True, exist_ok=True)
-
-
 def new_folder(path: Path | None, kind: str, fill: Callable[[Path], object] = lambda folder: None) -> Path:
     """Make a run folder together with what ``fill`` writes into it, in one stroke.
 
@@ -83,7 +78,7 @@ def new_folder(path: Path | None, kind: str, fill: Callable[[Path], object] = la
     partial = _partial(path)
     shutil.rmtree(partial, ignore_errors=True)  # of a killed process that had the same number
     try:
-        make_folder(partial)
+        partial.mkdir(parents=True, exist_ok=True)
         fill(partial)
         _refuse_existing(path)  # another process may have made it
         partial.rename(path)

@@ -10,7 +10,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 
 from agents.runs import Parameters, read_if_whole
-from jackbox_env.files import make_folder, write_bytes
+from jackbox_env.files import write_bytes
 
 CHECKPOINTS = "checkpoints"
 
@@ -49,7 +49,7 @@ class Checkpoint(BaseCallback):
         self._content = b""
 
     def _init_callback(self) -> None:
-        make_folder(self._folder / CHECKPOINTS)
+        (self._folder / CHECKPOINTS).mkdir(parents=True, exist_ok=True)
         self._last = self._steps = self.model.num_timesteps
 
     def _on_rollout_start(self) -> None:

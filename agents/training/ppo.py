@@ -30,7 +30,7 @@ from agents.training.checkpoints import (
 from agents.training.durations import Durations
 from agents.training.models import derived_seed, make_ppo, make_vec_env, wrapped
 from agents.training.timing import TimedEnvironments, TimedVecEnv, TrainingTimer, formatted
-from jackbox_env.files import make_folder, new_folder, remove_partials, write_bytes, write_json
+from jackbox_env.files import new_folder, remove_partials, write_bytes, write_json
 
 FRESH_EPISODES = 64  # that judge the trained model
 
@@ -114,7 +114,7 @@ def extended(folder: Path, total_steps: int) -> TrainSettings:
         longer = replace(settings, total_steps=total_steps)
         if is_whole(folder / MODEL):
             steps = json.loads(unpacked((folder / MODEL).read_bytes(), MODEL)["data"])["num_timesteps"]
-            make_folder(folder / CHECKPOINTS)
+            (folder / CHECKPOINTS).mkdir(parents=True, exist_ok=True)
             (folder / MODEL).replace(checkpoint_path(folder, int(steps)))
         write_json(folder / SETTINGS, asdict(longer))
         return longer

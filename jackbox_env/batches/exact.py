@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from threading import Event
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from jackbox_env.batches.base import Change, Outcome, Starts, bad_action
 from jackbox_env.batches.scenes import SceneTable
-from jackbox_env.batches.threads import Ended, Threads, run_blocks, thread_count
+from jackbox_env.batches.threads import Ended, Halt, Threads, run_blocks, thread_count
 from jackbox_env.exact import glide, restart, run, score
 from jackbox_env.exact.compiler import address_of, compiled
 from jackbox_env.exact.restart import WHOLE, WITH_HALVES, fresh, packed, seeded, unpacked
@@ -236,7 +235,7 @@ class ExactBatch:
 
     def step(self, actions: Array | Landings | None, repeat: int = 1) -> Outcome:
         """Step all under ``actions``, shape (N,), or under the scene's drive; nothing changes before :meth:`take`."""
-        count, halt, landings = self._count, Event(), actions if isinstance(actions, Landings) else None
+        count, halt, landings = self._count, Halt(), actions if isinstance(actions, Landings) else None
         kind, steps, resting = (LANDINGS, landings.steps, landings.resting) if landings else (SHARES, repeat, 0)
         summed = landings is not None or repeat > 1
         filled = Results(

@@ -6,7 +6,6 @@ import os
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from threading import Event
 from typing import Any, TypeVar
 
 from jackbox_env import checks as check
@@ -33,10 +32,16 @@ def thread_count(num_threads: int | None, ranges: int) -> int:
     return max(1, min(wanted, ranges, _MOST))
 
 
+class Halt:
+    """A request to the threads of a job to stop early: its result is no longer needed. Made faster than an Event."""
+
+    requested = False
+
+
 Ended = tuple[int, int, int, int, list[Array]]
 
 
-def run_blocks(loop: Callable[..., Any], calls: list[Call], thread: int, low: int, high: int, halt: Event) -> Ended:
+def run_blocks(loop: Callable[..., Any], calls: list[Call], thread: int, low: int, high: int, halt: Halt) -> Ended:
     """Run blocks from ``low`` to ``high`` by the compiled ``loop``: to the end, to an error, or until a halt.
 
     Returns:
@@ -50,7 +55,7 @@ def run_blocks(loop: Callable[..., Any], calls: list[Call], thread: int, low: in
             logs.append(calls[thread].memory.log[:recorded].copy())
         if ended == Status.FULL:
             calls[thread] = calls[thread].with_room()
-        if ended not in (Status.PAUSED, Status.FULL) or halt.is_set():
+        if ended not in (Status.PAUSED, Status.FULL) or halt.requested:
             return ended, number, step, finished, logs
         low, first = number, step  # it paused so that Python can handle an interruption
 
@@ -65,7 +70,7 @@ class Threads:
         self.count = count
         self._pool: tuple[int, ThreadPoolExecutor] | None = None  # with its process: threads do not survive a fork
 
-    def run(self, work: Callable[[int, int, int], R], total: int, grain: int = 1, halt: Event | None = None) -> list[R]:
+    def run(self, work: Callable[[int, int, int], R], total: int, grain: int = 1, halt: Halt | None = None) -> list[R]:
         """Call ``work(number, low, high)`` for ranges that make up ``total``, and return the results in their order.
 
         Simultaneous calls have different ``number``, below ``count``. A range has at least ``grain`` items.
@@ -76,11 +81,11 @@ class Threads:
         if self.count == 1:
             return [work(0, 0, total)]
         size = max(1, grain, -(-total // (_PIECES * self.count)))
-        halt = halt or Event()
+        halt = halt or Halt()
         pieces, results, futures = deque(range(0, total, size)), dict[int, R](), list[Future[None]]()
 
         def share(number: int) -> None:
-            while not halt.is_set():
+            while not halt.requested:
                 try:
                     low = pieces.popleft()
                 except IndexError:
@@ -88,7 +93,7 @@ class Threads:
                 try:
                     results[low] = work(number, low, min(low + size, total))
                 except BaseException:
-                    halt.set()
+                    halt.requested = True
                     raise
 
         try:
@@ -99,8 +104,7 @@ class Threads:
             for future in futures:
                 future.result()
         except BaseException:
-            halt.set()
-            self._pool = None
+            halt.requested, self._pool = True, None
             wait(futures)
             raise
         return [results[low] for low in sorted(results)]

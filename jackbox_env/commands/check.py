@@ -23,11 +23,6 @@ _TOLERANCE = 1e-9  # relative, of energy and work
 _CORE = ("gymnasium", "numba", "numpy", "pymunk")
 
 
-def _versions() -> str:
-    versions = ", ".join(f"{name} {metadata.version(name)}" for name in _CORE)
-    return f"jackbox {__version__}, Python {platform.python_version()}, {versions}"
-
-
 def _installed(requirement: str) -> bool:
     try:
         metadata.version(re.split(r"[^\w.-]", requirement)[0])  # "torch" of "torch<3,>=2.3"
@@ -107,7 +102,8 @@ _CHECKS: dict[str, Callable[[], str]] = {
 def main() -> None:
     """Run all checks; exit with 1 if any fails."""
     parser_of(__doc__).parse_args()
-    print(_versions())
+    versions = ", ".join(f"{name} {metadata.version(name)}" for name in _CORE)
+    print(f"jackbox {__version__}, Python {platform.python_version()}, {versions}")
     for line in extra_lines():
         print(f"  extra {line}")
     failed = False

@@ -9,14 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from threading import Event
 from typing import Any, Generic, Literal, NamedTuple, TypeVar, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from jackbox_env import checks as check
-from jackbox_env.batches.threads import Ended, Threads, run_blocks, thread_count
+from jackbox_env.batches.threads import Ended, Halt, Threads, run_blocks, thread_count
 from jackbox_env.exact.compiler import address_of, compiled
 from jackbox_env.exact.glide import SCENE_LANES, TIME, WIDTH
 from jackbox_env.exact.restart import outside, spread
@@ -226,7 +225,7 @@ def run_rollouts(
     calls = [Call(new_memory(width, 0 if tape is None else _ROOM, tape is not None)) for _ in range(threads.count)]
     for call in calls:
         call.prepare(played, rules, blocks[0], blocks[1], controls, results)
-    loop, halt = compiled(run), Event()
+    loop, halt = compiled(run), Halt()
 
     # The score is called by its address, also in threads that a second interruption left at work: they keep it alive.
     def work(thread: int, low: int, high: int, _score: Any = score) -> Ended:

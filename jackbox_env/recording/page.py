@@ -52,7 +52,8 @@ def write_page(path: Path, scene: Scene, trajectory: Trajectory, title: str, fac
     shown = samples_of(scene, trajectory)
     data = _described(scene, trajectory, shown, title, [*facts, *_timing(trajectory), *_scene_facts(scene)])
     with new_file(path) as partial:
-        partial.write_text(_assembled(data), encoding="utf-8")
+        template = (files("jackbox_env") / "page" / "page.html").read_text(encoding="utf-8")
+        partial.write_text(assembled(template, data), encoding="utf-8")
     return path
 
 
@@ -125,11 +126,6 @@ def _scene_facts(scene: Scene) -> Facts:
         ("torque limit", f"{scene.torque_limit:g} N m"),
         ("drive", moved),
     ]
-
-
-def _assembled(data: dict[str, Any]) -> str:
-    """The page's text: ``page.html`` with the files that it names, and the data."""
-    return assembled((files("jackbox_env") / "page" / "page.html").read_text(encoding="utf-8"), data)
 
 
 def assembled(template: str, data: dict[str, Any], **parts: str) -> str:

@@ -25,7 +25,6 @@ from agents.policies.one_bounce import LANDING, LandingPolicy, LandingSettings, 
 from agents.policies.value import UNIT, Value, read_value
 from jackbox_env import Rollout, Scene, rollout
 from jackbox_env.command_line import command_line
-from jackbox_env.files import make_folder
 from jackbox_env.landing import torques
 from jackbox_env.states import Array
 from jackbox_env.tasks import sample_start
@@ -143,7 +142,7 @@ def main() -> None:
     value = read_value(SHIPPED / "juggle-value")
     net, pool = network(value.layers), starts(JACKS, rng)
     recent: deque[tuple[Array, Array]] = deque(maxlen=ROUNDS_FITTED)
-    make_folder(arguments.out)
+    arguments.out.mkdir(parents=True, exist_ok=True)
     with trange(arguments.rounds, desc="distil") as bar:
         for number in bar:
             policy = LandingPolicy(COARSE, layers_of(net))

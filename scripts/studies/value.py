@@ -23,7 +23,6 @@ from agents.policies.value import INPUTS, VALUE, Value, ValuedSearch
 from agents.settings import EnvSettings
 from jackbox_env import Scene
 from jackbox_env.command_line import command_line
-from jackbox_env.files import make_folder
 from jackbox_env.planning.icem import Search
 from jackbox_env.states import Array
 from jackbox_env.tasks import sample_start
@@ -122,7 +121,7 @@ def main() -> None:
     torch.manual_seed(arguments.seed)
     rng, settings = np.random.default_rng(arguments.seed), EnvSettings(task=arguments.task, contact="exact")
     states, worth, layers = np.zeros((0, 12)), np.zeros(0), ZERO_VALUE
-    make_folder(arguments.out)
+    arguments.out.mkdir(parents=True, exist_ok=True)
     for number in range(2):
         value, seed = Value(settings, layers), arguments.seed + number
         search = RecordingSearch(value, arguments.task, CONTROL_DT, seed=seed, **PLAYING)

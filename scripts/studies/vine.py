@@ -31,7 +31,6 @@ from agents.runs import SETTINGS
 from agents.settings import TrainSettings
 from jackbox_env import Rollout, Scene, Task, rollout
 from jackbox_env.command_line import command_line
-from jackbox_env.files import make_folder
 from jackbox_env.observation import BOUNDS
 from jackbox_env.states import Array
 from jackbox_env.tasks import TASKS, sample_start
@@ -212,7 +211,7 @@ def main() -> None:
     nets[0][0].weight.data.mul_(FIRST_SCALE)
     policy = copy.deepcopy(nets[0])
     optimisers = torch.optim.Adam(nets[0].parameters()), torch.optim.Adam(nets[1].parameters(), CRITIC_RATE)
-    make_folder(arguments.out)
+    arguments.out.mkdir(parents=True, exist_ok=True)
     with trange(arguments.rounds, desc=task) as bar:
         for number in bar:
             optimisers[0].param_groups[0]["lr"] = RATE * (1.0 - (1.0 - LAST_SHARE) * number / arguments.rounds)

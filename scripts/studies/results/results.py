@@ -13,7 +13,7 @@ import numpy as np
 from agents.policies.network import TRAINED
 from agents.policies.planner import FAST_SEARCHES, SEARCHES
 from jackbox_env.command_line import command_line
-from jackbox_env.files import check_writable, make_folder, replacing, write_text
+from jackbox_env.files import check_writable, replacing, write_text
 from jackbox_env.scene import Scene
 from scripts.studies.pages import label_ends, table
 from scripts.studies.results import measured as these
@@ -182,7 +182,7 @@ def gathered(arguments: Arguments) -> dict[str, Any]:
     from scripts.studies.sweeping import swept
 
     folder, runner = arguments.runs.resolve(), runner_for(arguments.workers, None)
-    make_folder(folder)
+    folder.mkdir(parents=True, exist_ok=True)
     counts = arguments.episodes, arguments.planner_episodes, arguments.across_episodes, arguments.training_episodes
     trials = these.trials(*counts)
     rows = swept(folder / "sweep", trials, partial(these.measured, folder), runner, arguments.progress)
