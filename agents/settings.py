@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, make_dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, cast
 
@@ -12,6 +13,7 @@ import gymnasium as gym
 
 from jackbox_env import Scene
 from jackbox_env import checks as check
+from jackbox_env.commands.options import SCENE_HELP, chosen_scene
 from jackbox_env.landing import steps_until_impact
 from jackbox_env.observation import BOUNDS
 from jackbox_env.randomization import NUMBERS
@@ -38,6 +40,26 @@ MOST_LAYERS = 32
 MOST_LOOKAHEAD = 4096
 MOST_WEIGHTS = 20_000_000  # of one network; there are two
 MOST_THREADS = 1024
+
+
+if TYPE_CHECKING:
+    SceneFields = Any
+else:
+    SceneFields = make_dataclass("SceneFields", [(name, float | None, None) for name in SCENE_HELP], frozen=True)
+    SceneFields.__doc__ = "\n".join(  # tyro reads the help of each option from it
+        [
+            "Fields of the scene, also in --scene.",
+            "",
+            "Attributes:",
+            *(f"    {one}: {SCENE_HELP[one]}" for one in SCENE_HELP),
+        ]
+    )
+
+
+def scene_as_json(scene: str, options: object) -> str:
+    """The fields of :func:`chosen_scene` as JSON; ``scene`` itself if there are no options of single fields."""
+    fields = chosen_scene(scene, options)
+    return scene if fields == check.from_json("scene", scene, dict) else json.dumps(fields)
 
 
 def renamed(values: dict[str, Any]) -> dict[str, Any]:

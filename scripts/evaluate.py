@@ -6,10 +6,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from agents.settings import EnvSettings
+from agents.settings import EnvSettings, SceneFields, scene_as_json
 from jackbox_env import checks as check
 from jackbox_env.command_line import command_line, progress
-from jackbox_env.commands.options import SceneFields, scene_as_json
 from jackbox_env.files import check_new, check_writable, new_folder, write_json
 
 if TYPE_CHECKING:

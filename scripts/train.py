@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Literal, TypedDict
 
 from agents.runs import RUN, describe, read_settings
-from agents.settings import TaskName, TrainSettings
+from agents.settings import SceneFields, TaskName, TrainSettings, scene_as_json
 from jackbox_env.command_line import called, command_line, progress
-from jackbox_env.commands.options import SceneFields, scene_as_json
 from jackbox_env.files import new_folder
 
 

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import json
-from dataclasses import make_dataclass
-from typing import TYPE_CHECKING, Any, get_args, get_type_hints
+from typing import Any, get_args, get_type_hints
 
 from jackbox_env import checks as check
 from jackbox_env.simulators.fidelity import Setting
@@ -21,18 +19,6 @@ SCENE_HELP = {
     "restitution": "from 0 to 1, elastic",
     "torque_limit": "torque of an agent's action 1 [N m]",
 }
-if TYPE_CHECKING:
-    SceneFields = Any
-else:
-    SceneFields = make_dataclass("SceneFields", [(name, float | None, None) for name in SCENE_HELP], frozen=True)
-    SceneFields.__doc__ = "\n".join(  # tyro reads the help of each option from it
-        [
-            "Fields of the scene, also in --scene.",
-            "",
-            "Attributes:",
-            *(f"    {one}: {SCENE_HELP[one]}" for one in SCENE_HELP),
-        ]
-    )
 
 
 def parser_of(text: str | None) -> argparse.ArgumentParser:
@@ -75,9 +61,3 @@ def chosen_scene(scene: str, options: object) -> dict[str, Any]:
     for name in fields.keys() & single.keys():
         raise ValueError(f"{name} must be chosen once, got {fields[name]!r} in --scene and {single[name]:g} beside it")
     return {**fields, **single}
-
-
-def scene_as_json(scene: str, options: object) -> str:
-    """The same as JSON; ``scene`` itself if there are no options of single fields."""
-    fields = chosen_scene(scene, options)
-    return scene if fields == check.from_json("scene", scene, dict) else json.dumps(fields)
