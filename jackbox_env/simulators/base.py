@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jackbox_env import checks as check
-from jackbox_env.scene import Scene, total
+from jackbox_env.scene import Scene
 from jackbox_env.states import LATEST_TIME, Array, Numbers, as_restored
 
 
@@ -56,7 +56,10 @@ def end_of_step(time: float, dt: float) -> float:
 
 def total_impulse(impacts: list[Impact]) -> float:
     """Sum of the impulses [N s], added in order as the compiled code does."""
-    return total([impact.impulse for impact in impacts])
+    impulse = 0.0
+    for impact in impacts:
+        impulse += impact.impulse
+    return impulse
 
 
 class Present(NamedTuple):
