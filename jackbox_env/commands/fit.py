@@ -122,8 +122,8 @@ def _table(path: Path, impacts: bool = False) -> Table:
             raise ValueError(f"{path}, row 1: column {check.shown(header)} comes twice")
     for line, row in rows:
         if len(row) != len(headers):
-            cells = f"{len(headers)} cells like row 1, with commas between and points in numbers"
-            raise ValueError(f"{path}, row {line}: must have {cells}, got {len(row)}")
+            needed = f"{len(headers)} cells like row 1, with commas between and points in numbers"
+            raise ValueError(f"{path}, row {line}: must have {needed}, got {len(row)}")
     bar = tqdm(rows, f"reading {path}", unit="row", leave=False, delay=_PATIENCE)
     cells = [[_number(path, line, *pair) for pair in zip(headers, row, strict=True)] for line, row in bar]
     columns = np.array(cells, dtype=np.float64).reshape(len(rows), len(headers)).T

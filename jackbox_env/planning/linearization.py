@@ -207,7 +207,9 @@ def linearize(
     scenes, several = scenes_of(scene)
     repeat = check.whole("repeat", repeat, at_least=1, at_most=1_000_000)
     dt = check.real("dt", dt, above=0.0)
-    times = [check.real("time", one, at_least=-LATEST_TIME, at_most=LATEST_TIME) for one in np.ravel(time).tolist()]
+    several_times = isinstance(time, list | tuple) or (isinstance(time, np.ndarray) and time.ndim > 0)
+    each: Any = time if several_times else [time]
+    times = [check.real("time", one, at_least=-LATEST_TIME, at_most=LATEST_TIME) for one in each]
     driven = torques is None
     if torques is None:
         if repeat != 1:
@@ -216,7 +218,7 @@ def linearize(
     elif steps is not None:
         raise TypeError(f"steps must be None if there are torques, got {steps}")
     starts, rows = sequences(scenes, several, states, torques)
-    if np.ndim(time) and len(times) != len(starts):
+    if several_times and len(times) != len(starts):
         raise ValueError(f"time must be one number or {len(starts)}, as many as rows, got {check.shown(time)}")
     if len(times) > len(scenes):
         scenes = scenes * len(times)
