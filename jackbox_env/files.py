@@ -28,7 +28,8 @@ def replacing(path: Path) -> Iterator[Path]:
             os.fsync(file.fileno())
         partial.replace(path)
     except OSError as error:
-        error.filename = error.filename or str(path)  # the error of a full disk has no name
+        if error.errno is not None:
+            error.filename = error.filename or str(path)  # the error of a full disk has no name
         raise
     finally:
         partial.unlink(missing_ok=True)
@@ -44,6 +45,7 @@ def new_file(path: Path) -> Iterator[Path]:
     _refuse_existing(path)
     with replacing(path) as partial:
         yield partial
+        _refuse_existing(path)  # what has appeared meanwhile
 
 
 def write_bytes(path: Path, content: bytes) -> None:

@@ -116,7 +116,7 @@ def play(step: Callable[[Any], tuple[Any, ...]], choose: Callable[[], Any], most
     for steps in range(1, most + 1):
         observation, reward, terminated, truncated, info = step(choose())
         total += float(reward)
-        struck = info["impacts"] > 0
+        struck = resting > 0 and info["impacts"] > 0
         if terminated or truncated or is_over(steps, freed, struck, resting):
             break
         freed = freed or not struck

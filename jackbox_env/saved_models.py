@@ -88,8 +88,11 @@ def _stored(venv: VecEnv | None) -> dict[str, Any]:
         layers, venv = [venv, *layers], venv.venv
     for layer in layers:
         if isinstance(layer, VecNormalize):
+            unknown += ["a second VecNormalize"] * (stored["normalize"] is not None)
             stored["normalize"] = statistics_of(layer)
         elif hasattr(type(layer), "stored"):
+            repeats = stored["repeat"] != 1 or stored["landing"] is not None or stored["lookahead"] is not None
+            unknown += [f"{type(layer).__name__} around another that repeats actions"] * repeats
             stored |= layer.stored  # type: ignore[attr-defined]
         elif type(layer).__name__ not in _WITHOUT_EFFECT:
             unknown.append(type(layer).__name__)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 from agents.settings import EnvSettings, SceneFields, scene_as_json
 from jackbox_env import checks as check
 from jackbox_env.command_line import command_line, progress
-from jackbox_env.files import check_new, check_writable, new_folder, write_json
+from jackbox_env.files import check_new, check_writable, new_file, new_folder, write_json
 
 if TYPE_CHECKING:
     from agents.policies.scripted import Baseline
@@ -85,7 +85,7 @@ def main() -> None:
     progress("Loading PyTorch and Stable-Baselines3 ...")
     from agents.evaluation.provenance import describe_env, warn_of_other_training
     from agents.evaluation.returns import evaluate, table
-    from agents.policies.models import Options
+    from agents.policies.models import ModelPolicy, Options
     from agents.policies.registry import find_policy
     from agents.runs import versions
     from agents.training.models import derived_seed
@@ -95,6 +95,10 @@ def main() -> None:
     policies = [
         (name, find_policy(name, settings, arguments.seed, arguments.trust, options)) for name in arguments.policy
     ]
+    if options != Options() and not any(isinstance(baseline.policy, ModelPolicy) for _, baseline in policies):
+        raise ValueError(
+            f"--landing, --repeat and --vecnormalize are for model files, got {', '.join(arguments.policy)}"
+        )
     print(f"{arguments.episodes} episodes each, seed {arguments.seed}, {describe_env(settings)}")
     rows = []
     for name, (policy, extra_settings) in policies:
@@ -108,7 +112,8 @@ def main() -> None:
         film_episode(dict(policies), env_settings, arguments.film, derived_seed("evaluation", arguments.seed))
     if arguments.json is not None:
         record = {"env": env_settings, "seed": arguments.seed, "versions": versions()}
-        write_json(arguments.json, {**record, "results": [row.as_json() for row in rows]})
+        with new_file(arguments.json) as partial:
+            write_json(partial, {**record, "results": [row.as_json() for row in rows]})
     if arguments.html:
         _write_pages(arguments.folder, dict(policies), settings, arguments.seed)
 

@@ -15,7 +15,7 @@ from tqdm import tqdm
 import jackbox_env  # noqa: F401
 from agents.policies.scripted import Baseline
 from agents.settings import EPISODE_STEPS
-from jackbox_env.files import check_new, check_writable, replacing
+from jackbox_env.files import check_new, check_writable, new_file
 from jackbox_env.render.canvas import import_pygame
 
 Frame = NDArray[np.uint8]
@@ -132,10 +132,10 @@ def _write(frames: list[Frame], path: Path, fps: float, progress: bool) -> None:
         palette = _palette(np.concatenate(frames[:: max(1, len(frames) // 24)]).reshape(-1, 3))
         bar = tqdm(frames, desc=f"writing {path}", disable=not progress, unit="frame", leave=False)
         pages = (Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in bar)
-        with replacing(path) as partial:
+        with new_file(path) as partial:
             next(pages).save(partial, save_all=True, append_images=pages, duration=round(1000.0 / fps), loop=0)
     else:
-        with replacing(path) as partial:
+        with new_file(path) as partial:
             imageio.imwrite(partial, np.stack(frames), fps=fps, codec="libx264", macro_block_size=4)
 
 

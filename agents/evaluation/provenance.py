@@ -7,12 +7,14 @@ import sys
 from dataclasses import fields, replace
 from pathlib import Path
 
+from agents.files import as_value_error
 from agents.policies.models import stored_beside
 from agents.policies.network import SHIPPED
 from agents.policies.one_bounce import LANDING, read_landing
 from agents.policies.registry import POLICIES, SCRIPTED, shipped_names
 from agents.runs import SETTINGS, read_settings, run_folder
 from agents.settings import EnvSettings
+from jackbox_env import Scene
 from jackbox_env.simulators.fidelity import KEYWORDS, words
 
 
@@ -36,17 +38,21 @@ def _settings_of(name: str, here: EnvSettings) -> EnvSettings | None:
     elif ((folder or Path(name)) / LANDING).is_file():
         settings = read_landing(folder or Path(name)).settings
     else:
-        return _stored_env(Path(name))
+        return _stored_env(Path(name), here)
     return EnvSettings(**{part.name: getattr(settings, part.name) for part in fields(EnvSettings)})
 
 
-def _stored_env(file: Path) -> EnvSettings | None:
-    """The environment in the env.json beside a model; None if there is none, or functions describe it."""
+def _stored_env(file: Path, here: EnvSettings) -> EnvSettings | None:
+    """The environment in the env.json beside a model, with the functions' fields as ``here``; None if there is none."""
     stored = stored_beside(file)
-    if stored is None or stored["functions"]:
+    if stored is None:
         return None
-    texts = {name: json.dumps(stored["env"][name]) for name in ("scene", "randomize") if name in stored["env"]}
-    return EnvSettings.of({**stored["env"], **texts})
+    with as_value_error(f"env.json beside {file} describes no environment"):
+        texts = {name: json.dumps(stored["env"][name]) for name in ("scene", "randomize") if name in stored["env"]}
+        as_here = {name: getattr(here, name) for name in stored["functions"]}
+        settings = EnvSettings.of({**stored["env"], **texts, **as_here})
+        Scene.of(settings.scene_fields)
+    return settings
 
 
 def warn_of_other_training(name: str, here: EnvSettings) -> None:

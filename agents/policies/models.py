@@ -56,7 +56,7 @@ class ModelPolicy(TrainedPolicy):
         """The model's actions, shape (n, action_size)."""
         values, by = np.asarray(observations, dtype=np.float32), self._normalize
         if by is not None:
-            scaled = (values - np.array(by["mean"])) / np.sqrt(np.array(by["variance"]) + by["epsilon"])
+            scaled = (values - by["mean"]) / np.sqrt(by["variance"] + by["epsilon"])
             values = np.clip(scaled, -by["clip"], by["clip"]).astype(np.float32)
         actions: Actions = self.model.predict(values, deterministic=True)[0]
         return np.clip(actions, -1.0, 1.0).astype(np.float32)
@@ -81,7 +81,7 @@ def load(file: Path) -> Any:
 def stored_beside(file: Path) -> dict[str, Any] | None:
     """How a model acts by the env.json beside it; None if that has no entry for it.
 
-    A model that was renamed has the only entry.
+    A model that was renamed has the only entry, if no other model is in its folder.
 
     Raises:
         ValueError: env.json is damaged.
@@ -89,8 +89,8 @@ def stored_beside(file: Path) -> dict[str, Any] | None:
     from jackbox_env.saved_models import ENV, read_stored
 
     entries = read_stored(file.parent / ENV)
-    if len(entries) == 1 and not any((file.parent / name).exists() for name in entries):
-        return next(iter(entries.values()))
+    if len(entries) == 1 and not (file.parent / next(iter(entries))).exists():
+        return next(iter(entries.values())) if list(file.parent.glob(f"*{file.suffix}")) == [file] else None
     return entries.get(file.name)
 
 
@@ -107,12 +107,19 @@ def policy_of(file: Path, model: Any, settings: EnvSettings, options: Options) -
         raise ValueError(f"{file} acts as env.json beside it describes: leave {chosen} out, or move the model")
     stored = {"repeat": 1, "landing": None, "lookahead": None, "normalize": None, "unknown": [], **(beside or {})}
     stored |= {name: value for name, value in options._asdict().items() if value is not None}
-    if stored["unknown"]:
-        raise ValueError(f"{file} was trained under {', '.join(stored['unknown'])}, which cannot be played here")
+    if options.landing is not None and options.repeat is not None:
+        raise ValueError(
+            f"{file} cannot act by --landing and --repeat {options.repeat}: a landing lasts for its period"
+        )
     if options.vecnormalize is not None:
         stored["normalize"] = _statistics(options.vecnormalize)
     with as_value_error(f"{file} cannot act as env.json or the options describe"):
+        unknown = ", ".join(map(str, stored["unknown"]))
         acting = _acting(stored, settings)
+        if stored["normalize"] is not None:
+            stored["normalize"] = _checked(stored["normalize"])
+    if unknown:
+        raise ValueError(f"{file} was trained under {unknown}, which cannot be played here")
     _refuse_unfit(file, model, acting)
     if stored["normalize"] is None and _is_normalized(model):
         raise ValueError(
@@ -125,6 +132,19 @@ def policy_of(file: Path, model: Any, settings: EnvSettings, options: Options) -
             file=sys.stderr,
         )
     return ModelPolicy(model, acting, stored["normalize"])
+
+
+def _checked(normalize: dict[str, Any]) -> dict[str, Any]:
+    """Statistics of observations as arrays; raises KeyError, TypeError or ValueError if they are none."""
+    mean, variance = (np.array(normalize[name], np.float64) for name in ("mean", "variance"))
+    if (
+        mean.shape != (len(BOUNDS),)
+        or variance.shape != mean.shape
+        or not (np.isfinite(mean).all() and (variance >= 0.0).all())
+    ):
+        raise ValueError(f"mean and variance must be {len(BOUNDS)} numbers each, at least 0 in the variance")
+    clip, epsilon = (check.real(name, normalize[name], at_least=0.0) for name in ("clip", "epsilon"))
+    return {"mean": mean, "variance": variance, "clip": clip, "epsilon": epsilon}
 
 
 def _acting(stored: dict[str, Any], settings: EnvSettings) -> Acting:

@@ -256,13 +256,20 @@ class ExactBatch:
         loop = compiled(run.run)
 
         def work(thread: int, low: int, high: int) -> Ended:
-            return run_blocks(loop, calls, thread, low, high, halt)
+            """Run blocks; if some fail, return the earliest failure, which does not depend on the number of threads."""
+            earliest = ended = run_blocks(loop, calls, thread, low, high, halt)
+            while ended[0] and not halt.requested and ended[1] // width + 1 < high:
+                ended = run_blocks(loop, calls, thread, ended[1] // width + 1, high, halt)
+                earliest = ended if ended[0] and ended[2] < earliest[2] else earliest
+            return earliest
 
+        width = before.shape[2]
         parts = self._threads.run(work, len(before), grain=_GRAIN, halt=halt)
         self._spare, self._calls = spare, calls
-        for ended, number, made, *_ in parts:
-            if ended:
-                raise self._failure(ended, number, actions, made)
+        failures = [(made, number, ended) for ended, number, made, *_ in parts if ended]
+        if failures:
+            made, number, ended = min(failures)
+            raise self._failure(ended, number, actions, made)
         after, finished = spare if steps & 1 else before, sum(finished for *_, finished, _ in parts)
         return self._outcome(filled, finished, after, summed)
 
@@ -312,6 +319,10 @@ class ExactBatch:
                 pieces_for(self.scene(number).drive, time, self._dt, None if actions is None else 0.0)
         except Exception as error:
             return error
+        if ended == Status.NO_DRIVE:
+            return RuntimeError(
+                f"the drive of environment {number} failed at t = {time:g} s, but not when it was called again"
+            )
         return failure(ended, self.scene(number), time, self._dt, f"the jack of environment {number}")
 
     def render(self) -> tuple[Any, ...]:

@@ -49,8 +49,10 @@ def _arguments() -> argparse.Namespace:
     )
     text += "or none"
     parser.add_argument("--torque", choices=("drive", "none"), default="drive", help=f"{text}; default: drive")
-    text = "where the search starts, and all that is not fitted; default: that of the npz file, or of scene.json "
-    text += "in the folder of the files"
+    text = (
+        "where the search starts, and all that is not fitted; without --scene that of the npz file, or of scene.json "
+    )
+    text += "in the folder of the files, with the options of single fields"
     add_scene_options(parser.add_argument_group("scene", text))
     text = (
         """standard deviation of what was observed: a number, or by name, e.g. '{"x_jack": 0.01, "impacts": 0.001}'"""
@@ -61,7 +63,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--impacts", nargs="+", type=Path, default=[], metavar="FILE", help=text)
     text = "also write fit.html: recordings against the fit, and residuals, in one page that any browser opens"
     parser.add_argument("--html", action="store_true", help=text)
-    text = "new folder for all that is written; default: runs/fit-<date>-<time>"
+    text = "new folder for the page, with --html; default: runs/fit-<date>-<time>"
     parser.add_argument("--folder", type=Path, help=text)
     return parser.parse_args()
 
@@ -164,6 +166,7 @@ def _stored_scene(paths: Sequence[Path]) -> dict[str, Any]:
     Raises:
         ValueError: the recordings have different ones, or one is damaged.
     """
+    from jackbox_env import Scene
     from jackbox_env.measure.columns import stored_scene
 
     files = dict.fromkeys(path if path.suffix == ".npz" else path.with_name("scene.json") for path in paths)
@@ -172,7 +175,11 @@ def _stored_scene(paths: Sequence[Path]) -> dict[str, Any]:
         if file.suffix == ".npz":
             stored.append(stored_scene(_arrays(file), f"{file}, ") or {})
         elif file.is_file():
-            stored.append(check.from_json(str(file), file.read_text(encoding="utf-8"), dict))
+            stored.append(check.from_json(str(file), file.read_text(encoding="utf-8", errors="replace"), dict))
+        try:
+            Scene.of(stored[-1] if stored else {})
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{file}: {error}") from error
     if any(fields != stored[0] for fields in stored):
         raise ValueError(f"the recordings must be of one scene, got different ones in {' and '.join(map(str, files))}")
     return stored[0] if stored else {}
@@ -202,9 +209,8 @@ def main() -> None:
         raise ValueError("html needs matplotlib: pip install matplotlib, or leave --html out")
     if arguments.html:
         check_new(folder)
-    chosen = chosen_scene(arguments.scene, arguments)
-    stored = {} if chosen else _stored_scene(paths)
-    start, noise = Scene.of(chosen or stored), _noise(arguments.noise)
+    stored = _stored_scene(paths) if arguments.scene == "{}" else {}
+    start, noise = Scene.of({**stored, **chosen_scene(arguments.scene, arguments)}), _noise(arguments.noise)
     start = start.changed(drive=None) if arguments.torque == "none" else start
     impacts = arguments.impacts or [None] * len(paths)
     recordings: list[Recording] = []
@@ -213,6 +219,8 @@ def main() -> None:
         recordings.append(read_recording(path, start, heard, names, arguments.y_down))
         for note in recordings[-1].notes:
             print(f"{path}: {note}.", file=sys.stderr)
+        if arguments.torque == "none" and recordings[-1].torques is not None:
+            raise ValueError(f"{path}: --torque none is for files without a column torque")
     if stored:
         file = paths[0] if paths[0].suffix == ".npz" else paths[0].with_name("scene.json")
         print(f"The search starts at the scene of {file}.", file=sys.stderr)

@@ -87,14 +87,18 @@ def _torques(path: Path, dt: float) -> Array:
     if not path.is_file():
         raise ValueError(f"torque must be chirp, none or a CSV or npz file, got {check.shown(str(path))}")
     try:
+        if not path.stat().st_size:
+            raise ValueError("it is empty")
         if path.suffix == ".npz":
             columns = dict(np.load(path))
         else:  # names of columns may have units, which come after an underscore then
             rows = np.genfromtxt(path, delimiter=",", names=True, encoding="utf-8-sig", ndmin=1)
             columns = {name.partition("_")[0]: rows[name] for name in rows.dtype.names or ()}
-        column, times = columns.get("torque", np.zeros(0)), columns.get("time", np.zeros(0))
-    except (OSError, TypeError, ValueError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{path}: {' '.join(str(error).split())}") from error
+        column, times = (np.asarray(columns.get(name, []), np.float64) for name in ("torque", "time"))
+    except (EOFError, IndexError, OSError, TypeError, ValueError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{path}: no columns could be read: {' '.join(str(error).split())}") from error
+    if column.ndim != 1 or times.ndim != 1:
+        raise ValueError(f"{path}: torque and time must be columns, got shapes {column.shape} and {times.shape}")
     torques: Array = column[:-1] if np.isnan(column[-1:]).any() else column  # no step begins in the last row
     if not len(torques) or not np.isfinite(torques).all():
         raise ValueError(f"{path}: there must be a column torque [N m] of finite numbers, one for each control step")

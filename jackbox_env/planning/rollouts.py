@@ -233,14 +233,15 @@ def run_rollouts(
 
     parts = threads.run(work, len(blocks[0]), grain=-(-_GRAIN // max(1, steps * width)), halt=halt)
     for ended, row, step, *_ in parts:
+        if not ended:
+            continue
         scene, at = scenes[row if len(scenes) > 1 else 0], float(times[step, row if times.shape[1] > 1 else 0])
         if ended == Status.BAD_REWARD and task is not None:
             simulator = ExactSimulator(scene if options.side_forces else scene.changed(drive=None))
             simulator.reset(blocks[step % 2, row // width, :12, row % width], at)
             simulator.step(dt, torques[row, step // options.repeat])
             raise bad_reward(task, simulator, f"step {step} of states[{row}]")
-        if ended:
-            raise failure(ended, scene, at, dt, f"the jack of states[{row}]")
+        raise failure(ended, scene, at, dt, f"the jack of states[{row}]")
     hits, trajectories = np.ascontiguousarray(results.hits.T), results.trajectories
     if tape is not None:
         log = np.concatenate([new_log(0, True), *(rows for *_, logs in parts for rows in logs)])

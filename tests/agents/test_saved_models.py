@@ -147,6 +147,11 @@ def test_models_share_a_folder_and_a_renamed_one_is_known(tmp_path: Path) -> Non
         ValueError, match=r"model.zip acts as env.json beside it describes: leave --repeat out, or move"
     ):
         find_policy(str(one), HERE, trust=True, options=Options(repeat=3))
+    stored = json.loads((tmp_path / "env.json").read_text())
+    stored["model.zip"]["normalize"] = {"mean": [0.0], "variance": [1.0], "clip": 10.0, "epsilon": 1e-8}
+    (tmp_path / "env.json").write_text(json.dumps(stored))
+    with pytest.raises(ValueError, match="mean and variance must be 10 numbers each"):
+        find_policy(str(one), HERE, trust=True)
     (tmp_path / "env.json").write_text('{"model.zip": {}}')
     for call in (lambda: find_policy(str(one), HERE, trust=True), lambda: save_model(PPO("MlpPolicy", native()), one)):
         with pytest.raises(ValueError, match=r"env.json: model.zip must have env, .*, got {}"):
@@ -177,6 +182,7 @@ REFUSED: dict[str, tuple[Callable[[], VecEnv], list[str], str]] = {
         "was trained under VecNormalize, whose statistics are missing: use --vecnormalize FILE.pkl, or save it by jack",
     ),
     "other statistics": (native, ["--vecnormalize", "model.zip"], "model.zip has no statistics of VecNormalize: "),
+    "both": (native, ["--landing", "bounce", "--repeat", "4"], "cannot act by --landing and --repeat 4: a landing"),
     "repeat": (native, ["--repeat", "0"], "repeat must be a whole number from 1 to 500, got 0"),
     "period": (native, ["--landing", "0"], "landing must be a finite number above 0 and at most 10, got 0.0"),
 }  # fmt: skip
@@ -193,9 +199,17 @@ def test_a_model_that_does_not_fit_is_refused_with_what_would(name: str, tmp_pat
         raise ValueError(line)
 
 
-def test_an_unknown_wrapper_is_named(tmp_path: Path) -> None:
-    save_model(trained(VecFrameStack(native(), 3)), tmp_path / "model.zip")
-    with pytest.raises(ValueError, match="was trained under VecFrameStack, which cannot be played here"):
+@pytest.mark.parametrize(
+    ("make", "name"),
+    [
+        (lambda: VecFrameStack(native(), 3), "VecFrameStack"),
+        (lambda: VecNormalize(VecNormalize(native())), "a second VecNormalize"),
+        (lambda: HoldingVecEnv(HoldingVecEnv(native(), 2), 2), "HoldingVecEnv around another that repeats actions"),
+    ],
+)
+def test_an_unknown_wrapper_is_named(make: Callable[[], VecEnv], name: str, tmp_path: Path) -> None:
+    save_model(trained(make()), tmp_path / "model.zip")
+    with pytest.raises(ValueError, match=f"was trained under {name}, which cannot be played here"):
         find_policy(str(tmp_path / "model.zip"), HERE, trust=True)
 
 
@@ -206,6 +220,8 @@ def test_without_env_json_and_in_another_environment_there_is_a_note(tmp_path: P
     assert "Note: model.zip was trained in another environment (task spin, fidelity exact)" in done.stderr
     assert "Note:" not in script("evaluate", *few, "--trust", "--task", "spin", cwd=tmp_path).stderr
     assert "use --trust" in script("evaluate", *few, cwd=tmp_path, status=2).stderr
+    done = script("evaluate", "--policy", "level", "--repeat", "4", cwd=tmp_path, status=2)
+    assert done.stderr == "--landing, --repeat and --vecnormalize are for model files, got level\n"
     save_model(trained(native(task=Task(("a",), juggle))), tmp_path / "model.zip")
     done = script("evaluate", *few, "--trust", cwd=tmp_path)
     assert "Note: model.zip was trained with task by functions of its own; here it plays on task juggle" in done.stderr

@@ -39,6 +39,10 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> 
     assert path.read_text() == "old"
     with pytest.raises(FileExistsError, match="file.txt exists, and is never overwritten"), new_file(path):
         pass
+    path.unlink()
+    with pytest.raises(FileExistsError, match="file.txt exists, and is never overwritten"), new_file(path):
+        path.write_text("appeared meanwhile")
+    assert path.read_text() == "appeared meanwhile"
 
 
 def test_a_folder_appears_together_with_what_is_in_it(tmp_path: Path) -> None:

@@ -101,6 +101,19 @@ def test_nothing_turns_the_box_under_torque_none(
     out, err = capsys.readouterr()
     assert float(re.split(r"  +", out.splitlines()[1])[1]) == pytest.approx(9.81, rel=1e-6)
     assert "turns the box" not in err
+    (tmp_path / "scene.json").write_text('{"drive": null, "gravity": 9.0}')  # of which an option changes one field
+    run(monkeypatch, tmp_path, "calm.csv", "--jack-mass", "5", "--fields", "gravity")
+    assert float(re.split(r"  +", capsys.readouterr().out.splitlines()[1])[1]) == pytest.approx(9.81, rel=1e-6)
+    np.savetxt(
+        tmp_path / "pushed.csv",
+        np.column_stack([rows[:, :2], rows[:, 0]]),
+        delimiter=",",
+        header="time,x_box,torque",
+        comments="",
+    )
+    with pytest.raises(SystemExit):
+        run(monkeypatch, tmp_path, "pushed.csv", "--torque", "none")
+    assert capsys.readouterr().err == "pushed.csv: --torque none is for files without a column torque\n"
 
 
 @pytest.mark.parametrize("drive", [Chirp(), None])

@@ -156,8 +156,10 @@ def test_torques_come_from_a_file_or_are_none_and_a_state_has_names(
         ("--torque even.csv --dt 0.01", "even.csv: times must be dt = 0.01 s apart, got 0.02 s; choose another --dt"),
         ("--torque other.csv", r"other.csv: there must be a column torque \[N m\] of finite numbers"),
         ("--torque ragged.csv", "ragged.csv: .*Line #2"),
-        ("--torque gap.csv", "gap.csv: could not convert string to float"),
+        ("--torque gap.csv", "gap.csv: no columns could be read: could not convert string to float"),
         ("--torque text.npz", "text.npz: "),
+        ("--torque empty.npz", "empty.npz: no columns could be read: "),
+        ("--torque empty.csv", "empty.csv: no columns could be read: "),
         ('--gravity 3 --scene {"gravity":2}', "gravity must be chosen once, got 2 in --scene and 3 beside it"),
         ("--restitution 2", "restitution must be a finite number at least 0 and at most 1, got 2.0"),
     ],
@@ -168,6 +170,7 @@ def test_unusable_options_are_refused_in_one_sentence(
     files = {
         "even.csv": "time,torque\n0,1\n0.02,2\n0.04,\n", "other.csv": "time\n0\n", "gap.csv": "torque\n1\nx\n2\n",
         "ragged.csv": "time,torque\n0\n", "text.npz": "torque",
+        "empty.npz": "", "empty.csv": "",
     }  # fmt: skip
     for name, text in files.items():
         (tmp_path / name).write_text(text)
