@@ -293,7 +293,8 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
             actions: shares of the torque limit, or None. Under the ``Landings`` of
                 :class:`jackbox_env.LandingControlVector` each environment steps to its next impact.
             repeat: control steps, 1 to 1,000,000, fewer in an episode that ends before. Rewards are summed, infos are
-                of the last step, and ``infos["steps"]`` counts the steps, shape (N,).
+                of the last step, and ``infos["steps"]`` counts the steps, shape (N,). A drive of functions is called
+                for all of them in advance, which needs about 1 kB for each step of an environment.
 
         Raises:
             TypeError, ValueError: unusable actions.
