@@ -14,8 +14,9 @@ from jackbox_env.states import State
 if TYPE_CHECKING:
     from jackbox_env.env import JackInBoxEnv
     from jackbox_env.measure.choosing import cheapest
-    from jackbox_env.measure.fitting import Fit, fit
+    from jackbox_env.measure.fitting import fit
     from jackbox_env.measure.recordings import Recording
+    from jackbox_env.measure.result import Fit
     from jackbox_env.planning.ilqr import ilqr
     from jackbox_env.planning.landing_control import LandingControl, LandingControlVector
     from jackbox_env.planning.linearization import Linearization, linearize
@@ -32,7 +33,7 @@ FIDELITIES: Mapping[str, Setting]
 
 _LAZY = {
     "FIDELITIES": "simulators.fidelity",
-    "Fit": "measure.fitting",
+    "Fit": "measure.result",
     "JackInBoxEnv": "env",
     "JackInBoxVectorEnv": "vector_env",
     "Impact": "simulators",

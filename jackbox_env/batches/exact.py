@@ -312,7 +312,7 @@ class ExactBatch:
             simulator = self._stepped_again(number, self._blocks, actions, made + 1)
             return bad_reward(self._task, simulator, f"environment {number}")
         time = float(np.add.accumulate([self.times[number], *[self._dt] * made])[-1])
-        try:  # what has failed then says why
+        try:  # the failed call raises again
             if ended == Status.TOO_LATE:
                 end_of_step(time, self._dt)
             if ended == Status.NO_DRIVE:

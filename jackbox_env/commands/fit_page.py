@@ -19,8 +19,8 @@ from jackbox_env.states import STATE_NAMES, STATE_UNITS, THETA_BOX, X_JACK, Y_JA
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from jackbox_env.measure.fitting import Fit
     from jackbox_env.measure.recordings import Recording
+    from jackbox_env.measure.result import Fit
     from jackbox_env.scene import Scene
 
 UNITS = dict(zip(STATE_NAMES, STATE_UNITS, strict=True))

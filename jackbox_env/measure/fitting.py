@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -29,6 +29,7 @@ from jackbox_env.measure.residuals import (
     studentised,
     unidentified_sentence,
 )
+from jackbox_env.measure.result import Fit
 from jackbox_env.measure.shooting import (
     Parameters,
     Shooting,
@@ -62,44 +63,6 @@ _MOST_CORRELATED = 4.5  # autocorrelation of white residuals, in standard deviat
 _MOST_DROPPED = 0.04  # windows that may turn out not to fit as links are tightened, where an impact is nearly another
 _FEW_SKIPPED = 0.02  # steps, over those of a recording; other guesses of its start are tried if there are more
 _MOST_SKIPPED = 0.2  # steps that could not be followed, over the steps in windows
-
-
-@dataclass(frozen=True)
-class Fit:
-    """A scene fitted to recordings.
-
-    >>> from jackbox_env import rollout
-    >>> still, torques = Scene(drive=None), np.zeros(150)  # nothing pushes, so only the ratio of the masses matters
-    >>> states = rollout(still, 0.3 * np.eye(12)[THETA_JACK], torques, dt=0.02)[0]
-    >>> fit(Recording(states, torques, dt=0.02), ("box_mass", "jack_mass"), still).unidentified
-    ('the recordings identify box_mass and jack_mass only up to one common factor',)
-
-    Attributes:
-        scene: the scene.
-        intervals: 95 % interval of each field; (0, inf), of restitution (0, 1), if it is unidentifiable.
-        residuals: (observed - fitted) over its expected standard deviation in held-out windows, shape (n,); about
-            N(0, 1) if the model is right. The start of a held-out window is fitted to it.
-        unidentified: the combinations of fields that the recordings leave open, each in a sentence.
-        noise: standard deviation of each number that was observed, by its name, and of "impacts" [s].
-        motions: the fitted motion of each recording, shape (H + 1, 12), NaN where it was left out.
-        left_out: steps that were left out because the jack is at rest there, or cannot be followed.
-        problems: why the intervals are not to be trusted, each in a sentence without a full stop; empty if the search
-            ended, every window fits within the noise, and the residuals are white.
-    """
-
-    scene: Scene
-    intervals: dict[str, tuple[float, float]]
-    residuals: Array
-    unidentified: tuple[str, ...]
-    noise: dict[str, float] = field(default_factory=dict)
-    motions: tuple[Array, ...] = ()
-    left_out: int = 0
-    problems: tuple[str, ...] = ()
-
-    @property
-    def converged(self) -> bool:
-        """Whether there are no problems."""
-        return not self.problems
 
 
 def fit(

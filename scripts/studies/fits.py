@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import stats
 
-from jackbox_env import Recording, Scene, fit, linearize, make_simulator, rollout
+from jackbox_env import Fit, Recording, Scene, fit, linearize, make_simulator, rollout
 from jackbox_env.command_line import command_line
-from jackbox_env.measure import fitting, shooting
+from jackbox_env.measure import shooting
 from jackbox_env.measure.shooting import units
 from jackbox_env.states import OMEGA_JACK, RATES, THETA_JACK, VX_JACK, VY_JACK, X_JACK, Y_JACK, Array
 from jackbox_env.tasks import sample_start
@@ -118,7 +118,7 @@ def fitted(differences: bool, seed: int) -> dict[str, Any]:
         with patch.object(shooting, "linearize", by_differences) if differences else nullcontext():
             estimate = fit(recording, fields, start, noise=noise_of_impacts)
     except ValueError:  # no motion could be followed
-        estimate = fitting.Fit(start, {}, np.zeros(0), (), problems=("no motion could be followed",))
+        estimate = Fit(start, {}, np.zeros(0), (), problems=("no motion could be followed",))
     seconds, outcomes = time.process_time() - began, dict[str, dict[str, Any]]()
     for name, (low, high) in estimate.intervals.items():
         true, value = getattr(scene, name), getattr(estimate.scene, name)

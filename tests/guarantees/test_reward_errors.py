@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jackbox_env import JackInBoxEnv, JackInBoxVectorEnv, Scene, Task
+from jackbox_env import Drive, JackInBoxEnv, JackInBoxVectorEnv, Scene, Task, TaskError
 from jackbox_env.simulators import CONTACT_MODELS
+from jackbox_env.states import OMEGA_JACK
 
 EVERY_MODEL = pytest.mark.parametrize("contact", CONTACT_MODELS)
 MAKERS: list[Any] = [JackInBoxEnv, functools.partial(JackInBoxVectorEnv, 2)]
@@ -103,3 +104,39 @@ def test_a_reset_that_finds_an_unfit_task_changes_nothing() -> None:
     with pytest.raises(TypeError, match="must return a tuple of 1 numbers"):
         env.reset(options={"state": right})
     np.testing.assert_array_equal(env.state, before)
+
+
+@pytest.mark.parametrize("num_threads", [1, 2])
+def test_the_earliest_error_of_several_steps_is_raised_whatever_the_threads(num_threads: int) -> None:
+    def late(time: float) -> float:
+        if time > 0.3:
+            raise OSError("late")
+        return 0.0
+
+    def early(scene: Any, state: Any, torque: float, impulse: float) -> float:
+        return math.inf if state.theta_jack > 0.5 else 1.0
+
+    scenes = [{"drive": Drive(force_x=late)}, {}]
+    envs = JackInBoxVectorEnv(2, contact="exact", num_threads=num_threads, task=Task(("r",), early), scene=scenes)
+    envs.reset(seed=0)
+    spinning = np.zeros((2, 12))
+    spinning[1, OMEGA_JACK] = 10.0
+    envs.set_states(spinning, 0.0)
+    with pytest.raises(TaskError, match="'r' is inf, in environment 1"):
+        envs.step([0.0, 0.0], repeat=40)
+    np.testing.assert_array_equal(envs.states, spinning)
+
+
+def test_a_drive_that_fails_once_is_named() -> None:
+    failed = list[float]()
+
+    def flaky(time: float) -> float:
+        if time > 0.05 and not failed:
+            failed.append(time)
+            raise OSError("no sensor")
+        return 1e4
+
+    envs = JackInBoxVectorEnv(2, contact="exact", torque="chirp", scene={"drive": Drive(torque=flaky)})
+    envs.reset(seed=0)
+    with pytest.raises(RuntimeError, match="the drive of environment 0 failed at t = 0.04 s, but not when"):
+        envs.step(None, repeat=10)

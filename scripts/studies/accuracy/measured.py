@@ -1,7 +1,6 @@
 """The measurements of docs/accuracy.md: cases, settings, and the errors and costs of each setting on each case.
 
-Errors are measured as trials of a sweep, so that an interrupted run resumes. Costs are measured afterwards in this
-process, where nothing else runs.
+Errors are trials of a sweep, so that an interrupted run resumes. Costs are measured afterwards, in this process.
 """
 
 from __future__ import annotations

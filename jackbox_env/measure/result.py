@@ -1,0 +1,47 @@
+"""The result of a fit: a scene, its intervals, and the reasons not to trust them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from jackbox_env.scene import Scene
+from jackbox_env.states import Array
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A scene fitted to recordings.
+
+    >>> import numpy as np
+    >>> from jackbox_env import Recording, fit, rollout
+    >>> still, torques = Scene(drive=None), np.zeros(150)  # nothing pushes, so only the ratio of the masses matters
+    >>> states = rollout(still, 0.3 * np.eye(12)[5], torques, dt=0.02)[0]  # the jack leans by 0.3 rad
+    >>> fit(Recording(states, torques, dt=0.02), ("box_mass", "jack_mass"), still).unidentified
+    ('the recordings identify box_mass and jack_mass only up to one common factor',)
+
+    Attributes:
+        scene: the scene.
+        intervals: 95 % interval of each field; (0, inf), of restitution (0, 1), if it is unidentifiable.
+        residuals: (observed - fitted) over its expected standard deviation in held-out windows, shape (n,); about
+            N(0, 1) if the model is right. The start of a held-out window is fitted to it.
+        unidentified: the combinations of fields that the recordings leave open, each in a sentence.
+        noise: standard deviation of each number that was observed, by its name, and of "impacts" [s].
+        motions: the fitted motion of each recording, shape (H + 1, 12), NaN where it was left out.
+        left_out: steps that were left out because the jack is at rest there, or cannot be followed.
+        problems: why the intervals are not to be trusted, each in a sentence without a full stop; empty if the search
+            ended, every window fits within the noise, and the residuals are white.
+    """
+
+    scene: Scene
+    intervals: dict[str, tuple[float, float]]
+    residuals: Array
+    unidentified: tuple[str, ...]
+    noise: dict[str, float] = field(default_factory=dict)
+    motions: tuple[Array, ...] = ()
+    left_out: int = 0
+    problems: tuple[str, ...] = ()
+
+    @property
+    def converged(self) -> bool:
+        """Whether there are no problems."""
+        return not self.problems
