@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import csv
 import importlib.util
 import json
-import math
 import sys
 import time
-import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,12 +19,10 @@ from jackbox_env.commands.fit_page import sentences, table_of, write_fit_page
 from jackbox_env.commands.options import add_scene_options, chosen_scene, parser_of
 
 if TYPE_CHECKING:
-    from jackbox_env.measure.columns import Table
     from jackbox_env.measure.recordings import Recording
     from jackbox_env.scene import Scene
 
 _FIELDS = ("jack_mass", "restitution")
-_PATIENCE = 0.5  # [s] before a bar is shown
 _IMPACTS = {"time": "s", "wall": "", "foot": "", "impulse": "N s"}
 
 
@@ -79,68 +74,14 @@ def read_recording(
     Raises:
         ValueError: unusable content; the message names the file, the row's line and the column.
     """
-    from jackbox_env.measure.columns import filled, in_si_units
     from jackbox_env.measure.recordings import Recording
+    from jackbox_env.measure.tables import filled, in_si_units, read_table
 
     heard = None
     if impacts is not None:
-        table = _table(impacts, impacts=True)
+        table = read_table(impacts, "impact_time")
         heard = filled(table, "time", in_si_units(table, _IMPACTS)[0]["time"])
-    return Recording.from_table(_table(path), scene, names, y_down, heard)
-
-
-def _arrays(path: Path) -> dict[str, Any]:
-    """The arrays of an npz file."""
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            return {**file}
-    except (EOFError, TypeError, ValueError, zipfile.BadZipFile) as error:
-        raise ValueError(
-            f"{path}: must be an npz file of jackbox simulate, got {' '.join(str(error).split())}"
-        ) from error
-
-
-def _table(path: Path, impacts: bool = False) -> Table:
-    """The columns of a file by their headers; NaN for an empty cell. Of an npz file: the states, or the impacts."""
-    from tqdm import tqdm
-
-    from jackbox_env.measure.columns import Table, table_of
-
-    if path.suffix == ".npz":
-        arrays = _arrays(path)
-        needed = "impact_time" if impacts else "state"
-        if needed not in arrays:
-            raise ValueError(f"{path}: there must be an array {needed}, got {', '.join(arrays)}")
-        return table_of({"time": arrays[needed]} if impacts else arrays, f"{path}, ")
-    with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
-        reader = csv.reader(file)
-        try:
-            headers = next(reader, [])
-            rows = [(reader.line_num, row) for row in reader if row]
-        except csv.Error as error:
-            raise ValueError(f"{path}, row {reader.line_num}: {error}") from error
-    for header in headers:
-        if headers.count(header) > 1:
-            raise ValueError(f"{path}, row 1: column {check.shown(header)} comes twice")
-    for line, row in rows:
-        if len(row) != len(headers):
-            needed = f"{len(headers)} cells like row 1, with commas between and points in numbers"
-            raise ValueError(f"{path}, row {line}: must have {needed}, got {len(row)}")
-    bar = tqdm(rows, f"reading {path}", unit="row", leave=False, delay=_PATIENCE)
-    cells = [[_number(path, line, *pair) for pair in zip(headers, row, strict=True)] for line, row in bar]
-    columns = np.array(cells, dtype=np.float64).reshape(len(rows), len(headers)).T
-    return Table(dict(zip(headers, columns, strict=True)), f"{path}, ", [line for line, _ in rows])
-
-
-def _number(path: Path, line: int, header: str, cell: str) -> float:
-    """The number in a cell; NaN if it is empty."""
-    try:
-        value = float(cell) if cell.strip() else math.nan
-    except ValueError:
-        value = math.inf
-    if math.isinf(value):
-        raise ValueError(f"{path}, row {line}, column {header}: must be a number or empty, got {check.shown(cell)}")
-    return value
+    return Recording.from_table(read_table(path, "state"), scene, names, y_down, heard)
 
 
 def column_names(text: str | None) -> dict[str, str]:
@@ -167,13 +108,13 @@ def _stored_scene(paths: Sequence[Path]) -> dict[str, Any]:
         ValueError: the recordings have different ones, or one is damaged.
     """
     from jackbox_env import Scene
-    from jackbox_env.measure.columns import stored_scene
+    from jackbox_env.measure.tables import read_arrays, stored_scene
 
     files = dict.fromkeys(path if path.suffix == ".npz" else path.with_name("scene.json") for path in paths)
     stored = list[dict[str, Any]]()
     for file in files:
         if file.suffix == ".npz":
-            stored.append(stored_scene(_arrays(file), f"{file}, ") or {})
+            stored.append(stored_scene(read_arrays(file), f"{file}, ") or {})
         elif file.is_file():
             stored.append(check.from_json(str(file), file.read_text(encoding="utf-8", errors="replace"), dict))
         try:

@@ -6,7 +6,6 @@ import argparse
 import importlib.util
 import math
 import sys
-import zipfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,7 +31,8 @@ def _arguments() -> argparse.Namespace:
     text = "simulated time [s]; default: 10, or as long as the FILE of --torque"
     parser.add_argument("--seconds", type=float, metavar="S", help=text)
     text = "on the box: chirp, the scene's drive; none; or a FILE with one for each control step, the column torque of "
-    text += "a CSV file or the array torque of an npz file, as this command writes them; default: chirp"
+    text += "a CSV file, with a unit as in torque [kN m], or the array torque of an npz file, as this command writes them; "
+    text += "default: chirp"
     parser.add_argument("--torque", default="chirp", metavar="chirp|none|FILE", help=text)
     add_model_options(parser)
     start = parser.add_argument_group("start")
@@ -84,25 +84,20 @@ def _torques(path: Path, dt: float) -> Array:
     Raises:
         ValueError: unusable content, or times of another ``dt`` [s]; the message names the file.
     """
+    from jackbox_env.measure.tables import filled, in_si_units, read_table
+
     if not path.is_file():
         raise ValueError(f"torque must be chirp, none or a CSV or npz file, got {check.shown(str(path))}")
-    try:
-        if not path.stat().st_size:
-            raise ValueError("it is empty")
-        if path.suffix == ".npz":
-            columns = dict(np.load(path))
-        else:  # names of columns may have units, which come after an underscore then
-            rows = np.genfromtxt(path, delimiter=",", names=True, encoding="utf-8-sig", ndmin=1)
-            columns = {name.partition("_")[0]: rows[name] for name in rows.dtype.names or ()}
-        column, times = (np.asarray(columns.get(name, []), np.float64) for name in ("torque", "time"))
-    except (EOFError, IndexError, OSError, TypeError, ValueError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{path}: no columns could be read: {' '.join(str(error).split())}") from error
-    if column.ndim != 1 or times.ndim != 1:
-        raise ValueError(f"{path}: torque and time must be columns, got shapes {column.shape} and {times.shape}")
-    torques: Array = column[:-1] if np.isnan(column[-1:]).any() else column  # no step begins in the last row
-    if not len(torques) or not np.isfinite(torques).all():
-        raise ValueError(f"{path}: there must be a column torque [N m] of finite numbers, one for each control step")
-    steps = np.diff(times[: len(torques)])
+    table = read_table(path, "torque")
+    columns, left_out = in_si_units(table, {"time": "s", "torque": "N m"}, needed=["torque"], strict=False)
+    if others := [header for header in left_out if header.split("[")[0].strip() not in STATE_NAMES]:
+        print(f"{path}: left out: {', '.join(others)}.", file=sys.stderr)
+    torques = columns["torque"]
+    torques = filled(table, "torque", torques[:-1] if np.isnan(torques[-1:]).any() else torques)
+    if not len(torques):
+        raise ValueError(f"{path}: there must be a torque of one control step at least")
+    times = columns.get("time", torques[:0])[: len(torques)]
+    steps = np.diff(filled(table, "time", times))
     uneven = abs(steps - dt) > _STEP_TOLERANCE * dt + 4.0 * np.spacing(abs(times).max(initial=0.0))
     if uneven.any():
         raise ValueError(f"{path}: times must be dt = {dt:g} s apart, got {steps[uneven][0]:g} s; choose another --dt")

@@ -1,161 +1,27 @@
-"""Recordings from columns as cameras and loggers write them: other names and units, wrapped angles, dropped frames.
+"""Recordings from columns as cameras and loggers write them: wrapped angles, dropped frames, sizes that are no metres.
 
-``Recording.from_frame`` and ``jackbox fit`` use it.
+``Recording.from_frame`` and ``jackbox fit`` use it. :mod:`jackbox_env.measure.tables` reads the columns.
 """
 
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
-from jackbox_env import checks as check
+from jackbox_env.measure.tables import UNITS, Table, filled, in_si_units
 from jackbox_env.scene import Chirp, Drive, Scene
-from jackbox_env.states import LATEST_TIME, STATE_NAMES, STATE_UNITS, Array
+from jackbox_env.states import LATEST_TIME, STATE_NAMES, Array
 
-UNITS = {"time": "s", **dict(zip(STATE_NAMES, STATE_UNITS, strict=True)), "torque": "N m"}  # columns and their units
 EVEN = 0.05  # of a step, by which times may be off an even grid
 _TURN, _LATEST = 2.0 * math.pi, 1e10  # [rad]; [s] of a row, Unix times are below
-_OTHER_UNITS = {  # in SI units, by the SI unit
-    "s": {"ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0},
-    "m": {"cm": 1e-2, "mm": 1e-3},
-    "m/s": {"cm/s": 1e-2, "mm/s": 1e-3},
-    "rad": {"deg": _TURN / 360.0, "°": _TURN / 360.0, "mrad": 1e-3, "turns": _TURN, "rev": _TURN},
-    "rad/s": {"deg/s": _TURN / 360.0, "°/s": _TURN / 360.0, "rpm": _TURN / 60.0, "rev/s": _TURN},
-    "N m": {"Nm": 1.0, "N mm": 1e-3, "Nmm": 1e-3, "kN m": 1e3, "kNm": 1e3},
-}
 _MOST_MISSING = 10  # frames for each row
 _TORQUE_TOLERANCE = 1e-6  # relative
 _FARTHEST = 2.0  # half widths that a jack may be from the box's centre
 _FASTEST = 10.0  # v0 / L or v0 / l: a median rate beyond is no rate in rad/s
 _LARGEST_STEP = 5.0 * _TURN  # from row to row
-
-
-class Table(NamedTuple):
-    """Columns by their headers, and where they come from, for messages."""
-
-    columns: Mapping[str, Array]
-    source: str = ""  # a file and ", "
-    lines: Sequence[int] | None = None  # of the file, of each row
-
-    def at(self, row: int) -> str:
-        """A row, in words."""
-        return f"{self.source}row {row if self.lines is None else self.lines[row]}"
-
-    def header(self) -> str:
-        """Begins a sentence about a header."""
-        return f"{self.source}row 1: column" if self.source else "column"
-
-
-def table_of(columns: Any, source: str = "") -> Table:
-    """The table of a dict, a DataFrame, an array with named fields, or the arrays of ``jackbox simulate --format npz``.
-
-    Raises:
-        TypeError, ValueError: something else; columns of other things than numbers, or of different lengths.
-    """
-    if isinstance(columns, Mapping) and "state" in columns:
-        columns = _columns_of(columns, source)
-    listed = getattr(columns, "columns", None)
-    listed = getattr(getattr(columns, "dtype", None), "names", None) if listed is None else listed
-    if listed is None and not isinstance(columns, Mapping):
-        raise TypeError(f"columns must be a dict of columns or a DataFrame, got {check.shown(columns)}")
-    arrays = {str(name): _numbers(name, columns[name]) for name in (columns if listed is None else listed)}
-    if len({len(array) for array in arrays.values()}) > 1:
-        lengths = ", ".join(f"{name} {len(array)}" for name, array in arrays.items())
-        raise ValueError(f"columns must have the same number of rows, got {lengths}")
-    return Table(arrays, source)
-
-
-def _columns_of(arrays: Mapping[str, Any], source: str) -> dict[str, Any]:
-    """Columns of the arrays time (n,), state (n, 12), and torque (n - 1,), if there is one."""
-    if np.ndim(arrays["state"]) != 2 or np.shape(arrays["state"])[1] != 12:
-        raise ValueError(f"{source}state must have shape (n, 12), got {np.shape(arrays['state'])}")
-    columns = dict(zip(STATE_NAMES, np.transpose(arrays["state"]), strict=True))
-    columns |= {"time": arrays["time"]} if "time" in arrays else {}
-    columns |= {"torque": np.append(arrays["torque"], np.nan)} if "torque" in arrays else {}
-    return columns
-
-
-def stored_scene(arrays: Any, source: str = "") -> dict[str, Any] | None:
-    """The fields of the scene among the arrays of ``jackbox simulate --format npz``; None if there is none."""
-    if not isinstance(arrays, Mapping) or "scene" not in arrays:
-        return None
-    return check.from_json(f"{source}scene", str(np.asarray(arrays["scene"])), dict)
-
-
-def _numbers(name: Any, values: Any) -> Array:
-    array = np.asarray(values)
-    try:
-        numbers = np.array(array, dtype=np.float64) if array.dtype.kind in "fiuO" else None
-    except (TypeError, ValueError):  # an object that is no number
-        numbers = None
-    if numbers is None or numbers.ndim != 1:
-        raise TypeError(f"column {name!r} must be numbers, got {check.shown(values)}")
-    if np.isinf(numbers).any():
-        raise ValueError(f"column {name!r} must be finite numbers or NaN, got inf in row {np.isinf(numbers).argmax()}")
-    return numbers
-
-
-# -- names and units ---------------------------------------------------------------------------------------------------
-
-
-def in_si_units(
-    table: Table, units: Mapping[str, str], names: Mapping[str, str] | None = None
-) -> tuple[dict[str, Array], tuple[str, ...]]:
-    """Columns by their names here, in SI units, and the headers that are left out because ``names`` lacks them.
-
-    Args:
-        table: with headers such as ``x_box``, ``x_box [mm]`` or a name of ``names``.
-        units: the columns that may be there, and their SI units.
-        names: headers, with or without a unit, by the names here.
-
-    Raises:
-        ValueError: an unknown or missing column, one that comes twice, an unknown unit.
-    """
-    check.known_keys("names", names or {}, units)
-    wanted = {name: _parts(text) for name, text in (names or {}).items()}
-    columns, left_out = dict[str, Array](), list[str]()
-    for header, values in table.columns.items():
-        bare, unit = _parts(header)
-        by_name = [name for name, (text, _) in wanted.items() if text == bare]
-        name = by_name[0] if by_name else bare
-        if names and not by_name and (bare not in units or bare in wanted):
-            left_out.append(header)
-            continue
-        if name not in units or name in columns:
-            allowed = ", ".join(f"{one} [{of}]" if of else one for one, of in units.items())
-            what = "comes twice" if name in columns else f"must be one of {allowed}"
-            raise ValueError(f"{table.header()} {check.shown(header)} {what}")
-        columns[name] = values * _factor(table, header, unit or wanted.get(name, ("", ""))[1], units[name])
-    for name, (text, _) in wanted.items():
-        if name not in columns:
-            listed = ", ".join(map(repr, table.columns))
-            raise ValueError(f"{table.header()} {text!r}, which is to be {name}, must be one of {listed}")
-    if "time" not in columns:
-        raise ValueError(f"{table.source}{'row 1: ' if table.source else ''}there must be a column time [s]")
-    return columns, tuple(left_out)
-
-
-def _parts(header: str) -> tuple[str, str]:
-    """Name and unit of ``x_box [mm]``; no unit is ""."""
-    match = re.fullmatch(r"(.*?)\s*\[([^][]*)\]", header.strip())
-    return (match[1], match[2].strip()) if match else (header.strip(), "")
-
-
-def _factor(table: Table, header: str, unit: str, si: str) -> float:
-    if unit in ("", si):
-        return 1.0
-    factors = _OTHER_UNITS.get(si, {})
-    if unit not in factors:
-        allowed = ", ".join((si, *factors)) if si else "none"
-        raise ValueError(f"{table.header()} {check.shown(header)} must be in one of the units {allowed}, got {unit!r}")
-    return factors[unit]
-
-
-# -- recordings --------------------------------------------------------------------------------------------------------
 
 
 def evened(
@@ -195,13 +61,6 @@ def evened(
     if torques is not None and abs(times).max() > LATEST_TIME:
         begin, impacts = 0.0, None if impacts is None else impacts - times[0]
     return {"states": states, "torques": torques, "dt": dt, "time": begin, "impacts": impacts}, tuple(notes)
-
-
-def filled(table: Table, name: str, values: Array) -> Array:
-    """Return a column without empty cells; else raise ValueError."""
-    if np.isnan(values).any():
-        raise ValueError(f"{table.at(int(np.isnan(values).argmax()))}, column {name}: must be a number, got none")
-    return values
 
 
 def unwrapped(angles: Array) -> tuple[Array, int]:

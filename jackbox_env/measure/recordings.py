@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jackbox_env import checks as check
-from jackbox_env.measure.columns import Table, evened, stored_scene, table_of
+from jackbox_env.measure.columns import evened
+from jackbox_env.measure.tables import Table, stored_scene, table_of
 from jackbox_env.scene import Scene
 from jackbox_env.states import LATEST_TIME, RATES, STATE_NAMES, Array
 
@@ -112,7 +113,7 @@ class Recording:
         cls, table: Table, scene: Scene, names: Mapping[str, str] | None = None, y_down: bool = False,
         impacts: ArrayLike | None = None,
     ) -> Recording:  # fmt: skip
-        """:meth:`from_frame` of a :class:`jackbox_env.measure.columns.Table`."""
+        """:meth:`from_frame` of a :class:`jackbox_env.measure.tables.Table`."""
         heard = None if impacts is None else _finite("impacts", impacts)
         arguments, notes = evened(table, scene, names, y_down, heard)
         try:

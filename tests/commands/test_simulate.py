@@ -16,6 +16,7 @@ import pytest
 
 from jackbox_env import Chirp, Drive, Scene, make_simulator
 from jackbox_env.commands import simulate
+from jackbox_env.commands.fit import read_recording
 from jackbox_env.recording import trajectory as trajectories
 
 
@@ -137,6 +138,32 @@ def test_torques_come_from_a_file_or_are_none_and_a_state_has_names(
 
 
 @pytest.mark.parametrize(
+    ("headers", "torques", "left_out"),
+    [
+        ("time,x_jack,torque", [30.0, 1.0], None),
+        ("time [ms],x_jack [mm],torque [kN m]", [30e3, 1e3], None),
+        ("time [s], x_jack,torque[N mm]", [30e-3, 1e-3], None),
+        ("time,x_jack,torque,torque_measured", [30.0, 1.0], "torque_measured"),
+        ("clock,torque_limit,torque,x_jack,time", [30.0, 1.0], "clock, torque_limit"),
+    ],
+)
+def test_a_file_has_the_same_torques_for_simulate_and_fit(
+    headers: str, torques: list[float], left_out: str | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, unit = tmp_path / "rows.csv", 1e3 if "ms" in headers else 1.0
+    rows = [{"time": unit * time, "x_jack": 0.5, "torque": torque} for time, torque in ((0, 30), (0.1, 1), (0.2, ""))]
+    names = [header.split("[")[0].strip() for header in headers.split(",")]
+    lines = [",".join(str(row.get(name, "5 A")) for name in names) for row in rows]
+    path.write_text("\n".join([headers, *lines]))
+    assert simulate._torques(path, 0.1).tolist() == pytest.approx(torques)
+    assert capsys.readouterr().err == (f"{path}: left out: {left_out}.\n" if left_out else "")
+    chosen = {"torque": "torque"} if left_out else None  # without it fit refuses a column that it does not know
+    recording = read_recording(path, Scene(drive=None), names=chosen)
+    assert recording.torques is not None
+    assert recording.torques.tolist() == pytest.approx(torques)
+
+
+@pytest.mark.parametrize(
     ("options", "sentence"),
     [
         ("--seconds nan", "seconds must be a finite number above 0"),
@@ -154,12 +181,18 @@ def test_torques_come_from_a_file_or_are_none_and_a_state_has_names(
         ("--torque calm", "torque must be chirp, none or a CSV or npz file, got 'calm'"),
         ("--torque even.csv --seconds 3", "seconds must be at most 0.04, as long as even.csv lasts, got 3"),
         ("--torque even.csv --dt 0.01", "even.csv: times must be dt = 0.01 s apart, got 0.02 s; choose another --dt"),
-        ("--torque other.csv", r"other.csv: there must be a column torque \[N m\] of finite numbers"),
-        ("--torque ragged.csv", "ragged.csv: .*Line #2"),
-        ("--torque gap.csv", "gap.csv: no columns could be read: could not convert string to float"),
-        ("--torque text.npz", "text.npz: "),
-        ("--torque empty.npz", "empty.npz: no columns could be read: "),
-        ("--torque empty.csv", "empty.csv: no columns could be read: "),
+        ("--torque ms.csv --dt 0.01", "ms.csv: times must be dt = 0.01 s apart, got 0.02 s; choose another --dt"),
+        ("--torque other.csv", r"other.csv, row 1: there must be a column torque \[N m\], got 'time'$"),
+        ("--torque limit.csv", r"limit.csv, row 1: there must be a column torque \[N m\], got 'torque_limit'$"),
+        ("--torque unit.csv", r"unit.csv, row 1: column 'torque \[foo\]' must be in one of the units N m, Nm, .*'foo'"),
+        ("--torque twice.csv", r"twice.csv, row 1: column 'torque \[kN m\]' comes twice"),
+        ("--torque ragged.csv", "ragged.csv, row 2: must have 2 cells like row 1, .*, got 1"),
+        ("--torque text.csv", "text.csv, row 3, column torque: must be a number or empty, got 'x'"),
+        ("--torque gap.csv", "gap.csv, row 3, column torque: must be a number, got none"),
+        ("--torque last.csv", "last.csv: there must be a torque of one control step at least"),
+        ("--torque text.npz", "text.npz: must be an npz file of jackbox simulate, got "),
+        ("--torque empty.npz", "empty.npz: must be an npz file of jackbox simulate, got No data left in file"),
+        ("--torque empty.csv", r"empty.csv, row 1: there must be a column torque \[N m\], got none"),
         ('--gravity 3 --scene {"gravity":2}', "gravity must be chosen once, got 2 in --scene and 3 beside it"),
         ("--restitution 2", "restitution must be a finite number at least 0 and at most 1, got 2.0"),
     ],
@@ -168,9 +201,11 @@ def test_unusable_options_are_refused_in_one_sentence(
     options: str, sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     files = {
-        "even.csv": "time,torque\n0,1\n0.02,2\n0.04,\n", "other.csv": "time\n0\n", "gap.csv": "torque\n1\nx\n2\n",
-        "ragged.csv": "time,torque\n0\n", "text.npz": "torque",
-        "empty.npz": "", "empty.csv": "",
+        "even.csv": "time,torque\n0,1\n0.02,2\n0.04,\n", "ms.csv": "time [ms],torque\n0,1\n20,2\n",
+        "other.csv": "time\n0\n", "limit.csv": "torque_limit\n90000\n", "unit.csv": "torque [foo]\n1\n",
+        "twice.csv": "torque,torque [kN m]\n1,1\n", "ragged.csv": "time,torque\n0\n", "text.csv": "torque\n1\nx\n2\n",
+        "gap.csv": "time,torque\n0,1\n0.02,\n0.04,2\n", "last.csv": "time,torque\n0,\n",
+        "text.npz": "torque", "empty.npz": "", "empty.csv": "",
     }  # fmt: skip
     for name, text in files.items():
         (tmp_path / name).write_text(text)

@@ -1,0 +1,104 @@
+"""Files of columns and arrays: damage is refused in a sentence with the file, and unread columns are not checked."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jackbox_env import Recording, Scene
+from jackbox_env.measure.tables import Table, in_si_units, read_arrays, read_table, table_of
+
+TIMES = 0.02 * np.arange(5)
+ARRAYS = {"time": TIMES, "state": np.ones((5, 12)), "torque": np.arange(4.0), "impact_time": TIMES[:2]}
+
+
+def packed(save: Callable[..., None] = np.savez_compressed) -> bytes:
+    """An npz file of the arrays."""
+    file = io.BytesIO()
+    save(file, **ARRAYS)
+    return file.getvalue()
+
+
+def claiming(shape: str) -> bytes:
+    """An npz file whose first array has a header of this shape, and no numbers."""
+    file, header = io.BytesIO(), f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}"
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("time.npy", b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header.encode())
+    return file.getvalue()
+
+
+_BEGIN = 30 + len("time.npy") + 20  # of the first array, after its header in the zip
+DAMAGED = {
+    "no deflated block": packed()[:_BEGIN] + b"\xff" + packed()[_BEGIN + 1 :],  # zlib.error
+    "cut": packed()[:-30],
+    "terabytes": claiming("(1000000000000, 12)"),
+    "more than addresses": claiming(f"({10**30},)"),
+    "deep": claiming("(" * 5000 + ")" * 5000),
+    "no zip": b"PK\x03\x04" + bytes(200),
+    "one array": packed(lambda file, **arrays: np.save(file, arrays["time"])),
+    "text": b"time,torque\n0,1\n",
+    "nothing": b"",
+}
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_a_damaged_npz_file_is_refused_in_one_sentence(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "bad.npz"
+    path.write_bytes(DAMAGED[name])
+    for array in ("state", "torque", "impact_time"):
+        with pytest.raises(ValueError, match=r"bad\.npz: must be an npz file of jackbox simulate, got ") as refused:
+            read_table(path, array)
+        assert "\n" not in str(refused.value)
+
+
+def refusal(path: Path) -> str:
+    """The sentence that refuses a file; empty if it is read."""
+    try:
+        Recording.from_table(read_table(path, "state"), Scene())
+    except (TypeError, ValueError) as error:
+        return str(error)
+    return ""
+
+
+@pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
+def test_no_flipped_bit_and_no_cut_of_an_npz_file_is_another_error(
+    save: Callable[..., None], tmp_path: Path, cases: Callable[[int], int]
+) -> None:
+    path, whole, rng = tmp_path / "bad.npz", packed(save), np.random.default_rng(0)
+    for number in range(cases(200)):
+        at, damaged = int(rng.integers(len(whole))), bytearray(whole)
+        damaged[at] ^= 1 << int(rng.integers(8))
+        path.write_bytes(damaged[:at] if number % 4 == 0 else damaged)
+        sentence = refusal(path)
+        assert sentence.startswith(str(path)) or not sentence
+        assert "\n" not in sentence
+
+
+def test_a_huge_cell_and_a_missing_file_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "huge.csv").write_text("time,torque\n0," + "1" * 200_000 + "\n")
+    with pytest.raises(ValueError, match=r"huge\.csv, row 2: field larger than field limit \(131072\)"):
+        read_table(tmp_path / "huge.csv", "torque")
+    with pytest.raises(FileNotFoundError):
+        read_arrays(tmp_path / "none.npz")
+
+
+@pytest.mark.parametrize(
+    "columns", [dict(ARRAYS), {name: ARRAYS[name] for name in ("time", "torque")}, {"torque": ARRAYS["torque"]}]
+)
+def test_a_torque_of_one_step_less_than_times_ends_with_an_empty_row(columns: dict[str, Any]) -> None:
+    read, _ = in_si_units(table_of(columns), {"time": "s", "torque": "N m"}, needed=["torque"], strict=False)
+    np.testing.assert_array_equal(read["torque"], [0.0, 1.0, 2.0, 3.0, *[np.nan] * ("time" in columns)])
+
+
+def test_columns_that_are_left_out_may_hold_anything() -> None:
+    columns = [("time", ["0"]), ("", ["x"]), ("note", ["12:30"]), ("note", [None]), ("ball", ["2"])]
+    read, left_out = in_si_units(Table(columns, "a.csv, ", [2]), {"time": "s", "x_jack": "m"}, {"x_jack": "ball"})
+    assert ({name: values.tolist() for name, values in read.items()}, left_out) == (
+        {"time": [0.0], "x_jack": [2.0]}, ("", "note", "note"),
+    )  # fmt: skip
