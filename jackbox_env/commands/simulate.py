@@ -31,8 +31,8 @@ def _arguments() -> argparse.Namespace:
     text = "simulated time [s]; default: 10, or as long as the FILE of --torque"
     parser.add_argument("--seconds", type=float, metavar="S", help=text)
     text = "on the box: chirp, the scene's drive; none; or a FILE with one for each control step, the column torque of "
-    text += "a CSV file, with a unit as in torque [kN m], or the array torque of an npz file, as this command writes them; "
-    text += "default: chirp"
+    text += "a CSV file, with a unit as in torque [kN m], or the array torque of an npz file, as this command writes "
+    text += "them; default: chirp"
     parser.add_argument("--torque", default="chirp", metavar="chirp|none|FILE", help=text)
     add_model_options(parser)
     start = parser.add_argument_group("start")
