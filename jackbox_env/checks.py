@@ -131,19 +131,29 @@ def shown(value: Any) -> str:
     return line if len(line) <= 80 else line[:77] + "..."
 
 
-def from_json(name: str, text: str, kind: type[_Kind]) -> _Kind:
+def from_json(name: str, text: str, kind: type[_Kind], finite: bool = False) -> _Kind:
     """Return the object (dict) or list that a text of JSON is.
+
+    Args:
+        name: of the text, for errors.
+        text: to parse.
+        kind: dict or list.
+        finite: refuse NaN and Infinity, which only Python reads as JSON.
 
     Raises:
         ValueError: it is something else, or no JSON.
     """
     try:
-        values = json.loads(text)
+        values = json.loads(text, parse_constant=_refuse if finite else None)
     except (RecursionError, TypeError, ValueError):
         values = None
     if not isinstance(values, kind):
         raise ValueError(f"{name} must be a JSON {'object' if kind is dict else 'list'}, got {shown(text)}")
     return values
+
+
+def _refuse(constant: str) -> None:
+    raise ValueError(constant)
 
 
 def choice(name: str, value: Any, allowed: Iterable[str]) -> str:

@@ -12,6 +12,8 @@ The text is a JSON object, or a link that ends in one after a ``#``, percent-enc
   the scene's own drive; the run's share is then 0.
 - ``checks``: a byte for each step, the top one of the hash after it. ``digest``: the last hash, 16 hexadecimal digits.
 
+A game lasts 1,000 s at most, which is longer than any text of the page. So its chirp turns 450,000 times at most.
+
 Shares, counts and checks are in base64url without padding. A start without steps has none of the last four. The hash is
 FNV-1a over 64-bit words: the 12 numbers of the state after each step, from the first step on.
 """
@@ -34,13 +36,16 @@ from jackbox_env import checks as check
 from jackbox_env.exact.restart import WHOLE, unpacked
 from jackbox_env.scene import Scene, total
 from jackbox_env.scoring import make_score
-from jackbox_env.simulators import JackLostError, make_simulator
+from jackbox_env.simulators import JackLostError
 from jackbox_env.simulators.base import total_impulse
+from jackbox_env.simulators.exact import ExactSimulator
 from jackbox_env.states import Array, as_start
 from jackbox_env.tasks import TASKS, sample_start
 
 VERSION = 1
 LONGEST = 65_536  # characters of a text
+MOST_SECONDS = 1000.0  # [s] of a game, at most
+MOST_WORK = 5e7  # gap evaluations of a replay: 10 s, 150 s if all of them find impacts
 FIELDS = ("jack_mass", "jack_arm", "restitution", "gravity")  # of the scene
 FARTHEST = 1e6  # numbers of a start, at most
 _ARRAYS = {"shares": "<f8", "counts": "<u2", "checks": "u1"}
@@ -80,7 +85,7 @@ def read_game(text: str) -> Game:
     text = unquote(text.partition("#")[2] or text)
     if len(text) > LONGEST:
         raise ValueError(f"a game must have at most {LONGEST:,} characters, got {len(text):,}")
-    values = check.from_json("a game", text, dict)
+    values = check.from_json("a game", text, dict, finite=True)
     check.known_keys("a game", values, _KEYS)
     if values.get("version") != VERSION or values["version"] is True:
         version = check.shown(values.get("version"))
@@ -104,7 +109,7 @@ def replay_game(game: Game) -> tuple[int | None, list[float]]:
         difference changes the byte of its step in 255 of 256 cases, else that of a later step or the digest.
 
     Raises:
-        JackLostError: a step cannot be followed.
+        JackLostError: a step cannot be followed, or the game needs more than 50,000,000 gap evaluations.
     """
     rewards = list[float]()
     for step, (number, reward) in enumerate(_simulated(game), 1):
@@ -131,9 +136,9 @@ def write_game(
         dt: control step [s], from 0.001 to 1.
 
     Raises:
-        TypeError, ValueError: an unusable value, or more than 65,536 characters: those of some 4,400 steps if every
-            torque is another.
-        JackLostError: a step cannot be followed.
+        TypeError, ValueError: an unusable value, more than 1,000 s, or more than 65,536 characters: those of some
+            4,400 steps if every torque is another.
+        JackLostError: as :func:`replay_game`.
     """
     scene = Scene.of(scene)
     changes = {name: getattr(scene, name) for name in FIELDS if getattr(scene, name) != getattr(Scene(), name)}
@@ -158,12 +163,15 @@ def write_game(
 
 def _simulated(game: Game) -> Iterator[tuple[int, float]]:
     """The hash after each step, and its reward."""
-    simulator, number = make_simulator(game.scene, "exact"), _BASIS
+    simulator, number, work = ExactSimulator(game.scene), _BASIS, 0.0
     score = make_score(game.scene, TASKS[game.task], "exact")
     simulator.reset(game.start)
     for step, share in enumerate(game.shares, 1):
         try:
             simulator.step(game.dt, None if share is None else share * game.scene.torque_limit)
+            work += simulator.evaluations
+            if work > MOST_WORK:
+                raise JackLostError(f"the game needs more than {MOST_WORK:,.0f} gap evaluations")
         except JackLostError as error:
             raise JackLostError(f"step {step:,} of {len(game.shares):,} cannot be followed: {error}") from error
         for word in simulator.state.view(np.uint64).tolist():
@@ -194,6 +202,8 @@ def _with_steps(game: Game, values: Mapping[str, Any]) -> Game:
             "a game must have a count of at least 1 step for each share, and a check for each step, got "
             f"{len(shares):,} shares, {len(counts):,} counts of {lengths.sum():,} steps, and {len(checks):,} checks"
         )
+    if len(checks) * game.dt > MOST_SECONDS:
+        raise ValueError(f"a game must last at most {MOST_SECONDS:,.0f} s, got {len(checks) * game.dt:,.10g} s")
     for share in shares[~(np.abs(shares) <= ~driven)].tolist():
         raise ValueError(f"shares must be from -1 to 1, and 0 where the scene's drive acts, got {share}")
     if not re.fullmatch("[0-9a-f]{16}", str(values.get("digest"))):

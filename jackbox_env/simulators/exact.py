@@ -142,6 +142,12 @@ class ExactSimulator(Simulator):
         impacts = recorded(memory.log[:hits], present.time) if hits else ()
         self._present = Present(self._states[into], present.time + dt, memory.lanes.item(TORQUE, 0), impacts)
 
+    @property
+    def evaluations(self) -> float:
+        """Gap evaluations of the last step; those of the one before if the step was in free flight, far from walls."""
+        into = 1 if self._present.state is self._states[1] else 0
+        return float(self._calls[into].memory.workspaces["evaluations"][0])
+
     @override
     def reset(self, state: ArrayLike, time: float = 0.0) -> None:
         ensure_compiled()

@@ -28,7 +28,7 @@ from jackbox_env.exact.compiler import cache_folders
 from jackbox_env.exact.restart import seeded
 from jackbox_env.exact.workspace import new_workspaces
 from jackbox_env.files import replacing
-from jackbox_env.recording.game import FARTHEST, LONGEST, VERSION
+from jackbox_env.recording.game import FARTHEST, LONGEST, MOST_SECONDS, VERSION
 from jackbox_env.recording.page import assembled, packed
 from jackbox_env.scene import BOUNDS, SceneNumbers
 from jackbox_env.states import START_TOLERANCE, STATE_NAMES
@@ -78,7 +78,8 @@ def _described() -> dict[str, Any]:
     """The page's data, for JSON."""
     scene = Scene()
     return {
-        "version": VERSION, "package": jackbox_env.__version__, "mostText": LONGEST, "farthest": FARTHEST,
+        "version": VERSION, "package": jackbox_env.__version__, "mostText": LONGEST, "mostSeconds": MOST_SECONDS,
+        "farthest": FARTHEST,
         "module": packed(np.frombuffer(module(), np.uint8), "u1"), "workspace": new_workspaces().nbytes,
         "offsets": entries.OFFSETS, "impactsAt": entries.IMPACTS_AT, "length": entries.LENGTH,
         "mostImpacts": entries.MOST_IMPACTS,

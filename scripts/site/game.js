@@ -152,7 +152,7 @@ function readGame(link) {
   }
   checkStart(start, fields);
   const texts = { shares, counts, checks, digest };
-  return [task, fields, dt, start, Object.values(texts).some((text) => text !== undefined) ? readSteps(texts) : null];
+  return [task, fields, dt, start, Object.values(texts).some((text) => text !== undefined) ? readSteps(texts, dt) : null];
 }
 
 function checkField(value, { low, high, below, above }) {
@@ -179,7 +179,7 @@ function checkStart(start, scene) {
   must(outside <= data.startTolerance, `a start must have every foot inside the box, got a foot ${outside} m outside`);
 }
 
-function readSteps(texts) {
+function readSteps(texts, dt) {
   const decoded = (name, Kind) => {
     try {
       if (/^[\w-]*$/.test(texts[name])) return unpacked(texts[name].replace(/-/g, "+").replace(/_/g, "/"), Kind);
@@ -193,6 +193,7 @@ function readSteps(texts) {
     shares.length === counts.length && lengths.every((length) => length > 0) && total > 0 && total === checks.length,
     `a game must have a count for each share and a check for each step, got ${shares.length}, ${counts.length} and ${checks.length}`,
   );
+  must(total * dt <= data.mostSeconds, `a game must last at most ${data.mostSeconds} s, got ${total * dt} s`);
   const wrong = shares.find((share, run) => !(Math.abs(share) <= (counts[run] & 0x8000 ? 0 : 1)));
   must(wrong === undefined, `shares must be from -1 to 1, and 0 where the chirp acts, got ${wrong}`);
   const whole = typeof texts.digest === "string" && /^[0-9a-f]{16}$/.test(texts.digest);

@@ -237,11 +237,12 @@ function open(text) {
 byId("share").addEventListener("click", () => {
   player.playing = false;
   const [text, served] = [writeGame(), location.protocol.startsWith("http")];
-  const fits = text.length <= data.mostText;
+  const lasts = game.shares.length * game.dt;
+  const fits = text.length <= data.mostText && lasts <= data.mostSeconds;
   byId("text").value = !fits ? "" : served ? `${location.href.split("#")[0]}#${encodeURIComponent(text)}` : text;
   byId("about-text").textContent = fits
     ? `Send ${served ? "this link" : "this text"}: any copy of this page replays the ${game.shares.length} steps, and jackbox replay checks them bit for bit.`
-    : `This game is too long to share: it has ${text.length} characters, at most ${data.mostText} fit.`;
+    : `This game is too long to share: it has ${text.length} characters and lasts ${general(lasts, 4)} s, at most are ${data.mostText} and ${data.mostSeconds} s.`;
   byId("copy").textContent = "Copy";
   byId("sharing").returnValue = "";
   byId("sharing").showModal();

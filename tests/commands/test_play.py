@@ -120,6 +120,8 @@ BAD = [
     ("huge", lambda text: text + " " * 65536, "65536 characters"),
     ("another version", altered(version=2), "version must be 1"),
     ("NaN", altered(start=[float("nan")] * 12), "not a complete game"),
+    ("NaN in package", altered(package=float("nan")), "not a complete game"),
+    ("18 minutes", altered(dt=1.0, checks="AAAA" * 350, counts="GgQ"), "at most 1000 s, got 1050 s"),
     ("NaN torque", altered(shares="AAAAAAAA-H8"), "shares must be from -1 to 1"),
     ("gravity", altered(scene={"gravity": -1}), "gravity must be a finite number at least 0 and at most 1e+60, got -1"),
     (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import signal
 import struct
 import subprocess
 import sys
@@ -18,8 +19,10 @@ import numpy as np
 import pytest
 
 from jackbox_env import JackLostError, Scene, make_simulator
-from jackbox_env.commands import play
+from jackbox_env.commands import play, replay
+from jackbox_env.recording import game
 from jackbox_env.recording.game import read_game, replay_game, write_game
+from jackbox_env.simulators.exact import ExactSimulator
 from jackbox_env.tasks import sample_start
 
 ROOT = Path(__file__).parents[2]
@@ -41,6 +44,11 @@ def encoded(kind: str, *numbers: float) -> str:
     return urlsafe_b64encode(struct.pack(f"<{len(numbers)}{kind}", *numbers)).decode().rstrip("=")
 
 
+def held(steps: int, mark: int = 0) -> dict[str, str]:
+    """Steps of one run without torque, or with the mark of the drive."""
+    return {"shares": encoded("d", 0.0), "counts": encoded("H", steps + mark), "checks": encoded("B", *[0] * steps)}
+
+
 def decoded(name: str, kind: str) -> list[Any]:
     return [number for (number,) in struct.iter_unpack(f"<{kind}", urlsafe_b64decode(GAME[name] + "=="))]
 
@@ -60,13 +68,13 @@ def test_a_text_has_the_runs_of_torques_and_the_hash_of_all_states() -> None:
 
 @pytest.mark.parametrize("link", [False, True])
 def test_a_text_or_link_replays_with_the_environments_rewards(link: bool) -> None:
-    game = read_game(f"https://a.b/play.html#{quote(text())}" if link else text())
-    assert (repr(game.shares), game.start.tolist(), game.task) == (repr(SHARES), START, "rattle")
+    shared = read_game(f"https://a.b/play.html#{quote(text())}" if link else text())
+    assert (repr(shared.shares), shared.start.tolist(), shared.task) == (repr(SHARES), START, "rattle")
     env: Any = gym.make("JackInBox-v0", fidelity="exact", task="rattle", scene=SCENE, max_episode_steps=-1)
     env.reset(options={"state": START})
     rewards = [env.step(None if share is None else np.array([share]))[1] for share in SHARES]
     assert sum(map(abs, rewards)) > 1.0
-    assert replay_game(game) == (None, rewards)
+    assert replay_game(shared) == (None, rewards)
 
 
 def test_equal_torques_make_one_run_up_to_its_longest() -> None:
@@ -111,14 +119,18 @@ def test_the_words_of_a_generator_draw_the_start() -> None:
         (text(dt=2), "dt must be .* at least 0.001 and at most 1, got 2"),
         (text(dt="0.02"), "dt must be .* got '0.02'"),
         (text(scene={"gravity": -1}), "gravity must be a finite number at least 0 and at most 1e\\+60, got -1"),
-        (text(scene={"jack_arm": float("nan")}), "jack_arm must be a finite number .* got nan"),
+        (text(scene={"jack_arm": float("nan")}), "a game must be a JSON object, got"),
+        (text(package=float("inf")), "a game must be a JSON object, got"),
+        (text(package=[{"a": -float("inf")}]), "a game must be a JSON object, got"),
+        (text(dt=1.0, **held(1001)), "a game must last at most 1,000 s, got 1,001 s"),
+        (text(dt=0.75, **held(1334, 32768)), "a game must last at most 1,000 s, got 1,000.5 s"),
         (text(scene={"jack_arm": 9}), "jack_arm must be below"),
         (text(scene={"box_mass": 40}), "scene accepts only 'jack_mass', .* got 'box_mass'"),
         (text(scene=[1]), "scene must be .* got \\[1\\]"),
         (text(start=None), "start must be a list of 12 numbers, or 4 words .* got None"),
         (text(start=[0.0] * 11), "must have shape \\(12,\\)"),
         (text(start=[True, *START[1:]]), "start must be a list of 12 numbers"),
-        (text(start=[float("inf"), *START[1:]]), "a number of start must be .* at most 1e\\+06, got inf"),
+        (text(start=[0.5, *START[1:]]).replace("0.5", "1e999", 1), "a number of start must be .* 1e\\+06, got inf"),
         (text(start=[*START[:3], 8.0, *START[4:]]), "every foot inside the box"),
         (text(start=["1", "2", "3", "4"]), "the last one odd, got \\['1', '2', '3', '4'\\]"),
         (text(start=["1", "2", str(2**64), "5"]), "each below 2\\^64"),
@@ -148,6 +160,38 @@ def test_a_scene_beyond_the_texts_fields_is_not_written() -> None:
         write_game(None, START, [2])
     with pytest.raises(JackLostError, match="step 2 of 2 cannot be followed: the jack"):
         write_game(None, [0.0] * 11 + [2e5], [0.0, 1.0], dt=1.0)
+
+
+def test_a_game_may_last_as_long_as_the_longest_text_of_the_page() -> None:
+    assert len(read_game(text(dt=1.0, **held(1000, 32768))).shares) == 1000
+    assert game.LONGEST * 3 / 4 * 0.02 < game.MOST_SECONDS  # its control steps have a byte each, in base64
+
+
+def test_a_replay_ends_where_its_work_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    simulator, work = ExactSimulator(Scene(**SCENE)), 0.0
+    simulator.reset(START)
+    for _ in range(200):
+        simulator.step(0.02)
+        work += simulator.evaluations
+    assert work > 10.0
+    monkeypatch.setattr(game, "MOST_WORK", work - 1.0)
+    with pytest.raises(JackLostError, match=f"step [0-9]+ of 600 .* needs more than {work - 1.0:,.0f} gap eval"):
+        replay_game(read_game(text()))
+
+
+def test_ctrl_c_ends_a_replay_at_the_next_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    step, calls = ExactSimulator.step, list[float]()
+
+    def interrupted(self: ExactSimulator, dt: float, torque: float | None = None) -> None:
+        calls.append(dt)
+        signal.raise_signal(signal.SIGINT) if len(calls) == 3 else None
+        step(self, dt, torque)
+
+    monkeypatch.setattr(ExactSimulator, "step", interrupted)
+    monkeypatch.setattr(sys, "argv", ["jackbox replay", text()])
+    with pytest.raises(SystemExit) as ended:
+        replay.main()
+    assert (ended.value.code, len(calls)) == (130, 3)
 
 
 @pytest.mark.parametrize(
