@@ -6,8 +6,8 @@ include those at the end of every control step. Cases that the file does not hav
 
 from __future__ import annotations
 
-import csv
 import json
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -20,15 +20,17 @@ import numpy as np
 from jackbox_env import checks as check
 from jackbox_env.command_line import ROOT, command_line
 from jackbox_env.files import new_folder, write_json
-from jackbox_env.measure.accuracy import Case, prefix_errors
+from jackbox_env.measure.accuracy import Case, pose_errors, prefix_errors
+from jackbox_env.measure.tables import read_rows
 from jackbox_env.mechanics import energy_of
 from jackbox_env.scene import Chirp, Scene
 from jackbox_env.simulators import Impact
-from jackbox_env.states import LARGEST, STATE_NAMES, THETA_BOX, Y_JACK, Array, clearance
+from jackbox_env.states import LARGEST, OMEGA_BOX, RATES, STATE_NAMES, THETA_BOX, THETA_JACK, Y_JACK, Array, clearance
 
 STATES, IMPACTS = ("case", "time", *STATE_NAMES), ("case", "time", "wall", "foot")  # columns of the files
 TOLERANCE = 0.01  # [s]
 NEAR = 1e-6  # [s] a state this near to the end of a control step is the state there
+EVERY = 0.1  # [s] between proven states
 LEAST = 1e-17  # stands for 0: an error in the plot [s], the arm of a jack that is only its centre [m], no energy [J]
 
 Known = tuple[Case, list[Impact]]  # a case of the reference, and its impacts
@@ -56,6 +58,8 @@ class Score(NamedTuple):
     penetration: float  # deepest that a foot of a state was in a wall [m]
     imbalance: float | None  # largest |energy gained - work| over the largest kinetic energy
     escaped: bool  # the jack's centre left the box, or the output ends early
+    pose: float | None  # largest error of a pose before the first wrong impact [m], as by ``pose_errors``
+    rate: float | None  # the same of the rates [m/s]
 
 
 # -- the reference -----------------------------------------------------------------------------------------------------
@@ -68,10 +72,23 @@ def scene_of(record: dict[str, Any]) -> Scene:
 
 
 @cache
+def _records() -> list[dict[str, Any]]:
+    """The cases of the file."""
+    records: list[dict[str, Any]] = json.loads((ROOT / "docs" / "reference" / "cases.json").read_text())["cases"]
+    return records
+
+
+@cache
+def proven_states() -> dict[str, Array]:
+    """The states after every 0.1 s, shape (n, 12), by the cases' names."""
+    return {one["name"]: np.array(one["states"]) for one in _records()}
+
+
+@cache
 def reference() -> dict[str, Known]:
     """The 40 cases by name."""
     cases = dict[str, Known]()
-    for one in json.loads((ROOT / "docs" / "reference" / "cases.json").read_text())["cases"]:
+    for one in _records():
         start, steps, torques = np.array(one["start"]), round(one["duration"] / one["dt"]), one["torque"].get("values")
         impacts = [Impact(float(hit["time"]), hit["wall"], hit["foot"], hit["impulse"]) for hit in one["impacts"]]
         cases[one["name"]] = Case(one["name"], scene_of(one), start, steps, torques, one["dt"]), impacts
@@ -99,6 +116,8 @@ def score(
     errors = None
     if impacts is not None:
         errors = list(takewhile(lambda error: error <= tolerance, prefix_errors(impacts, expected)))
+    correct = 0 if errors is None else len(errors)
+    wrong = expected[correct].time if correct < len(expected) else math.inf
     return Score(
         case.name,
         len(expected),
@@ -106,17 +125,45 @@ def score(
         None if errors is None or impacts is None else len(errors) == len(expected) == len(impacts),
         errors,
         max(0.0, *(-clearance(scene, state) for state in states.tolist())),
-        _imbalance(scene, case.torques or [0.0] * case.steps, at_ends),
+        _imbalance(case, at_ends),
         len(ends) < case.steps or any(clearance(point, state) < 0.0 for state in states.tolist()),
+        *_motion_errors(case, at_ends, wrong),
     )
 
 
-def _imbalance(scene: Scene, torques: Sequence[float], states: Array) -> float | None:
-    """Energy against work, from the states at the ends of the control steps; None with loss or under a chirp."""
+def _motion_errors(case: Case, states: Array, wrong: float) -> tuple[float | None, float | None]:
+    """Largest errors of poses [m] and rates [m/s] from the proven states before the time ``wrong`` [s].
+
+    Of the states at the ends of the control steps, the start first; None if there are none to compare.
+    """
+    every, proven = round(EVERY / case.dt), proven_states()[case.name]
+    count = min(len(states[every::every]), math.ceil(min(wrong / EVERY, len(proven) + 1)) - 1)
+    if count <= 0:
+        return None, None
+    off = states[every::every][:count] - proven[:count]
+    off[:, [THETA_BOX, THETA_JACK]] -= _whole_turns(off[:, [THETA_BOX, THETA_JACK]])
+    poses, rates = (pose_errors(case.scene, part, np.zeros_like(part)) for part in (off, np.roll(off, -RATES, axis=1)))
+    return float(poses.max()), float(rates.max())
+
+
+def _whole_turns(angles: Array) -> Array:
+    """The nearest whole turns [rad]."""
+    turns: Array = 2.0 * np.pi * np.round(angles / (2.0 * np.pi))
+    return turns
+
+
+def _imbalance(case: Case, states: Array) -> float | None:
+    """Energy against work, from the states at the ends of the control steps; None with loss or under a chirp.
+
+    An angle that wraps jumps by whole turns: those nearest to what the rates do not explain are taken out.
+    """
+    scene = case.scene
     if not scene.elastic or scene.drive is not None:
         return None
     energies = np.array([energy_of(scene, state) for state in states.tolist()])
-    works = np.cumsum(torques[: len(states) - 1] * np.diff(states[:, THETA_BOX]))
+    turned, rates = np.diff(states[:, THETA_BOX]), states[:, OMEGA_BOX]
+    turned -= _whole_turns(turned - 0.5 * case.dt * (rates[1:] + rates[:-1]))
+    works = np.cumsum((case.torques or [0.0] * case.steps)[: len(turned)] * turned)
     kinetic = energies - scene.jack_mass * scene.gravity * states[:, Y_JACK]
     return float(np.abs(energies[1:] - energies[0] - works).max(initial=0.0) / max(LEAST, kinetic.max()))
 
@@ -125,6 +172,7 @@ def summary(scores: Sequence[Score], tolerance: float = TOLERANCE) -> dict[str, 
     """Totals, medians and worst values over cases."""
     firsts = [one.errors[0] for one in scores if one.errors]
     energies = [one.imbalance for one in scores if one.imbalance is not None]
+    poses = [one.pose for one in scores if one.pose is not None]
     return {
         "cases": len(scores),
         "tolerance": tolerance,
@@ -137,6 +185,9 @@ def summary(scores: Sequence[Score], tolerance: float = TOLERANCE) -> dict[str, 
         "energy_median": float(np.median(energies)) if energies else None,
         "energy_worst": max(energies, default=None),
         "escaped": sum(one.escaped for one in scores),
+        "pose_median": float(np.median(poses)) if poses else None,
+        "pose_worst": max(poses, default=None),
+        "rate_worst": max((one.rate for one in scores if one.rate is not None), default=None),
     }
 
 
@@ -147,24 +198,26 @@ def read_table(path: Path, columns: Sequence[str]) -> Table:
     """Read a CSV file.
 
     Raises:
-        ValueError: other columns, an unknown case, something that is not a number below 1e100, or times that decrease
-            or are not within the case.
+        OSError: the file cannot be read.
+        ValueError: no CSV, other columns, an unknown case, something that is not a number below 1e100, or times that
+            decrease or are not within the case.
     """
     table: Table = {}
-    head, *lines = list(csv.reader(path.read_text(encoding="utf-8").splitlines())) or [[]]
+    head, lines, rows_of_file = read_rows(path)
     if tuple(head) != tuple(columns):
         raise ValueError(f"{path} must begin with the columns {','.join(columns)}, got {check.shown(','.join(head))}")
-    for number, (name, *cells) in enumerate(filter(None, lines), 2):
+    for number, (name, *cells) in zip(lines, rows_of_file, strict=True):
         line = f"{path}, line {number}:"
         if name not in reference():
-            raise ValueError(f"{line} there is no case {name!r}{check.closest(name, reference())}")
+            raise ValueError(f"{line} there is no case {check.shown(name)}{check.closest(name[:80], reference())}")
         try:
             numbers = [float(cell) for cell in cells]
         except ValueError:
             numbers = []
         if len(numbers) != len(columns) - 1 or not all(abs(number) < LARGEST for number in numbers):
             raise ValueError(
-                f"{line} a case must be followed by {len(columns) - 1} numbers below {LARGEST:g}, got {','.join(cells)}"
+                f"{line} a case must be followed by {len(columns) - 1} numbers below {LARGEST:g}, got "
+                f"{check.shown(','.join(cells))}"
             )
         rows, case = table.setdefault(name, []), reference()[name][0]
         since = rows[-1][0] if rows else 0.0
@@ -199,7 +252,16 @@ def scores_of(states: Table, impacts: Table | None, tolerance: float) -> list[Sc
 def table_of(scores: Iterable[Score]) -> str:
     """A line for each case."""
     rows: list[tuple[str, ...]] = [
-        ("case", "correct impacts", "first impact [s]", "penetration [m]", "energy", "escaped")
+        (
+            "case",
+            "correct impacts",
+            "first impact [s]",
+            "pose [m]",
+            "rate [m/s]",
+            "penetration [m]",
+            "energy",
+            "escaped",
+        )
     ]
     for one in scores:
         correct = (
@@ -208,7 +270,10 @@ def table_of(scores: Iterable[Score]) -> str:
             else f"{one.correct} of {one.known}" + ", and others" * (one.correct == one.known and not one.complete)
         )
         first = one.errors[0] if one.errors else None
-        numbers = ("-" if number is None else f"{number:.1e}" for number in (first, one.penetration, one.imbalance))
+        numbers = (
+            "-" if number is None else f"{number:.1e}"
+            for number in (first, one.pose, one.rate, one.penetration, one.imbalance)
+        )
         rows.append((one.case, correct, *numbers, "yes" * one.escaped))
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)

@@ -17,7 +17,7 @@ from jackbox_env.command_line import ROOT
 from jackbox_env.measure.accuracy import follow
 from jackbox_env.mechanics import energy
 from jackbox_env.simulators import Impact, make_simulator
-from jackbox_env.states import OMEGA_BOX, VX_JACK, X_JACK, Array
+from jackbox_env.states import OMEGA_BOX, THETA_BOX, THETA_JACK, VX_JACK, X_JACK, Array
 from scripts import referee
 from tests import reference
 
@@ -63,6 +63,8 @@ def test_right_output_is_complete() -> None:
         assert max(score.errors or [0.0]) < 1e-10
         assert (score.imbalance is None) == (name in ("chirp-2", "held-e0.6"))
         assert score.imbalance is None or score.imbalance < 1e-13
+        assert (score.pose or 0.0) < 1e-8
+        assert (score.rate or 0.0) < 1e-8
 
 
 @pytest.mark.parametrize(
@@ -110,7 +112,44 @@ def test_states_are_scored_by_penetration_energy_and_escape() -> None:
     )
     assert referee.score(known, times[:50], states[:50], None).escaped
     known, times, states, _ = played("bounce")  # which starts at rest
-    assert referee.score(known, times[:1], states[:1], []) == ("bounce", 1, 0, False, [], 0.0, 0.0, True)
+    assert referee.score(known, times[:1], states[:1], []) == ("bounce", 1, 0, False, [], 0.0, 0.0, True, None, None)
+
+
+@pytest.mark.parametrize("name", ["bounce", "held-e0.6", "chirp-2", "flight", "corner"])
+@pytest.mark.parametrize("with_impacts", [True, False])
+def test_states_that_never_move_or_have_no_rates_are_errors(name: str, with_impacts: bool) -> None:
+    known, times, states, impacts = played(name)
+    reported = impacts if with_impacts else None
+    right = referee.score(known, times, states, reported)
+    assert max(right.pose or 0.0, right.rate or 0.0) < 1e-8
+    still = referee.score(known, times, np.repeat(states[:1], len(states), axis=0), reported)
+    assert still.complete is (True if with_impacts else None)  # with the right impacts
+    assert (still.pose or 0.0) > 0.02
+    resting = referee.score(known, times, np.where(np.arange(12) < 6, states, states[0]), reported)
+    assert (resting.pose or 0.0) < 1e-8
+    assert (resting.rate or 0.0) > 0.2
+
+
+def test_the_motion_after_the_first_wrong_impact_does_not_count() -> None:
+    known, times, states, impacts = played("chirp-2")
+    late, wrong = times > impacts[3].time, [*impacts[:3], impacts[3]._replace(foot=(impacts[3].foot + 1) % 4)]
+    other = np.where(late[:, None], states + 1.0, states)
+    assert (referee.score(known, times, other, wrong).pose or 0.0) < 1e-8
+    assert (referee.score(known, times, other, impacts).pose or 0.0) > 0.9
+    assert referee.score(known, times, other, []).pose == referee.score(known, times, other, None).pose
+
+
+@pytest.mark.parametrize("name", ["held-0", "flight", "spin", "derivatives-2"])
+@pytest.mark.parametrize("least", [0.0, -np.pi])
+def test_angles_may_wrap(name: str, least: float) -> None:
+    known, times, states, impacts = played(name)
+    wrapped = states.copy()
+    angles = [THETA_BOX, THETA_JACK]
+    wrapped[1:, angles] = (states[1:, angles] - least) % (2.0 * np.pi) + least
+    plain, score = (referee.score(known, times, numbers, impacts) for numbers in (states, wrapped))
+    for one, other in zip(plain[5:], score[5:], strict=True):
+        assert one == pytest.approx(other, abs=1e-9)
+    assert (wrapped != states).any()
 
 
 def test_the_work_is_that_of_the_torque_on_the_box() -> None:
@@ -157,16 +196,16 @@ def test_the_command_prints_a_table_and_writes_scores_and_plot(
         (
             "bounce,0.02,0.0",
             "bounce,0.02,nan",
-            "line 3: a case must be followed by 13 numbers below 1e\\+100, got 0.02,nan",
+            "line 3: a case must be followed by 13 numbers below 1e\\+100, got '0.02,nan",
         ),
         (
             "bounce,0.02,0.0",
             "bounce,0.02,x",
-            "line 3: a case must be followed by 13 numbers below 1e\\+100, got 0.02,x",
+            "line 3: a case must be followed by 13 numbers below 1e\\+100, got '0.02,x",
         ),
-        ("bounce,0.02,0.0", "bounce,0.02,1e300", "line 3: .* below 1e\\+100, got 0.02,1e300"),
+        ("bounce,0.02,0.0", "bounce,0.02,1e300", "line 3: .* below 1e\\+100, got '0.02,1e300"),
         ("bounce,0.0,", "bounce,-1,", "line 2: the time must be from 0 s to 2 s, got -1 s"),
-        ("bounce,0.02,0.0", "bounce,0.02", "line 3: a case must be followed by 13 numbers below 1e\\+100, got 0.02"),
+        ("bounce,0.02,0.0", "bounce,0.02", "line 3: a case must be followed by 13 numbers below 1e\\+100, got '0.02"),
         (
             "bounce,0.04,",
             "bounce,0.01,",
@@ -180,7 +219,10 @@ def test_the_command_prints_a_table_and_writes_scores_and_plot(
         ("bounce,0.02,", "bounce,0.03,", "bounce must have a state at t = 0.02 s, the end of a control step"),
         (",3,3\n", ",4,3\n", r"walls and feet of bounce must be 0, 1, 2 or 3, got \[4.0, 3.0\]"),
         ("bounce,1.11", "spin,1.11", "spin has impacts, so it must have states too"),
-        (",3,3\n", ",3\n", "line 2: a case must be followed by 3 numbers below 1e\\+100, got 1.11"),
+        (",3,3\n", ",3\n", "line 2: a case must be followed by 3 numbers below 1e\\+100, got '1.11"),
+        ("bounce,0.02,", "bounce," + "1" * 200_000, "row 3: field larger than field limit"),
+        ("bounce,0.02,", "bounce," + "1" * 100_000 + ",", r"line 3: a case must be followed by 13 .* got '1+\.\.\.$"),
+        ("bounce,0.02,", "b" * 100_000 + ",0.02,", r"line 3: there is no case 'b+\.\.\.$"),
         ("\nbounce.*", "\n", "there is no case in the file of states"),
     ],
 )
