@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import sys
+import tempfile
+from pathlib import Path
+
 from jackbox_env.command_line import command_line
 from jackbox_env.commands import play
 from scripts.site.build import ensure_page
@@ -9,10 +13,14 @@ from scripts.site.build import ensure_page
 
 @command_line
 def main() -> None:
-    """Build the page unless it is up to date, and open it."""
+    """Build the page unless it is up to date, and open it; in a temporary folder if the package cannot be written."""
     play.options()  # --help need not wait for the page
-    ensure_page()
-    play.main()
+    try:
+        page = ensure_page()
+    except OSError as error:
+        page = ensure_page(Path(tempfile.mkdtemp(prefix="jackbox-"), play.PAGE.name))
+        print(f"{play.PAGE} cannot be written ({error.strerror}): the page is in a temporary folder", file=sys.stderr)
+    play.show(page)
 
 
 if __name__ == "__main__":

@@ -22,18 +22,23 @@ def options() -> argparse.Namespace:
 
 @command_line
 def main() -> None:
-    """Print the path of the page, and open it.
+    """Show the page that this package has.
 
     Raises:
         FileNotFoundError: this package was built without the page.
     """
-    chosen = options()
+    options()
     if not PAGE.is_file():
         raise FileNotFoundError(
             f"this jackbox was built without its page, {PAGE}: in a checkout `jackbox play` builds it"
         )
-    print(PAGE, flush=True)
-    if not chosen.no_browser and not webbrowser.open(PAGE.as_uri()):
+    show(PAGE)
+
+
+def show(page: Path) -> None:
+    """Print the path of a page, and open it unless the command's options forbid it."""
+    print(page, flush=True)
+    if not options().no_browser and not webbrowser.open(page.as_uri()):
         print("No browser could be opened: open this file in one.", file=sys.stderr)
 
 

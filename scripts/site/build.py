@@ -11,6 +11,7 @@ import json
 import math
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ from jackbox_env.commands.play import PAGE
 from jackbox_env.exact.compiler import cache_folders
 from jackbox_env.exact.restart import seeded
 from jackbox_env.exact.workspace import new_workspaces
-from jackbox_env.files import replacing
+from jackbox_env.files import write_bytes, write_text
 from jackbox_env.recording.game import FARTHEST, LONGEST, MOST_SECONDS, VERSION
 from jackbox_env.recording.page import assembled, packed
 from jackbox_env.scene import BOUNDS, SceneNumbers
@@ -52,35 +53,56 @@ SLIDERS = {
 }
 
 
-def module() -> bytes:
-    """The physics, compiled if it is not yet stored for this source."""
+def _module_file() -> str:
+    """The name of the compiled physics of this source."""
     sources = [*sorted(HERE.glob("*.py")), Path(landing_features.__file__)]
     versions = numba.__version__, llvmlite.__version__, *(source.read_text() for source in sources)
-    path = cache_folders()[-1] / f"page-{hashlib.sha256(repr(versions).encode()).hexdigest()[:16]}.wasm"
-    if not path.is_file():
-        print("jackbox compiles its page to play, once for this version of the source (20 seconds)", file=sys.stderr)
-        code = f"from scripts.site.module import write; write({str(path)!r})"
-        subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
-    return path.read_bytes()
+    return f"page-{hashlib.sha256(repr(versions).encode()).hexdigest()[:16]}.wasm"
 
 
-def ensure_page() -> Path:
-    """The path of the finished page, which is written anew if it is not of this source."""
-    parts = {name: (HERE / name).read_text(encoding="utf-8").strip() for name in ("physics.js", "game.js", "play.js")}
-    text = assembled((HERE / "play.html").read_text(encoding="utf-8"), _described(), **parts)
-    if not PAGE.is_file() or PAGE.read_text(encoding="utf-8") != text:
-        with replacing(PAGE) as partial:
-            partial.write_text(text, encoding="utf-8")
-    return PAGE
+@cache
+def module(name: str) -> bytes:
+    """The physics, compiled if no folder has the file ``name``; then stored, unless no folder can be written."""
+    paths = [folder / name for folder in cache_folders()]
+    for path in paths:
+        if path.is_file():
+            return path.read_bytes()
+    print("jackbox compiles its page to play, once for this version of the source (20 seconds)", file=sys.stderr)
+    code = "import sys; from scripts.site.module import physics; sys.stdout.buffer.write(physics())"
+    made = subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, stdout=subprocess.PIPE).stdout
+    try:
+        write_bytes(paths[-1], made)
+    except OSError as error:
+        said = f"({error.strerror}), so each process compiles it anew"
+        print(f"the page's physics cannot be kept in {paths[-1].parent} {said}", file=sys.stderr)
+    return made
+
+
+def ensure_page(path: Path | None = None) -> Path:
+    """The path of the finished page, by default that of the package; it is written anew if it is not of this source.
+
+    The page has a hash of its source: one that is up to date needs neither the compiler nor a folder to write to.
+
+    Raises:
+        OSError: it has to be written and cannot be.
+    """
+    path, name, described = path or PAGE, _module_file(), _described()
+    template = (HERE / "play.html").read_text(encoding="utf-8")
+    parts = {part: (HERE / part).read_text(encoding="utf-8").strip() for part in ("physics.js", "game.js", "play.js")}
+    source = assembled(template, {**described, "module": f"{cache_folders()[-1].name}/{name}"}, **parts)
+    mark = hashlib.sha256(source.encode()).hexdigest()
+    if not path.is_file() or mark.encode() not in path.read_bytes():
+        physics = packed(np.frombuffer(module(name), np.uint8), "u1")
+        write_text(path, assembled(template, {**described, "module": physics, "source": mark}, **parts))
+    return path
 
 
 def _described() -> dict[str, Any]:
-    """The page's data, for JSON."""
+    """The page's data, for JSON, but for the module."""
     scene = Scene()
     return {
         "version": VERSION, "package": jackbox_env.__version__, "mostText": LONGEST, "mostSeconds": MOST_SECONDS,
-        "farthest": FARTHEST,
-        "module": packed(np.frombuffer(module(), np.uint8), "u1"), "workspace": new_workspaces().nbytes,
+        "farthest": FARTHEST, "workspace": new_workspaces().nbytes,
         "offsets": entries.OFFSETS, "impactsAt": entries.IMPACTS_AT, "length": entries.LENGTH,
         "mostImpacts": entries.MOST_IMPACTS,
         "values": list(scene.numbers), "torqueLimit": SceneNumbers._fields.index("torque_limit"),

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from numba import typeof, types
 
 from jackbox_env.exact.workspace import new_workspaces
-from jackbox_env.files import replacing
 from jackbox_env.tasks import TASKS
 from scripts.site import entries
 from scripts.site.webassembly import Export, compile_for_webassembly, module_of
 
 
 def physics() -> bytes:
-    """The module of the functions in ``entries.py``; ``score`` once for each task."""
+    """The module of the functions in ``entries.py``, compiled for WebAssembly; ``score`` once for each task.
+
+    Afterwards nothing that numba compiles in this process can be called.
+    """
+    compile_for_webassembly()
     integer, scratch = types.int64, typeof(new_workspaces()).dtype  # type: ignore[no-untyped-call]
     numbers, floats, words, counts, workspace = map(
         types.CPointer, (types.float64, types.float32, types.uint64, types.int64, scratch)
@@ -29,10 +30,3 @@ def physics() -> bytes:
     for name, task in TASKS.items():
         exports[f"score_{name}"] = Export(entries.score, (numbers, floats), {"task_terms": task.values})
     return module_of(exports)
-
-
-def write(path: str) -> None:
-    """Compile for WebAssembly and write the module; afterwards nothing that numba compiles here can be called."""
-    compile_for_webassembly()
-    with replacing(Path(path)) as partial:
-        partial.write_bytes(physics())

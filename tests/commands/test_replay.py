@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import base64
+import importlib
 import json
 import re
 import signal
 import struct
 import subprocess
 import sys
+import tempfile
 import webbrowser
 from base64 import urlsafe_b64decode, urlsafe_b64encode
 from pathlib import Path
@@ -20,6 +23,7 @@ import pytest
 
 from jackbox_env import JackLostError, Scene, make_simulator
 from jackbox_env.commands import play, replay
+from jackbox_env.exact import compiler
 from jackbox_env.recording import game
 from jackbox_env.recording.game import read_game, replay_game, write_game
 from jackbox_env.simulators.exact import ExactSimulator
@@ -237,3 +241,51 @@ def test_play_opens_its_page_or_says_that_it_cannot(
     assert opened == [f"{tmp_path.as_uri()}/a%20b.html"]
     out, err = capsys.readouterr()
     assert (out, "No browser" in err) == (f"{play.PAGE}\n" * 2, not opens)
+
+
+@pytest.fixture
+def unwritable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A file in place of the folder of the package's page and of each folder for compiled code: no folder, no home."""
+    build = pytest.importorskip("scripts.site.build")
+    page, file = build.ensure_page(), tmp_path / "file"
+    file.touch()
+    monkeypatch.setattr(compiler, "PACKAGE", file)
+    for name in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME"):
+        monkeypatch.setenv(name, str(file))
+    monkeypatch.setattr(sys, "argv", ["jackbox play", "--no-browser"])
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    monkeypatch.setattr(subprocess, "run", lambda *words, **_: pytest.fail(f"{words} is run"))
+    build.module.cache_clear()
+    return Path(page)
+
+
+def test_a_page_that_is_up_to_date_needs_no_folder_to_write_to(
+    unwritable: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    importlib.import_module("scripts.play").main()
+    assert capsys.readouterr() == (f"{unwritable}\n", "")
+
+
+def test_without_a_folder_to_write_to_the_page_is_in_a_temporary_one(
+    unwritable: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    build, runs = importlib.import_module("scripts.site.build"), list[Any]()
+
+    def compiled(command: list[str], **_: Any) -> subprocess.CompletedProcess[bytes]:
+        runs.append(command)
+        return subprocess.CompletedProcess(command, 0, base64.b64decode(json.loads(data)["module"]))
+
+    (data,) = re.findall(r'id="data">(.*?)</script>', unwritable.read_text(encoding="utf-8"))
+    monkeypatch.setattr(subprocess, "run", compiled)
+    for owner in (play, build):
+        monkeypatch.setattr(owner, "PAGE", tmp_path / "file" / "play.html")
+    importlib.import_module("scripts.play").main()
+    out, err = capsys.readouterr()
+    assert Path(out.strip()).read_bytes() == unwritable.read_bytes()
+    assert Path(out.strip()).is_relative_to(tmp_path)
+    compiles, kept, written = err.splitlines()
+    assert "compiles its page to play" in compiles
+    assert re.fullmatch(r"the page's physics cannot be kept in .*/file/.* \(Not a directory\), so .*", kept)
+    assert re.fullmatch(r".*/file/play.html cannot be written \(Not a directory\): the page is in a temp.*", written)
+    assert len(runs) == 1
