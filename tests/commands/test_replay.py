@@ -284,8 +284,8 @@ def test_without_a_folder_to_write_to_the_page_is_in_a_temporary_one(
     out, err = capsys.readouterr()
     assert Path(out.strip()).read_bytes() == unwritable.read_bytes()
     assert Path(out.strip()).is_relative_to(tmp_path)
-    compiles, kept, written = err.splitlines()
+    compiles, stored, written = err.splitlines()
     assert "compiles its page to play" in compiles
-    assert re.fullmatch(r"the page's physics cannot be kept in .*/file/.* \(Not a directory\), so .*", kept)
+    assert re.fullmatch(r"the page's physics cannot be kept in .*/file/.* \(Not a directory\), so .*", stored)
     assert re.fullmatch(r".*/file/play.html cannot be written \(Not a directory\): the page is in a temp.*", written)
     assert len(runs) == 1
