@@ -17,6 +17,7 @@ from gymnasium.wrappers import OrderEnforcing, TimeLimit
 from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import checks as check
+from jackbox_env.batches.infos import NoInfos
 from jackbox_env.saved_models import save_model as save_model
 from jackbox_env.scene import Scene
 from jackbox_env.simulators import Impact
@@ -138,6 +139,7 @@ class JackInBoxVecEnv(VecEnv):
         for number, duration in enumerate([] if durations is None else durations.tolist()):
             rows[number]["duration"] = duration
         for number in ended:
+            rows[number] = rows[number] if self._with_infos else NoInfos(rows[number])  # slower to make than a dict
             rows[number]["episode"] = {
                 "r": round(float(returns[number]), 6),
                 "l": int(lengths[number]),

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from jackbox_env import checks as check
 from jackbox_env.batches.arguments import Arguments
 from jackbox_env.batches.base import Outcome, Starts
-from jackbox_env.batches.infos import Infos, infos_at_end, infos_at_start, masked
+from jackbox_env.batches.infos import Infos, NoInfos, infos_at_end, infos_at_start, masked
 from jackbox_env.batches.resets import ResetPlan, as_autoreset_mode, plan_of
 from jackbox_env.env import JackInBoxEnv, Randomize
 from jackbox_env.landing import Landings
@@ -272,7 +272,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         self._ready = bool(self._started.all())
         self.changes += 1
         self._half = False
-        infos = Infos()
+        infos: Infos = NoInfos()
         if self._with_infos:
             infos = infos_at_start(self._terms, self.states, self.times, plan.chosen)
             infos = masked(infos | self._drawn(plan.chosen), plan.chosen)
@@ -308,10 +308,11 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         checked = actions if isinstance(actions, Landings | None) else self._arguments.actions(actions)
         repeat = check.whole("repeat", repeat, at_least=1, at_most=1_000_000)
         waiting = self._over() if self._waiting else None
-        infos, restarting = Infos(), waiting
+        infos: Infos = {} if self._with_infos else NoInfos()
+        restarting = waiting
         outcome = self._batch.step(None if self.torque_source == "chirp" else checked, repeat)
         if waiting is None and outcome.finished and self.autoreset_mode is AutoresetMode.SAME_STEP:
-            infos = infos_at_end(outcome, self._drawn(outcome.ended) if self._with_infos else {})
+            infos |= infos_at_end(outcome, self._drawn(outcome.ended) if self._with_infos else {})
             restarting = outcome.ended
         starts = None if restarting is None else self._batch.draw(np.flatnonzero(restarting))
         self._half = True

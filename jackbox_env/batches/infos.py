@@ -13,6 +13,22 @@ from jackbox_env.states import Array, Flags
 Infos = dict[str, Any]
 
 
+class NoInfos(dict[str, Any]):
+    """Infos of environments made without ``with_infos``: the KeyError for one that they lack says so."""
+
+    __slots__ = ()
+
+    def __missing__(self, name: str) -> Any:
+        known = (*blank((), 0), "scene")
+        if str(name).removeprefix("_") in known or str(name).startswith(("reward_", "_reward_")):
+            raise KeyError(f"infos have {name!r} only in environments made with with_infos=True")
+        raise KeyError(name)
+
+    def copy(self) -> NoInfos:
+        """A copy of the same kind."""
+        return NoInfos(self)
+
+
 def masked(infos: Infos, mask: Flags) -> Infos:
     """Add to each info ``name`` its mask ``_name``, as Gymnasium's vector environments do."""
     both: Infos = {}

@@ -59,7 +59,8 @@ class ControlledVecEnv(VecEnvWrapper):
         if isinstance(self._control, LookingAhead) and len(ended):
             last = np.stack([infos[number]["terminal_observation"] for number in ended.tolist()])
             for number, row in zip(ended.tolist(), self._control.appended(last, ended)[0], strict=True):
-                infos[number] = {**infos[number], "terminal_observation": row}
+                infos[number] = infos[number].copy()
+                infos[number]["terminal_observation"] = row
         return self._control.observe(observations, dones), rewards.astype(np.float32), dones, infos
 
 

@@ -14,10 +14,11 @@ pytest.importorskip("stable_baselines3")
 
 from gymnasium.wrappers import RecordEpisodeStatistics, TimeLimit
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import DummyVecEnv
+from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
 from jackbox_env import Scene
 from jackbox_env.sb3 import EnvView, JackInBoxVecEnv, make_sb3_vec_env
+from jackbox_env.sb3_wrappers import LookaheadVecEnv
 from tests.batches.several import EVERY_MODEL, actions_at, assert_same
 
 
@@ -74,6 +75,23 @@ def test_infos_have_the_keys_of_stable_baselines_alone_by_default(contact: str) 
         handed_out += actual[3]
     assert sum(bool(info) for info in handed_out) == 8
     assert len({id(info) for info in handed_out}) == len(handed_out)  # wrappers write into them
+
+
+@pytest.mark.filterwarnings("ignore:The environment is already wrapped with a `Monitor`")
+@pytest.mark.parametrize("hold", [0, 1])
+def test_a_missing_info_names_the_argument_that_has_it(hold: int) -> None:
+    slim, full = (make_sb3_vec_env(2, contact="exact", max_episode_steps=1, with_infos=both) for both in (False, True))
+    for envs in (slim, full):
+        looking = LookaheadVecEnv(envs, hold=hold, samples=0) if hold else envs
+        monitored = VecMonitor(looking, info_keywords=("impacts",))
+        monitored.reset()
+        if envs is full:
+            assert monitored.step(np.zeros((2, 1)))[3][0]["episode"]["impacts"] == 0
+            continue
+        with pytest.raises(KeyError, match="infos have 'impacts' only in environments made with with_infos=True"):
+            monitored.step(np.zeros((2, 1)))
+        with pytest.raises(KeyError, match="^'something'$"):
+            slim.step(np.zeros((2, 1)))[3][0]["something"]
 
 
 def test_options_are_used_once_by_environment_and_refused_ones_change_nothing() -> None:

@@ -28,6 +28,18 @@ def test_the_same_arguments_mean_the_same_physics() -> None:
     assert isinstance(gym.make_vec("JackInBox-v0", num_envs=2).unwrapped, JackInBoxVectorEnv)
 
 
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_a_missing_info_names_the_argument_that_has_it(mode: AutoresetMode) -> None:
+    env = JackInBoxVectorEnv(2, contact="exact", max_episode_steps=2, autoreset_mode=mode)
+    for infos in (env.reset(seed=0)[1], env.step(None)[4], env.step(None)[4]):
+        for name in ("impacts", "_state", "reward_centre"):
+            with pytest.raises(KeyError, match=f"infos have '{name}' only in environments made with with_infos=True"):
+                infos[name]
+        assert infos.get("impacts") is None
+        with pytest.raises(KeyError, match="^'steps'$"):
+            infos["steps"]
+
+
 def arrays_in(handed: Any) -> list[Any]:
     """All arrays in a returned value, those in dicts and in arrays of arrays too."""
     if isinstance(handed, np.ndarray) and handed.dtype != object:
