@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+from gymnasium.envs.registration import EnvSpec
 
 from jackbox_env import checks as check
 from jackbox_env.files import replacing, write_json
@@ -23,7 +26,12 @@ _WITHOUT_EFFECT = {
     "Monitor", "OrderEnforcing", "PassiveEnvChecker", "RecordEpisodeStatistics", "RecordVideo", "TimeLimit",
     "VecCheckNan", "VecMonitor", "VecVideoRecorder",
 }  # fmt: skip
-_KEYS = {"env", "repeat", "landing", "lookahead", "normalize", "unknown", "functions"}  # of an entry
+_KEYS = {"env", "repeat", "landing", "lookahead", "normalize", "unknown", "functions"}  # of an entry, at least
+_FUNCTIONS: dict[str, Callable[[Any], bool]] = {  # keywords that may be functions, and whether one is
+    "task": lambda task: not isinstance(task, str),
+    "randomize": callable,
+    "scene": lambda scene: isinstance(scene.drive, Drive),
+}
 _MOST_BYTES = 10_000_000  # that are read of env.json
 
 
@@ -32,8 +40,8 @@ def save_model(model: BaseAlgorithm, path: str | Path) -> Path:
 
     ``jackbox evaluate --policy model.zip --trust`` then plays it as it was trained. env.json has an entry for each
     model of its folder: the environment, action repeat, landing control, look-ahead, and the statistics of
-    ``VecNormalize`` as numbers. Functions, such as a task of your own, are named but not stored. Both files are
-    replaced in one stroke.
+    ``VecNormalize`` as numbers. Functions, such as a task of your own, and settings that differ between the
+    environments, such as a list of scenes, are named but not stored. Both files are replaced in one stroke.
 
     Args:
         model: trained on :func:`make_sb3_vec_env`, or on ``gymnasium.make("JackInBox-v0")`` in any of
@@ -74,14 +82,17 @@ def read_stored(path: Path) -> dict[str, dict[str, Any]]:
 def _stored(venv: VecEnv | None) -> dict[str, Any]:
     """How agents act in environments of Stable-Baselines3, for JSON."""
     inner: Any = None if venv is None else venv.unwrapped
-    spec = inner and inner.get_attr("spec")[0]
-    if inner is None or spec is None or spec.id != "JackInBox-v0":
+    specs = [] if inner is None else inner.get_attr("spec")
+    if any(spec is None or spec.id != "JackInBox-v0" for spec in specs or [None]):
         raise TypeError(f"save_model needs a model with environments of JackInBox-v0, got {check.shown(venv)}")
-    unknown, stored = list[str](), dict[str, Any](repeat=1, landing=None, lookahead=None, normalize=None)
-    for wrapper in spec.additional_wrappers:
+    stored = dict[str, Any](repeat=1, landing=None, lookahead=None, normalize=None)
+    unknown = ["torque='chirp'"] * any(spec.kwargs.get("torque") == "chirp" for spec in specs)
+    wrappers = [[one for one in spec.additional_wrappers if one.name not in _WITHOUT_EFFECT] for spec in specs]
+    unknown += ["wrappers that differ between its environments"] * any(str(one) != str(wrappers[0]) for one in wrappers)
+    for wrapper in wrappers[0]:
         if wrapper.name in ("LandingControl", "Lookahead"):
             stored |= inner.get_attr("stored")[0]
-        elif wrapper.name not in _WITHOUT_EFFECT:
+        else:
             unknown.append(wrapper.name)
     layers = list[VecEnv]()
     while isinstance(venv, VecEnvWrapper):
@@ -96,27 +107,33 @@ def _stored(venv: VecEnv | None) -> dict[str, Any]:
             stored |= layer.stored  # type: ignore[attr-defined]
         elif type(layer).__name__ not in _WITHOUT_EFFECT:
             unknown.append(type(layer).__name__)
-    keywords = {**spec.kwargs, "task": inner.get_attr("task")[0], "scene": Scene.of(spec.kwargs.get("scene"))}
-    functions = {
-        "task": not isinstance(keywords["task"], str),
-        "randomize": callable(keywords.get("randomize")),
-        "scene": isinstance(keywords["scene"].drive, Drive),
-    }
-    of_functions = [name for name, is_function in functions.items() if is_function]
-    env = {"task": None if functions["task"] else keywords["task"], **_storable(keywords)}
-    return {"env": env, **stored, "unknown": unknown, "functions": of_functions}
+    return {**_environments(specs), **stored, "unknown": unknown}
 
 
-def _storable(keywords: Mapping[str, Any]) -> dict[str, Any]:
-    """Keywords of an environment that differ from the default, as JSON has them; functions are left out."""
-    stored = {name: keywords[name] for name in (*KEYWORDS, "control_dt") if name in keywords}
-    stored |= {name: dict(keywords[name]) for name in ("randomize",) if isinstance(keywords.get(name), Mapping)}
-    scene = keywords["scene"]
-    if isinstance(scene.drive, Drive):
-        return stored
-    default = Scene().as_dict()
-    fields = {name: value for name, value in scene.as_dict().items() if name not in default or value != default[name]}
-    return {**stored, "scene": fields}
+def _environments(specs: list[EnvSpec]) -> dict[str, Any]:
+    """Settings of the environments that all share, for JSON, and the names of the others."""
+    every = [
+        {"task": "juggle", "randomize": None, **spec.kwargs, "scene": Scene.of(spec.kwargs.get("scene"))}
+        for spec in specs
+    ]
+    functions = [name for name, is_function in _FUNCTIONS.items() if any(is_function(one[name]) for one in every)]
+    envs = [_storable({**one, **dict.fromkeys(functions)}) for one in every]
+    names = dict.fromkeys(name for env in envs for name in env)
+    each = [name for name in names if any(env.get(name) != envs[0].get(name) for env in envs)]
+    env = {name: value for name, value in envs[0].items() if name not in each}
+    return {"env": env, "functions": functions, "each": each, "max_episode_steps": specs[0].max_episode_steps}
+
+
+def _storable(keywords: dict[str, Any]) -> dict[str, Any]:
+    """Keywords of an environment that differ from the default, as JSON has them; None is left out, but for the task."""
+    stored = {name: keywords[name] for name in ("task", *KEYWORDS, "control_dt") if name in keywords}
+    if keywords["randomize"] is not None:
+        stored["randomize"] = {name: list(ends) for name, ends in keywords["randomize"].items()}
+    if keywords["scene"] is not None:
+        fields, default = keywords["scene"].as_dict(), Scene().as_dict()
+        stored["scene"] = {name: value for name, value in fields.items() if (name, value) not in default.items()}
+    plain: dict[str, Any] = json.loads(json.dumps(stored, default=lambda number: number.tolist()))  # of numpy
+    return plain
 
 
 def statistics_of(normalize: VecNormalize) -> dict[str, Any] | None:

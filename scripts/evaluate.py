@@ -102,7 +102,7 @@ def main() -> None:
     print(f"{arguments.episodes} episodes each, seed {arguments.seed}, {describe_env(settings)}")
     rows = []
     for name, (policy, extra_settings) in policies:
-        warn_of_other_training(name, settings)
+        warn_of_other_training(name, policy, settings)
         keywords = {**env_settings, **extra_settings}
         rows.append(evaluate(name, policy, keywords, arguments.episodes, arguments.seed, progress=True))
     print(table(rows))

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from agents.files import as_value_error, unpacked
 from agents.policies.playing import Actions
 from agents.policies.trained import Acting, TrainedPolicy
-from agents.settings import EPISODE_STEPS, EnvSettings
+from agents.settings import EPISODE_STEPS, LANDING_FIELDS, EnvSettings
 from jackbox_env import Scene
 from jackbox_env import checks as check
 from jackbox_env.landing import steps_until_impact
@@ -46,11 +46,18 @@ class ModelPolicy(TrainedPolicy):
         model: with ``predict``.
         acting: how it acts.
         normalize: mean, variance, clip and epsilon of its observations; None: they are not normalized.
+        stored: the entry of env.json that describes it, if one does.
     """
 
-    def __init__(self, model: Any, acting: Acting, normalize: dict[str, Any] | None = None) -> None:
+    def __init__(
+        self,
+        model: Any,
+        acting: Acting,
+        normalize: dict[str, Any] | None = None,
+        stored: dict[str, Any] | None = None,
+    ) -> None:
         super().__init__(acting)
-        self.model, self._normalize = model, normalize
+        self.model, self.stored, self._normalize = model, stored, normalize
 
     def act(self, observations: NDArray[Any]) -> Actions:
         """The model's actions, shape (n, action_size)."""
@@ -99,7 +106,8 @@ def policy_of(file: Path, model: Any, settings: EnvSettings, options: Options) -
 
     Raises:
         TypeError, ValueError: the model does not fit, or statistics of its observations are missing; the message names
-            the wrapper or the option that would fit. There are options, and env.json describes the model too.
+            the wrapper or the option that would fit. There are options, and env.json describes the model too. The model
+            computes landings or rollouts in one scene, and scenes vary.
     """
     beside = stored_beside(file)
     if beside is not None and options != Options():
@@ -121,6 +129,7 @@ def policy_of(file: Path, model: Any, settings: EnvSettings, options: Options) -
     if unknown:
         raise ValueError(f"{file} was trained under {unknown}, which cannot be played here")
     _refuse_unfit(file, model, acting)
+    _refuse_varied(file, acting, settings)
     if stored["normalize"] is None and _is_normalized(model):
         raise ValueError(
             f"{file} was trained under VecNormalize, whose statistics are missing: use --vecnormalize FILE.pkl, or "
@@ -131,7 +140,7 @@ def policy_of(file: Path, model: Any, settings: EnvSettings, options: Options) -
             f"Note: no env.json beside {file} describes it, so it decides in every control step (--repeat)",
             file=sys.stderr,
         )
-    return ModelPolicy(model, acting, stored["normalize"])
+    return ModelPolicy(model, acting, stored["normalize"], beside)
 
 
 def _checked(normalize: dict[str, Any]) -> dict[str, Any]:
@@ -179,6 +188,14 @@ def _refuse_unfit(file: Path, model: Any, acting: Acting) -> None:
         advice = "no wrapper here would fit"
     sizes = f"{needed[0][0]} numbers and choose {needed[1][0]}"
     raise ValueError(f"{file} must observe {sizes}, got shapes {got[0]} and {got[1]}; {advice}")
+
+
+def _refuse_varied(file: Path, acting: Acting, settings: EnvSettings) -> None:
+    """Raise ValueError if landings or rollouts are computed in one scene, and scenes vary in what they depend on."""
+    varied = [name for name in settings.randomized if acting.features or (acting.landing and name in LANDING_FIELDS)]
+    if varied:
+        computed = "its rollouts" if acting.features else "torques towards landings"
+        raise ValueError(f"{file} computes {computed} in one scene: leave {' and '.join(varied)} out of --randomize")
 
 
 def _is_normalized(model: Any) -> bool:

@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecFrameStack,
 
 from agents.policies.models import Options
 from agents.policies.registry import find_policy
-from agents.settings import EnvSettings, TrainSettings
+from agents.settings import EPISODE_STEPS, EnvSettings, TrainSettings
 from agents.training.models import make_ppo, make_vec_env
 from jackbox_env import Drive, LandingControl, Scene, Task
 from jackbox_env.sb3 import make_sb3_vec_env, save_model
@@ -31,15 +32,21 @@ from tests.agents.small_run import TINY
 from tests.agents.test_commands import script
 
 HERE = EnvSettings(fidelity="exact")
+# Landing control computes torques from observations, which are rounded to float32, and each impact multiplies the
+# difference: after 2 s it is about 1e-6, whatever the machine, and after 6 s everything.
+SHORT = 100  # control steps
 
 
 def native(count: int = 2, **keywords: Any) -> Any:
     return make_sb3_vec_env(count, fidelity="exact", **keywords)
 
 
+def single_of() -> Any:
+    return gym.make("JackInBox-v0", fidelity="exact", max_episode_steps=SHORT)
+
+
 def single(**landing: Any) -> VecEnv:
-    made: Any = gym.make("JackInBox-v0", fidelity="exact")
-    return DummyVecEnv([lambda: Monitor(LandingControl(made, **landing) if landing else made)])
+    return DummyVecEnv([lambda: Monitor(LandingControl(single_of(), **landing))])
 
 
 def trained(envs: VecEnv, steps: int = 64) -> PPO:
@@ -50,9 +57,9 @@ def trained(envs: VecEnv, steps: int = 64) -> PPO:
     return model.learn(steps)
 
 
-def earned(policy: Any, count: int = 2) -> Any:
+def earned(policy: Any, count: int = 2, steps: int = EPISODE_STEPS) -> Any:
     """Returns of two episodes without wrappers."""
-    plain = native(count)
+    plain = native(count, max_episode_steps=steps)
     plain.seed(3)
     return evaluate_policy(policy, plain, 2, return_episode_rewards=True)[0]
 
@@ -60,8 +67,8 @@ def earned(policy: Any, count: int = 2) -> Any:
 WRAPPED: dict[str, tuple[Callable[[], VecEnv], Options]] = {
     "torques": (native, Options(repeat=1)),
     "held": (lambda: HoldingVecEnv(native(), 4), Options(repeat=4)),
-    "bounce": (lambda: LandingControlVecEnv(native(), period="bounce"), Options(landing="bounce")),
-    "period": (lambda: LandingControlVecEnv(native(), period=0.2), Options(landing=0.2)),
+    "bounce": (lambda: LandingControlVecEnv(native(max_episode_steps=SHORT), period="bounce"), Options("bounce")),
+    "period": (lambda: LandingControlVecEnv(native(max_episode_steps=SHORT), period=0.2), Options(0.2)),
     "single": (lambda: single(period="bounce"), Options(landing="bounce")),
     "normalized": (lambda: VecNormalize(HoldingVecEnv(native(), 5)), Options(repeat=5, vecnormalize=Path("stats.pkl"))),
 }
@@ -82,19 +89,22 @@ def test_a_saved_model_acts_as_it_was_trained(name: str, tmp_path: Path, monkeyp
     by_options = find_policy("model.zip", HERE, trust=True, options=options).policy
     envs.seed(3)
     under_wrappers, _ = evaluate_policy(model, envs, 2, return_episode_rewards=True)
+    steps, tolerance = (EPISODE_STEPS, 1e-12) if options.landing is None else (SHORT, 1e-4)
     for policy in (saved, by_options):
-        # Landing control computes its torques from observations, which are rounded to float32: chaos sees it.
-        exact = options.landing is None
-        np.testing.assert_allclose(earned(policy, envs.num_envs), under_wrappers, rtol=1e-12 if exact else 0.2)
+        np.testing.assert_allclose(earned(policy, envs.num_envs, steps), under_wrappers, rtol=tolerance)
 
 
-def test_otherwise_it_would_earn_something_else(tmp_path: Path) -> None:
-    trained(HoldingVecEnv(native(), 4)).save(tmp_path / "model.zip")
-    held, torques = (
-        earned(find_policy(str(tmp_path / "model.zip"), HERE, trust=True, options=Options(repeat=repeat)).policy)
-        for repeat in (4, 1)
+@pytest.mark.parametrize(
+    ("name", "other"), [("held", Options(repeat=1)), ("bounce", Options(0.2)), ("period", Options("bounce"))]
+)
+def test_otherwise_it_would_earn_something_else(name: str, other: Options, tmp_path: Path) -> None:
+    make, options = WRAPPED[name]
+    trained(make()).save(tmp_path / "model.zip")
+    one, another = (
+        earned(find_policy(str(tmp_path / "model.zip"), HERE, trust=True, options=by).policy, steps=SHORT)
+        for by in (options, other)
     )
-    assert held != pytest.approx(torques, rel=1e-3)
+    assert one != pytest.approx(another, rel=1e-3)
 
 
 def test_a_lookahead_is_stored_with_its_options(tmp_path: Path) -> None:
@@ -115,6 +125,28 @@ def test_other_algorithms_load_too(algorithm: Any, tmp_path: Path) -> None:
     assert type(policy.model) is algorithm
 
 
+VARIED: list[tuple[Callable[[], VecEnv], str, str]] = [
+    (lambda: LandingControlVecEnv(native(), period=0.2), '{"gravity": [1, 2], "box_mass": [300, 500]}', "landings"),
+    (lambda: LookaheadVecEnv(native(), samples=8, pieces=8), '{"jack_mass": [2, 6]}', "rollouts"),
+    (lambda: LandingControlVecEnv(native(), period=0.2), '{"jack_mass": [2, 6]}', ""),  # they do not depend on it
+    (lambda: HoldingVecEnv(native(), 4), '{"gravity": [1, 2]}', ""),
+]
+
+
+@pytest.mark.parametrize(("make", "ranges", "computed"), VARIED)
+def test_what_is_computed_in_one_scene_is_not_played_in_scenes_that_vary(
+    make: Callable[[], VecEnv], ranges: str, computed: str, tmp_path: Path
+) -> None:
+    save_model(PPO("MlpPolicy", make()), tmp_path / "model.zip")
+    settings, name = EnvSettings(randomize=ranges), str(tmp_path / "model.zip")
+    if not computed:
+        find_policy(name, settings, trust=True)
+        return
+    fields = " and ".join(json.loads(ranges))
+    with pytest.raises(ValueError, match=f"{computed} in one scene: leave {fields} out of --randomize"):
+        find_policy(name, settings, trust=True)
+
+
 # -- env.json ----------------------------------------------------------------------------------------------------------
 
 
@@ -130,6 +162,20 @@ def test_the_environment_is_stored_where_it_differs_and_functions_are_left_out(t
     save_model(PPO("MlpPolicy", of_mine), tmp_path / "model.zip")
     assert entry(tmp_path)["env"] == {"task": None, "fidelity": "exact"}
     assert entry(tmp_path)["functions"] == ["task", "randomize", "scene"]
+
+
+def test_settings_of_single_environments_are_named(tmp_path: Path) -> None:
+    scenes = [{"gravity": 2.0}, {"gravity": 3.0, "jack_mass": 5.0}]
+    envs = native(scene=scenes, control_dt=np.float32(0.5), randomize={"box_mass": np.array([300, 400])})
+    save_model(PPO("MlpPolicy", envs), tmp_path / "model.zip")
+    assert entry(tmp_path)["each"] == ["scene"]
+    expected = {"task": "juggle", "fidelity": "exact", "control_dt": 0.5, "randomize": {"box_mass": [300, 400]}}
+    assert entry(tmp_path)["env"] == expected
+    tasks = DummyVecEnv([partial(gym.make, "JackInBox-v0", task=task) for task in ("spin", "juggle")])
+    save_model(PPO("MlpPolicy", tasks), tmp_path / "model.zip")
+    assert (entry(tmp_path)["each"], entry(tmp_path)["env"]) == (["task"], {"scene": {}})
+    save_model(PPO("MlpPolicy", native(scene=scenes[:1] * 2)), tmp_path / "model.zip")
+    assert (entry(tmp_path)["each"], entry(tmp_path)["env"]["scene"]) == ([], scenes[0])
 
 
 def test_models_share_a_folder_and_a_renamed_one_is_known(tmp_path: Path) -> None:
@@ -205,6 +251,11 @@ def test_a_model_that_does_not_fit_is_refused_with_what_would(name: str, tmp_pat
         (lambda: VecFrameStack(native(), 3), "VecFrameStack"),
         (lambda: VecNormalize(VecNormalize(native())), "a second VecNormalize"),
         (lambda: HoldingVecEnv(HoldingVecEnv(native(), 2), 2), "HoldingVecEnv around another that repeats actions"),
+        (lambda: native(torque="chirp"), "torque='chirp'"),
+        (
+            lambda: DummyVecEnv([partial(LandingControl, single_of(), period=period) for period in (1, 2)]),
+            "wrappers that differ between its environments",
+        ),
     ],
 )
 def test_an_unknown_wrapper_is_named(make: Callable[[], VecEnv], name: str, tmp_path: Path) -> None:
@@ -225,6 +276,11 @@ def test_without_env_json_and_in_another_environment_there_is_a_note(tmp_path: P
     save_model(trained(native(task=Task(("a",), juggle))), tmp_path / "model.zip")
     done = script("evaluate", *few, "--trust", cwd=tmp_path)
     assert "Note: model.zip was trained with task by functions of its own; here it plays on task juggle" in done.stderr
+    several = native(scene=[{}, {"gravity": 2}], max_episode_steps=1000)
+    save_model(trained(several), tmp_path / "model.zip")
+    done = script("evaluate", *few, "--trust", cwd=tmp_path)
+    assert "with another scene in each environment, episodes of 1000 steps, not of 500; here it plays" in done.stderr
+    assert done.stderr.count("Note:") == 1
     (tmp_path / "env.json").unlink()
     done = script("evaluate", *few, "--trust", cwd=tmp_path)
     assert "Note: no env.json beside model.zip describes it, so it decides in every control step" in done.stderr
