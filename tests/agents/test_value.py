@@ -93,6 +93,6 @@ def test_short_plans_juggle_better_with_the_value() -> None:
     settings: dict[str, Any] = {**SMALL, "samples": 64, "iterations": 1, "knots": 20}
     value = read_value(SHIPPED / "juggle-value")
     with_it, without = (
-        evaluate("planner", Planner(Scene(), **settings, value=end), EXACT.env_settings, 4, 0) for end in (value, None)
-    )
+        evaluate("planner", Planner(Scene(), **settings, value=end), EXACT.env_settings, 12, 0) for end in (value, None)
+    )  # on average by 29, and of 12 episodes by 8 more or less
     assert with_it.mean > without.mean
