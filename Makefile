@@ -1,6 +1,7 @@
 # make demo: train, evaluate, film. make test: lint, types, tests. Both set themselves up in .venv first.
 # make test-all: the slow tests too. The other targets write the reports in docs/.
 # make machines: the bits of this machine against itself as older ones, newer Pythons on PATH, and an emulated ARM.
+# make roundings: what uses PyTorch, BLAS or numpy's kernels, as these round on other processors.
 # On Windows: make BIN=.venv/Scripts PYTHON=python ...
 PYTHON ?= python3
 BIN := .venv/bin
@@ -12,8 +13,19 @@ TESTS := not slow
 UNDER_OLD_GYMNASIUM := $(addprefix tests/,environment/test_env.py environment/test_starts_and_settings.py \
 	environment/test_tools.py batches/test_vector_env.py \
 	guarantees/test_bits.py refusals/test_refusals.py)
+# Settings in which PyTorch, MKL, OpenBLAS and numpy 2.4 use code for other processors; + joins several.
+OTHER_NUMPY := NPY_DISABLE_CPU_FEATURES=X86_V3,X86_V4,AVX512_ICL
+ROUNDINGS := ATEN_CPU_CAPABILITY=default ATEN_CPU_CAPABILITY=avx2 MKL_CBWR=COMPATIBLE OPENBLAS_CORETYPE=Haswell \
+	OPENBLAS_CORETYPE=Prescott $(OTHER_NUMPY)
+SEVERAL_ROUNDINGS := ATEN_CPU_CAPABILITY=default+OPENBLAS_CORETYPE=Prescott+$(OTHER_NUMPY)
+ROUNDED := $(addprefix tests/,agents batches commands environment measuring studies guarantees/test_derivatives.py \
+	test_first_day.py test_lesson.py test_package.py)
+# Those in which networks play and train, and derivatives.
+ROUNDED_QUICKLY := $(addprefix tests/,$(addprefix agents/test_,cards.py landing.py network.py planner.py repeating.py \
+	saved_models.py training.py value.py zoo.py) batches/test_torch.py environment/test_ilqr.py \
+	environment/test_lookahead.py measuring/test_fitting.py studies/test_distil.py)
 
-.PHONY: demo test test-all test-slow benchmark benchmark-quick throughput speed costs derivatives prove prove-quick reference soak extremes machines kills mutants results networks readme docs recipes wheel dataset ranges clean
+.PHONY: demo test test-all test-slow benchmark benchmark-quick throughput speed costs derivatives prove prove-quick reference soak extremes machines roundings roundings-quick kills mutants results networks readme docs recipes wheel dataset ranges clean
 .DELETE_ON_ERROR:
 
 demo: .venv/usable
@@ -80,6 +92,15 @@ extremes: .venv/ready
 # ARM needs Debian's debootstrap and qemu-user-static, root and about 10 minutes; else it is skipped and named.
 machines: .venv/ready
 	@JACKBOX_MACHINES=all $(PYTEST) -rs tests/guarantees/test_other_machines.py
+
+# About 3 minutes for each setting; quick: the tests of networks and derivatives under several settings at once, a minute.
+roundings: .venv/ready
+	@$(foreach setting,$(ROUNDINGS),echo "$(setting)" && $(subst +, ,$(setting)) \
+		$(PYTEST) $(WORKERS) -m "$(TESTS)" $(ROUNDED) &&) true
+
+roundings-quick: ROUNDINGS := $(SEVERAL_ROUNDINGS)
+roundings-quick: ROUNDED := $(ROUNDED_QUICKLY)
+roundings-quick: roundings
 
 # Trainings killed 200 times at random moments.
 kills: .venv/ready
