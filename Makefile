@@ -25,7 +25,7 @@ ROUNDED_QUICKLY := $(addprefix tests/,$(addprefix agents/test_,cards.py landing.
 	saved_models.py training.py value.py zoo.py) batches/test_torch.py environment/test_ilqr.py \
 	environment/test_lookahead.py measuring/test_fitting.py studies/test_distil.py)
 
-.PHONY: demo test test-all test-slow benchmark benchmark-quick throughput speed costs derivatives prove prove-quick reference soak extremes machines roundings roundings-quick kills mutants results networks readme docs recipes wheel dataset ranges clean
+.PHONY: demo test test-all test-slow benchmark benchmark-quick throughput speed costs derivatives prove prove-quick reference soak extremes machines roundings roundings-quick kills interrupts mutants results networks readme docs recipes wheel dataset ranges clean
 .DELETE_ON_ERROR:
 
 demo: .venv/usable
@@ -105,6 +105,10 @@ roundings-quick: roundings
 # Trainings killed 200 times at random moments.
 kills: .venv/ready
 	@JACKBOX_KILLS=200 $(PYTEST) tests/guarantees/test_kills.py
+
+# Steps and rollouts on two threads interrupted 100,000 times by each of two signals; some minutes.
+interrupts: .venv/ready
+	@JACKBOX_INTERRUPTS=100000 $(PYTEST) tests/guarantees/test_interruptions.py -k random_moments
 
 # Mutation testing: 60 small faults, one at a time, and the first test that fails of each; some hours.
 mutants: .venv/ready

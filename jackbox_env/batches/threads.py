@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import _thread
 import os
+import weakref
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor, wait
-from typing import Any, TypeVar
+from itertools import repeat
+from queue import SimpleQueue
+from typing import Any, Generic, TypeVar
 
 from jackbox_env import checks as check
 from jackbox_env.exact.workspace import Call, Status
@@ -60,6 +63,56 @@ def run_blocks(loop: Callable[..., Any], calls: list[Call], thread: int, low: in
         low, first = number, step  # it paused so that Python can handle an interruption
 
 
+class _Job(Generic[R]):
+    """Work on ranges that several threads share. It carries the queue of its call's reports."""
+
+    def __init__(self, work: Callable[[int, int, int], R], total: int, size: int, halt: Halt) -> None:
+        self._work, self._total, self._size, self._pieces = work, total, size, deque(range(0, total, size))
+        self.halt, self.reports = halt, SimpleQueue[dict[int, R] | BaseException]()
+
+    def share(self, number: int) -> dict[int, R]:
+        """Work on one range after the other; return the results by the ranges' starts."""
+        results = dict[int, R]()
+        while not self.halt.requested:
+            try:
+                low = self._pieces.popleft()
+            except IndexError:
+                break
+            results[low] = self._work(number, low, min(low + self._size, self._total))
+        return results
+
+    def report(self, number: int) -> None:
+        """Work likewise in another thread; the results, or the error, go to ``reports``."""
+        try:
+            self.reports.put(self.share(number))
+        except BaseException as error:
+            self.halt.requested = True
+            self.reports.put(error)
+
+
+class _Workers:
+    """Threads that work on the jobs in a queue. They end with this object and do not keep a process alive.
+
+    An interruption can cut the locks of ``threading`` and ``concurrent.futures``, which are Python code, and leave them
+    locked. It cannot cut a queue's methods, or the starts and ends of threads here: they are C.
+    """
+
+    def __init__(self, count: int) -> None:
+        self.process = os.getpid()  # threads do not survive a fork
+        self.jobs: SimpleQueue[Any] = SimpleQueue()
+        for _ in range(count):
+            # A dead weak reference puts itself into the queue, and a worker that takes it ends.
+            _thread.start_new_thread(_serve, (self.jobs, weakref.ref(self, self.jobs.put)))
+
+
+def _serve(jobs: SimpleQueue[Any], _workers: weakref.ref[_Workers]) -> None:
+    """Work on jobs, each a :class:`_Job` and this thread's number in it, until a dead reference is among them."""
+    while not isinstance(taken := jobs.get(), weakref.ref):
+        job, number = taken
+        job.report(number)
+        del taken, job  # an idle thread keeps nothing alive
+
+
 class Threads:
     """A few threads that work on ranges, one piece at a time; the calling thread works as well.
 
@@ -68,7 +121,7 @@ class Threads:
 
     def __init__(self, count: int) -> None:
         self.count = count
-        self._pool: tuple[int, ThreadPoolExecutor] | None = None  # with its process: threads do not survive a fork
+        self._workers: _Workers | None = None
 
     def run(self, work: Callable[[int, int, int], R], total: int, grain: int = 1, halt: Halt | None = None) -> list[R]:
         """Call ``work(number, low, high)`` for ranges that make up ``total``, and return the results in their order.
@@ -80,43 +133,35 @@ class Threads:
         """
         if self.count == 1:
             return [work(0, 0, total)]
-        size = max(1, grain, -(-total // (_PIECES * self.count)))
-        halt = halt or Halt()
-        pieces, results, futures = deque(range(0, total, size)), dict[int, R](), list[Future[None]]()
-
-        def share(number: int) -> None:
-            while not halt.requested:
-                try:
-                    low = pieces.popleft()
-                except IndexError:
-                    return
-                try:
-                    results[low] = work(number, low, min(low + size, total))
-                except BaseException:
-                    halt.requested = True
-                    raise
-
+        job = _Job(work, total, max(1, grain, -(-total // (_PIECES * self.count))), halt or Halt())
+        workers, self._workers = self._workers, None  # the workers of a call that fails end
+        reports, sent = list[dict[int, R] | BaseException](), 0
         try:
-            pool = self._executor()
+            if workers is None or workers.process != os.getpid():
+                workers = _Workers(self.count - 1)
             for number in range(1, self.count):
-                futures.append(pool.submit(share, number))
-            share(0)
-            for future in futures:
-                future.result()
+                workers.jobs.put((job, number))
+                sent = number
+            results = job.share(0)
+            _gather(job.reports, reports, sent)
         except BaseException:
-            halt.requested, self._pool = True, None
-            wait(futures)
+            job.halt.requested, workers = True, None
+            _gather(job.reports, reports, sent)
             raise
+        for report in reports:
+            if isinstance(report, BaseException):
+                raise report
+            results |= report
+        self._workers = workers
         return [results[low] for low in sorted(results)]
-
-    def _executor(self) -> ThreadPoolExecutor:
-        """The pool of this process."""
-        if self._pool is None or self._pool[0] != os.getpid():
-            self._pool = os.getpid(), ThreadPoolExecutor(self.count - 1)
-        return self._pool[1]
 
     def __getstate__(self) -> dict[str, Any]:
         return {"count": self.count}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__init__(state["count"])  # type: ignore[misc]
+
+
+def _gather(queue: SimpleQueue[R], items: list[R], count: int) -> None:
+    """Move items from a queue to a list until it has ``count``. An interruption in this one C call loses none."""
+    items.extend(map(SimpleQueue.get, repeat(queue, count - len(items))))

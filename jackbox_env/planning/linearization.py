@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import checks as check
-from jackbox_env.batches.threads import Threads, thread_count
+from jackbox_env.batches.threads import Halt, Threads, thread_count
 from jackbox_env.exact import derivatives, tangents
 from jackbox_env.exact.compiler import compiled
 from jackbox_env.exact.workspace import new_workspaces
@@ -155,15 +155,17 @@ class Linearization:
         """Call ``call`` for ranges of rows, on several threads."""
         count, steps = len(self.trajectories), self.trajectories.shape[1] - 1
         ranges = count if self._num_threads is not None else min(count, count * steps // FEWEST_PER_THREAD)
-        threads = Threads(thread_count(self._num_threads, ranges))
+        threads, halt = Threads(thread_count(self._num_threads, ranges)), Halt()
         at_once = max(1, _AT_ONCE // max(1, steps))
 
         def work(thread: int, low: int, high: int) -> None:
             memory = np.zeros((tangents.ROWS, columns)), new_workspaces()
             for first in range(low, high, at_once):
+                if halt.requested:
+                    return
                 call((first, min(first + at_once, high)), *memory)
 
-        threads.run(work, count)
+        threads.run(work, count, halt=halt)
 
 
 def linearize(

@@ -1,24 +1,31 @@
-"""Ctrl-C in a batch: nothing has changed, or the batch refuses until reset; nothing hangs, no thread writes later."""
+"""Ctrl-C in a batch: nothing has changed, or the batch refuses until reset; nothing hangs, no thread writes later.
+
+``JACKBOX_INTERRUPTS=100000`` interrupts as often at random moments, not 500 times.
+"""
 
 from __future__ import annotations
 
+import copy
 import os
+import pickle
 import signal
 import subprocess
 import sys
 import threading
-from concurrent.futures import wait
+import time
 from typing import Any
 
 import numpy as np
 import pytest
 
 from jackbox_env import JackInBoxVectorEnv, Scene
-from jackbox_env.batches import exact, threads
+from jackbox_env.batches import exact
+from jackbox_env.batches import threads as batch_threads
 from jackbox_env.exact import compiler, glide, run
 from jackbox_env.exact.workspace import Status
 from tests.states import lying
 
+INTERRUPTS = int(os.environ.get("JACKBOX_INTERRUPTS", "500"))
 ACTIONS = np.array([-0.5, 0.3, 1.0])
 
 
@@ -88,7 +95,7 @@ def test_a_thread_that_outlives_a_second_interruption_changes_no_later_step(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     env, twin = made(num_envs=640), made(num_envs=640)
-    main, begun, gate, unfinished = threading.get_ident(), threading.Event(), threading.Event(), list[Any]()
+    main, begun, gate, ended = threading.get_ident(), threading.Event(), threading.Event(), threading.Event()
     loop = compiler.compiled(run.run)
 
     def late(*arguments: Any) -> Any:
@@ -97,23 +104,53 @@ def test_a_thread_that_outlives_a_second_interruption_changes_no_later_step(
             raise KeyboardInterrupt
         begun.set()
         assert gate.wait(20.0)
-        return loop(*arguments)
+        returned = loop(*arguments)
+        ended.set()
+        return returned
 
-    def interrupted_wait(futures: list[Any]) -> None:
-        unfinished.extend(futures)
+    def interrupted_wait(*_: Any) -> None:
         raise KeyboardInterrupt
 
     before = shown(env)
     with monkeypatch.context() as patch:
         patch.setattr(exact, "compiled", lambda _: late)
-        patch.setattr(threads, "wait", interrupted_wait)
+        patch.setattr(batch_threads, "_gather", interrupted_wait)
         with pytest.raises(KeyboardInterrupt):
             env.step(None)
     assert shown(env) == before
     env.step(None), twin.step(None)
     gate.set()
-    wait(unfinished)
+    assert ended.wait(20.0)
     assert shown(env) == shown(twin)
+
+
+@pytest.mark.parametrize("name", ["SIGALRM", "SIGINT"])
+@pytest.mark.timeout(300 + INTERRUPTS // 20)
+def test_interrupts_at_random_moments_neither_hang_nor_raise_other_errors(name: str) -> None:
+    command = [sys.executable, "-m", "tests.guarantees.interrupting", name, str(INTERRUPTS)]
+    ran = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stderr
+    assert ran.stdout.startswith(f"{INTERRUPTS}"), ran.stdout
+
+
+def test_threads_end_with_their_batch_and_wait_in_copies_for_none() -> None:
+    before = threads_of_process()
+    env = made(num_envs=640)
+    env.step(None)
+    assert threads_of_process() == before + 1
+    twin = copy.deepcopy(pickle.loads(pickle.dumps(env)))
+    env.step(None), twin.step(None)
+    assert shown(env) == shown(twin)
+    assert threads_of_process() == before + 2
+    del env, twin
+    until = time.monotonic() + 20.0
+    while threads_of_process() > before and time.monotonic() < until:
+        time.sleep(0.01)
+    assert threads_of_process() == before
+
+
+def threads_of_process() -> int:
+    return len(os.listdir("/proc/self/task"))
 
 
 def test_a_forked_process_steps_with_new_threads() -> None:
@@ -128,14 +165,17 @@ def test_a_forked_process_steps_with_new_threads() -> None:
     assert os.waitpid(process, 0)[1] == 0
 
 
-EXIT = """
+MADE = """
 import threading, jackbox_env
 env = jackbox_env.JackInBoxVectorEnv(20000, contact="exact", num_threads=2)
 env.reset(seed=0)
+"""
+EXIT_IN_STEP = """
 threading.Thread(target=lambda: [env.step(None) for _ in range(10**6)], daemon=True).start()
 """
 
 
-def test_a_process_ends_while_a_step_runs() -> None:
-    ran = subprocess.run([sys.executable, "-c", EXIT], capture_output=True, text=True, timeout=60, check=False)
+@pytest.mark.parametrize("code", [EXIT_IN_STEP, "env.step(None)"])
+def test_a_process_ends_while_a_step_runs_or_threads_wait(code: str) -> None:
+    ran = subprocess.run([sys.executable, "-c", MADE + code], capture_output=True, text=True, timeout=60, check=False)
     assert ran.returncode == 0, ran.stderr
