@@ -21,6 +21,7 @@ from jackbox_env.batches.infos import Infos, NoInfos, infos_at_end, infos_at_sta
 from jackbox_env.batches.resets import ResetPlan, as_autoreset_mode, plan_of
 from jackbox_env.env import JackInBoxEnv, Randomize
 from jackbox_env.landing import Landings
+from jackbox_env.one_thread import ThreadNote, by_one_thread
 from jackbox_env.randomization import NUMBERS, Randomization
 from jackbox_env.scene import Scene
 from jackbox_env.simulators import Impact, contact_model
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 
 _MOST_ENVS = 1_000_000_000
 _NO_LIMIT = 10**15  # steps; float64 counts them all
+_alone = by_one_thread("a vector environment")
 
 
 class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
@@ -70,7 +72,8 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         render_overlay: False: frames show box, jack and ruled lines alone.
 
     Returned arrays are never written again. Ctrl-C in ``step`` changes nothing, unless it strikes while the new states
-    replace the old ones. Then ``step`` raises RuntimeError until all environments are ``reset``.
+    replace the old ones. Then ``step`` raises RuntimeError until all environments are ``reset``. While a thread is in
+    ``step``, ``reset``, ``set_states``, ``impacts``, ``observations`` or ``render``, they raise RuntimeError in others.
 
     Raises:
         TypeError, ValueError: an argument out of its range.
@@ -143,7 +146,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
             self._batch = SingleBatch(
                 scenes, self.num_envs, limit, self._with_infos, drawn, render_mode=render_mode, **settings
             )
-        self._randomize = drawn
+        self._inside, self._randomize = ThreadNote(), drawn
         self._seeds = [-1] * self.num_envs  # -1 where none was given
         self._started = np.zeros(self.num_envs, dtype=np.bool_)  # which have been reset
         # Whether all have been reset, an episode may be over, and a change has begun and not ended.
@@ -188,12 +191,17 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         return self._batch.times
 
     @property
+    @_alone
     def observations(self) -> Floats:
         """The observations of the present states: a fresh float32 array, shape (N, 10)."""
+        return self._observed()
+
+    def _observed(self) -> Floats:
         observations = np.empty((self.num_envs, 10), dtype=np.float32)
         self._batch.observe(np.arange(self.num_envs), observations)
         return observations
 
+    @_alone
     def set_states(self, states: ArrayLike, times: ArrayLike, chosen: Flags | None = None) -> None:
         """Set states, shape (12,) or (N, 12), and times [s], a number or shape (N,).
 
@@ -224,6 +232,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         """
         return self._batch.field(check.choice("name", name, (*NUMBERS, "speed_scale")))
 
+    @_alone
     def impacts(self, number: int) -> list[Impact]:
         """The last step's impacts of one environment, in time order; empty after a restart or :meth:`set_states`.
 
@@ -239,6 +248,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         """The environments' seeds, -1 where none was given."""
         return tuple(self._seeds)
 
+    @_alone
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Floats, Infos]:
@@ -276,7 +286,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         if self._with_infos:
             infos = infos_at_start(self._terms, self.states, self.times, plan.chosen)
             infos = masked(infos | self._drawn(plan.chosen), plan.chosen)
-        return self.observations, infos
+        return self._observed(), infos
 
     def check_reset(self, seed: int | Sequence[int | None] | None, options: Mapping[str, Any] | None) -> ResetPlan:
         """Check a reset's arguments without changing anything. The reset itself checks scenes, and states in them.
@@ -286,6 +296,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         """
         return plan_of(self._arguments, seed, options)
 
+    @_alone
     def step(self, actions: ArrayLike | Landings | None, repeat: int = 1) -> tuple[Floats, Array, Flags, Flags, Infos]:
         """Advance all environments by one control step under ``actions``, shape (N, 1) or (N,), or under the drive.
 
@@ -329,6 +340,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         infos |= masked(last, self._started)
         return outcome.observations, outcome.rewards, outcome.terminations, outcome.truncations, infos
 
+    @_alone
     def render(self) -> tuple[Any, ...] | None:
         """A frame of each environment, uint8, shape (height, width, 3)."""
         if self.render_mode is None:

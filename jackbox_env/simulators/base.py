@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from _thread import get_ident
 from abc import ABC, abstractmethod
 from typing import Any, ClassVar, NamedTuple
 
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jackbox_env import checks as check
+from jackbox_env.one_thread import ThreadNote, in_use
 from jackbox_env.scene import Scene
 from jackbox_env.states import LATEST_TIME, Array, Numbers, as_restored
 
@@ -75,7 +77,8 @@ class Simulator(ABC):
     """A contact model with a state (12 float64, see :mod:`jackbox_env.mechanics`) and a time, which it steps.
 
     A step depends only on state, time and its arguments. Equal calls from equal states return equal bits, also after
-    pickling and copying.
+    pickling and copying. A simulator is used by one thread at a time; ``step`` and ``reset`` raise RuntimeError while
+    another thread is in one of them.
 
     >>> from jackbox_env import make_simulator
     >>> simulator = make_simulator({"gravity": 10.0}, contact="exact")
@@ -95,7 +98,7 @@ class Simulator(ABC):
 
     def __init__(self, scene: Scene, **settings: Any) -> None:
         """Start at rest in the middle of the box, each foot facing a corner."""
-        self.scene = scene
+        self.scene, self._inside = scene, ThreadNote()
         self._present = Present(self._as_stored(np.array([0.0] * 5 + [math.pi / 4.0] + [0.0] * 6)), 0.0)
 
     @property
@@ -124,8 +127,19 @@ class Simulator(ABC):
         Raises:
             TypeError, ValueError: unusable values; the simulator stays as it was.
         """
-        values = self._as_stored(as_restored(self.scene, state))
-        self._present = Present(values, check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME))
+        state = as_restored(self.scene, state)
+        time = check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
+        self._enter()
+        try:
+            self._present = Present(self._as_stored(state), time)
+        finally:
+            self._inside.clear()
+
+    def _enter(self) -> None:
+        """Note this thread, or raise RuntimeError if another one is in the simulator."""
+        thread = get_ident()
+        if self._inside.setdefault(0, thread) != thread:
+            raise in_use("a simulator")
 
     def _as_stored(self, state: Array) -> Numbers:
         """A fresh state in the form in which the model stores it."""
@@ -150,4 +164,5 @@ class Simulator(ABC):
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
+        self._inside = ThreadNote()
         self._prepare()

@@ -30,6 +30,7 @@ Reference: Lygeros et al. 2003, "Dynamical properties of hybrid automata"; the b
 from __future__ import annotations
 
 import math
+from _thread import get_ident
 from collections.abc import Sequence
 from functools import cache
 from typing import cast
@@ -46,6 +47,7 @@ from jackbox_env.exact.run import run
 from jackbox_env.exact.search import MOST_WORK
 from jackbox_env.exact.step import CHIRP, CONSTANT, CONSTANT_BESIDE_FORCES, FUNCTIONS
 from jackbox_env.exact.workspace import NOTHING, TORQUE, TORQUES, Call, Rules, Scenes, Status, new_memory
+from jackbox_env.one_thread import in_use
 from jackbox_env.scene import Chirp, Drive, Scene, too_many_turns
 from jackbox_env.simulators.base import Impact, JackLostError, Present, Simulator, end_of_step
 from jackbox_env.simulators.functions import function_pieces
@@ -119,11 +121,23 @@ class ExactSimulator(Simulator):
 
     @override
     def step(self, dt: float, torque: float | None = None) -> None:
-        dt = check.real("dt", dt, above=0.0)
-        if torque is not None:
+        if not (type(dt) is float and 0.0 < dt < math.inf):  # a plain float needs no more
+            dt = check.real("dt", dt, above=0.0)
+        if torque is not None and not (type(torque) is float and -math.inf < torque < math.inf):
             torque = check.real("torque", torque)
-            self._controls[0, 0] = torque
+        inside, thread = self._inside, get_ident()
+        if inside.setdefault(0, thread) != thread:
+            raise in_use("a simulator")
+        try:
+            self._step(dt, torque)
+        finally:
+            inside.clear()
+
+    def _step(self, dt: float, torque: float | None) -> None:
+        """Make a step with checked arguments."""
         present, held = self._present, torque is not None
+        if torque is not None:
+            self._control[0] = torque
         if self._prepared != (dt, held) or self._cut[held]:
             self._prepare_step(dt, torque)
         into = 1 if present.state is self._states[0] else 0  # the state in the other block stays as it is
@@ -138,9 +152,8 @@ class ExactSimulator(Simulator):
                 end_of_step(present.time, dt)
                 raise failure(ended, self.scene, present.time, dt)
             call = self._calls[into] = call.with_room()  # and repeat the step
-        memory = call.memory
-        impacts = recorded(memory.log[:hits], present.time) if hits else ()
-        self._present = Present(self._states[into], present.time + dt, memory.lanes.item(TORQUE, 0), impacts)
+        impacts = recorded(call.memory.log[:hits], present.time) if hits else ()
+        self._present = Present(self._states[into], present.time + dt, self._torques[into][0], impacts)
 
     @property
     def evaluations(self) -> float:
@@ -163,22 +176,17 @@ class ExactSimulator(Simulator):
 
     def _prepare(self) -> None:
         blocks = np.zeros((2, 1, WIDTH, 1))  # before and after a step, in turn
-        self._blocks, self._states, self._times = blocks, list(blocks[:, 0, :12, 0]), list(blocks[:, 0, TIME])
-        self._run, self._calls, self._controls = (
-            compiled(run),
-            [Call(new_memory(1, 64)) for _ in range(2)],
-            np.zeros((1, 1)),
-        )
+        self._blocks, self._states, self._run = blocks, list(blocks[:, 0, :12, 0]), compiled(run)
+        self._calls, self._controls = [Call(new_memory(1, 64)) for _ in range(2)], np.zeros((1, 1))
+        self._times, self._control = list(map(_view, blocks[:, 0, TIME])), _view(self._controls[0])
+        self._torques = [_view(call.memory.lanes[TORQUE]) for call in self._calls]
         self._kinds = [np.array([drive_kind(self.scene.drive, held)], np.int64) for held in (False, True)]
         self._cut = [kind[0] in WITH_PIECES for kind in self._kinds]
         self._prepared: tuple[float, bool] | None = None  # dt, and whether a torque is held
         self._present = self._present._replace(state=self._as_stored(cast(Array, self._present.state)))
 
     def _prepare_step(self, dt: float, torque: float | None) -> None:
-        """Set the arguments of steps from one block to the other, and back.
-
-        In new calls: another thread may be running an old one, which keeps its arrays alive.
-        """
+        """Set the arguments of steps from one block to the other, and back."""
         held = torque is not None
         pieces = NO_PIECES
         if self._cut[held]:
@@ -188,12 +196,15 @@ class ExactSimulator(Simulator):
         rules = Rules(dt, 1, math.inf, TORQUES, False, 0, 0, math.inf)
         controls = self._controls if held else np.zeros((0, 0))
         results = NOTHING._replace(terminations=np.zeros(1, np.bool_), truncations=np.zeros(1, np.bool_))
-        calls = [Call(call.memory) for call in self._calls]
-        for into, call in enumerate(calls):
-            call.prepare(scenes, rules, self._blocks[1 - into], self._blocks[into], controls, results)
         self._prepared = None
-        self._calls = calls
+        for into, call in enumerate(self._calls):
+            call.prepare(scenes, rules, self._blocks[1 - into], self._blocks[into], controls, results)
         self._prepared = dt, held
+
+
+def _view(number: Array) -> memoryview[float]:
+    """A number in an array, shape (1,), for faster access."""
+    return cast("memoryview[float]", number.data)
 
 
 def recorded(log: Array, time: float) -> tuple[Impact, ...]:

@@ -144,6 +144,14 @@ class PymunkSimulator(Simulator):
         dt = check.real("dt", dt, above=0.0)
         if torque is not None:
             torque = check.real("torque", torque)
+        self._enter()
+        try:
+            self._step(dt, torque)
+        finally:
+            self._inside.clear()
+
+    def _step(self, dt: float, torque: float | None) -> None:
+        """Make a step with checked arguments."""
         state, time = self._numbers, self.time
         end = end_of_step(time, dt)
         if self._may_touch(dt, torque):
