@@ -2,7 +2,8 @@
 
 iLQR (Tassa et al. 2012, doi:10.1109/IROS.2012.6386025) with bounded torques (Tassa et al. 2014,
 doi:10.1109/ICRA.2014.6907001): a backward pass over the linearised motion, then a line search by exact rollouts. A
-step without a derivative interrupts the backward pass: earlier torques are chosen as if nothing followed.
+step without a derivative, or an overflow, interrupts the backward pass: earlier torques are chosen as if nothing
+followed. A line search in which a jack is lost counts as one that gains nothing.
 
 Within this file torques are in units of the limit.
 """
@@ -19,6 +20,7 @@ from jackbox_env import checks as check
 from jackbox_env.planning.linearization import linearize
 from jackbox_env.planning.rollouts import rollout
 from jackbox_env.scene import Scene
+from jackbox_env.simulators import JackLostError
 from jackbox_env.states import LATEST_TIME, THETA_BOX, THETA_JACK, X_BOX, X_JACK, Array, as_restored
 from jackbox_env.tasks import SLOPES
 
@@ -27,6 +29,7 @@ _LENGTHS = 0.5 ** np.arange(12)  # of the line search
 MOST_ITERATIONS = 200
 _LEAST_GAIN, _MOST_DAMPING = 1e-3, 1e6  # of an iteration; [value / limit^2]
 _CLOSEST = 1.0 / 60.0  # [L] from the middle, where the kink of juggle's reward is smoothed
+_overflowing = np.errstate(over="ignore", invalid="ignore")  # products of derivatives of many impacts
 
 
 class Improved(NamedTuple):
@@ -85,7 +88,7 @@ def ilqr(
 
     Raises:
         TypeError, ValueError: unusable values, also of ``cost``.
-        JackLostError: a jack moves too fast to be followed.
+        JackLostError: under the plan itself the jack moves too fast to be followed.
     """
     problem = _Problem(Scene.of(scene), state, dt, task, cost, repeat, time, num_threads)
     plan = check.array("torques", torques, "be numbers").astype(np.float64) / problem.scene.torque_limit
@@ -100,8 +103,13 @@ def ilqr(
     before, (model, nonsmooth) = float(best), problem.expanded(plan)
     while count < MOST_ITERATIONS and damping < _MOST_DAMPING:
         changes, gains = _backward(plan, model, damping)
-        tried = problem.played(plan + _LENGTHS[:, None] * changes, gains, motion)
-        number, count = int(tried[0].argmax()), count + 1
+        count += 1
+        try:
+            tried = problem.played(plan + _LENGTHS[:, None] * changes, gains, motion)
+        except JackLostError:
+            damping *= 10.0
+            continue
+        number = int(tried[0].argmax())
         if tried[0][number] < best + _LEAST_GAIN:
             damping *= 10.0
             continue
@@ -138,7 +146,7 @@ class _Problem:
         states[:, 0], time = self._start, self._time
         for knot in range(knots):
             first, last = knot * self._repeat, (knot + 1) * self._repeat
-            off = 0.0 if old is None else (states[:, first] - old[first]) @ gains[knot]
+            off = 0.0 if old is None else _feedback(gains[knot], states[:, first] - old[first])
             torques[:, knot] = np.clip(plans[:, knot] + off, -1.0, 1.0)
             applied = np.repeat(torques[:, knot, None] * self.scene.torque_limit, self._repeat, axis=1)
             played = rollout(self.scene, states[:, first], applied, self._dt, time, rewards=self._task, **self._options)
@@ -167,14 +175,7 @@ class _Problem:
         slope, curvature = self._lost(ends) if self._cost is None else self._costs(ends)[1:]
         slope = slope.reshape(knots, self._repeat, 12)
         curvature = curvature.reshape(knots, self._repeat, 12, 12)
-        motion = np.repeat(np.eye(12, 13)[None], knots, axis=0)
-        slopes, curvatures = np.zeros((knots, 13)), np.zeros((knots, 13, 13))
-        for step in range(self._repeat):
-            motion = by_state[:, step] @ motion
-            motion[:, :, 12] += by_torque[:, step]
-            slopes += (slope[:, step, None] @ motion)[:, 0]
-            curvatures += motion.transpose(0, 2, 1) @ curvature[:, step] @ motion
-        return (motion, slopes, curvatures), int((~lin.smooth).sum())
+        return _condensed(by_state, by_torque, slope, curvature), int((~lin.smooth).sum())
 
     def _lost(self, states: Array) -> tuple[Array, Array]:
         """Slopes, (H, 12), and curvatures, (H, 12, 12), of what the task's reward loses, by states, (H, 12).
@@ -215,6 +216,27 @@ class _Problem:
         return costs, slopes, curvatures
 
 
+@_overflowing
+def _feedback(gains: Array, deviations: Array) -> Array:
+    """Changes of a torque, (n,), by gains, (12,), times deviations of the state, (n, 12); 0 where that overflows."""
+    return np.nan_to_num(deviations @ gains)
+
+
+@_overflowing
+def _condensed(by_state: Array, by_torque: Array, slope: Array, curvature: Array) -> tuple[Array, Array, Array]:
+    """The derivatives of :meth:`_Problem.expanded` from those of each step, shapes (K, repeat, ...)."""
+    knots, repeat = slope.shape[:2]
+    motion = np.repeat(np.eye(12, 13)[None], knots, axis=0)
+    slopes, curvatures = np.zeros((knots, 13)), np.zeros((knots, 13, 13))
+    for step in range(repeat):
+        motion = by_state[:, step] @ motion
+        motion[:, :, 12] += by_torque[:, step]
+        slopes += (slope[:, step, None] @ motion)[:, 0]
+        curvatures += motion.transpose(0, 2, 1) @ curvature[:, step] @ motion
+    return motion, slopes, curvatures
+
+
+@_overflowing
 def _backward(torques: Array, model: tuple[Array, Array, Array], damping: float) -> tuple[Array, Array]:
     """Changes of the torques, shape (K,), and gains, (K, 12); zero where a torque reaches its limit."""
     knots = len(torques)
@@ -223,6 +245,9 @@ def _backward(torques: Array, model: tuple[Array, Array, Array], damping: float)
     for knot in range(knots - 1, -1, -1):
         motion, slopes, curvatures = (part[knot] for part in model)
         slopes, curvatures = slopes + motion.T @ slope, curvatures + motion.T @ curvature @ motion
+        if not (np.isfinite(slopes).all() and np.isfinite(curvatures).all()):
+            slope, curvature = np.zeros(12), np.zeros((12, 12))
+            continue
         unclipped = -slopes[12] / (curvatures[12, 12] + damping)
         changes[knot] = np.clip(unclipped, -1.0 - torques[knot], 1.0 - torques[knot])
         if changes[knot] == unclipped:

@@ -60,6 +60,22 @@ def test_wrong_derivatives_improve_little_and_without_any_the_plan_stays(monkeyp
     np.testing.assert_array_equal(ilqr(SCENE, START, [0.0], 0.02, cost=constant).torques, [0.0])
 
 
+SMALL = {"box_half_width": 0.07, "box_mass": 0.7, "jack_mass": 40.0, "jack_arm": 0.044, "torque_limit": 28.0}
+STRONG = {"box_half_width": 0.05, "box_mass": 0.4, "jack_mass": 0.15, "jack_arm": 0.044, "torque_limit": 27000.0}
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(("fields", "knots", "gain"), [(SMALL, 60, 10.0), (STRONG, 30, 0.0)])
+def test_where_gains_overflow_or_a_changed_plan_loses_the_jack_no_error_is_raised(
+    fields: dict[str, float], knots: int, gain: float
+) -> None:
+    start = [0.0] * 3 + [0.03 * fields["box_half_width"], 0.05 * fields["box_half_width"], 0.3] + [0.0] * 6
+    improved = ilqr(fields, start, [0.0] * knots, 0.02, task="spin", repeat=5)
+    assert improved.value >= improved.before + gain
+    played = rollout(fields, start, improved.torques[None], 0.02, repeat=5)
+    np.testing.assert_array_equal(played[0], improved.states)
+
+
 def constant(states: Array) -> Any:
     return np.ones(len(states)), np.zeros((len(states), 12)), np.zeros((len(states), 12, 12))
 
