@@ -325,7 +325,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         if not self._started:
             raise gym.error.ResetNeeded("step must come after a reset, got none yet")
         simulator, score = self._parts
-        before = None if self._builtin_task else (simulator.state, simulator.time)
+        before = None if self._builtin_task else simulator.snapshot()
         simulator.step(self.control_dt, torque)
         impacts, state = simulator.impacts, simulator.state
         impulse = total_impulse(impacts)
@@ -334,7 +334,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
             reward = tasks.checked_reward(self._task, terms)
         except Exception:
             if before is not None:
-                simulator.reset(*before)
+                simulator.restore(before)
             raise
         if self._renderer is not None:
             self._renderer.record(state, simulator.time, simulator.torque, impacts, reward)
@@ -396,3 +396,16 @@ def put(env: JackInBoxEnv, scene: Scene, state: Array, time: float) -> None:
     parts = env._parts if scene == env.scene else env._parts_for(scene)
     parts[0].reset(state, time)
     env._adopt(parts)
+
+
+def moment(env: JackInBoxEnv) -> tuple[Any, ...]:
+    """An environment's state, last step and picture now, for :func:`go_back`."""
+    return env._parts, env._parts[0].snapshot(), None if env._renderer is None else env._renderer.snapshot()
+
+
+def go_back(env: JackInBoxEnv, to: tuple[Any, ...]) -> None:
+    """Undo the steps of an environment since a :func:`moment`. Batches of environments use it."""
+    env._parts, present, picture = to
+    env._parts[0].restore(present)
+    if env._renderer is not None:
+        env._renderer.restore(picture)

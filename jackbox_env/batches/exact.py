@@ -40,12 +40,13 @@ _NO_ACTIONS: Array = np.zeros((0, 0))
 
 
 class ExactBatch:
-    """As :class:`jackbox_env.batches.single.SingleBatch`; 288 bytes per environment besides the arrays returned.
+    """As :class:`jackbox_env.batches.single.SingleBatch`; 416 bytes per environment besides the arrays returned.
 
     With a scene for each environment it is 152 bytes more.
 
     A step drops the memory that threads write to, and restores it when they have ended. So memory that a thread may
-    still write to after an interruption is never used again.
+    still write to after an interruption is never used again. The states before the last step are stored elsewhere, so
+    a step that fails leaves that one's impacts.
     """
 
     def __init__(
@@ -78,8 +79,7 @@ class ExactBatch:
         ranges = len(self._blocks) if num_threads else num_envs // _FEWEST_PER_THREAD
         self._threads = Threads(thread_count(num_threads, ranges))
         self._spare: Array | None = np.zeros_like(self._blocks)  # where the next step writes
-        self._stepped = False  # whether that memory has the states before the last step
-        self._acted: Array | Landings | None = None  # the actions of the last step, None: the drive
+        self._last: tuple[Array, Array | Landings | None] | None = None  # states before the last step, and its actions
         self._calls: list[Call] | None = self._new_calls()
 
     def _new_calls(self) -> list[Call]:
@@ -96,7 +96,7 @@ class ExactBatch:
     @property
     def nbytes(self) -> int:
         """Bytes of the arrays that grow with the environments."""
-        return 2 * self._blocks.nbytes + self._generators.nbytes
+        return 3 * self._blocks.nbytes + self._generators.nbytes
 
     @property
     def states(self) -> Array:
@@ -165,7 +165,7 @@ class ExactBatch:
         """Begin episodes at time 0. If all begin, this also repairs what an interruption left half changed."""
         numbers, words, scenes, states = starts
         if len(numbers) == self._count:
-            self._spare = None
+            self._spare = self._last = None
             self._scenes.repair()
         if isinstance(scenes, list):
             if len(numbers) < self._count or any(scene != scenes[0] for scene in scenes):
@@ -202,15 +202,16 @@ class ExactBatch:
     def impacts(self, number: int) -> list[Impact]:
         """The impacts of an environment's last step, in time order; none if its state was set since.
 
-        The step is repeated, from the memory that the next step will write to.
+        The step is repeated.
         """
-        if self._spare is None or not self._stepped:
+        if self._last is None:
             return []
-        block, lane = divmod(number, self._blocks.shape[2])
-        steps = int(self._blocks[block, glide.STEPS, lane] - self._spare[block, glide.STEPS, lane])
+        before, actions = self._last
+        block, lane = divmod(number, before.shape[2])
+        steps = int(self._blocks[block, glide.STEPS, lane] - before[block, glide.STEPS, lane])
         if steps < 1:  # it has restarted, possibly in another scene, or it waits
             return []
-        simulator = self._stepped_again(number, self._spare, self._acted, steps)
+        simulator = self._stepped_again(number, before, actions, steps)
         return simulator.impacts if np.array_equal(simulator.state, self._blocks[block, :12, lane]) else []
 
     def _stepped_again(
@@ -252,7 +253,6 @@ class ExactBatch:
         for call in calls:
             call.prepare(scenes, rules, before, spare, _controls(actions), filled)
         self._spare = self._calls = None
-        self._stepped, self._acted = False, actions  # until the step is taken
         loop = compiled(run.run)
 
         def work(thread: int, low: int, high: int) -> Ended:
@@ -271,21 +271,27 @@ class ExactBatch:
             made, number, ended = min(failures)
             raise self._failure(ended, number, actions, made)
         after, finished = spare if steps & 1 else before, sum(finished for *_, finished, _ in parts)
-        return self._outcome(filled, finished, after, summed)
+        return self._outcome(filled, finished, after, summed, actions)
 
-    def _outcome(self, filled: Results, finished: int, after: Array, summed: bool) -> Outcome:
+    def _outcome(
+        self, filled: Results, finished: int, after: Array, summed: bool, actions: Array | Landings | None
+    ) -> Outcome:
         """The outcome of a step, or of several whose rewards are ``summed``, which ends with the blocks ``after``."""
         infos = self._infos(after, filled.reports) if self._with_infos else {}
         rewards, made = filled.returns if summed else filled.rewards[0], None
         if summed:
             made = (_column(after, glide.STEPS, self._count) - self._column(glide.STEPS)).astype(np.int64)
         return Outcome(
-            filled.observations, rewards, filled.terminations, filled.truncations, infos, finished, after, made
-        )
+            filled.observations, rewards, filled.terminations, filled.truncations, infos, finished, (after, actions),
+            made,
+        )  # fmt: skip
 
-    def take(self, after: Array) -> None:
+    def take(self, after: tuple[Array, Array | Landings | None]) -> None:
         """Replace the present environments by those of an outcome."""
-        self._blocks, self._spare, self._stepped = after, self._blocks, True
+        blocks, actions = after
+        if self._spare is blocks:
+            self._spare = self._last[0] if self._last else None
+        self._blocks, self._last = blocks, (self._blocks, actions)
 
     def _scenes_of_steps(self, torque: int, steps: int) -> Scenes:
         """The scenes for these numbers of steps: ``SceneTable.of_steps``."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from jackbox_env.batches.base import Change, Outcome, Starts, bad_action
 from jackbox_env.batches.infos import blank
-from jackbox_env.env import JackInBoxEnv, put
+from jackbox_env.env import JackInBoxEnv, go_back, moment, put
 from jackbox_env.landing import Landings, aiming, always, play
 from jackbox_env.randomization import Randomization
 from jackbox_env.scene import Scene
@@ -27,7 +27,7 @@ class SingleBatch:
     :meth:`step` and :meth:`draw` may raise and change nothing. :meth:`take`, :meth:`start` and :meth:`set_states` then
     commit the results; they cannot fail. :class:`jackbox_env.batches.exact.ExactBatch` has the same methods.
 
-    A step moves the environments. If it is not taken, they are reset to the batch's states before their next use.
+    A step moves the environments. If it is not taken, they go back to the moment before it at their next use.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class SingleBatch:
         self._times, self._steps = np.zeros(num_envs), np.zeros(num_envs, dtype=np.int64)
         self._over = np.zeros(num_envs, dtype=np.bool_)
         self._generators, self._scenes = [np_random()[0] for _ in range(num_envs)], list(self._originals)
-        self._astray = False  # whether the environments may not be in the batch's states
+        self._before: list[tuple[Any, ...]] | None = None  # the moment before a step that is not taken
 
     @property
     def states(self) -> Array:
@@ -116,6 +116,7 @@ class SingleBatch:
 
     def start(self, starts: Starts) -> None:
         """Begin episodes at time 0. If all begin, this also repairs what an interruption left half changed."""
+        self._gather()
         numbers = starts.numbers
         for index, number in enumerate(numbers.tolist()):
             self._generators[number] = starts.generators[index]
@@ -132,6 +133,7 @@ class SingleBatch:
 
         Their episodes continue. A finished episode starts anew.
         """
+        self._gather()
         self._states[chosen], self._times[chosen] = states[chosen], times[chosen]
         anew = chosen & self._over
         self._steps[anew], self._over[anew] = 0, False
@@ -143,10 +145,11 @@ class SingleBatch:
             put(self._envs[number], self._scenes[number], self._states[number], float(self._times[number]))
 
     def _gather(self) -> None:
-        """Set all environments back to the batch's states, if they may have moved."""
-        if self._astray:
-            self._put(np.arange(len(self._envs)))
-            self._astray = False
+        """Undo a step that was not taken."""
+        if self._before is not None:
+            for env, before in zip(self._envs, self._before, strict=True):
+                go_back(env, before)
+            self._before = None
 
     def observe(self, numbers: Indices, observations: Floats) -> None:
         """Write the observations of some environments into their rows, shape (N, 10)."""
@@ -176,7 +179,7 @@ class SingleBatch:
         observations, rewards = np.zeros((count, 10), dtype=np.float32), np.zeros(count)
         infos = blank(self._task.terms, count) if self._with_infos else {}
         self._gather()
-        self._astray = True
+        self._before = [moment(env) for env in self._envs]
         states, times, steps = self.states, self.times, self._steps.copy()
         terminations = np.zeros(count, dtype=np.bool_)
         for number in going:
@@ -202,7 +205,7 @@ class SingleBatch:
     def take(self, after: tuple[Array, Array, NDArray[np.int64], Flags]) -> None:
         """Replace the present environments by those of an outcome."""
         self._states, self._times, self._steps, self._over = after
-        self._astray = False
+        self._before = None
 
     def render(self) -> tuple[Any, ...]:
         """A frame of each environment."""

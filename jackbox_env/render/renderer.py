@@ -172,6 +172,20 @@ class Renderer:
             radius = max(2.0, (8.0 + 8.0 * min(strength, 1.0)) * self._px)
             self._flashes.append((impact.time, self._contact_point(impact, state), radius))
 
+    def snapshot(self) -> tuple[Any, ...]:
+        """What is drawn of the present scene, for one :meth:`restore`."""
+        return (
+            self._trail.copy(), self._flashes.copy(), self._count, self._torque, self._return, self._interval,
+            self._box, self._jack, self._angle, self._jack_angle, self._time,
+        )  # fmt: skip
+
+    def restore(self, snapshot: tuple[Any, ...]) -> None:
+        """Return to the moment of a :meth:`snapshot`."""
+        (
+            self._trail, self._flashes, self._count, self._torque, self._return, self._interval,
+            self._box, self._jack, self._angle, self._jack_angle, self._time,
+        ) = snapshot  # fmt: skip
+
     def _contact_point(self, impact: Impact, state: Sequence[float] | Array) -> complex:
         """Return the point of the wall that the foot struck, in the box frame [m].
 

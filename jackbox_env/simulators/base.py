@@ -141,6 +141,14 @@ class Simulator(ABC):
         if self._inside.setdefault(0, thread) != thread:
             raise in_use("a simulator")
 
+    def snapshot(self) -> Present:
+        """State, time and the results of the last step, for :meth:`restore`."""
+        return self._present
+
+    def restore(self, snapshot: Present) -> None:
+        """Return to the moment of a :meth:`snapshot`."""
+        self._present = snapshot
+
     def _as_stored(self, state: Array) -> Numbers:
         """A fresh state in the form in which the model stores it."""
         return state

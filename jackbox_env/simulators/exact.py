@@ -166,6 +166,10 @@ class ExactSimulator(Simulator):
         ensure_compiled()
         super().reset(state, time)
 
+    @override
+    def snapshot(self) -> Present:
+        return self._present._replace(state=self.state)  # the block is overwritten by the next step but one
+
     def _as_stored(self, state: Array) -> Numbers:
         """The state in the block that the present state is not in, once there are blocks."""
         if not self._states:

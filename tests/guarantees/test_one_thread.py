@@ -55,8 +55,8 @@ def batch(contact: str, scene: Scene) -> tuple[Any, Callable[[], Any], list[Call
 
 
 def states(of: Any) -> bytes:
-    found: np.ndarray[Any, Any] = of.states if isinstance(of, JackInBoxVectorEnv) else of.state
-    return found.tobytes()
+    all_states: np.ndarray[Any, Any] = of.states if isinstance(of, JackInBoxVectorEnv) else of.state
+    return all_states.tobytes()
 
 
 def in_thread(work: Callable[[], Any]) -> threading.Thread:
