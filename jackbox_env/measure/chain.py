@@ -25,6 +25,10 @@ LAGS = 4  # windows back, up to which covariances are computed
 _RANK = 1e-9  # of the largest singular value of columns of length 1; less is unidentified, and stays
 _AT_ONCE = 200  # rows of a decomposition, so few that no threads are started, which costs more than they save
 _TOLERANCE = 1e-10  # relative change of the sum of squares, or of the unknowns, at which a search ends
+# Standard deviation of a logarithm beyond which a combination of fields is unidentifiable: what is linear at the
+# estimate is not over the interval, which spans a factor of 7, and values near 0 may fit as well.
+UNIDENTIFIABLE = 0.5
+_NEGLIGIBLE = 0.1  # decrease of the sum of squares, in which an estimate moves by 0.3 of its standard deviation at most
 _COVARIANCE_DAMPING = 1e-10  # keeps the covariance of what nothing determines below what rounding destroys
 _GROWTH = 8.0  # of the damping after a step that was shortened
 _SHORTER = 0.25  # of a step that fails
@@ -51,6 +55,11 @@ class Step(NamedTuple):
     fields: Array  # (F,)
     starts: Array  # (windows, 12)
     decrease: float  # of the sum of squares, predicted
+
+    @property
+    def unknowns(self) -> Array:
+        """Of all unknowns, fields first, shape (F + 12 windows,)."""
+        return np.concatenate([self.fields, self.starts.ravel()])
 
 
 class _Eliminated(NamedTuple):
@@ -91,6 +100,18 @@ class Chain:
     def information(self) -> Array:
         """Triangle R of the fields' inverse covariance R^T R, which the starts are free for, (k, F)."""
         return self._eliminate(0.0)[2][:, : self.rows.fields]
+
+    def moves(self, fitted: int) -> Array:
+        """By how many standard deviations each field after the first would move if it was fitted with those, (k,).
+
+        0 for a field whose standard deviation would be above :data:`UNIDENTIFIABLE`.
+        """
+        rest = self._eliminate(0.0)[2]
+        others = _solve(rest, fitted)[1]
+        columns, lengths = others[:, :-1], np.linalg.norm(others[:, :-1], axis=0)
+        least = np.maximum(1.0 / UNIDENTIFIABLE, 1e-6 * np.linalg.norm(rest[:, fitted:-1], axis=0))
+        moves: Array = -(columns.T @ others[:, -1]) / np.maximum(lengths, least) * (lengths > least)
+        return moves
 
     def projections(self) -> Array:
         """Covariances of the residuals' linear parts with the unknowns, (rows, 12 (1 + LAGS) + F).
@@ -170,35 +191,67 @@ def _triangle(rows: Array) -> Array:
     return np.asarray(np.linalg.qr(rows, mode="r"))
 
 
-def minimise(evaluate: Callable[[Array], Rows | None], unknowns: Array, windows: int, most: int) -> tuple[Array, bool]:
+def minimise(
+    evaluate: Callable[[Array], Rows | None], unknowns: Array, windows: int, most: int, low: Array, high: Array
+) -> tuple[Array, bool]:
     """Least squares by Levenberg and Marquardt: the unknowns, fields first, and whether the search ended.
 
-    A step that fails is shortened: damping alone would first have to reach the squared lengths of the columns.
+    A step that fails is shortened: damping alone would first have to reach the squared lengths of the columns. A search
+    that stalls has not ended: the linear model still predicts a decrease, which no step brings.
 
     Args:
         evaluate: the rows of unknowns; None if there are none, so that a shorter step is tried. Not None at the first.
         unknowns: fields, then starts.
         windows: how many there are.
         most: evaluations.
+        low, high: the fields' bounds, shape (F,), within which they are at the first.
     """
     rows = evaluate(unknowns)
     assert rows is not None
-    chain, damping = Chain(rows, windows), _FIRST_DAMPING
-    step, share = chain.step(damping), 1.0
+    damping, count = _FIRST_DAMPING, len(low)
+    step, share = _step_within(rows, windows, damping, low - unknowns[:count], high - unknowns[:count])
+    longest = share
     for _ in range(most):
-        square = float((chain.rows.residuals**2).sum())
-        moved = share * np.concatenate([step.fields, step.starts.ravel()])
-        trial = evaluate(unknowns + moved)
+        square = float((rows.residuals**2).sum())
+        moved = share * step.unknowns
+        tried = unknowns + moved
+        tried[:count] = np.clip(tried[:count], low, high)  # against rounding
+        trial = evaluate(tried)
         decrease = -np.inf if trial is None else square - float((trial.residuals**2).sum())
         expected = share * (2.0 - share) * step.decrease
-        small = float(np.linalg.norm(moved)) <= _TOLERANCE * float(np.linalg.norm(unknowns))
-        ended = small or max(abs(decrease), abs(expected)) <= _TOLERANCE * square
+        last = _small(moved, unknowns) or max(abs(decrease), abs(expected)) <= _TOLERANCE * square
         if trial is not None and decrease > 1e-4 * expected:
-            unknowns, chain = unknowns + moved, Chain(trial, windows)
-            damping = max(0.1 * damping, _LEAST_DAMPING) if share == 1.0 else max(_GROWTH * damping, _FIRST_DAMPING)
-            step, share = chain.step(damping), 1.0
+            unknowns, rows = tried, trial
+            damping = max(0.1 * damping, _LEAST_DAMPING) if share == longest else max(_GROWTH * damping, _FIRST_DAMPING)
+            step, share = _step_within(rows, windows, damping, low - unknowns[:count], high - unknowns[:count])
+            longest = share
         else:
             share *= _SHORTER
-        if ended:
-            return unknowns, True
+        if last:  # the end, unless the step was small because it was shortened or damped
+            step, _ = _step_within(rows, windows, _FIRST_DAMPING, low - unknowns[:count], high - unknowns[:count])
+            return unknowns, step.decrease < _NEGLIGIBLE or _small(step.unknowns, unknowns)
     return unknowns, False
+
+
+def _step_within(rows: Rows, windows: int, damping: float, down: Array, up: Array) -> tuple[Step, float]:
+    """A step, and the share of it that stays within bounds, which are ``down`` and ``up`` from the fields.
+
+    Fields at a bound that it would cross are held.
+    """
+    held = np.zeros(len(down), dtype=bool)
+    while True:
+        step = Chain(rows, windows).step(damping)
+        step.fields[held] = 0.0
+        moving = step.fields != 0.0
+        room = np.where(step.fields > 0.0, up, down)[moving] / step.fields[moving]
+        if not (room <= _TOLERANCE).any():
+            return step, float(room.min(initial=1.0))
+        held[np.flatnonzero(moving)[room <= _TOLERANCE]] = True
+        jacobian = rows.jacobian.copy()
+        jacobian[:, 2 * WIDTH :][:, held] = 0.0
+        rows = rows._replace(jacobian=jacobian)
+
+
+def _small(step: Array, unknowns: Array) -> bool:
+    """Whether a step is too small to matter."""
+    return float(np.linalg.norm(step)) <= _TOLERANCE * float(np.linalg.norm(unknowns))

@@ -17,15 +17,17 @@ from numpy.typing import ArrayLike
 
 from jackbox_env import checks as check
 from jackbox_env.exact.tangents import FIELDS
-from jackbox_env.measure.chain import UNHEARD, Chain, Rows, minimise
-from jackbox_env.measure.recordings import IMPACT, Recording, known_noise, rough_noise, state_at
+from jackbox_env.measure.chain import UNHEARD, WIDTH, Chain, Rows, minimise
+from jackbox_env.measure.recordings import IMPACT, Recording, known_noise, pushed, rough_noise, state_at
 from jackbox_env.measure.residuals import (
     autocorrelations,
     degrees_of_freedom,
     highest_mean_square,
     identified,
+    jumps,
     leverage,
     misfitting,
+    relative_masses,
     studentised,
     unidentified_sentence,
 )
@@ -61,6 +63,8 @@ _PRIOR_WIDTH = 0.5  # standard deviation, of logarithms of fields and of an unob
 _PRIOR_START_WIDTH = 0.02  # of the other numbers of a first state, in units of the state
 _MOST_CORRELATED = 4.5  # autocorrelation of white residuals, in standard deviations
 _MOST_DROPPED = 0.04  # windows that may turn out not to fit as links are tightened, where an impact is nearly another
+_WIDEST_JUMP = 0.01  # between linked windows, in standard deviations of the noise; below 1e-4 where a search ends
+_MOST_CONTRADICTED = 3.7  # standard deviations of a field that is not fitted, from where it would fit best
 _FEW_SKIPPED = 0.02  # steps, over those of a recording; other guesses of its start are tried if there are more
 _MOST_SKIPPED = 0.2  # steps that could not be followed, over the steps in windows
 
@@ -175,12 +179,9 @@ class _Search:
             width = None if rows is None else rows.jacobian.shape[1] - len(fixed)
             return rows if rows is None or free else rows._replace(jacobian=rows.jacobian[:, :width])
 
-        unknowns, ended = minimise(evaluate, first[len(fixed) :], len(shooting.windows), most)
-        numbers = shooting.set_starts(np.concatenate([fixed, unknowns]))
-        numbers = np.clip(numbers, self._parameters.low, self._parameters.high)
-        if shooting.rows(shooting.unknowns(numbers), noise, scaled_slack) is None:  # clipping has broken the motion
-            numbers = shooting.set_starts(first)
-        self._numbers = numbers
+        low, high = (bound[len(fixed) :] for bound in (self._parameters.low, self._parameters.high))
+        unknowns, ended = minimise(evaluate, first[len(fixed) :], len(shooting.windows), most, low, high)
+        self._numbers = shooting.set_starts(np.concatenate([fixed, unknowns]))
         return ended
 
     def _estimate_noise(self, chain: Chain) -> None:
@@ -314,11 +315,14 @@ class _Search:
         states, covered = self._motions()
         left_out = sum(len(one.states) - 1 for one in self._recordings) - covered
         residuals = self._held_out_residuals(covariance)
+        unknown = [unidentified_sentence(parameters.fields, row, parameters.logarithmic) for row in unidentified]
+        if not any(pushed(one, parameters.start) for one in self._recordings):
+            unknown += relative_masses(parameters.fields, np.isfinite(half_widths).tolist(), parameters.start)
         return Fit(
             parameters.scene(numbers),
             {name: (float(low), float(high)) for name, low, high in zip(parameters.fields, *ends, strict=True)},
             residuals,
-            tuple(unidentified_sentence(parameters.fields, row, parameters.logarithmic) for row in unidentified),
+            tuple(unknown),
             {name: float(self._noise[k]) for k, name in enumerate((*STATE_NAMES, IMPACT)) if (rows.column == k).any()},
             states,
             left_out,
@@ -331,6 +335,12 @@ class _Search:
         """Why the intervals are not to be trusted, in sentences."""
         if not ended:
             yield "the search did not end"
+        shooting = Shooting(self._recordings, self._parameters, self._windows)
+        present = self._rows(shooting, _LINK_SLACKS[-1])  # for the noise as it was estimated last
+        gaps = jumps(present, len(self._windows), self._scaled_slack(_LINK_SLACKS[-1]), self._scaled_slack(1.0))
+        if (gaps > _WIDEST_JUMP).any():
+            open_links = f"{(gaps > _WIDEST_JUMP).sum()} of {sum(one.linked for one in self._windows)} links"
+            yield f"{open_links} between windows are open, by up to {gaps.max():.2g} of the noise: the motion jumps"
         misfits, unheard = int(misfitting(rows, len(self._windows)).sum()), int((rows.column == UNHEARD).sum())
         if misfits:
             yield f"{misfits} of {len(self._windows)} windows do not fit within the noise"
@@ -340,6 +350,10 @@ class _Search:
         correlated = [name for name, value in zip(names, deviations, strict=True) if value > _MOST_CORRELATED]
         if correlated:
             yield f"residuals of {', '.join(correlated)} are correlated in time: something that is not fitted is wrong"
+        name, away = self._contradicted(present)
+        if away > _MOST_CONTRADICTED:
+            wrong = f"{name}, or something else that is not fitted, is wrong"
+            yield f"{wrong}: another value would fit better by {away:.1f} standard deviations"
         skipped = left_out - self._resting_steps
         if skipped > _MOST_SKIPPED * covered:
             yield f"{skipped} steps could not be followed"
@@ -347,6 +361,22 @@ class _Search:
             yield f"the motion was followed for {covered} steps only, and taken for rest in {left_out}"
         if len(held_out) and not np.mean(held_out**2) < highest_mean_square(len(held_out)):
             yield "windows that were held out do not fit within the noise"
+
+    def _contradicted(self, rows: Rows) -> tuple[str, float]:
+        """The field that would move furthest if it was fitted, too, and by how many standard deviations."""
+        scene, names = replace(self._parameters.scene(self._numbers)), [*FIELDS]  # in which no inertia follows
+        for name in self._parameters.fields:
+            names.remove(name)
+        parameters, slack = Parameters(names, scene), self._scaled_slack(_LINK_SLACKS[-1])
+        shooting = Shooting(self._recordings, parameters, self._windows)
+        shooting.units = self._units
+        others = shooting.rows(shooting.unknowns(parameters.of(scene)), self._noise, slack)
+        if others is None or not names:  # rounding has changed what can be followed
+            return "", 0.0
+        together = rows._replace(jacobian=np.column_stack([rows.jacobian, others.jacobian[:, 2 * WIDTH :]]))
+        moves = abs(Chain(together, len(self._windows)).moves(rows.fields))
+        furthest = int(np.argmax(moves))
+        return parameters.fields[furthest], float(moves[furthest])
 
     def _motions(self) -> tuple[tuple[Array, ...], int]:
         """The fitted motion of each recording, and the number of steps in windows."""

@@ -131,6 +131,14 @@ def _finite(name: str, values: Any) -> Array:
     return array
 
 
+def pushed(recording: Recording, scene: Scene) -> bool:
+    """Whether a torque or a force acted on the box of this scene."""
+    drive = scene.drive
+    if recording.torques is None:
+        return drive is not None
+    return bool(recording.torques.any()) or (drive is not None and drive.force_bound > 0.0)
+
+
 def state_at(recording: Recording, first: int = 0) -> Array:
     """A guess of the state in a row: observed numbers, rates from the next positions, else 0."""
     observed, state = recording.states[first:], np.zeros(12)

@@ -12,13 +12,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.measure.chain import LAGS, WIDTH, Chain, Indices, Rows
-from jackbox_env.states import Array
+from jackbox_env.measure.chain import LAGS, LINK, UNIDENTIFIABLE, WIDTH, Chain, Indices, Rows
+from jackbox_env.scene import Scene
+from jackbox_env.states import RATES, Array
 
 _LAGS = 4  # rows, up to which residuals are compared
-# Standard deviation of a logarithm beyond which a combination of fields is unidentifiable: what is linear at the
-# estimate is not over the interval, which spans a factor of 7, and values near 0 may fit as well.
-_UNIDENTIFIABLE = 0.5
 
 
 def highest_mean_square(count: int) -> float:
@@ -35,6 +33,22 @@ def misfitting(rows: Rows, windows: int) -> NDArray[np.bool_]:
     usual = max(1.0, float(np.median(square[square > 0.0]))) if (square > 0.0).any() else 1.0
     misfits: NDArray[np.bool_] = square > most * usual
     return misfits
+
+
+def jumps(rows: Rows, windows: int, slack: float, noise: float) -> Array:
+    """How far the end of each window is from the start of the next one that it is linked to, shape (windows,).
+
+    In standard deviations of the noise: the largest of the gap in positions and angles over ``noise``, and of what the
+    gap moves the next window's observations by. So it does not matter how fast the motion is. ``slack`` is the links',
+    both in units of the state; no rows are priors.
+    """
+    gaps, linked, seen = np.zeros((windows + 1, WIDTH)), rows.column == LINK, rows.column >= 0
+    after = rows.window[linked][::WIDTH] + 1
+    gaps[after] = slack * rows.residuals[linked].reshape(-1, WIDTH)
+    moved = abs(np.einsum("ij,ij->i", rows.jacobian[seen, :WIDTH], gaps[rows.window[seen]]))
+    largest: Array = abs(gaps[:, :RATES]).max(axis=1) / noise
+    np.maximum.at(largest, rows.window[seen], moved)
+    return largest[1:]
 
 
 def leverage(rows: Rows, projections: Array) -> Array:
@@ -80,7 +94,7 @@ def identified(chain: Chain) -> tuple[Array, Array]:
     _, values, directions = np.linalg.svd(chain.information(), full_matrices=True)
     deviations = np.full(fields, np.inf)
     deviations[: len(values)] = 1.0 / np.maximum(values, 1e-300)
-    unidentifiable = (deviations > _UNIDENTIFIABLE) | (deviations > 1e8 * deviations.min())
+    unidentifiable = (deviations > UNIDENTIFIABLE) | (deviations > 1e8 * deviations.min())
     known = directions[~unidentifiable]
     return known.T @ (deviations[~unidentifiable, None] ** 2 * known), directions[unidentifiable]
 
@@ -126,6 +140,17 @@ def unidentified_sentence(names: Sequence[str], direction: Array, logarithmic: N
         return f"the recordings identify {' and '.join(listed)} only up to one common factor"
     moves = [f"{name} by {direction[index]:+.2g} %" for name, index in zip(listed, parts, strict=True)]
     return f"moving {' and '.join(moves)} changes nothing that was observed"
+
+
+def relative_masses(fields: Sequence[str], identified: Sequence[bool], start: Scene) -> list[str]:
+    """A sentence if nothing pushed the box and masses are identified for others that are given."""
+    masses = "box_mass", "box_inertia", "jack_mass", "jack_inertia"
+    found = [name for name, known in zip(fields, identified, strict=True) if known and name in masses]
+    given = [name for name in masses if name not in (*fields, *start.derived)]
+    if not found or not given:
+        return []
+    relative = f"{' and '.join(found)} {'is' if len(found) == 1 else 'are'} relative to {' and '.join(given)} as given"
+    return [f"without a torque or a force on the box only ratios of masses are known: {relative}"]
 
 
 def _unit_columns(jacobian: Array) -> Array:

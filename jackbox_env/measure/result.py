@@ -24,12 +24,14 @@ class Fit:
         intervals: 95 % interval of each field; (0, inf), of restitution (0, 1), if it is unidentifiable.
         residuals: (observed - fitted) over its expected standard deviation in held-out windows, shape (n,); about
             N(0, 1) if the model is right. The start of a held-out window is fitted to it.
-        unidentified: the combinations of fields that the recordings leave open, each in a sentence.
+        unidentified: the combinations of fields that the recordings leave open, each in a sentence. Masses are among
+            them if nothing pushed the box: only their ratios are known then.
         noise: standard deviation of each number that was observed, by its name, and of "impacts" [s].
         motions: the fitted motion of each recording, shape (H + 1, 12), NaN where it was left out.
         left_out: steps that were left out because the jack is at rest there, or cannot be followed.
         problems: why the intervals are not to be trusted, each in a sentence without a full stop; empty if the search
-            ended, every window fits within the noise, and the residuals are white.
+            ended, the motion does not jump, every window fits within the noise, the residuals are white, and no other
+            value of a field that is not fitted would fit better.
     """
 
     scene: Scene

@@ -128,8 +128,6 @@ def _played(
     if recording.torques is not None:
         steps = np.add.outer([window.first for window in windows], np.arange(longest))
         torques = recording.torques[np.minimum(steps, len(recording.torques) - 1)]
-    inside = (numbers >= parameters.low) & (numbers <= parameters.high)  # beyond it nothing changes
-    numbers = np.clip(numbers, parameters.low, parameters.high)
     times = [recording.time + window.first * recording.dt for window in windows]
     try:
         lin = linearize(
@@ -141,7 +139,7 @@ def _played(
     smooth = np.where(lin.smooth.all(axis=1), longest, np.argmin(lin.smooth, axis=1))
     jacobians = np.zeros((longest + 1, len(windows), 12, 12 + len(numbers)))
     jacobians[0, :, :, :12] = np.eye(12)
-    slopes = parameters.slopes(numbers) * inside
+    slopes = parameters.slopes(numbers)
     followed = (np.arange(longest) < smooth[:, None])[:, :, None, None]
     by_state, by_field = np.where(followed, lin.A, 0.0), np.where(followed, lin.P * slopes, 0.0)
     for k in range(int(smooth.max())):

@@ -240,10 +240,11 @@ def test_a_search_goes_around_where_nothing_can_be_followed_and_says_whether_it_
         return Rows(residuals, jacobian, np.zeros(15, np.intp), np.zeros(15, np.intp))
 
     first = np.concatenate([[-1.2, 1.0], np.ones(12)])
-    unknowns, ended = minimise(evaluate, first, 1, 200)
+    bounds = np.full(2, -np.inf), np.full(2, np.inf)
+    unknowns, ended = minimise(evaluate, first, 1, 200, *bounds)
     assert ended
     np.testing.assert_allclose(unknowns, np.append([1.0, 1.0], np.zeros(12)), atol=1e-6)
-    assert not minimise(evaluate, first, 1, 3)[1]
+    assert not minimise(evaluate, first, 1, 3, *bounds)[1]
 
 
 @pytest.mark.parametrize(("restitution", "noise", "rel"), [(0.85, 0.0, 1e-8), (1.0, 1e-3, 1e-2)])

@@ -1,0 +1,97 @@
+"""Nothing wrong converges: stalled searches, links that stay open, and fields that are given wrongly are problems."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from jackbox_env import Recording, Scene, fit, rollout
+from jackbox_env.measure import fitting
+from jackbox_env.measure.chain import Rows, minimise
+from jackbox_env.measure.residuals import jumps
+from jackbox_env.measure.shooting import Parameters, Shooting, Window, units
+from tests.states import Array
+
+FIELDS = ("jack_mass", "jack_inertia", "restitution")
+LAB = Scene(  # on a tilted table, its walls heavier than its middle
+    box_half_width=0.15, gravity=0.855, box_mass=0.5, jack_mass=0.08, jack_arm=0.04, jack_inertia=6e-5,
+    restitution=0.9, drive=None,
+)  # fmt: skip
+RATE = 60.0  # frames a second
+
+
+def filmed(scene: Scene, seconds: float = 2.5, seed: int = 0) -> Recording:
+    """What a camera sees of a lab in which nothing turns the box."""
+    state, steps = np.zeros(12), round(seconds * RATE)
+    state[[4, 5, 9, 11]] = 0.03, 0.3, 0.2, 1.0
+    seen = rollout(scene, state, np.zeros(steps), 1.0 / RATE)[0]
+    seen += np.tile([3e-4, 3e-4, 4e-3], 4) * np.random.default_rng(seed).standard_normal(seen.shape)
+    seen[:, 6:] = np.nan
+    return Recording(seen, np.zeros(steps), 1.0 / RATE)
+
+
+def test_a_stall_is_no_end() -> None:
+    def evaluate(unknowns: Array) -> Rows:
+        """1 + |x| with the slope of x < 0 at 0: the linear model predicts a decrease, and every step increases it."""
+        jacobian = np.zeros((13, 25))
+        jacobian[0, 24], jacobian[1:, :12] = -1.0, np.eye(12)
+        residuals = np.concatenate([[1.0 + abs(unknowns[0])], unknowns[1:]])
+        return Rows(residuals, jacobian, np.zeros(13, np.intp), np.zeros(13, np.intp))
+
+    unknowns, ended = minimise(evaluate, np.zeros(13), 1, 60, np.array([-9.0]), np.array([9.0]))
+    np.testing.assert_allclose(unknowns, 0.0, atol=1e-9)
+    assert not ended
+
+
+def test_a_search_ends_at_a_bound_with_the_others_at_their_best() -> None:
+    def evaluate(unknowns: Array) -> Rows:
+        """x is 2 at best, and y follows it closely; x may be 1 at most."""
+        jacobian = np.zeros((14, 26))
+        jacobian[0, 24], jacobian[1, 24:], jacobian[2:, :12] = 1.0, (1e3, -1e3), np.eye(12)
+        residuals = np.concatenate([[unknowns[0] - 2.0, 1e3 * (unknowns[0] - unknowns[1])], unknowns[2:]])
+        assert unknowns[0] <= 1.0
+        return Rows(residuals, jacobian, np.zeros(14, np.intp), np.zeros(14, np.intp))
+
+    low, high = np.array([-9.0, -9.0]), np.array([1.0, 9.0])
+    unknowns, ended = minimise(evaluate, np.zeros(14), 1, 60, low, high)
+    assert ended
+    np.testing.assert_allclose(unknowns[:2], 1.0, rtol=1e-9)
+
+
+@pytest.mark.parametrize("gravity", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("length", [1e-3, 1.0, 1e3])
+def test_an_open_link_weighs_the_same_in_scenes_of_any_length_and_speed(length: float, gravity: float) -> None:
+    scene = Scene(box_half_width=6.0 * length, jack_arm=length, gravity=9.81 * gravity, drive=None)
+    dt = 0.02 * np.sqrt(length / gravity)
+    states = rollout(scene, 0.1 * np.eye(12)[5], np.zeros(20), dt)[0]  # falls freely
+    seen = np.where(np.arange(12) < 6, states, np.nan)
+    windows = [Window(0, 0, 10, True, states[0]), Window(0, 10, 20, False, states[10].copy())]
+    noise = 1e-3 * np.append(units(scene), 1.0)
+    windows[1].start[10] += 0.3 * noise[4] / (10.0 * dt)  # so that the last row is 0.3 standard deviations away
+    shooting = Shooting([Recording(seen, np.zeros(20), dt)], Parameters(("gravity",), scene), windows)
+    rows = shooting.rows(shooting.unknowns(np.array([gravity])), noise, 1e-8)
+    assert rows is not None
+    gaps = jumps(rows, 2, slack=1e-8, noise=1e-3)
+    assert gaps[0] == pytest.approx(0.3, rel=1e-3)
+    assert gaps[1] == 0.0
+
+
+def test_links_that_stay_open_are_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fitting, "_LINK_SLACKS", (1.0, 0.3))  # never tightened
+    problems = fit(filmed(LAB), FIELDS, LAB).problems
+    assert any("links between windows are open, by up to" in problem for problem in problems), problems
+
+
+def test_a_wrong_box_mass_is_a_problem_unless_its_inertia_follows() -> None:
+    recording, start = filmed(LAB), LAB.changed(box_mass=0.5 * 1.03)
+    fitted = fit(recording, FIELDS, start)  # the same motion, of masses that are 1.03 times as large
+    assert fitted.problems == ()
+    assert fitted.scene.jack_mass == pytest.approx(1.03 * 0.08, rel=0.01)
+    relative = "jack_mass and jack_inertia are relative to box_mass as given"
+    assert fitted.unidentified == (
+        f"without a torque or a force on the box only ratios of masses are known: {relative}",
+    )
+    problems = fit(recording, FIELDS, start.changed(box_inertia=LAB.box_inertia)).problems
+    assert any(
+        "something else that is not fitted, is wrong: another value would fit better by" in one for one in problems
+    )
