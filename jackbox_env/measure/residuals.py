@@ -145,11 +145,13 @@ def unidentified_sentence(names: Sequence[str], direction: Array, logarithmic: N
 def relative_masses(fields: Sequence[str], identified: Sequence[bool], start: Scene) -> list[str]:
     """A sentence if nothing pushed the box and masses are identified for others that are given."""
     masses = "box_mass", "box_inertia", "jack_mass", "jack_inertia"
-    found = [name for name, known in zip(fields, identified, strict=True) if known and name in masses]
-    given = [name for name in masses if name not in (*fields, *start.derived)]
-    if not found or not given:
+    fitted = [name for name, known in zip(fields, identified, strict=True) if known and name in masses]
+    constant = [name for name in masses if name not in (*fields, *start.derived)]
+    if not fitted or not constant:
         return []
-    relative = f"{' and '.join(found)} {'is' if len(found) == 1 else 'are'} relative to {' and '.join(given)} as given"
+    relative = (
+        f"{' and '.join(fitted)} {'is' if len(fitted) == 1 else 'are'} relative to {' and '.join(constant)} as given"
+    )
     return [f"without a torque or a force on the box only ratios of masses are known: {relative}"]
 
 
