@@ -6,12 +6,14 @@ A folder is locked by a system lock on its file ``lock`` (filelock), which ends 
 
 from __future__ import annotations
 
+import importlib.util
 import io
 import json
 import sys
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +62,28 @@ def as_value_error(problem: str) -> Iterator[None]:
         yield
     except Exception as error:
         raise ValueError(f"{problem}: {first_line(error)}") from error
+
+
+@cache
+def imported(name: str) -> Any:
+    """The object that ``file.py:name`` or ``module:name`` names, from a file or a module whose code runs once.
+
+    Raises:
+        ValueError: there is none.
+    """
+    source, _, attribute = name.rpartition(":")
+    file = Path(source) if source.endswith(".py") else None
+    sys.path.insert(0, str((file or Path("module.py")).resolve().parent))  # for its own imports
+    try:
+        with as_value_error(f"{name} cannot be imported"):
+            if file is None:
+                return getattr(importlib.import_module(source), attribute)
+            spec: Any = importlib.util.spec_from_file_location(file.stem, file)
+            module = importlib.util.module_from_spec(spec)
+            spec.loader.exec_module(module)
+            return getattr(module, attribute)
+    finally:
+        sys.path.pop(0)
 
 
 def read_bounded(path: Path, max_bytes: int) -> bytes:

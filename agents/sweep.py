@@ -42,7 +42,7 @@ from agents.evaluation.returns import evaluate
 from agents.files import DamagedFileError, first_line, locked, parsing, read_json, report_skipped
 from agents.policies.registry import find_policy
 from agents.runs import MODEL, PACKAGES, installed, is_whole, machine
-from agents.settings import EnvSettings, TrainSettings, renamed
+from agents.settings import NOUNS, EnvSettings, TrainSettings
 from agents.training.models import make_vec_env
 from agents.training.ppo import trained_in
 from jackbox_env import FIDELITIES
@@ -277,37 +277,44 @@ def grid(
     if train is not None:
         return [
             {**asdict(settings), "episodes": episodes}
-            for varied in _varied(renamed(check.from_json("train", train, dict)))
-            for env, seed in product(environments, range(seeds))
-            for settings in [TrainSettings.suited(**{**asdict(env), **varied, "seed": seed, "torch_threads": 1})]
+            for varied in _varied(check.from_json("train", train, dict))
+            for (env, nouns), seed in product(environments, range(seeds))
+            for settings in [TrainSettings.suited(**asdict(env), **nouns, **varied, seed=seed, torch_threads=1)]
         ]
+    for _, nouns in environments:
+        if nouns:
+            raise ValueError(f"setting must have no {' or '.join(nouns)} without --train: a policy has its own")
     names = [str(Path(name).resolve()) if Path(name).exists() else name for name in policy]
-    for name, env in product(names, environments):
+    for name, (env, _) in product(names, environments):
         find_policy(name, env, 0)
     return [
         {"policy": name, **asdict(env), "seed": seed, "episodes": episodes}
-        for name, env, seed in product(names, environments, range(seeds))
+        for name, (env, _), seed in product(names, environments, range(seeds))
     ]
 
 
-def _environment(task: str, setting: str, scene: str) -> EnvSettings:
-    """An environment of a task, a fidelity or fields of EnvSettings as JSON, and fields of the scene as JSON.
+def _environment(task: str, setting: str, scene: str) -> tuple[EnvSettings, dict[str, Any]]:
+    """An environment of a task, a fidelity or keywords as JSON, and fields of the scene as JSON.
 
     Making it once raises for settings that are invalid together, and compiles before the progress bar starts.
+
+    Returns:
+        its settings, and those of ``NOUNS`` that are among the keywords.
     """
     keywords = {"fidelity": setting} if setting in FIDELITIES else check.from_json("setting", setting, dict)
-    check.known_keys("setting", keywords, [name for name in _ENV if name not in ("task", "scene")])
+    check.known_keys("setting", keywords, [name for name in (*_ENV, *NOUNS) if name not in ("task", "scene")])
+    nouns = {name: keywords.pop(name) for name in NOUNS if name in keywords}
     fields_of_scene = json.dumps(check.from_json("scene", scene, dict), sort_keys=True)
     settings = EnvSettings(task=task, scene=fields_of_scene, **keywords)
-    environments = make_vec_env(settings.env_settings, 1, 0)
+    environments = make_vec_env({**settings.env_settings, **nouns}, 1, 0)
     environments.reset()
     environments.close()
-    return settings
+    return settings, nouns
 
 
 def _varied(train: dict[str, Any]) -> list[dict[str, Any]]:
     """Every combination of settings of training, from a list of values for each."""
-    check.known_keys("train", train, [name for name in _TRAIN if name not in (*_ENV, "seed", "torch_threads")])
+    check.known_keys("train", train, [name for name in _TRAIN if name not in (*_ENV, *NOUNS, "seed", "torch_threads")])
     for name, values in train.items():
         if not isinstance(values, list) or not values:
             raise TypeError(f"train must have a list of values for each setting, got {check.shown(values)} for {name}")
@@ -318,11 +325,11 @@ def run_trial(folder: Path, settings: dict[str, Any]) -> dict[str, Any]:
     """Evaluate a policy, or train and evaluate the best model: columns of the table. ``folder`` is the sweep's."""
     if "policy" in settings:
         env, starts = EnvSettings(**{name: settings[name] for name in _ENV}), settings["seed"]
-        policy, extra = find_policy(settings["policy"], env, starts)
+        acting = find_policy(settings["policy"], env, starts)
     else:  # evaluated from the same starts, whatever the training's seed
-        env, starts, extra = TrainSettings.of({name: settings[name] for name in _TRAIN}), 0, {}
-        policy = find_policy(str(_trained(folder, env)), env).policy
-    returns = evaluate("", policy, {**env.env_settings, **extra}, settings["episodes"], starts)
+        env, starts = TrainSettings.of({name: settings[name] for name in _TRAIN}), 0
+        acting = find_policy(str(_trained(folder, env)), env)
+    returns = evaluate("", acting, env.env_settings, settings["episodes"], starts)
     low, high = returns.interval
     return {"mean": returns.mean, "interval_low": low, "interval_high": high, "worst": min(returns.returns)}
 

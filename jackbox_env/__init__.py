@@ -12,16 +12,16 @@ from jackbox_env.scene import Chirp, Drive, Scene
 from jackbox_env.states import State
 
 if TYPE_CHECKING:
+    from jackbox_env.action import Action
     from jackbox_env.env import JackInBoxEnv
     from jackbox_env.measure.choosing import cheapest
     from jackbox_env.measure.fitting import fit
     from jackbox_env.measure.recordings import Recording
     from jackbox_env.measure.result import Fit
+    from jackbox_env.observation import Observation
     from jackbox_env.planning.ilqr import ilqr
-    from jackbox_env.planning.landing_control import LandingControl, LandingControlVector
     from jackbox_env.planning.linearization import Linearization, linearize
     from jackbox_env.planning.rollouts import Rollout, rollout
-    from jackbox_env.planning.wrappers import Lookahead, LookaheadVector
     from jackbox_env.simulators import Impact, JackLostError, Simulator, make_simulator
     from jackbox_env.simulators.fidelity import Setting
     from jackbox_env.vector_env import JackInBoxVectorEnv
@@ -32,17 +32,15 @@ __version__ = "0.1.0"
 FIDELITIES: Mapping[str, Setting]
 
 _LAZY = {
+    "Action": "action",
     "FIDELITIES": "simulators.fidelity",
     "Fit": "measure.result",
     "JackInBoxEnv": "env",
     "JackInBoxVectorEnv": "vector_env",
     "Impact": "simulators",
     "JackLostError": "simulators",
-    "LandingControl": "planning.landing_control",
-    "LandingControlVector": "planning.landing_control",
     "Linearization": "planning.linearization",
-    "Lookahead": "planning.wrappers",
-    "LookaheadVector": "planning.wrappers",
+    "Observation": "observation",
     "Simulator": "simulators",
     "make_simulator": "simulators",
     "Recording": "measure.recordings",
@@ -57,6 +55,7 @@ _LAZY = {
 }
 __all__ = [
     "FIDELITIES",
+    "Action",
     "Chirp",
     "Drive",
     "Fit",
@@ -64,11 +63,8 @@ __all__ = [
     "JackInBoxEnv",
     "JackInBoxVectorEnv",
     "JackLostError",
-    "LandingControl",
-    "LandingControlVector",
     "Linearization",
-    "Lookahead",
-    "LookaheadVector",
+    "Observation",
     "Recording",
     "Rollout",
     "Scene",

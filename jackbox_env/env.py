@@ -1,13 +1,14 @@
-"""The Gymnasium environment: it sequences the simulator, the task and the renderer.
+"""The Gymnasium environment: it sequences the simulator, the agent's functions and the renderer.
 
-A step is one step of the simulator, then the task's observation and reward, then a frame if one is shown.
+A step is a decision: one or several control steps of the simulator, each under the action's torque and scored by the
+task; then an observation, and frames if they are shown.
 """
 
 from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
@@ -18,17 +19,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import checks as check
 from jackbox_env import tasks
-from jackbox_env.observation import BOUNDS
+from jackbox_env.action import ACTIONS, Action, Repeats, action_of, episode_limit, repeat_of
+from jackbox_env.decisions import ControlStep, added, decide
+from jackbox_env.observation import Observation, observation_of
 from jackbox_env.randomization import Randomization
 from jackbox_env.scene import Scene
-from jackbox_env.scoring import Score, make_score
+from jackbox_env.scoring import Functions, Nouns, make_functions, tried
+from jackbox_env.settings import Settings
 from jackbox_env.simulators import Impact, Simulator, make_simulator
-from jackbox_env.simulators.base import total_impulse
 from jackbox_env.simulators.fidelity import FURTHER, resolve
 from jackbox_env.states import LATEST_TIME, Array, as_start
 
-Observation = NDArray[np.float32]
-Action = NDArray[np.float32] | float | None
+Seen = NDArray[np.float32]
+AnyAction = NDArray[Any] | float | None
 # Arguments of the vector environment alone, and the end of the sentence that is raised for them here.
 VECTOR_ONLY = dict.fromkeys(
     ("num_envs", "autoreset_mode", "num_threads", "with_infos"),
@@ -37,7 +40,7 @@ VECTOR_ONLY = dict.fromkeys(
 Randomize = Mapping[str, tuple[float, float]] | Callable[[np.random.Generator], Mapping[str, Any]] | None
 
 
-class JackInBoxEnv(gym.Env[Observation, Action]):
+class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
     """A planar jack bounces inside a square box that a torque turns.
 
     ## Description
@@ -52,19 +55,42 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
 
     ## Action Space
 
-    `Box(-1, 1, (1,), float32)`: the torque on the box in units of `scene.torque_limit` (90000 N m), positive
-    counter-clockwise, constant for one control step. Finite values outside are clipped; NaN and infinities raise
-    ValueError. A plain number is accepted too.
+    `action` selects it, and `action_repeat` for how long an action lasts:
 
-    `step(None)` applies the scene's own drive instead. By default that is a chirp: a sine of 90000 N m whose frequency
-    grows from 0.5 Hz by 0.9 Hz per second, continuous in time. The native vector environment accepts None too. Action
-    wrappers, Gymnasium's Sync and AsyncVectorEnv and Stable-Baselines3 cannot pass None: make the environment with
-    `torque="chirp"` there, which ignores the action. An action replaces the drive's torque, not its side forces.
+    - `"torque"` (default): `Box(-1, 1, (1,))`, the torque on the box in units of `scene.torque_limit` (90000 N m),
+      positive counter-clockwise. A plain number is accepted too.
+    - `"landing"`: `Box(-1, 1, (2,))`, the box's angle over 0.5 rad, from the nearest quarter turn, and its rate over
+      2.5 rad/s at the jack's next landing: when its centre has fallen to where a foot that points down touches a level
+      box's floor. In each control step a torque steers the box along a cubic in time that ends there. Walls on the way
+      are ignored.
+    - `"discrete"`: `Discrete(3)`, -1, 0 or 1 times the torque limit.
+    - a `jackbox_env.Action` of your own.
+
+    The torque is constant for one control step. Finite values outside a Box are clipped; NaN and infinities raise
+    ValueError.
+
+    A step of the environment is a decision: it repeats the action for `action_repeat` control steps. With
+    `action_repeat="bounce"` it lasts until the jack's next impact:
+
+    - Several impacts within a control step end one decision.
+    - An impact ends a decision only after a control step without one, or once 0.4 s have passed. So a second foot that
+      strikes in the next step does not end it, and while a foot rests, an impact in each step, a decision lasts 0.4 s.
+    - Without an impact it ends after 2 s (without gravity, for instance), or after one control step if that is longer.
+    - The end of an episode ends it, too.
+
+    `step(None)` applies the scene's own drive instead, for the whole decision. By default that is a chirp: a sine of
+    90000 N m whose frequency grows from 0.5 Hz by 0.9 Hz per second, continuous in time. The native vector environment
+    accepts None too. Action wrappers, Gymnasium's Sync and AsyncVectorEnv and Stable-Baselines3 cannot pass None: make
+    the environment with `torque="chirp"` there, which ignores the action. An action replaces the drive's torque, not
+    its side forces.
 
     ## Observation Space
 
-    `Box` of shape (10,), float32, a function of the state, with v0 = sqrt(2 * 9.81 * L) = 10.85 m/s and the jack's arm
-    l = 1 m. Values are clipped to the bounds; `info["state"]` has the full state.
+    `observation` selects it: `"state"` (default), the ten numbers below; `"landing"`, these and the eleven of
+    `jackbox_env.landing.FEATURES`, which foretell the next landing; or a `jackbox_env.Observation` of your own.
+
+    `"state"` is a `Box` of shape (10,), float32, a function of the state, with v0 = sqrt(2 * 9.81 * L) = 10.85 m/s and
+    the jack's arm l = 1 m. Values are clipped to the bounds; `info["state"]` has the full state.
 
     | Num | Observation                                    | Min | Max | Unit     |
     |-----|------------------------------------------------|-----|-----|----------|
@@ -98,15 +124,17 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
 
     ## Episode End
 
-    The episode never terminates, unless a task of your own ends it. The time limit that `gymnasium.make` adds truncates
-    it after 500 steps (by default 10 s). If the jack would leave the box, `step` raises `JackLostError`, a
-    RuntimeError. In the default scene 10 s of torque cannot make it fast enough for that.
+    The episode never terminates, unless a task of your own ends it. The time limit that `gymnasium.make` adds,
+    `max_episode_steps`, truncates it after 500 decisions (by default 10 s). If actions are repeated, the environment
+    itself truncates it after `episode_steps` control steps, by default 500. If the jack would leave the box, `step`
+    raises `JackLostError`, a RuntimeError. In the default scene 10 s of torque cannot make it fast enough for that.
 
     ## Information
 
     `reset` and `step` return the same keys: `state` (float64, (12,): x, y, angle of the box and of the jack, then their
     rates, SI units), `time` [s], `torque` (mean over the step) [N m], `impacts` (count in the step), `impulse` (their
-    sum) [N s] and `reward_<term>` for each term. With `randomize` there is also `scene`, a dict of the drawn fields.
+    sum) [N s], `duration` of the step [s] and `reward_<term>` for each term, summed over the step. With `randomize`
+    there is also `scene`, a dict of the drawn fields.
 
     ## Arguments
 
@@ -117,9 +145,13 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     | `substeps`       | `None`       | engine steps of pymunk per control step, >= 1; None: 4                         |
     | `scene`          | `None`       | a `Scene`, or a dict of some of its fields                                     |
     | `task`           | `"juggle"`   | the name of one under Rewards, or a `jackbox_env.Task` of your own             |
-    | `control_dt`     | `0.02`       | duration of a step [s], > 0                                                    |
+    | `observation`    | `"state"`    | the name of one under Observation Space, or a `jackbox_env.Observation`        |
+    | `action`         | `"torque"`   | the name of one under Action Space, or a `jackbox_env.Action`                  |
+    | `action_repeat`  | `1`          | control steps of an action, or `"bounce"`                                      |
+    | `episode_steps`  | `None`       | control steps of an episode; None: 500 if actions are repeated, else no limit  |
+    | `control_dt`     | `0.02`       | duration of a control step [s], > 0                                            |
     | `torque`         | `"agent"`    | `"agent"`: the action, or the drive if it is None; `"chirp"`: always the drive |
-    | `render_mode`    | `None`       | `"human"` or `"rgb_array"`                                                     |
+    | `render_mode`    | `None`       | `"human"`, `"rgb_array"`, or `"rgb_array_list"`: the frames of control steps   |
     | `randomize`      | `None`       | fields of the scene that are drawn at each reset, see below                    |
     | `render_size`    | `(512, 512)` | width and height of a frame [pixels], from 16 to 4096; below 400 without text  |
     | `render_overlay` | `True`       | False: a frame shows box, jack and ruled lines alone, for learning from pixels |
@@ -163,7 +195,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
-        "render_modes": ["human", "rgb_array"], "render_fps": 50, "render_size": (512, 512),
+        "render_modes": ["human", "rgb_array", "rgb_array_list"], "render_fps": 50, "render_size": (512, 512),
     }  # fmt: skip
 
     @check.refuse_unknown("JackInBox-v0", VECTOR_ONLY, FURTHER)
@@ -180,42 +212,56 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         randomize: Randomize = None,
         render_size: tuple[int, int] = (512, 512),
         render_overlay: bool = True,
+        observation: str | Observation = "state",
+        action: str | Action = "torque",
+        action_repeat: Repeats = 1,
+        episode_steps: int | None = None,
         **settings: Any,
     ) -> None:
         setting = resolve(fidelity, contact, substeps=substeps, **settings)
-        self.contact = setting.contact
-        self.control_dt = check.real("control_dt", control_dt, above=0.0)
-        self.torque_source = check.choice("torque", torque, ("agent", "chirp"))
+        dt = check.real("control_dt", control_dt, above=0.0)
+        check.choice("torque", torque, ("agent", "chirp"))
         if render_mode is not None:
             check.choice("render_mode", render_mode, self.metadata["render_modes"])
         size = check.size("render_size", render_size, at_least=16, at_most=4096)
         overlay = check.flag("render_overlay", render_overlay)
-        self.task, self._task = task, tasks.task_of(task)
-        self._builtin_task = self._task in tasks.TASKS.values()  # it never fails; a user's may
+        limit = episode_limit(episode_steps, action_repeat)
+        self._settings = {
+            **setting._asdict(), "fidelity": fidelity, "task": task, "control_dt": dt, "torque": torque,
+            "action": action, "action_repeat": action_repeat, "episode_steps": limit, "randomize": randomize,
+            "render_mode": render_mode, "render_size": size, "render_overlay": overlay,
+        }  # fmt: skip
+        self._dt, self._driven = dt, torque == "chirp"
+        self.nouns = nouns = Nouns(tasks.task_of(task), observation_of(observation), action_of(action))
+        self.repeat = repeat_of(action_repeat, dt)
+        self._limit = math.inf if limit is None else limit
+        self._builtin, self._by_torque = nouns.builtin, nouns.action is ACTIONS["torque"]
+        self._most: float = self.repeat.steps
         self._first_scene = scene = Scene.of(scene)
         self.simulator_of: Callable[[Scene], Simulator] = partial(make_simulator, **setting._asdict())
-        self._parts = make_simulator(scene, **setting._asdict()), make_score(scene, self._task, self.contact)
-        if not self._builtin_task:  # an unfit task raises now
-            self._parts[1].observe(tasks.sample_start(self._first_scene, np_random(0)[0]))
+        self._parts = make_simulator(scene, **setting._asdict()), make_functions(scene, nouns, setting.contact)
+        if not self._builtin:  # unfit functions raise now
+            tried(self._parts[1], tasks.sample_start(self._first_scene, np_random(0)[0]), dt)
         self._randomize = None if randomize is None else Randomization(randomize, [scene], self.simulator_of)
-        self._terms = [f"reward_{name}" for name in self._task.terms]
-        self.observation_space = gym.spaces.Box(-BOUNDS, BOUNDS, dtype=np.float32)
-        self.action_space = gym.spaces.Box(-1.0, 1.0, shape=(1,), dtype=np.float32)
-        fps = max(1, round(1.0 / max(self.control_dt, 1e-4)))
+        self._terms = [f"reward_{name}" for name in nouns.task.terms]
+        self.observation_space = gym.spaces.Box(*nouns.observation.bounds, dtype=np.float32)
+        self.action_space: Any = copy.deepcopy(nouns.action.space)  # each has a generator of its own
+        fps = max(1, round(1.0 / max(dt * (self.repeat.steps if render_mode == "rgb_array" else 1), 1e-4)))
         self.metadata = {**self.metadata, "render_fps": fps, "render_size": size}
-        self.render_mode = render_mode
-        self._renderer = None
-        self._started = False
+        self._renderer, self._frames = None, list[NDArray[np.uint8]]()
+        self._started, self.elapsed_steps = False, 0  # control steps of the episode
+        self._impacts: list[Impact] | None = None  # of the last decision; None: those of the last control step
+        self.control_steps = list[ControlStep]()  # of the last decision, for recordings
         if render_mode is not None:
             from jackbox_env.render.renderer import Renderer
 
-            name = task if isinstance(task, str) else ", ".join(self._task.terms)
+            name = task if isinstance(task, str) else ", ".join(nouns.task.terms)
             self._renderer = Renderer(self.scene, render_mode, fps, name, size, overlay)
             self._start_picture()
 
     # -- the simulated system -----------------------------------------------------------------------------------------
 
-    def _parts_for(self, scene: Scene) -> tuple[Simulator, Score]:
+    def _parts_for(self, scene: Scene) -> tuple[Simulator, Functions]:
         """The parts that depend on the scene. Assigned together, so that an interrupt cannot separate them."""
         return self.simulator_of(scene), self._parts[1].of(scene)
 
@@ -241,12 +287,12 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     @property
     def impacts(self) -> list[Impact]:
         """The impacts of the last step, in time order."""
-        return self._simulator.impacts
+        return self._simulator.impacts if self._impacts is None else list(self._impacts)
 
     @property
-    def observation(self) -> Observation:
-        """The observation of the present state: a fresh float32 array, shape (10,)."""
-        return self._parts[1].observe(self.state)
+    def observation(self) -> Seen:
+        """The observation of the present state: a fresh float32 array."""
+        return self._parts[1].observe(self.state, self.time)
 
     def set_state(self, state: ArrayLike, time: float = 0.0) -> None:
         """Set the state, shape (12,), and the time [s], exactly. The episode continues.
@@ -257,18 +303,17 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
             TypeError, ValueError: unusable values. The environment is unchanged.
         """
         self._simulator.reset(state, time)
-        self._started = True
+        self._started, self._impacts = True, None
         self._start_picture()
 
     # -- Gymnasium's methods ------------------------------------------------------------------------------------------
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Seen, dict[str, Any]]:
         """Start an episode. The class documents ``options`` and the distribution of starts.
 
         Raises:
-            TypeError, ValueError: an unusable option. The environment is unchanged.
+            TypeError, ValueError: an unusable option.
+            jackbox_env.TaskError: the start's observation has a NaN. An error leaves the environment unchanged.
         """
         if not isinstance(options, Mapping | None):
             names = "'state', 'time' and 'scene'"
@@ -280,18 +325,21 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         generator = copy.deepcopy(self.np_random) if seed is None else np_random(seed)[0]
         scene = self._next_scene(generator, options.get("scene"))
         if options.get("state") is None:
-            state = tasks.draw_start(self._task, scene, generator)
+            state = tasks.draw_start(self.nouns.task, scene, generator)
         else:
             state = as_start(scene, options["state"])
         parts = self._parts if scene == self.scene else self._parts_for(scene)
-        observation = parts[1].observe(state)
+        if self.nouns.task not in tasks.TASKS.values():  # a wrong type of its functions raises now
+            tried(parts[1], state)
+        observation = parts[1].observe(state, time)
         super().reset(seed=seed)
         self._np_random = generator
         parts[0].reset(state, time)
         self._adopt(parts)
         if self.render_mode == "human":
             self.render()
-        return observation, self._info(state, 0, 0.0, [0.0] * len(self._terms))  # no reward yet
+        none = ControlStep(state, time, 0.0, [], 0.0, [0.0] * len(self._terms), 0.0, False, observation)
+        return observation, self._info(none, 0)  # no reward yet
 
     def _next_scene(self, generator: np.random.Generator, changes: Any) -> Scene:
         """The scene of the next episode."""
@@ -302,48 +350,71 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
         drawn = self._randomize.draw(self._first_scene, generator)
         return self._first_scene.changed(**{**drawn, **(changes or {})})
 
-    def _adopt(self, parts: tuple[Simulator, Score]) -> None:
-        """Continue with a simulator whose state is set, and draw it."""
+    def _adopt(self, parts: tuple[Simulator, Functions], steps: int = 0) -> None:
+        """Continue with a simulator whose state is set, after some control steps of the episode, and draw it."""
         if self._renderer is not None and parts[0].scene != self.scene:
             self._renderer.show(parts[0].scene)
-        self._parts, self._started = parts, True
+        self._parts, self._started, self.elapsed_steps, self._impacts = parts, True, steps, None
         self._start_picture()
 
-    def step(self, action: Action) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Advance by one control step under ``action``, or under the scene's drive if it is None.
+    def step(self, action: AnyAction) -> tuple[Seen, float, bool, bool, dict[str, Any]]:
+        """Make a decision: one or several control steps under ``action``, or under the scene's drive if it is None.
 
         Raises:
             TypeError, ValueError: an unusable action.
-            gymnasium.error.ResetNeeded: the environment was never reset.
+            gymnasium.error.ResetNeeded: the environment was never reset, or has made ``episode_steps``.
             JackLostError: the jack would leave the box, or cannot be followed.
-            jackbox_env.TaskError: the reward of a task of your own is NaN or infinite. An error leaves the environment
-                unchanged.
+            jackbox_env.TaskError: the reward of a task of your own is NaN or infinite; or a number of an observation or
+                the torque of an action of your own is NaN. An error leaves the environment unchanged.
         """
-        torque = None
-        if action is not None and self.torque_source == "agent":
-            torque = self._torque_of(action)
+        torque, controls = None, None
+        if not (action is None or self._driven):
+            if self._by_torque:
+                torque = self._torque_of(action)
+            else:
+                controls = self.nouns.action.checked(action)[:, 0]
         if not self._started:
             raise gym.error.ResetNeeded("step must come after a reset, got none yet")
-        simulator, score = self._parts
-        before = None if self._builtin_task else simulator.snapshot()
-        simulator.step(self.control_dt, torque)
-        impacts, state = simulator.impacts, simulator.state
-        impulse = total_impulse(impacts)
+        most = min(self._most, self._limit - self.elapsed_steps)
+        if most <= 0:
+            raise gym.error.ResetNeeded(f"step must come after a reset, as the episode has had its {self._limit} steps")
+        simulator = self._simulator
+        before = None if most == 1 and self._builtin else simulator.snapshot()
         try:
-            observation, terms, over = score(state, simulator.torque, impulse)
-            reward = tasks.checked_reward(self._task, terms)
-        except Exception:
+            parts = decide(*self._parts, self._dt, torque, controls, most, self.repeat.resting)
+        except BaseException:
             if before is not None:
                 simulator.restore(before)
             raise
+        self.control_steps = parts
+        self.elapsed_steps += len(parts)
         if self._renderer is not None:
-            self._renderer.record(state, simulator.time, simulator.torque, impacts, reward)
+            self._show(parts)
+        whole, self._impacts = parts[0], None
+        if len(parts) > 1:
+            whole = added(parts)
+            self._impacts = whole.impacts
+        return whole.seen, whole.reward, whole.over, self.elapsed_steps >= self._limit, self._info(whole, len(parts))
+
+    def _show(self, parts: list[ControlStep]) -> None:
+        """Draw control steps, as far as the render mode shows them."""
+        assert self._renderer is not None
+        for part in parts:
+            self._renderer.record(part.state, part.time, part.torque, part.impacts, part.reward)
             if self.render_mode == "human":
                 self.render()
-        return observation, reward, over, False, self._info(state, len(impacts), impulse, terms)
+            elif self.render_mode == "rgb_array_list":
+                self._frames.append(self._renderer.drawn())
 
-    def render(self) -> NDArray[np.uint8] | None:
-        """Return a fresh frame, uint8, shape (height, width, 3), or show it in a window ("human")."""
+    def render(self) -> Any:
+        """Return a fresh frame, uint8, shape (height, width, 3), or show it in a window ("human").
+
+        In the mode "rgb_array_list" return, and clear, the frames of all control steps since the last call or reset,
+        that of the start included.
+        """
+        if self.render_mode == "rgb_array_list" and self._renderer is not None:
+            frames, self._frames = self._frames, []
+            return frames
         if self._renderer is None:
             cause = "comes after close" if self.render_mode else 'needs a render_mode, e.g. render_mode="rgb_array"'
             gym.logger.warn(f"render {cause}: there is no picture")
@@ -356,8 +427,8 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
             self._renderer.close()
             self._renderer = None
 
-    def get_keys_to_action(self) -> dict[tuple[int, ...], Action]:
-        """Keys for `gymnasium.utils.play`. Left turns the box counter-clockwise, right clockwise."""
+    def get_keys_to_action(self) -> dict[tuple[int, ...], AnyAction]:
+        """Keys for `gymnasium.utils.play` with torques. Left turns the box counter-clockwise, right clockwise."""
         import pygame
 
         left, right = np.array([[1.0], [-1.0]], dtype=np.float32)
@@ -365,7 +436,7 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
 
     # -- helpers ------------------------------------------------------------------------------------------------------
 
-    def _torque_of(self, action: Action) -> float:
+    def _torque_of(self, action: AnyAction) -> float:
         if not (type(action) is np.ndarray and action.dtype.char in "fd"):  # these are fast
             action = check.array("action", action, "be one finite number (clipped to [-1, 1])")
         if action.shape not in ((1,), ()):
@@ -375,12 +446,15 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
             raise ValueError(f"action must be a finite number (clipped to [-1, 1]), got {value}")
         return max(-1.0, min(1.0, value)) * self._parts[0].scene.torque_limit
 
-    def _info(self, state: Array, impacts: int, impulse: float, terms: Sequence[float]) -> dict[str, Any]:
-        simulator = self._simulator
-        return {
-            "state": state, "time": simulator.time, "torque": simulator.torque, "impacts": impacts, "impulse": impulse,
-            **dict(zip(self._terms, terms, strict=True)), **self._drawn(),
+    def _info(self, of: ControlStep, steps: int) -> dict[str, Any]:
+        """The info of a decision of so many control steps."""
+        info = {
+            "state": of.state, "time": of.time, "torque": of.torque, "impacts": len(of.impacts), "impulse": of.impulse,
+            "duration": steps * self._dt,
         }  # fmt: skip
+        for name, value in zip(self._terms, of.terms, strict=True):
+            info[name] = value
+        return info if self._randomize is None else info | self._drawn()
 
     def _drawn(self) -> dict[str, Any]:
         names = self._randomize.names if self._randomize else []
@@ -389,23 +463,29 @@ class JackInBoxEnv(gym.Env[Observation, Action]):
     def _start_picture(self) -> None:
         if self._renderer is not None:
             self._renderer.reset(self._simulator.state, self._simulator.time)
+        if self._renderer is not None and self.render_mode == "rgb_array_list":
+            self._frames = [self._renderer.drawn()]
 
 
-def put(env: JackInBoxEnv, scene: Scene, state: Array, time: float) -> None:
-    """Set an environment's scene, state and time [s], which are checked. Batches of environments use it."""
+def put(env: JackInBoxEnv, scene: Scene, state: Array, time: float, steps: int) -> None:
+    """Set an environment's scene, state, time [s] and control steps of its episode, which are checked.
+
+    Batches of environments use it.
+    """
     parts = env._parts if scene == env.scene else env._parts_for(scene)
     parts[0].reset(state, time)
-    env._adopt(parts)
+    env._adopt(parts, steps)
 
 
 def moment(env: JackInBoxEnv) -> tuple[Any, ...]:
     """An environment's state, last step and picture now, for :func:`go_back`."""
-    return env._parts, env._parts[0].snapshot(), None if env._renderer is None else env._renderer.snapshot()
+    picture = None if env._renderer is None else env._renderer.snapshot()
+    return env._parts, env._parts[0].snapshot(), env.elapsed_steps, env._impacts, picture
 
 
 def go_back(env: JackInBoxEnv, to: tuple[Any, ...]) -> None:
     """Undo the steps of an environment since a :func:`moment`. Batches of environments use it."""
-    env._parts, present, picture = to
+    env._parts, present, env.elapsed_steps, env._impacts, picture = to
     env._parts[0].restore(present)
     if env._renderer is not None:
         env._renderer.restore(picture)

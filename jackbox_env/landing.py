@@ -8,8 +8,7 @@ are ignored. The functions here are of one state; the exact model's loop compile
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -26,14 +25,6 @@ RESTING = 0.4  # [s] the longest while every step has an impact
 def steps_until_impact(control_dt: float) -> tuple[int, int]:
     """Control steps of ``control_dt`` [s] in a decision that an impact ends: at most, and at most at rest."""
     return max(1, round(DECISION / control_dt)), max(1, round(RESTING / control_dt))
-
-
-class Landings(NamedTuple):
-    """Targets of landings for N environments, and how long they hold."""
-
-    targets: Array  # (N, 2) angles [rad] and rates [rad/s]
-    steps: int  # control steps at most
-    resting: int  # control steps after which an impact ends a decision anyway; 0: impacts do not end it
 
 
 def landing_time(scene: Scene | SceneNumbers, state: State) -> float:
@@ -80,6 +71,62 @@ def aim(scene: Scene | SceneNumbers, state: State, angle: float, rate: float, du
     return 1.0 if torque > 0.0 else -1.0
 
 
+FEATURES = (
+    "time",  # to the landing, in units of a fall of L on Earth, 2 L / v0
+    "cosine_4",  # of 4 (theta_jack - theta_box) at the landing
+    "sine_4",
+    "cosine_8",  # of twice that
+    "sine_8",
+    "cosine_world",  # of 4 theta_jack at the landing
+    "sine_world",
+    "place",  # x of the jack's centre from the box's centre, along the world's x [L]
+    "speed",  # downwards [v0]
+    "spin",  # angle that the jack turns by until then, in quarter turns
+    "box_angle",  # theta_box then, from its present value within half a turn [rad]
+)
+FEATURE_BOUNDS = (
+    (0.0, 0.5 * LONGEST), *[(-1.0, 1.0)] * 6, (-2.0, 2.0), (-10.0, 10.0), (-10.0, 10.0), (-10.0, 10.0),
+)  # fmt: skip
+
+
+def at_landing(scene: SceneNumbers, state: State) -> tuple[float, float, float]:
+    """Time to the landing [s]; and there 4 (theta_jack - theta_box) and 4 theta_jack [rad], if no torque acts."""
+    time = landing_time(scene, state)
+    jack = state.theta_jack + state.omega_jack * time
+    return time, 4.0 * (jack - (state.theta_box + state.omega_box * time)), 4.0 * jack
+
+
+def landing_features(
+    scene: SceneNumbers, state: State, time: float, angle: float, cosine_4: float, sine_4: float, cosine_8: float,
+    sine_8: float, cosine_world: float, sine_world: float,
+) -> tuple[float, float, float, float, float, float, float, float, float, float, float]:  # fmt: skip
+    """The numbers of ``FEATURES``, within ``FEATURE_BOUNDS``: the box moves and turns at its present rates.
+
+    Args:
+        scene: with its gravity.
+        state: now.
+        time: to the landing [s].
+        angle: theta_box less whole turns [rad].
+        cosine_4: of the angles of :func:`at_landing`; the others follow in the order of ``FEATURES``.
+    """
+    length, speed = scene.box_half_width, scene.speed_scale
+    beside = (state.x_jack - state.x_box + (state.vx_jack - state.vx_box) * time) / length
+    fall = (scene.gravity * time - (state.vy_jack - state.vy_box)) / speed
+    return (
+        clipped(0.5 * time * speed / length, 0.5 * LONGEST),
+        cosine_4, sine_4, cosine_8, sine_8, cosine_world, sine_world,
+        clipped(beside, 2.0),
+        clipped(fall, 10.0),
+        clipped(state.omega_jack * time / QUARTER, 10.0),
+        clipped(angle + state.omega_box * time, 10.0),
+    )  # fmt: skip
+
+
+def clipped(value: float, bound: float) -> float:
+    """A number within +-``bound``."""
+    return bound if value > bound else -bound if value < -bound else value
+
+
 def is_over(steps: Any, freed: Any, struck: Any, resting: int) -> Any:
     """Whether an impact ends a decision after so many steps; of one decision, or of arrays.
 
@@ -90,47 +137,6 @@ def is_over(steps: Any, freed: Any, struck: Any, resting: int) -> Any:
         resting: steps after which an impact ends it even if all had one, as while a foot rests; 0: no impact ends it.
     """
     return struck & (resting > 0) & (freed | (steps >= resting))
-
-
-class Played(NamedTuple):
-    """A decision's outcome: the last step's results with the sum of the rewards, and the number of control steps."""
-
-    observation: Any
-    reward: float
-    terminated: bool
-    truncated: bool
-    info: dict[str, Any]
-    steps: int
-
-
-def play(step: Callable[[Any], tuple[Any, ...]], choose: Callable[[], Any], most: int, resting: int) -> Played:
-    """Step a single environment ``most`` times, or until an impact or the episode's end ends a decision.
-
-    Args:
-        step: of the environment, or of wrappers around it.
-        choose: returns the action of the next control step.
-        most: control steps.
-        resting: see :func:`is_over`.
-    """
-    total, freed = 0.0, False
-    for steps in range(1, most + 1):
-        observation, reward, terminated, truncated, info = step(choose())
-        total += float(reward)
-        struck = resting > 0 and info["impacts"] > 0
-        if terminated or truncated or is_over(steps, freed, struck, resting):
-            break
-        freed = freed or not struck
-    return Played(observation, total, terminated, truncated, info, steps)
-
-
-def always(action: Any) -> Callable[[], Any]:
-    """A function that returns the same action in each control step."""
-    return lambda: action
-
-
-def aiming(env: Any, target: Sequence[float]) -> Callable[[], Array]:
-    """A function that returns the action of a single environment that aims at an angle [rad] and a rate [rad/s]."""
-    return lambda: np.array([aim(env.scene, State(*env.state.tolist()), target[0], target[1], env.control_dt)])
 
 
 def torques(scene: Scene, states: Array, targets: Array, duration: float) -> Array:

@@ -1,4 +1,6 @@
-"""The observation: ten numbers of order one, from the state alone.
+"""Observations: the numbers that an agent sees, from the scene, the state and the time.
+
+``"state"``, ten numbers of order one from the state alone:
 
 ====  ======================================================  ===========  =====
  #    quantity                                                unit         bound
@@ -11,33 +13,119 @@
 9     omega_jack                                              v0 / l       10
 ====  ======================================================  ===========  =====
 
-with v0 = sqrt(2 * 9.81 * L). The cross repeats every quarter turn, hence the 4. Values are clipped to their bounds.
+with v0 = sqrt(2 * 9.81 * L). The cross repeats every quarter turn, hence the 4. ``"landing"`` appends the eleven
+numbers of :data:`jackbox_env.landing.FEATURES`. Values are clipped to their bounds. The exact model compiles the
+functions here and those of a user, see ``exact/observe.py``.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from numbers import Real
+from types import FunctionType
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from jackbox_env import checks as check
+from jackbox_env.landing import FEATURE_BOUNDS, FEATURES, at_landing, clipped, landing_features
 from jackbox_env.scene import Scene, SceneNumbers
-from jackbox_env.states import Array, Numbers, State
+from jackbox_env.states import Array, Floats, Numbers, State
+from jackbox_env.tasks import TaskError
 
 BOUNDS = np.array([1, 1, 10, 10, 1, 1, 10, 1, 1, 10], dtype=np.float32)
+NAMES = (
+    "x", "y", "vx", "vy", "cosine_box", "sine_box", "omega_box", "cosine_4", "sine_4", "omega_jack",
+)  # fmt: skip
 
 
-def observe(scene: Scene, state: Sequence[float]) -> NDArray[np.float32]:
-    """Return the observation of a state of 12 numbers: a fresh float32 array, shape (10,), within ``BOUNDS``.
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """What an agent observes: named numbers, each between bounds.
+
+    One of your own is accepted wherever the name of one is, ``gym.make("JackInBox-v0", observation=height)``.
+
+    >>> def heights(scene, state, time):
+    ...     return ((state.y_jack - state.y_box) / scene.box_half_width,)
+    >>> height = Observation(("height",), -1.0, 1.0, heights)
+
+    Like those of a :class:`jackbox_env.Task`, the function is plain arithmetic with ``math``, compiled under
+    ``contact="exact"`` once for each Observation. A NaN raises :class:`jackbox_env.TaskError` and changes nothing.
+
+    Attributes:
+        names: of the numbers, different words.
+        low: least values, finite: one for all or one for each.
+        high: largest values, in the same way, above ``low``.
+        values: function of (scene, state, time) that returns a tuple of as many numbers as there are names; they are
+            clipped to the bounds. ``scene`` has the fields of :class:`jackbox_env.scene.SceneNumbers`, ``state`` is the
+            :class:`jackbox_env.State`, ``time`` is in s.
+    """
+
+    names: tuple[str, ...]
+    low: ArrayLike
+    high: ArrayLike
+    values: Callable[[SceneNumbers, State, float], tuple[float, ...]]
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Observation:
+        return self  # so that copies of an environment share what is compiled
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        name = next((name for name, one in OBSERVATIONS.items() if one is self), None)
+        return (observation_of, (name,)) if name else (Observation, (self.names, self.low, self.high, self.values))
+
+    @property
+    def bounds(self) -> tuple[Floats, Floats]:
+        """Least and largest values, float32, shape (n,) each."""
+        low, high = (np.full(len(self.names), bound, dtype=np.float32) for bound in (self.low, self.high))
+        return low, high
+
+
+def observe(
+    scene: Scene, state: Sequence[float], time: float = 0.0, observation: Observation | None = None
+) -> NDArray[np.float32]:
+    """Return the observation of a state of 12 numbers, in plain Python: a fresh float32 array; None: the ten numbers.
 
     The C library's cosines differ between machines in the last place of float64, which float32 hides all but once in
     1e12 numbers.
+
+    Raises:
+        TypeError: a user's function returns something else than a number for each name.
+        TaskError: a number is NaN.
     """
     named = State(*state)
-    angle, relative = named.theta_box, 4.0 * (named.theta_jack - named.theta_box)
-    angles = math.cos(angle), math.sin(angle), math.cos(relative), math.sin(relative)
-    return np.array(components(scene, named, *angles), dtype=np.float32)
+    if observation is None or observation in OBSERVATIONS.values():
+        return np.array((observation or STATE).values(scene.numbers, named, time), dtype=np.float32)
+    values = observation.values(scene.numbers, named, time)
+    count = len(observation.names)
+    if not (isinstance(values, tuple) and len(values) == count and all(isinstance(one, Real) for one in values)):
+        raise TypeError(f"an observation's values must return a tuple of {count} numbers, got {check.shown(values)}")
+    seen: NDArray[np.float32] = np.clip(np.array(values, dtype=np.float64), *observation.bounds).astype(np.float32)
+    if np.isnan(seen).any():
+        raise bad_observation(observation, values)
+    return seen
+
+
+def bad_observation(observation: Observation, values: Sequence[float]) -> TaskError:
+    """The error for an observation with NaN."""
+    names = [name for name, value in zip(observation.names, values, strict=True) if value != value]
+    return TaskError(f"the observation must be numbers, got NaN for {', '.join(map(repr, names))}")
+
+
+def state_values(scene: SceneNumbers, state: State, time: float) -> tuple[float, ...]:
+    """The ten numbers, with the C library's cosines."""
+    angle, relative = state.theta_box, 4.0 * (state.theta_jack - state.theta_box)
+    return components(scene, state, math.cos(angle), math.sin(angle), math.cos(relative), math.sin(relative))
+
+
+def landing_values(scene: SceneNumbers, state: State, time: float) -> tuple[float, ...]:
+    """The ten numbers and the landing features, with the C library's cosines."""
+    duration, relative, world = at_landing(scene, state)
+    cosine, sine, turned = math.cos(relative), math.sin(relative), math.remainder(state.theta_box, math.tau)
+    angles = cosine, sine, math.cos(2.0 * relative), math.sin(2.0 * relative), math.cos(world), math.sin(world)
+    return state_values(scene, state, time) + landing_features(scene, state, duration, turned, *angles)
 
 
 def components(
@@ -50,16 +138,16 @@ def components(
     per_length = 1.0 / scene.box_half_width
     per_speed = 1.0 / scene.speed_scale
     return (
-        _clip((cosine * x + sine * y) * per_length, 1.0),
-        _clip((cosine * y - sine * x) * per_length, 1.0),
-        _clip((cosine * vx + sine * vy) * per_speed, 10.0),
-        _clip((cosine * vy - sine * vx) * per_speed, 10.0),
+        clipped((cosine * x + sine * y) * per_length, 1.0),
+        clipped((cosine * y - sine * x) * per_length, 1.0),
+        clipped((cosine * vx + sine * vy) * per_speed, 10.0),
+        clipped((cosine * vy - sine * vx) * per_speed, 10.0),
         cosine,
         sine,
-        _clip(state[8] * scene.box_half_width * per_speed, 10.0),
+        clipped(state[8] * scene.box_half_width * per_speed, 10.0),
         cosine_4,
         sine_4,
-        _clip(state[11] * scene.jack_arm * per_speed, 10.0),
+        clipped(state[11] * scene.jack_arm * per_speed, 10.0),
     )
 
 
@@ -79,5 +167,53 @@ def state_of(scene: Scene, observation: Sequence[float]) -> Array:
     ])  # fmt: skip
 
 
-def _clip(value: float, bound: float) -> float:
-    return bound if value > bound else -bound if value < -bound else value
+STATE = Observation(NAMES, -BOUNDS, BOUNDS, state_values)
+OBSERVATIONS = {
+    "state": STATE,
+    "landing": Observation(
+        (*NAMES, *(f"landing_{name}" for name in FEATURES)),
+        np.array([*-BOUNDS, *(low for low, _ in FEATURE_BOUNDS)], dtype=np.float32),
+        np.array([*BOUNDS, *(high for _, high in FEATURE_BOUNDS)], dtype=np.float32),
+        landing_values,
+    ),
+}
+
+
+def observation_of(observation: str | Observation) -> Observation:
+    """The observation of that name, or a checked Observation.
+
+    Raises:
+        TypeError, ValueError: an unknown name; names that are not different words; bounds that are not finite, or of
+            another shape; something else than a function.
+    """
+    if isinstance(observation, str):
+        return OBSERVATIONS[check.choice("observation", observation, OBSERVATIONS)]
+    if not isinstance(observation, Observation):
+        listed = ", ".join(repr(name) for name in OBSERVATIONS)
+        raise TypeError(
+            f"observation must be one of {listed}, or a jackbox_env.Observation, got {check.shown(observation)}"
+        )
+    if observation in OBSERVATIONS.values():
+        return observation
+    names = observation.names
+    listed_names = list(names) if isinstance(names, Sequence) and not isinstance(names, str) else []
+    words = all(isinstance(name, str) and name for name in listed_names)
+    if not listed_names or not words or len({*listed_names}) < len(listed_names):
+        raise ValueError(f"an observation's names must be a tuple of different names, got {check.shown(names)}")
+    bounds = []
+    for side in ("low", "high"):
+        bound = check.array(f"an observation's {side}", getattr(observation, side), "be finite numbers")
+        if bound.shape not in ((), (len(listed_names),)) or not np.isfinite(bound.astype(np.float32)).all():
+            count = len(listed_names)
+            raise ValueError(
+                f"an observation's {side} must be one finite number or {count} of them, got {check.shown(bound)}"
+            )
+        bounds.append(bound)
+    if not np.all(bounds[0] < bounds[1]):
+        shown = " and ".join(check.shown(one.tolist()) for one in bounds)
+        raise ValueError(f"an observation's low must be below its high everywhere, got {shown}")
+    if not isinstance(observation.values, FunctionType):
+        raise TypeError(
+            f"an observation's values must be a plain Python function, got {check.shown(observation.values)}"
+        )
+    return observation

@@ -1,47 +1,52 @@
-"""Models of Stable-Baselines3 saved together with how they act."""
+"""Models of Stable-Baselines3 saved together with the environment that they act in."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+import sys
+import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from gymnasium.envs.registration import EnvSpec
 
 from jackbox_env import checks as check
+from jackbox_env.action import ACTIONS, Action
 from jackbox_env.files import replacing, write_json
+from jackbox_env.observation import OBSERVATIONS, Observation
 from jackbox_env.scene import Drive, Scene
 from jackbox_env.simulators.fidelity import KEYWORDS
+from jackbox_env.tasks import TASKS, Task
 
 try:
     from stable_baselines3.common.base_class import BaseAlgorithm
-    from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
+    from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecFrameStack, VecNormalize
 except ModuleNotFoundError as error:
     raise ModuleNotFoundError(check.extra_needed("jackbox_env.sb3", "Stable-Baselines3", "train")) from error
 
-ENV = "env.json"  # beside saved models: how they act
+ENV = "env.json"  # beside saved models: what they act in
+PACKAGES = ("stable_baselines3", "sb3_contrib")  # that models are of
 # Wrappers that change neither what an agent observes nor how it acts.
 _WITHOUT_EFFECT = {
     "Monitor", "OrderEnforcing", "PassiveEnvChecker", "RecordEpisodeStatistics", "RecordVideo", "TimeLimit",
     "VecCheckNan", "VecMonitor", "VecVideoRecorder",
 }  # fmt: skip
-_KEYS = {"env", "repeat", "landing", "lookahead", "normalize", "unknown", "functions"}  # of an entry, at least
-_FUNCTIONS: dict[str, Callable[[Any], bool]] = {  # keywords that may be functions, and whether one is
-    "task": lambda task: not isinstance(task, str),
-    "randomize": callable,
-    "scene": lambda scene: isinstance(scene.drive, Drive),
-}
+_KEYS = {"env", "missing", "wrappers", "algorithm"}  # of an entry
+_BUILTIN: dict[type, Mapping[str, Any]] = {Task: TASKS, Observation: OBSERVATIONS, Action: ACTIONS}
+_EPISODE_STEPS = 500  # by default
+_PICTURES = ("render_mode", "render_size", "render_overlay")
 _MOST_BYTES = 10_000_000  # that are read of env.json
 
 
 def save_model(model: BaseAlgorithm, path: str | Path) -> Path:
-    """Save a model of Stable-Baselines3, and in env.json beside it how the model acts.
+    """Save a model of Stable-Baselines3 or sb3_contrib, and in env.json beside it the environment that it acts in.
 
-    ``jackbox evaluate --policy model.zip --trust`` then plays it as it was trained. env.json has an entry for each
-    model of its folder: the environment, action repeat, landing control, look-ahead, and the statistics of
-    ``VecNormalize`` as numbers. Functions, such as a task of your own, and settings that differ between the
-    environments, such as a list of scenes, are named but not stored. Both files are replaced in one stroke.
+    ``jackbox evaluate --policy model.zip --trust`` then plays it where it was trained. env.json has an entry for each
+    model of its folder: the environment's keywords, the statistics of ``VecNormalize`` as numbers and the number of
+    frames of ``VecFrameStack``. A task, an observation or an action of your own is stored by its name in the module or
+    the file that defines it, which ``evaluate`` then runs: so a script must train under
+    ``if __name__ == "__main__":``. If it has no such name, there is a warning. Both files are replaced in one stroke.
 
     Args:
         model: trained on :func:`make_sb3_vec_env`, or on ``gymnasium.make("JackInBox-v0")`` in any of
@@ -52,12 +57,22 @@ def save_model(model: BaseAlgorithm, path: str | Path) -> Path:
         The model's path.
 
     Raises:
-        TypeError: the model has no such environment.
-        ValueError: an existing env.json has other contents.
+        TypeError: the model has no such environment, or its algorithm is of another package.
+        ValueError: there are other wrappers, or environments that differ; or an existing env.json has other contents.
     """
     path = Path(path)
     path = path if path.suffix else path.with_suffix(".zip")
-    stored = {**read_stored(path.parent / ENV), path.name: _stored(model.get_env())}
+    algorithm, environments = _algorithm_of(type(model)), model.get_env()
+    spec, wrappers = _spec_of(environments), _wrappers_of(environments)
+    env, missing = _storable(spec)
+    entry = {"env": env, "missing": missing, "wrappers": wrappers, "algorithm": algorithm}
+    stored = {**read_stored(path.parent / ENV), path.name: entry}
+    if missing:
+        options = " ".join(f"--env {name}=file.py:name" for name in missing)
+        reason = "no module or file has it by a name"
+        warnings.warn(
+            f"{ENV} cannot store {' and '.join(missing)}, as {reason}: evaluate the model with {options}", stacklevel=2
+        )
     with replacing(path) as partial:
         model.save(partial)
     write_json(path.parent / ENV, stored)
@@ -79,69 +94,95 @@ def read_stored(path: Path) -> dict[str, dict[str, Any]]:
     return entries
 
 
-def _stored(venv: VecEnv | None) -> dict[str, Any]:
-    """How agents act in environments of Stable-Baselines3, for JSON."""
-    inner: Any = None if venv is None else venv.unwrapped
-    specs = [] if inner is None else inner.get_attr("spec")
-    if any(spec is None or spec.id != "JackInBox-v0" for spec in specs or [None]):
-        raise TypeError(f"save_model needs a model with environments of JackInBox-v0, got {check.shown(venv)}")
-    stored = dict[str, Any](repeat=1, landing=None, lookahead=None, normalize=None)
-    unknown = ["torque='chirp'"] * any(spec.kwargs.get("torque") == "chirp" for spec in specs)
-    wrappers = [[one for one in spec.additional_wrappers if one.name not in _WITHOUT_EFFECT] for spec in specs]
-    unknown += ["wrappers that differ between its environments"] * any(str(one) != str(wrappers[0]) for one in wrappers)
-    for wrapper in wrappers[0]:
-        if wrapper.name in ("LandingControl", "Lookahead"):
-            stored |= inner.get_attr("stored")[0]
-        else:
-            unknown.append(wrapper.name)
-    layers = list[VecEnv]()
-    while isinstance(venv, VecEnvWrapper):
-        layers, venv = [venv, *layers], venv.venv
-    for layer in layers:
-        if isinstance(layer, VecNormalize):
-            unknown += ["a second VecNormalize"] * (stored["normalize"] is not None)
-            stored["normalize"] = statistics_of(layer)
-        elif hasattr(type(layer), "stored"):
-            repeats = stored["repeat"] != 1 or stored["landing"] is not None or stored["lookahead"] is not None
-            unknown += [f"{type(layer).__name__} around another that repeats actions"] * repeats
-            stored |= layer.stored  # type: ignore[attr-defined]
-        elif type(layer).__name__ not in _WITHOUT_EFFECT:
-            unknown.append(type(layer).__name__)
-    return {**_environments(specs), **stored, "unknown": unknown}
-
-
-def _environments(specs: list[EnvSpec]) -> dict[str, Any]:
-    """Settings of the environments that all share, for JSON, and the names of the others."""
-    every = [
-        {"task": "juggle", "randomize": None, **spec.kwargs, "scene": Scene.of(spec.kwargs.get("scene"))}
-        for spec in specs
-    ]
-    functions = [name for name, is_function in _FUNCTIONS.items() if any(is_function(one[name]) for one in every)]
-    envs = [_storable({**one, **dict.fromkeys(functions)}) for one in every]
-    names = dict.fromkeys(name for env in envs for name in env)
-    each = [name for name in names if any(env.get(name) != envs[0].get(name) for env in envs)]
-    env = {name: value for name, value in envs[0].items() if name not in each}
-    return {"env": env, "functions": functions, "each": each, "max_episode_steps": specs[0].max_episode_steps}
-
-
-def _storable(keywords: dict[str, Any]) -> dict[str, Any]:
-    """Keywords of an environment that differ from the default, as JSON has them; None is left out, but for the task."""
-    stored = {name: keywords[name] for name in ("task", *KEYWORDS, "control_dt") if name in keywords}
-    if keywords["randomize"] is not None:
-        stored["randomize"] = {name: list(ends) for name, ends in keywords["randomize"].items()}
-    if keywords["scene"] is not None:
-        fields, default = keywords["scene"].as_dict(), Scene().as_dict()
-        stored["scene"] = {name: value for name, value in fields.items() if (name, value) not in default.items()}
-    plain: dict[str, Any] = json.loads(json.dumps(stored, default=lambda number: number.tolist()))  # of numpy
-    return plain
-
-
-def statistics_of(normalize: VecNormalize) -> dict[str, Any] | None:
-    """How ``VecNormalize`` changes observations, for JSON; None if it changes rewards only."""
-    if not normalize.norm_obs:
-        return None
+def statistics_of(normalize: VecNormalize) -> dict[str, Any]:
+    """How ``VecNormalize`` changes observations, for JSON."""
     statistics: Any = normalize.obs_rms
     return {
         "mean": statistics.mean.tolist(), "variance": statistics.var.tolist(), "clip": float(normalize.clip_obs),
         "epsilon": float(normalize.epsilon),
     }  # fmt: skip
+
+
+def _algorithm_of(kind: type) -> str:
+    """``module:class`` of a model's algorithm; for a subclass elsewhere, of that which it derives from."""
+    for one in kind.__mro__:
+        package, *inner = one.__module__.split(".")
+        if package in PACKAGES and "common" not in inner:
+            return f"{one.__module__}:{one.__qualname__}"
+    raise TypeError(f"save_model needs a model of {' or '.join(PACKAGES)}, got {check.shown(kind)}")
+
+
+def _spec_of(environments: VecEnv | None) -> EnvSpec:
+    """The spec that all environments have."""
+    specs = [] if environments is None else environments.unwrapped.get_attr("spec")
+    if any(spec is None or spec.id != "JackInBox-v0" for spec in specs or [None]):
+        raise TypeError(f"save_model needs a model with environments of JackInBox-v0, got {check.shown(environments)}")
+    wrappers = {one.name for spec in specs for one in spec.additional_wrappers} - _WITHOUT_EFFECT
+    if wrappers:
+        raise _refused(wrappers)
+    differing = {
+        name
+        for spec in specs
+        for name in spec.kwargs.keys() | specs[0].kwargs.keys()
+        if spec.kwargs.get(name) != specs[0].kwargs.get(name)
+    }
+    if differing:
+        raise ValueError(f"save_model needs environments with the same {' and '.join(sorted(differing))}, got several")
+    first: EnvSpec = specs[0]
+    return first
+
+
+def _wrappers_of(environments: VecEnv | None) -> list[dict[str, Any]]:
+    """The wrappers that change observations, the innermost first, for JSON."""
+    stored = list[dict[str, Any]]()
+    while isinstance(environments, VecEnvWrapper):
+        if isinstance(environments, VecNormalize):
+            stored += [statistics_of(environments)] * environments.norm_obs
+        elif isinstance(environments, VecFrameStack):
+            stored.append({"stack": environments.stacked_obs.n_stack})
+        elif type(environments).__name__ not in _WITHOUT_EFFECT:
+            raise _refused({type(environments).__name__})
+        environments = environments.venv
+    return stored[::-1]
+
+
+def _refused(wrappers: set[str]) -> ValueError:
+    known = "of wrappers that change observations or actions it stores VecNormalize and VecFrameStack"
+    return ValueError(f"save_model cannot store {', '.join(sorted(wrappers))}: {known}")
+
+
+def _storable(spec: EnvSpec) -> tuple[dict[str, Any], list[str]]:
+    """The environment's keywords, as JSON has them, and the names of those that it cannot have."""
+    keywords = {**dict.fromkeys(KEYWORDS), **spec.kwargs}
+    env = {name: _storable_value(name, value) for name, value in keywords.items() if name not in _PICTURES}
+    missing = [name for name, value in env.items() if value is None and keywords[name] is not None]
+    if spec.max_episode_steps not in (None, _EPISODE_STEPS):
+        env["max_episode_steps"] = spec.max_episode_steps
+    plain: dict[str, Any] = json.loads(json.dumps(env, default=lambda number: number.tolist()))  # of numpy
+    return {name: value for name, value in plain.items() if name not in missing}, missing
+
+
+def _storable_value(name: str, value: Any) -> Any:
+    """A keyword's value for JSON; None if it cannot have it."""
+    if name == "scene" and not isinstance(Scene.of(value).drive, Drive):
+        default = Scene().as_dict()
+        fields = Scene.of(value).as_dict().items()
+        return {field: number for field, number in fields if field not in default or number != default[field]}
+    if name == "scene" or callable(value) or isinstance(value, tuple(_BUILTIN)):
+        return _name_of(value)
+    return value
+
+
+def _name_of(value: Any) -> str | None:
+    """The name of a built-in object, else ``file.py:name`` or ``module:name``; None if there is none."""
+    for name, one in _BUILTIN.get(type(value), {}).items():
+        if one is value:
+            return name
+    function = getattr(value, "torque", getattr(value, "values", value))
+    for module in (getattr(function, "__module__", "__main__"), "__main__"):
+        for name, one in vars(sys.modules.get(module, object)).items():
+            if one is value or (isinstance(value, Scene) and isinstance(one, Scene) and one == value):
+                file = getattr(sys.modules[module], "__file__", None) if module == "__main__" else None
+                source = str(Path(file).resolve()) if file and file.endswith(".py") else module
+                return None if source == "__main__" else f"{source}:{name}"
+    return None

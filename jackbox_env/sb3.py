@@ -18,8 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import checks as check
 from jackbox_env.batches.infos import NoInfos
+from jackbox_env.durations import DurationBuffer as DurationBuffer
+from jackbox_env.durations import Durations as Durations
 from jackbox_env.saved_models import save_model as save_model
 from jackbox_env.scene import Scene
+from jackbox_env.settings import Settings
 from jackbox_env.simulators import Impact
 from jackbox_env.simulators.fidelity import FURTHER
 from jackbox_env.states import Array
@@ -44,11 +47,12 @@ def make_sb3_vec_env(num_envs: int, **env_kwargs: Any) -> JackInBoxVecEnv:
     """Make ``num_envs`` environments for Stable-Baselines3.
 
     Observations, rewards and dones equal those of ``DummyVecEnv`` over
-    ``Monitor(gymnasium.make("JackInBox-v0", **env_kwargs))`` with the same seeds. At the end of an episode an info has
-    ``episode``, ``terminal_observation`` and ``TimeLimit.truncated``, which Stable-Baselines3 reads. With
-    ``with_infos=True`` infos equal those of ``DummyVecEnv`` too, which takes longer. With ``contact="exact"`` the
-    environments are one compiled loop. Seed them by ``.seed(0)`` or by the model's ``seed``. Single environments are
-    reached by ``get_attr("state")`` and ``env_method("set_state", state, time, indices=[i])``: see :class:`EnvView`.
+    ``Monitor(gymnasium.make("JackInBox-v0", **env_kwargs))`` with the same seeds. An info has the decision's
+    ``duration``, and at the end of an episode ``episode``, ``terminal_observation`` and ``TimeLimit.truncated``, which
+    Stable-Baselines3 reads. With ``with_infos=True`` infos equal those of ``DummyVecEnv`` too, which takes longer. With
+    ``contact="exact"`` the environments are one compiled loop. Seed them by ``.seed(0)`` or by the model's ``seed``.
+    Single environments are reached by ``get_attr("state")`` and
+    ``env_method("set_state", state, time, indices=[i])``: see :class:`EnvView`.
 
     >>> make_sb3_vec_env(4, contact="exact", task="spin").reset().shape
     (4, 10)
@@ -78,7 +82,6 @@ class JackInBoxVecEnv(VecEnv):
         self._views = [EnvView(self.vector_env, number, env_kwargs) for number in range(self.vector_env.num_envs)]
         self._began = time.time()
         self._actions: Any = None
-        self._repeat = 1
         space, actions = self.vector_env.single_observation_space, self.vector_env.single_action_space
         super().__init__(self.vector_env.num_envs, space, actions)
         self.metadata = self.vector_env.metadata
@@ -107,7 +110,7 @@ class JackInBoxVecEnv(VecEnv):
             self.vector_env.check_reset(self._seeds, options)
         for options in resets:
             observations, infos = self.vector_env.reset(seed=self._seeds, options=options)
-            rows = _rows(infos) if self._with_infos else [{} for _ in range(self.num_envs)]
+            rows = self._rows(infos)
             for number in np.flatnonzero(options["reset_mask"]).tolist():
                 self.reset_infos[number] = rows[number]
         self._returns, self._lengths = np.zeros(self.num_envs), np.zeros(self.num_envs, dtype=np.int64)
@@ -116,28 +119,25 @@ class JackInBoxVecEnv(VecEnv):
         self._reset_options()
         return observations
 
-    def step_async(self, actions: Any, repeat: int = 1) -> None:
-        """Store the actions, shape (N, 1), for ``step_wait``; ``repeat``: as in the step of ``vector_env``."""
-        self._actions, self._repeat = actions, repeat
+    def step_async(self, actions: Any) -> None:
+        """Store the actions, shape (N, n) or (N,), for ``step_wait``."""
+        self._actions = actions
 
     def step_wait(self) -> VecEnvStepReturn:
         """Step; an episode that ends starts anew, and its info has its last observation and its statistics.
 
-        An episode's length is in control steps.
+        An episode's length is in decisions, as that of ``Monitor``.
 
         Raises:
             RuntimeError: an interruption, or a step of ``vector_env`` itself, changed the environments: reset first.
         """
         if self._changes != self.vector_env.changes:
             raise RuntimeError("the environments have changed beside step_wait, or in an interrupted one: reset them")
-        observations, rewards, terminations, truncations, infos = self.vector_env.step(self._actions, self._repeat)
+        observations, rewards, terminations, truncations, infos = self.vector_env.step(self._actions)
         dones, in_time = terminations | truncations, truncations & ~terminations
-        returns, lengths = self._returns + rewards, self._lengths + infos.pop("steps", 1)
-        durations = infos.pop("duration", None)
+        returns, lengths = self._returns + rewards, self._lengths + 1
         ended = np.flatnonzero(dones).tolist()
-        rows = self._full_rows(infos, ended) if self._with_infos else [{} for _ in range(self.num_envs)]
-        for number, duration in enumerate([] if durations is None else durations.tolist()):
-            rows[number]["duration"] = duration
+        rows = self._full_rows(infos, ended)
         for number in ended:
             rows[number] = rows[number] if self._with_infos else NoInfos(rows[number])  # slower to make than a dict
             rows[number]["episode"] = {
@@ -156,7 +156,7 @@ class JackInBoxVecEnv(VecEnv):
     def _full_rows(self, infos: dict[str, Any], ended: list[int]) -> list[dict[str, Any]]:
         """The info of each environment's step; those of new starts go to ``reset_infos``."""
         if ended:
-            started = _rows(_some(infos, ended))
+            started = self._rows(_some(infos, ended))
             for number, row in zip(ended, started, strict=True):
                 self.reset_infos[number] = row
             for name, values in infos["final_info"].items():
@@ -165,6 +165,12 @@ class JackInBoxVecEnv(VecEnv):
                         infos[name][field][ended] = drawn[ended]
                 elif not name.startswith("_"):
                     infos[name][ended] = values[ended]
+        return self._rows(infos)
+
+    def _rows(self, infos: dict[str, Any]) -> list[dict[str, Any]]:
+        """Infos of arrays as a list with one info for each environment."""
+        if not self._with_infos:
+            return [{"duration": duration} for duration in infos["duration"].tolist()]
         return _rows(infos)
 
     def close(self) -> None:
@@ -185,7 +191,11 @@ class JackInBoxVecEnv(VecEnv):
         return [getattr(view, attr_name) for view in self._chosen(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Set an attribute of each chosen environment's :class:`EnvView`; those of the simulation are read-only."""
+        """Set an attribute of each chosen environment's :class:`EnvView`.
+
+        Raises:
+            AttributeError: it is a setting, or of the simulation: the message says what to do instead.
+        """
         for view in self._chosen(indices):
             setattr(view, attr_name, value)
 
@@ -203,15 +213,13 @@ class JackInBoxVecEnv(VecEnv):
         return [self._views[number] for number in self._get_indices(indices)]
 
 
-class EnvView:
-    """One environment of a vector environment, with the attributes and methods of the single one."""
+class EnvView(Settings):
+    """One environment of a vector environment, with the attributes, settings and methods of the single one."""
 
     def __init__(self, vector_env: JackInBoxVectorEnv, number: int, keywords: Mapping[str, Any]) -> None:
         self._vector_env, self._number, self._keywords = vector_env, number, keywords
         self.observation_space, self.action_space = vector_env.single_observation_space, vector_env.single_action_space
-        self.render_mode, self.metadata = vector_env.render_mode, vector_env.metadata
-        self.task, self.control_dt = vector_env.task, vector_env.control_dt
-        self.torque_source = vector_env.torque_source
+        self.metadata, self._settings = vector_env.metadata, vector_env._settings
 
     @property
     def unwrapped(self) -> EnvView:
@@ -222,7 +230,7 @@ class EnvView:
     def spec(self) -> EnvSpec:
         """The spec from which ``gymnasium.make`` makes the same single environment."""
         spec = copy.deepcopy(gym.spec("JackInBox-v0"))
-        limit = self._keywords.get("max_episode_steps", spec.max_episode_steps)
+        limit = self._vector_env.max_episode_steps
         spec.max_episode_steps = None if limit == -1 else limit
         spec.kwargs = {name: value for name, value in self._keywords.items() if name not in _SHARED}
         if isinstance(spec.kwargs.get("scene"), Sequence):
@@ -247,7 +255,7 @@ class EnvView:
 
     @property
     def observation(self) -> NDArray[np.float32]:
-        """The observation of the present state, shape (10,)."""
+        """The observation of the present state."""
         observation: NDArray[np.float32] = self._vector_env.observations[self._number]
         return observation.copy()
 

@@ -1,7 +1,7 @@
-"""Observation and reward of one state, in the arithmetic of its contact model.
+"""What an agent observes, does and earns in one state, in the arithmetic of its contact model.
 
-With the exact model they are compiled, so the single environment equals the batched one bit for bit. With pymunk they
-are plain Python, which loads no compiler. The task gets the same scene numbers from both.
+With the exact model the functions are compiled, so the single environment equals the batched one bit for bit. With
+pymunk they are plain Python, which loads no compiler. A user's functions get the same scene numbers from both.
 """
 
 from __future__ import annotations
@@ -11,158 +11,317 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from types import FunctionType
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env import checks as check
-from jackbox_env.observation import observe
+from jackbox_env.action import ACTIONS, Action
+from jackbox_env.observation import OBSERVATIONS, STATE, Observation, bad_observation, observation_of, observe
 from jackbox_env.scene import Scene
 from jackbox_env.simulators import Simulator, contact_model
 from jackbox_env.simulators.base import total_impulse
 from jackbox_env.states import Array, State
 from jackbox_env.tasks import TASKS, Task, TaskError, checked_reward, checked_terms
 
-Scored = tuple[NDArray[np.float32], Sequence[float], bool]
-# Compiled functions of each user's task, as long as the task lives.
-_compiled: WeakKeyDictionary[Task, dict[Callable[..., Any], Callable[..., Any]]] = WeakKeyDictionary()
+Seen = NDArray[np.float32]
+Judged = tuple[Seen, Sequence[float], bool]
+# Compiled functions of each user's task, observation or action, as long as that lives.
+_compiled: WeakKeyDictionary[Any, dict[Callable[..., Any], Callable[..., Any]]] = WeakKeyDictionary()
 _ARITHMETIC = ArithmeticError, ValueError  # math.log(0.0) raises a ValueError
+_NOTHING: Seen = np.empty(0, dtype=np.float32)  # in place of an observation that is not wanted
 
 
-class PlainScore:
-    """A function of the state, shape (12,), the mean torque [N m] and the impulse [N s] of a step; in plain Python."""
+class Nouns(NamedTuple):
+    """What an agent earns, observes and does."""
 
-    def __init__(self, scene: Scene, task: Task) -> None:
-        self._scene, self._numbers, self._task = scene, scene.numbers, task
+    task: Task
+    observation: Observation = STATE
+    action: Action = ACTIONS["torque"]
 
-    def __call__(self, state: Array, torque: float, impulse: float) -> Scored:
-        """Return the observation, shape (10,), the values of the reward's terms, and whether the episode is over."""
-        after, over = State(*state.tolist()), False
-        terms = checked_terms(self._task, self._task.values(self._numbers, after, torque, impulse))
-        if self._task.over is not None:
-            over = self._task.over(self._numbers, after, torque, impulse)
+    @property
+    def builtin(self) -> bool:
+        """Whether none of them has functions of a user, which may fail."""
+        return self.task in TASKS.values() and self.observation in OBSERVATIONS.values() and self.steady
+
+    @property
+    def steady(self) -> bool:
+        """Whether the action has no function of a user."""
+        return self.action in ACTIONS.values()
+
+
+class PlainFunctions:
+    """Their functions in a scene, in plain Python."""
+
+    def __init__(self, scene: Scene, nouns: Nouns) -> None:
+        self._scene, self._numbers, self.nouns = scene, scene.numbers, nouns
+
+    def judge(self, state: Array, time: float, torque: float, impulse: float, seen: bool = True) -> Judged:
+        """After a step: the observation, the values of the reward's terms, and whether the episode is over.
+
+        Args:
+            state: shape (12,).
+            time: [s].
+            torque: mean over the step [N m].
+            impulse: of its impacts [N s].
+            seen: False: the observation is not wanted, and empty.
+        """
+        after, over, task = State(*state.tolist()), False, self.nouns.task
+        terms = checked_terms(task, task.values(self._numbers, after, torque, impulse))
+        if task.over is not None:
+            over = task.over(self._numbers, after, torque, impulse)
             if not isinstance(over, bool | np.bool_):
                 raise TypeError(f"a task's over must return True or False, got {check.shown(over)}")
-        return observe(self._scene, after), terms, bool(over)
+        return self.observe(state, time) if seen else _NOTHING, terms, bool(over)
 
-    def observe(self, state: Array) -> NDArray[np.float32]:
-        """Return the observation of a state, shape (10,), and evaluate the task there, without torque and impulse.
-
-        Arithmetic errors of the task are ignored: perhaps no step ends in this state.
+    def observe(self, state: Array, time: float) -> Seen:
+        """The observation of a state, shape (12,), at a time [s].
 
         Raises:
-            TypeError: the task returns a wrong type.
+            TypeError: the function of a user's observation returns a wrong type.
+            TaskError: a number is NaN.
         """
-        with suppress(*_ARITHMETIC):
-            self(state, 0.0, 0.0)
-        return observe(self._scene, state.tolist())
+        return observe(self._scene, state.tolist(), time, self.nouns.observation)
 
-    def of(self, scene: Scene) -> PlainScore:
+    def share(self, state: Array, action: Array, time: float, dt: float) -> float:
+        """The torque over its limit, not clipped; arguments as of ``Action.share``."""
+        return self.nouns.action.share(self._numbers, State(*state.tolist()), action, time, dt)
+
+    def of(self, scene: Scene) -> PlainFunctions:
         """The same for another scene."""
-        return PlainScore(scene, self._task)
+        return PlainFunctions(scene, self.nouns)
 
 
-class CompiledScore:
-    """:class:`PlainScore` compiled by numba."""
+class CompiledFunctions:
+    """:class:`PlainFunctions` compiled by numba."""
 
-    def __init__(self, scene: Scene, task: Task, call: Callable[..., Any] | None = None) -> None:
-        from jackbox_env.exact.score import score_one
-
-        self._arguments = scene, task
-        self._call, self._numbers = call or compiled_for(task, score_one), np.array(scene.numbers)
-        self._terms = np.empty(len(task.terms))  # written by each call
+    def __init__(self, scene: Scene, nouns: Nouns, calls: tuple[Any, ...] | None = None) -> None:
+        self._scene, self.nouns = scene, nouns
+        self._calls = calls or _calls_of(nouns)
+        self._judge, self._observe, self._share, *_, self._observer, self._scorer = self._calls
+        self._numbers, self._names = np.array(scene.numbers), len(nouns.observation.names)
+        self._terms = np.empty(len(nouns.task.terms))  # written by each call
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return CompiledScore, self._arguments
+        return CompiledFunctions, (self._scene, self.nouns)
 
-    def __call__(self, state: Array, torque: float, impulse: float) -> Scored:
-        """Return the observation, the values of the terms, and whether the episode is over."""
-        observation = np.empty(10, dtype=np.float32)
-        over = self._call(self._numbers, state, torque, impulse, observation, self._terms)
-        return observation, self._terms.tolist(), over
+    def judge(self, state: Array, time: float, torque: float, impulse: float, seen: bool = True) -> Judged:
+        """As :meth:`PlainFunctions.judge`."""
+        observation = np.empty(self._names, dtype=np.float32) if seen else _NOTHING
+        over = self._judge(
+            self._numbers, state, time, torque, impulse, observation, self._terms, self._observer, self._scorer
+        )
+        if over < 0:
+            raise self._bad_observation(state, time)
+        return observation, self._terms.tolist(), over > 0
 
-    def observe(self, state: Array) -> NDArray[np.float32]:
-        """Return the observation, shape (10,), and evaluate the task."""
-        observation = np.empty(10, dtype=np.float32)
-        with suppress(*_ARITHMETIC):  # the observation comes first
-            self._call(self._numbers, state, 0.0, 0.0, observation, self._terms)
+    def observe(self, state: Array, time: float) -> Seen:
+        """As :meth:`PlainFunctions.observe`."""
+        observation = np.empty(self._names, dtype=np.float32)
+        if not self._observe(self._numbers, state, time, observation):
+            raise self._bad_observation(state, time)
         return observation
 
-    def of(self, scene: Scene) -> CompiledScore:
+    def share(self, state: Array, action: Array, time: float, dt: float) -> float:
+        """As :meth:`PlainFunctions.share`."""
+        return float(self._share(self._numbers, state, action.reshape(-1, 1), time, dt))
+
+    def of(self, scene: Scene) -> CompiledFunctions:
         """The same for another scene, without compiling again."""
-        return CompiledScore(scene, self._arguments[1], self._call)
+        return CompiledFunctions(scene, self.nouns, self._calls)
+
+    def _bad_observation(self, state: Array, time: float) -> TaskError:
+        observation = np.empty(self._names, dtype=np.float32)
+        self._observe(self._numbers, state, time, observation)
+        return bad_observation(self.nouns.observation, observation.tolist())
 
 
-Score = PlainScore | CompiledScore
+Functions = PlainFunctions | CompiledFunctions
 
 
-def make_score(scene: Scene, task: Task, contact: str) -> Score:
-    """Return the function that observes and rewards.
+def make_functions(scene: Scene, nouns: Nouns, contact: str) -> Functions:
+    """Return the functions of a scene's agent.
 
     Raises:
-        TypeError: a function of the task cannot be compiled, or returns a wrong type.
+        TypeError: a function of a user cannot be compiled, or returns a wrong type.
     """
-    return CompiledScore(scene, task) if contact_model(contact).compiled else PlainScore(scene, task)
+    return CompiledFunctions(scene, nouns) if contact_model(contact).compiled else PlainFunctions(scene, nouns)
+
+
+def tried(functions: Functions, state: Array, control_dt: float | None = None) -> None:
+    """Evaluate a user's functions in a start, without torque and impulse, to see wrong types early.
+
+    Arithmetic errors are ignored, as perhaps no step begins or ends in this state. With a ``control_dt`` [s] the action
+    that is nearest to zeros is tried too.
+
+    Raises:
+        TypeError: a function returns a wrong type.
+    """
+    with suppress(*_ARITHMETIC):
+        functions.judge(state, 0.0, 0.0, 0.0, seen=False)
+    if control_dt is None:
+        return
+    with suppress(*_ARITHMETIC, TaskError):
+        functions.observe(state, 0.0)
+    action = functions.nouns.action
+    if action is not ACTIONS["torque"]:
+        with suppress(*_ARITHMETIC):
+            functions.share(state, action.checked(np.zeros(action.size) if action.size else 0)[:, 0], 0.0, control_dt)
 
 
 def bad_reward(task: Task, simulator: Simulator, where: str) -> TaskError:
     """The error of the exact model's last step, whose reward is NaN or infinite."""
-    score = CompiledScore(simulator.scene, task)
-    _, terms, _ = score(simulator.state, simulator.torque, total_impulse(simulator.impacts))
+    from jackbox_env.exact.score import score_one
+
+    terms, impulse = np.empty(len(task.terms)), total_impulse(simulator.impacts)
+    numbers = np.array(simulator.scene.numbers)
+    compiled_for(task, score_one)(numbers, simulator.state, simulator.torque, impulse, terms)
     try:
-        checked_reward(task, terms)
+        checked_reward(task, terms.tolist())
     except TaskError as error:
         return TaskError(f"{error}, in {where}")
     # A value that the task reads has changed since.
     return TaskError(f"the reward must be finite, got one that is not, in {where}")
 
 
-def compiled_for(task: Task, function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function of ``exact.score``, compiled once for each Task, with the task's functions as they are then.
+def observed(scene: Scene, states: Array, observation: str | Observation = "state", time: float = 0.0) -> Seen:
+    """The observations of many states, shape (n, 12), at a time [s], by compiled code: float32, shape (n, numbers).
 
     Raises:
-        TypeError: a function of the task cannot be compiled, or returns a wrong type.
+        TypeError, ValueError: no observation.
+        TaskError: a number is NaN.
+    """
+    from jackbox_env.exact.glide import TIME, WIDTH
+    from jackbox_env.exact.observe import observe_rows
+    from jackbox_env.exact.workspace import LANES
+
+    chosen, count = observation_of(observation), len(states)
+    block, seen = np.zeros((WIDTH, count)), np.empty((count, len(chosen.names)), dtype=np.float32)
+    block[:12], block[TIME] = states.T, time
+    numbers = np.array([scene.numbers])
+    bad = compiled_for(chosen, observe_rows)(numbers, block, count, np.zeros((LANES, count)), 0, seen)
+    if bad >= 0:
+        raise bad_observation(chosen, seen[bad].tolist())
+    return seen
+
+
+def _calls_of(nouns: Nouns) -> tuple[Any, ...]:
+    """Compiled functions of one state, and the addresses of those that ``judge`` calls."""
+    from jackbox_env.exact.act import act_one
+    from jackbox_env.exact.compiler import address_of, compiled
+    from jackbox_env.exact.observe import observe_one
+    from jackbox_env.exact.score import judge, row_observer, row_scorer, score_one
+
+    observe, score = compiled_for(nouns.observation, observe_one), compiled_for(nouns.task, score_one)
+    act = None if nouns.action is ACTIONS["torque"] else compiled_for(nouns.action, act_one)
+    return compiled(judge), observe, act, score, address_of(observe, row_observer), address_of(score, row_scorer)
+
+
+def compiled_for(owner: Task | Observation | Action, function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function of ``exact.score``, ``exact.observe`` or ``exact.act``, compiled once for each task, observation or
+    action, with its functions as they are then.
+
+    Raises:
+        TypeError: a function of a user cannot be compiled, or returns a wrong type.
     """
     from jackbox_env.exact.compiler import compiled, compiled_for_users
 
-    if task in TASKS.values():
-        return compiled(function, task_terms=task.values)
-    variants = _compiled.setdefault(task, {})
+    substitutes = _SUBSTITUTES[type(owner)]
+    if any(owner is one for named in (TASKS, OBSERVATIONS, ACTIONS) for one in named.values()):
+        return compiled(function, **substitutes(owner, True))
+    variants = _compiled.setdefault(owner, {})
     if function not in variants:
-        ends = {} if task.over is None else {"task_over": task.over}
-        variants[function] = compiled_for_users(function, **_terms_of(task), **ends)
+        variants[function] = compiled_for_users(function, **substitutes(owner, False))
     return variants[function]
 
 
-def _terms_of(task: Task) -> dict[str, Any]:
-    """Substitutes for the placeholders of ``exact.score`` in a user's task, whose functions return the right types.
+def _of_task(task: Task, builtin: bool) -> dict[str, Any]:
+    """Substitutes for the placeholders of ``exact.score``, whose functions return the right types.
 
     Raises:
         TypeError: they do not, or cannot be compiled.
     """
     from numba import config
-    from numba.core import types
 
     from jackbox_env.exact.score import one_term
 
+    if builtin:
+        return {"task_terms": task.values}
+    ends = {} if task.over is None else {"task_over": task.over}
     if config.DISABLE_JIT:  # type: ignore[attr-defined]
-        return {"task_terms": partial(_plain_terms, task.values)}
-    returned: Any = _returned_by(task.values)
+        return {"task_terms": partial(_plain_terms, task.values), **ends}
+    single = _is_number(task.values, "task", (0.0, 0.0), len(task.terms), "term")
+    if task.over is not None:
+        from numba.core import types
+
+        if not isinstance(returned := _returned_by(task.over, "task", (0.0, 0.0)), types.Boolean):
+            raise TypeError(
+                f"the task's function {task.over.__qualname__} must return True or False, got what numba calls "
+                f"{returned}"
+            )
+    return ({"task_terms": one_term, "task_number": task.values} if single else {"task_terms": task.values}) | ends
+
+
+def _of_observation(observation: Observation, builtin: bool) -> dict[str, Any]:
+    """The same of ``exact.observe``."""
+    from numba import config
+
+    from jackbox_env.exact.observe import observe_landing, observe_values
+
+    if builtin:
+        return {} if observation is STATE else {"observe": observe_landing}
+    if not config.DISABLE_JIT and _is_number(  # type: ignore[attr-defined]
+        observation.values, "observation", (0.0,), len(observation.names), "name"
+    ):
+        raise TypeError(f"an observation's values must return a tuple, got a number from {observation.values}")
+    low, high = (bound.astype(np.float64) for bound in observation.bounds)
+    return {"observe": observe_values, "observation_values": observation.values, "LOW": low, "HIGH": high}
+
+
+def _of_action(action: Action, builtin: bool) -> dict[str, Any]:
+    """The same of ``exact.act``."""
+    from numba import config
+    from numba.core import types
+
+    from jackbox_env.exact.act import choice_in, pair_in, tuple_in
+
+    example: Any = (0.0,) * action.size or 0
+    read = choice_in if not action.size else pair_in if builtin else tuple_in(action.size)
+    if not (builtin or config.DISABLE_JIT):  # type: ignore[attr-defined]
+        returned = _returned_by(action.torque, "action", (example, 0.0, 0.0))
+        if not isinstance(returned, types.Number | types.Boolean) or returned in types.complex_domain:
+            raise TypeError(
+                f"the action's function {action.torque.__qualname__} must return a number, got what numba calls "
+                f"{returned}"
+            )
+    return {"action_torque": action.torque, "action_in": read}
+
+
+_SUBSTITUTES: dict[type, Callable[[Any, bool], dict[str, Any]]] = {
+    Task: _of_task, Observation: _of_observation, Action: _of_action,
+}  # fmt: skip
+
+
+def _is_number(function: Any, owner: str, further: tuple[Any, ...], count: int, each: str) -> bool:
+    """Whether a user's function returns a number, if ``count`` is 1, and not a tuple of ``count`` numbers.
+
+    Raises:
+        TypeError: it returns something else, or cannot be compiled.
+    """
+    from numba.core import types
+
+    returned: Any = _returned_by(function, owner, further)
     single = isinstance(returned, types.Number | types.Boolean)
-    terms: Any = types.UniTuple(returned, 1) if single else returned  # type: ignore[no-untyped-call]
-    fits = isinstance(terms, types.UniTuple) and isinstance(terms.dtype, types.Number | types.Boolean)
-    if not (fits and len(terms) == len(task.terms) and terms.dtype not in types.complex_domain):
+    many: Any = types.UniTuple(returned, 1) if single else returned  # type: ignore[no-untyped-call]
+    fits = isinstance(many, types.UniTuple) and isinstance(many.dtype, types.Number | types.Boolean)
+    if not (fits and len(many) == count and many.dtype not in types.complex_domain):
         raise TypeError(
-            f"the task's function {task.values.__qualname__} must return a tuple of {len(task.terms)} floats, one for "
-            f"each term, got what numba calls {returned}"
+            f"the {owner}'s function {function.__qualname__} must return a tuple of {count} floats, one for each "
+            f"{each}, got what numba calls {returned}"
         )
-    if task.over is not None and not isinstance(returned := _returned_by(task.over), types.Boolean):
-        raise TypeError(
-            f"the task's function {task.over.__qualname__} must return True or False, got what numba calls {returned}"
-        )
-    return {"task_terms": one_term, "task_number": task.values} if single else {"task_terms": task.values}
+    return single
 
 
 def _plain_terms(values: Callable[..., Any], *arguments: Any) -> tuple[float, ...]:
@@ -171,15 +330,15 @@ def _plain_terms(values: Callable[..., Any], *arguments: Any) -> tuple[float, ..
     return returned if isinstance(returned, tuple) else (returned,)
 
 
-def _returned_by(function: Callable[..., Any]) -> Any:
-    """Numba's type of what a function of a user's task returns."""
+def _returned_by(function: Callable[..., Any], owner: str, further: tuple[Any, ...]) -> Any:
+    """Numba's type of what a user's function returns, of scene, state and ``further`` arguments like these."""
     from jackbox_env.exact.compiler import returned_by
 
     try:
-        return returned_by(cast(FunctionType, function))
+        return returned_by(cast(FunctionType, function), further)
     except Exception as error:
         raise TypeError(
-            f"the task's function {function.__qualname__} cannot be compiled, as contact='exact' needs: "
+            f"the {owner}'s function {function.__qualname__} cannot be compiled, as contact='exact' needs: "
             f"{_reason(error)}{_without_numpy(function)}"
         ) from error
 

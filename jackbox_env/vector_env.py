@@ -5,40 +5,45 @@ The batch (:mod:`jackbox_env.batches`) steps the states; this file checks argume
 
 from __future__ import annotations
 
+import copy
+import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import checks as check
+from jackbox_env.action import Action, Repeats
 from jackbox_env.batches.arguments import Arguments
-from jackbox_env.batches.base import Outcome, Starts
-from jackbox_env.batches.infos import Infos, NoInfos, infos_at_end, infos_at_start, masked
+from jackbox_env.batches.base import Limits, Outcome, Starts
+from jackbox_env.batches.infos import Infos, NoInfos, blank, infos_at_end, infos_at_start, masked
 from jackbox_env.batches.resets import ResetPlan, as_autoreset_mode, plan_of
 from jackbox_env.env import JackInBoxEnv, Randomize
-from jackbox_env.landing import Landings
+from jackbox_env.observation import Observation
 from jackbox_env.one_thread import ThreadNote, by_one_thread
 from jackbox_env.randomization import NUMBERS, Randomization
 from jackbox_env.scene import Scene
+from jackbox_env.settings import Setting, Settings
 from jackbox_env.simulators import Impact, contact_model
 from jackbox_env.simulators.fidelity import FURTHER
 from jackbox_env.states import Array, Flags, Floats, as_restored
-from jackbox_env.tasks import Task, task_of
+from jackbox_env.tasks import Task
 
 if TYPE_CHECKING:
     from jackbox_env.batches.exact import ExactBatch
     from jackbox_env.batches.single import SingleBatch
 
 _MOST_ENVS = 1_000_000_000
-_NO_LIMIT = 10**15  # steps; float64 counts them all
+_MOST_STEPS = 10**15  # float64 counts them all
 _alone = by_one_thread("a vector environment")
 
 
-class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
+class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
     """Many environments stepped together, made by ``gymnasium.make_vec("JackInBox-v0", num_envs=1024)``.
 
     Environment i, seeded with s + i, equals the single environment with that seed, bit for bit and across restarts.
@@ -53,10 +58,11 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
 
     Args:
         num_envs: number of environments N.
-        max_episode_steps: steps after which an episode is truncated; -1: never.
-        autoreset_mode: when a finished episode restarts. ``NEXT_STEP``: the next step ignores the action, returns the
-            new start and reward 0. ``SAME_STEP``: the step that ends it returns the new start, and the last observation
-            in ``infos["final_obs"]``. ``DISABLED``: you restart it, by ``reset`` with a ``reset_mask``.
+        max_episode_steps: decisions (calls of ``step``) after which an episode is truncated; None: 500; -1: never.
+        autoreset_mode: when a finished episode restarts: the enum, its name or its value. ``NEXT_STEP``: the next step
+            ignores the action, returns the new start and reward 0. ``SAME_STEP``: the step that ends it returns the new
+            start, and the last observation in ``infos["final_obs"]``. ``DISABLED``: you restart it, by ``reset`` with a
+            ``reset_mask``.
         num_threads: of the exact model; None: those of the machine, fewer for a small batch. Results do not change.
         with_infos: return the single environment's info, as arrays.
         render_mode: None or "rgb_array"; "human" for one environment.
@@ -64,12 +70,16 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         substeps: engine steps of pymunk per control step; None: 4.
         scene: a :class:`Scene`, a dict of some of its fields, or a list of N of them, one for each environment.
         task: the name of one, or a :class:`Task`.
-        control_dt: duration of a step [s].
+        control_dt: duration of a control step [s].
         torque: "agent": the actions are torques; "chirp": the scene's drive acts, and actions are ignored.
         fidelity: "coarse", "balanced", "fine" or "exact"; None: "balanced".
         randomize: fields of the scenes that each environment draws at each reset.
         render_size: width and height of each environment's frame [pixels].
         render_overlay: False: frames show box, jack and ruled lines alone.
+        observation: the name of one, or an :class:`Observation`.
+        action: the name of one, or an :class:`Action`.
+        action_repeat: control steps of an action, or "bounce"; then the environments' times differ.
+        episode_steps: control steps of an episode, counted across decisions.
 
     Returned arrays are never written again. Ctrl-C in ``step`` changes nothing, unless it strikes while the new states
     replace the old ones. Then ``step`` raises RuntimeError until all environments are ``reset``. While a thread is in
@@ -80,13 +90,21 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         MemoryError: too many environments for the machine's memory.
     """
 
-    metadata: dict[str, Any] = {**JackInBoxEnv.metadata, "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
+    metadata: dict[str, Any] = {  # noqa: RUF012
+        **JackInBoxEnv.metadata, "render_modes": ["human", "rgb_array"], "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }  # fmt: skip
+
+    observation, num_envs, max_episode_steps = Setting(), Setting(), Setting()
+    autoreset_mode = Setting()  # TorchRL reads it here, Gymnasium in the metadata
+    num_threads, with_infos = Setting(), Setting()
+
+    _spec: EnvSpec | None = None
 
     @check.refuse_unknown("the vector environment of JackInBox-v0", {}, FURTHER)
     def __init__(
         self,
         num_envs: int = 1,
-        max_episode_steps: int = 500,
+        max_episode_steps: int | None = 500,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         num_threads: int | None = None,
         with_infos: bool = False,
@@ -101,57 +119,87 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         randomize: Randomize = None,
         render_size: tuple[int, int] = (512, 512),
         render_overlay: bool = True,
+        observation: str | Observation = "state",
+        action: str | Action = "torque",
+        action_repeat: Repeats = 1,
+        episode_steps: int | None = None,
         **settings: Any,
     ) -> None:
-        self.num_envs = check.whole("num_envs", num_envs, at_least=1, at_most=_MOST_ENVS)
-        limit = _NO_LIMIT
-        if not (isinstance(max_episode_steps, int | np.integer) and max_episode_steps == -1):
-            limit = check.whole("max_episode_steps", max_episode_steps, at_least=1, at_most=_NO_LIMIT)
+        num_envs = check.whole("num_envs", num_envs, at_least=1, at_most=_MOST_ENVS)
+        limit: float = math.inf
+        if max_episode_steps is None:  # as gymnasium.make: what is registered
+            limit = cast(int, gym.spec("JackInBox-v0").max_episode_steps)
+        elif not (isinstance(max_episode_steps, int | np.integer) and max_episode_steps == -1):
+            name = "max_episode_steps (-1: no limit)"
+            limit = check.whole(name, max_episode_steps, at_least=1, at_most=_MOST_STEPS)
         if num_threads is not None:
             num_threads = check.whole("num_threads", num_threads, at_least=1)
         if render_mode is not None:
-            check.choice("render_mode", render_mode, JackInBoxEnv.metadata["render_modes"])
-        if render_mode == "human" and self.num_envs > 1:
+            check.choice("render_mode", render_mode, self.metadata["render_modes"])
+        if render_mode == "human" and num_envs > 1:
             raise ValueError(f'render_mode must be None or "rgb_array" for several environments, got {render_mode!r}')
-        self.autoreset_mode = as_autoreset_mode(autoreset_mode)  # TorchRL reads it here, Gymnasium in the metadata
-        self._with_infos = check.flag("with_infos", with_infos)
-        self._arguments = Arguments(self.num_envs)
+        self._mode, self._with_infos = as_autoreset_mode(autoreset_mode), check.flag("with_infos", with_infos)
+        self._arguments = Arguments(num_envs)
         scenes = self._arguments.scenes(scene)
         settings |= {
             "contact": contact, "substeps": substeps, "task": task, "control_dt": control_dt, "torque": torque,
             "fidelity": fidelity, "render_size": render_size, "render_overlay": render_overlay,
+            "observation": observation, "action": action, "action_repeat": action_repeat,
+            "episode_steps": episode_steps,
         }  # fmt: skip
-        shown = render_mode if self.num_envs == 1 else None
+        shown = render_mode if num_envs == 1 else None
         single = JackInBoxEnv(scene=scenes[0], **settings, render_mode=shown)  # checks them all
         single.close()
         drawn = None if randomize is None else Randomization(randomize, scenes, single.simulator_of)
         # MemoryError now, not after hours of construction
-        np.empty(self.num_envs * contact_model(single.contact).room, dtype=np.uint8)
-        self.task, self.render_mode, self._terms = task, render_mode, task_of(task).terms
-        self.control_dt, self.torque_source = single.control_dt, single.torque_source
-        self.metadata = {**single.metadata, "autoreset_mode": self.autoreset_mode}
+        np.empty(num_envs * contact_model(single.contact).room, dtype=np.uint8)
+        self._settings = {
+            **single._settings, "observation": observation, "randomize": randomize, "render_mode": render_mode,
+            "num_envs": num_envs, "max_episode_steps": -1 if limit == math.inf else limit, "autoreset_mode": self._mode,
+            "num_threads": num_threads, "with_infos": with_infos,
+        }  # fmt: skip
+        self._nouns, self._driven = single.nouns, torque == "chirp"
+        self._terms = single.nouns.task.terms if self._with_infos else None
+        limits = Limits.of(single.repeat, limit, math.inf if single.episode_steps is None else single.episode_steps)
+        self.metadata = {
+            **single.metadata, "render_modes": self.metadata["render_modes"], "autoreset_mode": self._mode,
+        }  # fmt: skip
         self.single_observation_space, self.single_action_space = single.observation_space, single.action_space
-        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
         self._batch: ExactBatch | SingleBatch
         if single.contact == "exact" and render_mode is None:
             from jackbox_env.batches.exact import ExactBatch
 
             self._batch = ExactBatch(
-                scenes, self.num_envs, task_of(task), float(control_dt), limit, self._with_infos, num_threads, drawn
-            )
+                scenes, num_envs, single.nouns, single.control_dt, single.repeat, limits, self._with_infos,
+                num_threads, drawn,
+            )  # fmt: skip
         else:
             from jackbox_env.batches.single import SingleBatch
 
             self._batch = SingleBatch(
-                scenes, self.num_envs, limit, self._with_infos, drawn, render_mode=render_mode, **settings
+                scenes, num_envs, limits, self._with_infos, drawn, render_mode=render_mode, **settings
             )
         self._inside, self._randomize = ThreadNote(), drawn
-        self._seeds = [-1] * self.num_envs  # -1 where none was given
-        self._started = np.zeros(self.num_envs, dtype=np.bool_)  # which have been reset
+        self._seeds = [-1] * num_envs  # -1 where none was given
+        self._started = np.zeros(num_envs, dtype=np.bool_)  # which have been reset
         # Whether all have been reset, an episode may be over, and a change has begun and not ended.
         self._ready, self._waiting, self._half = False, False, False
         self.changes = 0  # steps and resets so far
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """The spec from which ``gymnasium.make_vec`` makes the same environments."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        """Store a spec with the name of the mode in place of the enum, which has no JSON form."""
+        if spec is not None and isinstance(spec.kwargs.get("autoreset_mode"), AutoresetMode):
+            spec = copy.copy(spec)
+            spec.kwargs = {**spec.kwargs, "autoreset_mode": spec.kwargs["autoreset_mode"].name}
+        self._spec = spec
 
     # -- the simulated systems ----------------------------------------------------------------------------------------
 
@@ -193,11 +241,11 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
     @property
     @_alone
     def observations(self) -> Floats:
-        """The observations of the present states: a fresh float32 array, shape (N, 10)."""
+        """The observations of the present states: a fresh float32 array, shape (N, numbers)."""
         return self._observed()
 
     def _observed(self) -> Floats:
-        observations = np.empty((self.num_envs, 10), dtype=np.float32)
+        observations = np.empty((self.num_envs, len(self._nouns.observation.names)), dtype=np.float32)
         self._batch.observe(np.arange(self.num_envs), observations)
         return observations
 
@@ -271,6 +319,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         if plan.states is not None:
             placed = plan.states(lambda number: self._batch.scene(number, starts))
             starts = starts._replace(states=placed[numbers])
+        starts = self._batch.observed(starts, plan.times)
         self._half = True
         self._batch.start(starts)
         if plan.times.any():
@@ -282,11 +331,8 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         self._ready = bool(self._started.all())
         self.changes += 1
         self._half = False
-        infos: Infos = NoInfos()
-        if self._with_infos:
-            infos = infos_at_start(self._terms, self.states, self.times, plan.chosen)
-            infos = masked(infos | self._drawn(plan.chosen), plan.chosen)
-        return self._observed(), infos
+        infos = masked(self._infos_at_start(plan.chosen) | self._drawn(plan.chosen), plan.chosen)
+        return self._observed(), infos if self._with_infos else NoInfos(infos)
 
     def check_reset(self, seed: int | Sequence[int | None] | None, options: Mapping[str, Any] | None) -> ResetPlan:
         """Check a reset's arguments without changing anything. The reset itself checks scenes, and states in them.
@@ -297,47 +343,38 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         return plan_of(self._arguments, seed, options)
 
     @_alone
-    def step(self, actions: ArrayLike | Landings | None, repeat: int = 1) -> tuple[Floats, Array, Flags, Flags, Infos]:
-        """Advance all environments by one control step under ``actions``, shape (N, 1) or (N,), or under the drive.
-
-        Args:
-            actions: shares of the torque limit, or None. Under the ``Landings`` of
-                :class:`jackbox_env.LandingControlVector` each environment steps to its next impact.
-            repeat: control steps, 1 to 1,000,000, fewer in an episode that ends before. Rewards are summed, infos are
-                of the last step, and ``infos["steps"]`` counts the steps, shape (N,). A drive of functions is called
-                for all of them in advance, which needs about 1 kB for each step of an environment.
+    def step(self, actions: ArrayLike | None) -> tuple[Floats, Array, Flags, Flags, Infos]:
+        """Make a decision in each environment under ``actions``, shape (N, n) or (N,), or under the drive if None.
 
         Raises:
             TypeError, ValueError: unusable actions.
             JackLostError: a jack would leave its box, or cannot be followed.
-            jackbox_env.TaskError: a reward of a task of your own is NaN or infinite.
+            jackbox_env.TaskError: as in the single environment, whose number it names.
             RuntimeError: no reset yet, or half changed by an interruption. Other errors change nothing.
         """
         if not self._ready:
             raise RuntimeError("step must come after a reset of all environments, got none yet")
         self._refuse_half_changed()
-        checked = actions if isinstance(actions, Landings | None) else self._arguments.actions(actions)
-        repeat = check.whole("repeat", repeat, at_least=1, at_most=1_000_000)
         waiting = self._over() if self._waiting else None
+        checked = None if actions is None else self._arguments.actions(self._nouns.action, actions, waiting)
         infos: Infos = {} if self._with_infos else NoInfos()
         restarting = waiting
-        outcome = self._batch.step(None if self.torque_source == "chirp" else checked, repeat)
-        if waiting is None and outcome.finished and self.autoreset_mode is AutoresetMode.SAME_STEP:
-            infos |= infos_at_end(outcome, self._drawn(outcome.ended) if self._with_infos else {})
+        outcome = self._batch.step(None if self._driven else checked)
+        if waiting is None and outcome.finished and self._mode is AutoresetMode.SAME_STEP:
+            infos |= infos_at_end(outcome, self._drawn(outcome.ended))
             restarting = outcome.ended
-        starts = None if restarting is None else self._batch.draw(np.flatnonzero(restarting))
+        starts = None
+        if restarting is not None:
+            drawn = self._batch.draw(np.flatnonzero(restarting))
+            starts = self._batch.observed(drawn, np.zeros(self.num_envs))
         self._half = True
         self._batch.take(outcome.after)
         if starts is not None:
             self._restart(starts, outcome)
-        self._waiting = outcome.finished > 0 and self.autoreset_mode is not AutoresetMode.SAME_STEP
+        self._waiting = outcome.finished > 0 and self._mode is not AutoresetMode.SAME_STEP
         self.changes += 1
         self._half = False
-        last = outcome.infos | self._drawn(self._started) if self._with_infos else {}
-        if outcome.steps is not None:
-            last |= {"steps": outcome.steps}
-            last |= {"duration": outcome.steps * self.control_dt} if isinstance(checked, Landings) else {}
-        infos |= masked(last, self._started)
+        infos |= masked(outcome.infos | self._drawn(self._started), self._started)
         return outcome.observations, outcome.rewards, outcome.terminations, outcome.truncations, infos
 
     @_alone
@@ -363,6 +400,14 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
 
         return tiled([self.scene_of(number) for number in range(count)], self.states, self.times, size)
 
+    def set_attr(self, name: str, values: Any) -> None:
+        """Set an attribute of this object.
+
+        Raises:
+            AttributeError: it is a setting, the scene or the states: the message says what to do instead.
+        """
+        setattr(self, name, values)
+
     def close_extras(self, **kwargs: Any) -> None:
         """Close the renderers."""
         if hasattr(self, "_batch"):  # a refused construction is closed too, by older Gymnasiums
@@ -375,7 +420,7 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         waiting = self._batch.over
         if not waiting.any():
             return None
-        if self.autoreset_mode is AutoresetMode.DISABLED:
+        if self._mode is AutoresetMode.DISABLED:
             how = "reset the episodes that are over before the next step, by options={'reset_mask': ...}"
             over = f"{int(waiting.sum())} of {self.num_envs} are over"
             raise RuntimeError(f"with autoreset_mode DISABLED, {how}; {over}")
@@ -385,14 +430,19 @@ class JackInBoxVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         """Begin episodes, and write their starts into ``outcome``."""
         self._batch.start(starts)
         self._batch.observe(starts.numbers, outcome.observations)
-        if self._with_infos:
-            chosen = np.zeros(self.num_envs, dtype=np.bool_)
-            chosen[starts.numbers] = True
-            infos = infos_at_start(self._terms, self.states, self.times, chosen)
-            for name in infos.keys() & outcome.infos.keys():
-                outcome.infos[name][chosen] = infos[name][chosen]
+        chosen = np.zeros(self.num_envs, dtype=np.bool_)
+        chosen[starts.numbers] = True
+        infos = self._infos_at_start(chosen)
+        for name in infos.keys() & outcome.infos.keys():
+            outcome.infos[name][chosen] = infos[name][chosen]
+
+    def _infos_at_start(self, chosen: Flags) -> Infos:
+        """Infos, without masks, of the ``chosen`` environments at the start of an episode."""
+        if self._terms is None:
+            return blank(None, self.num_envs)
+        return infos_at_start(self._terms, self.states, self.times, chosen)
 
     def _drawn(self, chosen: Flags) -> Infos:
-        """The present values of the randomized fields of some environments' scenes; empty without any."""
-        names = self._randomize.names if self._randomize else []
+        """The present values of the randomized fields of some environments' scenes; empty without any or infos."""
+        names = self._randomize.names if self._randomize and self._with_infos else []
         return {"scene": masked({name: self._batch.field(name) for name in names}, chosen)} if names else {}

@@ -16,11 +16,11 @@ from jackbox_env import __version__
 from jackbox_env.command_line import ROOT, command_line
 from jackbox_env.files import write_text
 
-INPUTS = "From the observation, and eleven numbers about the jack's next landing that follow from it,"
+INPUTS = 'From the observation `"landing"`, ten numbers of the state and eleven of the next landing,'
 ORIGINS = {  # what a network is, and how it was trained
     "ppo": f"""A network with two layers of {{hidden_units[0]}} neurons. {INPUTS} it chooses {{chosen}}, {{lasting}}.
 PPO trained it for {{total_steps:,}} decisions in {{num_envs}} environments: discount {{gamma}}{{per}}, learning rate {{learning_rate}}, seed {{seed}}; settings.json has the rest. That took {{seconds:.0f}} s. Five such trainings, this one and four of other seeds, earn {{lowest:.1f}} to {{highest:.1f}}. `make networks` trains it again.""",  # noqa: E501
-    "distilled": f"""A network with two layers of {{hidden_units[0]}} neurons. {INPUTS} it chooses a torque, for {{repeat}} control steps of {{control_dt}} s each time.
+    "distilled": f"""A network with two layers of {{hidden_units[0]}} neurons. {INPUTS} it chooses a torque, for {{action_repeat}} control steps of {{control_dt}} s each time.
 `scripts/studies/vine.py` tries torques from the same states, plays on by exact rollouts, and makes the better ones more likely by PPO's clipped loss.""",  # noqa: E501
     "juggle-distilled": """A network that evaluates a bounce. The policy predicts one bounce in closed form for many angles and rates of the box, and turns the box to the best.
 `scripts/studies/distil.py` starts from the planner's value and improves it on states that the policy itself visits.""",  # noqa: E501
@@ -56,8 +56,8 @@ import jackbox_env  # registers JackInBox-v0
 from agents.policies.registry import find_policy
 from agents.settings import EnvSettings
 
-env = gym.make("JackInBox-v0", task="{task}", fidelity="exact")
-policy = find_policy("{path}", EnvSettings(task="{task}")).policy
+policy, keywords = find_policy("{path}", EnvSettings(task="{task}"))
+env = gym.make("JackInBox-v0", task="{task}", fidelity="exact", **keywords)
 observation, info = env.reset(seed=0)
 memory, done, total = None, False, 0.0
 while not done:
@@ -99,7 +99,8 @@ planner play the tasks juggle, spin and rattle. `jackbox` is a Minari namespace;
 | dataset | episodes | steps | mean return |
 |---|---:|---:|---:|
 {rows}
-Episodes have 500 steps of 0.02 s and start from the seeds 0, 1, 2 and so on.
+Episodes have 500 control steps of 0.02 s and start from the seeds 0, 1, 2 and so on. A step is one decision: of PPO and
+the planner it has several control steps, for which `duration` is its time.
 
 ## Use
 
@@ -114,12 +115,13 @@ for episode in dataset.iterate_episodes():
 
 ## Contents
 
-Observations, actions and rewards are those of JackInBox-v0. `infos` has one row more than there are actions:
+Observations, actions and rewards are those of JackInBox-v0, with the observation, action and `action_repeat` of the
+policy. `infos` has one row more than there are actions:
 
 | name | meaning |
 |---|---|
 | `state` | x, y and angle of the box and of the jack, then their rates, 12 numbers, float64, SI units |
-| `time` | [s] |
+| `time`, `duration` | at the end of the step, and of it [s] |
 | `torque` | mean over the step [N m] |
 | `impacts`, `impulse` | their number in the step, and the sum of their impulses [N s] |
 | `reward_<term>` | each term of the reward |
@@ -152,9 +154,9 @@ def card(folder: Path, record: dict[str, Any], commit: str) -> str:
     facts |= {key: fact for path in folder.glob("*.json") for key, fact in json.loads(path.read_text()).items()}
     means = [one["mean"] for one in record["learning"] if one["task"] == task]
     facts |= {"lowest": min(means), "highest": max(means), "metrics": "", "rows": ""}
-    facts["chosen"] = "the box's angle and rate at the landing" if facts.get("landing") else "a torque"
-    by_bounce = facts.get("repeat") == "bounce"
-    steps = f"{facts.get('repeat')} control steps of {facts['control_dt']} s"
+    facts["chosen"] = "the box's angle and rate at the landing" if facts.get("action") == "landing" else "a torque"
+    by_bounce = facts.get("action_repeat") == "bounce"
+    steps = f"{facts.get('action_repeat')} control steps of {facts['control_dt']} s"
     facts |= {"lasting": "once a bounce" if by_bounce else f"for {steps} each time", "per": " per second" * by_bounce}
     for row in (row for row in record["rows"] if (row["task"], row["policy"]) == (task, facts["policy"])):
         half = (row["interval_95"][1] - row["interval_95"][0]) / 2.0

@@ -23,7 +23,7 @@ import numpy as np
 
 from agents.policies.network import SHIPPED, TRAINED, read_policy
 from agents.policies.planner import planner_for
-from agents.policies.scripted import Policy, RandomPolicy
+from agents.policies.scripted import PLAIN, Policy, PolicyWithEnv, RandomPolicy
 from agents.runs import versions
 from agents.settings import EnvSettings
 from jackbox_env import Scene
@@ -45,10 +45,13 @@ class Arguments:
     """Control steps of random and ppo on each task; the planner plays a tenth of it."""
 
 
-def policies(task: str) -> dict[str, Policy]:
+def policies(task: str) -> dict[str, PolicyWithEnv]:
     """The policies by name, made without the registry, which needs torch."""
-    planner = planner_for(EnvSettings(task=task, contact="exact"), Scene())
-    return {"random": RandomPolicy(0), "ppo": read_policy(SHIPPED / f"{task}-ppo"), "planner": planner}
+    planner, network = (
+        planner_for(EnvSettings(task=task, contact="exact"), Scene()),
+        read_policy(SHIPPED / f"{task}-ppo"),
+    )
+    return {"random": PolicyWithEnv(RandomPolicy(0), PLAIN), "ppo": network.in_env, "planner": planner.in_env}
 
 
 def record(env: gym.Env[Any, Any], policy: Policy, episodes: int) -> None:
@@ -62,26 +65,28 @@ def record(env: gym.Env[Any, Any], policy: Policy, episodes: int) -> None:
 
 
 def replay(env: Any, seed: int, episode: Any) -> None:
-    """Play an episode's actions from its seed, and those of its second half from the state at its middle.
+    """Play an episode's actions from its seed, and from the state at its middle those of its second half but the last,
+    which the episode's end may have cut.
 
     Raises:
         RuntimeError: a state, an observation or a reward has other bits.
     """
     stored = episode.infos["state"], episode.observations, episode.rewards
-    env.reset(seed=seed)
-    for first in (0, len(episode.actions) // 2):
+    count = len(episode.actions)
+    for first, last in ((0, count), (count // 2, count - 1)):
+        env.reset(seed=seed)
         if first:
             env.set_state(stored[0][first], episode.infos["time"][first])
         state, observation = env.state, env.observation
-        steps = [(env.state, *outcome[:2]) for outcome in map(env.step, episode.actions[first:])]
+        steps = [(env.state, *outcome[:2]) for outcome in map(env.step, episode.actions[first:last])]
         states, observations, rewards = zip(*steps, strict=True)
         replayed = (state, *states), (observation, *observations), rewards
         for again, original in zip(replayed, stored, strict=True):
-            if np.array(again).tobytes() != original[first:].tobytes():
+            if np.array(again).tobytes() != original[first : first + len(again)].tobytes():
                 raise RuntimeError(f"episode {episode.id} has other bits when it is played from step {first}")
 
 
-def write(task: str, name: str, policy: Policy, episodes: int) -> tuple[str, int, int, float]:
+def write(task: str, name: str, acting: PolicyWithEnv, episodes: int) -> tuple[str, int, int, float]:
     """Write one dataset, load and replay it, and print its mean return.
 
     Returns:
@@ -90,8 +95,9 @@ def write(task: str, name: str, policy: Policy, episodes: int) -> tuple[str, int
     import minari
 
     dataset_id, author = f"jackbox/{task}-{name}-v0", "The jackbox developers"
-    env = minari.DataCollector(gym.make("JackInBox-v0", task=task, fidelity="exact"), record_infos=True)
-    record(env, policy, episodes)
+    made = gym.make("JackInBox-v0", task=task, fidelity="exact", **acting.keywords)
+    env = minari.DataCollector(made, record_infos=True)
+    record(env, acting.policy, episodes)
     written = env.create_dataset(dataset_id, algorithm_name=name, author=author, description=TEXT.format(task, name))
     written.storage.update_metadata({"versions": json.dumps(versions(PACKAGES))})
     dataset = minari.load_dataset(dataset_id)
@@ -119,9 +125,9 @@ def main() -> None:
     os.environ.setdefault("MINARI_DATASETS_PATH", str(ROOT / "runs" / "dataset"))  # before it is imported
     warnings.filterwarnings("ignore", "`(code_permalink|author_email|eval_env)` is set to None")
     rows = [
-        write(task, name, policy, max(1, episodes // 10) if name == "planner" else episodes)
+        write(task, name, acting, max(1, episodes // 10) if name == "planner" else episodes)
         for task in TRAINED
-        for name, policy in policies(task).items()
+        for name, acting in policies(task).items()
     ]
     write_text(
         Path(os.environ["MINARI_DATASETS_PATH"]) / "jackbox" / "README.md", datasets_card(rows, versions(PACKAGES))

@@ -15,7 +15,7 @@ from jackbox_env.command_line import command_line, progress
 
 if TYPE_CHECKING:
     from agents.evaluation.returns import Returns
-    from agents.policies.scripted import Baseline
+    from agents.policies.scripted import PolicyWithEnv
 
 
 @dataclass(frozen=True)
@@ -78,13 +78,11 @@ def main() -> None:
     print("; ".join(f"on {fidelity}, {above(returns, 'PPO', 'level')}" for fidelity, returns in rows.items()) + ".")
 
 
-def _returns(acts: dict[str, Baseline], env_settings: dict[str, Any], episodes: int, seed: int) -> list[Returns]:
+def _returns(acts: dict[str, PolicyWithEnv], env_settings: dict[str, Any], episodes: int, seed: int) -> list[Returns]:
     """Evaluate the policies in one environment."""
     from agents.evaluation.returns import evaluate
 
-    return [
-        evaluate(name, act.policy, {**env_settings, **act.env_settings}, episodes, seed) for name, act in acts.items()
-    ]
+    return [evaluate(name, act, env_settings, episodes, seed) for name, act in acts.items()]
 
 
 def _write_results(folder: Path, seed: int, rows: dict[str, list[Returns]]) -> None:

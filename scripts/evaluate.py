@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from agents.settings import EnvSettings, SceneFields, scene_as_json
 from jackbox_env import checks as check
@@ -12,7 +13,7 @@ from jackbox_env.command_line import command_line, progress
 from jackbox_env.files import check_new, check_writable, new_file, new_folder, write_json
 
 if TYPE_CHECKING:
-    from agents.policies.scripted import Baseline
+    from agents.policies.scripted import PolicyWithEnv
 
 
 @dataclass(frozen=True)
@@ -25,9 +26,9 @@ class Arguments:
     (
         "random: uniform torques; chirp: the scene's drive; zero: no torque; level: a PD controller that keeps the "
         "box level; planner: simulates many torque sequences by the exact model, up to 10 ms for each decision of 0.1 "
-        "s; planner-fast: fewer, 1 ms; lookahead: follows the plan of Lookahead; ppo: the network of the task in "
-        "agents/trained; distilled: trained on exact rollouts, needs none at run time; or run folders, exported "
-        "policies or model files. All act in the environment given here, whatever they were trained in."
+        "s; planner-fast: fewer, 1 ms; ppo: the network of the task in agents/trained; distilled: trained on exact "
+        "rollouts, needs none at run time; or run folders, exported policies, model files, or file.py:function, which "
+        "returns actions for observations. All but model files play on the task and in the scene given here."
     )
     episodes: int = 128
     """Episodes of each policy."""
@@ -43,16 +44,17 @@ class Arguments:
     """Also film an episode of all policies side by side, in this new .mp4 or .gif file."""
     trust: bool = False
     (
-        "Unpickle models that have no settings.json beside them: only those of people you trust. They act as env.json "
-        "beside them describes, which jackbox_env.sb3.save_model writes; without an entry there, by the next three "
-        "options."
+        "Unpickle models that have no settings.json beside them: only those of people you trust. They play in the "
+        "environment that env.json beside them describes, which jackbox_env.sb3.save_model writes; options here that "
+        "are not the default go before it."
     )
-    landing: float | Literal["bounce"] | None = None
-    """Such models choose landings, as under LandingControlVecEnv, for this period [s] or until the next impact."""
-    repeat: int | None = None
-    """Such models repeat an action for so many control steps, as under HoldingVecEnv."""
+    env: tuple[str, ...] = ()
+    (
+        "Keywords of the environment of model files and functions, each name=value: observation=landing "
+        "action=landing action_repeat=bounce. Objects of your own: task=file.py:name."
+    )
     vecnormalize: Path | None = None
-    """File of the statistics by which VecNormalize normalized what such models observe."""
+    """File of the statistics by which VecNormalize normalized what a model observes, if it has no env.json."""
 
 
 def _check(arguments: Arguments) -> None:
@@ -83,42 +85,44 @@ def main() -> None:
     settings = replace(arguments.settings, scene=scene_as_json(arguments.settings.scene, arguments.scene_fields))
     _check(arguments)
     progress("Loading PyTorch and Stable-Baselines3 ...")
-    from agents.evaluation.provenance import describe_env, warn_of_other_training
+    from agents.evaluation.provenance import describe_env, note_other_environment
     from agents.evaluation.returns import evaluate, table
-    from agents.policies.models import ModelPolicy, Options
-    from agents.policies.registry import find_policy
+    from agents.policies.models import keywords_of
+    from agents.policies.registry import find_policy, with_chosen_env
     from agents.runs import versions
     from agents.training.models import derived_seed
 
-    env_settings = settings.env_settings
-    options = Options(arguments.landing, arguments.repeat, arguments.vecnormalize)
-    policies = [
-        (name, find_policy(name, settings, arguments.seed, arguments.trust, options)) for name in arguments.policy
-    ]
-    if options != Options() and not any(isinstance(baseline.policy, ModelPolicy) for _, baseline in policies):
+    chosen = keywords_of(arguments.env)
+    if (chosen or arguments.vecnormalize) and not any(map(with_chosen_env, arguments.policy)):
         raise ValueError(
-            f"--landing, --repeat and --vecnormalize are for model files, got {', '.join(arguments.policy)}"
+            f"--env and --vecnormalize are for model files and functions, got {', '.join(arguments.policy)}"
         )
+    acts = {
+        name: find_policy(name, settings, arguments.seed, arguments.trust, chosen, arguments.vecnormalize)
+        for name in arguments.policy
+    }
     print(f"{arguments.episodes} episodes each, seed {arguments.seed}, {describe_env(settings)}")
     rows = []
-    for name, (policy, extra_settings) in policies:
-        warn_of_other_training(name, policy, settings)
-        keywords = {**env_settings, **extra_settings}
-        rows.append(evaluate(name, policy, keywords, arguments.episodes, arguments.seed, progress=True))
+    for name in arguments.policy:
+        note_other_environment(name, acts[name], settings)
+        counts = arguments.episodes, arguments.seed
+        rows.append(evaluate(name, acts[name], settings.env_settings, *counts, progress=True))
     print(table(rows))
     if arguments.film is not None:
         from agents.evaluation.film import film_episode
 
-        film_episode(dict(policies), env_settings, arguments.film, derived_seed("evaluation", arguments.seed))
+        film_episode(acts, settings.env_settings, arguments.film, derived_seed("evaluation", arguments.seed))
     if arguments.json is not None:
-        record = {"env": env_settings, "seed": arguments.seed, "versions": versions()}
+        record = {"env": settings.env_settings, "seed": arguments.seed, "versions": versions()}
         with new_file(arguments.json) as partial:
-            write_json(partial, {**record, "results": [row.as_json() for row in rows]})
+            keywords = (json.loads(json.dumps(acts[name].keywords, default=repr)) for name in arguments.policy)
+            results = [{**row.as_json(), "keywords": one} for row, one in zip(rows, keywords, strict=True)]
+            write_json(partial, {**record, "results": results})
     if arguments.html:
-        _write_pages(arguments.folder, dict(policies), settings, arguments.seed)
+        _write_pages(arguments.folder, acts, settings, arguments.seed)
 
 
-def _write_pages(path: Path | None, acts: dict[str, Baseline], settings: EnvSettings, seed: int) -> None:
+def _write_pages(path: Path | None, acts: dict[str, PolicyWithEnv], settings: EnvSettings, seed: int) -> None:
     """Write an animated page of each policy into a new folder, and print the paths."""
     from agents.evaluation.episodes import write_pages
 

@@ -32,7 +32,10 @@ class Grid:
     task: tuple[TaskName, ...] = ("juggle",)
     """What is rewarded."""
     setting: tuple[str, ...] = ("exact",)
-    """Fidelities, or settings of the environment as JSON, e.g. '{"contact": "pymunk", "substeps": 8}'."""
+    (
+        'Fidelities, or settings of the environment as JSON, e.g. \'{"contact": "pymunk", "substeps": 8}\'; with '
+        "--train also observation, action and action_repeat."
+    )
     scene: tuple[str, ...] = ("{}",)
     """Fields of the scene that differ from the default, as JSON, e.g. '{"gravity": 1.62}'."""
     seeds: int = 1

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal, TypedDict
 
 from agents.runs import RUN, describe, read_settings
-from agents.settings import SceneFields, TaskName, TrainSettings, scene_as_json
+from agents.settings import ActionName, SceneFields, TaskName, TrainSettings, scene_as_json
 from jackbox_env.command_line import called, command_line, progress
 from jackbox_env.files import new_folder
 
@@ -35,10 +35,8 @@ class Early(TypedDict, total=False):
     """The options on which other defaults depend."""
 
     task: TaskName
-    lookahead: int
-    landing: bool
-    repeat: int | Literal["bounce"]
-    hold: int | Literal["bounce"]
+    action: ActionName
+    action_repeat: int | Literal["bounce"]
 
 
 def suited() -> TrainSettings:
@@ -46,8 +44,6 @@ def suited() -> TrainSettings:
     import tyro
 
     early, _ = tyro.cli(Early, add_help=False, return_unknown_args=True)
-    if "hold" in early:  # the name of earlier versions
-        early.setdefault("repeat", early.pop("hold"))
     return TrainSettings.suited(**early)
 
 

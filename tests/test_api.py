@@ -15,7 +15,7 @@ import jackbox_env
 DOCS = Path(__file__).parents[1] / "docs"
 INDEX = (DOCS / "api.md").read_text(encoding="utf-8")
 DETAILS = "".join(path.read_text(encoding="utf-8") for path in sorted((DOCS / "api").glob("*.md")))
-MODULES = ("mechanics", "sb3", "sb3_wrappers", "torch")  # public ones, docs/versions.md
+MODULES = ("mechanics", "sb3", "torch")  # public ones, docs/versions.md
 
 
 def _public(module: str) -> list[str]:

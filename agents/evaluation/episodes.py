@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from itertools import chain, count
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import gymnasium as gym
 import numpy as np
 
-from agents.policies.scripted import Baseline
-from agents.settings import EnvSettings
+from agents.policies.scripted import PolicyWithEnv
+from agents.settings import EnvSettings, setting_of
 from agents.training.models import derived_seed
-from jackbox_env import Scene
+from jackbox_env import JackInBoxEnv, Scene
+from jackbox_env.decisions import ControlStep
 from jackbox_env.recording.page import model_facts, write_page
 from jackbox_env.recording.trajectory import Trajectory, TrajectoryRecorder
 
@@ -29,38 +30,45 @@ class Episode(NamedTuple):
     earned: float
 
 
-def record_episode(act: Baseline, env_settings: dict[str, Any], seed: int) -> Episode:
-    """Let a policy act from a start until the time limit.
+def control_steps(env: gym.Env[Any, Any], acting: PolicyWithEnv, observation: Any) -> Iterator[ControlStep]:
+    """Let a policy act from the start that was observed until the episode's end; yields each control step."""
+    memory, first, done, inner = None, True, False, cast(JackInBoxEnv, env.unwrapped)
+    while not done:
+        action, memory = acting.policy.predict(observation, memory, np.array([first]), deterministic=True)
+        observation, _, terminated, truncated, _ = env.step(action)
+        yield from inner.control_steps
+        first, done = False, terminated or truncated
+
+
+def record_episode(acting: PolicyWithEnv, env_settings: dict[str, Any], seed: int) -> Episode:
+    """Record an episode of a policy in its environment.
 
     Args:
-        act: the policy and its settings of the environment.
+        acting: the policy and its keywords of the environment.
         env_settings: keyword arguments for ``gymnasium.make("JackInBox-v0", ...)``.
         seed: of the start.
 
     Raises:
         JackLostError: the jack would leave the box, or cannot be followed.
     """
-    env = gym.make("JackInBox-v0", **{**env_settings, **act.env_settings})
-    inner: Any = env.unwrapped
+    env = gym.make("JackInBox-v0", **{**env_settings, **acting.keywords})
     observation, info = env.reset(seed=seed)
-    scene = inner.scene  # as it was drawn
-    recorder = TrajectoryRecorder(info["state"], info["time"], driven=act.env_settings.get("torque") == "chirp")
-    earned, memory, first, done = 0.0, None, True, False
-    while not done:
-        action, memory = act.policy.predict(observation, memory, np.array([first]), deterministic=True)
-        observation, reward, terminated, truncated, info = env.step(action)
-        recorder.add(info["state"], info["time"], info["torque"], inner.impacts)
-        earned, first, done = earned + float(reward), False, terminated or truncated
+    recorder = TrajectoryRecorder(info["state"], info["time"], driven=acting.keywords.get("torque") == "chirp")
+    earned = 0.0
+    for step in control_steps(env, acting, observation):
+        recorder.add(step.state, step.time, step.torque, step.impacts)
+        earned += step.reward
     env.close()
-    return Episode(recorder.trajectory(), scene, earned)
+    return Episode(recorder.trajectory(), cast(JackInBoxEnv, env.unwrapped).scene, earned)
 
 
-def page_of_episode(path: Path, name: str, act: Baseline, settings: EnvSettings, seed: int) -> float:
+def page_of_episode(path: Path, name: str, acting: PolicyWithEnv, settings: EnvSettings, seed: int) -> float:
     """Write an episode of the policy of this name as a page to a new file; return the sum of its rewards."""
-    trajectory, scene, earned = record_episode(act, settings.env_settings, seed)
-    facts = [*model_facts(settings.setting), ("policy", name), ("task", settings.task), ("return", f"{earned:.1f}")]
-    title = f"{name} on {settings.task}, return {earned:.1f}"
-    write_page(path, scene, trajectory, title, facts)
+    trajectory, scene, earned = record_episode(acting, settings.env_settings, seed)
+    keywords = {**settings.env_settings, **acting.keywords}
+    task = keywords["task"] if isinstance(keywords["task"], str) else " + ".join(keywords["task"].terms)
+    facts = [*model_facts(setting_of(keywords)), ("policy", name), ("task", task), ("return", f"{earned:.1f}")]
+    write_page(path, scene, trajectory, f"{name} on {task}, return {earned:.1f}", facts)
     return earned
 
 
@@ -75,7 +83,7 @@ def page_names(names: Iterable[str]) -> dict[str, str]:
     return files
 
 
-def write_pages(folder: Path, acts: dict[str, Baseline], settings: EnvSettings, seed: int) -> dict[str, float]:
+def write_pages(folder: Path, acts: dict[str, PolicyWithEnv], settings: EnvSettings, seed: int) -> dict[str, float]:
     """Write a page of an episode of each policy, from the first start that ``seed`` decides; return the returns."""
     start = derived_seed("evaluation", seed)
     return {

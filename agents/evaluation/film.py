@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import gymnasium as gym
 import imageio.v3 as imageio
@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 from tqdm import tqdm
 
-import jackbox_env  # noqa: F401
-from agents.policies.scripted import Baseline
+from agents.evaluation.episodes import control_steps
+from agents.policies.scripted import PolicyWithEnv
 from agents.settings import EPISODE_STEPS
+from jackbox_env import JackInBoxEnv
 from jackbox_env.files import check_new, check_writable, new_file
 from jackbox_env.render.canvas import import_pygame
+from jackbox_env.render.renderer import Renderer
 
 Frame = NDArray[np.uint8]
 SUFFIXES = (".gif", ".mp4")
@@ -40,7 +42,7 @@ def check_film(path: Path) -> None:
     import_pygame()
 
 
-def film_episode(acts: dict[str, Baseline], env_settings: dict[str, Any], path: Path, seed: int) -> None:
+def film_episode(acts: dict[str, PolicyWithEnv], env_settings: dict[str, Any], path: Path, seed: int) -> None:
     """Film one whole episode of these policies, whose start ``seed`` decides; prints the path and the returns.
 
     Raises:
@@ -55,7 +57,7 @@ def film_episode(acts: dict[str, Baseline], env_settings: dict[str, Any], path: 
 
 
 def film(
-    acts: dict[str, Baseline],
+    acts: dict[str, PolicyWithEnv],
     env_settings: dict[str, Any],
     path: Path,
     seed: int,
@@ -67,7 +69,7 @@ def film(
     """Let each policy act from the same start and write their frames side by side; return their sums of rewards.
 
     Args:
-        acts: caption -> policy and its settings of the environment.
+        acts: caption -> policy and its keywords of the environment. A picture stands still when its episode is over.
         env_settings: keyword arguments for ``gymnasium.make("JackInBox-v0", ...)``.
         path: .gif or .mp4; must not exist.
         seed: of the start.
@@ -80,40 +82,46 @@ def film(
         OSError, ValueError: no film can be written to ``path``.
     """
     check_film(path)
-    picture: dict[str, Any] = {"render_mode": "rgb_array", "render_size": (width, width)}
-    environments = {
-        caption: gym.make("JackInBox-v0", **picture, **{**env_settings, **act.env_settings})
-        for caption, act in acts.items()
-    }
-    observations = {caption: environment.reset(seed=seed)[0] for caption, environment in environments.items()}
-    earned, states = dict.fromkeys(acts, 0.0), dict[str, Any].fromkeys(acts)
     control_dt = float(env_settings.get("control_dt", 0.02))
     every = max(1, round(0.04 / control_dt))  # 25 frames per second
+    shown = [_Shown(caption, acting, env_settings, seed, width) for caption, acting in acts.items()]
     frames, first = [], round(begin / control_dt)
     steps = range(first + max(1, round(seconds / control_dt)))
     with tqdm(steps, desc="film", disable=not progress, unit="step", leave=False) as bar:
         for step in bar:
             if step >= first and (step - first) % every == 0:
-                frames.append(_frame(environments, earned, width))
-            for caption, act in acts.items():
-                action, states[caption] = act.policy.predict(
-                    observations[caption], states[caption], np.array([step == 0]), deterministic=True
-                )
-                observations[caption], reward, *_ = environments[caption].step(action)
-                earned[caption] += float(reward)
-    for environment in environments.values():
-        environment.close()
+                frames.append(np.concatenate([one.picture() for one in shown], axis=1))
+            for one in shown:
+                one.advance((step + 1) * control_dt)
     _write(frames, path, 1.0 / (every * control_dt), progress)
-    return earned
+    return {one.caption: one.earned for one in shown}
 
 
-def _frame(environments: dict[str, gym.Env[Any, Any]], earned: dict[str, float], width: int) -> Frame:
-    """The pictures of all environments side by side, each with its caption and return so far."""
-    pictures = [
-        _captioned(environment.render(), f"{caption}: {earned[caption]:.0f}", width)
-        for caption, environment in environments.items()
-    ]
-    return np.concatenate(pictures, axis=1)
+class _Shown:
+    """An episode that is filmed."""
+
+    def __init__(
+        self, caption: str, acting: PolicyWithEnv, env_settings: dict[str, Any], seed: int, width: int
+    ) -> None:
+        env = gym.make("JackInBox-v0", **{**env_settings, **acting.keywords})
+        observation, info = env.reset(seed=seed)
+        inner = cast(JackInBoxEnv, env.unwrapped)
+        name = inner.task if isinstance(inner.task, str) else ", ".join(inner.task.terms)
+        self._renderer = Renderer(inner.scene, "rgb_array", inner.metadata["render_fps"], name, (width, width), True)
+        self._renderer.reset(info["state"], info["time"])
+        self._steps = control_steps(env, acting, observation)
+        self.caption, self.earned, self._width, self._time = caption, 0.0, width, info["time"]
+
+    def advance(self, time: float) -> None:
+        """Go on to this time [s], or to the episode's end."""
+        while self._time < time - 1e-9 and (step := next(self._steps, None)) is not None:
+            self._time = step.time
+            self._renderer.record(step.state, step.time, step.torque, step.impacts, step.reward)
+            self.earned += step.reward
+
+    def picture(self) -> Frame:
+        """The present picture, with its caption and the return so far."""
+        return _captioned(self._renderer.drawn(), f"{self.caption}: {self.earned:.0f}", self._width)
 
 
 def _captioned(picture: Any, caption: str, width: int) -> Frame:

@@ -11,9 +11,10 @@ from scipy import stats
 from stable_baselines3.common.evaluation import evaluate_policy
 from tqdm import tqdm
 
-from agents.policies.scripted import Policy
-from agents.settings import EPISODE_STEPS
+from agents.policies.scripted import PolicyWithEnv
 from agents.training.models import derived_seed, make_vec_env
+
+SIDE_BY_SIDE = 64  # environments
 
 
 @dataclass(frozen=True)
@@ -22,6 +23,7 @@ class Returns:
 
     policy: str
     returns: tuple[float, ...]
+    environments: int = 1  # that were played side by side
 
     @property
     def mean(self) -> float:
@@ -46,37 +48,47 @@ class Returns:
             "mean": self.mean,
             "interval_95": self.interval if len(self.returns) > 1 else None,
             "episodes": len(self.returns),
+            "environments": self.environments,
             "returns": self.returns,
         }
 
 
 def evaluate(
     name: str,
-    policy: Policy,
+    acting: PolicyWithEnv,
     env_settings: dict[str, Any],
     episodes: int,
     seed: int,
     deterministic: bool = True,
     progress: bool = False,
 ) -> Returns:
-    """Run whole episodes, up to 16 at a time, from starts that ``seed`` determines and that no training uses."""
-    starts = derived_seed("evaluation", seed)
-    environments = make_vec_env(env_settings, min(16, episodes), starts)
+    """Run whole episodes of a policy in its environment, from starts that ``seed`` determines and no training uses.
+
+    Args:
+        name: of the row.
+        acting: the policy and its keywords of the environment, which go before ``env_settings``.
+        env_settings: keyword arguments for ``gymnasium.make("JackInBox-v0", ...)``.
+        episodes: their number; up to ``SIDE_BY_SIDE`` are played at a time.
+        seed: of the starts.
+        deterministic: the policy draws no actions.
+        progress: show a progress bar.
+    """
+    starts, count = derived_seed("evaluation", seed), min(SIDE_BY_SIDE, episodes)
+    environments = make_vec_env({**env_settings, **acting.keywords}, count, starts)
     environments.reset()  # compiles, before the bar
     environments.seed(starts)
-    steps = episodes * EPISODE_STEPS
-    with tqdm(total=steps, desc=name, unit="step", unit_scale=True, disable=not progress, leave=False) as bar:
+    with tqdm(total=episodes, desc=name, unit="episode", disable=not progress, leave=False) as bar:
         rewards, _ = evaluate_policy(
-            policy,
+            acting.policy,
             environments,
             n_eval_episodes=episodes,
             deterministic=deterministic,
-            callback=lambda *_: bar.update(),
+            callback=lambda inner, _: bar.update(int(inner["done"])) if inner["done"] else None,
             return_episode_rewards=True,
         )
     environments.close()
     assert isinstance(rewards, list)
-    return Returns(name, tuple(float(reward) for reward in rewards))
+    return Returns(name, tuple(float(reward) for reward in rewards), count)
 
 
 def table(rows: list[Returns]) -> str:

@@ -1,92 +1,113 @@
 """Models of Stable-Baselines3 that were trained without this project's command, played as they were trained.
 
-How a model acts is stored in env.json beside it (:func:`jackbox_env.sb3.save_model`), or comes from options.
+A model's environment is stored in env.json beside it (:func:`jackbox_env.sb3.save_model`), or comes from ``--env``.
 """
 
 from __future__ import annotations
 
+import importlib
 import json
+import math
 import pickle
 import sys
+from collections.abc import Iterable
+from contextlib import suppress
+from inspect import signature
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
+import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.files import as_value_error, unpacked
-from agents.policies.playing import Actions
-from agents.policies.trained import Acting, TrainedPolicy
-from agents.settings import EPISODE_STEPS, LANDING_FIELDS, EnvSettings
-from jackbox_env import Scene
+from agents.files import as_value_error, imported, unpacked
+from agents.policies.scripted import PLAIN, Actions, PolicyWithEnv
+from agents.settings import EnvSettings
+from jackbox_env import JackInBoxEnv
 from jackbox_env import checks as check
-from jackbox_env.landing import steps_until_impact
-from jackbox_env.observation import BOUNDS
-from jackbox_env.planning.features import Features, LookaheadOptions
+from jackbox_env.simulators.fidelity import FURTHER
 
 # Algorithms by a name that only their models store; PPO's have A2C's too.
 _ALGORITHMS = {
     "clip_range": "PPO", "target_entropy": "SAC", "target_policy_noise": "TD3", "normalize_advantage": "A2C",
+    "exploration_fraction": "DQN",
 }  # fmt: skip
-_CIRCLES = [4, 5], [7, 8]  # components of an observation that are a cosine and a sine
+_CIRCLES = [4, 5], [7, 8]  # components of a built-in observation that are a cosine and a sine
+_OBJECTS = ("task", "observation", "action", "scene", "randomize")  # keywords that may be objects of one's own
+_NAMES = (
+    *(name for name in signature(JackInBoxEnv).parameters if name != "settings" and not name.startswith("render")),
+    *FURTHER, "max_episode_steps",
+)  # fmt: skip
 
 
-class Options(NamedTuple):
-    """How a model acts that env.json does not describe; None: a torque in each control step, not normalized."""
+class Memory(NamedTuple):
+    """The recurrent state of a model in n environments."""
 
-    landing: float | Literal["bounce"] | None = None  # period of landing control [s], or until an impact
-    repeat: int | None = None  # control steps of an action
-    vecnormalize: Path | None = None  # statistics that VecNormalize has saved
+    frames: list[NDArray[Any]]  # (n, k * numbers) of each VecFrameStack
+    state: Any  # of the model's own
 
 
-class ModelPolicy(TrainedPolicy):
-    """A model of Stable-Baselines3 with the ten numbers of the ordinary environment; it draws no actions.
+class ModelPolicy:
+    """A model of Stable-Baselines3 on the observations of its environment.
 
     Args:
         model: with ``predict``.
-        acting: how it acts.
-        normalize: mean, variance, clip and epsilon of its observations; None: they are not normalized.
-        stored: the entry of env.json that describes it, if one does.
+        wrappers: what :func:`checked_wrappers` returns; they change the observations in this order.
     """
 
-    def __init__(
-        self,
-        model: Any,
-        acting: Acting,
-        normalize: dict[str, Any] | None = None,
-        stored: dict[str, Any] | None = None,
-    ) -> None:
-        super().__init__(acting)
-        self.model, self.stored, self._normalize = model, stored, normalize
+    def __init__(self, model: Any, wrappers: list[dict[str, Any]]) -> None:
+        self.model, self._wrappers = model, wrappers
 
-    def act(self, observations: NDArray[Any]) -> Actions:
-        """The model's actions, shape (n, action_size)."""
-        values, by = np.asarray(observations, dtype=np.float32), self._normalize
-        if by is not None:
-            scaled = (values - by["mean"]) / np.sqrt(by["variance"] + by["epsilon"])
-            values = np.clip(scaled, -by["clip"], by["clip"]).astype(np.float32)
-        actions: Actions = self.model.predict(values, deterministic=True)[0]
-        return np.clip(actions, -1.0, 1.0).astype(np.float32)
+    def predict(
+        self, observation: Any, state: Memory | None = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[Actions, Memory]:
+        """The model's actions; see :class:`.scripted.Policy`."""
+        rows, frames = np.atleast_2d(np.asarray(observation, dtype=np.float32)), list[NDArray[Any]]()
+        for wrapper in self._wrappers:
+            if "stack" in wrapper:
+                size, earlier = rows.shape[1], state and state.frames[len(frames)]
+                empty = np.zeros((len(rows), size * wrapper["stack"]), np.float32)
+                stacked = empty if earlier is None else np.roll(earlier, -size, axis=1)
+                stacked[np.broadcast_to(False if episode_start is None else episode_start, len(rows))] = 0.0
+                stacked[:, -size:] = rows
+                rows = stacked
+                frames.append(stacked)
+            else:
+                scaled = (rows - wrapper["mean"]) / np.sqrt(wrapper["variance"] + wrapper["epsilon"])
+                rows = np.clip(scaled, -wrapper["clip"], wrapper["clip"]).astype(np.float32)
+        actions, recurrent = self.model.predict(
+            rows, state=state and state.state, episode_start=episode_start, deterministic=deterministic
+        )
+        return actions if np.ndim(observation) == 2 else actions[0], Memory(frames, recurrent)
 
 
-def load(file: Path) -> Any:
-    """A model of PPO, A2C, SAC or TD3, which is unpickled.
+def load(file: Path, algorithm: str | None) -> Any:
+    """A model, which is unpickled.
+
+    Args:
+        file: that Stable-Baselines3 has saved.
+        algorithm: ``module:class``; None: one of ``_ALGORITHMS``, by what the file stores.
 
     Raises:
-        ValueError: the file is damaged, or of something else.
+        ValueError: the file is damaged, or of something else; or the algorithm is not of Stable-Baselines3.
     """
-    with as_value_error(f"{file} is no model of Stable-Baselines3"):
-        import stable_baselines3
+    from jackbox_env.saved_models import PACKAGES
 
-        stored = json.loads(unpacked(file.read_bytes(), file.name)["data"])
-        names = [algorithm for key, algorithm in _ALGORITHMS.items() if key in stored]
-        if not names:
-            raise ValueError(f"it must be of {', '.join(_ALGORITHMS.values())}")
-        return getattr(stable_baselines3, names[0]).load(file, device="cpu")
+    with as_value_error(f"{file} is no model of Stable-Baselines3"):
+        if algorithm is None:
+            stored = json.loads(unpacked(file.read_bytes(), file.name)["data"])
+            names = [name for key, name in _ALGORITHMS.items() if key in stored]
+            if not names:
+                raise ValueError(f"without env.json it must be of {', '.join(_ALGORITHMS.values())}")
+            algorithm = f"stable_baselines3:{names[0]}"
+        module, _, name = algorithm.partition(":")
+        if module.split(".")[0] not in PACKAGES:
+            raise ValueError(f"its algorithm must be of {' or '.join(PACKAGES)}, got {check.shown(algorithm)}")
+        return getattr(importlib.import_module(module), name).load(file, device="cpu")
 
 
 def stored_beside(file: Path) -> dict[str, Any] | None:
-    """How a model acts by the env.json beside it; None if that has no entry for it.
+    """What env.json beside a model has about it; None if that has no entry for it.
 
     A model that was renamed has the only entry, if no other model is in its folder.
 
@@ -101,113 +122,95 @@ def stored_beside(file: Path) -> dict[str, Any] | None:
     return entries.get(file.name)
 
 
-def policy_of(file: Path, model: Any, settings: EnvSettings, options: Options) -> ModelPolicy:
-    """The policy of a loaded model in an environment, as env.json beside it or the options describe it.
+def keywords_of(words: Iterable[str]) -> dict[str, Any]:
+    """Keywords of the environment from words ``name=value``: a value is JSON, a name, or ``file.py:name``.
 
     Raises:
-        TypeError, ValueError: the model does not fit, or statistics of its observations are missing; the message names
-            the wrapper or the option that would fit. There are options, and env.json describes the model too. The model
-            computes landings or rollouts in one scene, and scenes vary.
+        ValueError: a word is not of that form, or the environment has no such keyword.
     """
-    beside = stored_beside(file)
-    if beside is not None and options != Options():
-        chosen = " and ".join(f"--{name}" for name, value in options._asdict().items() if value is not None)
-        raise ValueError(f"{file} acts as env.json beside it describes: leave {chosen} out, or move the model")
-    stored = {"repeat": 1, "landing": None, "lookahead": None, "normalize": None, "unknown": [], **(beside or {})}
-    stored |= {name: value for name, value in options._asdict().items() if value is not None}
-    if options.landing is not None and options.repeat is not None:
-        raise ValueError(
-            f"{file} cannot act by --landing and --repeat {options.repeat}: a landing lasts for its period"
-        )
-    if options.vecnormalize is not None:
-        stored["normalize"] = _statistics(options.vecnormalize)
-    with as_value_error(f"{file} cannot act as env.json or the options describe"):
-        unknown = ", ".join(map(str, stored["unknown"]))
-        acting = _acting(stored, settings)
-        if stored["normalize"] is not None:
-            stored["normalize"] = _checked(stored["normalize"])
-    if unknown:
-        raise ValueError(f"{file} was trained under {unknown}, which cannot be played here")
-    _refuse_unfit(file, model, acting)
-    _refuse_varied(file, acting, settings)
-    if stored["normalize"] is None and _is_normalized(model):
-        raise ValueError(
-            f"{file} was trained under VecNormalize, whose statistics are missing: use --vecnormalize FILE.pkl, or "
-            "save it by jackbox_env.sb3.save_model"
-        )
-    if beside is None and options == Options():
-        print(
-            f"Note: no env.json beside {file} describes it, so it decides in every control step (--repeat)",
-            file=sys.stderr,
-        )
-    return ModelPolicy(model, acting, stored["normalize"], beside)
+    keywords = dict[str, Any]()
+    for word in words:
+        name, equals, value = word.partition("=")
+        if not equals:
+            raise ValueError(f"--env must be name=value, got {check.shown(word)}")
+        keywords[name] = value
+        with suppress(ValueError):
+            keywords[name] = json.loads(value)
+    check.known_keys("--env", keywords, _NAMES)
+    return with_objects(keywords)
 
 
-def _checked(normalize: dict[str, Any]) -> dict[str, Any]:
-    """Statistics of observations as arrays; raises KeyError, TypeError or ValueError if they are none."""
-    mean, variance = (np.array(normalize[name], np.float64) for name in ("mean", "variance"))
-    if (
-        mean.shape != (len(BOUNDS),)
-        or variance.shape != mean.shape
-        or not (np.isfinite(mean).all() and (variance >= 0.0).all())
-    ):
-        raise ValueError(f"mean and variance must be {len(BOUNDS)} numbers each, at least 0 in the variance")
-    clip, epsilon = (check.real(name, normalize[name], at_least=0.0) for name in ("clip", "epsilon"))
+def with_objects(keywords: dict[str, Any]) -> dict[str, Any]:
+    """The keywords with objects in place of ``module:name`` and ``file.py:name``, whose code runs.
+
+    Raises:
+        ValueError: one cannot be imported.
+    """
+    named = [name for name in _OBJECTS if isinstance(keywords.get(name), str) and ":" in keywords[name]]
+    return {**keywords, **{name: imported(keywords[name]) for name in named}}
+
+
+def model_in_env(
+    file: Path, model: Any, stored: dict[str, Any] | None, settings: EnvSettings, chosen: dict[str, Any],
+    vecnormalize: Path | None,
+) -> PolicyWithEnv:  # fmt: skip
+    """A loaded model with its environment: what is stored, over it what ``settings`` change, over both what is chosen.
+
+    Raises:
+        ValueError: the model does not fit, or something is missing; the message names the option that would help.
+    """
+    if stored is not None and vecnormalize is not None:
+        raise ValueError(f"{file} is described by env.json beside it: leave --vecnormalize out, or move the model")
+    if stored is None:
+        stored = {"env": {}, "wrappers": _statistics(vecnormalize) if vecnormalize else [], "missing": []}
+        if not chosen:
+            note = "describes it, so it chooses a torque in every control step (--env)"
+            print(f"Note: no env.json beside {file} {note}", file=sys.stderr)
+        if vecnormalize is None and _is_normalized(model):
+            raise ValueError(
+                f"{file} was trained under VecNormalize, whose statistics are missing: use --vecnormalize FILE.pkl, or "
+                "save it by jackbox_env.sb3.save_model"
+            )
+    for name in stored["missing"]:
+        if name not in chosen:
+            raise ValueError(
+                f"{file} was trained with a {name} that env.json cannot store: use --env {name}=file.py:name"
+            )
+    with as_value_error(f"{file} cannot be played as env.json or --env describe"):
+        keywords = with_objects({**PLAIN, **stored["env"], **settings.changed, **chosen})
+        wrappers = [checked_wrapper(one) for one in stored["wrappers"]]
+        env = gym.make("JackInBox-v0", **{**settings.env_settings, **keywords})
+        env.close()
+        spaces: Any = env.observation_space, env.action_space
+        size = math.prod([*spaces[0].shape, *(one.get("stack", 1) for one in wrappers)])
+        wanted, got = ((size,), spaces[1]), (model.observation_space.shape, model.action_space)
+        if got != wanted:
+            nouns = "use --env observation=..., --env action=... and --env action_repeat=... as in its training"
+            raise ValueError(f"it has observations {got[0]} and {got[1]}, got {wanted[0]} and {wanted[1]}: {nouns}")
+    return PolicyWithEnv(ModelPolicy(model, wrappers), keywords)
+
+
+def checked_wrapper(wrapper: dict[str, Any]) -> dict[str, Any]:
+    """A wrapper as env.json has it, its statistics as arrays; raises an exception if it is something else."""
+    if "stack" in wrapper:
+        return {"stack": check.whole("stack", wrapper["stack"], at_least=1, at_most=1000)}
+    mean, variance = (np.array(wrapper[name], np.float64) for name in ("mean", "variance"))
+    if mean.ndim != 1 or variance.shape != mean.shape or not (np.isfinite(mean).all() and (variance >= 0.0).all()):
+        raise ValueError("mean and variance must be as many numbers as are observed, at least 0 in the variance")
+    clip, epsilon = (check.real(name, wrapper[name], at_least=0.0) for name in ("clip", "epsilon"))
     return {"mean": mean, "variance": variance, "clip": clip, "epsilon": epsilon}
 
 
-def _acting(stored: dict[str, Any], settings: EnvSettings) -> Acting:
-    scene, dt, features = Scene.of(settings.scene_fields), settings.control_dt, None
-    repeat, resting = check.whole("repeat", stored["repeat"], at_least=1, at_most=EPISODE_STEPS), 0
-    if stored["landing"] == "bounce":
-        repeat, resting = steps_until_impact(dt)
-    elif stored["landing"] is not None:
-        repeat = max(1, round(check.real("landing", stored["landing"], above=0.0, at_most=EPISODE_STEPS * dt) / dt))
-    if stored["lookahead"] is not None:
-        features = Features(settings.task, dt, LookaheadOptions(**{**stored["lookahead"], "num_threads": 1}))
-    return Acting(scene, dt, repeat, resting, stored["landing"] is not None, features)
-
-
-def _refuse_unfit(file: Path, model: Any, acting: Acting) -> None:
-    """Raise ValueError for a model that observes or acts otherwise; the message names the wrapper that would fit."""
-    extra = 0 if acting.features is None else len(acting.features.high)
-    needed, got = (
-        ((len(BOUNDS) + extra,), (1 + acting.landing,)),
-        (model.observation_space.shape, model.action_space.shape),
-    )
-    if got == needed:
-        return
-    if got[1] == (2,) and not acting.landing:
-        advice = "LandingControlVecEnv would fit: use --landing bounce, or --landing with its period [s]"
-    elif got[1] == (1,) and acting.landing:
-        advice = "actions are torques: leave --landing out"
-    elif got[0] is not None and got[0][0] > needed[0][0]:
-        wrapper = "VecFrameStack" if got[0][0] % len(BOUNDS) == 0 else "LookaheadVecEnv"
-        advice = f"{wrapper} would perhaps fit: save the model by jackbox_env.sb3.save_model, which stores wrappers"
-    else:
-        advice = "no wrapper here would fit"
-    sizes = f"{needed[0][0]} numbers and choose {needed[1][0]}"
-    raise ValueError(f"{file} must observe {sizes}, got shapes {got[0]} and {got[1]}; {advice}")
-
-
-def _refuse_varied(file: Path, acting: Acting, settings: EnvSettings) -> None:
-    """Raise ValueError if landings or rollouts are computed in one scene, and scenes vary in what they depend on."""
-    varied = [name for name in settings.randomized if acting.features or (acting.landing and name in LANDING_FIELDS)]
-    if varied:
-        computed = "its rollouts" if acting.features else "torques towards landings"
-        raise ValueError(f"{file} computes {computed} in one scene: leave {' and '.join(varied)} out of --randomize")
-
-
 def _is_normalized(model: Any) -> bool:
-    """Whether the last observations in training had sines and cosines that are none."""
+    """Whether the last observations in training had sines and cosines that are none, if they were built-in ones."""
     last = getattr(model, "_last_obs", None)
-    if not isinstance(last, np.ndarray) or last.ndim != 2 or last.shape[1] < len(BOUNDS):
+    if not isinstance(last, np.ndarray) or last.ndim != 2 or last.shape[1] not in (10, 21):
         return False
     return any(abs(np.square(last[:, pair]).sum(axis=1) - 1.0).max() > 1e-3 for pair in _CIRCLES)
 
 
-def _statistics(path: Path) -> dict[str, Any] | None:
-    """The statistics in a file of ``VecNormalize``, which is unpickled."""
+def _statistics(path: Path) -> list[dict[str, Any]]:
+    """The statistics in a file of ``VecNormalize``, which is unpickled; none if it normalizes rewards alone."""
     from stable_baselines3.common.vec_env import VecNormalize
 
     from jackbox_env.saved_models import statistics_of
@@ -216,4 +219,4 @@ def _statistics(path: Path) -> dict[str, Any] | None:
         normalize = pickle.loads(path.read_bytes())
         if not isinstance(normalize, VecNormalize):
             raise TypeError(f"it is {check.shown(normalize)}")
-        return statistics_of(normalize)
+        return [statistics_of(normalize)] if normalize.norm_obs else []

@@ -6,7 +6,8 @@ settings.json   its training's settings
 weights.npz     weight_0, bias_0 of the first layer, and so on; float32, weights of shape (outputs, inputs)
 evaluations.npz, time.json   its learning curve and its times, if they are known
 
-tanh is applied between the layers. The last layer's output is the mean of the actions, and the policy's action.
+tanh is applied between the layers. The last layer's output is the mean of the actions, and the policy's action; of
+discrete actions it is one number each, and the action is that of the largest.
 """
 
 from __future__ import annotations
@@ -23,15 +24,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.files import read_bounded, unpacked_arrays
-from agents.policies.landing_features import FEATURES, landing_numbers, preview
-from agents.policies.playing import Actions
-from agents.policies.trained import Acting, TrainedPolicy
+from agents.policies.scripted import Actions, PolicyWithEnv, StatelessPolicy
 from agents.runs import SETTINGS
-from agents.settings import LOOKAHEAD_SIZE, MOST_LAYERS, MOST_WEIGHTS, EnvSettings, TrainSettings
-from jackbox_env import Scene
+from agents.settings import MOST_LAYERS, MOST_WEIGHTS, EnvSettings, TrainSettings
+from jackbox_env.action import ACTIONS
 from jackbox_env.files import write_bytes, write_json
-from jackbox_env.observation import BOUNDS
-from jackbox_env.planning.features import Features, LookaheadOptions
+from jackbox_env.observation import OBSERVATIONS
 from jackbox_env.tasks import TASKS
 
 WEIGHTS = "weights.npz"
@@ -43,11 +41,11 @@ _MOST_JSON = 100_000  # [bytes]
 _HEADERS = 65_536  # [bytes] of an npz file, at most
 
 
-class NetworkPolicy(TrainedPolicy):
+class NetworkPolicy(StatelessPolicy):
     """A trained policy with Stable-Baselines3's ``predict``: it acts by the mean of its distribution.
 
     Args:
-        settings: of its training: what the network observes, what an action is, and for how many control steps it acts.
+        settings: of its training: what the network observes, and what an action is.
         layers: weight, shape (outputs, inputs), and bias, shape (outputs,), of each layer.
 
     Raises:
@@ -55,24 +53,22 @@ class NetworkPolicy(TrainedPolicy):
     """
 
     def __init__(self, settings: TrainSettings, layers: list[Layer]) -> None:
-        self.settings, self.layers = settings, layers
-        scene, features = Scene.of(settings.scene_fields), None
-        self._numbers = landing_numbers(scene) if settings.preview else None
-        if settings.lookahead:
-            options = LookaheadOptions(settings.longest, samples=settings.lookahead, follow=True, num_threads=1)
-            features = Features(settings.task, settings.control_dt, options)
-        super().__init__(
-            Acting(scene, settings.control_dt, settings.longest, settings.resting, settings.landing, features)
-        )
-        inputs = len(BOUNDS) + LOOKAHEAD_SIZE * bool(settings.lookahead) + len(FEATURES) * settings.preview
-        check_layers(layers, [inputs, *settings.hidden_units, self.action_size])
+        inputs = len(OBSERVATIONS[settings.observation].names)
+        super().__init__(self.chosen, inputs)
+        self.settings, self.layers, action = settings, layers, ACTIONS[settings.action]
+        self._choices = not action.size
+        outputs = action.size or int(action.space.n)  # type: ignore[union-attr]
+        check_layers(layers, [inputs, *settings.hidden_units, outputs])
 
-    def act(self, observations: NDArray[Any]) -> Actions:
-        """The network's outputs, shape (n, action_size), for observations as in training, shape (n, 10 or more)."""
-        values = np.asarray(observations, dtype=np.float32)
-        if self._numbers:
-            values = np.concatenate([values, preview(self._numbers, values[:, : len(BOUNDS)])], axis=1)
-        return np.clip(outputs(self.layers, values), -1.0, 1.0)
+    def chosen(self, observations: NDArray[Any]) -> Actions:
+        """The actions, shape (n, size) or (n,), for observations as in training, shape (n, numbers)."""
+        values = outputs(self.layers, np.asarray(observations, dtype=np.float32))
+        return values.argmax(axis=1) if self._choices else np.clip(values, -1.0, 1.0)
+
+    @property
+    def in_env(self) -> PolicyWithEnv:
+        """The policy, with what its environment observes and does."""
+        return PolicyWithEnv(self, self.settings.nouns)
 
 
 def check_layers(layers: list[Layer], sizes: list[int]) -> None:

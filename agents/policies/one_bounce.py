@@ -23,14 +23,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.policies.network import Layer, read_with_layers
-from agents.policies.playing import RepeatingPolicy
+from agents.policies.scripted import PLAIN, Actions, PolicyWithEnv, StatelessPolicy
+from agents.policies.scripted import torques as as_actions
 from agents.policies.value import Value
 from agents.settings import EPISODE_STEPS, EnvSettings
 from jackbox_env import Scene
 from jackbox_env import checks as check
 from jackbox_env.landing import QUARTER, landing_time, torques, upright
 from jackbox_env.mechanics import contacts_of, impact_maps
-from jackbox_env.observation import state_of
+from jackbox_env.observation import BOUNDS, state_of
 from jackbox_env.states import OMEGA_BOX, RATES, THETA_BOX, THETA_JACK, VY_JACK, Y_JACK, Array, State
 
 LANDING = "landing.json"
@@ -48,7 +49,7 @@ class LandingSettings(EnvSettings):
 
     contact: str | None = "exact"
     """Contact model that it was made on."""
-    repeat: int = 5
+    action_repeat: int = 5
     """Control steps between decisions."""
     angles: tuple[float, ...] = (0.0,)
     """Angles of the box at the landing [rad]."""
@@ -58,7 +59,7 @@ class LandingSettings(EnvSettings):
     def __post_init__(self) -> None:
         """Raises TypeError or ValueError for settings that make no policy."""
         super().__post_init__()
-        check.whole("repeat", self.repeat, at_least=1, at_most=EPISODE_STEPS)
+        check.whole("action_repeat", self.action_repeat, at_least=1, at_most=EPISODE_STEPS)
         for name, most in (("angles", QUARTER), ("rates", 100.0)):
             numbers = getattr(self, name)
             if not isinstance(numbers, list | tuple) or not 0 < len(numbers) <= _MOST_PAIRS:
@@ -123,7 +124,7 @@ def bounced(scene: Scene, states: Array, times: Array, targets: Array) -> Array:
     return flown(scene, impact_maps(scene, moved, floors, feet)[0], AFTER - since)
 
 
-class LandingPolicy(RepeatingPolicy):
+class LandingPolicy(StatelessPolicy):
     """A policy with Stable-Baselines3's ``predict``.
 
     Args:
@@ -135,14 +136,19 @@ class LandingPolicy(RepeatingPolicy):
     """
 
     def __init__(self, settings: LandingSettings, layers: list[Layer]) -> None:
+        super().__init__(self.chosen, len(BOUNDS))
         self.settings, self.value = settings, Value(settings, layers)
         self._scene, self._pairs = Scene.of(settings.scene_fields).changed(drive=None), settings.pairs
-        self.repeat, self._duration = settings.repeat, settings.repeat * settings.control_dt
+        self._duration = settings.action_repeat * settings.control_dt
 
-    def decide(self, observations: NDArray[Any], plans: Any) -> tuple[NDArray[Any], Any]:
-        """Torques towards the best pair of angle and rate."""
-        states = np.array([state_of(self._scene, row) for row in observations.tolist()])
-        return self.towards_best(states)[:, None], None
+    def chosen(self, observations: NDArray[Any]) -> Actions:
+        """Torques towards the best pair of angle and rate, shape (n, 1)."""
+        return as_actions(self.towards_best(np.array([state_of(self._scene, row) for row in observations.tolist()])))
+
+    @property
+    def in_env(self) -> PolicyWithEnv:
+        """The policy, with what its environment observes and does."""
+        return PolicyWithEnv(self, {**PLAIN, "action_repeat": self.settings.action_repeat})
 
     def towards_best(self, states: Array) -> Array:
         """Torques in units of the limit, shape (n,), for states, shape (n, 12)."""

@@ -5,16 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agents.policies.network import SHIPPED
-from agents.policies.playing import RepeatingPolicy
+from agents.policies.scripted import PLAIN, Actions, PolicyWithEnv, as_rows, torques
 from agents.policies.value import Value, ValuedSearch, read_value
 from agents.settings import EnvSettings
 from jackbox_env import Scene, Task
 from jackbox_env import checks as check
-from jackbox_env.observation import state_of
-from jackbox_env.planning.features import Features, LookaheadOptions
+from jackbox_env.observation import BOUNDS, state_of
 from jackbox_env.planning.icem import Plans, Search
 
 DECISION_INTERVAL = 0.1  # [s] that the settings here were tuned for
@@ -38,11 +36,12 @@ def decision_steps(settings: EnvSettings) -> int:
     return max(1, round(DECISION_INTERVAL / settings.control_dt))
 
 
-class Planner(RepeatingPolicy):
+class Planner:
     """A policy with Stable-Baselines3's ``predict`` that warm-starts its plans, by :mod:`jackbox_env.planning.icem`.
 
     It computes the state from the observation, so it plays on both contact models; on pymunk its model is not the
-    environment's. It ignores side forces of the scene's drive.
+    environment's. It ignores side forces of the scene's drive. Its environment observes the ten numbers, and repeats a
+    torque for ``repeat`` control steps.
 
     Args:
         scene: that it plans in.
@@ -78,15 +77,33 @@ class Planner(RepeatingPolicy):
         )
         self.repeat = self._search.repeat
 
-    def begin(self, count: int) -> Plans:
-        """Plans of no torque."""
-        return self._search.begin(count)
+    def predict(
+        self, observation: Any, state: Plans | None = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[Actions, Plans]:
+        """The first torques of the best plans, and the plans one decision later; see :class:`.scripted.Policy`.
 
-    def decide(self, observations: NDArray[Any], plans: Any) -> tuple[NDArray[Any], Any]:
-        """The first torques of the best plans."""
-        states = np.array([state_of(self._scene, row) for row in observations.tolist()])
-        best, next_plans = self._search.decide(self._scene, states, plans)
-        return best.plans[:, :1], next_plans
+        Raises:
+            ValueError: another shape, or a state or ``episode_start`` of another number of environments.
+        """
+        rows = as_rows(observation, len(BOUNDS))
+        count = len(rows)
+        plans = self._search.begin(count) if state is None else state
+        if len(plans.means) != count:
+            raise ValueError(f"state must be that of {count} environments, as observation is, got {len(plans.means)}")
+        starts = np.asarray(False if episode_start is None else episode_start, dtype=np.bool_)
+        if starts.shape not in ((), (1,), (count,)):
+            raise ValueError(f"episode_start must have shape ({count},), as there are observations, got {starts.shape}")
+        new = np.flatnonzero(np.broadcast_to(starts, count))
+        plans = plans.replaced(new, self._search.begin(len(new)))
+        states = np.array([state_of(self._scene, row) for row in rows.tolist()])
+        best, plans = self._search.decide(self._scene, states, plans)
+        actions = torques(best.plans[:, 0])
+        return actions if np.ndim(observation) == 2 else actions[0], plans
+
+    @property
+    def in_env(self) -> PolicyWithEnv:
+        """The planner, with what its environment observes and does."""
+        return PolicyWithEnv(self, {**PLAIN, "action_repeat": self.repeat})
 
 
 def planner_for(
@@ -106,25 +123,3 @@ def planner_for(
         suits = made_for == (settings.task, settings.control_dt, scene.changed(drive=None))
         search |= {"value": value} if suits else {"knots": _KNOTS_WITHOUT_VALUE}
     return Planner(scene, settings.task, settings.control_dt, repeat=decision_steps(settings), **search)
-
-
-class PlanAlone(RepeatingPolicy):
-    """A policy that follows the plan of ``Lookahead`` with 32 samples, without corrections.
-
-    Args:
-        settings: of the environment that it plays in.
-    """
-
-    def __init__(self, settings: EnvSettings) -> None:
-        self.repeat, self._scene = decision_steps(settings), Scene.of(settings.scene_fields)
-        options = LookaheadOptions(self.repeat, samples=32, follow=True, num_threads=1)
-        self._features = Features(settings.task, settings.control_dt, options)
-
-    def begin(self, count: int) -> Plans:
-        """Plans of no torque."""
-        return self._features.begin(count)
-
-    def decide(self, observations: NDArray[Any], plans: Any) -> tuple[NDArray[Any], Any]:
-        """The plans' next torques."""
-        appended, next_plans = self._features.compute([self._scene], observations, plans)
-        return self._features.torques(np.zeros((len(observations), 1)), appended), next_plans

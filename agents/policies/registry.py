@@ -1,98 +1,110 @@
-"""All policies by name. A policy of your own is a file here and a line in ``POLICIES``."""
+"""All policies by name. A policy of your own is a file here and a line in ``POLICIES``, or ``file.py:function``."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
-from agents.files import as_value_error
-from agents.policies.models import Options, load, policy_of
+from agents.files import as_value_error, imported
+from agents.policies.models import load, model_in_env, stored_beside
 from agents.policies.network import SHIPPED, WEIGHTS, NetworkPolicy, layers_of, read_policy
 from agents.policies.one_bounce import LANDING, read_landing
-from agents.policies.planner import FAST_SEARCHES, PlanAlone, planner_for
-from agents.policies.scripted import Baseline, LevelPolicy, Policy, RandomPolicy, ZeroPolicy
+from agents.policies.planner import FAST_SEARCHES, planner_for
+from agents.policies.scripted import PLAIN, LevelPolicy, PolicyWithEnv, RandomPolicy, StatelessPolicy, ZeroPolicy
 from agents.policies.value import VALUE
 from agents.runs import SETTINGS, TRAINED_BY, model_in, read_parameters, read_settings, run_folder
 from agents.settings import EnvSettings, TrainSettings
 from jackbox_env import Scene
 
-SCRIPTED: dict[str, Callable[[EnvSettings, Scene, int], Baseline]] = {  # of the environment, its scene, and a seed
-    "random": lambda _, scene, seed: Baseline(RandomPolicy(seed), {}),
-    "chirp": lambda *_: Baseline(ZeroPolicy(), {"torque": "chirp"}),
-    "zero": lambda *_: Baseline(ZeroPolicy(), {}),
-    "level": lambda _, scene, seed: Baseline(LevelPolicy(scene), {}),
+Maker = Callable[[EnvSettings, Scene, int], PolicyWithEnv]  # of the environment's settings, its scene, and a seed
+SCRIPTED: dict[str, Maker] = {
+    "random": lambda _, scene, seed: PolicyWithEnv(RandomPolicy(seed), PLAIN),
+    "chirp": lambda *_: PolicyWithEnv(ZeroPolicy(), {**PLAIN, "torque": "chirp"}),
+    "zero": lambda *_: PolicyWithEnv(ZeroPolicy(), PLAIN),
+    "level": lambda _, scene, seed: PolicyWithEnv(LevelPolicy(scene), PLAIN),
 }
-POLICIES: dict[str, Callable[[EnvSettings, Scene, int], Baseline]] = {
+POLICIES: dict[str, Maker] = {
     **SCRIPTED,
-    "lookahead": lambda settings, *_: Baseline(PlanAlone(settings), {}),
-    "planner-fast": lambda settings, scene, seed: Baseline(planner_for(settings, scene, seed, FAST_SEARCHES), {}),
-    "planner": lambda settings, scene, seed: Baseline(planner_for(settings, scene, seed), {}),
+    "planner-fast": lambda settings, scene, seed: planner_for(settings, scene, seed, FAST_SEARCHES).in_env,
+    "planner": lambda settings, scene, seed: planner_for(settings, scene, seed).in_env,
 }
-_FORMER_NAMES = {"planner-64": "planner-fast"}
 
 
 def find_policy(
-    name: str, settings: EnvSettings, seed: int = 0, trust: bool = False, options: Options | None = None
-) -> Baseline:
+    name: str,
+    settings: EnvSettings,
+    seed: int = 0,
+    trust: bool = False,
+    chosen: dict[str, Any] | None = None,
+    vecnormalize: Path | None = None,
+) -> PolicyWithEnv:
     """One of ``POLICIES`` or a shipped policy by its name, or a trained one by its run folder or file.
 
     Args:
-        name: of the policy.
+        name: of the policy, or ``file.py:function`` that returns actions, (n,) or (n, size), for n observations.
         settings: of the environment that it plays in.
         seed: of what it draws.
-        trust: unpickle a model that has no settings.json.
-        options: how such a model acts; None: as env.json beside it describes.
+        trust: unpickle a model that has no settings.json, and import what its env.json names.
+        chosen: keywords of the environment of such a model or function, over those that env.json has.
+        vecnormalize: file of the statistics of such a model's observations; None: env.json has them.
 
     Raises:
         FileNotFoundError: it is none of these.
+        ValueError: it cannot be read or does not fit.
     """
-    name = _FORMER_NAMES.get(name, name)
     if name in POLICIES:
         return POLICIES[name](settings, Scene.of(settings.scene_fields), seed)
     if name in shipped_names(settings.task):
-        return Baseline(_read(SHIPPED / f"{settings.task}-{name}"), {})
+        return _read(SHIPPED / f"{settings.task}-{name}")
+    if is_function(name):
+        return PolicyWithEnv(StatelessPolicy(imported(name)), {**PLAIN, **(chosen or {})})
     if not Path(name).exists():
         known = ", ".join((*POLICIES, *shipped_names(settings.task)))
-        raise FileNotFoundError(f"a policy must be one of {known}, or a run folder or model file, got {name!r}")
+        raise FileNotFoundError(
+            f"a policy must be one of {known}, or a run folder, a model file or file.py:function, got {name!r}"
+        )
     if (Path(name) / WEIGHTS).is_file():
-        return Baseline(_read(Path(name)), {})
+        return _read(Path(name))
     file = model_in(Path(name))
     folder = run_folder(file)
-    return Baseline(_trained(file, folder) if folder else _trusted(file, settings, trust, options or Options()), {})
-
-
-def _trained(file: Path, folder: Path) -> Policy:
-    """The policy in a model file of a run folder, with the folder's settings; nothing is unpickled.
-
-    Raises:
-        ValueError: the file is damaged, or no model of these settings.
-    """
-    settings = read_settings(folder)
-    with as_value_error(f"{file} is no model of the settings beside it"):
-        return NetworkPolicy(settings, layers_of(read_parameters(file)["policy"]))
-
-
-def _trusted(file: Path, settings: EnvSettings, trust: bool, options: Options) -> Policy:
-    """The policy in a model file without a run folder, by the settings that it stores, by env.json or ``options``.
-
-    Raises:
-        FileNotFoundError: ``trust`` is off.
-        ValueError: the file is damaged, or does not fit.
-    """
+    if folder is not None:
+        return _network(file, lambda: (read_settings(folder), read_parameters(file)["policy"]))
     if not trust:
         raise FileNotFoundError(
             f"{file} has no {SETTINGS} beside it to rebuild the model from; if you trust its author, use --trust"
         )
-    model = load(file)
+    stored = stored_beside(file)
+    model = load(file, stored["algorithm"] if stored else None)
     trained_by = getattr(model, TRAINED_BY, None)
-    if trained_by is None or options != Options():
-        return policy_of(file, model, settings, options)
-    with as_value_error(f"{file} is no model of the settings that it stores"):
-        return NetworkPolicy(TrainSettings.of(trained_by), layers_of(model.get_parameters()["policy"]))
+    if trained_by is None or stored or chosen or vecnormalize:
+        return model_in_env(file, model, stored, settings, chosen or {}, vecnormalize)
+    return _network(file, lambda: (TrainSettings.of(trained_by), model.get_parameters()["policy"]))
 
 
-def _read(folder: Path) -> Policy:
-    return read_landing(folder) if (folder / LANDING).is_file() else read_policy(folder)
+def with_chosen_env(name: str) -> bool:
+    """Whether a policy takes ``chosen`` keywords: a function, or a model file without settings.json."""
+    return is_function(name) or (Path(name).is_file() and run_folder(Path(name)) is None)
+
+
+def is_function(name: str) -> bool:
+    """Whether a policy is a function in a file, ``file.py:function``."""
+    return name.rpartition(":")[0].endswith(".py") and not Path(name).exists()
+
+
+def _network(file: Path, read: Callable[[], tuple[TrainSettings, Any]]) -> PolicyWithEnv:
+    """The network in a model file, from its settings and parameters; nothing is unpickled here.
+
+    Raises:
+        ValueError: the file is damaged, or no model of these settings.
+    """
+    with as_value_error(f"{file} is no model of its settings"):
+        settings, parameters = read()
+        return NetworkPolicy(settings, layers_of(parameters)).in_env
+
+
+def _read(folder: Path) -> PolicyWithEnv:
+    return read_landing(folder).in_env if (folder / LANDING).is_file() else read_policy(folder).in_env
 
 
 def shipped_names(task: str) -> list[str]:

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.policies.playing import Actions
 from jackbox_env import Scene
+from jackbox_env.observation import BOUNDS
+
+Actions = NDArray[Any]
+PLAIN = {"observation": "state", "action": "torque", "action_repeat": 1}  # keywords of the environment of policies here
 
 
 class Policy(Protocol):
-    """A scripted policy, or a model of Stable-Baselines3."""
+    """A policy, or a model of Stable-Baselines3."""
 
     def predict(
         self,
@@ -21,11 +25,33 @@ class Policy(Protocol):
         episode_start: Any = None,
         deterministic: bool = False,
     ) -> tuple[Any, Any]:
-        """Return actions, shape (n, 1) for observations (n, 10) or (1,) for (10,), and the next recurrent state."""
+        """Return actions for observations of n environments or of one, and the next recurrent state.
+
+        Args:
+            observation: shape (n, numbers) or (numbers,).
+            state: as returned by the last call; None: all environments start.
+            episode_start: shape (n,), True at the start of an episode.
+            deterministic: draw no actions.
+        """
 
 
-class ScriptedPolicy:
-    """A policy without memory; subclasses define the torques."""
+class PolicyWithEnv(NamedTuple):
+    """A policy, and the keywords of ``gymnasium.make("JackInBox-v0", ...)`` that make the environment it plays in."""
+
+    policy: Policy
+    keywords: dict[str, Any]
+
+
+class StatelessPolicy:
+    """A policy without memory; subclasses, or the function ``act``, choose the actions.
+
+    Args:
+        act: returns actions, shape (n,) or (n, size), for observations, shape (n, numbers).
+        numbers: of an observation; None: any.
+    """
+
+    def __init__(self, act: Callable[[Any], Any], numbers: int | None = None) -> None:
+        self.act, self._numbers = act, numbers
 
     def predict(
         self,
@@ -34,52 +60,55 @@ class ScriptedPolicy:
         episode_start: Any = None,
         deterministic: bool = False,
     ) -> tuple[Actions, Any]:
-        """The torques of :meth:`act`, clipped; see :class:`Policy`."""
-        rows = np.atleast_2d(np.asarray(observation, dtype=np.float64))
-        actions = np.clip(self.act(rows), -1.0, 1.0).astype(np.float32)[:, None]
+        """The actions of ``act``; see :class:`Policy`.
+
+        Raises:
+            ValueError: observations of another shape.
+        """
+        actions = np.asarray(self.act(as_rows(observation, self._numbers)))
         return (actions if np.ndim(observation) == 2 else actions[0]), state
 
-    def act(self, observations: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Torques in units of the limit, shape (n,), for observations of shape (n, 10)."""
-        raise NotImplementedError
+
+def as_rows(observation: Any, numbers: int | None = None) -> NDArray[Any]:
+    """Observations of one environment or of n, shape (n, numbers); raises ValueError for another shape."""
+    rows = np.atleast_2d(np.asarray(observation))
+    if rows.ndim != 2 or rows.shape[1] != (numbers or rows.shape[1]):
+        raise ValueError(f"observation must have shape (n, {numbers}) or ({numbers},), got {np.shape(observation)}")
+    return rows
 
 
-class ZeroPolicy(ScriptedPolicy):
+def torques(values: NDArray[Any]) -> Actions:
+    """Torques in units of the limit, shape (n,), as actions: clipped, float32, shape (n, 1)."""
+    actions: Actions = np.clip(values, -1.0, 1.0).astype(np.float32)[:, None]
+    return actions
+
+
+class ZeroPolicy(StatelessPolicy):
     """No torque. In an environment made with ``torque="chirp"`` this is the chirp baseline, as any policy is."""
 
-    def act(self, observations: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Zeros."""
-        return np.zeros(len(observations))
+    def __init__(self) -> None:
+        super().__init__(lambda observations: torques(np.zeros(len(observations))))
 
 
-class RandomPolicy(ScriptedPolicy):
+class RandomPolicy(StatelessPolicy):
     """Uniform torques in [-1, 1], drawn from ``seed``."""
 
     def __init__(self, seed: int = 0) -> None:
-        self._rng = np.random.default_rng(seed)
-
-    def act(self, observations: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The next draws."""
-        return self._rng.uniform(-1.0, 1.0, len(observations))
+        rng = np.random.default_rng(seed)
+        super().__init__(lambda observations: torques(rng.uniform(-1.0, 1.0, len(observations))))
 
 
-class LevelPolicy(ScriptedPolicy):
+class LevelPolicy(StatelessPolicy):
     """PD control of the box's angle: torque = -J_b (stiffness theta + damping omega), theta within half a turn."""
 
     def __init__(self, scene: Scene, stiffness: float = 10.0, damping: float = 5.0) -> None:
         """Gains in 1/s^2 and 1/s."""
+        super().__init__(self.towards_level, len(BOUNDS))
         self._scene, self._stiffness, self._damping = scene, stiffness, damping
 
-    def act(self, observations: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The PD controller's torques."""
-        scene = self._scene
-        angle = np.arctan2(observations[:, 5], observations[:, 4])  # [rad]
-        rate = observations[:, 6] * scene.speed_scale / scene.box_half_width  # [rad/s]
-        return -scene.box_inertia * (self._stiffness * angle + self._damping * rate) / scene.torque_limit
-
-
-class Baseline(NamedTuple):
-    """A policy and the settings that it needs of the environment."""
-
-    policy: Policy
-    env_settings: dict[str, Any]
+    def towards_level(self, observations: NDArray[Any]) -> Actions:
+        """The PD controller's torques, for observations of shape (n, 10)."""
+        scene, seen = self._scene, observations.astype(np.float64)
+        angle = np.arctan2(seen[:, 5], seen[:, 4])  # [rad]
+        rate = seen[:, 6] * scene.speed_scale / scene.box_half_width  # [rad/s]
+        return torques(-scene.box_inertia * (self._stiffness * angle + self._damping * rate) / scene.torque_limit)

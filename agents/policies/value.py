@@ -17,17 +17,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.policies.landing_features import FEATURES, landing_numbers, preview
 from agents.policies.network import Layer, check_layers, outputs, read_with_layers
-from agents.policies.observing import observations
 from agents.settings import EnvSettings
 from jackbox_env import JackInBoxEnv, Scene
-from jackbox_env.observation import BOUNDS
+from jackbox_env.observation import OBSERVATIONS
 from jackbox_env.planning.icem import Search
+from jackbox_env.scoring import observed
 from jackbox_env.states import Array
 
 VALUE = "value.json"
-INPUTS = len(BOUNDS) + len(FEATURES)
+INPUTS = len(OBSERVATIONS["landing"].names)
 UNIT = 20.0  # rewards, so that the network's output is of order one
 
 
@@ -44,13 +43,11 @@ class Value:
 
     def __init__(self, settings: EnvSettings, layers: list[Layer]) -> None:
         self.settings, self.layers, self._scene = settings, layers, Scene.of(settings.scene_fields)
-        self._numbers = landing_numbers(self._scene)
         check_layers(layers, [INPUTS, *(bias.size for _, bias in layers[:-1]), 1])
 
     def inputs(self, states: Array) -> NDArray[np.float32]:
         """The network's inputs for states, shape (n, 12): (n, ``INPUTS``)."""
-        observed = observations(self._scene, states)
-        return np.concatenate([observed, preview(self._numbers, observed)], axis=1)
+        return observed(self._scene, states, "landing")
 
     def of(self, states: Array) -> Array:
         """The sum of future rewards, shape (n,), for states, shape (n, 12)."""

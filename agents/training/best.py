@@ -15,7 +15,7 @@ from agents.files import DamagedFileError, parsing, report_skipped, unpacked_arr
 from agents.runs import BEST, EVALUATIONS, is_whole
 from agents.settings import TrainSettings
 from agents.training.checkpoints import Checkpoint, model_file
-from agents.training.models import derived_seed, make_vec_env, wrapped
+from agents.training.models import derived_seed, make_vec_env
 from jackbox_env.files import replacing, write_bytes
 
 
@@ -66,8 +66,7 @@ class KeepBest(BaseCallback):
         self._evaluations = Evaluations(*(column[:count] for column in earlier))
         self._every = max(1, settings.eval_steps // settings.num_envs)
         num_envs = min(settings.num_envs, settings.eval_episodes)
-        environments = make_vec_env(settings.env_settings, num_envs, choosing_seed(settings))
-        self._environments = wrapped(environments, settings)
+        self._environments = make_vec_env(settings.env_settings, num_envs, choosing_seed(settings))
 
     def _init_callback(self) -> None:
         # evaluate at the same steps as an uninterrupted run

@@ -12,14 +12,9 @@ from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv
 
 from agents.files import as_value_error
-from agents.policies.landing_features import landing_numbers
 from agents.runs import SETTINGS, TRAINED_BY, model_in, read_parameters, read_settings, run_folder
 from agents.settings import TrainSettings
-from agents.training.durations import DurationBuffer
-from agents.training.extractor import WithPreview
-from jackbox_env import Scene
-from jackbox_env.planning.sb3_wrappers import HoldingVecEnv, LandingControlVecEnv, LookaheadVecEnv
-from jackbox_env.sb3 import make_sb3_vec_env
+from jackbox_env.sb3 import DurationBuffer, make_sb3_vec_env
 
 
 def derived_seed(purpose: str, *numbers: int) -> int:
@@ -29,38 +24,23 @@ def derived_seed(purpose: str, *numbers: int) -> int:
 
 
 def make_vec_env(env_settings: dict[str, Any], num_envs: int, seed: int) -> VecEnv:
-    """Environments with the default time limit and statistics of episodes; i starts from ``seed`` + i."""
+    """Environments with the default time limit; i starts from ``seed`` + i."""
     environments = make_sb3_vec_env(num_envs, **env_settings)
     environments.seed(seed)
     return environments
 
 
-def wrapped(environments: VecEnv, settings: TrainSettings, num_threads: int | None = None) -> VecEnv:
-    """The environments as training steps them: with action repeat, and a lookahead or landing control."""
-    repeat = settings.longest
-    if settings.lookahead:
-        samples = settings.lookahead
-        return LookaheadVecEnv(environments, hold=repeat, samples=samples, follow=True, num_threads=num_threads)
-    if settings.landing:
-        return LandingControlVecEnv(environments, period=settings.period)  # type: ignore[arg-type]
-    return environments if repeat == 1 else HoldingVecEnv(environments, repeat)
-
-
 def policy_kwargs(settings: TrainSettings) -> dict[str, Any]:
-    """Keyword arguments of Stable-Baselines3's policy: its layers, the first deviation, the preview."""
-    keywords: dict[str, Any] = {"net_arch": list(settings.hidden_units), "log_std_init": settings.initial_log_std}
-    if settings.preview:
-        flight = tuple(landing_numbers(Scene.of(settings.scene_fields)))
-        keywords |= {"features_extractor_class": WithPreview, "features_extractor_kwargs": {"flight": flight}}
-    return keywords
+    """Keyword arguments of Stable-Baselines3's policy: its layers, and the first deviation of continuous actions."""
+    layers = {"net_arch": list(settings.hidden_units)}
+    return layers if settings.action == "discrete" else {**layers, "log_std_init": settings.initial_log_std}
 
 
 def make_ppo(settings: TrainSettings, environments: VecEnv, **keywords: Any) -> PPO:
-    """An untrained PPO model of these settings, for environments as :func:`wrapped` makes them.
+    """An untrained PPO model of these settings.
 
-    A saved model loads without this project by ``stable_baselines3.PPO.load``, except if ``settings.preview`` is on or
-    ``settings.repeat`` is "bounce": then ``agents.training`` must be importable, as in a checkout. It stores the
-    settings as ``trained_by``.
+    A saved model loads without this project by ``stable_baselines3.PPO.load``; with ``action_repeat`` "bounce" it needs
+    ``jackbox_env``. It stores the settings as ``trained_by``.
     """
     model = PPO(
         "MlpPolicy",
@@ -76,7 +56,7 @@ def make_ppo(settings: TrainSettings, environments: VecEnv, **keywords: Any) -> 
         policy_kwargs=policy_kwargs(settings),
         seed=settings.seed,
         device="cpu",
-        **{"rollout_buffer_class": DurationBuffer if settings.repeat == "bounce" else None, **keywords},
+        **{"rollout_buffer_class": DurationBuffer if settings.action_repeat == "bounce" else None, **keywords},
     )
     setattr(model, TRAINED_BY, dataclasses.asdict(settings))  # saved with the model
     return model
@@ -86,8 +66,7 @@ def load_model(path: Path) -> PPO:
     """Load a run folder's best model (else its last), or a model file in a run folder, to train or evaluate it further.
 
     The model is built from the run's settings.json and reads only tensors from the zip: nothing is unpickled, so an
-    untrusted model cannot run code. Its environment, ``model.get_env()``, is that of the stored settings, wrapped as in
-    training. To play in the ordinary environment use :func:`agents.policies.registry.find_policy`.
+    untrusted model cannot run code. Its environment, ``model.get_env()``, is that of the stored settings.
 
     Args:
         path: run folder, or a .zip in it (or in a folder below it). A damaged best model in a run folder is skipped,
@@ -103,8 +82,7 @@ def load_model(path: Path) -> PPO:
         raise FileNotFoundError(f"{file} has no {SETTINGS} beside it to rebuild the model from")
     settings = read_settings(folder)
     with as_value_error(f"{folder / SETTINGS} makes no model"):
-        environments = make_vec_env(settings.env_settings, 1, settings.seed)
-        model = make_ppo(settings, wrapped(environments, settings))
+        model = make_ppo(settings, make_vec_env(settings.env_settings, 1, settings.seed))
     with as_value_error(f"{file} is no model of the settings beside it"):
         model.set_parameters(read_parameters(file), device="cpu")
     return model

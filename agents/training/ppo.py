@@ -27,10 +27,10 @@ from agents.training.checkpoints import (
     latest_checkpoint,
     model_file,
 )
-from agents.training.durations import Durations
-from agents.training.models import derived_seed, make_ppo, make_vec_env, wrapped
-from agents.training.timing import TimedEnvironments, TimedVecEnv, TrainingTimer, formatted
+from agents.training.models import derived_seed, make_ppo, make_vec_env
+from agents.training.timing import TimedEnvironments, TrainingTimer, formatted
 from jackbox_env.files import new_folder, remove_partials, write_bytes, write_json
+from jackbox_env.sb3 import Durations
 
 FRESH_EPISODES = 64  # that judge the trained model
 
@@ -73,7 +73,7 @@ def train(settings: TrainSettings, folder: Path, progress: bool = True) -> PPO:
         model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
         checkpoint = Checkpoint(folder, settings.checkpoint_steps)
         callbacks: list[BaseCallback] = [checkpoint, KeepBest(folder, settings, checkpoint, done), timer]
-        if settings.repeat == "bounce":
+        if settings.action_repeat == "bounce":
             callbacks.append(Durations())
         if settings.max_minutes is not None:
             callbacks.append(Deadline(settings.max_minutes))
@@ -128,7 +128,7 @@ def reached(folder: Path, settings: TrainSettings) -> str:
         name = f"best model, after {steps:,} steps,"
     else:
         name = "last model (no evaluation was made: the run was shorter than eval_steps)"
-    environments = wrapped(make_vec_env(settings.env_settings, FRESH_EPISODES, 0), settings)
+    environments = make_vec_env(settings.env_settings, FRESH_EPISODES, 0)
     model = make_ppo(settings, environments)
     environments.seed(derived_seed("evaluation", settings.seed))  # PPO has seeded them by its own seed
     model.set_parameters(read_parameters(model_in(folder)), device="cpu")
@@ -159,8 +159,7 @@ def _resumed(settings: TrainSettings, folder: Path) -> tuple[PPO, TrainingTimer]
     torch.set_num_threads(settings.torch_threads)
     done, parameters = latest_checkpoint(folder)
     starts = derived_seed("training", settings.seed, done)
-    inner = TimedEnvironments(settings.num_envs, **settings.env_settings)
-    environments = TimedVecEnv(wrapped(inner, settings))
+    environments = TimedEnvironments(settings.num_envs, **settings.env_settings)
     model = make_ppo(settings, environments)
     environments.seed(starts)  # PPO has seeded them by its own seed
     if parameters is not None:
@@ -170,4 +169,4 @@ def _resumed(settings: TrainSettings, folder: Path) -> tuple[PPO, TrainingTimer]
             problem = f"{checkpoint_path(folder, done)} was made by other settings than its run's"
             raise ValueError(f"{problem}: {first_line(error)}") from error
         model.num_timesteps = done
-    return model, TrainingTimer(inner, environments, "looking ahead" if settings.lookahead else "action repeat")
+    return model, TrainingTimer(environments)

@@ -6,33 +6,13 @@ import time
 from typing import Any
 
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from jackbox_env.sb3 import JackInBoxVecEnv
 
 
-class TimedVecEnv(VecEnvWrapper):
-    """A wrapper that adds up how long steps take: ``seconds``."""
-
-    def __init__(self, venv: VecEnv) -> None:
-        super().__init__(venv)
-        self.seconds = 0.0
-
-    def reset(self) -> Any:
-        """Start an episode in each environment."""
-        return self.venv.reset()
-
-    def step_wait(self) -> VecEnvStepReturn:
-        """Step."""
-        began = time.perf_counter()
-        result = self.venv.step_wait()
-        self.seconds += time.perf_counter() - began
-        return result
-
-
 class TimedEnvironments(JackInBoxVecEnv):
-    """The environments without wrappers, with the same ``seconds``."""
+    """Environments that add up how long their steps take: ``seconds``."""
 
     seconds = 0.0
 
@@ -48,15 +28,12 @@ class TrainingTimer(BaseCallback):
     """Adds up the time of a training's parts.
 
     Args:
-        inner: the environments alone.
-        outer: the same with their wrappers, as the training steps them.
-        between: what these wrappers do, in words.
+        environments: of the training.
     """
 
-    def __init__(self, inner: TimedEnvironments, outer: TimedVecEnv, between: str) -> None:
+    def __init__(self, environments: TimedEnvironments) -> None:
         super().__init__()
-        self._inner, self._outer, self._between = inner, outer, between
-        self._collecting = 0.0
+        self._environments, self._collecting = environments, 0.0
 
     def _on_training_start(self) -> None:
         self._began, self._first_step = time.perf_counter(), self.num_timesteps
@@ -71,15 +48,14 @@ class TrainingTimer(BaseCallback):
         return True
 
     def record(self) -> dict[str, Any]:
-        """Steps, seconds, and the seconds of environment, wrappers, acting and updates, of this process."""
-        total = time.perf_counter() - self._began
+        """Steps, seconds, and the seconds of environment, acting and updates, of this process."""
+        total, stepping = time.perf_counter() - self._began, self._environments.seconds
         return {
             "steps": self.num_timesteps - self._first_step,
             "seconds": total,
             "parts": {
-                "environment": self._inner.seconds,
-                self._between: self._outer.seconds - self._inner.seconds,
-                "choosing actions, evaluations and files": self._collecting - self._outer.seconds,
+                "environment": stepping,
+                "choosing actions, evaluations and files": self._collecting - stepping,
                 "learning": total - self._collecting,
             },
         }

@@ -13,14 +13,8 @@ from agents.training.models import policy_kwargs
 
 def zoo_settings(settings: TrainSettings) -> dict[str, Any]:
     """The settings in the zoo's format. The zoo makes single environments and steps them in turn."""
-    if settings.lookahead:
-        raise ValueError("lookahead must be 0: the zoo's environments do not look ahead")
-    wrapper: dict[str, Any] = {"rl_zoo3.wrappers.FrameSkip": {"skip": settings.longest}}
-    if settings.landing:
-        wrapper = {"jackbox_env.LandingControl": {"period": settings.period}}
     return {
         "env_kwargs": settings.env_settings,
-        "env_wrapper": [wrapper],
         "n_envs": settings.num_envs,
         "n_timesteps": settings.total_steps,
         "policy": "MlpPolicy",
@@ -29,7 +23,7 @@ def zoo_settings(settings: TrainSettings) -> dict[str, Any]:
         "n_epochs": settings.epochs,
         "learning_rate": f"lin_{settings.learning_rate}",
         # The zoo's buffer has one discount for all decisions; with one per bounce they last 0.8 s in the mean.
-        "gamma": settings.gamma**0.8 if settings.repeat == "bounce" else settings.gamma,
+        "gamma": settings.gamma**0.8 if settings.action_repeat == "bounce" else settings.gamma,
         "gae_lambda": settings.gae_lambda,
         "clip_range": settings.clip_range,
         "ent_coef": settings.entropy_coefficient,

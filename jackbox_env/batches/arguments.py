@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jackbox_env import checks as check
+from jackbox_env.action import ACTIONS, Action
 from jackbox_env.batches.base import Change
 from jackbox_env.scene import Scene, scenes_of
 from jackbox_env.states import LATEST_TIME, Array, Flags
@@ -20,14 +21,19 @@ class Arguments:
     def __init__(self, num_envs: int) -> None:
         self.num_envs = num_envs
 
-    def actions(self, actions: ArrayLike) -> Array:
-        """Actions of shape (N, 1) or (N,), as float64 of shape (N,)."""
+    def actions(self, action: Action, actions: ArrayLike, waiting: Flags | None) -> Array:
+        """Actions of N environments as float64, shape (n, N); those of ``waiting`` ones are ignored.
+
+        Shares of the torque limit are clipped and checked where they are used.
+        """
+        if action is not ACTIONS["torque"]:
+            return action.checked(actions, self.num_envs, waiting)
         numbers = check.array("actions", actions, "be numbers (clipped to [-1, 1])")
         if numbers.shape not in ((self.num_envs, 1), (self.num_envs,)):
             raise ValueError(
                 f"actions must have shape ({self.num_envs}, 1) or ({self.num_envs},), got shape {numbers.shape}"
             )
-        return numbers.reshape(self.num_envs).astype(np.float64)
+        return numbers.reshape(1, self.num_envs).astype(np.float64)
 
     def seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         """A seed for each environment: s + i for a whole number s, or as listed; None: no seed."""

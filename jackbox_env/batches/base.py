@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import numpy as np
 from numpy.typing import NDArray
 
+from jackbox_env.action import Repeat
 from jackbox_env.states import Array, Flags, Floats, Indices
 
 Change = Mapping[str, Any]  # fields of a scene that change
@@ -16,16 +17,15 @@ Change = Mapping[str, Any]  # fields of a scene that change
 
 @dataclass(slots=True)
 class Outcome:
-    """Results of a step, or of several: fresh arrays, which the batch never writes again. Rewards are summed."""
+    """Results of a step, a decision of each environment: fresh arrays, which the batch never writes again."""
 
-    observations: Floats  # (N, 10)
+    observations: Floats  # (N, numbers)
     rewards: Array  # (N,)
     terminations: Flags  # (N,)
     truncations: Flags  # (N,)
-    infos: dict[str, NDArray[Any]]  # numbers of each environment's step, (N,) or (N, 12); empty unless requested
+    infos: dict[str, NDArray[Any]]  # numbers of each environment's step, (N,) or (N, 12): durations, others on request
     finished: int  # episodes that this step ends
     after: Any  # the environments after the step, for the batch's ``take``
-    steps: NDArray[np.int64] | None = None  # (N,) control steps that each made; None: a plain step
 
     @property
     def ended(self) -> Flags:
@@ -40,6 +40,18 @@ class Starts(NamedTuple):
     generators: Any  # of these environments from their start on
     scenes: Any  # of these environments from their start on, in the batch's own form; None: unchanged
     states: Array | None = None  # (k, 12) in which they start, checked; None: drawn when they begin
+
+
+class Limits(NamedTuple):
+    """After how much an episode is truncated; infinite: never."""
+
+    steps: float  # control steps
+    decisions: float  # counted only if it is finite
+
+    @classmethod
+    def of(cls, repeat: Repeat, decisions: float, steps: float) -> Limits:
+        """The limits of both kinds; if a decision is one control step, they are one."""
+        return cls(float(steps), float(decisions)) if repeat.steps > 1 else cls(float(min(steps, decisions)), math.inf)
 
 
 def bad_action(action: float, number: int) -> ValueError:

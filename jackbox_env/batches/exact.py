@@ -2,37 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import islice
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.batches.base import Change, Outcome, Starts, bad_action
+from jackbox_env.action import ACTIONS, Repeat, clipped_share
+from jackbox_env.batches.base import Change, Limits, Outcome, Starts, bad_action
 from jackbox_env.batches.scenes import SceneTable
 from jackbox_env.batches.threads import Ended, Halt, Threads, run_blocks, thread_count
-from jackbox_env.exact import glide, restart, run, score
+from jackbox_env.exact import act, glide, observe, restart, run, score, workspace
 from jackbox_env.exact.compiler import address_of, compiled
 from jackbox_env.exact.restart import WHOLE, WITH_HALVES, fresh, packed, seeded, unpacked
-from jackbox_env.exact.workspace import (
-    LANDINGS,
-    NOTHING,
-    SHARES,
-    Call,
-    Results,
-    Rules,
-    Scenes,
-    Status,
-    new_memory,
-)
-from jackbox_env.landing import Landings, aim
+from jackbox_env.exact.workspace import NOTHING, SHARES, Call, Results, Rules, Scenes, Status, new_memory
+from jackbox_env.observation import OBSERVATIONS, STATE, bad_observation
 from jackbox_env.randomization import Randomization
 from jackbox_env.scene import Scene
-from jackbox_env.scoring import bad_reward, compiled_for
+from jackbox_env.scoring import CompiledFunctions, Nouns, bad_reward, compiled_for
 from jackbox_env.simulators.base import Impact, end_of_step
 from jackbox_env.simulators.exact import NO_PIECES, ExactSimulator, ensure_compiled, failure, pieces_for
-from jackbox_env.states import Array, Flags, Floats, Indices, State
-from jackbox_env.tasks import Task, draw_start
+from jackbox_env.states import Array, Flags, Floats, Indices
+from jackbox_env.tasks import TaskError, draw_start
 
 _FEWEST_PER_THREAD = 4096  # below that, waking a thread costs more than it saves
 _GRAIN = 4  # blocks that are worth a call
@@ -53,9 +45,10 @@ class ExactBatch:
         self,
         scenes: Sequence[Scene],
         num_envs: int,
-        task: Task,
+        nouns: Nouns,
         control_dt: float,
-        max_episode_steps: int,
+        repeat: Repeat,
+        limits: Limits,
         with_infos: bool = False,
         num_threads: int | None = None,
         randomize: Randomization | None = None,
@@ -63,35 +56,47 @@ class ExactBatch:
         """Make environments of one scene, or with a scene each.
 
         Raises:
-            TypeError: a function of the task cannot be compiled.
+            TypeError: a function of the user cannot be compiled.
         """
-        self._dt, self._task, self._limit = control_dt, task, float(max_episode_steps)
+        self._dt, self._nouns, self._repeat, self._limits = control_dt, nouns, repeat, limits
         self._with_infos, self._randomize = with_infos, randomize
-        self._score = compiled_for(task, score.score_block)  # stored, because the loop calls it by its address
-        self._score_address = address_of(self._score)
+        self._compile()
         width = min(glide.WIDEST, -(-num_envs // (num_threads or 1)))
         self._count, self._blocks = num_envs, np.zeros((-(-num_envs // width), glide.WIDTH, width))
         several = len(scenes) > 1 or randomize is not None
         self._scenes = SceneTable(scenes, several, self._blocks.shape, num_envs, control_dt)
-        by_function = (randomize is not None and randomize.function is not None) or task.start is not None
+        by_function = (randomize is not None and randomize.function is not None) or nouns.task.start is not None
         self._generators = fresh(num_envs, WITH_HALVES if by_function else WHOLE)  # (N, 4 or 6)
         self._derived = np.array([randomize.derived(scene) for scene in scenes] if randomize else [], dtype=np.bool_)
         ranges = len(self._blocks) if num_threads else num_envs // _FEWEST_PER_THREAD
         self._threads = Threads(thread_count(num_threads, ranges))
         self._spare: Array | None = np.zeros_like(self._blocks)  # where the next step writes
-        self._last: tuple[Array, Array | Landings | None] | None = None  # states before the last step, and its actions
+        self._last: tuple[Array, Array | None] | None = None  # states before the last step, and its actions
         self._calls: list[Call] | None = self._new_calls()
 
     def _new_calls(self) -> list[Call]:
         return [Call(new_memory(self._blocks.shape[2])) for _ in range(self._threads.count)]
 
+    def _compile(self) -> None:
+        """Compile the functions that the loop calls by their address, and store them as long as it may."""
+        task, observation, action = self._nouns
+        plain = action is ACTIONS["torque"]
+        scorer = compiled_for(task, score.score_block)
+        observer = compiled_for(observation, observe.observe_block if observation is STATE else observe.observe_rows)
+        actor = None if plain else compiled_for(action, act.act_block)
+        self._compiled = scorer, observer, actor
+        self._kind = SHARES if plain else workspace.ACTIONS
+        self._addresses = (
+            address_of(scorer, score.block_scorer), address_of(observer, observe.block_observer),
+            address_of(actor, act.block_actor),
+        )  # fmt: skip
+
     def __getstate__(self) -> dict[str, Any]:
-        return {**vars(self), "_score": None, "_score_address": 0, "_calls": None}  # addresses are of this process
+        return {**vars(self), "_compiled": None, "_addresses": None, "_calls": None}  # addresses are of this process
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        self._score = compiled_for(self._task, score.score_block)
-        self._score_address = address_of(self._score)
+        self._compile()
 
     @property
     def nbytes(self) -> int:
@@ -139,7 +144,7 @@ class ExactBatch:
         for index, seed in enumerate(seeds or ()):
             if seed is not None:
                 words[index] = seeded(seed)[: words.shape[1]]
-        drawn, starting = self._randomize, self._task.start is not None and not placed
+        drawn, starting = self._randomize, self._nouns.task.start is not None and not placed
         if changes is None and drawn is None and not starting:
             return Starts(numbers, words, None)
         otherwise = table.driven_otherwise[numbers if table.several else 0].any()
@@ -157,9 +162,31 @@ class ExactBatch:
                 scene = original.changed(**{**fields, **(changes[index] if changes else {})})
                 scenes.append(scene)
             if starting:
-                states.append(draw_start(self._task, scene, generator))
+                states.append(draw_start(self._nouns.task, scene, generator))
             words[index] = packed(generator)[: words.shape[1]]
         return Starts(numbers, words, scenes or None, np.array(states) if starting else None)
+
+    def observed(self, starts: Starts, times: Array) -> Starts:
+        """The same starts, at times [s], shape (N,), if the functions of a user's observation work there.
+
+        Raises:
+            TaskError: a number of an observation is NaN.
+        """
+        if self._nouns.observation in OBSERVATIONS.values():
+            return starts
+        numbers, words, scenes, states = starts
+        several = self._scenes.rows(numbers) if scenes is None else scenes
+        rows = np.array([scene.numbers for scene in several]) if isinstance(several, list) else several
+        blocks, chosen = np.zeros((1, glide.WIDTH, len(numbers))), np.arange(len(numbers))
+        if states is None:
+            words = words.copy()
+            compiled(restart.restart_blocks)(rows, blocks, chosen, words)
+        else:
+            blocks[0, :12] = states.T
+        blocks[0, glide.TIME] = times[numbers]
+        seen = np.empty((len(numbers), len(self._nouns.observation.names)), dtype=np.float32)
+        self._observe(rows, blocks, chosen, seen)
+        return Starts(numbers, words, scenes, blocks[0, :12].T.copy())
 
     def start(self, starts: Starts) -> None:
         """Begin episodes at time 0. If all begin, this also repairs what an interruption left half changed."""
@@ -189,11 +216,26 @@ class ExactBatch:
         blocks[block, :12, lane] = states[chosen]
         blocks[block, glide.TIME, lane] = times[chosen]
         over = blocks[block, glide.OVER, lane] != 0.0
-        blocks[block[over], glide.STEPS, lane[over]] = blocks[block[over], glide.OVER, lane[over]] = 0.0
+        for row in (glide.STEPS, glide.DECISIONS, glide.OVER):
+            blocks[block[over], row, lane[over]] = 0.0
 
     def observe(self, numbers: Indices, observations: Floats) -> None:
-        """Write the observations of some environments into their rows, shape (N, 10)."""
-        compiled(restart.observe_blocks)(self._scenes.rows(numbers), self._blocks, numbers, observations)
+        """Write the observations of some environments into their rows, shape (N, numbers).
+
+        Raises:
+            TaskError: a number of an observation is NaN.
+        """
+        self._observe(self._scenes.rows(numbers), self._blocks, numbers, observations)
+
+    def _observe(self, rows: Array, blocks: Array, numbers: Indices, observations: Floats) -> None:
+        observe_chosen = compiled_for(self._nouns.observation, observe.observe_chosen)
+        bad = observe_chosen(rows, blocks, numbers, observations)
+        if bad >= 0:
+            raise self._bad_observation(observations, bad)
+
+    def _bad_observation(self, observations: Floats, number: int) -> TaskError:
+        error = bad_observation(self._nouns.observation, observations[number].tolist())
+        return TaskError(f"{error}, in environment {number}")
 
     def field(self, name: str) -> Array:
         """A number of each environment's scene, by the name of its field, shape (N,)."""
@@ -211,47 +253,48 @@ class ExactBatch:
         steps = int(self._blocks[block, glide.STEPS, lane] - before[block, glide.STEPS, lane])
         if steps < 1:  # it has restarted, possibly in another scene, or it waits
             return []
-        simulator = self._stepped_again(number, before, actions, steps)
-        return simulator.impacts if np.array_equal(simulator.state, self._blocks[block, :12, lane]) else []
+        impacts = list[Impact]()
+        for simulator in islice(self._again(number, before, actions), steps):
+            impacts += simulator.impacts
+        return impacts if np.array_equal(simulator.state, self._blocks[block, :12, lane]) else []
 
-    def _stepped_again(
-        self, number: int, before: Array, actions: Array | Landings | None, steps: int
-    ) -> ExactSimulator:
-        """A simulator of one environment, stepped that often from ``before`` under ``actions``."""
+    def _again(self, number: int, before: Array, actions: Array | None) -> Iterator[ExactSimulator]:
+        """A simulator of one environment, after each control step from ``before`` under ``actions``."""
         block, lane = divmod(number, before.shape[2])
-        scene = self.scene(number)
+        scene, dt = self.scene(number), self._dt
         simulator, torque = ExactSimulator(scene), None
         simulator.reset(before[block, :12, lane], float(before[block, glide.TIME, lane]))
-        for _ in range(steps):
-            if isinstance(actions, Landings):
-                angle, rate = actions.targets[number].tolist()
-                share = aim(scene, State(*simulator.state.tolist()), angle, rate, self._dt)
-                torque = share * scene.torque_limit
-            elif actions is not None:
-                torque = min(max(float(actions[number]), -1.0), 1.0) * scene.torque_limit
-            simulator.step(self._dt, torque)
-        return simulator
+        functions = CompiledFunctions(scene, self._nouns)
+        while True:
+            if actions is not None:
+                share = float(actions[0, number])
+                if self._kind != SHARES:
+                    share = functions.share(simulator.state, actions[:, number], simulator.time, dt)
+                torque = clipped_share(share, f", in environment {number}") * scene.torque_limit
+            simulator.step(dt, torque)
+            yield simulator
 
     # -- stepping -----------------------------------------------------------------------------------------------------
 
-    def step(self, actions: Array | Landings | None, repeat: int = 1) -> Outcome:
-        """Step all under ``actions``, shape (N,), or under the scene's drive; nothing changes before :meth:`take`."""
-        count, halt, landings = self._count, Halt(), actions if isinstance(actions, Landings) else None
-        kind, steps, resting = (LANDINGS, landings.steps, landings.resting) if landings else (SHARES, repeat, 0)
-        summed = landings is not None or repeat > 1
+    def step(self, actions: Array | None) -> Outcome:
+        """Step all under ``actions``, shape (n, N), or under the scene's drive; nothing changes before :meth:`take`."""
+        count, halt, (steps, resting) = self._count, Halt(), self._repeat
+        terms, numbers = len(self._nouns.task.terms), len(self._nouns.observation.names)
         filled = Results(
-            np.empty((count, 10), dtype=np.float32), np.zeros((1, count)), np.zeros(count if summed else 0),
+            np.empty((count, numbers), dtype=np.float32), np.zeros((1, count)), np.zeros(count if steps > 1 else 0),
             np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_),
-            np.zeros((count if self._with_infos else 0, score.TERMS + len(self._task.terms))), *NOTHING[6:],
+            np.zeros((count if self._with_infos else 0, score.TERMS + terms)), *NOTHING[6:],
         )  # fmt: skip
-        scenes = self._scenes_of_steps(int(actions is not None), steps)
-        rules = Rules(self._dt, steps, self._limit, kind, False, resting, self._score_address, run.PATIENCE)
+        scenes, limits = self._scenes_of_steps(int(actions is not None), steps), self._limits
+        rules = Rules(
+            self._dt, steps, limits.steps, self._kind, False, resting, limits.decisions, *self._addresses, run.PATIENCE
+        )
         spare, calls = self._spare, self._calls
         before = self._blocks.copy() if steps > 1 else self._blocks  # several steps overwrite it
         spare = np.zeros_like(before) if spare is None else spare
         calls = self._new_calls() if calls is None else calls
         for call in calls:
-            call.prepare(scenes, rules, before, spare, _controls(actions), filled)
+            call.prepare(scenes, rules, before, spare, _NO_ACTIONS if actions is None else actions, filled)
         self._spare = self._calls = None
         loop = compiled(run.run)
 
@@ -269,24 +312,23 @@ class ExactBatch:
         failures = [(made, number, ended) for ended, number, made, *_ in parts if ended]
         if failures:
             made, number, ended = min(failures)
-            raise self._failure(ended, number, actions, made)
+            raise self._failure(ended, number, actions, made, filled.observations)
         after, finished = spare if steps & 1 else before, sum(finished for *_, finished, _ in parts)
-        return self._outcome(filled, finished, after, summed, actions)
+        return self._outcome(filled, finished, after, actions)
 
-    def _outcome(
-        self, filled: Results, finished: int, after: Array, summed: bool, actions: Array | Landings | None
-    ) -> Outcome:
-        """The outcome of a step, or of several whose rewards are ``summed``, which ends with the blocks ``after``."""
-        infos = self._infos(after, filled.reports) if self._with_infos else {}
-        rewards, made = filled.returns if summed else filled.rewards[0], None
-        if summed:
-            made = (_column(after, glide.STEPS, self._count) - self._column(glide.STEPS)).astype(np.int64)
+    def _outcome(self, filled: Results, finished: int, after: Array, actions: Array | None) -> Outcome:
+        """The outcome of a step under ``actions``, which ends with the blocks ``after``."""
+        made: Array | float = 1.0
+        if self._repeat.steps > 1:
+            made = _column(after, glide.STEPS, self._count) - self._column(glide.STEPS)
+        durations = np.full(self._count, made * self._dt)
+        infos = self._infos(after, filled.reports, made, durations) if self._with_infos else {"duration": durations}
+        rewards = filled.returns if self._repeat.steps > 1 else filled.rewards[0]
         return Outcome(
-            filled.observations, rewards, filled.terminations, filled.truncations, infos, finished, (after, actions),
-            made,
-        )  # fmt: skip
+            filled.observations, rewards, filled.terminations, filled.truncations, infos, finished, (after, actions)
+        )
 
-    def take(self, after: tuple[Array, Array | Landings | None]) -> None:
+    def take(self, after: tuple[Array, Array | None]) -> None:
         """Replace the present environments by those of an outcome."""
         blocks, actions = after
         if self._spare is blocks:
@@ -298,27 +340,32 @@ class ExactBatch:
         scenes = self._scenes
         if not scenes.cutting[torque]:
             return Scenes(scenes.values, scenes.lanes, scenes.kinds[torque], *NO_PIECES)
-        remaining = np.where(self.over, 0.0, np.minimum(steps, self._limit - self._column(glide.STEPS)))
+        remaining = np.where(self.over, 0.0, np.minimum(steps, self._limits.steps - self._column(glide.STEPS)))
         return scenes.of_steps(torque, self.times, remaining.astype(np.int64))
 
-    def _infos(self, after: Array, reports: Array) -> dict[str, NDArray[Any]]:
+    def _infos(self, after: Array, reports: Array, made: Array | float, durations: Array) -> dict[str, NDArray[Any]]:
         return {
             "state": _states(after, self._count),
             "time": _column(after, glide.TIME, self._count),
-            "torque": reports[:, score.REPORTED_TORQUE].copy(),
+            "torque": reports[:, score.REPORTED_TORQUE] / np.maximum(made, 1.0),
             "impacts": reports[:, score.REPORTED_HITS].astype(np.int64),
             "impulse": reports[:, score.REPORTED_IMPULSE].copy(),
-            **{f"reward_{name}": reports[:, score.TERMS + k].copy() for k, name in enumerate(self._task.terms)},
+            "duration": durations,
+            **{f"reward_{name}": reports[:, score.TERMS + k].copy() for k, name in enumerate(self._nouns.task.terms)},
         }
 
-    def _failure(self, ended: int, number: int, actions: Array | Landings | None, made: int) -> Exception:
-        if ended == Status.BAD_ACTION and isinstance(actions, np.ndarray):
-            return bad_action(float(actions[number]), number)
+    def _failure(self, ended: int, number: int, actions: Array | None, made: int, observations: Floats) -> Exception:
+        if ended == Status.BAD_ACTION and actions is not None:
+            return bad_action(float(actions[0, number]), number)
         if ended == Status.BAD_REWARD:
-            simulator = self._stepped_again(number, self._blocks, actions, made + 1)
-            return bad_reward(self._task, simulator, f"environment {number}")
+            simulator = next(islice(self._again(number, self._blocks, actions), made, None))
+            return bad_reward(self._nouns.task, simulator, f"environment {number}")
+        if ended == Status.BAD_OBSERVATION:
+            return self._bad_observation(observations, number)
         time = float(np.add.accumulate([self.times[number], *[self._dt] * made])[-1])
         try:  # the failed call raises again
+            if ended == Status.BAD_TORQUE:
+                next(islice(self._again(number, self._blocks, actions), made, None))
             if ended == Status.TOO_LATE:
                 end_of_step(time, self._dt)
             if ended == Status.NO_DRIVE:
@@ -337,13 +384,6 @@ class ExactBatch:
 
     def close(self) -> None:
         """Release nothing."""
-
-
-def _controls(actions: Array | Landings | None) -> Array:
-    """Actions as the loop reads them: none, shares (1, N), or angles and rates at landings, (2, N)."""
-    if isinstance(actions, Landings):
-        return np.ascontiguousarray(actions.targets.T)
-    return _NO_ACTIONS if actions is None else actions.reshape(1, -1)
 
 
 def _column(blocks: Array, row: int, count: int) -> Array:

@@ -37,9 +37,14 @@ def masked(infos: Infos, mask: Flags) -> Infos:
     return both
 
 
-def blank(terms: Sequence[str], count: int) -> Infos:
-    """Infos of ``count`` environments under the names of the single one, all 0; ``terms``: of the task's reward."""
-    names = ("time", "torque", "impacts", "impulse", *(f"reward_{term}" for term in terms))
+def blank(terms: Sequence[str] | None, count: int) -> Infos:
+    """Infos of ``count`` environments under the names of the single one, all 0.
+
+    ``terms``: of the task's reward; None: only durations.
+    """
+    if terms is None:
+        return {"duration": np.zeros(count)}
+    names = ("time", "torque", "impacts", "impulse", "duration", *(f"reward_{term}" for term in terms))
     numbers: Infos = {name: np.zeros(count) for name in names}
     return {"state": np.zeros((count, 12)), **numbers, "impacts": np.zeros(count, dtype=np.int64)}
 

@@ -52,7 +52,12 @@ def plan_of(
 
 
 def as_autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
-    """Return the enum, also from its name."""
+    """Return the enum, also from its name or its value.
+
+    Raises:
+        ValueError: it is neither.
+    """
     if isinstance(mode, AutoresetMode):
         return mode
-    return AutoresetMode[check.choice("autoreset_mode", mode, [one.name for one in AutoresetMode])]
+    words = {word: one for one in AutoresetMode for word in (one.name, one.value)}
+    return words[check.choice("autoreset_mode", mode, words)]

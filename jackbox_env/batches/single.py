@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 from gymnasium.utils.seeding import np_random
 from numpy.typing import NDArray
 
-from jackbox_env.batches.base import Change, Outcome, Starts, bad_action
+from jackbox_env.batches.base import Change, Limits, Outcome, Starts, bad_action
 from jackbox_env.batches.infos import blank
 from jackbox_env.env import JackInBoxEnv, go_back, moment, put
-from jackbox_env.landing import Landings, aiming, always, play
+from jackbox_env.observation import OBSERVATIONS
 from jackbox_env.randomization import Randomization
 from jackbox_env.scene import Scene
+from jackbox_env.scoring import make_functions
 from jackbox_env.simulators import Impact
 from jackbox_env.states import Array, Flags, Floats, Indices
-from jackbox_env.tasks import TaskError, draw_start, task_of
+from jackbox_env.tasks import TaskError, draw_start
 
 
 class SingleBatch:
@@ -34,7 +36,7 @@ class SingleBatch:
         self,
         scenes: Sequence[Scene],
         num_envs: int,
-        max_episode_steps: int,
+        limits: Limits,
         with_infos: bool,
         randomize: Randomization | None = None,
         **settings: Any,
@@ -42,10 +44,11 @@ class SingleBatch:
         """Make environments of one scene, or with a scene each, and other settings of the single one."""
         self._originals = list(scenes) if len(scenes) > 1 else list(scenes) * num_envs
         self._envs = [JackInBoxEnv(scene=scene, **settings) for scene in self._originals]
-        self._with_infos, self._randomize, self._limit = with_infos, randomize, max_episode_steps
-        self._task = task_of(settings["task"])
+        self._with_infos, self._randomize, self._limits = with_infos, randomize, limits
+        self._nouns = self._envs[0].nouns
         self._states = np.array([env.state for env in self._envs])
-        self._times, self._steps = np.zeros(num_envs), np.zeros(num_envs, dtype=np.int64)
+        self._times = np.zeros(num_envs)
+        self._counts = np.zeros((2, num_envs), dtype=np.int64)  # control steps and decisions of the episodes
         self._over = np.zeros(num_envs, dtype=np.bool_)
         self._generators, self._scenes = [np_random()[0] for _ in range(num_envs)], list(self._originals)
         self._before: list[tuple[Any, ...]] | None = None  # the moment before a step that is not taken
@@ -111,8 +114,24 @@ class SingleBatch:
                 scenes.append(self._originals[number].changed(**{**drawn, **(changes[index] if changes else {})}))
                 self._envs[number].simulator_of(scenes[-1])  # raises now if its contact model cannot simulate it
             if not placed:
-                states.append(draw_start(self._task, scenes[-1] if scenes else self._scenes[number], generators[-1]))
+                states.append(
+                    draw_start(self._nouns.task, scenes[-1] if scenes else self._scenes[number], generators[-1])
+                )
         return Starts(numbers, generators, scenes or None, None if placed else np.array(states))
+
+    def observed(self, starts: Starts, times: Array) -> Starts:
+        """The same starts, at times [s], shape (N,), if the functions of a user's observation work there.
+
+        Raises:
+            TypeError: they return a wrong type.
+            TaskError: a number of an observation is NaN.
+        """
+        if self._nouns.observation not in OBSERVATIONS.values() and starts.states is not None:
+            for number, state in zip(starts.numbers.tolist(), starts.states, strict=True):
+                with within(number):
+                    functions = make_functions(self.scene(number, starts), self._nouns, self._envs[0].contact)
+                    functions.observe(state, float(times[number]))
+        return starts
 
     def start(self, starts: Starts) -> None:
         """Begin episodes at time 0. If all begin, this also repairs what an interruption left half changed."""
@@ -123,7 +142,7 @@ class SingleBatch:
             if starts.scenes is not None:
                 self._scenes[number] = starts.scenes[index]
         self._states[numbers], self._times[numbers] = starts.states, 0.0
-        self._steps[numbers], self._over[numbers] = 0, False
+        self._counts[:, numbers], self._over[numbers] = 0, False
         self._put(numbers)
         for env in self._envs if self._envs[0].render_mode == "human" else ():
             env.render()
@@ -136,13 +155,14 @@ class SingleBatch:
         self._gather()
         self._states[chosen], self._times[chosen] = states[chosen], times[chosen]
         anew = chosen & self._over
-        self._steps[anew], self._over[anew] = 0, False
+        self._counts[:, anew], self._over[anew] = 0, False
         self._put(np.flatnonzero(chosen))
 
     def _put(self, numbers: Indices) -> None:
         """Set some environments to the batch's scenes, states and times."""
         for number in numbers.tolist():
-            put(self._envs[number], self._scenes[number], self._states[number], float(self._times[number]))
+            time, steps = float(self._times[number]), int(self._counts[0, number])
+            put(self._envs[number], self._scenes[number], self._states[number], time, steps)
 
     def _gather(self) -> None:
         """Undo a step that was not taken."""
@@ -152,59 +172,59 @@ class SingleBatch:
             self._before = None
 
     def observe(self, numbers: Indices, observations: Floats) -> None:
-        """Write the observations of some environments into their rows, shape (N, 10)."""
+        """Write the observations of some environments into their rows, shape (N, numbers).
+
+        Raises:
+            TaskError: a number of an observation is NaN.
+        """
         self._gather()
         for number in numbers.tolist():
-            observations[number] = self._envs[number].observation
+            with within(number):
+                observations[number] = self._envs[number].observation
 
     # -- stepping -----------------------------------------------------------------------------------------------------
 
-    def step(self, actions: Array | Landings | None, repeat: int = 1) -> Outcome:
-        """Step all under ``actions``, shape (N,), or under the scene's drive; nothing changes before :meth:`take`.
-
-        It makes ``repeat`` steps, fewer in an episode that ends before. Under :class:`Landings` each environment makes
-        the steps of its own decision.
+    def step(self, actions: Array | None) -> Outcome:
+        """Step all under ``actions``, shape (n, N), or under the scene's drive; nothing changes before :meth:`take`.
 
         Raises:
             ValueError, JackLostError, TaskError: as the single environment does.
         """
         count, going = len(self._envs), np.flatnonzero(~self.over).tolist()
-        landings = actions if isinstance(actions, Landings) else None
-        shares: list[float | None] = [None] * count
-        if isinstance(actions, np.ndarray):
-            shares = actions.tolist()
-            for number in going:
-                if not np.isfinite(actions[number]):
-                    raise bad_action(float(actions[number]), number)
-        observations, rewards = np.zeros((count, 10), dtype=np.float32), np.zeros(count)
-        infos = blank(self._task.terms, count) if self._with_infos else {}
+        shape = (count, len(self._nouns.observation.names))
+        observations, rewards = np.zeros(shape, dtype=np.float32), np.zeros(count)
+        infos = blank(self._nouns.task.terms if self._with_infos else None, count)
+        chosen = [None] * count if actions is None else self._as_singles(actions, going)
         self._gather()
         self._before = [moment(env) for env in self._envs]
-        states, times, steps = self.states, self.times, self._steps.copy()
-        terminations = np.zeros(count, dtype=np.bool_)
+        states, times, counts = self.states, self.times, self._counts.copy()
+        terminations, truncations = np.zeros((2, count), dtype=np.bool_)
         for number in going:
-            env, share = self._envs[number], shares[number]
-            choose, most, resting = always(share), repeat, 0
-            if landings is not None:
-                choose, most, resting = aiming(env, landings.targets[number]), landings.steps, landings.resting
-            try:
-                played = play(env.step, choose, min(most, self._limit - int(steps[number])), resting)
-            except TaskError as error:
-                raise TaskError(f"{error}, in environment {number}") from error
-            observations[number], rewards[number], terminations[number], _, info, made = played
+            env = self._envs[number]
+            with within(number):
+                observations[number], rewards[number], terminations[number], _, info = env.step(chosen[number])
             states[number], times[number] = info["state"], info["time"]
             for name, values in infos.items():
                 values[number] = info[name]
-            steps[number] += made
-        truncations = (steps >= self._limit) & ~self._over
+            counts[:, number] = env.elapsed_steps, counts[1, number] + 1
+            steps, decisions = self._limits
+            truncations[number] = counts[0, number] >= steps or counts[1, number] >= decisions
         ended = terminations | truncations
-        after = states, times, steps, self._over | ended
-        lengths = None if landings is None and repeat == 1 else steps - self._steps
-        return Outcome(observations, rewards, terminations, truncations, infos, int(ended.sum()), after, lengths)
+        after = states, times, counts, self._over | ended
+        return Outcome(observations, rewards, terminations, truncations, infos, int(ended.sum()), after)
+
+    def _as_singles(self, actions: Array, going: list[int]) -> list[Any]:
+        """The action of each environment, as it is passed to the single one."""
+        for number in going:
+            if not np.isfinite(actions[:, number]).all():
+                raise bad_action(float(actions[0, number]), number)
+        if self._nouns.action.size:
+            return list(np.ascontiguousarray(actions.T))
+        return [int(choice) for choice in actions[0].tolist()]
 
     def take(self, after: tuple[Array, Array, NDArray[np.int64], Flags]) -> None:
         """Replace the present environments by those of an outcome."""
-        self._states, self._times, self._steps, self._over = after
+        self._states, self._times, self._counts, self._over = after
         self._before = None
 
     def render(self) -> tuple[Any, ...]:
@@ -216,3 +236,12 @@ class SingleBatch:
         """Release the renderers' resources."""
         for env in self._envs:
             env.close()
+
+
+@contextmanager
+def within(number: int) -> Iterator[None]:
+    """Name an environment in the errors of a user's functions."""
+    try:
+        yield
+    except TaskError as error:
+        raise TaskError(f"{error}, in environment {number}") from error

@@ -4,9 +4,9 @@ The functions stay plain Python where they are written: readable, importable and
 Compiled functions of this package are stored on disk for later processes (``code_cache.py``). Those compiled for a
 user's task, or with a substitute for a comparison, live as long as their process needs them.
 
-The loop of ``run.py`` calls a task's compiled functions by their address, so it is compiled once for all tasks. Numba
-can pass a compiled function to another one, but looks up its address in Python at each call, which takes longer than a
-step of a small batch. Here the address is looked up once and passed as a number.
+The loop of ``run.py`` calls compiled functions of tasks, observations and actions by their address, so it is compiled
+once for all of them. Numba can pass a compiled function to another one, but looks up its address in Python at each
+call, which takes longer than a step of a small batch. Here the address is looked up once and passed as a number.
 """
 
 from __future__ import annotations
@@ -86,16 +86,15 @@ def intermediate_code(
     return result.library.linked_module(), result.fndesc.llvm_func_name
 
 
-def returned_by(function: Callable[..., Any]) -> Any:
-    """Numba's type of the value of a user's task function.
+def returned_by(function: Callable[..., Any], further: tuple[Any, ...]) -> Any:
+    """Numba's type of the value of a user's function of scene, state and ``further`` arguments like these.
 
     Raises:
         Exception: numba cannot compile it.
     """
-    from numba import typeof, types
+    from numba import typeof
 
-    number, scene = types.float64, typeof(Scene().numbers)  # type: ignore[no-untyped-call]
-    arguments = scene, types.NamedUniTuple(number, 12, State), number, number  # type: ignore[no-untyped-call]
+    arguments = tuple(map(typeof, (Scene().numbers, State(*[0.0] * 12), *further)))
     inspect.signature(function).bind(*arguments)  # its error is shorter than numba's
     dispatcher = _Compilation((), users=True).compiled(function, inner=True)
     dispatcher.get_call_template(arguments, {})
@@ -280,12 +279,27 @@ def cache_folders() -> list[Path]:
     return folders or [folder]
 
 
-def block_score(address: Any) -> Callable[..., int]:
-    """The function at an address, with the arguments of ``score.score_block``; uncompiled, the function itself."""
-    return cast(Callable[..., int], address)
+def called_at(signature: str) -> Callable[[Any], Callable[..., int]]:
+    """A function that returns the function at an address of :func:`address_of`, of this numba signature.
+
+    Uncompiled, the address is the function itself.
+    """
+
+    def function_at(address: Any) -> Callable[..., int]:
+        return cast(Callable[..., int], address)
+
+    _SIGNATURES[function_at] = signature
+    return function_at
 
 
-_SCORE = "i8(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1], i8, i8, f8[::1], b1[::1], f8[:, ::1])"  # of score_block
+_SIGNATURES: dict[Callable[..., Any], str] = {}
+
+
+def fixed_tuple(array: Any, length: int) -> tuple[Any, ...]:
+    """The first ``length`` numbers of an array as a tuple; ``length`` is a constant of the compiled function."""
+    return tuple(array[:length].tolist())
+
+
 PACKED = 512  # float64 numbers, enough memory for the arguments of ``run.run``
 
 
@@ -311,8 +325,8 @@ _EXAMPLES: dict[Callable[..., Any], Callable[[], Any]] = {}
 
 
 def _intrinsic(function: Any) -> Any:
-    """The compiled counterpart of :func:`block_score`, :func:`packed` or a function of :func:`unpacked_as`, or None."""
-    known = function in (block_score, packed) or function in _EXAMPLES
+    """The compiled counterpart of a function that only compiled code can have, or None."""
+    known = function in (fixed_tuple, packed) or function in _EXAMPLES or function in _SIGNATURES
     return _make_intrinsic(function) if known else None
 
 
@@ -324,9 +338,12 @@ def _make_intrinsic(function: Any) -> Any:
     from numba.core.errors import TypingError
     from numba.core.typing.templates import Signature
     from numba.extending import intrinsic
+    from numba.np.unsafe.ndarray import to_fixed_tuple
 
     if config.DISABLE_JIT:  # type: ignore[attr-defined]
         return function
+    if function is fixed_tuple:
+        return to_fixed_tuple
 
     @intrinsic
     def store(typing: Any, memory: Any, value: Any) -> Any:
@@ -344,8 +361,9 @@ def _make_intrinsic(function: Any) -> Any:
 
     if function is packed:
         return store
-    if function is block_score:
-        arguments, result = sigutils.normalize_signature(_SCORE)  # type: ignore[no-untyped-call]
+    signature = _SIGNATURES.get(function)
+    if signature:
+        arguments, result = sigutils.normalize_signature(signature)  # type: ignore[no-untyped-call]
         kind: Any = types.FunctionType(result(*arguments))
     else:
         kind = typeof(_EXAMPLES[function]())  # type: ignore[no-untyped-call]
@@ -353,7 +371,7 @@ def _make_intrinsic(function: Any) -> Any:
     @intrinsic
     def load(typing: Any, address: Any) -> Any:
         def generate(context: Any, builder: Any, _: Any, values: Any) -> Any:
-            if function is not block_score:
+            if not signature:
                 return builder.load(builder.inttoptr(values[0], context.get_value_type(kind).as_pointer()))
             called = cgutils.create_struct_proxy(kind)(context, builder)  # type: ignore[no-untyped-call]
             # Numba's own way to call, in which errors come back. Its other two addresses stay 0.
@@ -365,8 +383,8 @@ def _make_intrinsic(function: Any) -> Any:
     return load
 
 
-def address_of(dispatcher: Any) -> int:
-    """The address of a task's compiled ``score_block``, valid as long as the dispatcher lives; 0 for None.
+def address_of(dispatcher: Any, function_at: Callable[[Any], Any]) -> int:
+    """The address of a compiled function for ``function_at``, valid as long as the dispatcher lives; 0 for None.
 
     Uncompiled, the function itself. The dispatcher stores the result, because numba looks it up under a lock: a forked
     child would wait for ever if another thread had the lock at the fork.
@@ -374,7 +392,7 @@ def address_of(dispatcher: Any) -> int:
     if dispatcher is None or isinstance(dispatcher, FunctionType):
         return cast(int, dispatcher or 0)
     if not hasattr(dispatcher, "address"):
-        dispatcher.compile(_SCORE)
+        dispatcher.compile(_SIGNATURES[function_at])
         (made,) = dispatcher.overloads.values()
         dispatcher.address = made.library.get_pointer_to_function(made.fndesc.llvm_func_name)
     return cast(int, dispatcher.address)

@@ -55,6 +55,7 @@ from jackbox_env.states import (
 
 WIDTH = 16
 TIME, STEPS, OVER = 12, 13, 14  # [s], steps in the episode, 1 if it has ended
+DECISIONS = 15  # in the episode, counted if each has several steps
 WIDEST = 128  # environments in a block
 # Rows of a block's scenes, with one number for each environment.
 LIMIT = 0  # of the torque [N m]

@@ -1,4 +1,4 @@
-"""Between the steps of a batch: draws scenes and starts, observes states; and checks the starts of rollouts.
+"""Between the steps of a batch: draws scenes and starts; and checks the starts of rollouts.
 
 :mod:`jackbox_env.batches.exact` calls it when episodes begin. Scenes come in rows of numbers, one for all environments
 or one for each. The random numbers are numpy's PCG64, bit for bit, in 32 bytes per environment: O'Neill 2014, "PCG: A
@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.exact.glide import CLEAR, FALL, INERTIA, LIMIT, ORDINARY, ROOM, ordinary
-from jackbox_env.exact.score import observe
 from jackbox_env.exact.step import CONSTANT, make_numbers, make_plan
 from jackbox_env.scene import SceneNumbers, between, fall_speed, square_inertia
-from jackbox_env.states import THETA_JACK, X_JACK, Y_JACK, Array, Counts, Floats, clearance
+from jackbox_env.states import THETA_JACK, X_JACK, Y_JACK, Array, Counts, clearance
 from jackbox_env.tasks import start_pose
 
 (HALF_WIDTH, BOX_MASS, BOX_INERTIA, ARM, JACK_MASS, JACK_INERTIA, SPEED_SCALE) = (
@@ -84,14 +83,6 @@ def restart_blocks(values: Array, blocks: Array, numbers: Counts, words: Words) 
         y = -1.0 + 2.0 * uniform(words[k])
         angle = -1.0 + 2.0 * uniform(words[k])
         row[X_JACK], row[Y_JACK], row[THETA_JACK] = start_pose(scene, x, y, angle)
-
-
-def observe_blocks(values: Array, blocks: Array, numbers: Counts, observations: Floats) -> None:
-    """Write the observations of some environments, with a row of ``values`` for each of ``numbers`` or one for all."""
-    width = blocks.shape[2]
-    for k in range(numbers.shape[0]):
-        scene = make_numbers(values[k if values.shape[0] > 1 else 0])
-        observe(scene, blocks[numbers[k] // width, :, numbers[k] % width], observations[numbers[k]])
 
 
 def outside(values: Array, states: Array, deepest: Array) -> int:

@@ -13,16 +13,17 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from jackbox_env.exact.compiler import block_score
-from jackbox_env.exact.glide import LIMIT, OVER, STEPS, TIME, WIDTH, Block, glide_block, glide_under_chirp
-from jackbox_env.exact.score import observe_block, state_in
+from jackbox_env.exact.act import block_actor
+from jackbox_env.exact.glide import DECISIONS, LIMIT, OVER, STEPS, TIME, WIDTH, Block, glide_block, glide_under_chirp
+from jackbox_env.exact.observe import block_observer
+from jackbox_env.exact.score import block_scorer
 from jackbox_env.exact.step import CHIRP, CONSTANT, Pieces, Plan, effort, make_numbers, make_plan, step
 from jackbox_env.exact.workspace import (
+    ACTIONS,
     APPLIED,
     FREED,
     HIT,
     IMPULSE_SUM,
-    LANDINGS,
     NEAR,
     SHARES,
     TORQUE,
@@ -35,7 +36,7 @@ from jackbox_env.exact.workspace import (
     Workspace,
     arguments_at,
 )
-from jackbox_env.landing import aim, is_over
+from jackbox_env.landing import is_over
 from jackbox_env.mechanics import energy_of
 from jackbox_env.scene import SceneNumbers
 from jackbox_env.states import LATEST_TIME, Array, Flags
@@ -60,7 +61,7 @@ def run(address: Any, low: int, high: int, first: int) -> tuple[int, int, int, i
     """
     call = arguments_at(address)
     scenes, rules, results, lanes = call.scenes, call.rules, call.results, call.memory.lanes
-    memory, score = call.memory.workspaces[0], block_score(rules.score)
+    memory, score = call.memory.workspaces[0], block_scorer(rules.score)
     scene = make_numbers(scenes.values[0])
     plan = make_plan(scene, rules.dt, scenes.kinds[0])
     width, count = call.before.shape[2], results.terminations.shape[0]
@@ -74,12 +75,13 @@ def run(address: Any, low: int, high: int, first: int) -> tuple[int, int, int, i
                 scenes.lanes[number if scenes.lanes.shape[0] > 1 else 0], number * width,
                 min(width, count - number * width),
             )  # fmt: skip
-            if k > 0 and rules.until_impact > 0 and skip_rest(call, block, k):
+            if k > 0 and rules.resting > 0 and skip_rest(call, block, k):
                 break
             # Move: rows in free flight together, then the others one by one.
             bad = set_torques(address, block, k)
             if bad >= 0:
-                return Status.BAD_ACTION.value, block.first + bad, k, finished, recorded
+                ended = Status.BAD_TORQUE if rules.kind == ACTIONS else Status.BAD_ACTION
+                return ended.value, block.first + bad, k, finished, recorded
             glided = glide(scene, plan, scenes, block, memory)
             ended, lane, evaluations, recorded = step_lanes(scene, plan, address, block, k, glided, recorded)
             if ended != Status.DONE:
@@ -94,34 +96,39 @@ def run(address: Any, low: int, high: int, first: int) -> tuple[int, int, int, i
             if results.rewards.shape[0]:
                 rewards = results.rewards[min(k, results.rewards.shape[0] - 1)]
                 ends = score(
-                    scenes.values, block.after, lanes, unscored, skipped, block.first, rewards, results.terminations,
+                    scenes.values, block.after, lanes, unscored, skipped, block.first, k, rewards, results.terminations,
                     results.reports,
                 )  # fmt: skip
                 if ends < 0:
                     bad = first_unusable(block, rewards)
                     return Status.BAD_REWARD.value, block.first + bad, k, finished, recorded
                 for lane in range(block.size if results.returns.shape[0] else 0):
-                    results.returns[block.first + lane] += rewards[block.first + lane]
+                    row = block.first + lane
+                    results.returns[row] = rewards[row] + (results.returns[row] if k else -0.0)  # -0.0 stays -0.0
             # End episodes, and record.
             finished += close_block(rules, block, results, waiting > 0, ends != 0, k + 1)
             record(address, scene, block, k)
-        finish_block(call, number)
+        finished += count_decisions(call, number)
+        bad = finish_block(call, number)
+        if bad >= 0:
+            return Status.BAD_OBSERVATION.value, number * width + bad, rules.steps, finished, recorded
     return Status.DONE.value, -1, rules.steps, finished, recorded
 
 
 def set_torques(address: Any, block: Block, k: int) -> int:
-    """Fill in the torques of a step, 0 under a drive; return the index of a control that is NaN or infinite, or -1.
+    """Fill in the torques of a step, 0 under a drive; return the lane of a control that is unusable, or -1.
 
-    Controls of episodes that are over are not checked.
+    That is one that is NaN or infinite, or an action whose torque is NaN. Those of episodes that are over are not
+    checked.
     """
     call = arguments_at(address)
     torque, limit, controls = block.lanes[APPLIED], block.scenes[LIMIT], call.controls
     if not controls.shape[0]:
         torque[:] = 0.0
         return -1
-    if call.rules.kind == LANDINGS:
-        aim_block(call, block)
-        return -1
+    if call.rules.kind == ACTIONS:
+        act = block_actor(call.rules.act)
+        return act(call.scenes.values, block.before, block.lanes, controls, block.first, block.size, call.rules.dt)
     step_controls = controls[k // (call.rules.steps // controls.shape[0])]
     unusable = 0
     for lane in range(block.size):
@@ -129,17 +136,6 @@ def set_torques(address: Any, block: Block, k: int) -> int:
         torque[lane] = max(-1.0, min(1.0, control)) * limit[lane] if call.rules.kind == SHARES else control
         unusable += 0 if abs(control) < math.inf else 1
     return first_unusable(block, step_controls) if unusable else -1
-
-
-def aim_block(call: Arguments, block: Block) -> None:
-    """Fill in the torques that aim at the targets of landings."""
-    values, angles, rates = call.scenes.values, call.controls[0], call.controls[1]
-    for lane in range(block.size):
-        if block.before[OVER, lane] == 0.0:
-            row = block.first + lane
-            scene = make_numbers(values[row if values.shape[0] > 1 else 0])
-            share = aim(scene, state_in(block.before[:, lane]), angles[row], rates[row], call.rules.dt)
-            block.lanes[APPLIED, lane] = share * scene.torque_limit
 
 
 def first_unusable(block: Block, numbers: Array) -> int:
@@ -229,16 +225,36 @@ def skip_rest(call: Arguments, block: Block, k: int) -> bool:
     return True
 
 
-def finish_block(call: Arguments, number: int) -> None:
-    """After the last step: let rows go on that an impact has stopped, and observe."""
+def count_decisions(call: Arguments, number: int) -> int:
+    """Count a decision of each row that stepped; truncate episodes with enough of them, and return their number."""
+    rules, results, width = call.rules, call.results, call.before.shape[2]
+    if rules.decisions == math.inf:
+        return 0
+    rows, first, ended = (call.after if rules.steps & 1 else call.before)[number], number * width, 0
+    for lane in range(min(width, results.terminations.shape[0] - first)):
+        over = rows[OVER, lane] == 1.0
+        if over and not (results.terminations[first + lane] or results.truncations[first + lane]):
+            continue  # it waited
+        rows[DECISIONS, lane] += 1.0
+        if rows[DECISIONS, lane] >= rules.decisions:
+            results.truncations[first + lane] = True
+            rows[OVER, lane] = 1.0
+            ended += 0 if over else 1
+    return ended
+
+
+def finish_block(call: Arguments, number: int) -> int:
+    """After the last step: let rows go on that an impact has stopped, and observe; return a lane with a NaN, or -1."""
     width = call.before.shape[2]
     rows, first = (call.after if call.rules.steps & 1 else call.before)[number], number * width
     size = min(width, call.results.terminations.shape[0] - first)
-    for lane in range(size if call.rules.until_impact > 0 else 0):
+    for lane in range(size if call.rules.resting > 0 else 0):
         if rows[OVER, lane] == STOPPED:
             rows[OVER, lane] = 0.0
-    if call.results.observations.shape[0]:
-        observe_block(call.scenes.values, rows, size, call.memory.lanes, first, call.results.observations)
+    if not call.results.observations.shape[0]:
+        return -1
+    observe = block_observer(call.rules.observe)
+    return observe(call.scenes.values, rows, size, call.memory.lanes, first, call.results.observations)
 
 
 def keep_waiting(block: Block) -> int:
@@ -277,6 +293,8 @@ def close_block(rules: Rules, block: Block, results: Results, waiting: bool, end
         new_time[k] = time[k] + rules.dt
     for k in range(count):
         new_steps[k] = steps[k] + 1.0
+    for k in range(count if rules.decisions < math.inf else 0):
+        after[DECISIONS, k] = before[DECISIONS, k]
     for k in range(count):
         new_over[k] = 1.0 if new_steps[k] >= rules.longest else 0.0
     for k in range(count):
@@ -285,7 +303,7 @@ def close_block(rules: Rules, block: Block, results: Results, waiting: bool, end
         new_over[k] = 1.0 if terminations[first + k] else new_over[k]
     for k in range(count):
         ended += 1 if new_over[k] != 0.0 else 0
-    if rules.until_impact > 0:
+    if rules.resting > 0:
         stop_rows(rules, block, made)
     if waiting:
         for k in range(count):
@@ -300,7 +318,7 @@ def stop_rows(rules: Rules, block: Block, made: int) -> None:
     freed, hits, over = block.lanes[FREED], block.lanes[HIT], block.after[OVER]
     for k in range(block.size):
         freed[k] = 1.0 if hits[k] == 0.0 or (made > 1 and freed[k] != 0.0) else 0.0
-        if over[k] == 0.0 and is_over(made, freed[k] != 0.0, hits[k] > 0.0, rules.until_impact):
+        if over[k] == 0.0 and is_over(made, freed[k] != 0.0, hits[k] > 0.0, rules.resting):
             over[k] = STOPPED
 
 

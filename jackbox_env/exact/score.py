@@ -1,74 +1,28 @@
-"""Observations and rewards in compiled code, of one state or of a block of rows.
+"""Rewards in compiled code, of one state or of a block of rows.
 
-Single environments call :func:`score_one`; ``run.py`` calls :func:`score_block` after each step of a block, and
-:func:`observe_block` after the last. ``score_one`` and ``score_block`` are compiled for each task, with its functions
-in place of :func:`task_terms` and :func:`task_over`. ``run`` is compiled once and calls ``score_block`` by its address,
-see :mod:`jackbox_env.exact.compiler`.
+Single environments call :func:`judge`; ``run.py`` calls :func:`score_block` after each step of a block. ``score_one``
+and ``score_block`` are compiled for each task, with its functions in place of :func:`task_terms` and :func:`task_over`.
+``judge`` and ``run`` are compiled once and call them by their address, see :mod:`jackbox_env.exact.compiler`.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
+from jackbox_env.exact.compiler import called_at
+from jackbox_env.exact.observe import state_in
 from jackbox_env.exact.step import make_numbers
-from jackbox_env.exact.trigonometry import LARGEST, cos_sin, cos_sin_within
 from jackbox_env.exact.workspace import HIT, IMPULSE_SUM, TORQUE
-from jackbox_env.observation import components
 from jackbox_env.scene import SceneNumbers, total
-from jackbox_env.states import THETA_BOX, THETA_JACK, Array, Flags, Floats, State
+from jackbox_env.states import Array, Flags, Floats, State
 
-# Columns of a report: the numbers of a step's info except state and time.
+block_scorer = called_at("i8(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1], i8, i8, i8, f8[::1], b1[::1], f8[:, ::1])")
+row_scorer = called_at("b1(f8[::1], f8[::1], f8, f8, f8[::1])")
+row_observer = called_at("b1(f8[::1], f8[::1], f8, f4[::1])")
+
+# Columns of a report: torque and reward's terms, impacts and their impulse, summed over the steps of a decision.
 REPORTED_TORQUE, REPORTED_HITS, REPORTED_IMPULSE, TERMS = range(4)
-
-
-def observe(scene: SceneNumbers, state: Array, observation: Floats) -> None:
-    """Write the observation of a state, shape (10,)."""
-    named = state_in(state)
-    cosine, sine = cos_sin(named.theta_box)
-    cosine_4, sine_4 = cos_sin(4.0 * (named.theta_jack - named.theta_box))
-    write(scene, state, cosine, sine, cosine_4, sine_4, observation)
-
-
-def observe_block(values: Array, block: Array, count: int, lanes: Array, low: int, observations: Floats) -> None:
-    """Write the observations of a block's first ``count`` rows: the same as :func:`observe`, many at a time.
-
-    ``values`` are the scenes' numbers, one row for all environments or one for each.
-    """
-    angle, jack_angle = block[THETA_BOX], block[THETA_JACK]
-    cosine, sine, cosine_4, sine_4 = lanes[0], lanes[1], lanes[2], lanes[3]
-    beyond = 0
-    for k in range(count):
-        cosine[k] = angle[k]
-    for k in range(count):
-        cosine_4[k] = 4.0 * (jack_angle[k] - angle[k])
-    for k in range(count):
-        beyond += 0 if max(abs(cosine[k]), abs(cosine_4[k])) < LARGEST else 1
-    if not beyond:
-        for k in range(count):
-            cosine[k], sine[k] = cos_sin_within(cosine[k])
-        for k in range(count):
-            cosine_4[k], sine_4[k] = cos_sin_within(cosine_4[k])
-    else:
-        for k in range(count):
-            cosine[k], sine[k] = cos_sin(cosine[k])
-            cosine_4[k], sine_4[k] = cos_sin(cosine_4[k])
-    if values.shape[0] == 1:
-        scene = make_numbers(values[0])
-        for k in range(count):
-            write(scene, block[:, k], cosine[k], sine[k], cosine_4[k], sine_4[k], observations[low + k])
-    else:
-        for k in range(count):
-            row_scene = make_numbers(values[low + k])
-            write(row_scene, block[:, k], cosine[k], sine[k], cosine_4[k], sine_4[k], observations[low + k])
-
-
-def write(
-    scene: SceneNumbers, state: Array, cosine: float, sine: float, cosine_4: float, sine_4: float, observation: Floats
-) -> None:
-    """Write the ten numbers."""
-    a, b, c, d, e, f, g, h, i, j = components(scene, state, cosine, sine, cosine_4, sine_4)
-    observation[0], observation[1], observation[2], observation[3], observation[4] = a, b, c, d, e
-    observation[5], observation[6], observation[7], observation[8], observation[9] = f, g, h, i, j
 
 
 def task_terms(scene: SceneNumbers, state: State, torque: float, impulse: float) -> tuple[float, ...]:
@@ -91,23 +45,38 @@ def task_over(scene: SceneNumbers, state: State, torque: float, impulse: float) 
     return False
 
 
-def state_in(row: Array) -> State:
-    """The state in the first 12 numbers of a row."""
-    return State(row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9], row[10], row[11])
-
-
-def score_one(values: Array, state: Array, torque: float, impulse: float, observation: Floats, terms: Array) -> bool:
-    """Observe one state; fill in the values of its reward's terms. Return whether the episode is over."""
-    scene = make_numbers(values)
-    observe(scene, state, observation)
-    earned = task_terms(scene, state_in(state), torque, impulse)
+def score_one(values: Array, state: Array, torque: float, impulse: float, terms: Array) -> bool:
+    """Fill in the values of the reward's terms after a step to a state. Return whether the episode is over."""
+    scene, named = make_numbers(values), state_in(state)
+    earned = task_terms(scene, named, torque, impulse)
     for term in range(len(earned)):
         terms[term] = earned[term]
-    return task_over(scene, state_in(state), torque, impulse)
+    return task_over(scene, named, torque, impulse)
+
+
+def judge(
+    values: Array, state: Array, time: float, torque: float, impulse: float, observation: Floats, terms: Array,
+    observer: Any, scorer: Any,
+) -> int:  # fmt: skip
+    """Observe and score one state, in one call from Python.
+
+    Args:
+        observation: to be written; of length 0: not wanted.
+        terms: to be written.
+        observer: address of ``observe_one``.
+        scorer: address of :func:`score_one`.
+
+    Returns:
+        1 if the episode is over, 0 if not, -1 if an observation is NaN.
+    """
+    over = row_scorer(scorer)(values, state, torque, impulse, terms)
+    if observation.shape[0] and not row_observer(observer)(values, state, time, observation):
+        return -1
+    return 1 if over else 0
 
 
 def score_block(
-    values: Array, after: Array, lanes: Array, over: Array, waiting: int, first: int, rewards: Array,
+    values: Array, after: Array, lanes: Array, over: Array, waiting: int, first: int, made: int, rewards: Array,
     terminations: Flags, reports: Array,
 ) -> int:  # fmt: skip
     """Reward a step of a block, and report it if wanted. The task is not evaluated for episodes that are over.
@@ -121,6 +90,7 @@ def score_block(
         over: not 0 where an episode was over before the step, shape (width,).
         waiting: number of those.
         first: number of the block's first environment.
+        made: steps of the call before this one, whose reports are added to.
         rewards: of all environments, shape (N,).
         terminations: set where the task ends an episode, shape (N,).
         reports: of all environments, shape (N, TERMS + number of terms), or (0, ...) if not wanted.
@@ -149,9 +119,13 @@ def score_block(
     for k in range(count if reports.shape[0] else 0):
         if over[k] == 0.0:
             report = reports[first + k]
-            report[REPORTED_TORQUE], report[REPORTED_HITS], report[REPORTED_IMPULSE] = torque[k], hits[k], impulses[k]
             row_scene = make_numbers(values[first + k if several else 0])
             earned = task_terms(row_scene, state_in(after[:, k]), torque[k], impulses[k])
+            if made == 0:  # -0.0 stays -0.0
+                report[:] = -0.0
+            report[REPORTED_TORQUE] += torque[k]
+            report[REPORTED_HITS] += hits[k]
+            report[REPORTED_IMPULSE] += impulses[k]
             for term in range(len(earned)):
-                report[TERMS + term] = earned[term]
+                report[TERMS + term] += earned[term]
     return -1 if unusable else ends

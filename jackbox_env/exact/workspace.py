@@ -120,6 +120,8 @@ class Status(IntEnum):
     FULL = 8  # no room for a step's impacts: call again with more
     FREE = 9  # of a piece: no foot touches a wall, and the state is unchanged
     NO_DRIVE = 10  # a function of the drive fails over the step
+    BAD_TORQUE = 11  # of an action: NaN
+    BAD_OBSERVATION = 12  # NaN
 
 
 class Scenes(NamedTuple):
@@ -133,9 +135,9 @@ class Scenes(NamedTuple):
     ends: Counts  # past the last piece of each step, after a leading 0 or the end of the step before; none: a failure
 
 
-# Kinds of controls: torques [N m]; shares of the torque limit, clipped to [-1, 1]; angles [rad] and rates [rad/s] that
-# boxes aim at for the landings of their jacks.
-TORQUES, SHARES, LANDINGS = range(3)
+# Kinds of controls: torques [N m]; shares of the torque limit, clipped to [-1, 1]; actions, whose torques ``act_block``
+# computes.
+TORQUES, SHARES, ACTIONS = range(3)
 
 
 class Rules(NamedTuple):
@@ -144,22 +146,25 @@ class Rules(NamedTuple):
     dt: float  # control step [s]
     steps: int
     longest: float  # steps after which an episode is truncated
-    kind: int  # of the controls: TORQUES, SHARES or LANDINGS
+    kind: int  # of the controls: TORQUES, SHARES or ACTIONS
     goes_on: bool  # whether rows go on after their episode's end, without rewards
-    until_impact: int  # 0: impacts stop no row; else one does after a step without, or once so many steps are made
+    resting: int  # 0: impacts stop no row; else one does after a step without, or once so many steps are made
+    decisions: float  # calls after which an episode is truncated; counted if it is finite
     score: Any  # address of the task's ``score_block``; unused without rewards
+    observe: Any  # address of the observation's ``observe_rows``; unused without observations
+    act: Any  # address of the action's ``act_block``; unused but with ACTIONS
     patience: float  # gap evaluations before the call pauses
 
 
 class Results(NamedTuple):
     """Arrays that a call fills in, except those of length 0."""
 
-    observations: Floats  # after the last step, (N, 10)
+    observations: Floats  # after the last step, (N, numbers)
     rewards: Array  # (steps, N), zeros before; (1, N): of the last step alone
     returns: Array  # sums of the rewards, (N,), zeros before
     terminations: Flags  # (N,), False before; whether the task has ended the episode
     truncations: Flags  # (N,), False before
-    reports: Array  # of the last step, (N, TERMS + number of terms), zeros before
+    reports: Array  # sums over the steps, (N, TERMS + number of terms), zeros before
     lengths: Counts  # steps until the task ends the episode, (N,), all steps before
     trajectories: Array  # (N, steps + 1, 12), without the first states
     energies: Array  # of the states [J], (N, steps + 1)
@@ -194,7 +199,7 @@ class Arguments(NamedTuple):
     rules: Rules
     before: Array  # (blocks, 16, width): the rows; overwritten if there are several steps
     after: Array  # (blocks, 16, width): the rows after an odd number of steps; else they are in ``before``
-    controls: Array  # (steps / repeat, N), each repeated for as many steps; (0, 0): the drives act. LANDINGS: (2, N)
+    controls: Array  # (steps / repeat, N), each repeated for as many steps; ACTIONS: (n, N). (0, 0): the drives act
     results: Results
     memory: Memory
 
@@ -210,7 +215,7 @@ NOTHING = Results(
 def example() -> Arguments:
     """Empty arguments of the types that :func:`jackbox_env.exact.run.run` is compiled for."""
     none, cube, counts = np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(0, np.int64)
-    rules = Rules(0.02, 1, math.inf, TORQUES, False, 0, 0, 2e6)
+    rules = Rules(0.02, 1, math.inf, TORQUES, False, 0, math.inf, 0, 0, 0, 2e6)
     memory = Memory(none, new_workspaces(), none)
     return Arguments(Scenes(none, cube, counts, none, counts, counts), rules, cube, cube, none, NOTHING, memory)
 
@@ -251,7 +256,10 @@ def pack(
         memory,
         Arguments(
             Scenes(scenes[0], scenes[1], scenes[2], scenes[3], scenes[4], scenes[5]),
-            Rules(rules[0], rules[1], rules[2], rules[3], rules[4], rules[5], rules[6], rules[7]),
+            Rules(
+                rules[0], rules[1], rules[2], rules[3], rules[4], rules[5], rules[6], rules[7], rules[8], rules[9],
+                rules[10],
+            ),
             before, after, controls,
             Results(
                 results[0], results[1], results[2], results[3], results[4], results[5], results[6], results[7],

@@ -49,7 +49,6 @@ class Decision(NamedTuple):
 
     plans: Array  # (n, knots) torques in units of the limit
     returns: Array  # (n,) their sums of rewards
-    scripted: Array  # (n, k) sums of rewards of the scripted candidates
 
 
 class Search:
@@ -90,36 +89,28 @@ class Search:
         elites = np.zeros((count, self.reused, self.knots))
         return Plans(np.zeros((count, self.knots)), elites, np.zeros(count, dtype=np.int64))
 
-    def decide(
-        self, scene: Scene | list[Scene], states: Array, plans: Plans, scripted: Array | None = None
-    ) -> tuple[Decision, Plans]:
+    def decide(self, scene: Scene | list[Scene], states: Array, plans: Plans) -> tuple[Decision, Plans]:
         """Improve plans from states, shape (n, 12); return the best plans, and the plans one knot later.
 
         Args:
             scene: of all, or a list of n.
             states: shape (n, 12).
             plans: the last ones, of n jacks.
-            scripted: further candidates of the first iteration, shape (n, k, knots).
         """
-        count, fixed = len(states), 1 + self.reused + (0 if scripted is None else scripted.shape[1])
+        count = len(states)
         means, elites, spreads = plans.means, plans.elites, np.full((count, self.knots), _SPREAD)
-        returns_scripted = np.zeros((count, 0))
         for iteration in range(self.iterations):
             candidates = means[:, None] + self._noise(plans.decisions, iteration) * spreads[:, None]
             candidates[:, 0], candidates[:, 1 : 1 + self.reused] = means, elites
-            if scripted is not None and iteration == 0:
-                candidates[:, 1 + self.reused : fixed] = scripted
             candidates = np.clip(candidates, -1.0, 1.0)
             returns, _ = self.evaluate(scene, states, candidates)
-            if scripted is not None and iteration == 0:
-                returns_scripted = returns[:, 1 + self.reused : fixed]
             order = np.argsort(-returns, axis=1, kind="stable")[:, : self.elites]
             best = np.take_along_axis(candidates, order[:, :, None], axis=1)
             elites = best[:, : self.reused]
             means = (1.0 - _SMOOTHING) * best.mean(axis=1) + _SMOOTHING * means
             spreads = (1.0 - _SMOOTHING) * best.std(axis=1) + _SMOOTHING * spreads
         first, rows = order[:, 0], np.arange(count)
-        decision = Decision(best[:, 0], returns[rows, first], returns_scripted)
+        decision = Decision(best[:, 0], returns[rows, first])
         last = np.zeros((count, 1))
         new = self._noise(plans.decisions, self.iterations)[:, : self.reused, :1] * 0.5 * _SPREAD
         next_plans = Plans(

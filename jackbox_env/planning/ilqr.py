@@ -67,7 +67,7 @@ def ilqr(
     """Improve a plan of torques by derivatives of the exact model, until an iteration gains less than 0.001.
 
     A local method: it polishes a plan, and it returns the plan itself if it cannot. Sampling finds plans
-    (:class:`jackbox_env.Lookahead`).
+    (:mod:`jackbox_env.planning.icem`).
 
     >>> improved = ilqr(None, [0.0] * 9 + [1.0, 0.0, 0.0], [0.0] * 20, 0.02, repeat=5)
     >>> improved.value > improved.before, improved.torques.shape, improved.states.shape

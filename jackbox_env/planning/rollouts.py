@@ -20,7 +20,7 @@ from jackbox_env.exact.compiler import address_of, compiled
 from jackbox_env.exact.glide import SCENE_LANES, TIME, WIDTH
 from jackbox_env.exact.restart import outside, spread
 from jackbox_env.exact.run import PATIENCE, run
-from jackbox_env.exact.score import score_block
+from jackbox_env.exact.score import block_scorer, score_block
 from jackbox_env.exact.workspace import NOTHING, TORQUES, Call, Results, Rules, Scenes, Status, new_log, new_memory
 from jackbox_env.mechanics import energy_of
 from jackbox_env.scene import Scene, scenes_of
@@ -184,7 +184,6 @@ class RolloutOptions(NamedTuple):
     side_forces: bool = True  # whether the drives' side forces act
     drives_turn: bool = False  # whether the drives' torques act, in place of the arguments'
     repeat: int = 1  # steps that each torque is repeated for
-    until_impact: bool = False  # whether a row ends with the step of its first impact; needs ``impacts``
     num_threads: int | None = None  # as many at most; None: as many as the machine has
     whole: bool = False  # whether all states are returned
     energy: bool = False  # whether the energies are returned
@@ -220,7 +219,8 @@ def run_rollouts(
     played = _scenes_played(scenes, times, dt, options.side_forces, None if options.drives_turn else 0.0, blocks.shape)
     score = compiled_for(task, score_block) if task else None
     results = _new_results(scenes, starts, steps, options, tape is not None)
-    rules = Rules(dt, steps, math.inf, TORQUES, True, int(options.until_impact), address_of(score), PATIENCE)
+    address = address_of(score, block_scorer)
+    rules = Rules(dt, steps, math.inf, TORQUES, True, 0, math.inf, address, 0, 0, PATIENCE)
     controls = np.zeros((0, 0)) if options.drives_turn else np.ascontiguousarray(torques.T)
     calls = [Call(new_memory(width, 0 if tape is None else _ROOM, tape is not None)) for _ in range(threads.count)]
     for call in calls:

@@ -35,7 +35,7 @@ from jackbox_env import __version__
 from jackbox_env import checks as check
 from jackbox_env.exact.restart import WHOLE, unpacked
 from jackbox_env.scene import Scene, total
-from jackbox_env.scoring import make_score
+from jackbox_env.scoring import Nouns, make_functions
 from jackbox_env.simulators import JackLostError
 from jackbox_env.simulators.base import total_impulse
 from jackbox_env.simulators.exact import ExactSimulator
@@ -164,7 +164,7 @@ def write_game(
 def _simulated(game: Game) -> Iterator[tuple[int, float]]:
     """The hash after each step, and its reward."""
     simulator, number, work = ExactSimulator(game.scene), _BASIS, 0.0
-    score = make_score(game.scene, TASKS[game.task], "exact")
+    functions = make_functions(game.scene, Nouns(TASKS[game.task]), "exact")
     simulator.reset(game.start)
     for step, share in enumerate(game.shares, 1):
         try:
@@ -176,7 +176,8 @@ def _simulated(game: Game) -> Iterator[tuple[int, float]]:
             raise JackLostError(f"step {step:,} of {len(game.shares):,} cannot be followed: {error}") from error
         for word in simulator.state.view(np.uint64).tolist():
             number = (number ^ word) * _PRIME & _WORD
-        _, terms, _ = score(simulator.state, simulator.torque, total_impulse(simulator.impacts))
+        impulse = total_impulse(simulator.impacts)
+        _, terms, _ = functions.judge(simulator.state, simulator.time, simulator.torque, impulse, seen=False)
         yield number, total(terms)
 
 

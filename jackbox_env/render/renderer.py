@@ -244,6 +244,12 @@ class Renderer:
             return None
         return canvas.pixels()
 
+    def drawn(self) -> NDArray[np.uint8]:
+        """A frame, as :meth:`render` returns it where there is no window."""
+        frame = self.render()
+        assert frame is not None
+        return frame
+
     def close(self) -> None:
         """Destroy the window and the surfaces; a second call does nothing. Other renderers continue."""
         if self._window is not None:
@@ -401,7 +407,5 @@ def tiled(scenes: Sequence[Scene], states: Array, times: Array, size: tuple[int,
     for number, scene in enumerate(scenes):
         renderer.show(scene)
         renderer.reset(states[number], float(times[number]))
-        frame = renderer.render()
-        assert frame is not None
-        tiles[number // columns, : size[1], number % columns, : size[0]] = frame
+        tiles[number // columns, : size[1], number % columns, : size[0]] = renderer.drawn()
     return np.ascontiguousarray(tiles.reshape(rows * (size[1] + GAP), -1, 3)[:-GAP, : columns * (size[0] + GAP) - GAP])

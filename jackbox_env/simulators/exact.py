@@ -197,7 +197,7 @@ class ExactSimulator(Simulator):
             pieces = joined([pieces_for(self.scene.drive, self.time, dt, torque)], np.zeros(1, np.int64))
         numbers, lanes = np.array([self.scene.numbers]), np.zeros((1, SCENE_LANES, 1))
         scenes = Scenes(numbers, lanes, self._kinds[held], *pieces)
-        rules = Rules(dt, 1, math.inf, TORQUES, False, 0, 0, math.inf)
+        rules = Rules(dt, 1, math.inf, TORQUES, False, 0, math.inf, 0, 0, 0, math.inf)
         controls = self._controls if held else np.zeros((0, 0))
         results = NOTHING._replace(terminations=np.zeros(1, np.bool_), truncations=np.zeros(1, np.bool_))
         self._prepared = None

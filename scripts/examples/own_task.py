@@ -11,6 +11,8 @@ import numpy as np
 from jackbox_env.command_line import command_line, progress
 from jackbox_env.states import THETA_JACK, X_JACK, Y_JACK
 
+REPEAT = 4  # control steps of an action
+
 
 def through(scene: Any, state: Any, torque: float, impulse: float) -> bool:
     """The jack's centre is in a window of 2 m by 2 m that turns with the box."""
@@ -56,13 +58,12 @@ def main() -> None:
     from stable_baselines3.common.evaluation import evaluate_policy
 
     from jackbox_env import Task
-    from jackbox_env.sb3 import make_sb3_vec_env
-    from jackbox_env.sb3_wrappers import HoldingVecEnv
+    from jackbox_env.sb3 import JackInBoxVecEnv, make_sb3_vec_env
 
     task = Task(("there", "time"), reward, over=through, start=below)
 
-    def make_envs(count: int) -> HoldingVecEnv:
-        return HoldingVecEnv(make_sb3_vec_env(count, fidelity="exact", task=task), 4)
+    def make_envs(count: int) -> JackInBoxVecEnv:
+        return make_sb3_vec_env(count, fidelity="exact", task=task, action_repeat=REPEAT)
 
     torch.set_num_threads(1)
     policy = {"log_std_init": -0.7}
@@ -75,7 +76,7 @@ def main() -> None:
         envs = make_envs(arguments.episodes)
         envs.seed(1_000_000)
         _, steps = evaluate_policy(model, envs, arguments.episodes, return_episode_rewards=True)
-        times = [0.02 * count for count in steps if count < 500]  # type: ignore[union-attr]
+        times = [0.02 * REPEAT * count for count in steps if REPEAT * count < 500]  # type: ignore[union-attr]
         mean = f", after {np.mean(times):.1f} s in the mean" if times else ""
         print(f"{name}: {len(times)} of {len(steps)} through the window{mean}", flush=True)  # type: ignore[arg-type]
 

@@ -31,6 +31,9 @@ _ZOO = "-m rl_zoo3.train --algo ppo --env JackInBox-v0 --gym-packages jackbox_en
 RECIPES = {
     "sb3": Recipe(_script("sb3", "--steps", "16384")),
     "sb3_contrib": Recipe(_script("sb3_contrib", "--steps", "1200")),
+    "dqn": Recipe(_script("dqn", "--steps", "4000")),
+    "servo": Recipe(_script("servo", "4000")),
+    "places": Recipe(_script("places", "8000")),
     "cleanrl": Recipe(_script("cleanrl", "--steps", "80000")),
     "pixels": Recipe(_script("pixels", "--steps", "512")),
     "rl_zoo3": Recipe((*_ZOO.split(), "-n", "32768", "--eval-freq", "-1", "-f", "runs/recipes/zoo-logs"),

@@ -20,9 +20,8 @@ import numba
 import numpy as np
 
 import jackbox_env
-from agents.policies import landing_features
-from agents.policies.network import SHIPPED, read_policy
 from jackbox_env import Scene
+from jackbox_env.action import ACTIONS, repeat_of
 from jackbox_env.command_line import command_line
 from jackbox_env.commands.play import PAGE
 from jackbox_env.exact.compiler import cache_folders
@@ -38,6 +37,7 @@ from scripts.site import entries
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
+AGENTS = ROOT / "agents" / "trained"  # of each task's folder <task>-ppo settings.json and weights.npz are read
 GOALS = {
     "juggle": "Keep the jack near the middle of the box: a step earns up to 1, in the middle.",
     "spin": "Spin the jack counter-clockwise: a step earns up to 1, less the faster the box turns.",
@@ -55,8 +55,8 @@ SLIDERS = {
 
 def _module_file() -> str:
     """The name of the compiled physics of this source."""
-    sources = [*sorted(HERE.glob("*.py")), Path(landing_features.__file__)]
-    versions = numba.__version__, llvmlite.__version__, *(source.read_text() for source in sources)
+    sources = (source.read_text() for source in sorted(HERE.glob("*.py")))
+    versions = numba.__version__, llvmlite.__version__, *sources
     return f"page-{hashlib.sha256(repr(versions).encode()).hexdigest()[:16]}.wasm"
 
 
@@ -104,7 +104,7 @@ def _described() -> dict[str, Any]:
         "version": VERSION, "package": jackbox_env.__version__, "mostText": LONGEST, "mostSeconds": MOST_SECONDS,
         "farthest": FARTHEST, "workspace": new_workspaces().nbytes,
         "offsets": entries.OFFSETS, "impactsAt": entries.IMPACTS_AT, "length": entries.LENGTH,
-        "mostImpacts": entries.MOST_IMPACTS,
+        "mostImpacts": entries.MOST_IMPACTS, "observed": entries.OBSERVED,
         "values": list(scene.numbers), "torqueLimit": SceneNumbers._fields.index("torque_limit"),
         "seed": [str(word) for word in seeded(0)[:4].tolist()], "startTolerance": START_TOLERANCE,
         "fields": {name: {**_field(scene, name), **slider} for name, slider in SLIDERS.items()},
@@ -136,18 +136,30 @@ def _refused(name: str, value: float) -> str:
 
 def _task(name: str) -> dict[str, Any]:
     """A task's goal, what policies earn, and the trained network."""
-    policy = read_policy(SHIPPED / f"{name}-ppo")
-    weights = np.concatenate([part.ravel() for layer in policy.layers for part in layer])
-    scale = float(abs(weights).max()) / 32767.0  # 16 bits a weight keep the page small
     rows = json.loads((ROOT / "docs" / "results.json").read_text())["rows"]
     earned = {row["policy"]: row["mean"] for row in rows if (row["task"], row["contact"]) == (name, "exact")}
     return {
         "goal": GOALS[name], "earned": {label: earned[policy] for policy, label in COMPARED.items()},
-        "agent": {
-            "weights": packed(np.round(weights / scale), "<i2"), "scale": scale,
-            "hidden": policy.settings.hidden_units[0], "outputs": policy.action_size,
-            "longest": policy.settings.longest, "resting": policy.settings.resting,
-        },
+        "agent": _agent(AGENTS / f"{name}-ppo"),
+    }  # fmt: skip
+
+
+def _agent(folder: Path) -> dict[str, Any]:
+    """A trained network, with the number of control steps that its actions last."""
+    settings = json.loads((folder / "settings.json").read_text())
+    with np.load(folder / "weights.npz") as stored:
+        layers = [stored[name] for name in stored.files]  # each layer's weight and bias
+    weights = np.concatenate([part.ravel() for part in layers])
+    scale = float(abs(weights).max()) / 32767.0  # 16 bits a weight keep the page small
+    hidden, outputs = layers[0].shape[0], ACTIONS[settings["action"]].size
+    sizes = (entries.OBSERVED, hidden), (hidden, hidden), (hidden, outputs)
+    expected = [shape for before, after in sizes for shape in ((after, before), (after,))]
+    if settings["observation"] != "landing" or [part.shape for part in layers] != expected:
+        raise ValueError(f"the page plays networks of observation 'landing' and two hidden layers, got {folder}")
+    longest, resting = repeat_of(settings["action_repeat"], settings["control_dt"])
+    return {
+        "weights": packed(np.round(weights / scale), "<i2"), "scale": scale, "hidden": hidden, "outputs": outputs,
+        "longest": longest, "resting": resting,
     }  # fmt: skip
 
 

@@ -7,29 +7,28 @@ from __future__ import annotations
 
 import math
 from itertools import accumulate
-from types import ModuleType
 from typing import Any
 
 from numba.np.arrayobj import get_cfarray_intrinsic
 
-from agents.policies.landing_features import FEATURES, columns_by, landing_numbers
-from jackbox_env import Scene
+from jackbox_env.action import landing_share
 from jackbox_env.exact.drives import TABLE_WIDTH
 from jackbox_env.exact.glide import WIDTH
+from jackbox_env.exact.observe import observe_landing, state_in
 from jackbox_env.exact.restart import ARM, JACK_INERTIA, JACK_MASS, restart_blocks
-from jackbox_env.exact.score import score_one, state_in
+from jackbox_env.exact.score import score_one
 from jackbox_env.exact.step import Pieces, make_numbers, make_plan
 from jackbox_env.exact.step import step as step_once
 from jackbox_env.exact.workspace import AT_IMPACT
-from jackbox_env.landing import ANGLE, RATE, aim, is_over
+from jackbox_env.landing import is_over
 from jackbox_env.mechanics import energy_of
-from jackbox_env.observation import BOUNDS
+from jackbox_env.observation import OBSERVATIONS
 from jackbox_env.scene import SceneNumbers, square_inertia
 from jackbox_env.states import clearance
 
 MOST_IMPACTS = 128  # recorded of a step
 TERMS = 2  # of a task's reward, at most
-SCENE, OBSERVED, INPUTS = len(SceneNumbers._fields), len(BOUNDS), len(BOUNDS) + len(FEATURES)
+SCENE, OBSERVED = len(SceneNumbers._fields), len(OBSERVATIONS["landing"].names)
 
 # Parts of the buffer, and their lengths.
 PARTS = {
@@ -59,13 +58,20 @@ def step(buffer: Any, workspace: Any) -> None:
     d[STATUS], d[HITS], d[IMPULSE] = status.value, memory.hits, memory.impulse
 
 
-def score(buffer: Any, observation: Any) -> None:
-    """Observe AFTER, and fill in the REWARDS of the step to it and its ENERGY [J]."""
+def score(buffer: Any) -> None:
+    """Fill in the REWARDS of the step to AFTER, and its ENERGY [J]."""
     d = array(buffer, (LENGTH,))
     values, after, rewards = d[SCENE_AT : SCENE_AT + SCENE], d[AFTER : AFTER + 12], d[REWARDS : REWARDS + TERMS]
     rewards[0] = rewards[1] = 0.0
-    score_one(values, after, d[MEAN_TORQUE], d[IMPULSE], array(observation, (OBSERVED,)), rewards)
+    score_one(values, after, d[MEAN_TORQUE], d[IMPULSE], rewards)
     d[ENERGY] = energy_of(make_numbers(values), after)
+
+
+def observe(buffer: Any, observation: Any) -> None:
+    """Write the numbers of ``observation="landing"`` of AFTER, which trained agents observe."""
+    d = array(buffer, (LENGTH,))
+    scene = make_numbers(d[SCENE_AT : SCENE_AT + SCENE])
+    observe_landing(scene, d[AFTER : AFTER + 12], d[TIME], array(observation, (OBSERVED,)))
 
 
 def start(buffer: Any, numbers: Any, words: Any) -> None:
@@ -107,22 +113,19 @@ def act(
     d[SHARE] = d[ACTION]
     if outputs == 2:
         scene, state = make_numbers(d[SCENE_AT : SCENE_AT + SCENE]), state_in(d[AFTER : AFTER + 12])
-        d[SHARE] = aim(scene, state, d[ACTION] * ANGLE, d[ACTION + 1] * RATE, d[DT])
+        d[SHARE] = landing_share(scene, state, (d[ACTION], d[ACTION + 1]), d[TIME], d[DT])
 
 
 def decide(d: Any, observation: Any, weights: Any, values: Any, hidden: int, outputs: int) -> None:
-    """A network's ACTION: two layers of ``hidden`` neurons with tanh, from an observation and its landing features.
+    """A network's ACTION from an observation: two layers of ``hidden`` neurons with tanh.
 
     ``weights`` has each layer's weights and biases; ``values`` is memory for inputs and neurons.
     """
-    w = array(weights, (hidden * (hidden + INPUTS + 2 + outputs) + outputs,))
-    v = array(values, (INPUTS + 2 * hidden + outputs,))
+    w = array(weights, (hidden * (hidden + OBSERVED + 2 + outputs) + outputs,))
+    v = array(values, (OBSERVED + 2 * hidden + outputs,))
     for k in range(OBSERVED):
         v[k] = observation[k]
-    features = columns(NUMBERS, (v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8], v[9]))
-    for k in range(len(features)):
-        v[OBSERVED + k] = features[k]
-    first, low, width = 0, 0, INPUTS
+    first, low, width = 0, 0, OBSERVED
     for layer in range(3):
         height = outputs if layer == 2 else hidden
         for i in range(height):
@@ -133,21 +136,3 @@ def decide(d: Any, observation: Any, weights: Any, values: Any, hidden: int, out
         first, low, width = first + height * (width + 1), low + width, height
     for i in range(outputs):
         d[ACTION + i] = max(-1.0, min(1.0, v[low + i]))
-
-
-def _clip(value: Any, low: Any, high: Any) -> Any:
-    if low is not None:
-        value = max(value, low)
-    if high is not None:
-        value = min(value, high)
-    return value
-
-
-def _where(condition: Any, value: Any, other: Any) -> Any:
-    return value if condition else other
-
-
-NUMBERS = landing_numbers(Scene())  # of the scene in which the networks were trained
-NUMBER = ModuleType("number")  # numpy's functions, for one number
-NUMBER.__dict__.update(clip=_clip, where=_where, sqrt=math.sqrt, cos=math.cos, sin=math.sin, arctan2=math.atan2)
-columns = columns_by(NUMBER)

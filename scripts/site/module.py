@@ -25,8 +25,9 @@ def physics() -> bytes:
         "start": Export(entries.start, (numbers, counts, words)),
         "derive": Export(entries.derive, (numbers,)),
         "measure": Export(entries.measure, (numbers,)),
+        "observe": Export(entries.observe, (numbers, floats)),
         "act": Export(entries.act, (numbers, floats, floats, numbers, integer, integer, integer, integer)),
     }
     for name, task in TASKS.items():
-        exports[f"score_{name}"] = Export(entries.score, (numbers, floats), {"task_terms": task.values})
+        exports[f"score_{name}"] = Export(entries.score, (numbers,), {"task_terms": task.values})
     return module_of(exports)

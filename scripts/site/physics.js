@@ -2,17 +2,17 @@
 
 const STACK = 131072; // [bytes] of the stack, which grows down; buffers lie beyond it
 
-const { sin, cos, tanh, atan2 } = Math;
+const { sin, cos, tanh } = Math;
 
-async function loadPhysics(bytes, { offsets, impactsAt, length, mostImpacts, workspace }) {
+async function loadPhysics(bytes, { offsets, impactsAt, length, mostImpacts, observed, workspace }) {
   const memory = new WebAssembly.Memory({ initial: 16 });
   const unsigned = (value) => BigInt.asUintN(64, value);
   const env = {
     __linear_memory: memory,
     __stack_pointer: new WebAssembly.Global({ value: "i32", mutable: true }, STACK),
     fmod: (a, b) => a % b, // exact, as in C
-    sin, cos, // of angles beyond 2^53, and in the agent
-    tanh, atan2, // in the agent
+    sin, cos, // of angles beyond 2^53
+    tanh, // in the agent
     __multi3: (to, a, aHigh, b, bHigh) => {
       const product = unsigned(a) * unsigned(b) + (unsigned(a * bHigh + aHigh * b) << 64n);
       new BigUint64Array(memory.buffer, to, 2).set([unsigned(product), unsigned(product >> 64n)]);
@@ -35,13 +35,13 @@ async function loadPhysics(bytes, { offsets, impactsAt, length, mostImpacts, wor
   // A buffer: a state before and after a step, its scene and its impacts.
   function makeBuffer() {
     const [buffer, scratch] = [allocate(Float64Array, length), allocate(Uint8Array, workspace)];
-    const observation = allocate(Float32Array, 10);
+    const observation = allocate(Float32Array, observed);
     const part = (name, count) => buffer.subarray(offsets[name], offsets[name] + count);
     const [scene, before, after] = [part("SCENE", 13), part("BEFORE", 12), part("AFTER", 12)];
     const write = (numbers) => Object.entries(numbers).forEach(([name, value]) => (buffer[offsets[name]] = value));
     return {
-      scene, after, observation,
-      number: (name) => buffer[offsets[name]],
+      scene, after,
+      number: (name, k = 0) => buffer[offsets[name] + k],
       setScene(values) {
         scene.set(values);
         call("derive", buffer);
@@ -74,16 +74,21 @@ async function loadPhysics(bytes, { offsets, impactsAt, length, mostImpacts, wor
         call("measure", buffer);
         return buffer[offsets.GAP];
       },
+      // What a trained policy observes of `after`.
+      observe() {
+        call("observe", buffer, observation);
+        return observation;
+      },
       reward(task) {
-        call(`score_${task}`, buffer, observation);
+        call(`score_${task}`, buffer);
         return 0 + buffer[offsets.REWARDS] + buffer[offsets.REWARDS + 1];
       },
       // A trained policy: a function that returns its share of the torque limit in the step from `after`.
       agent({ weights, hidden, outputs, longest, resting }) {
-        const [stored, values] = [allocate(Float32Array, weights.length), allocate(Float64Array, 23 + 2 * hidden)];
+        const [stored, values] = [allocate(Float32Array, weights.length), allocate(Float64Array, observed + 2 * hidden + outputs)];
         stored.set(weights);
         const act = () => {
-          call("act", buffer, observation, stored, values, ...[hidden, outputs, longest, resting].map(BigInt));
+          call("act", buffer, this.observe(), stored, values, ...[hidden, outputs, longest, resting].map(BigInt));
           return buffer[offsets.SHARE];
         };
         return Object.assign(act, { restart: () => write({ STEPS: -1 }) });

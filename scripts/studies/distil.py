@@ -33,7 +33,7 @@ from scripts.studies.fitting import epoch, inputs_and_goals, layers_of, network
 ANGLES = 0.4 * np.sign(np.linspace(-1.0, 1.0, 31)) * np.abs(np.linspace(-1.0, 1.0, 31)) ** 1.4  # finer near level
 SETTINGS = LandingSettings(angles=tuple(ANGLES.round(4).tolist()), rates=(-1.0, -0.5, 0.0, 0.5, 1.0))
 COARSE = replace(SETTINGS, angles=SETTINGS.angles[1::2], rates=(-0.8, 0.0, 0.8))  # that the rounds are played with
-SCENE, DECISION_TIME = Scene(drive=None), SETTINGS.repeat * SETTINGS.control_dt  # [s]
+SCENE, DECISION_TIME = Scene(drive=None), SETTINGS.action_repeat * SETTINGS.control_dt  # [s]
 JACKS = 600  # in each round
 FIRST, COUNTED, HORIZON = 24, 22, 40  # decisions: to the first landing at most, from which states are fitted, ahead
 DISCOUNT = 0.975  # of a decision
@@ -59,7 +59,7 @@ def advanced(states: Array, acting: Array) -> tuple[Array, Array, NDArray[np.boo
     """States a decision later, shape (n, 12), the rewards, (n,), and which jacks struck a wall, (n,)."""
     played = rollout(
         SCENE, states, acting[:, None] * SCENE.torque_limit, SETTINGS.control_dt, impacts=True, rewards=SETTINGS.task,
-        repeat=SETTINGS.repeat, trajectories=False, num_threads=1,
+        repeat=SETTINGS.action_repeat, trajectories=False, num_threads=1,
     )  # fmt: skip
     assert isinstance(played, Rollout)
     assert played.impacts is not None

@@ -9,11 +9,19 @@ import numpy as np
 import torch
 
 from agents.policies.network import Layer
-from agents.policies.observing import mirrored
 from agents.policies.value import UNIT, Value
-from jackbox_env.states import Array
+from jackbox_env.states import OMEGA_BOX, OMEGA_JACK, THETA_BOX, THETA_JACK, VX_BOX, VX_JACK, X_BOX, X_JACK, Array
 
 BATCH = 512
+# Components that change sign if left and right are exchanged.
+_MIRRORED = np.array([X_BOX, THETA_BOX, X_JACK, THETA_JACK, VX_BOX, OMEGA_BOX, VX_JACK, OMEGA_JACK])
+
+
+def mirrored(states: Array) -> Array:
+    """The states with left and right exchanged, shape (n, 12): their motion is mirrored too, under opposite torques."""
+    other = states.copy()
+    other[:, _MIRRORED] *= -1.0
+    return other
 
 
 def network(layers: list[Layer]) -> Any:

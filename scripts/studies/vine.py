@@ -24,19 +24,18 @@ from numpy.typing import NDArray
 from torch import nn
 from tqdm import trange
 
-from agents.policies.landing_features import FEATURES, landing_numbers, preview
 from agents.policies.network import write_with_layers
-from agents.policies.observing import mirrored, observations
+from agents.policies.value import INPUTS
 from agents.runs import SETTINGS
 from agents.settings import TrainSettings
 from jackbox_env import Rollout, Scene, Task, rollout
 from jackbox_env.command_line import command_line
-from jackbox_env.observation import BOUNDS
+from jackbox_env.scoring import observed
 from jackbox_env.states import Array
 from jackbox_env.tasks import TASKS, sample_start
-from scripts.studies.fitting import layers_of
+from scripts.studies.fitting import layers_of, mirrored
 
-SCENE, FLIGHT, INPUTS = Scene(drive=None), landing_numbers(Scene()), len(BOUNDS) + len(FEATURES)
+SCENE = Scene(drive=None)
 REPEAT, CONTROL_DT, EPISODE = 5, 0.02, 100  # control steps of a decision, [s], decisions
 WIDTHS, CRITIC, FIRST_SCALE = (256, 256), (128, 128), 3.0  # layers; factor of the first one's weights
 JACKS, DECISIONS = 512, 16  # side by side; of each in a round
@@ -101,8 +100,7 @@ def network(widths: tuple[int, ...]) -> Any:
 
 def inputs(states: Array) -> torch.Tensor:
     """A network's inputs for states, shape (n, 12): (n, INPUTS)."""
-    observed = observations(SCENE, states)
-    return torch.from_numpy(np.concatenate([observed, preview(FLIGHT, observed)], axis=1))
+    return torch.from_numpy(observed(SCENE, states, "landing"))
 
 
 def outputs(net: Any, states: Array) -> NDArray[np.float32]:
@@ -201,9 +199,9 @@ def main() -> None:
         task=task,
         fidelity="exact",
         seed=arguments.seed,
-        repeat=REPEAT,
-        preview=True,
-        landing=False,
+        observation="landing",
+        action="torque",
+        action_repeat=REPEAT,
         hidden_units=WIDTHS,
     )
     trials, states = starts(256, np.random.default_rng([arguments.seed, 1])), starts(JACKS, rng)

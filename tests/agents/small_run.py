@@ -15,7 +15,7 @@ TINY = TrainSettings(
     eval_steps=1024,
     eval_episodes=4,
     hidden_units=(16,),
-    repeat=1,
-    preview=False,
-    landing=False,
+    observation="state",
+    action="torque",
+    action_repeat=1,
 )

@@ -136,6 +136,7 @@ def test_a_run_with_a_damaged_best_model_loads_its_last_and_prints_a_message(
     runs: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     finished = runs / "finished"
+    shutil.copy(checkpoint_path(finished, 16), finished / BEST)  # another than the last
     last, best = (load_model(finished / name).get_parameters()["policy"] for name in (MODEL, BEST))
     assert any(bool((last[name] != best[name]).any()) for name in last)
     harm(finished / BEST, "half")

@@ -17,54 +17,44 @@ from agents.policies.one_bounce import LandingSettings, read_landing
 from agents.policies.registry import find_policy
 from agents.policies.value import read_value
 from agents.settings import EnvSettings, TrainSettings
-from agents.training.models import make_ppo, make_vec_env, wrapped
+from agents.training.models import make_ppo, make_vec_env
 from jackbox_env.files import write_json
 from tests.agents.small_run import TINY
 from tests.agents.untrained import layers_for
 
 KINDS = {
     "plain": replace(TINY, contact="exact"),
-    "held, with the landing": replace(TINY, contact="exact", repeat=5, preview=True, hidden_units=(8, 6, 4)),
-    "aiming": replace(TINY, contact="exact", repeat=20, landing=True),
-    "aiming until an impact": replace(TINY, contact="exact", repeat="bounce", landing=True),
-    "looking ahead": replace(TINY, contact="exact", repeat=5, lookahead=8),
+    "repeated": replace(TINY, contact="exact", action_repeat=5, observation="landing", hidden_units=(8, 6, 4)),
+    "landing": replace(TINY, contact="exact", action_repeat="bounce", observation="landing", action="landing"),
+    "discrete": replace(TINY, contact="exact", action_repeat=4, action="discrete"),
 }
 
 
 def moving_model(settings: TrainSettings) -> Any:
     """An untrained model whose actions are not all near 0."""
-    environments = wrapped(make_vec_env(settings.env_settings, 1, 0), settings)
-    model: Any = make_ppo(settings, environments)
+    model: Any = make_ppo(settings, make_vec_env(settings.env_settings, 1, 0))
     model.policy.action_net.weight.data.mul_(60.0)
     return model
 
 
 @pytest.mark.parametrize("settings", KINDS.values(), ids=KINDS)
-def test_it_plays_in_the_ordinary_environment_as_the_model_does_in_that_of_its_settings(
-    settings: TrainSettings, tmp_path: Path
-) -> None:
+def test_it_acts_as_the_model_does(settings: TrainSettings, tmp_path: Path) -> None:
     model = moving_model(settings)
     write_with_layers(tmp_path, "settings.json", settings, layers_of(model.get_parameters()["policy"]))
-    policy = read_policy(tmp_path)
-    plain, inner = (make_vec_env(settings.env_settings, 1, 1) for _ in range(2))
-    environments = wrapped(inner, settings)
-    observed: Any = environments.reset()
-    seen: Any = plain.reset()
-    state: Any = None
-    moved = 0.0
-    for _ in range(2 if settings.repeat == "bounce" else 5):  # 3 s: impacts multiply roundings
-        observed, rewards, _, infos = environments.step(model.predict(observed, deterministic=True)[0])
-        total = np.zeros(1)
-        for _ in range(round(infos[0]["duration"] / 0.02) if settings.landing else settings.longest):
-            actions, state = policy.predict(seen, state)
-            assert actions.dtype == np.float32
-            moved += float(np.abs(actions).sum())
-            seen, earned, _, _ = plain.step(actions)
-            total += earned
-        np.testing.assert_allclose(total, rewards, rtol=1e-3)
-        np.testing.assert_allclose(seen, observed[:, :10], atol=1e-3)
+    policy, keywords = read_policy(tmp_path).in_env
+    environments, moved = make_vec_env({**settings.env_settings, **keywords}, 3, 1), 0.0
+    seen: Any = environments.reset()
+    for _ in range(20):
+        actions, _ = policy.predict(seen)
+        np.testing.assert_allclose(actions, model.predict(seen, deterministic=True)[0], atol=1e-5)
+        moved += float(np.ptp(actions, axis=0).sum())
+        seen = environments.step(actions)[0]
     assert moved > 2.0
-    assert policy.predict(seen[0])[0].shape == (1,)
+    with pytest.raises(ValueError, match=rf"observation must have shape \(n, {seen.shape[1]}\) or .*, got \(9,\)"):
+        policy.predict(seen[0, :9])
+    alone = policy.predict(seen[0])[0]
+    np.testing.assert_allclose(alone, policy.predict(seen)[0][0], atol=1e-6)
+    assert alone.shape == environments.action_space.shape
 
 
 def test_it_plays_without_torch() -> None:
@@ -73,11 +63,11 @@ def test_it_plays_without_torch() -> None:
         "from agents.policies.network import SHIPPED, read_policy\n"
         "from agents.policies.one_bounce import read_landing\n"
         "import gymnasium as gym, jackbox_env\n"
-        "env, policy, state, total = gym.make('JackInBox-v0'), read_policy(SHIPPED / 'juggle-ppo'), None, 0.0\n"
+        "policy, keywords = read_policy(SHIPPED / 'juggle-ppo').in_env\n"
+        "env, total, done = gym.make('JackInBox-v0', **keywords), 0.0, False\n"
         "seen, _ = env.reset(seed=0)\n"
-        "for _ in range(500):\n"
-        "    action, state = policy.predict(seen, state)\n"
-        "    seen, reward, *_ = env.step(action)\n"
+        "while not done:\n"
+        "    seen, reward, _, done, _ = env.step(policy.predict(seen)[0])\n"
         "    total += reward\n"
         "print(total)\n"
     )
@@ -88,7 +78,7 @@ def test_it_plays_without_torch() -> None:
 def test_a_shipped_policy_does_better_than_the_level_box(task: str) -> None:
     settings = EnvSettings(task=task, contact="exact")
     ppo, level = (
-        evaluate(name, find_policy(name, settings, 0).policy, settings.env_settings, 64, 3) for name in ("ppo", "level")
+        evaluate(name, find_policy(name, settings, 0), settings.env_settings, 64, 3) for name in ("ppo", "level")
     )
     assert ppo.interval[0] > level.interval[1], (ppo.interval, level.interval)
 
@@ -128,7 +118,7 @@ def test_damaged_and_missing_files_are_errors(name: str, tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("name", "content", "sentence"),
     [
-        ("landing.json", {"repeat": 0}, "repeat must .* got 0"),
+        ("landing.json", {"action_repeat": 0}, "action_repeat must .* got 0"),
         ("landing.json", {"angles": []}, r"angles must .* got \[\]"),
         ("landing.json", {"angles": [0.0] * 40, "rates": [0.0] * 40}, "1,000 pairs, got 1,600"),
         ("landing.json", {"angles": [3.0]}, "angles must .* got 3.0"),

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from agents.evaluation.returns import evaluate
-from agents.policies.observing import mirrored, observations
 from agents.policies.planner import Planner
 from agents.policies.registry import find_policy
 from agents.policies.value import Value
@@ -17,6 +16,8 @@ from agents.settings import EnvSettings
 from jackbox_env import Drive, Scene, Task, rollout
 from jackbox_env.observation import observe, state_of
 from jackbox_env.planning.icem import coloured_noise
+from jackbox_env.scoring import observed
+from scripts.studies.fitting import mirrored
 from tests.agents.untrained import layers_for, states_in
 
 SMALL: dict[str, Any] = {"samples": 24, "elites": 4, "iterations": 2, "knots": 16}
@@ -24,18 +25,10 @@ SMALL: dict[str, Any] = {"samples": 24, "elites": 4, "iterations": 2, "knots": 1
 
 @pytest.mark.parametrize("scene", [Scene(), Scene(box_half_width=2.0, jack_arm=0.5, gravity=1.62)])
 def test_the_state_is_read_off_the_observation(scene: Scene) -> None:
-    for seen in observations(scene, states_in(scene, 50)):
+    for seen in observed(scene, states_in(scene, 50)):
         state = state_of(scene, seen.tolist())
         np.testing.assert_allclose(observe(scene, state.tolist()), seen, atol=2e-6)
         assert state[[0, 1, 6, 7]].tolist() == [0.0] * 4
-
-
-@pytest.mark.parametrize("scene", [Scene(), Scene(box_half_width=2.0, jack_arm=0.5, gravity=1.62)])
-def test_observations_of_many_states_are_those_of_each_alone(scene: Scene) -> None:
-    states = states_in(scene, 40)
-    rows = observations(scene, states)
-    assert rows.dtype == np.float32
-    np.testing.assert_allclose(rows, [observe(scene, state.tolist()) for state in states], atol=1e-6)
 
 
 def test_mirrored_states_go_mirrored_ways() -> None:
@@ -60,34 +53,23 @@ def test_a_plan_earns_what_the_environment_pays() -> None:
     np.testing.assert_allclose(ends[0, 0], env.unwrapped.state, atol=1e-9)  # type: ignore[attr-defined]
 
 
-def test_scripted_candidates_are_played_too_and_the_best_of_all_is_chosen() -> None:
-    search, states = Planner(Scene(), **SMALL)._search, states_in(Scene(), 2)
-    scripted = np.random.default_rng(2).uniform(-1.0, 1.0, (2, 3, 16))
-    search.iterations = 1
-    decision, _ = search.decide(Scene(), states, search.begin(2), scripted)
-    returns, _ = search.evaluate(Scene(), states, scripted)
-    np.testing.assert_array_equal(decision.scripted, returns)
-    assert (decision.returns >= returns.max(axis=1)).all()
-
-
-def test_plans_are_carried_on_and_held() -> None:
-    env = gym.make("JackInBox-v0", contact="exact")
-    planner, observation = Planner(Scene(), **SMALL), env.reset(seed=0)[0]
-    state, actions = None, []
-    for step in range(15):
-        action, state = planner.predict(observation, state, np.array([step == 0]))
+def test_plans_are_continued_until_an_episode_starts() -> None:
+    planner = Planner(Scene(), **SMALL)
+    env = gym.make("JackInBox-v0", contact="exact", **planner.in_env.keywords)
+    observation, plans = env.reset(seed=0)[0], None
+    for step in range(3):
+        action, plans = planner.predict(observation, plans, np.array([step == 0]))
         assert action in env.action_space
-        actions.append(float(action[0]))
-        observation = env.step(action)[0]
-    assert actions == np.repeat(actions[::5], 5).tolist()
-    assert len(set(actions)) == 3
-    fresh, _ = planner.predict(observation, state, np.array([True]))
-    assert fresh == planner.predict(observation)[0] != planner.predict(observation, state, np.array([False]))[0]
+        assert plans.decisions == step + 1
+        observation, *_, info = env.step(action)
+        assert info["duration"] == pytest.approx(0.1)
+    fresh, _ = planner.predict(observation, plans, np.array([True]))
+    assert fresh == planner.predict(observation)[0] != planner.predict(observation, plans, np.array([False]))[0]
 
 
 @pytest.mark.parametrize("value", [None, Value(EnvSettings(contact="exact"), layers_for(96))])
 def test_each_environment_is_planned_for_alone(value: Value | None) -> None:
-    planner, seen = Planner(Scene(), **SMALL, value=value), observations(Scene(), states_in(Scene(), 9))
+    planner, seen = Planner(Scene(), **SMALL, value=value), observed(Scene(), states_in(Scene(), 9))
     together, plans = planner.predict(seen)
     later, _ = planner.predict(seen, plans, np.arange(9) == 1)
     for number in range(9):
@@ -97,7 +79,7 @@ def test_each_environment_is_planned_for_alone(value: Value | None) -> None:
 
 
 def test_the_seed_decides_and_not_the_threads() -> None:
-    seen = observations(Scene(), states_in(Scene(), 3))
+    seen = observed(Scene(), states_in(Scene(), 3))
     together, plans = Planner(Scene(), **SMALL).predict(seen)
     assert not np.array_equal(Planner(Scene(), seed=1, **SMALL).predict(seen)[0], together)
     np.testing.assert_array_equal(Planner(Scene(), num_threads=2, **SMALL).predict(seen)[0], together)
@@ -118,19 +100,18 @@ def test_noise_has_its_variance_and_colour() -> None:
 @pytest.mark.parametrize("contact", ["exact", "pymunk"])
 def test_it_juggles_better_than_the_level_box(contact: str) -> None:
     settings = EnvSettings(contact=contact)
-    level = evaluate("level", find_policy("level", settings, 0).policy, settings.env_settings, 3, 0)
-    planner = evaluate("planner", Planner(Scene(), **{**SMALL, "knots": 32}), settings.env_settings, 3, 0)
+    level = evaluate("level", find_policy("level", settings, 0), settings.env_settings, 3, 0)
+    planner = evaluate("planner", Planner(Scene(), **{**SMALL, "knots": 32}).in_env, settings.env_settings, 3, 0)
     assert planner.mean > level.mean + 15.0
 
 
 def test_the_planner_by_its_name_has_the_settings_of_the_environment() -> None:
     settings = EnvSettings(task="spin", control_dt=0.05, scene='{"gravity": 3.0}')
-    names = "planner", "planner-fast", "planner-64"
-    planner, fast, former = (cast(Planner, find_policy(name, settings, 7).policy) for name in names)
+    planner, fast = (cast(Planner, find_policy(name, settings, 7).policy) for name in ("planner", "planner-fast"))
     search = planner._search
     assert (planner._scene.gravity, search.repeat, search.seed, search.task.terms) == (3.0, 2, 7, ("spin",))
     assert Planner(Scene(drive=Drive(force_x=lambda t: t)))._scene.drive is None
-    assert fast._search.samples == former._search.samples < search.samples
+    assert fast._search.samples < search.samples
 
 
 def test_a_custom_task_is_planned_for() -> None:

@@ -10,13 +10,13 @@ from types import SimpleNamespace
 import gymnasium as gym
 import numpy as np
 import pytest
-import tyro
 from stable_baselines3.common.evaluation import evaluate_policy
 
 from agents.evaluation import film as filming
 from agents.evaluation.film import film
 from agents.evaluation.returns import Returns, above, evaluate, table
 from agents.policies.registry import SCRIPTED, find_policy
+from agents.policies.scripted import PolicyWithEnv
 from agents.settings import EnvSettings, TrainSettings
 from agents.training.models import make_ppo, make_vec_env
 from scripts import train as train_command
@@ -71,17 +71,19 @@ def test_returns_carry_their_interval() -> None:
 
 
 def test_evaluation_is_repeatable_and_seeded() -> None:
-    policy = find_policy("level", EnvSettings()).policy
-    one, same, other = (evaluate("level", policy, {}, 4, seed) for seed in (0, 0, 100))
+    level = find_policy("level", EnvSettings())
+    one, same, other = (evaluate("level", level, {}, 4, seed) for seed in (0, 0, 100))
+    assert one.as_json()["environments"] == 4
     assert one == same
     assert len({*one.returns, *other.returns}) == 8
 
 
 def test_the_untrained_policy_does_not_beat_zero_torque() -> None:
     # DESIGN: about 158 against 200; the demo's trained policy stands above 200 with intervals apart.
-    model = make_ppo(TrainSettings.suited(landing=False), make_vec_env({}, 1, 0))
+    settings = TrainSettings.suited(action="torque", observation="state")
+    model = PolicyWithEnv(make_ppo(settings, make_vec_env({}, 1, 0)), {})
     untrained = evaluate("untrained", model, {}, 32, seed=0, deterministic=False)
-    zero = evaluate("zero", find_policy("zero", EnvSettings()).policy, {}, 32, seed=0)
+    zero = evaluate("zero", find_policy("zero", EnvSettings()), {}, 32, seed=0)
     assert untrained.interval[1] < zero.interval[0], table([untrained, zero])
 
 
@@ -94,19 +96,18 @@ def test_the_defaults_suit_the_task_and_the_meaning_of_actions(monkeypatch: pyte
         return train_command.suited()
 
     assert of_the_command() == TrainSettings.suited() == TrainSettings()
-    assert tyro.cli(TrainSettings, args=["--hold", "4"]).repeat == 4  # the name of earlier versions
-    assert TrainSettings().landing
+    assert TrainSettings().nouns == {"observation": "landing", "action": "landing", "action_repeat": "bounce"}
     torques = TrainSettings.suited(task="spin")
-    assert (torques.landing, torques.repeat, torques.gamma) == (False, 4, 0.99)
+    assert (torques.observation, torques.action, torques.action_repeat, torques.gamma) == ("landing", "torque", 4, 0.99)
     assert of_the_command("--task=spin") == torques
-    assert of_the_command("--no-landing") == replace(torques, task="juggle")
-    assert of_the_command("--lookahead", "32") == replace(torques, task="juggle", lookahead=32)
-    decided = TrainSettings.suited(repeat=20)
-    assert (decided.landing, decided.repeat, decided.gamma) == (True, 20, 0.905)
-    assert of_the_command("--repeat", "20") == of_the_command("--hold=20") == decided
-    assert of_the_command("--repeat", "bounce") == TrainSettings()
-    assert TrainSettings.suited(task="rattle", repeat=5, gamma=0.9) == replace(
-        torques, task="rattle", repeat=5, gamma=0.9
+    assert of_the_command("--action", "torque") == replace(torques, task="juggle")
+    assert of_the_command("--action=discrete") == replace(torques, task="juggle", action="discrete")
+    decided = TrainSettings.suited(action_repeat=20)
+    assert (decided.action, decided.action_repeat, decided.gamma) == ("landing", 20, 0.905)
+    assert of_the_command("--action-repeat", "20") == of_the_command("--action_repeat=20") == decided
+    assert of_the_command("--action-repeat", "bounce") == TrainSettings()
+    assert TrainSettings.suited(task="rattle", action_repeat=5, gamma=0.9) == replace(
+        torques, task="rattle", action_repeat=5, gamma=0.9
     )
 
 
@@ -154,6 +155,24 @@ def test_a_film_may_begin_later_and_its_returns_count_from_the_start(tmp_path: P
     assert (
         np.abs(later[0] - frames[10]).mean() < 1.0 < np.abs(later[0] - frames[0]).mean()
     )  # of palettes, and of motion
+
+
+def test_a_film_shows_every_control_step_of_a_decision_and_stands_still_after_the_episode(tmp_path: Path) -> None:
+    import imageio.v3 as imageio
+
+    acts = {name: find_policy(name, EnvSettings()) for name in ("ppo", "zero")}
+    acts["short"] = acts["zero"]._replace(keywords={"max_episode_steps": 10})
+    earned = film(acts, {"fidelity": "exact"}, tmp_path / "film.gif", 3, 0.8, width=64, progress=False)
+    frames = imageio.imread(tmp_path / "film.gif").astype(int)
+    ppo, _, short = (np.abs(np.diff(part, axis=0)).sum(axis=(1, 2, 3)) > 0 for part in np.split(frames, 3, axis=2))
+    assert ppo.all()
+    assert not short[5:].any()
+    finer = {"ppo": acts["zero"]._replace(keywords={"control_dt": 0.005})}  # many steps of a quarter
+    finer["coarse"] = acts["zero"]._replace(keywords={"control_dt": 0.04})
+    film(finer, {"fidelity": "exact"}, tmp_path / "times.gif", 3, 0.8, width=64, progress=False)
+    one, other = np.split(imageio.imread(tmp_path / "times.gif")[-1].astype(int)[40:], 2, axis=1)
+    assert np.abs(one - other).mean() < 1.0  # at the same time
+    assert 0.0 < earned["short"] < earned["zero"]
 
 
 @pytest.mark.parametrize(

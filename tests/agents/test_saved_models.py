@@ -1,4 +1,4 @@
-"""Models trained without this project's command: played as trained, or refused with the option that would help."""
+"""Models trained without this project's command: played where they were trained, or refused with what would help."""
 
 from __future__ import annotations
 
@@ -8,45 +8,48 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
-from stable_baselines3 import A2C, PPO, SAC, TD3
+from stable_baselines3 import A2C, DQN, PPO, SAC, TD3
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecFrameStack, VecNormalize
 
-from agents.policies.models import Options
+from agents.evaluation import returns
+from agents.evaluation.returns import evaluate
+from agents.policies.models import keywords_of
 from agents.policies.registry import find_policy
-from agents.settings import EPISODE_STEPS, EnvSettings, TrainSettings
-from agents.training.models import make_ppo, make_vec_env
-from jackbox_env import Drive, LandingControl, Scene, Task
+from agents.settings import EnvSettings, TrainSettings
+from agents.training.models import derived_seed, make_ppo, make_vec_env
+from jackbox_env import Action, Drive, Observation, Scene, Task
 from jackbox_env.sb3 import make_sb3_vec_env, save_model
-from jackbox_env.sb3_wrappers import HoldingVecEnv, LandingControlVecEnv, LookaheadVecEnv
-from jackbox_env.tasks import juggle
 from tests.agents.small_run import TINY
 from tests.agents.test_commands import script
 
 HERE = EnvSettings(fidelity="exact")
-# Landing control computes torques from observations, which are rounded to float32, and each impact multiplies the
-# difference: after 2 s it is about 1e-6, whatever the machine, and after 6 s everything.
-SHORT = 100  # control steps
+COUNT = 3  # environments
 
 
-def native(count: int = 2, **keywords: Any) -> Any:
+def heights(scene: Any, state: Any, time: float) -> tuple[float, float]:
+    return (state.y_jack - state.y_box) / scene.box_half_width, 0.1 * state.omega_box
+
+
+HEIGHT = Observation(("height", "rate"), -1.0, 1.0, heights)
+PUSH = Action(gym.spaces.Box(-2.0, 2.0, (1,)), lambda scene, state, action, time, dt: 0.5 * action[0])
+TURNED = Task(("turned",), lambda scene, state, torque, impulse: (state.theta_box,))
+
+
+def native(count: int = COUNT, **keywords: Any) -> Any:
     return make_sb3_vec_env(count, fidelity="exact", **keywords)
 
 
-def single_of() -> Any:
-    return gym.make("JackInBox-v0", fidelity="exact", max_episode_steps=SHORT)
-
-
-def single(**landing: Any) -> VecEnv:
-    return DummyVecEnv([lambda: Monitor(LandingControl(single_of(), **landing))])
+def single(**keywords: Any) -> VecEnv:
+    made: Any = gym.make("JackInBox-v0", fidelity="exact", **keywords)
+    return DummyVecEnv([lambda: Monitor(made)])
 
 
 def trained(envs: VecEnv, steps: int = 64) -> PPO:
@@ -57,94 +60,106 @@ def trained(envs: VecEnv, steps: int = 64) -> PPO:
     return model.learn(steps)
 
 
-def earned(policy: Any, count: int = 2, steps: int = EPISODE_STEPS) -> Any:
-    """Returns of two episodes without wrappers."""
-    plain = native(count, max_episode_steps=steps)
-    plain.seed(3)
-    return evaluate_policy(policy, plain, 2, return_episode_rewards=True)[0]
+def recurrent(envs: VecEnv) -> Any:
+    contrib: Any = pytest.importorskip("sb3_contrib")
+    return contrib.RecurrentPPO("MlpLstmPolicy", envs, n_steps=32, batch_size=32, n_epochs=1, device="cpu", seed=0)
 
 
-WRAPPED: dict[str, tuple[Callable[[], VecEnv], Options]] = {
-    "torques": (native, Options(repeat=1)),
-    "held": (lambda: HoldingVecEnv(native(), 4), Options(repeat=4)),
-    "bounce": (lambda: LandingControlVecEnv(native(max_episode_steps=SHORT), period="bounce"), Options("bounce")),
-    "period": (lambda: LandingControlVecEnv(native(max_episode_steps=SHORT), period=0.2), Options(0.2)),
-    "single": (lambda: single(period="bounce"), Options(landing="bounce")),
-    "normalized": (lambda: VecNormalize(HoldingVecEnv(native(), 5)), Options(repeat=5, vecnormalize=Path("stats.pkl"))),
+PLAYED: dict[str, tuple[Callable[[], VecEnv], Callable[[VecEnv], Any]]] = {
+    "torque": (native, trained),
+    "repeat": (lambda: native(action_repeat=4), trained),
+    "bounce": (lambda: native(observation="landing", action="landing", action_repeat="bounce"), trained),
+    "period": (lambda: native(observation="landing", action="landing", action_repeat=10), trained),
+    "discrete": (lambda: native(action="discrete", action_repeat=5), trained),
+    "own": (lambda: native(observation=HEIGHT, action=PUSH, action_repeat=5), trained),
+    "task and scene": (lambda: native(task=TURNED, scene={"gravity": 2.0}, randomize={"jack_mass": (2, 6)}), trained),
+    "pymunk": (lambda: make_sb3_vec_env(COUNT, action_repeat=10), trained),
+    "normalized": (lambda: VecNormalize(native(action_repeat=5)), trained),
+    "stacked": (lambda: VecFrameStack(native(action_repeat=5), 4), trained),
+    "stacked, then normalized": (lambda: VecNormalize(VecFrameStack(native(action_repeat=5), 2)), trained),
+    "normalized, then stacked": (lambda: VecFrameStack(VecNormalize(native(action_repeat=5)), 2), trained),
+    "SAC": (lambda: native(action_repeat=10), lambda envs: SAC("MlpPolicy", envs, buffer_size=100, device="cpu")),
+    "DQN": (
+        lambda: native(action="discrete", action_repeat=10),
+        lambda envs: DQN("MlpPolicy", envs, buffer_size=100, device="cpu"),
+    ),
+    "RecurrentPPO": (lambda: native(action_repeat=10), recurrent),
 }
 
 
-@pytest.mark.parametrize("name", WRAPPED)
-def test_a_saved_model_acts_as_it_was_trained(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    make, options = WRAPPED[name]
-    monkeypatch.chdir(tmp_path)
-    envs = make()
-    model = trained(envs)
-    assert save_model(model, tmp_path / "model") == tmp_path / "model.zip"
-    if isinstance(envs, VecNormalize):
-        envs.save("stats.pkl")
-        envs.training = envs.norm_reward = False
-    saved = find_policy("model.zip", HERE, trust=True).policy
-    (tmp_path / "env.json").rename(tmp_path / "elsewhere.json")
-    by_options = find_policy("model.zip", HERE, trust=True, options=options).policy
-    envs.seed(3)
-    under_wrappers, _ = evaluate_policy(model, envs, 2, return_episode_rewards=True)
-    steps, tolerance = (EPISODE_STEPS, 1e-12) if options.landing is None else (SHORT, 1e-4)
-    for policy in (saved, by_options):
-        np.testing.assert_allclose(earned(policy, envs.num_envs, steps), under_wrappers, rtol=tolerance)
-
-
-@pytest.mark.parametrize(
-    ("name", "other"), [("held", Options(repeat=1)), ("bounce", Options(0.2)), ("period", Options("bounce"))]
-)
-def test_otherwise_it_would_earn_something_else(name: str, other: Options, tmp_path: Path) -> None:
-    make, options = WRAPPED[name]
-    trained(make()).save(tmp_path / "model.zip")
-    one, another = (
-        earned(find_policy(str(tmp_path / "model.zip"), HERE, trust=True, options=by).policy, steps=SHORT)
-        for by in (options, other)
-    )
-    assert one != pytest.approx(another, rel=1e-3)
-
-
-def test_a_lookahead_is_stored_with_its_options(tmp_path: Path) -> None:
-    envs = LookaheadVecEnv(native(), hold=10, turns=3, samples=8, pieces=8, follow=True)
-    save_model(trained(envs), tmp_path / "model.zip")
-    policy: Any = find_policy(str(tmp_path / "model.zip"), HERE, trust=True).policy
-    actions, memory = policy.predict(np.zeros((2, 10), np.float32))
-    assert actions.shape == (2, 1)
-    assert memory.repeats.tolist() == [9, 9]
-    assert memory.plans is not None
-
-
-@pytest.mark.parametrize("algorithm", [A2C, SAC, TD3])
-def test_other_algorithms_load_too(algorithm: Any, tmp_path: Path) -> None:
-    model = algorithm("MlpPolicy", native(1), device="cpu")
-    save_model(model, tmp_path / "model.zip")
-    policy: Any = find_policy(str(tmp_path / "model.zip"), HERE, trust=True).policy
-    assert type(policy.model) is algorithm
-
-
-VARIED: list[tuple[Callable[[], VecEnv], str, str]] = [
-    (lambda: LandingControlVecEnv(native(), period=0.2), '{"gravity": [1, 2], "box_mass": [300, 500]}', "landings"),
-    (lambda: LookaheadVecEnv(native(), samples=8, pieces=8), '{"jack_mass": [2, 6]}', "rollouts"),
-    (lambda: LandingControlVecEnv(native(), period=0.2), '{"jack_mass": [2, 6]}', ""),  # they do not depend on it
-    (lambda: HoldingVecEnv(native(), 4), '{"gravity": [1, 2]}', ""),
-]
-
-
-@pytest.mark.parametrize(("make", "ranges", "computed"), VARIED)
-def test_what_is_computed_in_one_scene_is_not_played_in_scenes_that_vary(
-    make: Callable[[], VecEnv], ranges: str, computed: str, tmp_path: Path
+@pytest.mark.parametrize("name", PLAYED)
+def test_a_saved_model_earns_what_it_earns_where_it_was_trained(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    save_model(PPO("MlpPolicy", make()), tmp_path / "model.zip")
-    settings, name = EnvSettings(randomize=ranges), str(tmp_path / "model.zip")
-    if not computed:
-        find_policy(name, settings, trust=True)
-        return
-    fields = " and ".join(json.loads(ranges))
-    with pytest.raises(ValueError, match=f"{computed} in one scene: leave {fields} out of --randomize"):
-        find_policy(name, settings, trust=True)
+    make, train = PLAYED[name]
+    envs = make()
+    model = train(envs)
+    assert save_model(model, tmp_path / "model") == tmp_path / "model.zip"
+    monkeypatch.setattr(returns, "SIDE_BY_SIDE", COUNT)
+    saved = evaluate("", find_policy(str(tmp_path / "model.zip"), HERE, trust=True), HERE.env_settings, 5, 7)
+    for layer in (envs, getattr(envs, "venv", None)):
+        if isinstance(layer, VecNormalize):
+            layer.training = layer.norm_reward = False
+    envs.seed(derived_seed("evaluation", 7))
+    expected, _ = evaluate_policy(model, envs, 5, return_episode_rewards=True)
+    assert list(saved.returns) == expected
+    assert len(set(expected)) == 5
+    assert saved.environments == envs.num_envs
+
+
+def test_in_another_environment_it_earns_something_else(tmp_path: Path) -> None:
+    save_model(trained(native(action_repeat=4)), tmp_path / "model.zip")
+    acting = find_policy(str(tmp_path / "model.zip"), HERE, trust=True)
+    every = acting._replace(keywords={**acting.keywords, "action_repeat": 1})
+    one, other = (evaluate("", way, HERE.env_settings, 2, 0) for way in (acting, every))
+    assert one.mean != pytest.approx(other.mean, rel=1e-3)
+
+
+@pytest.mark.parametrize("algorithm", [PPO, A2C, SAC, TD3])
+def test_a_model_without_env_json_is_played_as_options_describe(algorithm: Any, tmp_path: Path) -> None:
+    algorithm("MlpPolicy", native(1, action_repeat=5), device="cpu").save(tmp_path / "model.zip")
+    chosen = keywords_of(["action_repeat=5", "max_episode_steps=40"])
+    policy, keywords = find_policy(str(tmp_path / "model.zip"), HERE, trust=True, chosen=chosen)
+    assert type(policy.model) is algorithm  # type: ignore[attr-defined]
+    assert keywords == {"observation": "state", "action": "torque", "action_repeat": 5, "max_episode_steps": 40}
+
+
+def test_statistics_of_a_model_without_env_json_come_from_a_file(tmp_path: Path) -> None:
+    envs = VecNormalize(native())
+    model = trained(envs)
+    model.save(tmp_path / "model.zip")
+    envs.save(str(tmp_path / "stats.pkl"))
+    policy = find_policy(str(tmp_path / "model.zip"), HERE, trust=True, vecnormalize=tmp_path / "stats.pkl").policy
+    rows = native().reset()
+    np.testing.assert_array_equal(
+        policy.predict(rows)[0], model.predict(envs.normalize_obs(rows), deterministic=True)[0]
+    )
+
+
+def test_a_function_is_a_policy(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(
+        "import numpy as np\n"
+        "from jackbox_env import Observation\n\n\n"
+        "def level(observations):\n"
+        "    return -5.0 * observations[:, 5] - 5.0 * observations[:, 6]\n\n\n"
+        "def tilted(observations):\n"
+        "    return np.full((len(observations), 2), 0.1)\n\n\n"
+        'angle = Observation(("angle",), -9.0, 9.0, lambda scene, state, time: (state.theta_box,))\n\n\n'
+        "def back(observations):\n"
+        "    return -0.5 * observations\n"
+    )
+    for name, chosen in (
+        ("level", []),
+        ("tilted", ["action=landing", "action_repeat=bounce"]),
+        ("back", [f"observation={tmp_path}/mine.py:angle", "action_repeat=2"]),
+    ):
+        arguments = ["--policy", f"{tmp_path}/mine.py:{name}", "--episodes", "3", "--json", f"{name}.json"]
+        script("evaluate", *arguments, *(["--env", *chosen] if chosen else []), cwd=tmp_path)
+        (row,) = json.loads((tmp_path / f"{name}.json").read_text())["results"]
+        assert (row["episodes"], row["environments"]) == (3, 3)
+        assert 0.0 < row["mean"] < 500.0
+    with pytest.raises(ValueError, match=r"mine.py:none cannot be imported: AttributeError"):
+        find_policy(f"{tmp_path}/mine.py:none", HERE)
 
 
 # -- env.json ----------------------------------------------------------------------------------------------------------
@@ -154,59 +169,121 @@ def entry(folder: Path) -> Any:
     return json.loads((folder / "env.json").read_text())["model.zip"]
 
 
-def test_the_environment_is_stored_where_it_differs_and_functions_are_left_out(tmp_path: Path) -> None:
-    save_model(PPO("MlpPolicy", native(task="spin", scene={"gravity": 2}, control_dt=0.01)), tmp_path / "model.zip")
-    env = {"task": "spin", "fidelity": "exact", "control_dt": 0.01, "scene": {"gravity": 2.0}}
-    assert entry(tmp_path)["env"] == env
-    of_mine = native(task=Task(("a",), juggle), scene=Scene(drive=Drive(np.cos)), randomize=lambda rng: {})
-    save_model(PPO("MlpPolicy", of_mine), tmp_path / "model.zip")
-    assert entry(tmp_path)["env"] == {"task": None, "fidelity": "exact"}
-    assert entry(tmp_path)["functions"] == ["task", "randomize", "scene"]
+def test_the_environment_is_stored_with_objects_by_name(tmp_path: Path) -> None:
+    keywords: dict[str, Any] = {"task": "spin", "scene": {"gravity": np.int64(2)}, "control_dt": 0.01}
+    save_model(PPO("MlpPolicy", native(**keywords, max_episode_steps=50)), tmp_path / "model.zip")
+    exact = {"fidelity": "exact", "contact": None, "substeps": None}
+    stored = {"task": "spin", "scene": {"gravity": 2.0}, "control_dt": 0.01, "max_episode_steps": 50}
+    assert entry(tmp_path) == {
+        "env": {**exact, **stored}, "missing": [], "wrappers": [], "algorithm": "stable_baselines3.ppo.ppo:PPO",
+    }  # fmt: skip
+    save_model(PPO("MlpPolicy", native(observation=HEIGHT, action=PUSH)), tmp_path / "model.zip")
+    of_tests = {"observation": f"{__name__}:HEIGHT", "action": f"{__name__}:PUSH"}
+    assert entry(tmp_path)["env"] == {**exact, **of_tests}
+    acting = find_policy(str(tmp_path / "model.zip"), HERE, trust=True)
+    assert acting.keywords["observation"] is HEIGHT
+    with pytest.raises(FileNotFoundError, match="use --trust"):
+        find_policy(str(tmp_path / "model.zip"), HERE)
 
 
-def test_settings_of_single_environments_are_named(tmp_path: Path) -> None:
-    scenes = [{"gravity": 2.0}, {"gravity": 3.0, "jack_mass": 5.0}]
-    envs = native(scene=scenes, control_dt=np.float32(0.5), randomize={"box_mass": np.array([300, 400])})
-    save_model(PPO("MlpPolicy", envs), tmp_path / "model.zip")
-    assert entry(tmp_path)["each"] == ["scene"]
-    expected = {"task": "juggle", "fidelity": "exact", "control_dt": 0.5, "randomize": {"box_mass": [300, 400]}}
-    assert entry(tmp_path)["env"] == expected
-    tasks = DummyVecEnv([partial(gym.make, "JackInBox-v0", task=task) for task in ("spin", "juggle")])
-    save_model(PPO("MlpPolicy", tasks), tmp_path / "model.zip")
-    assert (entry(tmp_path)["each"], entry(tmp_path)["env"]) == (["task"], {"scene": {}})
-    save_model(PPO("MlpPolicy", native(scene=scenes[:1] * 2)), tmp_path / "model.zip")
-    assert (entry(tmp_path)["each"], entry(tmp_path)["env"]["scene"]) == ([], scenes[0])
+def test_objects_without_a_name_are_warned_of_and_asked_for(tmp_path: Path) -> None:
+    mine = Observation(("height", "rate"), -1.0, 1.0, heights)
+    envs = native(scene=Scene(drive=Drive(np.cos)), observation=mine, randomize=lambda rng: {})
+    with pytest.warns(UserWarning, match=r"env.json cannot store scene and observation and randomize, .* --env scene="):
+        save_model(PPO("MlpPolicy", envs), tmp_path / "model.zip")
+    assert entry(tmp_path)["missing"] == ["scene", "observation", "randomize"]
+    chosen: dict[str, Any] = {"scene": {}, "randomize": None}
+    with pytest.raises(ValueError, match="with a observation that env.json cannot store: use --env observation=file"):
+        find_policy(str(tmp_path / "model.zip"), HERE, trust=True, chosen=chosen)
+    acting = find_policy(str(tmp_path / "model.zip"), HERE, trust=True, chosen={**chosen, "observation": mine})
+    assert acting.keywords["observation"] is mine
+
+
+def test_objects_of_a_script_are_named_by_its_file(tmp_path: Path) -> None:
+    (tmp_path / "training.py").write_text(
+        "from stable_baselines3 import PPO\n"
+        "from jackbox_env import Observation\n"
+        "from jackbox_env.sb3 import make_sb3_vec_env, save_model\n\n"
+        'HEIGHT = Observation(("height",), -1.0, 1.0, lambda scene, state, time: (0.1 * state.y_jack,))\n'
+        'if __name__ == "__main__":\n'
+        '    save_model(PPO("MlpPolicy", make_sb3_vec_env(2, observation=HEIGHT)), "model.zip")\n'
+    )
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+    subprocess.run([sys.executable, "training.py"], cwd=tmp_path, check=True, env=environment)
+    assert entry(tmp_path)["env"]["observation"] == f"{tmp_path}/training.py:HEIGHT"
+    acting = find_policy(str(tmp_path / "model.zip"), HERE, trust=True)
+    assert acting.keywords["observation"].names == ("height",)
+    assert acting.keywords["fidelity"] is None  # gym.make's default, as in its training
 
 
 def test_models_share_a_folder_and_a_renamed_one_is_known(tmp_path: Path) -> None:
+    def repeat(path: Path, **more: Any) -> Any:
+        return find_policy(str(path), HERE, trust=True, **more).keywords["action_repeat"]
+
     one, other = tmp_path / "model.zip", tmp_path / "other.zip"
-    save_model(PPO("MlpPolicy", HoldingVecEnv(native(), 4)), one)
+    save_model(PPO("MlpPolicy", native(action_repeat=4)), one)
     one.rename(other)
-    assert find_policy(str(other), HERE, trust=True).policy.repeat == 4  # type: ignore[attr-defined]
+    assert repeat(other) == 4
     save_model(PPO("MlpPolicy", native()), one)
-    save_model(PPO("MlpPolicy", HoldingVecEnv(native(), 2)), other)
-    assert find_policy(str(one), HERE, trust=True).policy.repeat == 1  # type: ignore[attr-defined]
+    save_model(PPO("MlpPolicy", native(action_repeat=2)), other)
+    assert find_policy(str(one), HERE, trust=True).keywords["action_repeat"] == 1
+    assert repeat(other, chosen={"action_repeat": 3}) == 3  # chosen goes first
     other.rename(tmp_path / "third.zip")  # env.json has two entries, but none of this name: options describe it
-    by_options = find_policy(str(tmp_path / "third.zip"), HERE, trust=True, options=Options(repeat=3)).policy
-    assert by_options.repeat == 3  # type: ignore[attr-defined]
-    with pytest.raises(
-        ValueError, match=r"model.zip acts as env.json beside it describes: leave --repeat out, or move"
-    ):
-        find_policy(str(one), HERE, trust=True, options=Options(repeat=3))
-    stored = json.loads((tmp_path / "env.json").read_text())
-    stored["model.zip"]["normalize"] = {"mean": [0.0], "variance": [1.0], "clip": 10.0, "epsilon": 1e-8}
-    (tmp_path / "env.json").write_text(json.dumps(stored))
-    with pytest.raises(ValueError, match="mean and variance must be 10 numbers each"):
-        find_policy(str(one), HERE, trust=True)
-    (tmp_path / "env.json").write_text('{"model.zip": {}}')
-    for call in (lambda: find_policy(str(one), HERE, trust=True), lambda: save_model(PPO("MlpPolicy", native()), one)):
-        with pytest.raises(ValueError, match=r"env.json: model.zip must have env, .*, got {}"):
-            call()
+    assert repeat(tmp_path / "third.zip", chosen={"action_repeat": 3}) == 3
 
 
-def test_a_model_of_another_environment_is_not_saved(tmp_path: Path) -> None:
-    with pytest.raises(TypeError, match="save_model needs a model with environments of JackInBox-v0"):
-        save_model(PPO("MlpPolicy", "Pendulum-v1"), tmp_path / "model.zip")
+DAMAGED: dict[str, tuple[Callable[[Any], Any], str]] = {
+    "statistics": (
+        lambda stored: {**stored, "wrappers": [{"mean": [0.0], "variance": [], "clip": 1.0, "epsilon": 1e-8}]},
+        "mean and variance must be as many numbers as are observed",
+    ),
+    "too few": (
+        lambda stored: {**stored, "wrappers": [{"mean": [0.0], "variance": [-1.0], "clip": 1.0, "epsilon": 1e-8}]},
+        "at least 0 in the variance",
+    ),
+    "frames": (lambda stored: {**stored, "wrappers": [{"stack": 0}]}, "stack must be a whole number from 1 to 1000"),
+    "algorithm": (
+        lambda stored: {**stored, "algorithm": "os:system"},
+        "its algorithm must be of stable_baselines3 or sb3_contrib, got 'os:system'",
+    ),
+    "keyword": (lambda stored: {**stored, "env": {"observation": "sea"}}, "observation must be one of"),
+    "object": (lambda stored: {**stored, "env": {"observation": "nowhere.py:x"}}, "nowhere.py:x cannot be imported"),
+    "keys": (lambda stored: {}, r"env.json: model.zip must have algorithm, env, .*, got {}"),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_a_damaged_env_json_is_refused(name: str, tmp_path: Path) -> None:
+    harm, sentence = DAMAGED[name]
+    save_model(PPO("MlpPolicy", native(1)), tmp_path / "model.zip")
+    (tmp_path / "env.json").write_text(json.dumps({"model.zip": harm(entry(tmp_path))}))
+    with pytest.raises(ValueError, match=sentence) as refused:
+        find_policy(str(tmp_path / "model.zip"), HERE, trust=True)
+    assert "\n" not in str(refused.value)
+
+
+class Other(gym.Wrapper[Any, Any, Any, Any]):
+    """A wrapper that is not known."""
+
+
+UNSTORED: dict[str, tuple[Callable[[], Any], type[Exception], str]] = {
+    "another environment": (lambda: PPO("MlpPolicy", "Pendulum-v1"), TypeError, "with environments of JackInBox-v0"),
+    "a wrapper": (
+        lambda: PPO("MlpPolicy", DummyVecEnv([lambda: Other(gym.make("JackInBox-v0"))])), ValueError,
+        "save_model cannot store Other: of wrappers",
+    ),
+    "scenes": (
+        lambda: PPO("MlpPolicy", native(2, scene=[{"gravity": 1.0}, {"gravity": 2.0}])), ValueError,
+        "environments with the same scene, got several",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", UNSTORED)
+def test_what_cannot_be_stored_is_refused_at_once(name: str, tmp_path: Path) -> None:
+    make, error, sentence = UNSTORED[name]
+    with pytest.raises(error, match=sentence):
+        save_model(make(), tmp_path / "model.zip")
     assert not list(tmp_path.iterdir())
 
 
@@ -214,23 +291,17 @@ def test_a_model_of_another_environment_is_not_saved(tmp_path: Path) -> None:
 
 REFUSED: dict[str, tuple[Callable[[], VecEnv], list[str], str]] = {
     "landing": (
-        lambda: LandingControlVecEnv(native(), period="bounce"), [],
-        r"must observe 10 numbers and choose 1, got shapes \(10,\) and \(2,\); LandingControlVecEnv would fit: use --",
+        lambda: native(action="landing"), [],
+        r"it has observations \(10,\) and Box\(-1.0, 1.0, \(2,\).*, got .* use --env observation=...",
     ),
-    "torques": (native, ["--landing", "0.4"], "actions are torques: leave --landing out"),
-    "lookahead": (
-        lambda: LookaheadVecEnv(native(), samples=8, pieces=8), [],
-        r"LookaheadVecEnv would perhaps fit: save the model by jackbox_env.sb3.save_model",
-    ),
-    "stacked": (lambda: VecFrameStack(native(), 3), [], "VecFrameStack would perhaps fit"),
+    "torques": (native, ["--env", "action=landing"], r"it has observations \(10,\) and Box\(-1.0, 1.0, \(1,\)"),
+    "stacked": (lambda: VecFrameStack(native(), 3), [], r"it has observations \(30,\)"),
     "statistics": (
-        lambda: VecNormalize(native()), ["--repeat", "2"],
+        lambda: VecNormalize(native()), ["--env", "action_repeat=2"],
         "was trained under VecNormalize, whose statistics are missing: use --vecnormalize FILE.pkl, or save it by jack",
     ),
     "other statistics": (native, ["--vecnormalize", "model.zip"], "model.zip has no statistics of VecNormalize: "),
-    "both": (native, ["--landing", "bounce", "--repeat", "4"], "cannot act by --landing and --repeat 4: a landing"),
-    "repeat": (native, ["--repeat", "0"], "repeat must be a whole number from 1 to 500, got 0"),
-    "period": (native, ["--landing", "0"], "landing must be a finite number above 0 and at most 10, got 0.0"),
+    "repeat": (native, ["--env", "action_repeat=0"], "action_repeat must be a whole number from 1 to 1000000, got 0"),
 }  # fmt: skip
 
 
@@ -239,51 +310,50 @@ def test_a_model_that_does_not_fit_is_refused_with_what_would(name: str, tmp_pat
     make, options, sentence = REFUSED[name]
     trained(make()).save(tmp_path / "model.zip")
     done = script("evaluate", "--policy", "model.zip", "--trust", *options, cwd=tmp_path, status=2)
-    (line,) = done.stderr.splitlines()
+    line = done.stderr.splitlines()[-1]
     assert line.startswith("model.zip ")
     with pytest.raises(ValueError, match=sentence):
         raise ValueError(line)
 
 
 @pytest.mark.parametrize(
-    ("make", "name"),
+    ("options", "sentence"),
     [
-        (lambda: VecFrameStack(native(), 3), "VecFrameStack"),
-        (lambda: VecNormalize(VecNormalize(native())), "a second VecNormalize"),
-        (lambda: HoldingVecEnv(HoldingVecEnv(native(), 2), 2), "HoldingVecEnv around another that repeats actions"),
-        (lambda: native(torque="chirp"), "torque='chirp'"),
-        (
-            lambda: DummyVecEnv([partial(LandingControl, single_of(), period=period) for period in (1, 2)]),
-            "wrappers that differ between its environments",
-        ),
+        (["--env", "action_repeat=4"], "--env and --vecnormalize are for model files and functions, got level"),
+        (["--env", "repeat=4"], "--env accepts only .* got 'repeat'"),
+        (["--env", "landing"], "--env must be name=value, got 'landing'"),
+        (["--env", "task=nowhere.py:mine"], "nowhere.py:mine cannot be imported: FileNotFoundError"),
     ],
 )
-def test_an_unknown_wrapper_is_named(make: Callable[[], VecEnv], name: str, tmp_path: Path) -> None:
-    save_model(trained(make()), tmp_path / "model.zip")
-    with pytest.raises(ValueError, match=f"was trained under {name}, which cannot be played here"):
-        find_policy(str(tmp_path / "model.zip"), HERE, trust=True)
+def test_options_of_models_are_refused_elsewhere(options: list[str], sentence: str, tmp_path: Path) -> None:
+    done = script("evaluate", "--policy", "level", *options, cwd=tmp_path, status=2)
+    with pytest.raises(ValueError, match=sentence):
+        raise ValueError(done.stderr)
 
 
-def test_without_env_json_and_in_another_environment_there_is_a_note(tmp_path: Path) -> None:
+def test_notes_say_where_a_model_plays(tmp_path: Path) -> None:
     save_model(trained(native(task="spin")), tmp_path / "model.zip")
     few = ["--policy", "model.zip", "--episodes", "1"]
     done = script("evaluate", *few, "--trust", cwd=tmp_path)
-    assert "Note: model.zip was trained in another environment (task spin, fidelity exact)" in done.stderr
+    assert "Note: model.zip plays in another environment (task 'spin')" in done.stderr
     assert "Note:" not in script("evaluate", *few, "--trust", "--task", "spin", cwd=tmp_path).stderr
+    varied = ["--task", "spin", "--randomize", '{"jack_mass": [2, 6]}']
+    assert script("evaluate", *few, "--trust", *varied, cwd=tmp_path).stdout.count("| model.zip") == 1
     assert "use --trust" in script("evaluate", *few, cwd=tmp_path, status=2).stderr
-    done = script("evaluate", "--policy", "level", "--repeat", "4", cwd=tmp_path, status=2)
-    assert done.stderr == "--landing, --repeat and --vecnormalize are for model files, got level\n"
-    save_model(trained(native(task=Task(("a",), juggle))), tmp_path / "model.zip")
-    done = script("evaluate", *few, "--trust", cwd=tmp_path)
-    assert "Note: model.zip was trained with task by functions of its own; here it plays on task juggle" in done.stderr
-    several = native(scene=[{}, {"gravity": 2}], max_episode_steps=1000)
-    save_model(trained(several), tmp_path / "model.zip")
-    done = script("evaluate", *few, "--trust", cwd=tmp_path)
-    assert "with another scene in each environment, episodes of 1000 steps, not of 500; here it plays" in done.stderr
-    assert done.stderr.count("Note:") == 1
     (tmp_path / "env.json").unlink()
     done = script("evaluate", *few, "--trust", cwd=tmp_path)
-    assert "Note: no env.json beside model.zip describes it, so it decides in every control step" in done.stderr
+    assert "Note: no env.json beside model.zip describes it, so it chooses a torque in every control" in done.stderr
+
+
+def test_a_drawn_scene_reaches_a_model_of_landings(tmp_path: Path) -> None:
+    save_model(trained(native(observation="landing", action="landing")), tmp_path / "model.zip")
+    drawn = EnvSettings(randomize='{"gravity": [2.0, 4.0]}')
+    acting = find_policy(str(tmp_path / "model.zip"), drawn, trust=True)
+    assert acting.keywords["randomize"] == {"gravity": [2.0, 4.0]}
+    envs = make_sb3_vec_env(2, **{**drawn.env_settings, **acting.keywords})
+    envs.reset()
+    gravities = [scene.gravity for scene in envs.get_attr("scene")]
+    assert len({*gravities}) == 2
 
 
 # -- loaded where there is no checkout of this project -----------------------------------------------------------------
@@ -303,7 +373,7 @@ print(model.lr_schedule(0.5), model.predict(np.zeros((3, 10), np.float32), deter
 
 
 def test_a_saved_model_loads_without_this_project_and_stores_its_settings(tmp_path: Path) -> None:
-    settings = dataclasses.replace(TINY, repeat=4)
+    settings = dataclasses.replace(TINY, action_repeat=4)
     model = make_ppo(settings, make_vec_env(settings.env_settings, 2, 0))
     model.save(tmp_path / "model.zip")
     actions, _ = model.policy.predict(np.zeros((3, 10), np.float32), deterministic=True)
@@ -312,5 +382,6 @@ def test_a_saved_model_loads_without_this_project_and_stores_its_settings(tmp_pa
     assert out == f"{0.5 * TINY.learning_rate} {actions.ravel().tolist()}\n"
     again: Any = PPO.load(tmp_path / "model.zip", device="cpu")
     assert TrainSettings.of(again.trained_by) == settings
+    assert find_policy(str(tmp_path / "model.zip"), HERE, trust=True).keywords == settings.nouns
     for remaining in (1.0, 0.25, 0.0):  # it falls to 0
         assert model.lr_schedule(remaining) == pytest.approx(TINY.learning_rate * remaining, abs=1e-18)

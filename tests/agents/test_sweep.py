@@ -21,7 +21,7 @@ from agents import sweep
 from agents.evaluation.returns import evaluate
 from agents.files import FolderInUseError, locked
 from agents.policies.registry import find_policy
-from agents.settings import EnvSettings
+from agents.settings import NOUNS, EnvSettings
 from agents.sweep import LOG, RUNS, SWEEP, TABLE, Runner, Work, carry_out, in_turn, new_sweep, on_cores, read_sweep
 from tests.agents.small_run import TINY
 from tests.agents.test_commands import ROOT, script
@@ -144,8 +144,12 @@ def test_folders_are_not_shared_overwritten_or_continued_by_other_code(
         ("--setting exact exact", "got 2 times"),
         ("--workers 0", "workers must be a whole number from 1 to 100, got 0"),
         ("--workers 2 --address auto", "workers must be None with an address"),
-        ("""--train {"repeat":4}""", "got 4 for repeat"),
-        ("""--train {"repeat":[3]}""", "repeat"),
+        ("""--train {"epochs":4}""", "got 4 for epochs"),
+        ("""--train {"epochs":[0]}""", "epochs"),
+        ("""--train {"action_repeat":[4]}""", "train accepts only"),
+        ("""--train {} --setting {"action_repeat":0}""", "action_repeat must be a whole number"),
+        ("""--setting {"observation":"landing"}""", "setting must have no observation without --train"),
+        ("""--setting {"observation":"sea"}""", "observation must be one of 'state', 'landing', got 'sea'"),
         ("""--train {} --policy zero""", "--policy"),
         ("--resume nowhere", "nowhere"),
         ("--resume nowhere --seeds 3", "--resume"),
@@ -196,16 +200,19 @@ def test_the_command_is_killed_and_interrupted_on_two_cores_and_goes_on_to_the_s
     assert (tmp_path / "s" / TABLE).read_bytes() == (tmp_path / "whole" / TABLE).read_bytes()
     row, exact = rows_of(tmp_path / "s")[19], EnvSettings(fidelity="exact")
     assert (row["policy"], row["scene"], row["seed"], row["error"]) == ("level", "{}", "1", "")
-    assert float(row["mean"]) == evaluate("", find_policy("level", exact, 1).policy, exact.env_settings, 2, 1).mean
+    assert float(row["mean"]) == evaluate("", find_policy("level", exact, 1), exact.env_settings, 2, 1).mean
 
 
 def test_a_training_that_was_cut_short_starts_over_to_the_same_row(tmp_path: Path) -> None:
     small = asdict(replace(TINY, total_steps=768, eval_steps=256, checkpoint_steps=256))
-    fixed = {*asdict(EnvSettings()), "seed", "torch_threads"}
+    fixed = {*asdict(EnvSettings()), *NOUNS, "seed", "torch_threads"}
+    nouns = json.dumps({"observation": "landing", "action": "discrete", "action_repeat": 10})
     varied = {name: [value] for name, value in small.items() if name not in fixed} | {"learning_rate": [1e-3, 5e-4]}
-    script("sweep", "--train", json.dumps(varied), "--episodes", "2", "--folder", "s", "--no-progress", cwd=tmp_path)
+    grid = ["--train", json.dumps(varied), "--setting", nouns, "--episodes", "2"]
+    script("sweep", *grid, "--folder", "s", "--no-progress", cwd=tmp_path)
     table, rows = (tmp_path / "s" / TABLE).read_bytes(), rows_of(tmp_path / "s")
     assert [row["learning_rate"] for row in rows] == ["0.001", "0.0005"]
+    assert (rows[0]["observation"], rows[0]["action"], rows[0]["action_repeat"]) == ("landing", "discrete", "10")
     assert rows[0]["mean"] != rows[1]["mean"]
     (tmp_path / "s" / LOG).unlink()
     for run in (tmp_path / "s" / RUNS).iterdir():

@@ -21,9 +21,9 @@ from agents.settings import TrainSettings
 from agents.training import ppo as training
 from agents.training.best import choosing_seed
 from agents.training.checkpoints import latest_checkpoint, steps_of_checkpoints
-from agents.training.durations import DurationBuffer, Durations
-from agents.training.models import load_model, make_ppo, make_vec_env, wrapped
+from agents.training.models import load_model, make_ppo, make_vec_env
 from jackbox_env.files import new_folder
+from jackbox_env.sb3 import DurationBuffer, Durations
 from tests.agents.killing import stop_after
 from tests.agents.small_run import TINY
 
@@ -46,7 +46,7 @@ def test_a_run_folder_has_the_settings_command_and_versions_of_its_run(run: Path
     spent = json.loads((run / "time.json").read_text())
     assert spent["steps"] == TINY.total_steps
     assert sum(spent["parts"].values()) == pytest.approx(spent["seconds"])
-    assert all(seconds > 0.0 for name, seconds in spent["parts"].items() if name != "action repeat")
+    assert all(seconds > 0.0 for seconds in spent["parts"].values())
 
 
 def test_the_best_model_is_the_best_evaluation(run: Path) -> None:
@@ -58,7 +58,8 @@ def test_the_best_model_is_the_best_evaluation(run: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "checkpoints"), [(TINY, [1280, 768, 512]), (replace(TINY, repeat=5, preview=True), [1280, 768, 512])]
+    ("settings", "checkpoints"),
+    [(TINY, [1280, 768, 512]), (replace(TINY, action_repeat=5, observation="landing"), [1280, 768, 512])],
 )
 def test_interrupted_training_resumes_to_the_same_total(
     settings: TrainSettings, checkpoints: list[int], tmp_path: Path
@@ -73,7 +74,7 @@ def test_interrupted_training_resumes_to_the_same_total(
     assert model.num_timesteps == settings.total_steps
     stored = np.load(folder / "evaluations.npz")
     assert stored["timesteps"].tolist() == [1024, 2048]
-    assert np.all(stored["ep_lengths"] == 500)  # in control steps
+    assert np.all(stored["ep_lengths"] == 500 // int(settings.action_repeat))  # decisions
     with pytest.raises(FileExistsError, match="is finished: it has a model.zip, and runs are never overwritten"):
         training.train(settings, folder, progress=False)
 
@@ -104,13 +105,12 @@ def test_a_run_with_more_steps_goes_on_from_its_last_model(tmp_path: Path, run: 
     assert training.train(more, folder, progress=False).num_timesteps == TINY.total_steps + 512
 
 
-def test_stored_settings_without_a_name_mean_what_the_version_before_it_did() -> None:
-    earlier = TrainSettings.of({"seed": 3})
-    assert (earlier.repeat, earlier.preview, earlier.num_envs, earlier.fidelity) == (1, False, 16, "balanced")
-    assert TrainSettings.of(asdict(TrainSettings())) == TrainSettings()
-    assert TrainSettings.of({"hold": 4}).repeat == 4
-    with pytest.raises(ValueError, match="'hold'"):
-        TrainSettings.of({"hold": 4, "repeat": 5})
+def test_settings_are_read_again_and_those_of_another_version_are_refused(tmp_path: Path) -> None:
+    assert TrainSettings.of(json.loads(json.dumps(asdict(TrainSettings())))) == TrainSettings()
+    earlier = {name: value for name, value in asdict(TrainSettings()).items() if not name.startswith("action")}
+    (tmp_path / "settings.json").write_text(json.dumps({**earlier, "landing": True, "repeat": "bounce"}))
+    with pytest.raises(ValueError, match="of another version, without action, action_repeat, cannot be used: train"):
+        read_settings(tmp_path)
 
 
 def test_a_deadline_ends_training(tmp_path: Path) -> None:
@@ -158,7 +158,7 @@ def test_an_unfinished_training_is_resumed_and_a_finished_one_stays(run: Path, t
 
 # Without gravity nothing is struck, so that each decision lasts 2 s, and each episode has five.
 FLOATING = replace(
-    TINY, contact="exact", landing=True, repeat="bounce", scene='{"gravity": 0}', gamma=0.8, num_envs=4,
+    TINY, contact="exact", action="landing", action_repeat="bounce", scene='{"gravity": 0}', gamma=0.8, num_envs=4,
     rollout_steps=12, total_steps=48, batch_size=16,
 )  # fmt: skip
 
@@ -198,7 +198,7 @@ def test_values_after_the_time_limit_are_discounted_as_ppo_does() -> None:
     plain: dict[str, Any] = {"rollout_buffer_class": RolloutBuffer}
     for gamma, more, callbacks in ((0.8, {}, ours), (0.8**2, plain, []), (0.8, plain, [])):
         settings = replace(FLOATING, gamma=gamma)
-        model = make_ppo(settings, wrapped(make_vec_env(settings.env_settings, 4, 0), settings), **more)
+        model = make_ppo(settings, make_vec_env(settings.env_settings, 4, 0), **more)
         model.learn(96, callback=callbacks)
         learnt.append(torch.cat([weight.flatten() for weight in model.policy.state_dict().values()]))
     torch.testing.assert_close(learnt[0], learnt[1], rtol=1e-5, atol=1e-6)

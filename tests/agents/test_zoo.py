@@ -5,21 +5,20 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import pytest
 import torch
 from stable_baselines3 import PPO
 
 from agents.settings import TrainSettings
-from agents.training.models import make_ppo, make_vec_env, wrapped
+from agents.training.models import make_ppo, make_vec_env
 from agents.training.zoo import hyperparams, zoo_settings
 
 DEMO = TrainSettings()
 SMALL = replace(DEMO, num_envs=2, rollout_steps=64, batch_size=128)
-OF_THE_ZOO = {"env_kwargs", "env_wrapper", "n_envs", "n_timesteps", "policy", "learning_rate"}
+OF_THE_ZOO = {"env_kwargs", "n_envs", "n_timesteps", "policy", "learning_rate"}
 
 
 def test_the_zoo_makes_the_same_model() -> None:
-    environments = wrapped(make_vec_env(SMALL.env_settings, 2, 0), SMALL)
+    environments = make_vec_env(SMALL.env_settings, 2, 0)
     options: dict[str, Any] = {name: value for name, value in zoo_settings(SMALL).items() if name not in OF_THE_ZOO}
     ours, zoos = make_ppo(SMALL, environments), PPO("MlpPolicy", environments, seed=SMALL.seed, device="cpu", **options)
     assert zoos.gamma == SMALL.gamma**0.8  # of a decision, where ours is of a second
@@ -34,11 +33,5 @@ def test_the_zoo_trains_as_long_in_the_same_environment() -> None:
     assert (zoo["n_timesteps"], zoo["n_envs"]) == (DEMO.total_steps, DEMO.num_envs)
     assert zoo["learning_rate"] == "lin_0.002"  # falls linearly to 0, as ours
     assert zoo["env_kwargs"] == DEMO.env_settings
-    assert zoo["env_wrapper"] == [{"jackbox_env.LandingControl": {"period": "bounce"}}]
     torques = zoo_settings(TrainSettings.suited(task="spin"))
-    assert torques["env_wrapper"] == [{"rl_zoo3.wrappers.FrameSkip": {"skip": 4}}]
-
-
-def test_the_zoo_refuses_lookahead() -> None:
-    with pytest.raises(ValueError, match="lookahead must be 0"):
-        zoo_settings(replace(DEMO, landing=False, repeat=5, lookahead=8))
+    assert torques["env_kwargs"]["action_repeat"] == 4

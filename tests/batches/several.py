@@ -94,6 +94,7 @@ def assert_alike(
     often steps of the single environments were (terminated, truncated).
     """
     mode, ends, waits = vector.metadata["autoreset_mode"], Counter[tuple[bool, bool]](), [False] * len(alone)
+    made = [0] * len(alone)  # decisions in the episodes
     seen = vector.reset(seed=seed)[0]
     assert_same(list(seen[: len(alone)]), [env.reset(seed=seed + i)[0] for i, env in enumerate(alone)])
     if stable is not None:
@@ -109,19 +110,25 @@ def assert_alike(
             if waits[i]:
                 waits[i] = False
                 assert_same(seen[i], env.reset()[0])
-                assert (outcome, infos.get("duration", [0.0] * len(alone))[i]) == ((0.0, False, False), 0.0)
+                assert (outcome, infos["duration"][i]) == ((0.0, False, False), 0.0)
                 continue
             last, *expected, info = env.step(action[i])
             assert outcome == tuple(expected)
-            assert all(infos[name][i] == info[name] for name in ("duration", "steps") if name in info)
             ended = expected[1] or expected[2]
+            final = infos.get("final_info", infos) if ended else infos
+            assert_same({name: final[name][i] for name in final if name in info and name != "scene"}, {
+                name: np.asarray(info[name]) if name == "state" else info[name]
+                for name in info if name in final and name != "scene"
+            })  # fmt: skip
             ends[expected[1], expected[2]] += 1
+            made[i] += 1
             if stable is not None:
-                assert rows[i].get("duration") == info.get("duration")
+                assert rows[i]["duration"] == info["duration"]
             if ended and stable is not None:
                 assert_same(rows[i]["terminal_observation"], last)
                 assert rows[i]["TimeLimit.truncated"] == (expected[1:] == [False, True])
-                assert rows[i]["episode"]["l"] == round(info["time"] / env.unwrapped.control_dt)
+                assert rows[i]["episode"]["l"] == made[i]
+            made[i] = 0 if ended else made[i]
             if ended and mode is AutoresetMode.SAME_STEP:
                 assert_same(infos["final_obs"][i], last)
                 last = env.reset()[0]

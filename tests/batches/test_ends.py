@@ -20,7 +20,6 @@ from jackbox_env import (
     rollout,
 )
 from jackbox_env.sb3 import make_sb3_vec_env
-from jackbox_env.sb3_wrappers import HoldingVecEnv
 from tests.batches.several import EVERY_MODEL, RANGES, assert_alike, assert_same
 
 
@@ -92,48 +91,19 @@ def test_the_reward_of_an_episode_that_waits_is_not_evaluated(several: bool, con
     _, rewards, terminations, _, infos = batch.step(np.array([-1.0, 0.0, -1.0]))
     assert rewards.tolist() == infos["reward_part"].tolist() == [0.0, pay, 0.0]
     assert not terminations.any()
+    batch = JackInBoxVectorEnv(3, scene=scenes, action_repeat=2, **made)
     batch.reset(options={"state": ENDING})
-    _, rewards, terminations, _, infos = batch.step(np.zeros(3), repeat=2)
-    assert rewards.tolist() == [pay, 2.0 * pay, pay]
-    assert infos["reward_part"].tolist() == [pay, pay, pay]
+    _, rewards, terminations, _, infos = batch.step(np.zeros(3))
+    assert rewards.tolist() == infos["reward_part"].tolist() == [pay, 2.0 * pay, pay]
+    assert infos["duration"].tolist() == [0.02, 0.04, 0.02]
     assert terminations.tolist() == [True, False, True]
 
 
-# -- actions that are held --------------------------------------------------------------------------------------------
-
-
-class Held(gym.Wrapper[Any, Any, Any, Any]):
-    """Repeats an action for four steps, or until the episode ends."""
-
-    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Sum the rewards."""
-        total, steps, terminated, truncated = 0.0, 0, False, False
-        while steps < 4 and not (terminated or truncated):
-            seen, reward, terminated, truncated, info = self.env.step(action)
-            total, steps = total + float(reward), steps + 1
-        return seen, total, terminated, truncated, {**info, "steps": steps}
-
-
-class HeldVector(gym.vector.VectorWrapper):
-    """Repeats the actions of a native vector environment for four steps."""
-
-    def step(self, actions: Any) -> Any:
-        """Sum the rewards."""
-        return self.env.step(actions, repeat=4)  # type: ignore[call-arg]
+# -- actions that are repeated ----------------------------------------------------------------------------------------
 
 
 @EVERY_MODEL
-@pytest.mark.parametrize("mode", ["SAME_STEP", "DISABLED"])
-def test_held_actions_end_with_the_episode(mode: str, contact: str) -> None:
-    made: dict[str, Any] = {"contact": contact, "task": FALL, "max_episode_steps": LIMIT}
-    batch = HeldVector(JackInBoxVectorEnv(3, autoreset_mode=mode, with_infos=True, **made))
-    stable = HoldingVecEnv(make_sb3_vec_env(3, with_infos=True, **made), 4) if mode == "SAME_STEP" else None
-    ends = assert_alike(batch, [Held(gym.make("JackInBox-v0", **made)) for _ in range(3)], actions(60), stable, seed=5)
-    assert {(True, False), (False, True), (False, False)} <= set(ends)
-
-
-@EVERY_MODEL
-def test_a_held_step_that_fails_has_not_happened(contact: str) -> None:
+def test_a_repeated_step_that_fails_has_not_happened(contact: str) -> None:
     def root(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float]:
         return (math.nan if state[10] < -5.0 and state[3] > 0.0 else 1.0,)
 
@@ -141,19 +111,20 @@ def test_a_held_step_that_fails_has_not_happened(contact: str) -> None:
         return bool(state[10] < -4.9)
 
     task = Task(("root",), root, fast)
-    batch = JackInBoxVectorEnv(2, contact=contact, task=task, autoreset_mode="SAME_STEP")
+    batch = JackInBoxVectorEnv(2, contact=contact, task=task, autoreset_mode="SAME_STEP", action_repeat=8)
     starts = np.zeros((2, 12))
     starts[:, 3] = 0.5, -0.5
     starts[0, 10] = 0.1
     batch.reset(options={"state": starts})
     for _ in range(3):
-        batch.step(None, repeat=8)
+        batch.step(None)
     before, times = batch.states, batch.times
     for _ in range(2):
         with pytest.raises(TaskError, match="'root' is nan, in environment 0"):
-            batch.step(None, repeat=8)  # 1 ends in the first of these steps
+            batch.step(None)  # 1 ends in the first of these steps
         assert_same((batch.states, batch.times), (before, times))
-    assert batch.step(None)[2].tolist() == [False, True]
+    batch.set_states(starts, 0.0)
+    assert not batch.step(None)[2].any()
 
 
 # -- rollouts ---------------------------------------------------------------------------------------------------------

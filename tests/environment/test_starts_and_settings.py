@@ -11,6 +11,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.vector import AutoresetMode
 
 from jackbox_env import Drive, JackInBoxEnv, Scene
 from jackbox_env.mechanics import gaps
@@ -112,3 +114,20 @@ def test_scenes_with_functions_run_end_to_end_and_have_no_json_form() -> None:
     assert all(info["torque"] == 0.0 for info in infos)
     with pytest.raises(TypeError, match="not JSON serializable"):
         env.spec.to_json()
+
+
+# -- Gymnasium's words ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mode", [*AutoresetMode, *(mode.value for mode in AutoresetMode)])
+def test_gymnasiums_words_for_autoreset_are_accepted_and_a_spec_has_json(mode: AutoresetMode | str) -> None:
+    envs = gym.make_vec("JackInBox-v0", num_envs=2, autoreset_mode=mode, max_episode_steps=None)
+    assert envs.metadata["autoreset_mode"] in (mode, AutoresetMode[envs.metadata["autoreset_mode"].name])
+    assert envs.metadata["autoreset_mode"].value == getattr(mode, "value", mode)
+    assert envs.spec is not None
+    again = gym.make_vec(EnvSpec.from_json(envs.spec.to_json()), num_envs=2)
+    assert again.metadata["autoreset_mode"] is envs.metadata["autoreset_mode"]
+    for made in (envs, again):
+        made.reset(seed=0)
+        ends = [made.step(np.zeros((2, 1)))[3].all() for _ in range(500)]
+        assert ends == [False] * 499 + [True]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jackbox_env import LandingControlVector, Scene, Task, rollout
+from jackbox_env import Scene, Task, rollout
 from jackbox_env.env import JackInBoxEnv
 from jackbox_env.vector_env import JackInBoxVectorEnv
 from tests.batches.several import SHAKEN
@@ -55,11 +55,15 @@ def played(restitution: float) -> list[str]:
     env.reset(seed=1)
     alone = [env.step(0.0)[:3] for _ in range(60)]
     shaken = Scene(drive=SHAKEN, gravity=20.0, restitution=restitution)
-    aimed = LandingControlVector(JackInBoxVectorEnv(2, 100, contact="exact", scene=[shaken, scene]), period="bounce")
+    nouns: Any = {"observation": "landing", "action": "landing", "action_repeat": "bounce", "episode_steps": 100}
+    aimed = JackInBoxVectorEnv(2, contact="exact", scene=[shaken, scene], **nouns)
     aimed.reset(seed=0)
     decisions = [aimed.step(np.zeros((2, 2))) for _ in range(12)]
     assert any(infos["duration"][0] == 0.0 < infos["duration"][1] for *_, infos in decisions)
+    chosen = JackInBoxEnv(contact="exact", scene=scene, action="discrete", action_repeat=3)
+    chosen.reset(seed=2)
     results: list[Iterable[object]] = [
+        [part for number in range(20) for part in chosen.step(number % 3)[:2]],
         [part for seen, reward, _, _, infos in stepped for part in (seen, reward, infos["state"])],
         [part for part in rollouts if part is not None],
         [part for step in alone for part in step],

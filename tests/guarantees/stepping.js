@@ -1,6 +1,6 @@
-// Steps by a module of the page: the numbers after each step, as Python's environments report them; and the returns of
-// the trained agent's episodes on juggle.
-async ([module, words, cases, starts]) => {
+// Steps by a module of the page: the numbers after each step, as Python's environments report them; and episodes of the
+// trained agents: observations and actions of their decisions, the last state, the return.
+async ([module, words, cases, episodes]) => {
   const data = JSON.parse(document.getElementById("data").textContent);
   const bytes = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
   const text = (array) => btoa(Array.from(new Uint8Array(array.buffer), (byte) => String.fromCharCode(byte)).join(""));
@@ -13,28 +13,35 @@ async ([module, words, cases, starts]) => {
     for (const share of shares) {
       if (!buffer.step(state, time, dt, share === null ? null : share * values[data.torqueLimit])) break;
       state = buffer.after.slice();
-      numbers.push(...state, ...["HITS", "IMPULSE", "MEAN_TORQUE"].map(buffer.number), buffer.reward(task));
+      numbers.push(...state, ...["HITS", "IMPULSE", "MEAN_TORQUE"].map((name) => buffer.number(name)), buffer.reward(task));
       for (const { since, wall, foot, impulse } of buffer.impacts()) numbers.push(time + since, wall, foot, impulse);
-      observations.push(...buffer.observation);
+      observations.push(...buffer.observe());
       time += dt;
     }
     return [text(Float64Array.from(numbers)), text(Float32Array.from(observations))];
   });
   const buffer = physics.makeBuffer();
-  const { agent } = data.tasks.juggle;
-  const weights = Float32Array.from(new Int16Array(bytes(agent.weights).buffer), (weight) => weight * agent.scale);
-  const act = buffer.agent({ ...agent, weights });
+  const acts = Object.entries(data.tasks).map(([task, { agent }]) => {
+    const weights = Float32Array.from(new Int16Array(bytes(agent.weights).buffer), (weight) => weight * agent.scale);
+    return [task, buffer.agent({ ...agent, weights })];
+  });
   buffer.setScene(data.values);
-  const returns = starts.map((start) => {
-    buffer.place(buffer.start(start.map(BigInt)), 0.02, "juggle");
+  const played = episodes.map(([task, start]) => {
+    const act = Object.fromEntries(acts)[task];
+    buffer.place(buffer.start(start.map(BigInt)), 0.02, task);
     act.restart();
+    const [observations, actions] = [[], []];
     let sum = 0;
     for (let step = 0; step < 500; step++) {
-      const torque = act() * data.values[data.torqueLimit];
-      buffer.step(buffer.after.slice(), 0.02 * step, 0.02, torque);
-      sum += buffer.reward("juggle");
+      const [share, observation] = [act(), buffer.observe()];
+      if (buffer.number("STEPS") === 1) { // it has decided
+        observations.push(...observation);
+        actions.push(...Array.from({ length: data.tasks[task].agent.outputs }, (_, k) => buffer.number("ACTION", k)));
+      }
+      buffer.step(buffer.after.slice(), 0.02 * step, 0.02, share * data.values[data.torqueLimit]);
+      sum += buffer.reward(task);
     }
-    return sum;
+    return [text(Float32Array.from(observations)), text(Float64Array.from(actions)), text(buffer.after.slice()), sum];
   });
-  return { steps, returns };
+  return { steps, played };
 }

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import base64
 import json
+import math
 import struct
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,8 +19,8 @@ from numpy.typing import NDArray
 from jackbox_env import Scene
 from jackbox_env.exact.restart import seeded, unpacked
 from jackbox_env.exact.trigonometry import _QUARTER_HIGH
-from jackbox_env.tasks import sample_start
-from scripts.site.build import HERE, ROOT, ensure_page
+from jackbox_env.tasks import TASKS, sample_start
+from scripts.site.build import AGENTS, HERE, ROOT, ensure_page
 from scripts.site.entries import MOST_IMPACTS
 from tests.browser import Opened
 
@@ -60,7 +62,8 @@ def shares(case: Case) -> list[float | None]:
 def by_python(case: Case) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
     """The numbers that ``stepping.js`` returns, by the environment."""
     scene = Scene.of(case.fields)
-    env: Any = gym.make("JackInBox-v0", scene=scene, task=case.task, control_dt=case.dt, contact="exact").unwrapped
+    keywords: dict[str, Any] = {"task": case.task, "control_dt": case.dt, "observation": "landing"}
+    env: Any = gym.make("JackInBox-v0", scene=scene, contact="exact", **keywords).unwrapped
     env.reset()
     env.set_state(sample_start(scene, unpacked(seeded(1))))
     numbers, observations = list[float](), list[NDArray[np.float32]]()
@@ -73,16 +76,24 @@ def by_python(case: Case) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
     return np.array(numbers), np.concatenate(observations)
 
 
-def run(opened: Opened, module: str, cases: Sequence[Case] = (), episodes: int = 0) -> Any:
-    """What ``stepping.js`` returns in the page, by a module, base64."""
-    words = [[str(word) for word in seeded(seed)[:4].tolist()] for seed in range(episodes + 2)]
+def run(opened: Opened, module: str, cases: Sequence[Case] = (), episodes: Sequence[tuple[str, int]] = ()) -> Any:
+    """What ``stepping.js`` returns in the page, by a module, base64; an episode is a task and the seed of its start."""
     asked = [
         {"task": one.task, "values": list(Scene.of(one.fields).numbers), "dt": one.dt, "shares": shares(one)}
         for one in cases
     ]
+    starts = [(task, _words(seed)) for task, seed in episodes]
     physics, steps = (HERE / "physics.js").read_text(), Path(__file__).with_name("stepping.js").read_text()
     script = f"(argument) => {{ {physics} return ({steps})(argument); }}"
-    return opened.page.evaluate(script, [module, words[1], asked, words[2:]])
+    return opened.page.evaluate(script, [module, _words(1), asked, starts])
+
+
+def _words(seed: int) -> list[str]:
+    return [str(word) for word in seeded(seed)[:4].tolist()]
+
+
+def _numbers(text: str, kind: str) -> NDArray[Any]:
+    return np.frombuffer(base64.b64decode(text), kind)
 
 
 def by_browser(
@@ -90,7 +101,7 @@ def by_browser(
 ) -> list[tuple[NDArray[np.float64], NDArray[np.float32]]]:
     """The numbers of the cases, by the page."""
     return [
-        (np.frombuffer(base64.b64decode(numbers), "<f8"), np.frombuffer(base64.b64decode(observations), "<f4"))
+        (_numbers(numbers, "<f8"), _numbers(observations, "<f4"))
         for numbers, observations in run(opened, module, cases)["steps"]
     ]
 
@@ -131,9 +142,49 @@ def test_another_last_bit_of_one_constant_is_noticed(opened: Opened, module: str
     assert differing(numbers, by_python(case)[0]) > 0
 
 
+@pytest.mark.parametrize("task", TASKS)
+def test_the_agent_in_the_page_plays_the_bits_of_the_environment(task: str, opened: Opened, module: str) -> None:
+    stored = json.loads((AGENTS / f"{task}-ppo" / "settings.json").read_text())
+    keywords = {name: stored[name] for name in ("task", "observation", "action", "action_repeat")}
+    env: Any = gym.make("JackInBox-v0", contact="exact", **keywords).unwrapped
+    layers = network(opened, task)
+    for seed, texts in enumerate(run(opened, module, episodes=[(task, seed) for seed in range(8)])["played"]):
+        observed, actions = _numbers(texts[0], "<f4").reshape(-1, 21), _numbers(texts[1], "<f8")
+        actions = actions.reshape(len(observed), -1)
+        assert np.abs(actions - acted(layers, observed)).max() < 1e-12  # the browser has a tanh of its own
+        observation, _ = env.reset(options={"state": sample_start(Scene(), unpacked(seeded(seed)))})
+        truncated = False
+        for expected, action in zip(observed, actions, strict=True):
+            assert not truncated
+            assert differing(observation, expected) == 0
+            observation, *_, truncated, _ = env.step(action)
+        assert truncated
+        assert differing(env.state, _numbers(texts[2], "<f8")) == 0
+
+
+def network(opened: Opened, task: str) -> list[NDArray[np.float64]]:
+    """Weights and biases of the page's network, in turn."""
+    agent = json.loads(opened.page.locator("#data").text_content())["tasks"][task]["agent"]
+    numbers = (_numbers(agent["weights"], "<i2") * agent["scale"]).astype(np.float32).astype(np.float64)
+    sizes = [21, agent["hidden"], agent["hidden"], agent["outputs"]]
+    shapes = [shape for before, after in pairwise(sizes) for shape in ((after, before), (after,))]
+    parts = np.split(numbers, np.cumsum([math.prod(shape) for shape in shapes])[:-1])
+    return [part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)]
+
+
+def acted(layers: Sequence[NDArray[np.float64]], observed: NDArray[np.float32]) -> NDArray[np.float64]:
+    """The network's actions, by numpy."""
+    values = observed.astype(np.float64)
+    for number in range(0, len(layers), 2):
+        values = (np.tanh(values) if number else values) @ layers[number].T + layers[number + 1]
+    clipped: NDArray[np.float64] = np.clip(values, -1.0, 1.0)
+    return clipped
+
+
 def test_the_agent_in_the_page_earns_its_return(opened: Opened, module: str) -> None:
     rows = json.loads((ROOT / "docs" / "results.json").read_text())["rows"]
     (row,) = [one for one in rows if (one["task"], one["policy"], one["contact"]) == ("juggle", "ppo", "exact")]
-    returns = run(opened, module, episodes=256)["returns"]
+    played = run(opened, module, episodes=[("juggle", seed) for seed in range(2, 258)])["played"]
+    returns = [episode[-1] for episode in played]
     deviation = np.std(returns) / np.sqrt(len(returns))
     assert abs(np.mean(returns) - row["mean"]) < 3.0 * np.sqrt(2.0) * deviation < 12.0

@@ -130,7 +130,7 @@ def test_interrupts_at_random_moments_neither_hang_nor_raise_other_errors(name: 
     command = [sys.executable, "-m", "tests.guarantees.interrupting", name, str(INTERRUPTS)]
     ran = subprocess.run(command, capture_output=True, text=True, check=False)
     assert ran.returncode == 0, ran.stderr
-    assert ran.stdout.startswith(f"{INTERRUPTS}"), ran.stdout
+    assert int(ran.stdout.split()[0]) >= INTERRUPTS, ran.stdout
 
 
 def test_threads_end_with_their_batch_and_wait_in_copies_for_none() -> None:

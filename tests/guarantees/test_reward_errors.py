@@ -117,13 +117,14 @@ def test_the_earliest_error_of_several_steps_is_raised_whatever_the_threads(num_
         return math.inf if state.theta_jack > 0.5 else 1.0
 
     scenes = [{"drive": Drive(force_x=late)}, {}]
-    envs = JackInBoxVectorEnv(2, contact="exact", num_threads=num_threads, task=Task(("r",), early), scene=scenes)
+    made: Any = {"contact": "exact", "num_threads": num_threads, "scene": scenes}
+    envs = JackInBoxVectorEnv(2, task=Task(("r",), early), action_repeat=40, **made)
     envs.reset(seed=0)
     spinning = np.zeros((2, 12))
     spinning[1, OMEGA_JACK] = 10.0
     envs.set_states(spinning, 0.0)
     with pytest.raises(TaskError, match="'r' is inf, in environment 1"):
-        envs.step([0.0, 0.0], repeat=40)
+        envs.step([0.0, 0.0])
     np.testing.assert_array_equal(envs.states, spinning)
 
 
@@ -136,7 +137,8 @@ def test_a_drive_that_fails_once_is_named() -> None:
             raise OSError("no sensor")
         return 1e4
 
-    envs = JackInBoxVectorEnv(2, contact="exact", torque="chirp", scene={"drive": Drive(torque=flaky)})
+    scene = {"drive": Drive(torque=flaky)}
+    envs = JackInBoxVectorEnv(2, contact="exact", torque="chirp", scene=scene, action_repeat=10)
     envs.reset(seed=0)
     with pytest.raises(RuntimeError, match="the drive of environment 0 failed at t = 0.04 s, but not when"):
-        envs.step(None, repeat=10)
+        envs.step(None)

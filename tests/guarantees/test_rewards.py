@@ -23,7 +23,7 @@ from jackbox_env import JackInBoxEnv, JackInBoxVectorEnv, Scene, Task, scoring
 from jackbox_env.exact import compiler
 from jackbox_env.exact.compiler import cache_folders
 from jackbox_env.scene import SceneNumbers, total
-from jackbox_env.scoring import CompiledScore, PlainScore
+from jackbox_env.scoring import CompiledFunctions, Nouns, PlainFunctions
 from jackbox_env.simulators import CONTACT_MODELS
 from jackbox_env.tasks import TASKS
 
@@ -104,11 +104,12 @@ def test_a_task_can_change_no_number(contact: str) -> None:
 @pytest.mark.parametrize("name", TASKS)
 def test_every_task_pays_the_same_compiled(name: str) -> None:
     rng, scene = np.random.default_rng(0), Scene(gravity=3.0, jack_mass=2.0)
-    plain, compiled = PlainScore(scene, TASKS[name]), CompiledScore(scene, TASKS[name])
+    nouns = Nouns(TASKS[name])
+    plain, compiled = PlainFunctions(scene, nouns), CompiledFunctions(scene, nouns)
     paid = []
     for _ in range(300):
         state, torque, impulse = rng.normal(size=12) * 2.0, rng.normal() * 6e4, abs(rng.normal()) * 30.0
-        (seen, terms, _), others = plain(state, torque, impulse), compiled(state, torque, impulse)
+        (seen, terms, _), others = (one.judge(state, 0.0, torque, impulse) for one in (plain, compiled))
         assert list(terms) == list(others[1])
         np.testing.assert_allclose(seen, others[0], rtol=1e-6)
         paid.append(terms)

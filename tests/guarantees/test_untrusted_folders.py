@@ -27,7 +27,7 @@ from agents.sweep import LOG, TABLE, carry_out, in_turn, new_sweep
 from agents.training.best import read_evaluations
 from agents.training.models import load_model, make_ppo, make_vec_env
 
-TINY = TrainSettings.suited(landing=False, num_envs=1, rollout_steps=2, batch_size=2, hidden_units=(4,))
+TINY = TrainSettings.suited(action="torque", num_envs=1, rollout_steps=2, batch_size=2, hidden_units=(4,))
 MOST_MEMORY = 10_000_000  # [bytes]
 
 
@@ -57,11 +57,15 @@ def changed(**values: Any) -> str:
         ("[" * 100_000, "(maximum recursion depth|Stack overflow)"),
         (b'{"seed": "\x80"}', "0x80"),
         ("[1, 2]", r"got \[1, 2\]"),
-        ('{"units": 3}', "got 'units'"),
+        (changed(units=3), "got 'units'"),
+        (
+            '{"seed": 3, "repeat": 4}',
+            "of another version, without task, contact, substeps, cannot be used: train again",
+        ),
         ('{"seed": ' + "9" * 5000 + "}", "limit"),
-        ('{"hidden_units": [[1]]}', r"hidden_units .* got \[1\]"),
-        (json.dumps({"scene": "[" * 100_000}), "scene must be"),
-        ('{"fidelity": {}}', "fidelity .* got {}"),
+        (changed(hidden_units=[[1]]), r"hidden_units .* got \[1\]"),
+        (changed(scene="[" * 100_000), "scene must be"),
+        (changed(fidelity={}), "fidelity .* got {}"),
         (" " * 1_000_001, "at most 1,000,000 bytes, got 1,000,001"),
     ],
 )
@@ -189,7 +193,7 @@ print(base64.b64encode(cloudpickle.dumps(Bomb())).decode())
     poison = {":type:": "<class 'function'>", ":serialized:": payload}
     contents["data"] = json.dumps({**json.loads(contents["data"]), "lr_schedule": poison}).encode()
     (shared / "model.zip").write_bytes(zipped(contents))
-    assert load_model(shared).predict(np.zeros(10, dtype=np.float32))[0].shape == (1,)
+    assert load_model(shared).predict(np.zeros(21, dtype=np.float32))[0].shape == (1,)
     assert not witness.exists()
     find_policy(str(shared), EnvSettings(), trust=True)  # trust is for models without settings only
     assert not witness.exists()

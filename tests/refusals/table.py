@@ -13,11 +13,10 @@ import gymnasium as gym
 import numpy as np
 
 import jackbox_env
-from agents.settings import EPISODE_STEPS, TrainSettings
+from agents.settings import TrainSettings
 from jackbox_env import Chirp, Drive, JackInBoxEnv, JackInBoxVectorEnv, Scene, make_simulator, mechanics, states
 from jackbox_env.randomization import NUMBERS
 from jackbox_env.sb3 import make_sb3_vec_env
-from jackbox_env.sb3_wrappers import HoldingVecEnv, LandingControlVecEnv, LookaheadVecEnv
 from jackbox_env.simulators import CONTACT_MODELS, Simulator
 from jackbox_env.simulators.fidelity import FIDELITIES
 from jackbox_env.states import STATE_NAMES
@@ -69,6 +68,28 @@ TASK = instance(
     no_names=out(replace(UNNAMED, terms=()), "terms", "()", named="task"),
     same_names=out(UNNAMED, "terms", "('a', 'a')", named="task"),
     no_plain_function=wrong(replace(UNNAMED, terms=("a",), values=math.sin), "values", named="task"),
+)  # fmt: skip
+
+
+changed: Any = replace  # to values of wrong types
+SEEN = jackbox_env.Observation(("height",), -1.0, 1.0, lambda scene, state, time: (state.y_jack,))
+OBSERVATION = instance(
+    "landing", "text", "empty_text", unknown=out("pixel", "'pixel'", "'state'", "'landing'"),
+    plain_function=wrong(SEEN.values, "jackbox_env.Observation"), no_names=out(changed(SEEN, names=()), "names", "()"),
+    same_names=out(changed(SEEN, names=("a", "a")), "names", "('a', 'a')"),
+    infinite=out(changed(SEEN, high=math.inf), "high", "finite", "inf"),
+    turned=out(changed(SEEN, low=2.0), "below", "2.0", "1.0"), shape=out(changed(SEEN, low=[0.0, 0.0]), "low", "0."),
+    words=wrong(changed(SEEN, low="a"), "low", "'a'"), no_plain=wrong(changed(SEEN, values=math.sin), "values"),
+)  # fmt: skip
+TURN = jackbox_env.Action(gym.spaces.Discrete(2), lambda scene, state, action, time, dt: 0.5)
+ACTING: Argument = instance(
+    "landing", "text", "empty_text", unknown=out("turn", "'turn'", "'torque'", "'landing'", "'discrete'"),
+    plain_function=wrong(TURN.torque, "jackbox_env.Action"), from_one=out(
+        changed(TURN, space=gym.spaces.Discrete(2, start=1)), "space", "start=1"
+    ),
+    square=out(changed(TURN, space=gym.spaces.Box(-1, 1, (2, 2))), "space", "(2, 2)"),
+    other=out(changed(TURN, space=gym.spaces.MultiBinary(3)), "space", "MultiBinary(3)"),
+    no_space=wrong(changed(TURN, space=3), "space", "3"), no_plain=wrong(changed(TURN, torque=math.sin), "torque"),
 )  # fmt: skip
 
 
@@ -166,6 +187,21 @@ ACTIONS = array([[0.25], [0.5], [-0.25]], none=True).but(
     "action", nan_inside=out([[0.25], [0.5], [math.nan]], "nan", "environment 2"),
     transposed=out(np.zeros((1, 3)), "(1, 3)"),
 )  # fmt: skip
+PAIR, PAIRS = array([0.25, -0.5], none=True), array([[0.25, -0.5], [0.5, 0.0], [-0.25, 1.0]], none=True).but("action")
+FLOATS, FEW = (
+    {"float": 1.0, "half": np.array(0.5), "text": "1", "bool": True, "array": np.zeros((2, 2))},
+    ("from 0 to 2",),
+)
+CHOICE = Argument(
+    1, {**each(wrong, FLOATS, *FEW), **each(out, {"below": -1, "above": 3}, *FEW),
+        "two": out([1, 1], "(2,)")},
+    {"0-d": np.array(1), "numpy": np.int64(1), "list": [1], "byte": np.uint8(1)}, (0, 2, None),
+)  # fmt: skip
+CHOICES = Argument(
+    [1, 0, 2], {**each(wrong, {"floats": [1.0, 0.0, 2.0], "bools": [True] * 3}, *FEW), "two": out([1, 1], "(2,)"),
+                "above": out([1, 0, 3], "3", "environment 2", *FEW, named="action")},
+    {"array": np.array([1, 0, 2]), "column": np.array([[1], [0], [2]]), "bytes": np.array([1, 0, 2], np.uint8)},
+)  # fmt: skip
 TIMES = array([1.0, 2.0, 3.0], scalar=True).but(
     late=out([0.0, 0.0, 2e9], "2000000000.0", "1e+09"), early=out(-2e9, "-2000000000.0", "-1e+09")
 )
@@ -189,6 +225,10 @@ def methods_of(contact: str) -> Iterator[Row]:
         start_several,
         attrgetter("states", "times", "np_random_seed", "scenes"),
     )
+    nouns: dict[str, dict[str, Any]] = {
+        "landing": {"action": "landing", "observation": "landing", "action_repeat": "bounce"},
+        "discrete": {"action": "discrete", "action_repeat": 3},
+    }
     held, start, time = state(1.0), state(1e-9).but(nothing=None), real(1.0, at_least=-1e9, at_most=1e9)
     light = out({"jack_inertia": 1e-6}, "couple the feet", named="jack_inertia") if contact == "pymunk" else None
     options: Kinds = {"options": OPTIONS, "options.scene": CHANGES.but(light=light)}
@@ -215,7 +255,7 @@ def methods_of(contact: str) -> Iterator[Row]:
         ("JackInBoxVectorEnv.scene_of", {"number": whole(1, 0, 2)}, several),
         ("JackInBoxVectorEnv.field", {"name": choice("gravity", (*NUMBERS, "speed_scale"))}, several),
         ("JackInBoxVectorEnv.impacts", {"number": whole(1, 0, 2)}, several),
-        ("JackInBoxVectorEnv.step", {"actions": ACTIONS, "repeat": whole(2, 1, 1_000_000)}, several),
+        ("JackInBoxVectorEnv.step", {"actions": ACTIONS}, several),
         (
             "JackInBoxVectorEnv.set_states",
             {"states": rows_of(array(ROWS), 1.0), "times": TIMES, "chosen": mask([True, False, True])},
@@ -223,6 +263,13 @@ def methods_of(contact: str) -> Iterator[Row]:
         ),
         ("JackInBoxVectorEnv.tiled", {"first": whole(2, 1, 1024), "size": size((16, 24), 16, 1024)}, several),
     ]
+    for name, pair in {"landing": (PAIR, PAIRS), "discrete": (CHOICE, CHOICES)}.items():
+        alone = single._replace(make=partial(JackInBoxEnv, contact=contact, **nouns[name]))
+        batch = several._replace(make=partial(JackInBoxVectorEnv, 3, contact=contact, **nouns[name]))
+        rows += [
+            ("JackInBoxEnv.step", {"action": pair[0]}, alone),
+            ("JackInBoxVectorEnv.step", {"actions": pair[1]}, batch),
+        ]
     for name, arguments, subject in rows:
         yield Row(name, attrgetter(name.rpartition(".")[2]), arguments, subject, contact=contact)
     drives = {name: real(0.5).but(f"{name}(") for name in DRIVES}
@@ -250,30 +297,30 @@ SETTINGS: Kinds = {
     "task": TASK,
     "control_dt": DT,
     "torque": choice("chirp", ("agent", "chirp")),
-    "render_mode": choice("rgb_array", ("human", "rgb_array"), none=True),
+    "render_mode": choice("rgb_array", ("human", "rgb_array", "rgb_array_list"), none=True),
     "fidelity": choice(None, FIDELITIES, none=True),
     "randomize": RANDOMIZE,
     "render_size": size((16, 24), 16, 4096),
     "render_overlay": flag(True),
+    "observation": OBSERVATION,
+    "action": ACTING,
+    "action_repeat": replace(
+        whole(2, 1, 1_000_000).but(text=out("nan", '"bounce"'), empty_text=out("", '"bounce"')),
+        accepted=(1, 1_000_000, "bounce"),
+    ),
+    "episode_steps": whole(100, 1, 10**15, none=True),
 }
-STEPS = replace(whole(100, 1, 10**15), accepted=(-1, 1))
+STEPS = replace(whole(100, 1, 10**15, none=True), accepted=(-1, 1, None))
 OF_VECTORS: Kinds = {
     **SETTINGS,
     "num_envs": whole(2, 1, 10**9),
-    "render_mode": SETTINGS["render_mode"].but(human=out("human", "several", "'human'")),
+    "render_mode": choice("rgb_array", ("human", "rgb_array"), none=True).but(
+        human=out("human", "several", "'human'"), list_of_frames=out("rgb_array_list", "'rgb_array_list'")
+    ),
     "max_episode_steps": STEPS,
     "num_threads": THREADS,
     "with_infos": flag(False),
     "scene": SCENES.but(short=out([None], "list of 2", "1 of them")),
-}
-LOOKAHEAD: Kinds = {
-    "hold": whole(5, 1, 1000),
-    "turns": whole(3, 0, 999).but(even=out(4, "odd", "4")),
-    "samples": whole(8, 0, 100_000).but(few=out(7, "8", "7")),
-    "pieces": whole(8, 8, 10_000),
-    "follow": flag(False),
-    "seed": SEED,
-    "num_threads": THREADS,
 }
 ROLLOUT: Kinds = {
     "scene": SCENES.but(long=out([None] * 4, "list of 3", "4 of them")),
@@ -331,16 +378,15 @@ TRAINING: Kinds = {
     **{name: whole(4, 1).but(absurd=out(10**13, str(10**13))) for name in COUNTS},
     "batch_size": whole(4, 2),
     "torch_threads": whole(2, 1).but(absurd=out(1025, "1024", "1025")),
-    "repeat": whole(5, 1, EPISODE_STEPS).but(odd=out(3, "divide", "500", "3")),
-    "preview": flag(True),
-    "lookahead": whole(8, 0, 4096).but(few=out(7, "8", "7")),
+    "observation": choice("state", ("state", "landing")),
+    "action": choice("torque", ("torque", "landing", "discrete")),
+    "action_repeat": SETTINGS["action_repeat"].but(word=out("landing", "bounce", "landing")),
     **{name: real(0.5, above=0.0) for name in ("learning_rate", "clip_range")},
     **{name: real(0.5, at_least=0.0, at_most=1.0) for name in ("gamma", "gae_lambda")},
     **{name: real(0.5) for name in ("entropy_coefficient", "initial_log_std")},
     "max_minutes": real(0.5, above=0.0, none=True),
     "hidden_units": instance((8, 4), "list", "ragged", zero=out((8, 0), "0"), floats=wrong((8.0,), "8.0")),
     "fidelity": SETTINGS["fidelity"],
-    "landing": Argument(False, {}),
 }
 
 
@@ -353,11 +399,10 @@ def drawn(randomize: Any) -> Any:
     return JackInBoxEnv(randomize=lambda rng: randomize).reset(seed=1)
 
 
-PERIOD: Kinds = {"period": real(0.4, above=0.0, at_most=20000.0)}
-WRAPPED: Kinds = {"env": Argument(gym.make("JackInBox-v0"), {})}
-VECTOR: Kinds = {"env": Argument(JackInBoxVectorEnv(2, autoreset_mode="SAME_STEP"), {})}
-SB3: Kinds = {"venv": Argument(make_sb3_vec_env(2), {})}
-MODES = choice("SAME_STEP", ("NEXT_STEP", "SAME_STEP", "DISABLED"))
+MODES = replace(
+    choice("SAME_STEP", ("NEXT_STEP", "SAME_STEP", "DISABLED")).but(upper=None),
+    accepted=("NextStep", "SameStep", "Disabled"),
+)
 # All that makes or computes something, and keeps nothing.
 FUNCTIONS: list[tuple[Callable[..., Any], Kinds]] = [
     (states.as_state, {"state": state()}),
@@ -385,13 +430,6 @@ FUNCTIONS: list[tuple[Callable[..., Any], Kinds]] = [
     (jackbox_env.linearize, {**LINEARIZING, "steps": Argument(None, {})}),
     (jackbox_env.ilqr, IMPROVING),
     (cheapest, CHOOSING),
-    (jackbox_env.Lookahead, {**LOOKAHEAD, **WRAPPED}),
-    (jackbox_env.LookaheadVector, {**LOOKAHEAD, **VECTOR}),
-    (LookaheadVecEnv, {**LOOKAHEAD, **SB3}),
-    (HoldingVecEnv, {"hold": whole(5, 1), **SB3}),
-    (jackbox_env.LandingControl, {**PERIOD, **WRAPPED}),
-    (jackbox_env.LandingControlVector, {**PERIOD, **VECTOR}),
-    (LandingControlVecEnv, {**PERIOD, **SB3}),
     (TrainSettings, TRAINING),
 ]
 

@@ -7,16 +7,11 @@ import inspect
 import math
 import re
 from collections.abc import Callable, Mapping
-from functools import partial
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
-from gymnasium.wrappers import RescaleAction, RescaleObservation
-from gymnasium.wrappers.vector import ClipAction
-from stable_baselines3.common.vec_env import DummyVecEnv
 
 import jackbox_env
 from agents.policies.planner import Planner
@@ -26,10 +21,6 @@ from jackbox_env import (
     Chirp,
     JackInBoxEnv,
     JackInBoxVectorEnv,
-    LandingControl,
-    LandingControlVector,
-    Lookahead,
-    LookaheadVector,
     Scene,
     Task,
     make_simulator,
@@ -38,7 +29,6 @@ from jackbox_env import (
     states,
 )
 from jackbox_env.sb3 import make_sb3_vec_env
-from jackbox_env.sb3_wrappers import LookaheadVecEnv
 from jackbox_env.simulators import Simulator
 from jackbox_env.tasks import juggle
 from tests.refusals.kinds import Hostile, out, real
@@ -138,32 +128,8 @@ def with_gradients() -> Any:
     return pytest.importorskip("torch").ones(1, requires_grad=True)
 
 
-def aiming(count: int = 1, period: Any = 0.4, **made: Any) -> Any:
-    """Landing control of one environment or of several."""
-    if count > 1:
-        return LandingControlVector(JackInBoxVectorEnv(count, **made), period=period)
-    return LandingControl(gym.make("JackInBox-v0", **made), period=period)
-
-
-def looking(env: Any, wrapper: Any = Lookahead, **settings: Any) -> Any:
-    return wrapper(env, **{"samples": 8, "hold": 1, **settings})
-
-
-def rescaled() -> Any:
-    return RescaleAction(gym.make("JackInBox-v0"), np.float32(-2), np.float32(2))
-
-
-def varied(field: str, **settings: Any) -> TrainSettings:
-    return TrainSettings.suited(**{"landing": False, "randomize": f'{{"{field}": [80000, 90000]}}', **settings})
-
-
-following, dummy = partial(looking, follow=True), (lambda make: DummyVecEnv([make]))
 MODELS: Any = np.array(["pymunk", "exact"])
 ARRAY = "^fidelity='coarse' stands for contact='pymunk', got contact="
-NO_TORQUES = "follow needs actions that are torques, without an action wrapper"
-DRIVEN = 'follow needs an environment with torque="agent", .* got torque="chirp"'
-ONE, ZERO, TWO = gym.make("JackInBox-v0", contact="exact"), np.float32(0), np.float32(2)
-TASKS_APART = [partial(gym.make, "JackInBox-v0", task=task) for task in ("juggle", "spin")]
 SENTENCES: list[tuple[Callable[[], object], type[Exception], str]] = [
     (lambda: JackInBoxEnv(contct="exact"), TypeError, "no argument 'contct' .*'contact'.*: it accepts .*randomize"),
     (lambda: gym.make("JackInBox-v0", contct="exact"), TypeError, "no argument 'contct' .*'contact'"),
@@ -206,9 +172,6 @@ SENTENCES: list[tuple[Callable[[], object], type[Exception], str]] = [
     # settings of trainings, and policies
     (lambda: TrainSettings(scene="[1]"), ValueError, r"scene must .*\[1"),
     (lambda: TrainSettings(scene="{"), ValueError, "scene must .*{"),
-    (lambda: varied("jack_mass", lookahead=8, repeat=5), ValueError, "lookahead must be 0 if scenes vary"),
-    (lambda: varied("gravity", preview=True), ValueError, "preview must be off if gravity varies"),
-    (lambda: varied("torque_limit", landing=True), ValueError, "landing must be off if torque_limit varies"),
     (lambda: find_policy("pid", EnvSettings(), 0), FileNotFoundError, "must be one of .*planner, .*ppo, .* got 'pid'"),
     (lambda: find_policy("value", EnvSettings(), 0), FileNotFoundError, "a policy must be one of .* got 'value'"),
     (lambda: Planner(Scene(), samples=1), ValueError, "samples must .*, got 1"),
@@ -218,38 +181,11 @@ SENTENCES: list[tuple[Callable[[], object], type[Exception], str]] = [
     (lambda: Planner(Scene(), num_threads=0), ValueError, "num_threads must .*, got 0"),
     (lambda: Planner(Scene(), control_dt=0.0), ValueError, "control_dt must .*, got 0.0"),
     (lambda: Planner(Scene(), value="good"), TypeError, "value must be .*, got 'good'"),  # type: ignore[arg-type]
-    # landing control
-    (lambda: aiming(period="landing"), TypeError, "period must be .*'landing'"),
-    (lambda: aiming(torque="chirp"), ValueError, "torque"),
-    (lambda: aiming(period="bounce", control_dt=1e-19), ValueError, "control_dt .* at least 2e-06, got 1e-19"),
-    (lambda: LandingControl(gym.make("CartPole-v1")), TypeError, "landing control needs JackInBox-v0, got"),
-    (lambda: LandingControlVector(gym.make_vec("CartPole-v1", 2)), TypeError, "JackInBox-v0"),  # type: ignore[arg-type]
-    (lambda: LandingControl(rescaled()), ValueError, "action wrapper"),
-    (lambda: LandingControl(aiming()), ValueError, "action wrapper inside, got LandingControl"),
-    (lambda: LandingControl(looking(ONE)), ValueError, "action wrapper inside, got Lookahead"),
-    (lambda: aiming(4).step(0.0), ValueError, r"actions must have shape \(4, 2\), got \(\)"),
-    # looking ahead
-    (lambda: looking(gym.make("CartPole-v1")), TypeError, "looking ahead needs JackInBox-v0, got"),
-    (lambda: looking(gym.make_vec("CartPole-v1", 2), LookaheadVector), TypeError, "needs JackInBox-v0, got"),
-    (lambda: looking(dummy(partial(gym.make, "CartPole-v1")), LookaheadVecEnv), TypeError, "needs JackInBox-v0, got"),
     (
-        lambda: looking(RescaleObservation(ONE, ZERO, TWO)),
-        TypeError,
-        "the ten numbers of .*, got observations",
+        lambda: JackInBoxEnv(action_repeat="bounce", control_dt=1e-19),
+        ValueError,
+        "control_dt .* at least 2e-06, got 1e-19",
     ),
-    (lambda: looking(looking(ONE)), TypeError, "looking ahead needs the ten numbers"),
-    (lambda: looking(SyncVectorEnv(TASKS_APART), LookaheadVector), ValueError, r"one task, got \['juggle', 'spin'\]"),
-    (lambda: looking(JackInBoxVectorEnv(2), LookaheadVector, hold=5), ValueError, "hold must be 1 if autoreset_mode"),
-    # following a plan
-    (lambda: following(SyncVectorEnv([rescaled]), LookaheadVector), ValueError, NO_TORQUES),
-    (lambda: following(ClipAction(JackInBoxVectorEnv(2)), LookaheadVector), ValueError, NO_TORQUES),
-    (lambda: following(AsyncVectorEnv([rescaled]), LookaheadVector), ValueError, NO_TORQUES),
-    (lambda: following(rescaled()), ValueError, NO_TORQUES),
-    (lambda: following(dummy(rescaled), LookaheadVecEnv), ValueError, NO_TORQUES),
-    (lambda: following(JackInBoxEnv(torque="chirp")), ValueError, DRIVEN),
-    (lambda: following(JackInBoxVectorEnv(2, torque="chirp"), LookaheadVector), ValueError, DRIVEN),
-    (lambda: following(make_sb3_vec_env(2, torque="chirp"), LookaheadVecEnv), ValueError, DRIVEN),
-    (lambda: following(ONE, samples=0), ValueError, "follow needs a plan, so samples must be at least 8, got 0"),
 ]
 
 
@@ -268,7 +204,8 @@ WITHOUT_ARGUMENTS = {
 }  # fmt: skip
 # These check nothing, for speed: their caller has checked the arguments.
 UNCHECKED = {
-    "contacts_of", "impact_maps", "energy_of", "clearance", "deepest_restored", "start_tolerance", "refuse_no_scene",
+    "Action", "Observation", "Simulator.restore", "contacts_of", "impact_maps", "energy_of", "clearance",
+    "deepest_restored", "start_tolerance", "refuse_no_scene",
 }  # fmt: skip
 # Gymnasium checks it, or there is no end to what is right.
 ELSEWHERE = {"JackInBoxEnv.reset": {"seed"}}

@@ -10,34 +10,19 @@ import numpy as np
 import pytest
 
 from agents.evaluation.returns import evaluate
-from agents.policies.planner import PlanAlone
 from agents.policies.registry import find_policy
 from agents.settings import EnvSettings
-from jackbox_env import JackInBoxVectorEnv, Lookahead, Scene
+from jackbox_env import JackInBoxVectorEnv, Scene
 from scripts.studies.results import measured
 
 DOCS = Path(__file__).parents[2] / "docs"
 
 
-def test_the_plan_alone_plays_as_the_wrapper_under_zero_actions() -> None:
-    policy, earned = PlanAlone(EnvSettings()), 0.0
-    plain: Any = gym.make("JackInBox-v0", contact="exact")
-    seen, _ = plain.reset(seed=4)
-    state = None
-    for _ in range(100):
-        action, state = policy.predict(seen, state)
-        seen, reward, *_ = plain.step(action)
-        earned += float(reward)
-    env = Lookahead(gym.make("JackInBox-v0", contact="exact"), follow=True, hold=5, samples=32)
-    env.reset(seed=4)
-    assert sum(float(env.step(np.zeros(1, np.float32))[1]) for _ in range(20)) == pytest.approx(earned, abs=1e-6)
-
-
 def test_a_row_has_the_results_of_evaluate() -> None:
     row = measured.policy_row(Path(), "spin", "exact", "zero", 8)
     settings = EnvSettings(task="spin", contact="exact")
-    policy, _ = find_policy("zero", settings, measured.SEED)
-    evaluated = evaluate("zero", policy, settings.env_settings, 8, measured.SEED)
+    zero = find_policy("zero", settings, measured.SEED)
+    evaluated = evaluate("zero", zero, settings.env_settings, 8, measured.SEED)
     assert (row["mean"], row["interval_95"]) == (evaluated.mean, evaluated.interval)
     planned = measured.milliseconds(find_policy("planner-fast", settings), settings)
     assert 0.0 < row["milliseconds"] < planned  # by far

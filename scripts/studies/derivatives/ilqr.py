@@ -14,12 +14,12 @@ import numpy as np
 from matplotlib.figure import Figure
 from tqdm import trange
 
-from agents.policies.observing import observations
 from agents.policies.scripted import LevelPolicy
 from jackbox_env import Scene, ilqr, rollout
 from jackbox_env.commands.plots import GREY, JACK, write_figure
 from jackbox_env.planning.icem import Search
 from jackbox_env.planning.ilqr import MOST_ITERATIONS
+from jackbox_env.scoring import observed
 from jackbox_env.states import Array
 from jackbox_env.tasks import sample_start
 from scripts.studies.derivatives.lyapunov import with_interval
@@ -41,7 +41,7 @@ def level(start: Array) -> Array:
     """Torques of the PD controller from a start, at the planner's decisions, shape (KNOTS,)."""
     policy, now, torques = LevelPolicy(SCENE), start[None], np.zeros((KNOTS, 1))
     for torque in torques:
-        torque[:] = np.clip(policy.act(observations(SCENE, now).astype(np.float64)), -1.0, 1.0)
+        torque[:] = policy.act(observed(SCENE, now))[0]
         now, _ = advanced(now, torque)
     return torques[:, 0]
 

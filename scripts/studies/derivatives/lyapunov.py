@@ -13,14 +13,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 from matplotlib.figure import Figure
 from scipy import stats
 from tqdm import tqdm
 
+from agents.evaluation.episodes import control_steps
 from agents.policies.registry import find_policy
 from agents.settings import EPISODE_STEPS, EnvSettings
-from jackbox_env import JackInBoxVectorEnv, Scene, linearize
+from jackbox_env import Scene, linearize
 from jackbox_env.commands.plots import BOX, GREY, JACK, write_figure
 from jackbox_env.states import Array
 
@@ -39,17 +41,16 @@ FORGOTTEN = math.log(0.1 / 1e-16)  # of sigma, when rounding has grown to a tent
 def played(policy: str) -> tuple[Array, Array, Array]:
     """A policy's first states (STARTS, 12), torques (STARTS, steps) [N m] and cumulated impacts (STARTS, steps)."""
     settings = EnvSettings(contact="exact")
-    act = find_policy(policy, settings)
-    env = JackInBoxVectorEnv(STARTS, with_infos=True, **{**settings.env_settings, **act.env_settings})
-    observations, _ = env.reset(seed=SEED)
-    starts, memory, torques, impacts = env.states, None, [], []
-    for step in range(EPISODE_STEPS):
-        actions, memory = act.policy.predict(observations, memory, np.full(STARTS, step == 0), deterministic=True)
-        observations, *_, infos = env.step(actions)
-        torques.append(infos["torque"])
-        impacts.append(infos["impacts"])
-    env.close()
-    return starts, np.stack(torques, axis=1), np.cumsum(impacts, axis=0, dtype=np.float64).T
+    acting = find_policy(policy, settings)
+    env = gym.make("JackInBox-v0", **{**settings.env_settings, **acting.keywords})
+    starts, torques, impacts = [], [], []
+    for start in range(STARTS):
+        observation, info = env.reset(seed=SEED + start)
+        steps = list(control_steps(env, acting, observation))
+        starts.append(info["state"])
+        torques.append([step.torque for step in steps])
+        impacts.append([len(step.impacts) for step in steps])
+    return np.array(starts), np.array(torques), np.cumsum(impacts, axis=1, dtype=np.float64)
 
 
 def growth(by_state: Array) -> Array:

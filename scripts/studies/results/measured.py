@@ -20,7 +20,7 @@ from agents.evaluation.returns import Returns, evaluate
 from agents.files import read_json
 from agents.policies.network import SHIPPED, TRAINED
 from agents.policies.registry import find_policy
-from agents.policies.scripted import Baseline
+from agents.policies.scripted import PolicyWithEnv
 from agents.runs import TIME, machine, read_settings, versions
 from agents.settings import EPISODE_STEPS, EnvSettings, TrainSettings
 from agents.training.best import read_evaluations
@@ -32,7 +32,7 @@ from jackbox_env.states import X_BOX, X_JACK, Y_BOX, Y_JACK, Array
 SEED = 1  # decides the starts
 RESAMPLES = 2000
 CONTACTS = ("exact", "pymunk")
-POLICIES = ("zero", "level", "chirp", "best chirp", "ppo", "distilled", "lookahead", "planner-fast", "planner")
+POLICIES = ("zero", "level", "chirp", "best chirp", "ppo", "distilled", "planner-fast", "planner")
 BARE = "bare ppo"  # PPO on the environment as it is: ten numbers, a torque in each control step
 TIMED = 0.1  # [s] of an episode that computing times refer to
 
@@ -76,9 +76,9 @@ def measured(folder: Path, trial: dict[str, Any]) -> dict[str, Any]:
     return {"row": parts[trial["part"]](folder, **arguments)}
 
 
-def _evaluated(name: str, policy: Any, env_settings: dict[str, Any], episodes: int) -> dict[str, Any]:
+def _evaluated(name: str, acting: PolicyWithEnv, env_settings: dict[str, Any], episodes: int) -> dict[str, Any]:
     """The stored figures of an evaluation."""
-    row = evaluate(name, policy, env_settings, episodes, SEED).as_json()
+    row = evaluate(name, acting, env_settings, episodes, SEED).as_json()
     return {key: value for key, value in row.items() if key != "returns"}
 
 
@@ -96,7 +96,7 @@ def learning(folder: Path, task: str, seed: int, episodes: int) -> dict[str, Any
     return {
         "task": task,
         "seed": seed,
-        **_evaluated("ppo", find_policy(str(run), settings).policy, settings.env_settings, episodes),
+        **_evaluated("ppo", find_policy(str(run), settings), settings.env_settings, episodes),
         # Updates take equally long all along.
         "seconds": [seconds * int(steps) / settings.total_steps for steps in curve.timesteps],
         "curve": np.mean(curve.results, axis=1).tolist(),
@@ -107,13 +107,13 @@ def learning(folder: Path, task: str, seed: int, episodes: int) -> dict[str, Any
 def bare(folder: Path, task: str, seed: int, episodes: int) -> dict[str, Any]:
     """Mean returns of a training on the environment as it is, on each contact model, and its computing time."""
     settings = TrainSettings.suited(
-        task=task, landing=False, preview=False, repeat=1, total_steps=BARE_STEPS, seed=seed
+        task=task, observation="state", action="torque", action_repeat=1, total_steps=BARE_STEPS, seed=seed
     )
     run = folder / f"bare-{task}-{seed}"
     trained_in(run, settings, progress=False)
     acting = find_policy(str(run), settings)
     means = {
-        contact: _evaluated(BARE, acting.policy, EnvSettings(task=task, contact=contact).env_settings, episodes)["mean"]
+        contact: _evaluated(BARE, acting, EnvSettings(task=task, contact=contact).env_settings, episodes)["mean"]
         for contact in CONTACTS
     }
     spent = milliseconds(acting, EnvSettings(task=task, contact="exact"))
@@ -142,30 +142,31 @@ def with_bare(rows: list[dict[str, Any]], trained: list[dict[str, Any]]) -> list
 def policy_row(folder: Path, task: str, contact: str, policy: str, episodes: int) -> dict[str, Any]:
     """Returns of a policy on a task, and its computing time."""
     settings = EnvSettings(task=task, contact=contact)
-    acting, extra = find_policy("chirp" if policy == "best chirp" else policy, settings, SEED)
+    acting = find_policy("chirp" if policy == "best chirp" else policy, settings, SEED)
     drive = best_chirp(task) if policy == "best chirp" else None
     if drive is not None:
-        extra = {**extra, "scene": {"drive": drive}}
+        acting = acting._replace(keywords={**acting.keywords, "scene": {"drive": drive}})
     return {
         "task": task,
         "contact": contact,
-        **_evaluated(policy, acting, {**settings.env_settings, **extra}, episodes),
-        "milliseconds": milliseconds(Baseline(acting, extra), settings),
+        **_evaluated(policy, acting, settings.env_settings, episodes),
+        "milliseconds": milliseconds(acting, settings),
         "drive": drive,
         "commit": versions()["commit"],
         "machine": machine(),
     }
 
 
-def milliseconds(act: Baseline, settings: EnvSettings) -> float:
+def milliseconds(acting: PolicyWithEnv, settings: EnvSettings) -> float:
     """Processor time [ms] of a policy for 0.1 s of an episode, in one environment."""
-    env = gym.make("JackInBox-v0", **{**settings.env_settings, **act.env_settings})
-    (observation, _), memory, spent = env.reset(seed=SEED), None, 0.0
-    for step in range(EPISODE_STEPS):
+    env = gym.make("JackInBox-v0", **{**settings.env_settings, **acting.keywords})
+    (observation, _), memory, first, done, spent = env.reset(seed=SEED), None, True, False, 0.0
+    while not done:
         began = time.process_time()
-        action, memory = act.policy.predict(observation, memory, np.array([step == 0]), deterministic=True)
+        action, memory = acting.policy.predict(observation, memory, np.array([first]), deterministic=True)
         spent += time.process_time() - began
-        observation = env.step(action)[0]
+        observation, _, _, done, _ = env.step(action)
+        first = False
     return 1e3 * spent * TIMED / (EPISODE_STEPS * settings.control_dt)
 
 
@@ -195,8 +196,7 @@ def in_scene(folder: Path, scene: dict[str, float], policy: str, episodes: int) 
         with FileLock(folder / "varied-scenes.lock"):  # other workers wait for the one that trains
             trained_in(run, VARIED, progress=False)
     named = {"one scene": "ppo", "varied scenes": str(run)}.get(policy, policy)
-    acting = find_policy(named, settings, SEED).policy
-    return _evaluated(policy, acting, settings.env_settings, episodes)
+    return _evaluated(policy, find_policy(named, settings, SEED), settings.env_settings, episodes)
 
 
 # -- chirps ------------------------------------------------------------------------------------------------------------

@@ -1,6 +1,7 @@
-"""Discounting by elapsed time, for decisions of different durations: PPO's rollout buffer, and the callback it needs.
+"""Discounting by elapsed time, for decisions of different durations: a rollout buffer, and the callback it needs.
 
-A decision of landing control lasts until an impact. With one discount per decision an agent would prefer long ones.
+With ``action_repeat="bounce"`` a decision lasts until an impact. With one discount per decision an agent would prefer
+long ones.
 """
 
 from __future__ import annotations
@@ -15,6 +16,10 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 class DurationBuffer(RolloutBuffer):
     """A rollout buffer whose discount of a decision is ``gamma`` to the power of its duration [s].
+
+    ``PPO("MlpPolicy", envs, rollout_buffer_class=DurationBuffer, gamma=0.72)`` discounts by 0.72 a second. Train with
+    the callback too: ``model.learn(100_000, callback=Durations())``. Environments are those of
+    :func:`jackbox_env.sb3.make_sb3_vec_env`, or others whose infos have ``duration``.
 
     The advantage estimate is that of Schulman et al. 2016, "High-dimensional continuous control using generalized
     advantage estimation", eq. 16, with the discounts of a semi-Markov decision process: Bradtke & Duff 1995,

@@ -1,0 +1,94 @@
+"""A decision: control steps of a simulator under one action, each scored, until it ends."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import accumulate
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jackbox_env.action import clipped_share
+from jackbox_env.landing import is_over
+from jackbox_env.scoring import Functions
+from jackbox_env.simulators import Impact, Simulator
+from jackbox_env.simulators.base import total_impulse
+from jackbox_env.states import Array
+from jackbox_env.tasks import checked_reward
+
+
+class ControlStep(NamedTuple):
+    """Results of one control step of a decision."""
+
+    state: Array  # at its end, (12,)
+    time: float  # at its end [s]
+    torque: float  # mean [N m]
+    impacts: list[Impact]
+    impulse: float  # [N s]
+    terms: Sequence[float]  # of the reward
+    reward: float
+    over: bool  # whether it terminates the episode
+    seen: NDArray[np.float32]  # observation at its end, or empty
+
+
+def decide(
+    simulator: Simulator, functions: Functions, dt: float, torque: float | None, controls: Array | None, most: float,
+    resting: int,
+) -> list[ControlStep]:  # fmt: skip
+    """Step a simulator until ``most`` control steps, an impact or the task's end ends a decision.
+
+    Only the last control step is observed.
+
+    Args:
+        simulator: which moves, also if an error is raised.
+        functions: of its scene.
+        dt: control step [s].
+        torque: constant [N m]; None: the drive acts, unless there are controls.
+        controls: the numbers of an action, shape (n,), whose torque is computed in each control step; None: none.
+        most: control steps, at least 1.
+        resting: see :func:`jackbox_env.landing.is_over`.
+
+    Raises:
+        TaskError: a reward, a torque or an observation is NaN, or a reward infinite.
+        JackLostError: the jack cannot be followed.
+    """
+    if most == 1:
+        return [_control_step(simulator, functions, dt, torque, controls, True)]
+    parts, freed = list[ControlStep](), False
+    while len(parts) < most:
+        parts.append(_control_step(simulator, functions, dt, torque, controls, False))
+        struck = bool(parts[-1].impacts)
+        if parts[-1].over or is_over(len(parts), freed, struck, resting):
+            break
+        freed = freed or not struck
+    last = parts[-1]
+    parts[-1] = last._replace(seen=functions.observe(last.state, last.time))
+    return parts
+
+
+def _control_step(
+    simulator: Simulator, functions: Functions, dt: float, torque: float | None, controls: Array | None, seen: bool
+) -> ControlStep:
+    """Make one control step under a torque [N m], or that of an action's numbers, or the drive."""
+    if controls is not None:
+        share = clipped_share(functions.share(simulator.state, controls, simulator.time, dt))
+        torque = share * simulator.scene.torque_limit
+    simulator.step(dt, torque)
+    impacts, state, time, mean = simulator.impacts, simulator.state, simulator.time, simulator.torque
+    impulse = total_impulse(impacts)
+    observation, terms, over = functions.judge(state, time, mean, impulse, seen)
+    return ControlStep(
+        state, time, mean, impacts, impulse, terms, checked_reward(functions.nouns.task, terms), over, observation
+    )
+
+
+def added(parts: list[ControlStep]) -> ControlStep:
+    """The results of a decision: sums over its control steps, the mean torque, and the state at the end.
+
+    Sums are from the first value on, in the order given, as those of the exact model's loop.
+    """
+    columns = zip(*((part.torque, part.impulse, part.reward, *part.terms) for part in parts), strict=True)
+    torque, impulse, reward, *terms = (list(accumulate(values))[-1] for values in columns)
+    impacts = [impact for part in parts for impact in part.impacts]
+    return parts[-1]._replace(torque=torque / len(parts), impulse=impulse, reward=reward, terms=terms, impacts=impacts)

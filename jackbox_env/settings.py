@@ -1,0 +1,56 @@
+"""Settings of environments: attributes that cannot be assigned, because an environment would not follow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, NoReturn
+
+from jackbox_env import checks as check
+
+# Properties of environments that something else changes.
+_SCENE = 'reset(options={"scene": ...}) changes it'
+_INSTEAD = {
+    "scene": _SCENE, "scenes": _SCENE, "state": "set_state changes it", "time": "set_state changes it",
+    "states": "set_states changes them", "times": "set_states changes them",
+    "observation": "make a new environment with observation=...",
+}  # fmt: skip
+
+
+class Setting:
+    """A read-only attribute: the argument of this name, or of another name, that an environment was made with."""
+
+    def __init__(self, argument: str = "") -> None:
+        self._argument = argument
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name, self._argument = name, self._argument or name
+
+    def __get__(self, environment: Any, owner: type) -> Any:
+        return self if environment is None else environment._settings[self._argument]
+
+    def __set__(self, environment: Any, value: object) -> None:
+        _refuse(self._name, value, f"make a new environment with {self._argument}=...")
+
+
+class Settings:
+    """Base of environments: assigning a setting, the scene or the state raises AttributeError, with the remedy."""
+
+    _settings: Mapping[str, Any]  # the arguments by name
+    contact, substeps, fidelity, task, control_dt = Setting(), Setting(), Setting(), Setting(), Setting()
+    torque, torque_source, randomize = Setting(), Setting("torque"), Setting()
+    action, action_repeat, episode_steps = Setting(), Setting(), Setting()
+    render_mode, render_size, render_overlay = Setting(), Setting(), Setting()
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        super().__init_subclass__(**keywords)
+        for name, instead in _INSTEAD.items():
+            if isinstance(plain := vars(cls).get(name), property):
+                setattr(cls, name, plain.setter(_refusing(name, instead)))
+
+
+def _refusing(name: str, instead: str) -> Callable[[Any, object], None]:
+    return lambda environment, value: _refuse(name, value, instead)
+
+
+def _refuse(name: str, value: object, instead: str) -> NoReturn:
+    raise AttributeError(f"{name} cannot be assigned, got {check.shown(value)}: {instead}")

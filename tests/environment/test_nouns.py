@@ -1,0 +1,388 @@
+"""Observations, actions and how long they last: what they do, the same in every kind of environment."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+from jackbox_env import Action, Drive, JackInBoxEnv, JackInBoxVectorEnv, Observation, Scene, TaskError
+from jackbox_env.action import Repeats
+from jackbox_env.landing import aim
+from jackbox_env.observation import observation_of, observe
+from jackbox_env.sb3 import make_sb3_vec_env
+from jackbox_env.scoring import observed
+from jackbox_env.states import State
+from tests.batches.several import EVERY_MODEL, assert_alike, assert_same
+from tests.batches.test_ends import FALL
+from tests.states import inside
+
+LANDINGS: dict[str, Any] = {"action": "landing", "action_repeat": "bounce"}
+
+
+def made(**settings: Any) -> gym.Env[Any, Any]:
+    return gym.make("JackInBox-v0", **settings)
+
+
+def seen(scene: Any, state: Any, time: float) -> tuple[float, float, float]:
+    return (state.y_jack - state.y_box) / scene.box_half_width, math.sin(time), state.omega_jack
+
+
+ANYTHING: Any = Observation
+ANY_ACTION: Any = Action
+
+
+def servo(scene: Any, state: Any, action: tuple[float, float], time: float, dt: float) -> float:
+    wanted = 30.0 * (action[0] + 0.01 * action[1] - state.theta_box) - 10.0 * state.omega_box
+    return float(wanted * scene.box_inertia / scene.torque_limit)
+
+
+def beat(scene: Any, state: Any, action: int, time: float, dt: float) -> float:
+    return (action - 2) / 2 * math.cos(time)
+
+
+SEEN = Observation(("height", "beat", "spin"), -1.0, [1.0, 0.5, 0.25], seen)
+SERVO = Action(gym.spaces.Box(np.array([-0.5, -1.0], np.float32), np.array([0.3, 1.0], np.float32)), servo)
+BEAT = Action(gym.spaces.Discrete(5), beat)
+
+
+def drawn(space: gym.Space[Any], steps: int, count: int) -> list[Any]:
+    """Actions in and out of a Box, or of a Discrete."""
+    rng = np.random.default_rng(0)
+    if isinstance(space, gym.spaces.Discrete):
+        return list(rng.integers(0, space.n, (steps, count)))
+    return list(rng.uniform(-1.3, 1.3, (steps, count, *(space.shape or ()))).astype(np.float32))
+
+
+# -- the same everywhere ----------------------------------------------------------------------------------------------
+
+
+@EVERY_MODEL
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+@pytest.mark.parametrize(
+    ("observation", "action", "repeat", "task"),
+    [
+        ("state", "landing", 15, FALL),
+        ("landing", "landing", "bounce", FALL),
+        ("landing", "discrete", "bounce", "rattle"),
+        ("state", "torque", 4, FALL),
+        (SEEN, SERVO, 1, "juggle"),
+        (SEEN, BEAT, 7, FALL),
+    ],
+)
+def test_every_kind_of_environment_does_the_same(
+    contact: str, mode: AutoresetMode, observation: Any, action: Any, repeat: Repeats, task: Any
+) -> None:
+    settings: dict[str, Any] = {
+        "contact": contact, "task": task, "episode_steps": 75, "max_episode_steps": 40, "observation": observation,
+        "action": action, "action_repeat": repeat,
+        "randomize": {"gravity": (5.0, 15.0), "box_half_width": (4.0, 8.0), "torque_limit": (1e4, 9e4)},
+    }  # fmt: skip
+    vector = JackInBoxVectorEnv(3, autoreset_mode=mode, with_infos=True, **settings)
+    stable = make_sb3_vec_env(3, **settings) if mode.name == "SAME_STEP" else None
+    actions = drawn(vector.single_action_space, 60, 3)
+    ends = assert_alike(vector, [made(**settings) for _ in range(3)], actions, stable)
+    assert sum(ends[end] for end in ends if any(end)) >= 3
+    assert ends[False, True] or ends[True, False]
+
+
+@EVERY_MODEL
+def test_vectors_of_single_environments_do_the_same(contact: str) -> None:
+    settings: dict[str, Any] = {"contact": contact, "observation": "landing", **LANDINGS, "episode_steps": 120}
+    same: Any = {"autoreset_mode": AutoresetMode.SAME_STEP}
+    native = JackInBoxVectorEnv(2, with_infos=True, **same, **settings)
+    sync = SyncVectorEnv([lambda: made(**settings)] * 2, **same)
+    stable = make_sb3_vec_env(2, with_infos=True, **settings)
+    dummy = DummyVecEnv([lambda: Monitor(made(**settings))] * 2)
+    for envs in (stable, dummy):
+        envs.seed(3)
+    assert_same(native.reset(seed=3)[0], sync.reset(seed=3)[0])
+    assert_same(stable.reset(), dummy.reset())
+    for action in drawn(native.single_action_space, 25, 2):
+        one, other = native.step(action), sync.step(action)
+        assert_same(one[:4], other[:4])
+        for name in ("state", "torque", "impacts", "impulse", "duration", "reward_centre"):
+            assert_same(one[4][name], np.asarray(other[4][name]), name)
+        *results, rows = stable.step(action)
+        *expected, others = dummy.step(action)
+        assert_same(results, expected)
+        for row, wanted in zip(rows, others, strict=True):
+            for info in (row, wanted):
+                info.get("episode", {}).pop("t", None)
+            assert_same({name: row[name] for name in wanted}, wanted)
+
+
+def test_a_rule_that_only_the_batch_follows_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    settings: dict[str, Any] = {"contact": "exact", "observation": "landing", **LANDINGS}
+    batch, alone = JackInBoxVectorEnv(1, **settings), made(**settings)
+    alone.unwrapped.repeat = alone.unwrapped.repeat._replace(resting=0)  # type: ignore[attr-defined]
+    with pytest.raises(AssertionError):
+        assert_alike(batch, [alone], drawn(batch.single_action_space, 20, 1))
+
+
+@EVERY_MODEL
+@pytest.mark.parametrize("repeat", [4, "bounce"])
+def test_a_decision_adds_up_its_control_steps(contact: str, repeat: Repeats) -> None:
+    settings: dict[str, Any] = {"contact": contact, "task": "rattle", "scene": {"gravity": 30.0}}
+    env: Any = JackInBoxEnv(action_repeat=repeat, **settings)
+    single: Any = JackInBoxEnv(**settings)
+    env.reset(seed=2)
+    single.reset(seed=2)
+    for share in (0.3, None, -0.8, None, 0.1, 0.9):
+        last, reward, _, _, info = env.step(share)
+        steps = round(info["duration"] / 0.02)
+        parts = [(*single.step(share), single.impacts) for _ in range(steps)]
+        assert repeat == "bounce" or steps == repeat
+        assert_same((last, info["state"], info["time"]), (parts[-1][0], parts[-1][4]["state"], parts[-1][4]["time"]))
+        assert_same(env.impacts, [impact for part in parts for impact in part[5]])
+        assert info["impacts"] == len(env.impacts)
+        sums = {name: sum(part[4][name] for part in parts) for name in ("impulse", "reward_knock", "reward_effort")}
+        assert {name: info[name] for name in sums} == pytest.approx(sums)
+        assert info["torque"] == pytest.approx(sum(part[4]["torque"] for part in parts) / steps)
+        assert reward == pytest.approx(sum(part[1] for part in parts))
+
+
+# -- episodes ---------------------------------------------------------------------------------------------------------
+
+
+@EVERY_MODEL
+def test_an_episode_lasts_for_its_control_steps_and_then_needs_a_reset(contact: str) -> None:
+    env = JackInBoxEnv(contact=contact, action_repeat=4, episode_steps=10)
+    env.reset(seed=0)
+    ends = [env.step(0.0)[2:] for _ in range(3)]
+    assert [truncated for _, truncated, _ in ends] == [False, False, True]
+    assert [info["duration"] for *_, info in ends] == [0.08, 0.08, 0.04]
+    with pytest.raises(gym.error.ResetNeeded, match="step must come after a reset, as the episode has had its 10"):
+        env.step(0.0)
+    env.reset()
+    for _ in range(3):
+        env.set_state(np.zeros(12))  # keeps the count
+        truncated = env.step(None)[3]
+    assert truncated
+    assert (JackInBoxEnv(action_repeat=2).episode_steps, JackInBoxEnv().episode_steps) == (500, None)
+    limited = made(contact=contact, action_repeat=4, max_episode_steps=2)
+    limited.reset(seed=0)
+    assert [limited.step(None)[3] for _ in range(2)] == [False, True]
+
+
+# -- landings ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("turns", [0, 3])
+@pytest.mark.parametrize(("angle", "rate"), [(0.0, 0.0), (0.8, -0.4), (-0.6, 0.6)])
+def test_the_box_strikes_the_falling_jack_as_the_action_sets(angle: float, rate: float, turns: int) -> None:
+    env = made(contact="exact", action="landing", scene={"gravity": 3.0, "torque_limit": 1e6})
+    state = np.zeros(12)
+    state[2], state[4] = turns * math.pi / 2.0, 2.0
+    env.reset(options={"state": state})
+    landing, time = math.sqrt(2.0 * 7.0 / 3.0), 0.0  # 7 m further down a foot would touch a level floor
+    while landing - time > 0.03:
+        _, _, _, _, info = env.step([angle, rate])
+        time = info["time"]
+        assert info["impacts"] == 0
+    remaining, state = landing - time, info["state"]
+    assert state[8] == pytest.approx(2.5 * rate, abs=0.1)
+    assert state[2] + remaining * state[8] - turns * math.pi / 2.0 == pytest.approx(0.5 * angle, abs=0.01)
+
+
+@EVERY_MODEL
+def test_a_decision_ends_with_the_next_impact(contact: str) -> None:
+    env: Any = JackInBoxEnv(contact=contact, **LANDINGS)
+    inner = JackInBoxEnv(contact=contact)
+    env.reset(seed=2)
+    for _ in range(6):
+        inner.set_state(env.state, env.time)
+        after = env.step([0.3, -0.2])[4]
+        steps = round(after["duration"] / 0.02)
+        struck = list[bool]()
+        for _ in range(steps):
+            share = aim(inner.scene, State(*inner.state.tolist()), 0.3 * 0.5, -0.2 * 2.5, 0.02)
+            struck.append(inner.step(np.array([share]))[4]["impacts"] > 0)
+        assert struck[-1] or steps == 100, struck
+        assert steps > 1, struck
+        assert not any(struck[1:-1]), struck  # a second foot may strike in the first step
+        np.testing.assert_allclose(inner.state, after["state"], atol=1e-9)  # 0.3 is no float32
+
+
+def test_decisions_last_while_a_foot_rests_without_impacts_and_in_long_steps() -> None:
+    resting: Any = JackInBoxEnv(contact="exact", scene={"restitution": 0.0, "torque_limit": 1e-3}, **LANDINGS)
+    start = np.zeros(12)
+    start[4], start[5] = -5.0, 0.25 * math.pi
+    resting.reset(options={"state": start})
+    durations = [resting.step([0.0, 0.0])[4]["duration"] for _ in range(12)]
+    assert durations[-5:] == pytest.approx([0.4] * 5), durations
+    floating: Any = JackInBoxEnv(contact="exact", scene={"gravity": 0.0}, **LANDINGS)
+    floating.reset(options={"state": np.zeros(12)})
+    assert floating.step([1.0, 0.0])[4]["duration"] == pytest.approx(2.0)
+    coarse: Any = JackInBoxEnv(contact="exact", control_dt=2.5, **LANDINGS)
+    coarse.reset(seed=0)
+    assert coarse.step([0.0, 0.0])[4]["duration"] == pytest.approx(2.5)
+
+
+def ends_early(time: float) -> float:
+    return 1e3 * math.sqrt(1.3 - time)  # an error later
+
+
+@pytest.mark.parametrize("limit", [60, 500])
+def test_a_drive_is_not_needed_after_the_last_step_of_a_decision(limit: int) -> None:
+    settings: dict[str, Any] = {
+        "contact": "exact", "scene": Scene(drive=Drive(force_x=ends_early)), "episode_steps": limit, **LANDINGS,
+    }  # fmt: skip
+    vector = JackInBoxVectorEnv(3, autoreset_mode="SAME_STEP", **settings)
+    alone: Any = made(**settings)
+    assert_alike(vector, [alone], np.full((4 if limit == 60 else 1, 3, 2), 0.1))
+    if limit == 500:  # the second decision needs it
+        before = vector.states, vector.times, alone.unwrapped.state
+        for env, action in ((alone, [0.1, 0.1]), (vector, np.full((3, 2), 0.1))):
+            with pytest.raises(ValueError, match="math domain error|expected a nonnegative input"):
+                env.step(action)
+        assert_same((vector.states, vector.times, alone.unwrapped.state), before)
+
+
+def test_landing_features_foretell_a_free_flight() -> None:
+    rng, scene = np.random.default_rng(0), Scene(drive=None)
+    env = JackInBoxEnv(contact="exact", scene=scene)
+    for _ in range(20):
+        state = np.zeros(12)
+        state[[2, 3, 4, 5]] = rng.uniform([-0.3, -0.5, -1.0, -9.0], [0.3, 0.5, 1.0, 9.0])
+        state[[6, 7, 8, 9, 10, 11]] = rng.uniform(-0.4, 0.4, 6)
+        features = observe(scene, state.tolist(), 0.0, observation_of("landing"))[10:]
+        time = 2.0 * float(features[0]) * scene.box_half_width / scene.speed_scale
+        env.set_state(state)
+        for _ in range(int(0.9 * time / 0.02)):  # a tilted floor may be met earlier
+            later = env.step(0.0)[4]["state"]
+        rest = time - env.time
+        x, y = (later[3 + k] - later[k] + rest * (later[9 + k] - later[6 + k]) for k in (0, 1))
+        assert y - 0.5 * 9.81 * rest * rest == pytest.approx(-5.0, abs=1e-5)
+        box, jack = later[2] + rest * later[8], later[5] + rest * later[11]
+        angles = [4.0 * (jack - box), 8.0 * (jack - box), 4.0 * jack]
+        expected = [part for angle in angles for part in (math.cos(angle), math.sin(angle))]
+        fall = -(later[10] - later[7] - 9.81 * rest) / scene.speed_scale
+        expected += [x / 6.0, fall, state[11] * time / (0.5 * math.pi), box]
+        np.testing.assert_allclose(features[1:], expected, atol=2e-5)
+
+
+def test_observations_of_many_states_are_those_of_each_up_to_rounding() -> None:
+    rng, scene = np.random.default_rng(1), Scene(box_half_width=3.0, gravity=3.7)
+    states = np.array([inside(scene, rng) for _ in range(200)])
+    states[100:, [2, 5]] *= 1e4
+    for name in ("state", "landing", SEEN):
+        one = np.array([observe(scene, state.tolist(), 0.5, observation_of(name)) for state in states])
+        many = observed(scene, states, name, 0.5)
+        np.testing.assert_allclose(many, one, atol=3e-7 if name != "landing" else 2e-6)
+        low, high = observation_of(name).bounds
+        assert ((many >= low) & (many <= high)).all()
+
+
+# -- functions of a user that fail ---------------------------------------------------------------------------------
+
+
+def hidden(scene: Any, state: Any, time: float) -> tuple[float, float]:
+    return 1.0, math.nan if state.y_jack < -0.2 else 0.5
+
+
+def unsteady(scene: Any, state: Any, action: int, time: float, dt: float) -> float:
+    return math.nan if state.y_jack < -0.2 else 0.1
+
+
+def until_it_fails(env: Any, action: Any, sentence: str) -> Any:
+    """Step until a TaskError, twice; return the state and the impacts, which each one left unchanged."""
+    for _ in range(10):
+        before = present(env)
+        try:
+            env.step(action)
+        except TaskError as error:
+            assert str(error) == sentence  # noqa: PT017
+            assert_same(present(env), before)
+            break
+    with pytest.raises(TaskError, match=sentence):
+        env.step(action)
+    assert_same(present(env), before)
+    return before
+
+
+def present(env: Any) -> Any:
+    if isinstance(env, JackInBoxVectorEnv):
+        return env.states, env.times, [env.impacts(number) for number in range(env.num_envs)]
+    return env.state, env.time, env.impacts
+
+
+@EVERY_MODEL
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [
+        ({"observation": Observation(("a", "b"), -1, 1, hidden)}, "the observation must be numbers, got NaN for 'b'"),
+        ({"action": Action(gym.spaces.Discrete(2), unsteady)}, "the action's torque must be a number, got nan"),
+    ],
+)
+@pytest.mark.parametrize("repeat", [1, 4])
+def test_a_nan_of_a_users_function_changes_nothing(
+    contact: str, settings: dict[str, Any], sentence: str, repeat: int
+) -> None:
+    settings = {**settings, "contact": contact, "action_repeat": repeat, "scene": {"box_half_width": 1.5}}
+    env, batch = JackInBoxEnv(**settings), JackInBoxVectorEnv(2, **settings)
+    falling, high, low = np.zeros((3, 12))
+    falling[[4, 10]], high[4], low[4] = (0.45, 6.0), 0.4, -0.3  # it strikes the ceiling, comes back and passes -0.2 m
+    env.reset(options={"state": falling})
+    batch.reset(options={"state": [high, falling]})
+    until_it_fails(env, 1, sentence)
+    until_it_fails(batch, [1, 1], f"{sentence}, in environment 1")
+    for one, states in ((env, low), (batch, [high, low])) if "observation" in settings else ():
+        before = present(one)
+        with pytest.raises(TaskError, match=sentence):
+            one.reset(seed=1, options={"state": states})
+        assert_same(present(one), before)
+
+
+@EVERY_MODEL
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [
+        ({"observation": ANYTHING(("a",), -1, 1, lambda scene, state, time: (1.0, 2.0))}, "tuple of 1"),
+        ({"observation": ANYTHING(("a",), -1, 1, lambda scene, state, time: "b")}, "tuple of 1"),
+        ({"action": ANY_ACTION(gym.spaces.Discrete(2), lambda scene, state, action, time, dt: "c")}, "return a number"),
+    ],
+)
+def test_functions_that_return_something_else_are_refused_at_once(
+    contact: str, settings: dict[str, Any], sentence: str
+) -> None:
+    for make in (JackInBoxEnv, JackInBoxVectorEnv):
+        with pytest.raises(TypeError, match=sentence):
+            make(contact=contact, **settings)
+
+
+def test_environments_share_objects_but_not_the_generators_of_spaces() -> None:
+    one, other = made(action="landing"), made(action="landing")
+    one.action_space.seed(0)
+    other.action_space.seed(0)
+    first = one.action_space.sample()
+    np.testing.assert_array_equal(other.action_space.sample(), first)
+    assert made(observation=SEEN).unwrapped.nouns.observation is SEEN  # type: ignore[attr-defined]
+    assert made(action=SERVO).unwrapped.nouns.action is SERVO  # type: ignore[attr-defined]
+
+
+# -- films ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_list_of_frames_has_all_control_steps_since_the_last_one() -> None:
+    env = made(render_mode="rgb_array_list", action_repeat=5, render_size=(32, 32))
+    env.reset(seed=0)
+    assert env.metadata["render_fps"] == 50
+    env.step(None)
+    env.step(None)
+    frames: Any = env.render()
+    assert len(frames) == 11
+    assert not np.array_equal(frames[0], frames[-1])
+    assert env.render() == []
+    env.step(None)
+    env.reset()
+    assert len(env.render()) == 1  # type: ignore[arg-type]
+    assert made(render_mode="rgb_array", action_repeat=5).metadata["render_fps"] == 10
+    with pytest.raises(ValueError, match="render_mode must be one of 'human', 'rgb_array', got 'rgb_array_list'"):
+        JackInBoxVectorEnv(2, render_mode="rgb_array_list")
