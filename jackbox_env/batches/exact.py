@@ -298,7 +298,8 @@ class ExactBatch:
         self._spare = self._calls = None
         loop = compiled(run.run)
 
-        def work(thread: int, low: int, high: int) -> Ended:
+        # Threads that a second interruption left at work keep alive what the loop calls by its address.
+        def work(thread: int, low: int, high: int, _called: Any = self._compiled) -> Ended:
             """Run blocks; if some fail, return the earliest failure, which does not depend on the number of threads."""
             earliest = ended = run_blocks(loop, calls, thread, low, high, halt)
             while ended[0] and not halt.requested and ended[1] // width + 1 < high:

@@ -2,7 +2,7 @@
 
 The functions stay plain Python where they are written: readable, importable and testable without numba.
 Compiled functions of this package are stored on disk for later processes (``code_cache.py``). Those compiled for a
-user's task, or with a substitute for a comparison, live as long as their process needs them.
+user's task, or with a substitute for a comparison, are freed once nothing refers to them (``pipelines.py``).
 
 The loop of ``run.py`` calls compiled functions of tasks, observations and actions by their address, so it is compiled
 once for all of them. Numba can pass a compiled function to another one, but looks up its address in Python at each
@@ -164,66 +164,24 @@ _compilation = cache(_Compilation)
 
 def _jitted(twin: FunctionType, inner: bool, checked: bool, on_disk: bool) -> Any:
     from numba import config, njit
+    from numba.core.compiler import Compiler
 
     from jackbox_env.exact.code_cache import CodeCache
+    from jackbox_env.exact.pipelines import FreedCompiler, InnerCompiler
 
     if config.DISABLE_JIT:  # type: ignore[attr-defined]
         return twin if inner else np.errstate(all="ignore")(twin)  # compiled integers wrap around in silence
     # Without the runtime that counts references to arrays: nothing compiled here makes an array, and counting took
     # two thirds of a step. And without entry points from Python for functions that only compiled code calls: they take
     # a third of the time to compile.
+    pipeline = InnerCompiler if inner else Compiler if on_disk else FreedCompiler
     dispatcher = cast(Any, njit)(
         nogil=True, error_model="python" if checked else "numpy", _nrt=False,
-        no_cpython_wrapper=inner, no_cfunc_wrapper=inner, pipeline_class=_pipeline(inner),
+        no_cpython_wrapper=inner, no_cfunc_wrapper=inner, pipeline_class=pipeline,
     )(twin)  # fmt: skip
     if on_disk:  # njit(cache=True) would set numba's own cache here
         dispatcher._cache = CodeCache(twin, cache_folders(), PACKAGE / "exact" / "shipped" / _folder_name())
     return dispatcher
-
-
-@cache
-def _pipeline(inner: bool) -> Any:
-    """Numba's compiler; for ``inner`` functions one that emits no machine code, which only entry points need.
-
-    Numba would optimize and emit each function together with its callees, at every level of calls again.
-    """
-    from numba.core.codegen import JITCodeLibrary
-    from numba.core.compiler import Compiler
-    from numba.core.compiler_lock import global_compiler_lock
-
-    class NoEnvironment:
-        @staticmethod
-        def set_env(name: str, environment: Any) -> None:
-            pass
-
-    class IntermediateCode(JITCodeLibrary):
-        def _optimize_final_module(self) -> None:
-            pass
-
-        def _finalize_final_module(self) -> None:
-            self._finalize_dynamic_globals()  # type: ignore[no-untyped-call]
-            self._verify_declare_only_symbols()  # type: ignore[no-untyped-call]
-            self._finalized = True
-
-        def get_pointer_to_function(self, name: str) -> int:
-            return 0
-
-        def linked_module(self) -> Any:
-            with global_compiler_lock:
-                self._ensure_finalized()  # type: ignore[no-untyped-call]
-            return self._final_module.clone()
-
-        @property
-        def codegen(self) -> Any:
-            return NoEnvironment
-
-    class InnerCompiler(Compiler):
-        def __init__(self, typing: Any, target: Any, library: Any, *rest: Any) -> None:
-            library = IntermediateCode(target.codegen(), f"inner{next(_numbers)}")  # type: ignore[no-untyped-call]
-            library.enable_object_caching()
-            super().__init__(typing, target, library, *rest)  # type: ignore[no-untyped-call]
-
-    return InnerCompiler if inner else Compiler
 
 
 def _used_names(code: CodeType) -> set[str]:

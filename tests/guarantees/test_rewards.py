@@ -11,16 +11,20 @@ import shutil
 import subprocess
 import sys
 import weakref
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
+from gymnasium.spaces import Box
+from llvmlite.binding import ffi, newpassmanagers  # type: ignore[import-untyped]
 
 import jackbox_env
-from jackbox_env import JackInBoxEnv, JackInBoxVectorEnv, Scene, Task, scoring
-from jackbox_env.exact import compiler
+from jackbox_env import Action, JackInBoxEnv, JackInBoxVectorEnv, Observation, Scene, Task, scoring
+from jackbox_env.batches.threads import Threads
+from jackbox_env.exact import act, compiler, observe, score
 from jackbox_env.exact.compiler import cache_folders
 from jackbox_env.scene import SceneNumbers, total
 from jackbox_env.scoring import CompiledFunctions, Nouns, PlainFunctions
@@ -215,6 +219,74 @@ def test_the_compiled_code_of_a_task_is_freed_with_it() -> None:
     del task
     gc.collect()
     assert [one() for one in alive] == [None] * 3
+
+
+USERS: dict[str, Callable[[], tuple[Any, Any, Any]]] = {
+    "task": lambda: (
+        Task(("paid",), lambda scene, state, torque, impulse: (1.0,)), score.score_one, score.row_scorer,
+    ),
+    "observation": lambda: (
+        Observation(("seen",), 0.0, 1.0, lambda scene, state, time: (1.0,)), observe.observe_one, score.row_observer,
+    ),
+    "action": lambda: (
+        Action(Box(-1.0, 1.0, (1,)), lambda scene, state, action, time, dt: action[0]), act.act_block, act.block_actor,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", USERS)
+def test_machine_code_is_freed_with_whatever_it_was_compiled_for(kind: str) -> None:
+    owner, function, function_at = USERS[kind]()
+    compiled = scoring.compiled_for(owner, function)
+    assert compiler.address_of(compiled, function_at)
+    (made,) = cast(Any, compiled).overloads.values()
+    alive = [weakref.ref(one) for one in (owner, compiled, made.library.codegen._engine._ee)]
+    del owner, compiled, made
+    gc.collect()
+    assert [one() for one in alive] == [None] * 3
+
+
+def test_a_thread_still_at_work_keeps_the_machine_code_that_it_calls(monkeypatch: pytest.MonkeyPatch) -> None:
+    task = Task(("paid",), lambda scene, state, torque, impulse: (1.0,))
+    batch, started = JackInBoxVectorEnv(2, contact="exact", task=task), list[Any]()
+    batch.reset(seed=0)
+
+    def interrupted(threads: Threads, work: Any, *_: Any, **__: Any) -> None:
+        started.append(work)
+        raise RuntimeError
+
+    monkeypatch.setattr(Threads, "run", interrupted)
+    with pytest.raises(RuntimeError):
+        batch.step(np.zeros(2))
+    called = weakref.ref(scoring._compiled[task][score.score_block])
+    del batch, task
+    gc.collect()
+    assert called() is not None
+    started.clear()
+    gc.collect()
+    assert called() is None
+
+
+@pytest.mark.skipif(not hasattr(newpassmanagers, "NewPassManager"), reason="before llvmlite 0.45 numba uses others")
+def test_every_pass_manager_is_freed(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = {"build": 0, "Dispose": 0}
+
+    def counting(verb: str, call: Any) -> Any:
+        def counted(*arguments: Any) -> Any:
+            calls[verb] += 1
+            return call(*arguments)
+
+        return counted
+
+    for name in (
+        "LLVMPY_buildPerModuleDefaultPipeline", "LLVMPY_DisposeNewModulePassManger",
+        "LLVMPY_buildFunctionSimplificationPipeline", "LLVMPY_DisposeNewFunctionPassManger",
+    ):  # fmt: skip
+        verb = next(verb for verb in calls if verb in name)
+        monkeypatch.setitem(ffi.lib._fntab, name, counting(verb, getattr(ffi.lib, name)))
+    owner, function, function_at = USERS["observation"]()
+    compiler.address_of(scoring.compiled_for(owner, function), function_at)
+    assert calls["build"] == calls["Dispose"] > 0
 
 
 _PAID = """
