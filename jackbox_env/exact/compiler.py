@@ -15,6 +15,7 @@ import contextlib
 import hashlib
 import inspect
 import itertools
+import math
 import os
 import shutil
 import sys
@@ -136,7 +137,8 @@ class _Compilation:
             namespace = function.__globals__ if foreign else {**function.__globals__, **self._substitutes}
             known = self._counterparts(names, namespace)
             cells = tuple(CellType(self._counterpart(cell.cell_contents, names)) for cell in function.__closure__ or ())
-            twin = FunctionType(function.__code__, known, function.__name__, function.__defaults__, cells)
+            defaults = tuple(map(_signed, function.__defaults__ or ()))
+            twin = FunctionType(function.__code__, known, function.__name__, defaults, cells)
             twin.__module__ = function.__module__
             twin.__qualname__ = f"{_full_name(function)}{'()' if inner else ''}{self._label}"
             self._twins[function, inner] = _jitted(twin, inner, foreign and self._users, self._on_disk and not inner)
@@ -160,6 +162,24 @@ class _Compilation:
 
 
 _compilation = cache(_Compilation)
+
+
+class _MinusZero(float):
+    """-0.0, but not equal to 0.0: numba takes equal defaults of arguments for one, whatever function has them."""
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _MinusZero)
+
+    def __hash__(self) -> int:
+        return hash("-0.0")
+
+
+def _signed(default: Any) -> Any:
+    """The same default of an argument, in which -0.0 differs from 0.0."""
+    if type(default) is tuple:
+        return tuple(map(_signed, default))
+    minus_zero = isinstance(default, float) and default == 0.0 and math.copysign(1.0, default) < 0.0
+    return _MinusZero(default) if minus_zero else default
 
 
 def _jitted(twin: FunctionType, inner: bool, checked: bool, on_disk: bool) -> Any:

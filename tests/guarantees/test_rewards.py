@@ -209,7 +209,17 @@ def test_functions_that_differ_only_in_their_closure_or_a_default_are_paid_apart
         return Task(("paid",), lambda scene, state, torque, impulse, by=weight: (1.0 / by,))
 
     assert [paid_now(holding(weight)) for weight in (0.0, -0.0, 2, True)] == [1.0, -1.0, 3.0, 2.0]
+
+    def signed(number: Any) -> Task:
+        return Task(("paid",), lambda scene, state, torque, impulse, by=number: (math.copysign(1.0, by),))
+
+    def first(pair: Any) -> Task:
+        return Task(("paid",), lambda scene, state, torque, impulse, by=pair: (math.copysign(1.0, by[0]),))
+
     assert [paid_now(defaulting(weight)) for weight in (2.0, 2, 4.0)] == [0.5, 0.5, 0.25]
+    zeros = (0.0, -0.0, np.float64(-0.0), 0, False)
+    assert [paid_now(signed(zero)) for zero in zeros] == [1.0, -1.0, -1.0, 1.0, 1.0]
+    assert [paid_now(first((zero, 2.0))) for zero in (0.0, -0.0)] == [1.0, -1.0]
 
 
 def test_the_compiled_code_of_a_task_is_freed_with_it() -> None:
