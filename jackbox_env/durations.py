@@ -9,9 +9,15 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import torch
-from stable_baselines3.common.buffers import RolloutBuffer
-from stable_baselines3.common.callbacks import BaseCallback
+
+from jackbox_env import checks as check
+
+try:
+    import torch
+    from stable_baselines3.common.buffers import RolloutBuffer
+    from stable_baselines3.common.callbacks import BaseCallback
+except ModuleNotFoundError as error:
+    raise ModuleNotFoundError(check.extra_needed("jackbox_env.sb3", "Stable-Baselines3", "train")) from error
 
 
 class DurationBuffer(RolloutBuffer):
