@@ -225,6 +225,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
             check.choice("render_mode", render_mode, self.metadata["render_modes"])
         size = check.size("render_size", render_size, at_least=16, at_most=4096)
         overlay = check.flag("render_overlay", render_overlay)
+        self.repeat = repeat_of(action_repeat, dt)
         limit = episode_limit(episode_steps, action_repeat)
         self._settings = {
             **setting._asdict(), "fidelity": fidelity, "task": task, "control_dt": dt, "torque": torque,
@@ -233,7 +234,6 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         }  # fmt: skip
         self._dt, self._driven = dt, torque == "chirp"
         self.nouns = nouns = Nouns(tasks.task_of(task), observation_of(observation), action_of(action))
-        self.repeat = repeat_of(action_repeat, dt)
         self._limit = math.inf if limit is None else limit
         self._builtin, self._by_torque = nouns.builtin, nouns.action is ACTIONS["torque"]
         self._most: float = self.repeat.steps

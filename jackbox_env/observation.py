@@ -203,12 +203,12 @@ def observation_of(observation: str | Observation) -> Observation:
     bounds = []
     for side in ("low", "high"):
         bound = check.array(f"an observation's {side}", getattr(observation, side), "be finite numbers")
-        if bound.shape not in ((), (len(listed_names),)) or not np.isfinite(bound.astype(np.float32)).all():
-            count = len(listed_names)
+        shown, count = check.shown(bound.tolist()), len(listed_names)
+        if bound.shape not in ((), (count,)) or not (abs(bound) <= np.finfo(np.float32).max).all():
             raise ValueError(
-                f"an observation's {side} must be one finite number or {count} of them, got {check.shown(bound)}"
+                f"an observation's {side} must be one number, finite as a float32, or {count} of them, got {shown}"
             )
-        bounds.append(bound)
+        bounds.append(bound.astype(np.float32))
     if not np.all(bounds[0] < bounds[1]):
         shown = " and ".join(check.shown(one.tolist()) for one in bounds)
         raise ValueError(f"an observation's low must be below its high everywhere, got {shown}")

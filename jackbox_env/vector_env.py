@@ -31,7 +31,7 @@ from jackbox_env.scene import Scene
 from jackbox_env.settings import Setting, Settings
 from jackbox_env.simulators import Impact, contact_model
 from jackbox_env.simulators.fidelity import FURTHER
-from jackbox_env.states import Array, Flags, Floats, as_restored
+from jackbox_env.states import Array, Flags, Floats, Indices, as_restored
 from jackbox_env.tasks import Task
 
 if TYPE_CHECKING:
@@ -242,11 +242,12 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
     @_alone
     def observations(self) -> Floats:
         """The observations of the present states: a fresh float32 array, shape (N, numbers)."""
-        return self._observed()
+        return self._observed(np.arange(self.num_envs))
 
-    def _observed(self) -> Floats:
+    def _observed(self, numbers: Indices) -> Floats:
+        """The observations of some environments in their rows, shape (N, numbers)."""
         observations = np.empty((self.num_envs, len(self._nouns.observation.names)), dtype=np.float32)
-        self._batch.observe(np.arange(self.num_envs), observations)
+        self._batch.observe(numbers, observations)
         return observations
 
     @_alone
@@ -320,6 +321,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
             placed = plan.states(lambda number: self._batch.scene(number, starts))
             starts = starts._replace(states=placed[numbers])
         starts = self._batch.observed(starts, plan.times)
+        observations = self._observed(np.flatnonzero(~plan.chosen))  # raises before anything changes
         self._half = True
         self._batch.start(starts)
         if plan.times.any():
@@ -332,7 +334,8 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         self.changes += 1
         self._half = False
         infos = masked(self._infos_at_start(plan.chosen) | self._drawn(plan.chosen), plan.chosen)
-        return self._observed(), infos if self._with_infos else NoInfos(infos)
+        self._batch.observe(numbers, observations)
+        return observations, infos if self._with_infos else NoInfos(infos)
 
     def check_reset(self, seed: int | Sequence[int | None] | None, options: Mapping[str, Any] | None) -> ResetPlan:
         """Check a reset's arguments without changing anything. The reset itself checks scenes, and states in them.
@@ -356,10 +359,12 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
             raise RuntimeError("step must come after a reset of all environments, got none yet")
         self._refuse_half_changed()
         waiting = self._over() if self._waiting else None
-        checked = None if actions is None else self._arguments.actions(self._nouns.action, actions, waiting)
+        checked = None
+        if not (actions is None or self._driven):
+            checked = self._arguments.actions(self._nouns.action, actions, waiting)
         infos: Infos = {} if self._with_infos else NoInfos()
         restarting = waiting
-        outcome = self._batch.step(None if self._driven else checked)
+        outcome = self._batch.step(checked)
         if waiting is None and outcome.finished and self._mode is AutoresetMode.SAME_STEP:
             infos |= infos_at_end(outcome, self._drawn(outcome.ended))
             restarting = outcome.ended

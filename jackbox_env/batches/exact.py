@@ -185,7 +185,9 @@ class ExactBatch:
             blocks[0, :12] = states.T
         blocks[0, glide.TIME] = times[numbers]
         seen = np.empty((len(numbers), len(self._nouns.observation.names)), dtype=np.float32)
-        self._observe(rows, blocks, chosen, seen)
+        bad = self._observe(rows, blocks, chosen, seen)
+        if bad >= 0:
+            raise self._bad_observation(seen[bad], int(numbers[bad]))
         return Starts(numbers, words, scenes, blocks[0, :12].T.copy())
 
     def start(self, starts: Starts) -> None:
@@ -225,16 +227,16 @@ class ExactBatch:
         Raises:
             TaskError: a number of an observation is NaN.
         """
-        self._observe(self._scenes.rows(numbers), self._blocks, numbers, observations)
-
-    def _observe(self, rows: Array, blocks: Array, numbers: Indices, observations: Floats) -> None:
-        observe_chosen = compiled_for(self._nouns.observation, observe.observe_chosen)
-        bad = observe_chosen(rows, blocks, numbers, observations)
+        bad = self._observe(self._scenes.rows(numbers), self._blocks, numbers, observations)
         if bad >= 0:
-            raise self._bad_observation(observations, bad)
+            raise self._bad_observation(observations[bad], bad)
 
-    def _bad_observation(self, observations: Floats, number: int) -> TaskError:
-        error = bad_observation(self._nouns.observation, observations[number].tolist())
+    def _observe(self, rows: Array, blocks: Array, numbers: Indices, observations: Floats) -> int:
+        """Write observations into their rows; return the first row with a NaN, or -1."""
+        return int(compiled_for(self._nouns.observation, observe.observe_chosen)(rows, blocks, numbers, observations))
+
+    def _bad_observation(self, observation: Floats, number: int) -> TaskError:
+        error = bad_observation(self._nouns.observation, observation.tolist())
         return TaskError(f"{error}, in environment {number}")
 
     def field(self, name: str) -> Array:
@@ -362,7 +364,7 @@ class ExactBatch:
             simulator = next(islice(self._again(number, self._blocks, actions), made, None))
             return bad_reward(self._nouns.task, simulator, f"environment {number}")
         if ended == Status.BAD_OBSERVATION:
-            return self._bad_observation(observations, number)
+            return self._bad_observation(observations[number], number)
         time = float(np.add.accumulate([self.times[number], *[self._dt] * made])[-1])
         try:  # the failed call raises again
             if ended == Status.BAD_TORQUE:

@@ -69,7 +69,7 @@ def act_block(values: Array, before: Array, lanes: Array, controls: Array, first
         if before[OVER, k] == 0.0:
             number = first + k
             scene, state = make_numbers(values[number if several else 0]), state_in(before[:, k])
-            share = float(action_torque(scene, state, action_in(controls, number), before[TIME, k], dt))
+            share = 1.0 * action_torque(scene, state, action_in(controls, number), before[TIME, k], dt)  # of a bool too
             if share != share:
                 return k
             lanes[APPLIED, k] = max(-1.0, min(1.0, share)) * scene.torque_limit
@@ -78,4 +78,4 @@ def act_block(values: Array, before: Array, lanes: Array, controls: Array, first
 
 def act_one(values: Array, state: Array, controls: Array, time: float, dt: float) -> float:
     """The torque over its limit of one environment's action, shape (n, 1), not clipped."""
-    return float(action_torque(make_numbers(values), state_in(state), action_in(controls, 0), time, dt))
+    return 1.0 * action_torque(make_numbers(values), state_in(state), action_in(controls, 0), time, dt)

@@ -65,6 +65,7 @@ CLEAR = 3  # squared centre distance within which contact is impossible [m^2], a
 ROOM = 4  # distance of the centres at which the jack's feet reach a wall [m]
 ORDINARY = 5  # bound of ordinary numbers of the state, see ``ordinary``
 SCENE_LANES = 6
+_DRIFT_COST = 0.005  # gap evaluations that take as long as one row's flight through a piece
 _ORDINARY = 1e9  # over L or v0: below it float64 resolves positions and speeds
 
 
@@ -214,6 +215,7 @@ def glide_under_chirp(scene: SceneNumbers, plan: Plan, block: Block, memory: Wor
     turns = chirp_turns(scene.chirp_start_frequency, scene.chirp_rate, time)
     frequency = scene.chirp_start_frequency + scene.chirp_rate * time
     length, impulse = dt / pieces, 0.0
+    memory.work += pieces * (1.0 + _DRIFT_COST * count)
     for number in range(pieces):
         chirp_piece(scene, turns, frequency, number * length, length, memory)
         angle = horner(memory.powers[3 * TURN + 2], DEGREE + 2, 1.0)

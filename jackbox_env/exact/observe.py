@@ -63,7 +63,7 @@ def observe_values(scene: SceneNumbers, state: Array, time: float, observation: 
     """Write the numbers of a user's observation, clipped to its bounds."""
     values, usable = observation_values(scene, state_in(state), time), True
     for k in range(len(values)):
-        value = float(values[k])
+        value = 1.0 * values[k]  # of a bool too
         usable = usable and value == value
         observation[k] = HIGH[k] if value > HIGH[k] else LOW[k] if value < LOW[k] else value
     return usable

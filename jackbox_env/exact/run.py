@@ -41,7 +41,7 @@ from jackbox_env.mechanics import energy_of
 from jackbox_env.scene import SceneNumbers
 from jackbox_env.states import LATEST_TIME, Array, Flags
 
-PATIENCE = 2e6  # gap evaluations before a call pauses: 0.3 s, 1.2 s if most of them find impacts
+PATIENCE = 2e6  # work before a call pauses, in gap evaluations: 0.3 s, 1.2 s if most of them find impacts
 STOPPED = 2.0  # in the row OVER of a block: an impact stopped the row; 1.0: its episode is over
 
 
@@ -56,8 +56,8 @@ def run(address: Any, low: int, high: int, first: int) -> tuple[int, int, int, i
 
     Returns:
         How it ended: DONE, PAUSED after long work, FULL if the log has no room for a step's impacts, or the status of
-        the step that failed. The row that failed, or the block to go on with. The step that failed or is next. The
-        number of episodes that ended. The number of impacts recorded.
+        the step that failed. The row that failed, or the block to go on with, from ``memory.lane`` on. The step that
+        failed or is next. The number of episodes that ended. The number of impacts recorded.
     """
     call = arguments_at(address)
     scenes, rules, results, lanes = call.scenes, call.rules, call.results, call.memory.lanes
@@ -65,29 +65,32 @@ def run(address: Any, low: int, high: int, first: int) -> tuple[int, int, int, i
     scene = make_numbers(scenes.values[0])
     plan = make_plan(scene, rules.dt, scenes.kinds[0])
     width, count = call.before.shape[2], results.terminations.shape[0]
-    finished, recorded, worked = 0, 0, 0.0
+    finished, recorded, memory.work = 0, 0, 0.0
     for number in range(low, high):
         for k in range(first if number == low else 0, rules.steps):
-            if worked > rules.patience and worked > 0.0:
+            if memory.work > rules.patience and memory.work > 0.0:
                 return Status.PAUSED.value, number, k, finished, recorded
             block = Block(
                 (call.after if k & 1 else call.before)[number], (call.before if k & 1 else call.after)[number], lanes,
                 scenes.lanes[number if scenes.lanes.shape[0] > 1 else 0], number * width,
                 min(width, count - number * width),
             )  # fmt: skip
-            if k > 0 and rules.resting > 0 and skip_rest(call, block, k):
+            if k > 0 and skip_rest(call, block, k):
                 break
             # Move: rows in free flight together, then the others one by one.
             bad = set_torques(address, block, k)
             if bad >= 0:
                 ended = Status.BAD_TORQUE if rules.kind == ACTIONS else Status.BAD_ACTION
                 return ended.value, block.first + bad, k, finished, recorded
-            glided = glide(scene, plan, scenes, block, memory)
-            ended, lane, evaluations, recorded = step_lanes(scene, plan, address, block, k, glided, recorded)
+            if memory.lane == 0:
+                memory.glided = 1 if glide(scene, plan, scenes, block, memory) else 0
+            ended, lane, recorded = step_lanes(scene, plan, address, block, k, recorded)
+            if ended == Status.FULL or ended == Status.PAUSED:
+                return ended.value, number, k, finished, recorded
+            memory.lane = 0
             if ended != Status.DONE:
-                failed = number if ended == Status.FULL else block.first + lane  # a full log: go on with the block
-                return ended.value, failed, k, finished, recorded
-            worked += block.size + evaluations
+                return ended.value, block.first + lane, k, finished, recorded
+            memory.work += block.size
             # Reward.
             waiting = keep_waiting(block)
             unscored, skipped, ends = block.before[OVER], waiting, 0
@@ -166,27 +169,30 @@ def glide(scene: SceneNumbers, plan: Plan, scenes: Scenes, block: Block, memory:
 
 
 def step_lanes(
-    scene: SceneNumbers, plan: Plan, address: Any, block: Block, k: int, glided: bool, recorded: int
-) -> tuple[Status, int, float, int]:
-    """Step the rows of a block one by one, except those that glided and stay off the walls.
+    scene: SceneNumbers, plan: Plan, address: Any, block: Block, k: int, recorded: int
+) -> tuple[Status, int, int]:
+    """Step the rows of a block from ``memory.lane`` on, except those that glided and stay off the walls.
 
     Returns:
-        How it ended, the lane that failed, gap evaluations, and the number of impacts in the log.
+        How it ended, the lane that failed, and the number of impacts in the log. PAUSED sets ``memory.lane``.
     """
-    before, after, lanes, evaluations, already = block.before, block.after, block.lanes, 0.0, recorded
+    before, after, lanes, already = block.before, block.after, block.lanes, recorded
     call = arguments_at(address)
     scenes, memory, log, nonsmooth = call.scenes, call.memory.workspaces[0], call.memory.log, call.results.nonsmooth
-    varied = scenes.values.shape[0] > 1
-    for lane in range(block.size):
+    varied, first = scenes.values.shape[0] > 1, memory.lane
+    for lane in range(first, block.size):
         if before[OVER, lane] != 0.0:
             continue
         time = before[TIME, lane]
         if time + plan.dt == time or time + plan.dt > LATEST_TIME:
-            return Status.TOO_LATE, lane, evaluations, recorded
+            return Status.TOO_LATE, lane, recorded
         row = block.first + lane
         kind = scenes.kinds[row] if varied else plan.kind
-        if glided and lanes[NEAR, lane] == 0.0 and (kind == CONSTANT or not varied):
+        if memory.glided != 0 and lanes[NEAR, lane] == 0.0 and (kind == CONSTANT or not varied):
             continue
+        if memory.work > call.rules.patience and lane > first:
+            memory.lane = lane
+            return Status.PAUSED, lane, recorded
         row_scene, row_plan = scene, plan
         if varied:
             row_scene = make_numbers(scenes.values[row])
@@ -200,25 +206,25 @@ def step_lanes(
             row_scene, row_plan, before[:, lane], after[:, lane], time, lanes[APPLIED, lane], pieces, memory, room
         )  # fmt: skip
         if ended != Status.DONE:
-            return ended, lane, evaluations, recorded
+            return ended, lane, recorded
         if log.shape[0]:
             if memory.hits > room.shape[0]:
-                return Status.FULL, lane, evaluations, already
+                return Status.FULL, lane, already
             recorded += memory.hits
         if nonsmooth.shape[0]:
             nonsmooth[row, k] = memory.nonsmooth != 0
         lanes[HIT, lane], lanes[IMPULSE_SUM, lane] = memory.hits, memory.impulse
-        evaluations += effort(memory)
-    return Status.DONE, -1, evaluations, recorded
+        memory.work += effort(memory)
+    return Status.DONE, -1, recorded
 
 
 def skip_rest(call: Arguments, block: Block, k: int) -> bool:
     """Whether all rows of a block have stopped before step ``k``; then copies them to where the last step would."""
-    going = 0
-    for lane in range(block.size):
-        going += 1 if block.before[OVER, lane] == 0.0 else 0
-    if going or call.results.trajectories.shape[0]:
+    if call.rules.goes_on or call.results.trajectories.shape[0]:
         return False
+    for lane in range(block.size):
+        if block.before[OVER, lane] == 0.0:
+            return False
     for column in range(WIDTH if (call.rules.steps - k) & 1 else 0):
         for lane in range(block.size):
             block.after[column, lane] = block.before[column, lane]

@@ -48,7 +48,8 @@ from jackbox_env.states import (
     Array,
 )
 
-_HOLDING_COST = 40.0  # gap evaluations that take as long as a step with feet at rest
+# Gap evaluations that take as long as a step with feet at rest; a piece of a drive takes as long as one.
+_HOLDING_COST = 40.0
 _LARGEST_RESOLVED = 4.5e12  # its unit in the last place is 1e-3
 _FOUR_ULPS = 8.9e-16  # of 1
 
@@ -142,6 +143,7 @@ def step(
 def reset_counters(memory: Workspace) -> None:
     """Set what is counted during a step to 0."""
     memory.hits, memory.impulse, memory.evaluations, memory.elapsed, memory.nonsmooth = 0, 0.0, 0.0, 0.0, 0
+    memory.pieces = 0
     if memory.holding > 0:
         memory.holding = 0
         memory.resting[:] = 0.0
@@ -149,7 +151,7 @@ def reset_counters(memory: Workspace) -> None:
 
 def effort(memory: Workspace) -> float:
     """The cost of the last step, in gap evaluations; feet at rest cost as much as 40 of them."""
-    return float(memory.evaluations + (_HOLDING_COST if memory.holding > 0 else 0.0))
+    return float(memory.evaluations + memory.pieces + (_HOLDING_COST if memory.holding > 0 else 0.0))
 
 
 def touch_of(plan: Plan, before: Array) -> Touch:
@@ -234,8 +236,7 @@ def advance_chirp(
         return Status.TOO_MANY_TURNS, 0.0
     turns = chirp_turns(scene.chirp_start_frequency, scene.chirp_rate, time)
     frequency = scene.chirp_start_frequency + scene.chirp_rate * time
-    length = plan.dt / count
-    impulse = 0.0
+    length, impulse, memory.pieces = plan.dt / count, 0.0, count
     for number in range(count):
         chirp_piece(scene, turns, frequency, number * length, length, memory)
         impulse += horner(memory.powers[3 * TURN + 1], DEGREE + 1, 1.0)
@@ -252,6 +253,7 @@ def advance_pieces(
     impulse, table = 0.0, pieces.table
     if pieces.first == pieces.last:
         return Status.NO_DRIVE, 0.0
+    memory.pieces = pieces.last - pieces.first
     for number in range(pieces.first, pieces.last):
         length = table[number, 1]
         for axis in range(3):

@@ -23,6 +23,10 @@ class Workspace(np.record):  # type: ignore[misc]
     hits: int  # impacts of the step so far
     impulse: float  # of them [N s]
     evaluations: float  # of gaps
+    pieces: int  # of the drive in the step
+    work: float  # of the call so far, in gap evaluations
+    lane: int  # of a block at which a paused call goes on; 0: at the block's start
+    glided: int  # whether the rows of that block that are in free flight have moved
     elapsed: float  # since the step's start [s]
     nonsmooth: int  # 1 if the step has no derivative, or rounding hides it, see derivatives.py
     state: Annotated[Array, 12]  # in a frame at the box's centre
@@ -153,7 +157,7 @@ class Rules(NamedTuple):
     score: Any  # address of the task's ``score_block``; unused without rewards
     observe: Any  # address of the observation's ``observe_rows``; unused without observations
     act: Any  # address of the action's ``act_block``; unused but with ACTIONS
-    patience: float  # gap evaluations before the call pauses
+    patience: float  # work before the call pauses, in gap evaluations
 
 
 class Results(NamedTuple):

@@ -17,6 +17,7 @@ from jackbox_env.env import JackInBoxEnv
 from jackbox_env.exact import run as loop
 from jackbox_env.planning import rollouts
 from tests.batches.several import EVERY_MODEL, EVERY_SIZE, actions_at, assert_same, play
+from tests.states import lying
 
 
 def test_the_same_arguments_mean_the_same_physics() -> None:
@@ -138,25 +139,35 @@ def test_an_episode_that_waits_does_not_evaluate_its_drive() -> None:
         single.step(None)
 
 
-def test_long_work_that_pauses_comes_to_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("patience", [3.0, 30.0])
+def test_long_work_that_pauses_comes_to_the_same(patience: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    strikes = np.tile([0.0, 0, 0, 0, -4.9, 0, 0, 0, 0, 0, -10, 0], (32, 1))
+    strikes[0] = lying()  # work after which the call pauses; then the log is full of strikes
+
     def run() -> list[Any]:
         env = JackInBoxVectorEnv(200, contact="exact", max_episode_steps=30, num_threads=1, with_infos=True)
         env.reset(seed=0)
         torques = np.random.default_rng(0).uniform(-9e4, 9e4, (3, 100))
-        return [play(env, 70, 0), jackbox_env.rollout({}, np.zeros(12), torques, 0.02, energy=True)]
+        lin = jackbox_env.linearize({"restitution": 0.5}, strikes, np.zeros((32, 50)), 0.02)
+        return [
+            play(env, 70, 0), jackbox_env.rollout({}, np.zeros(12), torques, 0.02, energy=True), lin.A, lin.trajectories
+        ]  # fmt: skip
 
     straight = run()
-    monkeypatch.setattr(loop, "PATIENCE", -1.0)
-    monkeypatch.setattr(rollouts, "PATIENCE", 3.0)
+    monkeypatch.setattr(loop, "PATIENCE", -1.0)  # after each row
+    monkeypatch.setattr(rollouts, "PATIENCE", patience)
+    monkeypatch.setattr(rollouts, "_ROOM", 1)
     assert_same(run(), straight)
 
 
-def test_after_a_refused_step_impacts_are_none_and_no_error() -> None:
+def test_after_a_refused_step_impacts_are_those_of_the_last_one() -> None:
     env = JackInBoxVectorEnv(300, contact="exact")
-    env.reset(seed=0)
+    env.reset(seed=0, options={"state": [0.0, 0, 0, 0, -4.9, 0, 0, 0, 0, 0, -10, 0]})
     env.step(np.ones(300))
+    before = [env.impacts(number) for number in (0, 299)]
+    assert all(before)
     actions = np.full(300, np.nan)
     actions[:290] = 1.0
     with pytest.raises(ValueError, match="290"):
         env.step(actions)
-    assert [env.impacts(number) for number in (0, 299)] == [[], []]
+    assert [env.impacts(number) for number in (0, 299)] == before

@@ -367,6 +367,47 @@ def test_environments_share_objects_but_not_the_generators_of_spaces() -> None:
     assert made(action=SERVO).unwrapped.nouns.action is SERVO  # type: ignore[attr-defined]
 
 
+def late(scene: Any, state: Any, time: float) -> tuple[float]:
+    return (math.nan if time > 5.0 else time,)
+
+
+@EVERY_MODEL
+def test_a_masked_reset_with_a_nan_changes_nothing_and_names_the_environment(contact: str) -> None:
+    envs = JackInBoxVectorEnv(3, contact=contact, observation=Observation(("t",), -9.0, 9.0, late))
+    envs.reset(seed=0)
+    envs.step(np.zeros(3))
+    before = envs.states, envs.times, envs.np_random_seed
+    with pytest.raises(TaskError, match="in environment 2$"):
+        envs.reset(seed=9, options={"time": 6.0, "reset_mask": np.array([False, False, True])})
+    assert_same((envs.states, envs.times, envs.np_random_seed), before)
+    envs.set_states(envs.states, [0.02, 0.02, 6.0])
+    before = envs.states, envs.times, envs.np_random_seed
+    with pytest.raises(TaskError, match="in environment 2$"):
+        envs.reset(seed=9, options={"reset_mask": np.array([True, False, False])})
+    assert_same((envs.states, envs.times, envs.np_random_seed), before)
+
+
+@EVERY_MODEL
+def test_bools_count_as_numbers_and_the_drive_ignores_any_action(contact: str) -> None:
+    above = Observation(("a", "b"), 0, 1, lambda scene, state, time: (state.y_jack > 0.0, state.x_jack > 9.0))
+    right = Action(gym.spaces.Box(-1, 1, (1,)), lambda scene, state, action, time, dt: state.x_jack > -9.0)
+    env = JackInBoxEnv(contact=contact, observation=above, action=right)
+    env.reset(options={"state": np.eye(12)[4]})
+    seen, *_, info = env.step(0.0)
+    assert (seen.tolist(), info["torque"]) == ([1.0, 0.0], pytest.approx(90000.0))
+    envs = JackInBoxVectorEnv(2, contact=contact, torque="chirp", action="landing")
+    envs.reset(seed=0)
+    envs.step(np.full((2, 2), math.nan))
+
+
+def test_a_batch_whose_episodes_are_over_makes_no_more_steps() -> None:
+    envs = JackInBoxVectorEnv(3, contact="exact", action_repeat=1_000_000, episode_steps=10)
+    envs.reset(seed=0)
+    *_, truncated, infos = envs.step(np.zeros(3))
+    assert truncated.all()
+    assert infos["duration"].tolist() == [0.2] * 3
+
+
 # -- films ------------------------------------------------------------------------------------------------------------
 
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jackbox_env import JackInBoxVectorEnv, Scene
+from jackbox_env import Chirp, JackInBoxVectorEnv, Scene
 from jackbox_env.batches import exact
 from jackbox_env.batches import threads as batch_threads
 from jackbox_env.exact import compiler, glide, run
@@ -70,14 +70,22 @@ def test_an_interrupted_step_changes_nothing_or_is_refused_until_reset(
         env.step(ACTIONS), twin.step(ACTIONS)
 
 
-def test_an_interruption_of_a_long_step_is_noticed_soon(monkeypatch: pytest.MonkeyPatch) -> None:
-    # Jacks at rest cost most. Compiled code checks for no signal: it has to return after a part of the step.
-    count = 300 * glide.WIDEST
-    env = JackInBoxVectorEnv(count, contact="exact", scene=Scene(restitution=0.5, drive=None), num_threads=1)
+SCENES = [Scene(restitution=0.5, drive=None), Scene(drive=Chirp(start_frequency=4e6, rate=0.0))]
+
+
+@pytest.mark.parametrize(
+    ("scene", "count"), [*zip(SCENES, (300 * glide.WIDEST, 50), strict=True)], ids=["rest", "chirp"]
+)
+def test_an_interruption_of_a_long_step_is_noticed_soon(
+    scene: Scene, count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Jacks at rest cost most, and 80,000 turns of a chirp within a step, computed for each row because their times
+    # differ. Compiled code checks for no signal: it has to return after a part of the step, the chirp's of a block.
+    env = JackInBoxVectorEnv(count, contact="exact", scene=scene, num_threads=1)
     env.reset(seed=0)
-    states = np.tile(lying(), (count, 1))
+    states = np.tile(np.zeros(12) if scene.drive else lying(), (count, 1))
     states[:, 3] = np.linspace(-4.0, 4.0, count)
-    env.set_states(states, 0.0)
+    env.set_states(states, np.linspace(0.0, 1.0, count))
     loop, ends = compiler.compiled(run.run), list[int]()
 
     def interrupted_step(*arguments: Any) -> Any:
@@ -86,7 +94,7 @@ def test_an_interruption_of_a_long_step_is_noticed_soon(monkeypatch: pytest.Monk
 
     monkeypatch.setattr(exact, "compiled", lambda _: interrupted_step)
     with pytest.raises(KeyboardInterrupt):
-        env.step(np.zeros(count))
+        env.step(None)
     assert ends == [Status.PAUSED]
     np.testing.assert_array_equal(env.states, states)
 

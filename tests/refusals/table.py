@@ -78,6 +78,8 @@ OBSERVATION = instance(
     plain_function=wrong(SEEN.values, "jackbox_env.Observation"), no_names=out(changed(SEEN, names=()), "names", "()"),
     same_names=out(changed(SEEN, names=("a", "a")), "names", "('a', 'a')"),
     infinite=out(changed(SEEN, high=math.inf), "high", "finite", "inf"),
+    beyond=out(changed(SEEN, low=-1e40), "low", "float32", "-1e+40"),
+    equal=out(changed(SEEN, low=1.0 - 1e-12), "below", "1.0"),
     turned=out(changed(SEEN, low=2.0), "below", "2.0", "1.0"), shape=out(changed(SEEN, low=[0.0, 0.0]), "low", "0."),
     words=wrong(changed(SEEN, low="a"), "low", "'a'"), no_plain=wrong(changed(SEEN, values=math.sin), "values"),
 )  # fmt: skip
