@@ -96,8 +96,8 @@ class JackInBoxVecEnv(VecEnv):
         Each environment with options starts alone, then the others together.
 
         Raises:
-            TypeError, ValueError, TaskError: an unusable option, or an observation with a NaN. Nothing has changed, unless
-                a state is outside its box or has the NaN: then environments with options of a lower number have started.
+            TypeError, ValueError, TaskError: an unusable option, or an observation with a NaN. Nothing has changed,
+                unless a state is outside its box or has the NaN: then environments of a lower number have started.
         """
         plain = np.array([not options for options in self._options])
         resets = []

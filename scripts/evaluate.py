@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from agents.settings import EnvSettings, SceneFields, scene_as_json
 from jackbox_env import checks as check
 from jackbox_env.command_line import command_line, progress
 from jackbox_env.files import check_new, check_writable, new_file, new_folder, write_json
+
+with suppress(ImportError):  # main names what is missing
+    import tyro
 
 if TYPE_CHECKING:
     from agents.policies.scripted import PolicyWithEnv
@@ -48,10 +52,10 @@ class Arguments:
         "environment that env.json beside them describes, which jackbox_env.sb3.save_model writes; options here that "
         "are not the default go before it."
     )
-    env: tuple[str, ...] = ()
+    env: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     (
-        "Keywords of the environment of model files and functions, each name=value: observation=landing "
-        "action=landing action_repeat=bounce. Objects of your own: task=file.py:name."
+        "A keyword of the environment of model files and functions, once for each: --env action=landing --env "
+        "action_repeat=bounce. Objects of your own: task=file.py:name."
     )
     vecnormalize: Path | None = None
     """File of the statistics by which VecNormalize normalized what a model observes, if it has no env.json."""

@@ -14,7 +14,7 @@ from tqdm import tqdm
 from agents.policies.scripted import PolicyWithEnv
 from agents.training.models import derived_seed, make_vec_env
 
-SIDE_BY_SIDE = 64  # environments
+SIDE_BY_SIDE = 16  # environments
 
 
 @dataclass(frozen=True)

@@ -154,7 +154,7 @@ def test_a_function_is_a_policy(tmp_path: Path) -> None:
         ("back", [f"observation={tmp_path}/mine.py:angle", "action_repeat=2"]),
     ):
         arguments = ["--policy", f"{tmp_path}/mine.py:{name}", "--episodes", "3", "--json", f"{name}.json"]
-        script("evaluate", *arguments, *(["--env", *chosen] if chosen else []), cwd=tmp_path)
+        script("evaluate", *arguments, *(word for one in chosen for word in ("--env", one)), cwd=tmp_path)
         (row,) = json.loads((tmp_path / f"{name}.json").read_text())["results"]
         assert (row["episodes"], row["environments"]) == (3, 3)
         assert 0.0 < row["mean"] < 500.0
