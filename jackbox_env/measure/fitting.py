@@ -341,6 +341,9 @@ class _Search:
         if (gaps > _WIDEST_JUMP).any():
             open_links = f"{(gaps > _WIDEST_JUMP).sum()} of {sum(one.linked for one in self._windows)} links"
             yield f"{open_links} between windows are open, by up to {gaps.max():.2g} of the noise: the motion jumps"
+        joints, links = len(self._windows) - len(self._recordings), sum(one.linked for one in self._windows)
+        if 2 * links < joints:
+            yield f"only {links} of {joints} windows go on where the one before ends: the motion was followed in pieces"
         misfits, unheard = int(misfitting(rows, len(self._windows)).sum()), int((rows.column == UNHEARD).sum())
         if misfits:
             yield f"{misfits} of {len(self._windows)} windows do not fit within the noise"

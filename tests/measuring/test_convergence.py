@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -80,6 +82,20 @@ def test_links_that_stay_open_are_a_problem(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(fitting, "_LINK_SLACKS", (1.0, 0.3))  # never tightened
     problems = fit(filmed(LAB), FIELDS, LAB).problems
     assert any("links between windows are open, by up to" in problem for problem in problems), problems
+
+
+def test_a_motion_that_is_followed_in_pieces_is_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:
+    solve = fitting._Search._solve
+
+    def apart(self: fitting._Search, *arguments: Any, **keywords: Any) -> bool:
+        fitting._unlink(self._windows, range(len(self._windows)))
+        return solve(self, *arguments, **keywords)
+
+    recording = filmed(LAB)
+    assert not any("in pieces" in problem for problem in fit(recording, FIELDS, LAB).problems)
+    monkeypatch.setattr(fitting._Search, "_solve", apart)
+    problems = fit(recording, FIELDS, LAB).problems
+    assert any(problem.startswith("only 0 of ") and "in pieces" in problem for problem in problems), problems
 
 
 def test_a_wrong_box_mass_is_a_problem_unless_its_inertia_follows() -> None:
