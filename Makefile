@@ -21,9 +21,9 @@ SEVERAL_ROUNDINGS := ATEN_CPU_CAPABILITY=default+OPENBLAS_CORETYPE=Prescott+$(OT
 ROUNDED := $(addprefix tests/,agents batches commands environment measuring studies guarantees/test_derivatives.py \
 	test_first_day.py test_lesson.py test_package.py)
 # Those in which networks play and train, and derivatives.
-ROUNDED_QUICKLY := $(addprefix tests/,$(addprefix agents/test_,cards.py landing.py network.py planner.py repeating.py \
+ROUNDED_QUICKLY := $(addprefix tests/,$(addprefix agents/test_,cards.py landing.py network.py planner.py \
 	saved_models.py training.py value.py zoo.py) batches/test_torch.py environment/test_ilqr.py \
-	environment/test_lookahead.py measuring/test_fitting.py studies/test_distil.py)
+	measuring/test_fitting.py studies/test_distil.py)
 
 .PHONY: demo test test-all test-slow benchmark benchmark-quick throughput speed costs derivatives prove prove-quick reference soak extremes machines roundings roundings-quick kills interrupts mutants results networks readme docs recipes wheel dataset ranges clean
 .DELETE_ON_ERROR:
