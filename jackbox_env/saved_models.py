@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 from gymnasium.envs.registration import EnvSpec
 
 from jackbox_env import checks as check
@@ -34,7 +35,6 @@ _WITHOUT_EFFECT = {
 }  # fmt: skip
 _KEYS = {"env", "missing", "wrappers", "algorithm"}  # of an entry
 _BUILTIN: dict[type, Mapping[str, Any]] = {Task: TASKS, Observation: OBSERVATIONS, Action: ACTIONS}
-_EPISODE_STEPS = 500  # by default
 _PICTURES = ("render_mode", "render_size", "render_overlay")
 _MOST_BYTES = 10_000_000  # that are read of env.json
 
@@ -156,7 +156,7 @@ def _storable(spec: EnvSpec) -> tuple[dict[str, Any], list[str]]:
     keywords = {**dict.fromkeys(KEYWORDS), **spec.kwargs}
     env = {name: _storable_value(name, value) for name, value in keywords.items() if name not in _PICTURES}
     missing = [name for name, value in env.items() if value is None and keywords[name] is not None]
-    if spec.max_episode_steps not in (None, _EPISODE_STEPS):
+    if spec.max_episode_steps not in (None, gym.spec("JackInBox-v0").max_episode_steps):
         env["max_episode_steps"] = spec.max_episode_steps
     plain: dict[str, Any] = json.loads(json.dumps(env, default=lambda number: number.tolist()))  # of numpy
     return {name: value for name, value in plain.items() if name not in missing}, missing

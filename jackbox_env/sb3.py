@@ -194,7 +194,7 @@ class JackInBoxVecEnv(VecEnv):
         """Set an attribute of each chosen environment's :class:`EnvView`.
 
         Raises:
-            AttributeError: it is a setting, or of the simulation: the message says what to do instead.
+            AttributeError: the attribute is a setting or part of the simulation; the message has the remedy.
         """
         for view in self._chosen(indices):
             setattr(view, attr_name, value)

@@ -409,7 +409,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         """Set an attribute of this object.
 
         Raises:
-            AttributeError: it is a setting, the scene or the states: the message says what to do instead.
+            AttributeError: the attribute is a setting, the scene or the states; the message has the remedy.
         """
         setattr(self, name, values)
 

@@ -83,7 +83,7 @@ def find_policy(
 
 
 def with_chosen_env(name: str) -> bool:
-    """Whether a policy takes ``chosen`` keywords: a function, or a model file without settings.json."""
+    """Whether ``chosen`` keywords apply to a policy: to a function, or a model file without settings.json."""
     return is_function(name) or (Path(name).is_file() and run_folder(Path(name)) is None)
 
 

@@ -14,7 +14,7 @@ Infos = dict[str, Any]
 
 
 class NoInfos(dict[str, Any]):
-    """Infos of environments made without ``with_infos``: the KeyError for one that they lack says so."""
+    """Infos of environments made without ``with_infos``. The KeyError for a missing info names that argument."""
 
     __slots__ = ()
 

@@ -103,7 +103,7 @@ class _Workers:
         self.process = os.getpid()  # threads do not survive a fork
         self.jobs: SimpleQueue[Any] = SimpleQueue()
         for _ in range(count):
-            # A dead weak reference puts itself into the queue, and a worker that takes it ends.
+            # Once this object is gone, its weak references are put into the queue; a worker that gets one ends.
             _thread.start_new_thread(_serve, (self.jobs, weakref.ref(self, self.jobs.put)))
 
 

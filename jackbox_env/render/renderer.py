@@ -12,6 +12,7 @@ Points in the frame and in the world are complex numbers; see `canvas.py` for th
 from __future__ import annotations
 
 import cmath
+import copy
 import math
 from collections import deque
 from collections.abc import Iterator, Sequence
@@ -59,6 +60,12 @@ _TRAIL: Colour = (120, 158, 214)
 
 # The trail's colours from new to old.
 _FADING: list[Colour] = [(r, g, b) for r, g, b in np.linspace(_TRAIL, _INTERIOR, 16).astype(int).tolist()]
+
+# Attributes that change during an episode.
+_OF_EPISODE = (
+    "_trail", "_flashes", "_count", "_torque", "_return", "_interval", "_box", "_jack", "_angle", "_jack_angle",
+    "_time",
+)  # fmt: skip
 
 _PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G", 12: "T"}
 
@@ -172,19 +179,13 @@ class Renderer:
             radius = max(2.0, (8.0 + 8.0 * min(strength, 1.0)) * self._px)
             self._flashes.append((impact.time, self._contact_point(impact, state), radius))
 
-    def snapshot(self) -> tuple[Any, ...]:
+    def snapshot(self) -> dict[str, Any]:
         """What is drawn of the present scene, for one :meth:`restore`."""
-        return (
-            self._trail.copy(), self._flashes.copy(), self._count, self._torque, self._return, self._interval,
-            self._box, self._jack, self._angle, self._jack_angle, self._time,
-        )  # fmt: skip
+        return {name: copy.copy(getattr(self, name)) for name in _OF_EPISODE}
 
-    def restore(self, snapshot: tuple[Any, ...]) -> None:
+    def restore(self, snapshot: dict[str, Any]) -> None:
         """Return to the moment of a :meth:`snapshot`."""
-        (
-            self._trail, self._flashes, self._count, self._torque, self._return, self._interval,
-            self._box, self._jack, self._angle, self._jack_angle, self._time,
-        ) = snapshot  # fmt: skip
+        vars(self).update(snapshot)
 
     def _contact_point(self, impact: Impact, state: Sequence[float] | Array) -> complex:
         """Return the point of the wall that the foot struck, in the box frame [m].

@@ -1,6 +1,7 @@
 """Fit 900 synthetic recordings, and fill in docs/fitting.md: how often 95 % intervals contain the truth, and times.
 
-Some fits are made again with finite differences in place of exact derivatives. An interrupted run resumes.
+Some fits are made again with finite differences in place of exact derivatives. Then come recordings of small labs, some
+fitted with a wrong value of a field that is given. An interrupted run resumes.
 """
 
 from __future__ import annotations
@@ -25,7 +26,18 @@ from jackbox_env import Fit, Recording, Scene, fit, linearize, make_simulator, r
 from jackbox_env.command_line import command_line
 from jackbox_env.measure import shooting
 from jackbox_env.measure.shooting import units
-from jackbox_env.states import OMEGA_JACK, RATES, THETA_JACK, VX_JACK, VY_JACK, X_JACK, Y_JACK, Array
+from jackbox_env.states import (
+    OMEGA_BOX,
+    OMEGA_JACK,
+    RATES,
+    THETA_BOX,
+    THETA_JACK,
+    VX_JACK,
+    VY_JACK,
+    X_JACK,
+    Y_JACK,
+    Array,
+)
 from jackbox_env.tasks import sample_start
 from scripts.studies import timing
 from scripts.studies.pages import fill, table
@@ -43,6 +55,15 @@ MEASURED: dict[str, Sequence[int]] = {
 NOISE = (3e-4, 1e-3, 3e-3)  # in units of L, v0, v0 / L and v0 / l
 _DIFFERENCE = 1e-7  # in SI units
 FIELDS = (("jack_mass", "restitution"), ("restitution", "gravity"), ("jack_mass", "jack_arm", "restitution"))
+# Fields that are fitted in a lab, and what is wrong there and by how much.
+LAB_FIELDS: tuple[str, ...] = ("jack_mass", "jack_inertia", "restitution")
+LABS: dict[str, dict[str, float]] = {
+    "nothing is wrong": {},
+    "jack_arm 1 % too large": {"jack_arm": 1.01},
+    "gravity 1 % too large": {"gravity": 1.01},
+    "box_half_width 1 % too large": {"box_half_width": 1.01},
+}
+HEADS = "fits", "converged", "95 % intervals that contain the truth", "time of a fit", "error"
 PACKAGES = ("jackbox", "numpy", "scipy", "numba")
 
 
@@ -53,7 +74,11 @@ class Arguments:
     count: int = 900
     """Recordings."""
     again: int = 30
-    """How many of them are also fitted by finite differences."""
+    """How many of them are fitted by finite differences, too."""
+    labs: int = 300
+    """Recordings of small labs."""
+    wrong: int = 60
+    """How many of those are fitted with each wrong value, too."""
     workers: int | None = None
     """Processes; None: as many as cores."""
     out: Path = Path("docs")
@@ -87,6 +112,53 @@ def recorded(seed: int) -> tuple[Scene, Scene, tuple[str, ...], Recording, str, 
     return scene, start, fields, Recording(rows, torques, DT, impacts=impacts), kind, noise
 
 
+def filmed(seed: int) -> tuple[Scene, Scene, Recording]:
+    """A lab, the fit's first guess, and what a camera sees of it.
+
+    The box has a half width of 8 to 30 cm and stands on a table that is tilted by 3 to 12 degrees. The camera has 30 or
+    60 frames a second and sees positions and angles, without rates. In half of the labs a motor turns the box.
+    """
+    rng, rate, pushed = np.random.default_rng((1, seed)), (30.0, 60.0)[seed % 2], bool(seed // 2 % 2)
+    length = float(np.exp(rng.uniform(np.log(0.08), np.log(0.3))))
+    mass, arm = 0.5 * (length / 0.15) ** 2 * np.exp(rng.uniform(-0.5, 0.5)), length * rng.uniform(0.2, 0.4)
+    jack_mass = mass * rng.uniform(0.06, 0.3)
+    scene = Scene(
+        gravity=9.81 * np.sin(np.radians(rng.uniform(3.0, 12.0))), box_half_width=length, box_mass=mass,
+        box_inertia=mass * length**2 * rng.uniform(0.5, 1.0), jack_mass=jack_mass, jack_arm=arm,
+        jack_inertia=jack_mass * arm**2 * rng.uniform(0.3, 0.8), restitution=rng.uniform(0.7, 0.95), drive=None,
+    )  # fmt: skip
+    simulator = make_simulator(scene, contact="exact")
+    simulator.reset(thrown(scene, rng))
+    states, torques, torque = [simulator.state], np.zeros(round(rng.uniform(3.0, 6.0) * rate)), 0.0
+    for step in range(len(torques)):
+        if pushed and step % round(0.5 * rate) == 0:
+            push = rng.uniform(-2.0, 2.0) * scene.gravity / length  # [rad/s^2]
+            back = simulator.state[OMEGA_BOX] + simulator.state[THETA_BOX]  # keeps the box from spinning
+            torque = float(scene.box_inertia * (push - back))
+        simulator.step(1.0 / rate, torque)
+        torques[step] = torque
+        states.append(simulator.state)
+    noise = np.array([rng.uniform(2e-4, 5e-4)] * 2 + [rng.uniform(2e-3, 8e-3)])  # [m], [m], [rad]
+    seen = np.array(states) + np.tile(noise, 4) * rng.standard_normal((len(states), 12))
+    seen[:, RATES:] = np.nan
+    start = scene.changed(
+        restitution=min(1.0, scene.restitution + rng.uniform(-0.1, 0.1)),
+        **{name: getattr(scene, name) * rng.uniform(0.75, 1.33) for name in LAB_FIELDS[:2]},
+    )
+    return scene, start, Recording(seen, torques, 1.0 / rate)
+
+
+def thrown(scene: Scene, rng: np.random.Generator) -> Array:
+    """A start in a lab: the jack is thrown, and in half of the labs the box turns."""
+    state, room = np.zeros(12), scene.box_half_width - scene.jack_arm
+    speed = np.sqrt(scene.gravity * scene.box_half_width)
+    state[[X_JACK, Y_JACK]], state[THETA_JACK] = rng.uniform((-0.4, -0.2), (0.4, 0.6)) * room, rng.uniform(-0.7, 0.7)
+    state[[VX_JACK, VY_JACK]] = rng.uniform(-0.5, 0.5, 2) * speed
+    state[OMEGA_JACK] = rng.uniform(-1.0, 1.0) * speed / scene.box_half_width
+    state[OMEGA_BOX] = rng.integers(2) * rng.uniform(-0.3, 0.3) * speed / scene.box_half_width
+    return state
+
+
 def by_differences(
     scene: Scene, starts: ArrayLike, torques: Array, dt: float, time: float, *, fields: Sequence[str], **settings: Any
 ) -> SimpleNamespace:
@@ -109,9 +181,16 @@ def by_differences(
     )  # fmt: skip
 
 
-def fitted(differences: bool, seed: int) -> dict[str, Any]:
-    """One fit: its time, and for each field its relative error and whether the interval contains the true value."""
-    scene, start, fields, recording, kind, noise = recorded(seed)
+def fitted(differences: bool, lab: str, seed: int) -> dict[str, Any]:
+    """One fit: its time, and for each field its relative error and whether the interval contains the true value.
+
+    ``lab``: one of ``LABS``; "": no lab.
+    """
+    if lab:
+        (scene, start, recording), fields, kind, noise = filmed(seed), LAB_FIELDS, "positions and angles", None
+        start = start.changed(**{name: getattr(start, name) * factor for name, factor in LABS[lab].items()})
+    else:
+        scene, start, fields, recording, kind, noise = recorded(seed)
     noise_of_impacts = None if recording.impacts is None else {"impacts": IMPACT_NOISE}
     began = time.process_time()
     try:
@@ -128,7 +207,7 @@ def fitted(differences: bool, seed: int) -> dict[str, Any]:
         }  # fmt: skip
     held_out = float(np.mean(estimate.residuals**2)) if len(estimate.residuals) else None
     return {
-        "seed": seed, "differences": differences, "observed": kind, "noise": noise, "seconds": seconds,
+        "seed": seed, "differences": differences, "lab": lab, "observed": kind, "noise": noise, "seconds": seconds,
         "converged": bool(estimate.converged), "fields": outcomes, "held_out": held_out,
     }  # fmt: skip
 
@@ -141,30 +220,36 @@ def spread(rows: Iterable[dict[str, Any]]) -> list[str]:
     good = [row for row in rows if row["converged"]]
     fields = [of for row in good for of in row["fields"].values() if of["identified"]]
     right = sum(of["contains"] for of in fields)
-    low, high = stats.binomtest(right, len(fields)).proportion_ci() if fields else (0.0, 1.0)
+    share, error = "", ""
+    if fields:
+        low, high = stats.binomtest(right, len(fields)).proportion_ci()
+        share = f"{right / len(fields):.1%} ({low:.1%} to {high:.1%})"
+        error = f"{statistics.median(of['error'] for of in fields):.1e}"
     seconds = f"{statistics.median(row['seconds'] for row in rows):.1f} s" if rows else ""
-    return [
-        str(len(rows)), f"{len(good) / max(1, len(rows)):.0%}",
-        f"{right / max(1, len(fields)):.1%} ({low:.1%} to {high:.1%})", seconds,
-        f"{statistics.median(of['error'] for of in fields):.1e}" if fields else "",
-    ]  # fmt: skip
+    return [str(len(rows)), f"{len(good) / max(1, len(rows)):.0%}", share, seconds, error]
 
 
 def tables(rows: list[dict[str, Any]]) -> str:
-    """The page's tables."""
+    """The page's tables but that of labs."""
+    rows = [row for row in rows if not row["lab"]]
     exact, other = ([row for row in rows if row["differences"] is kind] for kind in (False, True))
-    heads = ("observed", "fits", "converged", "95 % intervals that contain the truth", "time of a fit", "error")
     lines = [[kind, *spread(row for row in exact if row["observed"] == kind)] for kind in MEASURED]
     again = {row["seed"] for row in other}
     twins = [row for row in exact if row["seed"] in again]
     compared = [["exact derivatives", *spread(twins)], ["finite differences", *spread(other)]]
     return "\n\n".join(
         [
-            table(heads, [*lines, ["**all**", *spread(exact)]]),
+            table(("observed", *HEADS), [*lines, ["**all**", *spread(exact)]]),
             "The same recordings by exact derivatives of each step and by differences of 1e-7:",
-            table(("derivatives", *heads[1:]), compared),
+            table(("derivatives", *HEADS), compared),
         ]
     )
+
+
+def labs_table(rows: list[dict[str, Any]]) -> str:
+    """The page's table of labs."""
+    lines = [[lab, *spread(row for row in rows if row["lab"] == lab)] for lab in LABS]
+    return table(("in the fit", *HEADS), lines)
 
 
 @command_line
@@ -181,18 +266,21 @@ def main() -> None:
     check_writable(arguments.out)
     path, page = arguments.out / "fits.jsonl", arguments.out / "fitting.md"
     rows = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
-    done = {(row["seed"], row["differences"]) for row in rows}
+    done = {(row["seed"], row["differences"], row["lab"]) for row in rows}
+    kinds = [(False, "", arguments.count), (True, "", arguments.again)]
+    kinds += [(False, lab, arguments.wrong if wrong else arguments.labs) for lab, wrong in LABS.items()]
     context = multiprocessing.get_context("spawn")
     with path.open("a") as file, context.Pool(arguments.workers) as pool:
-        for differences, count in ((False, arguments.count), (True, arguments.again)):
-            missing = [seed for seed in range(count) if (seed, differences) not in done]
-            finished = pool.imap_unordered(partial(fitted, differences), missing)
+        for differences, lab, count in kinds:
+            missing = [seed for seed in range(count) if (seed, differences, lab) not in done]
+            finished = pool.imap_unordered(partial(fitted, differences, lab), missing)
             for row in tqdm(finished, total=len(missing), unit="fit"):
                 print(json.dumps(row), file=file, flush=True)
                 rows.append(row)
     made = f"`python scripts/studies/fits.py` on {timing.measured_with(PACKAGES)}."
-    write_text(page, fill(page.read_text(), "fits", f"{tables(rows)}\n\n{made}"))
-    print(tables(rows))
+    for name, text in (("fits", tables(rows)), ("labs", labs_table(rows))):
+        write_text(page, fill(page.read_text(), name, f"{text}\n\n{made}"))
+        print(text)
 
 
 if __name__ == "__main__":
