@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import dataclass, fields, make_dataclass
 from itertools import pairwise
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, cast
 
 import gymnasium as gym
 
+from agents.files import imported, is_object
 from jackbox_env import Scene
 from jackbox_env import checks as check
 from jackbox_env.action import ACTIONS, repeat_of
@@ -22,13 +24,7 @@ from jackbox_env.tasks import TASKS
 with suppress(ImportError):  # command lines need it; settings are also read without it
     import tyro
 
-if TYPE_CHECKING:
-    TaskName = str
-    ObservationName = str
-    ActionName = str
-else:  # command lines show and check the names
-    TaskName, ObservationName, ActionName = (Literal[tuple(names)] for names in (TASKS, OBSERVATIONS, ACTIONS))
-
+NAMES: dict[str, Collection[str]] = {"task": TASKS, "observation": OBSERVATIONS, "action": ACTIONS}  # built-in ones
 NOUNS = ("observation", "action", "action_repeat")  # keywords of the environment: what a policy observes and does
 EPISODE_STEPS = cast(int, gym.spec("JackInBox-v0").max_episode_steps)  # control steps of an episode
 # Beyond these an untrusted run folder could fill all memory.
@@ -64,12 +60,22 @@ def setting_of(keywords: dict[str, Any]) -> Setting:
     return explicit(resolve(**{name: keywords[name] for name in KEYWORDS}))
 
 
+def with_objects(keywords: dict[str, Any]) -> dict[str, Any]:
+    """The keywords of an environment with objects in place of ``module:name`` and ``file.py:name``, whose code runs.
+
+    Raises:
+        ValueError: one cannot be imported, or is not trusted (:func:`agents.files.trust_names`).
+    """
+    named = [name for name in (*NAMES, "scene", "randomize") if is_object(keywords.get(name))]
+    return {**keywords, **{name: imported(keywords[name]) for name in named}}
+
+
 @dataclass(frozen=True)
 class EnvSettings:
     """Settings of the environment, each of a JSON type."""
 
-    task: TaskName = "juggle"
-    """What is rewarded."""
+    task: str = "juggle"
+    """What is rewarded: juggle, spin, rattle, or a task of your own, file.py:name."""
     contact: str | None = None
     """Contact model in place of a fidelity: pymunk or exact."""
     substeps: int | None = None
@@ -90,6 +96,9 @@ class EnvSettings:
         object.__setattr__(self, "fidelity", chosen(self).get("fidelity"))  # exact if none is chosen
         resolve(**chosen(self))
         check.known_keys("randomize", self.randomized, NUMBERS)
+        for name in NAMES:
+            if hasattr(self, name) and name not in self.objects:
+                check.choice(name, getattr(self, name), NAMES[name])
 
     @classmethod
     def of(cls, values: Any) -> Self:
@@ -125,9 +134,18 @@ class EnvSettings:
 
     @property
     def env_settings(self) -> dict[str, Any]:
-        """Keyword arguments for ``gymnasium.make("JackInBox-v0", ...)``."""
+        """Keyword arguments for ``gymnasium.make("JackInBox-v0", ...)``.
+
+        Raises:
+            ValueError: a task of one's own cannot be imported, or is not trusted.
+        """
         keywords = {part.name: getattr(self, part.name) for part in fields(EnvSettings)}
-        return {**keywords, "scene": self.scene_fields, "randomize": self.randomized or None}
+        return with_objects({**keywords, "scene": self.scene_fields, "randomize": self.randomized or None})
+
+    @property
+    def objects(self) -> dict[str, str]:
+        """The settings that name objects of one's own."""
+        return {name: getattr(self, name) for name in NAMES if is_object(getattr(self, name, None))}
 
     @property
     def changed(self) -> dict[str, Any]:
@@ -202,10 +220,13 @@ class TrainSettings(EnvSettings):
     """Width of each hidden layer, in policy and value network."""
     initial_log_std: float = -1.0
     """Initial logarithm of the actions' standard deviation."""
-    observation: ObservationName = "landing"
-    """What the networks observe: the ten numbers of the state, or 21 with those of the next landing."""
-    action: ActionName = "landing"
-    """What they choose: a torque, -1, 0 or 1 of its limit (discrete), or the box's angle and rate at the landing."""
+    observation: str = "landing"
+    """What the networks observe: state (ten numbers), landing (21, with the next landing), or your file.py:name."""
+    action: str = "landing"
+    (
+        "What they choose: torque, discrete (-1, 0 or 1 of its limit), landing (the box's angle and rate then), or "
+        "your file.py:name."
+    )
     action_repeat: int | Literal["bounce"] = "bounce"
     """Control steps of each action, or bounce: until the next impact, at most 2 s."""
     checkpoint_steps: int = 200_000
@@ -245,8 +266,8 @@ class TrainSettings(EnvSettings):
 
     @property
     def nouns(self) -> dict[str, Any]:
-        """The keywords ``observation``, ``action`` and ``action_repeat``."""
-        return {name: getattr(self, name) for name in NOUNS}
+        """The keywords ``observation``, ``action`` and ``action_repeat``; raises as ``env_settings``."""
+        return with_objects({name: getattr(self, name) for name in NOUNS})
 
     def __post_init__(self) -> None:
         """Check all settings.
@@ -259,8 +280,6 @@ class TrainSettings(EnvSettings):
         counts = "total_steps num_envs rollout_steps batch_size epochs checkpoint_steps eval_steps eval_episodes"
         for name in [*counts.split(), "torch_threads"]:
             check.whole(name, getattr(self, name), at_least=2 if name == "batch_size" else 1)
-        check.choice("observation", self.observation, OBSERVATIONS)
-        check.choice("action", self.action, ACTIONS)
         repeat_of(self.action_repeat, self.control_dt)
         for name, bounds in _REAL.items():
             check.real(name, getattr(self, name), **bounds)
@@ -284,7 +303,7 @@ class TrainSettings(EnvSettings):
             raise ValueError(f"num_envs * rollout_steps must be at most {MOST_ROLLOUT_SAMPLES:,}, got {samples:,}")
         if len(self.hidden_units) > MOST_LAYERS:
             raise ValueError(f"hidden_units must be at most {MOST_LAYERS} layers, got {len(self.hidden_units):,}")
-        inputs = len(OBSERVATIONS[self.observation].names)
+        inputs = len(OBSERVATIONS[self.observation].names) if "observation" not in self.objects else 1
         weights = sum(before * after for before, after in pairwise((inputs, *self.hidden_units, 1)))
         if weights > MOST_WEIGHTS:
             raise ValueError(

@@ -2,7 +2,7 @@
 
 ``scripts/sweep.py`` and the studies use it. The folder has
 
-sweep.json     the trials, and the versions and the code that they are run with
+sweep.json     the trials, the files of your own code that they name, and the versions and the code they are run with
 trials.jsonl   a line for each finished trial, in the order of finishing, on the disk at once
 table.csv      a row for each finished trial, in the order of the grid: the same bytes wherever the trials ran
 runs/          the trainings' run folders
@@ -39,10 +39,21 @@ from typing import Any, NamedTuple
 from tqdm import tqdm
 
 from agents.evaluation.returns import evaluate
-from agents.files import DamagedFileError, first_line, locked, parsing, read_json, report_skipped
-from agents.policies.registry import find_policy
+from agents.files import (
+    DamagedFileError,
+    first_line,
+    is_object,
+    locked,
+    parsing,
+    read_json,
+    receive,
+    report_skipped,
+    texts_of,
+    trust_names,
+)
+from agents.policies.registry import code_of, find_policy, with_chosen_env
 from agents.runs import MODEL, PACKAGES, installed, is_whole, machine
-from agents.settings import NOUNS, EnvSettings, TrainSettings
+from agents.settings import NAMES, NOUNS, EnvSettings, TrainSettings, with_objects
 from agents.training.models import make_vec_env
 from agents.training.ppo import trained_in
 from jackbox_env import FIDELITIES
@@ -154,7 +165,11 @@ def differing(other: dict[str, str]) -> str:
 
 
 def new_sweep(path: Path | None, trials: list[dict[str, Any]]) -> Path:
-    """Make the folder of a sweep; None: ``runs/sweep-<date>-<time>``.
+    """Make the folder of a sweep, with the text of each file of code that a trial names.
+
+    Args:
+        path: of the folder; None: ``runs/sweep-<date>-<time>``.
+        trials: settings of each.
 
     Raises:
         FileExistsError: there is something at ``path`` already.
@@ -163,24 +178,42 @@ def new_sweep(path: Path | None, trials: list[dict[str, Any]]) -> Path:
     for key, count in Counter(map(key_of, trials)).most_common(1) or [("any", 0)]:
         if count != 1:
             raise ValueError(f"a sweep must have at least one trial, and each once, got {count} times {key}")
-    record = {"command": sys.argv, "machine": machine(), "made_with": made_with(), "trials": trials}
+    files = texts_of(code_named(trials))
+    record = {
+        "command": sys.argv, "machine": machine(), "made_with": made_with(), "trials": trials, "files": files,
+    }  # fmt: skip
     return new_folder(path, "sweep", lambda made: write_json(made / SWEEP, record))
 
 
-def read_sweep(folder: Path) -> list[dict[str, Any]]:
-    """The trials of a sweep.
+def read_sweep(folder: Path, trust: bool = False) -> tuple[list[dict[str, Any]], dict[str, str]]:
+    """The trials of a sweep, and the texts of files of code by path.
+
+    Args:
+        folder: of the sweep.
+        trust: its trials may run code of its author.
 
     Raises:
         FileNotFoundError: it is no sweep.
-        ValueError: its file is damaged, or it was begun with other code or versions, so that its rows and new ones do
-            not belong together.
+        ValueError: its file is damaged; its trials run code, without ``trust``; or it was begun with other code or
+            versions, so that its rows and new ones do not belong together.
     """
     record = read_json(folder / SWEEP)
     with parsing(folder / SWEEP):
         trials, other = [dict(settings) for settings in record["trials"]], differing(record["made_with"])
+        files = {str(path): str(text) for path, text in record["files"].items()}
+        code = code_named(trials)
+    if code and not trust:
+        raise ValueError(f"{folder} runs code ({check.shown(code[0])}): if you trust its author, use --trust")
     if other:
         raise ValueError(f"{folder} was begun with other code ({other}), so it cannot be continued: make another sweep")
-    return trials
+    return trials, files
+
+
+def code_named(trials: list[dict[str, Any]]) -> list[str]:
+    """Names of the objects, functions and pickled models that trials run."""
+    objects = {str(trial[name]) for trial in trials for name in NAMES if is_object(trial.get(name))}
+    policies = {str(trial["policy"]) for trial in trials if "policy" in trial}
+    return sorted(objects.union(*map(code_of, policies)))
 
 
 def carry_out(
@@ -264,6 +297,7 @@ def grid(
     scene: tuple[str, ...],
     seeds: int,
     episodes: int,
+    trust: bool = False,
 ) -> list[dict[str, Any]]:
     """The trials of a grid, as ``scripts/sweep.py`` names its sides: of policies, or with ``train`` of trainings.
 
@@ -273,6 +307,7 @@ def grid(
     """
     check.whole("seeds", seeds, at_least=1, at_most=2**32)
     check.whole("episodes", episodes, at_least=2)
+    trust_names(filter(is_object, task))
     environments = [_environment(*names) for names in product(task, setting, scene)]
     if train is not None:
         return [
@@ -281,15 +316,14 @@ def grid(
             for (env, nouns), seed in product(environments, range(seeds))
             for settings in [TrainSettings.suited(**asdict(env), **nouns, **varied, seed=seed, torch_threads=1)]
         ]
-    for _, nouns in environments:
-        if nouns:
-            raise ValueError(f"setting must have no {' or '.join(nouns)} without --train: a policy has its own")
     names = [str(Path(name).resolve()) if Path(name).exists() else name for name in policy]
-    for name, (env, _) in product(names, environments):
-        find_policy(name, env, 0)
+    for name, (env, nouns) in product(names, environments):
+        if nouns and not with_chosen_env(name):
+            raise ValueError(f"setting must have no {' or '.join(nouns)} for {name}: the policy has its own")
+        find_policy(name, env, 0, trust, with_objects(nouns))
     return [
-        {"policy": name, **asdict(env), "seed": seed, "episodes": episodes}
-        for name, (env, _), seed in product(names, environments, range(seeds))
+        {"policy": name, **asdict(env), **nouns, "seed": seed, "episodes": episodes}
+        for name, (env, nouns), seed in product(names, environments, range(seeds))
     ]
 
 
@@ -304,9 +338,10 @@ def _environment(task: str, setting: str, scene: str) -> tuple[EnvSettings, dict
     keywords = {"fidelity": setting} if setting in FIDELITIES else check.from_json("setting", setting, dict)
     check.known_keys("setting", keywords, [name for name in (*_ENV, *NOUNS) if name not in ("task", "scene")])
     nouns = {name: keywords.pop(name) for name in NOUNS if name in keywords}
+    trust_names(filter(is_object, nouns.values()))
     fields_of_scene = json.dumps(check.from_json("scene", scene, dict), sort_keys=True)
     settings = EnvSettings(task=task, scene=fields_of_scene, **keywords)
-    environments = make_vec_env({**settings.env_settings, **nouns}, 1, 0)
+    environments = make_vec_env({**settings.env_settings, **with_objects(nouns)}, 1, 0)
     environments.reset()
     environments.close()
     return settings, nouns
@@ -321,11 +356,20 @@ def _varied(train: dict[str, Any]) -> list[dict[str, Any]]:
     return [dict(zip(train, values, strict=True)) for values in product(*train.values())]
 
 
-def run_trial(folder: Path, settings: dict[str, Any]) -> dict[str, Any]:
-    """Evaluate a policy, or train and evaluate the best model: columns of the table. ``folder`` is the sweep's."""
+def run_trial(folder: Path, files: dict[str, str], settings: dict[str, Any]) -> dict[str, Any]:
+    """Evaluate a policy, or train and evaluate the best model: columns of the table.
+
+    Args:
+        folder: of the sweep.
+        files: texts of files of code by path, as :func:`read_sweep` returns them; the trial's code may run.
+        settings: the trial.
+    """
+    receive(files)
+    trust_names(value for name, value in settings.items() if name in NAMES)
     if "policy" in settings:
         env, starts = EnvSettings(**{name: settings[name] for name in _ENV}), settings["seed"]
-        acting = find_policy(settings["policy"], env, starts)
+        nouns = with_objects({name: settings[name] for name in NOUNS if name in settings})
+        acting = find_policy(settings["policy"], env, starts, bool(code_of(settings["policy"])), nouns)
     else:  # evaluated from the same starts, whatever the training's seed
         env, starts = TrainSettings.of({name: settings[name] for name in _TRAIN}), 0
         acting = find_policy(str(_trained(folder, env)), env)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from agents.files import trust_names
 from agents.settings import EnvSettings, SceneFields, scene_as_json
 from jackbox_env import checks as check
 from jackbox_env.command_line import command_line, progress
@@ -48,9 +49,9 @@ class Arguments:
     """Also film an episode of all policies side by side, in this new .mp4 or .gif file."""
     trust: bool = False
     (
-        "Unpickle models that have no settings.json beside them: only those of people you trust. They play in the "
-        "environment that env.json beside them describes, which jackbox_env.sb3.save_model writes; options here that "
-        "are not the default go before it."
+        "Unpickle models that have no settings.json beside them, and run the code that settings.json or env.json "
+        "names: only of people you trust. Such models play in the environment that env.json beside them describes, "
+        "which jackbox_env.sb3.save_model writes; options here that are not the default go before it."
     )
     env: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     (
@@ -88,6 +89,7 @@ def main() -> None:
     arguments = tyro.cli(Arguments, description=__doc__, config=(tyro.conf.OmitArgPrefixes,))
     settings = replace(arguments.settings, scene=scene_as_json(arguments.settings.scene, arguments.scene_fields))
     _check(arguments)
+    trust_names(settings.objects.values())
     progress("Loading PyTorch and Stable-Baselines3 ...")
     from agents.evaluation.provenance import describe_env, note_other_environment
     from agents.evaluation.returns import evaluate, table
@@ -117,11 +119,11 @@ def main() -> None:
 
         film_episode(acts, settings.env_settings, arguments.film, derived_seed("evaluation", arguments.seed))
     if arguments.json is not None:
-        record = {"env": settings.env_settings, "seed": arguments.seed, "versions": versions()}
+        results = [{**row.as_json(), "keywords": acts[row.policy].keywords} for row in rows]
+        env = {**settings.env_settings, **settings.objects}
+        record = {"env": env, "seed": arguments.seed, "versions": versions(), "results": results}
         with new_file(arguments.json) as partial:
-            keywords = (json.loads(json.dumps(acts[name].keywords, default=repr)) for name in arguments.policy)
-            results = [{**row.as_json(), "keywords": one} for row, one in zip(rows, keywords, strict=True)]
-            write_json(partial, {**record, "results": results})
+            write_json(partial, json.loads(json.dumps(record, default=repr)))
     if arguments.html:
         _write_pages(arguments.folder, acts, settings, arguments.seed)
 

@@ -14,7 +14,6 @@ from pathlib import Path
 
 os.environ["OMP_NUM_THREADS"] = "1"  # before numpy is imported: one thread for each trial
 
-from agents.settings import TaskName
 from jackbox_env.command_line import command_line
 
 
@@ -29,12 +28,12 @@ class Grid:
         "In place of policies: settings of scripts/train.py as JSON, each with a list of values, e.g. "
         '\'{"total_steps": [100000], "learning_rate": [0.0005, 0.001]}\'. The best model of each training is evaluated.'
     )
-    task: tuple[TaskName, ...] = ("juggle",)
-    """What is rewarded."""
+    task: tuple[str, ...] = ("juggle",)
+    """What is rewarded: juggle, spin, rattle, or tasks of your own, file.py:name."""
     setting: tuple[str, ...] = ("exact",)
     (
         'Fidelities, or settings of the environment as JSON, e.g. \'{"contact": "pymunk", "substeps": 8}\'; with '
-        "--train also observation, action and action_repeat."
+        "--train, and for functions and model files, also observation, action (or your file.py:name) and action_repeat."
     )
     scene: tuple[str, ...] = ("{}",)
     """Fields of the scene that differ from the default, as JSON, e.g. '{"gravity": 1.62}'."""
@@ -55,6 +54,8 @@ class Arguments:
     """Folder of a sweep to continue: runs unfinished and failed trials."""
     workers: int | None = None
     """Number of trials at a time, each in a separate process; None: one after the other in this process."""
+    trust: bool = False
+    """As in scripts/evaluate.py; with --resume, also run the code in the sweep's folder."""
     address: str | None = None
     """Address of the head of a Ray cluster, or auto on one of its machines."""
     progress: bool = True
@@ -67,22 +68,24 @@ def main() -> None:
     import tyro
 
     arguments = tyro.cli(Arguments, description=__doc__, config=(tyro.conf.OmitArgPrefixes,))
-    from agents.sweep import LOG, TABLE, carry_out, grid, new_sweep, read_sweep, run_trial
+    from agents.files import texts_of
+    from agents.sweep import LOG, TABLE, carry_out, code_named, grid, new_sweep, read_sweep, run_trial
     from agents.sweep_ray import runner_for
 
     runner = runner_for(arguments.workers, arguments.address)
     if arguments.grid.train is not None and arguments.grid.policy != Grid.policy:
         raise ValueError("--train runs trainings in place of policies: leave out --policy")
     if arguments.resume is None:
-        trials = grid(**asdict(arguments.grid))
-        folder = new_sweep(arguments.folder, trials)
+        trials = grid(**asdict(arguments.grid), trust=arguments.trust)
+        folder, files = new_sweep(arguments.folder, trials), texts_of(code_named(trials))
     elif arguments.grid == Grid() and arguments.folder is None:
-        trials, folder = read_sweep(arguments.resume), arguments.resume
+        folder, (trials, files) = arguments.resume, read_sweep(arguments.resume, arguments.trust)
     else:
         raise ValueError("--resume continues the sweep of its folder: leave out other settings")
-    command = shlex.join(["python", "scripts/sweep.py", "--resume", str(folder)])
+    trust = ["--trust"] if code_named(trials) else []
+    command = shlex.join(["python", "scripts/sweep.py", "--resume", str(folder), *trust])
     try:
-        rows = carry_out(folder, trials, partial(run_trial, folder.resolve()), runner, arguments.progress)
+        rows = carry_out(folder, trials, partial(run_trial, folder.resolve(), files), runner, arguments.progress)
     except KeyboardInterrupt:
         print(f"\nInterrupted. Continue with: {command}", file=sys.stderr)
         raise

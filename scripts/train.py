@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, TypedDict
 
+from agents.files import trust_names
 from agents.runs import RUN, describe, read_settings
-from agents.settings import ActionName, SceneFields, TaskName, TrainSettings, scene_as_json
+from agents.settings import SceneFields, TrainSettings, scene_as_json
 from jackbox_env.command_line import called, command_line, progress
 from jackbox_env.files import new_folder
 
@@ -27,6 +28,8 @@ class Arguments:
         "Run folder to resume, with its settings, from its newest intact checkpoint. With --total-steps N it "
         "continues to N steps in all, also if it was finished."
     )
+    trust: bool = False
+    """With --resume: run the code of the task, observation or action that the run folder names."""
     progress: bool = True
     """Show a progress bar."""
 
@@ -34,8 +37,8 @@ class Arguments:
 class Early(TypedDict, total=False):
     """The options on which other defaults depend."""
 
-    task: TaskName
-    action: ActionName
+    task: str
+    action: str
     action_repeat: int | Literal["bounce"]
 
 
@@ -60,11 +63,15 @@ def main() -> None:
     from agents.training.models import make_vec_env
     from agents.training.ppo import extended, train
 
+    trust_names(chosen.objects.values())
     if arguments.resume is not None:
         others = replace(chosen, total_steps=TrainSettings.total_steps)
         if others != TrainSettings() or arguments.folder is not None:
             raise ValueError("--resume uses the settings of its run folder: only --total-steps may be added")
         folder, settings = arguments.resume, read_settings(arguments.resume)
+        if arguments.trust:
+            trust_names(settings.objects.values())
+        make_vec_env(settings.env_settings, 1, 0).close()  # raises before the run is changed
         if not (folder / RUN).is_file():
             raise FileNotFoundError(f"{folder} is no training run: it has no {RUN}")
         if any(word.split("=")[0] in ("--total-steps", "--total_steps") for word in sys.argv):
@@ -72,15 +79,16 @@ def main() -> None:
     else:
         settings = chosen
         make_vec_env(settings.env_settings, 1, 0).close()  # raises before there is a folder
-        folder = new_folder(arguments.folder, settings.task, lambda made: describe(made, settings))
+        folder = new_folder(arguments.folder, settings.task.rpartition(":")[2], lambda made: describe(made, settings))
+    trust = ["--trust"] if settings.objects else []
     print(f"Training on {describe_env(settings)}")
     try:
         train(settings, folder, progress=arguments.progress)
     except KeyboardInterrupt:
-        print(f"\nInterrupted. Continue with: {called('train', '--resume', str(folder))}", file=sys.stderr)
+        print(f"\nInterrupted. Continue with: {called('train', '--resume', str(folder), *trust)}", file=sys.stderr)
         raise
     print(f"Trained. Models, settings and evaluations: {folder}")
-    print("  " + called("evaluate", *settings.options, "--policy", "zero", str(folder)))
+    print("  " + called("evaluate", *settings.options, "--policy", "zero", str(folder), *trust))
     print("  " + shlex.join(["tensorboard", "--logdir", str(folder)]))
 
 

@@ -20,9 +20,9 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.files import as_value_error, imported, unpacked
+from agents.files import as_value_error, is_object, trust_names, unpacked
 from agents.policies.scripted import PLAIN, Actions, PolicyWithEnv
-from agents.settings import EnvSettings
+from agents.settings import EnvSettings, with_objects
 from jackbox_env import JackInBoxEnv
 from jackbox_env import checks as check
 from jackbox_env.simulators.fidelity import FURTHER
@@ -33,7 +33,6 @@ _ALGORITHMS = {
     "exploration_fraction": "DQN",
 }  # fmt: skip
 _CIRCLES = [4, 5], [7, 8]  # components of a built-in observation that are a cosine and a sine
-_OBJECTS = ("task", "observation", "action", "scene", "randomize")  # keywords that may be objects of one's own
 _NAMES = (
     *(name for name in signature(JackInBoxEnv).parameters if name != "settings" and not name.startswith("render")),
     *FURTHER, "max_episode_steps",
@@ -137,17 +136,8 @@ def keywords_of(words: Iterable[str]) -> dict[str, Any]:
         with suppress(ValueError):
             keywords[name] = json.loads(value)
     check.known_keys("--env", keywords, _NAMES)
+    trust_names(filter(is_object, keywords.values()))
     return with_objects(keywords)
-
-
-def with_objects(keywords: dict[str, Any]) -> dict[str, Any]:
-    """The keywords with objects in place of ``module:name`` and ``file.py:name``, whose code runs.
-
-    Raises:
-        ValueError: one cannot be imported.
-    """
-    named = [name for name in _OBJECTS if isinstance(keywords.get(name), str) and ":" in keywords[name]]
-    return {**keywords, **{name: imported(keywords[name]) for name in named}}
 
 
 def model_in_env(
@@ -176,6 +166,7 @@ def model_in_env(
             raise ValueError(
                 f"{file} was trained with a {name} that env.json cannot store: use --env {name}=file.py:name"
             )
+    trust_names(filter(is_object, stored["env"].values()))
     with as_value_error(f"{file} cannot be played as env.json or --env describe"):
         keywords = with_objects({**PLAIN, **stored["env"], **settings.changed, **chosen})
         wrappers = [checked_wrapper(one) for one in stored["wrappers"]]

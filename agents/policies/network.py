@@ -20,6 +20,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
 
+import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,9 +28,9 @@ from agents.files import read_bounded, unpacked_arrays
 from agents.policies.scripted import Actions, PolicyWithEnv, StatelessPolicy
 from agents.runs import SETTINGS
 from agents.settings import MOST_LAYERS, MOST_WEIGHTS, EnvSettings, TrainSettings
-from jackbox_env.action import ACTIONS
+from jackbox_env.action import action_of
 from jackbox_env.files import write_bytes, write_json
-from jackbox_env.observation import OBSERVATIONS
+from jackbox_env.observation import observation_of
 from jackbox_env.tasks import TASKS
 
 WEIGHTS = "weights.npz"
@@ -53,17 +54,22 @@ class NetworkPolicy(StatelessPolicy):
     """
 
     def __init__(self, settings: TrainSettings, layers: list[Layer]) -> None:
-        inputs = len(OBSERVATIONS[settings.observation].names)
+        nouns = settings.nouns
+        inputs, action = len(observation_of(nouns["observation"]).names), action_of(nouns["action"])
         super().__init__(self.chosen, inputs)
-        self.settings, self.layers, action = settings, layers, ACTIONS[settings.action]
-        self._choices = not action.size
+        self.settings, self.layers = settings, layers
+        self._space = action.space
         outputs = action.size or int(action.space.n)  # type: ignore[union-attr]
         check_layers(layers, [inputs, *settings.hidden_units, outputs])
 
     def chosen(self, observations: NDArray[Any]) -> Actions:
         """The actions, shape (n, size) or (n,), for observations as in training, shape (n, numbers)."""
         values = outputs(self.layers, np.asarray(observations, dtype=np.float32))
-        return values.argmax(axis=1) if self._choices else np.clip(values, -1.0, 1.0)
+        space = self._space
+        actions: Actions = (
+            values.clip(space.low, space.high) if isinstance(space, gym.spaces.Box) else values.argmax(axis=1)
+        )
+        return actions
 
     @property
     def in_env(self) -> PolicyWithEnv:

@@ -122,4 +122,4 @@ def planner_for(
         made_for = stored.task, stored.control_dt, Scene.of(stored.scene_fields).changed(drive=None)
         suits = made_for == (settings.task, settings.control_dt, scene.changed(drive=None))
         search |= {"value": value} if suits else {"knots": _KNOTS_WITHOUT_VALUE}
-    return Planner(scene, settings.task, settings.control_dt, repeat=decision_steps(settings), **search)
+    return Planner(scene, settings.env_settings["task"], settings.control_dt, repeat=decision_steps(settings), **search)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from agents.files import as_value_error, imported
+from agents.files import as_value_error, imported, trust_names
 from agents.policies.models import load, model_in_env, stored_beside
 from agents.policies.network import SHIPPED, WEIGHTS, NetworkPolicy, layers_of, read_policy
 from agents.policies.one_bounce import LANDING, read_landing
@@ -45,7 +45,7 @@ def find_policy(
         name: of the policy, or ``file.py:function`` that returns actions, (n,) or (n, size), for n observations.
         settings: of the environment that it plays in.
         seed: of what it draws.
-        trust: unpickle a model that has no settings.json, and import what its env.json names.
+        trust: unpickle a model that has no settings.json, and run the code that its settings or its env.json name.
         chosen: keywords of the environment of such a model or function, over those that env.json has.
         vecnormalize: file of the statistics of such a model's observations; None: env.json has them.
 
@@ -58,16 +58,22 @@ def find_policy(
     if name in shipped_names(settings.task):
         return _read(SHIPPED / f"{settings.task}-{name}")
     if is_function(name):
+        trust_names([name])
         return PolicyWithEnv(StatelessPolicy(imported(name)), {**PLAIN, **(chosen or {})})
     if not Path(name).exists():
         known = ", ".join((*POLICIES, *shipped_names(settings.task)))
         raise FileNotFoundError(
             f"a policy must be one of {known}, or a run folder, a model file or file.py:function, got {name!r}"
         )
-    if (Path(name) / WEIGHTS).is_file():
-        return _read(Path(name))
-    file = model_in(Path(name))
+    exported = (Path(name) / WEIGHTS).is_file()
+    file = Path(name) if exported else model_in(Path(name))
     folder = run_folder(file)
+    objects = read_settings(folder).objects.values() if folder else ()
+    trust_names(objects if trust else ())
+    for one in objects:
+        imported(one)  # raises in its own words
+    if exported:
+        return _read(file)
     if folder is not None:
         return _network(file, lambda: (read_settings(folder), read_parameters(file)["policy"]))
     if not trust:
@@ -85,6 +91,12 @@ def find_policy(
 def with_chosen_env(name: str) -> bool:
     """Whether ``chosen`` keywords apply to a policy: to a function, or a model file without settings.json."""
     return is_function(name) or (Path(name).is_file() and run_folder(Path(name)) is None)
+
+
+def code_of(name: str) -> list[str]:
+    """The code of its author that a policy runs: it is a function or a model file, or its settings name objects."""
+    folder = run_folder(Path(name)) if Path(name).exists() else None
+    return [name] if with_chosen_env(name) else list(read_settings(folder).objects.values()) if folder else []
 
 
 def is_function(name: str) -> bool:

@@ -14,6 +14,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from agents.files import as_value_error
 from agents.runs import SETTINGS, TRAINED_BY, model_in, read_parameters, read_settings, run_folder
 from agents.settings import TrainSettings
+from jackbox_env.action import action_of
 from jackbox_env.sb3 import DurationBuffer, make_sb3_vec_env
 
 
@@ -33,7 +34,8 @@ def make_vec_env(env_settings: dict[str, Any], num_envs: int, seed: int) -> VecE
 def policy_kwargs(settings: TrainSettings) -> dict[str, Any]:
     """Keyword arguments of Stable-Baselines3's policy: its layers, and the first deviation of continuous actions."""
     layers = {"net_arch": list(settings.hidden_units)}
-    return layers if settings.action == "discrete" else {**layers, "log_std_init": settings.initial_log_std}
+    continuous = action_of(settings.nouns["action"]).size
+    return {**layers, "log_std_init": settings.initial_log_std} if continuous else layers
 
 
 def make_ppo(settings: TrainSettings, environments: VecEnv, **keywords: Any) -> PPO:

@@ -20,7 +20,7 @@ def swept(
     """
     if not folder.exists():
         new_sweep(folder, trials)
-    elif read_sweep(folder) != trials:
+    elif read_sweep(folder)[0] != trials:
         raise ValueError(f"{folder} was begun with other arguments: choose another folder")
     try:
         rows = carry_out(folder, trials, work, runner, progress)

@@ -12,6 +12,7 @@ import pytest
 from agents.evaluation import returns as evaluation
 from agents.evaluation.episodes import page_names, record_episode
 from agents.evaluation.provenance import note_other_environment
+from agents.files import trusted
 from agents.policies.network import SHIPPED
 from agents.policies.registry import find_policy
 from agents.settings import EnvSettings
@@ -19,6 +20,7 @@ from agents.training import ppo as training
 from agents.training.models import derived_seed
 from tests.agents.small_run import TINY
 from tests.agents.test_commands import script
+from tests.agents.test_sweep import MINE
 from tests.commands.test_samples import data_of
 
 
@@ -93,6 +95,25 @@ def test_a_planner_among_varied_scenes_is_noted(capsys: pytest.CaptureFixture[st
     settings = EnvSettings(randomize='{"jack_mass": [2, 6]}')
     note_other_environment("planner", find_policy("planner", settings), settings)
     assert capsys.readouterr().err.startswith("Note: planner plans in the scene that is given")
+
+
+def test_a_task_and_an_observation_of_a_file_train_and_play_and_run_only_if_trusted(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(MINE.format(value=1.0))
+    names = ["--task", "mine.py:task", "--observation", "mine.py:angle", "--action", "torque"]
+    script("train", *names, "--total-steps", "64", "--num-envs", "2", "--folder", "run", "--no-progress", cwd=tmp_path)
+    play = ["--task", "mine.py:task", "--policy", "level", "planner-fast", "run", "--episodes", "2"]
+    said = script("evaluate", *play, cwd=tmp_path).stderr  # the names were trusted by the training in this process
+    assert "Note" not in said
+    trusted.clear()
+    for name, arguments in (("evaluate", play), ("train", ["--resume", "run", "--total-steps", "128"])):
+        refused = script(name, *arguments, cwd=tmp_path, status=2).stderr
+        assert refused == "mine.py:angle is code, which runs only with --trust\n"
+    script("train", "--resume", "run", "--total-steps", "128", "--trust", "--no-progress", cwd=tmp_path)
+    trusted.clear()
+    script("evaluate", *play, "--trust", "--json", "returns.json", cwd=tmp_path)
+    record = json.loads((tmp_path / "returns.json").read_text())
+    assert record["env"]["task"] == "mine.py:task"
+    assert len({row["mean"] for row in record["results"]}) == 3
 
 
 def test_an_exported_policy_is_not_trained_over(tmp_path: Path) -> None:

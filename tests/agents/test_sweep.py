@@ -115,7 +115,7 @@ def test_folders_are_not_shared_overwritten_or_continued_by_other_code(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder, known = new_sweep(tmp_path / "sweep", GRID), sweep.made_with()
-    assert read_sweep(folder) == GRID
+    assert read_sweep(folder) == (GRID, {})
     with pytest.raises(FileExistsError, match="sweep exists, and is never overwritten"):
         new_sweep(folder, GRID)
     with locked(folder), pytest.raises(FolderInUseError, match="is in use by another process"):
@@ -148,7 +148,7 @@ def test_folders_are_not_shared_overwritten_or_continued_by_other_code(
         ("""--train {"epochs":[0]}""", "epochs"),
         ("""--train {"action_repeat":[4]}""", "train accepts only"),
         ("""--train {} --setting {"action_repeat":0}""", "action_repeat must be a whole number"),
-        ("""--setting {"observation":"landing"}""", "setting must have no observation without --train"),
+        ("""--setting {"observation":"landing"}""", "setting must have no observation for level"),
         ("""--setting {"observation":"sea"}""", "observation must be one of 'state', 'landing', got 'sea'"),
         ("""--train {} --policy zero""", "--policy"),
         ("--resume nowhere", "nowhere"),
@@ -203,11 +203,53 @@ def test_the_command_is_killed_and_interrupted_on_two_cores_and_goes_on_to_the_s
     assert float(row["mean"]) == evaluate("", find_policy("level", exact, 1), exact.env_settings, 2, 1).mean
 
 
+MINE = """
+import jackbox_env
+from jackbox_env.tasks import TASKS
+
+
+def low(scene, state, torque, impulse):
+    return -state.y_jack - {value}
+
+
+task = jackbox_env.Task(("low",), low)
+angle = jackbox_env.Observation(("angle",), -9.0, 9.0, lambda scene, state, time: (state.theta_box,))
+
+
+def back(observations):
+    return -0.5 * observations
+
+
+def level(observations):
+    return -observations[:, 5:6]
+"""
+SMALL = asdict(replace(TINY, total_steps=512, eval_steps=256, checkpoint_steps=256))
+FIXED = {*asdict(EnvSettings()), *NOUNS, "seed", "torch_threads"}
+VARIED = {name: [value] for name, value in SMALL.items() if name not in FIXED}
+
+
+def test_users_objects_and_functions_run_and_resume_with_the_text_that_they_had(tmp_path: Path) -> None:
+    code, table = tmp_path / "mine.py", tmp_path / "s" / TABLE
+    code.write_text(MINE.format(value=1.0))
+    users = ["--task", "mine.py:task", "--setting", json.dumps({"observation": "mine.py:angle", "action_repeat": 5})]
+    users += ["--episodes", "2", "--no-progress", "--folder", "s"]
+    for grid in (["--train", json.dumps(VARIED | {"epochs": [1, 2]})], ["--policy", "mine.py:back"]):
+        script("sweep", *grid, *users, cwd=tmp_path)
+        before, (row, *_) = table.read_bytes(), rows_of(tmp_path / "s")
+        assert (row["task"], row["observation"], row["error"]) == ("mine.py:task", "mine.py:angle", "")
+        code.write_text(MINE.format(value=2.0))
+        (tmp_path / "s" / LOG).unlink()
+        said = script("sweep", "--resume", "s", cwd=tmp_path, status=2).stderr
+        assert "s runs code ('mine.py:" in said
+        script("sweep", "--resume", "s", "--trust", "--no-progress", "--workers", "1", cwd=tmp_path)
+        assert table.read_bytes() == before
+        (tmp_path / "s").rename(tmp_path / f"{grid[0]} ended")
+        code.write_text(MINE.format(value=1.0))
+
+
 def test_a_training_that_was_cut_short_starts_over_to_the_same_row(tmp_path: Path) -> None:
-    small = asdict(replace(TINY, total_steps=768, eval_steps=256, checkpoint_steps=256))
-    fixed = {*asdict(EnvSettings()), *NOUNS, "seed", "torch_threads"}
     nouns = json.dumps({"observation": "landing", "action": "discrete", "action_repeat": 10})
-    varied = {name: [value] for name, value in small.items() if name not in fixed} | {"learning_rate": [1e-3, 5e-4]}
+    varied = VARIED | {"total_steps": [768], "learning_rate": [1e-3, 5e-4]}
     grid = ["--train", json.dumps(varied), "--setting", nouns, "--episodes", "2"]
     script("sweep", *grid, "--folder", "s", "--no-progress", cwd=tmp_path)
     table, rows = (tmp_path / "s" / TABLE).read_bytes(), rows_of(tmp_path / "s")

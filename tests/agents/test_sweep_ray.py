@@ -14,11 +14,12 @@ from typing import Any
 
 import pytest
 
-from agents.sweep import TABLE, carry_out, grid, in_turn, new_sweep, run_trial
+from agents.files import texts_of
+from agents.sweep import TABLE, carry_out, code_named, grid, in_turn, new_sweep, run_trial
 from agents.sweep_ray import runner_for
 from jackbox_env.exact import compiler
 from tests.agents.small_run import TINY
-from tests.agents.test_sweep import carried_out
+from tests.agents.test_sweep import MINE, carried_out
 
 pytest.importorskip("ray", reason='NOTHING ON RAY IS TESTED: Ray is missing, pip install -e ".[scale]"')
 pytestmark = [
@@ -41,12 +42,23 @@ def cluster() -> Iterator[Any]:
     made.shutdown()
 
 
-def test_policies_and_trainings_give_the_same_table_as_in_one_process(tmp_path: Path, cluster: Any) -> None:
+def test_policies_trainings_and_users_code_give_the_same_table_as_in_one_process(
+    tmp_path: Path, cluster: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("mine.py").write_text(MINE.format(value=1.0))  # which the nodes are sent
     sides: dict[str, Any] = {"policy": ("ppo", "random"), "train": None, "task": ("juggle",), "scene": ("{}",)}
     small = {**asdict(replace(TINY, total_steps=512, eval_steps=256, checkpoint_steps=256)), "episodes": 2}
-    trials = [*grid(**sides, setting=("exact", "balanced"), seeds=2, episodes=2), small]
+    users = grid(
+        **sides | {"policy": ("level", "mine.py:level"), "task": ("mine.py:task",)},
+        setting=("exact",),
+        seeds=1,
+        episodes=2,
+    )
+    trials = [*grid(**sides, setting=("exact", "balanced"), seeds=2, episodes=2), *users, small]
+    files = texts_of(code_named(trials))
     for name, runner in (("alone", in_turn), ("cluster", runner_for(None, cluster.address))):
-        work = partial(run_trial, new_sweep(tmp_path / name, trials))
+        work = partial(run_trial, new_sweep(tmp_path / name, trials), files)
         assert not any(row["error"] for row in carry_out(tmp_path / name, trials, work, runner, progress=False))
     assert (tmp_path / "alone" / TABLE).read_bytes() == (tmp_path / "cluster" / TABLE).read_bytes()
 
